@@ -317,7 +317,7 @@ def _angle_errors(description: RigDescription) -> AngleErrors:
     axes = angle_axes(description)
     read = max(math.hypot(a.encoder_step_deg / math.sqrt(12.0), a.encoder_noise_deg) for a in axes.values())
     zeros = zero_uncertainties(description)
-    return AngleErrors(math.radians(read), math.radians(max(zeros.values(), default=0.0)))
+    return AngleErrors(math.radians(read), max(zeros.values(), default=0.0))
 
 
 def _cones(description: RigDescription) -> tuple[float, float]:

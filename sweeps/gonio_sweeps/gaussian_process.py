@@ -13,7 +13,7 @@ process is that of Rasmussen and Williams, Gaussian Processes for Machine Learni
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -26,14 +26,14 @@ from gonio.typing import Floats
 NAMES = ("h", "lobe", "l_lobe", "own", "l_own", "view", "l_view", "l_incidence", "retro", "apart", "facets", "noise")
 """Parameters of the kernel; all are fitted as logarithms."""
 CENTRES = np.log(
-    [np.radians(4.0), 0.5, 1.5, 0.4, 1.5, 0.5, np.radians(50.0), np.radians(30.0), 0.1, np.radians(6.0), 1.0, 1.0]
+    [np.radians(4.0), 0.5, 1.5, 0.4, 1.5, 0.5, np.radians(50.0), np.radians(30.0), 0.1, np.radians(6.0), 10.0, 1.0]
 )
 """Before any value is known: widths [rad], lengths of w, amplitudes of the logarithm, factor of the noise."""
-SPREADS = np.array([1.0, 2.0, 0.7, 0.5, 0.7, 2.0, 0.6, 0.8, 2.0, 0.7, 2.0, 0.1])
+SPREADS = np.array([1.0, 1.0, 0.7, 0.5, 0.7, 2.0, 0.6, 0.8, 2.0, 0.7, 2.0, 0.1])
 """Standard deviations of the logarithms before any value is known: a factor of three or so to either side."""
 LEVEL, COSINE = 5.0, 1.0
 """Standard deviations of the logarithm's mean and of the power of cos theta_r: Lambert's 0, Cook and Torrance's -1."""
-LIMB = 0.5
+LIMB = 1.5
 """theta_r is stretched by 1 + LIMB tan(theta_r): shadowing sets in within the last degrees before grazing."""
 CURVATURE_STEP = 1e-3
 """Of the parameters' logarithms."""
@@ -55,6 +55,18 @@ class Coordinates:
     apart: Floats
     """Angle between source and detector [rad]."""
     log_cos: Floats
+    lobe: Floats
+    """(n,): how much of a change of the lobe's logarithm is seen in the value's; 1 where lobe and base are factors."""
+    base: Floats
+    """The same of the base."""
+
+    def seen(self, lobe: Floats, base: Floats) -> Coordinates:
+        """The same places with other shares of lobe and base."""
+        return replace(self, lobe=lobe, base=base)
+
+    def only(self, kept: npt.NDArray[np.bool_]) -> Coordinates:
+        """Some of them."""
+        return Coordinates(**{name: value[kept] for name, value in vars(self).items()})
 
     @classmethod
     def of(cls, d: Directions) -> Coordinates:
@@ -76,6 +88,8 @@ class Coordinates:
             incidence=np.stack([theta_i * np.cos(d.phi_i), theta_i * np.sin(d.phi_i)], axis=-1),
             apart=2.0 * d.half[1],
             log_cos=log_cos,
+            lobe=np.ones(d.shape),
+            base=np.ones(d.shape),
         )
 
 
@@ -101,8 +115,9 @@ class Pairs:
         self.a, self.b = a, b
         self.view = _apart(a.view, b.view)
         self.incidence = _apart(a.incidence, b.incidence)
-        self.fixed = LEVEL**2 + COSINE**2 * np.outer(a.log_cos, b.log_cos)
-        self.squares = np.outer(np.tan(a.theta_h) ** 2, np.tan(b.theta_h) ** 2)
+        self.lobe, self.base = np.outer(a.lobe, b.lobe), np.outer(a.base, b.base)
+        self.fixed = (LEVEL**2 + COSINE**2 * np.outer(a.log_cos, b.log_cos)) * (self.lobe + self.base)
+        self.squares = np.outer(a.lobe * np.tan(a.theta_h) ** 2, b.lobe * np.tan(b.theta_h) ** 2)
         self.one_incidence = not bool(self.incidence.any())
 
     def kernel(self, p: Floats, gradient: bool = False) -> tuple[Floats, list[Floats]]:
@@ -119,10 +134,10 @@ class Pairs:
         ri = self.incidence / l_inc
         inc = 1.0 if self.one_incidence else _matern(ri)
         k1, k2, k3, k4 = (
-            lobe**2 * _matern(r1),
-            own**2 * _matern(r2),
-            view**2 * np.exp(-0.5 * r3**2),
-            retro**2 * _matern(r4),
+            lobe**2 * _matern(r1) * self.lobe,
+            own**2 * _matern(r2) * self.lobe,
+            view**2 * np.exp(-0.5 * r3**2) * (self.base + self.lobe),
+            retro**2 * _matern(r4) * self.base,
         )
         k5 = facets**2 * self.squares
         total = self.fixed + k1 + (k2 + k3) * inc + k4 + k5
@@ -130,13 +145,13 @@ class Pairs:
             return total, []
         # d asinh(x/h)/d ln h = -(x/h)/sqrt(1 + (x/h)^2) = -tanh(asinh(x/h))
         t_a, t_b = -np.tanh(rho_a), -np.tanh(rho_b)
-        d1 = lobe**2 * _slope(r1)
-        d2 = own**2 * _slope(r2) * inc
+        d1 = lobe**2 * _slope(r1) * self.lobe
+        d2 = own**2 * _slope(r2) * inc * self.lobe
         by_h = -d1 * (rho_a[:, None] - rho_b) * (t_a[:, None] - t_b) / l_lobe**2
         dw = ((w_a[:, None, :] - w_b) * (t_a[:, None, None] * a.toward[:, None, :] - t_b[:, None] * b.toward)).sum(-1)
         by_h = by_h - d2 * dw / l_own**2
         v_a, v_b = -np.tanh(s_a), -np.tanh(s_b)
-        by_d0 = -(retro**2) * _slope(r4) * (s_a[:, None] - s_b) * (v_a[:, None] - v_b)
+        by_d0 = -(retro**2) * self.base * _slope(r4) * (s_a[:, None] - s_b) * (v_a[:, None] - v_b)
         by_inc = np.zeros_like(total) if self.one_incidence else (k2 + k3) * _slope(ri) * ri**2
         return total, [
             by_h, 2.0 * (k1 + k2 * inc), d1 * r1**2, 2.0 * k2 * inc, d2 * r2**2, 2.0 * k3 * inc, k3 * r3**2 * inc,
@@ -154,6 +169,8 @@ class Values:
     """Standard uncertainties that are independent from value to value."""
     causes: Floats
     """(n, m): what one standard deviation of each common cause changes."""
+    summed: bool = False
+    """Whether lobe and base are summands; otherwise they are factors."""
 
     @cached_property
     def pairs(self) -> Pairs:
@@ -162,11 +179,12 @@ class Values:
 
     def only(self, kept: npt.NDArray[np.bool_]) -> Values:
         """Some of them."""
-        a = self.at
-        at = Coordinates(
-            a.theta_h[kept], a.toward[kept], a.view[kept], a.incidence[kept], a.apart[kept], a.log_cos[kept]
-        )
-        return Values(at, self.z[kept], self.u[kept], self.causes[kept])
+        at = self.at.only(kept)
+        return Values(at, self.z[kept], self.u[kept], self.causes[kept], self.summed)
+
+    def beside(self, mean: float) -> Floats:
+        """The values less what the mean of the process gives them."""
+        return self.z - mean * (self.at.lobe + self.at.base if self.summed else 1.0)
 
     @property
     def common(self) -> Floats:
@@ -188,7 +206,7 @@ def objective(p: Floats, data: Values, mean: float) -> tuple[float, Floats]:
         factor = cho_factor(k, lower=True)
     except np.linalg.LinAlgError:
         return 1e10, np.zeros_like(p)
-    y = data.z - mean
+    y = data.beside(mean)
     alpha = cho_solve(factor, y)
     inner = cho_solve(factor, np.eye(n)) - np.outer(alpha, alpha)
     value = 0.5 * y @ alpha + np.log(np.diag(factor[0])).sum() + 0.5 * away @ away
@@ -206,14 +224,14 @@ def starts(seen: Floats | None) -> list[Floats]:
     return out if seen is None else [seen, out[1]]
 
 
-def learned(data: Values, before: Floats | None = None) -> Floats:
-    """The most probable parameters of the kernel (logarithms), from several starts."""
+def learned(data: Values, before: Floats | None = None, *, on: bool = False) -> Floats:
+    """The most probable parameters of the kernel (logarithms), from several starts; `on` from those before alone."""
     from scipy.optimize import minimize
 
     mean = float(np.median(data.z))
     bounds = [(c - 3.0 * s, c + 3.0 * s) for c, s in zip(CENTRES, SPREADS, strict=True)]
     best: Any = None
-    for start in starts(before):
+    for start in [before] if on and before is not None else starts(before):
         found = minimize(
             objective, start, (data, mean), jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 60}
         )
@@ -235,6 +253,18 @@ def nearby(p: Floats, data: Values, mean: float) -> list[tuple[Floats, Floats]]:
     return [(p + a, p - a) for a in off.T]
 
 
+def total(lobe: Floats, base: Floats) -> Floats:
+    """z = asinh((e^lobe + e^base)/2), of the logarithms of both summands."""
+    return np.asarray(np.arcsinh(0.5 * (np.exp(lobe) + np.exp(base))))
+
+
+def shares(lobe: Floats, base: Floats) -> tuple[Floats, Floats]:
+    """What a change of each summand's logarithm changes of z = asinh((e^lobe + e^base)/2)."""
+    a, b = np.exp(lobe), np.exp(base)
+    size = np.sqrt((a + b) ** 2 + 4.0)
+    return a / size, b / size
+
+
 @dataclass(frozen=True)
 class Process:
     """The process given values and parameters."""
@@ -251,11 +281,25 @@ class Process:
         k = k + self.data.common
         k[np.diag_indices(self.data.z.size)] += np.exp(2.0 * self.p[11]) * self.data.u**2 + JITTER
         factor = cho_factor(k, lower=True)
-        return factor, cho_solve(factor, self.data.z - self.mean)
+        return factor, cho_solve(factor, self.data.beside(self.mean))
+
+    def _latent(self, places: Coordinates) -> Floats:
+        return np.asarray(self.mean + Pairs(places, self.data.at).kernel(self.p)[0] @ self._factor[1])
+
+    def summands_at(self, places: Coordinates) -> tuple[Floats, Floats]:
+        """The logarithms of lobe and base where these are summands."""
+        one, none = np.ones(places.log_cos.size), np.zeros(places.log_cos.size)
+        return self._latent(places.seen(one, none)), self._latent(places.seen(none, one))
 
     def mean_at(self, places: Coordinates) -> Floats:
         """The mean at places."""
-        return np.asarray(self.mean + Pairs(places, self.data.at).kernel(self.p)[0] @ self._factor[1])
+        if not self.data.summed:
+            return self._latent(places)
+        return total(*self.summands_at(places))
+
+    def _seen(self, places: Coordinates) -> Coordinates:
+        """With the shares of lobe and base that the means there give them."""
+        return places.seen(*shares(*self.summands_at(places))) if self.data.summed else places
 
     @property
     def causes(self) -> Floats:
@@ -266,6 +310,7 @@ class Process:
         """Covariance at places; with `effects` (n, k) that of the process and what the first k causes add to it."""
         from scipy.linalg import solve_triangular
 
+        places = self._seen(places)
         cross, _ = Pairs(places, self.data.at).kernel(self.p)
         prior, _ = Pairs(places, places).kernel(self.p)
         if effects is not None:
@@ -278,9 +323,11 @@ class Process:
         """The diagonal of `covariance_at`."""
         from scipy.linalg import solve_triangular
 
+        places = self._seen(places)
         _, lobe, _, own, _, view, _, _, retro, _, facets = np.exp(self.p[:11])
-        prior = LEVEL**2 + (COSINE * places.log_cos) ** 2 + lobe**2 + (own * lobe) ** 2 + view**2 + retro**2
-        prior = prior + (facets * np.tan(places.theta_h) ** 2) ** 2
+        fixed = LEVEL**2 + (COSINE * places.log_cos) ** 2
+        of_lobe = fixed + view**2 + lobe**2 + (own * lobe) ** 2 + (facets * np.tan(places.theta_h) ** 2) ** 2
+        prior = places.lobe**2 * of_lobe + places.base**2 * (fixed + view**2 + retro**2)
         cross, _ = Pairs(places, self.data.at).kernel(self.p)
         if effects is not None:
             cross = cross + effects @ self.data.causes[:, : effects.shape[1]].T

@@ -11,7 +11,8 @@ import numpy as np
 from gonio.errors import DataError
 from gonio.geometry import Directions, direction
 from gonio.typing import Floats
-from gonio_sweeps.gaussian_process import Coordinates, Process, Values, learned, nearby, objective
+from gonio_sweeps.gaussian_process import Coordinates, Process, Values, learned, nearby, objective, shares, total
+from gonio_sweeps.lobe import begun
 from gonio_sweeps.spike import Spike, suspected, within
 
 if TYPE_CHECKING:
@@ -25,6 +26,13 @@ FEWEST = 3
 SLOPE_STEP = float(np.radians(0.05))
 """Over which slopes are taken [rad]: an encoder's half step or so."""
 K95 = 1.959964
+SEARCHES = 3
+"""For the kernel's parameters, where lobe and base are summands: each begins where the last one left these."""
+STEPS, SETTLED = 40, 0.1
+"""Gauss and Newton's: how many at most, and by which part of its noise no value changes any more."""
+FAINTEST = 1e-6
+"""A part begins with at least so much, in units of the link's: logarithms are finite."""
+Slopes = tuple[Floats, Floats, Floats]
 MISFIT = 1.15
 """A root mean square of left-out residuals above it says that the process is smoother than the sample."""
 
@@ -124,13 +132,12 @@ class Posterior:
 
     @cached_property
     def _learned(self) -> _Learned:
-        """With a spike where it makes the values more probable."""
-        plain = self._without_spike
+        """Lobe and base as factors or as summands, and with a spike or without: what makes the values most probable."""
         suspect = None if self.cones is None else suspected(self.directions, self.brdf, self.cones)
-        if suspect is None:
-            return plain
-        found = self._with_spike(suspect)
-        return plain if found is None or found.unlikely >= plain.unlikely else found
+        found = [self._without_spike, self._summed(None)]
+        if suspect is not None:
+            found += [self._with_spike(suspect), self._summed(suspect)]
+        return min((one for one in found if one is not None), key=lambda one: one.unlikely)
 
     @cached_property
     def _without_spike(self) -> _Learned:
@@ -146,6 +153,79 @@ class Posterior:
         zeros = self.angles.zero * np.stack([by_detector, by_source, across], axis=-1)
         values = Values(at, z, u, np.concatenate([values.causes, zeros], axis=-1))
         return _Learned.of(values, learned(values, p))
+
+    def _summed(self, spike: Spike | None) -> _Learned | None:
+        """The values as a sum of lobe and base, by Gauss and Newton's steps; None where they do not settle.
+
+        Near lobe and base so far, a value tells of the sum of what their logarithms change, each by its share. What a
+        spike's unknowns do to it is a common cause.
+        """
+        d, at, e = self.directions, Coordinates.of(self.directions), self.link.e
+        beyond = np.ones(d.shape, dtype=bool) if spike is None or self.cones is None else ~within(d, self.cones)
+        begin = begun(at, self.brdf, self._u, beyond)
+        if begin is None:
+            return None
+        lobe, base = (np.log(np.maximum(part / e, FAINTEST)) for part in begin)
+        by: Slopes | None = None
+        p = self.before
+        values, gain = self._near(lobe, base, by, spike)
+        for number in range(SEARCHES):
+            p = learned(values, p, on=number > 0)
+            for k in range(STEPS):
+                process = Process(values, p, float(np.median(values.z)))
+                ends = process.summands_at(at)
+                if (np.abs(total(*ends) - total(lobe, base)) < SETTLED * values.u).all():
+                    break
+                # a summand that values hardly tell of swings to and fro if it is let
+                part = 1.0 / (1 + k // 5)
+                lobe, base = (
+                    old + np.clip(part * (end - old), -1.0, 1.0) for end, old in zip(ends, (lobe, base), strict=True)
+                )
+                values, gain = self._near(lobe, base, by, spike)
+            else:
+                return None
+            if spike is not None:
+                factor = 1.0 + process.causes[: spike.theta_i.size]
+                if (factor < 0.2).any():
+                    return None
+            if number < SEARCHES - 1:
+                by = None if self.angles is None else self._slopes(process, d)
+                if spike is not None:
+                    spike = spike.scaled(np.clip(factor, 0.2, 5.0))
+                values, gain = self._near(lobe, base, by, spike)
+        return _Learned.of(values, p, spike, -float(np.log(gain / self.link.slope(self.brdf)).sum()))
+
+    def _near(self, lobe: Floats, base: Floats, by: Slopes | None, spike: Spike | None) -> tuple[Values, Floats]:
+        """The values as what they tell near a lobe and a base; and how a change of each value is seen there.
+
+        `by` are the slopes of the sum, where errors of angles are to be counted by them.
+        """
+        f = self.link.brdf(total(lobe, base))
+        gain = self.link.slope(f)
+        of_lobe, of_base = shares(lobe, base)
+        u, causes = self._u**2, self.causes
+        read, zero = (0.0, 0.0) if self.angles is None else (self.angles.read, self.angles.zero)
+        slopes = None if by is None else [s / gain for s in by]
+        if spike is not None:
+            effects, scatter = spike.effects(self.directions, read)
+            f = f + effects @ spike.base
+            u, causes = u + scatter**2, np.concatenate([effects, causes], axis=-1)
+        if slopes is not None:
+            u = u + read**2 * sum(s**2 for s in slopes)
+            if spike is not None:
+                # both arms move a point away from the mirror direction
+                steep = self._steepness_of(spike, read)
+                slopes = [slopes[0] + steep, slopes[1] - steep, slopes[2]]
+            causes = np.concatenate([causes, zero * np.stack(slopes, axis=-1)], axis=-1)
+        z = gain * (self.brdf - f) + of_lobe * lobe + of_base * base
+        at = Coordinates.of(self.directions).seen(of_lobe, of_base)
+        return Values(at, z, np.sqrt(u) * gain, causes * gain[:, None], summed=True), gain
+
+    def _steepness_of(self, spike: Spike, read: float) -> Floats:
+        """What a spike changes along the plane of the mirror direction [1/sr/rad]."""
+        ends = [_moved(self.directions, SLOPE_STEP * side) for side in (1.0, -1.0)]
+        plus, minus = (spike.effects(end, read)[0] @ spike.base for end in ends)
+        return np.asarray((plus - minus) / (2.0 * SLOPE_STEP))
 
     def _with_spike(self, spike: Spike) -> _Learned | None:
         """The same of what a spike leaves, by Gauss and Newton's steps; None where the values want none.
@@ -173,9 +253,7 @@ class Posterior:
             rest = self.brdf - self.link.brdf(z0) - effects @ spike.base
             z = z0 + np.where(beyond, 0.0, rest * gain)
             by = self._slopes(process, d)
-            ends = [_moved(d, SLOPE_STEP * side) for side in (1.0, -1.0)]
-            plus, minus = (spike.effects(end, read)[0] @ spike.base for end in ends)
-            steep = (plus - minus) / (2.0 * SLOPE_STEP) * gain
+            steep = self._steepness_of(spike, read) * gain
             u = np.sqrt((self._u * gain) ** 2 + (scatter * gain) ** 2 + read**2 * sum(s**2 for s in by))
             # both arms move a point away from the mirror direction
             zeros = zero * np.stack([by[0] + steep, by[1] - steep, by[2]], axis=-1)
@@ -189,9 +267,9 @@ class Posterior:
             spike = spike.scaled(np.clip(factor, 0.2, 5.0))
             if (factor < 0.2).any():
                 return None
-        return _Learned.of(values, p, spike.scaled(1.0 / np.clip(factor, 0.2, 5.0)), float(np.log(gain / slope).sum()))
+        return _Learned.of(values, p, spike.scaled(1.0 / np.clip(factor, 0.2, 5.0)), -float(np.log(gain / slope).sum()))
 
-    def _slopes(self, process: Process, d: Directions) -> tuple[Floats, Floats, Floats]:
+    def _slopes(self, process: Process, d: Directions) -> Slopes:
         """Derivatives by theta_r, by theta_i, and by an angle across the plane of theta_r [1/rad]."""
         (omega_i, omega_r), h = d.vectors, SLOPE_STEP
         down_r, down_i = direction(d.theta_r + np.pi / 2, d.phi_r), direction(d.theta_i + np.pi / 2, d.phi_i)
@@ -221,7 +299,7 @@ class Posterior:
         v = self._values
         kept = 0 if self.spike is None else self.spike.base.size
         causes = v.causes[:, :kept] if kept else np.zeros((v.z.size, 1))
-        return Process(Values(v.at, v.z, v.u, causes), self.parameters, float(np.median(v.z)))
+        return Process(Values(v.at, v.z, v.u, causes, v.summed), self.parameters, float(np.median(v.z)))
 
     @cached_property
     def left_out(self) -> Floats:
