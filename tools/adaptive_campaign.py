@@ -4,8 +4,9 @@ uncertainties.
     python tools/adaptive_campaign.py --sample aluminium --count 11 --seed 1
 
 First a uniform grid is measured and fitted: five incidences by 2.5 degrees. The uncertainties that `gonio fit` states
-of it are the targets of the adaptive runs, which have other seeds. Printed are, of each run, points, steps, shares of the grid's rig time, and the
-pulls of what `gonio fit` finds: errors over stated uncertainties; then the root mean square of these.
+of it are the targets of the adaptive runs, which have other seeds. Printed are, of each run, points, steps, shares of
+the grid's rig time, and the pulls of what `gonio fit` finds: errors over stated uncertainties; then the root mean
+square of these.
 
 Rig time is counted in three ways: steps; exposures that were taken, with ways, metering and darks; and the same as if
 every point were a matt white of albedo 0.5. The sensor is the rig's, but with larger pixels (`--pixels-across`), which
