@@ -68,7 +68,7 @@ class Case:
     def truth(self) -> dict[str, float]:
         """The true values of what is wanted."""
         given = self.sample.parameters
-        flat = {**given, "slope_1": given["slopes"][0][0]} if "slopes" in given else given
+        flat = {**given, "m": given["slopes"][0][0]} if "slopes" in given else given
         return {name: float(flat[name]) for name in self.wanted}
 
 
@@ -84,7 +84,7 @@ CASES = {
     "aluminium": metal(0.28, 1.77),
     "smoother": metal(0.15, 1.5),
     "gold": metal(0.22, 2.4, "Au"),
-    "glossy": Case(SampleDescription(name="glossy", model="cook-torrance", parameters=GLOSSY), 1.5, ("s", "slope_1")),
+    "glossy": Case(SampleDescription(name="glossy", model="cook-torrance", parameters=GLOSSY), 1.5, ("s", "m")),
     "matte": Case(
         SampleDescription(name="matte", model="oren-nayar", parameters={"albedo": 0.5, "sigma_deg": 25.0}),
         1.5,
