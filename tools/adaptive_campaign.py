@@ -4,8 +4,9 @@ uncertainties.
     python tools/adaptive_campaign.py --sample aluminium --count 11 --seed 1
 
 First a uniform grid is measured and fitted: five incidences by 2.5 degrees. The uncertainties that `gonio fit` states
-of it are the targets of the adaptive runs, which have other seeds. Printed are, of each run, points, steps, shares of the grid's rig time, and the
-pulls of what `gonio fit` finds: errors over stated uncertainties; then the root mean square of these.
+of it are the targets of the adaptive runs, which have other seeds. Printed are, of each run, points, steps, shares of
+the grid's rig time, and the pulls of what `gonio fit` finds: errors over stated uncertainties; then the root mean
+square of these.
 
 Rig time is counted in three ways: steps; exposures that were taken, with ways, metering and darks; and the same as if
 every point were a matt white of albedo 0.5. The sensor is the rig's, but with larger pixels (`--pixels-across`), which
@@ -67,7 +68,7 @@ class Case:
     def truth(self) -> dict[str, float]:
         """The true values of what is wanted."""
         given = self.sample.parameters
-        flat = {**given, "slope_1": given["slopes"][0][0]} if "slopes" in given else given
+        flat = {**given, "m": given["slopes"][0][0]} if "slopes" in given else given
         return {name: float(flat[name]) for name in self.wanted}
 
 
@@ -83,7 +84,7 @@ CASES = {
     "aluminium": metal(0.28, 1.77),
     "smoother": metal(0.15, 1.5),
     "gold": metal(0.22, 2.4, "Au"),
-    "glossy": Case(SampleDescription(name="glossy", model="cook-torrance", parameters=GLOSSY), 1.5, ("s", "slope_1")),
+    "glossy": Case(SampleDescription(name="glossy", model="cook-torrance", parameters=GLOSSY), 1.5, ("s", "m")),
     "matte": Case(
         SampleDescription(name="matte", model="oren-nayar", parameters={"albedo": 0.5, "sigma_deg": 25.0}),
         1.5,

@@ -502,7 +502,7 @@ class _Documents:
             return
         frame = measurement.read(path)
         units = dict.fromkeys(ANGLES, "deg") | {"wavelength_nm": "nm", "brdf": "1/sr", "u_brdf": "1/sr"}
-        units |= {name: "1/sr" for name in frame.columns if name == "u_random" or name.startswith("s_")}
+        units |= {name: "1/sr" for name in frame.columns if name in ("u_random", "u_angles") or name.startswith("s_")}
         keys = {
             name: _number("table", units.get(name, "")) if frame[name].dtype.kind in "fiu" else _text("table")
             for name in frame.columns
