@@ -17,7 +17,7 @@ import threading
 import time
 from collections import Counter, deque
 from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
@@ -33,6 +33,8 @@ WAITING = 8
 """How many frames may wait for the disk before the camera has to."""
 MOST_STAGED = 128
 """So many files at most wait to be synced together."""
+SYNCING = 8
+"""So many threads sync them: a disk that is asked to write out its cache answers all who wait at once."""
 LARGE = 1_000_000
 """A frame of so many bytes is synced by itself."""
 NAME = re.compile(r"(\d{6,})-\w+-\d{2,}\.\w+(\.json)?", re.ASCII)
@@ -61,6 +63,7 @@ class Store:
     def __init__(self, folder: Path) -> None:
         self._folder = folder
         self._pool = ThreadPoolExecutor(1, thread_name_prefix="gonio-frames")
+        self._syncing = ThreadPoolExecutor(SYNCING, thread_name_prefix="gonio-syncs")
         self._room = threading.Semaphore(WAITING)
         self._staged: deque[Staged] = deque()
         """Written, and not yet synced; taken from it by the thread alone."""
@@ -129,13 +132,22 @@ class Store:
         try:
             for k in range(count if count > 1 else 0):
                 self._staged[k].begin()
-            for k in range(count):  # all, before the first gets its name: a rename between two syncs doubles their cost
-                self._staged[k].sync()
+            self._sync([self._staged[k] for k in range(count)])
             for _ in range(count):
                 self._staged.popleft().settle()
         except OSError as error:
             self._failed = _not_written(error.filename or self._folder, error)
             raise self._failed from None
+
+    def _sync(self, staged: list[Staged]) -> None:
+        """Sync all, before the first gets its name: renames between syncs double their cost."""
+        begun = [self._syncing.submit(_sync_all, staged[k::SYNCING]) for k in range(1, min(SYNCING, len(staged)))]
+        try:
+            _sync_all(staged[::SYNCING])
+        finally:
+            wait(begun)
+        for part in begun:
+            part.result()
 
     def _commit(self) -> None:
         self._settle()
@@ -147,8 +159,14 @@ class Store:
     def close(self) -> None:
         """End the thread; frames that wait are not written any more, and those without a commit are removed."""
         self._pool.shutdown(cancel_futures=True)
+        self._syncing.shutdown()
         for staged in self._staged:
             staged.drop()
+
+
+def _sync_all(staged: list[Staged]) -> None:
+    for each in staged:
+        each.sync()
 
 
 def _not_written(path: str | Path, error: OSError) -> DataError:

@@ -8,6 +8,7 @@ import signal
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import count
 from pathlib import Path
 
 import numpy as np
@@ -167,14 +168,11 @@ def test_a_disk_that_fails_among_fast_steps_leaves_no_line_without_its_frames(
     plan: Plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, at: int
 ) -> None:
     monkeypatch.setattr(loop, "FAST_STEP_S", 10.0)
-    synced = 0
+    synced = count(1)  # by several threads
 
     def fails(descriptor: int) -> None:
-        nonlocal synced
-        if os.readlink(f"/proc/self/fd/{descriptor}").endswith(".new"):
-            synced += 1
-            if synced == at:
-                raise OSError(5, "Input/output error")
+        if os.readlink(f"/proc/self/fd/{descriptor}").endswith(".new") and next(synced) == at:
+            raise OSError(5, "Input/output error")
 
     with monkeypatch.context() as broken:
         broken.setattr("os.fsync", fails)
