@@ -320,7 +320,7 @@ class Process:
             return np.asarray(self.mean + Pairs(places, self.data.at).kernel(self.p) @ self._factor[1])
         return total(*self.summands_at(places))
 
-    def _seen(self, places: Coordinates) -> Coordinates:
+    def seen(self, places: Coordinates) -> Coordinates:
         """With the shares of lobe and base that the means there give them."""
         return places.seen(*shares(*self.summands_at(places))) if self.data.summed else places
 
@@ -333,7 +333,7 @@ class Process:
         """Covariance at places; with `effects` (n, k) that of the process and what the first k causes add to it."""
         from scipy.linalg import solve_triangular
 
-        places = self._seen(places)
+        places = self.seen(places)
         cross = Pairs(places, self.data.at).kernel(self.p)
         prior = Pairs(places, places).kernel(self.p)
         if effects is not None:
@@ -342,11 +342,14 @@ class Process:
         half = solve_triangular(self._factor[0][0], cross.T, lower=True)
         return np.asarray(prior - half.T @ half)
 
+    def changes_at(self, seen: Coordinates) -> Floats:
+        """What the values change of the mean, where the shares of lobe and base are given."""
+        return np.asarray(Pairs(seen, self.data.at).kernel(self.p) @ self._factor[1])
+
     def variance_at(self, places: Coordinates, effects: Floats | None = None) -> Floats:
-        """The diagonal of `covariance_at`."""
+        """The diagonal of `covariance_at`, where the shares of lobe and base are given: those of `seen`."""
         from scipy.linalg import solve_triangular
 
-        places = self._seen(places)
         _, lobe, _, own, _, view, _, _, retro, _, facets = np.exp(self.p[:11])
         fixed = LEVEL**2 + (COSINE * places.log_cos) ** 2
         of_lobe = fixed + view**2 + lobe**2 + (own * lobe) ** 2 + (facets * np.tan(places.theta_h) ** 2) ** 2
