@@ -94,8 +94,9 @@ class Coordinates:
 
 
 def _apart(a: Floats, b: Floats) -> Floats:
-    """Distances between rows."""
-    return np.asarray(np.sqrt(((a[:, None, :] - b[None, :, :]) ** 2).sum(axis=-1)))
+    """Distances between rows of two numbers."""
+    x, y = np.subtract.outer(a[:, 0], b[:, 0]), np.subtract.outer(a[:, 1], b[:, 1])
+    return np.asarray(np.sqrt(x * x + y * y))
 
 
 def _matern(r: Floats) -> Floats:
@@ -116,42 +117,63 @@ class Pairs:
         self.view = _apart(a.view, b.view)
         self.incidence = _apart(a.incidence, b.incidence)
         self.lobe, self.base = np.outer(a.lobe, b.lobe), np.outer(a.base, b.base)
-        self.fixed = (LEVEL**2 + COSINE**2 * np.outer(a.log_cos, b.log_cos)) * (self.lobe + self.base)
-        self.squares = np.outer(a.lobe * np.tan(a.theta_h) ** 2, b.lobe * np.tan(b.theta_h) ** 2)
+        self.level = LEVEL**2 + COSINE**2 * np.outer(a.log_cos, b.log_cos)
+        self.squares = np.outer(np.tan(a.theta_h) ** 2, np.tan(b.theta_h) ** 2)
         self.one_incidence = not bool(self.incidence.any())
 
-    def kernel(self, p: Floats, gradient: bool = False) -> tuple[Floats, list[Floats]]:
+    def kernel(self, p: Floats) -> Floats:
+        """Prior covariance."""
+        of_lobe, of_base = self.of_parts(p)
+        return self.lobe * of_lobe + self.base * of_base
+
+    def of_parts(self, p: Floats) -> tuple[Floats, Floats]:
+        """Prior covariances of the logarithms of lobe and base, whatever their shares are."""
+        h, lobe, l_lobe, own, l_own, view, l_view, l_inc, retro, d0, facets = np.exp(p[:11])
+        a, b = self.a, self.b
+        rho_a, rho_b = np.arcsinh(a.theta_h / h), np.arcsinh(b.theta_h / h)
+        of_lobe = lobe**2 * _matern(np.abs(np.subtract.outer(rho_a, rho_b)) / l_lobe)
+        own_part = (own * lobe) ** 2 * _matern(_apart(rho_a[:, None] * a.toward, rho_b[:, None] * b.toward) / l_own)
+        smooth = view**2 * np.exp(-0.5 * (self.view / l_view) ** 2)
+        if not self.one_incidence:
+            inc = _matern(self.incidence / l_inc)
+            own_part, smooth = own_part * inc, smooth * inc
+        s_a, s_b = np.arcsinh(a.apart / d0), np.arcsinh(b.apart / d0)
+        of_base = retro**2 * _matern(np.abs(np.subtract.outer(s_a, s_b)))
+        smooth = smooth + self.level
+        return of_lobe + own_part + facets**2 * self.squares + smooth, of_base + smooth
+
+    def gradient(self, p: Floats) -> tuple[Floats, list[Floats]]:
         """Prior covariance, and its derivatives by the logarithms of the parameters but the last."""
         h, lobe, l_lobe, own, l_own, view, l_view, l_inc, retro, d0, facets = np.exp(p[:11])
         own = own * lobe
-        a, b = self.a, self.b
+        a, b, both = self.a, self.b, self.lobe + self.base
         rho_a, rho_b = np.arcsinh(a.theta_h / h), np.arcsinh(b.theta_h / h)
-        r1 = np.abs(rho_a[:, None] - rho_b[None, :]) / l_lobe
+        r1 = np.abs(np.subtract.outer(rho_a, rho_b)) / l_lobe
         w_a, w_b = rho_a[:, None] * a.toward, rho_b[:, None] * b.toward
         r2, r3 = _apart(w_a, w_b) / l_own, self.view / l_view
         s_a, s_b = np.arcsinh(a.apart / d0), np.arcsinh(b.apart / d0)
-        r4 = np.abs(s_a[:, None] - s_b[None, :])
+        r4 = np.abs(np.subtract.outer(s_a, s_b))
         ri = self.incidence / l_inc
         inc = 1.0 if self.one_incidence else _matern(ri)
         k1, k2, k3, k4 = (
             lobe**2 * _matern(r1) * self.lobe,
             own**2 * _matern(r2) * self.lobe,
-            view**2 * np.exp(-0.5 * r3**2) * (self.base + self.lobe),
+            view**2 * np.exp(-0.5 * r3**2) * both,
             retro**2 * _matern(r4) * self.base,
         )
-        k5 = facets**2 * self.squares
-        total = self.fixed + k1 + (k2 + k3) * inc + k4 + k5
-        if not gradient:
-            return total, []
+        k5 = facets**2 * self.squares * self.lobe
+        total = self.level * both + k1 + (k2 + k3) * inc + k4 + k5
         # d asinh(x/h)/d ln h = -(x/h)/sqrt(1 + (x/h)^2) = -tanh(asinh(x/h))
         t_a, t_b = -np.tanh(rho_a), -np.tanh(rho_b)
         d1 = lobe**2 * _slope(r1) * self.lobe
         d2 = own**2 * _slope(r2) * inc * self.lobe
-        by_h = -d1 * (rho_a[:, None] - rho_b) * (t_a[:, None] - t_b) / l_lobe**2
-        dw = ((w_a[:, None, :] - w_b) * (t_a[:, None, None] * a.toward[:, None, :] - t_b[:, None] * b.toward)).sum(-1)
-        by_h = by_h - d2 * dw / l_own**2
+        by_h = -d1 * np.subtract.outer(rho_a, rho_b) * np.subtract.outer(t_a, t_b) / l_lobe**2
+        away_a, away_b = t_a[:, None] * a.toward, t_b[:, None] * b.toward
+        for k in (0, 1):
+            turned = np.subtract.outer(w_a[:, k], w_b[:, k]) * np.subtract.outer(away_a[:, k], away_b[:, k])
+            by_h = by_h - d2 * turned / l_own**2
         v_a, v_b = -np.tanh(s_a), -np.tanh(s_b)
-        by_d0 = -(retro**2) * self.base * _slope(r4) * (s_a[:, None] - s_b) * (v_a[:, None] - v_b)
+        by_d0 = -(retro**2) * self.base * _slope(r4) * np.subtract.outer(s_a, s_b) * np.subtract.outer(v_a, v_b)
         by_inc = np.zeros_like(total) if self.one_incidence else (k2 + k3) * _slope(ri) * ri**2
         return total, [
             by_h, 2.0 * (k1 + k2 * inc), d1 * r1**2, 2.0 * k2 * inc, d2 * r2**2, 2.0 * k3 * inc, k3 * r3**2 * inc,
@@ -196,7 +218,7 @@ def objective(p: Floats, data: Values, mean: float) -> tuple[float, Floats]:
     """-ln of likelihood times prior of the parameters' logarithms, and its gradient."""
     from scipy.linalg import cho_factor, cho_solve
 
-    k, by = data.pairs.kernel(p, gradient=True)
+    k, by = data.pairs.gradient(p)
     noise = np.exp(2.0 * p[11]) * data.u**2
     n = data.z.size
     k = k + data.common
@@ -277,27 +299,28 @@ class Process:
     def _factor(self) -> tuple[Any, Floats]:
         from scipy.linalg import cho_factor, cho_solve
 
-        k, _ = self.data.pairs.kernel(self.p)
+        k = self.data.pairs.kernel(self.p)
         k = k + self.data.common
         k[np.diag_indices(self.data.z.size)] += np.exp(2.0 * self.p[11]) * self.data.u**2 + JITTER
         factor = cho_factor(k, lower=True)
         return factor, cho_solve(factor, self.data.beside(self.mean))
 
-    def _latent(self, places: Coordinates) -> Floats:
-        return np.asarray(self.mean + Pairs(places, self.data.at).kernel(self.p)[0] @ self._factor[1])
-
     def summands_at(self, places: Coordinates) -> tuple[Floats, Floats]:
         """The logarithms of lobe and base where these are summands."""
-        one, none = np.ones(places.log_cos.size), np.zeros(places.log_cos.size)
-        return self._latent(places.seen(one, none)), self._latent(places.seen(none, one))
+        of_lobe, of_base = Pairs(places, self.data.at).of_parts(self.p)
+        alpha = self._factor[1]
+        return (
+            np.asarray(self.mean + of_lobe @ (self.data.at.lobe * alpha)),
+            np.asarray(self.mean + of_base @ (self.data.at.base * alpha)),
+        )
 
     def mean_at(self, places: Coordinates) -> Floats:
         """The mean at places."""
         if not self.data.summed:
-            return self._latent(places)
+            return np.asarray(self.mean + Pairs(places, self.data.at).kernel(self.p) @ self._factor[1])
         return total(*self.summands_at(places))
 
-    def _seen(self, places: Coordinates) -> Coordinates:
+    def seen(self, places: Coordinates) -> Coordinates:
         """With the shares of lobe and base that the means there give them."""
         return places.seen(*shares(*self.summands_at(places))) if self.data.summed else places
 
@@ -310,25 +333,28 @@ class Process:
         """Covariance at places; with `effects` (n, k) that of the process and what the first k causes add to it."""
         from scipy.linalg import solve_triangular
 
-        places = self._seen(places)
-        cross, _ = Pairs(places, self.data.at).kernel(self.p)
-        prior, _ = Pairs(places, places).kernel(self.p)
+        places = self.seen(places)
+        cross = Pairs(places, self.data.at).kernel(self.p)
+        prior = Pairs(places, places).kernel(self.p)
         if effects is not None:
             cross = cross + effects @ self.data.causes[:, : effects.shape[1]].T
             prior = prior + effects @ effects.T
         half = solve_triangular(self._factor[0][0], cross.T, lower=True)
         return np.asarray(prior - half.T @ half)
 
+    def changes_at(self, seen: Coordinates) -> Floats:
+        """What the values change of the mean, where the shares of lobe and base are given."""
+        return np.asarray(Pairs(seen, self.data.at).kernel(self.p) @ self._factor[1])
+
     def variance_at(self, places: Coordinates, effects: Floats | None = None) -> Floats:
-        """The diagonal of `covariance_at`."""
+        """The diagonal of `covariance_at`, where the shares of lobe and base are given: those of `seen`."""
         from scipy.linalg import solve_triangular
 
-        places = self._seen(places)
         _, lobe, _, own, _, view, _, _, retro, _, facets = np.exp(self.p[:11])
         fixed = LEVEL**2 + (COSINE * places.log_cos) ** 2
         of_lobe = fixed + view**2 + lobe**2 + (own * lobe) ** 2 + (facets * np.tan(places.theta_h) ** 2) ** 2
         prior = places.lobe**2 * of_lobe + places.base**2 * (fixed + view**2 + retro**2)
-        cross, _ = Pairs(places, self.data.at).kernel(self.p)
+        cross = Pairs(places, self.data.at).kernel(self.p)
         if effects is not None:
             cross = cross + effects @ self.data.causes[:, : effects.shape[1]].T
             prior = prior + (effects**2).sum(axis=1)

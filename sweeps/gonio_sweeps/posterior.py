@@ -167,10 +167,10 @@ class Posterior:
             return None
         lobe, base = (np.log(np.maximum(part / e, FAINTEST)) for part in begin)
         by: Slopes | None = None
-        p = self.before
         values, gain = self._near(lobe, base, by, spike)
+        p = learned(values, self.before)
         for number in range(SEARCHES):
-            p = learned(values, p, on=number > 0)
+            p = learned(values, p, on=True) if number else p
             for k in range(STEPS):
                 process = Process(values, p, float(np.median(values.z)))
                 ends = process.summands_at(at)
@@ -352,17 +352,19 @@ class Posterior:
             added, _ = self.spike.effects(directions)
             effects = added * self.link.slope(lobe)[:, None]
             f = lobe + added @ (self.spike.base + process.causes[: added.shape[1]])
-        variance = process.variance_at(at, effects)
+        # near the most probable curve: a faint summand that is hardly known counts by its share
+        seen = process.seen(at)
+        variance, changes = process.variance_at(seen, effects), process.changes_at(seen)
         # what the kernel's parameters are is not known either
         of_means, of_variances = np.zeros(f.shape), np.zeros(f.shape)
         for pair in self._nearby:
             for one in pair:
-                away = one.mean_at(at) - mean
+                away = one.changes_at(seen) - changes
                 if effects is not None:
                     count = effects.shape[1]
                     away = away + effects @ (one.causes[:count] - process.causes[:count])
                 of_means += 0.5 * away**2
-                of_variances += 0.5 * (one.variance_at(at, effects) - variance)
+                of_variances += 0.5 * (one.variance_at(seen, effects) - variance)
         variance = np.maximum(variance, 0.0) + of_means + np.maximum(of_variances, 0.0)
         gain = self.link.slope(f) / self.link.slope(lobe)
         z = self.link.z(f)

@@ -10,19 +10,20 @@ import pandas as pd
 import pytest
 from gonio_sweeps import curve_choice
 from gonio_sweeps.candidates import Candidates
-from gonio_sweeps.curve import CHOOSER, Curve
+from gonio_sweeps.curve import CHOOSER, Curve, _angle_errors
 from gonio_sweeps.online import Values
 from gonio_sweeps.posterior import AngleErrors, Posterior
 from gonio_sweeps.reconstruct import reconstruct
 
 from gonio import models
-from gonio.acquisition.measure import RigChoice, carry_out
+from gonio.acquisition.measure import RigChoice, carry_out, find_rig
 from gonio.acquisition.plan import load_plan
 from gonio.acquisition.run import Run
 from gonio.errors import ConfigError, DataError, Interrupted
 from gonio.geometry import Directions, solid_angle_of_cone
 from gonio.instrument import apparent_brdf
 from gonio.reduction import brdf
+from gonio.reduction.table import angle_axes
 from gonio.rig.description import RigDescription
 from gonio.typing import Floats
 from tests.gonio.numpy_rig import SAMPLE, Plugin, StopAfter, describe
@@ -200,6 +201,27 @@ def test_curves_of_a_table_lie_between_its_outermost_points() -> None:
     at_points = np.interp(x, found["theta_r_deg"], found["brdf"])
     assert at_points == pytest.approx(f, rel=0.01)  # five standard uncertainties of a point
     assert ((found["lower"] < found["brdf"]) & (found["brdf"] < found["upper"])).all()
+
+
+def test_a_lobe_that_stands_on_a_base_is_known_at_its_foot() -> None:
+    def narrow(x: Floats) -> Floats:
+        return 0.1 + 3.0 * np.exp(-0.5 * ((x - 30) / 4) ** 2)
+
+    x = np.concatenate([np.arange(-70.0, 12.0, 10.0), np.arange(14.0, 47.0, 4.0), np.arange(50.0, 71.0, 10.0)])
+    between = np.linspace(10, 50, 81)
+    known = Posterior(in_plane(x), narrow(x), 1e-3 * narrow(x), np.zeros((x.size, 0)))
+    curve, u, _, _ = known.at(in_plane(between))
+    # as factors they are off by several per cent there; a tenth of a per cent is the noise of a point
+    assert rms(curve / narrow(between) - 1) < 0.01
+    assert np.median(u / curve) < 0.01
+
+
+def test_zeros_count_in_radians_once() -> None:
+    description = find_rig("sim").description
+    errors = _angle_errors(description)
+    largest = max(axis.zero_u_deg for axis in angle_axes(description).values())
+    assert largest > 0
+    assert errors.zero == pytest.approx(np.radians(largest))
 
 
 # ---- what is chosen ----

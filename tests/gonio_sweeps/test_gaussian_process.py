@@ -52,11 +52,11 @@ def test_what_is_known_is_the_conditional_distribution() -> None:
     z, u, causes = rng.normal(0, 1, 12), rng.uniform(0.01, 0.1, 12), rng.normal(0, 0.05, (12, 1))
     process = Process(Values(at, z, u, causes), CENTRES, 0.3)
     mean, covariance = process.mean_at(there), process.covariance_at(there)
-    k = Pairs(at, at).kernel(CENTRES)[0] + np.diag(u**2) + causes @ causes.T
-    cross = Pairs(there, at).kernel(CENTRES)[0]
+    k = Pairs(at, at).kernel(CENTRES) + np.diag(u**2) + causes @ causes.T
+    cross = Pairs(there, at).kernel(CENTRES)
     # Rasmussen and Williams (2006), eqs. 2.23 and 2.24; the jitter is 1e-10
     np.testing.assert_allclose(mean, 0.3 + cross @ np.linalg.solve(k, z - 0.3), atol=1e-4)
-    prior = Pairs(there, there).kernel(CENTRES)[0]
+    prior = Pairs(there, there).kernel(CENTRES)
     np.testing.assert_allclose(covariance, prior - cross @ np.linalg.solve(k, cross.T), atol=1e-5)
 
 
