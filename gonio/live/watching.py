@@ -28,6 +28,8 @@ from gonio.live.story import Story, is_one_of_many, rounded, shortened
 
 POLL_S = 0.2
 """The journal is looked at so often."""
+RAPID_S = 0.4
+"""And so often while every look finds something: together, not one by one, steps of a fast run take less."""
 LOOK_S = 1.0
 """So often it is told how much room the disk has, and whether the process that measures lives."""
 PATIENCE_S = 5.0
@@ -116,7 +118,7 @@ class Watched:
                 self.tell()
             self._take_values()
             with self._news:
-                self._news.wait_for(lambda: self._ended, POLL_S)
+                self._news.wait_for(lambda: self._ended, RAPID_S if new else POLL_S)
 
     def look(self) -> bool:
         """Read what is new in the journal; whether there was something."""
