@@ -1,7 +1,7 @@
 """What watching costs, and how soon a step is on the screen: the figures of docs/measurements/watching.md.
 
     python tools/watching_cost.py writer [--lines 4000] [--watchers 10] [--rounds 5] [--clients]
-    python tools/watching_cost.py run [--watchers 10] [--rounds 2] [--clients]
+    python tools/watching_cost.py run [--watchers 10] [--rounds 2] [--clients] [--apart 2.5]
     python tools/watching_cost.py screen [--steps 40]
 
 `writer` plays a run on instant devices: a process that appends steps to a journal, one after the other. Rounds with and
@@ -80,7 +80,7 @@ def watchers(run: Path, count: int, clients: bool, state: Path) -> Iterator[list
             address = watcher.stdout.readline().strip()
             if clients:
                 threading.Thread(target=drain, args=(address.replace("/?", "/events?"),), daemon=True).start()
-        time.sleep(2.0)  # what was there before is read
+        time.sleep(5.0)  # what was there before is read, and what begins has begun
         yield family({watcher.pid for watcher in started})
 
 
@@ -156,45 +156,37 @@ name = "in plane"
 wavelength_nm = [500]
 [[sweep]]
 theta_i_deg = [30, 60]
-theta_r_deg = { start = -80, stop = 80, step = 2.5 }
+theta_r_deg = {{ start = -80, stop = 80, step = {apart} }}
 """
 
 
-def measured(folder: Path, run: Path) -> tuple[float, float]:
+def measured(folder: Path, run: Path, apart: float) -> tuple[float, float]:
     """Measure the plan on the rig `sim`; how long that took [s], and the processor time of it [s]."""
-    (folder / "plan.toml").write_text(PLAN)
+    (folder / "plan.toml").write_text(PLAN.format(apart=apart))
     (folder / "sample.toml").write_text('name = "matt"\nmodel = "lambert"\n[parameters]\nalbedo = 0.5\n')
     sample = ["--sample", str(folder / "sample.toml")]
-    command = [
-        *GONIO,
-        "measure",
-        str(folder / "plan.toml"),
-        *sample,
-        "--rig",
-        "sim",
-        "--out",
-        str(run),
-        "--seed",
-        "1",
-        "--yes",
-    ]
+    rest = ["--rig", "sim", "--out", str(run), "--seed", "1", "--yes"]
+    command = [*GONIO, "measure", str(folder / "plan.toml"), *sample, *rest]
     before, began = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
     subprocess.run(command, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     took, after = time.perf_counter() - began, resource.getrusage(resource.RUSAGE_CHILDREN)
     return took, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 
 
-def whole_run(count: int, rounds: int, clients: bool) -> None:
+def whole_run(count: int, rounds: int, clients: bool, apart: float) -> None:
     """Print what watchers of a real run cost it, and themselves."""
+    wall, processor = [], []
     with tempfile.TemporaryDirectory() as folder:
         here = Path(folder)
         for round_ in range(rounds):
-            took, own = measured(here, here / "alone")
+            took, own = measured(here, here / "alone", apart)
             run = here / "run"
             with watchers(run, count, clients, here / "state") as ids:
                 before = sum(map(processor_s, ids))
-                took_too, own_too = measured(here, run)
+                took_too, own_too = measured(here, run, apart)
                 used = sum(map(processor_s, ids)) - before
+            wall.append(took_too / took)
+            processor.append(own_too / own)
             print(
                 f"round {round_}: alone {took:.1f} s, processor {own:.1f} s; with {count} watchers"
                 f"{' and clients' if clients else ''} {took_too:.1f} s, processor {own_too:.1f} s; "
@@ -203,6 +195,8 @@ def whole_run(count: int, rounds: int, clients: bool) -> None:
             )
             for done in (here / "alone", run):
                 shutil.rmtree(done)
+        print(f"with watchers over alone, medians: time {statistics.median(wall):.4f}, processor of the run ", end="")
+        print(f"{statistics.median(processor):.4f}")
 
 
 def screen(steps: int) -> None:
@@ -243,11 +237,12 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--clients", action="store_true")
     parser.add_argument("--steps", type=int, default=40)
+    parser.add_argument("--apart", type=float, default=2.5, help="degrees from point to point: the smaller, the longer")
     asked = parser.parse_args()
     if asked.what == "writer":
         writer(asked.lines, asked.watchers, asked.rounds, asked.clients)
     elif asked.what == "run":
-        whole_run(asked.watchers, asked.rounds, asked.clients)
+        whole_run(asked.watchers, asked.rounds, asked.clients, asked.apart)
     else:
         screen(asked.steps)
 

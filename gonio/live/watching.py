@@ -24,10 +24,12 @@ from gonio.geometry import IN_PLANE, Directions
 from gonio.live.follow import Follower
 from gonio.live.server import BATCH, Content, EventLog, Request
 from gonio.live.shared import CURVES, FRAME, Now, Shared
-from gonio.live.story import Story, is_one_of_many, rounded, shortened
+from gonio.live.story import Story, is_one_of_many, plain, rounded, shortened
 
 POLL_S = 0.2
 """The journal is looked at so often."""
+RAPID_S = 0.4
+"""And so often while every look finds something: together, not one by one, steps of a fast run take less."""
 LOOK_S = 1.0
 """So often it is told how much room the disk has, and whether the process that measures lives."""
 PATIENCE_S = 5.0
@@ -116,7 +118,7 @@ class Watched:
                 self.tell()
             self._take_values()
             with self._news:
-                self._news.wait_for(lambda: self._ended, POLL_S)
+                self._news.wait_for(lambda: self._ended, RAPID_S if new else POLL_S)
 
     def look(self) -> bool:
         """Read what is new in the journal; whether there was something."""
@@ -169,6 +171,7 @@ class Watched:
                 "rig": run.description.name,
                 "sample": run.sample.name if run.sample is not None else "",
                 "bands": [band.name for band in run.bands],
+                "asked": asked(run),
                 "points": len(planned.flags),
                 "limits_deg": {name: list(pair) for name, pair in run.description.limits_deg().items()},
                 "left_out": [[flag, reason, count] for (flag, reason), count in most],
@@ -247,6 +250,15 @@ class Watched:
     def _is_attended(self) -> bool:
         """Whether somebody looks: else the journal is not even read."""
         return self.wanted or self.log.listeners > 0
+
+
+def asked(run: Run) -> str:
+    """What a run that grows was asked for, in words; "" for one that does not."""
+    adaptive = run.settings.adaptive
+    if adaptive is None:
+        return ""
+    own = [f"{name.replace('_', ' ')} {plain(value)}" for name, value in adaptive.own.items()]
+    return "; ".join([f"grows by {adaptive.how} for {adaptive.budget_h:g} h at most", *own])
 
 
 def _shorten(line: bytes) -> bytes:

@@ -77,8 +77,10 @@ class Worker:
         self._life, self._story = self._follower.lives, Story()
         self._provisional: Provisional | None = None
         self._left: Left | None = None
-        self._first: dict[int, int] = {}
-        """Where darks and visits to the reference begin in the journal, by their steps; they are reduced first."""
+        self._darks: dict[int, int] = {}
+        """Where steps that are not reduced yet begin in the journal, by their numbers; darks are needed by all."""
+        self._visits: dict[int, int] = {}
+        """The same of visits to the reference; the oldest one is the next."""
         self._points: dict[int, int] = {}
         """The same of points; the newest one is the next."""
         self._now = Now()
@@ -160,15 +162,16 @@ class Worker:
                 if kind == "step":
                     number = int(event["step"])
                     self._forget([number])
-                    (self._points if event.get("kind") == "point" else self._first)[number] = place
+                    of_kind = {"dark": self._darks, "reference": self._visits}
+                    of_kind.get(str(event.get("kind")), self._points)[number] = place
                 elif kind == "lost":
                     self._forget(map(int, event.get("steps", [])))
-        self.behind = len(self._first) + len(self._points)
+        self.behind = len(self._darks) + len(self._visits) + len(self._points)
 
     def _forget(self, steps: Iterable[int]) -> None:
         for number in steps:
-            self._first.pop(number, None)
-            self._points.pop(number, None)
+            for waiting in (self._darks, self._visits, self._points):
+                waiting.pop(number, None)
             if self._provisional is not None:
                 self._provisional.drop([number])
 
@@ -185,7 +188,7 @@ class Worker:
 
     def _has_work(self) -> bool:
         shown = self._story.last_shown
-        return self._new or bool(self._points or self._first) or (
+        return self._new or self.behind > 0 or (
             shown is not None and self._now.frame != [shown[0], int(shown[1]["step"])]
         )  # fmt: skip
 
@@ -194,11 +197,14 @@ class Worker:
         if self._provisional is None:
             return False
         began = time.process_time()
-        while (self._first or self._points) and time.process_time() - began < ONCE_S:
-            waiting = self._first or self._points
-            step = next(iter(self._first)) if self._first else next(reversed(self._points))
-            self._reduce(self._provisional, waiting.pop(step), step)
-        self.behind = len(self._first) + len(self._points)
+        while self.behind and time.process_time() - began < ONCE_S:
+            for waiting, next_of in ((self._darks, iter), (self._visits, iter), (self._points, reversed)):
+                if waiting and (
+                    waiting is self._darks or not self._darks
+                ):  # of a long run's visits and points there are some of each from the beginning
+                    step = next(next_of(waiting))
+                    self._reduce(self._provisional, waiting.pop(step), step)
+            self.behind = len(self._darks) + len(self._visits) + len(self._points)
         now = time.monotonic()
         told = False
         if self._new and (not self.behind or now - self._told_s >= max(TOLD_S, 10.0 * self._values_s)):

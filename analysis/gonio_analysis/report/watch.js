@@ -189,7 +189,7 @@
   function drawStatus() {
     const s = status, step = s.latest;
     text("name", run.name || "gonio watch");
-    text("about", [run.plan, run.sample, run.rig && `rig ${run.rig}`, run.bands && run.bands.join(", ")].filter(Boolean).join(" · "));
+    text("about", [run.plan, run.sample, run.rig && `rig ${run.rig}`, run.bands && run.bands.join(", "), run.asked].filter(Boolean).join(" · "));
     text("state", WORDS[s.state] || s.state || "waiting");
     $("state").dataset.state = s.state || "waiting";
     text("done", String(s.done || 0));
