@@ -197,7 +197,7 @@ def test_a_spectrum_in_one_direction_is_reported_without_a_model(tmp_path: Path)
 
 
 def test_a_report_is_replaced_and_anything_else_is_left_alone(tmp_path: Path) -> None:
-    measurement.write(measure(GLOSS), tmp_path / "t.csv")
+    measurement.write(measure(GLOSS, incidences=(30.0,), views=np.arange(-60.0, 61.0, 15.0)), tmp_path / "t.csv")
     for _ in range(2):
         assert make([str(tmp_path / "t.csv")], tmp_path / "out", models=["lambert"]) == tmp_path / "out" / "index.html"
     assert sorted(p.name for p in tmp_path.iterdir()) == ["out", "t.csv", "t.meta.json"]

@@ -6,6 +6,7 @@ import json
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 from gonio_analysis import commands
 from gonio_analysis.report import appearance as report_on_appearance
@@ -23,10 +24,18 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     """A simulated table (a copy, without its run) and a measured one."""
     folder = tmp_path_factory.mktemp("tables")
     for name, simulated in (("made", True), ("real", False)):
-        frame = measure(MATTE, seed=int(simulated), name=name)
+        frame = measure(
+            MATTE, incidences=(20.0, 50.0), views=np.arange(-75.0, 76.0, 15.0), seed=int(simulated), name=name
+        )
         frame.attrs["provenance"] = {"simulated": simulated}
         measurement.write(frame, folder / f"{name}.csv")
     return folder / "made.csv", folder / "real.csv"
+
+
+@pytest.fixture(autouse=True)
+def _no_pdf(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A third of a report's time, and what it says is what the page says (tests of `pdf` hold that)."""
+    monkeypatch.setattr("gonio_analysis.report.pdf.write", lambda *given, **named: None)
 
 
 def page(folder: Path) -> tuple[str, dict[str, object]]:
