@@ -15,7 +15,7 @@ from gonio_validation.bench import sweeps_plans
 from gonio_validation.bench.sweeps_plans import FLOOR, INCIDENCES, SIZES, WAVELENGTH_NM, Geometry, Places
 from gonio_validation.bench.sweeps_rig import FrameFreeRig, Measured, in_order
 
-FORMAT = 2
+FORMAT = 3
 FIXED = ("uniform", "mirror-dense", "half-vector")
 SHARE = 0.45
 """An adaptive run by points has so many of the points of the largest uniform one."""
