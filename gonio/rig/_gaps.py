@@ -25,6 +25,8 @@ SOON, DOWNHILL = 300, 40
 """Boxes after which bodies are brought together downhill, in so many steps."""
 SAME = 1e-12
 """Relative: closer than this to the smallest distance is it."""
+FLAT = 1e-9
+"""A tetrahedron so thin, against its edges, holds nothing: which side of a face a corner is on is rounding there."""
 
 
 @njit()
@@ -164,8 +166,9 @@ def _nearest(simplex: Floats, count: int, out: Floats) -> int:
                 (b[2] - a[2]) * (c[0] - a[0]) - (b[0] - a[0]) * (c[2] - a[2]),
                 (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]),
             ])  # fmt: skip
-            own, origin = _dot(normal, simplex[k] - a), -_dot(normal, a)
-            if own * origin <= 0.0:
+            edge = simplex[k] - a
+            own, origin = _dot(normal, edge), -_dot(normal, a)
+            if own * origin <= 0.0 or own * own <= FLAT * FLAT * _dot(normal, normal) * _dot(edge, edge):
                 inside = False
         if inside:
             return 0
