@@ -9,7 +9,7 @@ import itertools
 import os
 import re
 import stat
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from pathlib import Path
 
 from gonio.errors import ConfigError
@@ -81,17 +81,11 @@ class Staged:
         folder, name = os.path.split(path)
         self._temporary = os.path.join(folder, f".{name}.{number}.new")
         self._handle = -1
-        try:
+        with self._whole_or_gone():
             self._handle = os.open(self._temporary, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, 0o666)
             left = memoryview(data)
             while len(left):
                 left = left[os.write(self._handle, left) :]
-        except OSError as error:
-            self.drop()
-            raise self._named(error) from None
-        except BaseException:  # a signal
-            self.drop()
-            raise
 
     def begin(self) -> None:
         """Let the disk begin to write it, where the system takes such a hint.
@@ -105,27 +99,15 @@ class Staged:
 
     def sync(self) -> None:
         """Wait until it is on the disk; raises `OSError`, and nothing lies beside it then."""
-        try:
+        with self._whole_or_gone():
             os.fsync(self._handle)
-        except OSError as error:
-            self.drop()
-            raise self._named(error) from None
-        except BaseException:
-            self.drop()
-            raise
 
     def settle(self) -> None:
         """Give it its name, once it is on the disk; raises `OSError`, and nothing lies beside it then."""
-        try:
+        with self._whole_or_gone():
             os.close(self._handle)
             self._handle = -1
             os.replace(self._temporary, self.path)
-        except OSError as error:
-            self.drop()
-            raise self._named(error) from None
-        except BaseException:
-            self.drop()
-            raise
 
     def drop(self) -> None:
         """Remove it."""
@@ -135,8 +117,17 @@ class Staged:
         with contextlib.suppress(FileNotFoundError):
             os.unlink(self._temporary)
 
-    def _named(self, error: OSError) -> OSError:
-        return OSError(error.errno, error.strerror, str(self.path))  # nobody knows the temporary name
+    @contextlib.contextmanager
+    def _whole_or_gone(self) -> Iterator[None]:
+        """Nothing lies beside the file after an error or a signal."""
+        try:
+            yield
+        except OSError as error:
+            self.drop()
+            raise OSError(error.errno, error.strerror, str(self.path)) from None  # nobody knows the temporary name
+        except BaseException:
+            self.drop()
+            raise
 
 
 def half_written(name: str, of: Collection[str] | re.Pattern[str]) -> bool:

@@ -117,7 +117,7 @@ def test_every_direction_of_a_hemisphere_has_the_same_solid_angle(count: int, ca
         done += number
         azimuths = np.sort(phi[np.round(theta, 12) == angle])
         assert np.diff(azimuths) == pytest.approx(2 * math.pi / number, abs=1e-12)
-        assert np.isclose(azimuths, math.pi).any()
+        assert np.abs(azimuths - math.pi).min() <= 1e-12  # rounding of angles up to 2 pi
 
 
 @pytest.mark.parametrize("count", [50, 200, 1000, 5000])
