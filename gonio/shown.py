@@ -6,24 +6,94 @@ import math
 from collections.abc import Sequence
 from html import escape
 
+SMALL = 1e-4
+"""Numbers below this have a power of ten."""
+SHARPEST = 1e-12
+"""An uncertainty below this share of its value is rounding; with it nobody wants all digits of the value."""
+
 
 def marked(name: str, simulated: bool) -> str:
     """A sample's name where people read it: simulated values are called so wherever they are named."""
     return name + " (simulated)" * simulated
 
 
+def number(value: float | None, digits: int = 3) -> str:
+    """A number to a few significant digits, without needless zeros of an exponent; a dash for None."""
+    if value is None or not math.isfinite(value):
+        return "–"
+    if value == 0:
+        return "0"
+    if 1e-4 <= abs(value) < 10**6:
+        decimals = max(0, digits - 1 - math.floor(math.log10(abs(value))))
+        return _plain(value, decimals)
+    mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
+    return _minus(f"{mantissa} × 10{_superscript(int(exponent))}")
+
+
+def with_u(value: float | None, u: float | None) -> str:
+    """value ± u, both rounded to the second significant digit of u: the one way in which the program says them."""
+    if value is None or not math.isfinite(value):
+        return "–"
+    if u is None or not math.isfinite(u):
+        return f"{number(value)} (not determined)"
+    if u <= 0 or u < SHARPEST * abs(value):
+        return number(value, 5) + (f" ± {number(u, 2)}" if u > 0 else "")
+    if value == 0 and u < SMALL:
+        return f"0 ± {number(u, 2)}"
+    (first, second), power = _alike((value, u), u)
+    return f"({first} ± {second}){power}" if power else f"{first} ± {second}"
+
+
+def apart(value: float, u: float | None) -> tuple[str, str]:
+    """The two numbers of `with_u`, for columns of a table; without an uncertainty five digits and nothing."""
+    if not u or not math.isfinite(u) or not math.isfinite(value) or u < SHARPEST * abs(value):
+        return number(value, 5), ""
+    (first, second), power = _alike((value, u), u)
+    return first + power, second + power
+
+
+def interval(low: float, high: float, value: float) -> tuple[str, str, str]:
+    """The ends of an interval and the value in it, to the second digit of the nearer end's distance from the value.
+
+    An end that lies on the value (a bound) has no distance of its own; one that lies very near to it counts as a
+    hundredth of the interval.
+    """
+    width = high - low
+    if not math.isfinite(width) or width <= SHARPEST * max(abs(low), abs(high)):
+        return number(low, 5), number(high, 5), number(value, 5)
+    nearer = min((end for end in (value - low, high - value) if end > width * SHARPEST), default=width)
+    words, power = _alike((low, high, value), max(nearer, width / 100))
+    first, second, third = (word + power if one else "0" for word, one in zip(words, (low, high, value), strict=True))
+    return first, second, third
+
+
 def value(number: float, u: float | None = None, unit: str = "") -> str:
-    """A value with its standard uncertainty, if it has one: both to the second digit of the uncertainty."""
-    if not u or not math.isfinite(u) or not math.isfinite(number):
-        text = f"{number:.5g}"
-    else:
-        power = math.floor(math.log10(max(abs(number), u)))
-        far = not -4 <= power < 6
-        scale = 10.0**power if far else 1.0
-        digits = max(1 - math.floor(math.log10(u / scale)), 0)
-        text = f"{number / scale:.{digits}f} ± {u / scale:.{digits}f}"
-        text = f"({text})e{power}" if far else text
+    """A value with its standard uncertainty, if it has one, and its unit."""
+    text = with_u(number, u) if u and math.isfinite(u) and math.isfinite(number) else f"{number:.5g}"
     return f"{text} {'µm' if unit == 'um' else unit}".strip()
+
+
+def _alike(values: Sequence[float], resolution: float) -> tuple[list[str], str]:
+    """Numbers to the second significant digit of a resolution, and the power of ten that belongs behind all of them."""
+    digit = int(f"{resolution:.1e}".split("e")[1])  # after rounding: 0.0996 has its first digit where 0.1 has it
+    top = max(map(abs, (*values, resolution)))
+    power = math.floor(math.log10(top))
+    power = 0 if SMALL <= top < 10**6 else power
+    decimals = 1 - digit + power
+    words = [_plain(round(one / 10.0**power, decimals) + 0.0, max(decimals, 0)) for one in values]
+    return words, f" × 10{_superscript(power)}" if power else ""
+
+
+def _plain(value: float, decimals: int) -> str:
+    return _minus(f"{value:,.{decimals}f}".replace(",", "\u00a0"))
+
+
+def _minus(text: str) -> str:
+    return text.replace("-", "−")
+
+
+def _superscript(power: int) -> str:
+    return str(power).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
 
 
 def html(title: str, header: Sequence[str], rows: Sequence[Sequence[str]], words: Sequence[str]) -> str:

@@ -9,6 +9,7 @@ import numpy as np
 from gonio.calibration.camera import CameraCalibration
 from gonio.calibration.photon_transfer import FIT_RANGE
 from gonio.rig.description import Camera
+from gonio.shown import with_u
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -27,7 +28,7 @@ def draw(found: CameraCalibration, camera: Camera) -> Figure | None:
     left.loglog(x, np.maximum(transfer.variance_dn2, 1e-3), "o", ms=4, color="tab:blue", label="pairs")
     line = np.geomspace(max(float(x.min()), 0.5), float(x.max()), 50)
     left.loglog(
-        line, transfer.gain * line, color="0.3", lw=1, label=f"K = {transfer.gain:.4g} ± {transfer.u_gain:.2g} DN/e-"
+        line, transfer.gain * line, color="0.3", lw=1, label=f"K = {with_u(transfer.gain, transfer.u_gain)} DN/e-"
     )
     left.axvline(FIT_RANGE * transfer.saturation_dn, color="tab:green", lw=0.8, ls="--", label="70 % of saturation")
     left.axvline(transfer.saturation_dn, color="tab:orange", lw=0.8, ls="--", label="saturation")

@@ -11,6 +11,7 @@ from typing import Any, Literal
 from gonio.checks.hemisphere import Hemispherical, reflectances
 from gonio.checks.symmetry import DIFFERENT, FEWEST, PLACES, Pairs, repeats, symmetries
 from gonio.checks.values import Values
+from gonio.shown import with_u
 
 Verdict = Literal["ok", "look", "bad", "not told"]
 
@@ -162,7 +163,7 @@ def of_energy(found: Sequence[Hemispherical]) -> Check:
     above, worst = max(known, key=lambda one: one[0])
     rho = above + 1.0
     verdict: Verdict = "ok" if above <= 0.0 else "bad" if above > ENERGY_SIGMA * worst.u else "look"
-    figure = f"reflectance at most {rho:.4g} ± {worst.u:.2g} (at {worst.theta_i_deg:.3g}° incidence)"
+    figure = f"reflectance at most {with_u(rho, worst.u)} (at {worst.theta_i_deg:.3g}° incidence)"
     return Check(name, verdict, rho, figure, "1; more than two standard uncertainties above it is bad")
 
 
@@ -181,7 +182,7 @@ def _reference(visits: Visits) -> Check:
     swing = visits.peak_to_peak
     figure = (
         f"{visits.used} visits, {_percent(swing)} from lowest to highest, drift "
-        f"{100 * visits.drift_per_hour:.2g} ± {100 * visits.u_drift_per_hour:.1g} % an hour{lost}"
+        f"({with_u(100 * visits.drift_per_hour, 100 * visits.u_drift_per_hour)}) % an hour{lost}"
     )
     verdict: Verdict = "bad" if swing > SWING else "ok" if visits.straight and not lost else "look"
     figure += "" if visits.straight else f"; they lie on no straight line (chi-square {visits.chi_square:.3g})"

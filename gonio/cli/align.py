@@ -10,6 +10,7 @@ import typer
 
 from gonio.cli.by_hand import RigOption, SampleOption, WavelengthOption, _told_where, bench_of
 from gonio.cli.rigs import app
+from gonio.shown import apart, number
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -180,8 +181,9 @@ def _show(found: Alignment, description: RigDescription) -> None:
     for name, zero in found.zeros.items():
         known = description.axes()[name]
         was = f"{known.zero_offset_deg:.3f}" if known.zero_offset_known else "not known"
-        parts = (f"{part:.3f}" for part in zero.parts.values())
-        table.add_row(name, f"{zero.offset_deg:.3f}", was, f"{zero.u_deg:.3f}", *parts)
+        parts = (number(part, 2) for part in zero.parts.values())
+        now, u = apart(zero.offset_deg, zero.u_deg)
+        table.add_row(name, now, was, u, *parts)
     console.show(table)
     rows = console.table("scan", "holder", "axis", "light [deg]", "centre [deg]", "u [deg]", "residual [deg]")
     for r in found.scans.itertuples():

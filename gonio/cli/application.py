@@ -24,6 +24,9 @@ if TYPE_CHECKING:
 ORDER = ("demo", "rig", "calibrate", "plan", "measure", "watch", "run", "reduce", "fit", "compare", "report")
 """The order of the help: that of the work."""
 
+FORMER = {"wavelength": "wavelength-nm"}
+"""Options by their earlier spelling, which stays good and is in no help."""
+
 
 class _Remarks(io.FileIO):
     """Standard error: where nobody takes it (a full disk, a reader that has gone) what is said is dropped."""
@@ -247,7 +250,11 @@ def build() -> typer.Typer:
         add_completion=False,
         pretty_exceptions_enable=False,
         rich_markup_mode=None,  # plain help: a coloured one costs twice the time until it shows
-        context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
+        context_settings={
+            "help_option_names": ["-h", "--help"],
+            "max_content_width": 110,
+            "token_normalize_func": lambda name: FORMER.get(name, name),
+        },
     )
     app.callback()(options.options)
     assert by_hand.app is servos.app is align.app is new_rig.app is rigs.app  # all put their commands into one

@@ -34,7 +34,7 @@ __all__ = ["app"]
 RigOption = Annotated[str, typer.Option(help="A rig's name, or a rig file.", show_default=False)]
 SampleOption = Annotated[Path | None, typer.Option(help="What a simulated rig looks at: a sample.toml.")]
 WavelengthOption = Annotated[
-    float | None, typer.Option("--wavelength", help="The band that contains it [nm].", show_default=False)
+    float | None, typer.Option("--wavelength-nm", help="The band that contains it [nm].", show_default=False)
 ]
 OVERDUE_S = 10.0
 """A lamp is late by so much where the command that should have darkened it stands still; opening it is in that."""
@@ -284,7 +284,10 @@ def snap(
     """Take a frame. Beside it FILE-view.png: the frame with the patch that a measurement would use, and a histogram."""
     from gonio.by_hand.snapshot import require_free
     from gonio.cli import console
+    from gonio.errors import ConfigError
 
+    if wavelength is not None and not lit:
+        raise ConfigError("--wavelength-nm chooses the band of the lamp, which stays as it is: give --lamp as well")
     require_free(file)
     devices: tuple[Device, ...] = ("camera", "light") if lit else ("camera",)
     bench = bench_of(rig, *devices, sample=sample)

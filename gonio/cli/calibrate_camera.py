@@ -12,6 +12,7 @@ import typer
 
 from gonio.cli.by_hand import RigOption, WavelengthOption, _told_where, bench_of
 from gonio.cli.calibrate import app
+from gonio.shown import apart
 
 if TYPE_CHECKING:
     from gonio.by_hand.bench import Bench
@@ -197,11 +198,11 @@ def _show(found: CameraCalibration, was: Any) -> None:
         elif isinstance(value, list):
             for k, one in enumerate(value):
                 known = f"{before[k]:.5g}" if k < len(before) else "0"
-                table.add_row(f"{key}[{k}]", f"{one:.5g}", f"{u[f'{key}[{k}]']:.2g}", known)
+                table.add_row(f"{key}[{k}]", *apart(one, u[f"{key}[{k}]"]), known)
         else:
-            shown = (f"{x:.5g}" if not isinstance(x, bool) else str(x).lower() for x in (value, before))
-            now, then = shown
-            table.add_row(key, now, f"{u[key]:.2g}" if key in u else "", then)
+            then, _ = (str(before).lower(), "") if isinstance(before, bool) else apart(before, None)
+            now = (str(value).lower(), "") if isinstance(value, bool) else apart(value, u.get(key))
+            table.add_row(key, *now, then)
     console.show(table)
     rows = console.table("EMVA 1288", "value")
     for key, value in found.measured.items():

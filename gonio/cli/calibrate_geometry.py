@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from gonio.cli.calibrate import app
+from gonio.shown import apart
 
 if TYPE_CHECKING:
     from gonio.acquisition.measure import RigChoice
@@ -296,7 +297,7 @@ def _finish(
     now = numbers_in(tables)
     table = console.table("key", "value", "u (k = 1)", "was")
     for path, one in zip(paths, u, strict=True):
-        table.add_row(path, f"{now[path]:.5g}", f"{one:.2g}", f"{was[path]:.5g}" if path in was else "-")
+        table.add_row(path, *apart(now[path], one), f"{was[path]:.5g}" if path in was else "-")
     console.show(table)
     if intrinsics is not None:
         console.show(f"lens: rms reprojection error {intrinsics.rms_px:.3f} px, {intrinsics.corners} corners of "

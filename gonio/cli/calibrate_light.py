@@ -12,6 +12,7 @@ import typer
 from gonio.cli import undisturbed
 from gonio.cli.by_hand import WavelengthOption, _told_where, bench_of, choice_of
 from gonio.cli.calibrate import app
+from gonio.shown import apart
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -332,5 +333,5 @@ def _show(values: dict[str, Any], found: _Found) -> None:
     table = console.table("key", "value", "u (k = 1)")
     for name, value in numbers_in(values).items():
         with contextlib.suppress(TypeError):
-            table.add_row(name, f"{value:.6g}", f"{u[name]:.2g}" if name in u else "")
+            table.add_row(name, *apart(value, u.get(name)))
     console.show(table)

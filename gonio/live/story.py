@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from gonio import shown
 from gonio.acquisition.journal import Event
 from gonio.typing import Floats
 
@@ -304,7 +305,7 @@ def reasons(why: Any) -> list[str]:
     fit, u = rest.get("fit"), rest.get("u")
     if isinstance(fit, Mapping) and isinstance(u, Mapping):
         del rest["fit"], rest["u"]
-        out = [f"{name}: {plain(value)}" + (f" ± {plain(u[name])}" if name in u else "") for name, value in fit.items()]
+        out = [f"{name}: {shown.value(value, u.get(name))}" for name, value in fit.items()]
     for key, value in rest.items():
         if isinstance(value, list | tuple) and any(isinstance(row, list | tuple) for row in value):
             continue

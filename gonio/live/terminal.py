@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from gonio.live.server import BATCH
 from gonio.live.story import ago
+from gonio.shown import with_u
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -105,14 +106,14 @@ def values_lines(watched: Watched, most: int = LISTED) -> list[str]:
         name = f"{band['name']}: " if len(watched.values.bands) > 1 else ""
         for theta_i, phi_i, theta_r, phi_r, brdf, u in band["values"][-most:]:
             where = f"theta_i {theta_i:g}, theta_r {theta_r:g}, dphi {(phi_r - phi_i) % 360:g} deg"
-            out.append(f"{name}{where}: {brdf:.4g} ± {u:.2g} 1/sr")
+            out.append(f"{name}{where}: ({with_u(brdf, u)}) 1/sr")
     return out
 
 
 def drift_line(watched: Watched) -> str:
     """How far the last visit to the reference lies from the first, in each band."""
     visits = ((band["name"], *band["visit"]) for band in watched.values.bands)
-    return ", ".join(f"{name} {100 * (ratio - 1):+.2f} ± {100 * u:.2f} %" for name, ratio, u in visits)
+    return ", ".join(f"{name} ({with_u(100 * (ratio - 1), 100 * u)}) %" for name, ratio, u in visits)
 
 
 def render(watched: Watched) -> RenderableType:

@@ -21,6 +21,7 @@ from gonio.config import Strict
 from gonio.errors import DataError
 from gonio.geometry import solid_angle_of_cone
 from gonio.rig.description import Positive, RigDescription
+from gonio.shown import with_u
 from gonio.typing import Floats
 from gonio_sweeps import fisher, lack_of_fit
 from gonio_sweeps.online import Values
@@ -208,8 +209,7 @@ class ModelFit:
             wanted = self.settings.u.get(name)
             if wanted is None and name in self.settings.u_rel:
                 wanted = self.settings.u_rel[name] * abs(e.value)
-            u = "unknown" if e.u is None else f"{e.u:.2g}"
-            out.append(f"{name} = {e.value:.4g} +- {u}" + (f" (wanted {wanted:.2g})" if wanted is not None else ""))
+            out.append(f"{name} = {with_u(e.value, e.u)}" + (f" (wanted {wanted:.2g})" if wanted is not None else ""))
         return ", ".join(out)
 
     def of_fit(self, known: Known) -> dict[str, Any]:

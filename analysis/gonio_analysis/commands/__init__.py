@@ -521,6 +521,7 @@ def _print_appearance(found: Appearance) -> None:
 
 def _print(result: FitResult, sample: str, walked: dict[str, Interval]) -> None:
     from gonio.cli import console
+    from gonio_analysis.report.model_choice import in_words
     from gonio_analysis.report.text import number, quantity, with_u
 
     at = f" at {result.wavelength_nm:g} nm" if result.wavelength_nm == result.wavelength_nm else ""
@@ -530,13 +531,10 @@ def _print(result: FitResult, sample: str, walked: dict[str, Interval]) -> None:
     for name, e in [*result.parameters.items(), *result.derived.items()]:
         kind = "derived" if name in result.derived else "fixed" if e.fixed else "fitted"
         alone = name in walked and not e.fixed and not walked[name].linear(e.value, e.u)  # two truths otherwise
-        shown = number(e.value, 4) if alone else with_u(e.value, 0.0 if e.fixed else e.u)
+        own, ends = in_words(walked[name].summary(), e.value) if name in walked else ("", "")
+        shown = own if alone else with_u(e.value, 0.0 if e.fixed else e.u)
         value = quantity(shown, e.unit) + (f" ({e.material})" if e.material else "")
-        ends = [
-            number(x, 4) + (" (bound)" if is_open else "")
-            for x, is_open in (walked[name].ends if name in walked else ())
-        ]
-        between = [" to ".join(ends)] if walked else []
+        between = [ends] if walked else []
         rows.add_row(name, value, *between, kind + (f", at its {e.at_bound} bound" if e.at_bound else ""))
     chi = result.reduced_chi_square
     verdict = f"reduced chi-square {number(chi)}: {result.verdict}" if chi is not None else result.verdict

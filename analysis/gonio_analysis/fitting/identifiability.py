@@ -12,6 +12,7 @@ from fractions import Fraction
 
 import numpy as np
 
+from gonio.shown import with_u
 from gonio.typing import Floats
 
 POOR = 0.05
@@ -69,6 +70,4 @@ def _combination(names: tuple[str, str], values: tuple[float, float], u: tuple[f
     exponent = "" if abs(q) == 1.0 else f"^{abs(q):.3g}"
     sign = "/" if q < 0 else " "
     error = spread * abs(value)
-    decimals = 1 - math.floor(math.log10(error)) if error > 0 else 4
-    shown = f"{value:.{decimals}f} ± {error:.{decimals}f}" if 0 <= decimals <= 6 else f"{value:.4g} ± {error:.2g}"
-    return f"{names[0]}{sign}{names[1]}{exponent} = {shown}"
+    return f"{names[0]}{sign}{names[1]}{exponent} = {with_u(value, error)}"

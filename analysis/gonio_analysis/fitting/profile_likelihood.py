@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from gonio.shown import interval
 from gonio.typing import Floats
 from gonio_analysis.fitting import parameters
 from gonio_analysis.fitting.fit import ROUNDING, FitResult
@@ -56,7 +57,9 @@ class Interval:
         return (self.low, self.open_low), (self.high, self.open_high)
 
     def __repr__(self) -> str:
-        low, high = (f"{end:.4g}{' (bound)' if is_open else ''}" for end, is_open in self.ends)
+        middle = float(self.values[int(np.argmin(self.rise))])
+        words = interval(self.low, self.high, middle)
+        low, high = (word + " (bound)" * is_open for word, (_, is_open) in zip(words, self.ends, strict=False))
         return f"<{100 * self.level:g} % interval of {self.name}: {low} to {high}>"
 
     def summary(self) -> IntervalSummary:

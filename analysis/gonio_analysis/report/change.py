@@ -47,7 +47,7 @@ from gonio_analysis.report.drawing import Draughtsmen, draughtsmen
 from gonio_analysis.report.figures import Figure
 from gonio_analysis.report.page import MOST_BYTES
 from gonio_analysis.report.tables import write_columns, write_csv
-from gonio_analysis.report.text import difference, number, percent
+from gonio_analysis.report.text import difference, number, percent, with_u
 from gonio_analysis.result_records import FigureSummary, RunFacts, as_json, finite
 from gonio_analysis.selection.run_record import run_facts
 
@@ -227,7 +227,7 @@ def _conclusion(c: Change) -> str:
         else "; judged together, no single value stands out"
     )
     test = f"chi-square is {v.chi_square:.4g} for {n} values (p {_p(v.p_value)})"
-    scale = f"The common factor of B over A is {1 + v.scale:.4f} ± {v.u_scale:.4f}."
+    scale = f"The common factor of B over A is {with_u(1 + v.scale, v.u_scale)}."
     return f"{head}: {test}; {chance}{kept}. {scale} {typical}."
 
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
+from gonio.shown import interval
 from gonio_analysis.report.blocks import Block, Heading, Notes, Paragraph, Table, Text, code, table
 from gonio_analysis.report.text import glued, number, with_u
-from gonio_analysis.result_records import CandidateSummary, ChoiceSummary
+from gonio_analysis.result_records import CandidateSummary, ChoiceSummary, IntervalSummary
 
 
 def section(choice: ChoiceSummary, alone_nm: float | None = None) -> list[Block]:
@@ -88,15 +89,21 @@ def _fails(c: CandidateSummary) -> str:
     return text
 
 
+def in_words(i: IntervalSummary, value: float | None) -> tuple[str, str]:
+    """A parameter's value and its interval, both to the digits that the interval leaves."""
+    low, high, middle = interval(i.low, i.high, i.low if value is None else value)
+    ends = (low + " (bound)" * i.open_low, high + " (bound)" * i.open_high)
+    return "–" if value is None else middle, " to ".join(ends)
+
+
 def _intervals(choice: ChoiceSummary) -> Table:
     named = next(c for c in choice.candidates if c.label == choice.named)
     rows: list[Sequence[Text]] = []
     for name, i in choice.intervals.items():
         p = named.parameters[name]
-        ends = ((i.low, i.open_low), (i.high, i.open_high))
-        bounds = [f"{number(end, 4)}{' (bound)' if at_bound else ''}" for end, at_bound in ends]
         # an error of the linearised fit beside an interval that contradicts it would be two truths
-        rows.append([code(name), with_u(p.value, p.u) if i.linear else number(p.value, 4), " to ".join(bounds)])
+        value, ends = in_words(i, p.value)
+        rows.append([code(name), with_u(p.value, p.u) if i.linear else value, ends])
     return table(
         f"Parameters of {named.label} with profile-likelihood intervals: each is held while all others follow.",
         ["parameter", "value and standard error (where it says the same as the interval)", "95 % interval"],

@@ -307,8 +307,8 @@ def _value(d: DatasetSummary, model: str, parameter: str, e: ParameterSummary) -
     if d.models[model].shared is not None:
         i = None  # the interval is of the choice, at one wavelength alone
     if i is not None and i.linear is False:
-        ends = f"{number(i.low)} to {number(i.high)}"
-        return f"{number(e.value)} ({100 * i.level:g} % interval {ends})"
+        value, ends = model_choice.in_words(i, e.value)
+        return f"{value} ({100 * i.level:g} % interval {ends})"
     return with_u(e.value, 0.0 if e.fixed else e.u)
 
 

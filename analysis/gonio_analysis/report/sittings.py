@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from datetime import datetime, timedelta
 
+from gonio.shown import with_u
 from gonio_analysis.report.blocks import Block, Heading, Paragraph, table
 from gonio_analysis.result_records import ReferenceLevel, RunFacts, SittingSummary
 
@@ -45,7 +46,7 @@ def _level(sitting: SittingSummary, band: str) -> str:
     visits = f"{level.visits} visit" + "s" * (level.visits != 1)
     if level.scatter is None:
         return f"{level.relative:.5f} ({visits})"
-    return f"{level.relative:.5f} ± {level.scatter:.5f} ({visits})"
+    return f"{with_u(level.relative, level.scatter)} ({visits})"
 
 
 def _time(wall: str) -> datetime:

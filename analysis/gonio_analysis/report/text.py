@@ -5,41 +5,11 @@ from __future__ import annotations
 import math
 import re
 
-
-def number(value: float | None, digits: int = 3) -> str:
-    """A number to a few significant digits, without needless zeros of an exponent; a dash for None."""
-    if value is None or not math.isfinite(value):
-        return "–"
-    if value == 0:
-        return "0"
-    if 1e-4 <= abs(value) < 10**6:
-        decimals = max(0, digits - 1 - math.floor(math.log10(abs(value))))
-        return _minus(f"{value:,.{decimals}f}".replace(",", "\u00a0"))
-    return _scientific(value, digits)
+from gonio import shown
 
 
-def with_u(value: float | None, u: float | None) -> str:
-    """value ± u, both rounded to the second significant digit of u."""
-    if value is None or not math.isfinite(value):
-        return "–"
-    if u is None or not math.isfinite(u):
-        return f"{number(value)} (not determined)"
-    if u == 0:
-        return number(value, 5)
-    if u > 100 * max(abs(value), 1e-12) or not 1e-12 < u < 1e7:
-        return f"{number(value)} ± {number(u, 2)}"
-    decimals = 1 - math.floor(math.log10(u))
-    if max(abs(value), u) < 1e-4:  # one power of ten for both, or all that is seen are zeros
-        power = math.floor(math.log10(max(abs(value), u)))
-        places = max(power - math.floor(math.log10(u)) + 1, 0)
-        return _minus(f"({value / 10.0**power:.{places}f} ± {u / 10.0**power:.{places}f}) × 10{_superscript(power)}")
-    if decimals > 8:
-        return f"{number(value, 6)} ± {number(u, 2)}"
-    if decimals < 0:
-        scale = 10**-decimals
-        return _minus(f"{round(value / scale) * scale:.0f} ± {round(u / scale) * scale:.0f}")
-    return _minus(f"{value:.{decimals}f} ± {u:.{decimals}f}")
-
+number = shown.number
+with_u = shown.with_u
 
 CAUSES = {
     "combined": "all of them together",
@@ -114,7 +84,7 @@ def difference(rms_of_logarithm: float | None) -> str:
     if rms_of_logarithm < 0.2:
         return percent(rms_of_logarithm)
     factor = math.exp(min(rms_of_logarithm, 230.0))
-    return f"factor {number(factor, 2) if factor < 1000 else _scientific(factor, 2)}"
+    return f"factor {number(factor, 2)}"
 
 
 def cut(text: str, most: int) -> str:
@@ -131,16 +101,3 @@ def glued(text: str) -> str:
 def percent(value: float | None) -> str:
     """A fraction in percent, two significant digits."""
     return "–" if value is None else f"{number(100 * value, 2)} %"
-
-
-def _scientific(value: float, digits: int) -> str:
-    mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
-    return _minus(f"{mantissa} × 10{_superscript(int(exponent))}")
-
-
-def _minus(text: str) -> str:
-    return text.replace("-", "−")
-
-
-def _superscript(power: int) -> str:
-    return str(power).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))

@@ -37,6 +37,17 @@
   const raised = (power) => [...power].map((c) => "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"["-0123456789".indexOf(c)]).join("");
   const minus = (text) => text.replace(/e\+?(-?\d+)/, (_, power) => ` × 10${raised(power)}`).replace(/-/g, "\u2212");
   const digits = (value, n) => minus(Number(value).toPrecision(n));
+  // value ± u, both to the second digit of u (as gonio/shown.py); a value alone to so many digits
+  function withU(value, u, alone) {
+    if (!(u > 0)) return digits(value, alone);
+    const top = Math.max(Math.abs(value), u);
+    const power = top >= 1e-4 && top < 1e6 ? 0 : Math.floor(Math.log10(top));
+    const decimals = 1 - Number(u.toExponential(1).split("e")[1]) + power;
+    const tens = 10 ** Math.max(-decimals, 0), places = Math.min(Math.max(decimals, 0), 15);
+    const words = (x) => minus(tens > 1 ? String(Math.round(x / tens) * tens) : (x / 10 ** power).toFixed(places));
+    const [one, two] = [words(value), words(u)];
+    return power ? `(${one} ± ${two}) × 10${raised(String(power))}` : `${one} ± ${two}`;
+  }
   const degrees = (value) => minus((Math.round(value * 100) / 100).toString()) + "°";
   function roundUp(value) {
     const power = 10 ** Math.floor(Math.log10(value));
@@ -345,9 +356,8 @@
       }
       const { line, p } = spot;
       svg(this.cursor, "circle", { cx: spot.x, cy: spot.y, r: 7, fill: "none", stroke: INK, "stroke-width": 1.6 });
-      const u = p.u === null ? "" : ` ± ${digits(p.u, 2)}`;
-      let text = `${line.curve.label}, ${this.data.moving} = ${degrees(p.angle)}, ${line.name}: ${digits(p.brdf, 5)}${u} sr⁻¹`;
-      if (this.norm !== "none") text += `; divided: ${digits(p.value, 4)}${p.du === null ? "" : ` ± ${digits(p.du, 2)}`}`;
+      let text = `${line.curve.label}, ${this.data.moving} = ${degrees(p.angle)}, ${line.name}: ${withU(p.brdf, p.u, 5).replace(/^[^(].*±.*$/, "($&)")} sr⁻¹`;
+      if (this.norm !== "none") text += `; divided: ${withU(p.value, p.du, 4)}`;
       if (!line.theory) {
         for (const s of line.curve.series) {
           if (s.name === line.name || !this.series.has(s.name)) continue;

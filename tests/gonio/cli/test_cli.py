@@ -11,8 +11,10 @@ import sys
 import textwrap
 from importlib.metadata import EntryPoint
 from pathlib import Path
+from typing import Any
 
 import pytest
+import typer
 
 from gonio import measurement, plugins
 from gonio.cli import application
@@ -533,3 +535,43 @@ def test_reduce_says_what_the_table_notes(tmp_path: Path) -> None:
     (note,) = measurement.read(tmp_path / "run" / "brdf.csv").attrs["notes"]
     assert "measure the mirror direction too" in note
     assert note in " ".join(done.stderr.split())
+
+
+def _options(command: Any, name: str = "gonio") -> dict[str, set[str]]:
+    """Every option of a command and of those below it, and where it is."""
+    found: dict[str, set[str]] = {}
+    for parameter in command.params:
+        for word in parameter.opts if parameter.param_type_name == "option" else ():
+            found.setdefault(word, set()).add(name)
+    for below in command.list_commands(None) if hasattr(command, "list_commands") else ():
+        for word, where in _options(command.get_command(None, below), f"{name} {below}").items():
+            found.setdefault(word, set()).update(where)
+    return found
+
+
+def test_an_option_has_one_spelling_in_all_commands() -> None:
+    found = _options(typer.main.get_command(application.build()))
+    assert {"--wavelength-nm", "--seed"} <= set(found)  # of this shape are what was found
+    for word in found:
+        for unit in ("nm", "deg", "s", "px", "mm"):
+            assert f"{word}-{unit}" not in found, f"{word}: {found[word]}, {found[f'{word}-{unit}']}"
+    for former, now in application.FORMER.items():
+        assert f"--{former}" not in found
+        assert f"--{now}" in found
+
+
+@pytest.mark.parametrize("word", ["--wavelength", "--wavelength-nm"])
+def test_the_former_spelling_of_an_option_stays_good(tmp_path: Path, word: str) -> None:
+    for command in (
+        ("rig", "snap", "--rig", "sim", "--lamp", "a.dng"),
+        ("calibrate", "camera", "--rig", "sim", "--out", "c.toml"),
+    ):
+        done = gonio(tmp_path, *command, word, "9000")
+        assert done.returncode == 2
+        assert "wavelength_nm = 9000 lies in no band of the rig" in done.stderr
+    unlit = gonio(tmp_path, "rig", "snap", "--rig", "sim", "a.dng", word, "550")
+    assert unlit.returncode == 2
+    assert "--lamp" in unlit.stderr
+    done = gonio(tmp_path, "fit", "t.csv", "--model", "lambert", word, "many")
+    assert done.returncode == 2
+    assert "--wavelength-nm" in done.stderr

@@ -57,7 +57,7 @@ def test_wrong_wishes_are_refused_before_anything_is_opened(tmp_path: Path) -> N
         (["--out", "no/aligned.toml"], "lie in a folder that is there"),
         (["--from", "scans.csv"], "--from belongs to scans"),
         (["--host", "no.such.host.invalid"], "cannot be served"),
-        (["--wavelength", "9000"], "lies in no band"),
+        (["--wavelength-nm", "9000"], "lies in no band"),
     ):
         done = gonio(tmp_path, "rig", "align", "--live", "--rig", "sim", *words)
         assert (done.returncode, message in done.stderr) == (2, True), done.stderr
