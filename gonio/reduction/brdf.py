@@ -140,6 +140,7 @@ def _reduce_band(frames: RunFrames, band: Band, steps: list[Reduced | Rejected])
         flags=frames.flags | {step.point: step.flag for step in rejected if step.point is not None},
         level=fitted,
         reference_brdf=reference.brdf,
+        u_reference_rel=reference.u_rel,
         visits=len(visits),
         unusable=frames.lost_visits + [step.flag for step in rejected if step.point is None],
         scatter=sum(step.chi_square for step in (*points, *visits)) / max(freedom, 1),
@@ -196,6 +197,7 @@ def level(run: Run, wanted_s: Floats, visits: list[Reduced], band: Band) -> tupl
         from gonio import measurement
 
         table = measurement.read(reference.table)
+        table.attrs.setdefault("source_file", reference.table)
         known = np.array([brdf_of_reference(table, visit.directions, band.centre_nm) for visit in visits])
         u_rel = math.hypot(u_rel, u_of_reference(table, visits[0].directions, band.centre_nm) / float(known[0]))
     elif reference.albedo:

@@ -65,6 +65,14 @@ def u_of_reference(table: pd.DataFrame, directions: Directions, wavelength_nm: f
     return math.hypot(own, bent - line)
 
 
+def stated(table: pd.DataFrame) -> tuple[float, float] | None:
+    """Smallest and largest relative standard uncertainty that a table of a reference states; None where it has none."""
+    rows = table[(table["flag"] == "") & (table["brdf"] > 0)]
+    u = _uncertainties(rows) / rows["brdf"].to_numpy(dtype=float)
+    known = u[np.isfinite(u)]
+    return (float(known.min()), float(known.max())) if known.size else None
+
+
 def _certificate(table: pd.DataFrame, directions: Directions) -> _Certificate:
     source = table.attrs.get("source_file") or "the table of the white reference"
     if not _in_plane(directions):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
@@ -35,7 +36,9 @@ CLIPPED = 1e-3
 """Dark frames with a larger part of their pixels at 0 DN are cut off there."""
 DAMAGED = "missing or damaged and are left out"
 NAMED = 10
-"""At most so many damaged frames are named in a note."""
+"""At most so many damaged frames, or bands, are named in a note."""
+NUMBERS = re.compile(r"\([-\d., ]+\)(, \([-\d., ]+\))*( deg( and \d+ more)?)?|-?\d[\d.]*(e[-+]\d+)?")
+"""Numbers in a note, and lists of directions."""
 COMMON = ("s_reference", "s_reference_noise", "s_lamp_drift")
 LIGHT = ("s_beam", "s_polarisation", "s_wavelength", "s_bandwidth")
 """Causes that are there where the rig file or a calibration tells of them (`gonio.reduction.light_and_lens`)."""
@@ -73,6 +76,8 @@ class BandResult:
     flags: dict[int, str]
     level: white_reference.Level
     reference_brdf: float
+    u_reference_rel: float
+    """Relative standard uncertainty of it: of the certificate, and of what is interpolated in it."""
     visits: int
     unusable: list[str]
     """The flags of the other visits."""
@@ -200,7 +205,7 @@ def assemble(run: Run, results: list[BandResult], notes: list[str], clipped: flo
         + notes
         + _notes_on_zeros(description)
         + light_and_lens.notes(description, results)
-        + [note for result in results for note in _notes(result)],
+        + said_once([(result.band.name, _notes(result)) for result in results]),
     )
     reachable = [not flag for flag in planned]
     found = [
@@ -270,6 +275,7 @@ def _account(result: BandResult) -> dict[str, float | str | list[float] | None]:
     return {
         "band": result.band.name,
         "brdf": result.reference_brdf,
+        "u_brdf_rel": result.u_reference_rel,
         "visits": result.visits,
         "level_e_per_s_sr": fitted.level,
         "u_level_rel": fitted.u_level / fitted.level,
@@ -343,29 +349,53 @@ def notes_on_camera(frames: RunFrames) -> list[str]:
     return out
 
 
+def said_once(bands: list[tuple[str, list[str]]]) -> list[str]:
+    """Notes of bands, each said once: with the names of all its bands where they say the same, else as the first has it.
+
+    Notes are alike where they differ in numbers alone; their order is that of their first band.
+    """
+    kinds: dict[str, list[tuple[str, str]]] = {}
+    for name, notes in bands:
+        for text in notes:
+            kinds.setdefault(NUMBERS.sub("#", text), []).append((name, text))
+    out = []
+    for alike in kinds.values():
+        first, text = alike[0]
+        if all(other == text for _, other in alike):
+            out.append(f"{_names([name for name, _ in alike])}: {text}")
+        else:
+            others = _names([name for name, _ in alike[1:]])
+            out.append(f"{first}: {text}; the like, with numbers of its own, holds at {others}")
+    return out
+
+
+def _names(names: list[str]) -> str:
+    return ", ".join(names[:NAMED]) + (f" and {len(names) - NAMED} more bands" if len(names) > NAMED else "")
+
+
 def _notes(result: BandResult) -> list[str]:
-    name = result.band.name
-    out = white_reference.notes(result.level, result.visits, result.unusable, name)
+    """What a band has to say, without its name (`said_once`)."""
+    out = white_reference.notes(result.level, result.visits, result.unusable)
     if result.untold:
         out.append(
-            f"{name}: nothing tells whether a specular spike stands at {_listed(result.untold)}: what "
+            f"nothing tells whether a specular spike stands at {_listed(result.untold)}: what "
             "errors of the angles would do to one is in u_brdf, which is large; measure the mirror direction too, and "
             "points within 10 degrees on both sides of it that the spike does not reach"
         )
     if result.coarse:
         out.append(
-            f"{name}: values change much from step to step at {_listed(result.coarse)}: u_brdf there rests on "
+            f"values change much from step to step at {_listed(result.coarse)}: u_brdf there rests on "
             "how steep a lobe may be that the steps do not resolve; measure in finer steps there"
         )
     if result.merged.get("noise") == "poisson":
         out.append(
-            f"{name}: the noise of the camera is not known (camera.read_noise_e = 0, and no calibration of the "
+            "the noise of the camera is not known (camera.read_noise_e = 0, and no calibration of the "
             "camera): frames are weighted as photons alone would have it"
         )
     # three standard deviations of a reduced chi-square, and enough to matter: uncertainties 20 % too small
     if result.scatter > max(1.44, 1.0 + 3.0 * math.sqrt(2.0 / max(result.freedom, 1))):
         out.append(
-            f"{name}: frames of one step scatter {math.sqrt(result.scatter):.1f} times as much as the rig file's noise "
+            f"frames of one step scatter {math.sqrt(result.scatter):.1f} times as much as the rig file's noise "
             "says (see lamp.noise and the camera's noise there): u_random is too small"
         )
     return out

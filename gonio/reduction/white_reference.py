@@ -229,8 +229,8 @@ def _rejected(chi_square: float, freedom: int) -> bool:
     return freedom > 0 and bool(chdtrc(freedom, chi_square) < REJECTED)
 
 
-def notes(fitted: Level, visits: int, unusable: list[str], name: str) -> list[str]:
-    """What a table has to say of its white reference in the band `name`.
+def notes(fitted: Level, visits: int, unusable: list[str]) -> list[str]:
+    """What a table has to say of its white reference in a band.
 
     Parameters
     ----------
@@ -240,21 +240,19 @@ def notes(fitted: Level, visits: int, unusable: list[str], name: str) -> list[st
         How many visits it was fitted to.
     unusable
         The flags of the other visits.
-    name
-        Of the band.
     """
     out = []
     if unusable:
         why = ", ".join(f"{unusable.count(flag)} {flag}" for flag in dict.fromkeys(unusable))
         out.append(
-            f"{name}: {len(unusable)} of {visits + len(unusable)} visits to the white reference cannot be used ({why})"
+            f"{len(unusable)} of {visits + len(unusable)} visits to the white reference cannot be used ({why})"
         )
     if fitted.unknown:
         only = " except for what the visits scatter" if fitted.scatter else ""
-        out.append(f"{name}: {fitted.unknown}, so a drift of the lamp is not in u_brdf{only}")
+        out.append(f"{fitted.unknown}, so a drift of the lamp is not in u_brdf{only}")
     if not fitted.straight:
         out.append(
-            f"{name}: the visits to the white reference do not lie on a straight line (chi-square "
+            "the visits to the white reference do not lie on a straight line (chi-square "
             f"{fitted.chi_square:.1f} of {visits} visits): the level is interpolated between them"
         )
     return out

@@ -64,6 +64,11 @@ def _calibration(used: Mapping[str, Any]) -> str:
     return f"{used['kind']}: {used['file']}, made on {used['made']}, {until}; SHA-256 {used['sha256']}"
 
 
+def _known(band: Mapping[str, Any]) -> str:
+    """How well the BRDF of the reference is known; "" in a table of an earlier version."""
+    return f", known to {percent(band['u_brdf_rel'])}" if "u_brdf_rel" in band else ""
+
+
 def _reference(band: Mapping[str, Any]) -> str:
     """What the visits to the white reference said, as `gonio.reduction.brdf.reduce` leaves it."""
     level, slope, u_slope = band["level_e_per_s_sr"], band["drift_per_hour"], band["u_drift_per_hour"]
@@ -71,7 +76,7 @@ def _reference(band: Mapping[str, Any]) -> str:
     steady = "on a straight line" if band["straight"] else "on no straight line"
     steady = "that tell no drift" if slope is None else steady
     return (
-        f"{band['band']}: BRDF {number(band['brdf'], 4)} sr⁻¹; {band['visits']} visits {steady} (chi-square "
+        f"{band['band']}: BRDF {number(band['brdf'], 4)} sr⁻¹{_known(band)}; {band['visits']} visits {steady} (chi-square "
         f"{number(band['chi_square'])}); level {number(level, 4)} electrons a second and steradian, known to "
         f"{percent(band['u_level_rel'])}; drift {drift}; frames of one step scatter as the noise "
         f"model says, times {number(band['frame_scatter'])} in variance"

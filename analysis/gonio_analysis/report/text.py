@@ -7,7 +7,6 @@ import re
 
 from gonio import shown
 
-
 number = shown.number
 with_u = shown.with_u
 

@@ -10,12 +10,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from gonio.shown import number
 from gonio_analysis.result_records import HealthSummary, PauseSummary, RunFacts, SampleFacts
 from gonio_analysis.selection.run_budget import run_budget
-from gonio_analysis.selection.run_sittings import run_sittings
+from gonio_analysis.selection.run_sittings import account, run_sittings
 
 if TYPE_CHECKING:
     from gonio.acquisition.run import Run
+    from gonio.rig.description import Reference
 
 REFERENCE = {
     "beside": "beside the sample",
@@ -62,7 +64,7 @@ def run_facts(path: Path) -> RunFacts | None:
         versions=dict(settings.versions),
         lamp_half_angle_deg=rig.lamp.half_angle_deg,
         lens_half_angle_deg=rig.camera.lens_half_angle_deg,
-        reference=f"{REFERENCE[rig.reference.how]}; standard uncertainty {100 * rig.reference.u_rel:g} %",
+        reference=_reference(folder, rig.reference),
         sample=None
         if settings.sample is None
         else SampleFacts(settings.sample.name, settings.sample.model, dict(settings.sample.parameters)),
@@ -71,6 +73,40 @@ def run_facts(path: Path) -> RunFacts | None:
         budget=run_budget(folder),
         sittings=run_sittings(run),
     )
+
+
+def _reference(folder: Path, reference: Reference) -> str:
+    """How the white reference is reached, and how well it is known.
+
+    That is what the reduction has put into the budget; a run that is not reduced says what its rig file states.
+    """
+    known = [band["u_brdf_rel"] for band in account(folder) if "u_brdf_rel" in band]
+    if not known and reference.table is None:
+        known = [reference.u_rel]
+    words = [REFERENCE[reference.how]]
+    if known:
+        words.append(f"standard uncertainty {_range(min(known), max(known))}")
+    if reference.table is not None:
+        words.append(f"its table {Path(reference.table).name} {_stated(reference.table)}")
+    return "; ".join(words)
+
+
+def _stated(path: str) -> str:
+    from gonio import measurement
+    from gonio.errors import GonioError
+    from gonio.reduction import reference_table
+
+    try:
+        found = reference_table.stated(measurement.read(path))
+    except GonioError:
+        return "is no longer where it was"
+    return "states no uncertainty" if found is None else f"states {_range(*found)}"
+
+
+def _range(low: float, high: float) -> str:
+    """Shares in percent, to two digits."""
+    first, second = (f"{number(100 * share, 2)} %" for share in (low, high))
+    return first if first == second else f"{first} to {second}"
 
 
 def _health(run: Run) -> tuple[list[HealthSummary], list[PauseSummary]]:

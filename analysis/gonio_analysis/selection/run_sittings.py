@@ -36,8 +36,8 @@ def run_sittings(run: Run) -> list[SittingSummary]:
     """The sittings in which a run took steps, in order; levels of the reference where the run has been reduced."""
     found, visits_s = _sittings(run)
     times_s = [time_s for time_s, _ in visits_s]
-    account = _account(run.path)
-    for band in account:
+    told = account(run.path)
+    for band in told:
         for time_s, signal in zip(band["times_s"], band["signals"], strict=True):
             visit = bisect_right(times_s, time_s) - 1  # the visit that had begun last
             if visit >= 0:
@@ -82,8 +82,8 @@ def _sittings(run: Run) -> tuple[list[_Sitting], list[tuple[float, _Sitting]]]:
     return found, sorted(visits, key=lambda visit: visit[0])
 
 
-def _account(folder: Path) -> list[dict[str, Any]]:
-    """What the visits said, a band each, as the reduction of the run has left it; nothing before it is reduced."""
+def account(folder: Path) -> list[dict[str, Any]]:
+    """What the visits to the reference said, a band each, as the reduction of the run has left it; nothing before it is reduced."""
     try:
         meta = json.loads((folder / "brdf.meta.json").read_text(encoding="utf-8"))
     except (OSError, ValueError):

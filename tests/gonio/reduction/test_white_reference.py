@@ -134,8 +134,8 @@ def test_visits_at_one_time_are_averaged_and_tell_no_drift(start: float, apart: 
     assert (fitted.slope, fitted.u_slope, fitted.straight) == (0.0, 0.0, True)
     assert fitted.level == pytest.approx((10.0 / 0.04 + 10.3 / 0.01 + 9.9 / 0.04) / 150, rel=1e-12)
     assert fitted.u_level == pytest.approx(150**-0.5, rel=1e-12)
-    (note,) = white_reference.notes(fitted, 3, [], "550 nm")
-    assert note.startswith("550 nm: the 3 visits to the white reference have one and the same time")
+    (note,) = white_reference.notes(fitted, 3, [])
+    assert note.startswith("the 3 visits to the white reference have one and the same time")
     assert note.endswith("a drift of the lamp is not in u_brdf")
 
 
@@ -178,7 +178,7 @@ def test_visits_close_together_say_nothing_of_points_far_away(times: list[float]
     np.testing.assert_allclose(fitted.at(at), mean, rtol=1e-12)
     np.testing.assert_array_equal(fitted.drift(at), 0.0)
     assert fitted.u_level >= len(times) ** -0.5 * (1 - 1e-12)
-    (note,) = white_reference.notes(fitted, len(times), [], "550 nm")
+    (note,) = white_reference.notes(fitted, len(times), [])
     assert f"lie within {times[-1]:g} s" in note
     assert f"points up to {3600 - times[-1]:.3g} s away" in note
 
@@ -192,9 +192,9 @@ def test_a_line_is_kept_where_it_changes_little_or_the_points_are_near() -> None
 
 def test_visits_that_cannot_be_used_are_counted_by_their_flags() -> None:
     fitted = white_reference.fit(np.array([5.0]), np.array([10.0]), np.ones(1))
-    lost, alone = white_reference.notes(fitted, 1, ["moved", "saturated", "moved"], "550 nm")
-    assert lost == "550 nm: 3 of 4 visits to the white reference cannot be used (2 moved, 1 saturated)"
-    assert alone.startswith("550 nm: one visit to the white reference only")
+    lost, alone = white_reference.notes(fitted, 1, ["moved", "saturated", "moved"])
+    assert lost == "3 of 4 visits to the white reference cannot be used (2 moved, 1 saturated)"
+    assert alone.startswith("one visit to the white reference only")
 
 
 @pytest.mark.parametrize(("loss", "most"), [(0.03, 1e-3), (0.01, 7e-4)])

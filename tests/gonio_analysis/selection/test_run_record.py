@@ -1,0 +1,114 @@
+"""What a page says of a run's white reference is what went into its budget."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from gonio_analysis.selection.run_record import run_facts
+
+from gonio import measurement
+from gonio.acquisition.measure import RigChoice, carry_out
+from gonio.acquisition.plan import load_plan
+from gonio.formats.reader import table
+from gonio.reduction import brdf
+from gonio.reduction.table import said_once
+from gonio.rig.description import Reference
+from tests.gonio.numpy_rig import PLAN, SAMPLE, Plugin, describe
+
+CERTIFIED = (0.002, 0.006)
+"""Relative uncertainties at the first and at the last angle of the certificate."""
+
+
+def reduced(here: Path, **reference: object) -> Path:
+    (here / "plan.toml").write_text(PLAN)
+    description = describe()
+    changed = {**description.reference.model_dump(), **reference}
+    description = description.model_copy(update={"reference": Reference(**changed)})
+    run = carry_out(
+        load_plan(here / "plan.toml"), RigChoice(Plugin(), description, "numpy"), here / "run", sample=SAMPLE, seed=1
+    )
+    run.write_table(brdf.reduce(run))
+    return here / "run"
+
+
+def certificate(path: Path, *, states: bool = True) -> str:
+    """The BRDF of a white at normal incidence, every 15 degrees; uncertainties grow along a straight line."""
+    theta_r = np.arange(0.0, 90.0, 15.0)
+    value = np.full(theta_r.size, 0.31)
+    frame = table(
+        theta_i_deg=0.0, phi_i_deg=0.0, theta_r_deg=theta_r, phi_r_deg=180.0, wavelength_nm=np.nan, brdf=value,
+        attrs={"source_solid_angle_sr": 0.0, "receiver_solid_angle_sr": 0.0},
+    )  # fmt: skip
+    if states:
+        frame["u_brdf"] = value * np.linspace(*CERTIFIED, theta_r.size)
+    measurement.write(frame, path)
+    return str(path)
+
+
+def test_a_table_of_the_reference_says_how_well_it_is_known(tmp_path: Path) -> None:
+    run = reduced(tmp_path, table=certificate(tmp_path / "white.csv"), albedo=None)
+    facts = run_facts(run)
+    assert facts is not None
+    frame = measurement.read(run / "brdf.csv")
+    used = (frame["s_reference"] / frame["brdf"]).abs().dropna().unique()
+    visit = describe().reference.theta_r_deg
+    expected = np.interp(visit, [0.0, 75.0], CERTIFIED)
+    # the certificate is a straight line between whole steps of its table; readings scatter by hundredths of a degree
+    np.testing.assert_allclose(used, expected, rtol=0.01)
+    assert f"standard uncertainty {100 * expected:.2f} %" in facts.reference
+    assert "its table white.csv states 0.20 % to 0.60 %" in facts.reference
+
+
+def test_a_table_without_uncertainties_is_said_to_have_none(tmp_path: Path) -> None:
+    run = reduced(tmp_path, table=certificate(tmp_path / "white.csv", states=False), albedo=None, u_rel=0.004)
+    facts = run_facts(run)
+    assert facts is not None
+    assert "standard uncertainty 0.40 %" in facts.reference  # the rig file's own
+    assert "its table white.csv states no uncertainty" in facts.reference
+    (tmp_path / "white.csv").unlink()
+    facts = run_facts(run)
+    assert facts is not None
+    assert "standard uncertainty 0.40 %" in facts.reference  # the run knows it without the file
+    assert "white.csv is no longer where it was" in facts.reference
+
+
+def test_a_rig_file_s_uncertainty_is_said_before_and_after_the_reduction(tmp_path: Path) -> None:
+    run = reduced(tmp_path, u_rel=0.0035)
+    facts = run_facts(run)
+    assert facts is not None
+    assert facts.reference.endswith("standard uncertainty 0.35 %")
+    (run / "brdf.meta.json").unlink()
+    facts = run_facts(run)
+    assert facts is not None
+    assert facts.reference.endswith("standard uncertainty 0.35 %")
+
+
+@pytest.mark.parametrize(
+    ("notes", "said"),
+    [
+        ([("400 nm", ["a", "b 1.5"]), ("500 nm", ["a"])], ["400 nm, 500 nm: a", "400 nm: b 1.5"]),
+        (
+            [(f"{nm} nm", [f"frames scatter {nm / 300:.1f} times"]) for nm in (400, 500, 600)],
+            ["400 nm: frames scatter 1.3 times; the like, with numbers of its own, holds at 500 nm, 600 nm"],
+        ),
+        (
+            [
+                ("400 nm", ["at (theta_i, theta_r, dphi) = (15, 75, 0), (15, 67.5, 180), (1, 2, 3) deg and 2 more: u"]),
+                ("410 nm", ["at (theta_i, theta_r, dphi) = (15, 75, 0) deg: u"]),
+            ],
+            [
+                "400 nm: at (theta_i, theta_r, dphi) = (15, 75, 0), (15, 67.5, 180), (1, 2, 3) deg and 2 more: u; the "
+                "like, with numbers of its own, holds at 410 nm"
+            ],
+        ),
+    ],
+)
+def test_what_all_bands_say_is_said_once(notes: list[tuple[str, list[str]]], said: list[str]) -> None:
+    assert said_once(notes) == said
+
+
+def test_many_bands_are_counted() -> None:
+    (note,) = said_once([(f"{nm} nm", ["a"]) for nm in range(400, 710, 10)])
+    assert note == "400 nm, 410 nm, 420 nm, 430 nm, 440 nm, 450 nm, 460 nm, 470 nm, 480 nm, 490 nm and 21 more bands: a"
