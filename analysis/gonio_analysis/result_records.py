@@ -141,6 +141,8 @@ class RegionSummary:
     excess: float
     share: float
     ratio: float | None
+    single_ratio: float | None = None
+    single_words: str = ""
 
 
 @dataclass(frozen=True)

@@ -32,6 +32,12 @@ DESCRIPTIONS = {
 """Name -> short label, and what it is."""
 
 
+def meaning(name: str, *, known: bool) -> str:
+    """What a metric is; of values whose uncertainty is not known all that are above 0 take part."""
+    words = DESCRIPTIONS[name][1]
+    return words if known else words.replace(f"above {BELOW:g} u", "above 0")
+
+
 def metrics(
     model: Floats, measured: Floats, cos_theta_i: Floats, u: Floats | None = None, whitened: Floats | None = None
 ) -> dict[str, float | None]:

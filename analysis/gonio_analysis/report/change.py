@@ -13,7 +13,7 @@ import numpy as np
 from gonio.measurement import Reading
 from gonio_analysis.changes.point_by_point import FALSE_DISCOVERIES, LEVEL, Change, Side, change, side
 from gonio_analysis.curves.in_plane import Curve, curves, labels, selection
-from gonio_analysis.fitting.metrics import DESCRIPTIONS
+from gonio_analysis.fitting.metrics import DESCRIPTIONS, meaning
 from gonio_analysis.fitting.observations import Observations, describe_left_out
 from gonio_analysis.plots import thinning
 from gonio_analysis.report import change_figures, files, html, pdf, viewer
@@ -349,7 +349,7 @@ def _facts(s: ChangeSummary) -> list[tuple[str, str]]:
 
 
 def _metrics(s: ChangeSummary) -> Table:
-    rows = [[m.label, number(m.value), DESCRIPTIONS[k][1]] for k, m in s.metrics.items()]
+    rows = [[m.label, number(m.value), meaning(k, known=s.verdict is not None)] for k, m in s.metrics.items()]
     return table(
         "B takes the place of the model, A that of the measurement.",
         ["metric", "value", "what it is"],

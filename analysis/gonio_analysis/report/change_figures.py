@@ -31,8 +31,7 @@ def draw(c: Change, at: Observations, drawn: list[Curve], shown: float) -> list[
         out.append(_values(c, at, drawn, where))
         if c.verdict is not None:
             out.append(_changes(c, at, drawn, where))
-    out += _change_maps(c, at, where)
-    return out
+    return out + (_change_maps(c, at, where) if np.any(c.difference[at.rows]) else [])  # of equal values all is white
 
 
 def _made(c: Change) -> str:
@@ -114,17 +113,19 @@ def _limit(n: int) -> float:
 
 
 def _change_maps(c: Change, at: Observations, where: str) -> list[Drawing]:
-    rows = at.rows
+    rows, without = at.rows, ""
     if c.verdict is not None:
         value, label, marked = c.verdict.z[rows], "standard deviations", c.verdict.marked[rows]
         top = float(np.clip(np.abs(value).max(initial=0.0), 4.0, 8.0))
         what = "significance of the change, in standard deviations"
     else:
-        with np.errstate(divide="ignore", invalid="ignore"):
-            value = np.log(c.value_b[rows] / c.value_a[rows])
+        both = (c.value_a[rows] > 0) & (c.value_b[rows] > 0)
+        if not both.all():
+            without = f" {rows.size - int(both.sum())} directions, in which A or B is not above 0, have no logarithm."
+            at, rows = at.take(np.flatnonzero(both)), rows[both]
+        value = np.log(c.value_b[rows] / c.value_a[rows])
         label, marked = "ln(B/A)", np.zeros(rows.size, dtype=bool)
-        value = np.where(np.isfinite(value), value, 0.0)
-        top = max(float(np.quantile(np.abs(value), 0.95)), 1e-6)
+        top = max(float(np.quantile(np.abs(value), 0.95)) if rows.size else 0.0, 1e-3)
         what = "ln(B/A)"
     rings = "; upright triangles: above 0" + ("; rings mark values that changed" if c.verdict is not None else "")
     d = at.directions
@@ -142,7 +143,7 @@ def _change_maps(c: Change, at: Observations, where: str) -> list[Drawing]:
             across = angle * PANEL_PT / np.pi
             kept = thinning.enough(across, heights, most=MOST_DRAWN, keep=marked[flat])
             kept = np.union1d(kept, thinning.ends(value[flat])).astype(np.intp)
-            caption = f"Map of the plane of incidence{where}: {what}{rings}.{_made(c)}"
+            caption = f"Map of the plane of incidence{where}: {what}{rings}.{without}{_made(c)}"
             caption += thinning.words(kept.size, flat.size)
             on = partial(
                 _on_plane, angle=angle[kept], parameter=np.radians(tilts[kept]), value=value[flat][kept],
@@ -158,7 +159,7 @@ def _change_maps(c: Change, at: Observations, where: str) -> list[Drawing]:
     for k, g in enumerate(some):
         kept = thinning.over_hemisphere(d[g].theta_r, d[g].dphi, value[g], DISC_PT, MOST_DRAWN, keep=marked[g])
         theta = f"θi = {np.degrees(d.theta_i[g].mean()):.1f}°"
-        caption = f"Map of the hemisphere, {theta}{where}: {what}{rings}. Empty: no shared direction.{_made(c)}"
+        caption = f"Map of the hemisphere, {theta}{where}: {what}{rings}. Empty: no shared direction.{without}{_made(c)}"
         caption += thinning.words(kept.size, g.size)
         h = g[kept]
         on = partial(

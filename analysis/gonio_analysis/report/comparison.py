@@ -128,9 +128,7 @@ def _dataset(d: Dataset, slug: str) -> DatasetSummary:
         theta_i_deg=[float(x) for x in np.unique(np.round(np.degrees(d.data.directions.theta_i), 1))],
         brdf_min=float(d.data.brdf.min()),
         brdf_max=float(d.data.brdf.max()),
-        median_u_rel=finite(float(np.median(d.data.u / np.abs(d.data.brdf))))
-        if known and np.all(d.data.brdf)
-        else None,
+        median_u_rel=_median_u_rel(d) if known else None,
         budget=budget(d.data) if stated else [],
         curves_known=d.curves_known,
         scanned=d.curves[0].scanned if d.curves else None,
@@ -155,6 +153,11 @@ def _dataset(d: Dataset, slug: str) -> DatasetSummary:
         rho_dh=d.rho_dh,
         symmetries=d.symmetries,
     )
+
+
+def _median_u_rel(d: Dataset) -> float | None:
+    with np.errstate(divide="ignore"):  # of a value of 0 it is infinite, and counts as the largest
+        return finite(float(np.median(d.data.u / np.abs(d.data.brdf))))
 
 
 def _bands(d: Dataset) -> list[str]:
@@ -255,10 +258,10 @@ def _conclusion(d: Dataset, best: str | None) -> str:
         told = [f"{best} is {others}: reduced chi-square {chi:.3g}, {f.fit.verdict}{typical}."]
         rejected = f.fit.p_value is not None and f.fit.p_value < SIGNIFICANCE
         if rejected and not good:
-            told += [f"It is {missed}."] * bool(missed) + [verdict.none_describes(len(d.fitted))]
+            told += [missed, verdict.none_describes(len(d.fitted))]
     else:
         others = f"the nearest of the {len(d.fitted)} models shown" if many else "the only model tried"
-        told = [f"{best} is {others}{typical}."] + [f"It is {missed}."] * bool(missed)
+        told = [f"{best} is {others}{typical}.", missed]
         if not good:
             told.append(verdict.none_describes(len(d.fitted)))
         if d.data.covariance is None:

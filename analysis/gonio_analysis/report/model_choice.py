@@ -7,7 +7,8 @@ from collections.abc import Sequence
 
 from gonio.shown import interval
 from gonio_analysis.report.blocks import Block, Heading, Notes, Paragraph, Table, Text, code, table
-from gonio_analysis.report.text import glued, number, with_u
+from gonio_analysis.report.text import glued, number, percent, with_u
+from gonio_analysis.report.verdict import times
 from gonio_analysis.result_records import CandidateSummary, ChoiceSummary, IntervalSummary
 
 
@@ -49,6 +50,8 @@ def section(choice: ChoiceSummary, alone_nm: float | None = None) -> list[Block]
                 " are fitted to all wavelengths together, with one geometry."
             )
         )
+    # of a chi-square the region with the largest part of it, else the one whose median is farthest from the measurement
+    fails = "largest excess of χ²" if stated else "farthest off, by the median of a region"
     out.append(
         table(
             "From the simplest up. AIC and BIC are differences to the lowest; the held-out error is the mean squared"
@@ -56,7 +59,7 @@ def section(choice: ChoiceSummary, alone_nm: float | None = None) -> list[Block]
             f" {choice.held_out_by}. A model is {'rejected' if stated else 'behind'} where"
             + (f" the probability of its chi-square is below {100 * choice.significance:g} %, or where" * stated)
             + f" another is better by more than {choice.decisive_aic:g} in AIC.",
-            ["model", "parameters", "reduced χ²", "ΔAIC", "ΔBIC", "held-out", "time", "verdict", "largest misfit"],
+            ["model", "parameters", "reduced χ²", "ΔAIC", "ΔBIC", "held-out", "time", "verdict", fails],
             rows,
             right=(1, 2, 3, 4, 5, 6),
             marks=marks,
@@ -81,12 +84,9 @@ def _fails(c: CandidateSummary) -> str:
     region = c.fails
     if region is None or (not c.rejected and c.reduced_chi_square is not None):
         return ""
-    text = f"{region.words}: {100 * region.share:.0f} % of the misfit"
-    if region.ratio is not None:
-        off = 100 * (region.ratio - 1)
-        if abs(off) >= 0.1:
-            text += f", model {number(abs(off), 2)} % too {'high' if off > 0 else 'low'}"
-    return text
+    off = [f"model {times(region.ratio)}"] if region.ratio is not None and abs(region.ratio - 1) >= 1e-3 else []
+    share = [f"{percent(region.share)} of it"] if c.reduced_chi_square is not None else []
+    return f"{region.words}: {', '.join(share + off)}"
 
 
 def in_words(i: IntervalSummary, value: float | None) -> tuple[str, str]:

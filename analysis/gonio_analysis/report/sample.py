@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 from gonio import geometry
 from gonio.formats.reader import TableBand
+from gonio_analysis.fitting.metrics import meaning as meaning_of_metric
 from gonio_analysis.report import (
     appearance,
     blocks,
@@ -291,7 +292,7 @@ def _parameters(d: DatasetSummary) -> list[Block]:
     whitened = any(f.chi_square is not None for f in d.models.values())
     caption = (
         "Standard errors come from the scatter of the residuals"
-        + (": the table states no uncertainties." if d.median_u_rel is None else ", by the metric of the fit.")
+        + (": the table states no uncertainties." if not _known(d) else ", by the metric of the fit.")
         if not whitened
         else f"Standard errors rest on the assumed uncertainty of {percent(d.u_rel_assumed)} of each value."
         if d.u_rel_assumed is not None
@@ -320,13 +321,18 @@ def _strongest(f: ModelSummary, parameter: str) -> Text:
     return f"{number(row[other], 2)} with ", code(other)
 
 
+def _known(d: DatasetSummary) -> bool:
+    """Whether the values have uncertainties, stated or assumed."""
+    return d.uncertainty_stated or d.u_rel_assumed is not None
+
+
 def _metrics(s: Summary, d: DatasetSummary) -> list[Block]:
     names = [n for n in s.metrics if any(f.metrics[n] is not None for f in d.models.values())]
     rows = [[m, *(number(f.metrics[n]) for n in names)] for m, f in d.models.items()]
     header = ["model", *(s.metrics[n].label for n in names)]
     return [
         table("", header, rows, right=tuple(range(1, len(names) + 1))),
-        facts((v.label, v.meaning) for v in (s.metrics[n] for n in names)),
+        facts((s.metrics[n].label, meaning_of_metric(n, known=_known(d))) for n in names),
     ]
 
 

@@ -18,6 +18,8 @@ Goniometers that are compared on one sample differ by percents, so a third is th
 """
 FEATURE = 2.0
 """A region whose median of model / measured is beyond this factor is a feature that the model does not have."""
+SINGLE = 1.5
+"""A single value is named beside the region where it is farther off by this factor."""
 CLEARLY = 1.05
 """A metric names another model where that one is better by this factor; less is no disagreement."""
 BY = {"log": "log_ratio", "weighted": "weighted", "ngan": "ngan", "cube-root": "cube_root", "relative": "relative"}
@@ -66,11 +68,24 @@ def misses_feature(missed: Region | None) -> bool:
 
 
 def where(missed: Region | None) -> str:
-    """The region that a model misses most, as the end of a sentence."""
+    """The region that a model misses most, and the single value, as sentences; "" where there is none."""
     if missed is None or missed.ratio is None:
         return ""
-    times = f"{number(missed.ratio, 2)} {'times' if missed.ratio > 1 else 'of'} the measurement"
-    return f"farthest off at {missed.words} ({missed.values} values), where it is {times}"
+    said = (
+        f"Of all regions it is farthest off, by the median, at {missed.words} ({missed.values} values): it is"
+        f" {times(missed.ratio)} there."
+    )
+    single = missed.single_ratio
+    if single is not None and abs(math.log(single)) > abs(math.log(missed.ratio)) + math.log(SINGLE):
+        said += f" The value that it misses most lies at {missed.single_words}: there it is {times(single)}."
+    return said
+
+
+def times(ratio: float) -> str:
+    """How a model stands to a measurement: in percent near it, as a factor far from it."""
+    if 1 / FEATURE < ratio < FEATURE:
+        return f"{number(100 * abs(ratio - 1), 2)} % {'above' if ratio > 1 else 'below'} the measurement"
+    return f"{number(ratio, 2)} {'times' if ratio > 1 else 'of'} the measurement"
 
 
 def none_describes(count: int) -> str:

@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from gonio.geometry import AROUND_MIRROR, SAME_INCIDENCE
+from gonio.geometry import AROUND_MIRROR, SAME_INCIDENCE, Directions
 from gonio.typing import Floats
 from gonio_analysis.fitting.fit import FitResult
 from gonio_analysis.fitting.observations import Observations
@@ -34,10 +34,14 @@ class Region:
     """Of the excess of all regions with any."""
     ratio: float | None
     """Median of model / measurement there, over values above 3 u."""
+    single_ratio: float | None = None
+    """Model / measurement of the one value of all that is farthest off."""
+    single_words: str = ""
+    """Its directions."""
 
     def summary(self) -> RegionSummary:
         """Plain numbers."""
-        return RegionSummary(self.words, self.values, self.excess, self.share, self.ratio)
+        return RegionSummary(**vars(self))
 
 
 def incidences(data: Observations) -> list[tuple[float, Rows]]:
@@ -62,6 +66,7 @@ def worst(result: FitResult) -> Region | None:
 def farthest(result: FitResult) -> Region | None:
     """The region of three values or more whose median of model / measured is farthest from 1, as a ratio.
 
+    A median says nothing of single values: the one that is farthest off, in any region, stands beside it.
     Its `excess` is the sum of squares of ln(model / measured), and its share is of that of all regions. Where no region
     has so many values they are taken together.
     """
@@ -76,7 +81,18 @@ def farthest(result: FitResult) -> Region | None:
     if not here.size or total <= 0:
         return None
     excess = float((logs[here] ** 2).sum())
-    return Region(words, int(here.size), excess, excess / total, float(np.exp(np.median(logs[here]))))
+    single = int(np.argmax(np.abs(logs)))
+    return Region(words, int(here.size), excess, excess / total, float(np.exp(np.median(logs[here]))),
+                  float(np.exp(logs[single])), _place(data.directions[single]))  # fmt: skip
+
+
+def _place(d: Directions) -> str:
+    """One pair of directions in words."""
+    theta_i, along, theta_r, dphi = (f"{round(math.degrees(float(a)), 1) + 0.0:g}°" for a in
+                                     (d.theta_i, d.along, d.theta_r, d.dphi))  # fmt: skip
+    if bool(d.in_plane):
+        return f"θi = {theta_i}, signed θr = {along}".replace("-", "−")
+    return f"θi = {theta_i}, θr = {theta_r}, φr − φi = {dphi}"
 
 
 def _ratio(result: FitResult, here: Rows, u: Floats) -> float | None:
@@ -108,13 +124,17 @@ def _ranges(data: Observations) -> list[tuple[str, Rows]]:
     for middle, rows in incidences(data):
         low, high = float(theta_i[rows].min()), float(theta_i[rows].max())
         if high - low <= SAME_INCIDENCE:
-            out.append((f"{math.degrees(middle):.0f}°", rows))
+            out.append((_degrees(middle), rows))
             continue
         edges = np.linspace(low, high, math.ceil((high - low) / RANGE) + 1)
         for part in (rows[here] for here in _between(theta_i[rows], edges)):
-            ends = np.degrees([theta_i[part].min(), theta_i[part].max()])
-            out.append((f"{ends[0]:.0f}° to {ends[1]:.0f}°", part))
+            ends = (float(theta_i[part].min()), float(theta_i[part].max()))
+            out.append((" to ".join(map(_degrees, ends)), part))
     return out
+
+
+def _degrees(angle: float) -> str:
+    return f"{round(math.degrees(angle), 1):g}°"
 
 
 def _between(values: Floats, edges: Floats) -> list[Rows]:

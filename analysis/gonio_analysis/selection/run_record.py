@@ -87,7 +87,7 @@ def _reference(folder: Path, reference: Reference) -> str:
     if known:
         words.append(f"standard uncertainty {_range(min(known), max(known))}")
     if reference.table is not None:
-        words.append(f"its table {Path(reference.table).name} {_stated(reference.table)}")
+        words.append(f"its table {_stated(reference.table)}")
     return "; ".join(words)
 
 

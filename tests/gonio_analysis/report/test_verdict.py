@@ -9,6 +9,8 @@ import numpy as np
 import pandas as pd
 import pytest
 from gonio_analysis.fitting.fit import fit
+from gonio_analysis.report import model_choice
+from gonio_analysis.report.blocks import Table
 from gonio_analysis.report.comparison import summarise
 from gonio_analysis.result_records import DatasetSummary
 from gonio_analysis.selection.compare import examine
@@ -182,3 +184,21 @@ def test_the_headline_and_the_choice_name_the_same_model_as_the_nearest() -> Non
     assert facts.best == min(aic, key=aic.__getitem__)
     assert facts.choice.words.startswith(f"{facts.best} comes nearest")
     assert facts.conclusion.startswith(f"{facts.best} is the nearest")
+
+
+def test_the_column_of_misfits_says_what_it_ranks_by() -> None:
+    """A share of a misfit belongs to a chi-square; without one the region is that with the farthest median."""
+    for frame, head in (
+        (measure(PAINT, noise=0.03), "largest excess of χ²"),
+        (bare(noise=0.03), "farthest off, by the median of a region"),
+    ):
+        dataset = examine(frame, ["lambert", "oren-nayar"], name="paint")
+        (facts,) = summarise([dataset], title="", normalise="mirror", command="").datasets
+        found = next(b for b in model_choice.section(facts.choice) if isinstance(b, Table))
+        assert found.header[-1] == head
+        cells = [str(row[-1]).replace("\u00a0", " ") for row in found.rows]
+        for cell, one in zip(cells, facts.choice.candidates, strict=True):
+            if one.fails is not None and cell:
+                assert one.fails.words in cell.replace("\u00a0", " ")
+                assert ("of it" in cell) == (one.reduced_chi_square is not None)
+        assert any(cells)

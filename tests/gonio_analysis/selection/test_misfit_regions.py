@@ -10,6 +10,7 @@ import pytest
 from gonio_analysis.curves.in_plane import curves
 from gonio_analysis.fitting.fit import FitResult
 from gonio_analysis.fitting.observations import observations
+from gonio_analysis.report import verdict
 from gonio_analysis.selection.misfit_regions import farthest, worst
 
 from gonio.formats.reader import table
@@ -76,3 +77,52 @@ def test_a_source_that_moves_in_small_steps_has_ranges_and_each_value_its_own_mi
     assert high - low <= 15
     assert 30 <= low < high <= 60
     assert found.words.endswith("around the mirror direction")
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_no_value_is_farther_off_than_what_a_headline_says(seed: int) -> None:
+    """One value in a zone of its own: it is in no region of three, and far off all the same."""
+    rng = np.random.default_rng(seed)
+    along = np.array([-70.0, -60.0, -50.0, 5.0, 15.0, 25.0, 82.5, 40.0, 40.0])
+    frame = table(
+        theta_i_deg=82.5,
+        phi_i_deg=0.0,
+        theta_r_deg=np.abs(along),
+        phi_r_deg=np.where(np.arange(along.size) > 6, 60.0, np.where(along >= 0, 180.0, 0.0)),
+        wavelength_nm=550.0,
+        brdf=1.0,
+        attrs={"source_solid_angle_sr": 0.0, "receiver_solid_angle_sr": 0.0},
+    )
+    data = observations(frame)
+    predicted = np.exp(rng.normal(0.0, 0.1, along.size))
+    at = int(np.argmax(along))
+    predicted[at] = 1e-4
+    found = farthest(cast(FitResult, SimpleNamespace(data=data, predicted=predicted)))
+    assert found is not None
+    assert found.values == 3
+    assert found.words.startswith("θi = 82.5°, ")
+    assert found.single_ratio == pytest.approx(1e-4, rel=1e-12)
+    assert found.single_words == "θi = 82.5°, signed θr = 82.5°"
+    words = verdict.where(found)
+    assert "0.00010 of the measurement" in words
+    assert f"{found.values} values" in words
+    # the same of a value out of the plane
+    predicted[at], predicted[-1] = 1.0, 300.0
+    found = farthest(cast(FitResult, SimpleNamespace(data=data, predicted=predicted)))
+    assert found is not None
+    assert found.single_words == "θi = 82.5°, θr = 40°, φr − φi = 60°"
+    assert "300 times the measurement" in verdict.where(found)
+
+
+@pytest.mark.parametrize(
+    ("ratio", "words"),
+    [
+        (46.0, "46 times the measurement"),
+        (1.113, "11 % above the measurement"),
+        (0.46, "0.46 of the measurement"),
+        (0.54, "46 % below the measurement"),
+        (1.3e-6, "1.3 × 10⁻⁶ of the measurement"),  # it was "100 % too low"
+    ],
+)
+def test_how_a_model_stands_to_a_measurement(ratio: float, words: str) -> None:
+    assert verdict.times(ratio) == words

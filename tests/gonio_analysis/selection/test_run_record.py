@@ -58,7 +58,7 @@ def test_a_table_of_the_reference_says_how_well_it_is_known(tmp_path: Path) -> N
     # the certificate is a straight line between whole steps of its table; readings scatter by hundredths of a degree
     np.testing.assert_allclose(used, expected, rtol=0.01)
     assert f"standard uncertainty {100 * expected:.2f} %" in facts.reference
-    assert "its table white.csv states 0.20 % to 0.60 %" in facts.reference
+    assert "its table states 0.20 % to 0.60 %" in facts.reference
 
 
 def test_a_table_without_uncertainties_is_said_to_have_none(tmp_path: Path) -> None:
@@ -66,12 +66,12 @@ def test_a_table_without_uncertainties_is_said_to_have_none(tmp_path: Path) -> N
     facts = run_facts(run)
     assert facts is not None
     assert "standard uncertainty 0.40 %" in facts.reference  # the rig file's own
-    assert "its table white.csv states no uncertainty" in facts.reference
-    (tmp_path / "white.csv").unlink()
+    assert "its table states no uncertainty" in facts.reference
+    (run / "reference.csv").unlink()
     facts = run_facts(run)
     assert facts is not None
     assert "standard uncertainty 0.40 %" in facts.reference  # the run knows it without the file
-    assert "white.csv is no longer where it was" in facts.reference
+    assert "its table is no longer where it was" in facts.reference
 
 
 def test_a_rig_file_s_uncertainty_is_said_before_and_after_the_reduction(tmp_path: Path) -> None:
