@@ -34,6 +34,9 @@ DEFAULT_WAVELENGTH_NM = 550.0
 SPECTRUM_NM = tuple(np.arange(400.0, 701.0, 10.0).tolist())
 """Where a model's colour is evaluated [nm]."""
 VISIBLE_NM = (380.0, 780.0)
+WHITE_L = 100.0
+"""L* of the perfect diffuser."""
+BRIGHTER = "above 100: brighter than a perfect white diffuser in this direction, as a gloss is near the mirror direction"
 LARGEST_STEP_NM = 20.0
 REACH_NM = (420.0, 680.0)
 """A table's wavelengths have to lie no farther apart than this, and to reach these, for a colour."""
@@ -49,7 +52,10 @@ RETRO_GAP_DEG = 1.0
 """Between two values that one near the source is interpolated from."""
 SMOOTH_TIS = 0.1
 """Largest share of scattered light from which a roughness is stated."""
-HAZE_ABOVE_GU = 70.0
+HAZE_GU = (70.0, 100.0)
+"""Glosses from which D4039's index follows: a high gloss at 60 degrees, on the scale of the standard glass."""
+HAZE_SLACK_GU = 0.1
+"""Beyond the upper one, besides what is not known: quadratures give a smooth glass a hundredth more or less."""
 UNVERIFIED = "through apertures of 0.4° by 3° and a source of 0.44° by 5°, which could not be verified"
 AZIMUTH = "The model depends on the sample's azimuth: the source stands at phi_i = 180 degrees."
 SHARE_OF_U = 0.1
@@ -195,21 +201,11 @@ def _table_colours(numbers: _Numbers, data: Observations, at: Observations, ever
     if coloured:
         matrix = math.pi * colour.weights(waves)
         spectra = [(np.flatnonzero(np.abs(data.wavelength_nm - w) <= 1e-6), curves(data.at(w))) for w in waves]
-    visible = all(VISIBLE_NM[0] <= w <= VISIBLE_NM[1] for w in at.wavelengths)  # False for NaN, a broad band
     for theta_i, aspecular in MULTI_ANGLE:
         key, signed = _key(theta_i, aspecular), theta_i - aspecular
-        if not coloured and not visible:
-            for letter in "Lab":
-                numbers.take(f"{letter} {key}", NotMeasured("no wavelength between 380 and 780 nm is stated"))
-            continue
         if not coloured:
-            numbers.put(f"L {key}", partial(_grey, every, len(at), theta_i, signed))
-            why = NotMeasured(
-                f"a colour needs wavelengths in steps of at most {LARGEST_STEP_NM:g} nm that reach {REACH_NM[0]:g} and"
-                f" {REACH_NM[1]:g} nm"
-            )
-            numbers.take(f"a {key}", why)
-            numbers.take(f"b {key}", why)
+            for letter in "Lab":
+                numbers.take(f"{letter} {key}", _no_spectrum(data.wavelengths))
             continue
         try:
             values = []
@@ -223,13 +219,20 @@ def _table_colours(numbers: _Numbers, data: Observations, at: Observations, ever
                 numbers.take(f"{letter} {key}", error)
 
 
-def _grey(every: Sequence[Curve], n: int, theta_i_deg: float, signed_deg: float) -> Sampled:
-    """L* of a sample that is as bright at all wavelengths."""
-
-    def lightness(f: float) -> float:
-        return float(colour.lab(math.pi * f * colour.white())[0])
-
-    return sampled.made_of(lightness, _value(every, n, theta_i_deg, signed_deg))
+def _no_spectrum(waves: Sequence[float]) -> NotMeasured:
+    """Why the values at these wavelengths [nm] (NaN: a broad band) have no colour, nor a lightness."""
+    known = [w for w in waves if not math.isnan(w)]
+    have = (
+        "states none"
+        if not known
+        else f"has one, {known[0]:g} nm"
+        if len(known) == 1
+        else f"has {len(known)}, from {known[0]:g} to {known[-1]:g} nm"
+    )
+    return NotMeasured(
+        f"a colour needs a spectrum, wavelengths in steps of at most {LARGEST_STEP_NM:g} nm that reach"
+        f" {REACH_NM[0]:g} and {REACH_NM[1]:g} nm: the table {have}"
+    )
 
 
 def _lab(values: Sequence[tuple[Any, Sampled]], matrix: Floats, n: int) -> list[Sampled]:
@@ -450,9 +453,21 @@ def _assembled(
     def named(key: str, unit: str) -> Quantity:
         return quantity(lambda: numbers[key], unit)
 
-    def haze_note(_: float) -> str | None:
-        g60 = numbers["gloss_60_gu"].value
-        return None if g60 > HAZE_ABOVE_GU else f"D4039 is meant for a gloss at 60° above {HAZE_ABOVE_GU:g} GU"
+    def haze() -> Sampled:
+        high, low = numbers["gloss_60_gu"], numbers["gloss_20_gu"]
+        if high.value <= HAZE_GU[0]:
+            raise NotMeasured(f"D4039 is for a gloss at 60° above {HAZE_GU[0]:g} GU: it is {high.value:.3g} GU")
+        for angle, one in ((20, low), (60, high)):
+            slack = HAZE_SLACK_GU + one.error + 2.0 * (finite(uncertainty(one)) or 0.0)
+            if one.value > HAZE_GU[1] + slack:
+                raise NotMeasured(
+                    f"D4039 is for non-metals, whose gloss ends at {HAZE_GU[1]:g} GU, that of the standard glass: at"
+                    f" {angle}° it is {one.value:.4g} GU"
+                )
+        return high.plus(low, -1.0)
+
+    def brighter(value: float) -> str | None:
+        return BRIGHTER if value > WHITE_L else None
 
     def tis() -> Sampled:
         return sampled.made_of(lambda rho, spike: 1.0 - spike / rho, numbers["rho_dh_8"], numbers["spike_8"])
@@ -480,8 +495,11 @@ def _assembled(
         )
 
     def colour_at(theta_i: float, aspecular: float) -> Colour:
-        parts = [named(f"{letter} {_key(theta_i, aspecular)}", "1") for letter in "Lab"]
-        return Colour(theta_i, aspecular, theta_i - aspecular, *parts)
+        key = _key(theta_i, aspecular)
+        light = quantity(lambda: numbers[f"L {key}"], "1", brighter)
+        return Colour(
+            theta_i, aspecular, theta_i - aspecular, light, *(named(f"{letter} {key}", "1") for letter in "ab")
+        )
 
     return Appearance(
         name=name,
@@ -491,7 +509,7 @@ def _assembled(
         gloss_20_gu=named("gloss_20_gu", "GU"),
         gloss_60_gu=named("gloss_60_gu", "GU"),
         gloss_85_gu=named("gloss_85_gu", "GU"),
-        haze_gu=quantity(lambda: numbers["gloss_60_gu"].plus(numbers["gloss_20_gu"], -1.0), "GU", haze_note),
+        haze_gu=quantity(haze, "GU"),
         haze_e430_20=named("haze_e430_20", "HU"),
         haze_e430_30=quantity(lambda: numbers["haze_e430_30"], "HU", lambda _: UNVERIFIED),
         rho_dh_8=named("rho_dh_8", "1"),

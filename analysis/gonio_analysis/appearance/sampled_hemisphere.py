@@ -103,18 +103,21 @@ def _reflectance(data: Observations, rows: Rows) -> Sampled:
         raise NotMeasured(f"at {theta:.1f}° of incidence values lie in or near one plane and do not span a hemisphere")
     lobe, rim, covered = part.integral(slice(None))
     if covered < LEAST_COVERED:
-        least = lobe.plus(rim, -1.0).value
-        raise NotMeasured(
-            f"{100 * covered:.0f} % of the projected hemisphere was measured, {100 * LEAST_COVERED:.0f} % are needed",
-            at_least=least if least > 0.0 and bool(np.all(data.brdf[rows] >= 0.0)) else None,
-        )
+        least = lobe.plus(rim, -1.0).value - _unresolved(part, lobe)
+        why = f"{100 * covered:.0f} % of the projected hemisphere was measured, {100 * LEAST_COVERED:.0f} % are needed"
+        bounds = 0.0 < least <= 1.0 and bool(np.all(data.brdf[rows] >= 0.0))
+        raise NotMeasured(why, at_least=least if bounds else None)
     note = None
     if part.gap > PEAK:
         away = f"{math.degrees(part.gap):.1f}°"
         note = f"the nearest value to the mirror direction is {away} away: a narrower peak is not in it"
-    halves = [part.integral(slice(first, None, 2))[0].value for first in (0, 1)]
-    total = replace(lobe, error=max(abs(lobe.value - half) for half in halves) / 3.0 + 0.5 * abs(rim.value))
+    total = replace(lobe, error=_unresolved(part, lobe) / 3.0 + 0.5 * abs(rim.value))
     return replace(total if part.spike is None else total.plus(part.spike), note=note)
+
+
+def _unresolved(part: _Projected, lobe: Sampled) -> float:
+    """How far an integral changes when every other direction is left out: a peak is no wider than their distances."""
+    return max(abs(lobe.value - part.integral(slice(first, None, 2))[0].value) for first in (0, 1))
 
 
 class _Projected:

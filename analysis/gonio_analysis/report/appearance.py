@@ -82,11 +82,13 @@ def listed(a: Appearance) -> list[Listed]:
     rows.append(("scattered share (TIS) at 8°", a.tis_8, SOURCES["tis"]))
     rows.append(("rms roughness", a.rms_roughness_nm, SOURCES["roughness"]))
     out = [Listed(label, _value(q), _remark(q), after) for label, q, after in rows]
+    reasons = {c.L.why for c in a.lab}
+    if len(reasons) == 1 and None not in reasons:  # without a spectrum none of them has a colour, for one reason
+        return [*out, Listed(f"L*, a*, b* in {len(a.lab)} geometries", "–", _remark(a.lab[0].L), SOURCES["colour"])]
     for c in a.lab:
         where = f"L*, a*, b* at {c.theta_i_deg:g}°, aspecular {_signed(c.aspecular_deg)}°"
         parts = "; ".join(_value(q, 2) for q in (c.L, c.a, c.b))
-        why = c.L.why or (f"L* as if grey: {c.a.why}" if c.a.why else "")
-        out.append(Listed(where, "–" if c.L.value is None else parts, why, SOURCES["colour"]))
+        out.append(Listed(where, "–" if c.L.value is None else parts, _remark(c.L), SOURCES["colour"]))
     return out
 
 
@@ -105,7 +107,7 @@ def known(a: Appearance) -> Table | None:
     if not rows:
         return None
     caption = (
-        f"{left} further quantities need angles that were not measured: gonio appearance says which." if left else ""
+        f"{left} further quantities do not follow from these values: gonio appearance says why." if left else ""
     )
     return table(caption, ["quantity", "value", "", "after"], rows)
 
@@ -151,8 +153,6 @@ def _drawings(a: Appearance) -> list[Drawing]:
     if coloured:
         made = " of the simulated measurement" * a.simulated
         caption = f"L*a*b*{made} against the aspecular angle, from the mirror direction toward the normal."
-        if all(c.a.value is None for c in coloured):
-            caption = f"L*{made} against the aspecular angle, as if the sample were grey."
         groups = []
         for theta in sorted({c.theta_i_deg for c in coloured}, reverse=True):
             mine = [c for c in coloured if c.theta_i_deg == theta]

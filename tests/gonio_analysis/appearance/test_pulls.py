@@ -28,7 +28,7 @@ GRAZED = [hemisphere(8.0), *(plane(t, HALF) for t in (20.0, 30.0, 60.0, 85.0)), 
 NORMAL = [plane(0.0, np.array([45.0])), plane(0.0, np.array([-45.0]))]
 AROUND_SOURCE = [plane(t, np.arange(-8.0, 0.1, 0.5)) for t in (4.0, 5.0)]
 EVERYTHING = np.vstack([*GRAZED, *NORMAL, *AROUND_SOURCE])
-GLOSSES = {"gloss_20_gu", "gloss_60_gu", "haze_gu", "haze_e430_20", "haze_e430_30"}
+GLOSSES = {"gloss_20_gu", "gloss_60_gu", "haze_e430_20", "haze_e430_30"}
 REFLECTANCES = {"rho_dh_8", "radiance_factor_45_0", "radiance_factor_0_45", "R_A 4.0", "R_L 5.0"}
 
 

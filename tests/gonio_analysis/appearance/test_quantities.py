@@ -10,6 +10,7 @@ import pytest
 from gonio_analysis.appearance.glossmeter import GLOSSMETERS, gloss
 from gonio_analysis.appearance.quantities import of_fit, of_model, of_table
 from gonio_analysis.fitting.fit import fit
+from gonio_analysis.report.appearance import listed
 
 from gonio import colour
 from gonio.models import CookTorrance, HeTorrance, Lambert, Model, OrenNayar, Sum
@@ -40,8 +41,11 @@ def swept(*incidences: float) -> Any:
 def test_sampled_and_exact_gloss_agree(model: Model) -> None:
     exact = of_model(model, name="exact")
     table = of_table(measured(model, swept(*GLOSSY, 30.0)), name="sampled")
-    for key in ("gloss_20_gu", "gloss_60_gu", "gloss_85_gu", "haze_gu", "haze_e430_20", "haze_e430_30"):
+    for key in ("gloss_20_gu", "gloss_60_gu", "gloss_85_gu", "haze_e430_20", "haze_e430_30"):
         assert known(getattr(table, key).value) == pytest.approx(known(getattr(exact, key).value), abs=0.5), key
+    assert (table.haze_gu.value is None) == (exact.haze_gu.value is None)
+    if exact.haze_gu.value is not None:
+        assert known(table.haze_gu.value) == pytest.approx(known(exact.haze_gu.value), abs=0.5)
 
 
 def test_values_out_of_the_plane_make_gloss_better() -> None:
@@ -145,22 +149,46 @@ def test_colours_are_those_of_the_spectrum() -> None:
 
 
 def test_a_solid_colour_has_a_flop_index_of_zero_with_an_uncertainty() -> None:
-    frame = measured(Lambert(0.5), plane(45.0, np.array([30.0, 0.0, -65.0])))
+    waves = np.arange(400.0, 701.0, 20.0)
+    frame = measured(Lambert(0.5), plane(45.0, np.array([30.0, 0.0, -65.0])), waves=tuple(waves))
     flop = of_table(frame, name="grey").flop_index
     assert flop.value == pytest.approx(0.0, abs=1e-12)
     light = 116.0 * 0.5 ** (1.0 / 3.0) - 16.0
-    # L* of f known to 1 % without what all values share: 116/3 (f/f_white)^(1/3) 0.01, twice, over L45^0.86
-    u_difference = math.sqrt(2.0) * 116.0 / 3.0 * 0.5 ** (1.0 / 3.0) * 0.01
+    # f is known to 1 % without what all values share, at each wavelength apart: Y, its weighted mean, to less
+    parts = colour.weights(waves)[:, 1]
+    u_rel = 0.01 * math.sqrt(float((parts**2).sum())) / float(parts.sum())
+    # L* then to 116/3 (Y/Y_n)^(1/3) u_rel, twice, over L45^0.86
+    u_difference = math.sqrt(2.0) * 116.0 / 3.0 * 0.5 ** (1.0 / 3.0) * u_rel
     # the formula's power 1.11 is a line to 15 % between a quarter and twice the step that its slope is taken over
     assert known(flop.u) == pytest.approx(2.69 * u_difference / light**0.86, rel=0.15)
 
 
-def test_one_wavelength_gives_lightness_alone() -> None:
-    sample = of_table(measured(Lambert(0.5), plane(45.0, np.array([30.0, 0.0, -65.0]))), name="grey")
-    (face,) = (c for c in sample.lab if c.aspecular_deg == 45.0)
-    assert known(face.L.value) == pytest.approx(116.0 * 0.5 ** (1.0 / 3.0) - 16.0)
-    assert face.a.value is None
-    assert "steps of at most 20 nm" in known_words(face.a.why)
+@pytest.mark.parametrize(
+    ("waves", "words"), [((550.0,), "has one, 550 nm"), ((450.0, 550.0, 650.0), "has 3, from 450 to 650 nm")]
+)
+def test_without_a_spectrum_there_is_neither_a_colour_nor_a_lightness(waves: tuple[float, ...], words: str) -> None:
+    """One wavelength of a metal near its mirror direction had L* = 192."""
+    directions = plane(45.0, np.array([60.0, 30.0, 0.0, -65.0]))
+    sample = of_table(measured(HeTorrance(sigma0_um=0.28, tau_um=1.77, ior="Al"), directions, waves=waves), name="metal")
+    for c in sample.lab:
+        assert c.L.value is c.a.value is c.b.value is None
+        assert "steps of at most 20 nm" in known_words(c.L.why)
+        assert known_words(c.L.why).endswith(words)
+    assert known_words(sample.flop_index.why) == known_words(sample.lab[0].L.why)
+    (row,) = (one for one in listed(sample) if "L*" in one.label)
+    assert row.value == "–"
+    assert row.remark.endswith(words)
+
+
+def test_a_lightness_above_that_of_white_is_explained() -> None:
+    sample = of_model(HeTorrance(sigma0_um=0.28, tau_um=1.77, ior="Al"), name="metal")
+    above = [c for c in sample.lab if known(c.L.value) > 100.0]
+    assert {(c.theta_i_deg, c.aspecular_deg) for c in above} >= {(45.0, 15.0), (45.0, -15.0)}
+    for c in sample.lab:
+        assert (c.L.note is not None) == (c in above)
+    assert all("brighter than a perfect white diffuser" in known_words(c.L.note) for c in above)
+    # 116 (Y/Y_n)^(1/3) - 16 of a surface whose radiance factor is above 1
+    assert known(sample.lab[1].L.value) > 116.0 * 1.0 - 16.0
 
 
 @pytest.mark.parametrize("nm", [float("nan"), 3500.0])
@@ -170,7 +198,8 @@ def test_what_is_not_known_to_be_visible_has_no_lightness(nm: float) -> None:
     sample = of_table(frame, name="infrared")
     for c in sample.lab:
         assert c.L.value is None
-        assert "between 380 and 780 nm" in known_words(c.L.why)
+        assert "a colour needs a spectrum" in known_words(c.L.why)
+        assert known_words(c.L.why).endswith("states none" if math.isnan(nm) else "has one, 3500 nm")
     assert any("visible light" in note for note in sample.notes)
 
 
@@ -200,8 +229,29 @@ def test_a_table_without_uncertainties_states_none() -> None:
     assert sample.gloss_60_gu.u is None
 
 
-def test_haze_of_a_matt_surface_has_a_note() -> None:
-    assert "above 70 GU" in known_words(of_model(Lambert(0.9), name="white").haze_gu.note)
+def test_haze_of_a_matt_surface_is_none() -> None:
+    haze = of_model(Lambert(0.9), name="white").haze_gu
+    assert haze.value is haze.u is haze.error is None
+    assert "above 70 GU" in known_words(haze.why)
+
+
+@pytest.mark.parametrize(
+    "metal",
+    [
+        HeTorrance(sigma0_um=0.05, tau_um=5.0, ior="Al"),
+        HeTorrance(sigma0_um=0.02, tau_um=3.0, ior="Cu"),
+        HeTorrance(sigma0_um=0.0, tau_um=1.0, ior=2.4),  # no metal, but off the scale of the standard glass as well
+    ],
+    ids=("aluminium", "copper", "diamond"),
+)
+def test_haze_of_a_metal_is_none(metal: Model) -> None:
+    """The difference of two glosses far above that of glass was -132, and -453 of another metal."""
+    sampled = of_table(measured(metal, swept(20.0, 60.0)), name="metal")
+    for sample in (of_model(metal, name="metal"), sampled):
+        assert known(sample.gloss_20_gu.value) > known(sample.gloss_60_gu.value)  # else there is nothing to refuse
+        assert sample.haze_gu.value is None
+        assert "non-metals" in known_words(sample.haze_gu.why)
+    assert known(of_model(metal, name="metal").haze_e430_20.value) >= 0.0  # which is a flux, and has no such limit
 
 
 def test_the_uncertainty_of_a_fit_is_that_of_its_parameters() -> None:
@@ -231,3 +281,15 @@ def test_a_model_without_colour_is_grey_and_said_to_be() -> None:
     assert any("same at every wavelength" in note for note in grey.notes)
     tinted = of_model(HeTorrance(sigma0_um=0.3, tau_um=1.5, ior=lambda nm: 1.3 + 0.001 * (nm - 400.0)), name="tinted")
     assert not any("same at every wavelength" in note for note in tinted.notes)
+
+
+def test_a_peak_between_the_values_is_no_lower_bound() -> None:
+    """One value of 600 among others of 0.02 made "at least 4.01" of a paint's reflectance."""
+    frame = measured(Lambert(0.02 * math.pi), hemisphere(40.0, 10.0, 15.0, 60.0), cone_sr=0.0)
+    far = (frame["theta_r_deg"] - 40.0).abs() + (frame["phi_r_deg"] - frame["phi_i_deg"] - 180.0).abs()
+    frame.loc[far.idxmin(), ["brdf", "u_brdf", "u_random"]] = [600.0, 6.0, 6.0]
+    (rho,) = of_table(frame, name="paint").rho_dh
+    assert rho.value is None
+    assert "needed" in known_words(rho.why)
+    # the share of the hemisphere that was measured, sin(60)^2; nobody knows how wide the peak is
+    assert rho.at_least is None or rho.at_least <= 0.02 * math.pi * 0.75
