@@ -180,6 +180,8 @@ class TransmissionSummary:
     btdf_max: float
     tau_dh: list[Reflectance]
     """Directional-hemispherical transmittance, in the field `rho_dh` of each."""
+    notes: list[str]
+    """What the table's reader says, where its reflection is not on the page."""
 
 
 @dataclass(frozen=True)

@@ -244,9 +244,7 @@ def notes(fitted: Level, visits: int, unusable: list[str]) -> list[str]:
     out = []
     if unusable:
         why = ", ".join(f"{unusable.count(flag)} {flag}" for flag in dict.fromkeys(unusable))
-        out.append(
-            f"{len(unusable)} of {visits + len(unusable)} visits to the white reference cannot be used ({why})"
-        )
+        out.append(f"{len(unusable)} of {visits + len(unusable)} visits to the white reference cannot be used ({why})")
     if fitted.unknown:
         only = " except for what the visits scatter" if fitted.scatter else ""
         out.append(f"{fitted.unknown}, so a drift of the lamp is not in u_brdf{only}")

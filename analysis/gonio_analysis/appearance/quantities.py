@@ -36,7 +36,9 @@ SPECTRUM_NM = tuple(np.arange(400.0, 701.0, 10.0).tolist())
 VISIBLE_NM = (380.0, 780.0)
 WHITE_L = 100.0
 """L* of the perfect diffuser."""
-BRIGHTER = "above 100: brighter than a perfect white diffuser in this direction, as a gloss is near the mirror direction"
+BRIGHTER = (
+    "above 100: brighter than a perfect white diffuser in this direction, as a gloss is near the mirror direction"
+)
 LARGEST_STEP_NM = 20.0
 REACH_NM = (420.0, 680.0)
 """A table's wavelengths have to lie no farther apart than this, and to reach these, for a colour."""

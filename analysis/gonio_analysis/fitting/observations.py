@@ -214,7 +214,8 @@ def observations(table: pd.DataFrame, name: str = "the table", u_rel: float | No
     common = np.where(np.isfinite(common), common, 0.0)
     total = np.sqrt(random**2 + (common**2).sum(axis=1))
     stated = np.isfinite(total) & (total > 0)
-    notes: list[str] = []
+    notes = of_reader(table)
+    silent = any("no uncertainties" in note for note in notes)
     if stated[why == ""].any():
         why[(why == "") & ~stated] = "without an uncertainty"
     keep = np.flatnonzero(why == "")
@@ -242,7 +243,7 @@ def observations(table: pd.DataFrame, name: str = "the table", u_rel: float | No
             f"The table states no uncertainties: a standard uncertainty of {100 * u_rel:g} % of each value is ASSUMED"
             " (--u-rel), independent from value to value. Every chi-square, verdict and error bar rests on it."
         )
-    else:
+    elif not silent:
         notes.append(UNSTATED)
     if TRANSMISSION in omitted:
         notes.append(f"{omitted[TRANSMISSION].size} rows are transmission: left out, models here describe reflection.")
@@ -328,13 +329,33 @@ def together(several: Mapping[str, Observations]) -> Observations:
         omitted={
             f"{reason} in {name}": waves for name, one in several.items() for reason, waves in one.omitted.items()
         },
-        notes=tuple(f"{name}: {note}" for name, one in several.items() for note in one.notes),
+        notes=tuple(said_once({name: one.notes for name, one in several.items()})),
         parts=tuple(
             Part(name, one.source_solid_angle_sr, one.receiver_solid_angle_sr) for name, one in several.items()
         ),
         part=np.repeat(np.arange(len(each)), [len(one) for one in each]),
         u_rel_assumed=next((one.u_rel_assumed for one in each if one.u_rel_assumed is not None), None),
     )
+
+
+def of_reader(table: pd.DataFrame) -> list[str]:
+    """What whoever read or made a table has to say of it, as sentences."""
+    notes = table.attrs.get("notes")
+    told = (str(note).strip() for note in notes) if isinstance(notes, list | tuple) else ()
+    every = (text[:1].upper() + text[1:] for text in told if text)
+    return list(dict.fromkeys(text if text.endswith((".", "!", "?")) else f"{text}." for text in every))
+
+
+def said_once(several: Mapping[str, Sequence[str]]) -> list[str]:
+    """Notes of several tables by their names, each with the names of all that it belongs to."""
+    names: dict[str, list[str]] = {}
+    for name, notes in several.items():
+        for note in notes:
+            names.setdefault(note, []).append(name)
+    return [
+        f"{', '.join(of) if len(of) < max(len(several), 2) else f'all {len(of)} tables'}: {note}"
+        for note, of in names.items()
+    ]
 
 
 def _shared(values: Sequence[float]) -> float:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from gonio.errors import ConfigError
 from gonio.measurement import Reading
 from gonio_analysis.curves.in_plane import Normalise
+from gonio_analysis.fitting.observations import of_reader, said_once
 from gonio_analysis.fitting.parameters import Ior
 from gonio_analysis.report import (
     budget,
@@ -107,6 +108,9 @@ def make(
         _cite([table for _, _, table, _ in found], stage.work, progress)
         apart, found = _apart(found, wavelength_nm, u_rel)
         names = _distinct([sample for sample, *_ in found], [source for _, source, *_ in found])
+        told = {name: of_reader(one[2]) for name, one in zip(names, found, strict=True)}
+        for note in said_once(told | {t.name: t.data.notes for t in apart}):
+            progress(note)
         examined = partial(
             examine,
             models=models,

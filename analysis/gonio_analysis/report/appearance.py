@@ -106,9 +106,7 @@ def known(a: Appearance) -> Table | None:
     left = len(listed(a)) - len(rows)
     if not rows:
         return None
-    caption = (
-        f"{left} further quantities do not follow from these values: gonio appearance says why." if left else ""
-    )
+    caption = f"{left} further quantities do not follow from these values: gonio appearance says why." if left else ""
     return table(caption, ["quantity", "value", "", "after"], rows)
 
 

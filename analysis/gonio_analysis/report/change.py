@@ -14,7 +14,7 @@ from gonio.measurement import Reading
 from gonio_analysis.changes.point_by_point import FALSE_DISCOVERIES, LEVEL, Change, Side, change, side
 from gonio_analysis.curves.in_plane import Curve, curves, labels, selection
 from gonio_analysis.fitting.metrics import DESCRIPTIONS, meaning
-from gonio_analysis.fitting.observations import Observations, describe_left_out
+from gonio_analysis.fitting.observations import Observations, describe_left_out, of_reader, said_once
 from gonio_analysis.plots import thinning
 from gonio_analysis.report import change_figures, files, html, pdf, viewer
 from gonio_analysis.report.blocks import (
@@ -192,7 +192,7 @@ def summary(c: Change, command: str, runs: Sequence[RunFacts | None]) -> ChangeS
         conclusion=_conclusion(c),
         metrics={k: ChangeMetric(DESCRIPTIONS[k][0], finite(c.metrics[k])) for k in DESCRIPTIONS},
         wavelengths=waves,
-        notes=list(c.notes),
+        notes=_notes(c),
     )
 
 
@@ -201,6 +201,13 @@ def _side(s: Side, run: RunFacts | None) -> MeasuredSide | ModelSide:
         return ModelSide(s.name, s.source, s.kind, run, s.model.name, s.model.convention)
     stated = s.data.covariance is not None
     return MeasuredSide(s.name, s.source, s.kind, run, len(s.data), s.data.left_out, stated, s.simulated)
+
+
+def _notes(c: Change) -> list[str]:
+    """What the comparison says, and what the readers of both sides say."""
+    told = said_once({x.name: of_reader(x.table) for x in (c.a, c.b) if x.table is not None})
+    read = {note for x in (c.a, c.b) if x.table is not None for note in of_reader(x.table)}
+    return [*(note for note in c.notes if note not in read), *told]
 
 
 def _median_error(c: Change) -> float | None:

@@ -159,7 +159,9 @@ def _change_maps(c: Change, at: Observations, where: str) -> list[Drawing]:
     for k, g in enumerate(some):
         kept = thinning.over_hemisphere(d[g].theta_r, d[g].dphi, value[g], DISC_PT, MOST_DRAWN, keep=marked[g])
         theta = f"θi = {np.degrees(d.theta_i[g].mean()):.1f}°"
-        caption = f"Map of the hemisphere, {theta}{where}: {what}{rings}. Empty: no shared direction.{without}{_made(c)}"
+        caption = (
+            f"Map of the hemisphere, {theta}{where}: {what}{rings}. Empty: no shared direction.{without}{_made(c)}"
+        )
         caption += thinning.words(kept.size, g.size)
         h = g[kept]
         on = partial(

@@ -19,7 +19,7 @@ from gonio_analysis.curves.in_plane import NORM_WORDS
 from gonio_analysis.fitting.budget import budget
 from gonio_analysis.fitting.fit import FitResult
 from gonio_analysis.fitting.metrics import BELOW, DESCRIPTIONS
-from gonio_analysis.fitting.observations import UNSTATED, describe_left_out
+from gonio_analysis.fitting.observations import describe_left_out
 from gonio_analysis.report import checks, verdict
 from gonio_analysis.report.text import difference, slug
 from gonio_analysis.result_records import (
@@ -283,9 +283,7 @@ def _spoken(ratio: float) -> str:
 
 
 def _notes(d: Dataset) -> list[str]:
-    notes = [_sentence(str(n)) for n in d.table.attrs.get("notes") or []]
-    known = " ".join(notes)
-    notes += [n for n in d.data.notes if n not in notes and not (n == UNSTATED and "no uncertainties" in known)]
+    notes = list(d.data.notes)
     fits = [f.fit for f in d.fitted.values()]
     notes += _shared(fits)
     if math.isnan(d.wavelength_nm) and any(not math.isnan(f.wavelength_nm) for f in fits):
@@ -326,11 +324,6 @@ def _shared(fits: list[FitResult]) -> list[str]:
         for n in fits[0].notes
         if all(n in f.notes for f in fits[1:]) and len(fits) > 1 and n not in fits[0].data.notes
     ]
-
-
-def _sentence(text: str) -> str:
-    text = text[:1].upper() + text[1:]
-    return text if text.endswith((".", "!", "?")) else text + "."
 
 
 def _angle(radians: float) -> float:

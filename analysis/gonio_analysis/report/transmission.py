@@ -12,7 +12,7 @@ import numpy as np
 from gonio_analysis.curves.in_plane import Curve, labels
 from gonio_analysis.curves.line import Line
 from gonio_analysis.plots import in_plane, two_sides
-from gonio_analysis.report.blocks import Block, Figures, Heading, Notes, facts, table
+from gonio_analysis.report.blocks import Block, Figures, Heading, Notes, facts, notes, table
 from gonio_analysis.report.figures import LEGEND_ROW_IN, Drawing, Figure, legend
 from gonio_analysis.report.text import number, with_u
 from gonio_analysis.result_records import Reflectance, TransmissionSummary
@@ -60,6 +60,7 @@ def section(
         rows.append(("wavelength", f"{t.wavelength_nm:g} nm"))
     rows.append(("BTDF", f"{number(t.btdf_min)} to {number(t.btdf_max)} sr⁻¹"))
     out: list[Block] = [Heading(3, title), facts(rows)]
+    out += [notes(t.notes)] if t.notes else []
     known = [r for r in t.tau_dh if r.rho_dh is not None]
     if known:
         own = [_same_incidence(k, rho_dh) for k in known]

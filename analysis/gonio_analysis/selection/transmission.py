@@ -56,6 +56,7 @@ class Transmitted:
             btdf_min=float(at.brdf.min()),
             btdf_max=float(at.brdf.max()),
             tau_dh=self.tau_dh,
+            notes=list(at.notes) if self.source else [],
         )
 
 

@@ -169,7 +169,9 @@ def test_a_solid_colour_has_a_flop_index_of_zero_with_an_uncertainty() -> None:
 def test_without_a_spectrum_there_is_neither_a_colour_nor_a_lightness(waves: tuple[float, ...], words: str) -> None:
     """One wavelength of a metal near its mirror direction had L* = 192."""
     directions = plane(45.0, np.array([60.0, 30.0, 0.0, -65.0]))
-    sample = of_table(measured(HeTorrance(sigma0_um=0.28, tau_um=1.77, ior="Al"), directions, waves=waves), name="metal")
+    sample = of_table(
+        measured(HeTorrance(sigma0_um=0.28, tau_um=1.77, ior="Al"), directions, waves=waves), name="metal"
+    )
     for c in sample.lab:
         assert c.L.value is c.a.value is c.b.value is None
         assert "steps of at most 20 nm" in known_words(c.L.why)
