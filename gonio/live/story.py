@@ -67,7 +67,7 @@ class Story:
     why: dict[str, str] = field(default_factory=dict)
     """For what the run waits, by rule."""
     visits_s: dict[int, float] = field(default_factory=dict)
-    """When each visit to the reference was written down [s since 1970], by its step."""
+    """When each visit to the reference was taken [s, rig's clock], by its step."""
     stopped: str = ""
     """How it came to its end, or ""."""
     took_s: float | None = None
@@ -133,7 +133,7 @@ class Story:
         number = int(event["step"])
         self._count(number, sys.intern(str(event.get("kind", ""))))
         if event.get("kind") == "reference":
-            self.visits_s[number] = at
+            self.visits_s[number] = rig_s(event)
         self.total = max(self.total, len(self.done))
         if self.sittings:
             self.sittings[-1].steps += 1
@@ -151,6 +151,7 @@ class Story:
         level = max((float(v) for v in levels.values()), default=0.0)
         out: dict[str, Any] = {
             "step": int(event["step"]),
+            "time_s": rig_s(event),
             "kind": event.get("kind"),
             "point": point,
             "flag": str(event.get("flag", "")),
@@ -242,6 +243,13 @@ def seconds(wall: Any) -> float:
         return 0.0
 
 
+def rig_s(event: Mapping[str, Any]) -> float:
+    """When a step was taken [s, rig's clock], which goes on from sitting to sitting; 0 where nothing says it."""
+    value = event.get("time_s")
+    known = isinstance(value, int | float) and math.isfinite(value)
+    return float(value) if known else 0.0
+
+
 def rounded(value: Any, digits: int) -> Any:
     """A number as JSON can hold it, in a few digits; what is none stays as it is."""
     if isinstance(value, bool) or not isinstance(value, int | float):
@@ -282,6 +290,11 @@ def said(event: Mapping[str, Any]) -> str:
     return str(message) if message else plain(rest)
 
 
+def _with_u(value: Any, u: Any) -> str:
+    known = all(isinstance(x, int | float) and math.isfinite(x) for x in (value, u))
+    return shown.value(value, u) if known else plain(value)
+
+
 REASONS = {
     "spent_s": "rig time so far",
     "batch_s": "rig time of these",
@@ -305,7 +318,7 @@ def reasons(why: Any) -> list[str]:
     fit, u = rest.get("fit"), rest.get("u")
     if isinstance(fit, Mapping) and isinstance(u, Mapping):
         del rest["fit"], rest["u"]
-        out = [f"{name}: {shown.value(value, u.get(name))}" for name, value in fit.items()]
+        out = [f"{name}: {_with_u(value, u.get(name))}" for name, value in fit.items()]
     for key, value in rest.items():
         if isinstance(value, list | tuple) and any(isinstance(row, list | tuple) for row in value):
             continue

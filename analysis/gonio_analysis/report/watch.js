@@ -50,8 +50,8 @@
   function take(event) {
     if (event.event === "step") {
       steps += 1;
-      if (!event.wall) return; // of very many steps the least is told
-      const t = Date.parse(event.wall) / 3.6e6;
+      if (event.time_s === undefined) return; // of very many steps the least is told
+      const t = event.time_s / 3600; // of the rig: in simulation hours pass in minutes, and a run may rest for days
       if (event.kind !== "dark") levels.push([t, event.level]);
       for (const [device, quantity, value, unit] of event.health || []) {
         if (typeof value !== "number" || unit === "deg") continue;
@@ -140,7 +140,7 @@
     const power = 10 ** Math.floor(Math.log10(distance)), part = distance / power;
     return power * (part >= 5 ? 5 : part >= 2 ? 2 : 1);
   }
-  /** Series against time [h]: { name, points: [[t, value, u?]] }; `dots` where each value stands for itself. */
+  /** Series against the rig's time [h]: { name, points: [[t, value, u?]] }; `dots` where each value stands for itself. */
   function chart(root, series, { show = (v) => String(Number(v.toPrecision(3))), dots = false, floor = null, ceiling = null } = {}) {
     const every = series.flatMap((s) => s.points);
     root.replaceChildren();
@@ -167,8 +167,7 @@
       svg(root, "text", { x: left - 5, y: y(v) + 4, "text-anchor": "end" }, show(v));
     }
     const length = (to - from) * 3600;
-    svg(root, "text", { x: left, y: 122 }, time(from * 3.6e6));
-    svg(root, "text", { x: right, y: 122, "text-anchor": "end" }, `after ${duration(length)}`);
+    if (to > from) svg(root, "text", { x: right, y: 122, "text-anchor": "end" }, `after ${duration(length)} of the rig's time`);
     series.forEach((s, k) => {
       const colour = COLOURS[k % 6], points = thin(s.points);
       if (dots) {
@@ -221,7 +220,8 @@
       text("level-says", `${(100 * shown.level).toFixed(0)} % in ${Number(shown.exposure_s.toPrecision(3))} s${full}`);
     }
     if (step) {
-      const axes = Object.entries(step.pose_deg).map(([name, value]) => {
+      const has = run.limits_deg || step.pose_deg; // a pose has fields for axes that a rig may lack
+      const axes = Object.entries(step.pose_deg).filter(([name]) => name in has).map(([name, value]) => {
         const box = document.createElement("div"), label = document.createElement("span"), b = document.createElement("b");
         [label.textContent, b.textContent] = [name, degrees(value)];
         box.append(label, b);

@@ -73,7 +73,7 @@ def so_far(
         The four angles of each point that was asked for. Values are drawn there: what the encoders read is up to some
         tenths of a degree beside it, and a curve must not change its name with every value.
     visits_s
-        When the visits to the reference were written down [s since 1970], by their steps.
+        When the visits to the reference were taken [s, rig's clock], by their steps.
     behind
         How many steps are not reduced yet.
     """

@@ -117,7 +117,7 @@ def test_why_points_were_chosen_is_said_in_words() -> None:
         *("scatter over what was expected: 1.27", "rig time of these: 32 s"),
     ]
     fit = {"fit": {"sigma0_um": 0.279972, "tau_um": 1.76947}, "u": {"sigma0_um": 0.00084}, "mode": "parameters"}
-    assert reasons(fit) == ["sigma0_um: 0.28 ± 0.00084", "tau_um: 1.769", "mode: parameters"]
+    assert reasons(fit) == ["sigma0_um: 0.27997 ± 0.00084", "tau_um: 1.769", "mode: parameters"]
     assert reasons("so") == ["so"]
     assert reasons(None) == reasons({}) == []
     met = {"event": "enough", "met": True, "message": "enough: curve known to 1 %", "why": curve}
@@ -163,3 +163,13 @@ def test_durations(length: float, words: str) -> None:
 def test_a_time_that_is_none_is_the_beginning_of_time() -> None:
     assert seconds("yesterday") == seconds(None) == 0.0
     assert seconds(wall(5.0)) == BEGAN + 5.0
+
+
+def test_visits_and_steps_stand_at_the_rig_s_time(told: Told) -> None:
+    """A simulated hour passes in a second, and a run that is gone on with rests for days: neither is the lamp's time."""
+    told.step(5, 41.0, "reference", time_s=1810.0)
+    told.take("session", 86_000.0, steps=10, left=4, gonio="1")
+    event = told.step(6, 86_001.0, "reference", time_s=3620.5)
+    assert told.story.visits_s == {1: 0.0, 5: 1810.0, 6: 3620.5}
+    assert event["time_s"] == 3620.5
+    assert told.step(7, 86_002.0, time_s="soon")["time_s"] == 0.0

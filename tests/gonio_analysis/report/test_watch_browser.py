@@ -14,11 +14,13 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from gonio_analysis.commands.watching import Shown
 
 from gonio.acquisition import repair
 from gonio.acquisition.journal import encode
+from gonio.acquisition.run import Run
 from gonio.live.server import Server
 from tests.browser import CHROMIUM, Page, browser
 from tests.gonio.live.runs import Played, measured
@@ -109,6 +111,16 @@ def test_a_run_is_waited_for_and_shown_as_it_is_measured(page: Page, played: Pla
         assert page.run("gonioWatch.steps") == 24
         page.until("document.querySelectorAll('#curves .stage g > [transform]').length === 12")
         page.until("document.querySelectorAll('#map circle[stroke]').length === 10")  # of one angle of incidence
+        named = page.run("[...document.querySelectorAll('#axes span')].map((n) => n.textContent).join()")
+        assert named.split(",") == list(Run.open(played.path).description.axes()), "no axis that the rig lacks"
+        events = [json.loads(line) for line in played.lines]
+        visits = np.array([e["time_s"] for e in events if e.get("kind") == "reference"])
+        page.until(f"document.querySelectorAll('#drift circle').length >= {len(visits)}")
+        drawn = page.run("[...document.querySelectorAll('#drift circle')].map((c) => Number(c.getAttribute('cx')))")
+        drawn = drawn[: len(visits)]  # the first band's; the others' come after it
+        share = (np.array(drawn) - drawn[0]) / (drawn[-1] - drawn[0])
+        # the rig's time, whatever the clock on the wall said; numbers of the page have a dozen digits
+        np.testing.assert_allclose(share, (visits - visits[0]) / (visits[-1] - visits[0]), atol=1e-6)
 
 
 @pytest.mark.parametrize("width", [390, 1280])
