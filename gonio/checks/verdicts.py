@@ -163,7 +163,7 @@ def of_energy(found: Sequence[Hemispherical]) -> Check:
     above, worst = max(known, key=lambda one: one[0])
     rho = above + 1.0
     verdict: Verdict = "ok" if above <= 0.0 else "bad" if above > ENERGY_SIGMA * worst.u else "look"
-    figure = f"reflectance at most {with_u(rho, worst.u)} (at {worst.theta_i_deg:.3g}° incidence)"
+    figure = f"reflectance at most {with_u(rho, worst.u)} (at {round(worst.theta_i_deg, 1):g}° incidence)"
     return Check(name, verdict, rho, figure, "1; more than two standard uncertainties above it is bad")
 
 

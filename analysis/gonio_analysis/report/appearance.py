@@ -62,8 +62,8 @@ class Listed:
     after: str
 
 
-def listed(a: Appearance) -> list[Listed]:
-    """Every quantity in words, in the order of a page."""
+def listed(a: Appearance, *, reflectances: bool = True) -> list[Listed]:
+    """Every quantity in words, in the order of a page; without reflectances by incidence where those stand elsewhere."""
     rows: list[tuple[str, Quantity, str]] = [
         (f"gloss at {angle}°", q, SOURCES["gloss"])
         for angle, q in ((20, a.gloss_20_gu), (60, a.gloss_60_gu), (85, a.gloss_85_gu))
@@ -72,7 +72,7 @@ def listed(a: Appearance) -> list[Listed]:
     rows.append(("haze at 18.1° and 21.9° for 20°", a.haze_e430_20, SOURCES["haze_20"]))
     rows.append(("haze at 28° and 32° for 30°", a.haze_e430_30, SOURCES["haze_30"]))
     rows.append(("reflectance at 8°", a.rho_dh_8, SOURCES["reflectance"]))
-    rows += [(f"ρ_dh at {q.theta_i_deg:g}°", q, SOURCES["reflectance"]) for q in a.rho_dh]
+    rows += [(f"ρ_dh at {q.theta_i_deg:g}°", q, SOURCES["reflectance"]) for q in a.rho_dh if reflectances]
     rows.append(("radiance factor 0:45", a.radiance_factor_0_45, SOURCES["factor"]))
     rows.append(("radiance factor 45:0", a.radiance_factor_45_0, SOURCES["factor"]))
     for r in a.retroreflection:
@@ -102,8 +102,9 @@ def block(a: Appearance) -> Table:
 
 def known(a: Appearance) -> Table | None:
     """Those of the quantities that have a value, for a page about something else; None where there are none."""
-    rows = [(one.label, one.value, one.remark, one.after) for one in listed(a) if one.value != "–"]
-    left = len(listed(a)) - len(rows)
+    every = listed(a, reflectances=False)  # a measurement's own stand among its checks
+    rows = [(one.label, one.value, one.remark, one.after) for one in every if one.value != "–"]
+    left = len(every) - len(rows)
     if not rows:
         return None
     caption = f"{left} further quantities do not follow from these values: gonio appearance says why." if left else ""

@@ -16,7 +16,7 @@ from gonio.checks.verdicts import Check
 from gonio_analysis.plots.in_plane import COLOURS, FAINT, clean
 from gonio_analysis.report.blocks import Block, Figures, Heading, Notes, Paragraph, Text, strong, table
 from gonio_analysis.report.figures import Drawing, Figure
-from gonio_analysis.report.text import number, with_u
+from gonio_analysis.report.text import angle, number, with_u
 from gonio_analysis.result_records import ChecksSummary, Reflectance
 
 KIND = "checks"
@@ -86,9 +86,7 @@ def section(c: ChecksSummary | None, rho: Sequence[Reflectance], figures: Sequen
         known = any(r.u_values is not None for r in own)
         head = ["θi", "rho_dh", "u of the values, full covariance", "the same, points independent", "u of the sampling"]
         parts = [(r.u_values, r.u_independent, r.u_sampling) for r in own]
-        body = [
-            [f"{r.theta_i_deg:.3g}°", with_u(r.rho_dh, r.u), *map(_u, us)] for r, us in zip(own, parts, strict=True)
-        ]
+        body = [[angle(r.theta_i_deg), with_u(r.rho_dh, r.u), *map(_u, us)] for r, us in zip(own, parts, strict=True)]
         words = (
             "Directional-hemispherical reflectance of the measurement itself. The standard uncertainty that the values"
             " give it, with their full covariance, stands beside the one that they would give were all points"
@@ -105,7 +103,9 @@ def section(c: ChecksSummary | None, rho: Sequence[Reflectance], figures: Sequen
 def in_words(c: ChecksSummary) -> str:
     """How many are fine, and which are not."""
     counts = Counter(one.verdict for one in c.checks)
-    parts = [f"{counts['ok']} of {len(c.checks)} checks are ok"]
+    told = len(c.checks) - counts["not told"]
+    ok = f"{counts['ok']} of {told} checks {'is' if counts['ok'] == 1 else 'are'} ok"
+    parts = [ok if told else "No check is told"]
     for verdict, words in (("bad", "bad"), ("look", "worth a look"), ("not told", "not told by these values")):
         names = [one.name for one in c.checks if one.verdict == verdict]
         parts += [f"{words}: {', '.join(names)}"] if names else []

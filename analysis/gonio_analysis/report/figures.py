@@ -30,6 +30,8 @@ FONTS = "'DejaVu Sans', Verdana, 'Segoe UI', sans-serif"
 PNG_DPI = 160
 PANEL_PT = 335.0
 """Width of a panel over the angle."""
+SERIES_COLUMNS = 2
+"""Panels of parameters beside each other: more leave no room for the numbers of their axes."""
 LEGEND_ROW_IN = 0.19
 OVERLAY_IN = 1.55
 """Height of a row of panels in which all models stand together."""
@@ -393,13 +395,18 @@ def _series(facts: DatasetSummary, model: str, f: Fitted) -> Drawing:
         " than the panel are not drawn)."
     )
     on = partial(_on_series, x=x, values=values)
-    return Drawing(f"{facts.slug}-series-{slug(model)}", "series", model, caption, caption, (5.6, 1.9), on)
+    size = (5.6, 0.35 + 1.55 * -(-len(values) // SERIES_COLUMNS))
+    return Drawing(f"{facts.slug}-series-{slug(model)}", "series", model, caption, caption, size, on)
 
 
 def _on_series(figure: Any, *, x: Any, values: dict[str, Floats]) -> None:
-    axes = figure.subplots(1, len(values), squeeze=False)[0]
-    figure.subplots_adjust(0.1, 0.26, 0.985, 0.87, wspace=0.42)
-    for k, (ax, (name, found)) in enumerate(zip(axes, values.items(), strict=True)):
+    columns = min(len(values), SERIES_COLUMNS)
+    axes = figure.subplots(-(-len(values) // columns), columns, squeeze=False).ravel()
+    high = figure.get_figheight()
+    figure.subplots_adjust(0.1, 0.48 / high, 0.985, 1 - 0.25 / high, wspace=0.3, hspace=0.75)
+    for ax in axes[len(values) :]:
+        ax.set_axis_off()
+    for k, (ax, (name, found)) in enumerate(zip(axes, values.items(), strict=False)):
         y, u = found.T
         span = float(np.ptp(y)) or float(np.abs(y).max()) or 1.0
         u = np.where(np.isfinite(u) & (u < 2 * span), u, 0.0)

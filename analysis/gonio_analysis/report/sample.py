@@ -39,7 +39,7 @@ from gonio_analysis.report.blocks import (
     table,
 )
 from gonio_analysis.report.figures import Figure
-from gonio_analysis.report.text import cause, difference, meaning, number, percent, with_u
+from gonio_analysis.report.text import angle, cause, difference, meaning, number, percent, with_u
 from gonio_analysis.report.viewer import View
 from gonio_analysis.result_records import DatasetSummary, ModelSummary, ParameterSummary, RunFacts, Summary
 
@@ -66,8 +66,9 @@ def section(s: Summary, d: DatasetSummary, figures: Sequence[Figure], view: View
     out += model_choice.section(d.choice, d.wavelength_nm if shared else None)
     values = "Simulated values" if d.simulated else "Measured values"
     out += [Heading(3, "Models"), _models(d)] if d.models else [Heading(3, values), _values(d)]
-    if d.skipped:
-        out.append(Notes(tuple((strong(m), f" was not fitted: {why}") for m, why in d.skipped.items())))
+    skipped = {m: why for m, why in d.skipped.items() if len(d.choice.candidates) < 2 or m not in d.choice.left_out}
+    if skipped:
+        out.append(Notes(tuple((strong(m), f" was not fitted: {why}") for m, why in skipped.items())))
     out += _energy(d)
     if "polar" in by:
         out += [Heading(3, "In the plane of incidence, normalised"), _polar_words(s, d)]
@@ -233,7 +234,7 @@ def _energy(d: DatasetSummary) -> list[Block]:
     why: dict[str, list[str]] = {}
     for r in d.rho_dh:
         if r.why:
-            why.setdefault(r.why, []).append(f"{r.theta_i_deg:.3g}°")
+            why.setdefault(r.why, []).append(angle(r.theta_i_deg))
     for reason, angles in why.items():
         where = f"at θi = {', '.join(dict.fromkeys(angles))}" if len(angles) <= 8 else f"at {len(angles)} incidences"
         said.append(f"The measurement's own rho_dh {where}: {reason}.")
@@ -288,7 +289,11 @@ def _parameters(d: DatasetSummary) -> list[Block]:
             value += f" ({e.material})" if e.material else ""
             rows.append((label, code(p), value, kind, _strongest(f, p)))
             label = ""
-    remarks = [(m, n) for m, f in d.models.items() for n in f.notes if n not in d.notes + d.data_notes]
+    remarks: dict[str, list[str]] = {}
+    for m, f in d.models.items():
+        for n in f.notes:
+            if n not in d.notes + d.data_notes:
+                remarks.setdefault(n, []).append(m)
     whitened = any(f.chi_square is not None for f in d.models.values())
     caption = (
         "Standard errors come from the scatter of the residuals"
@@ -299,7 +304,7 @@ def _parameters(d: DatasetSummary) -> list[Block]:
         else "Standard errors are those of least squares with the stated covariance; they are not scaled by χ²."
     )
     out: list[Block] = [table(caption, ["model", "parameter", "value", "", "strongest correlation"], rows)]
-    return [*out, Notes(tuple((strong(m), f": {n}") for m, n in remarks))] if remarks else out
+    return [*out, Notes(tuple((strong(", ".join(of)), f": {n}") for n, of in remarks.items()))] if remarks else out
 
 
 def _value(d: DatasetSummary, model: str, parameter: str, e: ParameterSummary) -> str:

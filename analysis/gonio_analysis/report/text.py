@@ -59,6 +59,11 @@ def cause(name: str) -> str:
     return words.replace("theta i ", "θi ").replace("theta r ", "θr ")
 
 
+def angle(deg: float) -> str:
+    """An angle as a page has it, in tenths of a degree: what an encoder reads beside it is no other incidence."""
+    return f"{round(deg, 1) + 0.0:g}°".replace("-", "−")
+
+
 def unit(symbol: str) -> str:
     """A unit as a page has it."""
     return {"um": "µm", "deg": "°"}.get(symbol, symbol)

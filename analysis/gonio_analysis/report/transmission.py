@@ -14,7 +14,7 @@ from gonio_analysis.curves.line import Line
 from gonio_analysis.plots import in_plane, two_sides
 from gonio_analysis.report.blocks import Block, Figures, Heading, Notes, facts, notes, table
 from gonio_analysis.report.figures import LEGEND_ROW_IN, Drawing, Figure, legend
-from gonio_analysis.report.text import number, with_u
+from gonio_analysis.report.text import angle, number, with_u
 from gonio_analysis.result_records import Reflectance, TransmissionSummary
 from gonio_analysis.selection.transmission import Transmitted
 
@@ -70,7 +70,7 @@ def section(
                 " rho_dh is the measurement's own reflectance at that incidence.",
                 ["θi", "tau_dh", "rho_dh", "both"],
                 [
-                    [f"{k.theta_i_deg:.3g}°", with_u(k.rho_dh, k.u), *_beside(k, r)]
+                    [angle(k.theta_i_deg), with_u(k.rho_dh, k.u), *_beside(k, r)]
                     for k, r in zip(known, own, strict=True)
                 ],
                 right=(1, 2, 3),
@@ -79,7 +79,7 @@ def section(
     why: dict[str, list[str]] = {}
     for r in t.tau_dh:
         if r.why:
-            why.setdefault(r.why, []).append(f"{r.theta_i_deg:.3g}°")
+            why.setdefault(r.why, []).append(angle(r.theta_i_deg))
     if why:
         out.append(
             Notes(

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 
 from gonio_analysis.fitting.metrics import DESCRIPTIONS
-from gonio_analysis.report.text import difference, number, with_u
+from gonio_analysis.report.text import angle, difference, number, with_u
 from gonio_analysis.result_records import Reflectance, SymmetrySummary
 from gonio_analysis.selection.energy import ABOVE_ONE
 from gonio_analysis.selection.misfit_regions import FEWEST, Region
@@ -108,7 +108,7 @@ def too_bright(found: Mapping[str, Sequence[Reflectance]], best: str) -> str:
     if not worst:
         return ""
     said = [
-        f"{m} (rho_dh = {with_u(r.rho_dh, r.u)} at θi = {r.theta_i_deg:.0f}°)"
+        f"{m} (rho_dh = {with_u(r.rho_dh, r.u)} at θi = {angle(r.theta_i_deg)})"
         for m, r in sorted(worst.items(), key=lambda item: item[0] != best)
     ]
     verb = "reflects more than it receives" if len(said) == 1 else "reflect more than they receive"
@@ -119,7 +119,7 @@ def reflectances(model: str, found: Sequence[Reflectance]) -> str:
     """rho_dh of one model as a line, with a word on what is above 1; "" where there is none."""
     if not found:
         return ""
-    line = ", ".join(f"{with_u(r.rho_dh, r.u)} at {r.theta_i_deg:.3g}°" for r in found)
+    line = ", ".join(f"{with_u(r.rho_dh, r.u)} at {angle(r.theta_i_deg)}" for r in found)
     return f"rho_dh, by angle of incidence: {line}. {too_bright({model: found}, model)}".rstrip()
 
 

@@ -63,7 +63,7 @@ def test_the_page_shows_the_interval_alone_where_linearisation_fails() -> None:
     wrong = replace(facts.choice.intervals["k_s"], low=0.01, high=9.0, linear=False)
     facts = replace(facts, choice=replace(facts.choice, intervals=facts.choice.intervals | {"k_s": wrong}))
     words = fitted_words(facts, "phong", facts.models["phong"])
-    assert "95 % interval 0.0100 to 9.00" in words
+    assert "95 % interval 0.01 to 9.00" in words
     assert "±" not in words.partition("k_s")[2].partition("exponent")[0]
     assert "±" in words.partition("exponent")[2]
 
