@@ -62,7 +62,7 @@ def interval(low: float, high: float, value: float) -> tuple[str, str, str]:
     if not math.isfinite(width) or width <= SHARPEST * max(abs(low), abs(high)):
         return number(low, 5), number(high, 5), number(value, 5)
     nearer = min((end for end in (value - low, high - value) if end > width * SHARPEST), default=width)
-    first_digits = (10.0 * abs(end) for end in (low, high) if abs(end) > 1e-3 * width)  # an end above 0 looks so
+    first_digits = (10.0 * abs(end) for end in (low, high) if abs(end) > 1e-4 * width)  # an end above 0 looks so
     words, power = _alike((low, high, value), min(max(nearer, width / 100), *first_digits))
     first, second, third = (word + power if one else "0" for word, one in zip(words, (low, high, value), strict=True))
     return first, second, third

@@ -350,7 +350,7 @@ def notes_on_camera(frames: RunFrames) -> list[str]:
 
 
 def said_once(bands: list[tuple[str, list[str]]]) -> list[str]:
-    """Notes of bands, each said once: with the names of all its bands where they say the same, else as the first has it.
+    """Notes of bands, each said once: with the names of all that say the same, else as the first has it.
 
     Notes are alike where they differ in numbers alone; their order is that of their first band.
     """

@@ -63,7 +63,7 @@ class Listed:
 
 
 def listed(a: Appearance, *, reflectances: bool = True) -> list[Listed]:
-    """Every quantity in words, in the order of a page; without reflectances by incidence where those stand elsewhere."""
+    """Every quantity in words, in the order of a page; those by incidence may stand elsewhere."""
     rows: list[tuple[str, Quantity, str]] = [
         (f"gloss at {angle}°", q, SOURCES["gloss"])
         for angle, q in ((20, a.gloss_20_gu), (60, a.gloss_60_gu), (85, a.gloss_85_gu))

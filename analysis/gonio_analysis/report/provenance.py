@@ -76,8 +76,8 @@ def _reference(band: Mapping[str, Any]) -> str:
     steady = "on a straight line" if band["straight"] else "on no straight line"
     steady = "that tell no drift" if slope is None else steady
     return (
-        f"{band['band']}: BRDF {number(band['brdf'], 4)} sr⁻¹{_known(band)}; {band['visits']} visits {steady} (chi-square "
-        f"{number(band['chi_square'])}); level {number(level, 4)} electrons a second and steradian, known to "
+        f"{band['band']}: BRDF {number(band['brdf'], 4)} sr⁻¹{_known(band)}; {band['visits']} visits {steady} "
+        f"(chi-square {number(band['chi_square'])}); level {number(level, 4)} electrons a second and steradian, known to "
         f"{percent(band['u_level_rel'])}; drift {drift}; frames of one step scatter as the noise "
         f"model says, times {number(band['frame_scatter'])} in variance"
     )

@@ -83,7 +83,7 @@ def _sittings(run: Run) -> tuple[list[_Sitting], list[tuple[float, _Sitting]]]:
 
 
 def account(folder: Path) -> list[dict[str, Any]]:
-    """What the visits to the reference said, a band each, as the reduction of the run has left it; nothing before it is reduced."""
+    """What the visits to the reference said, a band each, as the reduction has left it; nothing before it."""
     try:
         meta = json.loads((folder / "brdf.meta.json").read_text(encoding="utf-8"))
     except (OSError, ValueError):

@@ -166,7 +166,7 @@ def test_a_time_that_is_none_is_the_beginning_of_time() -> None:
 
 
 def test_visits_and_steps_stand_at_the_rig_s_time(told: Told) -> None:
-    """A simulated hour passes in a second, and a run that is gone on with rests for days: neither is the lamp's time."""
+    """A simulated hour passes in a second, and a run may rest for days: neither is the lamp's time."""
     told.step(5, 41.0, "reference", time_s=1810.0)
     told.take("session", 86_000.0, steps=10, left=4, gonio="1")
     event = told.step(6, 86_001.0, "reference", time_s=3620.5)
