@@ -61,7 +61,7 @@ def section(found: BudgetFacts, figures: Sequence[Figure]) -> list[Block]:
     rows += [
         [cause(p.cause), _percent(p.median), _percent(p.largest), _percent(p.share), "common" if p.common else "own",
          meaning(p.cause, common=p.common)]
-        for p in found.parts
+        for p in found.parts if p.largest > 0.0
     ]  # fmt: skip
     head = ["cause", "median u / f", "largest", "share of variance", "kind", "what it is"]
     out: list[Block] = [
@@ -74,7 +74,7 @@ def section(found: BudgetFacts, figures: Sequence[Figure]) -> list[Block]:
         )
     ]
     words = (
-        f"Expanded uncertainty (k = 2) of the {found.values} values in this budget: median"
+        f"Expanded uncertainty (k = 2) of the {found.values} values in this budget, those beyond 3 u: median"
         f" {percent(2 * found.median)}, largest {percent(2 * found.highest)}. Apart from the certificate of the white"
         f" reference: median {percent(2 * found.median_apart)}, largest {percent(2 * found.highest_apart)}."
     )
@@ -85,6 +85,9 @@ def section(found: BudgetFacts, figures: Sequence[Figure]) -> list[Block]:
             f" {found.coarse} values lie beside a lobe that the plan's steps do not resolve (coarse in budget.csv):"
             " their uncertainty is that of the steepest lobe that the data allow."
         )
+    nothing = [cause(p.cause) for p in found.parts if p.largest <= 0.0]
+    if nothing:
+        words += f" Budgeted, and without a part in these values: {', '.join(nothing)}."
     out.append(Paragraph(words))
     if found.monte_carlo:
         out.append(Paragraph(f"Checked by drawing the inputs: {found.monte_carlo}."))

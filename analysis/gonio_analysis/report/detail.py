@@ -16,7 +16,7 @@ from gonio_analysis.curves.line import Line
 from gonio_analysis.fitting.forward import NO_WAVELENGTH_NM, seen
 from gonio_analysis.fitting.profile_likelihood import Interval
 from gonio_analysis.plots import diagnostics, in_plane, maps, thinning
-from gonio_analysis.report.figures import LEGEND_ROW_IN, PANEL_PT, Drawing, bars, budget_height, largest
+from gonio_analysis.report.figures import LEGEND_ROW_IN, PANEL_PT, SEEN, Drawing, bars, budget_height, largest
 from gonio_analysis.report.text import cause, number, unit
 from gonio_analysis.result_records import DatasetSummary
 from gonio_analysis.selection.compare import Dataset
@@ -197,7 +197,7 @@ def _budget(d: Dataset, facts: DatasetSummary, most: int) -> Drawing:
     assert d.data.covariance is not None
     names = labels(d.curves)
     shown = [(d.curves[k], names[k]) for k in _evenly(len(d.curves))]
-    common = largest([p.median for p in facts.budget[2:]])
+    common = [k for k in largest([p.median for p in facts.budget[2:]]) if facts.budget[2 + k].p95 >= SEEN]
     legend = [cause(d.data.covariance.causes[k]) for k in common]
     entries = [(part, diagnostics.look(k)) for k, part in enumerate(["combined", "random", *legend])]
     # every cause is a line over the same angles

@@ -15,7 +15,7 @@ import numpy as np
 from gonio.typing import Floats
 from gonio_analysis.curves.line import Line
 from gonio_analysis.plots import diagnostics, in_plane, thinning
-from gonio_analysis.report.text import cause, number, slug
+from gonio_analysis.report.text import cause, number, percent, slug
 from gonio_analysis.result_records import DatasetSummary
 from gonio_analysis.selection.compare import Dataset, Fitted
 
@@ -30,6 +30,8 @@ FONTS = "'DejaVu Sans', Verdana, 'Segoe UI', sans-serif"
 PNG_DPI = 160
 PANEL_PT = 335.0
 """Width of a panel over the angle."""
+SEEN = 1e-5
+"""A cause whose 95th percentile is a smaller share of the value has no bar to be seen."""
 SERIES_COLUMNS = 2
 """Panels of parameters beside each other: more leave no room for the numbers of their axes."""
 LEGEND_ROW_IN = 0.19
@@ -357,12 +359,15 @@ def largest(medians: list[float]) -> list[int]:
 
 
 def _budget(facts: DatasetSummary) -> Drawing:
-    every = [(cause(p.cause), p.median, p.p95) for p in facts.budget]
+    named = [(cause(p.cause), p.median, p.p95) for p in facts.budget]
+    every = named[:2] + [part for part in named[2:] if part[2] >= SEEN]
     parts = every[:2] + [every[2:][k] for k in largest([p[1] for p in every[2:]])]
     caption = (
         "Uncertainty budget: standard uncertainty by cause, relative to the value. Bar: median over the values; tick:"
         " 95th percentile. Values within 3 u of zero are left out."
     )
+    if len(every) < len(named):
+        caption += f" Causes below {percent(SEEN)} have no bar."
     if len(parts) < len(every):
         caption += f" The {len(parts) - 2} largest of {len(every) - 2} common causes."
     alt = "Uncertainty by cause. " + " ".join(

@@ -77,7 +77,7 @@ def _reference(band: Mapping[str, Any]) -> str:
     steady = "that tell no drift" if slope is None else steady
     return (
         f"{band['band']}: BRDF {number(band['brdf'], 4)} sr⁻¹{_known(band)}; {band['visits']} visits {steady} "
-        f"(chi-square {number(band['chi_square'])}); level {number(level, 4)} electrons a second and steradian, known to "
-        f"{percent(band['u_level_rel'])}; drift {drift}; frames of one step scatter as the noise "
+        f"(chi-square {number(band['chi_square'])}); level {number(level, 4)} electrons a second and steradian,"
+        f" known to {percent(band['u_level_rel'])}; drift {drift}; frames of one step scatter as the noise "
         f"model says, times {number(band['frame_scatter'])} in variance"
     )
