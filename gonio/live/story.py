@@ -246,8 +246,7 @@ def seconds(wall: Any) -> float:
 def rig_s(event: Mapping[str, Any]) -> float:
     """When a step was taken [s, rig's clock], which goes on from sitting to sitting; 0 where nothing says it."""
     value = event.get("time_s")
-    known = isinstance(value, int | float) and math.isfinite(value)
-    return float(value) if known else 0.0
+    return float(value) if isinstance(value, int | float) and math.isfinite(value) else 0.0
 
 
 def rounded(value: Any, digits: int) -> Any:

@@ -197,7 +197,12 @@
     }
 
     label() {
-      return this.norm === "none" ? "BRDF [1/sr]" : `BRDF / ${NORMS.find(([key]) => key === this.norm)[1]}`;
+      if (this.norm === "none") return "BRDF [1/sr]";
+      const curves = this.data.waves[this.wave].curves.filter((curve) => this.labels.has(curve.label));
+      const without = curves.filter((curve) => curve.series.some((s) => this.series.has(s.name) && !s.by[this.norm]));
+      const largest = this.norm === "mirror" && without.length;
+      const some = largest ? `; ${without.length} of ${curves.length} curves: / largest in-plane value` : "";
+      return `BRDF / ${NORMS.find(([key]) => key === this.norm)[1]}${some}`;
     }
 
     /** Lines, error bars and markers through `place`: (angle, value) -> [x, y], or null for what cannot be shown. */
