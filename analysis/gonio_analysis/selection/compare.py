@@ -280,9 +280,10 @@ def _fitted(result: FitResult, shown: list[Curve], normalise: Normalise, series:
     drawn = []
     for curve, label in zip(shown, labels(shown), strict=True):
         angle = theory_angles(curve, data)
-        residual = (
-            result.whitened[curve.rows] if result.goal.whitened else result.predicted[curve.rows] / curve.brdf - 1.0
-        )
+        if result.goal.whitened:
+            residual = result.whitened[curve.rows]
+        else:  # a value of 0 has no ratio
+            residual = result.predicted[curve.rows] / np.where(curve.brdf == 0.0, np.nan, curve.brdf) - 1.0
         drawn.append(
             Drawn(
                 curve=curve,

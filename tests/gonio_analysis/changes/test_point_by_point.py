@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,8 @@ from gonio_analysis.changes.point_by_point import Change, Side, change, judge
 from gonio_analysis.changes.resampling import carry
 from gonio_analysis.fitting.observations import observations
 from gonio_analysis.fitting.value_covariance import Covariance
+from gonio_analysis.report import change_figures
+from gonio_analysis.report.figures import Drawing
 from scipy.special import ndtri
 
 from gonio import measurement
@@ -275,3 +278,20 @@ def test_unused_rows_are_looked_up_once_whatever_the_number_of_wavelengths(monke
     carried = carry(data, data, table)
     assert carried.rows.size == len(data) == len(table) - 2
     assert len(read) <= 10
+
+
+def _drawn(a: pd.DataFrame, b: pd.DataFrame) -> list[Drawing]:
+    found = change(side(a), side(b))
+    at = replace(found.at, brdf=found.value_a, rows=np.arange(len(found.at)))
+    return change_figures.draw(found, at, [], 550.0)
+
+
+def test_maps_hold_what_differs_and_has_a_ratio() -> None:
+    bare = measure(GLOSS, noise=0.01)
+    bare[["u_brdf", "u_random"]] = np.nan
+    other = bare.copy()
+    other["brdf"] *= 1.1
+    other.loc[other.index[:3], "brdf"] = [-1e-6, 0.0, -2e-6]  # they had the colour of no change
+    (plane,) = _drawn(bare, other)
+    assert "3 directions, in which A or B is not above 0, have no logarithm" in plane.caption
+    assert _drawn(bare, bare.copy()) == []  # white everywhere: the headline says that they are alike

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from gonio_analysis.fitting.metrics import DESCRIPTIONS, metrics
+from gonio_analysis.fitting.metrics import DESCRIPTIONS, meaning, metrics
 
 from tests.gonio_analysis.synthetic import known
 
@@ -46,3 +46,11 @@ def test_nothing_above_the_noise() -> None:
     got = metrics(np.ones(2), np.ones(2), np.ones(2), np.full(2, 1.0))
     assert got["log_ratio"] is None
     assert got["log_cosine"] is None
+
+
+def test_a_metric_names_the_limit_that_it_had() -> None:
+    for name in ("log_ratio", "log_cosine", "relative"):
+        assert "values above 3 u" in meaning(name, known=True)
+        assert "values above 0" in meaning(name, known=False)
+        assert "3 u" not in meaning(name, known=False)
+    assert meaning("ngan", known=True) == meaning("ngan", known=False)

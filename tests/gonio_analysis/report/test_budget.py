@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import pytest
 from gonio_analysis.report import budget
+from gonio_analysis.report.blocks import Paragraph, Table
 from gonio_analysis.report.text import meaning
-from gonio_analysis.result_records import BudgetCurve
+from gonio_analysis.result_records import BudgetCurve, BudgetFacts, BudgetPart
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
@@ -39,3 +40,17 @@ def test_titles_of_the_panels_keep_clear_of_the_scales() -> None:
         (title,) = (t for t in (ax.title, ax._left_title) if t.get_text())  # type: ignore[attr-defined]
         box = title.get_window_extent().padded(float(title.get_fontsize()) * figure.dpi / 72)  # a letter around
         assert not [label.get_text() for label in shown if box.overlaps(label.get_window_extent())]
+
+
+def test_a_cause_without_a_part_has_no_row_of_zeros() -> None:
+    parts = [BudgetPart("noise", False, 0.004, 0.01, 0.9), BudgetPart("geometry", False, 0.0, 0.0, 0.0)]
+    facts = BudgetFacts(
+        wavelength_nm=550.0, values=57, median=0.004, highest=0.01, median_apart=0.004, highest_apart=0.01,
+        parts=parts, largest=["noise"], curves=[], nu_eff=None, coarse=0, left_out={}, monte_carlo=None,
+    )  # fmt: skip
+    found = budget.section(facts, [])
+    (rows,) = (block.rows for block in found if isinstance(block, Table))
+    assert [row[0] for row in rows] == ["combined", "noise"]
+    said = " ".join(str(block.text) for block in found if isinstance(block, Paragraph))
+    assert "57 values in this budget, those beyond 3 u" in said
+    assert "without a part in these values: geometry" in said

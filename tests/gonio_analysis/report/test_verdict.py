@@ -202,3 +202,11 @@ def test_the_column_of_misfits_says_what_it_ranks_by() -> None:
                 assert one.fails.words in cell.replace("\u00a0", " ")
                 assert ("of it" in cell) == (one.reduced_chi_square is not None)
         assert any(cells)
+
+
+def test_a_value_of_zero_does_not_make_a_table_silent() -> None:
+    frame = measure(PAINT, noise=0.03)
+    frame.loc[frame.index[0], "brdf"] = 0.0
+    facts = headline(frame, "lambert", metric="log")
+    assert facts.uncertainty_stated
+    assert facts.median_u_rel == pytest.approx(0.03, rel=0.05)  # the floor adds a little to the noise
