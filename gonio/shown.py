@@ -1,4 +1,4 @@
-"""How results show themselves at a prompt and in a notebook."""
+"""Numbers in words, with their uncertainties, and how results show themselves at a prompt and in a notebook."""
 
 from __future__ import annotations
 

@@ -231,8 +231,7 @@ def _absolute(d: Dataset, facts: DatasetSummary, names: Sequence[str], most: int
     data = d.data
     at = data.directions[rest]
     with np.errstate(divide="ignore"):
-        here = data.brdf[rest]
-        values = f.fit.whitened[rest] if stated else f.fit.predicted[rest] / np.where(here == 0.0, np.nan, here) - 1.0
+        values = f.fit.whitened[rest] if stated else f.fit.predicted[rest] / data.brdf[rest] - 1.0
     angle = (at.swapped if d.curves and d.curves[0].scanned == "theta_i" else at).signed
     top = thinning.on_logarithm(lines, PANEL_PT, 0.6 * PANEL_PT, most)
     low = thinning.of_residuals(lines, PANEL_PT, 0.25 * PANEL_PT, most)

@@ -282,8 +282,9 @@ def _fitted(result: FitResult, shown: list[Curve], normalise: Normalise, series:
         angle = theory_angles(curve, data)
         if result.goal.whitened:
             residual = result.whitened[curve.rows]
-        else:  # a value of 0 has no ratio
-            residual = result.predicted[curve.rows] / np.where(curve.brdf == 0.0, np.nan, curve.brdf) - 1.0
+        else:
+            with np.errstate(divide="ignore"):  # beside a value of 0 a model is infinitely far off
+                residual = result.predicted[curve.rows] / curve.brdf - 1.0
         drawn.append(
             Drawn(
                 curve=curve,
