@@ -9,6 +9,7 @@ import itertools
 import os
 import re
 import stat
+import sys
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from pathlib import Path
 
@@ -18,6 +19,8 @@ MANIFEST = "gonio.sha256"
 """The file of a folder that names what this program wrote there."""
 NOT_OWN = f"was not written by this version of gonio (as its {MANIFEST} tells), or was changed since"
 """Why a file is not replaced: versions that wrote no manifest left what nothing tells from a person's own files."""
+STDOUT = "-"
+"""The path that stands for standard output."""
 LONGEST_NAME, LONGEST_PATH = 255, 4000
 """Bytes that file systems take; the path leaves room for what is written below it."""
 
@@ -51,14 +54,39 @@ def read_file(path: str | Path) -> bytes:
 def write_whole(path: Path, data: bytes) -> None:
     """Write a file under a temporary name in its folder, sync it to the disk, and rename it.
 
+    What is no file (`is_stream`) is written to, and stays what it is.
+
     Raises
     ------
     OSError
         It cannot be written; what was there before is there still, and nothing lies beside it.
     """
+    if is_stream(path):
+        if str(path) == STDOUT:
+            sys.stdout.buffer.write(data)
+            sys.stdout.flush()
+            return
+        with open(path, "wb", opener=lambda name, flags: os.open(name, flags & ~(os.O_CREAT | os.O_TRUNC))) as stream:
+            stream.write(data)
+        return
     staged = Staged(path, data)
     staged.sync()
     staged.settle()
+
+
+def is_stream(path: str | Path) -> bool:
+    """Whether a path is something to write to that no file can stand for: `-` (standard output), a pipe, a device.
+
+    What the system lists as open files of a process (as /dev/stdout) is one too, whatever it leads to.
+    """
+    if str(path) == STDOUT:
+        return True
+    try:
+        mode = os.stat(path).st_mode
+    except OSError:
+        return False
+    opened = os.path.islink(path) and os.readlink(path).startswith(("/proc/", "/dev/fd/"))
+    return opened or stat.S_ISFIFO(mode) or stat.S_ISCHR(mode)
 
 
 _STAGED = itertools.count()
@@ -70,13 +98,14 @@ class Staged:
     Raises
     ------
     OSError
-        It cannot be written; nothing lies beside it then.
+        It cannot be written, or something that is no file has its name; nothing lies beside it then.
     """
 
     __slots__ = ("_handle", "_temporary", "path")
 
     def __init__(self, path: str | Path, data: bytes) -> None:
-        self.path = path
+        self.path = os.path.realpath(path) if os.path.islink(path) else path  # a link stays one
+        self._require_file()
         number = f"{os.getpid()}{next(_STAGED):09d}"  # a file may be staged twice, and the later one counts
         folder, name = os.path.split(path)
         self._temporary = os.path.join(folder, f".{name}.{number}.new")
@@ -107,7 +136,19 @@ class Staged:
         with self._whole_or_gone():
             os.close(self._handle)
             self._handle = -1
+            self._require_file()
             os.replace(self._temporary, self.path)
+
+    def _require_file(self) -> None:
+        """Only a file is ever replaced: renamed over a device or a pipe, a file would stand in its place."""
+        try:
+            mode = os.lstat(self.path).st_mode
+        except FileNotFoundError:
+            return
+        if stat.S_ISDIR(mode):
+            raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(self.path))
+        if not stat.S_ISREG(mode):
+            raise OSError(errno.EINVAL, "it is a pipe, a socket or a device, and is not replaced", str(self.path))
 
     def drop(self) -> None:
         """Remove it."""

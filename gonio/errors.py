@@ -76,6 +76,11 @@ class Interrupted(GonioError):
 
 def refuse_masked(name: str, value: object) -> None:
     """Raise `ArgumentError` for a masked array with masked elements, whose values numpy would use without a word."""
+    if isinstance(value, list | tuple):
+        for part in value:
+            if isinstance(part, list | tuple) or hasattr(part, "filled"):
+                refuse_masked(name, part)
+        return
     if not hasattr(value, "filled"):
         return
     from numpy import ma

@@ -35,9 +35,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gonio import formats
-from gonio.disk import only_file
+from gonio.disk import is_stream, only_file
 from gonio.errors import ConfigError, DataError
-from gonio.formats import own_columns, rt300s
+from gonio.formats import native, own_columns, rt300s
 from gonio.formats.native import check, check_columns, meta_path
 from gonio.formats.reader import ANGLES, COLUMNS, MAX_BYTES, MUELLER, U_ANGLES, U_MUELLER, reflection_only
 from gonio.typing import Floats
@@ -157,7 +157,10 @@ def write(frame: pd.DataFrame, path: str | Path, *, format: str | None = None) -
         The file cannot be written, or the format is unknown or only read.
     """
     path = Path(path)
-    chosen = formats.named(format) if format else formats.of_name(path)
+    if format:
+        chosen = formats.named(format)
+    else:  # standard output and devices have no ending
+        chosen = native.FORMAT if is_stream(path) and not path.suffix else formats.of_name(path)
     if chosen.write is None and chosen.write_model is not None:
         raise ConfigError(
             f'{path}: "{chosen.name}" is written of models, which have a value in every direction, and not of tables: '
@@ -171,6 +174,8 @@ def write(frame: pd.DataFrame, path: str | Path, *, format: str | None = None) -
         reflection_only(frame, path, chosen.title)
     chosen.write(frame, path)
     lost = chosen.remarks(frame) if chosen.remarks is not None else []
+    if chosen is native.FORMAT and is_stream(path):
+        lost.append(f"{path}: takes the table alone; solid angles, bands and provenance need a file beside a file")
     if "mueller" not in chosen.carries and set(MUELLER) & set(frame.columns):
         lost.append(f"{chosen.title} has no room for Mueller matrices: m01 to m33 are not written")
     if "uncertainty" not in chosen.carries and frame["u_brdf"].notna().any():

@@ -18,7 +18,10 @@ def convert(
             metavar="IN", help="A measurement file, a run, FILE:SAMPLE, or a model: sample.toml.", show_default=False
         ),
     ],
-    target: Annotated[Path, typer.Argument(metavar="OUT", help="The file to write.", show_default=False)],
+    target: Annotated[
+        Path,
+        typer.Argument(metavar="OUT", help="The file to write; - for standard output.", show_default=False),
+    ],
     source_format: Annotated[
         str | None,
         typer.Option("--from", help="Format of IN, where neither content nor ending tell.", show_default=False),
@@ -44,6 +47,8 @@ def convert(
     from gonio.cli import console
     from gonio.errors import ConfigError
 
+    if target.is_dir():
+        raise ConfigError(f"{target}: is a folder; name the file to write in it, as {target / 'table.csv'}")
     how = reading(columns, blank)
     exports = plugins.available("gonio.exports")
     if target_format is not None:
@@ -83,7 +88,7 @@ def convert(
             remarks = measurement.write_model(model, target, name=sample_file.name, format=plain)
         for remark in remarks:
             console.note(remark)
-        console.show(f"{target}: {sample_file.name}")
+        _done(target, sample_file.name)
         return
     path, sample = measurement.split(source)
     table = measurement.read(path, format=source_format, sample=sample, columns=how.columns, blank=how.blank)
@@ -104,7 +109,7 @@ def convert(
     for remark in remarks:
         console.note(remark)
     remember([source], how)
-    console.show(f"{target}: {len(table)} values")
+    _done(target, f"{len(table)} values")
 
 
 def _export(source: str, target: Path, name: str, more: object) -> None:
@@ -119,7 +124,15 @@ def _export(source: str, target: Path, name: str, more: object) -> None:
     *remarks, done = plugins.load("gonio.exports", name)(source, target)
     for remark in remarks:
         console.note(remark)
-    console.show(f"{target}: {done}")
+    _done(target, done)
+
+
+def _done(target: Path, what: str) -> None:
+    """Say what was written, and where; beside standard output, where that has the data."""
+    from gonio.cli import console
+    from gonio.disk import STDOUT
+
+    (console.note if str(target) == STDOUT else console.show)(f"{target}: {what}")
 
 
 def _known() -> list[str]:

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gonio.disk import read_file, require_name
+from gonio.disk import is_stream, read_file, require_name
 from gonio.errors import ConfigError, DataError
 from gonio.formats.column_hints import column_hints
 from gonio.formats.reader import (
@@ -57,6 +57,10 @@ _DEFAULTS: dict[str, float | str] = {
 _WIDE = 1000
 """From so many columns on pandas takes longer than the reader that goes line by line."""
 NEEDED = tuple(name for name in COLUMNS if name not in _DEFAULTS)
+
+
+ROUNDED = 0.01
+"""Relative: two uncertainties that were rounded to two digits may change places by so much."""
 
 
 def meta_path(path: str | Path) -> Path:
@@ -168,8 +172,9 @@ def write(frame: pd.DataFrame, path: Path) -> None:
         meta = json.dumps(_plain(frame.attrs), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
     except (TypeError, ValueError) as error:
         raise DataError(f"{path}: an attribute of the table cannot be written as JSON: {error}") from None
-    _require_own_attributes(meta_path(path))
-    write_bytes(meta_path(path), meta.encode())
+    if not is_stream(path):  # nothing lies beside standard output, a pipe or a device
+        _require_own_attributes(meta_path(path))
+        write_bytes(meta_path(path), meta.encode())
     write_bytes(path, text.encode())
 
 
@@ -247,6 +252,9 @@ def check(frame: pd.DataFrame, where: Any) -> None:
         u = frame[column].to_numpy(np.float64)
         known = (u >= 0) & np.isfinite(u)
         demand(np.isnan(u) | known | flagged, column, "a standard uncertainty [1/sr] >= 0, or NaN where it is unknown")
+    combined = frame["u_brdf"].to_numpy(np.float64)
+    part = np.nan_to_num(frame["u_random"].to_numpy(np.float64)) <= (1.0 + ROUNDED) * combined
+    demand(part | np.isnan(combined) | flagged, "u_random", "a part of the combined u_brdf, and at most as large")
     for column in MUELLER:
         if column in frame.columns:
             element = frame[column].to_numpy(np.float64)

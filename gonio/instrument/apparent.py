@@ -24,7 +24,7 @@ from gonio.geometry import half_angle_of_cone
 from gonio.instrument.lobe import TOLERANCE, Rules, by_rules, choose
 from gonio.instrument.spike import Overlaps
 from gonio.models import Model, geometry
-from gonio.models.parameters import choice, number
+from gonio.models.parameters import checked_wavelength, choice, number
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -73,19 +73,27 @@ class Cones:
 
     def lobe(self, model: Model, *, wavelength_nm: float = 550.0, rules: Rules | None = None) -> Any:
         """The lobe's average over the cones [1/sr]; with the `rules` of a like model, not searched for again."""
-        at = (model, self._omega_i, self._omega_r, wavelength_nm, *self._half_angles, self._tolerance)
+        at = (
+            model,
+            self._omega_i,
+            self._omega_r,
+            checked_wavelength(wavelength_nm),
+            *self._half_angles,
+            self._tolerance,
+        )
         values = choose(*at)[0] if rules is None else by_rules(*at, rules)
         return values.reshape(self._where.shape)[()]
 
     def rules(self, model: Model, *, wavelength_nm: float = 550.0) -> Rules:
         """How the average over the cones is taken for this model: what `lobe` can take for others that are like it."""
-        return choose(model, self._omega_i, self._omega_r, wavelength_nm, *self._half_angles, self._tolerance)[1]
+        wave = checked_wavelength(wavelength_nm)
+        return choose(model, self._omega_i, self._omega_r, wave, *self._half_angles, self._tolerance)[1]
 
     def spike(self, model: Model, *, wavelength_nm: float = 550.0) -> Any:
         """What the receiver gets of the specular spike [1/sr]; 0 for a model without one."""
         if not model.has_spike:
             return np.zeros(self._where.shape)[()]
-        return self._overlaps.seen(model, wavelength_nm).reshape(self._where.shape)[()]
+        return self._overlaps.seen(model, checked_wavelength(wavelength_nm)).reshape(self._where.shape)[()]
 
     @cached_property
     def _overlaps(self) -> Overlaps:

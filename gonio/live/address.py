@@ -22,6 +22,21 @@ def folder() -> Path:
     return (Path(home) if os.path.isabs(home) else Path.home() / ".local" / "state") / "gonio" / "pages"
 
 
+def _closed(made: Path) -> None:
+    """Make a folder of this program's, and those above it, for this user alone; one that is open to others is closed.
+
+    `mkdir` gives its mode to the last folder only, and versions before this one left the others readable.
+    """
+    made.mkdir(mode=0o700, parents=True, exist_ok=True)
+    for one in (made, *made.parents):
+        with contextlib.suppress(OSError):
+            there = os.lstat(one)
+            if stat.S_ISDIR(there.st_mode) and there.st_uid == os.getuid() and there.st_mode & 0o077:
+                one.chmod(0o700)
+        if one.name == "gonio":
+            break
+
+
 def _name(what: Path) -> str:
     return hashlib.sha256(os.fsencode(what.absolute())).hexdigest()[:24]
 
@@ -40,7 +55,7 @@ def private(what: Path) -> Path:
     """
     runtime = os.environ.get("XDG_RUNTIME_DIR", "")
     made = (Path(runtime) / "gonio" if os.path.isabs(runtime) else folder()) / _name(what)
-    made.mkdir(mode=0o700, parents=True, exist_ok=True)
+    _closed(made)
     there = os.lstat(made)
     if not stat.S_ISDIR(there.st_mode) or there.st_uid != os.getuid() or there.st_mode & 0o077:
         raise PermissionError(errno.EPERM, "is open to others", str(made))
@@ -63,7 +78,7 @@ def recall(what: Path) -> tuple[int, str | None]:
 def remember(what: Path, port: int, token: str) -> None:
     """Keep port and token for the next page of a folder; raises `OSError` where that cannot be written."""
     file = _file(what)
-    file.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+    _closed(file.parent)
     with tempfile.NamedTemporaryFile("w", dir=file.parent, encoding="utf-8", delete=False) as made:  # mode 0600
         json.dump({"port": port, "token": token}, made)
     os.replace(made.name, file)

@@ -192,6 +192,8 @@ def checked_out(out: Any, shape: tuple[int, ...], real: type[np.floating[Any]] =
         raise ArgumentError(f"out is {out.dtype} {out.shape}: must be {np.dtype(real)} {shape}")
     if not out.flags.writeable:
         raise ArgumentError("out is read-only")
+    if any(stride == 0 and size > 1 for stride, size in zip(out.strides, out.shape, strict=True)):
+        raise ArgumentError("out repeats one element along an axis (stride 0): every result needs a place of its own")
 
 
 def room(

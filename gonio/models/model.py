@@ -405,6 +405,8 @@ def _by_wavelength(
     """
     waves = engine.real_array("wavelength_nm", wavelength_nm)
     whole = engine.common_shape(("the directions", "wavelength_nm"), [shape, waves.shape])
+    if 0 in whole:
+        return np.empty(whole)
     unique, place = np.unique(waves, return_inverse=True)
     numbers = [checked_wavelength(wave) for wave in unique]
     long = (1,) * (len(whole) - len(shape)) + shape

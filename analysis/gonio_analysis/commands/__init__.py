@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -132,7 +132,7 @@ def fit(
 
     how = reading(columns, blank)
     index = read_ior(ior)
-    kept = dict(read_fixed(text) for text in fix or [])
+    kept = _once("--fix", [read_fixed(text) for text in fix or []])
     parameters.family(model, slopes=slopes, ior=index)
     tables = [table, *(more or [])]
     read = [_observed(one, u_rel, how) for one in tables]
@@ -146,8 +146,8 @@ def fit(
         slopes=slopes,
         wavelength_nm=wavelength_nm,
         each=(each or []) if joint or each else None,
-        bounds=dict(read_bound(text) for text in bound or []),
-        priors=dict(read_prior(text) for text in prior or []),
+        bounds=_once("--bound", [read_bound(text) for text in bound or []]),
+        priors=_once("--prior", [read_prior(text) for text in prior or []]),
         loss=loss,
         metric=metric,
         u_rel=u_rel,
@@ -389,6 +389,17 @@ def read_ior(text: str | None) -> Ior:
     if not (0 < value.real < 1e4 and 0 <= value.imag < 1e4):
         raise ConfigError(f"--ior {text}: n is above 0 and k at least 0 (n + ik absorbs with k > 0)")
     return value
+
+
+def _once(option: str, pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """What an option says of each name; `ConfigError` where it says two things of one."""
+    from gonio.errors import ConfigError
+
+    names = [name for name, _ in pairs]
+    for name in names:
+        if names.count(name) > 1:
+            raise ConfigError(f"{option} {name}=...: is given {names.count(name)} times; say it once")
+    return dict(pairs)
 
 
 def read_fixed(text: str) -> tuple[str, float | str]:

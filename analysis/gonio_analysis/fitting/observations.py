@@ -28,6 +28,10 @@ LINEAR_BELOW = 0.05
 """Without uncertainties: the fraction of the median |f| below which differences count as such, not as ratios."""
 TRANSMISSION = "of transmission"
 """Why rows behind the sample are not here."""
+RESOLUTION = 1e-15
+"""Of a value: what is smaller than its own rounding is no uncertainty."""
+MOST_LISTED = 12
+"""Rows that a note names."""
 LARGEST = 1e30
 """[1/sr] No BRDF: a perfect mirror seen through a cone of a nanoradian has less. Squares of such values overflow."""
 
@@ -213,11 +217,13 @@ def observations(table: pd.DataFrame, name: str = "the table", u_rel: float | No
     random, common, causes = measurement.uncertainty(table)
     common = np.where(np.isfinite(common), common, 0.0)
     total = np.sqrt(random**2 + (common**2).sum(axis=1))
-    stated = np.isfinite(total) & (total > 0)
+    with np.errstate(invalid="ignore"):
+        stated = np.isfinite(total) & (total > RESOLUTION * np.abs(brdf))
     notes = of_reader(table)
     silent = any("no uncertainties" in note for note in notes)
-    if stated[why == ""].any():
-        why[(why == "") & ~stated] = "without an uncertainty"
+    if stated[why == ""].any() and (lacking := (why == "") & ~stated).any():
+        why[lacking] = "without an uncertainty"
+        notes.append(_lacking(np.flatnonzero(lacking)))
     keep = np.flatnonzero(why == "")
     wavelength = table["wavelength_nm"].to_numpy(np.float64)
     omitted = {str(reason): wavelength[why == reason] for reason in sorted(set(why) - {""})}
@@ -268,6 +274,16 @@ def observations(table: pd.DataFrame, name: str = "the table", u_rel: float | No
         readings_rad=_angles(table, "readings_rad"),
         u_angles=_of_angles(table, keep),
         u_rel_assumed=assumed,
+    )
+
+
+def _lacking(rows: npt.NDArray[np.intp]) -> str:
+    """What is said of rows that state no uncertainty in a table that does."""
+    listed = ", ".join(str(row + 1) for row in rows[:MOST_LISTED]) + (", ..." if rows.size > MOST_LISTED else "")
+    many = f"{rows.size} rows state" if rows.size > 1 else "1 row states"
+    return (
+        f"{many} no uncertainty that can weigh them (none, 0, or less than the rounding of the value), and no fit, "
+        f"chi-square or verdict here counts them: row{'s' * (rows.size > 1)} {listed} of the table."
     )
 
 

@@ -48,3 +48,14 @@ def test_a_damaged_file_counts_for_nothing(home: Path, tmp_path: Path, text: str
     address.remember(tmp_path / "run", 40123, TOKEN)
     kept(home).write_text(text)
     assert address.recall(tmp_path / "run") == (0, None)
+
+
+def test_folders_that_were_open_to_others_are_closed(home: Path, tmp_path: Path) -> None:
+    (home / "gonio" / "pages").mkdir(parents=True)
+    os.chmod(home, 0o755)
+    for one in (home / "gonio", home / "gonio" / "pages"):
+        os.chmod(one, 0o755)
+    address.private(tmp_path / "run")
+    address.remember(tmp_path / "run", 40123, TOKEN)
+    assert {p.stat().st_mode & 0o777 for p in (home / "gonio", *home.glob("gonio/**/")) if p.is_dir()} == {0o700}
+    assert home.stat().st_mode & 0o777 == 0o755, "what is above is somebody else's"
