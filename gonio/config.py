@@ -65,6 +65,8 @@ def _is_number(annotation: Any) -> bool:
 
 
 Table = TypeVar("Table", bound=Strict)
+LARGEST_WHOLE = 2**63 - 1
+"""What TOML promises of a whole number."""
 
 
 def read_toml(path: str | Path) -> dict[str, Any]:
@@ -93,14 +95,17 @@ def read_toml(path: str | Path) -> dict[str, Any]:
         raise ConfigError(f"{path}: is not valid TOML: {error}") from None
     except RecursionError:
         raise too_deep from None
-    inside: list[Any] = [tables]
+    inside: list[tuple[list[Any], Any]] = [([], tables)]
     for _ in range(MAX_DEPTH):
-        inside = [
-            part
-            for whole in inside
-            for part in (whole.values() if isinstance(whole, dict) else whole)
-            if isinstance(part, dict | list)
+        parts = [
+            ([*where, key], part)
+            for where, whole in inside
+            for key, part in (whole.items() if isinstance(whole, dict) else enumerate(whole))
         ]
+        for where, part in parts:
+            if isinstance(part, int) and abs(part) > LARGEST_WHOLE:
+                raise ConfigError(f"{path}: {_dotted(where)} has {len(str(abs(part)))} digits: at most 18 are read")
+        inside = [(where, part) for where, part in parts if isinstance(part, dict | list)]
         if not inside:
             return tables
     raise too_deep

@@ -69,7 +69,10 @@ def number(name: str, value: Any, low: float = -math.inf, high: float = math.inf
             value = None
         if value is None:
             raise ArgumentError(f"{name} must be one real number{unit and f' [{unit}]'}")
-    result = float(value)
+    try:
+        result = float(value)
+    except OverflowError:  # a whole number of hundreds of digits
+        result = math.copysign(math.inf, value)
     if not low <= result <= high or math.isinf(result):
         allowed = f"at least {low:g}" if math.isinf(high) else f"in [{low:g}, {high:g}]"
         raise ArgumentError(

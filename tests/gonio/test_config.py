@@ -209,3 +209,9 @@ def test_a_table_of_several_kinds_is_named_as_the_file_has_it(values: dict[str, 
     with pytest.raises(ConfigError) as told:
         parse(Shapes, {"shape": [values]}, "scene.toml")
     assert str(told.value).startswith(f"scene.toml: {says}")
+
+
+def test_a_number_of_hundreds_of_digits_is_one_message(tmp_path: Path) -> None:
+    (tmp_path / "s.toml").write_text(f'name = "s"\n[parameters]\nalbedo = [0.1, {"1" * 400}]\n')
+    with pytest.raises(ConfigError, match=r"s\.toml: parameters\.albedo\[2\] has 400 digits: at most 18 are read"):
+        read_toml(tmp_path / "s.toml")
