@@ -7,8 +7,9 @@ Significance. The difference has the covariance of both measurements (of two run
 interpolation's error. Each value is judged against what all the others predict of it (`Covariance.alone`). So a common
 change of scale, which a new reference could make, does not count as a change of every value. Of n values 4.6 % lie
 beyond 2 standard deviations by chance. A value therefore counts as changed only by the false-discovery procedure of
-Benjamini and Hochberg (1995). The verdict on the whole rests on two tests that share `LEVEL`: chi-square of all values,
-and the largest single one of n.
+Benjamini and Hochberg (1995). The verdict on the whole rests on three tests that share `LEVEL`: chi-square of all
+values, the largest single one of n, and the common factor of B over A. A change of scale is one number, which
+chi-square of many values drowns.
 """
 
 from __future__ import annotations
@@ -100,11 +101,27 @@ class Verdict:
     scale: float
     """Common factor of B over A, less 1."""
     u_scale: float
+    p_scale: float
+    """Probability of a factor that far from 1 by chance."""
+
+    @property
+    def tests(self) -> dict[str, float]:
+        """What the verdict rests on, each with its probability by chance."""
+        return {
+            "chi-square of all values": self.p_value,
+            "the largest single value": self.p_largest,
+            "the common factor": self.p_scale,
+        }
+
+    @property
+    def found_by(self) -> list[str]:
+        """Those of `tests` that say that something changed, at `LEVEL` for all together."""
+        return [name for name, p in self.tests.items() if len(self.tests) * p < LEVEL]
 
     @property
     def changed(self) -> bool:
-        """Whether chi-square or the largest difference says so, at `LEVEL` for both together."""
-        return 2 * min(self.p_value, self.p_largest) < LEVEL
+        """Whether any test says so."""
+        return bool(self.found_by)
 
 
 @dataclass(frozen=True)
@@ -144,11 +161,18 @@ class Change:
     @property
     def _conclusion(self) -> str:
         v = self.verdict
+        if self.identical:
+            return "identical"
         if v is None:
             return "no verdict: no uncertainties are stated"
         marked = int(np.count_nonzero(v.marked))
-        head = "changed" if v.changed else "no sign of a change"
-        return f"{head} (p = {min(v.p_value, v.p_largest):.2g}); {marked} of {v.z.size} values are marked"
+        head = f"changed, by {' and '.join(v.found_by)}" if v.changed else "no sign of a change"
+        return f"{head} (p = {min(v.tests.values()):.2g}); {marked} of {v.z.size} values are marked"
+
+    @property
+    def identical(self) -> bool:
+        """Whether every value of B is that of A."""
+        return bool(np.array_equal(self.value_a, self.value_b))
 
     @property
     def difference(self) -> Floats:
@@ -280,7 +304,7 @@ def _through(a: Side, b: Side, wavelength_nm: float | None, say: Say) -> list[st
     except DataError as error:
         return [f"Transmission could not be compared: {error}."]
     ratio = found.metrics.get("log_ratio")
-    typical = "" if ratio is None else f", rms of ln(B / A) {ratio:.2g}"
+    typical = "" if ratio is None or found.identical else f", rms of ln(B / A) {ratio:.2g}"
     return [f"Transmission is compared apart, in {len(found.at)} directions{typical}: {found._conclusion}."]
 
 
@@ -446,6 +470,7 @@ def judge(value_a: Floats, value_b: Floats, covariance: Covariance) -> Verdict:
     p = 2 * ndtr(-np.abs(z))
     mean = covariance.whiten(0.5 * (value_a + value_b))
     strength = float(mean @ mean)
+    scale, u_scale = float(mean @ covariance.whiten(difference)) / strength, float(strength**-0.5)
     found = Verdict(
         chi_square=total,
         p_value=float(chdtrc(n, total)),
@@ -455,8 +480,9 @@ def judge(value_a: Floats, value_b: Floats, covariance: Covariance) -> Verdict:
         largest=float(np.abs(z).max()),
         p_largest=float(-np.expm1(n * np.log1p(-min(float(p.min()), 1 - 1e-16)))),
         marked=false_discovery_control(p) <= FALSE_DISCOVERIES,  # Benjamini and Hochberg (1995)
-        scale=float(mean @ covariance.whiten(difference)) / strength,
-        u_scale=float(strength**-0.5),
+        scale=scale,
+        u_scale=u_scale,
+        p_scale=float(2 * ndtr(-abs(scale) / u_scale)),
     )
     # one verdict: where nothing says that anything changed, no single value has
     return found if found.changed else replace(found, marked=np.zeros(n, dtype=bool))

@@ -264,10 +264,9 @@ def lobe(ax: Any, brdf: Any, *, measured: tuple[Floats, Floats, Floats] | None =
 
 
 def _signed(ax: Any, x: Floats, y: Floats, value: Floats, norm: Any, *, size: float) -> list[Any]:
-    """Points of a diverging map: triangles point up above 0 and down below it, which grey print shows too."""
+    """Points of a diverging map: triangles up above 0 and down below it, circles at 0, which grey print shows too."""
     look = {"cmap": DIVERGING, "norm": norm, "s": size, "linewidths": 0.3, "edgecolors": "#555f6b", "zorder": 3}
-    up = value >= 0
-    parts = (("^", up), ("v", ~up))
+    parts = (("^", value > 0), ("v", value < 0), ("o", value == 0))
     return [ax.scatter(x[k], y[k], c=value[k], marker=m, rasterized=x.size > 1000, **look) for m, k in parts]
 
 

@@ -165,6 +165,7 @@ def summary(c: Change, command: str, runs: Sequence[RunFacts | None]) -> ChangeS
     if v is not None:
         verdict = VerdictSummary(
             changed=v.changed,
+            found_by=v.found_by,
             chi_square=v.chi_square,
             p_value=v.p_value,
             n_points=int(v.z.size),
@@ -177,6 +178,7 @@ def summary(c: Change, command: str, runs: Sequence[RunFacts | None]) -> ChangeS
             level=LEVEL,
             scale=v.scale,
             u_scale=v.u_scale,
+            p_scale=v.p_scale,
         )
     return ChangeSummary(
         title=f"{c.b.title} against {c.a.title}",
@@ -218,11 +220,13 @@ def _median_error(c: Change) -> float | None:
 
 def _conclusion(c: Change) -> str:
     v, n = c.verdict, len(c.at)
+    if c.identical:
+        return f"The two are identical: each of the {n} values of B is that of A."
     typical = f"They differ typically by {_words(c.metrics['log_ratio'])}"
     if v is None:
         return f"{typical} over {n} values. Without stated uncertainties nothing says whether that means anything."
     same = "the sample changed" if c.a.kind == c.b.kind else "the two disagree"
-    head = f"{same[:1].upper()}{same[1:]}" if v.changed else f"No sign that {same}"
+    head = f"{same[:1].upper()}{same[1:]}, by {' and '.join(v.found_by)}" if v.changed else f"No sign that {same}"
     chance = f"{v.beyond} of {n} values lie beyond 2 standard deviations, where {v.expected:.1f} are expected by chance"
     marked = int(v.marked.sum())
     between = int(np.count_nonzero(v.marked & (c.error > 0)))
@@ -234,7 +238,7 @@ def _conclusion(c: Change) -> str:
         else "; judged together, no single value stands out"
     )
     test = f"chi-square is {v.chi_square:.4g} for {n} values (p {_p(v.p_value)})"
-    scale = f"The common factor of B over A is {with_u(1 + v.scale, v.u_scale)}."
+    scale = f"The common factor of B over A is {with_u(1 + v.scale, v.u_scale)} (p {_p(v.p_scale)})."
     return f"{head}: {test}; {chance}{kept}. {scale} {typical}."
 
 
@@ -376,8 +380,9 @@ def _method(s: ChangeSummary) -> Paragraph:
         f"Of {v.n_points} values {v.expected_beyond_2:.1f} are expected beyond 2 standard deviations by chance."
         f" Values are marked by Benjamini and Hochberg's procedure, which lets"
         f" {100 * v.false_discoveries:g} % of the marks be wrong."
-        f" The verdict rests on chi-square of all values (p {_p(v.p_value)}) and on the largest of"
-        f" them ({v.largest:.2f} standard deviations, p {_p(v.p_largest)}); where nothing changed it says so in"
-        f" {100 * (1 - v.level):g} % of the cases."
+        f" The verdict rests on chi-square of all values (p {_p(v.p_value)}), on the largest of"
+        f" them ({v.largest:.2f} standard deviations, p {_p(v.p_largest)}), and on the common factor of B over A"
+        f" ({1 + v.scale:.4f} ± {v.u_scale:.4f}, p {_p(v.p_scale)}), each at a third of {100 * v.level:g} %; where"
+        f" nothing changed it says so in {100 * (1 - v.level):g} % of the cases."
     )
     return Paragraph(text)

@@ -42,6 +42,7 @@ class VerdictSummary:
     """Whether the two differ, as `gonio_analysis.changes.point_by_point.Verdict`."""
 
     changed: bool
+    found_by: Sequence[str]
     chi_square: float
     p_value: float
     n_points: int
@@ -54,6 +55,7 @@ class VerdictSummary:
     level: float
     scale: float
     u_scale: float
+    p_scale: float
 
 
 @dataclass(frozen=True)

@@ -146,6 +146,56 @@ def test_verdicts_are_as_rare_as_they_say() -> None:
     assert sum(v.marked.any() for v in verdicts) <= 34
 
 
+@pytest.mark.parametrize(("sigma", "least", "most"), [(0.0, 0, 12), (3.0, 190, 245), (4.0, 325, 365), (5.0, 384, 399)])
+def test_a_change_of_scale_is_found_by_its_own_test(sigma: float, least: int, most: int) -> None:
+    """Chi-square of 74 values and the largest of them found 28 % of 4 sigma, beside a factor that the page printed.
+
+    Of 400: a normal number moved by 3, 4, 5 lies beyond 2.94 (a third of 1 %, two-sided) in 52, 86, 98 %; the limits
+    are three binomial standard deviations around that, and around the 1 % of all tests together with no change.
+    """
+    rng, n = np.random.default_rng(8), 74
+    value = rng.uniform(0.1, 1.0, n)
+    c = Covariance(0.008 * value, (0.004 * value)[:, None], ("reference",))
+    u = float(np.sum(c.whiten(value) ** 2) ** -0.5)
+    found = []
+    for _ in range(400):
+        noise = c.random * rng.normal(size=n) + c.common[:, 0] * rng.normal()
+        found.append(judge(value, value * (1.0 + sigma * u) + noise, c))
+    by_scale = sum("the common factor" in v.found_by for v in found)
+    assert least <= (by_scale if sigma else sum(v.changed for v in found)) <= most
+    assert all(v.changed == bool(v.found_by) for v in found)
+
+
+def test_each_test_is_named_where_it_finds_something(tmp_path: Path) -> None:
+    a = measure(GLOSS, noise=0.003, reference=0.002, seed=3)
+    other, spot = measure(GLOSS, noise=0.003, reference=0.002, seed=4), measure(GLOSS, noise=0.003, seed=4)
+    same = change(side(a), side(other)).verdict
+    assert same is not None
+    other["brdf"] *= (1.0 + 4.0 * same.u_scale) / (1.0 + same.scale)
+    spot["brdf"] = spot["brdf"].where(spot.index != 40, 1.025 * spot["brdf"])  # six of 0.42 %
+    for frame, name in ((other, "the common factor"), (spot, "the largest single value")):
+        found = change(side(a), side(frame)).verdict
+        assert found is not None
+        assert name in found.found_by, found.tests
+    measurement.write(a, tmp_path / "a.csv")
+    measurement.write(other, tmp_path / "b.csv")
+    commands.compare([str(tmp_path / "a.csv"), str(tmp_path / "b.csv")], tmp_path / "out", change=True)
+    facts = json.loads((tmp_path / "out" / "summary.json").read_text(encoding="utf-8"))
+    assert facts["verdict"]["found_by"] == ["the common factor"]
+    assert facts["verdict"]["p_scale"] < 0.01 / 3
+    assert facts["conclusion"].startswith("The sample changed, by the common factor: ")
+    assert "and on the common factor of B over A" in (tmp_path / "out" / "index.html").read_text(encoding="utf-8")
+
+
+def test_identical_inputs_are_called_identical(tmp_path: Path) -> None:
+    measurement.write(measure(GLOSS, noise=0.003, reference=0.002, seed=3), tmp_path / "a.csv")
+    commands.compare([str(tmp_path / "a.csv")] * 2, tmp_path / "out", change=True)
+    facts = json.loads((tmp_path / "out" / "summary.json").read_text(encoding="utf-8"))
+    assert facts["conclusion"] == "The two are identical: each of the 99 values of B is that of A."
+    frame = measure(GLOSS, noise=0.003, seed=3)
+    assert change(side(frame), side(frame))._conclusion == "identical"
+
+
 def test_one_changed_value_is_found_under_a_change_of_scale() -> None:
     a, b = measure(GLOSS, noise=0.003, reference=0.01, seed=3), measure(GLOSS, noise=0.003, reference=0.01, seed=4)
     spot = 40

@@ -48,6 +48,12 @@ def test_heat_map_leaves_holes_empty() -> None:
     assert not inside
 
 
+def test_no_change_points_neither_up_nor_down() -> None:
+    """Identical inputs were all drawn "above 0"."""
+    artists = maps.plane_map(axes(), np.zeros(3), np.zeros(3), np.array([0.0, 2.0, -1.0]), label="", top=4.0, y_label="")
+    assert [len(a.get_offsets()) for a in artists[:3]] == [1, 1, 1]
+
+
 def test_change_maps_ring_what_changed() -> None:
     angle, still = np.radians([-30.0, 0.0, 30.0]), np.radians([10.0, 10.0, 45.0])
     marked = np.array([False, True, False])
