@@ -127,7 +127,9 @@ def _change_maps(c: Change, at: Observations, where: str) -> list[Drawing]:
         label, marked = "ln(B/A)", np.zeros(rows.size, dtype=bool)
         top = max(float(np.quantile(np.abs(value), 0.95)) if rows.size else 0.0, 1e-3)
         what = "ln(B/A)"
-    rings = "; upright triangles: above 0, circles: 0" + ("; rings mark values that changed" if c.verdict is not None else "")
+    rings = "; upright triangles: above 0, circles: 0" + (
+        "; rings mark values that changed" if c.verdict is not None else ""
+    )
     d = at.directions
     off = ~d.in_plane
     out = []

@@ -50,7 +50,9 @@ def test_heat_map_leaves_holes_empty() -> None:
 
 def test_no_change_points_neither_up_nor_down() -> None:
     """Identical inputs were all drawn "above 0"."""
-    artists = maps.plane_map(axes(), np.zeros(3), np.zeros(3), np.array([0.0, 2.0, -1.0]), label="", top=4.0, y_label="")
+    artists = maps.plane_map(
+        axes(), np.zeros(3), np.zeros(3), np.array([0.0, 2.0, -1.0]), label="", top=4.0, y_label=""
+    )
     assert [len(a.get_offsets()) for a in artists[:3]] == [1, 1, 1]
 
 
