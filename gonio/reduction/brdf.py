@@ -9,7 +9,7 @@ signal. A rate over the signal per unit BRDF, which visits to the white referenc
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -28,6 +28,7 @@ from gonio.reduction.table import (
     CAUSES,
     DARK,
     GEOMETRY,
+    LAMP,
     BandResult,
     Inputs,
     assemble,
@@ -112,7 +113,8 @@ def reduce_in_parts(run: Run, *, progress: Callable[[int, int], None] | None = N
         results.append(_reduce_band(frames, band, steps))
     light_and_lens.add_wavelength(frames.description, results)
     _share_darks(results)
-    _share_geometry(results)
+    _share(results, [result.geometry for result in results], GEOMETRY, "geometry")
+    _share(results, [result.lamp for result in results], LAMP, "visits")
     notes = notes_on_damage(frames) + notes_on_darks(frames) + notes_on_camera(frames)
     table = assemble(run, results, notes, frames.clipped)
     table.attrs["provenance"]["not_in_budget"] = budget.left_out(run.description, table)
@@ -125,7 +127,7 @@ def _reduce_band(frames: RunFrames, band: Band, steps: list[Reduced | Rejected])
     rejected = [step for step in steps if isinstance(step, Rejected)]
     fitted, reference = level(frames.run, np.array([point.time_s for point in points]), visits, band)
     columns, untold, coarse = _columns_of_sides(frames, points, visits[0], fitted, reference.u_rel, band)
-    geometry = columns.pop("geometry_causes")
+    geometry, lamp = columns.pop("geometry_causes"), columns.pop("lamp_causes")
     light_and_lens.add(frames.description, columns, [point.pose for point in points], visits[0].pose, band)
     levels = fitted.at(np.array([point.time_s for point in points]))
     angles = np.array([_angles_deg(point.directions) for point in points]).reshape(-1, len(ANGLES))
@@ -137,6 +139,7 @@ def _reduce_band(frames: RunFrames, band: Band, steps: list[Reduced | Rejected])
         columns=dict(zip(ANGLES, angles.T, strict=True)) | columns,
         darks=darks / levels[:, None, None],
         geometry=geometry,
+        lamp=lamp,
         flags=frames.flags | {step.point: step.flag for step in rejected if step.point is not None},
         level=fitted,
         reference_brdf=reference.brdf,
@@ -263,7 +266,8 @@ def _columns(
 ) -> tuple[dict[str, Floats], Directions, Directions]:
     """BRDF and its uncertainties for the measured points of a band (docs/radiometry.md, "The budget").
 
-    The column "geometry_causes" has a number for every cause of `GeometryErrors`. And the nominal directions of points
+    The columns "geometry_causes" and "lamp_causes" have a number for every cause of `GeometryErrors` and of `Wander`.
+    And the nominal directions of points
     whose blur by the angles' errors is only bounded, and of those whose slope the plan's steps are too coarse to tell.
     """
     description = frames.description
@@ -273,7 +277,10 @@ def _columns(
     brdf = np.array([point.rate for point in points]) / k
     noise = np.array([point.variance for point in points]) / k**2
     prnu = np.array([_prnu(frames.prnu, point, frames.reference[band.channel].count) for point in points])
-    parts = {"noise": noise, "prnu": (brdf * prnu) ** 2, "visits": (brdf * fitted.extra(times) / k) ** 2}
+    wander = fitted.wander(times)
+    lamp = -(brdf / k)[:, None] * wander.shared
+    visits = np.maximum((brdf * wander.u / k) ** 2 - np.sum(lamp**2, axis=1), 0.0)
+    parts = {"noise": noise, "prnu": (brdf * prnu) ** 2, "visits": visits}
     independent = sum(parts.values())
     goals = Directions.from_table(frames.run.plan)[[point.point for point in points]]
     goals = _turned_over(goals, bool(len(goals)) and _behind(goals[0]))
@@ -294,14 +301,14 @@ def _columns(
     parts |= _parts_of_angles(of_angles, curves) | {"region": _over_region(description, curves, points, band) ** 2}
     independent = sum(parts.values())
     darks = np.array([np.sum(point.dark**2) for point in points]) / k**2
-    shared = darks + np.sum(of_angles.geometry**2, axis=1)
+    shared = darks + np.sum(of_angles.geometry**2, axis=1) + np.sum(lamp**2, axis=1)
     combined = np.sqrt(independent + shared + sum(column**2 for column in common.values()))
     bounded = ~curves.spikes.told & (curves.spikes.variance > noise)
     known, unresolved, doubts = curves.facts(), of_angles.unresolved, of_angles.of_geometry
     # the steps along a curve, and not those between angles of incidence
     steep = (unresolved > independent - unresolved) & (known["u_slope"] > known["u_slope_theta_i"])
     columns = {"brdf": brdf, "u_brdf": combined, "u_random": np.sqrt(independent)}
-    columns |= {"geometry_causes": of_angles.geometry} | common
+    columns |= {"geometry_causes": of_angles.geometry, "lamp_causes": lamp} | common
     columns |= {name: np.sqrt(part) for name, part in parts.items()} | known
     columns["geometry_slopes"] = np.sqrt(doubts)
     of_readings = sum(parts[name] for name in ("encoder", "zeros_even", "spike_blur", "coarse_steps")) - doubts
@@ -398,19 +405,23 @@ def _share_darks(results: list[BandResult]) -> None:
         result.columns["u_random"] = np.array(more)
 
 
-def _share_geometry(results: list[BandResult]) -> None:
-    """Give all rows the columns of what a calibration leaves open of the geometry; the rest to `u_random`."""
-    effects = np.concatenate([result.geometry for result in results])
-    names = GEOMETRY[: effects.shape[1]]
+def _share(results: list[BandResult], of_bands: list[Floats], names: Sequence[str], part: str) -> None:
+    """Give all rows the columns of causes that they share; what these leave goes to a part of `u_random`.
+
+    `of_bands` are the effects of the causes on the rows of each band, shape (points, causes): of all bands alike, or
+    none.
+    """
+    wide = max(effects.shape[1] for effects in of_bands)
+    effects = np.concatenate([np.pad(each, ((0, 0), (0, wide - each.shape[1]))) for each in of_bands])
     if not effects.size:
         return
     u = np.concatenate([result.columns["u_random"] for result in results])
-    columns, rest = strongest(effects, u, len(names))
+    columns, rest = strongest(effects, u, min(len(names), wide))
     ends = np.cumsum([result.points.size for result in results])
     for result, end in zip(results, ends, strict=True):
         rows = slice(end - result.points.size, end)
-        result.columns.update(zip(names, columns[rows].T, strict=True))
-        result.columns["geometry"] = np.sqrt(result.columns["geometry"] ** 2 + rest[rows])
+        result.columns.update(zip(names[: columns.shape[1]], columns[rows].T, strict=True))
+        result.columns[part] = np.sqrt(result.columns[part] ** 2 + rest[rows])
         result.columns["u_random"] = np.sqrt(u[rows] ** 2 + rest[rows])
 
 

@@ -16,11 +16,10 @@ import numpy as np
 
 from gonio.acquisition.plan import ANGLES
 from gonio.geometry import Directions
-from gonio.reduction import white_reference
 from gonio.reduction.angle_sensitivity import NARROWEST, from_above
 from gonio.reduction.count_rates import Reduced
 from gonio.reduction.spike_overlap import over_patch, overlap
-from gonio.reduction.table import COMMON, DARK, BandResult, angle_axes, zero_uncertainties
+from gonio.reduction.table import COMMON, DARK, LAMP, BandResult, angle_axes, zero_uncertainties
 from gonio.rig import Pose, kinematics
 from gonio.rig.description import RigDescription
 from gonio.rig.filling import filling
@@ -129,7 +128,7 @@ def check(
     )
     out["agrees"] = pd.Series(np.where(good, agrees, "").tolist(), dtype=str)
     out.attrs = {}
-    return Check(out, draws, more)
+    return Check(out, draws, [name for name in more if name not in LAMP])
 
 
 class _Inputs:
@@ -216,21 +215,18 @@ class _Inputs:
         errors = zeros[:, None, :] + self._readings(rng, (count, len(self._visits), zeros.shape[1]))
         moved = np.einsum("dva,va->dv", errors, self._visit_turns)
         light = np.cos(self._visit_theta + moved) / np.cos(self._visit_theta)
-        visits = fitted.at(self._visit_times) * (1.0 + self._visit_rel * rng.standard_normal(light.shape)) / light
+        visits = fitted.line(self._visit_times) * (1.0 + self._visit_rel * rng.standard_normal(light.shape)) / light
         of_reading = self._steps**2 / 12.0 + self._trembles**2
         landing = np.sum((np.tan(self._visit_theta)[:, None] * self._visit_turns) ** 2 * of_reading, axis=1)
-        weight = 1.0 / ((self._visit_rel**2 + landing) * fitted.at(self._visit_times) ** 2)
+        weight = 1.0 / ((self._visit_rel**2 + landing) * fitted.line(self._visit_times) ** 2)
         mean = visits @ weight / weight.sum()
         if fitted.unknown:
             return np.asarray(np.repeat(mean[:, None], self._times.size, axis=1))
         after = self._visit_times - np.average(self._visit_times, weights=weight)
         slope = (visits - mean[:, None]) @ (weight * after) / np.sum(weight * after**2)
         line = mean[:, None] + slope[:, None] * (self._times - np.average(self._visit_times, weights=weight))
-        if fitted.straight:
-            return np.asarray(line)
-        order = np.argsort(self._visit_times)
-        between = white_reference.between(self._visit_times[order], visits[:, order], fitted.held(self._times))
-        return np.asarray(between + rng.standard_normal((count, 1)) * fitted.drift(self._times))
+        # what the lamp may do besides is in the columns, and in the part "visits"
+        return np.asarray(fitted.at(self._times) + line - fitted.line(self._times))
 
     def _gains(self, rng: np.random.Generator, count: int) -> Floats:
         """Mean responsivity of a point's pixels over that of the reference's, some of which are the same."""

@@ -69,9 +69,9 @@ class Share:
     mean: float = 0.0
     """Over the patch, and over the errors of the angles."""
     variance: float = 0.0
-    """Over the errors of the angles."""
+    """Over the errors of the angles; no less than what the largest of them take away, over `FAR`, squared."""
     most: float = 0.0
-    """For the largest errors of the angles, of `FAR` standard deviations."""
+    """For the largest errors of the angles, of `FAR` standard deviations; what is added is held against the values."""
 
 
 def blurred_overlap(
@@ -119,5 +119,8 @@ def blurred_overlap(
     if first.any():
         turn = np.linspace(0.0, 2.0 * math.pi, 16, endpoint=False)[:, None]
         around = centre + FAR * (np.cos(turn) * first + np.sin(turn) * second)
-        most = max(most, float(np.max(np.mean([of(around + spot) for spot in spots], axis=0))))
+        far = np.mean([of(around + spot) for spot in spots], axis=0)
+        most = max(most, float(np.max(far)))
+        # a top that is flat for small errors falls for rare ones, of which the mean square knows nothing
+        variance = max(variance, ((mean - float(np.min(far))) / FAR) ** 2)
     return Share(at_read, mean, variance, most)

@@ -44,6 +44,7 @@ LIGHT = ("s_beam", "s_polarisation", "s_wavelength", "s_bandwidth")
 """Causes that are there where the rig file or a calibration tells of them (`gonio.reduction.light_and_lens`)."""
 DARK = tuple(f"s_dark_{k + 1}" for k in range(COLUMNS))
 GEOMETRY = tuple(f"s_geometry_{k + 1}" for k in range(4))
+LAMP = tuple(f"s_lamp_wander_{k + 1}" for k in range(4))
 CAUSES = {"light": "s_theta_i_zero", "camera": "s_theta_r_zero", "tilt": "s_tilt_zero", "azimuth": "s_azimuth_zero"}
 """Axes whose zeros are common causes. A spin turns both directions alike: an isotropic surface does not notice it."""
 
@@ -73,6 +74,8 @@ class BandResult:
     """Change of each value [1/sr] by the noise of the dark frames, see `Reduced.dark`; shape (points, 2, n)."""
     geometry: Floats
     """Change of each value [1/sr] by the causes of `GeometryErrors`, shape (points, causes)."""
+    lamp: Floats
+    """By how the lamp may wander between visits to the white reference, shape (points, causes)."""
     flags: dict[int, str]
     level: white_reference.Level
     reference_brdf: float
@@ -149,6 +152,7 @@ def assemble(run: Run, results: list[BandResult], notes: list[str], clipped: flo
     description, plan = run.description, run.plan
     causes = [*COMMON, *DARK, *(CAUSES[axis] for axis in zero_uncertainties(description))]
     causes += GEOMETRY[: results[0].geometry.shape[1]]
+    causes += [name for name in LAMP if name in results[0].columns]
     causes += [name for name in LIGHT if any(name in result.columns for result in results)]
     causes += camera_causes(description)
     chosen = _angles_of_chosen(run)

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
 
+from gonio.reduction import lamp_wander
 from gonio.typing import Floats
 
 REJECTED = 0.01
@@ -27,15 +28,14 @@ class Level:
     """The signal per unit BRDF as a function of time, fitted to the visits of one band.
 
     Where the visits lie on a straight line within their noise, K(t) = level + slope (t - centre), whose two
-    parameters are uncorrelated; `departure` and `extra` are zero. Otherwise K is interpolated linearly between the
-    visits, and constant beyond the first and the last; `SMOOTH` visits and more by monotone cubics (Fritsch and
-    Carlson). `departure` is then what the cubics differ by from linear interpolation, and half of what a visit differs
-    by from the cubics through the others; with up to `SMOOTH` visits half of the difference from the line. `extra` is
-    what the noise of the nearest visits, and jumps between them, add to the noise of the mean level.
+    parameters are uncorrelated. Otherwise K is interpolated linearly between the visits, and constant beyond the first
+    and the last; `SMOOTH` visits and more by monotone cubics (Fritsch and Carlson). In either case `noise` and `drift`
+    are what the noise of the visits does to the line, and `wander` what the lamp may do besides
+    (`gonio.reduction.lamp_wander`).
     Where the lamp was dark in between, as from one day to the next, K is not interpolated across that time: a point
-    after the last visit of its sitting (`held`) has the K of that visit, and `extra` what the lamp drifts meanwhile.
+    after the last visit of its sitting (`held`) has the K of that visit, and `wander` what the lamp drifts meanwhile.
     Where the visits do not tell the lamp's drift, K is their mean, `slope` and `u_slope` are zero, and `unknown` says
-    why; `extra` is then what they scatter beyond their noise.
+    why; `wander` is then what they scatter beyond their noise.
     """
 
     centre_s: float
@@ -57,7 +57,7 @@ class Level:
 
     def at(self, time_s: Floats) -> Floats:
         """K at given times."""
-        return self._line(time_s) if self.straight else between(self.times_s, self.values, self.held(time_s))
+        return self.line(time_s) if self.straight else between(self.times_s, self.values, self.held(time_s))
 
     def held(self, time_s: Floats) -> Floats:
         """The time nearest to each that lies between two visits to which the lamp was lit without a break."""
@@ -82,48 +82,26 @@ class Level:
         return np.full(np.shape(time_s), self.u_level)
 
     def drift(self, time_s: Floats) -> Floats:
-        """Change of K for one standard deviation of the drift."""
-        if self.straight:
-            return self.u_slope * (time_s - self.centre_s)
-        time_s = self.held(time_s)
-        if len(self.times_s) <= SMOOTH:  # a visit cannot be held against the others
-            return 0.5 * (self._line(time_s) - self.at(time_s))
-        bend = np.interp(time_s, self.times_s, self.values) - self.at(time_s)
-        inner = range(1, len(self.times_s) - 1)
-        others = [
-            float(between(np.delete(self.times_s, k), np.delete(self.values, k), self.times_s[k : k + 1])[0])
-            for k in inner
-        ]
-        off = np.interp(time_s, self.times_s[1:-1], others - self.values[1:-1])
-        return np.asarray(bend + 0.5 * off)
+        """Change of K for one standard deviation of the slope."""
+        return np.asarray(self.u_slope * (time_s - self.centre_s))
+
+    def wander(self, time_s: Floats) -> lamp_wander.Wander:
+        """What K may depart by beyond that."""
+        sitting = np.searchsorted(self.lit_s, self.times_s, side="right")
+        visits = lamp_wander.Visits(self.times_s, self.values, self.variances, sitting)
+        held = self.held(time_s)
+        found = lamp_wander.wander(
+            visits, held, lambda t: (self.at(t), np.stack([self.noise(t), self.drift(t)], 1))
+        )
+        away = self._steepest * (time_s - held) if len(self.lit_s) and not self.straight else 0.0
+        return replace(found, u=np.sqrt(found.u**2 + away**2 + self.scatter**2))
 
     def extra(self, time_s: Floats) -> Floats:
-        """Standard deviation of K from single visits, beyond that of the mean level; and from jumps between two."""
-        if self.straight:
-            return np.full(np.shape(time_s), self.scatter)
-        held = self.held(time_s)
-        away = self._steepest * (time_s - held) if len(self.lit_s) else np.zeros(np.shape(time_s))
-        time_s = held
-        share = np.stack([np.interp(time_s, self.times_s, row) for row in np.eye(len(self.times_s))])
-        of_visits = np.maximum(np.einsum("vt,v->t", share**2, self.variances) - self.u_level**2, 0.0)
-        return np.asarray(np.sqrt(of_visits + self._jumps(time_s) + away**2))
+        """Standard uncertainty of K beyond that of the line: `wander` in one number for each time."""
+        return self.wander(time_s).u
 
-    def _jumps(self, time_s: Floats) -> Floats:
-        """Variance of K where it changes between two visits by more than the intervals beside that let expect.
-
-        Such a change may be a jump, at a time that nobody knows: at the fraction x of the interval K is that of the one
-        visit or of the other, and departs from the line between them with the variance x (1 - x) jump^2.
-        """
-        length = np.diff(self.times_s)
-        slopes = np.diff(self.values) / length
-        beside = np.concatenate([[slopes[1]], 0.5 * (slopes[:-2] + slopes[2:]), [slopes[-2]]])
-        noise = 2.0 * (self.variances[1:] + self.variances[:-1])
-        jumps = np.maximum(((slopes - beside) * length) ** 2 - noise, 0.0)
-        k = np.clip(np.searchsorted(self.times_s, time_s, side="right") - 1, 0, length.size - 1)
-        x = np.clip((time_s - self.times_s[k]) / length[k], 0.0, 1.0)
-        return np.asarray(x * (1.0 - x) * jumps[k])
-
-    def _line(self, time_s: Floats) -> Floats:
+    def line(self, time_s: Floats) -> Floats:
+        """The straight line that is nearest to all visits."""
         return self.level + self.slope * (time_s - self.centre_s)
 
 

@@ -43,6 +43,7 @@ class Stream(IntEnum):
     DSNU = 7
     MONITOR = 8
     HOT = 9
+    WANDER = 10
     COSMIC = 20
 
 
@@ -142,11 +143,26 @@ class World:
         """The lamp's output during the present frame, relative to its mean when the run began."""
         lamp = self.truth.lamp
         now = self.now_s()
-        drift = 1.0 + lamp.drift_per_hour * now / 3600.0
+        drift = 1.0 + lamp.drift_per_hour * now / 3600.0 + self._wander(now)
         if lamp.warm_up_loss:
             drift -= lamp.warm_up_loss * math.exp(-now / lamp.warm_up_time_constant_s)
         noise = lamp.noise * self.normal(Stream.LAMP, self.step, self.frame) if lamp.noise else 0.0
         return max(0.0, drift * (1.0 + noise)) * self.brightness
+
+    def _wander(self, now_s: float) -> float:
+        """How far the lamp has walked: Brownian motion by Lévy's midpoints, alike whatever was asked before."""
+        if not self.truth.lamp.wander_per_sqrt_hour:
+            return 0.0
+        begin, length, first = 0.0, 2.0**22, 0.0  # 48 days; later it stays where it is
+        last = math.sqrt(length) * self.normal(Stream.WANDER, 0, 0)
+        for level in range(1, 23):  # down to a second, within which it goes straight on
+            length /= 2.0
+            number = int(min(now_s, 2.0**22 - 1.0) // length)
+            odd = number % 2
+            middle = 0.5 * (first + last) + math.sqrt(0.5 * length) * self.normal(Stream.WANDER, level, number // 2)
+            begin, first, last = (begin + length, middle, last) if odd else (begin, first, middle)
+        walked = first + (last - first) * min((now_s - begin) / length, 1.0)
+        return self.truth.lamp.wander_per_sqrt_hour / 60.0 * walked
 
     def true_band(self, band: Band) -> Band:
         """What a band of the rig truly is: the one that has its place in the list of the true bands."""
