@@ -1,13 +1,13 @@
 """Lamps that wander at random between the visits to the white reference: do the values hold their uncertainties?
 
-    python tools/lamp_campaign.py --seed 1 --count 40 --out DIR
+    python -m tools.lamp_campaign --seed 1 --count 40 --out DIR
 
 Each lamp has a random walk of 0.05 to 2 % (drawn evenly in its logarithm) from one visit to the next, and three to
 twelve visits. A matte sample is measured with it on the simulated rig, with all errors of "sim" but for the lamp's
 noise from frame to frame (0.05 %), and reduced. Printed are chi-square over n with the table's whole covariance, and
 how many values lie within 1.96 u_brdf.
 
-    python tools/lamp_campaign.py --levels --seed 1 --count 200
+    python -m tools.lamp_campaign --levels --seed 1 --count 200
 
 draws levels alone, without frames: random walks, a steady drift, a warm-up. Visits are known to 0.05 %, six points lie
 in every interval. Printed are how many levels lie within 1.96 u, their root mean square in u, and the median of u over
@@ -23,7 +23,6 @@ from pathlib import Path
 
 import numpy as np
 from gonio_analysis.fitting.observations import observations
-from spike_campaign import rig
 
 from gonio import instrument, models
 from gonio.acquisition.measure import carry_out
@@ -33,6 +32,7 @@ from gonio.geometry import Directions
 from gonio.reduction import brdf, white_reference
 from gonio.rig.description import SampleDescription
 from gonio.typing import Floats
+from tools.spike_campaign import rig
 
 NOISE = 5e-4
 EVERY_S = 300.0

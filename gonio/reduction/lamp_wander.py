@@ -37,7 +37,7 @@ DRIFT = 0.5
 """Of the line's change in one interval over a walk's, where three visits cannot tell the one from the other."""
 BLOCK = 32
 """At most so many visits are looked at together."""
-NODES = 64
+NODES = 32
 """Times at which errors that neighbouring points share are written out."""
 HELD = 0.95
 """Probability of an interval of `WIDE` standard uncertainties."""

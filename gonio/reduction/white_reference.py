@@ -90,9 +90,7 @@ class Level:
         sitting = np.searchsorted(self.lit_s, self.times_s, side="right")
         visits = lamp_wander.Visits(self.times_s, self.values, self.variances, sitting)
         held = self.held(time_s)
-        found = lamp_wander.wander(
-            visits, held, lambda t: (self.at(t), np.stack([self.noise(t), self.drift(t)], 1))
-        )
+        found = lamp_wander.wander(visits, held, lambda t: (self.at(t), np.stack([self.noise(t), self.drift(t)], 1)))
         away = self._steepest * (time_s - held) if len(self.lit_s) and not self.straight else 0.0
         return replace(found, u=np.sqrt(found.u**2 + away**2 + self.scatter**2))
 

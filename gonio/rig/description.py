@@ -298,7 +298,7 @@ class Lamp(Strict):
     drift_per_hour: float = 0.0
     """Relative drift of the lamp (simulation); the reduction learns the drift from the reference alone."""
     wander_per_sqrt_hour: NonNegative = 0.0
-    """Relative standard deviation of what the lamp walks at random in an hour (simulation); in t hours sqrt(t) of it."""
+    """Relative standard deviation of the lamp's random walk after an hour (simulation); after t hours sqrt(t) of it."""
     warm_up_s: NonNegative = 0.0
     beam_diameter_mm: Positive | None = None
     """Diameter of the lit spot on a sample under normal incidence, with a sharp edge: the cone from the lamp's centre

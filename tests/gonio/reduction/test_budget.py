@@ -58,11 +58,12 @@ def test_parts_add_up_in_squares_to_u(noisy: Reduction) -> None:
 def test_parts_are_what_they_are_named_after(noisy: Reduction) -> None:
     parts = noisy.budget
     relative = parts[list(budget.COMPONENTS)].div(parts["brdf"], axis=0)
-    # two frames of 0.3 %, and photons; 1 % of some hundred pixels; neither a spike nor other visits
+    # two frames of 0.3 %, and photons; 1 % of some hundred pixels; no spike; the lamp is steady, which few visits of
+    # 0.2 % tell no better
     assert relative["noise"].between(0.002, 0.02).all()
     assert relative["prnu"].between(1e-6, 0.002).all()
     assert (relative["encoder"] > 0).all()
-    assert (relative["visits"] == 0).all()
+    assert (relative["visits"] < 0.002).all()
     np.testing.assert_allclose(parts["s_reference"], 0.004 * parts["brdf"], rtol=1e-12)  # the definition
     assert np.isinf(parts["nu_eff"]).all()
     assert (parts["cone_difference"] >= 0).all()

@@ -28,7 +28,8 @@ def test_a_straight_level_is_recovered_with_its_covariance() -> None:
     variance = np.einsum("ti,ij,tj->t", rows, covariance, rows)
     np.testing.assert_allclose(fitted.noise(at) ** 2 + fitted.drift(at) ** 2, variance, rtol=1e-10)
     assert fitted.drift(at)[0] < 0 < fitted.drift(at)[2]
-    np.testing.assert_array_equal(fitted.extra(at), 0.0)
+    # five visits do not tell that a lamp never wanders; outside of them least
+    assert np.all(fitted.extra(at)[:2] < 1.2 * np.sqrt(variance)[:2])
 
 
 def test_order_of_the_visits_does_not_matter() -> None:
@@ -46,18 +47,16 @@ def test_levels_that_are_straight_are_seldom_called_crooked() -> None:
     assert crooked <= 10
 
 
-def test_a_crooked_level_is_interpolated_and_the_departure_budgeted() -> None:
+def test_a_crooked_level_is_interpolated() -> None:
+    """What it may depart by in between: `tests/gonio/reduction/test_lamp_wander.py`."""
     times, values = np.array([0.0, 100.0, 200.0, 300.0]), np.array([100.0, 110.0, 90.0, 100.0])
     fitted = white_reference.fit(times, values, np.full(4, 0.01))
     assert not fitted.straight
     at = np.array([-10.0, 0.0, 150.0, 200.0, 400.0])
     np.testing.assert_allclose(fitted.at(at), [100.0, 100.0, 100.0, 90.0, 100.0], rtol=1e-12)
-    line = np.polyval(np.polyfit(times, values, 1), at)
-    np.testing.assert_allclose(fitted.drift(at), 0.5 * (line - fitted.at(at)), rtol=1e-9, atol=1e-9)
-    # halfway between two visits the interpolation has half of the variance of one; the mean level has a quarter. And
-    # the level fell by 20 there, beside two intervals in which it rose by 10: a jump of 30, less the noise of it
-    assert fitted.extra(at)[2] == pytest.approx(math.sqrt(0.01 / 2 - 0.01 / 4 + (30.0**2 - 0.04) / 4), rel=1e-9)
-    assert fitted.extra(at)[3] == pytest.approx(math.sqrt(0.01 - 0.01 / 4), rel=1e-9)
+    # halfway it may be off by 14 from one visit to the next, and more: these are the root mean square of three changes
+    assert np.all(fitted.extra(at)[[1, 3]] < 0.5)
+    assert fitted.extra(at)[2] > 0.5 * 14.0
 
 
 def test_a_jump_between_two_visits_is_in_the_uncertainty_of_all_points_between_them() -> None:
