@@ -31,6 +31,10 @@ OPEN = {
 """Causes that a run knows only where a calibration says so, by how the names of their columns begin after "s_"."""
 
 
+WANDERS = 3
+"""So many visits to the white reference tell something of a lamp that wanders."""
+
+
 def assemble(table: pd.DataFrame, bands: list[BandResult]) -> pd.DataFrame:
     """The budget of every row of a table.
 
@@ -90,6 +94,11 @@ def left_out(description: RigDescription, table: pd.DataFrame) -> list[dict[str,
         for name, axis in description.axes().items()
         if not axis.zero_offset_known
     ]
+    if any(account["visits"] < WANDERS for account in table.attrs["provenance"]["reference"]):
+        out.append({
+            "cause": "lamp_wander",
+            "why": f"fewer than {WANDERS} visits to the white reference do not tell whether the lamp wanders",
+        })  # fmt: skip
     out.append({
         "cause": "solid_angle",
         "why": "values are means over the cones of lamp and lens, and are stated as such; budget.csv has "

@@ -69,9 +69,11 @@ class Share:
     mean: float = 0.0
     """Over the patch, and over the errors of the angles."""
     variance: float = 0.0
-    """Over the errors of the angles; no less than what the largest of them take away, over `FAR`, squared."""
+    """Over the errors of the angles."""
     most: float = 0.0
-    """For the largest errors of the angles, of `FAR` standard deviations; what is added is held against the values."""
+    """For the largest errors of the angles, of `FAR` standard deviations."""
+    least: float = 0.0
+    """Likewise."""
 
 
 def blurred_overlap(
@@ -115,12 +117,10 @@ def blurred_overlap(
         mean, variance = float(share.mean()), float(share.var())
         if pixels is not None:
             mean = max(mean + fixed - float(np.mean(of(centre + spots))), 0.0)
-    most = max(mean, at_read)
+    least, most = mean, max(mean, at_read)
     if first.any():
         turn = np.linspace(0.0, 2.0 * math.pi, 16, endpoint=False)[:, None]
         around = centre + FAR * (np.cos(turn) * first + np.sin(turn) * second)
         far = np.mean([of(around + spot) for spot in spots], axis=0)
-        most = max(most, float(np.max(far)))
-        # a top that is flat for small errors falls for rare ones, of which the mean square knows nothing
-        variance = max(variance, ((mean - float(np.min(far))) / FAR) ** 2)
-    return Share(at_read, mean, variance, most)
+        least, most = min(mean, float(np.min(far))), max(most, float(np.max(far)))
+    return Share(at_read, mean, variance, most, least)

@@ -70,8 +70,11 @@ class Scene:
 
     @property
     def variance(self) -> Floats:
-        """`Share.variance`."""
-        return np.array([share.variance for share in self.shares])
+        """Of `Share.mean`: no less than what the largest errors take away, over `FAR`, squared.
+
+        A top that is flat for small errors falls for rare ones, of which the mean square knows nothing.
+        """
+        return np.array([max(s.variance, ((s.mean - s.least) / FAR) ** 2) for s in self.shares])
 
     @property
     def at_read(self) -> Floats:

@@ -57,7 +57,7 @@ def test_a_lamp_that_drifts_steadily_is_known_nearly_as_well_as_its_line(visits:
 
 
 def test_between_visits_without_noise_u_is_that_of_a_brownian_bridge() -> None:
-    """At the fraction x of an interval sqrt(x (1 - x)) of the change from visit to visit, which 30 visits tell to 13 %."""
+    """At the fraction x of an interval sqrt(x (1 - x)) of the change between visits, which 30 of them tell to 13 %."""
     rng, sigma = np.random.default_rng(3), 0.004
     times = 300.0 * np.arange(BLOCK - 2)
     values = 1.0 + np.cumsum(sigma * rng.standard_normal(times.size))

@@ -200,7 +200,9 @@ def test_rare_errors_that_lead_down_from_a_flat_top_are_in_its_variance(theta: f
     assert np.std(lost) < 0.006
     assert np.min(lost) < -6.0 * np.std(lost)
     # the largest of 4000 normal numbers is four standard deviations: no more of this one's
-    assert np.all(abs(lost) < 4.5 * math.sqrt(top.variance))
+    f = np.array([1000.0 * top.mean])
+    u = math.sqrt(Curves(goal[None], goal[None], f, 1e-6 * f, (HALF, wider), [top]).spikes.variance[0])
+    assert np.all(1000.0 * abs(lost) < 4.5 * u)
 
 
 def test_pixels_of_the_patch_count_as_they_are() -> None:
