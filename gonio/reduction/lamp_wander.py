@@ -93,10 +93,11 @@ def wander(visits: Visits, times_s: Floats, line: Callable[[Floats], tuple[Float
         for k in range(last + 1):
             here = np.flatnonzero(np.clip(place, 0, last) == k)
             rows = slice(max(k * half - half // 2, 0), (k + 1) * half + half // 2 if k < last else count)
-            part = Visits(*(x[rows] for x in (visits.times_s, visits.values, visits.variances, visits.sitting)))
+            values, variances = visits.values[rows], visits.variances[rows]
+            part = Visits(visits.times_s[rows], values, variances, visits.sitting[rows])
             if here.size and len(part.times_s) - _free(part) >= 1:
-                line, *curves = _curves(part, times_s[here])
-                curves = [c._replace(variance=c.variance - line.variance + known[here]) for c in curves]
+                straight, *curves = _curves(part, times_s[here])
+                curves = [c._replace(variance=c.variance - straight.variance + known[here]) for c in curves]
                 u[here] = _beyond(curves, level[here], known[here])
         return Wander(u, np.zeros((len(times_s), 0)))
     curves = _curves(visits, times_s)[1:]

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from gonio_sim.world import World
 
 from gonio.rig.description import RigDescription
-from gonio_sim.world import World
 from tools.spike_campaign import rig
 
 

@@ -59,7 +59,7 @@ def test_a_lamp_that_drifts_steadily_is_known_nearly_as_well_as_its_line(visits:
 def test_between_visits_without_noise_u_is_that_of_a_brownian_bridge() -> None:
     """At the fraction x of an interval sqrt(x (1 - x)) of the change between visits, which 30 of them tell to 13 %."""
     rng, sigma = np.random.default_rng(3), 0.004
-    times = 300.0 * np.arange(BLOCK - 2)
+    times = np.arange(0.0, 300.0 * (BLOCK - 2), 300.0)
     values = 1.0 + np.cumsum(sigma * rng.standard_normal(times.size))
     fitted = white_reference.fit(times, values, np.full(times.size, 1e-12))
     x = np.array([0.1, 0.3, 0.5, 0.8])
@@ -90,7 +90,7 @@ def test_errors_of_neighbouring_points_go_together() -> None:
 
 @pytest.mark.parametrize("count", [1, 2])
 def test_too_few_visits_say_nothing(count: int) -> None:
-    times = 100.0 * np.arange(count)
+    times = np.arange(0.0, 100.0 * count, 100.0)
     found = white_reference.fit(times, np.full(count, 10.0), np.ones(count)).wander(np.array([20.0, 60.0]))
     np.testing.assert_array_equal(found.u, 0.0)
     assert found.shared.shape == (2, 0)
