@@ -382,7 +382,7 @@ def _method(s: ChangeSummary) -> Paragraph:
         f" {100 * v.false_discoveries:g} % of the marks be wrong."
         f" The verdict rests on chi-square of all values (p {_p(v.p_value)}), on the largest of"
         f" them ({v.largest:.2f} standard deviations, p {_p(v.p_largest)}), and on the common factor of B over A"
-        f" ({1 + v.scale:.4f} ± {v.u_scale:.4f}, p {_p(v.p_scale)}), each at a third of {100 * v.level:g} %; where"
+        f" ({with_u(1 + v.scale, v.u_scale)}, p {_p(v.p_scale)}), each at a third of {100 * v.level:g} %; where"
         f" nothing changed it says so in {100 * (1 - v.level):g} % of the cases."
     )
     return Paragraph(text)
