@@ -22,6 +22,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
 
+from gonio.acquisition.expected_lines import label_json
 from gonio.acquisition.records import FrameFile, FrameLabel, FrameRecord, StepRecord
 from gonio.disk import Staged, read_file, sync_folder
 from gonio.errors import ArgumentError, DataError
@@ -240,7 +241,8 @@ def label_of(path: Path, data: bytes) -> FrameLabel | None:
 
 def _parsed(text: str) -> FrameLabel | None:
     try:
-        return FrameLabel.from_json(json.loads(text))
+        label_json(text)
+        return FrameLabel.from_json(json.loads(text))  # with the digits of its numbers, as they stand there
     except (ValueError, RecursionError, DataError):
         return None
 

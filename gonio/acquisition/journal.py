@@ -45,11 +45,19 @@ def _sealed(body: bytes) -> bytes:
 
 def decode(line: bytes, number: int | None = None) -> Event | None:
     """The event of one whole line (with its end), or None where it is damaged, or has not the number that is wanted."""
-    body, mark, tail = line.rpartition(MARK)
-    if not mark or tail != b'%08x"}\n' % zlib.crc32(body):
+    if not is_whole(line):
         return None
-    event: Event = json.loads(body + b"}")
-    return event if number is None or event.get("n") == number else None
+    try:
+        event = json.loads(line.rpartition(MARK)[0] + b"}")
+    except (ValueError, RecursionError):
+        return None
+    return event if isinstance(event, dict) and (number is None or event.get("n") == number) else None
+
+
+def is_whole(line: bytes) -> bool:
+    """Whether a line (with its end) has the checksum of what stands in it."""
+    body, mark, tail = line.rpartition(MARK)
+    return bool(mark) and tail == b'%08x"}\n' % zlib.crc32(body)
 
 
 def now() -> str:
@@ -119,9 +127,7 @@ def _scan(path: Path) -> tuple[array[int], int]:
     starts, good, number = array("q"), 0, 0
     with open(path, "rb", opener=only_file) as file:
         for line in file:
-            body, mark, tail = line.rpartition(MARK)
-            whole = mark and tail == b'%08x"}\n' % zlib.crc32(body)
-            if not whole or not (body.startswith(b'{"n":%d,' % number) or decode(line, number)):
+            if not is_whole(line) or not (line.startswith(b'{"n":%d,' % number) or decode(line, number)):
                 if line.endswith(b"\n") and file.read(1):
                     raise DataError(
                         f"{path}: line {number + 1} is damaged (its checksum or its number is wrong): the file was "

@@ -106,7 +106,7 @@ class Run:
     """Which frames were found missing or damaged when it was resumed, and how."""
     unchecked: int = 0
     """Of how many frames only the size was looked at then."""
-    _index: Index | None = None
+    _index: Index = field(default_factory=Index)
     _grown: tuple[int, Points] | None = None
     """How many batches were chosen, and all points with them."""
     _closed: Events | None = None
@@ -333,22 +333,23 @@ class Run:
         return Points(table, flags, reasons)
 
     def events(self) -> Events:
-        """Every event so far, without a torn last line; `DataError` where the journal is damaged before that."""
+        """Every event so far, without a torn last line; `DataError` where the journal is damaged before that, or a
+        line holds what nobody can use.
+        """
         if self.journal is not None:
-            return self.journal.events
-        if self._closed is not None:
-            return self._closed
-        return read_events(self.path / "journal.jsonl")
+            events = self.journal.events
+        else:
+            events = self._closed or read_events(self.path / "journal.jsonl")
+        self._index.go_on(events)
+        return events
 
     def steps(self) -> Steps:
         """The completed steps, in the order of their numbers; without those whose frames were lost."""
-        return Steps(self.events(), self._indexed)
+        return Steps(self.events(), self._index)
 
     @property
     def _indexed(self) -> Index:
-        if self._index is None:
-            self._index = Index()
-        self._index.go_on(self.events())
+        self.events()
         return self._index
 
     @cached_property

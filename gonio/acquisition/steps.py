@@ -1,22 +1,18 @@
 """The steps of a run that are done: where their lines stand in the journal, and what these say.
 
-The journal of a long run is read once, without parsing it; a step is parsed when it is asked for.
+The journal of a long run is read once, and every line checked; a step is kept no longer than it is asked for.
 """
 
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Iterator, Sequence
 from typing import overload
 
+from gonio.acquisition.expected_lines import event_of
 from gonio.acquisition.journal import Event, Events
 from gonio.acquisition.records import StepRecord
 from gonio.errors import DataError
-
-_STEP = re.compile(rb'\{"n":\d+,"event":"(\w+)"(?:,"step":(\d+),"kind":)?')
-"""How a line begins, as `gonio.acquisition.loop` writes it."""
-
 
 class Index:
     """Which line of a journal holds which step, in a few bytes a step."""
@@ -31,24 +27,28 @@ class Index:
         self._seen = 0
 
     def go_on(self, events: Events) -> None:
-        """Read the events that were not there before."""
-        for at, line in enumerate(events.lines(range(self._seen, len(events))), self._seen):
-            found = _STEP.match(line)
-            if found is not None and found[1] == b"step" and found[2] is not None:
-                self.lines[int(found[2])] = at
-            elif found is None or found[1] in (b"step", b"lost", b"chosen", b"enough"):
-                self._note(at, json.loads(line))
-        self._seen = len(events)
+        """Read the events that were not there before; raises `DataError` where one holds what nobody can use."""
+        lines = events.lines(range(self._seen, len(events)))
+        for at, line in enumerate(lines, self._seen):
+            try:
+                event = event_of(line)
+            except DataError as error:
+                raise DataError(
+                    f"{events.path}: line {at + 1} is whole, and not what this version writes: {error}; `gonio run "
+                    f"repair {events.path.parent}` keeps the other lines, and asks the frames what this one said"
+                ) from None
+            self._note(at, event)
+            self._seen = at + 1
 
     def _note(self, at: int, event: Event) -> None:
-        if event.get("event") == "step":
-            self.lines[int(event["step"])] = at
-        elif event.get("event") == "lost":
+        if event["event"] == "step":
+            self.lines[event["step"]] = at
+        elif event["event"] == "lost":
             for number in event["steps"]:
-                self.lines.pop(int(number), None)
-        elif event.get("event") == "chosen":
+                self.lines.pop(number, None)
+        elif event["event"] == "chosen":
             self.chosen = sorted([*self.chosen, event], key=lambda batch: int(batch["first_step"]))
-        elif event.get("event") == "enough":
+        elif event["event"] == "enough":
             self.enough = True
 
 

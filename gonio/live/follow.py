@@ -10,8 +10,10 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
+from gonio.acquisition.expected_lines import event_of
 from gonio.acquisition.journal import Event, decode
 from gonio.disk import only_file
+from gonio.errors import DataError
 
 PIECE = 1 << 20
 """Bytes that are read at once."""
@@ -88,6 +90,11 @@ class Follower:
             if event is None:
                 if more or k + 1 < len(lines):
                     self.damaged = f"line {self._number + 1} of the journal is damaged: gonio run repair"
+                break
+            try:
+                event_of(line)
+            except DataError as error:
+                self.damaged = f"line {self._number + 1} of the journal is whole, and cannot be used: {error}"
                 break
             out.append(event)
             self.places.append(self._at)

@@ -279,7 +279,7 @@ class _Documents:
                     lines.pop(int(number), None)
             if kind in ("session", "end", "interrupted", "device_error", "lost"):
                 known.ended, known.message = kind, event.get("message", "")
-            known.last_time = max(known.last_time, _seconds(event["wall"]))
+            known.last_time = max(known.last_time, _seconds(event.get("wall", "")))
         known.counting = set(lines.values())
         known.numbers, known.words = list(numbers), list(words)
         return known
@@ -442,7 +442,7 @@ class _Documents:
         if self._known.words:
             data["health_words"] = json.dumps({name: read[name] for name in self._known.words if name in read})
         data["frames"] = f"{self._uid('frames')}/{event['n']}"
-        yield self._event(name, event["n"], _seconds(event["wall"]), data)
+        yield self._event(name, event["n"], _seconds(event.get("wall", "")), data)
 
     def _pose(self, pose: Mapping[str, float] | None) -> list[float | None]:
         return [None if pose is None else math.degrees(pose[axis]) for axis in self._axes]
@@ -488,7 +488,7 @@ class _Documents:
             yield "descriptor", self._descriptor("journal", keys, {}, "journal")
         content = {key: value for key, value in event.items() if key not in ("n", "wall", "crc", "event")}
         data = {"event": event["event"], "message": str(event.get("message", "")), "content": json.dumps(content)}
-        yield self._event("journal", event["n"], _seconds(event["wall"]), data)
+        yield self._event("journal", event["n"], _seconds(event.get("wall", "")), data)
 
     def _reduced(self) -> Iterator[Document]:
         """The rows of the table."""
@@ -521,8 +521,8 @@ class _Documents:
 
 
 def _seconds(wall: str) -> float:
-    """Seconds since 1970 of a time of day (UTC) as run.toml and journal hold it."""
-    return datetime.datetime.fromisoformat(wall).timestamp()
+    """Seconds since 1970 of a time of day (UTC) as run.toml and journal hold it; 0 where they do not."""
+    return datetime.datetime.fromisoformat(wall).timestamp() if wall else 0.0
 
 
 def _finite(value: Any) -> Any:

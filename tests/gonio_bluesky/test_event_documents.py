@@ -254,6 +254,7 @@ def test_a_long_run_reads_back_bit_for_bit(tmp_path: Path) -> None:
     with (tmp_path / "RUN" / "journal.jsonl").open("ab") as journal:
         for k in range(count):
             event = {**template, "n": k + 1, "step": k + 2, "point": k, "time_s": float(rng.normal()), "wall": now()}
+            event["frames"] = [{**f, "file": f"{k + 2:06d}{f['file'][6:]}"} for f in template["frames"]]
             event.pop("crc", None)
             journal.write(encode(event))
     remarks = write(str(tmp_path / "RUN"), tmp_path / "long.jsonl")
