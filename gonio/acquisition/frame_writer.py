@@ -23,12 +23,13 @@ from pathlib import Path
 from typing import Protocol
 
 from gonio.acquisition.expected_lines import label_json
+from gonio.acquisition.journal import is_whole, sealed
 from gonio.acquisition.records import FrameFile, FrameLabel, FrameRecord, StepRecord
 from gonio.disk import Staged, read_file, sync_folder
 from gonio.errors import ArgumentError, DataError
 from gonio.rig import Frame, Pose, Step
 from gonio.rig.description import Band
-from gonio.rig.dng import encode_dng, read_record
+from gonio.rig.dng import encode_dng, pixels_sha256, read_raw, read_record
 
 WAITING = 8
 """How many frames may wait for the disk before the camera has to."""
@@ -77,10 +78,10 @@ class Store:
         self.waited_s = 0.0
         """How long `put` has waited for the disk."""
 
-    def put(self, frame: Frame, name: str, label: Callable[[], str]) -> Written:
+    def put(self, frame: Frame, name: str, label: Callable[[str], str]) -> Written:
         """Begin to write a frame; what is returned says what its file is, once that is written (see `commit`).
 
-        `label` is called when all frames before this one are there.
+        `label` is called when all frames before this one are there, with the checksum of the frame's pixels.
         """
         path, began = f"{self._folder}{os.sep}{name}", time.monotonic()
         out: Written
@@ -103,20 +104,21 @@ class Store:
         """Begin to bring all frames that were put before to the disk, under their names; done once they are there."""
         return self._pool.submit(self._commit)
 
-    def _write(self, frame: Frame, path: str, label: Callable[[], str]) -> FrameFile:
+    def _write(self, frame: Frame, path: str, label: Callable[[str], str]) -> FrameFile:
         try:
-            text = label()
             if frame.file is None:
-                data = encode_dng(frame, text)
+                data = encode_dng(frame, label(pixels_sha256(frame.mosaic)))
+                digest = hashlib.sha256(data).hexdigest()
             else:  # the camera's own file is kept as it is
-                self._staged.append(Staged(path + BESIDE, text.encode()))
                 data = frame.file.read_bytes()
+                digest = hashlib.sha256(data).hexdigest()
+                self._staged.append(Staged(path + BESIDE, label(digest).encode()))
             self._staged.append(Staged(path, data))
-            return FrameFile(hashlib.sha256(data).hexdigest(), len(data))
+            return FrameFile(digest, len(data))
         except OSError as error:
             raise _not_written(path, error) from None
 
-    def _in_thread(self, frame: Frame, path: str, label: Callable[[], str]) -> FrameFile:
+    def _in_thread(self, frame: Frame, path: str, label: Callable[[str], str]) -> FrameFile:
         try:
             file = self._write(frame, path, label)
             if len(self._staged) >= MOST_STAGED or file.bytes >= LARGE:
@@ -215,11 +217,12 @@ class Files:
         count = self.count  # now: it may have grown when the label is written
         goal = step.pose if pose is not None else None
 
-        def label() -> str:
+        def label(pixels: str) -> str:
             files = [done.result() for done in before] if record is not None else []
-            return FrameLabel(
-                self.run, step.index, step.kind, step.point, number, count, last, goal, pose, pose_time_s, record
+            text = FrameLabel(
+                self.run, step.index, step.kind, step.point, number, count, last, goal, pose, pose_time_s, record, pixels
             ).text(files)
+            return sealed(text[:-1].encode()).decode().rstrip("\n")
 
         self.written.append(self.store.put(frame, last.file, label))
 
@@ -239,9 +242,23 @@ def label_of(path: Path, data: bytes) -> FrameLabel | None:
     return found if found is not None and found.frame.file == path.name else None
 
 
+def pixels_of(path: Path, data: bytes) -> str:
+    """The checksum of a frame's pixels, as its label should have it: of all bytes of a camera's own file.
+
+    Raises
+    ------
+    DataError
+        The file is damaged.
+    """
+    own = read_record(data)
+    return pixels_sha256(read_raw(path, data).mosaic) if own else hashlib.sha256(data).hexdigest()
+
+
 def _parsed(text: str) -> FrameLabel | None:
     try:
-        label_json(text)
+        label = label_json(text)
+        if label.get("pixels") is not None and not is_whole(f"{text}\n".encode()):
+            return None
         return FrameLabel.from_json(json.loads(text))  # with the digits of its numbers, as they stand there
     except (ValueError, RecursionError, DataError):
         return None

@@ -36,10 +36,11 @@ MARK = b',"crc":"'
 
 def encode(event: Event) -> bytes:
     """One line of a journal, with its checksum and its end."""
-    return _sealed(compact(event).encode()[:-1])
+    return sealed(compact(event).encode()[:-1])
 
 
-def _sealed(body: bytes) -> bytes:
+def sealed(body: bytes) -> bytes:
+    """The text of an object of JSON, without its brace at the end, as a line with its checksum."""
     return body + MARK + b'%08x"}\n' % zlib.crc32(body)
 
 
@@ -203,7 +204,7 @@ def _lock(path: Path) -> Any:
 class Journal:
     """The one writer of a journal, held by a lock on the file that ends with the process.
 
-    Opening cuts a torn last line. Nothing is written until the first `append`.
+    Opening changes nothing; the first `append` cuts a torn last line.
 
     Raises
     ------
@@ -219,8 +220,7 @@ class Journal:
         self._one_at_a_time = threading.Lock()
         """A driver's thread may have something to remark while a step is written."""
         try:
-            self._starts, good = _scan(path)
-            self._file.truncate(good)
+            self._starts, self._good = _scan(path)
         except BaseException:
             self._file.close()
             raise
@@ -249,18 +249,22 @@ class Journal:
         """
         with self._one_at_a_time:
             end, first = f',"wall":"{now()}"', len(self._starts)
-            self._write([_sealed(f'{{"n":{n},{text[1:-1]}{end}'.encode()) for n, text in enumerate(events, first)])
+            self._write([sealed(f'{{"n":{n},{text[1:-1]}{end}'.encode()) for n, text in enumerate(events, first)])
 
     def _write(self, lines: Sequence[bytes]) -> None:
-        number, before = len(self._starts), os.fstat(self._file.fileno()).st_size
+        number, before = len(self._starts), self._good
         try:
+            if os.fstat(self._file.fileno()).st_size > before:
+                self._file.truncate(before)
             data = b"".join(lines)
             if self._file.write(data) != len(data):
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
             os.fsync(self._file.fileno())
             self._starts.extend(accumulate(map(len, lines[:-1]), initial=before))
+            self._good += len(data)
         except BaseException as error:  # a signal too: file and events must not tell different stories
             del self._starts[number:]
+            self._good = before
             with contextlib.suppress(OSError):  # the next writer cuts what cannot be cut now
                 self._file.truncate(before)
             if isinstance(error, OSError):

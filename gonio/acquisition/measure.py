@@ -194,6 +194,7 @@ def carry_out(
     from gonio.acquisition.plan import said_beside
     from gonio.acquisition.progress import Silent
     from gonio.acquisition.remaining import Remaining
+    from gonio.acquisition.repair import ASIDE
     from gonio.acquisition.run import Run
     from gonio.acquisition.run_folder import begun
     from gonio.acquisition.run_settings import Request
@@ -218,11 +219,13 @@ def carry_out(
                     run = stack.enter_context(Run.resume(out, request))
                     _say_what_was_found(run, progress)
                     steps = going_on(plan, rig.description, run.planned.flags)
-                    _check_room(out, rig, plan, len(steps) - len(run.steps()), progress, yes)
+                    _check_room(out, rig, plan, len(steps) - len(run.steps()) + run.steps_left_out, progress, yes)
                 with rig.naming():
                     stack.enter_context(device)
                 entered = True
                 _require_way(device, steps[1].pose)
+                if begun_before and (aside := run.set_right()):
+                    progress.say(f"{out}: {len(aside)} files of steps that were cut short are now in {out / ASIDE}")
                 if not begun_before:
                     run = stack.enter_context(Run.create(out, request))
                     for line in said_beside(request.points, rig.description):

@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from math import isfinite
 from operator import attrgetter
 from typing import Any, Literal, Self, TypeVar
@@ -208,6 +208,28 @@ class FrameLabel:
     pose_time_s: float | None
     record: StepRecord | None = None
     """In the last frame of a step: all that the journal says of it, but for what this file is."""
+    pixels: str | None = None
+    """SHA-256 of the frame's pixels (`gonio.rig.dng.pixels_sha256`), or of all of a camera's own file; None in frames
+    from before it was kept."""
+
+    def otherwise(self, run: str, step: StepRecord, frame: FrameRecord) -> str:
+        """What this label says otherwise than the journal does of a step and its frame; "" where they agree.
+
+        `run` is the key of the run.
+        """
+        bare = replace(frame, sha256=None, bytes=None)
+        told: dict[str, tuple[object, object]] = {
+            name: (getattr(self, name), getattr(step, name)) for name in ("step", "kind", "point")
+        } | {name: (getattr(self.frame, name), getattr(bare, name)) for name in _OF_FRAME}
+        if self.goal is not None:
+            told |= {name: (getattr(self, name), getattr(step, name)) for name in ("goal", "pose", "pose_time_s")}
+        if self.record is not None:
+            whole = replace(step, frames=(*step.frames[:-1], bare))
+            told |= {name: (getattr(self.record, name), getattr(whole, name)) for name in _OF_STEP}
+        if self.run != run:
+            return "says that it belongs to another run"
+        differing = [name for name, (own, other) in told.items() if own != other]
+        return f"says otherwise of {', '.join(differing)} than the journal does" if differing else ""
 
     def text(self, files: Sequence[FrameFile] = ()) -> str:
         """As it stands in the frame's file; `files` says what those of the frames before it in its step are."""
@@ -216,6 +238,8 @@ class FrameLabel:
             f'"point":{_number(self.point)},"frame":{_number(self.number)},"of":{_number(self.count)},'
             f"{self.frame.members()}"
         )
+        if self.pixels is not None:
+            out += f',"pixels":{compact(self.pixels)}'
         if self.goal is not None and self.pose is not None:
             time_s = _number(self.pose_time_s)
             out += f',"goal":{_axes(self.goal)},"pose":{_axes(self.pose)},"pose_time_s":{time_s}'
@@ -248,8 +272,12 @@ class FrameLabel:
             None if pose is None else Pose(**pose),
             values.get("pose_time_s"),
             None if record is None else StepRecord._of(record),
+            values.get("pixels"),
         )
 
+
+_OF_FRAME = tuple(field.name for field in fields(FrameRecord))
+_OF_STEP = tuple(field.name for field in fields(StepRecord))
 
 _KEPT = 16
 _kept: dict[int, tuple[Pose, str]] = {}

@@ -12,21 +12,24 @@ import json
 import os
 import re
 from array import array
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
-from gonio.acquisition.frame_writer import BESIDE, NAME, label_of
+from gonio.acquisition.expected_lines import event_of
+from gonio.acquisition.frame_writer import BESIDE, NAME, label_of, pixels_of
 from gonio.acquisition.journal import Event, decode, encode, locked, now
 from gonio.acquisition.records import FrameFile, FrameRecord, StepRecord
+from gonio.acquisition.repeats import Pictures, repeated
 from gonio.acquisition.run import CHOSEN, Run
 from gonio.acquisition.run_folder import begun
 from gonio.acquisition.steps import Steps
-from gonio.disk import half_written, is_own, only_file, read_file, read_manifest, set_aside, write_whole
+from gonio.disk import half_written, is_own, read_file, read_manifest, set_aside, write_whole
 from gonio.errors import ConfigError, DataError
+from gonio.rig.dng import encode_dng, read_raw, read_record
 
 LOOKED_INTO = 2_500
 """When a run is resumed, at most so many of its last frames are read from end to end."""
@@ -91,7 +94,7 @@ def find_damage(run: Run, *, whole: bool = False, progress: Progress | None = No
 
 def _read(run: Run, steps: Steps, suspects: set[int], out: Found, *, whole: bool, progress: Progress | None) -> None:
     """Read frames from end to end, the last ones first, as many as may be, and those of the suspects."""
-    room, count, done = LOOKED_INTO_BYTES, LOOKED_INTO, 0
+    room, count, done, pictures = LOOKED_INTO_BYTES, LOOKED_INTO, 0, Pictures()
     for at in range(len(steps) - 1, -1, -1):
         number = steps.numbers[at]
         if not whole and not suspects and (room <= 0 or count <= 0):
@@ -100,33 +103,45 @@ def _read(run: Run, steps: Steps, suspects: set[int], out: Found, *, whole: bool
         suspects.discard(number)
         if not (whole or suspect or (room > 0 and count > 0)):
             continue
-        for frame in steps[at].frames:
-            path = run.frame_path(frame.file)
-            state = state_of(path, frame)
+        step = steps[at]
+        for frame in step.frames:
+            state, pixels, size = _state_of(run, step, frame)
             if state:
                 out.damaged.setdefault(number, []).append(f"frames/{frame.file} {state}")
-            else:
-                room -= path.stat().st_size
-            count, done = count - 1, done + 1
+            elif pixels:
+                pictures.add(pixels, number)
+            room, count, done = room - size, count - 1, done + 1
             if progress is not None:
                 progress(done, out.frames)
+    for number, texts in repeated(run, _of(steps, pictures.suspects)).items():
+        out.damaged.setdefault(number, []).extend(texts)
     out.unchecked = out.frames - done
 
 
-def state_of(path: Path, frame: FrameRecord) -> str:
-    """What is wrong with the file of a frame that the journal names; "" where nothing is."""
+def _of(steps: Steps, numbers: set[int]) -> Iterator[StepRecord]:
+    """Some of the steps, each read when it is asked for."""
+    return (steps[at] for at, number in enumerate(steps.numbers) if number in numbers)
+
+
+def _state_of(run: Run, step: StepRecord, frame: FrameRecord) -> tuple[str, str, int]:
+    """What is wrong with a frame that the journal names ("" where nothing is), the checksum of its pixels where the
+    file tells it, and its size in bytes.
+    """
+    path = run.frame_path(frame.file)
     try:
-        with open(path, "rb", opener=only_file) as file:
-            size = os.fstat(file.fileno()).st_size
-            if frame.bytes is not None and size != frame.bytes:
-                return f"is damaged: it holds {size} bytes, and was written with {frame.bytes}"
-            if hashlib.file_digest(file, "sha256").hexdigest() != frame.sha256:
-                return "is damaged: it was changed after it was written (its checksum differs)"
+        data = read_file(path)
     except FileNotFoundError:
-        return "is missing"
+        return "is missing", "", 0
     except OSError as error:
-        return f"cannot be read: {error.strerror}"
-    return ""
+        return f"cannot be read: {error.strerror}", "", 0
+    if frame.bytes is not None and len(data) != frame.bytes:
+        return f"is damaged: it holds {len(data)} bytes, and was written with {frame.bytes}", "", len(data)
+    if hashlib.sha256(data).hexdigest() != frame.sha256:
+        return "is damaged: it was changed after it was written (its checksum differs)", "", len(data)
+    label = label_of(path, data)
+    if label is None:
+        return "", "", len(data)
+    return label.otherwise(run.key, step, frame), label.pixels or pixels_of(path, data), len(data)
 
 
 _FRAME = re.compile(rb'"file":"([^"]*)"(?:[^}]*"bytes":(\d+))?')
@@ -152,11 +167,12 @@ def _listed(folder: Path) -> tuple[Integers, Integers]:
         try:
             with os.scandir(handle) as entries:  # by its handle: files are found without their folders' names
                 for entry in entries:
-                    if not entry.is_file():
+                    link = entry.is_symlink() and NAME.fullmatch(entry.name) is not None
+                    if not entry.is_file() and not link:
                         foreign.append(entry.name)
                         continue
                     names.append(hash(os.fsencode(entry.name)))
-                    sizes.append(entry.stat().st_size)
+                    sizes.append(-1 if link else entry.stat().st_size)  # of a link the file is looked at
         finally:
             os.close(handle)
     except OSError as error:
@@ -177,52 +193,43 @@ def _orphans(run: Run, hashes: set[int]) -> list[str]:
     return [name for name in names if name not in beside]
 
 
-def drop_orphans(run: Run, found: Found) -> None:
-    """Remove what a step that was cut short left in `frames/`, and set aside what cannot be told, and lost steps.
-
-    Only files that say themselves that they are frames of this run are removed: those of a step that is not done will
-    be taken again.
-
-    Raises
-    ------
-    ConfigError
-        A file there is none of this program's; nothing is touched then.
+def require_frames_only(run: Run, names: Iterable[str]) -> None:
+    """Raise `ConfigError` where `frames/` holds, under one of these names, what is none of this program's; or is a
+    link.
     """
-    frames, own, aside = run.path / "frames", [], []
-    foreign = []
-    for name in found.orphans:
-        path = frames / name
-        if path.is_symlink() or not (NAME.fullmatch(name) or half_written(name, NAME)):
-            foreign.append(name)
-        elif half_written(name, NAME) or _is_of(run, path):
-            own.append(path)
-        else:
-            aside.append(path)
+    frames = run.path / "frames"
+    foreign = [name for name in names if not (NAME.fullmatch(name) or half_written(name, NAME))]
     if foreign:
         shown = ", ".join(f'"{name}"' for name in foreign[:5]) + (" ..." if len(foreign) > 5 else "")
         raise ConfigError(
             f"{frames}: holds {shown}, which this program did not write; move it out of this folder, which belongs to "
             "the run"
         )
-    for steps in found.damaged:
-        aside += [path for path in frames.glob(f"{steps:06d}-*") if NAME.fullmatch(path.name)]
-    if frames.is_symlink() and (own or aside):
-        raise ConfigError(f"{frames}: is a link, and {(own + aside)[0].name} in it does not count any more; remove it")
-    for path in aside:
-        if path.exists():
-            set_aside(path, run.path / ASIDE)
-    for path in own:
-        path.with_name(path.name + BESIDE).unlink(missing_ok=True)
-        path.unlink(missing_ok=True)
 
 
-def _is_of(run: Run, path: Path) -> bool:
-    """Whether a frame says of itself that it belongs to a run."""
-    try:
-        label = label_of(path, read_file(path))
-    except OSError:
-        return False
-    return label is not None and label.run == run.key
+def set_orphans_aside(run: Run, found: Found) -> list[str]:
+    """Move to `set-aside/` what no step that counts has: frames of a step that was cut short, frames that nobody can
+    tell the step of, and all frames of damaged steps, which will be taken again. Their names.
+
+    Nothing is removed: what was cut short, or belongs to a line that somebody took out of the journal, looks alike.
+
+    Raises
+    ------
+    ConfigError
+        A file there is none of this program's; nothing is touched then.
+    """
+    frames = run.path / "frames"
+    require_frames_only(run, found.orphans)
+    aside = set(found.orphans)
+    for name in os.listdir(frames) if found.damaged else ():
+        if NAME.fullmatch(name) and int(name.split("-")[0]) in found.damaged:
+            aside.add(name)
+    aside |= {name + BESIDE for name in aside if os.path.lexists(frames / (name + BESIDE))}
+    if frames.is_symlink() and aside:
+        raise ConfigError(f"{frames}: is a link, and {min(aside)} in it does not count any more; remove it")
+    for name in sorted(aside):
+        set_aside(frames / name, run.path / ASIDE)
+    return sorted(aside)
 
 
 @dataclass(frozen=True, slots=True)
@@ -239,13 +246,17 @@ class Repaired:
     """Frames that say nothing of themselves, or not enough, or belong to another run."""
     journal: Path | None
     """Where the journal lies that was there before."""
+    unproved: list[str]
+    """Frames of an earlier version, which hold no checksum of their pixels, and none is left of them elsewhere."""
 
 
 def repair(path: str | Path, *, progress: Progress | None = None) -> Repaired | None:
     """Make a run's journal again, from the lines that can be read and from what the frames say of their steps.
 
     A step counts where all of its frames are whole and the last of them says what the journal has to say; any other is
-    taken again when the run is resumed. The journal that was there is kept under another name. Frames are only read.
+    taken again when the run is resumed. Whether a frame is whole its checksum in the journal says, where a line is left
+    that names it; else the checksum of its pixels that the frame itself holds. The journal that was there is kept under
+    another name. Frames are only read.
 
     Parameters
     ----------
@@ -261,54 +272,72 @@ def repair(path: str | Path, *, progress: Progress | None = None) -> Repaired | 
     Raises
     ------
     ConfigError
-        The folder holds no run, or another process writes to it.
+        The folder holds no run, another process writes to it, or among its frames lies something that is none.
     DataError
-        run.toml is damaged.
+        run.toml or plan.csv is damaged.
     """
     run = Run.open(path)
     journal = run.path / "journal.jsonl"
     if not os.path.lexists(run.path / "frames"):
         raise ConfigError(f"{run.path}: holds no frames: there is nothing to make a journal from")
+    if os.path.lexists(run.path / "plan.csv"):
+        _ = run.planned
+    _listed(run.path / "frames")
     with _held(journal) as before:
         events, torn = _readable(before)
+        readable = len(events)
+        events, choices = _with_choices(run, events)
+        torn = torn or len(events) < readable
         frames = _Frames(run, progress)
         done: dict[int, StepRecord] = {}
         for event in events:
-            if event.get("event") == "step":
-                done[int(event["step"])] = StepRecord.from_json(event)
-            elif event.get("event") == "lost":
+            if event["event"] == "step":
+                done[event["step"]] = StepRecord.from_json(event)
+            elif event["event"] == "lost":
                 for number in event["steps"]:
-                    done.pop(int(number), None)
-        rebuilt, lost = [], {}
+                    done.pop(number, None)
+        rebuilt: list[StepRecord] = []
+        lost: dict[int, list[str]] = {}
         for number in sorted({*done, *frames.told}):
-            wrong = frames.wrong(done[number]) if number in done else []
-            told = frames.told.get(number)
-            if (number not in done or wrong) and told is not None and not frames.wrong(told):
-                rebuilt.append(told)
-            elif wrong:
+            line, told = done.get(number), frames.told.get(number)
+            wrong = frames.wrong(line) if line is not None else []
+            if line is not None and wrong:  # what the journal says of its frames counts, not what lies there now
                 lost[number] = wrong
-        numbers = {step.step for step in rebuilt}
+            elif told is not None and told != line and not frames.wrong(told) and (line or frames.is_as_written(told)):
+                rebuilt.append(told)
+        sound = {step.step: step for step in (*(done[n] for n in done if n not in lost), *rebuilt)}
+        alike = repeated(run, (sound[n] for n in sorted(frames.pictures.suspects & {*sound})))
+        lost |= {number: texts for number, texts in alike.items() if number in done}
+        rebuilt = [step for step in rebuilt if step.step not in alike]
+        numbers = [step.step for step in rebuilt]
         named = {frame.file for step in (*done.values(), *rebuilt) for frame in step.frames}
         untold = sorted(name for name in frames.names if name not in named)
         if not torn and events and not rebuilt and not lost:
             return None
-        new = [*events, *_lost_choices(run, events), *(step.to_json() for step in rebuilt)]
+        new = [*events, *choices, *(step.to_json() for step in rebuilt)]
         if lost:
             what = [text for number in sorted(lost) for text in lost[number]]
             new.append({"event": "lost", "steps": sorted(lost), "frames": what})
-        new.append({"event": "repaired", "kept": len(events), "rebuilt": sorted(numbers)})
+        new.append({"event": "repaired", "kept": len(events), "rebuilt": numbers})
         kept = _keep(journal) if before else None
         write_whole(journal, b"".join(encode(_numbered(event, n)) for n, event in enumerate(new)))
-    return Repaired(len(events), sorted(numbers), [t for n in sorted(lost) for t in lost[n]], untold, kept)
+    unproved = sorted(step.frames[-1].file for step in rebuilt if step.step in frames.unproved)
+    return Repaired(len(events), numbers, [t for n in sorted(lost) for t in lost[n]], untold, kept, unproved)
 
 
-def _lost_choices(run: Run, events: list[Event]) -> list[Event]:
-    """What was chosen and stands in no line that can be read."""
+def _with_choices(run: Run, events: list[Event]) -> tuple[list[Event], list[Event]]:
+    """Events without choices that were not made, as `CHOSEN` tells, and the choices that stand in none of them."""
     own = read_manifest(run.path).get(CHOSEN)
     if own is None or not is_own(run.path / CHOSEN, own):
-        return []
-    known = {event["first_step"] for event in events if event.get("event") == "chosen"}
-    return [event for event in json.loads(read_file(run.path / CHOSEN)) if event["first_step"] not in known]
+        return events, []
+    made = {batch["first_step"]: batch for batch in json.loads(read_file(run.path / CHOSEN))}
+    kept: list[Event] = []
+    for event in events:
+        batch = made.get(event["first_step"]) if event["event"] == "chosen" else None
+        if event["event"] != "chosen" or (batch is not None and batch["points"] == event["points"]):
+            kept.append(event)
+            made.pop(event["first_step"] if batch is not None else None, None)
+    return kept, list(made.values())
 
 
 @contextlib.contextmanager
@@ -326,11 +355,18 @@ def _held(journal: Path) -> Iterator[bytes]:
 
 
 def _readable(data: bytes) -> tuple[list[Event], bool]:
-    """The events whose lines are whole, in their order; and whether anything else is there."""
+    """The events whose lines are whole and hold what they should, each once and in the order of their numbers; and
+    whether anything else is there.
+    """
     lines = data.splitlines(keepends=True)
-    events = [event for line in lines if (event := decode(line)) is not None]
-    whole = len(events) == len(lines) and all(event.get("n") == n for n, event in enumerate(events))
-    return events, not whole
+    events = []
+    for line in dict.fromkeys(lines):
+        event = decode(line)
+        with contextlib.suppress(DataError):
+            if event is not None and event_of(line):
+                events.append(event)
+    whole = len(events) == len(lines) and all(event["n"] == n for n, event in enumerate(events))
+    return sorted(events, key=lambda event: int(event["n"])), not whole
 
 
 def _numbered(event: Event, number: int) -> Event:
@@ -355,10 +391,16 @@ class _Frames:
     def __init__(self, run: Run, progress: Progress | None) -> None:
         self.told: dict[int, StepRecord] = {}
         """By step: what the label of its last frame says of it."""
+        self.unproved: set[int] = set()
+        """Steps whose last frame does not say what its pixels are."""
+        self.pictures = Pictures()
         self._digests: dict[str, str] = {}
+        self._strange: dict[str, str] = {}
+        """What is wrong with frames, whatever the journal says."""
         self._run = run
-        files = sorted(entry.name for entry in os.scandir(run.path / "frames") if entry.is_file())
-        self.names = [name for name in files if not (name.endswith(BESIDE) and name[: -len(BESIDE)] in set(files))]
+        files = sorted(os.listdir(run.path / "frames"))
+        there = set(files)
+        self.names = [name for name in files if not (name.endswith(BESIDE) and name[: -len(BESIDE)] in there)]
         for done, name in enumerate(self.names, 1):
             self._look(name)
             if progress is not None:
@@ -372,11 +414,33 @@ class _Frames:
             return
         self._digests[name] = hashlib.sha256(data).hexdigest()
         label = label_of(path, data)
-        if label is None or label.run != self._run.key or label.record is None:
+        if label is None:
             return
+        if label.run != self._run.key:
+            self._strange[name] = "says that it belongs to another run"
+            return
+        try:
+            pixels = pixels_of(path, data)
+        except DataError:
+            pixels = ""
+        if not pixels or label.pixels not in (pixels, None):
+            self._strange[name] = "is damaged: its pixels are not those that it was written with"
+            return
+        self.pictures.add(pixels, label.step)
         step = label.record
+        if step is None or step.step != label.step or not step.frames or step.frames[-1].file != name:
+            return
+        if label.pixels is None:
+            self.unproved.add(step.step)
         last = step.frames[-1].stored(FrameFile(self._digests[name], len(data)))
         self.told[step.step] = replace(step, frames=(*step.frames[:-1], last))
+
+    def is_as_written(self, step: StepRecord) -> bool:
+        """Whether the last frame of a step, of which no checksum is left, is what this program makes of its content."""
+        path = self._run.frame_path(step.frames[-1].file)
+        data = read_file(path)
+        record = read_record(data)
+        return not record or encode_dng(read_raw(path, data), record) == data
 
     def wrong(self, step: StepRecord) -> list[str]:
         """What is wrong with the frames of a step, a line each."""
@@ -384,8 +448,9 @@ class _Frames:
         for frame in step.frames:
             digest = self._digests.get(frame.file)
             if digest is None or digest != frame.sha256:
-                what = state_of(self._run.frame_path(frame.file), frame) or "cannot be read"
-                out.append(f"frames/{frame.file} {what}")
+                out.append(f"frames/{frame.file} {_state_of(self._run, step, frame)[0] or 'cannot be read'}")
+            elif frame.file in self._strange:
+                out.append(f"frames/{frame.file} {self._strange[frame.file]}")
         return out
 
 

@@ -40,8 +40,10 @@ from gonio.acquisition.run_settings import Request, Settings, differences, named
 from gonio.acquisition.steps import Index, Steps
 from gonio.config import parse, to_toml
 from gonio.disk import (
+    MANIFEST,
     Manifest,
     half_written,
+    is_manifest,
     is_own,
     only_file,
     read_file,
@@ -59,6 +61,8 @@ from gonio.rig.laboratory import Laboratory
 if TYPE_CHECKING:
     import pandas as pd
 
+    from gonio.acquisition.repair import Found
+
 PLAN_COLUMNS = ["point", *ANGLES, "flag", "reason"]
 ROWS = 4096
 """So many rows of a plan.csv are read at once."""
@@ -67,6 +71,8 @@ _STEP_LINE = re.compile(rb'\{"n":\d+,"event":"step"')
 CHOSEN = "chosen.json"
 """A copy of the journal's events "chosen", for `gonio run repair`."""
 TABLE = ("brdf.csv", "brdf.meta.json")
+AS_BEGUN = {"run.toml", "reference.csv", "reference.meta.json", "camera_maps.npz"}
+"""What says how the frames of a run were taken, beside its plan."""
 BESIDE_TABLE = ("budget.csv", "monte_carlo.csv")
 """What a reduction writes beside its table."""
 RESTORE = "restore it, or move it away: `gonio measure ... --resume` writes it again"
@@ -106,6 +112,9 @@ class Run:
     """Which frames were found missing or damaged when it was resumed, and how."""
     unchecked: int = 0
     """Of how many frames only the size was looked at then."""
+    _found: Found | None = None
+    """What was found then, until `set_right` has acted on it."""
+    _stated: Laboratory | None = None
     _index: Index = field(default_factory=Index)
     _grown: tuple[int, Points] | None = None
     """How many batches were chosen, and all points with them."""
@@ -158,8 +167,7 @@ class Run:
         """Go on with a run, or start it where it has not begun.
 
         Frames that the journal names and that are missing or damaged are found
-        (`gonio.acquisition.repair.find_damage` says how thoroughly); the journal takes back their steps with the
-        event "lost", and `lost` names them.
+        (`gonio.acquisition.repair.find_damage` says how thoroughly), and `lost` names them. `set_right` acts on it.
 
         Raises
         ------
@@ -167,9 +175,9 @@ class Run:
             Plan, rig, sample or seed are not those of the run (the message names what differs), another process
             writes to it, or among its frames lies something that is none.
         DataError
-            The journal is damaged before its last line.
+            The journal is damaged before its last line, or plan.csv was changed.
         """
-        from gonio.acquisition.repair import drop_orphans, find_damage
+        from gonio.acquisition.repair import find_damage, require_frames_only
 
         path = Path(path)
         if not begun(path):
@@ -177,21 +185,24 @@ class Run:
         run = cls.open(path)
         run.journal = Journal(path / "journal.jsonl")
         try:
-            differing = differences(run.settings, settings_for(request, request.description))
+            now = settings_for(request, request.description)
+            differing = differences(run.settings, now)
             if differing:
                 raise ConfigError(
                     f"{path}: this run was begun with something else, so it cannot be resumed:\n"
                     + "\n".join(f"  {line}" for line in differing[:8])
                     + "\nresume with what it was begun with, or measure into a new folder"
                 )
-            run._state(settings_for(request, request.description).laboratory)
-            if not os.path.lexists(path / "plan.csv"):
-                write_own(path, {"plan.csv": _plan_csv(request.points).encode()})
+            if os.path.lexists(path / "plan.csv"):
+                _ = run.points
             (path / "frames").mkdir(exist_ok=True)
             found = find_damage(run)
-            drop_orphans(run, found)
-            run.lost = run.take_back(found.damaged)
-            run.unchecked = found.unchecked
+            require_frames_only(run, found.orphans)
+            run._found, run.unchecked = found, found.unchecked
+            run.lost = [text for number in sorted(found.damaged) for text in found.damaged[number]]
+            run._stated = now.laboratory
+            if not os.path.lexists(path / "plan.csv"):
+                write_own(path, {"plan.csv": _plan_csv(request.points).encode()})
         except OSError as error:
             run.journal.close()
             raise ConfigError(f"{path}: cannot be written: {error.strerror}") from None
@@ -199,6 +210,39 @@ class Run:
             run.journal.close()
             raise
         return run
+
+    @property
+    def steps_left_out(self) -> int:
+        """How many steps of the journal count no more, because of their frames, once it is `set_right`."""
+        return len(self._found.damaged) if self._found is not None else 0
+
+    def set_right(self) -> list[str]:
+        """Act on what `resume` has found: set frames aside that do not count, and take back the steps of damaged ones.
+
+        What may still refuse to go on comes between the two: until then the folder is as it was. The names of frames
+        that were set aside although nothing is wrong with them: their steps were cut short.
+
+        Raises
+        ------
+        ConfigError
+            The folder cannot be written.
+        """
+        from gonio.acquisition.repair import ASIDE, set_orphans_aside
+
+        found, self._found = self._found, None
+        if found is None:
+            return []
+        try:
+            self._state(self._stated)
+            set_orphans_aside(self, found)
+            self.take_back(found.damaged)
+            if found.orphans:
+                names = ", ".join(found.orphans[:5]) + (" ..." if len(found.orphans) > 5 else "")
+                text = f"{len(found.orphans)} files of no step that is done were moved to {ASIDE}/: {names}"
+                self.append({"event": "remark", "message": text})
+        except OSError as error:
+            raise ConfigError(f"{self.path}: cannot be written: {error.strerror}") from None
+        return found.orphans
 
     @classmethod
     def open(cls, path: str | Path) -> Run:
@@ -209,12 +253,23 @@ class Run:
         ConfigError
             There is no such folder, or it holds no run.
         DataError
-            Its run.toml is damaged.
+            Its run.toml is damaged, or a file that belongs to it was changed.
         """
         path = Path(path)
         require_name(path)
         if not path.is_dir():
             raise ConfigError(f"{path}: there is no such folder; a run is a folder that `gonio measure` has written")
+        if os.path.lexists(path / MANIFEST) and not is_manifest(path / MANIFEST):
+            raise DataError(
+                f"{path / MANIFEST}: is no list of files of this folder with their checksums; restore it, or move it away"
+            )
+        own = read_manifest(path)
+        for name in sorted(own.keys() & AS_BEGUN):
+            if os.path.lexists(path / name) and not is_own(path / name, own[name]):
+                raise DataError(
+                    f"{path / name}: was changed after it was written (its checksum differs), and the frames were not "
+                    "taken with what it says now; restore it. What is to be another rig, measure into another folder"
+                )
         try:
             values = tomllib.loads(read_file(path / "run.toml").decode())
         except FileNotFoundError:
@@ -277,6 +332,14 @@ class Run:
     def points(self) -> Points:
         """What `plan` holds, without a data frame."""
         batches = self._indexed.chosen
+        self._require_own_choices(batches)
+        count = len(self.planned.flags) + sum(len(batch["points"]) for batch in batches)
+        point, line = self._index.last_point
+        if point >= count:
+            raise DataError(
+                f"{self.path / 'journal.jsonl'}: line {line + 1}: its step is of point {point}, and the run has {count} "
+                f"points; `gonio run repair {self.path}` asks the frames what the line said"
+            )
         if not batches:
             return self.planned
         if self._grown is None or self._grown[0] != len(batches):
@@ -285,6 +348,20 @@ class Run:
             more = [""] * len(chosen)
             self._grown = len(batches), Points(table, self.planned.flags + more, self.planned.reasons + more)
         return self._grown[1]
+
+    def _require_own_choices(self, batches: Sequence[Event]) -> None:
+        """Raise `DataError` where the journal has other points chosen than `CHOSEN`, which is written before it."""
+        own = read_manifest(self.path).get(CHOSEN) if batches else None
+        if own is None or not is_own(self.path / CHOSEN, own):
+            return
+        kept = {batch["first_step"]: batch["points"] for batch in json.loads(read_file(self.path / CHOSEN))}
+        for batch in batches:
+            told = [list(map(float, angles)) for angles in batch["points"]]
+            if kept.get(batch["first_step"]) != told:
+                raise DataError(
+                    f"{self.path / 'journal.jsonl'}: line {batch['n'] + 1}: chose other points from step "
+                    f"{batch['first_step']} on than {CHOSEN} holds; `gonio run repair {self.path}` takes those"
+                )
 
     @property
     def batches(self) -> list[Batch]:

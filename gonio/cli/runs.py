@@ -59,6 +59,13 @@ def repair_run(run: Folder) -> None:
         )
         for line in some(done.untold):
             console.note(f"  frames/{line}")
+    if done.unproved:
+        console.note(
+            f"{len(done.unproved)} frames of an earlier version hold no checksum of their pixels, and the journal's is "
+            "lost: nothing tells whether they are as they were taken:"
+        )
+        for line in some(done.unproved):
+            console.note(f"  frames/{line}")
     steps = len(Run.open(run).steps())
     console.show(
         f"{run}: the journal holds {steps} steps, {len(done.rebuilt)} of them made again from their frames",

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import datetime
+import hashlib
 import math
 import struct
 from dataclasses import dataclass, field
@@ -83,6 +84,11 @@ def _check(frame: Frame) -> None:
     top = int(mosaic.max())
     if top > frame.white_level_dn:
         raise ArgumentError(f"mosaic holds {top} DN, above white_level_dn = {frame.white_level_dn:g}")
+
+
+def pixels_sha256(mosaic: npt.NDArray[np.uint16]) -> str:
+    """SHA-256 of a mosaic's pixels in raster order, two bytes each, the lower one first: whatever packs them."""
+    return hashlib.sha256(np.ascontiguousarray(mosaic, dtype="<u2").data).hexdigest()
 
 
 def encode_dng(frame: Frame, record: str = "") -> bytes:

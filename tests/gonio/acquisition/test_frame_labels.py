@@ -21,9 +21,9 @@ class Later(Store):
 
     def __init__(self, folder: Path) -> None:
         super().__init__(folder)
-        self.labels: list[Callable[[], str]] = []
+        self.labels: list[Callable[[str], str]] = []
 
-    def put(self, frame: Frame, name: str, label: Callable[[], str]) -> Future[FrameFile]:
+    def put(self, frame: Frame, name: str, label: Callable[[str], str]) -> Future[FrameFile]:
         self.labels.append(label)
         return Future()
 
@@ -37,5 +37,5 @@ def test_a_band_that_is_planned_later_does_not_change_the_labels_of_the_one_befo
             files.keep(FRAME, "band", "band", lamp=True)
     # four are with the thread by now, the fifth waits for the step's record; the first was put before band two was
     # planned, the second when its first frame came
-    assert [json.loads(label())["of"] for label in store.labels] == [2, 5, 5, 5]
+    assert [json.loads(label("ab"))["of"] for label in store.labels] == [2, 5, 5, 5]
     store.close()

@@ -83,10 +83,14 @@ def test_a_torn_tail_of_any_bytes_is_cut(tmp_path: Path, tail: bytes) -> None:
     path = tmp_path / "j"
     path.unlink(missing_ok=True)
     whole = written(path)
-    path.write_bytes(whole + tail.replace(b"\n", b" "))
+    torn = whole + tail.replace(b"\n", b" ")
+    path.write_bytes(torn)
     with Journal(path) as journal:
         assert steps(journal.events) == [0, 1, 2, 3]
-    assert path.read_bytes() == whole
+        assert path.read_bytes() == torn  # whoever is refused now has changed nothing
+        journal.append(EVENTS[0])
+    assert path.read_bytes().startswith(whole + b'{"n":4,')
+    assert steps(read_events(path)) == [0, 1, 2, 3, 0]
 
 
 def test_a_lost_or_repeated_line_is_damage(tmp_path: Path) -> None:

@@ -347,7 +347,8 @@ def test_repair_finds_damage_and_resuming_mends_it(measure: Measure) -> None:
     assert content(measure(resume=True)) == whole
 
 
-def test_frames_of_a_cut_step_are_removed_and_others_are_not(measure: Measure, tmp_path: Path) -> None:
+def test_frames_of_a_cut_step_are_set_aside(measure: Measure, tmp_path: Path) -> None:
+    """Whether they were cut short, or somebody took their line out of the journal, nothing tells: all are kept."""
     run = measure()
     journal = run.path / "journal.jsonl"
     lines = journal.read_bytes().splitlines(keepends=True)
@@ -356,12 +357,15 @@ def test_frames_of_a_cut_step_are_removed_and_others_are_not(measure: Measure, t
     half.write_bytes(b"half")
     unknown = run.path / "frames" / "000099-left-01.dng"
     unknown.write_bytes(b"somebody's")
-    again = measure(resume=True)
+    before, kept = tree(run.path / "frames"), {frame.file for step in Run.open(run.path).steps() for frame in step.frames}
+    told = Told()
+    again = measure(resume=True, progress=told)
     assert content(again) == content(measure("other"))
-    assert not half.exists()
-    assert not unknown.exists()
-    assert (run.path / "set-aside" / unknown.name).read_bytes() == b"somebody's"
-    assert [path.name for path in (run.path / "set-aside").iterdir()] == [unknown.name]
+    aside = {name: data for name, data in before.items() if name not in kept}
+    assert {half.name, unknown.name} < set(aside)
+    assert tree(run.path / "set-aside") == aside
+    assert f"{len(aside)} files of steps that were cut short" in told.text
+    assert any(f"{len(aside)} files" in event["message"] for event in again.events() if event["event"] == "remark")
 
 
 @pytest.mark.parametrize("name", ["IMG 0001.CR2", ".hidden", "a folder/", "000002-green550-01.dng.json.bak", "link"])

@@ -1,0 +1,96 @@
+"""A camera that hands out an image again under a new header: frames that are alike, pixel by pixel, although noise makes
+that impossible.
+"""
+
+from __future__ import annotations
+
+import math
+from array import array
+from collections.abc import Iterable
+
+import numpy as np
+
+from gonio.acquisition.exposure import SATURATED, full_scale_dn
+from gonio.acquisition.records import StepRecord
+from gonio.acquisition.run import Run
+from gonio.errors import DataError
+from gonio.rig import Frame
+from gonio.rig.description import Camera
+from gonio.rig.dng import pixels_sha256, read_raw
+
+IMPOSSIBLE = -50.0
+"""Natural logarithm of a probability that no run has frames enough for: 1e11 frames have 1e22 pairs."""
+SMALLEST_DN = 0.5
+"""A pixel whose noise is smaller may well read the same twice."""
+SHOWS_DN = 2.0
+"""A change of a frame's mean level by more, which another exposure makes, is seen in it without any noise."""
+
+REPEATED = "the camera handed out an image again under a new header"
+
+
+def cannot_be_alike(camera: Camera, one: Frame, other: Frame, *, simulated: bool) -> bool:
+    """Whether two frames have the same pixels, and light that falls on a sensor does not do that.
+
+    Photons arrive at random on every real camera; a simulated one has the noise that its description says. Where there
+    is none, two frames of a steady scene are alike; not so two of different exposures, unless they are black or full.
+    A frame of one value throughout is never accused.
+    """
+    mosaic = one.mosaic
+    if mosaic.shape != other.mosaic.shape or not np.array_equal(mosaic, other.mosaic) or mosaic.min() == mosaic.max():
+        return False
+    levels, counts = np.unique(mosaic, return_counts=True)
+    signal = levels - one.black_level_dn
+    open_ = (levels > 0) & (signal < SATURATED * full_scale_dn(camera, one))
+    shorter, longer = sorted((one.exposure_s, other.exposure_s))
+    change = (1.0 - shorter / longer) * float(np.sum(np.where(open_, signal, 0.0) * counts)) / mosaic.size
+    if change > SHOWS_DN:
+        return True
+    gain = camera.electrons_per_dn
+    photons = np.maximum(signal, 0.0) * gain if camera.photon_noise or not simulated else np.zeros(levels.size)
+    noise_dn = np.sqrt(photons + camera.read_noise_e**2) / gain
+    # two normal numbers of this spread, rounded, are equal with a probability of 1/(2 sqrt(pi) spread)
+    rolls = open_ & (noise_dn > SMALLEST_DN)
+    chances = np.where(rolls, -np.log(2.0 * math.sqrt(math.pi) * np.where(rolls, noise_dn, 1.0)), 0.0)
+    return float(np.sum(np.minimum(chances, 0.0) * counts)) < IMPOSSIBLE
+
+
+class Pictures:
+    """Which steps of a run have frames of the same pixels, in sixteen bytes a frame."""
+
+    def __init__(self) -> None:
+        self._keys, self._steps = array("q"), array("q")
+
+    def add(self, pixels: str, step: int) -> None:
+        """One more frame: the checksum of its pixels, and the number of its step."""
+        self._keys.append(int(pixels[:15], 16))
+        self._steps.append(step)
+
+    @property
+    def suspects(self) -> set[int]:
+        """Steps with a frame that another one has the pixels of."""
+        keys, steps = np.array(self._keys, dtype=np.int64), np.array(self._steps, dtype=np.int64)
+        _, where, counts = np.unique(keys, return_inverse=True, return_counts=True)
+        return set(steps[counts[where] > 1].tolist())
+
+
+def repeated(run: Run, steps: Iterable[StepRecord]) -> dict[int, list[str]]:
+    """By step, which of their frames are the same picture as another one's although that cannot be, and as which.
+
+    Frames that cannot be read are passed over: others say so.
+    """
+    first: dict[str, tuple[int, str]] = {}
+    out: dict[int, list[str]] = {}
+    camera, simulated = run.description.camera, run.sample is not None
+    for step in steps:
+        for entry in step.frames:
+            try:
+                frame = read_raw(run.frame_path(entry.file))
+            except DataError:
+                continue
+            number, name = first.setdefault(pixels_sha256(frame.mosaic), (step.step, entry.file))
+            if name == entry.file:
+                continue
+            if cannot_be_alike(camera, read_raw(run.frame_path(name)), frame, simulated=simulated):
+                out.setdefault(number, [f"frames/{name} holds the same pixels as frames/{entry.file}: {REPEATED}"])
+                out.setdefault(step.step, []).append(f"frames/{entry.file} holds the same pixels as frames/{name}: {REPEATED}")
+    return out
