@@ -223,14 +223,20 @@ def read_manifest(folder: Path) -> Manifest:
 
 
 def is_manifest(path: Path) -> bool:
-    """Whether a path is a file, and no link, with the lines of a manifest."""
+    """Whether a path is a file, and no link, with the lines of a manifest: all of them name files inside the folder."""
     try:
-        return not path.is_symlink() and path.is_file() and all(_LINE.fullmatch(line) for line in _lines(path))
+        return not path.is_symlink() and path.is_file() and all(map(_is_entry, _lines(path)))
     except (OSError, UnicodeDecodeError):
         return False
 
 
-_LINE = re.compile("([0-9a-f]{64})  (.+)")
+_LINE = re.compile(r"[0-9a-f]{64}  ([^\\\0]+)")
+
+
+def _is_entry(line: str) -> bool:
+    """Whether a line holds a checksum and a path that leads nowhere but into the folder."""
+    found = _LINE.fullmatch(line)
+    return found is not None and not {"", ".", ".."}.intersection(found[1].split("/"))
 
 
 def _lines(path: Path) -> list[str]:

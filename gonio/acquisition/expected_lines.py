@@ -26,6 +26,7 @@ Exposure = Annotated[float, Field(gt=0.0, le=1e6)]
 Angle = Annotated[float, Field(ge=-100.0, le=100.0)]
 """What an encoder may read [rad]: some turns."""
 Degrees = Annotated[float, Field(ge=-720.0, le=720.0)]
+ThetaI = Annotated[float, Field(ge=0.0, le=90.0)]
 Finite = Annotated[float, Field(ge=-1e15, le=1e15)]
 
 
@@ -41,7 +42,7 @@ def _shape(fields: Mapping[str, Any], extra: Literal["allow", "ignore", "forbid"
     return with_config(ConfigDict(strict=True, extra=extra, allow_inf_nan=False))(shape)  # type: ignore[type-var]
 
 
-_POSE = _shape(dict.fromkeys(AXES, NotRequired[Angle]), "forbid")
+_POSE = _shape(dict.fromkeys(AXES, NotRequired[Angle]) | {"light": Angle, "camera": Angle}, "forbid")
 _FRAME = {
     "file": Annotated[str, Field(pattern=r"^\d{6,}-\w+-\d{2,}\.\w+$", max_length=200)],
     "band": str,
@@ -86,7 +87,7 @@ _KINDS: Mapping[str, Mapping[str, Any]] = {
     "step": _STEP,
     "chosen": {
         "first_step": Count,
-        "points": list[tuple[Degrees, Degrees, Degrees, Degrees]],
+        "points": list[tuple[ThetaI, Degrees, Degrees, Degrees]],
         "why": NotRequired[dict[str, Any]],
     },
     "lost": {"steps": list[Count], "frames": NotRequired[list[str]]},

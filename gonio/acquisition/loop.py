@@ -19,6 +19,8 @@ from numbers import Real
 from types import TracebackType
 from typing import Self
 
+import numpy as np
+
 from gonio import __version__
 from gonio.acquisition import exposure
 from gonio.acquisition.choosing import Chooser, keepable
@@ -26,6 +28,7 @@ from gonio.acquisition.frame_writer import Files, Store, Written, slugs
 from gonio.acquisition.holding import Holding
 from gonio.acquisition.progress import Live, Progress
 from gonio.acquisition.records import StepRecord
+from gonio.acquisition.repeats import REPEATED, cannot_be_alike
 from gonio.acquisition.run import Batch, Run
 from gonio.acquisition.schedule import batch_steps
 from gonio.acquisition.stop import Stop
@@ -245,6 +248,9 @@ class _Session:
             latest = self._done.latest()
             self._last_s = max((float(frame.time_s) for frame in latest.frames), default=float(latest.time_s))
         self._resumed = math.isfinite(self._last_s)
+        self._step = -1
+        self._picture: tuple[Frame | None, int] = None, -1
+        """The last frame that came, and of which step."""
 
     def __enter__(self) -> Self:
         return self
@@ -295,9 +301,11 @@ class _Session:
         What happened to the lamp meanwhile nobody knows: on a laboratory rig a point is preceded by a visit to the
         reference then, unless that would need a person.
         """
-        faults = 0
+        faults, self._step = 0, step.index
         while True:
             before_s, resumed, lit = self._last_s, self._resumed, self._lit
+            if self._rig.repeatable:  # a step that is taken again begins with the frame that it began with
+                self._picture = None, -1
             try:
                 self._rig.begin(step)
                 return self._dark(step) if step.kind == "dark" else self._lit_step(step)
@@ -438,6 +446,7 @@ class _Session:
         source = f'the camera of the rig "{self._description.name}"'
         require_frame(self._description.camera, frame, source)
         exposure.require_asked(self._description.camera, frame, exposure_s, source)
+        self._require_another_picture(frame)
         sound = isinstance(frame.time_s, Real) and 0.0 <= frame.time_s < math.inf
         if sound and frame.time_s > last_s:
             self._last_s, self._resumed = float(frame.time_s), False
@@ -459,6 +468,19 @@ class _Session:
             "drift of the lamp cannot be told from times that do not grow. In the rig's driver, give each Frame the "
             "rig's time_s() at the start of its exposure, from a clock that never goes back (time.monotonic)"
         )
+
+    def _require_another_picture(self, frame: Frame) -> None:
+        """Raise `DeviceError` where the camera hands out the picture before this one under a new header."""
+        (before, of), self._picture = self._picture, (frame, self._step)
+        row = frame.mosaic.shape[0] // 2
+        if before is None or not np.array_equal(before.mosaic[row], frame.mosaic[row]):  # nearly always that tells
+            return
+        if cannot_be_alike(self._description.camera, before, frame):
+            raise DeviceError(
+                f'step {self._step}: the camera of the rig "{self._description.name}" gives the same picture twice, pixel '
+                f"by pixel, which noise makes impossible (the one before is of step {of}): {REPEATED}. Look after camera "
+                "and driver, as what its buffer keeps, then go on with --resume"
+            )
 
     def _monitored(self, frame: Frame) -> Frame:
         """A frame with the reading of the lamp's monitor, where frames are divided by it."""

@@ -37,6 +37,8 @@ LOOKED_INTO_BYTES = 2 * 10**9
 """Those frames have at most so many bytes: a second or two. Of the others the sizes are compared."""
 ASIDE = "set-aside"
 
+CHANGED = "is damaged: its pixels are not those that it was written with"
+
 Progress = Callable[[int, int], None]
 Integers = npt.NDArray[np.int64]
 
@@ -141,7 +143,13 @@ def _state_of(run: Run, step: StepRecord, frame: FrameRecord) -> tuple[str, str,
     label = label_of(path, data)
     if label is None:
         return "", "", len(data)
-    return label.otherwise(run.key, step, frame), label.pixels or pixels_of(path, data), len(data)
+    try:
+        pixels = pixels_of(path, data)
+    except DataError:
+        pixels = ""
+    if not pixels or label.pixels not in (None, pixels):
+        return CHANGED, "", len(data)
+    return label.otherwise(run.key, step, frame), pixels, len(data)
 
 
 _FRAME = re.compile(rb'"file":"([^"]*)"(?:[^}]*"bytes":(\d+))?')
@@ -283,6 +291,7 @@ def repair(path: str | Path, *, progress: Progress | None = None) -> Repaired | 
     if os.path.lexists(run.path / "plan.csv"):
         _ = run.planned
     _listed(run.path / "frames")
+    require_frames_only(run, os.listdir(run.path / "frames"))
     with _held(journal) as before:
         events, torn = _readable(before)
         readable = len(events)
@@ -424,7 +433,7 @@ class _Frames:
         except DataError:
             pixels = ""
         if not pixels or label.pixels not in (pixels, None):
-            self._strange[name] = "is damaged: its pixels are not those that it was written with"
+            self._strange[name] = CHANGED
             return
         self.pictures.add(pixels, label.step)
         step = label.record

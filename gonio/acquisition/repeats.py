@@ -28,12 +28,12 @@ SHOWS_DN = 2.0
 REPEATED = "the camera handed out an image again under a new header"
 
 
-def cannot_be_alike(camera: Camera, one: Frame, other: Frame, *, simulated: bool) -> bool:
+def cannot_be_alike(camera: Camera, one: Frame, other: Frame) -> bool:
     """Whether two frames have the same pixels, and light that falls on a sensor does not do that.
 
-    Photons arrive at random on every real camera; a simulated one has the noise that its description says. Where there
-    is none, two frames of a steady scene are alike; not so two of different exposures, unless they are black or full.
-    A frame of one value throughout is never accused.
+    A camera has the noise that its description says. Where that is none, as on a simulated rig, two frames of a steady
+    scene are alike; not so two of different exposures, unless they are black or full. A frame of one value throughout
+    is never accused.
     """
     mosaic = one.mosaic
     if mosaic.shape != other.mosaic.shape or not np.array_equal(mosaic, other.mosaic) or mosaic.min() == mosaic.max():
@@ -46,7 +46,7 @@ def cannot_be_alike(camera: Camera, one: Frame, other: Frame, *, simulated: bool
     if change > SHOWS_DN:
         return True
     gain = camera.electrons_per_dn
-    photons = np.maximum(signal, 0.0) * gain if camera.photon_noise or not simulated else np.zeros(levels.size)
+    photons = np.maximum(signal, 0.0) * gain if camera.photon_noise else np.zeros(levels.size)
     noise_dn = np.sqrt(photons + camera.read_noise_e**2) / gain
     # two normal numbers of this spread, rounded, are equal with a probability of 1/(2 sqrt(pi) spread)
     rolls = open_ & (noise_dn > SMALLEST_DN)
@@ -80,7 +80,6 @@ def repeated(run: Run, steps: Iterable[StepRecord]) -> dict[int, list[str]]:
     """
     first: dict[str, tuple[int, str]] = {}
     out: dict[int, list[str]] = {}
-    camera, simulated = run.description.camera, run.sample is not None
     for step in steps:
         for entry in step.frames:
             try:
@@ -90,7 +89,7 @@ def repeated(run: Run, steps: Iterable[StepRecord]) -> dict[int, list[str]]:
             number, name = first.setdefault(pixels_sha256(frame.mosaic), (step.step, entry.file))
             if name == entry.file:
                 continue
-            if cannot_be_alike(camera, read_raw(run.frame_path(name)), frame, simulated=simulated):
-                out.setdefault(number, [f"frames/{name} holds the same pixels as frames/{entry.file}: {REPEATED}"])
-                out.setdefault(step.step, []).append(f"frames/{entry.file} holds the same pixels as frames/{name}: {REPEATED}")
+            if cannot_be_alike(run.description.camera, read_raw(run.frame_path(name)), frame):
+                out.setdefault(number, [f"frames/{name} is frames/{entry.file} again: {REPEATED}"])
+                out.setdefault(step.step, []).append(f"frames/{entry.file} is frames/{name} again: {REPEATED}")
     return out

@@ -334,12 +334,14 @@ class Run:
         batches = self._indexed.chosen
         self._require_own_choices(batches)
         count = len(self.planned.flags) + sum(len(batch["points"]) for batch in batches)
-        point, line = self._index.last_point
-        if point >= count:
-            raise DataError(
-                f"{self.path / 'journal.jsonl'}: line {line + 1}: its step is of point {point}, and the run has {count} "
-                f"points; `gonio run repair {self.path}` asks the frames what the line said"
-            )
+        if self._index.last_point >= count:  # of a line that counts, or of one that was taken back
+            for step in self.steps():
+                if step.point is not None and step.point >= count:
+                    line = self._index.lines[step.step] + 1
+                    raise DataError(
+                        f"{self.path / 'journal.jsonl'}: line {line}: its step is of point {step.point}, and the run has "
+                        f"{count} points; `gonio run repair {self.path}` asks the frames what the line said"
+                    )
         if not batches:
             return self.planned
         if self._grown is None or self._grown[0] != len(batches):

@@ -86,7 +86,7 @@ def remove_begun(path: Path) -> None:
     own = read_manifest(path)
     for name in (*own, "journal.jsonl"):
         with contextlib.suppress(OSError):
-            if name == "journal.jsonl" or is_own(path / name, own[name]):
+            if name == "journal.jsonl" or (name in OURS and is_own(path / name, own[name])):
                 (path / name).unlink()
     for left in path.iterdir():
         if left.name == MANIFEST or half_written(left.name, OURS):

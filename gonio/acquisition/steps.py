@@ -24,8 +24,8 @@ class Index:
         """The batches that were chosen, in order."""
         self.enough = False
         """Whether the chooser of an adaptive run has said that no more points are needed."""
-        self.last_point = -1, -1
-        """The largest number of a point that a step is of, and the number of its line."""
+        self.last_point = -1
+        """The largest number of a point that a line of a step names."""
         self._seen = 0
 
     def go_on(self, events: Events) -> None:
@@ -45,7 +45,7 @@ class Index:
     def _note(self, at: int, event: Event) -> None:
         if event["event"] == "step":
             self.lines[event["step"]] = at
-            self.last_point = max(self.last_point, (-1 if event["point"] is None else event["point"], at))
+            self.last_point = max(self.last_point, -1 if event["point"] is None else event["point"])
         elif event["event"] == "lost":
             for number in event["steps"]:
                 self.lines.pop(number, None)

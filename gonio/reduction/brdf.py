@@ -97,21 +97,24 @@ def reduce_in_parts(run: Run, *, progress: Callable[[int, int], None] | None = N
     Raises
     ------
     DataError
-        There are no dark frames or no usable visit to the white reference, or none of them is whole. Other frames that
+        There are no dark frames or no usable visit to the white reference, or none of them is whole; or frames are the
+        same picture although they have noise (`gonio.acquisition.repeats`). Other frames that
         are missing, or not those that the journal names, are left out, with a note.
     ConfigError
         The reference's table is missing, or neither a table nor an albedo is given.
     """
     frames = RunFrames(run)
     count = len(frames.points)
-    results = []
+    reduced: list[list[Reduced | Rejected]] = []
     for k, band in enumerate(run.bands):
         steps = []
         for step in in_threads(partial(frames.reduce, band=band), frames.steps()):
             steps.append(step)
             if progress is not None:
                 progress(k * count + len(steps), len(run.bands) * count)
-        results.append(_reduce_band(frames, band, steps))
+        reduced.append(steps)
+    frames.require_no_repeats()
+    results = [_reduce_band(frames, band, steps) for band, steps in zip(run.bands, reduced, strict=True)]
     light_and_lens.add_wavelength(frames.description, results)
     _share_darks(results)
     _share(results, [result.geometry for result in results], GEOMETRY, "geometry")

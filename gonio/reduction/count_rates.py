@@ -18,7 +18,9 @@ import numpy as np
 import numpy.typing as npt
 
 from gonio.acquisition.exposure import contradiction, full_scale_dn
+from gonio.acquisition.frame_writer import label_of
 from gonio.acquisition.records import FrameRecord, StepRecord
+from gonio.acquisition.repeats import REPEATED, Pictures, repeated
 from gonio.disk import read_file
 from gonio.errors import ContradictoryFrame, DamagedFrame, DataError
 from gonio.geometry import Directions
@@ -28,7 +30,7 @@ from gonio.reduction.geometry_errors import GeometryErrors
 from gonio.rig import Frame, Pose, Target, filling, kinematics
 from gonio.rig.calibrated import known_parameters
 from gonio.rig.description import Band, Camera, RigDescription
-from gonio.rig.dng import read_raw
+from gonio.rig.dng import pixels_sha256, read_raw
 from gonio.rig.imaging import Channel, Roi, pixel_map, roi, straight_through_weight
 from gonio.rig.sensor_response import PixelMaps, by_coefficients, linear_dn, read_maps, straightened
 from gonio.typing import Floats
@@ -167,13 +169,14 @@ class RunFrames:
         """Of points without frames."""
         self.lost_visits: list[str] = []
         """The flags of the visits to the reference without frames."""
-        dark: list[FrameRecord] = []
+        dark: list[tuple[StepRecord, FrameRecord]] = []
         self.geometry = GeometryErrors(run.description)
+        self._pictures = Pictures()
         monitored: list[float] = []
         self._every = run.steps() if steps is None else steps
         for step in self._every:
             if step.kind == "dark":
-                dark += step.frames
+                dark += [(step, frame) for frame in step.frames]
             elif not step.flag:
                 self.points.append(step.point)
                 if self.description.lamp.monitor:
@@ -282,13 +285,13 @@ class RunFrames:
         u = np.concatenate([self._maps.u_responsivity[box].ravel() for box in boxes.values()])
         return float(np.sqrt(np.mean(u.astype(float) ** 2)))
 
-    def _read_darks(self, frames: list[FrameRecord], boxes: dict[Target, tuple[slice, slice]]) -> dict[Target, Darks]:
+    def _read_darks(self, frames: list[tuple[StepRecord, FrameRecord]], boxes: dict[Target, tuple[slice, slice]]) -> dict[Target, Darks]:
         if not frames:
             raise DataError(f"{self.run.path}: the run has no dark frames; finish it with --resume")
         camera = self.description.camera
         crops: dict[Target, list[Dark]] = {target: [] for target in boxes}
         means: list[tuple[float, list[float]]] = []
-        for frame in in_threads(self._read_or_note, frames):
+        for frame in in_threads(lambda taken: self._read_or_note(*taken), frames):
             if frame is not None:
                 values = linear_dn(camera, frame.mosaic)
                 for target, box in boxes.items():
@@ -299,7 +302,7 @@ class RunFrames:
         if not all(crops.values()):
             raise DataError(f"{self.run.path}: every dark frame is missing or damaged ({self._first()}); {RETAKE}")
         used = {exposure_s for taken in crops.values() for exposure_s, _ in taken}
-        self.darks_taken, self.darks_used = len({float(frame.exposure_s) for frame in frames}), len(used)
+        self.darks_taken, self.darks_used = len({float(frame.exposure_s) for _, frame in frames}), len(used)
         empty = [float(np.mean(crop == 0)) for taken in crops.values() for _, crop in taken]
         self.clipped = sum(empty) / len(empty)
         rate = camera.dark_current_e_per_s / camera.electrons_per_dn
@@ -318,8 +321,8 @@ class RunFrames:
             out += [(exposure_s, mosaic) for mosaic in clean]
         return out
 
-    def read(self, entry: FrameRecord) -> Frame:
-        """A frame that the journal names, checked."""
+    def read(self, step: StepRecord, entry: FrameRecord) -> Frame:
+        """A frame of a step that the journal names, checked."""
         path = Path(self.run.frame_path(entry.file))
         try:
             data = read_file(path)
@@ -340,14 +343,33 @@ class RunFrames:
         why = contradiction(camera, frame)
         if not why and not _alike(frame.exposure_s, entry.exposure_s):
             why = f"was exposed {frame.exposure_s:g} s, and the journal says exposure_s = {entry.exposure_s!r}"
+        label = label_of(path, data)
+        if label is not None and not why:
+            why = label.otherwise(self.run.key, step, entry)
+        pixels = pixels_sha256(frame.mosaic)
+        if label is not None and not why and label.pixels not in (None, pixels, entry.sha256):
+            why = "does not hold the pixels that it was written with"
         if why:
             raise ContradictoryFrame(f"{entry.file} {why}")
+        self._pictures.add(pixels, step.step)
         return frame
 
-    def _read_or_note(self, entry: FrameRecord) -> Frame | None:
+    def require_no_repeats(self) -> None:
+        """Raise `DataError` where frames that were read are the same picture, which noise makes impossible."""
+        numbers = self._pictures.suspects
+        found = repeated(self.run, (step for step in self._every if step.step in numbers)) if numbers else {}
+        if found:
+            texts = [text for number in sorted(found) for text in found[number]]
+            raise DataError(
+                f"{self.run.path}: {REPEATED} in step{'s' * (len(found) > 1)} {', '.join(map(str, sorted(found)))}: "
+                f"{texts[0]}. Look after the camera; then `gonio run repair {self.run.path}` takes these steps out, and "
+                f"{RETAKE}"
+            )
+
+    def _read_or_note(self, step: StepRecord, entry: FrameRecord) -> Frame | None:
         """A frame that the journal names, or None where it is missing or damaged."""
         try:
-            return self.read(entry)
+            return self.read(step, entry)
         except DamagedFrame as error:
             self.damaged[entry.file] = str(error)
         except ContradictoryFrame as error:
@@ -364,7 +386,7 @@ class RunFrames:
         region = self._region(step, band.channel)
         if region is None:
             return None
-        read = ((entry, self._read_or_note(entry)) for entry in _lit(step, band))
+        read = ((entry, self._read_or_note(step, entry)) for entry in _lit(step, band))
         return region, [self._shot(region, frame, entry, band.channel) for entry, frame in read if frame is not None]
 
     def _shot(self, region: Region, frame: Frame, entry: FrameRecord, channel: Channel) -> Shot:

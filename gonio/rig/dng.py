@@ -299,7 +299,8 @@ def read_record(data: bytes) -> str:
         fields, _ = _read_directory(data, struct.unpack_from(order + "I", data, 4)[0], order)
     except struct.error:
         return ""
-    return str(fields.get(270, b"").decode("ascii", "replace"))
+    text = fields.get(270, b"")
+    return text.decode("ascii", "replace") if isinstance(text, bytes) else ""
 
 
 def _pattern(raw: Any) -> str:
@@ -354,6 +355,8 @@ def _read_directories(data: bytes, path: Path) -> _Tags:
                 tags.time_s = (moment - _EPOCH).total_seconds()
     except struct.error:
         raise DataError(f"{path}: is damaged: a directory reaches beyond the end at byte {len(data)}") from None
+    except (TypeError, IndexError, ValueError) as error:
+        raise DataError(f"{path}: is damaged: a directory holds what cannot be ({error})") from None
     return tags
 
 

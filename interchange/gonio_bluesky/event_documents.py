@@ -426,7 +426,7 @@ class _Documents:
             data["point"] = event["point"]
             data |= dict(zip(ANGLES, map(float, self._angles[event["point"]]), strict=True))
         data |= {
-            **{f"{axis}_deg": math.degrees(event["pose"][axis]) for axis in self._axes},
+            **{f"{axis}_deg": math.degrees(event["pose"].get(axis, 0.0)) for axis in self._axes},
             "goal_deg": self._pose(event["goal"]),
             "time_s": event["time_s"],
             "flag": event["flag"],
@@ -445,7 +445,7 @@ class _Documents:
         yield self._event(name, event["n"], _seconds(event.get("wall", "")), data)
 
     def _pose(self, pose: Mapping[str, float] | None) -> list[float | None]:
-        return [None if pose is None else math.degrees(pose[axis]) for axis in self._axes]
+        return [None if pose is None else math.degrees(pose.get(axis, 0.0)) for axis in self._axes]
 
     def _step_keys(self, name: str) -> dict[str, Json]:
         axes, bands = len(self._axes), len(self._bands)

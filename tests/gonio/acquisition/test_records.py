@@ -112,7 +112,7 @@ def test_a_line_of_an_older_journal_is_read_and_written_to_the_byte() -> None:
     ("key", "value", "message"),
     [
         ("frames", None, 'has no "frames"'),
-        ("goal", {"lihgt": 0.0}, "cannot be understood.*lihgt"),
+        ("goal", {"light": 0, "camera": 0, "lihgt": 0}, "cannot be understood.*lihgt"),
         ("frames", [{"file": "000002-a-01.dng"}], 'has no "frames.0.band"'),
     ],
 )

@@ -66,7 +66,7 @@ def test_every_line_of_a_long_run_is_an_event_once_from_wherever_a_client_goes_o
     server, run = shown
     lines = [encode({"n": 0, "event": "session", "gonio": "", "left": LINES, "wall": "2026-01-01T00:00:00Z"})]
     step = {"event": "step", "kind": "point", "flag": "", "frames": [], "wall": "2026-01-01T00:00:00Z"}
-    step |= {"goal": {}, "pose": {}, "time_s": 0.0}
+    step |= {"goal": {"light": 0.0, "camera": 0.0}, "pose": {"light": 0.0, "camera": 0.0}, "time_s": 0.0}
     lines += [encode({"n": n, **step, "step": n, "point": n}) for n in range(1, LINES)]
     last = b'"n":%d,' % (LINES - 1)
     with stream(server) as line:
