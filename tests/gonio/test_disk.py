@@ -26,6 +26,7 @@ from tests.gonio.numpy_rig import PLAN, SAMPLE, Plugin, describe
 
 Measure = Callable[..., Run]
 LONG = "x" * 300
+SOMEBODYS = hashlib.sha256(b"somebody's").hexdigest()
 
 
 @pytest.fixture
@@ -340,3 +341,20 @@ def test_output_is_written_again_over_its_own(measure: Measure, tmp_path: Path) 
         report(tmp_path / "staged")  # as figures and bench write theirs
     assert (run / "report" / "index.html").is_file()
     assert (tmp_path / "page" / "index.html").is_file()
+
+
+@pytest.mark.parametrize("name", ["../x", "/etc/hosts", "a/../../x", "a\\b", "./x", "a//b", "a/", ".."])
+def test_a_manifest_names_files_of_its_own_folder_alone(measure: Measure, tmp_path: Path, name: str) -> None:
+    """Whoever is to remove or replace what it names stays inside."""
+    (tmp_path / "x").write_text("somebody's")
+    run = measure("run")
+    line = f"{SOMEBODYS}  {name}\n"
+    manifest = run.path / disk.MANIFEST
+    manifest.write_text(manifest.read_text() + line)
+    assert not disk.is_manifest(manifest)
+    assert disk.read_manifest(run.path) == {}
+    before = tree(tmp_path)
+    for refused in (lambda: Run.open(run.path), lambda: measure("run", resume=True), lambda: measure("run")):
+        with pytest.raises(GonioError, match=r"gonio\.sha256|--resume"):
+            refused()
+    assert tree(tmp_path) == before

@@ -65,9 +65,9 @@ def places(value: Any, at: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
 
 
 def forged(event: Event) -> Iterator[tuple[str, Event]]:
-    """An event with something else at one place."""
-    for at in places(event):
-        for value in VALUES:
+    """An event with something else at one place; the values in turn, so that the places together see all."""
+    for count, at in enumerate(places(event)):
+        for value in [VALUES[(5 * count + k) % len(VALUES)] for k in range(5)]:
             out = copy.deepcopy(event)
             inner: Any = out
             for key in at[:-1]:

@@ -20,7 +20,7 @@ from gonio.acquisition.plan import Plan, load_plan
 from gonio.acquisition.progress import Silent
 from gonio.acquisition.records import FrameRecord, StepRecord
 from gonio.acquisition.run import Run
-from gonio.errors import ConfigError, DataError
+from gonio.errors import ConfigError, DataError, DeviceError, GonioError
 from gonio.reduction import brdf, count_rates
 from gonio.rig import Frame
 from gonio.rig.description import Reference
@@ -334,6 +334,56 @@ def test_a_whole_run_needs_no_repair(measure: Measure) -> None:
     assert tree(run.path) == before
 
 
+def zero_half(path: Path) -> None:
+    """As a disk does that has lost a block of pixels."""
+    data = path.read_bytes()
+    path.write_bytes(data[: len(data) // 2] + bytes(len(data) - len(data) // 2))
+
+
+@pytest.mark.parametrize("number", [1, 4])
+@pytest.mark.parametrize("line", ["there", "lost"])
+def test_damage_is_never_taken_for_what_was_measured(measure: Measure, number: int, line: str) -> None:
+    """The last frame of a step holds the step's record, so no other frame has its checksum. The journal's line has it,
+    and the frame has that of its own pixels.
+    """
+    whole = content(run := measure())
+    table = brdf.reduce(run)
+    zero_half(run.frame_path(run.steps()[number].frames[-1].file))
+    if line == "lost":
+        journal = run.path / "journal.jsonl"
+        lines = journal.read_bytes().splitlines(keepends=True)
+        journal.write_bytes(b"".join([*lines[: number + 1], *lines[number + 2 :]]))
+    done = repair.repair(run.path)
+    assert done is not None
+    assert done.rebuilt == []
+    assert (done.damaged != []) == (line == "there")
+    assert [step.step for step in Run.open(run.path).steps()] == [k for k in range(9) if k != number]
+    again = measure(resume=True)
+    assert content(again) == whole
+    assert brdf.reduce(again).equals(table)
+
+
+def test_a_byte_of_a_header_is_damage_too_where_no_line_is_left(measure: Measure) -> None:
+    """Exposure, levels and label of a last frame: reading does not notice a changed digit."""
+    run = measure()
+    path = run.frame_path(run.steps()[3].frames[-1].file)
+    data = path.read_bytes()
+    journal = run.path / "journal.jsonl"
+    lines = journal.read_bytes().splitlines(keepends=True)
+    journal.write_bytes(b"".join([*lines[:4], *lines[5:]]))
+    for at in (data.index(b'"pose":{"light":') + 20, data.index(b"gonio goniometer camera"), data.index(b'"of":') + 5):
+        path.write_bytes(data[:at] + bytes([data[at] ^ 1]) + data[at + 1 :])
+        kept = journal.read_bytes()
+        done = repair.repair(run.path)
+        assert done is not None
+        assert done.rebuilt == [], at
+        journal.write_bytes(kept)
+    path.write_bytes(data)
+    done = repair.repair(run.path)
+    assert done is not None
+    assert done.rebuilt == [3]
+
+
 def test_repair_finds_damage_and_resuming_mends_it(measure: Measure) -> None:
     run = measure()
     whole = content(run)
@@ -460,3 +510,65 @@ def test_threads_take_a_few_items_ahead() -> None:
     for k, done in enumerate(count_rates.in_threads(abs, ask())):
         assert done == k
         assert len(asked) - k <= 2 * count_rates.THREADS + 1
+
+
+def test_a_refused_resume_has_changed_nothing(measure: Measure, tmp_path: Path) -> None:
+    """Whatever refuses: what was found before that is acted on only when nothing can refuse any more."""
+    run = measure()
+    one, two = (run.frame_path(step.frames[0].file) for step in (run.steps()[3], run.steps()[4]))
+    first, second = one.read_bytes(), two.read_bytes()
+    one.write_bytes(second)
+    two.write_bytes(first)
+    with (run.path / "journal.jsonl").open("ab") as journal:
+        journal.write(b'{"n":11,"ev')
+    cut = run.path / "frames" / "000009-green550-01.dng"
+    cut.write_bytes(first)
+    plan = (run.path / "plan.csv").read_bytes()
+    for refusal in ("plan", "seed", "room", "device", "stranger"):
+        changes: dict[str, object] = {"seed": 2} if refusal == "seed" else {}
+        with pytest.MonkeyPatch.context() as patch:
+            if refusal == "plan":
+                (run.path / "plan.csv").write_bytes(plan.replace(b"60", b"61", 1))
+            elif refusal == "room":
+                patch.setattr("gonio.acquisition.holding.free_bytes", lambda path: 0)
+            elif refusal == "device":
+                patch.setattr(NumpyRig, "__enter__", lambda self: (_ for _ in ()).throw(DeviceError("no answer")))
+            elif refusal == "stranger":
+                (run.path / "frames" / "IMG.CR2").write_bytes(b"mine")
+            before = tree(run.path)
+            with pytest.raises(GonioError):
+                measure(resume=True, **changes)
+            assert tree(run.path) == before, refusal
+        (run.path / "plan.csv").write_bytes(plan)
+    (run.path / "frames" / "IMG.CR2").unlink()
+    whole = content(measure("other"))
+    assert content(measure(resume=True)) == whole
+    kept = set(tree(run.path / "set-aside").values()) | set(tree(run.path / "frames").values())
+    assert {first, second} <= kept
+
+
+@pytest.mark.parametrize("name", ["run.toml", "plan.csv"])
+def test_what_says_how_it_was_measured_is_not_changed_afterwards(measure: Measure, name: str) -> None:
+    run = measure()
+    path = run.path / name
+    path.write_bytes(path.read_bytes().replace(b"0", b"1", 1))
+    for read in (brdf.reduce, lambda run: repair.check(run.path), lambda run: repair.repair(run.path)):
+        with pytest.raises(DataError, match=rf"{name}: was changed after it was written"):
+            read(Run.open(run.path))
+
+
+def test_a_link_in_the_place_of_a_frame_is_moved_and_not_followed(measure: Measure) -> None:
+    whole = content(run := measure())
+    one, two = (run.frame_path(step.frames[0].file) for step in (run.steps()[3], run.steps()[4]))
+    kept = two.read_bytes()
+    one.unlink()
+    one.symlink_to(two.name)
+    journal = run.path / "journal.jsonl"
+    lines = journal.read_bytes().splitlines(keepends=True)
+    journal.write_bytes(b"".join([*lines[:5], *lines[6:]]))
+    assert repair.repair(run.path) is not None
+    again = measure(resume=True)
+    assert content(again) == whole
+    assert two.read_bytes() == kept
+    assert (run.path / "set-aside" / one.name).is_symlink()
+    brdf.reduce(again)

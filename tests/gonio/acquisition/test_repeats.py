@@ -1,0 +1,117 @@
+"""A camera that hands out an image again under a new header: named while measuring, by the check, and by the reduction;
+and nothing else is taken for it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gonio.acquisition import loop, repair, repeats
+from gonio.acquisition.measure import RigChoice, carry_out
+from gonio.acquisition.plan import load_plan
+from gonio.acquisition.run import Run
+from gonio.errors import DataError, DeviceError
+from gonio.reduction import brdf
+from gonio.rig import Frame
+from gonio.rig.description import Camera
+from tests.gonio.numpy_rig import PLAN, SAMPLE, NumpyRig, Plugin, describe
+
+NOISY = Camera(width=64, height=48, pixel_um=40, exposure_limits_s=(1e-4, 10.0), photon_noise=True)
+Measure = Callable[..., Run]
+
+
+@dataclass
+class Stuck(NumpyRig):
+    """Its camera hands out what it gave before, in one step, or in all that follow."""
+
+    at: int = 4
+    back: int = 1
+    taken: tuple[Frame, ...] = ()
+
+    def capture(self, exposure_s: float) -> Frame:
+        frame = super().capture(exposure_s)
+        if self.step == self.at and len(self.taken) >= self.back:
+            return replace(frame, mosaic=self.taken[-self.back].mosaic)
+        self.taken = (*self.taken, frame)
+        return frame
+
+
+class OneStuck(Plugin):
+    def open(self, description, *, sample, seed, confirm):  # type: ignore[no-untyped-def]
+        self.opened.append(Stuck(description, seed, **self.options))
+        return self.opened[-1]
+
+
+@pytest.fixture
+def measure(tmp_path: Path) -> Measure:
+    (tmp_path / "plan.toml").write_text(PLAN)
+    plan = load_plan(tmp_path / "plan.toml")
+
+    def go(plugin: Plugin, *, resume: bool = False, out: str = "run") -> Run:
+        choice = RigChoice(plugin, describe(camera=NOISY), "numpy")
+        return carry_out(plan, choice, tmp_path / out, sample=SAMPLE, seed=1, resume=resume)
+
+    return go
+
+
+def test_the_picture_before_is_known_while_it_is_measured(measure: Measure, tmp_path: Path) -> None:
+    with pytest.raises(DeviceError, match=r"step 4: the camera .* gives the same picture twice"):
+        measure(OneStuck())
+    assert list(Run.open(tmp_path / "run").steps().numbers) == [0, 1, 2, 3]
+    again = brdf.reduce(measure(Plugin(), resume=True))
+    assert again.equals(brdf.reduce(measure(Plugin(), out="other")))
+
+
+@pytest.mark.parametrize("at", [3, 4, 5])
+def test_an_older_picture_is_found_among_the_frames(measure: Measure, monkeypatch: pytest.MonkeyPatch, at: int) -> None:
+    """A buffer of several pictures: none is the one before. The check names the step, and it is taken again."""
+    whole = brdf.reduce(measure(Plugin(), out="other"))
+    monkeypatch.setattr(loop, "cannot_be_alike", lambda *args: False)
+    run = measure(OneStuck(options={"at": at, "back": 1}))
+    with pytest.raises(DataError, match=rf"again under a new header in steps? .*\b{at}\b"):
+        brdf.reduce(Run.open(run.path))
+    found = repair.check(run.path)
+    assert at in found.damaged
+    assert repeats.REPEATED in found.damaged[at][0]
+    done = repair.repair(run.path)
+    assert done is not None
+    assert any(repeats.REPEATED in text for text in done.damaged)
+    monkeypatch.undo()
+    table = brdf.reduce(measure(Plugin(), resume=True))
+    assert (table["flag"] == whole["flag"]).all()
+    # the step after it looked for its exposure where this one had been: other frames, of the same sample; both tables
+    # have their own noise, and 5 sigma leave one of 1e5 such tables out
+    assert (abs(table["brdf"] - whole["brdf"]) < 5.0 * np.hypot(table["u_brdf"], whole["u_brdf"])).all()
+
+
+def frame(mosaic: np.ndarray, exposure_s: float = 0.1) -> Frame:  # type: ignore[type-arg]
+    return Frame(mosaic.astype(np.uint16), exposure_s, 64.0, 4095.0, time_s=0.0)
+
+
+def test_what_noise_does_not_change_may_be_alike() -> None:
+    rng = np.random.default_rng(5)
+    pattern = rng.integers(60, 70, (48, 64))
+    lit = rng.poisson(3000, (48, 64)) / 2.7 + 64
+    quiet, noisy = NOISY.model_copy(update={"photon_noise": False}), NOISY.model_copy(update={"read_noise_e": 8.0})
+    full = np.full((48, 64), 4095)
+    full[:2] = lit[:2]
+    for camera, one, other, accused in (
+        (noisy, frame(lit), frame(lit), True),
+        (noisy, frame(pattern), frame(pattern), True),  # read noise of 3 DN
+        (NOISY, frame(lit), frame(lit), True),
+        (quiet, frame(lit), frame(lit), False),  # a rig without noise, twice at the same place
+        (quiet, frame(lit), frame(lit, 0.2), True),  # twice the light, and the same picture
+        (quiet, frame(pattern), frame(pattern, 0.2), False),  # the pattern of a sensor in the dark
+        (noisy, frame(np.full((48, 64), 4095)), frame(np.full((48, 64), 4095), 0.2), False),
+        (noisy, frame(np.full((48, 64), 0)), frame(np.full((48, 64), 0), 0.2), False),
+        (noisy, frame(np.full((48, 64), 64)), frame(np.full((48, 64), 64), 0.2), False),
+        (noisy, frame(np.where(lit > 0, 4095, 0) - np.eye(48, 64)), frame(lit), False),
+        (noisy, frame(lit), frame(lit + np.eye(48, 64)), False),
+        (quiet, frame(full), frame(full, 0.1001), False),
+    ):
+        assert repeats.cannot_be_alike(camera, one, other) is accused
