@@ -220,7 +220,18 @@ class Files:
         def label(pixels: str) -> str:
             files = [done.result() for done in before] if record is not None else []
             text = FrameLabel(
-                self.run, step.index, step.kind, step.point, number, count, last, goal, pose, pose_time_s, record, pixels
+                self.run,
+                step.index,
+                step.kind,
+                step.point,
+                number,
+                count,
+                last,
+                goal,
+                pose,
+                pose_time_s,
+                record,
+                pixels,
             ).text(files)
             return sealed(text[:-1].encode()).decode().rstrip("\n")
 

@@ -14,6 +14,7 @@ from gonio.acquisition.journal import Event, Events
 from gonio.acquisition.records import StepRecord
 from gonio.errors import DataError
 
+
 class Index:
     """Which line of a journal holds which step, in a few bytes a step."""
 

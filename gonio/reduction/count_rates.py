@@ -285,7 +285,9 @@ class RunFrames:
         u = np.concatenate([self._maps.u_responsivity[box].ravel() for box in boxes.values()])
         return float(np.sqrt(np.mean(u.astype(float) ** 2)))
 
-    def _read_darks(self, frames: list[tuple[StepRecord, FrameRecord]], boxes: dict[Target, tuple[slice, slice]]) -> dict[Target, Darks]:
+    def _read_darks(
+        self, frames: list[tuple[StepRecord, FrameRecord]], boxes: dict[Target, tuple[slice, slice]]
+    ) -> dict[Target, Darks]:
         if not frames:
             raise DataError(f"{self.run.path}: the run has no dark frames; finish it with --resume")
         camera = self.description.camera

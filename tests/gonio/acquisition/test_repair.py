@@ -407,7 +407,10 @@ def test_frames_of_a_cut_step_are_set_aside(measure: Measure, tmp_path: Path) ->
     half.write_bytes(b"half")
     unknown = run.path / "frames" / "000099-left-01.dng"
     unknown.write_bytes(b"somebody's")
-    before, kept = tree(run.path / "frames"), {frame.file for step in Run.open(run.path).steps() for frame in step.frames}
+    before, kept = (
+        tree(run.path / "frames"),
+        {frame.file for step in Run.open(run.path).steps() for frame in step.frames},
+    )
     told = Told()
     again = measure(resume=True, progress=told)
     assert content(again) == content(measure("other"))
