@@ -9,10 +9,10 @@ import math
 import re
 from collections.abc import Mapping
 from functools import cache
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NotRequired
 
 from pydantic import AfterValidator, ConfigDict, Field, TypeAdapter, ValidationError, with_config
-from typing_extensions import NotRequired, TypedDict
+from typing_extensions import TypedDict
 
 from gonio.acquisition.records import AXES, Json, Kind
 from gonio.errors import DataError
@@ -38,8 +38,8 @@ def _time_of_day(value: str) -> str:
 
 def _shape(fields: Mapping[str, Any], extra: Literal["allow", "ignore", "forbid"] = "ignore") -> Any:
     """An object of JSON with these keys."""
-    shape = TypedDict("shape", dict(fields))  # type: ignore[misc]
-    return with_config(ConfigDict(strict=True, extra=extra, allow_inf_nan=False))(shape)  # type: ignore[type-var]
+    shape = TypedDict("shape", dict(fields))  # type: ignore[misc]  # noqa: UP013
+    return with_config(ConfigDict(strict=True, extra=extra, allow_inf_nan=False))(shape)
 
 
 _POSE = _shape(dict.fromkeys(AXES, NotRequired[Angle]) | {"light": Angle, "camera": Angle}, "forbid")
@@ -82,7 +82,21 @@ _LABEL = (
         "event": NotRequired[_shape(_STEP) | None],
     }
 )
-_SAID = {"step": Count, "message": str, "time_s": Seconds}
+_SAID: dict[str, Any] = {"step": Count, "message": str, "time_s": Seconds}
+_OTHERS: Mapping[str, Mapping[str, Any]] = {
+    "session": {"gonio": str, "steps": Count, "left": Count},
+    "remark": {"message": str},
+    "suspended": {"rule": str, **_SAID},
+    "paused": {"why": str, **_SAID},
+    "retry": {"device": str, "attempt": Count, **_SAID},
+    "continued": {"step": Count, "waited_s": Seconds, "time_s": Seconds},
+    "enough": {"met": bool, "message": str, "why": dict[str, Any]},
+    "interrupted": {"message": str},
+    "device_error": {"message": str},
+    "repaired": {"kept": Count, "rebuilt": list[Count]},
+    "end": {"steps": Count},
+}
+"""Of these every key may be missing: nothing is computed from them."""
 _KINDS: Mapping[str, Mapping[str, Any]] = {
     "step": _STEP,
     "chosen": {
@@ -91,22 +105,7 @@ _KINDS: Mapping[str, Mapping[str, Any]] = {
         "why": NotRequired[dict[str, Any]],
     },
     "lost": {"steps": list[Count], "frames": NotRequired[list[str]]},
-} | {
-    kind: {key: NotRequired[what] for key, what in keys.items()}
-    for kind, keys in {
-        "session": {"gonio": str, "steps": Count, "left": Count},
-        "remark": {"message": str},
-        "suspended": {"rule": str, **_SAID},
-        "paused": {"why": str, **_SAID},
-        "retry": {"device": str, "attempt": Count, **_SAID},
-        "continued": {"step": Count, "waited_s": Seconds, "time_s": Seconds},
-        "enough": {"met": bool, "message": str, "why": dict[str, Any]},
-        "interrupted": {"message": str},
-        "device_error": {"message": str},
-        "repaired": {"kept": Count, "rebuilt": list[Count]},
-        "end": {"steps": Count},
-    }.items()
-}
+} | {kind: {key: NotRequired[what] for key, what in keys.items()} for kind, keys in _OTHERS.items()}
 _BEGINNING = re.compile(rb'\{"n":\d+,"event":"(\w+)"')
 _EVERY = {"n": Count, "event": str, "wall": NotRequired[Annotated[str, AfterValidator(_time_of_day)]]}
 

@@ -477,9 +477,9 @@ class _Session:
             return
         if cannot_be_alike(self._description.camera, before, frame):
             raise DeviceError(
-                f'step {self._step}: the camera of the rig "{self._description.name}" gives the same picture twice, pixel '
-                f"by pixel, which noise makes impossible (the one before is of step {of}): {REPEATED}. Look after camera "
-                "and driver, as what its buffer keeps, then go on with --resume"
+                f'step {self._step}: the camera of the rig "{self._description.name}" gives the same picture twice, '
+                f"pixel by pixel, which noise makes impossible (the one before is of step {of}): {REPEATED}. Look "
+                "after camera and driver, as what its buffer keeps, then go on with --resume"
             )
 
     def _monitored(self, frame: Frame) -> Frame:

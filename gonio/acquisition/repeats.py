@@ -1,5 +1,5 @@
-"""A camera that hands out an image again under a new header: frames that are alike, pixel by pixel, although noise makes
-that impossible.
+"""A camera that hands out an image again under a new header: frames that are alike, pixel by pixel, although noise
+makes that impossible.
 """
 
 from __future__ import annotations

@@ -261,7 +261,8 @@ class Run:
             raise ConfigError(f"{path}: there is no such folder; a run is a folder that `gonio measure` has written")
         if os.path.lexists(path / MANIFEST) and not is_manifest(path / MANIFEST):
             raise DataError(
-                f"{path / MANIFEST}: is no list of files of this folder with their checksums; restore it, or move it away"
+                f"{path / MANIFEST}: is no list of files of this folder with their checksums; restore it, or move it "
+                "away"
             )
         own = read_manifest(path)
         for name in sorted(own.keys() & AS_BEGUN):
@@ -339,8 +340,8 @@ class Run:
                 if step.point is not None and step.point >= count:
                     line = self._index.lines[step.step] + 1
                     raise DataError(
-                        f"{self.path / 'journal.jsonl'}: line {line}: its step is of point {step.point}, and the run has "
-                        f"{count} points; `gonio run repair {self.path}` asks the frames what the line said"
+                        f"{self.path / 'journal.jsonl'}: line {line}: its step is of point {step.point}, and the run "
+                        f"has {count} points; `gonio run repair {self.path}` asks the frames what the line said"
                     )
         if not batches:
             return self.planned

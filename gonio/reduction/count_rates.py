@@ -364,8 +364,8 @@ class RunFrames:
             texts = [text for number in sorted(found) for text in found[number]]
             raise DataError(
                 f"{self.run.path}: {REPEATED} in step{'s' * (len(found) > 1)} {', '.join(map(str, sorted(found)))}: "
-                f"{texts[0]}. Look after the camera; then `gonio run repair {self.run.path}` takes these steps out, and "
-                f"{RETAKE}"
+                f"{texts[0]}. Look after the camera; then `gonio run repair {self.run.path}` takes these steps out, "
+                f"and {RETAKE}"
             )
 
     def _read_or_note(self, step: StepRecord, entry: FrameRecord) -> Frame | None:

@@ -127,7 +127,7 @@ def test_every_reader_names_a_forged_line_or_can_do_with_it(whole: Path, tmp_pat
             except GonioError as error:
                 if "cannot reach" in str(error):  # a point like any other, which this rig does not take
                     continue
-                assert f"line {at + 1} " in str(error) or f"line {at + 1}:" in str(error), (what, name, str(error))
+                assert f"line {at + 1} " in str(error) or f"line {at + 1}:" in str(error), (what, name, str(error))  # noqa: PT017
                 refused += 1
             except Exception as error:
                 raise AssertionError(f"{what}: {name}: {error!r}") from error
