@@ -96,7 +96,7 @@ def find_damage(run: Run, *, whole: bool = False, progress: Progress | None = No
 
 def _read(run: Run, steps: Steps, suspects: set[int], out: Found, *, whole: bool, progress: Progress | None) -> None:
     """Read frames from end to end, the last ones first, as many as may be, and those of the suspects."""
-    room, count, done, pictures = LOOKED_INTO_BYTES, LOOKED_INTO, 0, Pictures()
+    room, count, done, pictures = LOOKED_INTO_BYTES, LOOKED_INTO, 0, Pictures(run.description.camera)
     for at in range(len(steps) - 1, -1, -1):
         number = steps.numbers[at]
         if not whole and not suspects and (room <= 0 or count <= 0):
@@ -107,11 +107,11 @@ def _read(run: Run, steps: Steps, suspects: set[int], out: Found, *, whole: bool
             continue
         step = steps[at]
         for frame in step.frames:
-            state, pixels, size = _state_of(run, step, frame)
+            state, pixels, size = _state_of(run, step, frame, unpacked=whole)
             if state:
                 out.damaged.setdefault(number, []).append(f"frames/{frame.file} {state}")
             elif pixels:
-                pictures.add(pixels, number)
+                pictures.add(pixels, number, frame.exposure_s)
             room, count, done = room - size, count - 1, done + 1
             if progress is not None:
                 progress(done, out.frames)
@@ -125,9 +125,9 @@ def _of(steps: Steps, numbers: set[int]) -> Iterator[StepRecord]:
     return (steps[at] for at, number in enumerate(steps.numbers) if number in numbers)
 
 
-def _state_of(run: Run, step: StepRecord, frame: FrameRecord) -> tuple[str, str, int]:
+def _state_of(run: Run, step: StepRecord, frame: FrameRecord, *, unpacked: bool = False) -> tuple[str, str, int]:
     """What is wrong with a frame that the journal names ("" where nothing is), the checksum of its pixels where the
-    file tells it, and its size in bytes.
+    file tells it, and its size in bytes. `unpacked` compares its own checksum of its pixels too.
     """
     path = run.frame_path(frame.file)
     try:
@@ -143,12 +143,12 @@ def _state_of(run: Run, step: StepRecord, frame: FrameRecord) -> tuple[str, str,
     label = label_of(path, data)
     if label is None:
         return "", "", len(data)
-    try:
-        pixels = pixels_of(path, data)
-    except DataError:
-        pixels = ""
-    if not pixels or label.pixels not in (None, pixels):
-        return CHANGED, "", len(data)
+    pixels = label.pixels or ""
+    if unpacked:
+        with contextlib.suppress(DataError):
+            pixels = pixels_of(path, data)
+        if not pixels or label.pixels not in (None, pixels):
+            return CHANGED, "", len(data)
     return label.otherwise(run.key, step, frame), pixels, len(data)
 
 
@@ -402,7 +402,7 @@ class _Frames:
         """By step: what the label of its last frame says of it."""
         self.unproved: set[int] = set()
         """Steps whose last frame does not say what its pixels are."""
-        self.pictures = Pictures()
+        self.pictures = Pictures(run.description.camera)
         self._digests: dict[str, str] = {}
         self._strange: dict[str, str] = {}
         """What is wrong with frames, whatever the journal says."""
@@ -435,7 +435,7 @@ class _Frames:
         if not pixels or label.pixels not in (pixels, None):
             self._strange[name] = CHANGED
             return
-        self.pictures.add(pixels, label.step)
+        self.pictures.add(pixels, label.step, label.frame.exposure_s)
         step = label.record
         if step is None or step.step != label.step or not step.frames or step.frames[-1].file != name:
             return

@@ -55,21 +55,26 @@ def cannot_be_alike(camera: Camera, one: Frame, other: Frame) -> bool:
 
 
 class Pictures:
-    """Which steps of a run have frames of the same pixels, in sixteen bytes a frame."""
+    """Which steps of a run have frames of the same pixels, in 24 bytes a frame."""
 
-    def __init__(self) -> None:
-        self._keys, self._steps = array("q"), array("q")
+    def __init__(self, camera: Camera) -> None:
+        self._noisy = camera.photon_noise or camera.read_noise_e > 0.0
+        self._keys, self._steps, self._exposures_s = array("q"), array("q"), array("d")
 
-    def add(self, pixels: str, step: int) -> None:
-        """One more frame: the checksum of its pixels, and the number of its step."""
+    def add(self, pixels: str, step: int, exposure_s: float) -> None:
+        """One more frame: the checksum of its pixels, the number of its step, and its exposure [s]."""
         self._keys.append(int(pixels[:15], 16))
         self._steps.append(step)
+        self._exposures_s.append(exposure_s)
 
     @property
     def suspects(self) -> set[int]:
-        """Steps with a frame that another one has the pixels of."""
+        """Steps with a frame that another one has the pixels of; without noise, one of another exposure."""
         keys, steps = np.array(self._keys, dtype=np.int64), np.array(self._steps, dtype=np.int64)
         _, where, counts = np.unique(keys, return_inverse=True, return_counts=True)
+        if not self._noisy:
+            _, first = np.unique(np.stack([where, np.array(self._exposures_s)]), axis=1, return_index=True)
+            counts = np.bincount(where[first], minlength=len(counts))
         return set(steps[counts[where] > 1].tolist())
 
 

@@ -171,7 +171,7 @@ class RunFrames:
         """The flags of the visits to the reference without frames."""
         dark: list[tuple[StepRecord, FrameRecord]] = []
         self.geometry = GeometryErrors(run.description)
-        self._pictures = Pictures()
+        self._pictures = Pictures(run.description.camera)
         monitored: list[float] = []
         self._every = run.steps() if steps is None else steps
         for step in self._every:
@@ -353,7 +353,7 @@ class RunFrames:
             why = "does not hold the pixels that it was written with"
         if why:
             raise ContradictoryFrame(f"{entry.file} {why}")
-        self._pictures.add(pixels, step.step)
+        self._pictures.add(pixels, step.step, frame.exposure_s)
         return frame
 
     def require_no_repeats(self) -> None:

@@ -196,8 +196,8 @@ def agree(table: pd.DataFrame, whole: pd.DataFrame) -> None:
     good = (table["flag"] == "").to_numpy()
     apart = (table["brdf"] - whole["brdf"]).to_numpy()[good]
     stated = np.hypot(table["u_brdf"], whole["u_brdf"]).to_numpy()[good]
-    # the same frames, less some, so that the difference is of the order of the uncertainties: three of them leave one of
-    # 400 values out, were all independent; those of a run share their visits
+    # the same frames, less some, so that the difference is of the order of the uncertainties: three of them leave one
+    # of 400 values out, were all independent; those of a run share their visits
     allowed = 3.0 * stated if table.attrs["notes"] or not good.all() else 1e-9 * whole["brdf"].to_numpy()[good]
     assert (abs(apart) <= allowed).all()
     for name in ("theta_i_deg", "theta_r_deg"):  # of readbacks, 1e-9 deg: the same numbers
