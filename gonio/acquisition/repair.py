@@ -145,9 +145,11 @@ def _state_of(run: Run, step: StepRecord, frame: FrameRecord, *, unpacked: bool 
         return "", "", len(data)
     pixels = label.pixels or ""
     if unpacked:
-        with contextlib.suppress(DataError):
+        try:
             pixels = pixels_of(path, data)
-        if not pixels or label.pixels not in (None, pixels):
+        except DataError:
+            return CHANGED, "", len(data)
+        if label.pixels not in (None, pixels):
             return CHANGED, "", len(data)
     return label.otherwise(run.key, step, frame), pixels, len(data)
 
