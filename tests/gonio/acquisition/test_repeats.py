@@ -43,7 +43,7 @@ class Stuck(NumpyRig):
 
 class OneStuck(Plugin):
     def open(self, description, *, sample, seed, confirm):  # type: ignore[no-untyped-def]
-        self.opened.append(Stuck(description, seed, **self.options))
+        self.opened.append(Stuck(description, seed, **self.options))  # type: ignore[arg-type]
         return self.opened[-1]
 
 
@@ -86,11 +86,12 @@ def test_an_older_picture_is_found_among_the_frames(measure: Measure, monkeypatc
     assert (table["flag"] == whole["flag"]).all()
     # the step after it looked for its exposure where this one had been: other frames, of the same sample; both tables
     # have their own noise, and 5 sigma leave one of 1e5 such tables out
-    apart = (table["brdf"] - whole["brdf"]) / np.hypot(table["u_brdf"], whole["u_brdf"])
-    assert (abs(apart[table["flag"] == ""]) < 5.0).all()
+    one, two = (each[table["flag"] == ""] for each in (table, whole))
+    apart = (one["brdf"] - two["brdf"]).to_numpy(float)
+    assert (abs(apart) < 5.0 * np.hypot(one["u_brdf"].to_numpy(float), two["u_brdf"].to_numpy(float))).all()
 
 
-def frame(mosaic: np.ndarray, exposure_s: float = 0.1) -> Frame:  # type: ignore[type-arg]
+def frame(mosaic: np.ndarray, exposure_s: float = 0.1) -> Frame:
     return Frame(mosaic.astype(np.uint16), exposure_s, 64.0, 4095.0, time_s=0.0)
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gonio.acquisition.records import FrameRecord
+from gonio.acquisition.records import FrameRecord, StepRecord
 from gonio.acquisition.run import Run
 from gonio.live.provisional import Provisional
 from gonio.reduction import brdf
@@ -63,9 +63,9 @@ def test_a_step_is_read_once(whole: Path, monkeypatch: pytest.MonkeyPatch) -> No
     found = Provisional(run)
     original = RunFrames.read
 
-    def reading(frames: RunFrames, entry: FrameRecord) -> Frame:
+    def reading(frames: RunFrames, step: StepRecord, entry: FrameRecord) -> Frame:
         read.append(entry.file)
-        return original(frames, entry)
+        return original(frames, step, entry)
 
     monkeypatch.setattr(RunFrames, "read", reading)
     for step in run.steps():
