@@ -264,13 +264,6 @@ class Run:
                 f"{path / MANIFEST}: is no list of files of this folder with their checksums; restore it, or move it "
                 "away"
             )
-        own = read_manifest(path)
-        for name in sorted(own.keys() & AS_BEGUN):
-            if os.path.lexists(path / name) and not is_own(path / name, own[name]):
-                raise DataError(
-                    f"{path / name}: was changed after it was written (its checksum differs), and the frames were not "
-                    "taken with what it says now; restore it. What is to be another rig, measure into another folder"
-                )
         try:
             values = tomllib.loads(read_file(path / "run.toml").decode())
         except FileNotFoundError:
@@ -283,6 +276,13 @@ class Run:
             settings = parse(Settings, values, path / "run.toml")
         except ConfigError as error:
             raise DataError(str(error)) from None
+        own = read_manifest(path)
+        for name in sorted(own.keys() & AS_BEGUN):
+            if os.path.lexists(path / name) and not is_own(path / name, own[name]):
+                raise DataError(
+                    f"{path / name}: was changed after it was written (its checksum differs), and the frames were not "
+                    "taken with what it says now; restore it. What is to be another rig, measure into another folder"
+                )
         return cls(path, resolved(settings, path))
 
     @property

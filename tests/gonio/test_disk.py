@@ -354,7 +354,9 @@ def test_a_manifest_names_files_of_its_own_folder_alone(measure: Measure, tmp_pa
     assert not disk.is_manifest(manifest)
     assert disk.read_manifest(run.path) == {}
     before = tree(tmp_path)
-    for refused in (lambda: Run.open(run.path), lambda: measure("run", resume=True), lambda: measure("run")):
+    for resume in (True, False):
         with pytest.raises(GonioError, match=r"gonio\.sha256|--resume"):
-            refused()
+            measure("run", resume=resume)
+    with pytest.raises(GonioError, match=r"gonio\.sha256"):
+        Run.open(run.path)
     assert tree(tmp_path) == before

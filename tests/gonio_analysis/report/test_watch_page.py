@@ -65,7 +65,13 @@ def test_before_there_are_values_there_are_none_and_no_error(shown: tuple[Server
 def test_every_line_of_a_long_run_is_an_event_once_from_wherever_a_client_goes_on(shown: tuple[Server, Path]) -> None:
     server, run = shown
     lines = [encode({"n": 0, "event": "session", "gonio": "", "left": LINES, "wall": "2026-01-01T00:00:00Z"})]
-    step = {"event": "step", "kind": "point", "flag": "", "frames": [], "wall": "2026-01-01T00:00:00Z"}
+    step: dict[str, object] = {
+        "event": "step",
+        "kind": "point",
+        "flag": "",
+        "frames": [],
+        "wall": "2026-01-01T00:00:00Z",
+    }
     step |= {"goal": {"light": 0.0, "camera": 0.0}, "pose": {"light": 0.0, "camera": 0.0}, "time_s": 0.0}
     lines += [encode({"n": n, **step, "step": n, "point": n}) for n in range(1, LINES)]
     last = b'"n":%d,' % (LINES - 1)
