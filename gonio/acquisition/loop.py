@@ -556,7 +556,8 @@ class _Session:
         """
         cosine, absolute = exposure.cosine_of_incidence(step.pose), self._description.reference.how == "beam"
         before = self._before(step, band) if step.kind == "point" else None
-        if before is not None and before.level_per_s and self._description.acquisition.u_rel_target is not None:
+        planned = self._description.acquisition.u_rel_target is not None
+        if before is not None and before.level_per_s and band.name in before.level_per_s and planned:
             ratio = cosine / exposure.cosine_of_incidence(before.goal)
             return max(float(before.level_per_s[band.name]), 1e-6) * ratio
         if before is not None:
@@ -565,12 +566,13 @@ class _Session:
             return self._description.acquisition.exposure_target / exposure_s * ratio
         if absolute and step.kind == "point":
             return exposure.expected_level_per_s(self._description, step.pose, 1.0)
-        if self._reference is None or self._reference.step >= step.index or self._reference.level_per_s is None:
+        levels = (self._reference.level_per_s if self._reference is not None else None) or {}
+        if self._reference is None or self._reference.step >= step.index or band.name not in levels:
             if absolute:
                 return exposure.expected_straight_level_per_s(self._description)
             return exposure.expected_level_per_s(self._description, step.pose, 1.0)
         ratio = cosine / exposure.cosine_of_incidence(self._reference.goal)
-        return max(float(self._reference.level_per_s[band.name]), 1e-6) * ratio
+        return max(float(levels[band.name]), 1e-6) * ratio
 
     def _taken(
         self,
