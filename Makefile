@@ -2,13 +2,19 @@
 PYTHON ?= python3
 BIN = .venv/bin
 
-.PHONY: demo test check site clean
+.PHONY: demo test test-oldest check site clean
 
 demo: .venv/.ready
 	$(BIN)/gonio demo --out demo-run
 
 test: .venv/.ready
 	$(BIN)/python -m pytest -q -n 2 --dist worksteal
+
+# with the lowest versions that pyproject.toml allows, on Python 3.11: the models, formats, fits and commands
+test-oldest:
+	python3.11 -m venv build/oldest
+	build/oldest/bin/python -m pip install --quiet --disable-pip-version-check -c constraints-oldest.txt -e . pytest hypothesis jsonschema mpmath
+	build/oldest/bin/python -m pytest -q -p no:cacheprovider -W ignore::DeprecationWarning tests/gonio/test_*.py tests/gonio/cli tests/gonio/formats tests/gonio/models tests/gonio_analysis/fitting
 
 check: .venv/.ready
 	$(BIN)/ruff check .

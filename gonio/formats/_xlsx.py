@@ -7,6 +7,7 @@ ECMA-376 part 1, chapter 18, for the elements.
 
 from __future__ import annotations
 
+import contextlib
 import io
 import posixpath
 import re
@@ -24,8 +25,10 @@ MAGIC = b"PK\x03\x04"
 _MAX_PART = 128 * 2**20
 """Bytes of one part, unpacked."""
 _MAX_CELLS = 1_000_000
-_MAX_ELEMENTS = 4_000_000
-"""Elements of one part, empty cells among them: a small file may hold very many, and each takes memory and time."""
+_MAX_COLUMNS = 16_384
+"""Of a worksheet, by the format's own limits."""
+_MAX_ELEMENTS = 3 * _MAX_CELLS
+"""Of one part: a cell has itself, its value, and what its row and its text add."""
 
 
 def worksheets(data: bytes, path: Path) -> list[Sheet]:
@@ -54,61 +57,64 @@ class _Workbook:
         self.strings = self._strings()
         self.sheets = [self._cells(part) for part in self._parts()]
 
-    def _part(self, name: str) -> bytes:
+    def _part(self, name: str) -> ElementTree.Element:
+        with self._parsing(name):
+            return ElementTree.fromstring(self._text_of(name))
+
+    @contextlib.contextmanager
+    def _parsing(self, name: str) -> Iterator[None]:
+        try:
+            yield
+        except (ElementTree.ParseError, ValueError, LookupError) as error:
+            raise DataError(f"{self.path}: part {name!r} is not valid XML: {str(error)[:80]}") from None
+
+    def _text_of(self, name: str) -> bytes:
         try:
             info = self.archive.getinfo(name)
         except KeyError:
             missing = f"it has no part {name[:60]!r}"
             raise DataError(f"{self.path}: is a zip, but no Excel workbook ({missing}); unpack it first") from None
+        if info.file_size > _MAX_PART:
+            raise DataError(f"{self.path}: part {name!r} unpacks to more than {_MAX_PART >> 20} MiB")
         with self.archive.open(info) as stream:
             text = stream.read(_MAX_PART + 1)
         if len(text) > _MAX_PART:
             raise DataError(f"{self.path}: part {name!r} unpacks to more than {_MAX_PART >> 20} MiB")
         if re.search(rb"<!(DOCTYPE|ENTITY)", text):
             raise DataError(f"{self.path}: part {name!r} has a document type, which no workbook needs")
+        if text.count(b"<") > 2 * _MAX_ELEMENTS:  # counted before the tree is built, which takes most of the memory
+            raise DataError(f"{self.path}: part {name!r} has more than {_MAX_ELEMENTS} elements, empty cells included")
         return text
 
-    def _elements(self, name: str) -> Iterator[ElementTree.Element]:
-        """The elements of a part as they end, the innermost first; the last is the root.
-
-        A row of a worksheet is emptied once it was given out: a whole sheet is never in memory.
-        """
-        count, rows = 0, []
-        try:
-            for event, element in ElementTree.iterparse(io.BytesIO(self._part(name)), events=("start", "end")):
-                kind = element.tag.rpartition("}")[2]
-                if event == "start":
-                    count += 1
-                    if count > _MAX_ELEMENTS:
-                        raise DataError(
-                            f"{self.path}: part {name!r} has more than {_MAX_ELEMENTS} elements; if most cells are "
-                            "empty, save the filled ones as a workbook of their own"
-                        )
-                    if kind == "sheetData":
-                        rows.append(element)
-                    continue
-                yield element
-                if kind == "row" and rows:
-                    rows[-1].clear()
-        except (ElementTree.ParseError, ValueError, LookupError) as error:
-            raise DataError(f"{self.path}: part {name!r} is not valid XML: {str(error)[:80]}") from None
-
-    def _root(self, name: str) -> ElementTree.Element:
-        """The whole of a part."""
-        root = ElementTree.Element("")
-        for element in self._elements(name):
-            root = element
-        return root
+    def _rows(self, name: str) -> Iterator[ElementTree.Element]:
+        """The rows of a worksheet, each dropped when the next is asked for: a tree takes many times its text."""
+        text, cells = io.BytesIO(self._text_of(name)), 0
+        with self._parsing(name):
+            root = None
+            for event, element in ElementTree.iterparse(text, ("start", "end")):
+                root = element if root is None else root
+                tag = element.tag.rpartition("}")[2]
+                if event == "end" and tag == "c":
+                    cells += 1
+                    if cells > _MAX_COLUMNS:
+                        raise DataError(f"{self.path}: part {name!r} has more than {_MAX_COLUMNS} cells in a row")
+                elif event == "end" and tag == "row":
+                    yield element
+                    cells = 0
+                    element.clear()
+                    for child in root:
+                        if child.tag.rpartition("}")[2] == "sheetData":
+                            child.clear()
 
     def _parts(self) -> list[str]:
         """Names of the worksheets' parts, in the order of the workbook."""
         targets = {
             link.get("Id"): str(link.get("Target"))
-            for link in self._root("xl/_rels/workbook.xml.rels")
+            for link in self._part("xl/_rels/workbook.xml.rels")
             if str(link.get("Type")).endswith("/worksheet")
         }
         names = []
-        for sheet in self._root("xl/workbook.xml").iterfind(".//{*}sheet"):
+        for sheet in self._part("xl/workbook.xml").iterfind(".//{*}sheet"):
             link = next((value for key, value in sheet.attrib.items() if key.endswith("}id")), None)
             if link in targets:
                 names.append(posixpath.normpath(posixpath.join("/xl", targets[link])).removeprefix("/"))
@@ -119,12 +125,12 @@ class _Workbook:
     def _strings(self) -> list[str]:
         if "xl/sharedStrings.xml" not in self.archive.namelist():
             return []
-        return [_text(item) for item in self._root("xl/sharedStrings.xml").iterfind(".//{*}si")]
+        return [_text(item) for item in self._part("xl/sharedStrings.xml").iterfind(".//{*}si")]
 
     def _cells(self, part: str) -> Sheet:
         cells: Sheet = {}
         row = -1
-        for line in (e for e in self._elements(part) if e.tag.rpartition("}")[2] == "row"):
+        for line in self._rows(part):
             row = _whole(line.get("r"), row + 2) - 1
             column = -1
             for cell in line.iterfind(".//{*}c"):

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     import pandas as pd
 
 MAX_BYTES = 64 * 2**20
+MAX_PLACES = 4_000_000
+"""Rows times columns, empty ones too: what the lines of the CSV take, four times the cells of a workbook."""
 
 
 def is_workbook(data: bytes) -> bool:
@@ -43,6 +45,12 @@ def as_csv(data: bytes, path: Path, needed: Collection[str]) -> tuple[bytes, lis
     number, sheet = next(((n, s) for n, s in full if set(needed) <= set(_header(s).values())), full[0])
     header = _header(sheet)
     first = min(row for row, _ in sheet)
+    rows = len({row for row, _ in sheet})
+    if rows * len(header) > MAX_PLACES:
+        raise DataError(
+            f"{path}, worksheet {number}: {rows} rows of {len(header)} columns are more than {MAX_PLACES} places, "
+            "most of them empty; leave out the columns that hold nothing"
+        )
     lines: dict[int, list[str]] = {}
     place = {column: k for k, column in enumerate(header)}
     for (row, column), value in sheet.items():

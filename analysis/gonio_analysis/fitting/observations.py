@@ -29,7 +29,7 @@ LINEAR_BELOW = 0.05
 TRANSMISSION = "of transmission"
 """Why rows behind the sample are not here."""
 RESOLUTION = 1e-15
-"""Of a value: what is smaller than its own rounding is no uncertainty."""
+"""Of a value, and of a middling one of its table: what is smaller than their rounding is no uncertainty."""
 MOST_LISTED = 12
 """Rows that a note names."""
 LARGEST = 1e30
@@ -218,7 +218,8 @@ def observations(table: pd.DataFrame, name: str = "the table", u_rel: float | No
     common = np.where(np.isfinite(common), common, 0.0)
     total = np.sqrt(random**2 + (common**2).sum(axis=1))
     with np.errstate(invalid="ignore"):
-        stated = np.isfinite(total) & (total > RESOLUTION * np.abs(brdf))
+        size = np.maximum(np.abs(brdf), np.median(np.abs(brdf[why == ""])) if (why == "").any() else 0.0)
+        stated = np.isfinite(total) & (total > RESOLUTION * size)
     notes = of_reader(table)
     silent = any("no uncertainties" in note for note in notes)
     if stated[why == ""].any() and (lacking := (why == "") & ~stated).any():
