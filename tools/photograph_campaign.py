@@ -1,12 +1,15 @@
 """Photographs of spheres joined with in-plane sweeps: do the intervals of a fit cover the truth?
 
     python tools/photograph_campaign.py --seed 1 --count 40 --out DIR
+    python tools/photograph_campaign.py --shape heightfield-facet --alone --seed 1 --count 20 --out DIR
 
 Each case is drawn at random: a model (He-Torrance, Oren-Nayar, Cook-Torrance) and its parameters, a sphere, a camera
 and a light (directional, a point or a disc), how well their places and the absolute scale are known, and the errors
 themselves. The photograph is rendered with the errors and reduced without them. The sweep is measured on the simulated
 goniometer with all errors of "sim". Both tables go into one fit. Printed are the pulls (fitted - true) / u of all
 parameters, how many 95 % intervals cover the truth, and the same for each table alone.
+
+With `--alone` no sweep is measured. Height fields and meshes are bumpy, drawn at random too.
 
 A folder that holds a measured case already is not measured again: only the reduction and the fits are made anew.
 """
@@ -32,12 +35,17 @@ from gonio.acquisition.measure import RigChoice, carry_out
 from gonio.acquisition.plan import Plan, Point
 from gonio.acquisition.run import Run
 from gonio.config import parse
+from gonio.errors import GonioError
 from gonio.reduction import brdf
 from gonio.rig.description import RigDescription, SampleDescription
 from gonio.rig.dng import write_dng
 
 KINDS = ("he-torrance", "oren-nayar", "cook-torrance")
 METALS = (0.96 + 6.69j, 0.26 + 2.55j, 0.42 + 2.35j, 2.9 + 3.05j, 1.5 + 0j)  # about Al, Cu, Au, Fe, and glass
+SHAPES = (
+    "sphere", "cylinder", "revolution", "revolution-smooth", "heightfield-facet", "heightfield-smooth", "mesh-facet",
+    "mesh-smooth",
+)  # fmt: skip
 LEVEL = 1.96
 WAVELENGTH_NM = 550.0
 PIXELS = 200
@@ -96,7 +104,49 @@ def turned(vector: Any, rng: np.random.Generator, u_deg: float) -> list[float]:
     return [float(x) for x in moved / np.linalg.norm(moved)]
 
 
-def scenes(rng: np.random.Generator, what: SampleDescription) -> tuple[dict[str, Any], dict[str, Any]]:
+def shaped(shape: str, rng: np.random.Generator, radius: float, out: Path) -> dict[str, Any]:
+    """The table of a shape that is about as wide as a sphere; its file is written."""
+    kind, _, normals = shape.partition("-")
+    table: dict[str, Any] = {"kind": kind, "material": "sample"}
+    if kind == "sphere":
+        return table | {"radius_mm": radius}
+    if kind == "cylinder":
+        return table | {"radius_mm": 0.8 * radius, "height_mm": 1.8 * radius, "axis": [0.3, 1.0, 0.1]}
+    turns = rng.normal(size=(12, 3))
+    waves, phases = 2.5 * turns, rng.uniform(0.0, 2.0 * math.pi, 12)
+    if kind == "revolution":
+        z = np.linspace(-0.9, 0.9, int(rng.integers(6, 12)))
+        r = radius * np.sqrt(1.0 - z**2)
+        profile = [[float(a), float(b)] for a, b in zip(r, radius * z, strict=True)]
+        return table | {"axis": [0.2, 1.0, 0.3], "profile_mm": profile, "caps": True, "smooth": normals == "smooth"}
+    if kind == "heightfield":
+        x = np.linspace(-1.0, 1.0, int(rng.integers(9, 40)))
+        place = np.stack(np.meshgrid(x, x), axis=-1)
+        heights = np.cos(place @ waves[:, :2].T + phases).sum(axis=-1)
+        slope = float(np.hypot(*np.gradient(heights, x, x)).max())
+        np.save(out / "heights.npy", heights * math.tan(math.radians(float(rng.uniform(20.0, 50.0)))) / slope)
+        return table | {
+            "file": "heights.npy", "size_mm": [1.8 * radius, 1.8 * radius], "height_mm": 0.9 * radius, "normals": normals
+        }  # fmt: skip
+    from scipy.spatial import ConvexHull
+
+    count = int(rng.integers(60, 1500))
+    turn = math.pi * (1.0 + math.sqrt(5.0)) * np.arange(count)
+    z = 1.0 - (2.0 * np.arange(count) + 1.0) / count
+    points = np.stack([np.sqrt(1 - z**2) * np.cos(turn), np.sqrt(1 - z**2) * np.sin(turn), z], axis=1)
+    faces = ConvexHull(points).simplices
+    a, b, c = np.moveaxis(points[faces], 1, 0)
+    inward = np.einsum("ij,ij->i", np.cross(b - a, c - a), a) < 0.0
+    faces[inward] = faces[inward][:, ::-1]
+    points *= radius * (1.0 + 0.01 * np.cos(points @ waves.T + phases).sum(axis=1))[:, None]
+    lines = [f"v {x} {y} {z}" for x, y, z in points] + [f"f {a} {b} {c}" for a, b, c in faces + 1]
+    (out / "mesh.obj").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return table | {"file": "mesh.obj", "normals": normals}
+
+
+def scenes(
+    rng: np.random.Generator, what: SampleDescription, shape: str, out: Path
+) -> tuple[dict[str, Any], dict[str, Any]]:
     """A scene as it is described, and as it truly is: tables of scene files."""
 
     def even(low: float, high: float) -> float:
@@ -137,7 +187,7 @@ def scenes(rng: np.random.Generator, what: SampleDescription) -> tuple[dict[str,
         "name": what.name,
         "wavelength_nm": [WAVELENGTH_NM],
         "camera": camera,
-        "shape": [{"kind": "sphere", "radius_mm": radius, "material": "sample"}],
+        "shape": [shaped(shape, rng, radius, out)],
         "material": {"sample": {"model": "lambert", "parameters": {"albedo": 0.5}}},
         "light": [light],
     }
@@ -149,19 +199,21 @@ def scenes(rng: np.random.Generator, what: SampleDescription) -> tuple[dict[str,
         truly[place] = (np.array(light[place]) + normal(u["light_mm"])).tolist()
     power = {"directional": "irradiance", "point": "intensity", "disc": "radiance"}[kind]
     truly[power] = light[power] * (1.0 + float(normal(u["irradiance_rel"], 1)[0]))
-    sphere = described["shape"][0] | {
-        "center_mm": normal(u["center_mm"]).tolist(),
-        "radius_mm": radius + float(normal(u["radius_mm"], 1)[0]),
-    }
+    body = described["shape"][0] | {"center_mm": normal(u["center_mm"]).tolist()}
+    wider = float(normal(u["radius_mm"], 1)[0])
+    if "radius_mm" in body:
+        body["radius_mm"] += wider
+    else:
+        del u["radius_mm"]
     own = {"sample": {"model": what.model, "parameters": what.parameters}}
-    real = described | {"shape": [sphere], "light": [truly], "material": own, "seed": int(rng.integers(1 << 31))}
+    real = described | {"shape": [body], "light": [truly], "material": own, "seed": int(rng.integers(1 << 31))}
     described["photograph"] = {"uncertainty": u}
     return described, real
 
 
-def photograph(out: Path, rng: np.random.Generator, what: SampleDescription) -> Any:
+def photograph(out: Path, rng: np.random.Generator, what: SampleDescription, shape: str) -> Any:
     """The table of a photograph that was taken with errors, and reduced without knowing them."""
-    described, real = scenes(rng, what)
+    described, real = scenes(rng, what, shape, out)
     sensor = {
         "electrons_per_dn": 2.7, "black_level_dn": 64.0, "full_well_e": 11000.0, "read_noise_e": 2.5,
         "prnu": 0.005, "dsnu_e": 2.0, "cos4": True, "vignetting": 0.08,
@@ -183,17 +235,20 @@ def photograph(out: Path, rng: np.random.Generator, what: SampleDescription) -> 
     return reduce(scene.build(parse(scene.SceneFile, described, "described"), out / "described.toml"), image)
 
 
-def case(folder: Path, seed: int, number: int) -> tuple[dict[str, FitResult], dict[str, float], Any]:
+def case(
+    folder: Path, seed: int, number: int, shape: str = "sphere", *, alone: bool = False
+) -> tuple[dict[str, FitResult], dict[str, float], Any]:
     """The fits of one case ("both" tables, each alone), its true parameters, and the photograph's table."""
     rng = np.random.default_rng([seed, number])
     what, truth, index = sample(rng, KINDS[number % len(KINDS)])
-    out = folder / f"{seed}-{number}"
+    out = folder / f"{shape}-{seed}-{number}"
     out.mkdir(parents=True, exist_ok=True)
-    taken = photograph(out, rng, what)
+    taken = photograph(out, rng, what, shape)
     measurement.write(taken, out / "photograph.csv")
-    tables = {"sweep": sweep(out / "sweep", what, 1000 * seed + number), "photo": taken}
+    tables = {} if alone else {"sweep": sweep(out / "sweep", what, 1000 * seed + number)}
+    tables["photo"] = taken
     parts = {name: observations(table, name) for name, table in tables.items()}
-    each = {"both": together(parts), **parts}
+    each = parts if alone else {"both": together(parts), **parts}
     return {name: fit(data, what.model, ior=index, name=name) for name, data in each.items()}, truth, taken
 
 
@@ -214,31 +269,37 @@ def main() -> None:
     arguments.add_argument("--count", type=int, default=40)
     arguments.add_argument("--first", type=int, default=0)
     arguments.add_argument("--out", type=Path, required=True)
+    arguments.add_argument("--shape", choices=SHAPES, default="sphere")
+    arguments.add_argument("--alone", action="store_true", help="no sweep beside the photograph")
     options = arguments.parse_args()
-    every: dict[str, list[tuple[str, float]]] = {"both": [], "sweep": [], "photo": []}
+    every: dict[str, list[tuple[str, float]]] = {}
+    ratios: dict[str, list[float]] = {}
     for number in range(options.first, options.first + options.count):
-        results, truth, taken = case(options.out, options.seed, number)
-        used = int((taken["flag"] == "").sum())
+        try:
+            results, truth, taken = case(options.out, options.seed, number, options.shape, alone=options.alone)
+        except GonioError as error:
+            print(f"{number:3d} refused: {error}", flush=True)
+            continue
+        kind = KINDS[number % len(KINDS)]
         found = {name: pulls(result, truth) for name, result in results.items()}
         for name, z in found.items():
-            every[name] += [(f"{KINDS[number % len(KINDS)]} {p}", value) for p, value in z.items()]
-        shown = ", ".join(f"{p} {v:+.2f}" for p, v in found["both"].items())
-        alone = ", ".join(f"{v:+.2f}" for v in found["photo"].values())
-        chi = {name: result.reduced_chi_square for name, result in results.items()}
-        print(
-            f"{number:3d} {KINDS[number % len(KINDS)]:14s} {used:5d} rows; chi2/n both {chi['both']:.3f} sweep "
-            f"{chi['sweep']:.3f} photo {chi['photo']:.3f}; both: {shown}; photo alone: {alone}",
-            flush=True,
+            every.setdefault(name, []).extend((f"{kind} {p}", value) for p, value in z.items())
+            ratios.setdefault(name, []).append(results[name].reduced_chi_square or math.nan)
+        shown = "; ".join(
+            f"{name}: chi2/n {ratios[name][-1]:.3f}, " + ", ".join(f"{p} {v:+.2f}" for p, v in z.items())
+            for name, z in found.items()
         )
+        print(f"{number:3d} {kind:14s} {int((taken['flag'] == '').sum()):5d} rows; {shown}", flush=True)
     for name, values in every.items():
         z = np.array([v for _, v in values])
         print(
             f"{name}: {z.size} pulls, sd {z.std(ddof=1):.3f}, root mean square {np.sqrt(np.mean(z**2)):.3f}, mean "
             f"{z.mean():+.3f}, {100 * np.mean(abs(z) <= LEVEL):.1f} % of the 95 % intervals cover the truth, largest "
-            f"{abs(z).max():.2f}"
+            f"{abs(z).max():.2f}; chi2/n {np.mean(ratios[name]):.3f}"
         )
-    for parameter in dict.fromkeys(p for p, _ in every["both"]):
-        z = np.array([v for p, v in every["both"] if p == parameter])
+    first = next(iter(every), "")
+    for parameter in dict.fromkeys(p for p, _ in every.get(first, [])):
+        z = np.array([v for p, v in every[first] if p == parameter])
         inside = np.count_nonzero(abs(z) <= LEVEL)
         print(f"  {parameter}: {inside} of {z.size}, root mean square {np.sqrt(np.mean(z**2)):.2f}")
 

@@ -20,7 +20,12 @@ from gonio.typing import Floats
 from gonio_scenes import exposures
 from gonio_scenes.exposures import Exposure
 from gonio_scenes.scene import Scene
+from gonio_scenes.shapes import AnyShape, Shape
+from gonio_scenes.shapes.revolution import Revolution
+from gonio_scenes.shapes.shape import Analytic
+from gonio_scenes.shapes.triangles import Triangles
 from gonio_scenes.vantage import Seen, Vantage, displaced
+from gonio_scenes.world import Hits, World
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -42,7 +47,18 @@ STILL = 1e-5
 """Turns of the normal [rad] that are left out: what a sphere's picture has by its perspective."""
 UNSURE = 0.1
 """Share of a square's correction for its curvature that is taken as uncertain: what the next order may be."""
-FLAGS = ("limb", "below_horizon", "blocked", "saturated", "clamped")
+FEW_FACETS = 30
+"""So many facets in sight at least say together how f changes with the normal; fewer are looked at one by one."""
+NEAREST = 15
+"""Facets of the nearest normals that a quadratic through them takes: its six terms, and some noise averaged."""
+REACH = 2.0
+"""Standard deviations of all causes together by which creases may lie elsewhere: pixels so close are not used."""
+KEY = np.array([1.0, math.sqrt(2.0), math.pi])
+"""Normals are the same where their products with it are, to `SAME`."""
+SAME = 1e-9
+DETECTED = 5.0
+"""Standard deviations above which a picture holds light."""
+FLAGS = ("limb", "facets", "below_horizon", "blocked", "saturated", "clamped")
 """Why a pixel is not used; a square takes the first that one of its pixels has."""
 
 Mask = npt.NDArray[np.bool_]
@@ -56,6 +72,10 @@ class _Pixels:
     """Irradiance on the surface, NaN off the shape."""
     why: npt.NDArray[np.int8]
     """1 + the place in `FLAGS` of why a pixel is not used, 0 where it is, -1 off the shape."""
+    piece: npt.NDArray[np.intp] | None
+    """The facet, or the frustum, that a pixel sees, numbered; None where the shape has no creases."""
+    flat: bool
+    """Whether there are so many facets that they are looked at together."""
 
 
 def reduce(scene: Scene, image: str | Path) -> pd.DataFrame:
@@ -82,7 +102,7 @@ def reduce(scene: Scene, image: str | Path) -> pd.DataFrame:
     if table is None:  # `exposures.read` has refused it
         raise ConfigError("the table [photograph] is missing")
     moved = displaced(vantage, scene.tables.shape[which], scene.source.parent, table.uncertainty)
-    pixels = _looked_at(scene, vantage, which, exposure, table.limb_px)
+    pixels = _looked_at(scene, vantage, which, exposure, table.limb_px, moved)
     seen = pixels.why >= 0
     if not (seen & exposure.used).any():
         raise DataError(f"{image}: the camera of the scene does not see the shape that is measured")
@@ -127,13 +147,21 @@ def _light(scene: Scene) -> Any:
 # --- every pixel -----------------------------------------------------------------------------------------------------
 
 
-def _looked_at(scene: Scene, vantage: Vantage, which: int, exposure: Exposure, margin: int) -> _Pixels:
+def _looked_at(
+    scene: Scene,
+    vantage: Vantage,
+    which: int,
+    exposure: Exposure,
+    margin: int,
+    moved: dict[str, tuple[Vantage, Vantage]],
+) -> _Pixels:
     """What every pixel's centre sees, and why some are not used."""
     camera = scene.camera
     count = camera.pixels
     received = np.full(count, np.nan)
     normal = np.full((count, 3), np.nan)
-    low, hidden = np.zeros(count, bool), np.zeros(count, bool)
+    low, hidden, mixed = np.zeros(count, bool), np.zeros(count, bool), np.zeros(count, bool)
+    crease = _creases(scene.tables.shape[which], vantage.shape)
     for first in range(0, count, BLOCK):
         pixel = np.arange(first, min(first + BLOCK, count))
         row, column = np.divmod(pixel, camera.width)
@@ -146,14 +174,23 @@ def _looked_at(scene: Scene, vantage: Vantage, which: int, exposure: Exposure, m
         at = pixel[own]
         received[at] = vantage.received(hits.position, hits.facing)
         normal[at] = hits.facing
+        if crease is not None:
+            beside = _moves(vantage, moved, hits.position) + (0.5 if camera.samples > 1 else 0.0)
+            mixed[at] = _beside_crease(vantage, crease, hits, column[own] + 0.5, row[own] + 0.5, beside)
         for toward, distance in vantage.edges(hits.position):
             low[at] |= np.einsum("ij,ij->i", toward, hits.facing) <= 0.0
             if scene.world.casts_shadows:
                 hidden[at] |= scene.world.blocked(toward, distance, hits, np.arange(hits.shape.size))
     shape = (camera.height, camera.width)
     seen = np.isfinite(received).reshape(shape)
+    piece = None
+    if crease is not None:
+        _, piece = np.unique(np.round(normal @ crease / SAME), return_inverse=True, equal_nan=True)
+        piece = piece.reshape(shape)
+    flat = piece is not None and isinstance(vantage.shape, Triangles) and np.unique(piece[seen]).size >= FEW_FACETS
     reasons = (
         _near_edge(seen, normal.reshape(*shape, 3), margin),
+        mixed.reshape(shape),
         low.reshape(shape),
         hidden.reshape(shape),
         exposure.saturated,
@@ -163,7 +200,39 @@ def _looked_at(scene: Scene, vantage: Vantage, which: int, exposure: Exposure, m
     for k, here in reversed(list(enumerate(reasons))):
         why[here] = k + 1
     why[~seen] = -1
-    return _Pixels(received.reshape(shape), why)
+    return _Pixels(received.reshape(shape), why, piece, flat)
+
+
+def _creases(table: AnyShape, shape: Shape) -> Floats | None:
+    """What normals are multiplied with to tell one side of a crease from the other; None where there are no creases."""
+    if isinstance(shape, Triangles) and shape.normals is None:
+        return KEY
+    if isinstance(table, Revolution) and isinstance(shape, Analytic) and not table.smooth:
+        return np.asarray(shape.place.axes[2])
+    return None
+
+
+def _moves(vantage: Vantage, moved: dict[str, tuple[Vantage, Vantage]], position: Floats) -> Floats:
+    """How far [px] the picture of each point may lie elsewhere, by all causes together, `REACH` standard deviations."""
+    squared = np.zeros(len(position))
+    for both in moved.values():
+        places = [np.stack(end.camera.project(position - vantage.shift + end.shift), axis=1) for end in both]
+        squared += (0.25 * (places[0] - places[1]) ** 2).sum(axis=1)
+    return np.asarray(REACH * np.sqrt(squared))
+
+
+def _beside_crease(
+    vantage: Vantage, crease: Floats, hits: Hits, column: Floats, row: Floats, beside: Floats
+) -> Mask:
+    """Places of the picture with another facet at one of eight places so many pixels beside them."""
+    out = np.zeros(len(column), bool)
+    if beside.max() == 0.0:
+        return out
+    for down, right in _RING:
+        origin, direction = vantage.camera.through(column + right * beside, row + down * beside)
+        there = World([vantage.shape], vantage.camera.position).hit(origin - vantage.shift, direction)
+        out |= (np.abs((there.facing - hits.facing) @ crease) > SAME) | (there.shape < 0)
+    return out
 
 
 def _near_edge(seen: Mask, normal: Floats, margin: int) -> Mask:
@@ -206,9 +275,15 @@ class _Squares:
             return whole.swapaxes(1, 2).reshape(height, width, size * size)
 
         used = cut(exposure.used)
-        why = np.where(used, cut(pixels.why), 0)
         self.of_shape = (np.where(used, cut(pixels.why), -1) >= 0).any(axis=2)
         """Squares that see something of the shape."""
+        self.piece: npt.NDArray[np.intp] | None = None
+        """What most of a square's pixels see of a shape with creases, -1 where none can be used; only they count."""
+        if pixels.piece is not None:
+            self.piece = _most(np.where(used & (cut(pixels.why) == 0), cut(pixels.piece), -1))
+            used &= (cut(pixels.piece) == self.piece[..., None]) | (self.piece[..., None] < 0)
+            used &= (cut(pixels.why) != _MIXED) | (self.piece[..., None] < 0)
+        why = np.where(used, cut(pixels.why), 0)
         worst = np.where(why == -1, 1, why)
         first = np.where(worst > 0, worst, 127).min(axis=2)
         self.why = np.where(first == 127, 0, first)
@@ -231,15 +306,22 @@ class _Squares:
         self.row = np.arange(height)[:, None] * size + y + 0.5
         """Where the middle of its used pixels lies; 0 is the picture's upper edge."""
         self.column = np.arange(width)[None, :] * size + x + 0.5
+        if self.piece is not None and pixels.piece is not None:
+            at = pixels.piece[self.row.astype(np.intp), self.column.astype(np.intp)]
+            elsewhere = (self.why == 0) & (at != self.piece)  # where pieces of one normal lie apart
+            self.why[elsewhere], self.mean[elsewhere] = _MIXED, np.nan
         area = 1.0 / 12.0 if whole else 0.0
         xx, yy, xy = over(column**2) - x**2 + area, over(row**2) - y**2 + area, over(row * column) - x * y
-        self.above = _curved(self.mean, (xx, yy, xy), size)
+        self.flat = pixels.flat
+        if pixels.flat:  # over a square a facet's normal is the same
+            xx, yy, xy = (np.zeros_like(moment) for moment in (xx, yy, xy))
+        self.above = self._bent(self.mean, (xx, yy, xy))
         """By how much the mean lies above the value in the middle, from second differences."""
-        self.per_value = per_value - _curved(per_value, (xx, yy, xy), size)
+        self.per_value = per_value - self._bent(per_value, (xx, yy, xy))
         """BRDF [1/sr] of a picture whose pixels all have the value 1."""
-        doubt = _curved(self.mean, (np.full_like(xx, 1 / 12), np.full_like(yy, 1 / 12), np.zeros_like(xy)), size)
-        self.around = _around(self.mean)
-        """Mean of the eight neighbours: what is expected of a square, free of its own noise."""
+        doubt = self._bent(self.mean, (np.full_like(xx, 1 / 12), np.full_like(yy, 1 / 12), np.zeros_like(xy)))
+        self.around = self._of_others()
+        """Mean of the eight neighbours: what is expected of a square, free of its own noise. Of facets, their mean."""
         self.noise = self._noise(exposure, gain, used, cut, self.around)
         """Standard uncertainty of the mean."""
         # in mean - above the square itself counts 1 + k + m, and its neighbours -k/2 and -m/2
@@ -250,12 +332,38 @@ class _Squares:
         self.value = self.mean - self.above
         """The BRDF in the middle [1/sr]; NaN too where a neighbour has none."""
 
+    def _bent(self, grid: Floats, moments: tuple[Floats, Floats, Floats]) -> Floats:
+        """`_curved`; NaN where a neighbour lies beyond a crease, and 0 for what is flat."""
+        if self.flat:
+            return np.zeros_like(grid)
+        out = _curved(grid, moments, self.size)
+        if self.piece is not None:
+            own = np.where(self.piece < 0, np.nan, self.piece)
+            out[~(np.abs(sum((_shifted(own, *step) - own) ** 2 for step in _RING)) < 0.5)] = np.nan
+        return out
+
+    def _of_others(self) -> Floats:
+        if not self.flat or self.piece is None:
+            return _around(self.mean)
+        known = np.isfinite(self.mean)
+        piece, mean = self.piece[known], self.mean[known]
+        count, total = np.bincount(piece), np.bincount(piece, mean)
+        neighbours = np.stack([_shifted(self.mean, *step) for step in _RING])
+        have = np.isfinite(neighbours)
+        alone = np.where(have, neighbours, 0.0).sum(axis=0) / np.maximum(have.sum(axis=0), 1)
+        alone = np.where(have.any(axis=0), alone, self.mean)
+        out = np.full_like(self.mean, np.nan)
+        others = count[piece] - 1
+        out[known] = np.where(others > 0, (total[piece] - mean) / np.maximum(others, 1), alone[known])
+        return out
+
     def _noise(
         self, exposure: Exposure, gain: Floats, used: Mask, cut: Callable[[Any], Any], expected: Floats
     ) -> Floats:
         """The sensor's noise, from what the square's neighbours say of its signal and not from its own noisy one."""
         constant = cut(np.broadcast_to(exposure.constant, exposure.value.shape))
-        f = np.maximum(expected, 0.0)
+        # where none of the squares around counted an electron, one may have been missed
+        f = np.maximum(expected, gain.sum(axis=2) / (len(_RING) * self.count**2))
         steady = (gain**2 * np.where(used, constant, 0.0)).sum(axis=2)
         light = exposure.shot * f * gain.sum(axis=2) + (exposure.relative * f) ** 2 * self.count
         rounding = exposure.step**2 / 12.0 * (gain**2).sum(axis=2)
@@ -290,6 +398,18 @@ def _around(mean: Floats) -> Floats:
     return np.asarray(sum(_shifted(mean, *step) for step in _RING) / len(_RING))
 
 
+def _most(piece: npt.NDArray[np.intp]) -> npt.NDArray[np.intp]:
+    """The number that most of each square's pixels have (rows, columns, pixels); -1 where all have that."""
+    height, width, pixels = piece.shape
+    of = np.repeat(np.arange(height * width), pixels)
+    both, count = np.unique(np.stack([of, piece.ravel()])[:, piece.ravel() >= 0], axis=1, return_counts=True)
+    out = np.full(height * width, -1, dtype=np.intp)
+    by_count = np.argsort(count, kind="stable")
+    out[both[0, by_count]] = both[1, by_count]  # the last one stays
+    return out.reshape(height, width)
+
+
+_MIXED = 1 + FLAGS.index("facets")
 _RING = tuple((down, right) for down in (-1, 0, 1) for right in (-1, 0, 1) if (down, right) != (0, 0))
 
 
@@ -311,11 +431,14 @@ class _Slopes:
         return np.asarray(2.0 * self.small * np.sinh(self.level + (self.gradient * step).sum(axis=1) + bend))
 
 
-def _slopes(squares: _Squares, used: Mask) -> _Slopes:
-    """The quadratic of least squares through 3 x 3 squares."""
+def _slopes(squares: _Squares, used: Mask, normal: Floats, across: Floats) -> _Slopes:
+    """The quadratic of least squares through 3 x 3 squares, or through facets (of `normal`, in `across`)."""
     value, size = squares.mean, float(squares.size)
     small = max(3.0 * float(np.median(squares.noise[used])), 1e-6 * float(np.abs(value[used]).max()), 1e-300)
     log = np.arcsinh(value / (2.0 * small))
+    level = np.arcsinh(squares.value[used] / (2.0 * small))
+    if squares.flat and squares.piece is not None:
+        return _Slopes(small, level, *_over_facets(squares.piece[used], normal, level, across))
     at = {(r, c): _shifted(log, r, c) for r in (-1, 0, 1) for c in (-1, 0, 1)}
     rows = [(at[r, -1], at[r, 0], at[r, 1]) for r in (-1, 0, 1)]
     columns = [(at[-1, c], at[0, c], at[1, c]) for c in (-1, 0, 1)]
@@ -324,10 +447,28 @@ def _slopes(squares: _Squares, used: Mask) -> _Slopes:
     xy = (at[1, 1] + at[-1, -1] - at[1, -1] - at[-1, 1]) / (4.0 * size**2)
     return _Slopes(
         small,
-        np.arcsinh(squares.value[used] / (2.0 * small)),
+        level,
         np.stack([x[used], y[used]], axis=1),
         np.stack([xx[used], yy[used], xy[used]], axis=1),
     )
+
+
+def _over_facets(piece: npt.NDArray[np.intp], normal: Floats, log: Floats, across: Floats) -> tuple[Floats, Floats]:
+    """Gradient (n, 2) and Hessian (n, 3) by quadratics through the facets of the nearest normals."""
+    from scipy.spatial import cKDTree
+
+    _, facet = np.unique(piece, return_inverse=True)
+    count = np.bincount(facet)
+    middle = np.stack([np.bincount(facet, n) for n in normal.T], axis=1) / count[:, None]
+    level = np.bincount(facet, log) / count
+    _, near = cKDTree(middle).query(normal, min(NEAREST, count.size))
+    x, y = np.moveaxis(np.einsum("nki,nij->nkj", middle[near] - normal[:, None, :], across), 2, 0)
+    scale = np.sqrt(np.mean(x**2 + y**2, axis=1))[:, None] + 1e-12
+    x, y = x / scale, y / scale
+    terms = np.stack([np.ones_like(x), x, y, 0.5 * x**2, 0.5 * y**2, x * y], axis=2)
+    weight = np.sqrt(count[near])
+    found = np.einsum("nkj,nj->nk", np.linalg.pinv(weight[..., None] * terms, rcond=1e-3), weight * level[near])
+    return found[:, 1:3] / scale, found[:, 3:] / scale**2
 
 
 # --- the table -------------------------------------------------------------------------------------------------------
@@ -352,11 +493,13 @@ def _table(
     flag = np.array(["", *FLAGS], dtype=object)[squares.why.flat[there]]
     value, random = squares.value.flat[there], squares.random.flat[there]
     flag[(flag == "") & ~seen.met] = "limb"
+    origin, direction = scene.camera.through(squares.column.flat[there], squares.row.flat[there])
+    middle = scene.world.hit(origin, direction)
     grazing = np.minimum(omega_i[:, 2], omega_r[:, 2]) <= math.cos(math.radians(theta_max_deg))
     flag[(flag == "") & grazing] = "grazing"
     flag[(flag == "") & ~np.isfinite(value)] = "beside_unused"
     jacobian = _across_picture(vantage, squares.column.flat[there], squares.row.flat[there])
-    cones = _cones(scene, vantage, squares, there)
+    cones = vantage.half_angles(middle.position)
     turn = 2.0 * squares.size / math.sqrt(2.0) * np.linalg.norm(jacobian, axis=(1, 2))
     from_mirror = geometry.angle_between(geometry.mirrored(omega_r), omega_i)
     flag[(flag == "") & (from_mirror < cones[0] + cones[1] + turn)] = "mirror"
@@ -427,17 +570,18 @@ def _picked(seen: Seen, here: Mask) -> Seen:
     return Seen(*(getattr(seen, name)[here] for name in Seen.__dataclass_fields__))
 
 
+def _tangents(normal: Floats) -> Floats:
+    """Two unit vectors across each normal, (n, 3, 2)."""
+    helper = np.eye(3)[np.argmin(np.abs(normal), axis=1)]
+    first = np.cross(helper, normal)
+    first /= np.linalg.norm(first, axis=1)[:, None]
+    return np.stack([first, np.cross(normal, first)], axis=2)
+
+
 def _across_picture(vantage: Vantage, column: Floats, row: Floats) -> Floats:
     """d(normal)/d(column, row) of `Seen.normal`, (n, 3, 2) [1/px]."""
     sides = [vantage.at(column + x, row + y).normal for x, y in ((0.5, 0.0), (-0.5, 0.0), (0.0, 0.5), (0.0, -0.5))]
     return np.stack([sides[0] - sides[1], sides[2] - sides[3]], axis=2)
-
-
-def _cones(scene: Scene, vantage: Vantage, squares: _Squares, there: npt.NDArray[np.intp]) -> tuple[Floats, float]:
-    """Half-angles [rad] of the light, of each square, and of the lens."""
-    origin, direction = scene.camera.through(squares.column.flat[there], squares.row.flat[there])
-    hits = scene.world.hit(origin, direction)
-    return vantage.half_angles(hits.position)
 
 
 def _common(
@@ -458,9 +602,11 @@ def _common(
         out["black_level"] = given["black_level_dn"] * exposure.step * squares.per_value[used]
     if not moved:
         return out, 0.0
-    slopes = _slopes(squares, used)
-    inverse: Floats = np.asarray(np.linalg.pinv(jacobian, rcond=FLAT), np.float64)
     column, row = squares.column[used], squares.row[used]
+    if squares.flat:
+        jacobian = _tangents(seen.normal)
+    inverse: Floats = np.asarray(np.linalg.pinv(jacobian, rcond=FLAT), np.float64)
+    slopes = _slopes(squares, used, seen.normal, jacobian)
     turned, opened = np.zeros(f.size), np.zeros(f.size)
     for name, both in moved.items():
         ends, turns, angles = [], [], []
