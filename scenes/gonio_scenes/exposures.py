@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from gonio_scenes.scene import PhotographTable, Scene
 
 Mask = npt.NDArray[np.bool_]
+PILE = 100
+"""Pixels that are more at an end of what a frame holds than noise of half a DN leaves there: it was cut off."""
 SAME_NM = 1e-3
 """Wavelengths are the same: EXR channels are named to a thousandth of a nanometre."""
 
@@ -40,7 +42,7 @@ class Exposure:
     """Pixels of the channel that is measured."""
     saturated: Mask
     clamped: Mask
-    """Pixels at the converter's lower end, where noise is cut off."""
+    """Pixels at the lower end of what the file can hold, where noise is cut off."""
     shot: float
     constant: Floats | float
     relative: float
@@ -99,21 +101,37 @@ def _raw(scene: Scene, table: PhotographTable, path: Path, data: bytes) -> Expos
     gain = sensor.electrons_per_dn
     full = min(frame.white_level_dn, black + sensor.full_well_e / gain)
     dark = sensor.dark_current_e_per_s * frame.exposure_s
+    steady = sensor.read_noise_e**2 + sensor.dsnu_e**2 + (dark if sensor.photon_noise else 0.0)
+    low, high = float(frame.mosaic[used].min()), float(frame.mosaic[used].max())
+    light = max(high - black, 0.0) * gain
+    bright = steady + (light if sensor.photon_noise else 0.0) + (sensor.prnu * light) ** 2
+    top = frame.mosaic > black + SATURATED * (full - black)
+    if _piled(frame.mosaic[used], high, high - 1.0, bright / gain**2):
+        top |= frame.mosaic == high
+    bottom = frame.mosaic == 0
+    if _piled(frame.mosaic[used], low, low + 1.0, steady / gain**2):
+        bottom |= frame.mosaic == low
     return Exposure(
         value=np.asarray((frame.mosaic - black) * gain - dark, np.float64),
         per_radiance=sensor.responsivity_e_per_s * frame.exposure_s * falloff(sensor, scene.camera),
         used=used,
-        saturated=frame.mosaic > black + SATURATED * (full - black),
-        clamped=frame.mosaic == 0,
+        saturated=top,
+        clamped=bottom,
         shot=1.0 if sensor.photon_noise else 0.0,
-        constant=sensor.read_noise_e**2 + sensor.dsnu_e**2 + (dark if sensor.photon_noise else 0.0),
+        constant=steady,
         relative=sensor.prnu,
         step=gain,
         described=(("exposure_s", frame.exposure_s), ("black_level_dn", black), ("pattern", frame.pattern)),
     )
 
 
-def _linear(scene: Scene, table: PhotographTable, path: Path, radiance: Floats, u: Floats | None) -> Exposure:
+def _piled(values: Floats, end: float, inside: float, variance: float) -> bool:
+    """Whether more pixels have the value at an end than the one inside of it, though they scatter: noise was cut off."""
+    at, beside = (int(np.count_nonzero(values == value)) for value in (end, inside))
+    return variance > 0.25 and at >= PILE and at - beside > 3.0 * np.sqrt(at + beside)
+
+
+def _linear(scene: Scene, table: PhotographTable, path: Path, radiance: Any, u: Floats | None) -> Exposure:
     _require_size(scene, path, radiance.shape)
     if u is None and table.noise is None and table.noise_rel is None:
         raise ConfigError(
@@ -123,16 +141,18 @@ def _linear(scene: Scene, table: PhotographTable, path: Path, radiance: Floats, 
     constant = np.full(radiance.shape, (table.noise or 0.0) ** 2)
     if u is not None:
         constant += np.where(np.isfinite(u), u, 0.0) ** 2
-    known = np.isfinite(radiance)
+    known = np.isfinite(radiance) & (True if u is None else np.isfinite(u))
+    rounding = float(np.finfo(radiance.dtype).eps) / np.sqrt(12.0)
+    radiance = np.asarray(radiance, np.float64)
     return Exposure(
         value=np.where(known, radiance, 0.0),
         per_radiance=np.ones(radiance.shape),
         used=np.ones(radiance.shape, dtype=bool),
         saturated=~known,
-        clamped=np.zeros(radiance.shape, dtype=bool),
+        clamped=known & ((radiance == 0.0) | ((radiance < 0.0) & (constant == 0.0))),
         shot=0.0,
         constant=constant,
-        relative=table.noise_rel or 0.0,
+        relative=float(np.hypot(table.noise_rel or 0.0, rounding)),
     )
 
 
@@ -148,11 +168,11 @@ def _require_size(scene: Scene, path: Path, shape: tuple[int, ...]) -> None:
 # --- files of linear radiances ---------------------------------------------------------------------------------------
 
 
-def _npz(scene: Scene, table: PhotographTable, path: Path, data: bytes) -> tuple[Floats, Floats | None]:
+def _npz(scene: Scene, table: PhotographTable, path: Path, data: bytes) -> tuple[Any, Floats | None]:
     """`radiance.npz` of `gonio render`."""
     try:
         with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
-            radiance, waves = (np.asarray(arrays[name], np.float64) for name in ("radiance", "wavelength_nm"))
+            radiance, waves = (np.asarray(arrays[name]) for name in ("radiance", "wavelength_nm"))
             u = np.asarray(arrays["u_radiance"], np.float64) if "u_radiance" in arrays else None
     except (ValueError, OSError, KeyError, zipfile.BadZipFile, EOFError) as error:
         raise DataError(f"{path}: is no radiance.npz of gonio render: {error}") from None
@@ -171,7 +191,7 @@ def _wavelength(scene: Scene, path: Path, waves: Floats) -> int:
     return int(found[0])
 
 
-def _exr(scene: Scene, table: PhotographTable, path: Path, data: bytes) -> tuple[Floats, None]:
+def _exr(scene: Scene, table: PhotographTable, path: Path, data: bytes) -> tuple[Any, None]:
     from gonio_scenes.picture import openexr
 
     module = openexr()
@@ -184,7 +204,7 @@ def _exr(scene: Scene, table: PhotographTable, path: Path, data: bytes) -> tuple
     waves = [(nm, name) for name, nm in spectral.items() if nm is not None]
     if waves:
         k = _wavelength(scene, path, np.array([nm for nm, _ in waves]))
-        return np.asarray(channels[waves[k][1]], np.float64), None
+        return channels[waves[k][1]], None
     return _one_of(channels, table, path), None
 
 
@@ -198,19 +218,19 @@ def _nanometres(channel: str) -> float | None:
         return None
 
 
-def _one_of(channels: dict[str, Any], table: PhotographTable, path: Path) -> Floats:
+def _one_of(channels: dict[str, Any], table: PhotographTable, path: Path) -> Any:
     """The channel that is measured, of a picture in colours or in one."""
     if len(channels) == 1:
-        return np.asarray(next(iter(channels.values())), np.float64)
+        return next(iter(channels.values()))
     if table.channel is None or table.channel not in channels:
         raise ConfigError(
             f"{path}: has the channels {', '.join(sorted(channels))}: say which is measured, as in "
             'photograph.channel = "G"'
         )
-    return np.asarray(channels[table.channel], np.float64)
+    return channels[table.channel]
 
 
-def _npy(scene: Scene, table: PhotographTable, path: Path, data: bytes) -> tuple[Floats, None]:
+def _npy(scene: Scene, table: PhotographTable, path: Path, data: bytes) -> tuple[Any, None]:
     try:
         array = np.load(io.BytesIO(data), allow_pickle=False)
     except (ValueError, OSError, EOFError) as error:
@@ -218,7 +238,7 @@ def _npy(scene: Scene, table: PhotographTable, path: Path, data: bytes) -> tuple
     return _plane(table, path, array), None
 
 
-def _tiff(scene: Scene, table: PhotographTable, path: Path, data: bytes) -> tuple[Floats, None]:
+def _tiff(scene: Scene, table: PhotographTable, path: Path, data: bytes) -> tuple[Any, None]:
     import cv2
 
     array = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
@@ -227,7 +247,7 @@ def _tiff(scene: Scene, table: PhotographTable, path: Path, data: bytes) -> tupl
     return _plane(table, path, array[..., ::-1] if array.ndim == 3 else array), None  # OpenCV's order is B, G, R
 
 
-def _plane(table: PhotographTable, path: Path, array: Any) -> Floats:
+def _plane(table: PhotographTable, path: Path, array: Any) -> Any:
     if not np.issubdtype(array.dtype, np.floating):
         raise DataError(
             f"{path}: holds {array.dtype}; linear radiances are floating-point numbers (what a camera's own JPEG or "
@@ -237,7 +257,7 @@ def _plane(table: PhotographTable, path: Path, array: Any) -> Floats:
         return _one_of(dict(zip("RGB", np.moveaxis(array, 2, 0), strict=True)), table, path)
     if array.ndim != 2:
         raise DataError(f"{path}: has the shape {array.shape}; (height, width) or (height, width, 3) is needed")
-    return np.asarray(array, np.float64)
+    return array
 
 
 _READERS = {".npz": _npz, ".exr": _exr, ".npy": _npy, ".tif": _tiff, ".tiff": _tiff}

@@ -58,6 +58,10 @@ KEY = np.array([1.0, math.sqrt(2.0), math.pi])
 SAME = 1e-9
 DETECTED = 5.0
 """Standard deviations above which a picture holds light."""
+SEVERAL, ALIKE = 20, 0.01
+"""Pixels that have the same value though their light differs by this much: it was cut off there."""
+DIM, DIM_DN = 3.0, 2.0
+"""Standard deviations of a dark pixel, and DN, below which a picture without shades may be a wrong black level."""
 FLAGS = ("limb", "facets", "below_horizon", "blocked", "saturated", "clamped")
 """Why a pixel is not used; a square takes the first that one of its pixels has."""
 
@@ -183,6 +187,7 @@ def _looked_at(
                 hidden[at] |= scene.world.blocked(toward, distance, hits, np.arange(hits.shape.size))
     shape = (camera.height, camera.width)
     seen = np.isfinite(received).reshape(shape)
+    saturated = exposure.saturated | _cut_off(exposure, received.reshape(shape), low.reshape(shape))
     piece = None
     if crease is not None:
         _, piece = np.unique(np.round(normal @ crease / SAME), return_inverse=True, equal_nan=True)
@@ -193,7 +198,7 @@ def _looked_at(
         mixed.reshape(shape),
         low.reshape(shape),
         hidden.reshape(shape),
-        exposure.saturated,
+        saturated,
         exposure.clamped,
     )
     why = np.zeros(shape, np.int8)
@@ -201,6 +206,17 @@ def _looked_at(
         why[here] = k + 1
     why[~seen] = -1
     return _Pixels(received.reshape(shape), why, piece, flat)
+
+
+def _cut_off(exposure: Exposure, received: Floats, low: Mask) -> Mask:
+    """Pixels of the greatest value, where several have it though they do not receive the same light."""
+    lit = exposure.used & np.isfinite(received) & ~low
+    top = lit & (exposure.value == np.max(exposure.value, where=lit, initial=-np.inf))
+    light = (exposure.per_radiance * received)[top]
+    whole = exposure.step > 0.0 and not top[lit].all()  # rounded to whole DN, several may well be the greatest
+    if light.size < SEVERAL or whole or np.ptp(light) < ALIKE * light.max():
+        return np.zeros_like(lit)
+    return top
 
 
 def _creases(table: AnyShape, shape: Shape) -> Floats | None:
@@ -511,6 +527,7 @@ def _table(
 
     grid = np.zeros(squares.of_shape.shape, bool)
     grid.flat[there[good]] = True
+    _require_light(image, squares, grid, exposure, given.uncertainty.black_level_dn)
     stated = given.uncertainty.model_dump()
     columns, unseen_deg = _common(squares, grid, exposure, stated, moved, _picked(seen, good), jacobian[good])
     if columns:  # the limb may come past a square before a cause has moved by one standard deviation
@@ -564,6 +581,38 @@ def _table(
         notes=notes,
     )
     return frame
+
+
+def _require_light(image: Path, squares: _Squares, used: Mask, exposure: Exposure, black_level_dn: float) -> None:
+    """Raise `DataError` where the squares that can be used hold no light, or only an offset."""
+    f, u = squares.mean[used], squares.noise[used]
+    with np.errstate(divide="ignore"):
+        weight = 1.0 / u**2
+    offset = black_level_dn * exposure.step * squares.per_value[used]
+    if np.isinf(weight).any() or (f / u).max() > 2.0 * DETECTED:
+        return
+    spread = math.sqrt(float(weight.sum()) + float((weight * offset).sum()) ** 2)
+    remedy = "was the lens open, the lamp lit, and the exposure long enough?"
+    if (weight * f).sum() < DETECTED * spread:
+        raise DataError(
+            f"{image}: holds no light of the shape: the mean BRDF of {f.size} squares is "
+            f"{(weight * f).sum() / weight.sum():.2g} +- {spread / weight.sum():.2g} per sr: {remedy}"
+        )
+    # an offset alone is the same in light and shade; what a surface reflects is about in proportion to its light
+    signal, noise = f / squares.per_value[used], u / squares.per_value[used]
+    dark = math.sqrt(float(np.mean(exposure.constant)) + exposure.step**2 / 12.0)
+    level = float(np.average(signal, weights=noise**-2.0))
+    even = float((((signal - level) / noise) ** 2).sum())
+    matte = float((((f - np.average(f, weights=weight)) / u) ** 2).sum())
+    if (
+        level < max(DIM * dark, DIM_DN * exposure.step)
+        and even < f.size + DETECTED * math.sqrt(2.0 * f.size)
+        and matte > even + DETECTED**2
+    ):
+        raise DataError(
+            f"{image}: the shape is as bright in shade as in light, {level:.2g} "
+            f"{'electrons' if exposure.step else 'units'} a pixel: a wrong black level or dark current gives that: {remedy}"
+        )
 
 
 def _picked(seen: Seen, here: Mask) -> Seen:
