@@ -80,6 +80,8 @@ class _Pixels:
     """The facet, or the frustum, that a pixel sees, numbered; None where the shape has no creases."""
     flat: bool
     """Whether there are so many facets that they are looked at together."""
+    kinked: bool
+    """Whether normals are smoothed across facets: where these meet, the normal changes its pace."""
 
 
 def reduce(scene: Scene, image: str | Path) -> pd.DataFrame:
@@ -192,7 +194,8 @@ def _looked_at(
     if crease is not None:
         _, piece = np.unique(np.round(normal @ crease / SAME), return_inverse=True, equal_nan=True)
         piece = piece.reshape(shape)
-    flat = piece is not None and isinstance(vantage.shape, Triangles) and np.unique(piece[seen]).size >= FEW_FACETS
+    facets = isinstance(vantage.shape, Triangles)
+    flat = facets and piece is not None and np.unique(piece[seen]).size >= FEW_FACETS
     reasons = (
         _near_edge(seen, normal.reshape(*shape, 3), margin),
         mixed.reshape(shape),
@@ -205,7 +208,7 @@ def _looked_at(
     for k, here in reversed(list(enumerate(reasons))):
         why[here] = k + 1
     why[~seen] = -1
-    return _Pixels(received.reshape(shape), why, piece, flat)
+    return _Pixels(received.reshape(shape), why, piece, flat, facets and crease is None)
 
 
 def _cut_off(exposure: Exposure, received: Floats, low: Mask) -> Mask:
@@ -343,7 +346,11 @@ class _Squares:
         # in mean - above the square itself counts 1 + k + m, and its neighbours -k/2 and -m/2
         k, m = xx / size**2, yy / size**2
         weights = (1.0 + k + m) ** 2 + 0.5 * (k**2 + m**2)
-        self.random = np.sqrt(weights * self.noise**2 + (UNSURE * self.above) ** 2 + doubt**2)
+        unsure = (UNSURE * self.above) ** 2
+        if pixels.kinked:  # second differences do not say whether the kink is in the square or beside it
+            beside = np.stack([self.above, *(_shifted(self.above, *step) for step in _RING)])
+            unsure = np.where(np.isfinite(beside), beside**2, 0.0).max(axis=0)
+        self.random = np.sqrt(weights * self.noise**2 + unsure + doubt**2)
         """The same of `value`."""
         self.value = self.mean - self.above
         """The BRDF in the middle [1/sr]; NaN too where a neighbour has none."""
