@@ -51,7 +51,7 @@ FEW_FACETS = 30
 """So many facets in sight at least say together how f changes with the normal; fewer are looked at one by one."""
 NEAREST = 15
 """Facets of the nearest normals that a quadratic through them takes: its six terms, and some noise averaged."""
-REACH = 2.0
+REACH = 3.0
 """Standard deviations of all causes together by which creases may lie elsewhere: pixels so close are not used."""
 KEY = np.array([1.0, math.sqrt(2.0), math.pi])
 """Normals are the same where their products with it are, to `SAME`."""
@@ -200,7 +200,7 @@ def _looked_at(
         _near_edge(seen, normal.reshape(*shape, 3), margin),
         mixed.reshape(shape),
         low.reshape(shape),
-        hidden.reshape(shape),
+        _widened(hidden.reshape(shape), margin),
         saturated,
         exposure.clamped,
     )
@@ -256,8 +256,6 @@ def _beside_crease(
 
 def _near_edge(seen: Mask, normal: Floats, margin: int) -> Mask:
     """Pixels within a margin of where the shape ends, of an edge of it, or of the picture's own edge."""
-    from scipy.ndimage import binary_dilation
-
     edge = ~seen
     with np.errstate(invalid="ignore"):
         for axis in (0, 1):
@@ -266,7 +264,13 @@ def _near_edge(seen: Mask, normal: Floats, margin: int) -> Mask:
             along = np.moveaxis(edge, axis, 0)
             along[:-1] |= apart
             along[1:] |= apart
-    return np.asarray(binary_dilation(edge, np.ones((3, 3)), iterations=margin) if margin else edge)
+    return _widened(edge, margin)
+
+
+def _widened(here: Mask, margin: int) -> Mask:
+    from scipy.ndimage import binary_dilation
+
+    return np.asarray(binary_dilation(here, np.ones((3, 3)), iterations=margin) if margin and here.any() else here)
 
 
 # --- squares of pixels -----------------------------------------------------------------------------------------------
