@@ -125,9 +125,8 @@ def shaped(shape: str, rng: np.random.Generator, radius: float, out: Path) -> di
         heights = np.cos(place @ waves[:, :2].T + phases).sum(axis=-1)
         slope = float(np.hypot(*np.gradient(heights, x, x)).max())
         np.save(out / "heights.npy", heights * math.tan(math.radians(float(rng.uniform(20.0, 50.0)))) / slope)
-        return table | {
-            "file": "heights.npy", "size_mm": [1.8 * radius, 1.8 * radius], "height_mm": 0.9 * radius, "normals": normals
-        }  # fmt: skip
+        size = {"size_mm": [1.8 * radius, 1.8 * radius], "height_mm": 0.9 * radius}
+        return table | size | {"file": "heights.npy", "normals": normals}
     from scipy.spatial import ConvexHull
 
     count = int(rng.integers(60, 1500))

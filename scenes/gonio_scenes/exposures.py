@@ -58,9 +58,9 @@ def read(scene: Scene, path: str | Path) -> Exposure:
     Raises
     ------
     ConfigError
-        The scene file does not say what the picture needs.
+        There is no such file, or the scene file does not say what the picture needs.
     DataError
-        The file is missing, damaged, of another size than the scene's camera, or holds no linear values.
+        The file is damaged, of another size than the scene's camera, or holds no linear values.
     """
     path = Path(path)
     table = scene.tables.photograph
@@ -68,6 +68,8 @@ def read(scene: Scene, path: str | Path) -> Exposure:
         raise ConfigError("the table [photograph] is missing: it names the sensor, and the uncertainties of the scene")
     try:
         data = read_file(path)
+    except FileNotFoundError:
+        raise ConfigError(f"{path}: there is no such file") from None
     except OSError as error:
         raise DataError(f"{path}: cannot be read: {error.strerror or error}") from None
     kind = _READERS.get(path.suffix.lower())
@@ -126,7 +128,7 @@ def _raw(scene: Scene, table: PhotographTable, path: Path, data: bytes) -> Expos
 
 
 def _piled(values: Floats, end: float, inside: float, variance: float) -> bool:
-    """Whether more pixels have the value at an end than the one inside of it, though they scatter: noise was cut off."""
+    """Whether more pixels have the value at an end than the one inside of it though they scatter: noise was cut off."""
     at, beside = (int(np.count_nonzero(values == value)) for value in (end, inside))
     return variance > 0.25 and at >= PILE and at - beside > 3.0 * np.sqrt(at + beside)
 

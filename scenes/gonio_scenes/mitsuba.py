@@ -39,7 +39,8 @@ GRID = 64
 LARGEST_MM = 1e5
 """Half the width of what stands for a plane without end, at most: Mitsuba's float32 places it to 6e-8 of that."""
 TURN = 720
-"""Facets around a surface of revolution; shaded with its own normals, which they hold to 1e-5."""
+"""Facets around a cylinder or a surface of revolution; shaded with its own normals. They lie up to 1e-5 of the radius
+inside it, 1 - cos(pi / TURN). Mitsuba's own cylinder was seen to shadow itself, and warns where it is tilted."""
 
 
 @runtime_checkable
@@ -291,7 +292,11 @@ class _Writer:
                 out[k] = f"shape-{k + 1}.ply", parts[1] is not None
                 self.files[out[k][0]] = _ply(*parts)
                 if isinstance(shape, Analytic):
-                    self._say(f"shape[{k + 1}] ({table.kind}): its curve", f"{TURN} flat facets around the axis")
+                    inside = 1.0 - math.cos(math.pi / TURN)
+                    self._say(
+                        f"shape[{k + 1}] ({table.kind}): its curve",
+                        f"{TURN} flat facets around the axis, up to {inside:.1g} of the radius inside it",
+                    )
         return out
 
     def _shape(self, root: ElementTree.Element, k: int, meshes: dict[int, tuple[str, bool]]) -> None:
@@ -322,15 +327,6 @@ class _Writer:
             _point(made, "point", "center", place.center)
             _put(made, "float", "radius", constants[0])
             _refer(made, material)
-        elif table.kind == "cylinder":
-            radius, half_height, caps = constants
-            ends = [place.center + sign * half_height * place.axes[2] for sign in (-1.0, 1.0)]
-            made = _add(root, "shape", "cylinder")
-            _place(made, Placement(ends[0], place.axes), (radius, radius, 2.0 * half_height))
-            _refer(made, material)
-            for end, sign in zip(ends, (-1.0, 1.0), strict=True) if caps else ():
-                x, y, z = place.axes
-                self._disk(root, end, np.array([x, sign * y, sign * z]), radius, material)
         elif table.kind == "box":
             made = _add(root, "shape", "cube")
             _place(made, place, constants[0])
@@ -404,13 +400,17 @@ def _triangles(shape: Shape, kind: str) -> tuple[Floats, Floats | None, npt.NDAr
         smooth = shape.normals.values[shape.normals.faces].reshape(-1, 3)
         return corners, smooth, np.arange(len(corners)).reshape(-1, 3)
     if isinstance(shape, Analytic) and kind == "revolution":
-        return _turned(shape)
+        points, _, slopes = shape.constants[:3]
+        return _turned(shape.place, points, slopes)
+    if isinstance(shape, Analytic) and kind == "cylinder":
+        radius, half, caps = shape.constants
+        points = np.array([[0.0, -half], [radius, -half], [radius, half], [0.0, half]])
+        return _turned(shape.place, points if caps else points[1:3], np.empty((0, 2, 3)))
     return None
 
 
-def _turned(shape: Analytic) -> tuple[Floats, Floats, npt.NDArray[Any]]:
+def _turned(place: Placement, points: Floats, slopes: Floats) -> tuple[Floats, Floats, npt.NDArray[Any]]:
     """A surface of revolution as triangles: each frustum with normals of its own at both ends."""
-    points, _, slopes = shape.constants[:3]
     if not len(slopes):  # straight pieces
         slopes = np.zeros((len(points) - 1, 2, 3))
         slopes[:, :, 2] = np.diff(points, axis=0)
@@ -432,7 +432,6 @@ def _turned(shape: Analytic) -> tuple[Floats, Floats, npt.NDArray[Any]]:
             faces.append(np.stack([low + ring, low + following, high + ring], axis=1))
         if points[k + 1, 0] > 0.0:
             faces.append(np.stack([low + following, high + following, high + ring], axis=1))
-    place = shape.place
     return (
         np.concatenate(vertices) @ place.axes + place.center,
         np.concatenate(normals) @ place.axes,

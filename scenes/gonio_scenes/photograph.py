@@ -97,9 +97,10 @@ def reduce(scene: Scene, image: str | Path) -> pd.DataFrame:
     Raises
     ------
     ConfigError
-        The scene does not say what is needed, or holds light that cannot be told from that of its one lamp.
+        There is no such picture; or the scene does not say what is needed, or holds light that cannot be told from
+        that of its one lamp.
     DataError
-        The picture is missing, damaged or of another size, or not one square of it can be used.
+        The picture is damaged, of another size, or holds no light; or not one square of it can be used.
     """
     which = _shape(scene)
     table = scene.tables.photograph
@@ -240,9 +241,7 @@ def _moves(vantage: Vantage, moved: dict[str, tuple[Vantage, Vantage]], position
     return np.asarray(REACH * np.sqrt(squared))
 
 
-def _beside_crease(
-    vantage: Vantage, crease: Floats, hits: Hits, column: Floats, row: Floats, beside: Floats
-) -> Mask:
+def _beside_crease(vantage: Vantage, crease: Floats, hits: Hits, column: Floats, row: Floats, beside: Floats) -> Mask:
     """Places of the picture with another facet at one of eight places so many pixels beside them."""
     out = np.zeros(len(column), bool)
     if beside.max() == 0.0:
@@ -622,7 +621,8 @@ def _require_light(image: Path, squares: _Squares, used: Mask, exposure: Exposur
     ):
         raise DataError(
             f"{image}: the shape is as bright in shade as in light, {level:.2g} "
-            f"{'electrons' if exposure.step else 'units'} a pixel: a wrong black level or dark current gives that: {remedy}"
+            f"{'electrons' if exposure.step else 'units'} a pixel: a wrong black level or dark current gives that: "
+            f"{remedy}"
         )
 
 

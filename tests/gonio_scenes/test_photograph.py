@@ -299,12 +299,10 @@ def test_what_cannot_be_known_is_refused(changes: dict[str, Any], message: str, 
         ("a.npz", b"PK", "no radiance.npz"),
         ("a.tif", b"II*", "cannot be read as TIFF"),
         ("a.dng", b"nothing", r"\[photograph.sensor\]"),
-        ("missing.npy", None, "cannot be read"),
     ],
 )
-def test_damaged_pictures_are_refused(name: str, content: bytes | None, message: str, tmp_path: Path) -> None:
-    if content is not None:
-        (tmp_path / name).write_bytes(content)
+def test_damaged_pictures_are_refused(name: str, content: bytes, message: str, tmp_path: Path) -> None:
+    (tmp_path / name).write_bytes(content)
     with pytest.raises(GonioError, match=message):
         reduce(described(), tmp_path / name)
 
@@ -326,6 +324,151 @@ def test_a_saturated_picture_is_refused_with_the_count(tmp_path: Path) -> None:
     of = described(photograph={"sensor": SENSOR, "exposure_s": 50.0})
     with pytest.raises(GonioError, match="saturated"):
         reduce(of, raw(tmp_path, of))
+
+
+@pytest.mark.parametrize("name", ["no.npy", "no.dng", "no.exr", "no.npz"])
+def test_a_missing_picture_is_a_wrong_argument_as_in_every_command(name: str, tmp_path: Path) -> None:
+    with pytest.raises(GonioError, match="there is no such file") as raised:
+        reduce(described(photograph={"sensor": SENSOR}), tmp_path / name)
+    assert raised.value.exit_code == 2
+
+
+# --- pictures that hold no light, or are cut off -------------------------------------------------------------------
+
+SHAPE = (CAMERA["height"], CAMERA["width"])
+DIM: dict[str, Any] = {"sensor": SENSOR | {"black_level_dn": 64.0}, "bin": 2}
+
+
+def dng(values: Floats, folder: Path) -> Path:
+    """A raw frame of 12 bits."""
+    path = folder / "a.dng"
+    path.write_bytes(encode_dng(Frame(np.rint(values).astype(np.uint16), 0.1, 64.0, 4095.0, "mono", time_s=0.0)))
+    return path
+
+
+@pytest.mark.parametrize("value", [0.0, 0.3, -0.2])
+def test_a_constant_picture_of_radiances_has_no_values(value: float, tmp_path: Path) -> None:
+    for kind in (np.float32, np.float64):
+        np.save(tmp_path / "a.npy", np.full(SHAPE, value, kind))
+        for noise in ({"noise_rel": 0.01}, {"noise": 0.001}, {"noise_rel": 0.0}):
+            with pytest.raises(GonioError, match="not one of|holds no light"):
+                reduce(described(photograph=noise), tmp_path / "a.npy")
+
+
+@pytest.mark.parametrize("level", [0, 63, 64, 65, 300, 4095])
+@pytest.mark.parametrize("read_noise_e", [0.0, 3.0])
+def test_a_constant_raw_frame_has_no_values(level: int, read_noise_e: float, tmp_path: Path) -> None:
+    of = described(photograph=DIM | {"sensor": DIM["sensor"] | {"read_noise_e": read_noise_e}})
+    with pytest.raises(GonioError, match="not one of|holds no light"):
+        reduce(of, dng(np.full(SHAPE, float(level)), tmp_path))
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("black", [63.3, 64.0, 64.6, 65.5])
+def test_a_frame_with_the_lens_covered_has_no_values(seed: int, black: float, tmp_path: Path) -> None:
+    """Noise alone, about a black level that is not quite the stated one."""
+    noise = np.random.default_rng(seed).normal(black, 1.2, SHAPE)
+    with pytest.raises(GonioError, match=r"lens open|not one of"):
+        reduce(described(photograph=DIM), dng(noise, tmp_path))
+    with pytest.raises(GonioError, match=r"lens open|not one of"):  # a camera that cuts off below its black level
+        reduce(described(photograph=DIM), dng(np.maximum(noise, 64.0), tmp_path))
+
+
+def test_a_black_sample_is_no_black_picture(tmp_path: Path) -> None:
+    black = {"model": "lambert", "parameters": {"albedo": 0.01}}
+    of = described(material={"m": black}, photograph=DIM | {"exposure_s": 0.15})
+    found = good(reduce(of, raw(tmp_path, of)))
+    mean = np.average(found["brdf"], weights=found["u_random"] ** -2.0)
+    u = float((found["u_random"] ** -2.0).sum() ** -0.5)
+    assert abs(mean - 0.01 / math.pi) < 4.0 * u  # four standard errors
+    assert found["u_brdf"].min() > 0.0
+
+
+def test_a_frame_that_is_cut_off_below_its_stated_range_is_flagged(tmp_path: Path) -> None:
+    of = described(photograph=DIM | {"exposure_s": 0.15})
+    path = raw(tmp_path, of)
+    from gonio.rig.dng import read_raw
+
+    values = read_raw(path, path.read_bytes()).mosaic.astype(float)
+    ceiling = float(np.quantile(values, 0.97))
+    table = reduce(of, dng(np.minimum(values, ceiling), tmp_path))
+    found = good(table)
+    assert (table["flag"] == "saturated").sum() > 20
+    assert len(found) > 300
+
+
+def test_no_uncertainty_is_zero_where_a_file_rounds(tmp_path: Path) -> None:
+    """Half-precision and single-precision files hold a value to 2^-11 and 2^-24 of it."""
+    of = described(photograph={"noise_rel": 0.0, "bin": 1}, material={"m": {"model": "lambert", "parameters": {}}})
+    shown = render(of).radiance[..., 0]
+    for kind in (np.float16, np.float32):
+        np.save(tmp_path / "a.npy", shown.astype(kind))
+        found = good(reduce(of, tmp_path / "a.npy"))
+        step = float(np.finfo(kind).eps)
+        share = found["u_random"] / found["brdf"]
+        # a uniform error of a step, which is between eps/2 and eps of the value, over sqrt 12
+        assert share.min() >= 0.9 * step / math.sqrt(12.0)
+        pull = (found["brdf"] - found["brdf"].median()) / found["u_random"]
+        assert pull.std() < 1.5
+
+
+# --- facets ---------------------------------------------------------------------------------------------------------
+
+
+def bumpy(folder: Path, nodes: int, normals: str, seed: int) -> dict[str, Any]:
+    """A height field of waves in all directions, up to 25 degrees steep."""
+    rng = np.random.default_rng(seed)
+    x = np.linspace(-1.0, 1.0, nodes)
+    waves, phases = 2.5 * rng.normal(size=(8, 2)), rng.uniform(0.0, 2.0 * math.pi, 8)
+    heights = np.cos(np.stack(np.meshgrid(x, x), axis=-1) @ waves.T + phases).sum(axis=-1)
+    steep = float(np.hypot(*np.gradient(heights, x, x)).max())
+    np.save(folder / "h.npy", heights * math.tan(math.radians(25.0)) / steep)
+    return {
+        "kind": "heightfield", "file": "h.npy", "size_mm": [70.0, 70.0], "height_mm": 35.0, "normals": normals,
+        "material": "m",
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("samples", [1, 16])
+@pytest.mark.parametrize("nodes", [7, 12, 24])
+def test_squares_do_not_mix_facets(nodes: int, samples: int, seed: int, tmp_path: Path) -> None:
+    shape = bumpy(tmp_path, nodes, "facet", seed)
+    of = scene(
+        tmp_path, camera=CAMERA | {"samples": samples}, material={"m": GLOSSY}, light=[SUN], shape=[shape],
+        photograph=EXACT | {"bin": 3},
+    )  # fmt: skip
+    found = good(reduce(of, linear(tmp_path, of)))
+    assert len(found) > 50
+    error = found["brdf"].to_numpy() / truth(found, GLOSSY) - 1.0
+    # one facet has one normal; what is left is the perspective over three pixels, 0.17 degrees
+    assert np.abs(error).max() < 1e-3
+
+
+@pytest.mark.parametrize("normals", ["facet", "smooth"])
+def test_causes_of_a_height_field_are_in_its_columns(normals: str, tmp_path: Path) -> None:
+    """The scatter that is left beside the columns of light and place, with both displaced."""
+    shape = bumpy(tmp_path, 16, normals, 3)
+    ask = {"noise_rel": 0.02, "bin": 2, "uncertainty": {"light_deg": 0.2, "center_mm": 0.05}}
+    given = {"camera": CAMERA, "material": {"m": GLOSSY}, "photograph": ask}
+    told = scene(tmp_path, light=[SUN], shape=[shape], **given)
+    sun = SUN | {"toward": [0.8 + 0.004, 0.3 - 0.003, 1.0]}  # 0.2 degrees and less along each axis
+    truly = scene(tmp_path, light=[sun], shape=[shape | {"center_mm": [0.06, -0.04, 0.03]}], **given)
+    picture_of = render(truly).radiance[..., 0]
+    rng = np.random.default_rng(5)
+    np.save(tmp_path / "a.npy", picture_of * rng.normal(1.0, 0.02, picture_of.shape))
+    found = good(reduce(told, tmp_path / "a.npy"))
+    expected = truth(found, GLOSSY)
+    columns = [name for name in found if name.startswith("s_")]
+    # columns are in proportion to the value, whose noise is no part of a cause
+    causes = found[columns].to_numpy() * (expected / found["brdf"].to_numpy())[:, None]
+    covariance = np.diag(found["u_random"].to_numpy() ** 2) + causes @ causes.T
+    residual = found["brdf"].to_numpy() - expected
+    n = len(found)
+    assert n > 200
+    # five standard deviations of chi-square; kinks of smoothed normals have uncertainties that are wide
+    ratio = float(residual @ np.linalg.solve(covariance, residual)) / n
+    assert (0.6 if normals == "smooth" else 0.8) < ratio < 1.0 + 5.0 * math.sqrt(2.0 / n)
 
 
 def test_the_table_can_be_written_and_read(tmp_path: Path) -> None:

@@ -137,6 +137,16 @@ def blurred(value: Floats, where: Mask) -> Floats:
     return np.asarray(total / np.maximum(count, 1.0))
 
 
-def many(names: Iterable[str], height: int | None = None) -> dict[str, Centre]:
+def altogether(*changes: Change) -> Change:
+    """Changes one after another."""
+
+    def change(tables: dict[str, Any]) -> None:
+        for each in changes:
+            each(tables)
+
+    return change
+
+
+def many(names: Iterable[str], height: int | None = None, change: Change | None = None) -> dict[str, Centre]:
     """`centre` of several scenes."""
-    return {name: centre(name, height=height) for name in names}
+    return {name: centre(name, height=height, change=change) for name in names}
