@@ -127,7 +127,7 @@ def _raw(scene: Scene, table: PhotographTable, path: Path, data: bytes) -> Expos
     )
 
 
-def _piled(values: Floats, end: float, inside: float, variance: float) -> bool:
+def _piled(values: npt.NDArray[Any], end: float, inside: float, variance: float) -> bool:
     """Whether more pixels have the value at an end than the one inside of it though they scatter: noise was cut off."""
     at, beside = (int(np.count_nonzero(values == value)) for value in (end, inside))
     return variance > 0.25 and at >= PILE and at - beside > 3.0 * np.sqrt(at + beside)

@@ -215,7 +215,7 @@ def _looked_at(
 def _cut_off(exposure: Exposure, received: Floats, low: Mask) -> Mask:
     """Pixels of the greatest value, where several have it though they do not receive the same light."""
     lit = exposure.used & np.isfinite(received) & ~low
-    top = lit & (exposure.value == np.max(exposure.value, where=lit, initial=-np.inf))
+    top: Mask = lit & (exposure.value == np.max(exposure.value, where=lit, initial=-np.inf))
     light = (exposure.per_radiance * received)[top]
     whole = exposure.step > 0.0 and not top[lit].all()  # rounded to whole DN, several may well be the greatest
     if light.size < SEVERAL or whole or np.ptp(light) < ALIKE * light.max():

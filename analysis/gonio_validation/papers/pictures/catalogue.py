@@ -34,13 +34,15 @@ SHOWN = (
             (f"htsg-12{letter}", f"({letter}) σ0 {s} µm, τ {t} µm")
             for letter, s, t in zip("abcdef", _SIGMA_UM, [3] * 5 + [16], strict=True)
         ),
-        "Chosen here: sizes, lamps, camera, the spectra of bricks and floor.",
+        "Chosen here: sizes, lamps, camera, the spectra of bricks and floor. Images are held against those in a "
+        "perfect mirror under the same lights, not in Fig. 13 (b), which has no ambient light.",
     ),
     Shown(
         "htsg-13",
         "HTSG Fig. 13: directional diffuse, ideal specular, uniform diffuse",
         (("htsg-12f", "(a) σ0 2.5 µm"), ("htsg-13b", "(b) σ0 0"), ("htsg-13c", "(c) diffuse")),
-        "(b) has no ambient light. Chosen here: as in Fig. 12, and the albedo 0.9 of (c).",
+        "(b) has no ambient light; for the verdicts (a) and (c) have none either. Chosen here: as in Fig. 12, and "
+        "the albedo 0.9 of (c).",
     ),
     Shown(
         "htsg-14",
@@ -108,7 +110,7 @@ SHOWN = (
         tuple(
             (f"oren-nayar-14{letter}", f"({letter}) σ {s}°") for letter, s in zip("abcd", (0, 10, 20, 40), strict=True)
         ),
-        "Chosen here: the three roughnesses and ρ 0.7, which the text does not hold.",
+        "Chosen here: the three roughnesses, the equation and ρ 0.7, which the text does not hold.",
     ),
     Shown(
         "oren-nayar-15",
