@@ -190,7 +190,8 @@ def _page(found: dict[str, Any], images: dict[str, Image], judged: dict[str, lis
         Paragraph(
             "Each verdict is measured from the radiances of one ray a pixel, by the criterion beside it. Where the "
             "paper leaves open what a claim hangs on, several choices are tried; without agreement there is no "
-            "verdict. Nor is there one where what it hangs on was chosen so that it is seen. Shapes, places and cameras are "
+            "verdict. Nor is there one where what it hangs on was "
+            "chosen so that it is seen. Shapes, places and cameras are "
             "chosen in every picture."
         ),
         Contents(tuple((shown.name, shown.title.partition(":")[0]) for shown in SHOWN)),
