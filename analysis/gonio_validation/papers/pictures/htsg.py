@@ -26,8 +26,8 @@ GRAZING = 0.35
 """Cosine of the viewing angle below which the sides of a cylinder count as its lateral edges: 70 degrees and more."""
 UPRIGHT = 0.7
 """Cosine of the viewing angle above which they count as its front."""
-FAINT = 1e-3
-"""Strength of a mirror image below which nobody looks for edges in it: steps of an 8-bit picture are 4e-3."""
+FAINT = 1.0 / 255.0
+"""Strength of a mirror image below which nobody sees edges in it: one step of an 8-bit picture."""
 SHARP = 0.95
 """Correlation of a mirror image's edges with those of a perfect mirror; blurred over 3 pixels they have less."""
 
@@ -162,7 +162,7 @@ def figure_12(height: int | None = None) -> list[Claim]:
             agreed(r > SHARP > images.of_blurred for images in every for r in images.correlations),
             "correlation of its edges with a perfect mirror's: "
             f"{min(r for images in every for r in images.correlations):.4f} and more where the image has more than "
-            f"{FAINT:g} of a mirror's strength; blurred over three pixels: "
+            f"{FAINT:.2g} of a mirror's strength; blurred over three pixels: "
             f"{max(images.of_blurred for images in every):.2f} at most",
             f"more than {SHARP}, which an image blurred over three pixels has not, {elsewhere}",
         ),
@@ -183,7 +183,7 @@ def figure_12(height: int | None = None) -> list[Claim]:
             f"{number(spikes['lateral'])} on the lateral edges (beyond 70°), {number(spikes['front'], 1)} on the front "
             f"(other cameras: top {between(i.spikes['top'] for i in every[1:])}, front "
             f"{between(i.spikes['front'] for i in every[1:])})",
-            f"an image that is seen (above {10 * FAINT:g}) at the edges, and none (below {FAINT:g}) on the front, "
+            f"an image that is seen (above {10 * FAINT:.2g}) at the edges, and none (below {FAINT:.2g}) on the front, "
             f"{elsewhere}",
         ),
         Claim(
