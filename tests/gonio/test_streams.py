@@ -11,6 +11,7 @@ import pytest
 
 from gonio import measurement
 from gonio.disk import Staged, write_whole
+from gonio.errors import DataError
 
 from ..command_line import gonio
 
@@ -91,5 +92,5 @@ def test_a_part_of_an_uncertainty_is_not_larger_than_the_whole(table: Path, tmp_
         for line, u in ((head, ""), (first, 0.001), (second, 0.0011))
     )
     table.write_text("\n".join([head, first, second, ""]))
-    with pytest.raises(measurement.DataError, match=r"line 3.*u_random = 0\.0011"):
+    with pytest.raises(DataError, match=r"line 3.*u_random = 0\.0011"):
         measurement.read(table)
