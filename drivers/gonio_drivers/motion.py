@@ -15,13 +15,15 @@ from gonio_drivers import joints, settings, watchdog
 from gonio_drivers.arrival import SMALLEST_COUNTS, Landing
 from gonio_drivers.dynamixel import Bus
 from gonio_drivers.joints import Joint, Report
+from gonio_drivers.patience import Patience
 
 log = logging.getLogger("gonio.devices")
 
 POLL_S = 0.020
 GRACE_S = 3.0
-"""A move may take twice its time, and this."""
+"""A move may take twice its time, and this: of the time in which this program looks."""
 RELEASES = 3
+"""A servo that has stopped by itself more often than this, and came no closer to its goal meanwhile, never arrives."""
 FRICTION_COUNTS = 12
 """Friction stops a servo this far before its goal. A correction may name a goal so far beyond a limit, that is not
 reached: it makes up for what was seen to be missing at rest."""
@@ -87,63 +89,59 @@ class Motion:
 
     def _land(self, goals: Mapping[str, float], *, exact: bool) -> None:
         """Drive to counts, all axes at once, until every one has landed (`exact`) or come to rest close by."""
-        start = time.monotonic()
+        looked = Patience()
         before = joints.reports(self._bus, self._joints.values())
-        landings = {name: self._landing(name, goal, start, exact=exact) for name, goal in goals.items()}
+        landings = {name: self._landing(name, goal, exact=exact) for name, goal in goals.items()}
         self.send({name: landing.sent for name, landing in landings.items()})
         allowed = max(self.duration_s(name, before[name].position, goal) for name, goal in goals.items())
-        deadline = start + 2 * allowed + GRACE_S
-        now = start
         while not all(landing.done for landing in landings.values()):
             time.sleep(POLL_S)
             self.allowed()
             reports = joints.reports(self._bus, self._joints.values())
-            before_s, now = now, time.monotonic()
-            if now - before_s > watchdog.PERIOD_S:  # this program was held up, and the servos may have stopped
-                deadline += now - before_s
+            now = looked()
             for name, landing in landings.items():
                 if not landing.done:
                     self._watch(self._joints[name], landing, reports[name], now, exact=exact)
-            if now > deadline:
+            if now > 2 * allowed + GRACE_S:
                 late = ", ".join(self._state(n, x, reports[n]) for n, x in landings.items() if not x.done)
-                raise DeviceError(f"no landing within {deadline - start:.1f} s: {late}; all axes are stopped")
+                raise DeviceError(f"no landing within {now:.1f} s: {late}; all axes are stopped")
         joints.require_torque(self._bus, self._joints.values())  # those that were not named are said to hold too
 
-    def _landing(self, name: str, goal: float, start: float, *, exact: bool) -> Landing:
+    def _landing(self, name: str, goal: float, *, exact: bool) -> Landing:
         joint, servos = self._joints[name], self._servos
         within_deg = self._tolerance(joint) if exact else max(self._tolerance(joint), abs(joint.approach_deg) / 2)
         return Landing(
-            joint, goal, joint.inside(goal), within_deg, servos.settle_s, servos.acceleration_deg_per_s2, start
+            joint, goal, joint.inside(goal), within_deg, servos.settle_s, servos.acceleration_deg_per_s2, since=0.0
         )
 
     def _watch(self, joint: Joint, landing: Landing, report: Report, now: float, *, exact: bool) -> None:
         """One look at an axis on its way: has it landed, does it need a correction, is it stuck?"""
         changed = report.profile != joint.profile or report.goal != landing.sent
-        if changed and self._release(joint, landing, now):
+        if changed and self._release(joint, landing, report, now):
             return
         joint.keep_profile(report.profile)
         if changed:
-            self._send_again(joint, landing)
+            self._send_again(joint, landing, now)
             return
         verdict = landing.look(report, now)
         if verdict == "landed":
             landing.done = True
         elif verdict == "short":
             self._correct(joint, landing, now, exact=exact)
-        elif verdict == "stuck" and not self._release(joint, landing, now):
+        elif verdict == "stuck" and not self._release(joint, landing, report, now):
             joints.require_torque(self._bus, [joint])
             raise DeviceError(f"{self._state(joint.name, landing, report)}: it is stuck; all axes are stopped")
 
-    def _release(self, joint: Joint, landing: Landing, now: float) -> bool:
+    def _release(self, joint: Joint, landing: Landing, report: Report, now: float) -> bool:
         """Whether the servo had stopped by its bus watchdog, because this program was held up; it is sent on."""
         if not joint.has_watchdog or joint.get(watchdog.ITEM) != watchdog.RUN_OUT:
             return False
-        landing.released += 1
+        landing.stopped_at(report.position)
         if landing.released > RELEASES:
             raise DeviceError(
-                f"axis {joint.name}: servo id {joint.id} has stopped {landing.released} times on one way, because "
-                f"nothing came over the bus for {watchdog.PERIOD_S:g} s (is this computer overloaded?); all axes are "
-                "stopped"
+                f"axis {joint.name}: servo id {joint.id} has stopped {landing.released} times and came no closer to "
+                f"its goal, because nothing came over the bus for {watchdog.PERIOD_S:g} s (is this computer "
+                "overloaded?); all axes are stopped"
             )
         log.warning(
             "axis %s: nothing came over the bus for %g s, and the servo stopped; sent on", joint.name, watchdog.PERIOD_S
@@ -184,14 +182,14 @@ class Motion:
         for address, data in by_address.items():
             self._bus.write_all(address, data)
 
-    def _send_again(self, joint: Joint, landing: Landing) -> None:
+    def _send_again(self, joint: Joint, landing: Landing, now: float) -> None:
         """A goal did not arrive (a sync write is not answered); this time with an answer."""
         landing.resent += 1
         if landing.resent > 3:
             raise DeviceError(f"axis {joint.name}: servo id {joint.id} does not keep its goal; all axes are stopped")
         log.warning("axis %s: the goal did not arrive; sent again", joint.name)
         joint.write("Goal Position", landing.sent)
-        landing.begin(time.monotonic())
+        landing.begin(now)
 
     def duration_s(self, name: str, position: float, goal: float) -> float:
         """How long a way should take at the axis's speed and acceleration [s]."""

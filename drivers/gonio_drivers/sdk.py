@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import select
-import time
 
 import serial
 from dynamixel_sdk import PortHandler, Protocol2PacketHandler
 
 from gonio_drivers import ports
+from gonio_drivers.patience import Patience
 
 WAIT_S = 0.002
+LATE_S = 0.005
+"""Of a longer gap between two looks no more counts as waiting: this computer, or the adapter's driver, was held up."""
 PATIENCE_MS = 50.0
 """Added to the SDK's timeout of 34 ms: a busy computer or a slow adapter is no fault."""
 HEADER = b"\xff\xff\xfd"
@@ -43,9 +45,13 @@ class ExclusivePort(PortHandler):  # type: ignore[misc]
         self.tx_time_per_byte = 1000.0 / cflag_baud * 10.0
         return True
 
+    def __init__(self, port_name: str) -> None:
+        super().__init__(port_name)
+        self._waited = Patience(LATE_S)
+
     def getCurrentTime(self) -> float:
-        """Milliseconds of a clock that nobody sets: the SDK's own jumps with the time of day."""
-        return 1e3 * time.monotonic()
+        """Milliseconds of looking: the SDK's own clock jumps with the time of day, and takes being held up for silence."""
+        return 1e3 * self._waited()
 
     def setPacketTimeout(self, packet_length: int) -> None:
         """Start to wait for a packet."""
