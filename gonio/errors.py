@@ -63,9 +63,13 @@ class PassingFault(DeviceError):
 
 
 class Disturbed(DeviceError):
-    """An axis was moved from its place by a little, and is not out of order: what was exposed counts for nothing, and
-    the step may be taken again (exit code 3).
+    """An axis was moved from its place by a little, or the lamp went dark by itself, and neither is out of order: what
+    was exposed counts for nothing, and the step may be taken again (exit code 3).
     """
+
+
+class EmergencyStop(DeviceError):
+    """An interlock has stopped the rig: nothing may be tried again before a person has acknowledged it (exit code 3)."""
 
 
 class Interrupted(GonioError):

@@ -11,8 +11,11 @@ from hypothesis import settings
 settings.register_profile("gonio", deadline=None, derandomize=True)
 settings.load_profile("gonio")
 
-# a shell without job control starts what it puts into the background deaf to these
-for _number, _usual in ((signal.SIGINT, signal.default_int_handler), (signal.SIGQUIT, signal.SIG_DFL)):
+# a shell without job control starts what it puts into the background deaf to two of these, and nohup to the third;
+# what has a handler here, if only one that does nothing, is heard by the programs that tests start
+for _number, _usual in (
+    (signal.SIGINT, signal.default_int_handler), (signal.SIGQUIT, signal.SIG_DFL), (signal.SIGHUP, lambda *_: None)
+):  # fmt: skip
     if signal.getsignal(_number) is signal.SIG_IGN:
         signal.signal(_number, _usual)
 

@@ -75,6 +75,8 @@ class ServoArms:
             self.joints["changer"] = joints.changer_joint(
                 self.bus, servos.changer, description.acquisition.approach_deg
             )
+        for joint in self.joints.values():
+            joint.check_acceleration(servos.acceleration_deg_per_s2)
         park: dict[str, float] = {n: axis.park_deg for n, axis in servos.axes.items() if axis.park_deg is not None}
         ways.require_parking(description, park, "devices.servos.axes.{}.park_deg")
         self._motion = Motion(self.bus, self.joints, servos)

@@ -98,11 +98,18 @@ class Landing:
         """Nothing has been seen yet of the way that begins now."""
         self.seen, self.calm, self.since = [], [], now
 
-    def stopped_at(self, count: float) -> None:
-        """Its servo has stopped by itself, here; one that has come closer meanwhile gets there, if in pieces."""
+    def stopped_at(self, count: float, now: float) -> bool:
+        """Its servo has stopped by itself, here; whether it had arrived, and nothing is lost by it.
+
+        Otherwise a way begins here. One that has come closer since the last time gets there, if in pieces.
+        """
+        if self.joint.distance_deg(self.sent, count) <= LARGEST_CORRECTION_DEG:
+            return True
         left = abs(count - self.goal)
         self.released = 1 if left < self.closest - STILL_COUNTS else self.released + 1
         self.closest = min(self.closest, left)
+        self.begin(now)
+        return False
 
     @property
     def position(self) -> float:

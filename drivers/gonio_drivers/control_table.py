@@ -37,6 +37,23 @@ SIGNED = frozenset(
 )  # fmt: skip
 
 
+_HIGHEST_CURRENT = {
+    "xl330": 1750, "xc330-m": 2352, "xc330-t": 910, "xm430": 1193, "xh430": 648, "xd430": 648, "xh430-v": 689,
+    "xh540-v": 1188, "x": 2047,
+}  # fmt: skip
+"""Largest Current Limit by the beginning of a model's name; the longest that fits holds (ROBOTIS e-Manual)."""
+
+
+def highest_current(model: str) -> int:
+    """The largest Current Limit that servos of a model take, in their own unit."""
+    return _HIGHEST_CURRENT[max((b for b in _HIGHEST_CURRENT if model.lower().startswith(b)), key=len)]
+
+
+def current_unit_ma(model: str) -> float:
+    """The unit of currents in a model's control table [mA] (ROBOTIS e-Manual, "Present Current(126)")."""
+    return 1.0 if model.lower().startswith(("xl330", "xc330")) else 2.69
+
+
 @cache
 def models() -> dict[int, str]:
     """Model names by model number, as "xm430-w350", from the SDK's list."""

@@ -7,15 +7,15 @@ from __future__ import annotations
 
 import contextlib
 import re
-import time
 
 import serial
 
 from gonio.errors import DeviceError
 from gonio.rig import FoundServo
-from gonio_drivers import control_table, ports
+from gonio_drivers import control_table, joints, ports
 from gonio_drivers.dialect import DIALECTS, Dialect, dialect
 from gonio_drivers.dynamixel import Bus
+from gonio_drivers.patience import Patience
 
 POSITION_MODE = 3
 WIGGLE_COUNTS = 34
@@ -50,20 +50,19 @@ def lamp_on(port: str) -> tuple[str, str] | None:
 
 def _name(line: serial.Serial, spoken: Dialect) -> str | None:
     """What a controller calls itself in a dialect; one that restarts when it is opened says first that it has."""
-    heard = ""
-    end = time.monotonic() + (spoken.banner_s if spoken.banner else 0.0)
-    while spoken.banner and time.monotonic() < end:
+    heard, looked = "", Patience(LISTEN_S)
+    while spoken.banner and (now := looked()) < spoken.banner_s:
         part = str(line.read(256), "ascii", "replace")
         heard += part
         if any(re.fullmatch(spoken.banner, text.strip()) for text in re.split(r"[\r\n]+", heard)):
             break
-        if not part and not heard.strip() and end - time.monotonic() < spoken.banner_s - 4 * LISTEN_S:
+        if not part and not heard.strip() and now > 4 * LISTEN_S:
             break  # it says nothing: no restart, or no such controller
     for _ in range(2):  # what another dialect left in its buffer may spoil the first
         line.reset_input_buffer()
         ports.send(line, (spoken.identify + spoken.send_ending).encode())
-        heard, end = "", time.monotonic() + 2 * LISTEN_S
-        while time.monotonic() < end:
+        heard, looked = "", Patience(LISTEN_S)
+        while looked() < 2 * LISTEN_S:
             heard += str(line.read(line.in_waiting or 1), "ascii", "replace")
             for text in re.split(r"[\r\n]+", heard)[:-1]:
                 known = text.strip().removeprefix((spoken.prompt or "").strip()).strip()
@@ -87,10 +86,19 @@ def is_release(port: str) -> bool:
 
 
 def count_of(servo: FoundServo) -> int:
-    """Where a servo stands, as its count within one turn."""
-    place = control_table.of_model(servo.model)["Present Position"]
+    """Where a servo stands, as its count within one turn, without an offset of its own.
+
+    Raises
+    ------
+    DeviceError
+        It counts the other way round: what it will read once it does not is not known.
+    """
+    table = control_table.of_model(servo.model)
     with Bus(servo.port, servo.baud) as bus:
-        return place.decode(bus.read(servo.id, place.address, place.size), place.address) % 4096
+        count = joints.shaft_count(lambda name: table[name].decode(bus.read(servo.id, table[name].address, table[name].size), table[name].address))
+    if count is None:
+        raise DeviceError(f"servo id {servo.id} is in reverse mode (Drive Mode, bit 0), which no rig uses: reset it with the Dynamixel Wizard")
+    return count % joints.COUNTS
 
 
 def wiggle(servo: FoundServo) -> None:
@@ -124,9 +132,9 @@ def wiggle(servo: FoundServo) -> None:
             put("Goal Position", here)
             for goal in (here + WIGGLE_COUNTS, here):
                 put("Goal Position", goal)
-                end = time.monotonic() + MOVED_S
+                looked = Patience()
                 while abs(get("Present Position") - goal) > WIGGLE_COUNTS / 3:
-                    if time.monotonic() > end:
+                    if looked() > MOVED_S:
                         raise DeviceError(f"servo id {servo.id} does not turn: is something in its way")
         finally:
             if not held:

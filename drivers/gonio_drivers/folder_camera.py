@@ -3,7 +3,7 @@
 The file says what was exposed: exposure and levels come from it, and an exposure that differs from what was asked is
 not used. Files are matched to exposures by count and order. A file that is late is waited for before the next exposure,
 so that it cannot be taken for that one; one that comes twice is recognised by its bytes; a camera that writes several
-files an exposure is refused. Files move into the subfolder `taken`, where the last of them stay until the run has
+files an exposure is refused, by their count: a file that comes after it was given up belongs to its exposure. Files move into the subfolder `taken`, where the last of them stay until the run has
 copied them.
 """
 
@@ -29,6 +29,7 @@ from gonio.rig.description import RigDescription
 from gonio.rig.dng import read_raw
 from gonio.rig.imaging import require_raw
 from gonio_drivers import ports, settings
+from gonio_drivers.patience import Patience
 
 log = logging.getLogger("gonio.devices")
 
@@ -36,7 +37,7 @@ POLL_S = 0.01
 RELEASE_S = 2.0
 """A release box answers within this time."""
 WHOLE_S = 1.0
-"""A file that does not change for this long, and still cannot be read, is damaged."""
+"""A file that does not change for this long of looking, that nobody has open, and that cannot be read, is damaged."""
 TRIES = 3
 CROWDED = 2
 """Exposures in a row with files that nobody has asked for: it is the camera's habit."""
@@ -66,8 +67,10 @@ class FolderCamera:
         self._taken: deque[Path] = deque()
         self._owed = 0
         """Exposures that were triggered and whose files have not come."""
+        self._given_up = 0
+        """Exposures whose files did not come in time, and may come yet."""
         self._crowded = 0
-        """Exposures in a row before which there were files that nobody had asked for."""
+        """Exposures in a row before which there were more files than had been asked for."""
 
     def __enter__(self) -> Self:
         if not self._folder.is_dir():
@@ -170,9 +173,9 @@ class FolderCamera:
 
     def _take(self, timeout_s: float) -> tuple[Path, Frame | DataError]:
         """The next new file, put away; one whose bytes have come before is passed over."""
-        end = time.monotonic() + timeout_s
+        looked = Patience()
         while True:
-            over = time.monotonic() > end  # a computer that is held up after its look must not miss a file
+            over = looked() > timeout_s  # a computer that is held up after its look must not miss a file
             for path in self._new():
                 try:
                     digest, frame = self._whole(path)
@@ -193,13 +196,14 @@ class FolderCamera:
 
     def _await_stragglers(self, exposure_s: float) -> None:
         """Files of earlier exposures that may still come must not be taken for the next one."""
-        end = time.monotonic() + exposure_s + self._camera.timeout_s
-        while self._owed and time.monotonic() < end:
+        looked, longest_s = Patience(), exposure_s + self._camera.timeout_s
+        while self._owed and (left := longest_s - looked()) > 0:
             try:
-                path, _ = self._take(max(0.0, end - time.monotonic()))
+                path, _ = self._take(left)
             except NoFile:
                 break
             log.warning("camera: %s came late; passed over", path)
+        self._given_up += self._owed
         self._owed = 0
         self._pass_over()
 
@@ -210,7 +214,9 @@ class FolderCamera:
             log.warning("camera: %s was not asked for; passed over", path)
         self._seen.update(others.items())
         if self._camera.trigger.how != "none":  # one that exposes by itself makes more files than are asked for
-            self._crowded = self._crowded + 1 if others else 0
+            late = min(self._given_up, len(others))
+            self._given_up -= late
+            self._crowded = self._crowded + 1 if len(others) > late else 0
             if self._crowded == CROWDED:
                 raise DeviceError(
                     f"camera: more files than exposures come into {self._folder}, the last one {max(others).name}: "
@@ -239,19 +245,20 @@ class FolderCamera:
         self._seen &= there.items()  # what has gone, with its inode, is forgotten: both may come again
         return {path: node for path, node in there.items() if (path, node) not in self._seen}
 
-    @staticmethod
-    def _whole(path: Path) -> tuple[str, Frame | DataError]:
+    def _whole(self, path: Path) -> tuple[str, Frame | DataError]:
         """Digest and frame of a file once it is whole: some programs write under the final name, bit by bit."""
-        before, since = None, time.monotonic()
+        before, looked = None, Patience()
         while True:
             data = path.read_bytes()
             frame = _read(path, data)
             status = path.stat()
             now = status.st_size, status.st_mtime_ns
             if now != before:
-                before, since = now, time.monotonic()
+                before, looked = now, Patience()
             whole = isinstance(frame, Frame) and status.st_size == len(data)
-            if whole or time.monotonic() - since >= WHOLE_S:
+            if whole or (waited := looked()) >= self._camera.timeout_s:
+                return hashlib.sha256(data).hexdigest(), frame
+            if waited >= WHOLE_S and not any(ports.holders_of(str(path))):
                 return hashlib.sha256(data).hexdigest(), frame
             time.sleep(POLL_S)
 

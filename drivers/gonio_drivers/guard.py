@@ -6,7 +6,11 @@ the lamp, unless another program has the port by now: that one darkens it by its
 
 It can be given a time as well, for a program that may stand still (SIGSTOP, a debugger, a swapped-out computer): when
 that is over it darkens the lamp over the head of the program, whose port it is still. A line with a number of seconds
-sets the time anew, from now on; 0 lets it wait for ever.
+sets the time anew, from now on; 0 lets it wait for ever; "?" changes nothing.
+
+Every line is answered, by its number, and none while it darkens: a program that lights the lamp asks first, so that no
+order to darken of an earlier lighting comes after it. The answer says whether the time is over; then the lamp may not
+be lit before it is set anew.
 """
 
 from __future__ import annotations
@@ -18,6 +22,7 @@ import select
 import subprocess
 import sys
 import termios
+import threading
 import time
 import tty
 from collections.abc import Callable
@@ -27,6 +32,10 @@ PAUSE_S = 0.1
 POLL_S = 0.02
 PATIENCE_S = 5.0
 """A port that is locked for longer is another program's."""
+ANSWER_S = 30.0
+"""A guard that has not answered for so long has been stopped by somebody."""
+GOOD, OVER = b"good", b"over"
+"""Answers: the lamp may shine; its time is over."""
 
 
 class Guard:
@@ -47,30 +56,53 @@ class Guard:
             sys.executable, "-I", "-S", __file__, port, str(baud), str(limit_s), *(order.hex() for order in orders)
         ]  # fmt: skip
         self._process: subprocess.Popen[bytes] | None = None
+        self._asking = threading.Lock()
+        self._asked = 0
 
     def start(self) -> None:
         """Begin to watch; the process has a session of its own, so that no Ctrl-C reaches it."""
         self._process = subprocess.Popen(
             self._command,
             stdin=subprocess.PIPE,
-            stdout=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
             start_new_session=True,
         )
 
     def allow(self, limit_s: float) -> None:
-        """Darken so long from now, whatever the program does, and not before; 0 for no limit."""
-        process = self._process
-        if process is not None and process.stdin is not None:
-            with contextlib.suppress(BrokenPipeError, ValueError):  # somebody has ended the guard, or it is released
-                os.write(process.stdin.fileno(), f"{limit_s:.3f}\n".encode())
+        """Darken so long from now, whatever the program does, and not before; 0 for no limit. From any thread."""
+        self._ask(f"{limit_s:.3f}")
+
+    def over(self) -> bool:
+        """Whether the time is over, and the lamp was darkened for it; waits until the last order to darken is out."""
+        return self._ask("?") == OVER
+
+    def _ask(self, what: str) -> bytes:
+        """The answer to a line; b"" where somebody has ended or stopped the guard, or it is released."""
+        with self._asking:
+            process = self._process
+            if process is None or process.stdin is None or process.stdout is None:
+                return b""
+            self._asked += 1
+            with contextlib.suppress(BrokenPipeError, ValueError):
+                os.write(process.stdin.fileno(), f"{self._asked} {what}\n".encode())
+                heard = b""
+                while select.select([process.stdout], [], [], ANSWER_S)[0]:
+                    heard += (some := os.read(process.stdout.fileno(), 4096))
+                    for number, _, answer in (line.partition(b" ") for line in heard.split(b"\n")[:-1]):
+                        if int(number) == self._asked:  # and not the answer to a question that was interrupted
+                            return answer
+                    if not some:
+                        break
+            return b""
 
     def release(self, *, in_order: bool) -> None:
         """End the watch: the lamp is left in order, or the guard darkens it now that its port is closed."""
-        if self._process is not None:
+        with self._asking:
+            process, self._process = self._process, None
+        if process is not None:
             with contextlib.suppress(BrokenPipeError):  # somebody has ended the guard
-                self._process.communicate(b"x" if in_order else b"")
-            self._process = None
+                process.communicate(b"x" if in_order else b"")
 
 
 def _locked(line: int) -> bool:
@@ -105,18 +137,21 @@ def _darken(port: str, baud: int, orders: list[bytes], *, alone: bool = True) ->
 def _wait(limit_s: float, at_time: Callable[[], None]) -> bool:
     """Listen at the pipe until it ends, and act when the time is over; whether the lamp was left in order."""
     end = time.monotonic() + limit_s if limit_s > 0 else None
-    heard = b""
+    heard, answer = b"", GOOD
     while True:
         left = None if end is None else max(end - time.monotonic(), 0.0)
         if not select.select([sys.stdin], [], [], left)[0]:
             at_time()
-            end = None
+            end, answer = None, OVER
             continue
         some = os.read(sys.stdin.fileno(), 4096)
         heard += some
         *lines, heard = heard.split(b"\n")
-        for line in lines:
-            end = time.monotonic() + float(line) if float(line) > 0 else None
+        for number, _, what in (line.partition(b" ") for line in lines):
+            if what != b"?":
+                end, answer = time.monotonic() + float(what) if float(what) > 0 else None, GOOD
+            with contextlib.suppress(BrokenPipeError):  # who has asked is dead
+                os.write(sys.stdout.fileno(), number + b" " + answer + b"\n")
         if not some:
             return heard == b"x"
 

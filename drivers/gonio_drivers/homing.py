@@ -13,7 +13,7 @@ import contextlib
 import statistics
 import time
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import serial
 
@@ -21,10 +21,11 @@ from gonio.errors import ConfigError, DeviceError
 from gonio.rig import Homed
 from gonio_drivers import home_mark, joints, settings, watchdog
 from gonio_drivers.joints import ACCELERATION_UNIT_DEG_S2, COUNTS, VELOCITY_UNIT_DEG_S, Joint
+from gonio_drivers.patience import Patience
 
 POLL_S = 0.01
-STALLED_S = 0.3
-"""An axis that is told to go and has not moved for so long stands against something."""
+STALLED_S, STALLED_LOOKS = 0.3, 10
+"""An axis that is told to go and has not moved for so long, over so many looks, stands against something."""
 STILL_COUNTS = 4
 BACK_OFF_DEG = 3.0
 ACCELERATION_DEG_S2 = 180.0
@@ -43,6 +44,9 @@ class Search:
     homing: settings.Homing
     closed: Callable[[], bool]
     speed_deg_s: float
+    allowed: Callable[[], None]
+    """Raises where nothing may move."""
+    _goal: int = 0
 
     def run(self) -> Homed:
         """Find the place as often as asked, and leave the mark in the servo.
@@ -102,7 +106,7 @@ class Search:
     def _against(self, way: int) -> float:
         """Go until it stands against something; where [counts]."""
         still = _Still()
-        return self._go(way, lambda count, moved: still.since_s(count) >= STALLED_S)
+        return self._go(way, lambda count, moved: still.against(count) and not self._sent_on(still))
 
     def _go(self, way: int, there: Callable[[int, float], bool]) -> float:
         """Go slowly until `there` says so, of the count and of how far the axis has moved [deg]; then stop; where.
@@ -116,16 +120,17 @@ class Search:
         if there(start, 0.0):
             return start
         goal = start + round(way * travel * joint.counts_per_deg)
-        joint.write("Goal Position", max(joint.count_limits[0], min(joint.count_limits[1], goal)))
-        still = _Still()
-        end = time.monotonic() + 1.5 * travel / self.speed_deg_s + 5.0
-        while time.monotonic() < end:
+        self._goal = max(joint.count_limits[0], min(joint.count_limits[1], goal))
+        joint.write("Goal Position", self._goal)
+        still, looked = _Still(), Patience()
+        while looked() < 1.5 * travel / self.speed_deg_s + 5.0:
             time.sleep(POLL_S)
+            self.allowed()
             here = self._look()
             if there(here, (here - start) / joint.counts_per_deg):
                 self._halt()
                 return (last + here) / 2
-            if still.since_s(here) >= STALLED_S:  # at its goal, or against something
+            if still.against(here) and not self._sent_on(still):  # at its goal, or against something
                 break
             last = here
         self._halt()
@@ -136,6 +141,18 @@ class Search:
             f"{'positive' if way > 0 else 'negative'} angles; the axis is stopped and not homed"
             + ("; it does not move at all: is it jammed, or `current` too small?" if moved < BACK_OFF_DEG else "")
         )
+
+    def _sent_on(self, still: _Still) -> bool:
+        """Whether the servo had stopped by its bus watchdog, because this program was held up; it goes on."""
+        joint = self.joint
+        if not joint.has_watchdog or joint.get(watchdog.ITEM) != watchdog.RUN_OUT:
+            return False
+        joint.write(watchdog.ITEM, watchdog.OFF)
+        joint.send_profile()  # before the goal: running out has set it to 0
+        joint.write("Goal Position", self._goal)
+        joint.write(watchdog.ITEM, watchdog.UNITS)
+        still.again()
+        return True
 
     def _look(self) -> int:
         return joints.reports(self.joint.bus, [self.joint])[self.joint.name].position
@@ -150,17 +167,26 @@ class _Still:
     """For how long an axis has not moved."""
 
     place: int | None = None
-    time_s: float = 0.0
+    looks: int = 0
+    looked: Patience = field(default_factory=Patience)
 
-    def since_s(self, count: int) -> float:
-        """Of one more look at it [s]."""
+    def against(self, count: int) -> bool:
+        """Whether one more look tells that it stands against something."""
         if self.place is None or abs(count - self.place) > STILL_COUNTS:
-            self.place, self.time_s = count, time.monotonic()
-        return time.monotonic() - self.time_s
+            self.again()
+            self.place = count
+        self.looks += 1
+        return self.looked() >= STALLED_S and self.looks >= STALLED_LOOKS
+
+    def again(self) -> None:
+        """It may set out from here."""
+        self.place, self.looks, self.looked = None, 0, Patience()
 
 
-def home(joint: Joint, say: Callable[[str], None]) -> Homed:
+def home(joint: Joint, say: Callable[[str], None], allowed: Callable[[], None]) -> Homed:
     """Home one axis, whose bus is open; it holds where it stands then, with its usual profile.
+
+    `allowed` is called before it turns, and at every look while it does; it raises where nothing may move.
 
     Raises
     ------
@@ -174,6 +200,7 @@ def home(joint: Joint, say: Callable[[str], None]) -> Homed:
         raise ConfigError(
             f"axis {joint.name} needs no homing: it has no table {joint.key}.homing, and its servo keeps to one turn"
         )
+    allowed()
     joint.identify()
     joint.prepare(ACCELERATION_DEG_S2, homed=False)
     usual = joint.profile
@@ -187,7 +214,7 @@ def home(joint: Joint, say: Callable[[str], None]) -> Homed:
             joint.write("Goal Current", min(homing.current, joint.full_current))
         say(f"axis {joint.name}: looking for its {'stop' if homing.how == 'stall' else 'switch'}")
         try:
-            return Search(joint, homing, closed, speed * VELOCITY_UNIT_DEG_S / gear).run()
+            return Search(joint, homing, closed, speed * VELOCITY_UNIT_DEG_S / gear, allowed).run()
         finally:
             joint.profile = usual
             joint.send_profile()

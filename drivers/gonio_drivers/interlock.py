@@ -23,11 +23,14 @@ from typing import Protocol
 import serial
 
 from gonio.disk import write_whole
-from gonio.errors import ConfigError, DeviceError
+from gonio.errors import ConfigError, DeviceError, EmergencyStop
+from gonio.rig import Health, Reading
 from gonio_drivers import ports, settings
 from gonio_drivers.joints import Joint
 
 KEY = "devices.interlock"
+NAME = "interlock"
+"""Of its readings."""
 PERIOD_S = 0.005
 """Between two looks at a serial line."""
 BUS_PERIOD_S = 0.02
@@ -40,7 +43,7 @@ Mode(56~58)")."""
 READS = {"CTS": "cts", "DSR": "dsr", "DCD": "cd", "RI": "ri"}
 
 
-class Tripped(DeviceError):
+class Tripped(EmergencyStop):
     """The contact is open, was open, or nobody knows."""
 
 
@@ -125,6 +128,12 @@ class ServoPort:
                 f"{KEY}: {self.name} is no input with a pull-down yet; a command that opens the arms makes it one, "
                 "such as gonio rig check --no-move"
             )
+
+    def make_input(self) -> None:
+        """Make the port an input where that takes no torque from an axis; `open` says where it is none."""
+        mode = f"External Port Mode {self._number}"
+        if self._joint.get("Torque Enable") == 0 and self._joint.get(mode) != PULL_DOWN:
+            self._joint.write(mode, PULL_DOWN)
 
     def closed(self) -> bool:
         """Whether the port reads 1."""
@@ -247,6 +256,22 @@ class Interlock:
         kept = self.latch.why()
         self.latch.clear()
         return kept
+
+    def survey(self) -> Health:
+        """Whether the contact is closed, and whether a stop is kept that nobody has acknowledged; nothing is changed."""
+        try:
+            self.contact.open()
+            try:
+                closed = self.contact.closed()
+            finally:
+                self.contact.close()
+        except DeviceError as failure:
+            return Health((), {NAME: f"the contact at {self.contact.name} cannot be read, which counts as open: {failure}"})
+        kept = self.latch.why()
+        wrong = [] if closed else ["emergency stop: the contact is open"]
+        wrong += [f"not acknowledged: {kept} (gonio rig acknowledge)"] if kept else []
+        said = Reading(NAME, "contact", f"contact at {self.contact.name} {'closed' if closed else 'open'}")
+        return Health((said, Reading(NAME, "error", "; ".join(wrong) or "none")))
 
     def _look(self) -> None:
         try:

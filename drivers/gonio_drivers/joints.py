@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 
 from gonio.errors import ConfigError, DeviceError
@@ -23,6 +23,11 @@ COUNTS = 4096
 VELOCITY_UNIT_DEG_S = 0.229 * 6
 ACCELERATION_UNIT_DEG_S2 = 214.577 * 360 / 3600
 POSITION_MODE, EXTENDED_MODE, EXTENDED_CURRENT_MODE = 3, 4, 5
+REVERSE = 0x01
+"""Bit of the Drive Mode."""
+VALID_OFFSET = 1024
+LARGEST_PROFILE = 32_767
+"""Of the items Profile Acceleration and Profile Velocity."""
 MOST_TURNS = 256
 SHADOW, LAST_ID, NO_ID = "Secondary(Shadow) ID", 252, 255
 PROFILE_ONGOING = 0x02
@@ -258,6 +263,18 @@ class Joint:
         turns_count = self.get("Operating Mode") == POSITION_MODE and self.get("Torque Enable") != 1
         return position % COUNTS if turns_count else position
 
+    def falsified(self) -> dict[str, int]:
+        """Settings in the servo that change what it reads, and that `prepare` resets, by item."""
+        found = {name: self.get(name) for name in ("Homing Offset", "Drive Mode", "Operating Mode")}
+        usual = {"Homing Offset": 0, "Drive Mode": found["Drive Mode"] & ~REVERSE, "Operating Mode": self.mode}
+        return {name: value for name, value in found.items() if value != usual[name]}
+
+    def shaft_count(self) -> int | None:
+        """Where the servo would read that it stands, were it prepared [counts]; None where that is not known."""
+        position = shaft_count(self.get)
+        turns_count = self.get("Operating Mode") != POSITION_MODE or self.get("Torque Enable") != 1
+        return position % COUNTS if position is not None and turns_count and self.servo.homing is None else position
+
     def keep_profile(self, seen: bytes) -> None:
         """Give the profile again where it was lost: a watchdog that runs out sets it to 0, and so does a restart.
 
@@ -338,6 +355,16 @@ class Joint:
                 f"is wrong (zero_offset_deg of the axis, or {self.key}.zero_count, direction or gear_ratio)"
             )
 
+    def check_acceleration(self, acceleration_deg_per_s2: float) -> None:
+        """The servo must have a Profile Acceleration for it."""
+        unit = ACCELERATION_UNIT_DEG_S2 / self.servo.gear_ratio
+        if not unit * (1 - 1e-9) <= acceleration_deg_per_s2 <= LARGEST_PROFILE * unit:
+            raise ConfigError(
+                f"devices.servos.acceleration_deg_per_s2 = {acceleration_deg_per_s2:g}: the servo of axis {self.name} "
+                f"gives it {unit:.4g} to {LARGEST_PROFILE * unit:.4g} deg/s^2 ({self.key}.gear_ratio = "
+                f"{self.servo.gear_ratio:g})"
+            )
+
     def check_reach(self) -> None:
         """The axis's limits must lie within the servo's limits."""
         ends = [self.to_count(end) for end in self.limits_deg]
@@ -390,6 +417,18 @@ class Joint:
             self.bus.write(self.id, item.address, item.encode(value))
         except dynamixel.Refusal as refusal:
             raise dynamixel.Refusal(f"axis {self.name}, {name} = {value}: {refusal}", refusal.error) from None
+
+
+def shaft_count(get: Callable[[str], int]) -> int | None:
+    """What a servo reads, less its own offset [counts]; None where it counts the other way round.
+
+    ROBOTIS e-Manual, "Homing Offset(20)": the offset is added to the position; in Position mode one beyond a quarter of
+    a turn counts as none.
+    """
+    if get("Drive Mode") & REVERSE:
+        return None
+    offset, position = get("Homing Offset"), get("Present Position")
+    return position if get("Operating Mode") == POSITION_MODE and abs(offset) > VALID_OFFSET else position - offset
 
 
 @dataclass(slots=True)
@@ -481,6 +520,7 @@ def changer_joint(bus: Bus, changer: settings.Changer, approach_deg: float) -> J
 
 def _checked(joint: Joint) -> Joint:
     _check_current_limit(joint)
+    _check_profile(joint)
     if joint.servo.homing is not None:
         home_mark.check(joint, joint.servo.homing)
         joint.count_limits = -MOST_TURNS * COUNTS, MOST_TURNS * COUNTS - 1
@@ -489,11 +529,32 @@ def _checked(joint: Joint) -> Joint:
 
 
 def _check_current_limit(joint: Joint) -> None:
+    model, homing = joint.servo.model, joint.servo.homing
     if joint.servo.current_limit is not None and "Current Limit" not in joint.table:
         raise ConfigError(
-            f"{joint.key}.current_limit = {joint.servo.current_limit}: a {joint.servo.model} has no current limit; "
-            "leave the key out"
+            f"{joint.key}.current_limit = {joint.servo.current_limit}: a {model} has no current limit; leave the key out"
         )
+    highest = control_table.highest_current(model)
+    for key, value in (("current_limit", joint.servo.current_limit), ("homing.current", homing and homing.current)):
+        if value is not None and value > highest:
+            raise ConfigError(
+                f"{joint.key}.{key} = {value}: the Current Limit of a {model} is 1 to {highest}, in units of "
+                f"{control_table.current_unit_ma(model):g} mA"
+            )
+
+
+def _check_profile(joint: Joint) -> None:
+    """The slowest that a profile can be: less would be rounded up to it."""
+    slowest = VELOCITY_UNIT_DEG_S / joint.servo.gear_ratio
+    speeds = [("speed_deg_per_s", joint.axis.speed_deg_per_s)]
+    if joint.servo.homing is not None:
+        speeds.append((f"{joint.key}.homing.speed_deg_per_s", joint.servo.homing.speed_deg_per_s))
+    for key, speed in speeds:
+        if speed < slowest * (1 - 1e-9):
+            raise ConfigError(
+                f"axis {joint.name}, {key} = {speed:g}: its servo turns it at {slowest:.4g} deg/s or more "
+                f"(Profile Velocity 1, {joint.key}.gear_ratio = {joint.servo.gear_ratio:g})"
+            )
 
 
 def _listed(found: Mapping[int, tuple[int, int]]) -> str:

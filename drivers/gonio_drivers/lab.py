@@ -237,7 +237,16 @@ class LabRig:
                 health += survey.of_light(self.light)
             elif name == "camera":
                 health += survey.of_camera(self._camera, self._camera_driver)
+        if self.interlock is not None and not devices:
+            health += self._survey_interlock(self.interlock)
         return health
+
+    def _survey_interlock(self, watched: interlock.Interlock) -> Health:
+        try:
+            with self._bus() if watched.on_the_bus else contextlib.nullcontext():
+                return watched.survey()
+        except DeviceError as failure:  # the bus itself
+            return Health((), {interlock.NAME: str(failure)})
 
     def diagnose(self, *, move: bool) -> list[tuple[str, str, bool]]:
         """What `gonio rig check` reports of the devices: what, what was found, whether that is good."""

@@ -15,19 +15,23 @@ from collections.abc import Callable, Iterator
 from types import TracebackType
 from typing import Self
 
-from gonio.errors import ConfigError, DeviceError, GonioError, Interrupted
+from gonio.errors import ConfigError, DeviceError, Disturbed, GonioError, Interrupted
 from gonio.rig.description import Band, RigDescription
-from gonio_drivers import ports, settings
+from gonio_drivers import guard, ports, settings
 from gonio_drivers.dialect import dialect
-from gonio_drivers.guard import Guard
 from gonio_drivers.lamp_line import TRIES, LampLine
+from gonio_drivers.patience import Patience
 
 log = logging.getLogger("gonio.devices")
 
 WAVELENGTH_STEP_NM = 0.1
+GUARD_S = 10.0
+"""The guard of a program that has died is done by then."""
+LOOK_S = 0.1
+"""How often it is asked, in a longer wait, whether the lamp may still shine."""
 
 
-class LampReset(DeviceError):
+class LampReset(Disturbed):
     """The lamp was not in the state that it was meant to be in."""
 
 
@@ -49,7 +53,7 @@ class SerialLight:
         self._bands = description.bands.all()
         self._warm_up_s = description.lamp.warm_up_s
         self._line = LampLine(light.port, self._dialect)
-        self._guard: Guard | None = None
+        self._guard: guard.Guard | None = None
         self.limit_s = 0.0
         """The guard darkens the lamp so long after it was opened, even if this program stands still; 0: never."""
         self._channel = light.channel
@@ -75,7 +79,7 @@ class SerialLight:
         try:
             self._wake()
             self.off()
-            self._guard = Guard(self._light.port, self._baud, self._orders_to_darken(), self.limit_s)
+            self._guard = guard.Guard(self._light.port, self._baud, self._orders_to_darken(), self.limit_s)
             try:
                 self._guard.start()
             except OSError as error:
@@ -142,10 +146,10 @@ class SerialLight:
         """Light up at the level of the rig file, and wait until the lamp has settled."""
         try:
             self._shine()
+            self._settle()
         except BaseException:
             self.off()
             raise
-        self._settle()
 
     def off(self) -> None:
         """Darken.
@@ -219,8 +223,19 @@ class SerialLight:
         return int(self._light.baud or self._dialect.baud)
 
     def _open(self) -> None:
+        looked = Patience()
+        while self._is_being_darkened() and looked() < GUARD_S:
+            time.sleep(LOOK_S)
         ports.require_free(self._light.port, "devices.light.port")
         self._line.open(self._baud)
+
+    def _is_being_darkened(self) -> bool:
+        """Whether the guard of a program that has died is at work."""
+        for process in ports.holders_of(self._light.port):
+            with contextlib.suppress(OSError):
+                if guard.__file__.encode() in (process / "cmdline").read_bytes():
+                    return True
+        return False
 
     def _wake(self) -> None:
         d = self._dialect
@@ -254,9 +269,9 @@ class SerialLight:
 
     def keep(self, seconds: float) -> None:
         """While it is open: the guard darkens it so long from now, even if this program stands still; 0: never."""
-        guard = self._guard
-        if guard is not None:
-            guard.allow(seconds)
+        watching = self._guard
+        if watching is not None:
+            watching.allow(seconds)
 
     def darken_at_once(self) -> None:
         """Send what darkens the lamp, from whatever thread, and wait for nothing; `off` sees that it is dark."""
@@ -272,6 +287,8 @@ class SerialLight:
 
     def _shine(self) -> None:
         self.allowed()
+        if self._guard is not None and self._guard.over():
+            raise DeviceError(f"the lamp on {self._light.port} stays dark: its time is over, and its guard has darkened it")
         d, self.known_dark = self._dialect, False
         value = self._light.level * d.full_scale
         command = d.set.format(value=value, channel=self._channel)
@@ -341,8 +358,15 @@ class SerialLight:
         if first and not self._warmed:
             wait = max(wait, self._warm_up_s)
             self._warmed = True
-        time.sleep(wait)
+        self._wait(wait)
         self._monitored = self.monitor() if self._light.monitor_tolerance is not None else None
+
+    def _wait(self, seconds: float) -> None:
+        """A lamp may need an hour to warm up; raises as soon as it may not shine any more."""
+        while seconds > 0:
+            time.sleep(min(seconds, LOOK_S))
+            seconds -= LOOK_S
+            self.allowed()
 
     def _close(self, *, in_order: bool) -> None:
         """Close the port; the guard tries once more where the lamp may not be dark."""

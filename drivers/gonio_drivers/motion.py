@@ -117,9 +117,13 @@ class Motion:
     def _watch(self, joint: Joint, landing: Landing, report: Report, now: float, *, exact: bool) -> None:
         """One look at an axis on its way: has it landed, does it need a correction, is it stuck?"""
         changed = report.profile != joint.profile or report.goal != landing.sent
-        if changed and self._release(joint, landing, report, now):
-            return
-        joint.keep_profile(report.profile)
+        if changed and self._release(joint, landing):
+            if not landing.stopped_at(report.position, now):
+                self._require_progress(joint, landing)
+                return
+            changed = False  # it had arrived: this is a reading as good as any
+        else:
+            joint.keep_profile(report.profile)
         if changed:
             self._send_again(joint, landing, now)
             return
@@ -128,21 +132,16 @@ class Motion:
             landing.done = True
         elif verdict == "short":
             self._correct(joint, landing, now, exact=exact)
-        elif verdict == "stuck" and not self._release(joint, landing, report, now):
+        elif verdict == "stuck" and self._release(joint, landing):
+            landing.begin(now)
+        elif verdict == "stuck":
             joints.require_torque(self._bus, [joint])
             raise DeviceError(f"{self._state(joint.name, landing, report)}: it is stuck; all axes are stopped")
 
-    def _release(self, joint: Joint, landing: Landing, report: Report, now: float) -> bool:
+    def _release(self, joint: Joint, landing: Landing) -> bool:
         """Whether the servo had stopped by its bus watchdog, because this program was held up; it is sent on."""
         if not joint.has_watchdog or joint.get(watchdog.ITEM) != watchdog.RUN_OUT:
             return False
-        landing.stopped_at(report.position)
-        if landing.released > RELEASES:
-            raise DeviceError(
-                f"axis {joint.name}: servo id {joint.id} has stopped {landing.released} times and came no closer to "
-                f"its goal, because nothing came over the bus for {watchdog.PERIOD_S:g} s (is this computer "
-                "overloaded?); all axes are stopped"
-            )
         log.warning(
             "axis %s: nothing came over the bus for %g s, and the servo stopped; sent on", joint.name, watchdog.PERIOD_S
         )
@@ -150,8 +149,16 @@ class Motion:
         joint.send_profile()
         joint.write("Goal Position", landing.sent)
         joint.write(watchdog.ITEM, watchdog.UNITS)
-        landing.begin(now)
         return True
+
+    @staticmethod
+    def _require_progress(joint: Joint, landing: Landing) -> None:
+        if landing.released > RELEASES:
+            raise DeviceError(
+                f"axis {joint.name}: servo id {joint.id} has stopped {landing.released} times and came no closer to "
+                f"its goal, because nothing came over the bus for {watchdog.PERIOD_S:g} s (is this computer "
+                "overloaded?); all axes are stopped"
+            )
 
     def _correct(self, joint: Joint, landing: Landing, now: float, *, exact: bool) -> None:
         """A new goal that makes up for what is missing; by the approach again where the axis went too far."""

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import os
 import select
 import termios
+from collections.abc import Iterator
 from pathlib import Path
 
 import serial
@@ -90,15 +92,22 @@ def _holder(port: str) -> str:
 
     A process that has the other end of a pseudo-terminal is the device, and no rival for it.
     """
-    target = os.path.realpath(port)
     holders = []
+    for process in holders_of(port):
+        with contextlib.suppress(OSError):
+            holders.append(f"process {process.name} ({(process / 'comm').read_text().strip()})")
+    return f" by {' and '.join(holders)}" if holders else ""
+
+
+def holders_of(port: str) -> Iterator[Path]:
+    """The folders in /proc of other processes that have a port open, as far as they can be seen."""
+    target = os.path.realpath(port)
     for process in Path("/proc").glob("[0-9]*"):
         if process.name == str(os.getpid()):
             continue
         try:
             opened = {os.readlink(link) for link in (process / "fd").iterdir()}
-            if target in opened and not opened & MASTERS:
-                holders.append(f"process {process.name} ({(process / 'comm').read_text().strip()})")
         except OSError:
             continue  # another user's process, or one that has just ended
-    return f" by {' and '.join(holders)}" if holders else ""
+        if target in opened and not opened & MASTERS:
+            yield process

@@ -7,8 +7,8 @@ position, temperature), and by every byte that comes over the line.
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Sequence
+import contextlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
 
 from dynamixel_sdk import INST_PING, INST_READ, INST_REBOOT, INST_WRITE
 
@@ -16,8 +16,9 @@ from gonio.config import parse
 from gonio.errors import ConfigError, DeviceError, GonioError
 from gonio.rig import FoundServo, Homed
 from gonio.rig.description import RigDescription
-from gonio_drivers import control_table, dynamixel, homing, joints, ports, presence, settings
+from gonio_drivers import control_table, dynamixel, homing, interlock, joints, ports, presence, settings
 from gonio_drivers.dynamixel import Bus
+from gonio_drivers.patience import Patience
 
 BROADCAST = 254
 LAST_ID = 252
@@ -118,11 +119,13 @@ class ServoService:
             for name in axes:
                 if name not in there:
                     raise ConfigError(f"the rig has no servo of an axis {name}; it has {', '.join(there)}")
-            for name in axes or homing.lacking({n: j for n, j in there.items() if j.servo.homing is not None}):
-                try:
-                    out[name] = homing.home(there[name], say)
-                except DeviceError as failure:
-                    out[name] = str(failure)
+            wanted = axes or homing.lacking({n: j for n, j in there.items() if j.servo.homing is not None})
+            with _interlock(description, there) as allowed:
+                for name in wanted:
+                    try:
+                        out[name] = homing.home(there[name], say, allowed)
+                    except DeviceError as failure:
+                        out[name] = str(failure)
         return out
 
 
@@ -134,6 +137,21 @@ def _servos(description: RigDescription) -> settings.Servos:
     if not isinstance(table, dict):
         raise ConfigError(f'rig "{description.name}": the table devices.servos is missing')
     return parse(settings.Servos, table, f'rig "{description.name}": devices.servos')
+
+
+@contextlib.contextmanager
+def _interlock(description: RigDescription, there: Mapping[str, joints.Joint]) -> Iterator[Callable[[], None]]:
+    """What raises where the rig's interlock has stopped it; nobody lights a lamp meanwhile."""
+    table = description.devices.get("interlock")
+    if table is None:
+        yield lambda: None
+        return
+    wanted = parse(settings.Interlock, table, f'rig "{description.name}": devices.interlock')
+    watched = interlock.build(wanted, there, lambda: None)
+    if isinstance(watched.contact, interlock.ServoPort):
+        watched.contact.make_input()
+    with watched:
+        yield watched.require
 
 
 def _at(bus: Bus) -> list[FoundServo]:
@@ -215,9 +233,9 @@ def _write(bus: Bus, identity: int, address: int, value: int) -> None:
 def _restart(bus: Bus, identity: int) -> None:
     bus.ping(identity)
     bus.overhear(identity, INST_REBOOT, listen_s=ONE_S)
-    end = time.monotonic() + RESTART_S
+    looked = Patience()
     while True:
-        over = time.monotonic() > end
+        over = looked() > RESTART_S
         try:
             bus.ping(identity)
             break

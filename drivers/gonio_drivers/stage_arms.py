@@ -22,6 +22,7 @@ from gonio.errors import ConfigError, DeviceError, Disturbed, GonioError
 from gonio.rig import Health, Pose, Reading, Target, ways
 from gonio.rig.description import RigDescription
 from gonio_drivers import settings, stages
+from gonio_drivers.patience import Patience
 from gonio_drivers.stages import Joint
 
 log = logging.getLogger("gonio.devices")
@@ -35,6 +36,8 @@ FAR_DEG = 2.0
 LOOKS = 5
 """Readings that tell where an axis stands."""
 POLL_S = 0.01
+RESTING_LOOKS = 3
+"""A stage that stands at its goal at so many looks has landed."""
 IDLE_S = 0.5
 """A stage that has not started by then has not heard."""
 STALL_S = 3.0
@@ -52,10 +55,12 @@ class Way:
     """How far an axis has come on its way."""
 
     goal_deg: float
-    since_s: float
+    since_s: float = 0.0
     """When it last moved, or said so."""
-    turned_s: float
+    turned_s: float = 0.0
     """When it was last seen at another place."""
+    looks: int = 0
+    """At it, since it last moved or said so."""
     at_deg: float = math.nan
     tries: int = 1
 
@@ -164,14 +169,13 @@ class StageArms:
 
     def _home(self, joint: Joint) -> None:
         log.warning("axis %s looks for its home", joint.name)
-        begun = time.monotonic()
-        idle = begun
+        looked, idle = Patience(), 0.0
         try:
             joint.stage.home()
             while not (said := joint.state()).homed or said.moving:
-                now = time.monotonic()
+                now = looked()
                 idle = now if said.moving else idle
-                if now - idle > STALL_S or now - begun > HOMING_S:
+                if now - idle > STALL_S or now > HOMING_S:
                     raise DeviceError(f"axis {joint.name}: {joint.stage} does not find its home")
                 time.sleep(POLL_S)
         except BaseException:
@@ -350,8 +354,8 @@ class StageArms:
 
     def _arrive(self, goals: Mapping[str, float], within_deg: Mapping[str, float]) -> None:
         """Drive axes to goals [deg], all at once; return when each stands still within its distance of its goal."""
-        begun = time.monotonic()
-        ways = {name: Way(goal, begun, begun) for name, goal in goals.items()}
+        looked = Patience()
+        ways = {name: Way(goal) for name, goal in goals.items()}
         longest = 0.0
         for name, goal in goals.items():
             joint = self.joints[name]
@@ -359,27 +363,29 @@ class StageArms:
             joint.stage.go(joint.to_readout(goal))
         while ways:
             self.allowed()
+            now = looked()
             for name, way in list(ways.items()):
-                if self._landed(self.joints[name], way, within_deg[name]):
+                if self._landed(self.joints[name], way, within_deg[name], now):
                     del ways[name]
-            if ways and time.monotonic() - begun > SLOWEST * longest + SPARE_S:
+            if ways and now > SLOWEST * longest + SPARE_S:
                 raise DeviceError(f"axis {next(iter(ways))} does not come to rest; all axes are stopped")
             if ways:
                 time.sleep(POLL_S)
 
-    def _landed(self, joint: Joint, way: Way, within_deg: float) -> bool:
+    def _landed(self, joint: Joint, way: Way, within_deg: float, now: float) -> bool:
         said = joint.state()
         joint.require_home(said)
-        here, now = joint.to_deg(said.position_deg), time.monotonic()
+        here = joint.to_deg(said.position_deg)
+        way.looks += 1
         if not abs(here - way.at_deg) <= joint.still_deg:
-            way.at_deg, way.turned_s, way.since_s = here, now, now
+            way.at_deg, way.turned_s, way.since_s, way.looks = here, now, now, 1
         if said.moving:
-            way.since_s = now
+            way.since_s, way.looks = now, 0
             if now - way.turned_s > STALL_S:
                 raise DeviceError(f"axis {joint.name} is stuck at {here:.2f} deg, on its way to {way.goal_deg:g} deg")
             return False
         if abs(here - way.goal_deg) <= within_deg:
-            return now - way.since_s >= self._settings.settle_s
+            return now - way.since_s >= self._settings.settle_s and way.looks >= RESTING_LOOKS
         if now - way.since_s < max(IDLE_S, self._settings.settle_s):
             return False
         if way.tries == TRIES:

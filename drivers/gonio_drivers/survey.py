@@ -11,16 +11,13 @@ import statistics
 
 from gonio.errors import GonioError
 from gonio.rig import Health, Reading
-from gonio_drivers import dynamixel, home_mark, joints
+from gonio_drivers import control_table, dynamixel, home_mark, joints
 from gonio_drivers.arms import ServoArms
 from gonio_drivers.cameras import OpenableCamera
 from gonio_drivers.joints import Joint
 from gonio_drivers.light import SerialLight
 from gonio_drivers.stage_arms import StageArms
 
-CURRENT_UNIT_MA = {"xl330": 1.0, "xc330": 1.0}
-"""By the first part of the model's name; 2.69 mA for the others (ROBOTIS e-Manual, "Present Current(126)")."""
-USUAL_UNIT_MA = 2.69
 LOOKS = 5
 """Readings that an angle is the mean of: encoders flicker by a count."""
 FLICKER_STEPS = 2.5
@@ -104,15 +101,20 @@ def _asked(joint: Joint) -> list[Reading]:
     value = {n: table[n].decode(block, address) for n in joints.REPORTED if n in table}
     highest, lowest = joint.get("Max Voltage Limit") / 10, joint.get("Min Voltage Limit") / 10
     moving = bool(value["Moving"]) or bool(value["Moving Status"] & joints.PROFILE_ONGOING)
-    places = [joint.position_at_torque_on() for _ in range(LOOKS)]
+    falsified = joint.falsified()
+    seen = [joint.shaft_count() for _ in range(LOOKS)]
+    places = [place for place in seen if place is not None]
     error = joint.get("Hardware Error Status")
     hottest = joint.get("Temperature Limit") or joint.max_temperature_c
     volts = Reading(name, "voltage", value["Present Input Voltage"] / 10, "V", (lowest, highest) if highest else None)
-    apart_deg = joint.distance_deg(max(places), min(places))
+    apart_deg = joint.distance_deg(max(places), min(places)) if places else 0.0
     most_deg = max(FLICKER_STEPS * joint.axis.encoder_step_deg, FLICKER_STEPS / abs(joint.counts_per_deg))
     unsteady = [Reading(name, "angle_spread", apart_deg, "deg", (0.0, most_deg))]
+    how = "taken out of the angle" if places else "the angle is not known"
+    named = ", ".join(f"{item} = {value}" for item, value in falsified.items())
     return [
-        _angle(joint, statistics.fmean(places)),
+        *([_angle(joint, statistics.fmean(places))] if places else []),
+        *([Reading(name, "settings", f"{named} in the servo: {how}; a move resets it")] if falsified else []),
         *(unsteady if apart_deg > most_deg and not moving else []),
         Reading(name, "temperature", value["Present Temperature"], "C", (-math.inf, hottest)),
         _current(joint, value.get("Present Current", value.get("Present Load", 0))),
@@ -130,7 +132,7 @@ def _angle(joint: Joint, count: float) -> Reading:
 def _current(joint: Joint, value: int) -> Reading:
     if "Present Current" not in joint.table:  # an estimate from the motor's drive, in 0.1 %
         return Reading(joint.name, "load", value / 10, "%", (-100.0, 100.0))
-    unit = CURRENT_UNIT_MA.get(joint.servo.model.lower().partition("-")[0], USUAL_UNIT_MA)
+    unit = control_table.current_unit_ma(joint.servo.model)
     most = joint.full_current * unit if joint.full_current else math.inf
     return Reading(joint.name, "current", value * unit, "mA", (-most, most) if math.isfinite(most) else None)
 

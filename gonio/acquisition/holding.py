@@ -45,6 +45,8 @@ class Holding:
         The rig's clock.
     darken
         Darkens the lamp.
+    require
+        Raises where an interlock has stopped the rig.
     """
 
     def __init__(
@@ -54,8 +56,10 @@ class Holding:
         stop: Stop,
         time_s: Callable[[], float],
         darken: Callable[[], None],
+        require: Callable[[], None],
     ) -> None:
         self._run, self._progress, self._stop, self._time_s, self._darken = run, progress, stop, time_s, darken
+        self._require = require
         self._room_s = ROOM_ATTENDED_S if stop.pause.attended else ROOM_UNATTENDED_S
         self._frames = run.path / "frames"
         self._bytes = Bytes(run.description, len(run.bands))
@@ -127,6 +131,7 @@ class Holding:
             for _ in naps(LOOK_S):
                 if self._stop.requested:
                     raise Interrupted("stopped while paused,")
+                self._require()
         waited = time.monotonic() - begun
         self._progress.waited(waited)
         event = {"event": "continued", "step": step.index, "waited_s": round(waited, 1)}

@@ -32,7 +32,7 @@ from gonio.acquisition.repeats import REPEATED, cannot_be_alike
 from gonio.acquisition.run import Batch, Run
 from gonio.acquisition.schedule import batch_steps
 from gonio.acquisition.stop import Stop
-from gonio.acquisition.suspending import Cause, Suspended, Watch
+from gonio.acquisition.suspending import Cause, Suspended, Watch, require
 from gonio.errors import DeviceError, Disturbed, Interrupted, PassingFault
 from gonio.rig import Frame, Pose, Reading, Rig, Step, Target
 from gonio.rig.description import Band, RigDescription
@@ -235,7 +235,7 @@ class _Session:
         self._waited_s = 0.0
         """How long the disk was waited for so far."""
         self._store = Store(run.path / "frames")
-        self._holding = Holding(run, progress, stop, rig.time_s, self._darken)
+        self._holding = Holding(run, progress, stop, rig.time_s, self._darken, lambda: require(rig))
         self._names = slugs(run.bands)
         self._done = run.steps()
         self._last: StepRecord | None = None

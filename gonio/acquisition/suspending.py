@@ -216,3 +216,16 @@ def naps(seconds: float) -> Iterator[None]:
 def lasting(seconds: float) -> str:
     """A duration, for a person."""
     return f"{seconds:.0f} s" if seconds < 120 else f"{seconds / 60:.0f} min"
+
+
+def wait(rig: Rig, seconds: float) -> None:
+    """Wait so long with a rig that is open; raises `EmergencyStop` as soon as its interlock has stopped it."""
+    for _ in naps(seconds):
+        require(rig)
+
+
+def require(rig: Rig) -> None:
+    """Raise `EmergencyStop` where the interlock of an open rig has stopped it; nothing on a rig without one."""
+    allowed = getattr(rig.light, "allowed", None)
+    if allowed is not None:
+        allowed()

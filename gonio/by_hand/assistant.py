@@ -26,7 +26,7 @@ from gonio.by_hand.live_picture import Pictures, pictures
 from gonio.by_hand.rig_file import with_values, write_values, zero_values
 from gonio.by_hand.sight import Sight
 from gonio.disk import write_whole
-from gonio.errors import ConfigError, DataError, DeviceError, Disturbed
+from gonio.errors import ConfigError, DataError, DeviceError, Disturbed, EmergencyStop
 from gonio.rig import Frame, Pose, Target, imaging
 
 if TYPE_CHECKING:
@@ -188,6 +188,8 @@ class Assistant:
             self._say(f"{pushed}; the frame does not count")
             self._sight.changed()
             return
+        except EmergencyStop:
+            raise
         except DeviceError as failure:
             self._failures += 1
             if self._failures >= FAILURES:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +11,7 @@ import numpy.typing as npt
 
 from gonio.acquisition import exposure
 from gonio.acquisition.schedule import reference_pose
+from gonio.acquisition.suspending import wait
 from gonio.calibration import beam
 from gonio.calibration.lamp_stability import COLUMNS
 from gonio.errors import ConfigError, DataError, DeviceError
@@ -41,7 +41,6 @@ def take_series(
     *,
     keep: Callable[[pd.DataFrame], None],
     told: Callable[[int, int], None] = lambda done, total: None,
-    sleep: Callable[[float], None] = time.sleep,
 ) -> None:
     """Frames of the white from the moment that the lamp is lit.
 
@@ -59,8 +58,6 @@ def take_series(
         ends the series early, it gets what there is. (Then the camera's black level takes the place of dark frames.)
     told
         Called with the seconds that are done, and with how many there are.
-    sleep
-        Waits.
 
     Raises
     ------
@@ -89,7 +86,7 @@ def take_series(
         while due <= duration_s:
             now = bench.time_s() - lit_s
             if now < due and not bench.repeatable:
-                sleep(due - now)
+                wait(bench, due - now)
             elif now < due:
                 steps.next(pose)  # a simulated clock goes on with the steps
                 continue

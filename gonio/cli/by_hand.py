@@ -194,21 +194,20 @@ def lamp(
 
 def _count_down(bench: Bench, end: float) -> None:
     """Wait for the end, and look at the lamp meanwhile, where its driver can."""
+    from gonio.acquisition.suspending import wait
     from gonio.cli import console
-    from gonio.errors import DeviceError
+    from gonio.errors import Disturbed
 
     terminal = sys.stderr.isatty()
     while (left := end - time.monotonic()) > 0:
         if terminal:
             print(f"\r{left:4.0f} s until dark ", end="", file=sys.stderr, flush=True)
-        time.sleep(min(left, LOOK_S))
+        wait(bench, min(left, LOOK_S))
         if hasattr(bench.light, "check") and time.monotonic() < end:
             try:
                 bench.light.check()
-            except DeviceError as failure:
-                if type(failure) is DeviceError:
-                    raise
-                console.note(str(failure))  # it was not as it should be, and is again
+            except Disturbed as reset:
+                console.note(str(reset))  # it was not as it should be, and is again
     if terminal:
         print("\r" + " " * 24 + "\r", end="", file=sys.stderr, flush=True)
 
@@ -237,7 +236,8 @@ def read(
         table = console.table("device", "says", "", title=bench.description.name)
         for device in dict.fromkeys(reading.device for reading in health.readings):
             mine = [reading for reading in health.readings if reading.device == device]
-            bad = [r.quantity for r in mine if not r.good or (r.quantity == "error" and r.value != "none")]
+            words = ("error", "settings")
+            bad = [r.quantity for r in mine if not r.good or (r.quantity in words and r.value != "none")]
             text = Text(f"BAD: {', '.join(bad)}", style="bold red") if bad else "good"
             table.add_row(device, ", ".join(_said(r.quantity, r.value, r.unit) for r in mine), text)
         for device, why in health.silent.items():

@@ -13,9 +13,11 @@ class Reading:
     """One quantity of one device, as it was read."""
 
     device: str
-    """An axis ("light", "camera", "tilt", "spin", "azimuth", "changer"), or "lamp", or "frames" (the camera itself)."""
+    """An axis ("light", "camera", "tilt", "spin", "azimuth", "changer"), "lamp", "frames" (the camera itself), or
+    "interlock"."""
     quantity: str
-    """angle, temperature, current, load, voltage, torque, motion, home, error; of the lamp state, level, monitor, lock.
+    """angle, temperature, current, load, voltage, torque, motion, home, error, settings (that change what it reads); of the
+    lamp state, level, monitor, lock; of the interlock contact, error.
 
     current_max and voltage_min are the extremes of all polls since the last reading of the rig's health."""
     value: float | str

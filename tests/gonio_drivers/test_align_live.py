@@ -17,6 +17,7 @@ from gonio_sim.wire.twins import Twins
 
 from gonio.by_hand.assistant import CAMERA_S, Assistant
 from gonio.by_hand.bench import Bench
+from gonio.errors import DeviceError
 from gonio.rig import Frame
 from tests.gonio.by_hand.test_lamp_timer import Clock
 from tests.gonio_drivers.conftest import be_patient
@@ -50,6 +51,31 @@ def test_the_guard_darkens_the_lamp_of_a_program_that_shows_no_sign_of_life(lamp
         light.keep(1000.0)
         light.on()  # whoever is back lights it again
         light.check()
+        assert lamp.twin.shine.lit
+    assert not lamp.twin.shine.lit
+
+
+def test_no_order_of_the_guard_comes_after_a_new_lighting(lamp: Plugged) -> None:
+    with lamp.driver() as light:
+        for _ in range(3):
+            light.keep(1000.0)
+            light.on()
+            light.keep(0.001)
+            end = time.monotonic() + PATIENCE_S
+            while lamp.twin.shine.lit:
+                assert time.monotonic() < end
+            with pytest.raises(DeviceError, match="its time is over"):  # nobody has shown a sign of life
+                light.on()
+            assert not lamp.twin.shine.lit
+        light.keep(1000.0)
+        light.on()
+        darkened: list[str] = []
+        command = lamp.twin.command
+        lamp.twin.command = lambda line: darkened.append(line) if "OF" in line.upper() or "MODE" in line else command(line)  # type: ignore[method-assign, func-returns-value]
+        assert light._guard is not None
+        assert not light._guard.over()  # it has nothing left to send
+        assert darkened == []
+        lamp.twin.command = command  # type: ignore[method-assign]
         assert lamp.twin.shine.lit
     assert not lamp.twin.shine.lit
 

@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 import serial
-from gonio_drivers import control_table, dynamixel, ports, presence, sdk
+from gonio_drivers import control_table, dynamixel, patience, ports, presence, sdk
 from gonio_drivers.dynamixel import Bus
 from gonio_sim.wire import protocol2 as p2
 
@@ -142,7 +142,7 @@ def test_what_lies_on_a_computer_that_was_held_up_is_heard(line: Line, monkeypat
 
     clock = SimpleNamespace(monotonic=lambda: time.monotonic() + held_up_s, sleep=time.sleep)
     monkeypatch.setattr(dynamixel, "time", clock)
-    monkeypatch.setattr(sdk, "time", clock)
+    monkeypatch.setattr(patience, "time", clock)
     monkeypatch.setattr(sdk.ExclusivePort, "writePort", written)
     monkeypatch.setattr(sdk.ExclusivePort, "readPort", held_up)
     with Bus(line.port, BAUD) as bus:

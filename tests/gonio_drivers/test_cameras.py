@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import subprocess
 import sys
 import threading
 import time
@@ -186,8 +187,8 @@ def plain(value: int) -> Frame:
     return Frame(np.full(SIZE, value, np.uint16), 0.01, 64.0, 4095.0, "RGGB", time_s=0.0)
 
 
-def opened(folder: Path) -> FolderCamera:
-    table = {"folder": str(folder), "timeout_s": 1.0, "trigger": {"how": "command", "command": ["true"]}}
+def opened(folder: Path, timeout_s: float = 1.0) -> FolderCamera:
+    table = {"folder": str(folder), "timeout_s": timeout_s, "trigger": {"how": "command", "command": ["true"]}}
     return FolderCamera(DESCRIPTION, settings.FolderCamera.model_validate(table))
 
 
@@ -242,6 +243,61 @@ def test_a_camera_that_writes_two_files_an_exposure_is_refused(
         write_dng(plain(202), tethered.folder / "IMG_B.DNG")
         with pytest.raises(DeviceError, match=r"more files than exposures.*IMG_B\.DNG.*devices\.camera\.suffixes"):
             camera.capture(0.01)
+
+
+def test_files_that_come_after_they_were_given_up_are_no_second_file_of_an_exposure(
+    tethered: Tether, caplog: pytest.LogCaptureFixture
+) -> None:
+    with tethered.driver() as camera:
+        tethered.faults.arm("file-missing", times=2)
+        tethered.await_briefly(camera, times=4)  # for each of the two, and once more before the next exposure
+        assert number(camera.capture(0.01)) == 3
+        for late in (1, 2):
+            write_dng(plain(200 + late), tethered.folder / f"LATE_{late}.DNG")
+            assert number(camera.capture(0.01)) == 3 + late
+            assert f"LATE_{late}.DNG was not asked for; passed over" in caplog.text
+        write_dng(plain(210), tethered.folder / "IMG_A.DNG")
+        assert number(camera.capture(0.01)) == 6
+        write_dng(plain(211), tethered.folder / "IMG_B.DNG")
+        with pytest.raises(DeviceError, match=r"more files than exposures"):
+            camera.capture(0.01)
+
+
+def test_a_file_is_not_damaged_while_its_writer_is_held_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It has the file open, and has written half of it; this process looks at it ever so long meanwhile."""
+    monkeypatch.setattr(folder_camera, "WHOLE_S", 0.0)
+    write_dng(plain(7), tmp_path / ".whole")
+    half = (tmp_path / ".whole").stat().st_size // 2
+    write = (
+        "import sys\nfrom pathlib import Path\nfolder, half = Path(sys.argv[1]), int(sys.argv[2])\n"
+        "data = (folder / '.whole').read_bytes()\n"
+        "with open(folder / 'a.dng', 'wb', buffering=0) as file:\n"
+        "    file.write(data[:half])\n    print('half', flush=True)\n    input()\n    file.write(data[half:])\n"
+    )
+    command = [sys.executable, "-c", write, str(tmp_path), str(half)]
+    looks: list[Path] = []
+    with (
+        subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as writer,
+        opened(tmp_path, PATIENCE_S) as camera,
+    ):
+        assert writer.stdin is not None
+        assert writer.stdout is not None
+        camera._seen.clear()
+        assert writer.stdout.readline() == "half\n"
+        read = folder_camera._read
+
+        def look(path: Path, data: bytes) -> Frame | DataError:
+            looks.append(path)
+            if len(looks) == 20:
+                assert writer.stdin is not None
+                writer.stdin.write("\n")
+                writer.stdin.flush()
+            return read(path, data)
+
+        monkeypatch.setattr(folder_camera, "_read", look)
+        _, found = camera._take(PATIENCE_S)
+    assert isinstance(found, Frame), found
+    assert len(looks) > 20
 
 
 def test_a_tethering_program_is_run(tmp_path: Path) -> None:

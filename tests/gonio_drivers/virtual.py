@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable
 from types import SimpleNamespace
 
 import pytest
-from gonio_drivers import arms, discovery, dynamixel, homing, motion, patience, ports, sdk, service, stage_arms
+from gonio_drivers import arms, dynamixel, homing, motion, patience, ports, sdk, stage_arms
 from gonio_drivers.sdk import ExclusivePort
 from gonio_sim.wire import bus, peer, servo
 from gonio_sim.wire.bus import ServoBus
@@ -18,7 +18,7 @@ from gonio_sim.wire.servo import Servo
 
 from gonio.rig import whereabouts
 
-CLOCKED = arms, discovery, dynamixel, homing, motion, patience, service, stage_arms, bus, peer, servo, whereabouts
+CLOCKED = arms, dynamixel, homing, motion, patience, stage_arms, bus, peer, servo, whereabouts
 """Whatever looks at a clock, or sleeps."""
 
 
