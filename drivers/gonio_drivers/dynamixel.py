@@ -18,6 +18,7 @@ What is handled, and where:
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import math
 import threading
@@ -183,6 +184,29 @@ class Bus:
             finally:
                 self._port.is_using = False
         return heard
+
+    def elsewhere(self, identity: int) -> str:
+        """A text for messages: the other line speed at which a servo with this id answers, and what to do; or "".
+
+        Each speed is asked once, which takes a tenth of a second where nobody answers.
+        """
+        found = None
+        with self._lock:
+            try:
+                for baud in BAUD_RATES:
+                    if baud != self.baud and found is None:
+                        self.set_baud(baud)
+                        with contextlib.suppress(BusError):
+                            self._transact(identity, INST_PING, b"", 3)
+                            found = baud
+            finally:
+                self.set_baud(self.baud)
+        if found is None:
+            return ""
+        return (
+            f"; one with this id answers at {found} baud, and {self.key}.baud = {self.baud}: gonio rig ids --set-baud "
+            f"{identity} {self.baud} gives it that speed"
+        )
 
     # ---- several servos ----
 

@@ -178,7 +178,8 @@ class Joint:
         said = f"{self.key}.id = {self.id}: no servo with this id answers on {self.bus.port} at {self.bus.baud} baud"
         here = self.bus.discover()
         if here:
-            return f"{said}; found there: {_listed(here)}; correct the id, or set it with the Dynamixel Wizard"
+            there = self.bus.elsewhere(self.id) or "; correct the id, or give it to a servo (gonio rig ids --set-id)"
+            return f"{said}; found there: {_listed(here)}{there}"
         self.bus.__exit__(None, None, None)
         elsewhere = dynamixel.scan(self.bus.port, without=self.bus.baud)
         self.bus.__enter__()
@@ -535,7 +536,8 @@ def _check_current_limit(joint: Joint) -> None:
             f"{joint.key}.current_limit = {joint.servo.current_limit}: a {model} has no current limit; leave the key out"
         )
     highest = control_table.highest_current(model)
-    for key, value in (("current_limit", joint.servo.current_limit), ("homing.current", homing and homing.current)):
+    pushes = None if homing is None else homing.current
+    for key, value in (("current_limit", joint.servo.current_limit), ("homing.current", pushes)):
         if value is not None and value > highest:
             raise ConfigError(
                 f"{joint.key}.{key} = {value}: the Current Limit of a {model} is 1 to {highest}, in units of "

@@ -76,7 +76,7 @@ def leave_out(bus: Bus, joints: dict[str, Joint]) -> dict[str, DeviceError]:
         except dynamixel.BusError as failure:
             if not absent and joint is next(iter(joints.values())) and not bus.discover(rounds=1):
                 joint.identify()  # nobody is there: a longer search, and a better message
-            absent[name] = DeviceError(f"{joint.key}.id = {joint.id}: {failure}")
+            absent[name] = DeviceError(f"{joint.key}.id = {joint.id}: {failure}{bus.elsewhere(joint.id)}")
         except DeviceError as failure:
             absent[name] = failure
     if len(absent) == len(joints):

@@ -84,7 +84,7 @@ def of_arms(arms: ServoArms | StageArms) -> Health:
                 except dynamixel.BusError as failure:
                     if not found and not silent and not arms.bus.discover(rounds=1):
                         joint.identify()  # nobody is there: the message says what answers instead, if anything does
-                    silent[name] = str(failure)
+                    silent[name] = f"{failure}{arms.bus.elsewhere(joint.id)}"
                 except GonioError as failure:
                     silent[name] = str(failure)
     except GonioError as failure:

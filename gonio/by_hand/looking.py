@@ -298,6 +298,21 @@ def advice(description: RigDescription, frame: Frame, region: Roi | None) -> Adv
     return Advice(level, target, wanted, f"{word} by {by:.2g}x{more}{limit}")
 
 
+def noise_of_one(frame: Frame) -> float:
+    """Standard deviation of a pixel's noise in one frame [DN], with what rounding adds at least."""
+    size = 1 if frame.pattern == "mono" else 2
+    planes = [frame.mosaic[row::size, column::size] for row in range(size) for column in range(size)]
+    seen = max(_single_frame_noise(np.ascontiguousarray(plane, np.float32)) for plane in planes)
+    return max(seen, 1.0 / math.sqrt(12.0))
+
+
+def is_black(camera: Camera, frame: Frame) -> bool:
+    """Whether no light stands out of a frame: neither over all of it, nor in a bright place of a thousandth of it."""
+    light = signal(camera, frame)
+    median, bright = (float(level) for level in np.percentile(light, (50.0, 99.9)))
+    return median < DARK * exposure.full_scale_dn(camera, frame) and bright - median < SEEN * noise_of_one(frame)
+
+
 # ---- where the light lies ----
 
 

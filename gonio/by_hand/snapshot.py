@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gonio.acquisition import exposure
+from gonio.by_hand import looking
 from gonio.disk import write_whole
 from gonio.errors import ConfigError, DataError
 from gonio.rig import Frame, Pose, dng, imaging, kinematics
@@ -20,6 +22,9 @@ if TYPE_CHECKING:
 
     from gonio.by_hand.bench import Bench
 
+EIGHT_BITS = 256
+ROUNDING_DN = 1 / math.sqrt(12)
+"""Standard deviation of what rounding to whole numbers adds."""
 SUFFIXES = (".dng", ".tif", ".tiff", ".png")
 BINS = 256
 
@@ -50,14 +55,30 @@ class Snapshot:
 
     def _of(self, prefix: str, pixels: npt.NDArray[Any]) -> dict[str, float]:
         full = exposure.full_scale_dn(self.camera, self.frame)
-        levels = (np.asarray(pixels, dtype=np.float64) - self.frame.black_level_dn) / full
+        levels = looking.signal(self.camera, self.frame, pixels) / full
         return {
             f"{prefix}mean_dn": float(pixels.mean()),
             f"{prefix}median_dn": float(np.median(pixels)),
             f"{prefix}max_dn": float(pixels.max()),
             f"{prefix}brightest_level": float(levels.max()),
-            f"{prefix}saturated_fraction": float((levels >= exposure.SATURATED).mean()),
+            f"{prefix}saturated_fraction": float(looking.saturated(self.camera, self.frame, pixels).mean()),
         }
+
+    def remarks(self, *, lit: bool | None = None) -> list[str]:
+        """What a person should know of the frame, in sentences; `lit`: whether the lamp shone, as far as is known."""
+        said, frame = [], self.frame
+        noise_dn = looking.noise_of_one(frame)
+        if looking.is_black(self.camera, frame):
+            lamp = "the lamp is lit" if lit else "is the lamp dark" if lit is None else "the lamp is dark"
+            said.append(f"the frame is black: no light stands out of its noise ({lamp}; is the lens cap on?)")
+        if frame.white_level_dn < EIGHT_BITS:
+            top = int(np.min(frame.mosaic[looking.saturated(self.camera, frame)], initial=round(frame.white_level_dn)))
+            said.append(
+                f"8 bits: a step is {100 / exposure.full_scale_dn(self.camera, frame):.2g} % of full scale; noise of a "
+                f"pixel {noise_dn:.2g} DN, {ROUNDING_DN:.2g} of it at least from rounding; "
+                f"{100 * self.numbers()['saturated_fraction']:.3g} % of the pixels are saturated (from {top} DN)"
+            )
+        return said
 
     def draw(self) -> Figure:
         """The frame in grey with the outline of the patch, and its histogram."""

@@ -303,6 +303,8 @@ def snap(
     else:
         console.show(*(f"{name} {value:.6g}" for name, value in numbers.items()))
         console.show(*(str(name) for name in shot.files))
+    for remark in shot.remarks(lit=True if lit else None):
+        console.note(remark)
     if shot.without:
         console.note(f"no patch of the sample is drawn: {shot.without}")
 

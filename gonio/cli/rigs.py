@@ -111,6 +111,7 @@ def _check_devices(rig: Rig, rows: list[Row]) -> None:
 
     from gonio.acquisition import exposure
     from gonio.acquisition.schedule import reference_pose
+    from gonio.by_hand.looking import is_black
     from gonio.rig import Step
 
     description = rig.description
@@ -134,15 +135,15 @@ def _check_devices(rig: Rig, rows: list[Row]) -> None:
     rig.light.off()
     apart_s = lit.time_s - dark.time_s
     rows.append(("times of two frames", f"the later one is stamped {apart_s:.3f} s after the first", apart_s > 0))
-    rows.append(
-        ("lit frame", *_verdict_lit(float(np.percentile(lit.mosaic, 99)), lit.black_level_dn, scale, exposure_s))
-    )
-
-
-def _verdict_lit(bright: float, black: float, scale: float, exposure_s: float) -> tuple[str, bool]:
-    level = (bright - black) / scale
+    level = (float(np.percentile(lit.mosaic, 99)) - lit.black_level_dn) / scale
     found = f"bright pixels at {100 * level:.0f} % of full scale after {exposure_s:.3g} s"
-    return found, 0.02 < level < 0.98
+    if is_black(camera, lit):
+        found = f"black after {exposure_s:.3g} s, though the lamp says that it is lit: is the lens cap on, or its way shut?"
+    elif level >= 0.98:
+        found += ": saturated; dim the lamp, or close the aperture"
+    elif level <= 0.02:
+        found += ": hardly any light; is the lamp aligned, and the aperture open?"
+    rows.append(("lit frame", found, 0.02 < level < 0.98))
 
 
 def _small_moves(rig: Rig) -> list[tuple[str, float, float]]:

@@ -16,8 +16,8 @@ class Reading:
     """An axis ("light", "camera", "tilt", "spin", "azimuth", "changer"), "lamp", "frames" (the camera itself), or
     "interlock"."""
     quantity: str
-    """angle, temperature, current, load, voltage, torque, motion, home, error, settings (that change what it reads); of the
-    lamp state, level, monitor, lock; of the interlock contact, error.
+    """angle, temperature, current, load, voltage, torque, motion, home, error, settings (that change what it reads);
+    of the lamp state, level, monitor, lock; of the interlock contact, error.
 
     current_max and voltage_min are the extremes of all polls since the last reading of the rig's health."""
     value: float | str

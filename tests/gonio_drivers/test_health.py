@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import threading
 import time
@@ -23,10 +24,14 @@ from gonio.acquisition.measure import RigChoice, carry_out
 from gonio.acquisition.plan import load_plan
 from gonio.acquisition.progress import Live, Silent
 from gonio.acquisition.run import Run
+from gonio.acquisition.stop import Pause
+from gonio.by_hand.assistant import Assistant
+from gonio.by_hand.bench import Bench
 from gonio.cli.by_hand import app
-from gonio.errors import ConfigError, DeviceError
+from gonio.errors import ConfigError, DeviceError, EmergencyStop
 from gonio.rig import Pose
 from gonio.rig.description import RigDescription
+from tests.command_line import gonio
 from tests.gonio_drivers.conftest import be_patient
 from tests.gonio_drivers.test_lab import PLAN, SAMPLE, SCALE, assert_true, small
 
@@ -175,6 +180,98 @@ def test_an_open_contact_at_a_servo_stops_everything_until_a_person_says_so(serv
     told = CliRunner().invoke(app, ["acknowledge", "--rig", str(path)])
     assert told.exit_code == 0, told.output
     assert_true(measure(twins, tmp_path, resume=True), points=4)
+
+
+def written(twins: Twins, tmp_path: Path) -> Path:
+    path = tmp_path / "rig.toml"
+    path.write_text(rig_file(twins.description))
+    return path
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["lamp", "on", "--for", "100000"],
+        ["scan", "camera", "--from", "-40", "--to", "40", "--step", "0.5"],
+        ["snap", "a.dng", "--lamp", "--exposure", "1"],
+        ["move", "light=80"],
+        ["park"],
+        ["align", "--yes", "--out", "aligned.toml"],
+        ["check"],
+    ],
+)
+def test_a_contact_that_opens_ends_every_command_and_is_told(serve: Serve, tmp_path: Path, words: list[str]) -> None:
+    """It opens when the lamp is lit, or an axis on its way, and the command is far from its end."""
+    twins = serve(described(contact=CONTACT))
+    rig = written(twins, tmp_path)
+    moves, ended = words[0] in ("move", "park"), threading.Event()
+
+    def open_it() -> None:
+        while not (twins.servos["light"].moves() if moves else twins.lamp.shine.lit):
+            if ended.wait(0.001):
+                return
+        twins.servos["light"].contacts.clear()
+
+    watch = threading.Thread(target=open_it)
+    watch.start()
+    try:
+        done = gonio(tmp_path, "rig", *words, "--rig", rig)
+    finally:
+        ended.set()
+        watch.join()
+    assert done.returncode == 3, done.stderr
+    assert "emergency stop" in " ".join(f"{done.stderr} {done.stdout}".split()), done.stderr
+    assert not twins.lamp.shine.lit
+    # and who comes to look afterwards is told, too: the contact, and then what nobody has acknowledged
+    table = " ".join(gonio(tmp_path, "rig", "read", "--rig", rig).stdout.replace("\n", " ").split())
+    assert "BAD: error" in table
+    assert "emergency stop" in table
+    twins.servos["light"].contacts.add(CONTACT["input"])
+    said = json.loads(gonio(tmp_path, "rig", "read", "--json", "--rig", rig).stdout)["devices"]["interlock"]
+    assert "not acknowledged" in said["error"]["value"]
+    assert gonio(tmp_path, "rig", "acknowledge", "--rig", rig).returncode == 0
+    said = json.loads(gonio(tmp_path, "rig", "read", "--json", "--rig", rig).stdout)["devices"]["interlock"]
+    assert said["error"]["value"] == "none"
+
+
+def test_a_contact_that_opens_ends_live_alignment_and_a_paused_run(serve: Serve, tmp_path: Path) -> None:
+    twins = serve(described(contact=CONTACT))
+    bench = Bench(LAB.open(twins.description, sample=None, seed=0, confirm=False), "", ("arms", "light", "camera"))
+    assistant = Assistant(bench, tell=lambda what, _: None, say=lambda text: None)
+    with pytest.raises(EmergencyStop), bench:
+        bench.hold()
+        with assistant.timer:
+            assistant.obey("lamp on")
+            twins.servos["light"].contacts.clear()
+            assistant.run()
+    assert not twins.lamp.shine.lit
+    twins.servos["light"].contacts.add(CONTACT["input"])
+    assert gonio(tmp_path, "rig", "acknowledge", "--rig", written(twins, tmp_path)).returncode == 0
+
+    class Pauses(Silent):
+        """Somebody who pauses the run for good, and opens the contact then."""
+
+        def waited(self, seconds: float) -> None:
+            raise AssertionError("it went on")
+
+        def say(self, text: str) -> None:
+            if "paused" in text:
+                twins.servos["light"].contacts.clear()
+
+    plan = tmp_path / "plan.toml"
+    plan.write_text(PLAN)
+    pause = Pause()
+    pause.ask("somebody")
+    choice = RigChoice(LAB, twins.description, "twin")
+    with pytest.raises(EmergencyStop, match="the contact"):
+        carry_out(load_plan(plan), choice, tmp_path / "run", progress=Pauses(), pause=pause)
+
+
+def test_an_interlock_that_cannot_be_read_is_told(serve: Serve, tmp_path: Path) -> None:
+    twins = serve(described(contact={"port": str(tmp_path / "no-port")}))
+    done = gonio(tmp_path, "rig", "read", "--json", "--rig", written(twins, tmp_path))
+    assert done.returncode == 3
+    assert "which counts as open" in json.loads(done.stdout)["silent"]["interlock"]
 
 
 def test_while_the_contact_is_open_nothing_moves_and_no_lamp_lights_up(serve: Serve, tmp_path: Path) -> None:
