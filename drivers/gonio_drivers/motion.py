@@ -155,8 +155,8 @@ class Motion:
     def _require_progress(joint: Joint, landing: Landing) -> None:
         if landing.released > RELEASES:
             raise DeviceError(
-                f"axis {joint.name}: servo id {joint.id} has stopped {landing.released} times and came no closer to "
-                f"its goal, because nothing came over the bus for {watchdog.PERIOD_S:g} s (is this computer "
+                f"axis {joint.name}: servo id {joint.id} has stopped {landing.released} times on one way and came no "
+                f"closer to its goal, because nothing came over the bus for {watchdog.PERIOD_S:g} s (is this computer "
                 "overloaded?); all axes are stopped"
             )
 

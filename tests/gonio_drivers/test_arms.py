@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import itertools
 import math
@@ -14,11 +15,12 @@ from typing import Any
 
 import pytest
 import serial
-from gonio_drivers import joints, settings, watchdog
+from gonio_drivers import control_table, joints, settings, watchdog
 from gonio_drivers.arms import ServoArms
 from gonio_drivers.dynamixel import Bus
 from gonio_drivers.joints import COUNTS
 from gonio_sim.wire import protocol2 as p2
+from gonio_sim.wire import tables
 from gonio_sim.wire.bus import ServoBus
 from gonio_sim.wire.peer import SerialPeer, scaled_clock
 from gonio_sim.wire.registers import Refused
@@ -257,6 +259,36 @@ def test_limits_refuse_and_move_nothing(arms: ServoArms, line: Line) -> None:
 def test_a_current_limit_for_a_servo_that_has_none() -> None:
     with pytest.raises(ConfigError, match=r"axes\.tilt\.current_limit = 300: a xl430-w250 has no current limit"):
         ServoArms(describe(), servos("/dev/null", tilt={"model": "xl430-w250", "current_limit": 300}))
+
+
+@pytest.mark.parametrize(
+    ("tilt", "message"),
+    [
+        ({"current_limit": 5000}, r"axes\.tilt\.current_limit = 5000: the Current Limit of a xm430-w350 is 1 to 1193"),
+        ({"current_limit": 1194}, r"1 to 1193, in units of 2\.69 mA"),
+        ({"model": "xl330-m288", "current_limit": 1751}, r"a xl330-m288 is 1 to 1750, in units of 1 mA"),
+        ({"model": "xh430-v210", "current_limit": 690}, r"is 1 to 689"),
+        ({"homing": {"how": "stall", "current": 2000, "at_deg": 0.0}}, r"axes\.tilt\.homing\.current = 2000: .*1 to 1193"),
+        (
+            {"homing": {"how": "stall", "current": 100, "at_deg": 0.0, "speed_deg_per_s": 1.0}},
+            r"homing\.speed_deg_per_s = 1: its servo turns it at 1\.374 deg/s or more",
+        ),
+        ({"gear_ratio": 0.01}, r"axis tilt, speed_deg_per_s = 30: its servo turns it at 137\.4 deg/s or more"),
+        ({"gear_ratio": 0.1}, r"acceleration_deg_per_s2 = 90: the servo of axis tilt gives it 214\.6 to"),
+    ],
+)
+def test_what_no_register_of_the_servo_holds_is_refused_with_its_range(tilt: dict[str, Any], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        ServoArms(describe(), servos("/dev/null", tilt=tilt))
+
+
+def test_the_largest_current_limit_of_every_model_is_taken_by_its_twin() -> None:
+    """The drivers' table and the twins' were written apart; ROBOTIS e-Manual, "Current Limit(38)" of each model."""
+    for model in control_table.models().values():
+        with contextlib.suppress(ConfigError):
+            twin = tables.table(model)
+            if "Current Limit" in twin.items:
+                assert control_table.highest_current(model) == twin.ranges["Current Limit"][1], model
 
 
 def test_limits_beyond_a_turn_of_the_servo() -> None:

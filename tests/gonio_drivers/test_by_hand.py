@@ -600,6 +600,92 @@ def test_an_axis_that_was_not_named_and_lets_go_is_not_said_to_hold(twins: Twins
     assert twins.servos["camera"].get("Torque Enable") == 0
 
 
+def put(twins: Twins, axis: str, **items: int) -> None:
+    """Settings of a servo, whose torque is off, as another program left them."""
+    for name, value in items.items():
+        item = twins.servos[axis].table.items[name.replace("_", " ")]
+        twins.servos[axis].write(item.address, (value % (1 << 8 * item.size)).to_bytes(item.size, "little"))
+
+
+@pytest.mark.parametrize(
+    ("items", "named", "known"),
+    [
+        ({"Homing_Offset": 300}, "Homing Offset = 300", True),
+        ({"Homing_Offset": -1000}, "Homing Offset = -1000", True),
+        ({"Homing_Offset": 2000}, "Homing Offset = 2000", True),  # beyond a quarter of a turn it counts as none
+        ({"Operating_Mode": 4, "Homing_Offset": 2000}, "Operating Mode = 4", True),
+        ({"Operating_Mode": 1}, "Operating Mode = 1", True),
+        ({"Drive_Mode": 1}, "Drive Mode = 1", False),
+        ({"Drive_Mode": 1, "Homing_Offset": 300}, "Homing Offset = 300", False),
+    ],
+)
+def test_settings_in_a_servo_that_falsify_its_angle_are_named_and_the_true_angle_is_told(
+    twins: Twins, tmp_path: Path, items: dict[str, int], named: str, known: bool
+) -> None:
+    rig, true = written(twins, tmp_path), angle(twins, "light")
+    put(twins, "light", **items)
+    done = run(tmp_path, "rig", "read", "--json", "--rig", rig)
+    said = json.loads(done.stdout)["devices"]["light"]
+    assert done.returncode == 0, done.stderr
+    assert named in said["settings"]["value"]
+    assert ("angle" in said, "the angle is not known" in said["settings"]["value"]) == (known, not known)
+    if known:
+        assert said["angle"]["value"] == pytest.approx(true, abs=360 / 4096)  # the shaft stops somewhere in its count
+    table = run(tmp_path, "rig", "read", "--rig", rig).stdout
+    assert "BAD: settings" in table
+    found = FoundServo(twins.description.devices["servos"]["port"], twins.servos["light"].baud, 1, "xm430-w350", 46)
+    if known:  # a rig file that is made from where its axes stand now
+        count = (twins.servos["light"].travelled() + 0.5) % 4096
+        assert LAB.count_of(found) == pytest.approx(count, abs=1.0)
+    else:
+        with pytest.raises(DeviceError, match="reverse mode"):
+            LAB.count_of(found)
+
+
+def test_the_angle_that_is_read_is_where_a_move_finds_the_axis(twins: Twins, tmp_path: Path) -> None:
+    rig = written(twins, tmp_path)
+    put(twins, "light", Homing_Offset=300)
+    said = json.loads(run(tmp_path, "rig", "read", "--json", "--rig", rig).stdout)["devices"]["light"]["angle"]["value"]
+    with bench(twins, "arms") as held:  # opening resets it
+        assert math.degrees(held.arms.read().light) == pytest.approx(said, abs=360 / 4096)
+    done = run(tmp_path, "rig", "read", "--json", "--rig", rig)
+    assert "settings" not in json.loads(done.stdout)["devices"]["light"]
+
+
+def test_a_servo_at_another_line_speed_is_said_to_be_there(twins: Twins, tmp_path: Path) -> None:
+    rig = written(twins, tmp_path)
+    usual, identity = twins.servos["camera"].baud, twins.servos["camera"].id
+    put(twins, "camera", Baud_Rate=2)
+    said = json.loads(run(tmp_path, "rig", "read", "--json", "--rig", rig).stdout)["silent"]["camera"]
+    remedy = f"gonio rig ids --set-baud {identity} {usual}"
+    told = f"answers at 115200 baud, and devices.servos.baud = {usual}: {remedy}"
+    assert told in said
+    done = run(tmp_path, "rig", "move", "camera=5", "--rig", rig)
+    assert (done.returncode, told in " ".join(done.stderr.split())) == (3, True), done.stderr
+    with pytest.raises(DeviceError, match=remedy), opened_whole(twins):
+        pass
+
+
+def opened_whole(twins: Twins) -> LabRig:
+    return LAB.open(twins.description, sample=None, seed=0, confirm=False)
+
+
+def test_a_black_frame_is_called_one(twins: Twins, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    rig = written(twins, tmp_path)
+    done = run(tmp_path, "rig", "snap", "dark.dng", "--exposure", "0.01", "--rig", rig)
+    assert "the frame is black" in done.stderr
+    done = run(tmp_path, "rig", "snap", "lit.dng", "--lamp", "--exposure", "0.05", "--rig", rig)
+    assert (done.returncode, "the frame is black" in done.stderr) == (0, False), done.stderr
+    monkeypatch.setattr(twins, "_shine", lambda shine: None)  # the lens cap is on
+    twins.lamp._changed = lambda shine: None
+    done = run(tmp_path, "rig", "snap", "cap.dng", "--lamp", "--exposure", "0.05", "--rig", rig)
+    assert "the frame is black" in done.stderr
+    assert "the lamp is lit; is the lens cap on?" in " ".join(done.stderr.split())
+    done = run(tmp_path, "rig", "check", "--rig", rig)
+    assert done.returncode == 3
+    assert "is the lens cap on" in " ".join(re.sub("[^a-z ]", " ", done.stdout).split()), done.stdout
+
+
 def test_a_servo_restarts_and_one_that_is_mute_is_named(twins: Twins, tmp_path: Path) -> None:
     rig = written(twins, tmp_path)
     with bench(twins, "arms") as held:
