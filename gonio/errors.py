@@ -69,7 +69,7 @@ class Disturbed(DeviceError):
 
 
 class EmergencyStop(DeviceError):
-    """An interlock has stopped the rig: nothing may be tried again before a person has acknowledged it (exit code 3)."""
+    """An interlock has stopped the rig: nothing is tried again before a person has acknowledged it (exit code 3)."""
 
 
 class Interrupted(GonioError):

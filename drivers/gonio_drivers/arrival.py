@@ -113,7 +113,7 @@ class Landing:
 
     @property
     def position(self) -> float:
-        """Where it stands: the mean of the last readings, of an encoder that trembles of all since it moved [counts]."""
+        """Where it stands [counts]: the mean of the last readings; where they tremble, of all since it moved."""
         last = self.seen[-AVERAGED:]
         if len(last) < AVERAGED and len(self.calm) > len(last):
             last = [count for _, count in self.calm]

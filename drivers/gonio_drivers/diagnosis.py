@@ -73,15 +73,16 @@ def _bus(arms: ServoArms) -> list[Row]:
         reading = arms.look()
         times.append(1e3 * (time.perf_counter() - start))
         counts.append(reading.counts)
-    typical, worst = statistics.median(times), max(times)
+    # a slow adapter delays every reading, and a busy computer some
+    quickest, typical, worst = min(times), statistics.median(times), max(times)
     lost = arms.bus.recovered - before
-    remedy = "" if typical <= SLOW_MS else "; set the adapter's latency timer to 1 ms (docs/lab_setup.md)"
+    remedy = "" if quickest <= SLOW_MS else "; set the adapter's latency timer to 1 ms (docs/lab_setup.md)"
     noise = max(
         statistics.pstdev([c[name] for c in counts]) / abs(joint.counts_per_deg) for name, joint in arms.joints.items()
     )
     latency = f"{typical:.1f} ms for all servos, at most {worst:.1f} ms, {lost} of {READINGS} repeated{remedy}"
     return [
-        ("bus latency", latency, typical <= SLOW_MS and lost <= 1),
+        ("bus latency", latency, quickest <= SLOW_MS and lost <= 1),
         ("readback noise", f"at most {noise:.3f} deg (standard deviation at rest)", noise <= NOISE_DEG),
     ]
 

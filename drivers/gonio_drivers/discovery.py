@@ -95,9 +95,17 @@ def count_of(servo: FoundServo) -> int:
     """
     table = control_table.of_model(servo.model)
     with Bus(servo.port, servo.baud) as bus:
-        count = joints.shaft_count(lambda name: table[name].decode(bus.read(servo.id, table[name].address, table[name].size), table[name].address))
+
+        def get(name: str) -> int:
+            item = table[name]
+            return item.decode(bus.read(servo.id, item.address, item.size), item.address)
+
+        count = joints.shaft_count(get)
     if count is None:
-        raise DeviceError(f"servo id {servo.id} is in reverse mode (Drive Mode, bit 0), which no rig uses: reset it with the Dynamixel Wizard")
+        raise DeviceError(
+            f"servo id {servo.id} is in reverse mode (Drive Mode, bit 0), which no rig uses: reset it with the "
+            "Dynamixel Wizard"
+        )
     return count % joints.COUNTS
 
 

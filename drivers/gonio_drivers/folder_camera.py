@@ -3,8 +3,8 @@
 The file says what was exposed: exposure and levels come from it, and an exposure that differs from what was asked is
 not used. Files are matched to exposures by count and order. A file that is late is waited for before the next exposure,
 so that it cannot be taken for that one; one that comes twice is recognised by its bytes; a camera that writes several
-files an exposure is refused, by their count: a file that comes after it was given up belongs to its exposure. Files move into the subfolder `taken`, where the last of them stay until the run has
-copied them.
+files an exposure is refused, by their count: a file that comes after it was given up belongs to its exposure. Files
+move into the subfolder `taken`, where the last of them stay until the run has copied them.
 """
 
 from __future__ import annotations

@@ -33,6 +33,7 @@ EXPOSURES = ("ExposureTime", "ExposureTimeAbs")
 """In microseconds; the second in cameras from before the SFNC 2.0."""
 GAINS, BLACKS = ("Gain", "GainRaw"), ("BlackLevel", "BlackLevelRaw")
 BASES = {"RGGB": "BayerRG", "BGGR": "BayerBG", "GRBG": "BayerGR", "GBRG": "BayerGB", "mono": "Mono"}
+ONCE_MORE_S = 0.01
 EXPOSURE_TOLERANCE = 0.05
 """A camera counts in lines; the reduction takes what the camera says."""
 READ_BACK = 1e-3
@@ -139,14 +140,15 @@ class GenICamCamera:
         try:
             while True:
                 left = end - time.monotonic()
-                if left <= 0:
+                # `fetch` waits for ever for a whole frame; and what lies here when the time is over is taken yet
+                buffer = self._camera.try_fetch(timeout=max(left, ONCE_MORE_S), is_raw=True)
+                arrived = time.monotonic()
+                if buffer is None and left <= 0:
                     said = f"{incomplete} frames with parts missing" if incomplete else "no frame"
                     within = f"within {self._settings.timeout_s:g} s"
                     raise PassingFault(
                         f"the {self._who} gives {said} {within}; check cable, network and power", "camera"
                     )
-                buffer = self._camera.try_fetch(timeout=left, is_raw=True)  # `fetch` waits for ever for a whole frame
-                arrived = time.monotonic()
                 if buffer is None:  # the time is over, or it had parts missing
                     incomplete += arrived < end
                     continue

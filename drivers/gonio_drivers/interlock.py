@@ -258,7 +258,7 @@ class Interlock:
         return kept
 
     def survey(self) -> Health:
-        """Whether the contact is closed, and whether a stop is kept that nobody has acknowledged; nothing is changed."""
+        """Whether the contact is closed, and whether a stop waits to be acknowledged; nothing is changed by it."""
         try:
             self.contact.open()
             try:
@@ -266,7 +266,7 @@ class Interlock:
             finally:
                 self.contact.close()
         except DeviceError as failure:
-            return Health((), {NAME: f"the contact at {self.contact.name} cannot be read, which counts as open: {failure}"})
+            return Health((), {NAME: _unread(self.contact, failure)})
         kept = self.latch.why()
         wrong = [] if closed else ["emergency stop: the contact is open"]
         wrong += [f"not acknowledged: {kept} (gonio rig acknowledge)"] if kept else []
@@ -277,7 +277,7 @@ class Interlock:
         try:
             why = "" if self.contact.closed() else f"the contact at {self.contact.name} is open"
         except DeviceError as failure:
-            why = f"the contact at {self.contact.name} cannot be read, which counts as open: {failure}"
+            why = _unread(self.contact, failure)
         if why:
             self._why = why
             self._why += self.latch.set(why)
@@ -295,6 +295,10 @@ class Interlock:
             if self._ends.wait(max(0.0, begun + after_s - time.monotonic())):
                 return
             self._darken()
+
+
+def _unread(contact: Contact, failure: DeviceError) -> str:
+    return f"the contact at {contact.name} cannot be read, which counts as open: {failure}"
 
 
 def _stopped(why: str) -> str:

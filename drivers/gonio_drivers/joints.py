@@ -533,7 +533,8 @@ def _check_current_limit(joint: Joint) -> None:
     model, homing = joint.servo.model, joint.servo.homing
     if joint.servo.current_limit is not None and "Current Limit" not in joint.table:
         raise ConfigError(
-            f"{joint.key}.current_limit = {joint.servo.current_limit}: a {model} has no current limit; leave the key out"
+            f"{joint.key}.current_limit = {joint.servo.current_limit}: a {model} has no current limit; leave the key "
+            "out"
         )
     highest = control_table.highest_current(model)
     pushes = None if homing is None else homing.current

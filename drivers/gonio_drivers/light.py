@@ -288,7 +288,9 @@ class SerialLight:
     def _shine(self) -> None:
         self.allowed()
         if self._guard is not None and self._guard.over():
-            raise DeviceError(f"the lamp on {self._light.port} stays dark: its time is over, and its guard has darkened it")
+            raise DeviceError(
+                f"the lamp on {self._light.port} stays dark: its time is over, and its guard has darkened it"
+            )
         d, self.known_dark = self._dialect, False
         value = self._light.level * d.full_scale
         command = d.set.format(value=value, channel=self._channel)

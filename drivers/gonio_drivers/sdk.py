@@ -50,7 +50,7 @@ class ExclusivePort(PortHandler):  # type: ignore[misc]
         self._waited = Patience(LATE_S)
 
     def getCurrentTime(self) -> float:
-        """Milliseconds of looking: the SDK's own clock jumps with the time of day, and takes being held up for silence."""
+        """Milliseconds of looking: the SDK's own clock jumps with the time of day, and calls being held up silence."""
         return 1e3 * self._waited()
 
     def setPacketTimeout(self, packet_length: int) -> None:

@@ -20,6 +20,7 @@ from gonio.errors import ConfigError, DeviceError, PassingFault
 from gonio.rig import Frame
 from gonio.rig.description import RigDescription
 from gonio_drivers import settings
+from gonio_drivers.patience import LATE_S, Patience
 
 EXPOSURE_UNIT_S = 1e-4
 """V4L2 counts exposure in units of 100 us."""
@@ -124,7 +125,7 @@ class UvcCamera:
         """A frame that began after now: queued ones are dropped by count and by time."""
         import cv2
 
-        begin = time.monotonic()
+        begin, looked = time.monotonic(), Patience(2 * exposure_s + LATE_S)
         stamped = float(self._capture.get(cv2.CAP_PROP_POS_MSEC))
         for _ in range(self._camera.drop):
             if not self._capture.grab():
@@ -139,7 +140,7 @@ class UvcCamera:
             arrived = stamp if 0 < stamp <= now and stamp * 1e3 != stamped else now
             if arrived - exposure_s >= begin:
                 break
-            if time.monotonic() - begin > 10 * exposure_s + 5.0:
+            if looked() > 10 * exposure_s + 5.0:
                 raise DeviceError(
                     f"the video camera {self._camera.device} gives only old frames, or its time stamps lag"
                 )

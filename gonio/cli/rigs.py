@@ -138,7 +138,9 @@ def _check_devices(rig: Rig, rows: list[Row]) -> None:
     level = (float(np.percentile(lit.mosaic, 99)) - lit.black_level_dn) / scale
     found = f"bright pixels at {100 * level:.0f} % of full scale after {exposure_s:.3g} s"
     if is_black(camera, lit):
-        found = f"black after {exposure_s:.3g} s, though the lamp says that it is lit: is the lens cap on, or its way shut?"
+        found = (
+            f"black after {exposure_s:.3g} s, though the lamp says that it is lit: is the lens cap on, or its way shut?"
+        )
     elif level >= 0.98:
         found += ": saturated; dim the lamp, or close the aperture"
     elif level <= 0.02:

