@@ -247,19 +247,19 @@ class FolderCamera:
 
     def _whole(self, path: Path) -> tuple[str, Frame | DataError]:
         """Digest and frame of a file once it is whole: some programs write under the final name, bit by bit."""
-        before, looked = None, Patience()
+        before, looked, closed = None, Patience(), False
         while True:
             data = path.read_bytes()
             frame = _read(path, data)
             status = path.stat()
             now = status.st_size, status.st_mtime_ns
             if now != before:
-                before, looked = now, Patience()
+                before, looked, closed = now, Patience(), False
             whole = isinstance(frame, Frame) and status.st_size == len(data)
-            if whole or (waited := looked()) >= self._camera.timeout_s:
+            if whole or closed or looked() >= self._camera.timeout_s:
                 return hashlib.sha256(data).hexdigest(), frame
-            if waited >= WHOLE_S and not any(ports.holders_of(str(path))):
-                return hashlib.sha256(data).hexdigest(), frame
+            # nobody has it open: what is read after this is all that there will be
+            closed = looked() >= WHOLE_S and not any(ports.holders_of(str(path)))
             time.sleep(POLL_S)
 
     def _put_away(self, path: Path) -> Path:
