@@ -26,7 +26,8 @@ class Line:
     port: str
     servos: dict[int, Servo]
     faults: Faults
-    peer: SerialPeer
+    peer: SerialPeer | None
+    """None where the twins are in this process, and no port is between."""
     bus: ServoBus
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +12,7 @@ from gonio_drivers import home_mark
 from gonio_drivers.arms import ServoArms
 from gonio_drivers.service import ServoService
 from gonio_sim.wire import motion
-from gonio_sim.wire.bus import ServoBus
-from gonio_sim.wire.peer import SerialPeer, scaled_clock
+from gonio_sim.wire.peer import scaled_clock
 from gonio_sim.wire.servo import Servo
 
 from gonio.config import to_toml
@@ -21,8 +20,9 @@ from gonio.errors import ConfigError, DeviceError
 from gonio.rig import Homed, Pose
 from gonio.rig.description import ArmAxis, RigDescription
 from tests.command_line import gonio as run
-from tests.gonio_drivers.conftest import BAUD, Line, be_patient
+from tests.gonio_drivers.conftest import BAUD, Line
 from tests.gonio_drivers.test_arms import TOLERANCE_DEG, describe, servos
+from tests.gonio_drivers.virtual import on_virtual_time
 
 SCALE = 4.0
 GEAR = 4.0
@@ -37,17 +37,20 @@ SWITCH = {"how": "switch", "external_port": 1, "at_deg": 55.0, "speed_deg_per_s"
 
 
 @pytest.fixture
-def line(monkeypatch: pytest.MonkeyPatch) -> Iterator[Line]:
-    clock = scaled_clock(SCALE)
+def line(monkeypatch: pytest.MonkeyPatch) -> Line:
     places = {1: SHOWN_ZERO + STANDS_DEG * PER_DEG, 2: 2000.0, 3: 2100.0}
-    there = {k: Servo(k, clock, model="xm540-w270", baud=BAUD, position=place) for k, place in places.items()}
-    for servo in there.values():
-        servo.write(9, b"\x00")
-    bus = ServoBus(there.values())
-    with SerialPeer(bus) as peer:
-        be_patient(peer, bus.faults, monkeypatch)
-        put_stops(there[1], *(SHOWN_ZERO + stop * PER_DEG for stop in (-85.0, 85.0)))
-        yield Line(peer.port, there, bus.faults, peer, bus)
+    there: dict[int, Servo] = {}
+
+    def built() -> Iterable[Servo]:
+        clock = scaled_clock(1.0)
+        there.update({k: Servo(k, clock, model="xm540-w270", baud=BAUD, position=at) for k, at in places.items()})
+        for servo in there.values():
+            servo.write(9, b"\x00")
+        return there.values()
+
+    _, bus = on_virtual_time(monkeypatch, built)
+    put_stops(there[1], *(SHOWN_ZERO + stop * PER_DEG for stop in (-85.0, 85.0)))
+    return Line("/dev/virtual", there, bus.faults, None, bus)
 
 
 def put_stops(servo: Servo, low: float, high: float) -> None:
