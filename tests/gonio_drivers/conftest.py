@@ -90,7 +90,7 @@ def be_patient(peer: SerialPeer, faults: Faults, monkeypatch: pytest.MonkeyPatch
 
 
 @pytest.fixture
-def line(monkeypatch: pytest.MonkeyPatch) -> Iterator[Line]:
+def wired(monkeypatch: pytest.MonkeyPatch) -> Iterator[Line]:
     clock = scaled_clock(SCALE)
     servos = {k: Servo(k, clock, model="xm430-w350", baud=BAUD, position=1000.0 + 500 * k) for k in (1, 2, 3)}
     for servo in servos.values():
@@ -100,6 +100,11 @@ def line(monkeypatch: pytest.MonkeyPatch) -> Iterator[Line]:
     with SerialPeer(bus) as peer:
         be_patient(peer, faults, monkeypatch)
         yield Line(peer.port, servos, faults, peer, bus)
+
+
+@pytest.fixture
+def line(wired: Line) -> Line:
+    return wired
 
 
 @pytest.fixture

@@ -9,12 +9,12 @@ import math
 import os
 import subprocess
 import sys
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
 import pytest
 import serial
+from gonio_drivers import arms as driver
 from gonio_drivers import control_table, joints, settings, watchdog
 from gonio_drivers.arms import ServoArms
 from gonio_drivers.dynamixel import Bus
@@ -30,6 +30,7 @@ from gonio.errors import ConfigError, DeviceError
 from gonio.rig import Pose
 from gonio.rig.description import Acquisition, ArmAxis, Arms, Band, Bands, Holder, Reference, RigDescription
 from tests.gonio_drivers.conftest import BAUD, Line, be_patient, deaf_to
+from tests.gonio_drivers.virtual import on_virtual_time
 from tests.places import ROOT
 
 TOLERANCE_DEG = 0.15
@@ -63,6 +64,22 @@ def pose(light: float = 0.0, camera: float = 0.0, tilt: float = 0.0) -> Pose:
 
 def degrees(read: Pose) -> tuple[float, float, float]:
     return math.degrees(read.light), math.degrees(read.camera), math.degrees(read.tilt)
+
+
+@pytest.fixture
+def line(monkeypatch: pytest.MonkeyPatch) -> Line:
+    """Three servos in this process, on a clock that nobody waits for; `wired` has them at a port."""
+    there: dict[int, Servo] = {}
+
+    def built() -> Iterable[Servo]:
+        clock = scaled_clock(1.0)
+        there.update({k: Servo(k, clock, baud=BAUD, position=1000.0 + 500 * k) for k in (1, 2, 3)})
+        for servo in there.values():
+            servo.write(9, b"\x00")
+        return there.values()
+
+    _, bus = on_virtual_time(monkeypatch, built)
+    return Line("/dev/virtual", there, bus.faults, None, bus)
 
 
 @pytest.fixture
@@ -155,8 +172,8 @@ def test_wrong_id_names_what_is_there(line: Line) -> None:
         pass
 
 
-def test_wrong_baud_names_the_right_one(line: Line) -> None:
-    wrong = ServoArms(describe(), servos(line.port, baud=2_000_000))
+def test_wrong_baud_names_the_right_one(wired: Line) -> None:
+    wrong = ServoArms(describe(), servos(wired.port, baud=2_000_000))
     with pytest.raises(DeviceError, match=r"at 2000000 baud, but at 1000000 baud: id 1.*devices\.servos\.baud"), wrong:
         pass
 
@@ -186,38 +203,38 @@ def test_port_missing() -> None:
         pass
 
 
-def test_port_taken_by_this_program_or_another(line: Line) -> None:
+def test_port_taken_by_this_program_or_another(wired: Line) -> None:
     with (
-        ServoArms(describe(), servos(line.port)),
+        ServoArms(describe(), servos(wired.port)),
         pytest.raises(DeviceError, match=r"the port is taken"),
-        ServoArms(describe(), servos(line.port)),
+        ServoArms(describe(), servos(wired.port)),
     ):
         pass
 
 
-def test_the_lock_is_held_after_a_change_of_speed(line: Line) -> None:
-    with Bus(line.port, BAUD) as bus:
+def test_the_lock_is_held_after_a_change_of_speed(wired: Line) -> None:
+    with Bus(wired.port, BAUD) as bus:
         bus.set_baud(115_200)
         with pytest.raises(serial.SerialException):
-            serial.Serial(line.port, exclusive=True)
+            serial.Serial(wired.port, exclusive=True)
 
 
-def test_a_program_that_takes_no_lock_is_named(line: Line) -> None:
-    rival = subprocess.Popen(["sleep", "60"], stdin=os.open(line.port, os.O_RDWR | os.O_NOCTTY))
+def test_a_program_that_takes_no_lock_is_named(wired: Line) -> None:
+    rival = subprocess.Popen(["sleep", "60"], stdin=os.open(wired.port, os.O_RDWR | os.O_NOCTTY))
     try:
-        with pytest.raises(DeviceError, match=rf"taken by process {rival.pid} \(sleep\)"), Bus(line.port, BAUD):
+        with pytest.raises(DeviceError, match=rf"taken by process {rival.pid} \(sleep\)"), Bus(wired.port, BAUD):
             pass
     finally:
         rival.kill()
         rival.wait()
 
 
-def test_no_permission(line: Line, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_permission(wired: Line, monkeypatch: pytest.MonkeyPatch) -> None:
     def refused(**_: object) -> None:
         raise serial.SerialException(13, "could not open port: [Errno 13] Permission denied")
 
     monkeypatch.setattr(serial, "Serial", refused)
-    with pytest.raises(DeviceError, match=r"no permission.*usermod"), Bus(line.port, BAUD):
+    with pytest.raises(DeviceError, match=r"no permission.*usermod"), Bus(wired.port, BAUD):
         pass
 
 
@@ -373,12 +390,12 @@ def test_a_repeated_goal_moves_nothing(arms: ServoArms, line: Line) -> None:
 
 
 def test_the_readback_is_returned_and_not_the_goal(arms: ServoArms, line: Line) -> None:
-    before = time.monotonic()
+    before = driver.time.monotonic()
     read = arms.move(pose(10.04, 0, 0))
     expected = (line.servos[1].get("Present Position") - 2048) * COUNT_DEG
     assert math.degrees(read.light) == pytest.approx(expected, abs=1e-9)
     assert arms.last is not None
-    assert before < arms.last.time_s < time.monotonic()
+    assert before < arms.last.time_s < driver.time.monotonic()
 
 
 def test_park_and_stop(arms: ServoArms, line: Line) -> None:
@@ -403,10 +420,10 @@ def test_an_axis_that_is_blocked_stops_every_axis(arms: ServoArms, line: Line) -
 def test_an_axis_that_takes_too_long_stops_every_axis(
     arms: ServoArms, line: Line, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    arms.move(pose(0, 0, 0))
     monkeypatch.setattr("gonio_drivers.motion.GRACE_S", 0.2)
     monkeypatch.setattr(arms._motion, "duration_s", lambda *_: 0.1)  # this servo creeps
     line.servos[1]._limits = lambda way=0.0: (1.0, 1e6)  # type: ignore[method-assign]
-    # 0.4 s, and as long as this machine stood still
     with pytest.raises(DeviceError, match=r"no landing within \d+\.\d s: axis light"):
         arms.move(pose(80, 0, 0))
     assert at_rest(line)
@@ -717,27 +734,30 @@ def test_models_speeds_delays_and_ways_of_mounting(
     built: dict[str, tuple[int, str, int, float]],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    clock = scaled_clock(50.0)
     built = built | {"tilt": (9, "xm430-w350", 1, 1.0)}
     axes = {n: dict(zip(("id", "model", "direction", "gear_ratio"), v, strict=True)) for n, v in built.items()}
     friction = Mechanics(short_counts=8, noise_counts=1.4)
-    twins = [Servo(v[0], clock, model=v[1], baud=baud, mechanics=friction) for v in built.values()]
-    for servo in twins:
-        for address, value in ((9, delay), (11, mode), (68, level)):
-            servo.write(address, bytes([value]))
+    twins: list[Servo] = []
+
+    def made() -> list[Servo]:
+        clock = scaled_clock(1.0)
+        twins.extend(Servo(v[0], clock, model=v[1], baud=baud, mechanics=friction) for v in built.values())
+        for servo in twins:
+            for address, value in ((9, delay), (11, mode), (68, level)):
+                servo.write(address, bytes([value]))
+        return twins
+
+    on_virtual_time(monkeypatch, made)
     limits = ArmAxis(limits_deg=(-80, 80))
-    bus = ServoBus(twins)
-    with SerialPeer(bus) as peer:
-        be_patient(peer, bus.faults, monkeypatch)
-        with ServoArms(describe(light=limits, camera=limits), servos(peer.port, baud=baud, **axes)) as arms:
-            for target in [(35, -70, 20), (-77, 77, -20)]:  # friction of 8 counts needs room before a limit
-                read = degrees(arms.move(pose(*target)))
-                for name, servo, angle, goal in zip(built, twins, read, target, strict=True):
-                    count_deg = COUNT_DEG / axes[name]["gear_ratio"]  # type: ignore[operator]
-                    shaft_deg = (servo.shaft()[0] - 2048) * count_deg * axes[name]["direction"]  # type: ignore[operator]
-                    # a reading is whole counts, with 1.4 of flicker
-                    assert angle == pytest.approx(shaft_deg, abs=2 * count_deg)
-                    assert shaft_deg == pytest.approx(goal, abs=max(TOLERANCE_DEG, 1.5 * count_deg) + count_deg)
+    with ServoArms(describe(light=limits, camera=limits), servos("/dev/virtual", baud=baud, **axes)) as arms:
+        for target in [(35, -70, 20), (-77, 77, -20)]:  # friction of 8 counts needs room before a limit
+            read = degrees(arms.move(pose(*target)))
+            for name, servo, angle, goal in zip(built, twins, read, target, strict=True):
+                count_deg = COUNT_DEG / axes[name]["gear_ratio"]  # type: ignore[operator]
+                shaft_deg = (servo.shaft()[0] - 2048) * count_deg * axes[name]["direction"]  # type: ignore[operator]
+                # a reading is whole counts, with 1.4 of flicker
+                assert angle == pytest.approx(shaft_deg, abs=2 * count_deg)
+                assert shaft_deg == pytest.approx(goal, abs=max(TOLERANCE_DEG, 1.5 * count_deg) + count_deg)
 
 
 # ---- faults of the wire ----
