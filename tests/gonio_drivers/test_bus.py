@@ -35,6 +35,7 @@ def test_noise_is_passed_over_and_told(line: Line, caplog: pytest.LogCaptureFixt
         for _ in range(5):
             line.faults.arm("noise")
             assert bus.read(2, 132, 4) == (2000).to_bytes(4, "little")
+        assert line.peer is not None
         line.peer.send(b"\x55\xaa")  # between packets
         while bus._port.ser.in_waiting < 2:
             pass
