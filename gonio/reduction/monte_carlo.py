@@ -184,6 +184,8 @@ class _Inputs:
         g, radius = description.geometry, description.acquisition.roi_radius_mm
         patches = [over_patch(p.directions, radius, g.light_distance_mm, g.camera_distance_mm) for p in self._points]
         self._patch = np.array([patch @ _along_x(a) for patch, a in zip(patches, azimuths, strict=True)])
+        values, vectors = np.linalg.eigh(self._c["doubts"])
+        self._doubts = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
         self._curves = _curves(goals, self._place, self._log)
 
     def evaluate(self, rng: np.random.Generator, count: int) -> Floats:
@@ -237,22 +239,22 @@ class _Inputs:
         return np.asarray((1.0 + prnu * (shared / n * reference + own)) / (1.0 + prnu * reference))
 
     def _changes(self, rng: np.random.Generator, moved: Floats) -> Floats:
-        """What lobe and spike change by where the axes truly stand elsewhere [1/sr]; `moved`: x, y, theta_i [rad]."""
+        """What lobe and spike change by where the axes truly stand elsewhere [1/sr]; `moved`: x, y, theta_i, turn."""
         c = self._c
-        dx, dy, di = np.moveaxis(moved, -1, 0)
+        dx, dy, di, _ = np.moveaxis(moved, -1, 0)
         along = dx - di
         log = np.empty(along.shape)
         for k, curve in enumerate(self._curves):
             at = self._place[k, 0] - self._place[k, 2]
             log[:, k] = (
-                c["slope_x"][k] / self._size[k] * along[:, k]
+                c["slope"][k, 0] / self._size[k] * along[:, k]
                 if curve is None
                 else (curve(at + along[:, k]) - curve(at))
             )
-        log += (c["slope_x"] + c["slope_theta_i"]) / self._size * di + c["slope_y"] / self._size * dy
-        far = np.hypot(along, dy)
-        log += c["u_slope"] / self._size * rng.standard_normal(far.shape) * far
-        log += c["u_slope_theta_i"] / self._size * rng.standard_normal(far.shape) * di
+        # beyond what the step along the curve does already
+        log += np.einsum("dpx,px->dp", moved, c["slope"] / self._size[:, None]) - c["slope"][:, 0] / self._size * along
+        wrong = np.einsum("pxy,dpy->dpx", self._doubts, rng.standard_normal(moved.shape))
+        log += np.einsum("dpx,dpx->dp", moved, wrong) / self._size
         before = self._small * np.sinh(self._log)
         after = self._small * np.sinh(self._log + log)
         near = np.flatnonzero(self._near)
@@ -292,8 +294,8 @@ def _curves(goals: Directions, place: Floats, log: Floats) -> list[Callable[[Flo
 
 
 def _from_mirror(place: Floats) -> tuple[Floats, Floats]:
-    """`Directions.from_mirror` and `Directions.mirror_offset` of places (x, y, theta_i)."""
-    x, y, theta_i = np.moveaxis(place, -1, 0)
+    """`Directions.from_mirror` and `Directions.mirror_offset` of places (x, y, theta_i, turn)."""
+    x, y, theta_i, _ = np.moveaxis(place, -1, 0)
     d = Directions(theta_i, np.full_like(x, math.pi), np.hypot(x, y), np.arctan2(y, x))
     return d.from_mirror, d.mirror_offset
 
@@ -319,7 +321,7 @@ def _by(pose: Pose, axis: str, step: float) -> Pose:
 
 
 def _turn(description: RigDescription, pose: Pose, azimuth: float, axis: str) -> Floats:
-    """How x, y and theta_i follow an axis."""
+    """How x, y, theta_i and the turn follow an axis."""
     there, back = (_place(description, _by(pose, axis, sign * STEP), azimuth) for sign in (1.0, -1.0))
     return np.asarray((there - back) / (2.0 * STEP))
 
