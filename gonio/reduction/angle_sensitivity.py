@@ -131,7 +131,7 @@ class Curves:
             )
             beside = ~near[curve]
             curve, bound = curve[beside], bound[beside]
-            more = np.maximum(bound - abs(self.slope[curve, 0]), 0.0) ** 2 / 3.0
+            more = np.maximum(bound - abs(self.slope[curve, 0]), 0.0) ** 2
             short = np.maximum(more - self._doubt[curve, 0, 0], 0.0)
             self._doubt[curve] += short[:, None, None] * ACROSS_MIRROR
 

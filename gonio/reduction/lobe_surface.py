@@ -15,11 +15,10 @@ many points on a lobe tell it closely, and with few points what is stated goes o
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import LinAlgError, cho_factor, cho_solve
+from scipy.linalg import LinAlgError, cho_factor, cho_solve, solve_triangular
 from scipy.optimize import minimize
 from scipy.spatial import cKDTree
 from scipy.special import ndtri
@@ -27,103 +26,139 @@ from scipy.special import ndtri
 from gonio.typing import Floats
 
 USUAL = np.log([1.0, 0.3, 0.3, 0.35, 0.5, 0.5, 0.3])
-"""Where the logarithms of p, q and r, of the lengths in theta_h, cos theta_d and the cosines' difference, and of A and B
-lie before anything is measured: standard deviations of ln f, and radians or parts of 1."""
+"""Where the logarithms of sizes and lengths lie before anything is measured: of p, q and r [standard deviations of ln f],
+of the lengths in theta_h [rad], cos theta_d and the cosines' difference, and of A and B."""
 SPREAD = np.array([1.0, 1.0, 1.0, 0.6, 0.6, 0.6, 1.0])
 """Their standard deviations."""
 OFFSET = 100.0
 """Variance of c: the level is not known before."""
 FAINTEST = 3e-4
 """Relative standard uncertainty of a value at least: readings of the angles scatter values, too."""
-STEP = 1e-3
-"""Of the differences that stand for slopes [rad]."""
+STEP = 1e-4
+"""Of the differences that tell how theta_h and the others follow x, y and theta_i [rad]."""
 BEND = math.radians(0.5)
-"""Of those for curvatures [rad]."""
-ALLOWED = 15
+"""Of those for curvatures of ln f [rad]."""
+ALLOWED = 7
 """Further sets of sizes and lengths that slopes are averaged over."""
 EXACT = 128
-"""With more points than this, so many teach the sizes and lengths, and each slope is told by `NEAREST` and `APART`."""
-NEAREST, APART = 48, 32
-AT_ONCE = 128
-"""Points whose slopes are computed together: a few megabytes."""
+"""So many points at most teach the sizes and lengths, and so many tell the slopes of one place."""
+TOGETHER, APART = 48, 32
+"""Where there are more: places whose slopes are computed together, and how many points far from them are asked."""
 DIRECTED = 6.0
 """A sample has a direction where that raises the logarithm of the likelihood by more."""
 LOWEST = 0.02
 """Cosines below this are taken for it: logarithms have no end there."""
+HALF, DIFFERENCE, SOURCE, DETECTOR, TILTED, TURNED = range(6)
+"""Coordinates: theta_h, cos theta_d, cos theta_i, cos theta_r, sin^2 theta_h, and the half vector's azimuth."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Pairs:
-    """What the covariance of two sets of points depends on, for each pair."""
+class _Covariance:
+    """The covariance of ln f between two sets of coordinates (..., 6) that broadcast, with its derivatives."""
 
-    less: Floats
-    """Difference of theta_h."""
-    more: Floats
-    """Sum of theta_h."""
-    difference: Floats
-    """Difference of cos theta_d."""
-    cosines: Floats
-    """Difference of cos theta_i - cos theta_r."""
-    grazing: Floats
-    turned: Floats
-    """Of the parts with a direction, without their size and length."""
+    def __init__(self, p: Floats, q: Floats) -> None:
+        at, to = np.moveaxis(p, -1, 0), np.moveaxis(q, -1, 0)
+        self._less, self._more = at[HALF] - to[HALF], at[HALF] + to[HALF]
+        self._difference = at[DIFFERENCE] - to[DIFFERENCE]
+        self._cosines = at[SOURCE] - at[DETECTOR] - to[SOURCE] + to[DETECTOR]
+        self._logs = np.log(to[SOURCE]), np.log(to[DETECTOR])
+        self._grazing = np.log(at[SOURCE]) * self._logs[0] + np.log(at[DETECTOR]) * self._logs[1]
+        self._at, self._to = at, to
 
-    @classmethod
-    def of(cls, p: Floats, q: Floats) -> _Pairs:
-        """Of coordinates (..., 7) that broadcast."""
-        return cls(
-            abs(p[..., 0] - q[..., 0]),
-            p[..., 0] + q[..., 0],
-            abs(p[..., 1] - q[..., 1]),
-            abs(p[..., 2] - p[..., 3] - q[..., 2] + q[..., 3]),
-            np.log(p[..., 2]) * np.log(q[..., 2]) + np.log(p[..., 3]) * np.log(q[..., 3]),
-            p[..., 4] * q[..., 4] * np.cos(2.0 * (p[..., 5] - q[..., 5])),
-        )
+    def of(self, logs: Floats) -> Floats:
+        """Itself, for the logarithms of sizes and lengths; what its derivatives are made of is kept."""
+        self._p, self._q, self._r, *lengths = np.exp(logs[:6]).tolist()
+        less, self._by_less = _smooth(self._less, lengths[0])
+        more, self._by_more = _smooth(self._more, lengths[0])
+        self._d, self._by_difference = _kinked(self._difference, lengths[1])
+        self._w, self._by_cosines = _kinked(self._cosines, lengths[2])
+        self._even = less + more
+        self._mixed = self._p**2 + self._q**2 * self._d * self._w + self._r**2 * self._grazing
+        out = OFFSET + self._even * self._mixed + self._r**2 * self._grazing
+        self._size = float(np.exp(logs[6])) ** 2 if logs.size > 6 else 0.0
+        if self._size:
+            self._turn = 2.0 * (self._at[TURNED] - self._to[TURNED])
+            self._round = np.cos(self._turn) * less
+            out = out + self._size * self._round * self._at[TILTED] * self._to[TILTED]
+        return np.asarray(out)
 
-    def covariance(self, logs: Floats) -> tuple[Floats, list[Floats]]:
-        """Of ln f, and its derivatives by the logarithms of sizes and lengths."""
-        p, q, r, in_half, in_difference, in_cosines, *turned = np.exp(logs).tolist()
-        less, by_less = _smooth(self.less / in_half)
-        more, by_more = _smooth(self.more / in_half)
-        difference, by_difference = _kinked(self.difference / in_difference)
-        cosines, by_cosines = _kinked(self.cosines / in_cosines)
-        even, departs = less + more, q * q * difference * cosines
-        mixed = p * p + departs + r * r * self.grazing
-        out = OFFSET + even * mixed + r * r * self.grazing
-        by = [
-            2.0 * p * p * even,
-            2.0 * even * departs,
-            2.0 * r * r * (1.0 + even) * self.grazing,
-            (by_less + by_more) * mixed,
-            even * q * q * by_difference * cosines,
-            even * q * q * difference * by_cosines,
+    def by_logs(self) -> list[Floats]:
+        """Its derivatives by the logarithms of sizes and lengths."""
+        departs = self._q**2 * self._even
+        out = [
+            2.0 * self._p**2 * self._even,
+            2.0 * departs * self._d * self._w,
+            2.0 * self._r**2 * (1.0 + self._even) * self._grazing,
+            -(self._by_less * self._less**2 + self._by_more * self._more**2) * self._mixed,
+            -departs * self._by_difference * self._difference**2 * self._w,
+            -departs * self._by_cosines * self._cosines**2 * self._d,
         ]
-        if turned:
-            own = turned[0] ** 2 * self.turned
-            out = out + own * less
-            by[3] = by[3] + own * by_less
-            by.append(2.0 * own * less)
-        return out, by
+        if self._size:
+            tilted = self._size * self._at[TILTED] * self._to[TILTED]
+            out[3] = out[3] - tilted * np.cos(self._turn) * self._by_less * self._less**2
+            out.append(2.0 * tilted * self._round)
+        return out
+
+    def by_first(self) -> Floats:
+        """Its derivatives by the coordinates of the first set, which come first in the shape."""
+        departs, grazing = self._q**2 * self._even, self._r**2 * (1.0 + self._even)
+        by_cosines = departs * self._d * self._by_cosines * self._cosines
+        out = [
+            (self._by_less * self._less + self._by_more * self._more) * self._mixed,
+            departs * self._w * self._by_difference * self._difference,
+            by_cosines + grazing * self._logs[0] / self._at[SOURCE],
+            -by_cosines + grazing * self._logs[1] / self._at[DETECTOR],
+        ]
+        if self._size:
+            both = self._size * self._at[TILTED] * self._to[TILTED]
+            out[0] = out[0] + both * np.cos(self._turn) * self._by_less * self._less
+            out += [self._size * self._to[TILTED] * self._round, -2.0 * both * np.tan(self._turn) * self._round]
+        return np.array(np.broadcast_arrays(*out))
 
 
-def _smooth(x: Floats) -> tuple[Floats, Floats]:
-    """Matern's covariance of 5/2 at a distance over its length, and its derivative by the logarithm of the length."""
-    x = math.sqrt(5.0) * x
+def _of_slopes(at: Floats, logs: Floats) -> Floats:
+    """Covariance of the derivatives of ln f by its coordinates at one place, before anything is measured; (n, 6, 6)."""
+    p, q, r, in_half, in_difference, in_cosines = np.exp(logs[:6])
+    theta_h, _, source, detector, tilted, _ = at.T
+    value, falls = _smooth(2.0 * theta_h, in_half)
+    x = math.sqrt(5.0) * 2.0 * theta_h / in_half
+    steepest, even = 5.0 / (3.0 * in_half**2), 1.0 + value
+    by_source, by_detector = np.log(source) / source, np.log(detector) / detector
+    mixed = p * p + q * q + r * r * (np.log(source) ** 2 + np.log(detector) ** 2)
+    out = np.zeros((len(at), 6, 6))
+    out[:, HALF, HALF] = steepest * mixed * (1.0 - (1.0 + x - x * x) * np.exp(-x))
+    out[:, DIFFERENCE, DIFFERENCE] = even * q * q * 3.0 / in_difference**2
+    apart = even * q * q * 3.0 / in_cosines**2
+    out[:, SOURCE, SOURCE] = apart + r * r * (1.0 + even) / source**2
+    out[:, DETECTOR, DETECTOR] = apart + r * r * (1.0 + even) / detector**2
+    out[:, SOURCE, DETECTOR] = out[:, DETECTOR, SOURCE] = -apart
+    for which, by in ((SOURCE, by_source), (DETECTOR, by_detector)):
+        out[:, HALF, which] = out[:, which, HALF] = r * r * by * falls * 2.0 * theta_h
+    if logs.size > 6:
+        size = np.exp(2.0 * logs[6])
+        out[:, HALF, HALF] += size * tilted**2 * steepest
+        out[:, TILTED, TILTED] = size
+        out[:, TURNED, TURNED] = 4.0 * size * tilted**2
+    return out
+
+
+def _smooth(distance: Floats, length: float) -> tuple[Floats, Floats]:
+    """Matern's covariance of 5/2 over a signed distance, and its derivative over that distance."""
+    x = math.sqrt(5.0) / length * np.abs(distance)
     falls = np.exp(-x)
-    return (1.0 + x + x * x / 3.0) * falls, x * x * (1.0 + x) / 3.0 * falls
+    return (1.0 + x + x * x / 3.0) * falls, -5.0 / (3.0 * length**2) * (1.0 + x) * falls
 
 
-def _kinked(x: Floats) -> tuple[Floats, Floats]:
+def _kinked(distance: Floats, length: float) -> tuple[Floats, Floats]:
     """The same of 3/2: shadowing sets in with a kink."""
-    x = math.sqrt(3.0) * x
+    x = math.sqrt(3.0) / length * np.abs(distance)
     falls = np.exp(-x)
-    return (1.0 + x) * falls, x * x * falls
+    return (1.0 + x) * falls, -3.0 / length**2 * falls
 
 
 def coordinates(places: Floats) -> Floats:
-    """(theta_h, cos theta_d, cos theta_i, cos theta_r, sin^2 theta_h, phi_h) of places (x, y, theta_i, turn) [rad].
+    """Coordinates (..., 6) of places (x, y, theta_i, turn) [rad].
 
-    Places are those of `angle_sensitivity.from_above`, with the azimuth of the plane of incidence on the sample.
+    Places are those of `angle_sensitivity.from_above`.
     """
     x, y, theta_i, turn = np.moveaxis(places, -1, 0)
     theta_r = np.hypot(x, y)
@@ -160,18 +195,17 @@ class Surface:
     def __init__(self, places: Floats, log: Floats, u: Floats) -> None:
         self._at, self._level = coordinates(places), float(np.mean(log))
         self._log, self._variance = log - self._level, u**2 + FAINTEST**2
-        taught = np.arange(log.size) if log.size <= EXACT else self._spread(EXACT)
-        self._pairs = _Pairs.of(self._at[taught, None], self._at[taught])
-        self._taught = taught
+        self._few = log.size <= EXACT
+        self._taught = np.arange(log.size) if self._few else self._spread(EXACT)
+        self._pairs = _Covariance(self._at[self._taught, None], self._at[self._taught])
         found, cost = self._learn(USUAL[:6])
-        if np.ptp(np.cos(2.0 * self._at[:, 5])) + np.ptp(np.sin(2.0 * self._at[:, 5])) > 1e-3:
+        if np.ptp(np.cos(2.0 * self._at[:, TURNED])) + np.ptp(np.sin(2.0 * self._at[:, TURNED])) > 1e-3:
             turned, lower = self._learn(np.append(found, USUAL[6]))
             if cost - lower > DIRECTED:
                 found = turned
-        self._sets, self._weights = self._allowed(found) if log.size <= EXACT else (found[None], np.ones(1))
-        if log.size > EXACT:
-            self._common = self._spread(APART)
-            self._tree = cKDTree(self._scaled(self._at))
+        self._sets, self._weights = self._allowed(found)
+        if not self._few:
+            self._common, self._tree = self._spread(APART), cKDTree(self._scaled(self._at))
 
     def _spread(self, count: int) -> npt.NDArray[np.intp]:
         """Points of which one half is far apart, and the other as dense as all are."""
@@ -187,7 +221,7 @@ class Surface:
 
     def _cost(self, logs: Floats) -> tuple[float, Floats]:
         """-ln(likelihood times what is known before), and its derivatives."""
-        covariance, by = self._pairs.covariance(logs)
+        covariance = self._pairs.of(logs)
         log, size = self._log[self._taught], logs.size
         away = (logs - USUAL[:size]) / SPREAD[:size]
         try:
@@ -198,7 +232,7 @@ class Surface:
         solved = inverse @ log
         cost = 0.5 * log @ solved + np.sum(np.log(np.diag(factor[0]))) + 0.5 * away @ away
         rest = inverse - np.outer(solved, solved)
-        return float(cost), np.array([0.5 * np.sum(rest * one) for one in by]) + away / SPREAD[:size]
+        return float(cost), np.array([0.5 * np.sum(rest * one) for one in self._pairs.by_logs()]) + away / SPREAD[:size]
 
     def _learn(self, start: Floats) -> tuple[Floats, float]:
         """The most probable sizes and lengths, and their cost."""
@@ -238,55 +272,64 @@ class Surface:
         bend : (n, 2) array
             Second derivatives along x and y.
         """
-        out = np.zeros((len(places), 4)), np.zeros((len(places), 4, 4)), np.zeros((len(places), 2))
-        for start in range(0, len(places), AT_ONCE):
-            some = slice(start, start + AT_ONCE)
-            for whole, part in zip(out, self._slopes(places[some]), strict=True):
-                whole[some] = part
+        at, scale = coordinates(places), STEP * np.eye(4)
+        by_place = coordinates(places[:, None] + scale) - coordinates(places[:, None] - scale)
+        by_place[..., TURNED] = np.remainder(by_place[..., TURNED] + math.pi, 2.0 * math.pi) - math.pi
+        by_place = np.swapaxes(by_place, 1, 2) / (2.0 * STEP)
+        slope, covariance, bend = np.zeros((len(at), 4)), np.zeros((len(at), 4, 4)), np.zeros((len(at), 2))
+        for some, used in self._blocks(at):
+            mean, covariances = self._of_coordinates(at[some], used)
+            turn = by_place[some, : mean.shape[1]]
+            slope[some] = np.einsum("nc,ncx->nx", mean, turn)
+            covariance[some] = np.einsum("ncx,ncd,ndy->nxy", turn, covariances, turn)
+            bend[some] = self._bends(places[some], used)
+        return slope, covariance, bend
+
+    def _blocks(self, at: Floats) -> list[tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]]:
+        """Places that are computed together, and the points that tell their slopes."""
+        everything = np.arange(self._log.size)
+        if self._few:
+            return [(some, everything) for some in np.array_split(np.arange(len(at)), math.ceil(len(at) / EXACT))]
+        scaled, blocks, out = self._scaled(at), [np.arange(len(at))], []
+        while blocks:
+            block = blocks.pop()
+            if block.size > TOGETHER:
+                widest = int(np.argmax(np.ptp(scaled[block], axis=0)))
+                order = block[np.argsort(scaled[block, widest], kind="stable")]
+                blocks += [order[: order.size // 2], order[order.size // 2 :]]
+                continue
+            near = self._tree.query(scaled[block].mean(axis=0), k=EXACT - APART)[1]
+            out.append((block, np.union1d(near, self._common)))
         return out
 
-    def _slopes(self, places: Floats) -> tuple[Floats, Floats, Floats]:
-        step, bend = STEP * np.eye(4), BEND * np.eye(4)[:2]
-        moves = np.concatenate([step, -step, bend, -bend, np.zeros((1, 4))])
-        at = coordinates(places[:, None] + moves)
-        first = np.concatenate([np.eye(4), -np.eye(4), np.zeros((5, 4))]).T / (2.0 * STEP)
-        second = np.concatenate([np.zeros((8, 2)), np.eye(2), np.eye(2), np.full((1, 2), -2.0)]).T / BEND**2
-        used, variance = self._telling(at[:, -1])
-        known, log = self._at[used], self._log[used]
-        among, toward = _Pairs.of(known[:, :, None], known[:, None]), _Pairs.of(at[:, :, None], known[:, None])
-        own, diagonal = _Pairs.of(at[:, :8, None], at[:, None, :8]), np.arange(used.shape[1])
-        means, covariances, bends = [], [], []
+    def _factor(self, used: npt.NDArray[np.intp], logs: Floats) -> tuple[Floats, bool]:
+        """Cholesky's factor of the covariance of some values."""
+        among = _Covariance(self._at[used, None], self._at[used]).of(logs)
+        return cho_factor(among + np.diag(self._variance[used]), lower=True, overwrite_a=True)
+
+    def _of_coordinates(self, at: Floats, used: npt.NDArray[np.intp]) -> tuple[Floats, Floats]:
+        """Derivatives of ln f by coordinates (n, c), and their covariances."""
+        toward = _Covariance(at[:, None], self._at[used])
+        means, covariances = [], []
         for logs in self._sets:
-            covariance, cross = among.covariance(logs)[0], toward.covariance(logs)[0]
-            covariance[:, diagonal, diagonal] += variance
-            rows = np.concatenate([first @ cross, second @ cross], axis=1)
-            # rows times the inverse; one factor for all places where the same points tell all of them
-            solved = np.linalg.solve(covariance, np.swapaxes(rows if len(used) > 1 else _flat(rows), 1, 2))
-            solved = np.swapaxes(solved, 1, 2).reshape(rows.shape)
-            mean = np.sum(solved * log[:, None], axis=2)
-            means.append(mean[:, :4])
-            bends.append(mean[:, 4:])
-            prior = first[:, :8] @ own.covariance(logs)[0] @ first[:, :8].T
-            covariances.append(prior - rows[:, :4] @ np.swapaxes(solved[:, :4], 1, 2))
-        mean = np.einsum("s,sni->ni", self._weights, np.array(means))
+            factor = self._factor(used, logs)
+            toward.of(logs)
+            rows = np.moveaxis(toward.by_first(), 0, 1)
+            solved = solve_triangular(factor[0], rows.reshape(-1, used.size).T, lower=True)
+            white = solve_triangular(factor[0], self._log[used], lower=True)
+            solved = np.moveaxis(solved.reshape(used.size, *rows.shape[:2]), 0, 2)
+            means.append(solved @ white)
+            count = rows.shape[1]
+            covariances.append(_of_slopes(at, logs)[:, :count, :count] - solved @ np.swapaxes(solved, 1, 2))
+        mean = np.einsum("s,snc->nc", self._weights, np.array(means))
         off = np.array(means) - mean
-        covariance = np.einsum("s,snij->nij", self._weights, np.array(covariances))
-        covariance += np.einsum("s,sni,snj->nij", self._weights, off, off)
-        return mean, covariance, np.einsum("s,sni->ni", self._weights, np.array(bends))
+        covariance = np.einsum("s,sncd->ncd", self._weights, np.array(covariances))
+        return mean, covariance + np.einsum("s,snc,snd->ncd", self._weights, off, off)
 
-    def _telling(self, at: Floats) -> tuple[npt.NDArray[np.intp], Floats]:
-        """The points that tell the slopes at some coordinates, a row for each or one for all, and their variances."""
-        if self._log.size <= EXACT:
-            used = np.arange(self._log.size)[None]
-            return used, self._variance[used]
-        near = self._tree.query(self._scaled(at), k=NEAREST)[1]
-        twice = (near[:, :, None] == self._common).any(axis=1)
-        used = np.concatenate([near, np.broadcast_to(self._common, twice.shape)], axis=1)
-        variance = self._variance[used]
-        variance[:, NEAREST:][twice] = 1e6 * OFFSET  # a point counts once
-        return used, variance
-
-
-def _flat(rows: Floats) -> Floats:
-    """The rows of all places as those of one."""
-    return rows.reshape(1, -1, rows.shape[2])
+    def _bends(self, places: Floats, used: npt.NDArray[np.intp]) -> Floats:
+        """Second derivatives of ln f along x and y, of the most probable set."""
+        moves = np.concatenate([BEND * np.eye(4)[:2], -BEND * np.eye(4)[:2], np.zeros((1, 4))])
+        solved = cho_solve(self._factor(used, self._sets[0]), self._log[used])
+        toward = _Covariance(coordinates(places[:, None] + moves)[:, :, None], self._at[used])
+        values = toward.of(self._sets[0]) @ solved
+        return np.asarray((values[:, :2] + values[:, 2:4] - 2.0 * values[:, 4:]) / BEND**2)
