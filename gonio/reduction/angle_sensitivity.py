@@ -34,6 +34,8 @@ NARROWEST = math.radians(0.2)
 """Points closer than this do not tell a slope: encoder steps and noise would."""
 UNDER_SPIKE = 0.03
 """Relative standard uncertainty of a lobe under a spike, at least."""
+UNRESOLVED = 1.0
+"""Steps over which ln f may change by more do not resolve a lobe."""
 WITH_MIRROR = np.array([1.0, 0.0, 1.0, 0.0])
 """A step of the source that the detector follows: the mirror direction goes with it."""
 ACROSS_MIRROR = np.array([[1.0, 0.0, -1.0, 0.0], [0.0, 1.0, 0.0, 0.0], [-1.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 0.0]])
@@ -113,9 +115,16 @@ class Curves:
             slope, covariance, bend = surface.slopes(self._places)
             self.slope, self._doubt = slope * size[:, None], covariance * size[:, None, None] ** 2
             self.bend = abs(bend * size[:, None] + slope[:, :2] ** 2 * self.lobe[:, None])
-        self._bound(brdf, u, near, [group[in_plane[group]] for group in groups])
+        self._bound(brdf, u, size, near, [group[in_plane[group]] for group in groups])
 
-    def _bound(self, brdf: Floats, u: Floats, near: npt.NDArray[np.bool_], lines: list[npt.NDArray[np.intp]]) -> None:
+    def _bound(
+        self,
+        brdf: Floats,
+        u: Floats,
+        size: Floats,
+        near: npt.NDArray[np.bool_],
+        lines: list[npt.NDArray[np.intp]],
+    ) -> None:
         """Hold the slopes' uncertainties against the steepest that lobes may be (`gonio.reduction.narrow_lobes`).
 
         Points that may see a spike (`near`) are left to what is known of that.
@@ -129,11 +138,13 @@ class Curves:
             bound, _ = steepest(
                 (x - theta_i)[curve], values, u[curve], theta_i[curve], abs(x[curve]), self._half_angles, apart
             )
-            beside = ~near[curve]
-            curve, bound = curve[beside], bound[beside]
-            more = np.maximum(bound - abs(self.slope[curve, 0]), 0.0) ** 2
-            short = np.maximum(more - self._doubt[curve, 0, 0], 0.0)
-            self._doubt[curve] += short[:, None, None] * ACROSS_MIRROR
+            gaps = np.diff((x - theta_i)[curve])
+            step = np.maximum(np.append(gaps, 0.0), np.append(0.0, gaps))
+            # elsewhere the points tell the slope themselves
+            coarse = ~near[curve] & (bound * step > UNRESOLVED * size[curve]) & (step > 0.0)
+            curve, bound = curve[coarse], bound[coarse]
+            more = bound**2 - self.slope[curve, 0] ** 2 - self._doubt[curve, 0, 0]
+            self._doubt[curve] += np.maximum(more, 0.0)[:, None, None] * ACROSS_MIRROR
 
     def value(self, k: int, d: Directions) -> float:
         """f [1/sr] at directions near those of point k."""
