@@ -107,11 +107,14 @@ class Curves:
             np.zeros((len(brdf), 4, 4)),
             np.zeros((len(brdf), 2)),
         )
+        self.directed = False
+        """Whether the sample has a direction: its values change as it spins."""
         if len(brdf):
             u_lobe = np.sqrt(u**2 + self.spikes.variance + near * (UNDER_SPIKE * self.lobe) ** 2)
             tells = self.spikes.told | ~near
             tells = tells if tells.any() else np.ones_like(tells)
             surface = Surface(self._places[tells], log[tells], (u_lobe / size)[tells])
+            self.directed = surface.directed
             slope, covariance, bend = surface.slopes(self._places)
             self.slope, self._doubt = slope * size[:, None], covariance * size[:, None, None] ** 2
             self.bend = abs(bend * size[:, None] + slope[:, :2] ** 2 * self.lobe[:, None])

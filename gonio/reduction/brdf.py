@@ -90,7 +90,7 @@ def reduce_in_parts(run: Run, *, progress: Callable[[int, int], None] | None = N
         Causes: `s_reference` (the certificate), `s_reference_noise` (mean level of the visits), `s_lamp_drift`, from
         three visits on `s_lamp_wander_1` to at most `s_lamp_wander_4` (what the lamp may do between visits),
         `s_dark_1` to `s_dark_3` (noise of the dark frames), `s_theta_i_zero`, `s_theta_r_zero` and, with those axes,
-        `s_tilt_zero`, `s_azimuth_zero`; `s_geometry_1` to at most `s_geometry_4` (what a calibration leaves open of the
+        `s_tilt_zero`, `s_azimuth_zero`, `s_spin_zero`; `s_geometry_1` to at most `s_geometry_4` (what a calibration leaves open of the
         rig's geometry); and where the rig file or a calibration tells of them `s_linearity`, `s_stray_light`, `s_beam`,
         `s_polarisation`, `s_wavelength`, `s_bandwidth`. A plan with points behind the sample gives a column `side`.
 
@@ -289,7 +289,9 @@ def _columns(
     goals = Directions.from_table(frames.run.plan)[[point.point for point in points]]
     goals = _turned_over(goals, bool(len(goals)) and _behind(goals[0]))
     cones = math.radians(description.lamp.half_angle_deg), math.radians(description.camera.lens_half_angle_deg)
-    shares = _shares(frames, points, [*encoder.items(), *zeros.items()], cones, band)
+    # a spin turns the lamp's mirror image and the lens alike
+    errors = [(axis, u) for axis, u in (*encoder.items(), *zeros.items()) if axis != "spin"]
+    shares = _shares(frames, points, errors, cones, band)
     read = Directions.stack([point.directions for point in points])
     curves = angle_sensitivity.Curves(
         goals, read, brdf, np.sqrt(independent), cones, shares, filling(description) == "under"
@@ -443,7 +445,7 @@ def _effects(
     And how uncertain [1/sr] the odd ones are, because steps are coarser than the lobe is wide.
     """
     out = np.zeros((3, len(points)))
-    if u > 0:
+    if u > 0 and (axis != "spin" or curves.directed):
         for k, point in enumerate(points):
             plus, minus = (_moved(description, point.pose, axis, by) for by in (u, -u))
             out[:, k] = *curves.effects(k, point.directions, plus, minus), curves.doubt(k, plus)

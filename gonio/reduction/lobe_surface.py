@@ -203,6 +203,8 @@ class Surface:
             turned, lower = self._learn(np.append(found, USUAL[6]))
             if cost - lower > DIRECTED:
                 found = turned
+        self.directed = found.size > 6
+        """Whether the values say that the sample has a direction."""
         self._sets, self._weights = self._allowed(found)
         if not self._few:
             self._common, self._tree = self._spread(APART), cKDTree(self._scaled(self._at))

@@ -39,7 +39,7 @@ AT_ONCE = 50
 """Draws that are computed together."""
 STEP = 1e-4
 """[rad]: of the differences that tell how directions follow the axes, which they do smoothly."""
-FORMULA = ("s_theta_i_zero", "s_theta_r_zero", "s_tilt_zero", "s_azimuth_zero", *COMMON, *DARK)
+FORMULA = ("s_theta_i_zero", "s_theta_r_zero", "s_tilt_zero", "s_azimuth_zero", "s_spin_zero", *COMMON, *DARK)
 """Columns whose causes are drawn as inputs."""
 
 

@@ -45,8 +45,14 @@ LIGHT = ("s_beam", "s_polarisation", "s_wavelength", "s_bandwidth")
 DARK = tuple(f"s_dark_{k + 1}" for k in range(COLUMNS))
 GEOMETRY = tuple(f"s_geometry_{k + 1}" for k in range(4))
 LAMP = tuple(f"s_lamp_wander_{k + 1}" for k in range(4))
-CAUSES = {"light": "s_theta_i_zero", "camera": "s_theta_r_zero", "tilt": "s_tilt_zero", "azimuth": "s_azimuth_zero"}
-"""Axes whose zeros are common causes. A spin turns both directions alike: an isotropic surface does not notice it."""
+CAUSES = {
+    "light": "s_theta_i_zero",
+    "camera": "s_theta_r_zero",
+    "tilt": "s_tilt_zero",
+    "azimuth": "s_azimuth_zero",
+    "spin": "s_spin_zero",
+}
+"""Axes whose zeros are common causes. A spin turns both directions alike: its column is 0 of an isotropic surface."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,6 +23,7 @@ CAUSES = {
     "theta r zero": "zero of the camera arm",
     "tilt zero": "zero of the holder's tilt",
     "azimuth zero": "zero of the azimuth arm",
+    "spin zero": "zero of the holder's spin, of a sample that has a direction",
     "noise": "photons, read noise, rounding and lamp, from frame to frame",
     "dark": "noise of the dark frames that differs from value to value",
     "prnu": "responsivities of the pixels that the reference does not share",
