@@ -179,7 +179,7 @@ def main() -> None:
         mean, p = chi / count, chdtrc(count, chi)
         print(
             f"{name:17s} {len(some):3d} campaigns: chi-square/n {mean.mean():.3f} +- "
-            f"{mean.std(ddof=1) / math.sqrt(len(some)) if len(some) > 1 else math.nan:.3f}, median {np.median(mean):.2f}; "
+            f"{mean.std(ddof=min(1, len(some) - 1)) / math.sqrt(len(some)):.3f}, median {np.median(mean):.2f}; "
             f"below 1 %: {np.sum(p < 0.01)}, below 5 %: {np.sum(p < 0.05)}, above 95 %: {np.sum(p > 0.95)}"
         )
 

@@ -1,18 +1,16 @@
 """How a measured BRDF follows the angles: what a zero's error or an encoder's step does to each value of a run.
 
 A value at the pose that was read is f(true directions) cos(true theta_i) / cos(read theta_i); with an under-filled
-region theta_r stands for theta_i. How f changes is
-taken from the run's own curves, which the instrument's cones have smoothed already. A curve is split into
+region theta_r stands for theta_i. How f changes is taken from the run's own values, which the instrument's cones have
+smoothed already. They are split into
 
-- a lobe, smooth over the spacing of the points. Its slope in theta_r is the curve's own. Lobes move with the mirror
-  direction, so its change with theta_i is taken at a fixed distance from it, from the curves of the neighbouring angles
-  of incidence (zero without neighbours). Out of the plane of incidence the lobe has the shape over the half vector's
-  angle that the curves in the plane have, times what changes smoothly between points;
+- a lobe, whose slopes and their uncertainties all points of a band tell together (`gonio.reduction.lobe_surface`), and
+  which may be steeper where a curve's steps do not resolve it (`gonio.reduction.narrow_lobes`);
 - a specular spike, which `gonio.reduction.spikes` finds: its shape is the overlap of the lamp's mirror image with the
   lens.
 
-Lobes change by ratios: between points the logarithm of f (asinh, which goes through zero) is taken for smooth.
-Effects are differences over finite steps of +-u, since a slope is undefined at the top and at the edge of a spike.
+Lobes change by ratios: the logarithm of f (asinh, which goes through zero) is taken for smooth. Effects are differences
+over finite steps of +-u, since a slope is undefined at the top and at the edge of a spike.
 """
 
 from __future__ import annotations
@@ -43,7 +41,7 @@ ACROSS_MIRROR = np.array([[1.0, 0.0, -1.0, 0.0], [0.0, 1.0, 0.0, 0.0], [-1.0, 0.
 
 
 def from_above(d: Directions, azimuth: float) -> Floats:
-    """(x, y, theta_i, turn) [rad] of one pair of directions, which stay smooth where an angle passes through the normal.
+    """(x, y, theta_i, turn) [rad] of one pair of directions; smooth where an angle passes through the normal.
 
     The detector is seen from above the sample. x runs along the goal's plane of incidence, whose azimuth is given, and
     is positive on the mirror side; y runs across it. theta_i has the sign of its side. The turn is the azimuth of

@@ -6,10 +6,10 @@ angles. In theta_h it is even, as a lobe round in half vectors is. Its covarianc
 
     c + p(theta_h) + q(theta_h, cos theta_d, cos theta_i - cos theta_r) + r(theta_h) (ln cos theta_i, ln cos theta_r)
 
-and, where the values say that the sample has a direction, of A(theta_h) cos 2 phi_h + B(theta_h) sin 2 phi_h, in which
-phi_h is the half vector's azimuth on the sample. Sizes and lengths of these are learned from the values by their
-likelihood; where that leaves them open, slopes are averages over what it allows. The slopes' covariance holds both. So
-many points on a lobe tell it closely, and with few points what is stated goes over into how steep lobes usually are.
+and, where the values say that the sample has a direction, of a function of all these that is the same after half a turn
+of phi_h, the half vector's azimuth on the sample, and vanishes with sin^2 theta_h. Sizes and lengths are learned from
+the values by their likelihood. Slopes are averages over what that allows, and their covariance holds both. So many
+points on a lobe tell it closely; with few points what is stated goes over into how steep lobes usually are.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ from scipy.special import ndtri
 
 from gonio.typing import Floats
 
-USUAL = np.log([1.0, 0.3, 0.3, 0.35, 0.5, 0.5, 0.3])
-"""Where the logarithms of sizes and lengths lie before anything is measured: of p, q and r [standard deviations of ln f],
-of the lengths in theta_h [rad], cos theta_d and the cosines' difference, and of A and B."""
-SPREAD = np.array([1.0, 1.0, 1.0, 0.6, 0.6, 0.6, 1.0])
+USUAL = np.log([1.0, 0.3, 0.3, 0.35, 0.8, 0.8, 0.3])
+"""Where the logarithms of sizes and lengths lie before anything is measured: of p, q and r [standard deviations of
+ln f], of the lengths in theta_h [rad], cos theta_d and the cosines' difference, and of the part with a direction."""
+SPREAD = np.array([1.0, 0.8, 1.0, 0.6, 0.4, 0.4, 1.0])
 """Their standard deviations."""
 OFFSET = 100.0
 """Variance of c: the level is not known before."""
@@ -76,9 +76,11 @@ class _Covariance:
         out = OFFSET + self._even * self._mixed + self._r**2 * self._grazing
         self._size = float(np.exp(logs[6])) ** 2 if logs.size > 6 else 0.0
         if self._size:
-            self._turn = 2.0 * (self._at[TURNED] - self._to[TURNED])
-            self._round = np.cos(self._turn) * less
-            out = out + self._size * self._round * self._at[TILTED] * self._to[TILTED]
+            turn = 2.0 * (self._at[TURNED] - self._to[TURNED])
+            self._less_value, self._round = less, 0.5 * np.cos(turn) * (1.0 + np.cos(turn))
+            self._by_turn = -np.sin(turn) * (1.0 + 2.0 * np.cos(turn))
+            self._tilted = self._size * self._at[TILTED] * self._to[TILTED]
+            out = out + self._tilted * self._round * less * self._d * self._w
         return np.asarray(out)
 
     def by_logs(self) -> list[Floats]:
@@ -93,9 +95,11 @@ class _Covariance:
             -departs * self._by_cosines * self._cosines**2 * self._d,
         ]
         if self._size:
-            tilted = self._size * self._at[TILTED] * self._to[TILTED]
-            out[3] = out[3] - tilted * np.cos(self._turn) * self._by_less * self._less**2
-            out.append(2.0 * tilted * self._round)
+            here = self._tilted * self._round
+            out[3] = out[3] - here * self._d * self._w * self._by_less * self._less**2
+            out[4] = out[4] - here * self._less_value * self._w * self._by_difference * self._difference**2
+            out[5] = out[5] - here * self._less_value * self._d * self._by_cosines * self._cosines**2
+            out.append(2.0 * here * self._less_value * self._d * self._w)
         return out
 
     def by_first(self) -> Floats:
@@ -109,9 +113,12 @@ class _Covariance:
             -by_cosines + grazing * self._logs[1] / self._at[DETECTOR],
         ]
         if self._size:
-            both = self._size * self._at[TILTED] * self._to[TILTED]
-            out[0] = out[0] + both * np.cos(self._turn) * self._by_less * self._less
-            out += [self._size * self._to[TILTED] * self._round, -2.0 * both * np.tan(self._turn) * self._round]
+            here, apart = self._tilted * self._round, self._less_value * self._d * self._w
+            by_cosines = here * self._less_value * self._d * self._by_cosines * self._cosines
+            out[0] = out[0] + here * self._by_less * self._less * self._d * self._w
+            out[1] = out[1] + here * self._less_value * self._w * self._by_difference * self._difference
+            out[2], out[3] = out[2] + by_cosines, out[3] - by_cosines
+            out += [self._size * self._to[TILTED] * self._round * apart, self._tilted * self._by_turn * apart]
         return np.array(np.broadcast_arrays(*out))
 
 
@@ -126,18 +133,19 @@ def _of_slopes(at: Floats, logs: Floats) -> Floats:
     mixed = p * p + q * q + r * r * (np.log(source) ** 2 + np.log(detector) ** 2)
     out = np.zeros((len(at), 6, 6))
     out[:, HALF, HALF] = steepest * mixed * (1.0 - (1.0 + x - x * x) * np.exp(-x))
-    out[:, DIFFERENCE, DIFFERENCE] = even * q * q * 3.0 / in_difference**2
-    apart = even * q * q * 3.0 / in_cosines**2
+    # the part with a direction, as q, changes with all of them
+    turned = float(np.exp(2.0 * logs[6])) * tilted**2 if logs.size > 6 else np.zeros(len(at))
+    out[:, DIFFERENCE, DIFFERENCE] = (even * q * q + turned) * 3.0 / in_difference**2
+    apart = (even * q * q + turned) * 3.0 / in_cosines**2
     out[:, SOURCE, SOURCE] = apart + r * r * (1.0 + even) / source**2
     out[:, DETECTOR, DETECTOR] = apart + r * r * (1.0 + even) / detector**2
     out[:, SOURCE, DETECTOR] = out[:, DETECTOR, SOURCE] = -apart
     for which, by in ((SOURCE, by_source), (DETECTOR, by_detector)):
         out[:, HALF, which] = out[:, which, HALF] = r * r * by * falls * 2.0 * theta_h
     if logs.size > 6:
-        size = np.exp(2.0 * logs[6])
-        out[:, HALF, HALF] += size * tilted**2 * steepest
-        out[:, TILTED, TILTED] = size
-        out[:, TURNED, TURNED] = 4.0 * size * tilted**2
+        out[:, HALF, HALF] += turned * steepest
+        out[:, TILTED, TILTED] = np.exp(2.0 * logs[6])
+        out[:, TURNED, TURNED] = 6.0 * turned
     return out
 
 
@@ -200,7 +208,7 @@ class Surface:
         self._pairs = _Covariance(self._at[self._taught, None], self._at[self._taught])
         found, cost = self._learn(USUAL[:6])
         if np.ptp(np.cos(2.0 * self._at[:, TURNED])) + np.ptp(np.sin(2.0 * self._at[:, TURNED])) > 1e-3:
-            turned, lower = self._learn(np.append(found, USUAL[6]))
+            turned, lower = self._learn(USUAL)
             if cost - lower > DIRECTED:
                 found = turned
         self.directed = found.size > 6

@@ -426,9 +426,43 @@ def _grazing(rng: np.random.Generator) -> list[Angles]:
     return [_signed(t, a) for t in incidences for a in [*np.arange(-80.0, 50.0, 20.0), *np.arange(50.0, 83.0, 4.0)]]
 
 
+def _anywhere(rng: np.random.Generator, count: int) -> list[Angles]:
+    """Directions over the hemisphere, each with its own angle of incidence; half of the plans have every azimuth."""
+    turned = rng.random() < 0.5
+    theta = np.degrees(np.arcsin(np.sqrt(rng.uniform(0.0, np.sin(np.radians(78.0)) ** 2, (count, 2)))))
+    phi_i, dphi = 360.0 * turned * rng.random(count), rng.uniform(0.0, 360.0, count)
+    return [
+        (round(float(i), 4), round(float(p), 4), round(float(r), 4), round(float(p + d) % 360.0, 4))
+        for (i, r), p, d in zip(theta, phi_i, dphi, strict=True)
+    ]
+
+
+def _scattered(rng: np.random.Generator) -> list[Angles]:
+    return _anywhere(rng, 40)
+
+
+def _around_many_mirrors(rng: np.random.Generator) -> list[Angles]:
+    """Each point has an angle of incidence of its own, and lies around the mirror direction of that."""
+    reach, out = _even(rng, 5.0, 25.0), []
+    for theta_i in rng.uniform(5.0, 68.0, 40).tolist():
+        x, y = rng.normal(0.0, reach, 2)
+        theta_r = float(np.hypot(theta_i + x, y))
+        if theta_r < 78.0:
+            turn = 180.0 + float(np.degrees(np.arctan2(y, theta_i + x)))
+            out.append((round(theta_i, 4), 0.0, round(theta_r, 4), round(turn % 360.0, 4)))
+    return out
+
+
+def _few(rng: np.random.Generator) -> list[Angles]:
+    return _anywhere(rng, int(rng.integers(4, 10)))
+
+
 PLANS: dict[str, Callable[[np.random.Generator], list[Angles]]] = {
     "in plane": _in_plane,
     "around the mirror": _around_the_mirror,
     "out of plane": _out_of_plane,
     "grazing": _grazing,
+    "scattered": _scattered,
+    "around many mirrors": _around_many_mirrors,
+    "few": _few,
 }

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from gonio.geometry import Directions, angles, direction
-from gonio.reduction import angle_sensitivity
 from gonio.reduction.angle_sensitivity import Curves
 from gonio.reduction.spike_overlap import Share, blurred_overlap, over_patch, overlap
 
@@ -205,13 +204,23 @@ def test_points_out_of_the_plane_follow_their_neighbours() -> None:
         return float(1.0 - 0.5 * d.theta_r * math.cos(d.phi_r - d.phi_i))
 
     goals = [at(30.0, float(r), dphi) for dphi in (30.0, 75.0, 110.0, 150.0) for r in (15, 40, 65)]
-    model, u = curves(tilted, goals), math.radians(0.05)
+    away, truth = departures(tilted, goals, math.radians(0.05))
+    # two dozen departures of standard deviation 1 have a root mean square below 1.5 in all but one case in a thousand
+    assert np.sqrt(np.mean(away**2)) < 1.5
+    assert np.ptp(truth) > 0.0
+
+
+def departures(function: Function, goals: list[Directions], u: float) -> tuple[np.ndarray, np.ndarray]:
+    """Effects of steps of theta_r and phi_r less the true ones, in their stated uncertainty; and the true ones."""
+    model, away, true = curves(function, goals), [], []
     for k, d in enumerate(goals):
         turned = [Directions(d.theta_i, d.phi_i, d.theta_r, d.phi_r + sign * u) for sign in (1, -1)]
         for plus, minus in ((moved(d, r=u), moved(d, r=-u)), turned):
-            odd, _ = model.effects(k, d, plus, minus)
-            # the slope is 0.5; a parabola through logarithms of 1 - 0.5 x errs by up to a tenth of it
-            assert odd == pytest.approx((tilted(plus) - tilted(minus)) / 2, abs=0.05 * u)
+            true.append((function(plus) - function(minus)) / 2)
+            doubt = model.doubt(k, plus)
+            if doubt > 1e-9 * abs(true[-1]) + 1e-15:  # across the plane of incidence a lobe has no slope, for certain
+                away.append((model.effects(k, d, plus, minus)[0] - true[-1]) / doubt)
+    return np.array(away), np.array(true)
 
 
 def test_the_flank_of_a_lobe_out_of_the_plane_is_as_steep_as_between_points_that_it_hides_between() -> None:
@@ -223,17 +232,10 @@ def test_the_flank_of_a_lobe_out_of_the_plane_is_as_steep_as_between_points_that
         return 10.0 * math.exp(-0.5 * ((x - d.theta_i) ** 2 + y**2) / width**2)
 
     goals = [at(60.0, float(r), dphi) for dphi in (150.0, 165.0, 180.0) for r in (45, 60, 75)]
-    model, u = curves(lobe, goals), math.radians(0.02)
-    for k, d in enumerate(goals):
-        if d.phi_r - d.phi_i == math.pi:
-            continue  # those have a curve of their own
-        turned = [Directions(d.theta_i, d.phi_i, d.theta_r, d.phi_r + sign * u) for sign in (1, -1)]
-        for plus, minus in ((moved(d, r=u), moved(d, r=-u)), turned):
-            odd, _ = model.effects(k, d, plus, minus)
-            truth = (lobe(plus) - lobe(minus)) / 2
-            # a lobe round as seen from above is not one of the half vector alone: between them the curve in the plane,
-            # of three points here, errs by up to a quarter
-            assert odd == pytest.approx(truth, rel=0.25, abs=1e-6 * u)
+    away, truth = departures(lobe, goals, math.radians(0.02))
+    # nine points, of which four see the lobe: 1.5 as above
+    assert np.sqrt(np.mean(away**2)) < 1.5
+    assert np.ptp(truth) > 0.0
 
 
 def test_curves_in_the_plane_tell_the_flank_of_a_lobe_that_points_out_of_it_do_not_resolve() -> None:
@@ -350,36 +352,3 @@ def test_a_run_over_theta_i_tells_slopes_though_no_incidence_has_two_points(time
             odd = 0.5 * (moving(plus) * math.cos(plus.theta_i) - moving(minus) * math.cos(minus.theta_i)) / cosine
             # steps of 2 degrees on a lobe of 0.1 rad leave a slope a few percent of the steepest: 24 [1/sr per rad]
             assert found.effects(k, d, plus, minus)[0] == pytest.approx(odd, abs=0.05 * 24.0 * u)
-
-
-def scattered(count: int) -> list[Directions]:
-    """Points of two angles of incidence in and out of the plane, in an order that tells nothing."""
-    rng = np.random.default_rng(5)
-    grid = [at(i, float(r), float(p)) for i in (25.0, 35.0) for r in np.arange(3.0, 75.0, 6.0) for p in (60, 100, 180)]
-    return [grid[k] for k in rng.permutation(len(grid))[:count]]
-
-
-@pytest.mark.parametrize("at_once", [1, 7])
-def test_slopes_do_not_depend_on_how_many_points_are_computed_together(
-    monkeypatch: pytest.MonkeyPatch, at_once: int
-) -> None:
-    def lobe(d: Directions) -> float:
-        return 0.1 + math.exp(-((d.theta_r - d.theta_i) ** 2 + 0.2 * (d.phi_r - math.pi) ** 2) / 0.05)
-
-    points = scattered(72)
-    together = curves(lobe, points)
-    assert np.ptp(together.slope) > 1.0  # there is something to tell
-    monkeypatch.setattr(angle_sensitivity, "AT_ONCE", at_once)
-    alone = curves(lobe, points)
-    # sums of other lengths may round otherwise: a few units in the last place of the largest slope
-    np.testing.assert_allclose(alone.slope, together.slope, rtol=0, atol=1e-13 * np.abs(together.slope).max())
-
-
-def test_the_nearest_points_are_those_of_all_pairs(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A grid with many points equally far away, points read twice, and hardly any room to look among."""
-    points = scattered(72) + scattered(20)
-    few = curves(lambda d: 0.1 + 0.2 * math.cos(d.theta_r), points)
-    for among in (8, 24, 1000):
-        monkeypatch.setattr(angle_sensitivity, "AMONG", among)
-        again = curves(lambda d: 0.1 + 0.2 * math.cos(d.theta_r), points)
-        assert again.slope.tobytes() == few.slope.tobytes()
