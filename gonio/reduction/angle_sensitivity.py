@@ -100,14 +100,11 @@ class Curves:
         small = max(3.0 * float(np.min(u, initial=np.inf)), 1e-9 * float(np.max(np.abs(brdf), initial=0.0)), 1e-300)
         log, size = np.arcsinh(self.lobe / (2 * small)), np.hypot(self.lobe, 2 * small)
         near = scene.most > 0.0
-        self.slope, self._doubt, self.bend = (
-            np.zeros((len(brdf), 4)),
-            np.zeros((len(brdf), 4, 4)),
-            np.zeros((len(brdf), 2)),
-        )
+        count = len(brdf)
+        self.slope, self._doubt, self.bend = np.zeros((count, 4)), np.zeros((count, 4, 4)), np.zeros((count, 2))
         self.directed = False
         """Whether the sample has a direction: its values change as it spins."""
-        if len(brdf):
+        if count:
             u_lobe = np.sqrt(u**2 + self.spikes.variance + near * (UNDER_SPIKE * self.lobe) ** 2)
             tells = self.spikes.told | ~near
             tells = tells if tells.any() else np.ones_like(tells)
@@ -116,7 +113,9 @@ class Curves:
             slope, covariance, bend = surface.slopes(self._places)
             self.slope, self._doubt = slope * size[:, None], covariance * size[:, None, None] ** 2
             self.bend = abs(bend * size[:, None] + slope[:, :2] ** 2 * self.lobe[:, None])
-        self._bound(brdf, u, size, near, [group[in_plane[group]] for group in groups])
+        plane = np.round(goals.phi_i / SAME_NOMINAL) if self.directed else np.zeros(count)
+        lines = [group[in_plane[group] & (plane[group] == one)] for group in groups for one in np.unique(plane[group])]
+        self._bound(brdf, u, size, near, lines)
 
     def _bound(
         self,

@@ -91,8 +91,9 @@ def reduce_in_parts(run: Run, *, progress: Callable[[int, int], None] | None = N
         three visits on `s_lamp_wander_1` to at most `s_lamp_wander_4` (what the lamp may do between visits),
         `s_dark_1` to `s_dark_3` (noise of the dark frames), `s_theta_i_zero`, `s_theta_r_zero` and, with those axes,
         `s_tilt_zero`, `s_azimuth_zero`, `s_spin_zero`; `s_geometry_1` to at most `s_geometry_4` (what a calibration
-        leaves open of the rig's geometry); and where the rig file or a calibration tells of them `s_linearity`, `s_stray_light`, `s_beam`,
-        `s_polarisation`, `s_wavelength`, `s_bandwidth`. A plan with points behind the sample gives a column `side`.
+        leaves open of the rig's geometry); and where the rig file or a calibration tells of them `s_linearity`,
+        `s_stray_light`, `s_beam`, `s_polarisation`, `s_wavelength`, `s_bandwidth`. A plan with points behind the
+        sample gives a column `side`.
 
     Raises
     ------

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gonio.acquisition.plan import ANGLES
-from gonio.geometry import half_angle_of_cone
+from gonio.geometry import SAME_AZIMUTH, half_angle_of_cone
 from gonio.reduction.table import BandResult
 from gonio.rig import kinematics
 from gonio.rig.description import RigDescription
@@ -98,6 +98,14 @@ def left_out(description: RigDescription, table: pd.DataFrame) -> list[dict[str,
         out.append({
             "cause": "lamp_wander",
             "why": f"fewer than {WANDERS} visits to the white reference do not tell whether the lamp wanders",
+        })  # fmt: skip
+    azimuth = np.radians(table["phi_i_deg"].to_numpy(dtype=float))
+    turned = np.abs(np.sin(azimuth - azimuth[:1])) > math.sin(SAME_AZIMUTH)
+    if "spin" in description.axes() and not turned.any():
+        out.append({
+            "cause": "direction",
+            "why": "the sample was measured at one azimuth of incidence: whether it has a direction, and what an error "
+            "of the spin does to its values then, is not known (measure it at three azimuths or more)",
         })  # fmt: skip
     out.append({
         "cause": "solid_angle",
