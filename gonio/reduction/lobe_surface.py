@@ -312,10 +312,10 @@ class Surface:
             out.append((block, np.union1d(near, self._common)))
         return out
 
-    def _factor(self, used: npt.NDArray[np.intp], logs: Floats) -> tuple[Floats, bool]:
+    def _factor(self, used: npt.NDArray[np.intp], logs: Floats) -> Floats:
         """Cholesky's factor of the covariance of some values."""
         among = _Covariance(self._at[used, None], self._at[used]).of(logs)
-        return cho_factor(among + np.diag(self._variance[used]), lower=True, overwrite_a=True)
+        return np.asarray(cho_factor(among + np.diag(self._variance[used]), lower=True, overwrite_a=True)[0])
 
     def _of_coordinates(self, at: Floats, used: npt.NDArray[np.intp]) -> tuple[Floats, Floats]:
         """Derivatives of ln f by coordinates (n, c), and their covariances."""
@@ -325,8 +325,8 @@ class Surface:
             factor = self._factor(used, logs)
             toward.of(logs)
             rows = np.moveaxis(toward.by_first(), 0, 1)
-            solved = solve_triangular(factor[0], rows.reshape(-1, used.size).T, lower=True)
-            white = solve_triangular(factor[0], self._log[used], lower=True)
+            solved = solve_triangular(factor, rows.reshape(-1, used.size).T, lower=True)
+            white = solve_triangular(factor, self._log[used], lower=True)
             solved = np.moveaxis(solved.reshape(used.size, *rows.shape[:2]), 0, 2)
             means.append(solved @ white)
             count = rows.shape[1]
@@ -339,7 +339,7 @@ class Surface:
     def _bends(self, places: Floats, used: npt.NDArray[np.intp]) -> Floats:
         """Second derivatives of ln f along x and y, of the most probable set."""
         moves = np.concatenate([BEND * np.eye(4)[:2], -BEND * np.eye(4)[:2], np.zeros((1, 4))])
-        solved = cho_solve(self._factor(used, self._sets[0]), self._log[used])
+        solved = cho_solve((self._factor(used, self._sets[0]), True), self._log[used])
         toward = _Covariance(coordinates(places[:, None] + moves)[:, :, None], self._at[used])
         values = toward.of(self._sets[0]) @ solved
         return np.asarray((values[:, :2] + values[:, 2:4] - 2.0 * values[:, 4:]) / BEND**2)
