@@ -29,6 +29,7 @@ from gonio.acquisition.run import Run
 from gonio.geometry import Directions
 from gonio.reduction import brdf
 from gonio.rig.description import SampleDescription
+from gonio.typing import Floats
 from tools.spike_campaign import METALS, rig
 
 if TYPE_CHECKING:
@@ -130,7 +131,7 @@ def measured(folder: Path, seed: int, number: int, model: str | None = None) -> 
     return brdf.reduce_in_parts(Run.open(out)), drawn
 
 
-def truth(table: pd.DataFrame, what: SampleDescription) -> np.ndarray[Any, Any]:
+def truth(table: pd.DataFrame, what: SampleDescription) -> Floats:
     """The sample through the instrument's cones at the directions of the table [1/sr]."""
     return np.asarray(instrument.apparent_brdf(
         models.build(what.model, what.parameters), *Directions.from_table(table).angles,
@@ -138,6 +139,13 @@ def truth(table: pd.DataFrame, what: SampleDescription) -> np.ndarray[Any, Any]:
         source_solid_angle_sr=table.attrs["source_solid_angle_sr"],
         receiver_solid_angle_sr=table.attrs["receiver_solid_angle_sr"],
     ))  # fmt: skip
+
+
+def chi_square(table: pd.DataFrame, off: Floats, less: Floats | float = 0.0) -> float:
+    """Of departures from the truth, with the table's covariance; `less` is taken from the squares of `u_random`."""
+    common = table[[name for name in table if name.startswith("s_")]].to_numpy(dtype=float)
+    random = table["u_random"].to_numpy(dtype=float) ** 2 - less
+    return float(off @ np.linalg.solve(np.diag(random) + common @ common.T, off))
 
 
 def main() -> None:
@@ -155,13 +163,9 @@ def main() -> None:
         parts, (what, chosen, which) = measured(options.out, options.seed, number, options.model)
         good = (parts.table["flag"] == "").to_numpy()
         table, budget = parts.table[good], parts.budget[good]
-        common = table[[name for name in table if name.startswith("s_")]].to_numpy(dtype=float)
-        random = table["u_random"].to_numpy() ** 2
-        if options.without_steps:
-            random = random - budget["coarse_steps"].to_numpy() ** 2
         off = table["brdf"].to_numpy() - truth(table, what)
-        chi = float(off @ np.linalg.solve(np.diag(random) + common @ common.T, off))
-        pulls = off / np.sqrt(random + np.sum(common**2, axis=1))
+        chi = chi_square(table, off, options.without_steps * budget["coarse_steps"].to_numpy() ** 2)
+        pulls = off / table["u_brdf"].to_numpy()
         worst = int(np.argmax(abs(pulls)))
         found.setdefault(chosen.name, []).append((chi, off.size))
         row = table.iloc[worst]

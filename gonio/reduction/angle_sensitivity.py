@@ -135,7 +135,7 @@ class Curves:
             curve = line[np.argsort((x - theta_i)[line], kind="stable")]
             # one or two points do not tell a spike from a narrow lobe
             values = (self.lobe if np.count_nonzero(near[curve] & self.spikes.told[curve]) >= 3 else brdf)[curve]
-            bound, _ = steepest(
+            bound = steepest(
                 (x - theta_i)[curve], values, u[curve], theta_i[curve], abs(x[curve]), self._half_angles, apart
             )
             gaps = np.diff((x - theta_i)[curve])
@@ -193,7 +193,7 @@ class Curves:
             "u_spike": self.spikes.u_amplitude * self.spikes.told,
             "slope": self.slope,
             "doubts": self._doubt,
-            "u_slope": np.sqrt(self._doubt[:, 0, 0]),
+            "u_slope": np.sqrt(np.maximum(self._doubt[:, 0, 0], self._doubt[:, 1, 1])),
             "u_slope_theta_i": np.sqrt(np.einsum("i,nij,j->n", WITH_MIRROR, self._doubt, WITH_MIRROR)),
             "bend_x": self.bend[:, 0],
             "bend_y": self.bend[:, 1],

@@ -34,7 +34,7 @@ def steepest(
     theta_r: Floats,
     half_angles: tuple[float, float],
     apart: float,
-) -> tuple[Floats, Floats]:
+) -> Floats:
     """About the largest slope [1/sr per rad] that a lobe may have at each point of a curve.
 
     Of sums of Gaussians the true slope exceeds it by up to a sixth where steps resolve the lobe: differences between
@@ -55,16 +55,13 @@ def steepest(
 
     Returns
     -------
-    bound : (n,) array
+    (n,) array
         Size of the slope at most.
-    falls : (n,) array of bool
-        Whether the values fall from the mirror direction outward through each point, neighbours on both sides: there
-        nothing else is to be expected than a slope within the bound.
     """
     # values below the noise may be negative; no lobe is
     x, f = np.abs(from_mirror), np.maximum(np.asarray(values, dtype=float), 0.0)
     t = 4.0 * np.tan(0.5 * x) ** 2
-    bound, falls = np.zeros(f.size), np.zeros(f.size, dtype=bool)
+    bound = np.zeros(f.size)
     # two discs blur by a quarter of the sum of their squared radii a direction
     narrowest = max(0.25 * (half_angles[0] ** 2 + half_angles[1] ** 2), (0.5 * apart) ** 2)
     cosine = np.cos(theta_r)
@@ -97,11 +94,8 @@ def steepest(
         if outside and f[k] > 0.0:
             j = outside[0]
             beyond = f[k] * math.log(max(f[k] / max(f[j], 1e-3 * f[k]), 1.0)) / (t[j] - t[k])
-            if inside:
-                rising = f[k] - f[inside[0]] > 3.0 * u[k] or f[j] - f[k] > 3.0 * u[k]
-                falls[k] = not rising
         bound[k] = 2.0 * math.sqrt(t[k]) * (1.0 + 0.25 * t[k]) * max(steep, beyond)
-    return bound, falls
+    return bound
 
 
 def _apart(places: Iterable[int], x: Floats, apart: float) -> list[int]:

@@ -394,8 +394,8 @@ def _notes(result: BandResult) -> list[str]:
         )
     if result.coarse:
         out.append(
-            f"values change much from step to step at {_listed(result.coarse)}: u_brdf there rests on "
-            "how steep a lobe may be that the steps do not resolve; measure in finer steps there"
+            f"the points do not tell how steep the lobe is at {_listed(result.coarse)}: u_brdf there rests on "
+            "how steep lobes may be; measure more points there, in finer steps"
         )
     if result.merged.get("noise") == "poisson":
         out.append(
