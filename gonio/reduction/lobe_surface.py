@@ -25,15 +25,14 @@ from scipy.special import ndtri
 
 from gonio.typing import Floats
 
-USUAL = np.log([1.0, 0.3, 0.3, 0.35, 0.8, 0.8, 0.3])
+USUAL = np.log([1.0, 0.3, 0.3, 0.35, 0.8, 0.8, 5e-4, 0.3])
 """Where the logarithms of sizes and lengths lie before anything is measured: of p, q and r [standard deviations of
-ln f], of the lengths in theta_h [rad], cos theta_d and the cosines' difference, and of the part with a direction."""
-SPREAD = np.array([1.0, 0.8, 1.0, 0.6, 0.4, 0.4, 1.0])
+ln f], of the lengths in theta_h [rad], cos theta_d and the cosines' difference, of what readings of the angles scatter
+values by, and of the part with a direction."""
+SPREAD = np.array([1.0, 0.8, 1.0, 0.6, 0.4, 0.4, 1.0, 1.0])
 """Their standard deviations."""
 OFFSET = 100.0
 """Variance of c: the level is not known before."""
-FAINTEST = 3e-4
-"""Relative standard uncertainty of a value at least: readings of the angles scatter values, too."""
 STEP = 1e-4
 """Of the differences that tell how theta_h and the others follow x, y and theta_i [rad]."""
 BEND = math.radians(0.5)
@@ -48,6 +47,8 @@ DIRECTED = 6.0
 """A sample has a direction where that raises the logarithm of the likelihood by more."""
 LOWEST = 0.02
 """Cosines below this are taken for it: logarithms have no end there."""
+SCATTER, DIRECTION = 6, 7
+"""Places among the sizes and lengths of what readings scatter, and of the part with a direction."""
 HALF, DIFFERENCE, SOURCE, DETECTOR, TILTED, TURNED = range(6)
 """Coordinates: theta_h, cos theta_d, cos theta_i, cos theta_r, sin^2 theta_h, and the half vector's azimuth."""
 
@@ -74,7 +75,7 @@ class _Covariance:
         self._even = less + more
         self._mixed = self._p**2 + self._q**2 * self._d * self._w + self._r**2 * self._grazing
         out = OFFSET + self._even * self._mixed + self._r**2 * self._grazing
-        self._size = float(np.exp(logs[6])) ** 2 if logs.size > 6 else 0.0
+        self._size = float(np.exp(logs[DIRECTION])) ** 2 if logs.size > DIRECTION else 0.0
         if self._size:
             turn = 2.0 * (self._at[TURNED] - self._to[TURNED])
             self._less_value, self._round = less, 0.5 * np.cos(turn) * (1.0 + np.cos(turn))
@@ -93,6 +94,7 @@ class _Covariance:
             -(self._by_less * self._less**2 + self._by_more * self._more**2) * self._mixed,
             -departs * self._by_difference * self._difference**2 * self._w,
             -departs * self._by_cosines * self._cosines**2 * self._d,
+            np.zeros_like(self._even),
         ]
         if self._size:
             here = self._tilted * self._round
@@ -134,7 +136,7 @@ def _of_slopes(at: Floats, logs: Floats) -> Floats:
     out = np.zeros((len(at), 6, 6))
     out[:, HALF, HALF] = steepest * mixed * (1.0 - (1.0 + x - x * x) * np.exp(-x))
     # the part with a direction, as q, changes with all of them
-    turned = float(np.exp(2.0 * logs[6])) * tilted**2 if logs.size > 6 else np.zeros(len(at))
+    turned = float(np.exp(2.0 * logs[DIRECTION])) * tilted**2 if logs.size > DIRECTION else np.zeros(len(at))
     out[:, DIFFERENCE, DIFFERENCE] = (even * q * q + turned) * 3.0 / in_difference**2
     apart = (even * q * q + turned) * 3.0 / in_cosines**2
     out[:, SOURCE, SOURCE] = apart + r * r * (1.0 + even) / source**2
@@ -142,9 +144,9 @@ def _of_slopes(at: Floats, logs: Floats) -> Floats:
     out[:, SOURCE, DETECTOR] = out[:, DETECTOR, SOURCE] = -apart
     for which, by in ((SOURCE, by_source), (DETECTOR, by_detector)):
         out[:, HALF, which] = out[:, which, HALF] = r * r * by * falls * 2.0 * theta_h
-    if logs.size > 6:
+    if logs.size > DIRECTION:
         out[:, HALF, HALF] += turned * steepest
-        out[:, TILTED, TILTED] = np.exp(2.0 * logs[6])
+        out[:, TILTED, TILTED] = np.exp(2.0 * logs[DIRECTION])
         out[:, TURNED, TURNED] = 6.0 * turned
     return out
 
@@ -202,16 +204,16 @@ class Surface:
 
     def __init__(self, places: Floats, log: Floats, u: Floats) -> None:
         self._at, self._level = coordinates(places), float(np.mean(log))
-        self._log, self._variance = log - self._level, u**2 + FAINTEST**2
+        self._log, self._variance = log - self._level, u**2
         self._few = log.size <= EXACT
         self._taught = np.arange(log.size) if self._few else self._spread(EXACT)
         self._pairs = _Covariance(self._at[self._taught, None], self._at[self._taught])
-        found, cost = self._learn(USUAL[:6])
+        found, cost = self._learn(USUAL[:DIRECTION])
         if np.ptp(np.cos(2.0 * self._at[:, TURNED])) + np.ptp(np.sin(2.0 * self._at[:, TURNED])) > 1e-3:
             turned, lower = self._learn(USUAL)
             if cost - lower > DIRECTED:
                 found = turned
-        self.directed = found.size > 6
+        self.directed = found.size > DIRECTION
         """Whether the values say that the sample has a direction."""
         self._sets, self._weights = self._allowed(found)
         if not self._few:
@@ -235,14 +237,18 @@ class Surface:
         log, size = self._log[self._taught], logs.size
         away = (logs - USUAL[:size]) / SPREAD[:size]
         try:
-            factor = cho_factor(covariance + np.diag(self._variance[self._taught]), lower=True)
+            factor = cho_factor(
+                covariance + np.diag(self._variance[self._taught] + np.exp(2.0 * logs[SCATTER])), lower=True
+            )
         except LinAlgError:
             return 1e300, np.zeros(size)
         inverse = cho_solve(factor, np.eye(log.size))
         solved = inverse @ log
         cost = 0.5 * log @ solved + np.sum(np.log(np.diag(factor[0]))) + 0.5 * away @ away
         rest = inverse - np.outer(solved, solved)
-        return float(cost), np.array([0.5 * np.sum(rest * one) for one in self._pairs.by_logs()]) + away / SPREAD[:size]
+        by = np.array([0.5 * np.sum(rest * one) for one in self._pairs.by_logs()])
+        by[SCATTER] = np.trace(rest) * np.exp(2.0 * logs[SCATTER])
+        return float(cost), by + away / SPREAD[:size]
 
     def _learn(self, start: Floats) -> tuple[Floats, float]:
         """The most probable sizes and lengths, and their cost."""
@@ -315,7 +321,11 @@ class Surface:
     def _factor(self, used: npt.NDArray[np.intp], logs: Floats) -> Floats:
         """Cholesky's factor of the covariance of some values."""
         among = _Covariance(self._at[used, None], self._at[used]).of(logs)
-        return np.asarray(cho_factor(among + np.diag(self._variance[used]), lower=True, overwrite_a=True)[0])
+        return np.asarray(
+            cho_factor(
+                among + np.diag(self._variance[used] + np.exp(2.0 * logs[SCATTER])), lower=True, overwrite_a=True
+            )[0]
+        )
 
     def _of_coordinates(self, at: Floats, used: npt.NDArray[np.intp]) -> tuple[Floats, Floats]:
         """Derivatives of ln f by coordinates (n, c), and their covariances."""
