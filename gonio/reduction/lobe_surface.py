@@ -33,6 +33,8 @@ SPREAD = np.array([1.0, 0.8, 1.0, 0.6, 0.4, 0.4, 1.0, 1.0])
 """Their standard deviations."""
 OFFSET = 100.0
 """Variance of c: the level is not known before."""
+ROUNDING = 1e-9
+"""Variance of ln f at least: matrices of values that are all but alike have no factor below that."""
 STEP = 1e-4
 """Of the differences that tell how theta_h and the others follow x, y and theta_i [rad]."""
 BEND = math.radians(0.5)
@@ -204,7 +206,7 @@ class Surface:
 
     def __init__(self, places: Floats, log: Floats, u: Floats) -> None:
         self._at, self._level = coordinates(places), float(np.mean(log))
-        self._log, self._variance = log - self._level, u**2
+        self._log, self._variance = log - self._level, u**2 + ROUNDING
         self._few = log.size <= EXACT
         self._taught = np.arange(log.size) if self._few else self._spread(EXACT)
         self._pairs = _Covariance(self._at[self._taught, None], self._at[self._taught])
