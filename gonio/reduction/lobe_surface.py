@@ -25,7 +25,7 @@ from scipy.special import ndtri
 
 from gonio.typing import Floats
 
-USUAL = np.log([1.0, 0.3, 0.3, 0.35, 0.8, 0.8, 5e-4, 0.3])
+USUAL = np.log([1.0, 0.3, 0.7, 0.35, 0.8, 0.8, 5e-4, 0.3])
 """Where the logarithms of sizes and lengths lie before anything is measured: of p, q and r [standard deviations of
 ln f], of the lengths in theta_h [rad], cos theta_d and the cosines' difference, of what readings of the angles scatter
 values by, and of the part with a direction."""
