@@ -31,9 +31,9 @@ ln f], of the lengths in theta_h [rad], cos theta_d and the cosines' difference,
 values by, and of the part with a direction."""
 SPREAD = np.array([1.0, 0.8, 1.0, 0.6, 0.4, 0.4, 1.0, 1.0])
 """Their standard deviations."""
-OFFSET = 100.0
+OFFSET = 25.0
 """Variance of c: the level is not known before."""
-ROUNDING = 1e-9
+ROUNDING = 1e-8
 """Variance of ln f at least: matrices of values that are all but alike have no factor below that."""
 STEP = 1e-4
 """Of the differences that tell how theta_h and the others follow x, y and theta_i [rad]."""
