@@ -158,3 +158,14 @@ def test_an_azimuth_that_passes_half_a_turn_makes_no_slope() -> None:
     slopes = surface.slopes(here)[0]
     # one place, three times
     np.testing.assert_allclose(slopes, slopes[:1].repeat(3, axis=0), rtol=1e-5, atol=1e-5)
+
+
+@pytest.mark.parametrize("count", [1, 3, 40, 150])
+@pytest.mark.parametrize("u", [0.0, 0.3])
+def test_values_that_are_all_alike_or_read_twice_have_finite_slopes(count: int, u: float) -> None:
+    rng = np.random.default_rng(count)
+    places = anywhere(rng, count)
+    twice = np.concatenate([places, places[: count // 2 + 1]])
+    for log in (np.zeros(len(twice)), 30.0 * rng.standard_normal(len(twice))):
+        for found in Surface(twice, log, np.full(len(twice), u)).slopes(twice):
+            assert np.isfinite(found).all()
