@@ -50,6 +50,12 @@ BLACK_TOLERANCE = 0.05
 """Of the range between black and white: metering is then off by less than a tenth."""
 CLASSES = 8
 """Of brightness, that the pixels of a region are sorted into where a bracket is planned."""
+PILED = 16
+"""Pixels of one level that are taken for full ones."""
+MANY = 4_000_000
+"""Pixels from which on a part of them is looked at."""
+STEEP = 3.0
+"""How many times more pixels lie at the level where charge clips than just below it. Photon noise leaves fewer."""
 DARKEST = 100.0
 """The longest dark frame lasts this many times the exposure of a white sample; beyond, the dark rate is scaled."""
 
@@ -69,8 +75,33 @@ class Metered:
 
 
 def full_scale_dn(camera: Camera, frame: Frame) -> float:
-    """Range of a frame [DN] between its black level and saturation, by the converter or by the full well."""
-    return min(frame.white_level_dn - frame.black_level_dn, camera.full_well_e / camera.electrons_per_dn)
+    """Range of a frame [DN] between its black level and saturation: by the converter, by the full well, or as seen."""
+    stated = min(frame.white_level_dn - frame.black_level_dn, camera.full_well_e / camera.electrons_per_dn)
+    return min(stated, clipped_dn(camera, frame) - frame.black_level_dn)
+
+
+def clipped_dn(camera: Camera, frame: Frame) -> float:
+    """The level [DN] that the pixels of a frame pile up at, where charge clips; infinite where none do.
+
+    A rig file whose gain is wrong does not tell it. Light scatters by photon noise, and full pixels by read noise
+    alone. So the brightest of a clipped frame lie within a few DN, with few below. A camera without photon noise, or
+    whose read noise is no less than that, is not judged.
+    """
+    if not camera.photon_noise or camera.response:
+        return math.inf
+    mosaic, black = frame.mosaic.ravel(), frame.black_level_dn
+    mosaic = mosaic[:: 1 + 2 * (mosaic.size // MANY)]  # an odd step meets every colour
+    width = 1 + math.ceil(5.0 * math.hypot(camera.read_noise_e, camera.dsnu_e) / camera.electrons_per_dn)
+    shot = math.sqrt(max(float(mosaic.max()) - black, 0.0) / camera.electrons_per_dn)
+    if 2.0 * width > shot:
+        return math.inf
+    # from the top down; pixels that are hot, or were hit, lie above all
+    counts = np.bincount(mosaic[mosaic > mosaic.max() // 4])[::-1]
+    top = int(np.searchsorted(np.cumsum(counts), PILED))
+    top += int(np.argmax(counts[top : top + 2 * width]))
+    piled = int(counts[max(top - width, 0) : top + width].sum())
+    below = int(counts[top + width : top + 3 * width].sum())
+    return float(counts.size - 1 - top) if piled >= max(PILED, STEEP * below) else math.inf
 
 
 def level(camera: Camera, frame: Frame, used: Used) -> float:

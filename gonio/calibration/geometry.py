@@ -42,6 +42,8 @@ KNOWN = 0.5
 ZERO_KNOWN = 0.15
 """The same of zeros, of which next to nothing is expected: 1.5 deg. A rig without markers reaches about 1 deg, as far
 as its camera points to the middle; a mirror alone, 2 deg and more."""
+CONTRADICTS = 3.0
+"""Combined standard uncertainties between what was measured and what the rig file says beyond which one is wrong."""
 SAID_DEG = 3.0
 """A sum or difference of zeros that is known as well as this is told in words."""
 TOLD = 1.0
@@ -65,6 +67,13 @@ CLOSED = 0.03
 """Of the last step, in standard deviations."""
 FEW = 3
 """Degrees of freedom up to which the variance of a Student distribution is not finite."""
+REMEDIES = {
+    "mirror frames": "a mirror in the holder (--holder mirror)",
+    "straight-through frames": "an empty holder, and limits_deg of both arms that let them face each other (95 deg)",
+    "frames of fiducials": "printed markers (--print-fiducials, [holder.fiducials])",
+}
+"""What would tell numbers that are open, by what is missing."""
+REACH = "more poses (no --quick), and limits_deg of the arms that reach farther,"
 FAR = 5.0
 """Standard deviations from the fit beyond which what was seen is not what was meant."""
 
@@ -121,6 +130,8 @@ class Fit:
     """Those that were used."""
     dropped: tuple[str, ...] = ()
     """What was left out because it lies too far from all else."""
+    warnings: tuple[str, ...] = ()
+    """What the rig file says of its zeros, where that is better known than what was measured, or contradicts it."""
 
     def u(self, path: str) -> float:
         """Standard uncertainty of a number."""
@@ -482,7 +493,44 @@ def solve(
         sightings=tuple(kept),
         dropped=tuple(dropped),
     )
-    return replace(fit, open=_open(fit, kept, right[singular < TOLD]))
+    return weighed(replace(fit, open=_open(fit, kept, right[singular < TOLD])), description)
+
+
+def weighed(fit: Fit, filed: RigDescription) -> Fit:
+    """A fit with what the rig file knows of its zeros (`zero_u_deg`), which is independent of the sightings.
+
+    Where both agree, the mean by their weights is taken: nothing that is known is replaced by something worse. What the
+    file says counts for less as it lies farther off: its uncertainty grows with the distance, in combined ones. Beyond
+    `CONTRADICTS` of these it is not believed. A zero that the sightings do not determine stays as the file has it.
+    A zero without `zero_u_deg`, or one that is hidden, claims nothing.
+    """
+    paths = [u.path for u in fit.unknowns]
+    start = _numbers(start_of(filed), paths)
+    values, covariance, said = fit.values.copy(), fit.covariance.copy(), []
+    for name, axis in filed.axes().items():
+        path = f"arms.{name}.zero_offset_deg" if name in ("light", "camera", "azimuth") else f"holder.{name}_zero_offset_deg"
+        if path not in paths or not axis.zero_offset_known or axis.zero_u_deg <= 0.0:
+            continue
+        k, claimed = paths.index(path), axis.zero_u_deg
+        value, u = float(fit.values[k]), fit.u(path)
+        apart = (value - float(start[k])) / math.hypot(u, claimed)
+        both = f"{path}: measured {value:.3f} deg, u = {u:.2g}; the rig file says {start[k]:.3f} deg, u = {claimed:.2g}"
+        if abs(apart) > CONTRADICTS:
+            then = "the measured one is taken" if fit.known[k] else "neither is to be trusted"
+            said.append(
+                f"{both}. They contradict each other by {abs(apart):.1f} combined standard uncertainties, and {then}: "
+                "was the axis taken off, or its zero set, since zero_u_deg was written"
+            )
+            continue
+        if u > claimed:
+            then = "their weighted mean is taken" if fit.known[k] else "that is not replaced, and it was not checked"
+            said.append(f"{both}. The rig file knows it better: {then}")
+        if fit.known[k]:
+            variance = (claimed * max(1.0, abs(apart))) ** 2 + covariance[k, k]
+            column = covariance[:, k] / variance
+            values += column * (start[k] - values[k])
+            covariance -= np.outer(column, covariance[k])
+    return replace(fit, values=values, covariance=covariance, warnings=tuple(said))
 
 
 def _said(s: Sighting) -> str:
@@ -550,6 +598,9 @@ def _open(fit: Fit, sightings: Sequence[Sighting], null: Floats) -> tuple[str, .
                 unknown.pop(paths[k], None)
     if unknown:
         out.append(f"not known any better than was expected{why}: {', '.join(unknown.values())}")
+    remedies = [remedy for text, remedy in REMEDIES.items() if text in missing]
+    if out:
+        out.append(f"what is open is not written; {' and '.join(remedies or [REACH])} would tell it")
     return tuple(out)
 
 

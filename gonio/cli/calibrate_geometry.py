@@ -257,7 +257,7 @@ def _finish(
         fit = geometric.solve(description, sightings, given)
         tables, paths, covariance = geometric.values_of(fit)
         tables = geometric.filled(tables, description)
-        notes += [*fit.open, *(f"left out, too far from all else: {what}" for what in fit.dropped)]
+        notes += [*(f"WARNING: {said}" for said in fit.warnings), *fit.open, *(f"left out, too far from all else: {what}" for what in fit.dropped)]
         measured = {"sightings": len(sightings), "misfit": fit.misfit, "rank": fit.rank, "of": len(fit.unknowns)}
         if given is None:
             notes.append("focal length and distortion were taken as in the rig file: no pictures of a board")
@@ -315,7 +315,7 @@ def _show_open(notes: Sequence[str]) -> None:
     from gonio.cli import console
 
     for sentence in notes:
-        console.show(f"note: {sentence}")
+        console.show(sentence if sentence.startswith("WARNING") else f"note: {sentence}")
 
 
 def _draw(fit: Fit | None, intrinsics: Intrinsics | None, picture: Path) -> None:
