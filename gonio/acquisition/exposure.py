@@ -97,6 +97,8 @@ def clipped_dn(camera: Camera, frame: Frame) -> float:
         return math.inf
     # from the top down; pixels that are hot, or were hit, lie above all
     counts = np.bincount(mosaic[mosaic > mosaic.max() // 4])[::-1]
+    if counts.sum() < PILED:
+        return math.inf
     top = int(np.searchsorted(np.cumsum(counts), PILED))
     top += int(np.argmax(counts[top : top + 2 * width]))
     piled = int(counts[max(top - width, 0) : top + width].sum())

@@ -1,4 +1,7 @@
-"""The simulated goniometer as a rig: `sim`, `sim-metrology` with finer parts, `sim-ideal` without disturbances."""
+"""The simulated goniometer as a rig: `sim`, `sim-metrology` with finer parts, `sim-ideal` without disturbances.
+
+`sim-uncalibrated` has a hidden truth, for `gonio calibrate`.
+"""
 
 from __future__ import annotations
 
@@ -135,3 +138,4 @@ class SimulatedRigPlugin:
 SIM = SimulatedRigPlugin("sim")
 SIM_IDEAL = SimulatedRigPlugin("sim-ideal")
 SIM_METROLOGY = SimulatedRigPlugin("sim-metrology")
+SIM_UNCALIBRATED = SimulatedRigPlugin("sim-uncalibrated")

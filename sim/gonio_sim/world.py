@@ -8,7 +8,10 @@ gives the same frames whenever it is run.
 from __future__ import annotations
 
 import math
+import tomllib
 from enum import IntEnum
+from importlib.resources import files
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -193,9 +196,17 @@ class World:
 
 
 def truth_of(description: RigDescription) -> RigDescription:
-    """What is true of a simulated bench: the rig file without calibrations, and over it the file that `truth` names."""
+    """What is true of a simulated bench: the rig file without calibrations, and over it the file that `truth` names.
+
+    Where that is not there, and a shipped file has its name, the shipped one is meant.
+    """
     own = uncalibrated(description)
-    return with_keys(own, read_toml(own.truth), own.truth) if own.truth is not None else own
+    if own.truth is None:
+        return own
+    shipped = files("gonio_sim") / "rigs" / Path(own.truth).name
+    if not Path(own.truth).exists() and shipped.is_file():
+        return with_keys(own, tomllib.loads(shipped.read_text(encoding="utf-8")), shipped.name)
+    return with_keys(own, read_toml(own.truth), own.truth)
 
 
 def with_exact_encoders(description: RigDescription) -> RigDescription:
