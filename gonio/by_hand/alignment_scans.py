@@ -28,6 +28,8 @@ ATTEMPTS = 7
 BRIGHT = 0.3
 """Level of a pixel that belongs to the spot, of full scale."""
 SPOT_PIXELS = 12
+DIM = 0.02
+"""Of full scale: of frames that are darker, also the longest ones, nobody knows whether the lamp was lit."""
 SEARCH_EXPOSURES = 0.01, 1.0, 20.0
 """In exposures of a matt white surface: a mirror is brighter by its cones, a spot may be fainter than it should."""
 LONGEST_S = 2.0
@@ -154,6 +156,7 @@ class Scans:
         white = exposure.expected_exposure_s(self._description, Pose(), 1.0)
         shortest, longest = self._description.camera.exposure_limits_s
         tried: list[float] = []
+        seen = 0.0
         for factor in SEARCH_EXPOSURES:
             exposure_s = round(min(max(factor * white, shortest), min(longest, max(LONGEST_S, shortest))), 6)
             if exposure_s in tried:
@@ -173,16 +176,22 @@ class Scans:
                     if self._spot(frame) >= SPOT_PIXELS:
                         self._exposure_s = exposure_s
                         return
+                    level = (float(np.percentile(frame.mosaic, 99.0)) - frame.black_level_dn)
+                    seen = max(seen, level / exposure.full_scale_dn(self._description.camera, frame))
         there = "the mirror's reflection" if holder == "mirror" else "the lamp itself"
         remedy = (
             "is the mirror in the holder, its coated side up and flat on it"
             if holder == "mirror"
             else "is the holder empty, and nothing between the arms"
         )
+        lit = (
+            "light is seen, so the lamp shines"
+            if seen > DIM
+            else 'all frames are dark: does the lamp shine ("gonio rig lamp on"), and is the lens open'
+        )
         raise DeviceError(
             f"{there} was not found with the camera arm within {self._search_deg:g} deg of {guess:g} deg: {remedy}; "
-            'does the lamp shine ("gonio rig lamp on"); a coarser zero of an axis is set by "gonio rig set-zero", and '
-            "--search looks farther"
+            f'{lit}; a coarser zero of an axis is set by "gonio rig set-zero", and --search looks farther'
         )
 
     def _require_size(self, frame: Frame) -> None:

@@ -10,7 +10,7 @@ The lens is taken for round. Across the plane of the arms all flats look alike, 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -44,6 +44,8 @@ BLOCKS = 24
 """Blocks of pixels along the longer side of the frame; each is one value."""
 INSIDE = 0.9
 """Part of the white's radius whose spots count: its edge is not as white."""
+ZERO_STEP_DEG = 0.1
+"""Of a numerical slope."""
 FORESHORTENED = 1.3
 """The cosine of the steepest camera angle must be at least so many times that of the most oblique one."""
 
@@ -158,6 +160,26 @@ def fit(table: pd.DataFrame) -> Profile:
         reduced_chi_square=reduced,
         across_mm=float(np.hypot(x, y).max()),
     )
+
+
+def by_zero(description: RigDescription, table: pd.DataFrame, found: Profile, axis: str) -> Floats:
+    """How much each of the five numbers changes where the zero of an axis is larger by 1 deg.
+
+    Light that falls obliquely is brighter on the nearer side of the white, as a tilted beam is.
+    """
+    width = description.camera.width
+    moved = table.copy()
+    for _, rows in table.groupby("flat").groups.items():
+        first = table.loc[rows[0]]
+        pose = Pose(light=float(np.radians(first["light_deg"])), camera=float(np.radians(first["camera_deg"])))
+        other = replace(pose, **{axis: getattr(pose, axis) - float(np.radians(ZERO_STEP_DEG))})
+        seen, then = (imaging.pixel_map(description, kinematics.view(description, p)) for p in (pose, other))
+        block = table.loc[rows, "block"].to_numpy(int)
+        at = block // width, block % width
+        moved.loc[rows, "geometry"] *= (then.weight / seen.weight)[at]
+        for k, name in enumerate(("x_mm", "y_mm")):
+            moved.loc[rows, name] += (then.beam_xy_mm[k] - seen.beam_xy_mm[k])[at]
+    return (np.array(fit(moved).beam.terms()) - found.beam.terms()) / ZERO_STEP_DEG
 
 
 def _whitened(table: pd.DataFrame, design: Floats, target: Floats) -> tuple[Floats, Floats]:

@@ -46,6 +46,16 @@ SATURATED = 0.97
 SURE, SURE_PX = 12, 0.4
 """Corners, and their scatter, that show the mirror's edge."""
 """Of the mirror's radius: its edge may lie a little beside where markers show it, or the rig file alone."""
+DARK = {
+    "mirror": "frames are dark where its image should be. Is the mirror in the holder, whole and flat on it; does the "
+    "lamp shine (gonio rig lamp on)",
+    "empty": "frames are dark where it should be. Is the holder empty, and nothing between the arms; does the lamp "
+    "shine (gonio rig lamp on)",
+}
+SHAPELESS = (
+    "what is bright does not have the form of the lamp. Are lamp.half_angle_deg and camera.lens_half_angle_deg right; "
+    "does other light flood the frame (gonio rig snap shows it); is the mirror, where there is one, clean and whole"
+)
 SIZE_U = 0.05
 """Relative standard uncertainty of the sizes of lamp and pupil in the rig file."""
 SPOT_NOISE = 0.02
@@ -77,6 +87,8 @@ class GeometryScans(Scans):
         self._across: float | None = None
         """The tilt, as read, at which it is as high as the frame's middle."""
         self._lost = 0
+        self._dark = 0
+        """Frames in which nothing was bright where the lamp should be."""
         self._beside: Floats | None = None
         """How far from where the rig file has it the sample's centre is in the frame [px], columns and rows."""
 
@@ -243,7 +255,9 @@ class GeometryScans(Scans):
             self._require_size(frame)
             frames["lamp"] = frame.mosaic
             light = np.asarray(frame.mosaic, float) - frame.black_level_dn
-            if self._spot(frame) >= SPOT_PIXELS:
+            bright = self._spot(frame) >= SPOT_PIXELS
+            self._dark += not bright
+            if bright:
                 inside = (
                     self._inside_mirror(pose, numbers, pixels, u_corner)
                     if holder == "mirror"
@@ -315,12 +329,12 @@ class GeometryScans(Scans):
     def _require(self, holder: str, tried: int) -> None:
         if tried - self._lost < min(FEWEST, tried):
             raise DeviceError(
-                f"the lamp was seen at {tried - self._lost} of {tried} poses with holder {holder}: is the mirror clean "
-                "and whole; does other light flood the frame (gonio rig snap shows it)"
+                f"the lamp was seen at {tried - self._lost} of {tried} poses with holder {holder}: "
+                + (SHAPELESS if self._dark < self._lost / 2 else DARK[holder])
             )
         if self._lost:
             self._say(f"{holder}: at {self._lost} of {tried} poses the lamp was not seen")
-        self._lost = 0
+        self._lost = self._dark = 0
 
 
 def reversed_approach(description: RigDescription) -> RigDescription:

@@ -81,6 +81,7 @@ def geometry(
     if intrinsics is not None:
         description, given = _with_lens(description, intrinsics)
     sightings: Sequence[Sighting] = ()
+    doubt = ""
     if scans is not None:
         from gonio.calibration.geometry_scans import read_sightings
 
@@ -90,8 +91,8 @@ def geometry(
         _require_axes(sightings, choice.description, scans)
     elif holders or intrinsics is None:
         share = QUICK if quick else 1.0
-        sightings = _measured(choice, out, holders or None, search=search, share=share, seed=seed, yes=yes)
-    _finish(out, choice.description, description, intrinsics, given, sightings, valid_days)
+        sightings, doubt = _measured(choice, out, holders or None, search=search, share=share, seed=seed, yes=yes)
+    _finish(out, choice.description, description, intrinsics, given, sightings, valid_days, doubt)
 
 
 def _holders(text: str | None) -> list[str]:
@@ -182,11 +183,12 @@ def _with_lens(description: RigDescription, found: Intrinsics) -> tuple[RigDescr
 
 def _measured(
     choice: RigChoice, out: Path, holders: list[str] | None, *, search: float, share: float, seed: int, yes: bool
-) -> Sequence[Sighting]:
-    """Drive the rig, and keep what was seen beside OUT; `share`: of the poses."""
+) -> tuple[Sequence[Sighting], str]:
+    """Drive the rig, and keep what was seen beside OUT; what speaks against the rig file's camera. `share`: of poses."""
     from dataclasses import replace
 
     from gonio.by_hand.bench import Bench
+    from gonio.calibration import camera_check
     from gonio.calibration import geometry_scans as poses
     from gonio.calibration.geometry_scans import GeometryScans, Kept, reversed_approach
     from gonio.cli import console
@@ -208,10 +210,12 @@ def _measured(
             raise ConfigError(f"{choice.source}: {scans.why_not_facing()}")
         console.note(f"{choice.source}: {scans.why_not_facing()}. There are no straight-through frames")
         wanted.remove("empty")
-    kept = Kept(folder)
+    kept, doubt = Kept(folder), ""
     with _told_where(bench), bench:
         if "mirror" in wanted:
             _put(bench, "mirror", yes=yes)
+            if doubt := camera_check.contradictions(bench):
+                console.note(f"WARNING: {doubt}")
             scans.mirror_frames(round(share * poses.MIRROR_POSES))
             if bench.description.holder.fiducials is not None:
                 scans.marker_frames(round(share * poses.MARKER_POSES))
@@ -231,7 +235,7 @@ def _measured(
             backwards.against_frames(sums, across, round(share * poses.AGAINST_POSES))
             _dark(again)
     console.note(f"{folder}: {len(kept.sightings)} sightings; lamp dark, arms parked; put the sample back")
-    return kept.sightings
+    return kept.sightings, doubt
 
 
 # ---- what comes out ----
@@ -239,7 +243,7 @@ def _measured(
 
 def _finish(
     out: Path, filed: RigDescription, description: RigDescription, intrinsics: Intrinsics | None,
-    given: Given | None, sightings: Sequence[Sighting], valid_days: int,
+    given: Given | None, sightings: Sequence[Sighting], valid_days: int, doubt: str,
 ) -> None:  # fmt: skip
     import numpy as np
 
@@ -251,7 +255,7 @@ def _finish(
     from gonio.rig.description import ParameterUncertainty
 
     fit: Fit | None = None
-    notes: list[str] = []
+    notes = [f"WARNING: {doubt}"] * bool(doubt)
     measured: dict[str, Any] = {}
     if sightings:
         fit = geometric.solve(description, sightings, given)

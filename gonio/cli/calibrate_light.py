@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import datetime
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from gonio.by_hand.bench import Bench
+    from gonio.calibration.beam import Profile
     from gonio.rig.description import RigDescription
 
 __all__ = ["app"]
@@ -84,7 +86,7 @@ def light(
     if series is not None:
         _lamp(series, description, out, found)
     if flats is not None:
-        _beam(flats, out, found)
+        _beam(flats, description, out, found)
     if spectra is not None or lines is not None:
         _bands(spectra, lines, description, found)
     _polarisation(lamp_polariser, camera_polariser, found)
@@ -184,7 +186,7 @@ def _lamp(series: Path, description: RigDescription, out: Path, found: _Found) -
     )
 
 
-def _beam(flats: Path, out: Path, found: _Found) -> None:
+def _beam(flats: Path, description: RigDescription, out: Path, found: _Found) -> None:
     import numpy as np
 
     from gonio.calibration import beam
@@ -194,7 +196,8 @@ def _beam(flats: Path, out: Path, found: _Found) -> None:
     found.pictures.append(_picture(beam.draw(table, profile), out, "flats"))
     names = list(type(profile.beam).model_fields)
     values = dict(zip(names, profile.beam.terms(), strict=True))
-    found.add("lamp.beam", values, [f"lamp.beam.{name}" for name in names], profile.covariance)
+    covariance = profile.covariance + _by_zeros(description, table, profile, found)
+    found.add("lamp.beam", values, [f"lamp.beam.{name}" for name in names], covariance)
     found.measured["beam"] = {
         "flats": int(np.unique(table["flat"]).size),
         "reduced_chi_square": profile.reduced_chi_square,
@@ -210,6 +213,44 @@ def _beam(flats: Path, out: Path, found: _Found) -> None:
     found.notes.append(
         "across the plane of the arms the beam rests on a lens that is round, and takes what it takes there"
     )
+
+
+def _by_zeros(description: RigDescription, table: pd.DataFrame, profile: Profile, found: _Found) -> Any:
+    """Covariance of the beam's numbers from zeros of the axes, which look like a tilt of the beam.
+
+    Where no calibration has measured a zero, the rig file's `zero_u_deg` counts. A tilt that is more than that and
+    noise may be the zero's all the same, and is uncertain by as much as it is.
+    """
+    import numpy as np
+
+    from gonio.calibration import beam
+    from gonio.reduction.geometry_errors import zero_keys
+    from gonio.rig.calibrated import covariance_of, known_parameters
+
+    axes = [name for name in ("light", "camera", "tilt") if name in description.axes()]
+    keys, measured = zero_keys(description), known_parameters(description)
+    slopes = np.array([beam.by_zero(description, table, profile, axis) for axis in axes])
+    zeros = covariance_of(description, [keys[axis] for axis in axes])
+    guessed = [axis for axis in axes if keys[axis] not in measured]
+    for axis in guessed:
+        at = axes.index(axis)
+        zeros[at, at] = description.axes()[axis].zero_u_deg ** 2
+    out = np.asarray(slopes.T @ zeros @ slopes)
+    if not guessed:
+        return out
+    said = f"no calibration has measured the zeros of {', '.join(guessed)}: a beam that is tilted and a zero look alike"
+    tilts = []
+    for k, along in enumerate("xy"):
+        largest = np.abs(slopes[:, k]).max()
+        own = [axis for axis in guessed if abs(slopes[axes.index(axis), k]) > 0.3 * largest]
+        value, u = profile.beam.terms()[k], math.sqrt(profile.covariance[k, k] + out[k, k])
+        if own and abs(value) > 3.0 * u:
+            off = " or ".join(f"{axis} off by {value / slopes[axes.index(axis), k]:.2g} deg" for axis in own)
+            tilts.append(f"{along}_per_mm = {value:.2g}, which would also be a zero of {off}")
+            out[k, k] += value**2
+    said += f". It is {'; '.join(tilts)}; u is enlarged by as much" if tilts else ", and u holds what zero_u_deg says"
+    found.notes.append(f"{'WARNING: ' * bool(tilts)}{said}. `gonio calibrate geometry` first, and name its file")
+    return out
 
 
 def _bands(spectra: Path | None, lines: Path | None, description: RigDescription, found: _Found) -> None:
