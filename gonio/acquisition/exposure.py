@@ -50,7 +50,7 @@ BLACK_TOLERANCE = 0.05
 """Of the range between black and white: metering is then off by less than a tenth."""
 CLASSES = 8
 """Of brightness, that the pixels of a region are sorted into where a bracket is planned."""
-PILED = 16
+PILED = 32
 """Pixels of one level that are taken for full ones."""
 MANY = 4_000_000
 """Pixels from which on a part of them is looked at."""

@@ -30,6 +30,8 @@ BRIGHT = 0.9
 PARTS = (BRIGHT, 0.45, 0.2, 0.09, 0.04, 0.02, 0.01)
 """Edges of the parts of other brightness, of which the linearity is told."""
 FEWEST_PIXELS = 200
+UNDETERMINED = 0.05
+"""Standard uncertainty of `vignetting` from which on it is not: lenses lose a tenth or two at the corners."""
 LEVEL = 0.9
 """Of saturation: frames above are not used for the linearity."""
 LEAST_DN = 2.0
@@ -359,7 +361,13 @@ class _Work:
             covariance, names = _with(covariance, names, stray.covariance[: len(strays), : len(strays)], strays)
             measured["stray_light_chi_square"] = stray.chi_square
         lens = self._vignetting(bent, stray)
-        if lens is not None:
+        if lens is not None and lens.u > UNDETERMINED:
+            self.notes.append(
+                f"vignetting: {lens.value:.2g}, u = {lens.u:.2g}, is not determined: that of the rig file, "
+                f"{self.camera.vignetting:g}, stays. A white that reaches the corners of the frame would tell it "
+                "(reference.diameter_mm), or one that is closer"
+            )
+        elif lens is not None:
             values["vignetting"] = max(lens.value, 0.0)
             covariance, names = _with(covariance, names, np.array([[lens.u**2]]), ["vignetting"])
             measured["field_residual"] = lens.residual

@@ -496,6 +496,15 @@ def solve(
     return weighed(replace(fit, open=_open(fit, kept, right[singular < TOLD])), description)
 
 
+def claims(filed: RigDescription) -> dict[str, float]:
+    """Standard uncertainties [deg] of the zeros that a rig file says to know, by their paths."""
+    return {
+        f"arms.{name}.zero_offset_deg" if name not in ("tilt", "spin") else f"holder.{name}_zero_offset_deg":
+        axis.zero_u_deg
+        for name, axis in filed.axes().items() if axis.zero_offset_known and axis.zero_u_deg > 0.0
+    }  # fmt: skip
+
+
 def weighed(fit: Fit, filed: RigDescription) -> Fit:
     """A fit with what the rig file knows of its zeros (`zero_u_deg`), which is independent of the sightings.
 
@@ -507,11 +516,10 @@ def weighed(fit: Fit, filed: RigDescription) -> Fit:
     paths = [u.path for u in fit.unknowns]
     start = _numbers(start_of(filed), paths)
     values, covariance, said = fit.values.copy(), fit.covariance.copy(), []
-    for name, axis in filed.axes().items():
-        path = f"arms.{name}.zero_offset_deg" if name in ("light", "camera", "azimuth") else f"holder.{name}_zero_offset_deg"
-        if path not in paths or not axis.zero_offset_known or axis.zero_u_deg <= 0.0:
+    for path, claimed in claims(filed).items():
+        if path not in paths:
             continue
-        k, claimed = paths.index(path), axis.zero_u_deg
+        k = paths.index(path)
         value, u = float(fit.values[k]), fit.u(path)
         apart = (value - float(start[k])) / math.hypot(u, claimed)
         both = f"{path}: measured {value:.3f} deg, u = {u:.2g}; the rig file says {start[k]:.3f} deg, u = {claimed:.2g}"
@@ -524,7 +532,7 @@ def weighed(fit: Fit, filed: RigDescription) -> Fit:
             continue
         if u > claimed:
             then = "their weighted mean is taken" if fit.known[k] else "that is not replaced, and it was not checked"
-            said.append(f"{both}. The rig file knows it better: {then}")
+            said.append(f"{both}. They are {abs(apart):.1f} apart, in combined ones. The rig file knows it better: {then}")
         if fit.known[k]:
             variance = (claimed * max(1.0, abs(apart))) ** 2 + covariance[k, k]
             column = covariance[:, k] / variance

@@ -299,9 +299,11 @@ def _finish(
         raise DataError(f"{out}: cannot be written: {error.strerror}") from None
     was = numbers_in(geometric.start_of(filed))
     now = numbers_in(tables)
-    table = console.table("key", "value", "u (k = 1)", "was")
+    claimed = geometric.claims(filed)
+    table = console.table("key", "value", "u (k = 1)", "was", "with u")
     for path, one in zip(paths, u, strict=True):
-        table.add_row(path, *apart(now[path], one), f"{was[path]:.5g}" if path in was else "-")
+        before = f"{was[path]:.5g}" if path in was else "-"
+        table.add_row(path, *apart(now[path], one), before, f"{claimed[path]:.2g}" if path in claimed else "")
     console.show(table)
     if intrinsics is not None:
         console.show(f"lens: rms reprojection error {intrinsics.rms_px:.3f} px, {intrinsics.corners} corners of "

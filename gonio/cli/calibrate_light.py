@@ -245,8 +245,8 @@ def _by_zeros(description: RigDescription, table: pd.DataFrame, profile: Profile
         own = [axis for axis in guessed if abs(slopes[axes.index(axis), k]) > 0.3 * largest]
         value, u = profile.beam.terms()[k], math.sqrt(profile.covariance[k, k] + out[k, k])
         if own and abs(value) > 3.0 * u:
-            off = " or ".join(f"{axis} off by {value / slopes[axes.index(axis), k]:.2g} deg" for axis in own)
-            tilts.append(f"{along}_per_mm = {value:.2g}, which would also be a zero of {off}")
+            off = " or ".join(f"{-value / slopes[axes.index(axis), k]:+.2g} deg of {axis}" for axis in own)
+            tilts.append(f"{along}_per_mm = {value:.2g}, which a zero that is off by {off} makes, too")
             out[k, k] += value**2
     said += f". It is {'; '.join(tilts)}; u is enlarged by as much" if tilts else ", and u holds what zero_u_deg says"
     found.notes.append(f"{'WARNING: ' * bool(tilts)}{said}. `gonio calibrate geometry` first, and name its file")

@@ -95,3 +95,39 @@ def test_expected_level_is_that_of_the_data_sheet() -> None:
     pose = Pose(light=math.radians(60))
     level = exposure.expected_level_per_s(describe(camera=camera), pose, 0.5)
     assert level == pytest.approx(1.0, rel=1e-14)  # 40000 / 2 / 2 / 10000, and cos 60 degrees: roundings
+
+
+CLIPS = RIG.camera.model_copy(update={"photon_noise": True, "electrons_per_dn": 2.7, "read_noise_e": 2.5, "dsnu_e": 2.0})
+SHAPES = ("even", "spot", "disc", "ramp")
+
+
+def picture(shape: str, peak_e: float, rng: np.random.Generator, *, gain: float, well_e: float) -> Frame:
+    """A frame of 100 x 100 pixels of a camera whose well holds `well_e` and whose DN is `gain` electrons."""
+    y, x = np.indices((100, 100)) - 49.5
+    r = np.hypot(x, y)
+    form = {"even": np.ones(r.shape), "spot": np.exp(-((r / 30.0) ** 2)), "disc": np.clip(30.0 - r, 0.01, 1.0),
+            "ramp": (x + 50.0) / 100.0}[shape]  # fmt: skip
+    charge = np.minimum(rng.poisson(peak_e * form * (1.0 + 0.005 * rng.standard_normal(r.shape))), well_e)
+    dn = (charge + rng.normal(0.0, 3.5, r.shape)) / gain + 64.0
+    return Frame(np.clip(np.rint(dn), 0, 4095).astype(np.uint16), 0.1, 64.0, 4095.0, time_s=0.0)
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("gain", [2.3, 3.1, 3.9])  # the rig file says 2.7
+def test_the_level_at_which_charge_clips_is_seen_and_nothing_else_is_taken_for_it(shape: str, gain: float) -> None:
+    rng, well = np.random.default_rng(7), 0.8 * 4031 * 2.3
+    for part in (0.05, 0.3, 0.6, 0.85):
+        assert exposure.clipped_dn(CLIPS, picture(shape, part * well, rng, gain=gain, well_e=well)) == math.inf
+    for over in (1.5, 4.0, 30.0):
+        frame = picture(shape, over * well, rng, gain=gain, well_e=well)
+        # read noise and unevenness of 3.5 electrons, of which the middle is the level
+        assert exposure.clipped_dn(CLIPS, frame) == pytest.approx(well / gain + 64.0, abs=2.0)
+        seen = exposure.level(CLIPS, frame, used)
+        assert seen >= exposure.SATURATED
+
+
+def test_a_camera_without_photon_noise_is_not_judged_by_it() -> None:
+    ideal = CLIPS.model_copy(update={"photon_noise": False})
+    even = Frame(np.full((50, 50), 2000, np.uint16), 0.1, 64.0, 4095.0, time_s=0.0)
+    assert exposure.clipped_dn(ideal, even) == math.inf
+    assert exposure.full_scale_dn(ideal, even) == pytest.approx(4031.0, abs=60.0)  # of the converter, or of the well

@@ -25,8 +25,9 @@ def tables() -> dict[str, Any]:
     out = tomllib.loads(SIM.toml)
     out["camera"] |= {"focal_length_mm": 50.0}
     out["holder"] |= {"fiducials": {"count": 4, "marker_mm": 8.0, "ring_mm": 18.0}, "zero_offset_deg": 0.0}
+    out["holder"]["zero_u_deg"] = 0.0  # nobody says to know a zero
     for arm in ("light", "camera"):
-        out["arms"][arm] |= {"limits_deg": [-95.0, 95.0], "zero_offset_deg": 0.0}
+        out["arms"][arm] |= {"limits_deg": [-95.0, 95.0], "zero_offset_deg": 0.0, "zero_u_deg": 0.0}
     return out
 
 
@@ -176,3 +177,59 @@ def test_without_fiducials_the_zeros_are_known_as_well_as_pointing_is_expected(
 def test_nothing_seen_is_refused(filed: RigDescription) -> None:
     with pytest.raises(DataError, match="nothing was seen"):
         geometry.solve(filed, [Sighting("mirror", dict.fromkeys(filed.axes(), 0.0))])
+
+
+ZERO = "arms.light.zero_offset_deg"
+
+
+def claiming(filed: RigDescription, zero_deg: float, u_deg: float) -> RigDescription:
+    """The rig file, with a zero of the light arm that somebody says to know."""
+    light = filed.arms.light.model_copy(update={"zero_offset_deg": zero_deg, "zero_u_deg": u_deg})
+    return filed.model_copy(update={"arms": filed.arms.model_copy(update={"light": light})})
+
+
+@pytest.mark.parametrize("off", [0.0, 1.5])
+def test_what_the_rig_file_knows_better_is_not_replaced(
+    filed: RigDescription, sighted: Callable[..., list[Sighting]], true: RigDescription, off: float
+) -> None:
+    seen = sighted(mirror=20, straight=6, markers=12)
+    alone = geometry.solve(filed, seen)
+    u = 0.3 * alone.u(ZERO)
+    claimed = alone.value(ZERO) + off * math.hypot(u, alone.u(ZERO))
+    fit = geometry.weighed(alone, claiming(filed, claimed, u))
+    (said,) = fit.warnings
+    assert said.startswith(f"{ZERO}: measured")
+    assert "The rig file knows it better" in said
+    # the weighted mean of two; what the file says counts with 1.5 times its u where it lies 1.5 combined ones off
+    weight = (u * max(off, 1.0)) ** 2 + alone.u(ZERO) ** 2
+    assert fit.value(ZERO) == pytest.approx(
+        alone.value(ZERO) + (claimed - alone.value(ZERO)) * alone.u(ZERO) ** 2 / weight, abs=1e-9
+    )
+    assert u * 0.9 < fit.u(ZERO) < u * max(off, 1.0)
+    # a cosine that is correlated with the zero follows it
+    cosine = "arms.light.harmonics_deg[0][1]"
+    assert fit.u(cosine) < alone.u(cosine)
+    assert np.linalg.eigvalsh(fit.covariance).min() > -1e-12
+
+
+def test_a_rig_file_that_is_wrong_is_contradicted_aloud_and_not_believed(whole: geometry.Fit, filed: RigDescription) -> None:
+    fit = geometry.weighed(whole, claiming(filed, whole.value(ZERO) - 0.5, 0.02))
+    (said,) = fit.warnings
+    assert "They contradict each other by" in said
+    assert "the measured one is taken" in said
+    assert (fit.value(ZERO), fit.u(ZERO)) == (whole.value(ZERO), whole.u(ZERO))
+
+
+def test_a_zero_that_is_not_determined_stays_as_filed_and_is_named(
+    filed: RigDescription, sighted: Callable[..., list[Sighting]]
+) -> None:
+    fit = geometry.solve(claiming(filed, 3.0, 0.02), sighted(mirror=12, seen=False))
+    (said,) = fit.warnings
+    assert "is not replaced, and it was not checked" in said
+    assert ZERO not in geometry.values_of(fit)[1]
+    assert "printed markers" in fit.open[-1]
+    assert "face each other" in fit.open[-1]
+
+
+def test_a_measured_zero_counts_alone_where_nothing_is_claimed(whole: geometry.Fit) -> None:
+    assert whole.warnings == ()
