@@ -193,7 +193,10 @@ def level(run: Run, wanted_s: Floats, visits: list[Reduced], band: Band) -> tupl
     """The signal per unit BRDF at some times, and the reference's BRDF; see `reduce_in_parts` for what raises."""
     description, reference = run.description, run.description.reference
     if not visits:
-        raise DataError(f"{run.path}: no usable visit to the white reference in band {band.name}; see its frames")
+        raise DataError(
+            f"{run.path}: no usable visit to the white reference in band {band.name}; see its frames: where they are "
+            "full, lower acquisition.exposure_target, and calibrate the camera"
+        )
     rates, u_rel = np.array([visit.rate for visit in visits]), reference.u_rel
     if rates.min() <= 0:
         raise DataError(f"{run.path}: a visit to the white reference in band {band.name} saw no light; see its frames")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime
 import json
+import math
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import pytest
 from gonio_sim.rig import SIM
 
 from gonio.acquisition.measure import find_rig
+from gonio.measurement import read
 from gonio.rig.calibrated import Calibration, identity, write_calibration
 from gonio.rig.description import ParameterUncertainty
 from tests.command_line import gonio
@@ -120,3 +122,25 @@ def test_a_run_is_resumed_where_its_calibration_has_run_out_and_that_is_only_war
     (bench / "run" / "run.toml").write_text(text.replace("\nremarks = []\n", '\nremarks = ["x"]\n'))
     done = gonio(bench, *MEASURE, "--resume")
     assert done.returncode == 0, done.stderr
+
+
+def test_a_run_whose_charge_clips_below_the_converter_is_not_reduced_to_wrong_numbers(tmp_path: Path) -> None:
+    """The rig file says 2.7 e-/DN, and 3.5 is true: the well is full at 3207 DN, where the file expects 4095.
+
+    Exposures for 85 % of full scale lie beyond that. Sample and white clip alike, so that their ratio would look good.
+    """
+    (tmp_path / "truth.toml").write_text("[camera]\nelectrons_per_dn = 3.5\n")
+    rig = 'truth = "truth.toml"\n' + small(SIM.toml)
+    (tmp_path / "p.toml").write_text(PLAN)
+    (tmp_path / "s.toml").write_text(LAMBERT)
+    for target, code in ((0.85, 1), (0.6, 0)):
+        (tmp_path / "rig.toml").write_text(rig.replace("exposure_target = 0.6", f"exposure_target = {target}"))
+        out = f"run-{code}"
+        assert gonio(tmp_path, *MEASURE[:-1], out, "--seed", "3", "--yes").returncode == 0
+        done = gonio(tmp_path, "reduce", out)
+        assert done.returncode == code, done.stderr
+        assert ("lower acquisition.exposure_target" in " ".join(done.stderr.split())) == bool(code)
+    table = read(tmp_path / "run-0" / "brdf.csv")
+    used = table[table["flag"] == ""]
+    assert len(used) >= 2
+    assert (abs(used["brdf"] - 0.5 / math.pi) < 4 * used["u_brdf"]).all()
