@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 
 __all__ = ["app"]
 
+NO_ZERO_DEG = 10.0
+"""No zero is off by as much: `gonio calibrate geometry` expects none there."""
 FileOption = typer.Option(show_default=False, exists=True, dir_okay=False)
 
 
@@ -241,11 +243,11 @@ def _by_zeros(description: RigDescription, table: pd.DataFrame, profile: Profile
     said = f"no calibration has measured the zeros of {', '.join(guessed)}: a beam that is tilted and a zero look alike"
     tilts = []
     for k, along in enumerate("xy"):
-        largest = np.abs(slopes[:, k]).max()
-        own = [axis for axis in guessed if abs(slopes[axes.index(axis), k]) > 0.3 * largest]
         value, u = profile.beam.terms()[k], math.sqrt(profile.covariance[k, k] + out[k, k])
+        by = {axis: -value / slopes[axes.index(axis), k] for axis in guessed if slopes[axes.index(axis), k]}
+        own = {axis: off for axis, off in by.items() if abs(off) < NO_ZERO_DEG}
         if own and abs(value) > 3.0 * u:
-            off = " or ".join(f"{-value / slopes[axes.index(axis), k]:+.2g} deg of {axis}" for axis in own)
+            off = " or ".join(f"{zero:+.2g} deg of {axis}" for axis, zero in own.items())
             tilts.append(f"{along}_per_mm = {value:.2g}, which a zero that is off by {off} makes, too")
             out[k, k] += value**2
     said += f". It is {'; '.join(tilts)}; u is enlarged by as much" if tilts else ", and u holds what zero_u_deg says"
