@@ -32,6 +32,8 @@ DIM = 0.02
 """Of full scale: of frames that are darker, also the longest ones, nobody knows whether the lamp was lit."""
 SEARCH_EXPOSURES = 0.01, 1.0, 20.0
 """In exposures of a matt white surface: a mirror is brighter by its cones, a spot may be fainter than it should."""
+MARKED = 0.4
+"""The longest where there are printed markers: their white stays below `BRIGHT`, and is not taken for the lamp."""
 LONGEST_S = 2.0
 DIMMED = (0.3, 0.1, 0.03, 0.01)
 """Levels of a lamp that saturates the camera at its shortest exposure."""
@@ -158,6 +160,8 @@ class Scans:
         tried: list[float] = []
         seen = 0.0
         for factor in SEARCH_EXPOSURES:
+            if self._description.holder.fiducials is not None:
+                factor = min(factor, MARKED)
             exposure_s = round(min(max(factor * white, shortest), min(longest, max(LONGEST_S, shortest))), 6)
             if exposure_s in tried:
                 continue

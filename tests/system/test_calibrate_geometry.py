@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+import subprocess
 import tomllib
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from gonio_sim.rig import SIM
+from gonio_sim.rig import SIM, SimulatedRig
 
 from gonio.config import numbers_in, read_toml, to_toml
 from gonio.measurement import read
@@ -184,3 +185,47 @@ def test_empty_pictures_show_no_board(here: Command, tmp_path: Path) -> None:
     )  # fmt: skip
     assert "board" in done.stderr
     assert not (tmp_path / "g.toml").exists()
+
+
+@pytest.mark.parametrize(
+    ("truth", "options", "lies", "said"),
+    [
+        ({"camera": {"responsivity_e_per_s": 1e-3}}, ("--holder", "mirror"), "mirror", "all frames are dark: does the lamp shine"),
+        ({}, ("--holder", "mirror"), "reference", "Is the mirror in the holder"),
+        ({}, ("--holder", "mirror"), "trap", "light is seen, so the lamp shines"),
+        ({"lamp": {"half_angle_deg": 2.0}}, ("--holder", "empty"), "empty", "does not have the form of the lamp"),
+    ],
+)  # fmt: skip
+def test_what_is_missing_is_told_apart(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, truth: dict[str, Any], options: tuple[str, ...], lies: str, said: str
+) -> None:
+    monkeypatch.setattr(SimulatedRig, "put", lambda self, what: setattr(self.world, "target", lies) is None)
+    (tmp_path / "truth.toml").write_text(to_toml(truth))
+    done = gonio_of(tmp_path, {"truth": "truth.toml"} | tables(), "--quick", "--search", "1", *options)
+    assert done.returncode == 3, done.stdout + done.stderr
+    assert said in " ".join(done.stderr.split())
+    assert not (tmp_path / "g.toml").exists()
+
+
+def test_zeros_that_the_rig_file_knows_are_kept_and_said(tmp_path: Path) -> None:
+    """The shipped `sim`: arms that cannot face each other, and no markers."""
+    out = tomllib.loads(SIM.toml)
+    out["camera"] |= {"width": 320, "height": 240, "pixel_um": 10.0}
+    done = gonio_of(tmp_path, out, "--quick", "--seed", "2")
+    assert done.returncode == 0, done.stderr
+    file, said = read_toml(tmp_path / "g.toml"), " ".join(done.stdout.split())
+    u = dict(zip(file["uncertainty"]["parameters"], file["uncertainty"]["u"], strict=True))
+    assert not [path for path in u if path.startswith("arms") and path.endswith("zero_offset_deg")]
+    tilt = "holder.tilt_zero_offset_deg"
+    # two weights, of which the other one is far smaller; the file's own may count for less where they disagree
+    assert u.get(tilt, 0.02) == pytest.approx(0.02, rel=0.5)
+    assert numbers_in(file["values"]).get(tilt, 0.264) == pytest.approx(0.264, abs=0.02)
+    for path in ("arms.light.zero_offset_deg", "arms.camera.zero_offset_deg", tilt):
+        assert f"WARNING: {path}: measured" in said
+    assert "printed markers" in said
+    assert "a quick look at the camera" not in said  # which has nothing to say: the rig file is right
+
+
+def gonio_of(folder: Path, rig: dict[str, Any], *options: str) -> subprocess.CompletedProcess[str]:
+    (folder / "rig.toml").write_text(to_toml(rig))
+    return gonio(folder, "calibrate", "geometry", "--rig", "rig.toml", "--out", "g.toml", "--yes", *options)
