@@ -114,6 +114,9 @@ def pulls_of(folder: Path, truth: dict[str, Any], filed: dict[str, Any]) -> dict
         values = numbers_in(file["values"])
         for path, u in zip(file["uncertainty"]["parameters"], file["uncertainty"]["u"], strict=True):
             true = numbers_in(truth).get(path, numbers_in(filed).get(path, 0.0))
+            if path == "camera.full_well_e":  # or what the converter holds
+                camera = truth["camera"]
+                true = min(true, (4095.0 - camera["black_level_dn"]) * camera["electrons_per_dn"])
             out[path] = (values[path] - true) / u
     return out
 
