@@ -180,7 +180,7 @@ class Scans:
                     if self._spot(frame) >= SPOT_PIXELS:
                         self._exposure_s = exposure_s
                         return
-                    level = (float(np.percentile(frame.mosaic, 99.0)) - frame.black_level_dn)
+                    level = float(np.percentile(frame.mosaic, 99.0)) - frame.black_level_dn
                     seen = max(seen, level / exposure.full_scale_dn(self._description.camera, frame))
         there = "the mirror's reflection" if holder == "mirror" else "the lamp itself"
         remedy = (

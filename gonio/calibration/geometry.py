@@ -401,7 +401,7 @@ class Problem:
                 mine = [k for k, its in orders.items() if its == order]
                 squares = float(np.sum(x[mine] ** 2 + np.diag(covariance)[mine]))
                 least = (LEAST_HARMONIC_DEG / self.within[mine[0]]) ** 2
-                self._expected[mine, mine] = min((squares + least) / (len(mine) + 1.0), 1.0)
+                self._expected[mine, mine] = min((squares + least) / len(mine), 1.0)
             if np.abs(np.log(np.diag(self._expected) / last)).max() < 0.01:
                 break
         self._prior = _whitening(self._expected)
@@ -532,7 +532,9 @@ def weighed(fit: Fit, filed: RigDescription) -> Fit:
             continue
         if u > claimed:
             then = "their weighted mean is taken" if fit.known[k] else "that is not replaced, and it was not checked"
-            said.append(f"{both}. They are {abs(apart):.1f} apart, in combined ones. The rig file knows it better: {then}")
+            said.append(
+                f"{both}. They are {abs(apart):.1f} apart, in combined ones. The rig file knows it better: {then}"
+            )
         if fit.known[k]:
             variance = (claimed * max(1.0, abs(apart))) ** 2 + covariance[k, k]
             column = covariance[:, k] / variance

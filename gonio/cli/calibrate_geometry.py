@@ -184,7 +184,10 @@ def _with_lens(description: RigDescription, found: Intrinsics) -> tuple[RigDescr
 def _measured(
     choice: RigChoice, out: Path, holders: list[str] | None, *, search: float, share: float, seed: int, yes: bool
 ) -> tuple[Sequence[Sighting], str]:
-    """Drive the rig, and keep what was seen beside OUT; what speaks against the rig file's camera. `share`: of poses."""
+    """Drive the rig, and keep what was seen beside OUT; with what speaks against the rig file's camera.
+
+    `share`: of the poses.
+    """
     from dataclasses import replace
 
     from gonio.by_hand.bench import Bench
@@ -261,7 +264,11 @@ def _finish(
         fit = geometric.solve(description, sightings, given)
         tables, paths, covariance = geometric.values_of(fit)
         tables = geometric.filled(tables, description)
-        notes += [*(f"WARNING: {said}" for said in fit.warnings), *fit.open, *(f"left out, too far from all else: {what}" for what in fit.dropped)]
+        notes += [
+            *(f"WARNING: {said}" for said in fit.warnings),
+            *fit.open,
+            *(f"left out, too far from all else: {what}" for what in fit.dropped),
+        ]
         measured = {"sightings": len(sightings), "misfit": fit.misfit, "rank": fit.rank, "of": len(fit.unknowns)}
         if given is None:
             notes.append("focal length and distortion were taken as in the rig file: no pictures of a board")

@@ -97,7 +97,9 @@ def test_expected_level_is_that_of_the_data_sheet() -> None:
     assert level == pytest.approx(1.0, rel=1e-14)  # 40000 / 2 / 2 / 10000, and cos 60 degrees: roundings
 
 
-CLIPS = RIG.camera.model_copy(update={"photon_noise": True, "electrons_per_dn": 2.7, "read_noise_e": 2.5, "dsnu_e": 2.0})
+CLIPS = RIG.camera.model_copy(
+    update={"photon_noise": True, "electrons_per_dn": 2.7, "read_noise_e": 2.5, "dsnu_e": 2.0}
+)
 SHAPES = ("even", "spot", "disc", "ramp")
 
 

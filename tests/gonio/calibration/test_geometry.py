@@ -212,7 +212,9 @@ def test_what_the_rig_file_knows_better_is_not_replaced(
     assert np.linalg.eigvalsh(fit.covariance).min() > -1e-12
 
 
-def test_a_rig_file_that_is_wrong_is_contradicted_aloud_and_not_believed(whole: geometry.Fit, filed: RigDescription) -> None:
+def test_a_rig_file_that_is_wrong_is_contradicted_aloud_and_not_believed(
+    whole: geometry.Fit, filed: RigDescription
+) -> None:
     fit = geometry.weighed(whole, claiming(filed, whole.value(ZERO) - 0.5, 0.02))
     (said,) = fit.warnings
     assert "They contradict each other by" in said
