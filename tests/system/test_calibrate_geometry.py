@@ -198,7 +198,11 @@ def test_empty_pictures_show_no_board(here: Command, tmp_path: Path) -> None:
 def test_what_is_missing_is_told_apart(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, truth: dict[str, Any], holder: str, lies: str, said: str
 ) -> None:
-    monkeypatch.setattr(SimulatedRig, "put", lambda self, what: setattr(self.world, "target", lies) is None)
+    def put(self: SimulatedRig, what: str) -> bool:
+        self.world.target = lies  # a person who did not do what was asked
+        return True
+
+    monkeypatch.setattr(SimulatedRig, "put", put)
     (tmp_path / "truth.toml").write_text(to_toml(truth))
     done = gonio_of(tmp_path, {"truth": "truth.toml"} | tables(), "--quick", "--search", "1", "--holder", holder)
     assert done.returncode == 3, done.stdout + done.stderr
