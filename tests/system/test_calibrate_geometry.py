@@ -196,7 +196,7 @@ def test_empty_pictures_show_no_board(here: Command, tmp_path: Path) -> None:
     ],
 )
 def test_what_is_missing_is_told_apart(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, truth: dict[str, Any], holder: str, lies: str, said: str
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, truth: dict[str, Any], holder: str, lies: Any, said: str
 ) -> None:
     def put(self: SimulatedRig, what: str) -> bool:
         self.world.target = lies  # a person who did not do what was asked
