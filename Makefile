@@ -10,11 +10,13 @@ demo: .venv/.ready
 test: .venv/.ready
 	$(BIN)/python -m pytest -q -n 2 --dist worksteal
 
-# with the lowest versions that pyproject.toml allows, on Python 3.11: the models, formats, fits and commands
+# the lowest versions that pyproject.toml allows; with the newest: make test-oldest CONSTRAINTS=
+CONSTRAINTS = constraints-oldest.txt
 test-oldest:
-	python3.11 -m venv build/oldest
-	build/oldest/bin/python -m pip install --quiet --disable-pip-version-check -c constraints-oldest.txt -e . pytest hypothesis jsonschema mpmath
-	build/oldest/bin/python -m pytest -q -p no:cacheprovider -W ignore::DeprecationWarning tests/gonio/test_*.py tests/gonio/cli tests/gonio/formats tests/gonio/models tests/gonio_analysis/fitting
+	$(PYTHON) -m venv --clear .venv-oldest
+	.venv-oldest/bin/python -m pip install --quiet --disable-pip-version-check $(addprefix -c ,$(CONSTRAINTS)) -e . pytest hypothesis jsonschema mpmath
+	.venv-oldest/bin/gonio demo --quick --out .venv-oldest/demo
+	.venv-oldest/bin/python -m pytest -q tests/test_lower_bounds.py tests/gonio/test_config.py tests/gonio/test_measurement.py tests/gonio/formats tests/gonio_analysis/test_commands.py tests/gonio_scenes/test_render.py tests/gonio_drivers/test_bus.py tests/gonio_sim/test_rig.py
 
 check: .venv/.ready
 	$(BIN)/ruff check .
@@ -33,5 +35,5 @@ site: .venv/.ready
 	touch .venv/.ready
 
 clean:
-	rm -rf .venv demo-run build
+	rm -rf .venv .venv-oldest demo-run build
 	find gonio drivers sim scenes analysis sweeps interchange tests -name __pycache__ -type d -exec rm -rf {} +
