@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
+from gonio_analysis.fitting.gaussian_process import Coordinates
 
 from gonio.typing import Floats
-from gonio_sweeps.gaussian_process import Coordinates
 
 WIDTHS_DEG = (3.0, 8.0, 20.0)
 """Slopes of the facets, from which the search begins."""

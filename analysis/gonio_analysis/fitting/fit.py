@@ -5,10 +5,10 @@ Weighted least squares with the table's whole covariance: residuals are whitened
 (`gonio_analysis.fitting.forward`), and the search starts from the best points of a coarse grid
 (`gonio_analysis.fitting.search`).
 
-Standard errors are those of linearised least squares with the stated covariance, and are not scaled by the reduced
-chi-square: where that is far from 1, the model or the stated uncertainties are wrong, and no scaling mends either.
-Without stated uncertainties the fit is logarithmic (`gonio_analysis.fitting.objective`), errors come from the scatter
-of the residuals, and there is no chi-square.
+Standard errors of a model that the data do not reject are those of linearised least squares with the stated
+covariance. A model that they reject is fitted once more, with a misfit of its own (`gonio_analysis.fitting.misfit`,
+docs/misfit.md): what comes out is the nearest model, and its standard errors hold that misfit. Without stated
+uncertainties the fit is logarithmic, the misfit takes everything, and there is no chi-square.
 """
 
 from __future__ import annotations
@@ -30,11 +30,12 @@ from gonio_analysis.fitting.angle_zeros import by_model
 from gonio_analysis.fitting.forward import NO_WAVELENGTH_NM, apparent, pointlike
 from gonio_analysis.fitting.identifiability import tied
 from gonio_analysis.fitting.incidences import angles
-from gonio_analysis.fitting.objective import Objective, scaled_to
+from gonio_analysis.fitting.misfit import SMALLEST, Misfit, block_spread, estimated_tau, misfit
+from gonio_analysis.fitting.objective import Objective, objective, on_log_scale, scaled_to, with_misfit
 from gonio_analysis.fitting.observations import DEFAULT_WAVELENGTH_NM, Observations, observations
 from gonio_analysis.fitting.parameters import Family, Values
 from gonio_analysis.fitting.problem import STARTS, Bound, FitRequest, Problem, pose, together
-from gonio_analysis.fitting.search import STEP, covariance, refine, search, search_from, settle
+from gonio_analysis.fitting.search import STEP, covariance, one_sided, refine, search, search_from, settle
 from gonio_analysis.result_records import (
     AtWavelength,
     FitSummary,
@@ -54,6 +55,12 @@ BOUND_FIRST = 30.0
 """The bound is so much softer on the way, for a search along a steep wall takes many short steps."""
 EXCESS = 2e-5
 """What the bound on rho_dh gives way by, about."""
+SIGNIFICANCE = 0.01
+"""A model is rejected where noise alone makes so large a chi-square less often than this."""
+TURNS = 8
+"""Parameters and tau are found in turn, so often at most."""
+SETTLED = 1e-3
+"""Change of ln tau that ends it: a hundredth of what tau is uncertain by, or less."""
 ROUNDING = 1e-24
 """Scatter (squared, in the residuals' units) that a fit without one is taken to have: that of its own arithmetic."""
 
@@ -92,9 +99,11 @@ class FitResult:
     predicted: Floats
     """The model through the instrument, in the directions of `data` [1/sr]."""
     whitened: Floats
-    """Residuals model - measurement, whitened; logarithmic ones where no uncertainty is stated."""
+    """Residuals model - measurement, whitened by what `goal` says; logarithmic ones where no uncertainty is stated."""
     weighting: str
     chi_square: float | None
+    """The smallest one that the model reaches with the stated uncertainties; that of a rejected model's reported
+    parameters is larger."""
     wavelength_nm: float
     condition: float
     """Condition number of the whitened Jacobian with columns of unit length."""
@@ -109,6 +118,15 @@ class FitResult:
     notes: list[str] = field(default_factory=list)
     shared: SharedGeometry | None = None
     """What was fitted together with other wavelengths; None for a fit of its own."""
+    misfit: Misfit | None = None
+    """How far the model is from the data, where they reject it or state no uncertainties; None elsewhere."""
+    noise: Floats | None = field(default=None, repr=False)
+    """The part of `spread` that the stated uncertainties make, where there is a misfit."""
+
+    @property
+    def rejected(self) -> bool:
+        """Whether chi-square rejects the model."""
+        return self.p_value is not None and self.p_value < SIGNIFICANCE
 
     @property
     def degrees_of_freedom(self) -> int:
@@ -154,7 +172,7 @@ class FitResult:
         assumed = self.data.u_rel_assumed
         which = "stated uncertainties" if assumed is None else f"assumed uncertainty of {100 * assumed:g} %"
         given = "" if assumed is None else f", with the {which}"
-        if self.p_value >= 0.01:
+        if not self.rejected:
             if self.p_value > 0.99:
                 return f"not rejected; residuals are smaller than the {which}"
             return f"not rejected at the 1 % level{given}"
@@ -220,6 +238,18 @@ class FitResult:
     def _conclusion(self) -> str:
         chi = self.reduced_chi_square
         return self.verdict if chi is None else f"reduced chi-square {chi:.4g}: {self.verdict}"
+
+    def known_to(self, spread: Floats) -> FitResult:
+        """The same solution, its parameters known to a covariance on the search scale."""
+        problem, vector = self.problem, self.vector
+        slope = problem.slope(vector)
+        return replace(
+            self,
+            spread=spread,
+            covariance=spread * np.outer(slope, slope),
+            parameters=estimates(problem, vector, spread, self.wavelength_nm),
+            derived=derived(problem, vector, spread),
+        )
 
     def summary(self) -> FitSummary:
         """Plain numbers and words."""
@@ -331,44 +361,118 @@ def fit(
     data = by_model(data, problem.model(vector), found)
     goal = replace(scaled_to(data, found, asked.metric), loss=asked.loss)
     done = asked.metric is None and problem.bound is None  # the search has made the same sum small, without more ado
-    if not (
-        done
-        and pointlike(data)
-        and goal.weights is data.covariance
-        and (goal.weights is None or not goal.weights.causes)
-    ):
+    if not (done and pointlike(data) and (goal.weights is None or not goal.weights.causes)):
         vector = refine(problem, data, goal, vector, say=say)[0]
     vector, jacobian = settle(problem, data, goal, vector)
+    result = _result(problem, data, goal, vector, jacobian, wavelength)
+    if asked.metric is None and asked.loss == "linear":
+        if result.rejected:
+            result = _nearest(result, asked.searches, say)
+        elif data.covariance is None:
+            result = _with_misfit(result, jacobian)
+    elif not goal.whitened:
+        notes.append("Standard errors come from the scatter of the residuals; there is no chi-square.")
+    notes += remarks(result)
+    return replace(result, notes=[*data.notes, *notes], wall_s=time.perf_counter() - began)
+
+
+def _result(
+    problem: Problem, data: Observations, goal: Objective, vector: Floats, jacobian: Floats, wavelength_nm: float
+) -> FitResult:
+    """What a solution comes to; its standard errors are those of a true model."""
     built = problem.model(vector)
     predicted = apparent(built, data)
     white = goal.residual(predicted)
     total = float(white @ white)
     spread, condition = covariance(jacobian)
     if not goal.whitened:
-        spread = spread * max(total / (len(data) - len(names)), ROUNDING)
-        notes.append("Standard errors come from the scatter of the residuals; there is no chi-square.")
-    result = FitResult(
-        name=asked.model,
+        spread = spread * max(total / (len(data) - len(problem.free)), ROUNDING)
+    assert problem.asked is not None
+    return FitResult(
+        name=problem.asked.model,
         model=built,
-        parameters=estimates(problem, vector, spread, wavelength),
-        free=names,
-        covariance=spread * np.outer(problem.slope(vector), problem.slope(vector)),
-        derived=derived(problem, vector, spread),
+        parameters={},
+        free=problem.free,
+        covariance=spread,
+        derived={},
         data=data,
         predicted=predicted,
         whitened=white,
         weighting=goal.words,
         chi_square=total if goal.whitened else None,
-        wavelength_nm=wavelength,
+        wavelength_nm=wavelength_nm,
         condition=condition,
         wall_s=0.0,
         problem=problem,
         vector=vector,
         spread=spread,
         goal=goal,
+    ).known_to(spread)
+
+
+def _nearest(rejected: FitResult, searches: int, say: Say) -> FitResult:
+    """The nearest model, where the data reject every one: with a misfit that makes the residuals most probable.
+
+    The search begins anew without the stated uncertainties, for a fit that trusts them may lie in a valley that only
+    the best known values are in.
+    """
+    problem, data = rejected.problem, rejected.data
+    unstated = replace(data, covariance=None, u_rel_assumed=None)
+    plain = with_misfit(data, 1.0)
+    begin = [search(problem, unstated, searches=searches, say=say), rejected.vector]
+    found = [refine(problem, unstated, objective(unstated), start, quick=True) for start in begin]
+    vector = min(found, key=lambda f: f[1])[0]
+    tau, jacobian = 0.0, np.zeros(0)
+    for _ in range(TURNS):
+        before, tau = tau, _tau(problem, data, plain, vector)
+        goal = with_misfit(data, tau)
+        if before and abs(math.log(tau / before)) < SETTLED:
+            break
+        vector = refine(problem, data, goal, vector, say=say)[0]
+    vector, jacobian = settle(problem, data, goal, vector)
+    result = _result(problem, data, goal, vector, jacobian, rejected.wavelength_nm)
+    return _with_misfit(replace(result, chi_square=rejected.chi_square), jacobian)
+
+
+def _tau(problem: Problem, data: Observations, plain: Objective, vector: Floats) -> float:
+    """The misfit at a point of the search, by residuals on the logarithmic scale."""
+    predicted = apparent(problem.model(vector), data)
+    near = apparent(problem.model(vector), data, quick=True)
+    lower, upper = problem.bounds
+    inside = np.flatnonzero((vector > lower) & (vector < upper))
+    columns = one_sided(problem, data, vector, near, only=inside)
+    unweighted = replace(plain, weights=None)
+    return estimated_tau(
+        unweighted.residual(predicted), unweighted.jacobian(near, columns), on_log_scale(data, plain.small)
     )
-    notes += remarks(result)
-    return replace(result, notes=[*data.notes, *notes], wall_s=time.perf_counter() - began)
+
+
+def _with_misfit(result: FitResult, jacobian: Floats) -> FitResult:
+    """A fit with its misfit, and with the standard errors that follow from it.
+
+    `jacobian` is what it was solved with: (n, p), whitened by its goal; rows of priors may follow.
+    """
+    data, goal = result.data, result.goal
+    n, p = len(data), len(result.free)
+    if not goal.tau:  # nothing is stated: the misfit takes everything
+        tau = max(math.sqrt(float(result.whitened @ result.whitened) / (n - p)), SMALLEST)
+        goal, jacobian = with_misfit(data, tau), jacobian / tau
+    assert goal.weights is not None
+    stated, problem = on_log_scale(data, goal.small), result.problem
+    formal, _ = covariance(jacobian)
+    lower, upper = problem.bounds
+    inside = (result.vector > lower) & (result.vector < upper) & (np.linalg.norm(jacobian[:n], axis=0) > 0)
+    columns = jacobian[:n, inside]
+    # a parameter at a bound does not follow when values are left out: its error stays a formal one
+    spread = np.diag(np.where(inside, 0.0, np.diag(formal)))
+    spread[np.ix_(inside, inside)] = block_spread(columns, goal.residual(result.predicted), data.directions)
+    noise = np.zeros_like(spread)
+    if stated is not None:
+        gain = goal.weights.whiten_transposed(np.linalg.pinv(columns).T).T
+        common = gain @ stated.common
+        spread[np.ix_(inside, inside)] += common @ common.T
+        noise[np.ix_(inside, inside)] = (gain * stated.random**2) @ gain.T + common @ common.T
+    return replace(result, misfit=misfit(data, goal, result.predicted), noise=noise).known_to(spread)
 
 
 def _require_parts(data: Observations, wavelength_nm: float) -> None:

@@ -1,4 +1,8 @@
-"""What a fit makes small: residuals, whitened by the data's uncertainties, of logarithms, or by another metric."""
+"""What a fit makes small: residuals, whitened by the data's uncertainties, of logarithms, or by another metric.
+
+Of a model that the data reject they are residuals of logarithms, whitened by the stated covariance and the model's own
+misfit (docs/misfit.md).
+"""
 
 from __future__ import annotations
 
@@ -44,7 +48,7 @@ class Objective:
 
     measured: Floats
     weights: Covariance | None
-    """Of "weighted"."""
+    """Of the residuals of "weighted" [1/sr], or of "log"; None where residuals count as they are."""
     small: float = 1.0
     """e [1/sr]."""
     loss: str = "linear"
@@ -52,43 +56,43 @@ class Objective:
     metric: str = "log"
     cosine: Floats | None = None
     """cos theta_i (n,)."""
-    unit: Floats | None = None
-    """Of "log": the uncertainty of each value on this scale (n,), where one is assumed."""
+    tau: float = 0.0
+    """The model's own misfit on the scale of "log", which `weights` hold."""
     assumed: float | None = None
     """The relative uncertainty that is assumed, for `words`."""
 
     @property
     def whitened(self) -> bool:
         """Whether residuals are in units of an uncertainty, so that their sum of squares is a chi-square."""
-        return self.weights is not None or self.unit is not None
+        return self.weights is not None
 
     def take(self, rows: npt.NDArray[np.intp] | npt.NDArray[np.bool_]) -> Objective:
         """That of some of the values."""
         weights = None if self.weights is None else self.weights.take(rows)
-        cosine, unit = (None if x is None else x[rows] for x in (self.cosine, self.unit))
-        return replace(self, measured=self.measured[rows], weights=weights, cosine=cosine, unit=unit)
+        cosine = None if self.cosine is None else self.cosine[rows]
+        return replace(self, measured=self.measured[rows], weights=weights, cosine=cosine)
 
     def residual(self, predicted: Floats) -> Floats:
         """Of a prediction (n,) [1/sr]; its sum of squares is what a fit minimises."""
-        if self.weights is not None:
-            return self.weights.whiten(predicted - self.measured)
-        if self.metric in ("ngan", "relative"):
-            return np.asarray((predicted - self.measured) * self._factor)
-        return np.asarray((self._scaled(predicted) - self._scaled(self.measured)) * self._factor)
+        if self.metric in ("weighted", "ngan", "relative"):
+            plain = np.asarray((predicted - self.measured) * self._factor)
+        else:
+            plain = np.asarray((self.scaled(predicted) - self.scaled(self.measured)) * self._factor)
+        return plain if self.weights is None else self.weights.whiten(plain)
 
     def jacobian(self, predicted: Floats, columns: Floats) -> Floats:
         """Derivatives of `residual`, from those of the prediction (n, p)."""
-        if self.weights is not None:
-            return self.weights.whiten(columns)
         if self.metric == "log":
-            slope = self._factor / np.hypot(predicted, 2 * self.small)
+            slope = 1.0 / np.hypot(predicted, 2 * self.small)
         elif self.metric == "cube-root":  # held where the root is vertical
             slope = self._factor / (3.0 * np.cbrt(np.maximum(np.abs(predicted), 1e-3 * self.small)) ** 2)
         else:
             slope = self._factor
-        return np.asarray(columns * np.broadcast_to(slope, predicted.shape)[:, None])
+        plain = np.asarray(columns * np.broadcast_to(slope, predicted.shape)[:, None])
+        return plain if self.weights is None else self.weights.whiten(plain)
 
-    def _scaled(self, f: Floats) -> Floats:
+    def scaled(self, f: Floats) -> Floats:
+        """f [1/sr] on the scale of "log" or "cube-root"."""
         return np.asarray(np.cbrt(f) if self.metric == "cube-root" else np.arcsinh(f / (2 * self.small)))
 
     @property
@@ -97,8 +101,8 @@ class Objective:
         one = np.ones(1)
         if self.metric == "relative":
             return np.asarray(1.0 / np.maximum(np.abs(self.measured), 2 * self.small))
-        if self.metric == "log":
-            return one if self.unit is None else 1.0 / self.unit
+        if self.metric in ("log", "weighted"):
+            return one
         cosine = one if self.cosine is None else self.cosine
         return np.asarray(np.cbrt(cosine)) if self.metric == "cube-root" else cosine
 
@@ -115,13 +119,15 @@ class Objective:
         """For reports."""
         robust = "" if self.loss == "linear" else f"; large residuals count by the loss {self.loss}"
         unit = "" if self.assumed is None else f", in units of an assumed {100 * self.assumed:g} % of each value"
-        if self.weights is not None:
-            if self.assumed is not None:
-                return f"weighted{unit}{robust}"
-            causes = ", ".join(self.weights.causes)
-            return "the table's covariance" + (f", with the common causes {causes}" if causes else "") + robust
+        causes = ", ".join(self.weights.causes) if self.weights is not None else ""
+        stated = "the table's covariance" + (f", with the common causes {causes}" if causes else "")
+        if self.metric == "weighted":
+            return f"{stated if self.assumed is None else f'weighted{unit}'}{robust}"
         if self.metric == "log":
-            return f"logarithmic: every value alike, as ln f above {self.small:.2g} 1/sr and as f below{unit}{robust}"
+            scale = f"as ln f above {self.small:.2g} 1/sr and as f below"
+            if self.tau:
+                return f"logarithmic, {scale}: {stated}{unit}, and the model's own misfit of {100 * self.tau:.2g} %"
+            return f"logarithmic: every value alike, {scale}{unit}{robust}"
         return f"{METRICS[self.metric]}{robust}"
 
 
@@ -132,22 +138,46 @@ def objective(data: Observations, metric: str | None = None) -> Objective:
     """
     stated = data.covariance is not None and data.u_rel_assumed is None
     chosen = metric or ("weighted" if stated else "log")
-    small = max(LINEAR_BELOW * float(np.median(np.abs(data.brdf))), 1e-300)
+    small = smallest(data)
     if chosen == "weighted":
         if data.covariance is None:
             raise ConfigError(
                 "--metric weighted: the table states no uncertainties; --u-rel 0.03 assumes one of 3 % of each value"
             )
         return Objective(data.brdf, data.covariance, metric=chosen, assumed=data.u_rel_assumed)
-    unit = data.u / np.hypot(data.brdf, 2 * small) if chosen == "log" and data.u_rel_assumed is not None else None
+    assumed = data.u_rel_assumed if chosen == "log" else None
     return Objective(
         data.brdf,
-        None,
+        None if assumed is None else on_log_scale(data, small),
         small,
         metric=chosen,
         cosine=np.cos(data.directions.theta_i),
-        unit=unit,
-        assumed=None if unit is None else data.u_rel_assumed,
+        assumed=assumed,
+    )
+
+
+def smallest(data: Observations) -> float:
+    """e [1/sr] of the scale of "log"."""
+    return max(LINEAR_BELOW * float(np.median(np.abs(data.brdf))), 1e-300)
+
+
+def on_log_scale(data: Observations, small: float, tau: float = 0.0) -> Covariance | None:
+    """The covariance of asinh(f/2e), with a misfit `tau` of every value; None where neither says anything."""
+    if data.covariance is None:
+        return independent(np.full(len(data), tau)) if tau else None
+    slope = 1.0 / np.hypot(data.brdf, 2 * small)
+    known = data.covariance
+    return Covariance(np.hypot(known.random * slope, tau), known.common * slope[:, None], known.causes)
+
+
+def with_misfit(data: Observations, tau: float) -> Objective:
+    """Of a model whose own misfit is `tau`: logarithmic, with the stated covariance and tau^2 of every value.
+
+    No part of this variance depends on fitted values: a model cannot make itself likely by a larger one.
+    """
+    small = smallest(data)
+    return Objective(
+        data.brdf, on_log_scale(data, small, tau), small, metric="log", tau=tau, assumed=data.u_rel_assumed
     )
 
 
@@ -163,7 +193,7 @@ def scaled_to(data: Observations, predicted: Floats, metric: str | None = None) 
     See `Covariance.scaled`; the ratio is used where a value is above 3 u, and held between 1/2 and 2.
     """
     goal = objective(data, metric)
-    if goal.weights is None or not goal.weights.causes:
+    if goal.metric != "weighted" or not goal.weights or not goal.weights.causes:
         return goal
     seen = data.brdf > 3 * data.u
     ratio = np.where(seen, predicted / np.where(seen, data.brdf, 1.0), 1.0)

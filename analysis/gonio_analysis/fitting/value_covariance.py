@@ -72,6 +72,23 @@ class Covariance:
         left, shrink = self._root
         return np.asarray(scaled - left @ ((left.T @ scaled).T * shrink).T)
 
+    def whiten_transposed(self, rows: Floats) -> Floats:
+        """W^T r, of the columns of (n, p)."""
+        scaled = rows
+        if self.causes:
+            left, shrink = self._root
+            scaled = rows - left @ ((left.T @ rows).T * shrink).T
+        return np.asarray((scaled.T / self.random).T)
+
+    @cached_property
+    def log_determinant(self) -> float:
+        """ln det C."""
+        of_random = 2.0 * float(np.log(self.random).sum())
+        if not self.causes:
+            return of_random
+        _, shrink = self._root
+        return of_random - 2.0 * float(np.log1p(-shrink).sum())  # shrink = 1 - 1/sqrt(1 + s^2)
+
     def alone(self, residual: Floats) -> Floats:
         """Each residual less what all the others predict of it, in standard deviations of that difference.
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from gonio_sweeps import gaussian_process as gp
-from gonio_sweeps.gaussian_process import CENTRES, NAMES, Coordinates, Pairs, Process, Values
+from gonio_analysis.fitting import gaussian_process as gp
+from gonio_analysis.fitting.gaussian_process import NAMES, OF_CURVES, Coordinates, Pairs, Process, Values
 
 from gonio.geometry import Directions
 
@@ -36,7 +36,7 @@ def test_derivatives_of_the_likelihood_are_those_of_differences() -> None:
     values = Values(
         Coordinates.of(directions(24, 0)), rng.normal(0, 1, 24), np.full(24, 0.05), rng.normal(0, 0.01, (24, 2))
     )
-    p = CENTRES + rng.normal(0, 0.5, len(NAMES))
+    p = OF_CURVES.centres + rng.normal(0, 0.5, len(NAMES))
     _, slope = gp.objective(p, values, 0.0)
     h = 1e-5
     for k in range(p.size):
@@ -50,13 +50,13 @@ def test_what_is_known_is_the_conditional_distribution() -> None:
     rng = np.random.default_rng(3)
     at, there = Coordinates.of(directions(12, 4)), Coordinates.of(directions(5, 5))
     z, u, causes = rng.normal(0, 1, 12), rng.uniform(0.01, 0.1, 12), rng.normal(0, 0.05, (12, 1))
-    process = Process(Values(at, z, u, causes), CENTRES, 0.3)
+    process = Process(Values(at, z, u, causes), OF_CURVES.centres, 0.3)
     mean, covariance = process.mean_at(there), process.covariance_at(there)
-    k = Pairs(at, at).kernel(CENTRES) + np.diag(u**2) + causes @ causes.T
-    cross = Pairs(there, at).kernel(CENTRES)
+    k = Pairs(at, at).kernel(OF_CURVES.centres) + np.diag(u**2) + causes @ causes.T
+    cross = Pairs(there, at).kernel(OF_CURVES.centres)
     # Rasmussen and Williams (2006), eqs. 2.23 and 2.24; the jitter is 1e-10
     np.testing.assert_allclose(mean, 0.3 + cross @ np.linalg.solve(k, z - 0.3), atol=1e-4)
-    prior = Pairs(there, there).kernel(CENTRES)
+    prior = Pairs(there, there).kernel(OF_CURVES.centres)
     np.testing.assert_allclose(covariance, prior - cross @ np.linalg.solve(k, cross.T), atol=1e-5)
 
 
@@ -64,9 +64,9 @@ def test_a_value_left_out_is_predicted_by_the_others() -> None:
     rng = np.random.default_rng(6)
     d = directions(10, 7)
     at, z, u = Coordinates.of(d), rng.normal(0, 1, 10), np.full(10, 0.1)
-    left_out = Process(Values(at, z, u, np.zeros((10, 1))), CENTRES).left_out
+    left_out = Process(Values(at, z, u, np.zeros((10, 1))), OF_CURVES.centres).left_out
     others = np.arange(10) != 4
-    process = Process(Values(Coordinates.of(d[others]), z[others], u[others], np.zeros((9, 1))), CENTRES)
+    process = Process(Values(Coordinates.of(d[others]), z[others], u[others], np.zeros((9, 1))), OF_CURVES.centres)
     mean, covariance = process.mean_at(Coordinates.of(d[4:5])), process.covariance_at(Coordinates.of(d[4:5]))
     expected = (z[4] - mean[0]) / np.sqrt(covariance[0, 0] + 0.01)
     assert left_out[4] == pytest.approx(expected, rel=1e-5)  # jitter of 1e-10 beside a noise of 1e-2

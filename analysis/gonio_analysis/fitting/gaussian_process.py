@@ -1,4 +1,4 @@
-"""A Gaussian process for the logarithm of a BRDF, in coordinates in which lobes are smooth.
+"""A Gaussian process for the logarithm of a BRDF, or of its ratio to a model, in which lobes are smooth.
 
 What varies is a sum of parts, each with a width that the values themselves tell:
 
@@ -25,20 +25,42 @@ from gonio.typing import Floats
 
 NAMES = ("h", "lobe", "l_lobe", "own", "l_own", "view", "l_view", "l_incidence", "retro", "apart", "facets", "noise")
 """Parameters of the kernel; all are fitted as logarithms."""
-CENTRES = np.log(
-    [np.radians(4.0), 0.5, 1.5, 0.4, 1.5, 0.5, np.radians(50.0), np.radians(30.0), 0.1, np.radians(6.0), 10.0, 1.0]
-)
-"""Before any value is known: widths [rad], lengths of w, amplitudes of the logarithm, factor of the noise."""
-SPREADS = np.array([1.0, 1.0, 0.7, 0.5, 0.7, 2.0, 0.6, 0.8, 2.0, 0.7, 2.0, 0.1])
-"""Standard deviations of the logarithms before any value is known: a factor of three or so to either side."""
-LEVEL, COSINE = 5.0, 1.0
-"""Standard deviations of the logarithm's mean and of the power of cos theta_r: Lambert's 0, Cook and Torrance's -1."""
 LIMB = 1.5
 """theta_r is stretched by 1 + LIMB tan(theta_r): shadowing sets in within the last degrees before grazing."""
 CURVATURE_STEP = 1e-3
 """Of the parameters' logarithms."""
 JITTER = 1e-10
 SQRT5 = np.sqrt(5.0)
+
+
+@dataclass(frozen=True)
+class Prior:
+    """What is taken of a process before any value is known."""
+
+    centres: Floats
+    """Logarithms of `NAMES`: widths [rad], lengths of w, amplitudes of the logarithm, factor of the noise."""
+    spreads: Floats
+    """Standard deviations of these logarithms."""
+    level: float
+    """Standard deviation of the mean."""
+    cosine: float
+    """Standard deviation of the power of cos theta_r: Lambert's is 0, Cook and Torrance's -1."""
+
+    @property
+    def bounds(self) -> list[tuple[float, float]]:
+        """Where the parameters are sought: within three standard deviations."""
+        return [(c - 3.0 * s, c + 3.0 * s) for c, s in zip(self.centres, self.spreads, strict=True)]
+
+
+OF_CURVES = Prior(
+    np.log(
+        [np.radians(4.0), 0.5, 1.5, 0.4, 1.5, 0.5, np.radians(50.0), np.radians(30.0), 0.1, np.radians(6.0), 10.0, 1.0]
+    ),
+    np.array([1.0, 1.0, 0.7, 0.5, 0.7, 2.0, 0.6, 0.8, 2.0, 0.7, 2.0, 0.1]),
+    level=5.0,
+    cosine=1.0,
+)
+"""Of a BRDF's logarithm itself: each number within a factor of three or so."""
 
 
 @dataclass(frozen=True)
@@ -112,12 +134,12 @@ def _slope(r: Floats) -> Floats:
 class Pairs:
     """Distances between two sets of places that no parameter of the kernel changes."""
 
-    def __init__(self, a: Coordinates, b: Coordinates) -> None:
+    def __init__(self, a: Coordinates, b: Coordinates, prior: Prior = OF_CURVES) -> None:
         self.a, self.b = a, b
         self.view = _apart(a.view, b.view)
         self.incidence = _apart(a.incidence, b.incidence)
         self.lobe, self.base = np.outer(a.lobe, b.lobe), np.outer(a.base, b.base)
-        self.level = LEVEL**2 + COSINE**2 * np.outer(a.log_cos, b.log_cos)
+        self.level = prior.level**2 + prior.cosine**2 * np.outer(a.log_cos, b.log_cos)
         self.squares = np.outer(np.tan(a.theta_h) ** 2, np.tan(b.theta_h) ** 2)
         self.one_incidence = not bool(self.incidence.any())
 
@@ -193,16 +215,21 @@ class Values:
     """(n, m): what one standard deviation of each common cause changes."""
     summed: bool = False
     """Whether lobe and base are summands; otherwise they are factors."""
+    prior: Prior = OF_CURVES
 
     @cached_property
     def pairs(self) -> Pairs:
         """Among the values."""
-        return Pairs(self.at, self.at)
+        return self.pairs_with(self.at)
+
+    def pairs_with(self, places: Coordinates) -> Pairs:
+        """Between places and the values."""
+        return Pairs(places, self.at, self.prior)
 
     def only(self, kept: npt.NDArray[np.bool_]) -> Values:
         """Some of them."""
         at = self.at.only(kept)
-        return Values(at, self.z[kept], self.u[kept], self.causes[kept], self.summed)
+        return replace(self, at=at, z=self.z[kept], u=self.u[kept], causes=self.causes[kept])
 
     def beside(self, mean: float) -> Floats:
         """The values less what the mean of the process gives them."""
@@ -223,7 +250,7 @@ def objective(p: Floats, data: Values, mean: float) -> tuple[float, Floats]:
     n = data.z.size
     k = k + data.common
     k[np.diag_indices(n)] += noise + JITTER
-    away = (p - CENTRES) / SPREADS
+    away = (p - data.prior.centres) / data.prior.spreads
     try:
         factor = cho_factor(k, lower=True)
     except np.linalg.LinAlgError:
@@ -233,14 +260,14 @@ def objective(p: Floats, data: Values, mean: float) -> tuple[float, Floats]:
     inner = cho_solve(factor, np.eye(n)) - np.outer(alpha, alpha)
     value = 0.5 * y @ alpha + np.log(np.diag(factor[0])).sum() + 0.5 * away @ away
     slope = np.array([0.5 * (inner * d).sum() for d in by] + [(np.diag(inner) * noise).sum()])
-    return float(value), slope + away / SPREADS
+    return float(value), slope + away / data.prior.spreads
 
 
-def starts(seen: Floats | None) -> list[Floats]:
+def starts(seen: Floats | None, prior: Prior) -> list[Floats]:
     """Where the search for the parameters begins: wide and narrow lobes, and where it ended before."""
     out = []
     for h in (1.0, 4.0, 15.0):
-        p = CENTRES.copy()
+        p = prior.centres.copy()
         p[0] = np.log(np.radians(h))
         out.append(p)
     return out if seen is None else [seen, out[1]]
@@ -251,9 +278,9 @@ def learned(data: Values, before: Floats | None = None, *, on: bool = False) -> 
     from scipy.optimize import minimize
 
     mean = float(np.median(data.z))
-    bounds = [(c - 3.0 * s, c + 3.0 * s) for c, s in zip(CENTRES, SPREADS, strict=True)]
+    bounds = data.prior.bounds
     best: Any = None
-    for start in [before] if on and before is not None else starts(before):
+    for start in [before] if on and before is not None else starts(before, data.prior):
         found = minimize(
             objective, start, (data, mean), jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 60}
         )
@@ -271,7 +298,7 @@ def nearby(p: Floats, data: Values, mean: float) -> list[tuple[Floats, Floats]]:
     rows = [(objective(p + h, data, mean)[1] - objective(p - h, data, mean)[1]) / (2.0 * CURVATURE_STEP) for h in step]
     curvature = np.array(rows)
     values, axes = np.linalg.eigh(0.5 * (curvature + curvature.T))
-    off = axes / np.sqrt(np.maximum(values, 1.0 / SPREADS.max() ** 2))
+    off = axes / np.sqrt(np.maximum(values, 1.0 / data.prior.spreads.max() ** 2))
     return [(p + a, p - a) for a in off.T]
 
 
@@ -307,7 +334,7 @@ class Process:
 
     def summands_at(self, places: Coordinates) -> tuple[Floats, Floats]:
         """The logarithms of lobe and base where these are summands."""
-        of_lobe, of_base = Pairs(places, self.data.at).of_parts(self.p)
+        of_lobe, of_base = self.data.pairs_with(places).of_parts(self.p)
         alpha = self._factor[1]
         return (
             np.asarray(self.mean + of_lobe @ (self.data.at.lobe * alpha)),
@@ -317,7 +344,7 @@ class Process:
     def mean_at(self, places: Coordinates) -> Floats:
         """The mean at places."""
         if not self.data.summed:
-            return np.asarray(self.mean + Pairs(places, self.data.at).kernel(self.p) @ self._factor[1])
+            return np.asarray(self.mean + self.data.pairs_with(places).kernel(self.p) @ self._factor[1])
         return total(*self.summands_at(places))
 
     def seen(self, places: Coordinates) -> Coordinates:
@@ -334,8 +361,8 @@ class Process:
         from scipy.linalg import solve_triangular
 
         places = self.seen(places)
-        cross = Pairs(places, self.data.at).kernel(self.p)
-        prior = Pairs(places, places).kernel(self.p)
+        cross = self.data.pairs_with(places).kernel(self.p)
+        prior = Pairs(places, places, self.data.prior).kernel(self.p)
         if effects is not None:
             cross = cross + effects @ self.data.causes[:, : effects.shape[1]].T
             prior = prior + effects @ effects.T
@@ -344,17 +371,17 @@ class Process:
 
     def changes_at(self, seen: Coordinates) -> Floats:
         """What the values change of the mean, where the shares of lobe and base are given."""
-        return np.asarray(Pairs(seen, self.data.at).kernel(self.p) @ self._factor[1])
+        return np.asarray(self.data.pairs_with(seen).kernel(self.p) @ self._factor[1])
 
     def variance_at(self, places: Coordinates, effects: Floats | None = None) -> Floats:
         """The diagonal of `covariance_at`, where the shares of lobe and base are given: those of `seen`."""
         from scipy.linalg import solve_triangular
 
         _, lobe, _, own, _, view, _, _, retro, _, facets = np.exp(self.p[:11])
-        fixed = LEVEL**2 + (COSINE * places.log_cos) ** 2
+        fixed = self.data.prior.level**2 + (self.data.prior.cosine * places.log_cos) ** 2
         of_lobe = fixed + view**2 + lobe**2 + (own * lobe) ** 2 + (facets * np.tan(places.theta_h) ** 2) ** 2
         prior = places.lobe**2 * of_lobe + places.base**2 * (fixed + view**2 + retro**2)
-        cross = Pairs(places, self.data.at).kernel(self.p)
+        cross = self.data.pairs_with(places).kernel(self.p)
         if effects is not None:
             cross = cross + effects @ self.data.causes[:, : effects.shape[1]].T
             prior = prior + (effects**2).sum(axis=1)

@@ -1,0 +1,237 @@
+"""What a model that is not true leaves over: how large it is, how it goes on between directions, what it does.
+
+On the scale of `gonio_analysis.fitting.objective` (z = asinh(f/2e), ln f for all but the smallest values) measured less
+fitted is noise and misfit. tau, the standard deviation of the misfit, is what makes the residuals most probable:
+restricted maximum likelihood [Patterson1971]_, which takes account of the fitted parameters. The misfit is smooth over
+directions. A Gaussian process describes it, whose amplitudes are held near tau by a prior: free, it would take the
+model's place. See docs/misfit.md.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from gonio.geometry import Directions
+from gonio.typing import Floats
+from gonio_analysis.fitting.gaussian_process import OF_CURVES, Coordinates, Prior, Process, Values, objective
+from gonio_analysis.fitting.objective import Objective, on_log_scale
+from gonio_analysis.fitting.observations import Observations
+from gonio_analysis.fitting.value_covariance import Covariance
+
+SMALLEST, LARGEST = 1e-6, 1e3
+"""Between these tau is sought."""
+MOST_LEARNED = 100
+"""Values that the process learns its parameters from, evenly taken of more: twenty steps take 50 ms."""
+MOST_NODES = 300
+"""Values that the process rests on, evenly taken of more."""
+STEPS = 20
+ROUGH = 0.1
+"""Part of tau that is taken to vary from value to value, to begin with: a factor of three to either side."""
+APART, WIDE, AZIMUTH = np.radians([10.0, 30.0, 45.0])
+"""Angles of incidence that count as others, and sizes of the finest blocks."""
+MANY, FEWEST_BLOCKS = 6, 3
+"""Blocks that a range of angles is cut into, and how many it takes to leave one out."""
+LEAST_LEFT = 1e-3
+"""Part of what is known of a parameter that is left without a block, at least."""
+K95 = 1.959964
+Rows = npt.NDArray[np.intp]
+
+
+def estimated_tau(z: Floats, jacobian: Floats, stated: Covariance | None) -> float:
+    """The misfit that makes residuals most probable, with the parameters fitted (REML).
+
+    Parameters
+    ----------
+    z : (n,) array
+        Residuals on the scale of logarithms.
+    jacobian : (n, p) array
+        Their derivatives by the parameters that are not at a bound.
+    stated
+        Covariance of the values on the same scale; None where nothing is stated.
+    """
+    from scipy.optimize import minimize_scalar
+
+    n, p = jacobian.shape
+    if stated is None:
+        return max(math.sqrt(float(z @ z) / max(n - p, 1)), SMALLEST)
+    seen = np.linalg.norm(jacobian, axis=0) > 0
+    basis = np.linalg.qr(jacobian[:, seen])[0]
+
+    def unlikely(log_tau: float) -> float:
+        whole = replace(stated, random=np.hypot(stated.random, math.exp(log_tau)))
+        white, columns = whole.whiten(z), whole.whiten(basis)
+        return float(white @ white) + whole.log_determinant + float(np.linalg.slogdet(columns.T @ columns)[1])
+
+    found = minimize_scalar(unlikely, bounds=(math.log(SMALLEST), math.log(LARGEST)), method="bounded")
+    return math.exp(float(found.x))
+
+
+def groupings(directions: Directions) -> list[Rows]:
+    """Ways to cut directions into blocks: a number for each direction, equal within a block.
+
+    Angles of incidence, ranges of the detector's angle along the plane of incidence, and blocks of 30 degrees of it at
+    each incidence, 45 degrees of azimuth wide. Neighbours, whose misfits are alike, stay together.
+    """
+    along, across = directions.along, np.abs(directions.dphi)
+    incidence = np.round(directions.theta_i / APART).astype(np.intp)
+    if np.unique(incidence).size > MANY:
+        incidence = _ranges(directions.theta_i)
+    wide = np.floor((along + math.pi / 2) / WIDE).astype(np.intp)
+    fine = (incidence * 100 + wide) * 10 + np.floor((across % math.pi) / AZIMUTH).astype(np.intp)
+    found = [np.unique(number, return_inverse=True)[1] for number in (incidence, _ranges(along), fine)]
+    return [number for number in found if number.max() >= FEWEST_BLOCKS - 1] or [np.arange(along.size)]
+
+
+def _ranges(angle: Floats) -> Rows:
+    return np.asarray(np.digitize(angle, np.quantile(angle, np.linspace(0.0, 1.0, MANY + 1)[1:-1])), np.intp)
+
+
+def block_spread(jacobian: Floats, residual: Floats, directions: Directions) -> Floats:
+    """Covariance of fitted parameters by leaving out blocks of directions, one after the other.
+
+    The jackknife of Kuensch [Kuensch1989]_, of each of `groupings`, and their mean. Left-out solutions are one linear
+    step away.
+
+    Parameters
+    ----------
+    jacobian : (n, p) array
+        Derivatives of the whitened residuals, by the parameters that are not at a bound.
+    residual : (n,) array
+        Whitened residuals.
+    directions
+        Shape (n,).
+    """
+    size = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300)
+    basis, triangle = np.linalg.qr(jacobian / size)
+    p = size.size
+    out = np.zeros((p, p))
+    found = groupings(directions)
+    for number in found:
+        count = int(number.max()) + 1
+        inner, slope = np.zeros((count, p, p)), np.zeros((count, p))
+        np.add.at(inner, number, basis[:, :, None] * basis[:, None, :])
+        np.add.at(slope, number, basis * residual[:, None])
+        values, vectors = np.linalg.eigh(np.eye(p) - inner)
+        left = np.einsum("bij,bi->bj", vectors, slope.sum(axis=0) - slope) / np.maximum(values, LEAST_LEFT)
+        steps = -np.einsum("bij,bj->bi", vectors, left)
+        away = steps - steps.mean(axis=0)
+        out += (count - 1) / count * (away.T @ away) / len(found)
+    back = np.linalg.pinv(triangle, rcond=1e-10) / size[:, None]
+    return np.asarray(back @ out @ back.T)
+
+
+def _u_log(square: Floats, tau: float, directions: Directions) -> float:
+    """Of ln tau, by the same blocks; `square` are residuals squared, less what noise adds."""
+    variances = []
+    for number in groupings(directions):
+        total, count = np.bincount(number, square), np.bincount(number)
+        left = (total.sum() - total) / (count.sum() - count)
+        variances.append((count.size - 1) / count.size * float(((left - left.mean()) ** 2).sum()))
+    return 0.5 * math.sqrt(float(np.mean(variances))) / tau**2
+
+
+@dataclass(frozen=True)
+class Misfit:
+    """The misfit of a fitted model."""
+
+    tau: float
+    """Relative standard deviation."""
+    u_log: float
+    """Standard uncertainty of ln tau, by leaving out blocks of directions."""
+    small: float
+    """e [1/sr] of the scale."""
+    process: Process
+    """Of ln(measured / model)."""
+    wider: float
+    """Scatter of left-out residuals about the process, at least 1: its uncertainties are widened by it."""
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """Of tau, 95 %."""
+        far = math.exp(K95 * self.u_log)
+        return self.tau / far, self.tau * far
+
+    def beside(self, directions: Directions, model: Floats) -> tuple[Floats, Floats]:
+        """The measurement as model and misfit have it.
+
+        Parameters
+        ----------
+        directions
+            Where, shape (n,).
+        model : (n,) array [1/sr]
+            The fitted model there.
+
+        Returns
+        -------
+        brdf : (n,) array [1/sr]
+            The model with the mean of the process: the measurement where it is, the model far away.
+        root : (n, k) array [1/sr]
+            root @ root.T is its covariance, the common causes of the measurement included.
+        """
+        at = Coordinates.of(directions)
+        z = np.arcsinh(model / (2 * self.small)) + self.process.mean_at(at)
+        brdf = 2 * self.small * np.sinh(z)
+        values, vectors = np.linalg.eigh(self.process.covariance_at(at))
+        root = vectors * (self.wider * np.sqrt(np.maximum(values, 0.0)))
+        return brdf, root * np.hypot(brdf, 2 * self.small)[:, None]
+
+
+def misfit(data: Observations, goal: Objective, predicted: Floats) -> Misfit:
+    """The misfit of a model, from the residuals of a fit.
+
+    Parameters
+    ----------
+    data
+        What was fitted.
+    goal
+        What was made small, with its tau.
+    predicted : (n,) array [1/sr]
+        The fitted model.
+    """
+    from scipy.optimize import minimize
+
+    z = goal.scaled(data.brdf) - goal.scaled(predicted)
+    stated = on_log_scale(data, goal.small)
+    at = Coordinates.of(data.directions)
+    prior = _prior(goal.tau)
+    u = np.full(len(data), ROUGH * goal.tau) if stated is None else np.hypot(stated.random, ROUGH * goal.tau)
+    common = np.zeros((len(data), 1)) if stated is None or not stated.causes else stated.common
+    whole = Values(at, z, u, common, prior=prior)
+    few = whole.only(_evenly(len(data), MOST_LEARNED))
+    found = minimize(
+        objective,
+        prior.centres,
+        (few, 0.0),
+        jac=True,
+        method="L-BFGS-B",
+        bounds=prior.bounds,
+        options={"maxiter": STEPS},
+    )
+    process = Process(whole.only(_evenly(len(data), MOST_NODES)), np.asarray(found.x), 0.0)
+    noise = 0.0 if stated is None else stated.random**2
+    wider = max(1.0, math.sqrt(float(np.mean(process.left_out**2))))
+    return Misfit(goal.tau, _u_log(z**2 - noise, goal.tau, data.directions), goal.small, process, wider)
+
+
+def _prior(tau: float) -> Prior:
+    """The process of curves, with amplitudes near tau."""
+    centres, spreads = OF_CURVES.centres.copy(), OF_CURVES.spreads.copy()
+    # lobe, own, view, retro, facets; then what differs from value to value
+    for k, share in ((1, 1.0), (5, 1.0), (8, 0.3), (10, 1.0)):
+        centres[k], spreads[k] = math.log(share * tau), min(spreads[k], 1.0)
+    centres[3] = math.log(0.7)
+    spreads[-1] = 1.0
+    return Prior(centres, spreads, level=0.5 * tau, cosine=0.5 * tau)
+
+
+def _evenly(n: int, most: int) -> npt.NDArray[np.bool_]:
+    """Which of n values are kept: a mask."""
+    kept = np.ones(n, dtype=bool)
+    if n > most:
+        kept[:] = False
+        kept[np.random.default_rng(0).permutation(n)[:most]] = True
+    return kept
