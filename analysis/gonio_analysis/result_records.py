@@ -162,6 +162,10 @@ class Reflectance:
     """The part of `u` from the uncertainty of the values, with their whole covariance."""
     u_independent: float | None = None
     """The same, were every value's uncertainty independent of the others'."""
+    with_misfit: float | None = None
+    """Of a model that is not true: with what the values say of its misfit."""
+    u_with_misfit: float | None = None
+    """Standard uncertainty of that."""
 
 
 @dataclass(frozen=True)

@@ -465,7 +465,10 @@ def _with_misfit(result: FitResult, jacobian: Floats) -> FitResult:
     columns = jacobian[:n, inside]
     # a parameter at a bound does not follow when values are left out: its error stays a formal one
     spread = np.diag(np.where(inside, 0.0, np.diag(formal)))
-    spread[np.ix_(inside, inside)] = block_spread(columns, goal.residual(result.predicted), data.directions)
+    by_blocks = block_spread(columns, goal.residual(result.predicted), data.directions)
+    # few blocks may agree by chance: nothing is better known than with a misfit that is independent everywhere
+    least = np.sqrt(np.maximum(np.diag(formal)[inside] / np.maximum(np.diag(by_blocks), 1e-300), 1.0))
+    spread[np.ix_(inside, inside)] = by_blocks * np.outer(least, least)
     noise = np.zeros_like(spread)
     if stated is not None:
         gain = goal.weights.whiten_transposed(np.linalg.pinv(columns).T).T

@@ -22,7 +22,7 @@ from gonio_analysis.fitting.objective import Objective, on_log_scale
 from gonio_analysis.fitting.observations import Observations
 from gonio_analysis.fitting.value_covariance import Covariance
 
-SMALLEST, LARGEST = 1e-6, 1e3
+SMALLEST, LARGEST = 1e-12, 1e3
 """Between these tau is sought."""
 MOST_LEARNED = 100
 """Values that the process learns its parameters from, evenly taken of more: twenty steps take 50 ms."""
@@ -124,14 +124,15 @@ def block_spread(jacobian: Floats, residual: Floats, directions: Directions) -> 
     return np.asarray(back @ out @ back.T)
 
 
-def _u_log(square: Floats, tau: float, directions: Directions) -> float:
-    """Of ln tau, by the same blocks; `square` are residuals squared, less what noise adds."""
+def jackknife(values: Floats, directions: Directions) -> tuple[float, float]:
+    """Mean of values, and its standard uncertainty by leaving out blocks of their directions."""
     variances = []
     for number in groupings(directions):
-        total, count = np.bincount(number, square), np.bincount(number)
-        left = (total.sum() - total) / (count.sum() - count)
-        variances.append((count.size - 1) / count.size * float(((left - left.mean()) ** 2).sum()))
-    return 0.5 * math.sqrt(float(np.mean(variances))) / tau**2
+        total, count = np.bincount(number, values), np.bincount(number)
+        if count.size > 1:
+            left = (total.sum() - total) / (count.sum() - count)
+            variances.append((count.size - 1) / count.size * float(((left - left.mean()) ** 2).sum()))
+    return float(values.mean()), math.sqrt(float(np.mean(variances))) if variances else math.inf
 
 
 @dataclass(frozen=True)
@@ -214,7 +215,8 @@ def misfit(data: Observations, goal: Objective, predicted: Floats) -> Misfit:
     process = Process(whole.only(_evenly(len(data), MOST_NODES)), np.asarray(found.x), 0.0)
     noise = 0.0 if stated is None else stated.random**2
     wider = max(1.0, math.sqrt(float(np.mean(process.left_out**2))))
-    return Misfit(goal.tau, _u_log(z**2 - noise, goal.tau, data.directions), goal.small, process, wider)
+    _, u = jackknife(z**2 - noise, data.directions)
+    return Misfit(goal.tau, 0.5 * u / goal.tau**2, goal.small, process, wider)
 
 
 def _prior(tau: float) -> Prior:

@@ -116,8 +116,11 @@ def profiles(result: FitResult, names: tuple[str, ...] | None = None, *, level: 
     Returns
     -------
     Profiles
-        Without stated uncertainties the rise of chi-square is in units of the scatter of the residuals.
+        Of a model with a misfit (docs/misfit.md) there is no profile: the intervals are those of its standard errors.
+        By a metric that does not weigh, the rise of chi-square is in units of the scatter of the residuals.
     """
+    if result.misfit is not None:
+        return Profiles({name: _linear(result, name, level) for name in result.free if names is None or name in names})
     walker = _Walker(result)
     threshold = math.sqrt(rise(result, level))
     out: dict[str, Interval] = {}
@@ -170,6 +173,19 @@ def rise(result: FitResult, level: float) -> float:
     if result.goal.whitened:
         return float(chdtri(1, 1.0 - level))
     return float(fdtri(1, len(result.data) - len(result.free), level))
+
+
+def _linear(result: FitResult, name: str, level: float) -> Interval:
+    """An interval by the standard error."""
+    from scipy.special import ndtri
+
+    k = result.free.index(name)
+    lower, upper = result.problem.bounds
+    variance = float(result.spread[k, k])
+    far = float(ndtri(0.5 * (1.0 + level))) * math.sqrt(variance) if math.isfinite(variance) else math.inf
+    place = float(result.vector[k])
+    ends = [max(place - far, float(lower[k])), min(place + far, float(upper[k]))]
+    return _interval(result, name, k, ends, [], level)
 
 
 def _interval(

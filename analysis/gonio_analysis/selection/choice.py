@@ -3,7 +3,10 @@
 Candidates stand in order of their free parameters. The data reject one where its whitened chi-square is too large for
 noise (probability below 1 %), or where another describes the same values better by more than `DECISIVE` in AIC: the
 total chi-square of hundreds of values hides a smooth misfit that a comparison sees. What is reported beside it (BIC,
-held-out error, run time) does not decide.
+run time) does not decide.
+
+On a real sample all are rejected. Then the nearest is the one that best predicts values that were left out, as
+logarithms; models whose difference in that lies within twice its own uncertainty cannot be told apart.
 """
 
 from __future__ import annotations
@@ -19,9 +22,12 @@ import numpy as np
 from gonio.cli.console import duration
 from gonio.cli.pace import QUIET_S, Say, silent
 from gonio.errors import ConfigError, DataError
+from gonio.geometry import Directions
 from gonio.typing import Floats
 from gonio_analysis.fitting import parameters
-from gonio_analysis.fitting.fit import FitResult, fit
+from gonio_analysis.fitting.fit import SIGNIFICANCE, FitResult, fit
+from gonio_analysis.fitting.misfit import groupings
+from gonio_analysis.fitting.objective import smallest
 from gonio_analysis.fitting.observations import Observations
 from gonio_analysis.fitting.parameters import Ior, Values
 from gonio_analysis.fitting.problem import FitRequest, pose
@@ -31,7 +37,8 @@ from gonio_analysis.result_records import CandidateSummary, ChoiceSummary, Inter
 from gonio_analysis.selection.misfit_regions import Region, blocks, farthest, worst
 from gonio_analysis.selection.parallel import Share, here
 
-SIGNIFICANCE = 0.01
+TOLD_APART = 2.0
+"""Standard uncertainties of the difference of two models' errors beyond which they are told apart."""
 DECISIVE = 10.0
 """Difference in AIC beyond which the worse model has essentially no support (Burnham and Anderson 2002, 2.6)."""
 BEYOND = 2
@@ -88,6 +95,8 @@ class Judged:
     bic: float
     held_out: float | None
     """Mean squared whitened residual of values that the fit had not seen; of logarithms without uncertainties."""
+    misses: Floats | None
+    """Squared differences of logarithms of the same (n,), by the fits of which each value was left out."""
     fails: Region | None
     """Where the misfit is largest."""
     rejected: str = ""
@@ -127,6 +136,14 @@ class Choice:
     held_out_by: str
     left_out: dict[str, str] = field(default_factory=dict)
     """Candidates that were not fitted, and why."""
+    near: dict[str, float] = field(default_factory=dict)
+    """Where all are rejected, or nothing is stated: the models that cannot be told from the nearest one, it first, by
+    label, with a weight of 1 and less."""
+
+    @property
+    def nearest(self) -> Judged | None:
+        """The one that predicts best, where none is named that the data do not reject."""
+        return next((j for j in self.judged if j.candidate.label == next(iter(self.near), None)), None)
 
     def shows(self, j: Judged) -> bool:
         """Whether a report of all models draws this one: the named one, and the best form of every single model."""
@@ -257,9 +274,7 @@ def choose(
         progress(f"{name}: fitting {candidate.label}{many}")
         began = time.perf_counter()
         try:
-            result = min(
-                (fitted(candidate, s) for s in _starts(candidate, fits)), key=lambda r: r.goal.total(r.whitened)
-            )
+            result = min((fitted(candidate, s) for s in _starts(candidate, fits)), key=_farness)
         except (DataError, ConfigError) as error:
             if isinstance(error, ConfigError) and not all(math.isnan(w) for w in data.wavelengths):
                 raise
@@ -286,7 +301,8 @@ def choose(
         better = {c: _judged(c, r, _tested(r, folds), walls[c]) for c, r in again.items()}
         judged = _reject([better.get(j.candidate, j) for j in judged])
         named, intervals, _ = _walked(judged, share)
-    return Choice(judged, named, intervals, _words(judged, named), by, left_out)
+    near = _near(judged)
+    return Choice(judged, named, intervals, _words(judged, named, near), by, left_out, near)
 
 
 def _beyond_the_directions(candidate: Candidate, data: Observations) -> str:
@@ -363,61 +379,116 @@ def _values(result: FitResult) -> Values:
 def deviance(result: FitResult) -> float:
     """-2 log L of a fit, up to a constant of its data; without uncertainties the scatter is fitted too."""
     n, total = len(result.data), float(result.whitened @ result.whitened)
-    return total if result.chi_square is not None else n * math.log(max(total, 1e-300) / n)
+    if result.chi_square is not None:
+        return total if result.misfit is None else result.chi_square
+    return n * math.log(max(total, 1e-300) / n)
+
+
+def _farness(result: FitResult) -> tuple[float, float]:
+    """Of fits of one model to the same values the nearest has the least."""
+    return 0.0 if result.misfit is None else result.misfit.tau, deviance(result)
 
 
 def _profiles(result: FitResult, say: Say) -> Profiles:
     return profiles(result)
 
 
-def _tested(result: FitResult, folds: Sequence[Rows], say: Say = silent) -> tuple[float | None, float]:
-    """The error of values held out, and the time that it took [s]."""
+Tested = tuple[float | None, Floats | None, float]
+"""`Judged.held_out` and `Judged.misses`, and the time that they took [s]."""
+
+
+def _tested(result: FitResult, folds: Sequence[Rows], say: Say = silent) -> Tested:
     began = time.perf_counter()
-    error = _held_out(result, folds)
-    return error, time.perf_counter() - began
+    error, misses = _held_out(result, folds)
+    return error, misses, time.perf_counter() - began
 
 
-def _judged(candidate: Candidate, result: FitResult, tested: tuple[float | None, float], wall_s: float) -> Judged:
+def _judged(candidate: Candidate, result: FitResult, tested: Tested, wall_s: float) -> Judged:
     n, p = len(result.data), len(result.free)
-    error, took = tested
+    error, misses, took = tested
     return Judged(
         candidate,
         result,
         deviance(result) + 2 * p,
         deviance(result) + p * math.log(n),
         error,
-        worst(result) if result.chi_square is not None else farthest(result),
+        misses,
+        farthest(result) if result.chi_square is None or result.misfit is not None else worst(result),
         wall_s=wall_s + took,
     )
 
 
-def _held_out(result: FitResult, folds: Sequence[Rows]) -> float | None:
-    """Mean squared residual of blocks that the fit had not seen; None where blocks are too few to leave one out."""
+def _held_out(result: FitResult, folds: Sequence[Rows]) -> tuple[float | None, Floats | None]:
+    """`Judged.held_out` and `Judged.misses`; None where blocks are too few to leave one out."""
     if len(folds) < 2:
-        return None
+        return None, None
     everything = np.arange(0, len(result.data), -(-len(result.data) // MANY))
     free = np.arange(len(result.free))
-    total = 0.0
+    total, misses = 0.0, np.full(len(result.data), np.nan)
+    scale = 2.0 * smallest(result.data)
     for fold in (np.intersect1d(everything, whole) for whole in folds):
         rest = np.setdiff1d(everything, fold)
         if rest.size <= free.size:
-            return None
+            return None, None
         vector, _ = Near(result, rest).refit(result.vector, free, limit=15)
         left = Near(result, fold)
-        residual: Floats = left.goal.residual(left.predicted(vector))
+        predicted, known = left.predicted(vector), left.data.covariance
+        stated = known is not None and result.goal.whitened
+        residual = known.whiten(predicted - left.data.brdf) if stated and known else left.goal.residual(predicted)
         total += float(residual @ residual)
-    return total / everything.size
+        misses[fold] = (np.arcsinh(predicted / scale) - np.arcsinh(left.data.brdf / scale)) ** 2
+    return total / everything.size, misses
+
+
+def _near(judged: Sequence[Judged]) -> dict[str, float]:
+    """`Choice.near`: the weight of a model falls with its excess over the nearest, in uncertainties of that excess."""
+    tested = [j for j in judged if j.misses is not None and j.fit.misfit is not None]
+    if len(tested) < len(judged):  # one is not rejected, or a metric was asked for
+        return {}
+    best = min(tested, key=_prediction)
+    out = {best.candidate.label: 1.0}
+    for j in sorted(tested, key=_prediction):
+        assert j.misses is not None
+        assert best.misses is not None
+        kept = np.isfinite(j.misses)
+        if j is not best:
+            excess = _excess(j.misses[kept], best.misses[kept], j.fit.data.directions[kept])
+            if excess <= TOLD_APART:
+                out[j.candidate.label] = math.exp(-0.5 * max(excess, 0.0) ** 2)
+    return out
+
+
+def _excess(worse: Floats, better: Floats, directions: Directions) -> float:
+    """By how much one model predicts worse than another, in standard uncertainties of that.
+
+    Blocks of directions count alike, each by the logarithm of the ratio of its mean squares: where both models fail in
+    one place, that place alone does not decide.
+    """
+    means, variances = [], []
+    for number in groupings(directions):
+        ratio = np.log(np.maximum(np.bincount(number, worse), 1e-300) / np.maximum(np.bincount(number, better), 1e-300))
+        means.append(float(ratio.mean()))
+        variances.append(float(ratio.var(ddof=1)) / ratio.size if ratio.size > 1 else math.inf)
+    return float(np.mean(means)) / max(math.sqrt(float(np.mean(variances))), 1e-12)
+
+
+def _prediction(j: Judged) -> float:
+    """Root mean square of the logarithms of what was left out, over its prediction."""
+    return math.inf if j.misses is None else math.sqrt(float(np.nanmean(j.misses)))
 
 
 def _reject(judged: Sequence[Judged]) -> list[Judged]:
     """Why the data reject each, where they do."""
-    best = min(judged, key=lambda j: j.aic)
+    best, near = min(judged, key=lambda j: j.aic), _near(judged)
     out = []
     for j in judged:
         p = j.fit.p_value
         why = ""
         if p is not None and p < SIGNIFICANCE:
             why = f"reduced chi-square {j.fit.reduced_chi_square:.4g} (p {'< 0.0001' if p < 1e-4 else f'= {p:.2g}'})"
+        elif near:
+            if j.candidate.label not in near:
+                why = f"{next(iter(near))} predicts values that were left out better"
         elif j.aic - best.aic > DECISIVE and (best.fit.p_value is None or best.fit.p_value >= SIGNIFICANCE):
             behind = j.aic - best.aic
             why = f"{best.candidate.label} describes the same values better by {behind:.{behind < 100:d}f} in AIC"
@@ -425,9 +496,11 @@ def _reject(judged: Sequence[Judged]) -> list[Judged]:
     return out
 
 
-def _words(judged: Sequence[Judged], named: Judged | None) -> str:
+def _words(judged: Sequence[Judged], named: Judged | None, near: Mapping[str, float]) -> str:
     """The finding, in a sentence or two."""
     best = min(judged, key=lambda j: j.aic)
+    if near:
+        return _nearness(judged, near)
     if named is None:
         return (
             f"The data reject every model that was tried ({len(judged)}); {best.candidate.label} is the best of them"
@@ -454,6 +527,34 @@ def _words(judged: Sequence[Judged], named: Judged | None) -> str:
 def _assumed(j: Judged) -> str:
     assumed = j.fit.data.u_rel_assumed
     return "" if assumed is None else f", with the assumed uncertainty of {100 * assumed:g} %"
+
+
+def _nearness(judged: Sequence[Judged], near: Mapping[str, float]) -> str:
+    """The finding where none is true, or nothing says so."""
+    by_label = {j.candidate.label: j for j in judged}
+    best, *others = (by_label[label] for label in near)
+    n, stated = len(judged), best.fit.chi_square is not None
+    text = f"The data reject every model that was tried ({n}{_assumed(best)}). " if stated else ""
+    if n == 1:
+        text += f"{best.candidate.label} describes them to {_told(best)}."
+    else:
+        text += (
+            f"{best.candidate.label} is the nearest of the {n}: it describes the values to {_told(best)}, and predicts"
+            f" what was left out to {100 * _prediction(best):.2g} %."
+        )
+    if others:
+        listed = ", ".join(f"{j.candidate.label} ({100 * _prediction(j):.2g} %)" for j in others)
+        text += f" This plan cannot tell it from {listed}."
+    return text if stated else f"{text} The table states no uncertainties, so nothing is accepted or rejected."
+
+
+def _told(j: Judged) -> str:
+    """How far off it is."""
+    known = j.fit.misfit
+    if known is None:
+        return f"{100 * math.sqrt(deviance(j.fit) / len(j.fit.data)):.2g} %"
+    low, high = known.interval
+    return f"{100 * known.tau:.2g} % ({100 * low:.2g} to {100 * high:.2g})"
 
 
 def _compared(judged: Sequence[Judged], named: Judged, best: Judged) -> str:

@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from gonio.checks import hemisphere
+from gonio.geometry import Directions
 from gonio.typing import Floats
 from gonio_analysis.fitting.fit import FitResult
 from gonio_analysis.fitting.forward import NO_WAVELENGTH_NM, ByWavelength
@@ -17,13 +18,19 @@ from gonio_analysis.result_records import Reflectance
 STEP = 1e-3
 """Of derivatives by the parameters, on the search scale; right to a thousandth where integrals are to `TOLERANCE`."""
 TOLERANCE = 1e-6
+AZIMUTHS = 128
+"""Angles of a grid over the hemisphere, either way; a lobe narrower than its cells keeps its middle."""
+PICKED = 300
+"""Directions of the grid at which the misfit is looked at."""
 ABOVE_ONE = 1e-4
 """What a model may reflect beyond all that it receives: far below any uncertainty, above the error of the integral."""
 
 
 def of_model(result: FitResult) -> list[Reflectance]:
-    """rho_dh of a fitted model at `angles`, with the standard uncertainty of the fit's covariance.
+    """rho_dh of a fitted model at `angles`, with its standard uncertainty.
 
+    Of a model that is not rejected that is the fit's covariance. Of one with a misfit (docs/misfit.md) it is what the
+    misfit adds up to over the hemisphere: what the residuals say of it, and what they leave open.
     Empty for a fit of several wavelengths together, which has a model for each.
     """
     if isinstance(result.model, ByWavelength):
@@ -32,6 +39,8 @@ def of_model(result: FitResult) -> list[Reflectance]:
     phi = float(result.data.directions.phi_i[0])
     wave = NO_WAVELENGTH_NM if math.isnan(result.wavelength_nm) else result.wavelength_nm
     value = _rho(result.model, theta, phi, wave)
+    if result.misfit is not None:
+        return [_with_misfit(result, t, phi, wave, float(r)) for t, r in zip(theta, value, strict=True)]
     lower, upper = result.problem.bounds
     slopes = []
     for k in range(result.vector.size):
@@ -48,6 +57,29 @@ def of_model(result: FitResult) -> list[Reflectance]:
         Reflectance(math.degrees(t), float(r), float(e) if math.isfinite(e) else None, "")
         for t, r, e in zip(theta, value, u, strict=True)
     ]
+
+
+def _with_misfit(result: FitResult, theta_i: float, phi_i: float, wave: float, value: float) -> Reflectance:
+    """By directions that each stand for as much of the reflected light: the misfit changes each of them."""
+    assert result.misfit is not None
+    sine = (np.arange(AZIMUTHS) + 0.5) / AZIMUTHS
+    theta_r, phi_r = (
+        grid.ravel() for grid in np.meshgrid(np.arcsin(np.sqrt(sine)), phi_i + 2.0 * np.pi * sine, indexing="ij")
+    )
+    light = np.maximum(result.model.brdf(theta_i, phi_i, theta_r, phi_r, wavelength_nm=wave), 0.0)  # dw cos is constant
+    if not light.sum() > 0:
+        return Reflectance(math.degrees(theta_i), value, None, "the model reflects nothing")
+    rank = np.cumsum(light) / light.sum()
+    picked = np.searchsorted(rank, (np.arange(PICKED) + 0.5) / PICKED)
+    where = Directions(*(np.broadcast_to(a, PICKED) for a in (theta_i, phi_i)), theta_r[picked], phi_r[picked])
+    model = light[picked]
+    brdf, root = result.misfit.beside(where, model)
+    share = value / PICKED / model
+    known = float(share @ brdf)
+    u = math.hypot(float(np.linalg.norm(share @ root)), known - value)
+    return Reflectance(
+        math.degrees(theta_i), value, u, "", with_misfit=known, u_with_misfit=float(np.linalg.norm(share @ root))
+    )
 
 
 def _rho(model: object, theta: Floats, phi: float, wave: float) -> Floats:
