@@ -71,6 +71,16 @@ class SharedGeometry:
 
 
 @dataclass(frozen=True)
+class MisfitSummary:
+    """tau: how far a model itself is off, relative (docs/misfit.md); 0 where the data do not reject it."""
+
+    value: float
+    u: float
+    interval: tuple[float, float]
+    """95 %; of a model that is not rejected from 0 to what the data leave room for."""
+
+
+@dataclass(frozen=True)
 class FitSummary:
     """What `gonio fit --json` prints of a `gonio_analysis.fitting.fit.FitResult`."""
 
@@ -79,8 +89,11 @@ class FitSummary:
     derived: dict[str, ParameterSummary]
     correlation: dict[str, dict[str, float | None]]
     chi_square: float | None
+    """The smallest one that the model reaches with the stated uncertainties."""
     reduced_chi_square: float | None
     p_value: float | None
+    misfit: MisfitSummary | None
+    """None by a metric, or a loss, of somebody's choice."""
     verdict: str
     n_points: int
     n_free: int

@@ -21,6 +21,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import numpy.typing as npt
 
 from gonio import shown
 from gonio.cli.pace import Say, silent
@@ -30,15 +31,17 @@ from gonio_analysis.fitting.angle_zeros import by_model
 from gonio_analysis.fitting.forward import NO_WAVELENGTH_NM, apparent, pointlike
 from gonio_analysis.fitting.identifiability import tied
 from gonio_analysis.fitting.incidences import angles
-from gonio_analysis.fitting.misfit import SMALLEST, Misfit, block_spread, estimated_tau, misfit
-from gonio_analysis.fitting.objective import Objective, objective, on_log_scale, scaled_to, with_misfit
+from gonio_analysis.fitting.misfit import SMALLEST, Misfit, block_spread, estimated_tau, highest_tau, misfit
+from gonio_analysis.fitting.objective import Objective, objective, on_log_scale, scaled_to, smallest, with_misfit
 from gonio_analysis.fitting.observations import DEFAULT_WAVELENGTH_NM, Observations, observations
 from gonio_analysis.fitting.parameters import Family, Values
 from gonio_analysis.fitting.problem import STARTS, Bound, FitRequest, Problem, pose, together
-from gonio_analysis.fitting.search import STEP, covariance, one_sided, refine, search, search_from, settle
+from gonio_analysis.fitting.search import STEP, covariance, derivatives, one_sided, refine, search, search_from, settle
+from gonio_analysis.fitting.value_covariance import Covariance
 from gonio_analysis.result_records import (
     AtWavelength,
     FitSummary,
+    MisfitSummary,
     ParameterSummary,
     SharedGeometry,
     Value,
@@ -61,6 +64,8 @@ TURNS = 8
 """Parameters and tau are found in turn, so often at most."""
 SETTLED = 1e-3
 """Change of ln tau that ends it: a hundredth of what tau is uncertain by, or less."""
+AGAIN = 8
+"""Steps of a fit without a block, from where the linear step says it ends."""
 ROUNDING = 1e-24
 """Scatter (squared, in the residuals' units) that a fit without one is taken to have: that of its own arithmetic."""
 
@@ -151,6 +156,20 @@ class FitResult:
 
         return float(chdtrc(self.degrees_of_freedom, self.chi_square))
 
+    @cached_property
+    def tau(self) -> MisfitSummary | None:
+        """How far the model itself is off, with its interval."""
+        known = self.misfit
+        if known is not None:
+            return MisfitSummary(known.tau, known.tau * known.u_log, known.interval)
+        data = self.data
+        if data.covariance is None or not self.goal.whitened or self.goal.loss != "linear" or self.problem.each:
+            return None
+        residual, columns, stated = _on_log_scale(self.problem, data, self.vector)
+        assert stated is not None
+        most = highest_tau(residual, columns, stated)
+        return MisfitSummary(0.0, 0.5 * most, (0.0, most))
+
     @property
     def correlation(self) -> Floats:
         """Correlation matrix of the free parameters."""
@@ -163,7 +182,7 @@ class FitResult:
         """What chi-square says, in words."""
         if self.reduced_chi_square is None or self.p_value is None:
             if self.data.covariance is None:
-                return "no verdict: the table states no uncertainties"
+                return "no verdict: the table states no uncertainties" + ("; " + self.described if self.misfit else "")
             return "no verdict: " + (
                 "no value is left over for one"
                 if self.goal.whitened
@@ -177,9 +196,16 @@ class FitResult:
                 return f"not rejected; residuals are smaller than the {which}"
             return f"not rejected at the 1 % level{given}"
         factor = math.sqrt(self.reduced_chi_square)
-        if self.reduced_chi_square < 2:
-            return f"formally rejected, but residuals are only {factor:.2f} times the {which}"
+        if self.misfit is not None:
+            return f"{self.described}; rejected: residuals would be {factor:.3g} times the {which}"
         return f"rejected: residuals are {factor:.3g} times the {which}"
+
+    @property
+    def described(self) -> str:
+        """How far off a model with a misfit is, in words."""
+        assert self.misfit is not None
+        low, high = self.misfit.interval
+        return f"describes the values to {100 * self.misfit.tau:.2g} % ({100 * low:.2g} to {100 * high:.2g})"
 
     def intervals(self, *names: str, level: float = 0.95) -> dict[str, Interval]:
         """Profile-likelihood intervals of the fitted parameters, or of those named.
@@ -263,6 +289,7 @@ class FitResult:
             chi_square=finite(self.chi_square),
             reduced_chi_square=finite(self.reduced_chi_square),
             p_value=finite(self.p_value),
+            misfit=self.tau,
             verdict=self.verdict,
             n_points=len(self.data),
             n_free=len(names),
@@ -369,7 +396,7 @@ def fit(
         if result.rejected:
             result = _nearest(result, asked.searches, say)
         elif data.covariance is None:
-            result = _with_misfit(result, jacobian)
+            result = _with_misfit(result)
     elif not goal.whitened:
         notes.append("Standard errors come from the scatter of the residuals; there is no chi-square.")
     notes += remarks(result)
@@ -418,64 +445,87 @@ def _nearest(rejected: FitResult, searches: int, say: Say) -> FitResult:
     """
     problem, data = rejected.problem, rejected.data
     unstated = replace(data, covariance=None, u_rel_assumed=None)
-    plain = with_misfit(data, 1.0)
     begin = [search(problem, unstated, searches=searches, say=say), rejected.vector]
     found = [refine(problem, unstated, objective(unstated), start, quick=True) for start in begin]
     vector = min(found, key=lambda f: f[1])[0]
-    tau, jacobian = 0.0, np.zeros(0)
+    tau = 0.0
     for _ in range(TURNS):
-        before, tau = tau, _tau(problem, data, plain, vector)
-        goal = with_misfit(data, tau)
+        before, tau = tau, estimated_tau(*_on_log_scale(problem, data, vector))
+        goal = with_misfit(data, tau, apparent(problem.model(vector), data))
         if before and abs(math.log(tau / before)) < SETTLED:
             break
         vector = refine(problem, data, goal, vector, say=say)[0]
     vector, jacobian = settle(problem, data, goal, vector)
     result = _result(problem, data, goal, vector, jacobian, rejected.wavelength_nm)
-    return _with_misfit(replace(result, chi_square=rejected.chi_square), jacobian)
+    return _with_misfit(replace(result, chi_square=rejected.chi_square))
 
 
-def _tau(problem: Problem, data: Observations, plain: Objective, vector: Floats) -> float:
-    """The misfit at a point of the search, by residuals on the logarithmic scale."""
-    predicted = apparent(problem.model(vector), data)
-    near = apparent(problem.model(vector), data, quick=True)
+def _on_log_scale(problem: Problem, data: Observations, vector: Floats) -> tuple[Floats, Floats, Covariance | None]:
+    """Residuals on the scale of logarithms, their derivatives by parameters inside their bounds, the covariance."""
+    plain = Objective(data.brdf, None, smallest(data), metric="log")
+    predicted, near = (apparent(problem.model(vector), data, quick=quick) for quick in (False, True))
     lower, upper = problem.bounds
     inside = np.flatnonzero((vector > lower) & (vector < upper))
-    columns = one_sided(problem, data, vector, near, only=inside)
-    unweighted = replace(plain, weights=None)
-    return estimated_tau(
-        unweighted.residual(predicted), unweighted.jacobian(near, columns), on_log_scale(data, plain.small)
-    )
+    columns = plain.jacobian(near, one_sided(problem, data, vector, near, only=inside))
+    return plain.residual(predicted), columns, on_log_scale(data, plain.small, predicted)
 
 
-def _with_misfit(result: FitResult, jacobian: Floats) -> FitResult:
-    """A fit with its misfit, and with the standard errors that follow from it.
-
-    `jacobian` is what it was solved with: (n, p), whitened by its goal; rows of priors may follow.
-    """
-    data, goal = result.data, result.goal
-    n, p = len(data), len(result.free)
+def _with_misfit(result: FitResult) -> FitResult:
+    """A fit with its misfit, and with the standard errors that follow from it."""
+    data, goal, problem, vector = result.data, result.goal, result.problem, result.vector
     if not goal.tau:  # nothing is stated: the misfit takes everything
-        tau = max(math.sqrt(float(result.whitened @ result.whitened) / (n - p)), SMALLEST)
-        goal, jacobian = with_misfit(data, tau), jacobian / tau
-    assert goal.weights is not None
-    stated, problem = on_log_scale(data, goal.small), result.problem
-    formal, _ = covariance(jacobian)
+        freedom = len(data) - len(result.free)
+        tau = max(math.sqrt(float(result.whitened @ result.whitened) / freedom), SMALLEST)
+        goal = with_misfit(data, tau, result.predicted)
+    weights = goal.weights
+    assert weights is not None
+    plain = replace(goal, weights=None)
+    columns = plain.jacobian(result.predicted, derivatives(problem, data, vector))
     lower, upper = problem.bounds
-    inside = (result.vector > lower) & (result.vector < upper) & (np.linalg.norm(jacobian[:n], axis=0) > 0)
-    columns = jacobian[:n, inside]
-    # a parameter at a bound does not follow when values are left out: its error stays a formal one
-    spread = np.diag(np.where(inside, 0.0, np.diag(formal)))
-    by_blocks = block_spread(columns, goal.residual(result.predicted), data.directions)
+    moves = (vector > lower) & (vector < upper) & (np.linalg.norm(columns, axis=0) > 0)
+    moving = np.flatnonzero(moves)
+    columns, pulls = columns[:, moving], problem.pull_slopes(vector)[:, moving]
+    white = np.concatenate([weights.whiten(columns), pulls])
+    formal = covariance(white)[0]
+    by_blocks = block_spread(
+        np.concatenate([(columns.T / weights.random).T, pulls]),
+        np.concatenate([weights.apart(plain.residual(result.predicted)), problem.pulls(vector)]),
+        data.directions,
+        _Without(result, goal, moving).step,
+    )
     # few blocks may agree by chance: nothing is better known than with a misfit that is independent everywhere
-    least = np.sqrt(np.maximum(np.diag(formal)[inside] / np.maximum(np.diag(by_blocks), 1e-300), 1.0))
-    spread[np.ix_(inside, inside)] = by_blocks * np.outer(least, least)
-    noise = np.zeros_like(spread)
+    least = np.sqrt(np.maximum(np.diag(formal) / np.maximum(np.diag(by_blocks), 1e-300), 1.0))
+    inner, of_noise = by_blocks * np.outer(least, least), np.zeros_like(formal)
+    stated = on_log_scale(data, goal.small, result.predicted)
     if stated is not None:
-        gain = goal.weights.whiten_transposed(np.linalg.pinv(columns).T).T
+        gain = weights.whiten_transposed(np.asarray(np.linalg.pinv(white)[:, : len(data)].T, np.float64)).T
         common = gain @ stated.common
-        spread[np.ix_(inside, inside)] += common @ common.T
-        noise[np.ix_(inside, inside)] = (gain * stated.random**2) @ gain.T + common @ common.T
+        inner = inner + common @ common.T
+        of_noise = (gain * stated.random**2) @ gain.T + common @ common.T
+    # a parameter at a bound does not follow when values are left out: its error stays a formal one
+    spread, noise = np.diag(np.where(moves, 0.0, np.diag(result.spread))), np.zeros_like(result.spread)
+    spread[np.ix_(moving, moving)], noise[np.ix_(moving, moving)] = inner, of_noise
     return replace(result, misfit=misfit(data, goal, result.predicted), noise=noise).known_to(spread)
+
+
+@dataclass(frozen=True)
+class _Without:
+    """Solutions of a fit without some of its values."""
+
+    result: FitResult
+    goal: Objective
+    moving: npt.NDArray[np.intp]
+
+    def step(self, kept: npt.NDArray[np.bool_], start: Floats) -> Floats:
+        """From the whole solution to that without them, by the parameters that move."""
+        from gonio_analysis.fitting.surrogate import Near
+
+        near = Near(replace(self.result, goal=self.goal), np.flatnonzero(kept))
+        lower, upper = self.result.problem.bounds
+        begin = self.result.vector.copy()
+        begin[self.moving] += start
+        vector, _ = near.refit(np.clip(begin, lower, upper), self.moving, limit=AGAIN)
+        return np.asarray((vector - self.result.vector)[self.moving])
 
 
 def _require_parts(data: Observations, wavelength_nm: float) -> None:
@@ -636,16 +686,17 @@ def _identifiability(result: FitResult) -> list[str]:
             notes.append(
                 f"{n} ended on its {e.at_bound} bound ({ends[e.at_bound][n]:g})"
                 + (": its standard error is formal." if e.u is not None else ", where the data do not determine it.")
+                + (" The model is not true, and there it comes nearest." if result.misfit is not None else "")
             )
         elif not e.fixed and e.u is None:
             notes.append(f"{n} is not determined by these data.")
     values = np.array([result.parameters[n].value for n in result.free])
     pairs = tied(result.free, values, result.covariance)
     notes += pairs
-    if result.reduced_chi_square is not None and result.reduced_chi_square > 25:
+    if result.rejected and result.misfit is not None:
         notes.append(
-            "The data reject this model so clearly that its parameters describe little: the values with the smallest"
-            " uncertainties decide them, and the standard errors mean nothing."
+            "The data reject this model. Its parameters are those of the nearest one over the measured directions, and"
+            " their errors say how much they hang on which directions these are."
         )
     if not pairs and result.condition > 1e3:
         notes.append(f"The parameters are poorly determined together (condition number {result.condition:.2g}).")

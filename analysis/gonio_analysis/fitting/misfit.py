@@ -10,6 +10,7 @@ model's place. See docs/misfit.md.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -37,6 +38,8 @@ MANY, FEWEST_BLOCKS = 6, 3
 """Blocks that a range of angles is cut into, and how many it takes to leave one out."""
 LEAST_LEFT = 1e-3
 """Part of what is known of a parameter that is left without a block, at least."""
+WEIGHTY = 0.15
+"""Part of a parameter's variance by blocks above which a block is fitted again."""
 K95 = 1.959964
 Rows = npt.NDArray[np.intp]
 
@@ -58,6 +61,24 @@ def estimated_tau(z: Floats, jacobian: Floats, stated: Covariance | None) -> flo
     n, p = jacobian.shape
     if stated is None:
         return max(math.sqrt(float(z @ z) / max(n - p, 1)), SMALLEST)
+    unlikely = _unlikely(z, jacobian, stated)
+    found = minimize_scalar(unlikely, bounds=(math.log(SMALLEST), math.log(LARGEST)), method="bounded")
+    return math.exp(float(found.x))
+
+
+def highest_tau(z: Floats, jacobian: Floats, stated: Covariance) -> float:
+    """What the residuals of a model that is not rejected leave room for: the upper end of tau's interval of 95 %."""
+    from scipy.optimize import brentq
+
+    unlikely = _unlikely(z, jacobian, stated)
+    low, high = math.log(SMALLEST), math.log(LARGEST)
+    start = min(math.log(estimated_tau(z, jacobian, stated)), high - 1.0)
+    least = unlikely(start)
+    return math.exp(float(brentq(lambda x: unlikely(x) - least - K95**2, max(start, low), high, xtol=1e-3)))
+
+
+def _unlikely(z: Floats, jacobian: Floats, stated: Covariance) -> Callable[[float], float]:
+    """-2 ln of the restricted likelihood, of ln tau."""
     seen = np.linalg.norm(jacobian, axis=0) > 0
     basis = np.linalg.qr(jacobian[:, seen])[0]
 
@@ -66,8 +87,7 @@ def estimated_tau(z: Floats, jacobian: Floats, stated: Covariance | None) -> flo
         white, columns = whole.whiten(z), whole.whiten(basis)
         return float(white @ white) + whole.log_determinant + float(np.linalg.slogdet(columns.T @ columns)[1])
 
-    found = minimize_scalar(unlikely, bounds=(math.log(SMALLEST), math.log(LARGEST)), method="bounded")
-    return math.exp(float(found.x))
+    return unlikely
 
 
 def groupings(directions: Directions) -> list[Rows]:
@@ -90,38 +110,51 @@ def _ranges(angle: Floats) -> Rows:
     return np.asarray(np.digitize(angle, np.quantile(angle, np.linspace(0.0, 1.0, MANY + 1)[1:-1])), np.intp)
 
 
-def block_spread(jacobian: Floats, residual: Floats, directions: Directions) -> Floats:
+def block_spread(
+    jacobian: Floats,
+    residual: Floats,
+    directions: Directions,
+    again: Callable[[npt.NDArray[np.bool_], Floats], Floats] | None = None,
+) -> Floats:
     """Covariance of fitted parameters by leaving out blocks of directions, one after the other.
 
     The jackknife of Kuensch [Kuensch1989]_, of each of `groupings`, and their mean. Left-out solutions are one linear
-    step away.
+    step away. The few blocks that make the most of a variance are fitted again: there the way is bent.
 
     Parameters
     ----------
-    jacobian : (n, p) array
-        Derivatives of the whitened residuals, by the parameters that are not at a bound.
-    residual : (n,) array
-        Whitened residuals.
+    jacobian : (m, p) array
+        Derivatives of weighted residuals, by the parameters that are not at a bound; rows of priors follow those of
+        the values.
+    residual : (m,) array
+        Weighted residuals.
     directions
-        Shape (n,).
+        Of the values, shape (n,).
+    again
+        Rows that are kept (n,) and a start (p,), a step from the solution -> the step to the solution without them.
     """
+    n, p = directions.theta_i.size, jacobian.shape[1]
     size = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300)
     basis, triangle = np.linalg.qr(jacobian / size)
-    p = size.size
+    back = np.linalg.pinv(triangle, rcond=1e-10) / size[:, None]
     out = np.zeros((p, p))
     found = groupings(directions)
     for number in found:
         count = int(number.max()) + 1
         inner, slope = np.zeros((count, p, p)), np.zeros((count, p))
-        np.add.at(inner, number, basis[:, :, None] * basis[:, None, :])
-        np.add.at(slope, number, basis * residual[:, None])
+        np.add.at(inner, number, basis[:n, :, None] * basis[:n, None, :])
+        np.add.at(slope, number, basis[:n] * residual[:n, None])
         values, vectors = np.linalg.eigh(np.eye(p) - inner)
-        left = np.einsum("bij,bi->bj", vectors, slope.sum(axis=0) - slope) / np.maximum(values, LEAST_LEFT)
-        steps = -np.einsum("bij,bj->bi", vectors, left)
+        left = np.einsum("bij,bi->bj", vectors, basis.T @ residual - slope) / np.maximum(values, LEAST_LEFT)
+        steps = -np.einsum("bij,bj->bi", vectors, left) @ back.T
+        if again is not None:
+            away = (steps - steps.mean(axis=0)) ** 2
+            share = (away / np.maximum(away.sum(axis=0), 1e-300)).max(axis=1, initial=0.0)
+            for k in np.flatnonzero(share > WEIGHTY):
+                steps[k] = again(number != k, steps[k])
         away = steps - steps.mean(axis=0)
         out += (count - 1) / count * (away.T @ away) / len(found)
-    back = np.linalg.pinv(triangle, rcond=1e-10) / size[:, None]
-    return np.asarray(back @ out @ back.T)
+    return out
 
 
 def jackknife(values: Floats, directions: Directions) -> tuple[float, float]:
@@ -196,7 +229,7 @@ def misfit(data: Observations, goal: Objective, predicted: Floats) -> Misfit:
     from scipy.optimize import minimize
 
     z = goal.scaled(data.brdf) - goal.scaled(predicted)
-    stated = on_log_scale(data, goal.small)
+    stated = on_log_scale(data, goal.small, predicted)
     at = Coordinates.of(data.directions)
     prior = _prior(goal.tau)
     u = np.full(len(data), ROUGH * goal.tau) if stated is None else np.hypot(stated.random, ROUGH * goal.tau)
@@ -213,10 +246,10 @@ def misfit(data: Observations, goal: Objective, predicted: Floats) -> Misfit:
         options={"maxiter": STEPS},
     )
     process = Process(whole.only(_evenly(len(data), MOST_NODES)), np.asarray(found.x), 0.0)
-    noise = 0.0 if stated is None else stated.random**2
+    noise = np.zeros(len(data)) if stated is None else stated.random**2
     wider = max(1.0, math.sqrt(float(np.mean(process.left_out**2))))
-    _, u = jackknife(z**2 - noise, data.directions)
-    return Misfit(goal.tau, 0.5 * u / goal.tau**2, goal.small, process, wider)
+    _, u_square = jackknife(z**2 - noise, data.directions)
+    return Misfit(goal.tau, 0.5 * u_square / goal.tau**2, goal.small, process, wider)
 
 
 def _prior(tau: float) -> Prior:

@@ -148,7 +148,7 @@ def objective(data: Observations, metric: str | None = None) -> Objective:
     assumed = data.u_rel_assumed if chosen == "log" else None
     return Objective(
         data.brdf,
-        None if assumed is None else on_log_scale(data, small),
+        None if assumed is None else on_log_scale(data, small, data.brdf),
         small,
         metric=chosen,
         cosine=np.cos(data.directions.theta_i),
@@ -161,24 +161,28 @@ def smallest(data: Observations) -> float:
     return max(LINEAR_BELOW * float(np.median(np.abs(data.brdf))), 1e-300)
 
 
-def on_log_scale(data: Observations, small: float, tau: float = 0.0) -> Covariance | None:
-    """The covariance of asinh(f/2e), with a misfit `tau` of every value; None where neither says anything."""
+def on_log_scale(data: Observations, small: float, predicted: Floats, tau: float = 0.0) -> Covariance | None:
+    """The covariance of asinh(f/2e), with a misfit `tau` of every value; None where neither says anything.
+
+    Common causes are scaled to a model, as in `scaled_to`; what is independent is not.
+    """
     if data.covariance is None:
         return independent(np.full(len(data), tau)) if tau else None
+    ratio = _to_model(data, predicted)
+    known = data.covariance.scaled(ratio)
     slope = 1.0 / np.hypot(data.brdf, 2 * small)
-    known = data.covariance
-    return Covariance(np.hypot(known.random * slope, tau), known.common * slope[:, None], known.causes)
+    of_model = 1.0 / np.hypot(data.brdf * ratio, 2 * small)
+    return Covariance(np.hypot(known.random * slope, tau), known.common * of_model[:, None], known.causes)
 
 
-def with_misfit(data: Observations, tau: float) -> Objective:
+def with_misfit(data: Observations, tau: float, predicted: Floats) -> Objective:
     """Of a model whose own misfit is `tau`: logarithmic, with the stated covariance and tau^2 of every value.
 
-    No part of this variance depends on fitted values: a model cannot make itself likely by a larger one.
+    tau^2 depends on no fitted value: a model cannot make itself likely by a larger variance.
     """
     small = smallest(data)
-    return Objective(
-        data.brdf, on_log_scale(data, small, tau), small, metric="log", tau=tau, assumed=data.u_rel_assumed
-    )
+    weights = on_log_scale(data, small, predicted, tau)
+    return Objective(data.brdf, weights, small, metric="log", tau=tau, assumed=data.u_rel_assumed)
 
 
 def alone(data: Observations, metric: str | None = None) -> Objective:
@@ -195,9 +199,13 @@ def scaled_to(data: Observations, predicted: Floats, metric: str | None = None) 
     goal = objective(data, metric)
     if goal.metric != "weighted" or not goal.weights or not goal.weights.causes:
         return goal
+    return replace(goal, weights=goal.weights.scaled(_to_model(data, predicted)))
+
+
+def _to_model(data: Observations, predicted: Floats) -> Floats:
     seen = data.brdf > 3 * data.u
     ratio = np.where(seen, predicted / np.where(seen, data.brdf, 1.0), 1.0)
-    return replace(goal, weights=goal.weights.scaled(np.clip(ratio, 0.5, 2.0)))
+    return np.asarray(np.clip(ratio, 0.5, 2.0))
 
 
 def softened(data: Observations, relative: float) -> Objective:

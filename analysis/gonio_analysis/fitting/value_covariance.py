@@ -80,6 +80,13 @@ class Covariance:
             scaled = rows - left @ ((left.T @ rows).T * shrink).T
         return np.asarray((scaled.T / self.random).T)
 
+    def apart(self, residual: Floats) -> Floats:
+        """A residual less what the common causes are found to be in it, over `random`.
+
+        A fit that has made r^T C^-1 r small has made these small, each value for itself: random C^-1 r.
+        """
+        return self.random * self.whiten_transposed(self.whiten(residual))
+
     @cached_property
     def log_determinant(self) -> float:
         """ln det C."""

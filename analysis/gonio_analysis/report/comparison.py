@@ -17,7 +17,7 @@ from gonio.geometry import AT_MIRROR, IN_PLANE
 from gonio_analysis.appearance.quantities import of_table
 from gonio_analysis.curves.in_plane import NORM_WORDS
 from gonio_analysis.fitting.budget import budget
-from gonio_analysis.fitting.fit import FitResult
+from gonio_analysis.fitting.fit import SIGNIFICANCE, FitResult
 from gonio_analysis.fitting.metrics import BELOW, DESCRIPTIONS
 from gonio_analysis.fitting.observations import describe_left_out
 from gonio_analysis.report import checks, verdict
@@ -32,7 +32,6 @@ from gonio_analysis.result_records import (
     Summary,
     finite,
 )
-from gonio_analysis.selection.choice import SIGNIFICANCE
 from gonio_analysis.selection.compare import Dataset, Drawn, Fitted, jumps
 
 if TYPE_CHECKING:

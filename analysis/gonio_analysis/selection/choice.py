@@ -536,25 +536,16 @@ def _nearness(judged: Sequence[Judged], near: Mapping[str, float]) -> str:
     n, stated = len(judged), best.fit.chi_square is not None
     text = f"The data reject every model that was tried ({n}{_assumed(best)}). " if stated else ""
     if n == 1:
-        text += f"{best.candidate.label} describes them to {_told(best)}."
+        text += f"{best.candidate.label} {best.fit.described}."
     else:
         text += (
-            f"{best.candidate.label} is the nearest of the {n}: it describes the values to {_told(best)}, and predicts"
+            f"{best.candidate.label} is the nearest of the {n}: it {best.fit.described}, and predicts"
             f" what was left out to {100 * _prediction(best):.2g} %."
         )
     if others:
         listed = ", ".join(f"{j.candidate.label} ({100 * _prediction(j):.2g} %)" for j in others)
         text += f" This plan cannot tell it from {listed}."
     return text if stated else f"{text} The table states no uncertainties, so nothing is accepted or rejected."
-
-
-def _told(j: Judged) -> str:
-    """How far off it is."""
-    known = j.fit.misfit
-    if known is None:
-        return f"{100 * math.sqrt(deviance(j.fit) / len(j.fit.data)):.2g} %"
-    low, high = known.interval
-    return f"{100 * known.tau:.2g} % ({100 * low:.2g} to {100 * high:.2g})"
 
 
 def _compared(judged: Sequence[Judged], named: Judged, best: Judged) -> str:

@@ -71,15 +71,15 @@ def _with_misfit(result: FitResult, theta_i: float, phi_i: float, wave: float, v
         return Reflectance(math.degrees(theta_i), value, None, "the model reflects nothing")
     rank = np.cumsum(light) / light.sum()
     picked = np.searchsorted(rank, (np.arange(PICKED) + 0.5) / PICKED)
-    where = Directions(*(np.broadcast_to(a, PICKED) for a in (theta_i, phi_i)), theta_r[picked], phi_r[picked])
+    same = np.ones(PICKED)
+    where = Directions(theta_i * same, phi_i * same, theta_r[picked], phi_r[picked])
     model = light[picked]
     brdf, root = result.misfit.beside(where, model)
     share = value / PICKED / model
     known = float(share @ brdf)
-    u = math.hypot(float(np.linalg.norm(share @ root)), known - value)
-    return Reflectance(
-        math.degrees(theta_i), value, u, "", with_misfit=known, u_with_misfit=float(np.linalg.norm(share @ root))
-    )
+    open_ = float(np.linalg.norm(share @ root))
+    u = math.hypot(open_, known - value)
+    return Reflectance(math.degrees(theta_i), value, u, "", with_misfit=known, u_with_misfit=open_)
 
 
 def _rho(model: object, theta: Floats, phi: float, wave: float) -> Floats:
