@@ -79,6 +79,16 @@ class MisfitSummary:
     interval: tuple[float, float]
     """95 %; of a model that is not rejected from 0 to what the data leave room for."""
 
+    @property
+    def words(self) -> str:
+        """As in "4.7 % (4 to 5.6)"; from 70 % on as a factor, for there percents of a logarithm mislead."""
+        three = (self.value, *self.interval)
+        if self.value < math.log(2.0):
+            middle, low, high = (shown.number(100 * x, 2) for x in three)
+            return f"{middle} % ({low} to {high})"
+        middle, low, high = (shown.number(math.exp(min(x, 700.0)), 2) for x in three)
+        return f"a factor of {middle} ({low} to {high})"
+
 
 @dataclass(frozen=True)
 class FitSummary:
@@ -287,6 +297,7 @@ class CandidateSummary:
     bic: float | None
     held_out: float | None
     wall_s: float
+    misfit: MisfitSummary | None
     rejected: str
     fails: RegionSummary | None
 
@@ -326,6 +337,8 @@ class ChoiceSummary:
     candidates: list[CandidateSummary]
     intervals: dict[str, IntervalSummary]
     left_out: dict[str, str]
+    near: dict[str, float]
+    """Where no model is true: those that cannot be told from the nearest one, it first, with their weights."""
 
 
 # --- appearance ------------------------------------------------------------------------------------------------------
@@ -628,6 +641,8 @@ class DatasetSummary:
     conclusion: str
     rho_dh: list[Reflectance]
     """Of the measurement itself."""
+    rho_dh_combined: list[Reflectance]
+    """Over the models that cannot be told from the nearest one (`ChoiceSummary.near`); empty where one is true."""
     symmetries: list[SymmetrySummary]
     appearance: Appearance | None = None
     """None where a table is too large for a quick look."""

@@ -533,7 +533,8 @@ def _print_appearance(found: Appearance) -> None:
 def _print(result: FitResult, sample: str, walked: dict[str, Interval]) -> None:
     from gonio.cli import console
     from gonio_analysis.report.model_choice import in_words
-    from gonio_analysis.report.text import number, quantity, with_u
+    from gonio_analysis.report.text import quantity, with_u
+    from gonio_analysis.report.verdict import of_fit
 
     at = f" at {result.wavelength_nm:g} nm" if result.wavelength_nm == result.wavelength_nm else ""
     level = [f"{100 * next(iter(walked.values())).level:g} % interval"] if walked else []
@@ -547,8 +548,6 @@ def _print(result: FitResult, sample: str, walked: dict[str, Interval]) -> None:
         value = quantity(shown, e.unit) + (f" ({e.material})" if e.material else "")
         between = [ends] if walked else []
         rows.add_row(name, value, *between, kind + (f", at its {e.at_bound} bound" if e.at_bound else ""))
-    chi = result.reduced_chi_square
-    verdict = f"reduced chi-square {number(chi)}: {result.verdict}" if chi is not None else result.verdict
-    console.show(rows, verdict)
+    console.show(rows, of_fit(result))
     for text in result.notes:
         console.note(text)

@@ -24,3 +24,5 @@ class Line:
     mirror: float | None = None
     """Angle of the mirror direction."""
     residual: Floats | None = None
+    tau: float = 0.0
+    """Theory is drawn with a band of a factor exp(tau) to either side, where it is above 0."""

@@ -188,6 +188,13 @@ class FitResult:
                 if self.goal.whitened
                 else f"the metric {self.goal.metric} does not weigh by uncertainties"
             )
+        return (f"{self.described}; " if self.misfit is not None else "") + self.by_chi_square
+
+    @property
+    def by_chi_square(self) -> str:
+        """Whether the uncertainties reject the model, in words."""
+        assert self.reduced_chi_square is not None
+        assert self.p_value is not None
         assumed = self.data.u_rel_assumed
         which = "stated uncertainties" if assumed is None else f"assumed uncertainty of {100 * assumed:g} %"
         given = "" if assumed is None else f", with the {which}"
@@ -196,16 +203,14 @@ class FitResult:
                 return f"not rejected; residuals are smaller than the {which}"
             return f"not rejected at the 1 % level{given}"
         factor = math.sqrt(self.reduced_chi_square)
-        if self.misfit is not None:
-            return f"{self.described}; rejected: residuals would be {factor:.3g} times the {which}"
-        return f"rejected: residuals are {factor:.3g} times the {which}"
+        least = "" if self.misfit is None else "at least "
+        return f"rejected: residuals are {least}{factor:.3g} times the {which}"
 
     @property
     def described(self) -> str:
         """How far off a model with a misfit is, in words."""
-        assert self.misfit is not None
-        low, high = self.misfit.interval
-        return f"describes the values to {100 * self.misfit.tau:.2g} % ({100 * low:.2g} to {100 * high:.2g})"
+        assert self.tau is not None
+        return f"describes the values to {self.tau.words}"
 
     def intervals(self, *names: str, level: float = 0.95) -> dict[str, Interval]:
         """Profile-likelihood intervals of the fitted parameters, or of those named.

@@ -7,6 +7,7 @@ own.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any, TypedDict
 
@@ -26,6 +27,8 @@ STROKES: tuple[Stroke, ...] = (
     (0, (3, 1.4)),
     (0, (7, 1.8, 1.6, 1.8, 1.6, 1.8)),
 )
+BAND = 0.14
+"""Opacity of the band of a model's misfit."""
 INK, FAINT = "#222222", "#c9ced6"
 CHORD = float(np.radians(3.0))
 """Longest straight piece of a line around a half-disc."""
@@ -91,6 +94,14 @@ def pair(first: str, second: str, points: tuple[bool, bool]) -> list[Any]:
     ]
 
 
+def band(line: Line) -> tuple[Floats, Floats]:
+    """Theory less and more the model's own misfit tau, NaN where theory is not above 0."""
+    value = np.where(line.theory > 0, line.theory, np.nan)
+    factor = math.exp(min(line.tau, 700.0))
+    with np.errstate(over="ignore"):
+        return value / factor, value * factor
+
+
 def radius_of(lines: Sequence[Line], most: float = 2.5) -> float:
     """A round radius that shows every curve whole, unless one is larger than `most`: that one is cut at the rim."""
     tops = [max(_top(x.theory), _top(x.measured)) for x in lines]
@@ -144,6 +155,11 @@ def polar(
             path = xy(line.theory_angle, line.theory)
             artists += ax.plot(*path, color=look["color"], lw=1.5, label=line.label, zorder=3, ls=ls)
             artists[-1].set_clip_path(clip)
+            if line.tau > 0:
+                edges = [xy(line.theory_angle, np.fmin(np.nan_to_num(edge), 2 * rim)) for edge in band(line)]
+                x, y = (np.concatenate([low, high[::-1]]) for low, high in zip(*edges, strict=True))
+                artists += ax.fill(x, y, color=look["color"], alpha=BAND, lw=0, zorder=1)
+                artists[-1].set_clip_path(clip)
             if _top(line.theory) > rim * 1.001:
                 notes.append(f"theory to {_top(line.theory):.3g}")
         if line.measured.size:
@@ -197,6 +213,9 @@ def semilog(ax: Any, lines: Sequence[Line], *, unit: str = "BRDF [1/sr]") -> lis
             ls = stroke(k, lines)
             x = np.degrees(line.theory_angle)
             artists += ax.plot(x, value, color=look["color"], lw=1.4, label=line.label, zorder=3, ls=ls)
+            if line.tau > 0:
+                low, high = band(line)
+                artists.append(ax.fill_between(x, low, high, color=look["color"], alpha=BAND, lw=0, zorder=1))
         shown = line.measured > 0
         if shown.any():
             x, y, u = np.degrees(line.angle[shown]), line.measured[shown], np.nan_to_num(line.u[shown])

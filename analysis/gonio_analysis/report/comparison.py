@@ -17,11 +17,11 @@ from gonio.geometry import AT_MIRROR, IN_PLANE
 from gonio_analysis.appearance.quantities import of_table
 from gonio_analysis.curves.in_plane import NORM_WORDS
 from gonio_analysis.fitting.budget import budget
-from gonio_analysis.fitting.fit import SIGNIFICANCE, FitResult
+from gonio_analysis.fitting.fit import FitResult
 from gonio_analysis.fitting.metrics import BELOW, DESCRIPTIONS
 from gonio_analysis.fitting.observations import describe_left_out
 from gonio_analysis.report import checks, verdict
-from gonio_analysis.report.text import difference, slug
+from gonio_analysis.report.text import difference, number, slug
 from gonio_analysis.result_records import (
     Appearance,
     CurveSummary,
@@ -32,6 +32,7 @@ from gonio_analysis.result_records import (
     Summary,
     finite,
 )
+from gonio_analysis.selection.choice import nearness
 from gonio_analysis.selection.compare import Dataset, Drawn, Fitted, jumps
 
 if TYPE_CHECKING:
@@ -150,6 +151,7 @@ def _dataset(d: Dataset, slug: str) -> DatasetSummary:
         simulated=d.simulated,
         checks=checks.summary(d.data.checked, attrs.get("provenance") or {}, _bands(d)),
         rho_dh=d.rho_dh,
+        rho_dh_combined=d.rho_dh_combined,
         symmetries=d.symmetries,
     )
 
@@ -232,44 +234,39 @@ def _curve(drawn: Drawn) -> CurveSummary:
 
 
 def _best(d: Dataset) -> str | None:
-    """The nearest model: by chi-square where there is one, else by AIC, as the choice among models says it."""
+    """The model to put first, as the choice among models says it; of those that are shown."""
+    chosen = d.choice.best
+    if chosen is not None and chosen.candidate.label in d.fitted:
+        return chosen.candidate.label
     aic = {j.candidate.label: j.aic for j in d.choice.judged}
-
-    def rank(name: str) -> tuple[float, float]:
-        f = d.fitted[name]
-        chi = f.fit.reduced_chi_square
-        own = aic.get(name, math.inf) if chi is None else chi
-        return (own, verdict.order(f.metrics, f.fit.goal.metric))
-
-    return min(d.fitted, key=rank) if d.fitted else None
+    return min(d.fitted, key=lambda name: aic.get(name, math.inf)) if d.fitted else None
 
 
 def _conclusion(d: Dataset, best: str | None) -> str:
     if best is None:
         return f"No model was fitted. {d.choice.words}"
-    f, many = d.fitted[best], len(d.fitted) > 1
+    f, tried = d.fitted[best], len(d.choice.judged)
     ratio, chi = f.metrics["log_ratio"], f.fit.reduced_chi_square
     typical = "" if ratio is None else f"; model and measurement differ typically by {_spoken(ratio)}"
-    missed = verdict.where(f.missed)
-    good = verdict.describes(ratio, f.missed)
-    if chi is not None:
-        others = "the best of the models tried" if many else "the only model tried"
-        told = [f"{best} is {others}: reduced chi-square {chi:.3g}, {f.fit.verdict}{typical}."]
-        rejected = f.fit.p_value is not None and f.fit.p_value < SIGNIFICANCE
-        if rejected and not good:
-            told += [missed, verdict.none_describes(len(d.fitted))]
-    else:
-        others = f"the nearest of the {len(d.fitted)} models shown" if many else "the only model tried"
-        told = [f"{best} is {others}{typical}.", missed]
-        if not good:
-            told.append(verdict.none_describes(len(d.fitted)))
-        if d.data.covariance is None:
+    if f.fit.misfit is not None:
+        told = [nearness(best, f.fit, f.missed, d.choice.near, tried)]
+        if chi is None:
             told.append(
                 "The table states no uncertainties, so nothing is accepted or rejected; --u-rel 0.03 judges the models"
                 " with an assumed uncertainty of 3 % of each value."
             )
-        else:
-            told.append(f"The metric {f.fit.goal.metric} takes no account of uncertainties: nothing is rejected.")
+        elif f.fit.rejected:
+            told.append(f"{best}: reduced chi-square {number(chi)}; {f.fit.by_chi_square}.")
+    elif chi is not None:
+        which = "the simplest of the models tried that the data do not reject" if tried > 1 else "the only model tried"
+        if d.choice.named is None or f.fit.rejected:
+            which = "the best of the models tried" if tried > 1 else "the only model tried"
+        said = f"{best} is {which}: reduced chi-square {chi:.3g}, {f.fit.verdict}{typical}"
+        told = [f"{said}{verdict.unnoticed(f.fit)}."]
+    else:
+        others = f"the nearest of the {tried} models tried" if tried > 1 else "the only model tried"
+        told = [f"{best} is {others}{typical}.", verdict.where(f.missed)]
+        told.append(f"The metric {f.fit.goal.metric} takes no account of uncertainties: nothing is rejected.")
     told.append(verdict.too_bright({name: other.rho_dh for name, other in d.fitted.items()}, best))
     told.append(verdict.direction_of_its_own(d.symmetries, d.fitted))
     told.append(verdict.disagreement({name: other.metrics for name, other in d.fitted.items()}, best))

@@ -54,7 +54,7 @@ def draw(d: Dataset, facts: DatasetSummary, most: int) -> list[Drawing]:
             out.append(_slices(d, facts, rows, lines, k, most))
     if chosen and facts.best:
         out.append(_lobe(d, facts, chosen[len(chosen) // 2], most))
-    if d.choice.intervals:
+    if d.choice.intervals and d.choice.named is not None and d.choice.named.fit.misfit is None:
         out.append(_profiles(d, facts))
     if facts.budget and d.curves:
         out.append(_budget(d, facts, most))

@@ -140,7 +140,7 @@ def _polar(d: Dataset, facts: DatasetSummary, names: Sequence[str], most: int) -
     caption = f"{_named(names)}: normalised {_norm_words(f)}. Solid: theory; dashed{bars(d)}: {measurement(d)}."
     if cut:
         caption += f" Cut at the rim: {', '.join(cut)}."
-    caption += _spikes(f) + thinning.words(thinning.measured(lines), thinning.measured(every))
+    caption += _spikes(f) + _band(f) + thinning.words(thinning.measured(lines), thinning.measured(every))
     alt = f"Half-disc polar plot for {d.name} ({measurement(d)}) and {model}. " + " ".join(
         f"{c.label}: measured peak at {c.measured_peak_deg:.1f}°, theory's at {c.theory_peak_deg:.1f}°."
         for c in facts.models[model].curves
@@ -247,7 +247,7 @@ def _absolute(d: Dataset, facts: DatasetSummary, names: Sequence[str], most: int
         what = f"absolute in-plane BRDF of a {measurement(d)}{bars(d)} (dashed), and theory (solid)"
         caption = f"{_named(names)}: {what}. Below: {kind}"
         caption += "; grey: values that belong to no curve shown." if rest.size else "."
-        caption += _above(lines)
+        caption += _above(lines) + _band(f)
     else:
         caption = f"{_named(names)}: {measurement(d)} without an in-plane curve, so residuals alone: {kind}."
     drawn = thinning.measured(low) + some.size
@@ -264,6 +264,13 @@ def _absolute(d: Dataset, facts: DatasetSummary, names: Sequence[str], most: int
     )  # fmt: skip
     high = (3.57 if lines else 1.6) + 0.46 + LEGEND_ROW_IN * legend.rows
     return Drawing(f"{facts.slug}-absolute-{slug(model)}", "absolute", model, caption, alt, (5.6, high), on)
+
+
+def _band(f: Fitted) -> str:
+    """A sentence on the band around theory; "" where the data do not reject the model."""
+    if f.fit.misfit is None or f.fit.tau is None:
+        return ""
+    return f" Light band: theory and the model's own misfit tau, {f.fit.tau.words}, to either side."
 
 
 def _above(lines: Sequence[Line]) -> str:

@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from gonio.shown import interval
 from gonio_analysis.report.blocks import Block, Heading, Notes, Paragraph, Table, Text, code, table
 from gonio_analysis.report.text import glued, number, percent, with_u
 from gonio_analysis.report.verdict import times
-from gonio_analysis.result_records import CandidateSummary, ChoiceSummary, IntervalSummary
+from gonio_analysis.result_records import CandidateSummary, ChoiceSummary, IntervalSummary, MisfitSummary
+
+TAU = (
+    "Tau is the model's own misfit, relative, with its 95 % interval; of a model that the data do not reject, what"
+    " would go unnoticed."
+)
+"""For tables that have such a column."""
 
 
 def section(choice: ChoiceSummary, alone_nm: float | None = None) -> list[Block]:
@@ -31,17 +37,19 @@ def section(choice: ChoiceSummary, alone_nm: float | None = None) -> list[Block]
         [
             c.label,
             str(c.n_free),
+            misfit_words(c.misfit),
             number(c.reduced_chi_square),
             number(None if c.aic is None else c.aic - aic),
             number(None if c.bic is None else c.bic - bic),
             number(c.held_out),
             f"{c.wall_s:.1f} s",
-            _verdict(c),
+            _verdict(c, choice.near),
             _fails(c),
         ]
         for c in tried
     ]
-    marks = ["best" if c.label == choice.named else "" for c in tried]
+    named = next((c.label for c in tried if c.label in choice.near), choice.named)
+    marks = ["best" if c.label == named else "" for c in tried]
     out: list[Block] = [Heading(3, "Which model"), Paragraph(glued(choice.words))]
     if alone_nm is not None:
         out.append(
@@ -51,17 +59,17 @@ def section(choice: ChoiceSummary, alone_nm: float | None = None) -> list[Block]
             )
         )
     # of a chi-square the region with the largest part of it, else the one whose median is farthest from the measurement
-    fails = "largest excess of χ²" if stated else "farthest off, by the median of a region"
+    chi = "reduced χ²" if alone_nm is None else f"reduced χ², {alone_nm:g} nm alone"
+    by_chi = stated and not choice.near
+    fails = "largest excess of χ²" if by_chi else "farthest off, by the median of a region"
     out.append(
         table(
             "From the simplest up. AIC and BIC are differences to the lowest; the held-out error is the mean squared"
             f" residual{', in units of the uncertainty,' if stated else ''} of values left out by"
-            f" {choice.held_out_by}. A model is {'rejected' if stated else 'behind'} where"
-            + (f" the probability of its chi-square is below {100 * choice.significance:g} %, or where" * stated)
-            + f" another is better by more than {choice.decisive_aic:g} in AIC.",
-            ["model", "parameters", "reduced χ²", "ΔAIC", "ΔBIC", "held-out", "time", "verdict", fails],
+            f" {choice.held_out_by}. {_rule(choice, stated)}",
+            ["model", "parameters", "misfit tau", chi, "ΔAIC", "ΔBIC", "held-out", "time", "verdict", fails],
             rows,
-            right=(1, 2, 3, 4, 5, 6),
+            right=(1, 2, 3, 4, 5, 6, 7),
             marks=marks,
         )
     )
@@ -72,12 +80,39 @@ def section(choice: ChoiceSummary, alone_nm: float | None = None) -> list[Block]
     return out
 
 
-def _verdict(c: CandidateSummary) -> str:
+def misfit_words(misfit: MisfitSummary | None) -> str:
+    """As in "4.7 % (4 to 5.6)", or "< 0.3 %" where the data do not reject a model."""
+    if misfit is None:
+        return "–"
+    return misfit.words if misfit.value > 0 else f"< {percent(misfit.interval[1])}"
+
+
+def _verdict(c: CandidateSummary, near: Mapping[str, float]) -> str:
     """Without the chi-square that stands beside it."""
+    if near:
+        place = "nearest" if c.label == next(iter(near)) else "as near" if c.label in near else "farther off"
+        return f"{place}; not true by χ²" if c.reduced_chi_square is not None else place
     why = re.sub(r"^reduced chi-square \S+ \((.*)\)$", r"\1", c.rejected)
     if c.reduced_chi_square is None:
         return f"behind: {why}" if why else "as near as any"
     return f"rejected: {why}" if why else "not rejected"
+
+
+def _rule(choice: ChoiceSummary, stated: bool) -> str:
+    """By what models are judged, in sentences."""
+    said = [TAU] if any(c.misfit is not None for c in choice.candidates) else []
+    if choice.near:
+        said.append(
+            "The nearest model predicts best, as logarithms, what was left out; another one is as near where the"
+            " difference lies within twice its own uncertainty."
+        )
+    else:
+        said.append(
+            f"A model is {'rejected' if stated else 'behind'} where"
+            + (f" the probability of its chi-square is below {100 * choice.significance:g} %, or where" * stated)
+            + f" another is better by more than {choice.decisive_aic:g} in AIC."
+        )
+    return " ".join(said)
 
 
 def _fails(c: CandidateSummary) -> str:
@@ -104,8 +139,14 @@ def _intervals(choice: ChoiceSummary) -> Table:
         # an error of the linearised fit beside an interval that contradicts it would be two truths
         value, ends = in_words(i, p.value)
         rows.append([code(name), with_u(p.value, p.u) if i.linear else value, ends])
+    off = named.misfit is not None and named.misfit.value > 0
+    how = (
+        "intervals by its standard errors"
+        if off
+        else "profile-likelihood intervals: each is held while all others follow"
+    )
     return table(
-        f"Parameters of {named.label} with profile-likelihood intervals: each is held while all others follow.",
+        f"Parameters of {named.label} with {how}.",
         ["parameter", "value and standard error (where it says the same as the interval)", "95 % interval"],
         rows,
     )

@@ -189,17 +189,22 @@ def _models(d: DatasetSummary) -> Table:
             [
                 name,
                 fitted_words(d, name, f),
+                model_choice.misfit_words(f.misfit),
                 number(f.reduced_chi_square) + " (assumed u)" * (f.u_rel_assumed is not None),
                 difference(f.metrics["log_ratio"]),
                 f.verdict + "; ⚠ reflects more than it receives" * f.reflects_too_much,
             ]
         )
-    note = "● marks the model that fits best. Typical difference: rms of ln(model / measured)." if any(marks) else ""
+    together = next((f.shared for f in d.models.values() if f.shared is not None), None)
+    chi = "reduced χ²" if together is None else f"reduced χ², {len(together.wavelengths_nm)} wavelengths together"
+    note = "● marks the model that the first line names. " if any(marks) else ""
+    if any(f.misfit is not None for f in d.models.values()):
+        note += f"{model_choice.TAU} "
     return table(
-        note,
-        ["model", "fitted parameters", "reduced χ²", "typical difference", "verdict"],
+        note + "Typical difference: rms of ln(model / measured).",
+        ["model", "fitted parameters", "misfit tau", chi, "typical difference", "verdict"],
         rows,
-        right=(2, 3),
+        right=(2, 3, 4),
         marks=marks,
     )
 
@@ -217,6 +222,8 @@ def _energy(d: DatasetSummary) -> list[Block]:
     if own:
         near = {a: [r for r in own if abs(a - r.theta_i_deg) < 0.5] for a in at}
         columns["the measurement itself"] = {a: found[0] for a, found in near.items() if found}
+    if d.rho_dh_combined:
+        columns["models that cannot be told apart"] = {round(r.theta_i_deg, 1): r for r in d.rho_dh_combined}
     rows = [[f"{a:g}°", *(with_u(c[a].rho_dh, c[a].u) if a in c else "–" for c in columns.values())] for a in at]
     out: list[Block] = [Heading(3, "Energy and symmetry")]
     if at:
@@ -224,7 +231,8 @@ def _energy(d: DatasetSummary) -> list[Block]:
             table(
                 "Directional-hemispherical reflectance rho_dh by angle of incidence: the share of the light that is"
                 " reflected. Uncertainties of models follow from the covariance of their parameters"
-                + (", which rests on the assumed uncertainty." if d.u_rel_assumed is not None else "."),
+                + (", which rests on the assumed uncertainty." if d.u_rel_assumed is not None else ".")
+                + _of_misfits(d),
                 ["θi", *columns],
                 rows,
                 right=tuple(range(1, len(columns) + 1)),
@@ -249,6 +257,19 @@ def _energy(d: DatasetSummary) -> list[Block]:
             f" {difference(s.typical)}, at most by {difference(s.largest)}{by}{limit}."
         )
     return [*out, Notes(tuple(said))] if said else out
+
+
+def _of_misfits(d: DatasetSummary) -> str:
+    """What the reflectances of models hold that are not true."""
+    if not any(r.with_misfit is not None for f in d.models.values() for r in f.rho_dh):
+        return ""
+    said = " Of a model with a misfit tau they hold that misfit over the whole hemisphere."
+    if d.rho_dh_combined:
+        said += (
+            f" The last column is over {', '.join(d.choice.near)}, weighted by how well they predict what was left out:"
+            " each with what the values say of its misfit, and the spread among them in the uncertainty."
+        )
+    return said
 
 
 def _polar_words(s: Summary, d: DatasetSummary) -> Paragraph:
@@ -294,17 +315,29 @@ def _parameters(d: DatasetSummary) -> list[Block]:
         for n in f.notes:
             if n not in d.notes + d.data_notes:
                 remarks.setdefault(n, []).append(m)
-    whitened = any(f.chi_square is not None for f in d.models.values())
-    caption = (
-        "Standard errors come from the scatter of the residuals"
-        + (": the table states no uncertainties." if not _known(d) else ", by the metric of the fit.")
-        if not whitened
-        else f"Standard errors rest on the assumed uncertainty of {percent(d.u_rel_assumed)} of each value."
-        if d.u_rel_assumed is not None
-        else "Standard errors are those of least squares with the stated covariance; they are not scaled by χ²."
-    )
+    caption = " ".join(_of_errors(d))
     out: list[Block] = [table(caption, ["model", "parameter", "value", "", "strongest correlation"], rows)]
     return [*out, Notes(tuple((strong(", ".join(of)), f": {n}") for n, of in remarks.items()))] if remarks else out
+
+
+def _of_errors(d: DatasetSummary) -> list[str]:
+    """What the standard errors of these models are, in sentences."""
+    off = [f.misfit is not None and f.misfit.value > 0 for f in d.models.values()]
+    said = []
+    if not all(off):
+        said.append(
+            "Standard errors come from the scatter of the residuals, by the metric of the fit."
+            if all(f.chi_square is None for f in d.models.values())
+            else f"Standard errors rest on the assumed uncertainty of {percent(d.u_rel_assumed)} of each value."
+            if d.u_rel_assumed is not None
+            else "Standard errors are those of least squares with the stated covariance; they are not scaled by χ²."
+        )
+    if any(off):
+        said.append(
+            "Of a model with a misfit tau the parameters are those of the nearest one over the measured directions. The"
+            " errors say by how much they change where a part of the directions is left out."
+        )
+    return said
 
 
 def _value(d: DatasetSummary, model: str, parameter: str, e: ParameterSummary) -> str:

@@ -5,33 +5,23 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 
+from gonio_analysis.fitting.fit import FitResult
 from gonio_analysis.fitting.metrics import DESCRIPTIONS
-from gonio_analysis.report.text import angle, difference, number, with_u
+from gonio_analysis.report.text import angle, difference, number, percent, with_u
 from gonio_analysis.result_records import Reflectance, SymmetrySummary
 from gonio_analysis.selection.energy import ABOVE_ONE
-from gonio_analysis.selection.misfit_regions import FEWEST, Region
+from gonio_analysis.selection.misfit_regions import Region, farthest
 
-DESCRIBES = 1.3
-"""Typical factor (exp of the rms of ln(model / measured)) beyond which a model does not describe a sample.
-
-Goniometers that are compared on one sample differ by percents, so a third is the model's failure. Chosen, not derived.
-"""
+NOT_SMALL = 0.5
+"""Beyond this, what may go unnoticed is no small misfit, and nothing is said of it."""
 FEATURE = 2.0
-"""A region whose median of model / measured is beyond this factor is a feature that the model does not have."""
+"""A ratio beyond this factor is said as a factor, and not in percent."""
 SINGLE = 1.5
 """A single value is named beside the region where it is farther off by this factor."""
 CLEARLY = 1.05
 """A metric names another model where that one is better by this factor; less is no disagreement."""
-BY = {"log": "log_ratio", "weighted": "weighted", "ngan": "ngan", "cube-root": "cube_root", "relative": "relative"}
-"""Metric of a fit -> the metric of a report that is like it."""
 JUDGES = ("log_ratio", "ngan", "cube_root")
 """Whose winners are compared with that of the fit's own metric."""
-
-
-def order(values: Mapping[str, float | None], metric: str) -> float:
-    """What models are ordered by: their metric, the smaller the better; infinite where there is none."""
-    value = values.get(BY[metric])
-    return math.inf if value is None else value
 
 
 def disagreement(metrics: Mapping[str, Mapping[str, float | None]], best: str) -> str:
@@ -53,18 +43,21 @@ def disagreement(metrics: Mapping[str, Mapping[str, float | None]], best: str) -
     return f"The metrics disagree about the nearest: {said}."
 
 
-def describes(log_ratio: float | None, missed: Region | None) -> bool:
-    """Whether a model describes a sample at all: typically within `DESCRIBES`, and no feature of it is missing."""
-    if log_ratio is None or log_ratio > math.log(DESCRIBES):
-        return False
-    return not misses_feature(missed)
+def of_fit(result: FitResult) -> str:
+    """What `gonio fit` says of one model: how far off it is and where, or what its chi-square is."""
+    chi, found = result.reduced_chi_square, farthest(result) if result.misfit is not None else None
+    if found is not None and found.off:
+        return result.verdict.replace(result.described, f"{result.described}, worst {found.off}")
+    return (result.verdict if chi is None else f"reduced chi-square {number(chi)}: {result.verdict}") + unnoticed(
+        result
+    )
 
 
-def misses_feature(missed: Region | None) -> bool:
-    """Whether the region that a model misses most is a feature that it does not have."""
-    if missed is None or missed.ratio is None or missed.values < FEWEST:
-        return False
-    return not 1 / FEATURE <= missed.ratio <= FEATURE
+def unnoticed(result: FitResult) -> str:
+    """How far off a model may be that the data do not reject, as part of a sentence; "" where nothing says so."""
+    if result.rejected or result.chi_square is None or result.tau is None or result.tau.interval[1] > NOT_SMALL:
+        return ""
+    return f"; a misfit of at most {percent(result.tau.interval[1])} would go unnoticed"
 
 
 def where(missed: Region | None) -> str:
@@ -86,15 +79,6 @@ def times(ratio: float) -> str:
     if 1 / FEATURE < ratio < FEATURE:
         return f"{number(100 * abs(ratio - 1), 2)} % {'above' if ratio > 1 else 'below'} the measurement"
     return f"{number(ratio, 2)} {'times' if ratio > 1 else 'of'} the measurement"
-
-
-def none_describes(count: int) -> str:
-    """The sentence for models that do not describe a sample."""
-    who = "None of these describes the sample" if count > 1 else "It does not describe the sample"
-    return (
-        f"{who}: a typical factor above {DESCRIBES:g}, or a region off by more than a factor of {FEATURE:g}, is beyond"
-        " what any goniometer is off by."
-    )
 
 
 def reflects_too_much(found: Sequence[Reflectance]) -> bool:

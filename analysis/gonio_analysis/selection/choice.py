@@ -114,6 +114,7 @@ class Judged:
             chi_square=finite(self.fit.chi_square),
             reduced_chi_square=finite(self.fit.reduced_chi_square),
             p_value=finite(self.fit.p_value),
+            misfit=self.fit.tau,
             aic=finite(self.aic),
             bic=finite(self.bic),
             held_out=finite(self.held_out),
@@ -141,13 +142,13 @@ class Choice:
     label, with a weight of 1 and less."""
 
     @property
-    def nearest(self) -> Judged | None:
-        """The one that predicts best, where none is named that the data do not reject."""
-        return next((j for j in self.judged if j.candidate.label == next(iter(self.near), None)), None)
+    def best(self) -> Judged | None:
+        """The one that a report puts first, and that `words` begin with: a true one, or the nearest as far as told."""
+        return _best(self.judged, self.named, self.near) if self.judged else None
 
     def shows(self, j: Judged) -> bool:
-        """Whether a report of all models draws this one: the named one, and the best form of every single model."""
-        if j is self.named:
+        """Whether a report of all models draws this one: the best one, and the best form of every single model."""
+        if j is self.named or j is self.best:
             return True
         alike = [other for other in self.judged if other.candidate.model == j.candidate.model]
         return len(parameters.parts(j.candidate.model)) == 1 and j is min(alike, key=lambda other: other.aic)
@@ -169,6 +170,7 @@ class Choice:
             candidates=[j.summary() for j in self.judged],
             intervals={n: self._interval(n, i) for n, i in self.intervals.items()},
             left_out=self.left_out,
+            near=self.near,
         )
 
 
@@ -500,7 +502,11 @@ def _words(judged: Sequence[Judged], named: Judged | None, near: Mapping[str, fl
     """The finding, in a sentence or two."""
     best = min(judged, key=lambda j: j.aic)
     if near:
-        return _nearness(judged, near)
+        j = _best(judged, named, near)
+        text = nearness(j.candidate.label, j.fit, j.fails, near, len(judged))
+        if j.fit.chi_square is None:
+            return f"{text} The table states no uncertainties, so nothing is accepted or rejected."
+        return f"{text} The data reject every model that was tried ({len(judged)}{_assumed(j)})."
     if named is None:
         return (
             f"The data reject every model that was tried ({len(judged)}); {best.candidate.label} is the best of them"
@@ -529,23 +535,42 @@ def _assumed(j: Judged) -> str:
     return "" if assumed is None else f", with the assumed uncertainty of {100 * assumed:g} %"
 
 
-def _nearness(judged: Sequence[Judged], near: Mapping[str, float]) -> str:
-    """The finding where none is true, or nothing says so."""
-    by_label = {j.candidate.label: j for j in judged}
-    best, *others = (by_label[label] for label in near)
-    n, stated = len(judged), best.fit.chi_square is not None
-    text = f"The data reject every model that was tried ({n}{_assumed(best)}). " if stated else ""
-    if n == 1:
-        text += f"{best.candidate.label} {best.fit.described}."
+def _best(judged: Sequence[Judged], named: Judged | None, near: Mapping[str, float]) -> Judged:
+    """The simplest that is near, or not rejected; by a metric, and where there is neither, the one of the lowest AIC."""
+    lowest = min(judged, key=lambda j: j.aic)
+    if near:
+        return next(j for j in judged if j.candidate.label in near)
+    return lowest if named is None or named.fit.reduced_chi_square is None else named
+
+
+def nearness(label: str, result: FitResult, fails: Region | None, near: Mapping[str, float], tried: int) -> str:
+    """How far a model is from the sample, where it is farthest off, and what it cannot be told from, in sentences.
+
+    Parameters
+    ----------
+    label, result
+        The model that is put first, and its fit, which has a misfit.
+    fails
+        Where it is farthest off.
+    near
+        See `Choice.near`.
+    tried
+        Number of models.
+    """
+    assert result.tau is not None
+    first = next(iter(near), label)
+    if tried == 1:
+        which = "the only model tried"
+    elif first == label:
+        which = f"the nearest of the {tried} models tried"
     else:
-        text += (
-            f"{best.candidate.label} is the nearest of the {n}: it {best.fit.described}, and predicts"
-            f" what was left out to {100 * _prediction(best):.2g} %."
-        )
+        which = f"the simplest of the models that cannot be told apart from the nearest, {first}"
+    worst_ = f", worst {fails.off}" if fails is not None and fails.off else ""
+    text = f"{label} is {which}: it describes this sample to {result.tau.words}{worst_}."
+    others = [n for n in near if n not in (label, first)]
     if others:
-        listed = ", ".join(f"{j.candidate.label} ({100 * _prediction(j):.2g} %)" for j in others)
-        text += f" This plan cannot tell it from {listed}."
-    return text if stated else f"{text} The table states no uncertainties, so nothing is accepted or rejected."
+        text += f" This plan cannot tell {'it' if first == label else 'either'} from {', '.join(others)}."
+    return text
 
 
 def _compared(judged: Sequence[Judged], named: Judged, best: Judged) -> str:

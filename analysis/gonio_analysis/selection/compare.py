@@ -6,7 +6,7 @@ Everything that a report shows is computed here; `gonio_analysis.report` only dr
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import pairwise
@@ -58,11 +58,15 @@ class Drawn:
     theory: Floats
     """[1/sr], as the instrument would see it."""
     residual: Floats
+    tau: float = 0.0
+    """The model's own misfit, relative; 0 where the data do not reject it."""
 
     def absolute(self) -> Line:
         """In 1/sr."""
         c = self.curve
-        return Line(self.label, self.theory_angle, self.theory, c.angle, c.brdf, c.u, c.parameter, self.residual)
+        return Line(
+            self.label, self.theory_angle, self.theory, c.angle, c.brdf, c.u, c.parameter, self.residual, self.tau
+        )
 
     def normalised(self) -> Line:
         """Theory and measurement divided by what `norm` says."""
@@ -76,6 +80,7 @@ class Drawn:
             c.u / n.measured,
             c.parameter,
             self.residual,
+            self.tau,
         )
 
 
@@ -117,6 +122,8 @@ class Dataset:
     """What the run's own record says, for a table that a run made."""
     rho_dh: list[Reflectance] = field(default_factory=list)
     """Of the measurement itself."""
+    rho_dh_combined: list[Reflectance] = field(default_factory=list)
+    """Of the models that cannot be told from the nearest one."""
     symmetries: list[SymmetrySummary] = field(default_factory=list)
     without_mirror: list[tuple[float, str]] = field(default_factory=list)
     """Angle [rad] and label of every in-plane curve whose mirror direction was not measured, drawn or not."""
@@ -236,11 +243,19 @@ def examine(
         choice,
         run,
         energy.of_table(at),
+        _combined(choice, fitted),
         symmetries(at),
         [(c.parameter, label) for c, label in zip(found, labels(found), strict=True) if c.mirror is None],
         through,
         polarisation(table, at, shown, {label: one.fit for label, one in fitted.items()}),
     )
+
+
+def _combined(choice: Choice, fitted: Mapping[str, Fitted]) -> list[Reflectance]:
+    """rho_dh over the models that cannot be told apart, shown or not."""
+    near = [(choice.near[j.candidate.label], j) for j in choice.judged if j.candidate.label in choice.near]
+    shown = {label: one.rho_dh for label, one in fitted.items()}
+    return energy.combined([(w, shown.get(j.candidate.label) or energy.of_model(j.fit)) for w, j in near])
 
 
 def check_models(models: Sequence[str]) -> None:
@@ -293,6 +308,7 @@ def _fitted(result: FitResult, shown: list[Curve], normalise: Normalise, series:
                 theory_angle=angle,
                 theory=curve.theory(result.model, angle, data),
                 residual=residual,
+                tau=0.0 if result.misfit is None else result.misfit.tau,
             )
         )
     return Fitted(result, numbers, drawn, series, farthest(result), energy.of_model(result))

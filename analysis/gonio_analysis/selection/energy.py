@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -80,6 +81,35 @@ def _with_misfit(result: FitResult, theta_i: float, phi_i: float, wave: float, v
     open_ = float(np.linalg.norm(share @ root))
     u = math.hypot(open_, known - value)
     return Reflectance(math.degrees(theta_i), value, u, "", with_misfit=known, u_with_misfit=open_)
+
+
+def combined(parts: Sequence[tuple[float, Sequence[Reflectance]]]) -> list[Reflectance]:
+    """rho_dh of several models that cannot be told apart, each with what the values say of its misfit.
+
+    Parameters
+    ----------
+    parts
+        Weight of a model, and what `of_model` says of it.
+
+    Returns
+    -------
+    list of Reflectance
+        The weighted means. Their variances are those of the models and that among them. Empty where no model has any.
+    """
+    out = []
+    for ones in zip(*(found for _, found in parts if found), strict=True):
+        known = [
+            (weight, r.with_misfit, r.u_with_misfit)
+            for (weight, _), r in zip([p for p in parts if p[1]], ones, strict=True)
+            if r.with_misfit is not None and r.u_with_misfit is not None
+        ]
+        if known:
+            weight, value, u = np.array(known).T
+            weight = weight / weight.sum()
+            mean = float(weight @ value)
+            spread = math.sqrt(float(weight @ (u**2 + (value - mean) ** 2)))
+            out.append(Reflectance(ones[0].theta_i_deg, mean, spread, ""))
+    return out
 
 
 def _rho(model: object, theta: Floats, phi: float, wave: float) -> Floats:

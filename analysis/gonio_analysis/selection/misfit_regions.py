@@ -8,6 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from gonio import shown
 from gonio.geometry import AROUND_MIRROR, SAME_INCIDENCE, Directions
 from gonio.typing import Floats
 from gonio_analysis.fitting.fit import FitResult
@@ -38,6 +39,17 @@ class Region:
     """Model / measurement of the one value of all that is farthest off."""
     single_words: str = ""
     """Its directions."""
+
+    @property
+    def off(self) -> str:
+        """As in "8 % too high around the mirror direction at θi = 45°"; "" where nothing is known."""
+        if self.ratio is None:
+            return ""
+        how = "high" if self.ratio > 1 else "low"
+        factor = max(self.ratio, 1.0 / max(self.ratio, 1e-300))
+        far = f"{shown.number(100 * abs(self.ratio - 1), 2)} %" if factor < 2 else f"{shown.number(factor, 2)} times"
+        at, _, zone = self.words.rpartition(", ")
+        return f"{far} too {how} {f'{zone} at {at}' if at else f'over {self.words}'}"
 
     def summary(self) -> RegionSummary:
         """Plain numbers."""
