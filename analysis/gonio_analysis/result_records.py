@@ -70,6 +70,10 @@ class SharedGeometry:
     reduced_chi_square: float | None
 
 
+FAR = math.log(2.0)
+"""A misfit that is said as a factor."""
+
+
 @dataclass(frozen=True)
 class MisfitSummary:
     """tau: how far a model itself is off, relative (docs/misfit.md); 0 where the data do not reject it."""
@@ -79,11 +83,17 @@ class MisfitSummary:
     interval: tuple[float, float]
     """95 %; of a model that is not rejected from 0 to what the data leave room for."""
 
+    def of(self, what: str) -> str:
+        """As in "describes this sample to 4.7 % (4 to 5.6)"; far from it nothing is described."""
+        return (
+            f"{'describes' if self.value < FAR else 'misses'} {what} {'to' if self.value < FAR else 'by'} {self.words}"
+        )
+
     @property
     def words(self) -> str:
-        """As in "4.7 % (4 to 5.6)"; from 70 % on as a factor, for there percents of a logarithm mislead."""
+        """As in "4.7 % (4 to 5.6)", or as a factor, where percents of a logarithm mislead."""
         three = (self.value, *self.interval)
-        if self.value < math.log(2.0):
+        if self.value < FAR:
             middle, low, high = (shown.number(100 * x, 2) for x in three)
             return f"{middle} % ({low} to {high})"
         middle, low, high = (shown.number(math.exp(min(x, 700.0)), 2) for x in three)

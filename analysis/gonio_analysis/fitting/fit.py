@@ -188,7 +188,7 @@ class FitResult:
                 if self.goal.whitened
                 else f"the metric {self.goal.metric} does not weigh by uncertainties"
             )
-        return (f"{self.described}; " if self.misfit is not None else "") + self.by_chi_square
+        return self.by_chi_square + (f"; it {self.described}" if self.misfit is not None else "")
 
     @property
     def by_chi_square(self) -> str:
@@ -210,7 +210,7 @@ class FitResult:
     def described(self) -> str:
         """How far off a model with a misfit is, in words."""
         assert self.tau is not None
-        return f"describes the values to {self.tau.words}"
+        return self.tau.of("the values")
 
     def intervals(self, *names: str, level: float = 0.95) -> dict[str, Interval]:
         """Profile-likelihood intervals of the fitted parameters, or of those named.

@@ -214,8 +214,7 @@ def semilog(ax: Any, lines: Sequence[Line], *, unit: str = "BRDF [1/sr]") -> lis
             x = np.degrees(line.theory_angle)
             artists += ax.plot(x, value, color=look["color"], lw=1.4, label=line.label, zorder=3, ls=ls)
             if line.tau > 0:
-                low, high = band(line)
-                artists.append(ax.fill_between(x, low, high, color=look["color"], alpha=BAND, lw=0, zorder=1))
+                artists.append(ax.fill_between(x, *band(line), color=look["color"], alpha=BAND, lw=0, zorder=1))
         shown = line.measured > 0
         if shown.any():
             x, y, u = np.degrees(line.angle[shown]), line.measured[shown], np.nan_to_num(line.u[shown])

@@ -58,10 +58,8 @@ def section(choice: ChoiceSummary, alone_nm: float | None = None) -> list[Block]
                 " are fitted to all wavelengths together, with one geometry."
             )
         )
-    # of a chi-square the region with the largest part of it, else the one whose median is farthest from the measurement
     chi = "reduced χ²" if alone_nm is None else f"reduced χ², {alone_nm:g} nm alone"
-    by_chi = stated and not choice.near
-    fails = "largest excess of χ²" if by_chi else "farthest off, by the median of a region"
+    fails = "farthest off, by the median of a region"
     out.append(
         table(
             "From the simplest up. AIC and BIC are differences to the lowest; the held-out error is the mean squared"
@@ -120,8 +118,7 @@ def _fails(c: CandidateSummary) -> str:
     if region is None or (not c.rejected and c.reduced_chi_square is not None):
         return ""
     off = [f"model {times(region.ratio)}"] if region.ratio is not None and abs(region.ratio - 1) >= 1e-3 else []
-    share = [f"{percent(region.share)} of it"] if c.reduced_chi_square is not None else []
-    return f"{region.words}: {', '.join(share + off)}"
+    return f"{region.words}: {', '.join(off)}"
 
 
 def in_words(i: IntervalSummary, value: float | None) -> tuple[str, str]:

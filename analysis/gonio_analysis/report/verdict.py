@@ -47,7 +47,8 @@ def of_fit(result: FitResult) -> str:
     """What `gonio fit` says of one model: how far off it is and where, or what its chi-square is."""
     chi, found = result.reduced_chi_square, farthest(result) if result.misfit is not None else None
     if found is not None and found.off:
-        return result.verdict.replace(result.described, f"{result.described}, worst {found.off}")
+        by = "" if chi is None else f"; reduced chi-square {number(chi)}, {result.by_chi_square}"
+        return f"{result.described}, worst {found.off}{by}"
     return (result.verdict if chi is None else f"reduced chi-square {number(chi)}: {result.verdict}") + unnoticed(
         result
     )

@@ -34,7 +34,7 @@ from gonio_analysis.fitting.problem import FitRequest, pose
 from gonio_analysis.fitting.profile_likelihood import Interval, Profiles, profiles
 from gonio_analysis.fitting.surrogate import Near, Rows
 from gonio_analysis.result_records import CandidateSummary, ChoiceSummary, IntervalSummary, Value, finite
-from gonio_analysis.selection.misfit_regions import Region, blocks, farthest, worst
+from gonio_analysis.selection.misfit_regions import Region, blocks, farthest
 from gonio_analysis.selection.parallel import Share, here
 
 TOLD_APART = 2.0
@@ -415,7 +415,7 @@ def _judged(candidate: Candidate, result: FitResult, tested: Tested, wall_s: flo
         deviance(result) + p * math.log(n),
         error,
         misses,
-        farthest(result) if result.chi_square is None or result.misfit is not None else worst(result),
+        farthest(result),
         wall_s=wall_s + took,
     )
 
@@ -536,7 +536,7 @@ def _assumed(j: Judged) -> str:
 
 
 def _best(judged: Sequence[Judged], named: Judged | None, near: Mapping[str, float]) -> Judged:
-    """The simplest that is near, or not rejected; by a metric, and where there is neither, the one of the lowest AIC."""
+    """The simplest that is near, or not rejected; else, and by a metric, the one of the lowest AIC."""
     lowest = min(judged, key=lambda j: j.aic)
     if near:
         return next(j for j in judged if j.candidate.label in near)
@@ -566,7 +566,7 @@ def nearness(label: str, result: FitResult, fails: Region | None, near: Mapping[
     else:
         which = f"the simplest of the models that cannot be told apart from the nearest, {first}"
     worst_ = f", worst {fails.off}" if fails is not None and fails.off else ""
-    text = f"{label} is {which}: it describes this sample to {result.tau.words}{worst_}."
+    text = f"{label} is {which}: it {result.tau.of('this sample')}{worst_}."
     others = [n for n in near if n not in (label, first)]
     if others:
         text += f" This plan cannot tell {'it' if first == label else 'either'} from {', '.join(others)}."

@@ -25,14 +25,14 @@ FEWEST = 3
 
 @dataclass(frozen=True)
 class Region:
-    """Where a model is farthest from the data, relative to their uncertainty."""
+    """Where a model is farthest from the data."""
 
     words: str
     values: int
     excess: float
-    """Sum of squared whitened residuals in the region, less their number."""
+    """Sum of squares of ln(model / measured) in the region."""
     share: float
-    """Of the excess of all regions with any."""
+    """Of that of all values."""
     ratio: float | None
     """Median of model / measurement there, over values above 3 u."""
     single_ratio: float | None = None
@@ -45,11 +45,14 @@ class Region:
         """As in "8 % too high around the mirror direction at θi = 45°"; "" where nothing is known."""
         if self.ratio is None:
             return ""
-        how = "high" if self.ratio > 1 else "low"
         factor = max(self.ratio, 1.0 / max(self.ratio, 1e-300))
-        far = f"{shown.number(100 * abs(self.ratio - 1), 2)} %" if factor < 2 else f"{shown.number(factor, 2)} times"
+        how = f"too {'high' if self.ratio > 1 else 'low'}"
+        if factor < 2:
+            how = f"{shown.number(100 * abs(self.ratio - 1), 2)} % {how}"
+        else:
+            how += f" by a factor of {shown.number(factor, 2)},"
         at, _, zone = self.words.rpartition(", ")
-        return f"{far} too {how} {f'{zone} at {at}' if at else f'over {self.words}'}"
+        return f"{how} {f'{zone} at {at}' if at else f'over {self.words}'}"
 
     def summary(self) -> RegionSummary:
         """Plain numbers."""
@@ -64,23 +67,11 @@ def incidences(data: Observations) -> list[tuple[float, Rows]]:
     return [(float(theta_i[group].mean()), group) for group in np.split(order, cuts)]
 
 
-def worst(result: FitResult) -> Region | None:
-    """The region with the largest excess of chi-square over the number of its values; None where there is none."""
-    data, square = result.data, result.whitened**2
-    found = [(float(square[here].sum()) - here.size, words, here) for words, here in _regions(data)]
-    total = sum(max(excess, 0.0) for excess, _, _ in found)
-    if total <= 0:
-        return None
-    excess, words, here = max(found, key=lambda f: f[0])
-    return Region(words, int(here.size), excess, max(excess, 0.0) / total, _ratio(result, here, data.u))
-
-
 def farthest(result: FitResult) -> Region | None:
     """The region of three values or more whose median of model / measured is farthest from 1, as a ratio.
 
     A median says nothing of single values: the one that is farthest off, in any region, stands beside it.
-    Its `excess` is the sum of squares of ln(model / measured), and its share is of that of all regions. Where no region
-    has so many values they are taken together.
+    Where no region has so many values they are taken together.
     """
     data = result.data
     seen = (data.brdf > (3 * data.u if data.covariance is not None else 0.0)) & (result.predicted > 0)
@@ -105,11 +96,6 @@ def _place(d: Directions) -> str:
     if bool(d.in_plane):
         return f"θi = {theta_i}, signed θr = {along}".replace("-", "−")
     return f"θi = {theta_i}, θr = {theta_r}, φr − φi = {dphi}"
-
-
-def _ratio(result: FitResult, here: Rows, u: Floats) -> float | None:
-    seen = here[result.data.brdf[here] > 3 * u[here]]
-    return float(np.median(result.predicted[seen] / result.data.brdf[seen])) if seen.size else None
 
 
 def _regions(data: Observations) -> list[tuple[str, Rows]]:

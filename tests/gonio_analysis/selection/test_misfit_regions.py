@@ -11,7 +11,7 @@ from gonio_analysis.curves.in_plane import curves
 from gonio_analysis.fitting.fit import FitResult
 from gonio_analysis.fitting.observations import observations
 from gonio_analysis.report import verdict
-from gonio_analysis.selection.misfit_regions import farthest, worst
+from gonio_analysis.selection.misfit_regions import farthest
 
 from gonio.formats.reader import table
 
@@ -40,7 +40,7 @@ def misfitting(away_deg: float) -> FitResult:
 @pytest.mark.parametrize(("away_deg", "in_plane"), [(1.4, True), (1.6, False), (4.0, False)])
 def test_in_plane_means_the_same_in_regions_and_in_curves(away_deg: float, in_plane: bool) -> None:
     result = misfitting(away_deg)
-    found = worst(result)
+    found = farthest(result)
     assert found is not None
     assert ("out of plane" not in found.words) == in_plane
     (curve,) = curves(result.data)
@@ -48,12 +48,13 @@ def test_in_plane_means_the_same_in_regions_and_in_curves(away_deg: float, in_pl
 
 
 def test_the_share_and_the_ratio_of_a_region() -> None:
-    found = worst(misfitting(4.0))
+    found = farthest(misfitting(4.0))
     assert found is not None
     assert (found.words, found.values) == ("θi = 30°, out of plane", 5)
     # sums and means of a few products: some roundings
-    assert found.excess == pytest.approx(5 * 25 - 5, rel=1e-12)  # whitened squares less their number
-    assert found.share == pytest.approx(1.0, rel=1e-12)  # nothing else is off by more than its uncertainty
+    here, there = 5 * np.log(0.35 / 0.3) ** 2, 5 * np.log(0.305 / 0.3) ** 2
+    assert found.excess == pytest.approx(here, rel=1e-12)
+    assert found.share == pytest.approx(here / (here + there), rel=1e-12)
     assert found.ratio == pytest.approx(0.35 / 0.3, rel=1e-12)
 
 
