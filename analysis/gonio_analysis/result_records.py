@@ -85,9 +85,7 @@ class MisfitSummary:
 
     def of(self, what: str) -> str:
         """As in "describes this sample to 4.7 % (4 to 5.6)"; far from it nothing is described."""
-        return (
-            f"{'describes' if self.value < FAR else 'misses'} {what} {'to' if self.value < FAR else 'by'} {self.words}"
-        )
+        return f"describes {what} to {self.words}" if self.value < FAR else f"misses {what} by {self.words}"
 
     @property
     def words(self) -> str:

@@ -165,7 +165,7 @@ class FitResult:
         data = self.data
         if data.covariance is None or not self.goal.whitened or self.goal.loss != "linear" or self.problem.each:
             return None
-        residual, columns, stated = _on_log_scale(self.problem, data, self.vector)
+        residual, columns, stated = residuals_on_log_scale(self.problem, data, self.vector)
         assert stated is not None
         most = highest_tau(residual, columns, stated)
         return MisfitSummary(0.0, 0.5 * most, (0.0, most))
@@ -401,7 +401,7 @@ def fit(
         if result.rejected:
             result = _nearest(result, asked.searches, say)
         elif data.covariance is None:
-            result = _with_misfit(result)
+            result = known_by_blocks(result)
     elif not goal.whitened:
         notes.append("Standard errors come from the scatter of the residuals; there is no chi-square.")
     notes += remarks(result)
@@ -455,17 +455,19 @@ def _nearest(rejected: FitResult, searches: int, say: Say) -> FitResult:
     vector = min(found, key=lambda f: f[1])[0]
     tau = 0.0
     for _ in range(TURNS):
-        before, tau = tau, estimated_tau(*_on_log_scale(problem, data, vector))
+        before, tau = tau, estimated_tau(*residuals_on_log_scale(problem, data, vector))
         goal = with_misfit(data, tau, apparent(problem.model(vector), data))
         if before and abs(math.log(tau / before)) < SETTLED:
             break
         vector = refine(problem, data, goal, vector, say=say)[0]
     vector, jacobian = settle(problem, data, goal, vector)
     result = _result(problem, data, goal, vector, jacobian, rejected.wavelength_nm)
-    return _with_misfit(replace(result, chi_square=rejected.chi_square))
+    return known_by_blocks(replace(result, chi_square=rejected.chi_square))
 
 
-def _on_log_scale(problem: Problem, data: Observations, vector: Floats) -> tuple[Floats, Floats, Covariance | None]:
+def residuals_on_log_scale(
+    problem: Problem, data: Observations, vector: Floats
+) -> tuple[Floats, Floats, Covariance | None]:
     """Residuals on the scale of logarithms, their derivatives by parameters inside their bounds, the covariance."""
     plain = Objective(data.brdf, None, smallest(data), metric="log")
     predicted, near = (apparent(problem.model(vector), data, quick=quick) for quick in (False, True))
@@ -475,7 +477,7 @@ def _on_log_scale(problem: Problem, data: Observations, vector: Floats) -> tuple
     return plain.residual(predicted), columns, on_log_scale(data, plain.small, predicted)
 
 
-def _with_misfit(result: FitResult) -> FitResult:
+def known_by_blocks(result: FitResult) -> FitResult:
     """A fit with its misfit, and with the standard errors that follow from it."""
     data, goal, problem, vector = result.data, result.goal, result.problem, result.vector
     if not goal.tau:  # nothing is stated: the misfit takes everything

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -24,12 +24,24 @@ import numpy.typing as npt
 from gonio.cli.pace import Pace, Say, silent
 from gonio.errors import DataError
 from gonio.typing import Floats
-from gonio_analysis.fitting.fit import ROUNDING, FitResult, derived, estimates, fit, remarks
+from gonio_analysis.fitting.fit import (
+    ROUNDING,
+    SIGNIFICANCE,
+    FitResult,
+    derived,
+    estimates,
+    fit,
+    known_by_blocks,
+    remarks,
+    residuals_on_log_scale,
+)
 from gonio_analysis.fitting.forward import apparent, averaging, pointlike
-from gonio_analysis.fitting.objective import Objective, alone, scaled_to
+from gonio_analysis.fitting.misfit import estimated_tau
+from gonio_analysis.fitting.objective import Objective, alone, scaled_to, with_misfit
 from gonio_analysis.fitting.observations import Observations, observations
 from gonio_analysis.fitting.problem import FitRequest, Problem, pose
 from gonio_analysis.fitting.search import covariance, derivatives, one_sided
+from gonio_analysis.fitting.value_covariance import independent
 from gonio_analysis.result_records import SharedGeometry
 
 if TYPE_CHECKING:
@@ -147,11 +159,63 @@ def fit_shared(
         chi_square=total if whitened else None,
         reduced_chi_square=total / (values - free) if whitened and values > free else None,
     )
+    nearest = asked.metric is None and (not whitened or _rejected(shared))
+    known: dict[float, float] = {}
+    if nearest and whitened:
+        for block in task.blocks:
+            residual = block.residual(vector[block.index], whole[block.wavelength_nm])
+            known[block.wavelength_nm] = float(residual @ residual)
+        task, vector = _nearest(first, common, taken, pace.step)
+        vector, jacobian, _ = task.settle(vector)
+        spread, condition = covariance(jacobian)
     wall = time.perf_counter() - began
-    return [
-        _slice(first, block, whole[block.wavelength_nm], vector, spread, condition, shared, wall)
+    fits = [
+        _slice(first, block, whole[block.wavelength_nm], vector, spread, condition, shared, wall, known)
         for block in task.blocks
     ]
+    return [_told(first, result) for result in (_known_by_blocks(fits) if nearest else fits)]
+
+
+def _rejected(shared: SharedGeometry) -> bool:
+    """Whether the values of all wavelengths reject what was fitted to them."""
+    from scipy.special import chdtrc
+
+    freedom = shared.n_points - shared.n_free
+    return shared.chi_square is not None and freedom > 0 and float(chdtrc(freedom, shared.chi_square)) < SIGNIFICANCE
+
+
+def _nearest(
+    first: FitResult, common: Sequence[str], taken: dict[float, Observations], step: Callable[[int], None]
+) -> tuple[_Task, Floats]:
+    """As of a single wavelength (docs/misfit.md): logarithms, then with the misfit of each wavelength."""
+    unstated = {w: replace(one, covariance=None, u_rel_assumed=None) for w, one in taken.items()}
+    task = _Task(first.problem, common, unstated)
+    vector = task.solve(task.begin(first)[0], quick=True, step=step)
+    taus = [
+        estimated_tau(*residuals_on_log_scale(b.problem, taken[b.wavelength_nm], vector[b.index])) for b in task.blocks
+    ]
+    task = _Task(first.problem, common, taken, taus)
+    vector = task.solve(vector, quick=True, step=step)
+    if not task.simple:
+        task = task.through_cones(vector)
+        vector = task.solve(vector, quick=False, step=step)
+    return task, vector
+
+
+def _known_by_blocks(fits: Sequence[FitResult]) -> list[FitResult]:
+    """The same fits with the misfit of each, and the errors that follow from it.
+
+    A model misses much the same at every wavelength, so values at many of them do not make it smaller. Errors are those
+    of one wavelength alone, and what is shared has the median of them.
+    """
+    found = [known_by_blocks(f) for f in fits]
+    shared = found[0].shared
+    assert shared is not None
+    u = np.sqrt([np.diag(f.spread) for f in found])
+    same = np.array([n in shared.parameters for n in found[0].free])
+    with np.errstate(invalid="ignore", divide="ignore"):
+        scale = np.where(same, np.nan_to_num(np.median(u, axis=0) / u, nan=1.0, posinf=1.0), 1.0)
+    return [f.known_to(f.spread * np.outer(s, s)) for f, s in zip(found, scale, strict=True)]
 
 
 def _picked(data: Observations, keep: float) -> list[float]:
@@ -184,6 +248,17 @@ class _Block:
     """d(residual)/d(cause), (n, causes)."""
     rules: list[Rules | None] | None = None
 
+    def scaled(self, data: Observations, predicted: Floats) -> Objective:
+        """Of values of this wavelength, with their common causes as they are at a prediction."""
+        if self.goal.tau:
+            return with_misfit(data, self.goal.tau, predicted)
+        return scaled_to(data, predicted, self.goal.metric)
+
+    def residual(self, x: Floats, data: Observations) -> Floats:
+        """Of values of this wavelength, whitened."""
+        model = self.problem.model(x)
+        return self.scaled(data, apparent(model, data, quick=True)).residual(apparent(model, data))
+
     def evaluate(self, x: Floats, causes: Floats, *, quick: bool, full: bool = False) -> Evaluated:
         """Residuals and derivatives by its own parameters and the causes, in triangular form."""
         predicted = self.predicted(x, quick=quick)
@@ -209,7 +284,13 @@ class _Block:
 class _Task:
     """Least squares over all wavelengths: the shared parameters first, then each wavelength's own, then the causes."""
 
-    def __init__(self, problem: Problem, common: Sequence[str], taken: dict[float, Observations]) -> None:
+    def __init__(
+        self,
+        problem: Problem,
+        common: Sequence[str],
+        taken: dict[float, Observations],
+        taus: Sequence[float] | None = None,
+    ) -> None:
         self.problem = problem
         free = problem.free
         self._shared = [k for k, n in enumerate(free) if n in common]
@@ -222,7 +303,12 @@ class _Task:
             index[self._shared] = np.arange(len(self._shared))
             index[self._own] = len(self._shared) + number * len(self._own) + np.arange(len(self._own))
             none = np.zeros((len(data), 0))
-            self.blocks.append(_Block(wave, problem, data, alone(data, asked.metric), index, none))
+            goal = alone(data, asked.metric)
+            if taus is not None:
+                goal = with_misfit(data, taus[number], data.brdf)
+                assert goal.weights is not None
+                goal = replace(goal, weights=independent(goal.weights.random))
+            self.blocks.append(_Block(wave, problem, data, goal, index, none))
         self._size = len(self._shared) + len(self._own) * len(self.blocks)
         lower, upper = problem.bounds
         self._lower, self._upper = np.empty(self._size), np.empty(self._size)
@@ -247,7 +333,7 @@ class _Task:
             x = vector[b.index]
             common = np.zeros((len(b.data), len(names)))
             if b.goal.weights is not None:
-                goal = scaled_to(b.data, b.predicted(x, quick=True), b.goal.metric)
+                goal = b.scaled(b.data, b.predicted(x, quick=True))
                 assert goal.weights is not None
                 columns = [names.index(c) for c in goal.weights.causes]
                 common[:, columns] = goal.weights.common / goal.weights.random[:, None]
@@ -400,18 +486,17 @@ def _slice(
     condition: float,
     shared: SharedGeometry,
     wall_s: float,
+    known: Mapping[float, float],
 ) -> FitResult:
-    """The fit at one wavelength."""
+    """The fit at one wavelength; `known` are chi-squares by the stated uncertainties, where `block` has a misfit."""
     problem, x = block.problem, vector[block.index]
-    asked = problem.asked
-    assert asked is not None
     own = spread[np.ix_(block.index, block.index)]
     model = problem.model(x)
-    goal = scaled_to(data, apparent(model, data, quick=True), asked.metric)
+    goal = block.scaled(data, apparent(model, data, quick=True))
     predicted = apparent(model, data)
     white = goal.residual(predicted)
     slope = problem.slope(x)
-    result = FitResult(
+    return FitResult(
         name=first.name,
         model=model,
         parameters=estimates(problem, x, own, block.wavelength_nm),
@@ -422,7 +507,7 @@ def _slice(
         predicted=predicted,
         whitened=white,
         weighting=goal.words,
-        chi_square=float(white @ white) if goal.whitened else None,
+        chi_square=known.get(block.wavelength_nm, float(white @ white)) if goal.whitened else None,
         wavelength_nm=block.wavelength_nm,
         condition=condition,
         wall_s=wall_s,
@@ -432,12 +517,21 @@ def _slice(
         goal=goal,
         shared=shared,
     )
-    said = [_words(result), *problem.notes]
-    if not goal.whitened:
+
+
+def _told(first: FitResult, result: FitResult) -> FitResult:
+    """A fit at one wavelength, with notes."""
+    said = [_words(result), *result.problem.notes]
+    if result.misfit is not None:
+        said.append(
+            "The model misses much the same at every wavelength, so its standard errors are those of one wavelength"
+            " alone; of what is shared, the median of them."
+        )
+    elif not result.goal.whitened:
         said.append("Standard errors come from the scatter of the residuals; there is no chi-square.")
-    if block.wavelength_nm == first.wavelength_nm:
+    if result.wavelength_nm == first.wavelength_nm:
         said += _tension(first, result)
-    return replace(result, notes=[*data.notes, *said, *remarks(result)])
+    return replace(result, notes=[*result.data.notes, *said, *remarks(result)])
 
 
 def _words(result: FitResult) -> str:
@@ -460,6 +554,8 @@ def _tension(first: FitResult, result: FitResult) -> list[str]:
     shared = result.shared
     assert shared is not None
     n = len(result.data)
+    if result.misfit is not None or first.misfit is not None:
+        return _tension_of_misfits(first, result, shared.parameters)
     alone_, here = (float(r.whitened @ r.whitened) for r in (first, result))
     gain = here - alone_ if result.goal.whitened else n * math.log(max(here, 1e-300) / max(alone_, 1e-300))
     if gain - 2 * len(shared.parameters) <= DISFAVOURED:
@@ -472,6 +568,18 @@ def _tension(first: FitResult, result: FitResult) -> list[str]:
         f" {gain - 2 * len(shared.parameters):.3g} in AIC. Either the model is not right at every wavelength, or its"
         " parameters are not the surface's."
     ]
+
+
+def _tension_of_misfits(first: FitResult, result: FitResult, shared: Sequence[str]) -> list[str]:
+    """The same of models that are not true: whether the misfit is larger, beyond its interval."""
+    here, alone_ = result.misfit, first.misfit
+    if here is None or (alone_ is not None and here.tau <= alone_.interval[1]):
+        return []
+    to = "" if alone_ is None else f", to {100 * alone_.tau:.2g} % and not {100 * here.tau:.2g} %"
+    apart = ", ".join(
+        f"{n} = {first.parameters[n].value:.3g} (shared: {result.parameters[n].value:.3g})" for n in shared
+    )
+    return [f"{result.wavelength_nm:g} nm alone asks for another geometry: {apart} describes it better{to}."]
 
 
 def _listed(names: Iterable[str]) -> str:

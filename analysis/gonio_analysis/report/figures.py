@@ -240,6 +240,7 @@ def _absolute(d: Dataset, facts: DatasetSummary, names: Sequence[str], most: int
     kind = (
         "whitened residuals: model minus measurement in standard deviations, correlations taken out (band: ±2)"
         + (", of the assumed uncertainty" if d.data.u_rel_assumed is not None else "")
+        + (", the model's own misfit among them" if f.fit.misfit is not None else "")
         if stated
         else "model divided by measurement"
     )

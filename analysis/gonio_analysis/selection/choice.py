@@ -565,8 +565,8 @@ def nearness(label: str, result: FitResult, fails: Region | None, near: Mapping[
         which = f"the nearest of the {tried} models tried"
     else:
         which = f"the simplest of the models that cannot be told apart from the nearest, {first}"
-    worst_ = f", worst {fails.off}" if fails is not None and fails.off else ""
-    text = f"{label} is {which}: it {result.tau.of('this sample')}{worst_}."
+    off = result.tau.of("this sample") + (f", worst {fails.off}" if fails is not None and fails.off else "")
+    text = f"{label} is {which}: it {off}."
     others = [n for n in near if n not in (label, first)]
     if others:
         text += f" This plan cannot tell {'it' if first == label else 'either'} from {', '.join(others)}."

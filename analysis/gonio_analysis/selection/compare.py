@@ -287,7 +287,7 @@ def _drawn_model(
 
 def _fitted(result: FitResult, shown: list[Curve], normalise: Normalise, series: list[FitResult]) -> Fitted:
     data = result.data
-    white = result.whitened if result.goal.whitened else None
+    white = result.whitened if result.goal.whitened and result.misfit is None else None
     if white is None and data.covariance is not None:
         white = data.covariance.whiten(result.predicted - data.brdf)
     u = None if data.covariance is None else data.u
