@@ -10,7 +10,7 @@ import numpy as np
 from gonio_analysis.commands import read_ior
 from gonio_analysis.fitting.fit import FitResult, fit
 from gonio_analysis.fitting.forward import apparent
-from gonio_analysis.fitting.objective import alone
+from gonio_analysis.fitting.objective import alone, scaled_to
 from gonio_analysis.fitting.observations import Observations
 from gonio_analysis.fitting.problem import FitRequest, Problem, pose
 from gonio_analysis.fitting.search import refine
@@ -152,7 +152,7 @@ class ModelFit:
             values.brdf - result.predicted,
             rows.parameters[:, inside],
             result.predicted,
-            result.goal.weights or data.covariance,
+            scaled_to(data, result.predicted, "weighted").weights or data.covariance,
             values.directions,
         )
         return Known(result, data, sights, rows, self._modes(result, data), test)

@@ -40,6 +40,8 @@ LEAST_LEFT = 1e-3
 """Part of what is known of a parameter that is left without a block, at least."""
 WEIGHTY = 0.15
 """Part of a parameter's variance by blocks above which a block is fitted again."""
+ABSENT = 1e-9
+"""Amplitude of a part of the process that is left out, of tau."""
 K95 = 1.959964
 Rows = npt.NDArray[np.intp]
 
@@ -255,8 +257,9 @@ def misfit(data: Observations, goal: Objective, predicted: Floats) -> Misfit:
 def _prior(tau: float) -> Prior:
     """The process of curves, with amplitudes near tau."""
     centres, spreads = OF_CURVES.centres.copy(), OF_CURVES.spreads.copy()
-    # lobe, own, view, retro, facets; then what differs from value to value
-    for k, share in ((1, 1.0), (5, 1.0), (8, 0.3), (10, 1.0)):
+    # lobe, own, view, retro, facets; then what differs from value to value. The part with the square of the facets'
+    # slope has no end toward grazing directions, where nothing may be measured: there a misfit would outgrow the model
+    for k, share in ((1, 1.0), (5, 1.0), (8, 0.3), (10, ABSENT)):
         centres[k], spreads[k] = math.log(share * tau), min(spreads[k], 1.0)
     centres[3] = math.log(0.7)
     spreads[-1] = 1.0

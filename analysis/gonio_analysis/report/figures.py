@@ -271,7 +271,7 @@ def _band(f: Fitted) -> str:
     """A sentence on the band around theory; "" where the data do not reject the model."""
     if f.fit.misfit is None or f.fit.tau is None:
         return ""
-    return f" Light band: theory and the model's own misfit tau, {f.fit.tau.words}, to either side."
+    return f" Light band: theory and its misfit tau, {f.fit.tau.words}, to either side."
 
 
 def _above(lines: Sequence[Line]) -> str:
