@@ -76,9 +76,11 @@ def _with_misfit(result: FitResult, theta_i: float, phi_i: float, wave: float, v
     where = Directions(theta_i * same, phi_i * same, theta_r[picked], phi_r[picked])
     model = light[picked]
     brdf, root = result.misfit.beside(where, model)
-    share = value / PICKED / model
-    known = float(share @ brdf)
-    open_ = float(np.linalg.norm(share @ root))
+    spike = float(result.model.specular_reflectivity(theta_i, wavelength_nm=wave))
+    share = (value - spike) / PICKED / model
+    known = spike + float(share @ brdf)
+    of_spike = spike * (result.misfit.tau if _sees_spike(result) else 1.0)
+    open_ = math.hypot(float(np.linalg.norm(share @ root)), of_spike)
     u = math.hypot(open_, known - value)
     return Reflectance(math.degrees(theta_i), value, u, "", with_misfit=known, u_with_misfit=open_)
 
@@ -110,6 +112,14 @@ def combined(parts: Sequence[tuple[float, Sequence[Reflectance]]]) -> list[Refle
             spread = math.sqrt(float(weight @ (u**2 + (value - mean) ** 2)))
             out.append(Reflectance(ones[0].theta_i_deg, mean, spread, ""))
     return out
+
+
+def _sees_spike(result: FitResult) -> bool:
+    """Whether a value of the table has light of the model's spike in it; a spike that no value sees is a guess."""
+    return any(
+        not here.pointlike and bool(np.any(here.cones.spike(result.model, wavelength_nm=result.wavelength_nm) > 0.0))
+        for here in result.data.cones
+    )
 
 
 def _rho(model: object, theta: Floats, phi: float, wave: float) -> Floats:
