@@ -79,7 +79,7 @@ def _with_misfit(result: FitResult, theta_i: float, phi_i: float, wave: float, v
     spike = float(result.model.specular_reflectivity(theta_i, wavelength_nm=wave))
     share = (value - spike) / PICKED / model
     known = spike + float(share @ brdf)
-    of_spike = spike * (result.misfit.tau if _sees_spike(result) else 1.0)
+    of_spike = spike * (result.misfit.tau if _sees_spike(result, wave) else 1.0)
     open_ = math.hypot(float(np.linalg.norm(share @ root)), of_spike)
     u = math.hypot(open_, known - value)
     return Reflectance(math.degrees(theta_i), value, u, "", with_misfit=known, u_with_misfit=open_)
@@ -114,10 +114,10 @@ def combined(parts: Sequence[tuple[float, Sequence[Reflectance]]]) -> list[Refle
     return out
 
 
-def _sees_spike(result: FitResult) -> bool:
+def _sees_spike(result: FitResult, wave: float) -> bool:
     """Whether a value of the table has light of the model's spike in it; a spike that no value sees is a guess."""
     return any(
-        not here.pointlike and bool(np.any(here.cones.spike(result.model, wavelength_nm=result.wavelength_nm) > 0.0))
+        not here.pointlike and bool(np.any(here.cones.spike(result.model, wavelength_nm=wave) > 0.0))
         for here in result.data.cones
     )
 
