@@ -192,7 +192,7 @@ def _models(d: DatasetSummary) -> Table:
                 model_choice.misfit_words(f.misfit),
                 number(f.reduced_chi_square) + " (assumed u)" * (f.u_rel_assumed is not None),
                 difference(f.metrics["log_ratio"]),
-                f.verdict + "; ⚠ reflects more than it receives" * f.reflects_too_much,
+                f.verdict.partition("; it ")[0] + "; ⚠ reflects more than it receives" * f.reflects_too_much,
             ]
         )
     together = next((f.shared for f in d.models.values() if f.shared is not None), None)
@@ -223,7 +223,7 @@ def _energy(d: DatasetSummary) -> list[Block]:
         near = {a: [r for r in own if abs(a - r.theta_i_deg) < 0.5] for a in at}
         columns["the measurement itself"] = {a: found[0] for a, found in near.items() if found}
     if d.rho_dh_combined:
-        columns["models that cannot be told apart"] = {round(r.theta_i_deg, 1): r for r in d.rho_dh_combined}
+        columns["nearest, with the misfit"] = {round(r.theta_i_deg, 1): r for r in d.rho_dh_combined}
     rows = [[f"{a:g}°", *(with_u(c[a].rho_dh, c[a].u) if a in c else "–" for c in columns.values())] for a in at]
     out: list[Block] = [Heading(3, "Energy and symmetry")]
     if at:
@@ -265,10 +265,10 @@ def _of_misfits(d: DatasetSummary) -> str:
         return ""
     said = " Of a model with a misfit tau they hold that misfit over the whole hemisphere."
     if d.rho_dh_combined:
-        said += (
-            f" The last column is over {', '.join(d.choice.near)}, weighted by how well they predict what was left out:"
-            " each with what the values say of its misfit, and the spread among them in the uncertainty."
-        )
+        said += f" The last column is {', '.join(d.choice.near)} with what the values say of the misfit"
+        if len(d.choice.near) > 1:
+            said += ", weighted by how well they predict what was left out. Its uncertainty holds the spread among them"
+        said += "."
     return said
 
 
