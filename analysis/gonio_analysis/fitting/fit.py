@@ -162,8 +162,10 @@ class FitResult:
         known = self.misfit
         if known is not None:
             return MisfitSummary(known.tau, known.tau * known.u_log, known.interval)
-        data = self.data
-        if data.covariance is None or not self.goal.whitened or self.goal.loss != "linear" or self.problem.each:
+        data, asked = self.data, self.problem.asked
+        assert asked is not None
+        own_way = asked.metric is not None or asked.loss != "linear"
+        if data.covariance is None or own_way or self.rejected or self.problem.each:
             return None
         residual, columns, stated = residuals_on_log_scale(self.problem, data, self.vector)
         assert stated is not None
@@ -450,7 +452,9 @@ def _nearest(rejected: FitResult, searches: int, say: Say) -> FitResult:
     """
     problem, data = rejected.problem, rejected.data
     unstated = replace(data, covariance=None, u_rel_assumed=None)
-    begin = [search(problem, unstated, searches=searches, say=say), rejected.vector]
+    begin = [rejected.vector]
+    if not problem.waves:  # a fit of several wavelengths began where one alone ended
+        begin.insert(0, search(problem, unstated, searches=searches, say=say))
     found = [refine(problem, unstated, objective(unstated), start, quick=True) for start in begin]
     vector = min(found, key=lambda f: f[1])[0]
     tau = 0.0
@@ -704,6 +708,11 @@ def _identifiability(result: FitResult) -> list[str]:
         notes.append(
             "The data reject this model. Its parameters are those of the nearest one over the measured directions, and"
             " their errors say how much they hang on which directions these are."
+        )
+    elif result.rejected and result.shared is None:
+        notes.append(
+            "The data reject this model, and the metric or loss that was chosen knows no misfit: the standard errors"
+            " are those of a true model, and too small."
         )
     if not pairs and result.condition > 1e3:
         notes.append(f"The parameters are poorly determined together (condition number {result.condition:.2g}).")
