@@ -516,7 +516,9 @@ def known_by_blocks(result: FitResult) -> FitResult:
     # a parameter at a bound does not follow when values are left out: its error stays a formal one
     spread, noise = np.diag(np.where(moves, 0.0, np.diag(result.spread))), np.zeros_like(result.spread)
     spread[np.ix_(moving, moving)], noise[np.ix_(moving, moving)] = inner, of_noise
-    return replace(result, misfit=misfit(data, goal, result.predicted), noise=noise).known_to(spread)
+    return replace(
+        result, misfit=misfit(data, goal, result.predicted, result.degrees_of_freedom), noise=noise
+    ).known_to(spread)
 
 
 @dataclass(frozen=True)

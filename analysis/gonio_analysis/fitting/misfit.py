@@ -216,7 +216,7 @@ class Misfit:
         return brdf, root * np.hypot(brdf, 2 * self.small)[:, None]
 
 
-def misfit(data: Observations, goal: Objective, predicted: Floats) -> Misfit:
+def misfit(data: Observations, goal: Objective, predicted: Floats, freedom: int) -> Misfit:
     """The misfit of a model, from the residuals of a fit.
 
     Parameters
@@ -227,6 +227,8 @@ def misfit(data: Observations, goal: Objective, predicted: Floats) -> Misfit:
         What was made small, with its tau.
     predicted : (n,) array [1/sr]
         The fitted model.
+    freedom
+        Values less fitted parameters, 1 or more.
     """
     from scipy.optimize import minimize
 
@@ -251,7 +253,9 @@ def misfit(data: Observations, goal: Objective, predicted: Floats) -> Misfit:
     noise = np.zeros(len(data)) if stated is None else stated.random**2
     wider = max(1.0, math.sqrt(float(np.mean(process.left_out**2))))
     _, u_square = jackknife(z**2 - noise, data.directions)
-    return Misfit(goal.tau, 0.5 * u_square / goal.tau**2, goal.small, process, wider)
+    # few blocks may agree by chance: nothing is better known than with as many independent residuals
+    u_log = max(0.5 * u_square / goal.tau**2, math.sqrt(0.5 / freedom))
+    return Misfit(goal.tau, u_log, goal.small, process, wider)
 
 
 def _prior(tau: float) -> Prior:

@@ -10,6 +10,7 @@ from gonio_analysis.report.blocks import Block, Heading, Notes, Paragraph, Table
 from gonio_analysis.report.text import glued, number, percent, with_u
 from gonio_analysis.report.verdict import times
 from gonio_analysis.result_records import CandidateSummary, ChoiceSummary, IntervalSummary, MisfitSummary
+from gonio_analysis.selection.misfit_regions import ALIKE
 
 TAU = (
     "Tau is the model's own misfit, relative, with its 95 % interval; of a model that the data do not reject, what"
@@ -117,7 +118,7 @@ def _fails(c: CandidateSummary) -> str:
     region = c.fails
     if region is None or (not c.rejected and c.reduced_chi_square is not None):
         return ""
-    off = [f"model {times(region.ratio)}"] if region.ratio is not None and abs(region.ratio - 1) >= 1e-3 else []
+    off = [f"model {times(region.ratio)}"] if region.ratio is not None and abs(region.ratio - 1) >= ALIKE else []
     return f"{region.words}: {', '.join(off)}"
 
 

@@ -19,6 +19,8 @@ from gonio_analysis.result_records import RegionSummary
 FOLDS = 5
 RANGE = float(np.radians(15.0))
 """Widest range of angles of incidence in a region, where a source was moved in steps too small to tell apart."""
+ALIKE = 1e-3
+"""A median of model / measured that is nearer to 1 is not worth a word."""
 FEWEST = 3
 """Values of a region that `farthest` may name."""
 
@@ -42,8 +44,8 @@ class Region:
 
     @property
     def off(self) -> str:
-        """As in "8 % too high around the mirror direction at θi = 45°"; "" where nothing is known."""
-        if self.ratio is None:
+        """As in "8 % too high around the mirror direction at θi = 45°"; "" where it is not, or nothing is known."""
+        if self.ratio is None or abs(self.ratio - 1) < ALIKE:
             return ""
         factor = max(self.ratio, 1.0 / max(self.ratio, 1e-300))
         how = f"too {'high' if self.ratio > 1 else 'low'}"
