@@ -10,7 +10,9 @@ import pytest
 from gonio_analysis.fitting.fit import fit
 from gonio_analysis.fitting.misfit import estimated_tau, groupings
 from gonio_analysis.fitting.observations import observations
+from gonio_analysis.fitting.problem import FitRequest
 from gonio_analysis.fitting.search import refine
+from gonio_analysis.fitting.spectrum import fit_table
 from gonio_analysis.fitting.value_covariance import Covariance
 
 from gonio.geometry import Directions
@@ -192,3 +194,69 @@ def test_a_model_is_found_over_97_decades() -> None:
     assert math.isfinite(result.parameters["albedo"].value)
     assert result.misfit is not None
     assert known(result.parameters["albedo"].u) > 0
+
+
+def test_a_misfit_stays_small_toward_grazing_directions_that_nobody_measured() -> None:
+    """Half vectors near the horizon: there nothing is known, and the model is what is left."""
+    result = fit(of_facets(3, "in plane")[0], "cook-torrance")
+    assert result.misfit is not None
+    dphi = np.radians(np.arange(1.0, 180.0))
+    same = np.full(dphi.size, math.radians(89.9))
+    at = Directions(same, 0 * same, same, dphi)
+    model = np.asarray(result.model.brdf(*at.angles))
+    brdf, _ = result.misfit.beside(at, model)
+    # log cos theta_r has a part of tau / 2 of its own, and is 6.9 at most; other parts are bounded by a few tau
+    assert float(np.max(np.abs(np.log(brdf / model)))) < 10 * result.misfit.tau
+
+
+def test_few_residuals_that_agree_by_chance_make_no_exact_tau() -> None:
+    """Of two values and one parameter the residuals are equal: the blocks agree, and one degree of freedom is left."""
+    table, _ = of_facets(3, "in plane")
+    two = table.iloc[[0, 45]]
+    two.attrs = table.attrs
+    tau = fit(two, "lambert").tau
+    assert tau is not None
+    assert tau.u >= tau.value / math.sqrt(2) * (1 - 1e-12)
+
+
+def colours() -> pd.DataFrame:
+    """A sample at three wavelengths, each a third brighter than the one before."""
+    parts = []
+    for k, wave in enumerate((450.0, 550.0, 650.0)):
+        table, _ = of_facets(3, "in plane")
+        for column in ("brdf", "u_brdf", "u_random", "s_reference"):
+            table[column] *= 1.3**k
+        parts.append(table.assign(wavelength_nm=wave))
+    whole = pd.concat(parts, ignore_index=True)
+    whole.attrs.update(parts[0].attrs)
+    return whole
+
+
+@pytest.mark.parametrize("stated", [True, False])
+def test_wavelengths_that_share_a_geometry_do_not_average_a_misfit_away(stated: bool) -> None:
+    whole = colours()
+    if not stated:
+        whole[["u_brdf", "u_random", "s_reference"]] = np.nan
+    fits = fit_table(whole, FitRequest("cook-torrance"))
+    one = fit(whole[whole["wavelength_nm"] == 550.0], "cook-torrance")
+    assert len(fits) == 3
+    for result in fits:
+        assert result.shared is not None
+        assert result.misfit is not None
+        assert one.misfit is not None
+        assert result.misfit.tau == pytest.approx(one.misfit.tau, rel=1e-3)  # the same values but for a factor
+        # s and n lie in a flat valley, along which the steps end within a quarter of a standard error
+        u = known(one.parameters["m"].u)
+        assert result.parameters["m"].value == pytest.approx(one.parameters["m"].value, abs=0.25 * u)
+        # blocks that weigh are fitted again, a few steps each: alike but for where these end
+        assert known(result.parameters["m"].u) == pytest.approx(u, rel=0.05)
+        assert known(result.parameters["m"].u) == pytest.approx(known(fits[0].parameters["m"].u), rel=1e-9)
+        assert any("much the same at every wavelength" in note for note in result.notes)
+        assert (result.chi_square is not None) == stated
+
+
+def test_a_joint_fit_that_is_rejected_has_a_misfit_too() -> None:
+    result = fit(colours(), "cook-torrance", each=["s", "diffuse_albedo"])
+    assert result.rejected
+    assert result.misfit is not None
+    assert math.isfinite(known(result.parameters["m"].u))
