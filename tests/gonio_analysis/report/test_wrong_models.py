@@ -147,7 +147,7 @@ def test_gonio_fit_says_how_far_off_and_where() -> None:
 
 
 @pytest.mark.parametrize("how", [{"metric": "weighted"}, {"loss": "soft_l1"}])
-def test_a_chosen_metric_or_loss_states_no_misfit_and_says_so(how: dict[str, str]) -> None:
+def test_a_chosen_metric_or_loss_states_no_misfit_and_says_so(how: dict[str, Any]) -> None:
     result = fit(of_facets(7, "in plane")[0], "cook-torrance", **how)
     assert result.rejected
     assert result.tau is None
