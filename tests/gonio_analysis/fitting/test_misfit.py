@@ -220,12 +220,12 @@ def test_few_residuals_that_agree_by_chance_make_no_exact_tau() -> None:
 
 
 def colours() -> pd.DataFrame:
-    """A sample at three wavelengths, each a third brighter than the one before."""
+    """A sample at three wavelengths, each a fifth darker than the one before: no level is near a bound."""
     parts = []
     for k, wave in enumerate((450.0, 550.0, 650.0)):
         table, _ = of_facets(3, "in plane")
         for column in ("brdf", "u_brdf", "u_random", "s_reference"):
-            table[column] *= 1.3**k
+            table[column] *= 0.8**k
         parts.append(table.assign(wavelength_nm=wave))
     whole = pd.concat(parts, ignore_index=True)
     whole.attrs.update(parts[0].attrs)
@@ -245,9 +245,8 @@ def test_wavelengths_that_share_a_geometry_do_not_average_a_misfit_away(stated: 
         assert result.misfit is not None
         assert one.misfit is not None
         assert result.misfit.tau == pytest.approx(one.misfit.tau, rel=1e-3)  # the same values but for a factor
-        # s and n lie in a flat valley, along which the steps end within a quarter of a standard error
         u = known(one.parameters["m"].u)
-        assert result.parameters["m"].value == pytest.approx(one.parameters["m"].value, abs=0.25 * u)
+        assert result.parameters["m"].value == pytest.approx(one.parameters["m"].value, rel=1e-3)
         # blocks that weigh are fitted again, a few steps each: alike but for where these end
         assert known(result.parameters["m"].u) == pytest.approx(u, rel=0.05)
         assert known(result.parameters["m"].u) == pytest.approx(known(fits[0].parameters["m"].u), rel=1e-9)
