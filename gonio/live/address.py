@@ -55,7 +55,8 @@ def private(what: Path) -> Path:
     """
     runtime = os.environ.get("XDG_RUNTIME_DIR", "")
     made = (Path(runtime) / "gonio" if os.path.isabs(runtime) else folder()) / _name(what)
-    _closed(made)
+    _closed(made.parent)
+    made.mkdir(mode=0o700, exist_ok=True)
     there = os.lstat(made)
     if not stat.S_ISDIR(there.st_mode) or there.st_uid != os.getuid() or there.st_mode & 0o077:
         raise PermissionError(errno.EPERM, "is open to others", str(made))

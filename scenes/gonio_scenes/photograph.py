@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from gonio import __version__, geometry
 from gonio.errors import ConfigError, DataError
+from gonio.shown import with_u
 from gonio.typing import Floats
 from gonio_scenes import exposures
 from gonio_scenes.exposures import Exposure
@@ -606,7 +607,7 @@ def _require_light(image: Path, squares: _Squares, used: Mask, exposure: Exposur
     if (weight * f).sum() < DETECTED * spread:
         raise DataError(
             f"{image}: holds no light of the shape: the mean BRDF of {f.size} squares is "
-            f"{(weight * f).sum() / weight.sum():.2g} +- {spread / weight.sum():.2g} per sr: {remedy}"
+            f"{with_u(float((weight * f).sum() / weight.sum()), spread / float(weight.sum()))} per sr: {remedy}"
         )
     # an offset alone is the same in light and shade; what a surface reflects is about in proportion to its light
     signal, noise = f / squares.per_value[used], u / squares.per_value[used]

@@ -12,6 +12,7 @@ import pytest
 from gonio_sim.rig import SIM
 
 from gonio.acquisition.measure import find_rig
+from gonio.disk import write_own
 from gonio.measurement import read
 from gonio.rig.calibrated import Calibration, identity, write_calibration
 from gonio.rig.description import ParameterUncertainty
@@ -119,7 +120,7 @@ def test_a_run_is_resumed_where_its_calibration_has_run_out_and_that_is_only_war
     assert gonio(bench, *MEASURE).returncode == 0
     text = (bench / "run" / "run.toml").read_text()
     assert text.count("\nremarks = []\n") == 1
-    (bench / "run" / "run.toml").write_text(text.replace("\nremarks = []\n", '\nremarks = ["x"]\n'))
+    write_own(bench / "run", {"run.toml": text.replace("\nremarks = []\n", '\nremarks = ["x"]\n').encode()})
     done = gonio(bench, *MEASURE, "--resume")
     assert done.returncode == 0, done.stderr
 

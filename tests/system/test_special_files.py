@@ -168,17 +168,21 @@ def test_a_point_whose_frame_is_no_file_is_flagged(whole: Path, tmp_path: Path, 
     flags = told["reduce"].split(",")
     assert flags[step.point or 0] == "damaged"
     assert flags.count("damaged") == 2  # the point, in two bands
-    for command in ("check", "resume"):
+    for command in ("check", "resume", "repair"):  # none touches what somebody else has put there
         assert told[command].startswith("ConfigError")
         assert "is not a file" in told[command]
-    assert told["repair"] == "done"
+    for frame in step.frames:
+        (run / "frames" / frame.file).unlink()
+    assert call(run, "repair")["repair"] == "done"
     assert step.step not in Run.open(run).steps().numbers  # it counts no more
 
 
-def test_a_record_that_is_a_pipe_says_nothing(whole: Path, tmp_path: Path, call: Call) -> None:
+def test_a_record_that_is_a_pipe_is_named(whole: Path, tmp_path: Path, call: Call) -> None:
     shutil.copytree(whole, tmp_path / "w")
     run = tmp_path / "w" / "run"
     frame = run / "frames" / "000900-550nm-01.dng"
     frame.write_bytes(b"a camera's own file")
     _pipe(frame.with_name(frame.name + BESIDE))
-    assert call(run, "repair")["repair"] == "done"
+    told = call(run, "repair")["repair"]
+    assert told.startswith("ConfigError")
+    assert BESIDE in told
