@@ -197,6 +197,8 @@ class Reflectance:
     """Of a model that is not true: with what the values say of its misfit."""
     u_with_misfit: float | None = None
     """Standard uncertainty of that."""
+    unmeasured: float | None = None
+    """Share of the light that goes where no value near by tells the misfit: only the model tells it."""
 
 
 @dataclass(frozen=True)

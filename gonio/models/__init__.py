@@ -11,6 +11,7 @@ from gonio.models.anisotropic import AnisotropicFacets
 from gonio.models.arrays import ArrayModel
 from gonio.models.blinn import Blinn, Phong
 from gonio.models.cook_torrance import CookTorrance
+from gonio.models.corrected import Corrected, Correction
 from gonio.models.diffuse_transmitter import DiffuseTransmitter
 from gonio.models.engine import Geometry, geometry
 from gonio.models.he_torrance import HeTorrance
@@ -26,6 +27,8 @@ __all__ = [
     "ArrayModel",
     "Blinn",
     "CookTorrance",
+    "Corrected",
+    "Correction",
     "DiffuseTransmitter",
     "Fitted",
     "Geometry",
@@ -48,7 +51,8 @@ def build(name: str, parameters: Mapping[str, Any]) -> Model:
 
     "sum" takes what `Sum.parameters` returns: one table a term, under its model's name, with a `weight` (1 if it is
     left out) beside the model's own parameters. A number after the name tells terms of the same model apart, as in
-    "cook-torrance 1" and "cook-torrance 2".
+    "cook-torrance 1" and "cook-torrance 2". "corrected" takes what `Corrected.parameters` returns: the table of a model
+    under its name, and the table "misfit".
 
     Raises
     ------
@@ -63,6 +67,8 @@ def build(name: str, parameters: Mapping[str, Any]) -> Model:
         return build_model(DiffuseTransmitter, name, parameters)
     if name == Sum.name:
         return Sum(*(_term(key, values) for key, values in parameters.items()))
+    if name == Corrected.name:
+        return _corrected(parameters)
     return build_model(plugins.load("gonio.models", name), name, parameters)
 
 
@@ -72,3 +78,14 @@ def _term(key: str, values: Any) -> tuple[Model, float]:
         raise ArgumentError(f'the term "{key}" of a sum must be a table with the parameters of a model and its weight')
     kind = key.rstrip("0123456789").rstrip()
     return build(kind, {n: v for n, v in values.items() if n != "weight"}), values.get("weight", 1.0)
+
+
+def _corrected(parameters: Mapping[str, Any]) -> Model:
+    """A model and its misfit, each from its table."""
+    names = [name for name in parameters if name != "misfit"]
+    if len(names) != 1 or "misfit" not in parameters or not isinstance(parameters[names[0]], Mapping):
+        raise ArgumentError(
+            f'"{Corrected.name}" takes the table of one model under its name and the table "misfit"; it has'
+            f" {', '.join(parameters) or 'none'}"
+        )
+    return Corrected.of(build(names[0], parameters[names[0]]), parameters["misfit"])

@@ -619,6 +619,8 @@ class ParameterUncertainty(Strict):
     u: list[NonNegative]
     correlation: list[list[Annotated[float, Field(ge=-1, le=1)]]]
     """One row for each of `parameters`."""
+    misfit: NonNegative = 0.0
+    """Of a model that is not true: the relative standard deviation of measurements from it (docs/misfit.md)."""
 
     @model_validator(mode="after")
     def _fits_together(self) -> ParameterUncertainty:

@@ -1,6 +1,6 @@
 """The chooser "curve": points for the BRDF over the angle of reflection, without a model of the sample.
 
-Each batch follows from a Gaussian process (`gonio_analysis.fitting.gaussian_process`) given all values so far. Its
+Each batch follows from a Gaussian process (`gonio.models.gaussian_process`) given all values so far. Its
 points are those that are expected to lower the variance of the whole curve most for their rig time. A share of them
 covers: they look where nothing was measured. docs/adaptive_sweeps.md has the method.
 """

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
-from gonio_analysis.fitting.gaussian_process import Coordinates
 
+from gonio.models.gaussian_process import Coordinates
 from gonio.typing import Floats
 
 WIDTHS_DEG = (3.0, 8.0, 20.0)

@@ -7,7 +7,10 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-from gonio_analysis.fitting.gaussian_process import (
+
+from gonio.errors import DataError
+from gonio.geometry import Directions, direction
+from gonio.models.gaussian_process import (
     Coordinates,
     Process,
     Values,
@@ -17,9 +20,6 @@ from gonio_analysis.fitting.gaussian_process import (
     shares,
     total,
 )
-
-from gonio.errors import DataError
-from gonio.geometry import Directions, direction
 from gonio.typing import Floats
 from gonio_sweeps.lobe import begun
 from gonio_sweeps.spike import Spike, suspected, within

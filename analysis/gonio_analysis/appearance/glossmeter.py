@@ -13,7 +13,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from gonio.geometry import Directions
 from gonio.models import fresnel
+from gonio.models.corrected import evenly
 from gonio.typing import Floats
 
 if TYPE_CHECKING:
@@ -122,6 +124,8 @@ HAZEMETERS = {
 """Receivers of ASTM E430's narrow-angle reflection haze: method B (18.1 and 21.9 degrees, whose fluxes are added) and
 method A (28 or 32 degrees, whose mean is taken). The angles have a source; of the apertures only the 1.8 degrees have
 (docs/appearance.md)."""
+PICKED = 40
+"""Directions of an aperture at which a model's misfit is looked at; it is smooth over a few degrees."""
 BOTH_COUNT = {"haze_e430_20": 1.0, "haze_e430_30": 0.5}
 
 
@@ -136,19 +140,50 @@ def gloss(model: Model, meter: Glossmeter, wavelength_nm: float) -> tuple[float,
     return scale * fine, scale * abs(fine - coarse)
 
 
+def parts(model: Model, meter: Glossmeter, wavelength_nm: float) -> tuple[Directions, Floats, Floats, float]:
+    """Where the light comes from that makes a gloss: directions that stand for equal parts of the lobe's.
+
+    Returns
+    -------
+    at
+        Directions (n,).
+    brdf : (n,) array [1/sr]
+        The model there.
+    share : (n,) array [GU sr]
+        The gloss of the lobe is about share @ brdf.
+    spike
+        Gloss of the specular spike [GU].
+    """
+    spike, omega_i, omega_r, solid, f = _seen(model, meter, wavelength_nm, 1, 4)
+    light = solid * f
+    picked = evenly(light, PICKED)
+    scale = 100.0 / meter.standard
+    brdf = f[picked]
+    share = scale * light.sum() / max(picked.size, 1) / brdf
+    return Directions.from_vectors(omega_i[picked], omega_r[picked]), brdf, share, scale * spike
+
+
 def _flux(model: Model, meter: Glossmeter, wavelength_nm: float, source_order: int, receiver_order: int) -> float:
+    spike, _, _, solid, f = _seen(model, meter, wavelength_nm, source_order, receiver_order)
+    return spike + float(solid @ f)
+
+
+def _seen(
+    model: Model, meter: Glossmeter, wavelength_nm: float, source_order: int, receiver_order: int
+) -> tuple[float, Floats, Floats, Floats, Floats]:
+    """Flux of the spike; pairs of directions toward source and receiver, their projected solid angle, and the BRDF."""
     omega_i, share = meter.source(source_order)
     spike = (
         0.0
         if meter.offset
         else float(share @ model.specular_reflectivity(np.arccos(omega_i[:, 2]), wavelength_nm=wavelength_nm))
     )
-    parts = [meter.receiver(receiver_order, about) for about in omega_i * (-1.0, -1.0, 1.0)]
-    omega_r = np.concatenate([omega for omega, _ in parts])
-    counts = [len(omega) for omega, _ in parts]
-    solid = np.concatenate([solid for _, solid in parts]) * np.repeat(share, counts)
-    f = model.brdf_vectors(np.repeat(omega_i, counts, axis=0), omega_r, wavelength_nm=wavelength_nm)
-    return spike + float((solid * omega_r[:, 2]) @ f)
+    panels = [meter.receiver(receiver_order, about) for about in omega_i * (-1.0, -1.0, 1.0)]
+    omega_r = np.concatenate([omega for omega, _ in panels])
+    counts = [len(omega) for omega, _ in panels]
+    solid = np.concatenate([solid for _, solid in panels]) * np.repeat(share, counts) * omega_r[:, 2]
+    omega_i = np.repeat(omega_i, counts, axis=0)
+    return spike, omega_i, omega_r, solid, model.brdf_vectors(omega_i, omega_r, wavelength_nm=wavelength_nm)
 
 
 def _directions(points: Floats, theta: float, side: float) -> tuple[Floats, Floats]:

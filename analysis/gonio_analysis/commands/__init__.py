@@ -113,6 +113,9 @@ def fit(
         Path | None,
         typer.Option(help="Write the fitted model as a sample file (.toml).", metavar="SAMPLE", show_default=False),
     ] = None,
+    residual: Annotated[
+        bool, typer.Option("--residual", help="Save the model with a smooth curve of its misfit.")
+    ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
     columns: Columns = None,
     blank: Blank = None,
@@ -127,7 +130,7 @@ def fit(
     from gonio_analysis.fitting.observations import together
     from gonio_analysis.fitting.problem import FitRequest
     from gonio_analysis.fitting.spectrum import fit_table
-    from gonio_analysis.report.verdict import reflectances
+    from gonio_analysis.report.verdict import after_misfit, reflectances
     from gonio_analysis.selection.energy import of_model
 
     how = reading(columns, blank)
@@ -157,6 +160,8 @@ def fit(
     )
     if save is not None:
         saving.check_target(save, asked)
+    if residual:
+        saving.check_residual(save, asked)
     several = dict(zip(_short(tables), (data for _, data, _ in read), strict=True))
     result, *others = fit_table(together(several), asked, name=" + ".join(tables), say=console.note)
     walked = {}
@@ -174,7 +179,7 @@ def fit(
     rho_dh = of_model(result)
     if save is not None:
         source = " + ".join(map(shown.marked, tables, simulated))
-        saving.save(result, save, name=name, source=source)
+        saving.save(result, save, name=name, source=source, residual=residual)
     remember(tables, how)
     if as_json:
         out = {**result.to_json(), "sample": name, "table": tables if more else table}
@@ -190,6 +195,8 @@ def fit(
         if 0 < sum(simulated) < len(tables):
             console.note("simulated: " + ", ".join(t for t, made in zip(tables, simulated, strict=True) if made))
         _print(result, shown.marked(name, simulated[0]), walked)
+        if residual:
+            console.note(after_misfit(result))
         if rho_dh:
             console.note(reflectances(result.name, rho_dh))
 

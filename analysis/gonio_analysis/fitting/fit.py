@@ -26,9 +26,12 @@ import numpy.typing as npt
 from gonio import shown
 from gonio.cli.pace import Say, silent
 from gonio.errors import ArgumentError, ConfigError, DataError
+from gonio.geometry import Directions
+from gonio.models import Corrected
+from gonio.models.corrected import folded
 from gonio.typing import Floats
 from gonio_analysis.fitting.angle_zeros import by_model
-from gonio_analysis.fitting.forward import NO_WAVELENGTH_NM, apparent, pointlike
+from gonio_analysis.fitting.forward import NO_WAVELENGTH_NM, ByWavelength, apparent, pointlike
 from gonio_analysis.fitting.identifiability import tied
 from gonio_analysis.fitting.incidences import angles
 from gonio_analysis.fitting.misfit import SMALLEST, Misfit, block_spread, estimated_tau, highest_tau, misfit
@@ -171,6 +174,61 @@ class FitResult:
         assert stated is not None
         most = highest_tau(residual, columns, stated)
         return MisfitSummary(0.0, 0.5 * most, (0.0, most))
+
+    @property
+    def corrected(self) -> Any:
+        """The model with the smooth curve of its misfit; the model itself where it has none."""
+        if self.misfit is None or isinstance(self.model, ByWavelength):
+            return self.model
+        return Corrected(self.model, self.misfit.correction)
+
+    def predict(self, at: Directions) -> tuple[Floats, Floats]:
+        """What the sample's BRDF is in any directions, measured or not, without its spike.
+
+        Parameters
+        ----------
+        at
+            Directions, shape (n,).
+
+        Returns
+        -------
+        brdf : (n,) array [1/sr]
+            Of the model, or of the model with its misfit.
+        u : (n,) array [1/sr]
+            Standard uncertainty: from the parameters; of a model with a misfit from that, and from the parameters as
+            far as values near by do not tell the misfit.
+
+        Raises
+        ------
+        ArgumentError
+            Several wavelengths were fitted together.
+        """
+        if isinstance(self.model, ByWavelength):
+            raise ArgumentError("predict: of several wavelengths that are fitted together, fit one at a time")
+        wave = NO_WAVELENGTH_NM if math.isnan(self.wavelength_nm) else self.wavelength_nm
+        model = np.asarray(self.model.brdf(*at.angles, wavelength_nm=wave))
+        own = np.linalg.norm(self._parameter_root(at, wave), axis=1)
+        if self.misfit is None:
+            return model, own
+        known = self.misfit.correction
+        at = folded(at, self.model)
+        brdf, root = known.beside(at, model)
+        return brdf, np.hypot(np.linalg.norm(root, axis=1), own * known.open(at))
+
+    def _parameter_root(self, at: Directions, wave: float) -> Floats:
+        """root @ root.T is the covariance of the model's values (n, p) [1/sr] from its parameters."""
+        lower, upper = self.problem.bounds
+        columns = []
+        for k in range(self.vector.size):
+            ends = [self.vector.copy(), self.vector.copy()]
+            for end, sign in zip(ends, (1.0, -1.0), strict=True):
+                end[k] = np.clip(end[k] + sign * STEP, lower[k], upper[k])
+            high, low = (self.problem.model(end).brdf(*at.angles, wavelength_nm=wave) for end in ends)
+            columns.append((high - low) / (ends[0][k] - ends[1][k]))
+        slopes = np.array(columns)
+        felt = np.abs(slopes).max(axis=1) > 0  # a parameter that the values do not feel may be without an uncertainty
+        sizes, axes = np.linalg.eigh(self.spread[np.ix_(felt, felt)])
+        return np.asarray(slopes[felt].T @ (axes * np.sqrt(np.maximum(sizes, 0.0))))
 
     @property
     def correlation(self) -> Floats:
@@ -517,7 +575,9 @@ def known_by_blocks(result: FitResult) -> FitResult:
     spread, noise = np.diag(np.where(moves, 0.0, np.diag(result.spread))), np.zeros_like(result.spread)
     spread[np.ix_(moving, moving)], noise[np.ix_(moving, moving)] = inner, of_noise
     return replace(
-        result, misfit=misfit(data, goal, result.predicted, result.degrees_of_freedom), noise=noise
+        result,
+        misfit=misfit(result.model, data, goal, result.predicted, result.degrees_of_freedom),
+        noise=noise,
     ).known_to(spread)
 
 

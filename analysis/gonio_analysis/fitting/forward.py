@@ -30,6 +30,11 @@ class ByWavelength:
         """That of the models."""
         return str(next(iter(self.models.values())).convention)
 
+    @property
+    def depends_on_azimuth(self) -> bool:
+        """Whether theirs do."""
+        return any(model.depends_on_azimuth for model in self.models.values())
+
 
 def _alone(model: Any, wavelength_nm: float) -> Any:
     return model.models[wavelength_nm] if isinstance(model, ByWavelength) else model
@@ -71,6 +76,17 @@ def averaging(model: Any, at: Observations) -> list[Rules | None] | None:
 def pointlike(at: Observations) -> bool:
     """Whether all cones are directions."""
     return all(here.pointlike for here in at.cones)
+
+
+def sees_spike(model: Any, at: Observations) -> bool:
+    """Whether a value of the table has light of the model's specular spike in it."""
+    return any(
+        not here.pointlike
+        and bool(
+            np.any(here.cones.spike(_alone(model, here.wavelength_nm), wavelength_nm=_known(here.wavelength_nm)) > 0)
+        )
+        for here in at.cones
+    )
 
 
 def seen(

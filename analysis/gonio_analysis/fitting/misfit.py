@@ -12,13 +12,16 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from gonio.geometry import Directions
+from gonio.models.corrected import Correction, folded
+from gonio.models.gaussian_process import OF_CURVES, Coordinates, Prior, Process, Values, objective
 from gonio.typing import Floats
-from gonio_analysis.fitting.gaussian_process import OF_CURVES, Coordinates, Prior, Process, Values, objective
+from gonio_analysis.fitting.forward import sees_spike
 from gonio_analysis.fitting.objective import Objective, on_log_scale
 from gonio_analysis.fitting.observations import Observations
 from gonio_analysis.fitting.value_covariance import Covariance
@@ -178,12 +181,14 @@ class Misfit:
     """Relative standard deviation."""
     u_log: float
     """Standard uncertainty of ln tau, by leaving out blocks of directions."""
-    small: float
-    """e [1/sr] of the scale."""
-    process: Process
-    """Of ln(measured / model)."""
-    wider: float
-    """Scatter of left-out residuals about the process, at least 1: its uncertainties are widened by it."""
+    correction: Correction
+    """What the residuals say of it, direction by direction."""
+
+    @property
+    def left_out(self) -> float:
+        """Median relative departure of a value from what all others say of it, noise included."""
+        process = self.correction.process
+        return float(np.median(np.abs(process.left_out_departures)))
 
     @property
     def interval(self) -> tuple[float, float]:
@@ -191,38 +196,14 @@ class Misfit:
         far = math.exp(K95 * self.u_log)
         return self.tau / far, self.tau * far
 
-    def beside(self, directions: Directions, model: Floats) -> tuple[Floats, Floats]:
-        """The measurement as model and misfit have it.
 
-        Parameters
-        ----------
-        directions
-            Where, shape (n,).
-        model : (n,) array [1/sr]
-            The fitted model there.
-
-        Returns
-        -------
-        brdf : (n,) array [1/sr]
-            The model with the mean of the process: the measurement where it is, the model far away.
-        root : (n, k) array [1/sr]
-            root @ root.T is its covariance, the common causes of the measurement included.
-        """
-        at = Coordinates.of(directions)
-        z = np.arcsinh(model / (2 * self.small)) + self.process.mean_at(at)
-        brdf = 2 * self.small * np.sinh(z)
-        values, vectors = np.linalg.eigh(self.process.covariance_at(at))
-        root = vectors * (self.wider * np.sqrt(np.maximum(values, 0.0)))
-        return brdf, root * np.hypot(brdf, 2 * self.small)[:, None]
-
-
-def misfit(data: Observations, goal: Objective, predicted: Floats, freedom: int) -> Misfit:
+def misfit(model: Any, data: Observations, goal: Objective, predicted: Floats, freedom: int) -> Misfit:
     """The misfit of a model, from the residuals of a fit.
 
     Parameters
     ----------
-    data
-        What was fitted.
+    model, data
+        What was fitted, and to what.
     goal
         What was made small, with its tau.
     predicted : (n,) array [1/sr]
@@ -234,7 +215,8 @@ def misfit(data: Observations, goal: Objective, predicted: Floats, freedom: int)
 
     z = goal.scaled(data.brdf) - goal.scaled(predicted)
     stated = on_log_scale(data, goal.small, predicted)
-    at = Coordinates.of(data.directions)
+    where = folded(data.directions, model)
+    at = Coordinates.of(where)
     prior = _prior(goal.tau)
     u = np.full(len(data), ROUGH * goal.tau) if stated is None else np.hypot(stated.random, ROUGH * goal.tau)
     common = np.zeros((len(data), 1)) if stated is None or not stated.causes else stated.common
@@ -249,13 +231,15 @@ def misfit(data: Observations, goal: Objective, predicted: Floats, freedom: int)
         bounds=prior.bounds,
         options={"maxiter": STEPS},
     )
-    process = Process(whole.only(_evenly(len(data), MOST_NODES)), np.asarray(found.x), 0.0)
+    kept = _evenly(len(data), MOST_NODES)
+    process = Process(whole.only(kept), np.asarray(found.x), 0.0)
     noise = np.zeros(len(data)) if stated is None else stated.random**2
     wider = max(1.0, math.sqrt(float(np.mean(process.left_out**2))))
     _, u_square = jackknife(z**2 - noise, data.directions)
     # few blocks may agree by chance: nothing is better known than with as many independent residuals
     u_log = max(0.5 * u_square / goal.tau**2, math.sqrt(0.5 / freedom))
-    return Misfit(goal.tau, u_log, goal.small, process, wider)
+    spike = goal.tau if sees_spike(model, data) else 1.0  # a spike that no value has light of is a guess
+    return Misfit(goal.tau, u_log, Correction(process, where[kept], goal.small, wider, spike))
 
 
 def _prior(tau: float) -> Prior:

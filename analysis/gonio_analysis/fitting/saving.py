@@ -12,6 +12,7 @@ import numpy as np
 from gonio import disk
 from gonio.config import numbers_in, to_toml
 from gonio.errors import ConfigError
+from gonio.models import Corrected
 from gonio.typing import Floats
 from gonio_analysis.fitting.fit import FitResult
 from gonio_analysis.fitting.problem import FitRequest
@@ -36,7 +37,18 @@ def check_target(path: Path, asked: FitRequest) -> None:
         raise ConfigError(f"--save {path}: is a folder; a file's name is needed")
 
 
-def save(result: FitResult, path: Path, *, name: str, source: str) -> None:
+def check_residual(path: Path | None, asked: FitRequest) -> None:
+    """Raise `ConfigError` where there is no misfit to keep, or no place for it."""
+    if path is None:
+        raise ConfigError("--residual: keeps the misfit in a sample file; say where with --save SAMPLE.toml")
+    if asked.each is not None:
+        raise ConfigError("--residual: the misfit is that of one wavelength; leave out --joint")
+    if asked.metric is not None or asked.loss != "linear":
+        chosen = f"--metric {asked.metric}" if asked.metric is not None else f"--loss {asked.loss}"
+        raise ConfigError(f"--residual: {chosen} knows no misfit; leave one of the two out")
+
+
+def save(result: FitResult, path: Path, *, name: str, source: str, residual: bool = False) -> None:
     """Write the fitted model as a sample file, whole or not at all; a file that is there is replaced.
 
     Parameters
@@ -49,6 +61,8 @@ def save(result: FitResult, path: Path, *, name: str, source: str) -> None:
         Of the sample.
     source
         What it was fitted to, for the remark at the top.
+    residual
+        With the smooth curve of the model's misfit.
 
     Raises
     ------
@@ -57,8 +71,15 @@ def save(result: FitResult, path: Path, *, name: str, source: str) -> None:
     """
     check_target(path, FitRequest(result.name, each=result.problem.each))
     model = "sum" if "+" in result.name else result.name
-    tables = {"name": name, "model": model, "parameters": _parameters(result, result.vector)}
+    tables: dict[str, Any] = {"name": name, "model": model, "parameters": _parameters(result, result.vector)}
     uncertainty = _uncertainty(result)
+    if uncertainty is not None and result.misfit is not None and not residual:
+        uncertainty["misfit"] = float(f"{result.misfit.tau:.3g}")
+    if residual and result.misfit is not None:
+        tables["parameters"] = {model: tables["parameters"], "misfit": result.misfit.correction.parameters}
+        tables["model"] = Corrected.name
+        if uncertainty is not None:
+            uncertainty["parameters"] = [f"{model}.{name}" for name in uncertainty["parameters"]]
     if uncertainty is not None:
         tables["uncertainty"] = uncertainty
     at = "" if math.isnan(result.wavelength_nm) else f" at {result.wavelength_nm:g} nm"

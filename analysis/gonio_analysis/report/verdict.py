@@ -54,6 +54,14 @@ def of_fit(result: FitResult) -> str:
     )
 
 
+def after_misfit(result: FitResult) -> str:
+    """What `--residual` adds: how well the model with its misfit predicts values that are left out."""
+    if result.misfit is None:
+        return "The data do not reject the model: it has no misfit to keep, and it is saved as it is."
+    left = percent(result.misfit.left_out)
+    return f"With the smooth curve of its misfit the model predicts a left-out value to {left} (typically)."
+
+
 def unnoticed(result: FitResult) -> str:
     """How far off a model may be that the data do not reject, as part of a sentence; "" where nothing says so."""
     if result.rejected or result.chi_square is None or result.tau is None or result.tau.interval[1] > NOT_SMALL:

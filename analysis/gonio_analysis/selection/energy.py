@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from gonio.checks import hemisphere
-from gonio.geometry import Directions
+from gonio.models.corrected import UNMEASURED, folded, reflected
 from gonio.typing import Floats
 from gonio_analysis.fitting.fit import FitResult
 from gonio_analysis.fitting.forward import NO_WAVELENGTH_NM, ByWavelength
@@ -19,10 +19,6 @@ from gonio_analysis.result_records import Reflectance
 STEP = 1e-3
 """Of derivatives by the parameters, on the search scale; right to a thousandth where integrals are to `TOLERANCE`."""
 TOLERANCE = 1e-6
-AZIMUTHS = 128
-"""Angles of a grid over the hemisphere, either way; a lobe narrower than its cells keeps its middle."""
-PICKED = 300
-"""Directions of the grid at which the misfit is looked at."""
 ABOVE_ONE = 1e-4
 """What a model may reflect beyond all that it receives: far below any uncertainty, above the error of the integral."""
 
@@ -31,7 +27,8 @@ def of_model(result: FitResult) -> list[Reflectance]:
     """rho_dh of a fitted model at `angles`, with its standard uncertainty.
 
     Of a model that is not rejected that is the fit's covariance. Of one with a misfit (docs/misfit.md) it is what the
-    misfit adds up to over the hemisphere: what the residuals say of it, and what they leave open.
+    misfit adds up to over the hemisphere: what the residuals say of it, and what they leave open. The parameters count
+    as far as no value near by tells the misfit.
     Empty for a fit of several wavelengths together, which has a model for each.
     """
     if isinstance(result.model, ByWavelength):
@@ -40,8 +37,6 @@ def of_model(result: FitResult) -> list[Reflectance]:
     phi = float(result.data.directions.phi_i[0])
     wave = NO_WAVELENGTH_NM if math.isnan(result.wavelength_nm) else result.wavelength_nm
     value = _rho(result.model, theta, phi, wave)
-    if result.misfit is not None:
-        return [_with_misfit(result, t, phi, wave, float(r)) for t, r in zip(theta, value, strict=True)]
     lower, upper = result.problem.bounds
     slopes = []
     for k in range(result.vector.size):
@@ -54,35 +49,37 @@ def of_model(result: FitResult) -> list[Reflectance]:
     spread = result.spread[np.ix_(felt, felt)]
     variance = np.einsum("ki,kl,li->i", jacobian[felt], spread, jacobian[felt])
     u = np.sqrt(np.maximum(variance, 0.0))
+    if result.misfit is not None:
+        found = zip(theta, value, np.where(np.isfinite(u), u, 0.0), strict=True)
+        return [_with_misfit(result, t, phi, wave, float(r), float(e)) for t, r, e in found]
     return [
         Reflectance(math.degrees(t), float(r), float(e) if math.isfinite(e) else None, "")
         for t, r, e in zip(theta, value, u, strict=True)
     ]
 
 
-def _with_misfit(result: FitResult, theta_i: float, phi_i: float, wave: float, value: float) -> Reflectance:
+def _with_misfit(
+    result: FitResult, theta_i: float, phi_i: float, wave: float, value: float, of_parameters: float
+) -> Reflectance:
     """By directions that each stand for as much of the reflected light: the misfit changes each of them."""
     assert result.misfit is not None
-    sine = (np.arange(AZIMUTHS) + 0.5) / AZIMUTHS
-    theta_r, phi_r = (
-        grid.ravel() for grid in np.meshgrid(np.arcsin(np.sqrt(sine)), phi_i + 2.0 * np.pi * sine, indexing="ij")
-    )
-    light = np.maximum(result.model.brdf(theta_i, phi_i, theta_r, phi_r, wavelength_nm=wave), 0.0)  # dw cos is constant
-    if not light.sum() > 0:
+    at, model = reflected(result.model, theta_i, phi_i, wave)
+    if not model.size:
         return Reflectance(math.degrees(theta_i), value, None, "the model reflects nothing")
-    rank = np.cumsum(light) / light.sum()
-    picked = np.searchsorted(rank, (np.arange(PICKED) + 0.5) / PICKED)
-    same = np.ones(PICKED)
-    where = Directions(theta_i * same, phi_i * same, theta_r[picked], phi_r[picked])
-    model = light[picked]
-    brdf, root = result.misfit.beside(where, model)
     spike = float(result.model.specular_reflectivity(theta_i, wavelength_nm=wave))
-    share = (value - spike) / PICKED / model
+    correction = result.misfit.correction
+    at = folded(at, result.model)
+    brdf, root = correction.beside(at, model)
+    open_part = correction.open(at)
+    unmeasured = (1.0 - spike / value) * float(np.mean(open_part > UNMEASURED))
+    share = (value - spike) / model.size / model
     known = spike + float(share @ brdf)
-    of_spike = spike * (result.misfit.tau if _sees_spike(result, wave) else 1.0)
-    open_ = math.hypot(float(np.linalg.norm(share @ root)), of_spike)
+    of_parameters *= float(open_part.mean())
+    open_ = math.hypot(float(np.linalg.norm(share @ root)), spike * correction.spike, of_parameters)
     u = math.hypot(open_, known - value)
-    return Reflectance(math.degrees(theta_i), value, u, "", with_misfit=known, u_with_misfit=open_)
+    return Reflectance(
+        math.degrees(theta_i), value, u, "", with_misfit=known, u_with_misfit=open_, unmeasured=unmeasured
+    )
 
 
 def combined(parts: Sequence[tuple[float, Sequence[Reflectance]]]) -> list[Reflectance]:
@@ -112,14 +109,6 @@ def combined(parts: Sequence[tuple[float, Sequence[Reflectance]]]) -> list[Refle
             spread = math.sqrt(float(weight @ (u**2 + (value - mean) ** 2)))
             out.append(Reflectance(ones[0].theta_i_deg, mean, spread, ""))
     return out
-
-
-def _sees_spike(result: FitResult, wave: float) -> bool:
-    """Whether a value of the table has light of the model's spike in it; a spike that no value sees is a guess."""
-    return any(
-        not here.pointlike and bool(np.any(here.cones.spike(result.model, wavelength_nm=wave) > 0.0))
-        for here in result.data.cones
-    )
 
 
 def _rho(model: object, theta: Floats, phi: float, wave: float) -> Floats:

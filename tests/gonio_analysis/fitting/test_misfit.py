@@ -161,7 +161,7 @@ def test_intervals_hold_on_samples_that_no_model_has(model: str) -> None:
                 between["theta_i_deg"], np.zeros(count), np.maximum(between["theta_r_deg"] - 2.5, 0.0),
                 between["phi_r_deg"],
             )  # fmt: skip
-            brdf, root = result.misfit.beside(d, np.asarray(result.model.brdf(*d.angles)))
+            brdf, root = result.misfit.correction.beside(d, np.asarray(result.model.brdf(*d.angles)))
             true = facets(of["alpha"], of["f0"], of["rho"], d)
             pulls += list((brdf - true) / np.linalg.norm(root, axis=1))
         a, b = fits
@@ -204,7 +204,7 @@ def test_a_misfit_stays_small_toward_grazing_directions_that_nobody_measured() -
     same = np.full(dphi.size, math.radians(89.9))
     at = Directions(same, 0 * same, same, dphi)
     model = np.asarray(result.model.brdf(*at.angles))
-    brdf, _ = result.misfit.beside(at, model)
+    brdf, _ = result.misfit.correction.beside(at, model)
     # log cos theta_r has a part of tau / 2 of its own, and is 6.9 at most; other parts are bounded by a few tau
     assert float(np.max(np.abs(np.log(brdf / model)))) < 10 * result.misfit.tau
 

@@ -8,7 +8,7 @@ What varies is a sum of parts, each with a width that the values themselves tell
 - a part over the angle between source and detector, for what returns light.
 
 The half vector's angle is warped, w = asinh(theta_h/h): even steps of w are dense at the mirror direction. The
-process is that of Rasmussen and Williams, Gaussian Processes for Machine Learning (2006), chapters 2 and 5.
+process is that of [Rasmussen2006]_, chapters 2 and 5.
 """
 
 from __future__ import annotations
@@ -373,14 +373,18 @@ class Process:
         """What the values change of the mean, where the shares of lobe and base are given."""
         return np.asarray(self.data.pairs_with(seen).kernel(self.p) @ self._factor[1])
 
+    def prior_variance_at(self, places: Coordinates) -> Floats:
+        """What the variance would be without values."""
+        _, lobe, _, own, _, view, _, _, retro, _, facets = np.exp(self.p[:11])
+        fixed = self.data.prior.level**2 + (self.data.prior.cosine * places.log_cos) ** 2
+        of_lobe = fixed + view**2 + lobe**2 + (own * lobe) ** 2 + (facets * np.tan(places.theta_h) ** 2) ** 2
+        return np.asarray(places.lobe**2 * of_lobe + places.base**2 * (fixed + view**2 + retro**2))
+
     def variance_at(self, places: Coordinates, effects: Floats | None = None) -> Floats:
         """The diagonal of `covariance_at`, where the shares of lobe and base are given: those of `seen`."""
         from scipy.linalg import solve_triangular
 
-        _, lobe, _, own, _, view, _, _, retro, _, facets = np.exp(self.p[:11])
-        fixed = self.data.prior.level**2 + (self.data.prior.cosine * places.log_cos) ** 2
-        of_lobe = fixed + view**2 + lobe**2 + (own * lobe) ** 2 + (facets * np.tan(places.theta_h) ** 2) ** 2
-        prior = places.lobe**2 * of_lobe + places.base**2 * (fixed + view**2 + retro**2)
+        prior = self.prior_variance_at(places)
         cross = self.data.pairs_with(places).kernel(self.p)
         if effects is not None:
             cross = cross + effects @ self.data.causes[:, : effects.shape[1]].T
@@ -388,11 +392,22 @@ class Process:
         half = solve_triangular(self._factor[0][0], cross.T, lower=True)
         return np.asarray(prior - (half**2).sum(axis=0))
 
-    @property
-    def left_out(self) -> Floats:
-        """Each value's departure from what all others predict of it, in standard deviations of that."""
+    @cached_property
+    def _left_out(self) -> tuple[Floats, Floats]:
+        """Each value's departure from what all others predict of it, and the variance of that."""
         from scipy.linalg import cho_solve
 
         factor, alpha = self._factor
-        inverse = np.diag(cho_solve(factor, np.eye(alpha.size)))
-        return np.asarray(alpha / np.sqrt(inverse))
+        variance = 1.0 / np.diag(cho_solve(factor, np.eye(alpha.size)))
+        return alpha * variance, variance
+
+    @property
+    def left_out(self) -> Floats:
+        """Each value's departure from what all others predict of it, in standard deviations of that."""
+        departure, variance = self._left_out
+        return np.asarray(departure / np.sqrt(variance))
+
+    @property
+    def left_out_departures(self) -> Floats:
+        """Each value's departure from what all others predict of it."""
+        return self._left_out[0]

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from gonio_analysis.fitting import gaussian_process as gp
-from gonio_analysis.fitting.gaussian_process import NAMES, OF_CURVES, Coordinates, Pairs, Process, Values
 
 from gonio.geometry import Directions
+from gonio.models import gaussian_process as gp
+from gonio.models.gaussian_process import NAMES, OF_CURVES, Coordinates, Pairs, Process, Values
 
 
 def directions(count: int, seed: int) -> Directions:
