@@ -79,9 +79,9 @@ class Zero:
     offset_deg: float
     """What the encoder shows where the axis stands at 0."""
     parts: dict[str, float]
-    """Standard uncertainties by cause: scans, encoder step, backlash, linearity.
+    """Standard uncertainties by cause: scans (their encoder's steps included), backlash, linearity.
 
-    Scans at a few angles do not show all errors of an encoder: a whole step, at least, is their bound (rectangular).
+    Scans at a few angles do not show all errors of an encoder: those that they show stand for the others.
     """
 
     @property
@@ -226,15 +226,14 @@ def align(table: pd.DataFrame, description: RigDescription) -> Alignment:
     rank = int(np.linalg.matrix_rank(design))
     determined = np.diag(np.linalg.pinv(design) @ design) > 1 - 1e-9
     spread = departure * math.sqrt(freedom / (freedom - 2) if freedom >= FEW else FEW)
-    spread = max(spread, float(scans["residual_deg"].abs().max()))  # of two encoders
+    spread = max(spread, float(np.sqrt(np.mean(scans["residual_deg"] ** 2))))  # of two encoders
     zeros = {}
     for index, name in enumerate(axes):
         if determined[index]:
             parts = {
                 "scans": math.sqrt(covariance[index, index]),
-                "encoder step": known[name].encoder_step_deg / math.sqrt(12.0),
                 "backlash": _play_deg(description, name),
-                "linearity": max(spread / math.sqrt(2.0), known[name].encoder_step_deg / math.sqrt(3.0)),
+                "linearity": spread / math.sqrt(2.0),
             }
             zeros[name] = Zero(float(solution[index]), parts)
     return Alignment(zeros, axes, covariance, rank, departure, _open(description, scans, zeros, y, own), scans, peaks)
