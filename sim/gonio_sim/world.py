@@ -148,9 +148,13 @@ class World:
         now = self.now_s()
         drift = 1.0 + lamp.drift_per_hour * now / 3600.0 + self._wander(now)
         if lamp.warm_up_loss:
-            drift -= lamp.warm_up_loss * math.exp(-now / lamp.warm_up_time_constant_s)
+            drift -= lamp.warm_up_loss * self.cold()
         noise = lamp.noise * self.normal(Stream.LAMP, self.step, self.frame) if lamp.noise else 0.0
         return max(0.0, drift * (1.0 + noise)) * self.brightness
+
+    def cold(self) -> float:
+        """How much of its warm-up the lamp has before it: 1 where it is lit after a long time in the dark."""
+        return math.exp(-self.now_s() / self.truth.lamp.warm_up_time_constant_s)
 
     def _wander(self, now_s: float) -> float:
         """How far the lamp has walked: Brownian motion by Lévy's midpoints, alike whatever was asked before."""

@@ -118,6 +118,7 @@ def _write(
     progress: Callable[[str], None],
 ) -> None:
     found = summary(c, command, runs)
+    progress(found.conclusion)
     at, shown = _one(c, wavelength_nm)
     every = curves(at)
     listed = selection(every, viewer.MOST_LISTED)

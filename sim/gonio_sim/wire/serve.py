@@ -55,7 +55,7 @@ def serve(
         signal.signal(number, lambda *_: stop.set())
     with Twins(choice.description, described, seed, folder=out.absolute(), scale=time_scale) as twins:
         path = out / "rig.toml"
-        write_own(out, {path.name: rig_file(twins.description).encode()})
+        write_own(out, {path.name: rig_file(twins.description, Path(rig).parent).encode()})
         print(f"twins of {rig} are running, {time_scale:g} times as fast; Ctrl-C ends them")
         if twins.replays:
             print(

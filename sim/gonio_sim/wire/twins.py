@@ -21,6 +21,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from gonio.config import to_toml
 from gonio.errors import ConfigError
 from gonio.rig import Frame, Pose
+from gonio.rig.calibrated import uncalibrated
 from gonio.rig.description import Axis, RigDescription, SampleDescription
 from gonio.rig.dng import encode_dng
 from gonio.rig.kinematics import encoder_error
@@ -105,11 +106,22 @@ class _Devices(_Loose):
 
 
 class WireWorld(World):
-    """A world whose clock runs by itself, and in which every frame has random numbers of its own."""
+    """A world whose clock runs by itself, and whose frames differ, and whose lamp cools in the dark."""
 
     def __init__(self, description: RigDescription, sample: SampleDescription | None, seed: int, clock: Clock) -> None:
         super().__init__(description, sample, seed)
         self._clock = clock
+        self._cold, self._switched_s = 1.0, 0.0
+
+    def switch(self, lit: bool) -> None:
+        """Light the lamp, or darken it."""
+        self._cold, self._switched_s = self.cold(), self._clock()
+        self.lamp_on = lit
+
+    def cold(self) -> float:
+        """How much of its warm-up the lamp has before it; it cools as fast as it warms up."""
+        left = math.exp((self._switched_s - self._clock()) / self.truth.lamp.warm_up_time_constant_s)
+        return self._cold * left if self.lamp_on else 1.0 - (1.0 - self._cold) * left
 
     def now_s(self) -> float:
         """Seconds on the twins' clock."""
@@ -350,7 +362,7 @@ class Twins:
 
     def _shine(self, shine: Shine) -> None:
         with self._looking:
-            self.world.lamp_on = shine.lit and shine.level > 0 and shine.band is not None
+            self.world.switch(shine.lit and shine.level > 0 and shine.band is not None)
             self.world.band = shine.band
             self.world.brightness = shine.level / self._devices.light.level
 
@@ -398,6 +410,11 @@ def _parsed(description: RigDescription) -> _Devices:
     return devices
 
 
-def rig_file(description: RigDescription) -> str:
-    """A rig file, as it is written to disk."""
-    return to_toml(description.model_dump(mode="json", exclude_none=True))
+def rig_file(description: RigDescription, folder: Path = Path()) -> str:
+    """A rig file, as it is written to disk, with the calibrations of another one that lies in `folder`."""
+    use = description.calibration
+    tables = uncalibrated(description).model_dump(mode="json", exclude_none=True, exclude={"calibration"})
+    if use.files:
+        files = [str((folder / name).absolute()) for name in use.files]
+        tables["calibration"] = {"files": files, "when_unfit": use.when_unfit}
+    return to_toml(tables)
