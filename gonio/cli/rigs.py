@@ -151,8 +151,14 @@ def _check_devices(rig: Rig, rows: list[Row]) -> None:
 def _small_moves(rig: Rig) -> list[tuple[str, float, float]]:
     """For every axis of the rig: how far from its goal it lands [deg], and how far it may."""
     out = []
+    limits_deg = rig.description.limits_deg()
     for name, axis in rig.description.axes().items():
         here = rig.arms.read()
+        # at rest on a limit an encoder may read a step beyond it
+        inside = {
+            of: min(max(getattr(here, of), math.radians(a)), math.radians(b)) for of, (a, b) in limits_deg.items()
+        }
+        here = replace(here, **inside)
         at = getattr(here, name)
         goal = replace(here, **{name: at - math.copysign(math.radians(LITTLE_DEG), at)})
         landed = math.degrees(abs(getattr(rig.arms.move(goal), name) - getattr(goal, name)))

@@ -177,7 +177,7 @@ class Renderer:
         waves = _wavelengths(band) if sample.integrate_band else [(band.centre_nm, 1.0)]
 
         def paint(seen: PixelMap, scene: View, disc: Disc, brdf: Floats) -> None:
-            covered = disc.covers(seen)
+            covered = disc.covers(seen) & (seen.omega_i[..., 2] > 0.0)  # a back that is lit is black
             at = geometry.Directions.from_vectors(seen.omega_i[covered], seen.omega_r[covered])
             brdf[covered] = sum(share * model.btdf(*at.angles, wavelength_nm=wave) for wave, share in waves)
 

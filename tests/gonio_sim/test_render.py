@@ -306,3 +306,8 @@ def test_a_lambertian_lamp_near_a_reference_beside_the_sample(tmp_path: Path, kn
     expected = 1.0 if knows else 1 / math.cos(math.atan(14.0 / 300.0))
     # 16-bit levels at 0.6 of full scale in some 50 pixels of each region, and the finite patch: below 2e-5
     assert found == pytest.approx(expected, abs=2e-5)
+
+
+def test_a_back_that_is_lit_and_looked_at_from_behind_is_black() -> None:
+    long = {"limits_deg": [-120.0, 120.0]}
+    assert not scene(describe("sim-ideal", arms={"light": long, "camera": long}), MATTE, deg(-110, 115)).any()

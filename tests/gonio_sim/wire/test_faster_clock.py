@@ -78,7 +78,7 @@ def test_a_rehearsal_on_a_faster_clock_finds_the_warm_up(tmp_path: Path, monkeyp
     values, names, covariance = lamp_stability.values(found)
     u = dict(zip(names, covariance.diagonal() ** 0.5, strict=True))
     tau = next(name for name in names if name.endswith("warm_up_time_constant_s"))
-    # 4 of its standard uncertainties: beyond chance, for one seed and a shutter that opens when the computer comes to it
+    # 4 of its standard uncertainties: beyond chance, for one seed; the shutter opens when the computer comes to it
     assert abs(values["warm_up_time_constant_s"] - TAU_S) < 4 * u[tau]
     assert u[tau] < 0.1 * TAU_S  # so that the line before says something
 
