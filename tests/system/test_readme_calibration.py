@@ -113,6 +113,7 @@ def test_a_gain_that_is_wrong_is_said_before_anything_rests_on_it(followed: tupl
 
 
 def test_the_white_as_a_sample_is_white(followed: tuple[Path, dict[str, str]]) -> None:
+    assert "No sign that the two disagree" in followed[1]["compare white"]
     table = read(followed[0] / "white" / "brdf.csv")
     table = table[table["flag"] == ""]
     pulls = ((table["brdf"] - 0.99 / np.pi) / table["u_brdf"]).to_numpy()
