@@ -6,6 +6,7 @@ import datetime
 import math
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 import pytest
 from gonio_drivers import folder_camera
@@ -72,8 +73,8 @@ def test_a_rehearsal_on_a_faster_clock_finds_the_warm_up(tmp_path: Path, monkeyp
         assert served.quiet
     (table,) = tables
     # each frame by the twins' own clock: a busy computer may take them when it likes
-    at_s = pd.Series(seen_s[-len(table) :]).to_numpy()
-    signal, u_shot = (table[name].to_numpy() for name in ("signal_dn_per_s", "u_shot_dn_per_s"))
+    at_s = np.asarray(seen_s[-len(table) :], float)
+    signal, u_shot = (np.asarray(table[name], float) for name in ("signal_dn_per_s", "u_shot_dn_per_s"))
     found = lamp_stability.fit(at_s, signal, u_shot)
     values, names, covariance = lamp_stability.values(found)
     u = dict(zip(names, covariance.diagonal() ** 0.5, strict=True))
