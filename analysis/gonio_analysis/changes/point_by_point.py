@@ -332,8 +332,7 @@ def _measurements(a: Side, b: Side, say: Say) -> Change:
     assert a.data is not None and a.table is not None  # noqa: PT018
     data, table, turned = _laid_on(a.data, b)
     forth, back = carry(a.data, data, table, say), carry(data, a.data, a.table, say)
-    # what was sampled finely is interpolated, and not the other
-    onto = "B" if _roughness(back) < 0.5 * _roughness(forth) else "A"
+    onto = _still(forth, back, len(a.data), len(data))
     carried = forth if onto == "A" else back
     if not carried.rows.size:
         why = describe_left_out(carried.missing)
@@ -412,6 +411,20 @@ def _of_difference(
     causes = [f"{c} of {s}" for s, x in zip(names, (own, far), strict=True) if x is not None for c in x.causes]
     floor = np.maximum(1e-6 * np.maximum(np.abs(at.brdf), np.abs(carried.value)), 1e-300)
     return Covariance(np.maximum(random, floor), np.hstack(common), tuple(causes))
+
+
+def _still(forth: Carried, back: Carried, of_a: int, of_b: int) -> str:
+    """In whose directions both are compared.
+
+    Of a side whose few directions the other holds, as a certificate's, all count. Otherwise what was sampled finely is
+    interpolated, and not the other.
+    """
+    found_a, found_b = forth.rows.size, back.rows.size
+    if found_b > found_a and found_b / of_b > 2.0 * found_a / of_a:
+        return "B"
+    if found_a > found_b and found_a / of_a > 2.0 * found_b / of_b:
+        return "A"
+    return "B" if _roughness(back) < 0.5 * _roughness(forth) else "A"
 
 
 def _roughness(carried: Carried) -> float:

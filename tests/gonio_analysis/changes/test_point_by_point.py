@@ -239,6 +239,17 @@ def test_a_coarse_table_agrees_with_a_fine_one_of_the_same_sample() -> None:
         assert found.verdict.changed
 
 
+def test_every_direction_of_a_certificate_counts() -> None:
+    """One of three stands exactly in a measured direction, the others between measured ones."""
+    fine = measure(GLOSS)
+    picked = fine[(fine["theta_r_deg"] > 20.0) & (fine["theta_r_deg"] < 60.0)].iloc[[0, 9, 18]].copy()
+    picked.iloc[1:, picked.columns.get_loc("theta_r_deg")] += 1.0  # type: ignore[index]
+    few, many = side(picked, "certificate"), side(fine, "measured")
+    for a, b, onto in ((many, few, "B"), (few, many, "A")):
+        found = change(a, b)
+        assert (len(found.at), found.onto) == (3, onto)
+
+
 def test_step_up_of_benjamini_and_hochberg() -> None:
     # their example: 15 p-values, four discoveries at 5 % (Benjamini and Hochberg 1995, section 4.1)
     p = [
