@@ -243,7 +243,7 @@ def test_every_direction_of_a_certificate_counts() -> None:
     """One of three stands exactly in a measured direction, the others between measured ones."""
     fine = measure(GLOSS)
     picked = fine[(fine["theta_r_deg"] > 20.0) & (fine["theta_r_deg"] < 60.0)].iloc[[0, 9, 18]].copy()
-    picked.iloc[1:, picked.columns.get_loc("theta_r_deg")] += 1.0  # type: ignore[index]
+    picked["theta_r_deg"] += [0.0, 1.0, 1.0]
     few, many = side(picked, "certificate"), side(fine, "measured")
     for a, b, onto in ((many, few, "B"), (few, many, "A")):
         found = change(a, b)
