@@ -481,21 +481,24 @@ class _Work:
             self.notes.append("no flat frame between 20 and 80 % of full scale: PRNU is not determined")
             return self.camera.prnu, self.camera.prnu, (ones, self.camera.prnu * ones)
         region = pixel_statistics.inside(self.even >= 0.5 * np.percentile(self.even[self.bright], 50.0)) & self.good
-        level = self.map_sum / pixel_statistics.trend(self.map_sum, region)
-        even = pixel_statistics.smooth(level, region)
-        ratio = np.where(region, level / np.where(region, even, 1.0), math.nan)
+        electrons = float(np.mean(self.map_sum[region])) * transfer.electrons_per_dn
+        alike = pixel_statistics.CORRELATED / math.sqrt(2.0 * np.count_nonzero(region))
+        signal = straightened(camera, self.map_sum / self.map_count)
+        ratio, region, total = pixel_statistics.evened(signal, region)
+        if not region.any():
+            self.notes.append(
+                "the white is blurred or marked all over the flat frames: single pixels' responsivities are not told; "
+                "let more of it be in view, and in focus"
+            )
         bad = pixel_statistics.outliers(ratio, pixel_statistics.LEAST_DEPARTURE)
         self.defects = self.defects | bad
         region &= ~bad
-        kept = pixel_statistics.kept_by_high_pass()
         # a sum of S electrons of n frames has the variance S + n sigma_d^2, and n^2 times that of the dark line
-        electrons = float(np.mean(self.map_sum[region])) * transfer.electrons_per_dn
         dark = self._noise_of_line(self.map_exposure) * transfer.electrons_per_dn**2
         each = (transfer.dark_noise_dn * transfer.electrons_per_dn) ** 2
         temporal = (electrons + self.map_count * each + self.map_count**2 * dark) / electrons**2
-        total = float(np.var(ratio[region])) / kept
         prnu = math.sqrt(max(total - temporal, 0.0))
-        u = total / max(prnu, math.sqrt(total) * 1e-3) / math.sqrt(2.0 * np.count_nonzero(region))
+        u = total / max(prnu, math.sqrt(total) * 1e-3) * alike
         # the mean of all pixels is known: of a noisy map the part is used that is more likely the pixel's than noise
         share = prnu**2 / max(prnu**2 + temporal, 1e-30)
         responsivity = np.where(region, 1.0 + share * (np.nan_to_num(ratio, nan=1.0) - 1.0), 1.0)
