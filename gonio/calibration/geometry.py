@@ -474,7 +474,8 @@ def solve(
     chi_square = float(sum(r @ r for r in sizes))
     misfit = chi_square / freedom if freedom > 0 else 1.0
     student = freedom / (freedom - 2.0) if freedom >= FEW else float(FEW)
-    covariance = np.linalg.inv(data.T @ data / (max(1.0, misfit) * student) + prior.T @ prior)
+    covariance = np.asarray(np.linalg.inv(data.T @ data / (max(1.0, misfit) * student) + prior.T @ prior), float)
+    _add_scale(covariance, problem, kept)
     ours = len(sought)
     enough = [ZERO_KNOWN if u.path.endswith("zero_offset_deg") else KNOWN for u in problem.unknowns]
     known = tuple(bool(covariance[k, k] < enough[k] ** 2) or k >= ours for k in range(len(x)))
@@ -494,6 +495,14 @@ def solve(
         dropped=tuple(dropped),
     )
     return weighed(replace(fit, open=_open(fit, kept, right[singular < TOLD])), description)
+
+
+def _add_scale(covariance: Floats, problem: Problem, sightings: Sequence[Sighting]) -> None:
+    """What corners are off in the same way in all sightings changes the size of their picture, and so the distance."""
+    sizes = [float(np.sqrt(np.var(s.corners_px, axis=0).sum())) for s in sightings if s.corners]
+    for k, unknown in enumerate(problem.unknowns):
+        if unknown.path == "geometry.camera_distance_mm" and sizes:
+            covariance[k, k] += (CORNER_FLOOR_PX / np.median(sizes) * problem.start[k] / problem.within[k]) ** 2
 
 
 def claims(filed: RigDescription) -> dict[str, float]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import tomllib
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -108,6 +109,25 @@ def test_all_together_find_the_rig_within_their_uncertainties(whole: geometry.Fi
     assert np.abs(pulls).max() < 4.0
     assert whole.u("arms.light.axis_tilt_deg[0]") < 0.03
     assert 0.5 < whole.misfit < 1.5
+
+
+def test_what_corners_are_off_alike_in_all_pictures_is_in_the_distance(
+    filed: RigDescription, sighted: Callable[..., list[Sighting]]
+) -> None:
+    """A hundredth of a pixel outward, as edges of squares are blurred: it does not average over sightings."""
+    exact, stretched = [], []
+    for s in sighted(mirror=20, straight=6, markers=12):
+        corners = np.array(s.corners_px).reshape(-1, 2)
+        away = corners - corners.mean(axis=0) if len(corners) else corners
+        size = math.sqrt(np.mean((away**2).sum(axis=1))) if len(corners) else 1.0
+        out = corners + away * geometry.CORNER_FLOOR_PX / size
+        exact.append(s)
+        stretched.append(replace(s, corners_px=tuple((float(c), float(r)) for c, r in out)))
+    plain, other = (geometry.solve(filed, sightings) for sightings in (exact, stretched))
+    k = [u.path for u in plain.unknowns].index("geometry.camera_distance_mm")
+    moved = abs(float(other.values[k] - plain.values[k]))
+    assert moved > 0.05  # mm of 1000: the picture is larger by 1e-4
+    assert plain.u("geometry.camera_distance_mm") >= 0.95 * moved
 
 
 def test_arms_are_known_over_their_range_though_zero_and_cosine_look_alike(
