@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -181,20 +182,46 @@ class Misfit:
     """Relative standard deviation."""
     u_log: float
     """Standard uncertainty of ln tau, by leaving out blocks of directions."""
-    correction: Correction
-    """What the residuals say of it, direction by direction."""
-
-    @property
-    def left_out(self) -> float:
-        """Median relative departure of a value from what all others say of it, noise included."""
-        process = self.correction.process
-        return float(np.median(np.abs(process.left_out_departures)))
+    small: float
+    """e [1/sr] of the scale."""
+    residuals: Values
+    """On the scale of logarithms, with the stated uncertainties."""
+    directions: Directions
+    """Of the residuals, `folded` where the model is isotropic."""
+    spike: float
+    """Relative standard uncertainty of the model's specular spike."""
 
     @property
     def interval(self) -> tuple[float, float]:
         """Of tau, 95 %."""
         far = math.exp(K95 * self.u_log)
         return self.tau / far, self.tau * far
+
+    @cached_property
+    def correction(self) -> Correction:
+        """What the residuals say of it, direction by direction; learned when it is first asked for."""
+        from scipy.optimize import minimize
+
+        whole = self.residuals
+        prior, n = whole.prior, whole.z.size
+        found = minimize(
+            objective,
+            prior.centres,
+            (whole.only(_evenly(n, MOST_LEARNED)), 0.0),
+            jac=True,
+            method="L-BFGS-B",
+            bounds=prior.bounds,
+            options={"maxiter": STEPS},
+        )
+        kept = _evenly(n, MOST_NODES)
+        process = Process(whole.only(kept), np.asarray(found.x), 0.0)
+        wider = max(1.0, math.sqrt(float(np.mean(process.left_out**2))))
+        return Correction(process, self.directions[kept], self.small, wider, self.spike)
+
+    @property
+    def left_out(self) -> float:
+        """Median relative departure of a value from what all others say of it, noise included."""
+        return float(np.median(np.abs(self.correction.process.left_out_departures)))
 
 
 def misfit(model: Any, data: Observations, goal: Objective, predicted: Floats, freedom: int) -> Misfit:
@@ -211,35 +238,18 @@ def misfit(model: Any, data: Observations, goal: Objective, predicted: Floats, f
     freedom
         Values less fitted parameters, 1 or more.
     """
-    from scipy.optimize import minimize
-
     z = goal.scaled(data.brdf) - goal.scaled(predicted)
     stated = on_log_scale(data, goal.small, predicted)
     where = folded(data.directions, model)
-    at = Coordinates.of(where)
-    prior = _prior(goal.tau)
     u = np.full(len(data), ROUGH * goal.tau) if stated is None else np.hypot(stated.random, ROUGH * goal.tau)
     common = np.zeros((len(data), 1)) if stated is None or not stated.causes else stated.common
-    whole = Values(at, z, u, common, prior=prior)
-    few = whole.only(_evenly(len(data), MOST_LEARNED))
-    found = minimize(
-        objective,
-        prior.centres,
-        (few, 0.0),
-        jac=True,
-        method="L-BFGS-B",
-        bounds=prior.bounds,
-        options={"maxiter": STEPS},
-    )
-    kept = _evenly(len(data), MOST_NODES)
-    process = Process(whole.only(kept), np.asarray(found.x), 0.0)
     noise = np.zeros(len(data)) if stated is None else stated.random**2
-    wider = max(1.0, math.sqrt(float(np.mean(process.left_out**2))))
     _, u_square = jackknife(z**2 - noise, data.directions)
     # few blocks may agree by chance: nothing is better known than with as many independent residuals
     u_log = max(0.5 * u_square / goal.tau**2, math.sqrt(0.5 / freedom))
     spike = goal.tau if sees_spike(model, data) else 1.0  # a spike that no value has light of is a guess
-    return Misfit(goal.tau, u_log, Correction(process, where[kept], goal.small, wider, spike))
+    residuals = Values(Coordinates.of(where), z, u, common, prior=_prior(goal.tau))
+    return Misfit(goal.tau, u_log, goal.small, residuals, where, spike)
 
 
 def _prior(tau: float) -> Prior:
