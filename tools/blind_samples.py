@@ -131,6 +131,7 @@ def judged(folder: Path) -> dict[str, Any]:
 
     from gonio_analysis.fitting.forward import apparent
     from gonio_analysis.fitting.observations import observations
+    from gonio_analysis.result_records import as_json
     from gonio_analysis.selection.choice import candidates, choose
 
     from gonio import measurement, models
@@ -140,7 +141,7 @@ def judged(folder: Path) -> dict[str, Any]:
     sample = tomllib.loads((folder / "sample.toml").read_text())
     kind, true = _family(sample["model"], sample["parameters"])
     truth = apparent(models.build(sample["model"], sample["parameters"]), data)
-    out: dict[str, Any] = {"sample": folder.name, "true": kind, "parameters": true, **chosen.to_json()}
+    out: dict[str, Any] = {"sample": folder.name, "true": kind, "parameters": true, **as_json(chosen.summary())}
     whitened = (
         chosen.judged[0].fit.goal.residual(truth) if chosen.named is None else chosen.named.fit.goal.residual(truth)
     )

@@ -225,8 +225,11 @@ def align(table: pd.DataFrame, description: RigDescription) -> Alignment:
     scans["residual_deg"] = y - design @ solution
     rank = int(np.linalg.matrix_rank(design))
     determined = np.diag(np.linalg.pinv(design) @ design) > 1 - 1e-9
-    spread = departure * math.sqrt(freedom / (freedom - 2) if freedom >= FEW else FEW)
-    spread = max(spread, float(np.sqrt(np.mean(scans["residual_deg"] ** 2))))  # of two encoders
+    if freedom >= FEW:
+        left = float(np.sqrt(np.mean(scans["residual_deg"] ** 2)))
+        spread = max(departure * math.sqrt(freedom / (freedom - 2)), left)  # of two encoders
+    else:  # too few scans to show what encoders are off
+        spread = FEW * max(departure, math.sqrt(float(own.mean())))
     zeros = {}
     for index, name in enumerate(axes):
         if determined[index]:

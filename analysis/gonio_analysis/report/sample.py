@@ -43,6 +43,9 @@ from gonio_analysis.report.text import angle, cause, difference, meaning, number
 from gonio_analysis.report.viewer import View
 from gonio_analysis.result_records import DatasetSummary, ModelSummary, ParameterSummary, RunFacts, Summary
 
+FAR = 0.1
+"""Share of a model's light in directions that were not measured, above which it is named."""
+
 
 def section(s: Summary, d: DatasetSummary, figures: Sequence[Figure], view: View | None) -> Group:
     """One sample's section of the page.
@@ -246,6 +249,12 @@ def _energy(d: DatasetSummary) -> list[Block]:
     for reason, angles in why.items():
         where = f"at θi = {', '.join(dict.fromkeys(angles))}" if len(angles) <= 8 else f"at {len(angles)} incidences"
         said.append(f"The measurement's own rho_dh {where}: {reason}.")
+    for name in d.choice.near:
+        shares = {r.theta_i_deg: r.unmeasured for r in d.models[name].rho_dh if r.unmeasured}
+        far = {at: share for at, share in shares.items() if share > FAR}
+        if far:
+            listed = ", ".join(f"{percent(share)} at θi = {angle(at)}" for at, share in far.items())
+            said.append(f"Of the light that {name} reflects, part goes where no value near tells the misfit: {listed}.")
     for s in d.symmetries:
         if d.checks is not None and s.kind in {one.name for one in d.checks.checks}:
             continue  # they stand among the checks
