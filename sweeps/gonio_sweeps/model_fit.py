@@ -91,6 +91,11 @@ class Known:
     worse: float = 1.0
     """The uncertainties of a full reduction and fit, over those of the quick one: targets are harder by so much."""
 
+    @property
+    def tau(self) -> float:
+        """The model's own misfit (docs/misfit.md); 0 where the values do not reject it."""
+        return 0.0 if self.result.misfit is None else self.result.misfit.tau
+
 
 class ModelFit:
     """Fits of the model that `[adaptive]` names, to the values of a run that grows.

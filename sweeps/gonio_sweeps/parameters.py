@@ -2,8 +2,9 @@
 
 Each batch follows from a fit to all values so far. Most of its points are those that tell most of the parameters for
 their rig time (`gonio_sweeps.fisher`), on average over parameters that the values allow. The others cover: they look
-where nothing was measured. Where the residuals of the fit say that the model is wrong (`gonio_sweeps.lack_of_fit`), all
-further points cover. docs/adaptive_sweeps.md has the method.
+where nothing was measured. Where the residuals of the fit say that the model is wrong (`gonio_sweeps.lack_of_fit`),
+batches that cover take turns with batches for the nearest model, whose misfit is in their design. docs/
+adaptive_sweeps.md has the method.
 """
 
 from __future__ import annotations
@@ -50,6 +51,8 @@ SMALLEST, LARGEST = 12, 25
 """Points of a batch, at least and at most: each ends with a visit to the reference."""
 COVERS = ("covering", "filling")
 """Modes of batches that only cover: the model is wrong, or no point tells more of its parameters."""
+NEAREST = "nearest"
+"""Mode of batches for the parameters of a model that is wrong."""
 COVERING = 0.15
 """Part of a batch that covers, whatever the model says."""
 OUT_OF_REACH = 0.5
@@ -153,8 +156,8 @@ class Parameters:
             f"budget: {self._budget_s / 3600.0:g} h of rig time for the whole run",
             f"candidates: {len(self.candidates)} points that the rig can reach"
             + (f" ({'; '.join(self.candidates.left_out)})" if self.candidates.left_out else ""),
-            f"batches of {SMALLEST} to {LARGEST} points; {100 * COVERING:g} % of them cover, and all of them once the "
-            "model is found wrong",
+            f"batches of {SMALLEST} to {LARGEST} points; {100 * COVERING:g} % of them cover, and every second batch "
+            "once the model is found wrong",
         ]
 
     # ---- what is measured first ----
@@ -203,20 +206,25 @@ class Parameters:
             Gives the measurement table of the run so far.
         """
         look, wrong = len(modes), "covering" in modes
-        known = None if wrong else self._fits.fitted(values)
+        covered, nearest = (sum(mode in names for mode in modes) for names in (COVERS, (NEAREST,)))
+        turn = wrong and covered > nearest  # of the nearest model
+        known = self._fits.fitted(values) if turn or not wrong else None
         why: dict[str, Any] = {"spent_s": round(spent_s, 1), "values": len(values)}
         said = []
-        if known is not None and known.test.rejects(look):  # unless it is the search that has failed
+        if known is not None and not wrong and known.test.rejects(look):  # unless it is the search that has failed
             known = min(known, self._fits.fitted(values, MANY) or known, key=lambda one: one.test.chi_square)
         if known is not None:
             why |= self._fits.of_fit(known)
-            if known.test.rejects(look):
+            if turn:
+                said.append(f"{self._settings.model} comes nearest with {self._fits.progress(known.result)}")
+            elif known.test.rejects(look):
                 wrong = True
                 said.append(
                     f"{self._settings.model} does not describe the values (chi-square {known.test.chi_square:.3g} of "
-                    f"{known.test.degrees_of_freedom}, p = {known.test.p_value:.2g}): all further points cover"
+                    f"{known.test.degrees_of_freedom}, p = {known.test.p_value:.2g}): from now on points cover, and "
+                    "tell the nearest model"
                 )
-        why["mode"] = "covering" if wrong else "parameters"
+        why["mode"] = NEAREST if turn else "covering" if wrong else "parameters"
         if known is not None and not wrong:
             said.append(self._fits.progress(known.result))
             if self._fits.reached(self._fits.ratios(known.result) / CLOSE) and len(known.modes) == 1:
@@ -228,10 +236,12 @@ class Parameters:
                 worse = min(max(worse, 1.0 / WORST), WORST) if math.isfinite(worse) else WORST
                 known = replace(known, result=replace(known.result, spread=final.spread), worse=worse)
         left_s = self._budget_s - spent_s
-        picked, gains = ([], {}) if wrong else self._pick(values, known, left_s)
+        picked, gains = self._pick(values, known, left_s) if turn or not wrong else ([], {})
         if not picked and not gains.get("cut"):
-            picked, gains = self._cover(values, left_s, sum(mode in COVERS for mode in modes))
-            if picked and not wrong:
+            picked, gains = self._cover(values, left_s, covered)
+            if picked and wrong:
+                why["mode"] = "covering"
+            elif picked:
                 why["mode"] = "filling"
                 said.append("no point tells more of the parameters: all next points cover")
         why |= gains
@@ -417,10 +427,12 @@ class Parameters:
             lower, upper = self._fits.problem.bounds
             before = fisher.Known.nothing(upper - lower, past.shape[1] - free)
             u = np.maximum(np.hypot(values.u_noise, measured.u_landing), 1e-12)
+            u = np.hypot(u, known.tau * np.abs(measured.brdf))
             seen = self._expected.visits(ahead.brdf)
             latest = {n: np.full(len(cost), c[-1]) for n, c in relative.items()}
             noise = np.where(np.isfinite(seen.u_rel), seen.u_rel * ahead.brdf, 1e3)
             designs.append(_design(ahead, latest))
+            noise = np.hypot(noise, known.tau * np.abs(ahead.brdf))
             errors.append(np.maximum(np.hypot(noise, ahead.u_landing), 1e-12))
             states.append(before.with_values(past, u).with_values(designs[-1][taken], errors[-1][taken]))
             targets = self._fits.targets(self._fits.problem, vector) / known.worse
@@ -440,7 +452,7 @@ class Parameters:
             gains = np.zeros(len(cost))
             for c, design, u, target, part in zip(covariances, designs, errors, weights, share, strict=True):
                 gains += part * fisher.gains(c, free, design, u, _weights(c, free, target))
-            score = np.where(times < REPEATS, gains / cost, -1.0)
+            score = np.where(times < (1 if known.tau else REPEATS), gains / cost, -1.0)  # a misfit is the same again
             k = int(np.argmax(np.round(score / max(float(score.max()), 1e-300), 9)))
             if gains[np.isfinite(cost)].max(initial=0.0) < LEAST_GAIN:
                 break

@@ -27,6 +27,7 @@ from gonio.cli.pace import Say, silent
 from gonio.errors import ConfigError, DataError
 from gonio.geometry import SAME_ANGLE, Directions
 from gonio.measurement import is_simulated
+from gonio.models.corrected import Corrected, folded
 from gonio.typing import Floats
 from gonio_analysis.changes.resampling import Carried, carry, common_wavelengths
 from gonio_analysis.fitting.forward import apparent
@@ -59,6 +60,8 @@ class Side:
     table: pd.DataFrame | None = None
     data: Observations | None = None
     model: Any = None
+    misfit: float = 0.0
+    """Of a model that is not true: by how much measurements are off it (docs/misfit.md)."""
     through: Side | None = None
     """The transmission of a table that has both."""
     behind: bool = False
@@ -198,7 +201,8 @@ def side(spec: str, how: Reading | None = None) -> Side:
         from gonio.acquisition.measure import load_sample
 
         sample = load_sample(Path(spec))
-        return Side(sample.name, spec, model=models.build(sample.model, sample.parameters))
+        off = 0.0 if sample.uncertainty is None else sample.uncertainty.misfit
+        return Side(sample.name, spec, model=models.build(sample.model, sample.parameters), misfit=off)
     from gonio import measurement
 
     found = measurement.tables(spec, how)
@@ -275,11 +279,30 @@ def change(a: Side, b: Side, *, wavelength_nm: float | None = None, say: Say = s
         weights = scaled_to(at, values[1] if measured_is_a else values[0]).weights
         assert weights is not None
         covariance = Covariance(weights.random, weights.common * (-1 if measured_is_a else 1), weights.causes)
+    of_models = [_off(x, at, value) for x, value in zip((a, b), values, strict=True)]
+    off = np.hypot(*(np.zeros(len(at)) if u is None else u for u in of_models))
+    if off.any() and covariance is not None:
+        covariance = replace(covariance, random=np.hypot(covariance.random, off))
+    elif off.any() and a.data is None and b.data is None:
+        covariance = Covariance(off, np.zeros((len(at), 0)), ())
+    notes += [f"{x.name} is a model that is off: its misfit is in the uncertainty, each value's for itself."
+              for x, u in zip((a, b), of_models, strict=True) if u is not None]  # fmt: skip
     none = np.full(len(at), np.nan)
-    u_a, u_b = (x.data.u if x.data is not None else none for x in (a, b))
+    u_a, u_b = (
+        x.data.u if x.data is not None else none if u is None else u for x, u in zip((a, b), of_models, strict=True)
+    )
     onto = "B" if a.data is None and b.data is not None else "A"
     of = _Values(values[0], values[1], u_a, u_b, np.zeros(len(at)), onto)
     return _judged(a, b, at, of, covariance, {}, [*at.notes, *notes])
+
+
+def _off(x: Side, at: Observations, value: Floats) -> Floats | None:
+    """Standard uncertainty (n,) [1/sr] of a model that states a misfit; None of all else."""
+    if isinstance(x.model, Corrected):
+        known = x.model.correction
+        where = folded(at.directions, x.model.model)
+        return np.asarray(np.linalg.norm(known.beside(where, apparent(x.model.model, at))[1], axis=1))
+    return x.misfit * np.abs(value) if x.misfit else None
 
 
 def _require_alike(a: Side, b: Side) -> None:

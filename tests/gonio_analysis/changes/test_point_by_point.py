@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from gonio_analysis import commands
+from gonio_analysis.changes import point_by_point
 from gonio_analysis.changes.point_by_point import Change, Side, change, judge
 from gonio_analysis.changes.resampling import carry
 from gonio_analysis.fitting.observations import observations
@@ -248,6 +249,27 @@ def test_every_direction_of_a_certificate_counts() -> None:
     for a, b, onto in ((many, few, "B"), (few, many, "A")):
         found = change(a, b)
         assert (len(found.at), found.onto) == (3, onto)
+
+
+def test_a_model_that_is_off_is_so_uncertain(tmp_path: Path) -> None:
+    """What a sample file says of its misfit counts: the sample that the model was fitted to does not disagree."""
+    frame = measure(GLOSS, noise=0.003)
+    measurement.write(frame, tmp_path / "t.csv")
+    found = {}
+    for residual in (False, True):
+        file = tmp_path / f"{residual}.toml"
+        commands.fit(str(tmp_path / "t.csv"), "cook-torrance", save=file, residual=residual)
+        found[residual] = change(point_by_point.side(str(tmp_path / "t.csv")), point_by_point.side(str(file)))
+        assert any("is a model that is off" in note for note in found[residual].notes)
+    exact = replace(point_by_point.side(str(tmp_path / "False.toml")), misfit=0.0)
+    plain = change(point_by_point.side(str(tmp_path / "t.csv")), exact)
+    chi = {
+        name: one.verdict.chi_square / len(one.at) for name, one in (("exact", plain), *found.items()) if one.verdict
+    }
+    assert chi["exact"] > 20.0
+    assert 0.5 < chi[False] < 2.0  # tau is the scatter about the model
+    assert chi[True] < 1.0  # the curve follows these very values
+    assert float(np.median(found[True].u_b)) < 0.3 * float(np.median(found[False].u_b))
 
 
 def test_step_up_of_benjamini_and_hochberg() -> None:
