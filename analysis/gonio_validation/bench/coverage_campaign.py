@@ -20,6 +20,7 @@ import numpy as np
 from gonio_analysis.fitting.fit import fit
 from gonio_analysis.fitting.profile_likelihood import walked
 from gonio_analysis.result_records import finite
+from gonio_analysis.selection.energy import of_model
 
 from gonio import instrument, measurement, models
 from gonio.acquisition.measure import carry_out, find_rig, load_sample
@@ -41,8 +42,15 @@ from gonio_validation.bench.coverage_hidden import Campaign
 if TYPE_CHECKING:
     import pandas as pd
 
-FORMAT = 2
+FORMAT = 3
 """Of a record."""
+WRONG = {"oren-nayar": "lambert", "phong": "cook-torrance", "blinn": "phong", "cook-torrance": "blinn",
+         "he-torrance": "cook-torrance"}  # fmt: skip
+"""Which model is fitted that the sample does not have, by the one that it has."""
+SPIKE = 0.01
+"""Of the reflected light: with more of it in the specular spike no wrong model is looked at."""
+BESIDE = math.radians(1.5)
+"""So far from a measured direction a value of a wrong model is looked at [rad]."""
 GRAZING = math.radians(65.0)
 EDGE = math.radians(0.3)
 """So far beyond the cones the edge of a spike may be met, by errors of the angles [rad]."""
@@ -71,7 +79,7 @@ def carried_out(campaign: Campaign, folder: Path) -> Record:
     record: Record = {
         "format": FORMAT, "campaign": campaign.number, "model": campaign.model, "plan": campaign.plan,
         "truth": campaign.truth, "wavelength_nm": campaign.wavelength_nm, "rig": campaign.rig,
-        "hidden": campaign.true, "calibrated": {}, "points": {}, "fit": {}, "failed": None,
+        "hidden": campaign.true, "calibrated": {}, "points": {}, "fit": {}, "wrong": {}, "failed": None,
     }  # fmt: skip
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
@@ -94,6 +102,7 @@ def carried_out(campaign: Campaign, folder: Path) -> Record:
         record["points"] = points(campaign, table)
         step = "fit"
         record["fit"] = fitted(campaign, table)
+        record["wrong"] = of_wrong_model(campaign, table)
     except Interrupted:
         raise
     except GonioError as error:
@@ -337,6 +346,34 @@ def fitted(campaign: Campaign, table: pd.DataFrame) -> Record:
         "chi_square": finite(result.chi_square), "freedom": result.degrees_of_freedom,
         "p_value": finite(result.p_value), "notes": list(result.notes),
     }  # fmt: skip
+
+
+def of_wrong_model(campaign: Campaign, table: pd.DataFrame) -> Record:
+    """What a model that the sample does not have says of rho_dh, and of a direction beside a measured one.
+
+    Nothing where the data do not reject that model.
+    """
+    other = WRONG.get(campaign.model)
+    result = fit(table, other) if other is not None else None
+    if result is None or not result.rejected:
+        return {}
+    true, nm = models.build(campaign.model, campaign.given), campaign.wavelength_nm
+    at = result.data.directions
+    k = campaign.number % len(result.data)
+    rho = [r for r in of_model(result) if r.u]
+    picked = rho[campaign.number % len(rho)] if rho else None
+    theta, phi = (float(at.theta_i[k]) if picked is None else math.radians(picked.theta_i_deg)), float(at.phi_i[k])
+    whole = float(true.directional_hemispherical(theta, phi_i=phi, wavelength_nm=nm))
+    if float(true.specular_reflectivity(theta, wavelength_nm=nm)) > SPIKE * whole:
+        return {}  # how much of a spike a lobe takes is no question of a smooth misfit
+    inward = np.where(at.theta_r > BESIDE, -BESIDE, BESIDE)
+    beside = Directions(at.theta_i, at.phi_i, at.theta_r + inward, at.phi_r)[k : k + 1]
+    value, u = result.predict(beside)
+    there = float(np.asarray(true.brdf(*beside.angles, wavelength_nm=nm))[0])
+    out: Record = {"a value beside a measured one": {"true": there, "value": float(value[0]), "u": float(u[0])}}
+    if picked is not None:
+        out["rho_dh"] = {"true": whole, "value": picked.rho_dh, "u": picked.u}
+    return out
 
 
 def _plain(matrix: Any) -> list[list[float | None]]:

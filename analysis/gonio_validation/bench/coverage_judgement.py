@@ -138,9 +138,10 @@ def judged(records: Sequence[Record]) -> tuple[list[Count], list[Pulls], list[Un
         for name in some[0]["fit"]["free"]:
             every = [r["fit"]["parameters"][name] for r in some]
             judge("parameters", name, f"{group}: {name}", known_pulls(every), [_holds(p) for p in every])
-    for name in sorted({name for r in records for name in r["calibrated"]}):
-        found = [r["calibrated"][name] for r in records if name in r["calibrated"]]
-        judge("calibrated", name, name, [(x["value"] - x["true"]) / x["u"] for x in found])
+    for kind in ("wrong", "calibrated"):
+        for name in sorted({name for r in records for name in r[kind]}):
+            found = [r[kind][name] for r in records if name in r[kind]]
+            judge(kind, name, name, [(x["value"] - x["true"]) / x["u"] for x in found])
     tests = {
         "all points together": joint,
         "all fitted parameters together": several,

@@ -39,6 +39,7 @@ KINDS = {
     "joint": "BRDF, all points together",
     "parameters": "fitted parameters",
     "joint parameters": "fitted parameters, all together",
+    "wrong": "a model that the sample does not have",
     "calibrated": "calibrated",
 }
 

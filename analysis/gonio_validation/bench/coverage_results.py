@@ -16,7 +16,7 @@ class Count:
     """In how many campaigns an interval of 95 % holds the truth."""
 
     kind: str
-    """"points", "joint", "parameters", "joint parameters" or "calibrated"."""
+    """"points", "joint", "parameters", "joint parameters", "wrong" or "calibrated"."""
     what: str
     """The quantity."""
     group: str

@@ -46,7 +46,7 @@ def record(number: int, too_small: float = 1.0) -> dict[str, Any]:
     }  # fmt: skip
     return {
         "format": 2, "campaign": number, "model": ("one", "two")[number % 2], "plan": "in plane", "failed": None,
-        "wavelength_nm": 550.0, "seconds": 1.0, "calibrated": {},
+        "wavelength_nm": 550.0, "seconds": 1.0, "calibrated": {}, "wrong": {},
         "points": {
             "theta_i_deg": [30.0] * POINTS, "theta_r_deg": [40.0] * POINTS, "dphi_deg": [180.0] * POINTS,
             "brdf": value.tolist(), "truth": truth.tolist(), "region": ["elsewhere"] * POINTS,
