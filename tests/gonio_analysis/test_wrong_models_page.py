@@ -1,0 +1,39 @@
+"""docs/wrong_models.md says what its commands print, where the measured files lie beside the project."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+
+from tests.command_line import gonio
+from tests.places import ROOT, measured
+
+FILES = {
+    "PTFE.data.csv": "brdf/nist_ptfe/PTFE.data.csv",
+    "krylon_blue.astm": "brdf/cornell_astm/krylon_blue.astm",
+    "acrylic_felt_green_rgb.bsdf": "brdf/rgl/acrylic_felt_green_rgb.bsdf",
+}
+
+
+def quoted() -> dict[str, str]:
+    """Commands of the page, and what it shows of their output."""
+    text = (ROOT / "docs" / "wrong_models.md").read_text(encoding="utf-8")
+    blocks = re.findall(r"(?m)(?:^    .*\n)+", text)
+    return dict(zip((b.strip() for b in blocks[::2]), blocks[1::2], strict=True))
+
+
+@pytest.mark.parametrize("command", quoted())
+def test_the_page_shows_what_is_printed(command: str, tmp_path: Path) -> None:
+    words = shlex.split(command)[1:]
+    name, _, sample = words[1].partition(":")
+    (tmp_path / name).symlink_to(measured(FILES[name]))
+    done = gonio(tmp_path, *words)
+    assert done.returncode == 0, done.stderr
+    printed = " ".join(done.stdout.split())
+    for line in " ".join(quoted()[command].split()).split("  "):
+        rows = re.split(r"(?<=fitted) ", line)
+        for row in rows:
+            assert row in printed, (sample, row)
