@@ -60,7 +60,7 @@ def section(choice: ChoiceSummary, alone_nm: float | None = None) -> list[Block]
             )
         )
     chi = "reduced χ²" if alone_nm is None else f"reduced χ², {alone_nm:g} nm alone"
-    fails = "farthest off, by the median of a region"
+    fails = "farthest off, with the median there"
     out.append(
         table(
             "From the simplest up. AIC and BIC are differences to the lowest; the held-out error is the mean squared"

@@ -74,8 +74,8 @@ def where(missed: Region | None) -> str:
     if missed is None or missed.ratio is None:
         return ""
     said = (
-        f"Of all regions it is farthest off, by the median, at {missed.words} ({missed.values} values): it is"
-        f" {times(missed.ratio)} there."
+        f"Of all regions it is farthest off at {missed.words} ({missed.values} values): it is"
+        f" {times(missed.ratio)} there, by the median."
     )
     single = missed.single_ratio
     if single is not None and abs(math.log(single)) > abs(math.log(missed.ratio)) + math.log(SINGLE):

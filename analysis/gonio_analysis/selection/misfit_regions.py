@@ -21,6 +21,8 @@ RANGE = float(np.radians(15.0))
 """Widest range of angles of incidence in a region, where a source was moved in steps too small to tell apart."""
 ALIKE = 1e-3
 """A median of model / measured that is nearer to 1 is not worth a word."""
+ONE_WAY = 0.7
+"""Of the root mean square of ln(model / measured) in a region: a median nearer to 0 does not say how far off it is."""
 FEWEST = 3
 """Values of a region that `farthest` may name."""
 
@@ -45,14 +47,18 @@ class Region:
     @property
     def off(self) -> str:
         """As in "8 % too high around the mirror direction at θi = 45°"; "" where it is not, or nothing is known."""
-        if self.ratio is None or abs(self.ratio - 1) < ALIKE:
+        typical = math.sqrt(self.excess / self.values)
+        if self.ratio is None or typical < ALIKE:
             return ""
-        factor = max(self.ratio, 1.0 / max(self.ratio, 1e-300))
-        how = f"too {'high' if self.ratio > 1 else 'low'}"
-        if factor < 2:
-            how = f"{shown.number(100 * abs(self.ratio - 1), 2)} % {how}"
-        else:
-            how += f" by a factor of {shown.number(factor, 2)},"
+        way = f"too {'high' if self.ratio > 1 else 'low'}"
+        if abs(math.log(max(self.ratio, 1e-300))) >= ONE_WAY * typical:
+            factor = max(self.ratio, 1.0 / max(self.ratio, 1e-300))
+            how = f"{shown.number(100 * abs(self.ratio - 1), 2)} % {way}"
+            how = how if factor < 2 else f"{way} by a factor of {shown.number(factor, 2)},"
+        else:  # the mean square says how far off it is, and nothing which way
+            factor = math.exp(typical)
+            how = f"{shown.number(100 * (factor - 1), 2)} %" if factor < 2 else f"a factor of {shown.number(factor, 2)}"
+            how = f"off by {how} either way,"
         at, _, zone = self.words.rpartition(", ")
         return f"{how} {f'{zone} at {at}' if at else f'over {self.words}'}"
 
@@ -70,9 +76,9 @@ def incidences(data: Observations) -> list[tuple[float, Rows]]:
 
 
 def farthest(result: FitResult) -> Region | None:
-    """The region of three values or more whose median of model / measured is farthest from 1, as a ratio.
+    """The region of three values or more in which ln(model / measured) has the largest root mean square.
 
-    A median says nothing of single values: the one that is farthest off, in any region, stands beside it.
+    That says nothing of single values: the one that is farthest off, in any region, stands beside it.
     Where no region has so many values they are taken together.
     """
     data = result.data
@@ -82,7 +88,7 @@ def farthest(result: FitResult) -> Region | None:
     found = [(words, here[seen[here]]) for words, here in _regions(data)]
     found = [(words, here) for words, here in found if here.size >= FEWEST] or [("all angles", np.flatnonzero(seen))]
     total = float((logs**2).sum())
-    words, here = max(found, key=lambda f: abs(float(np.median(logs[f[1]]))) if f[1].size else -1.0)
+    words, here = max(found, key=lambda f: float(np.mean(logs[f[1]] ** 2)) if f[1].size else -1.0)
     if not here.size or total <= 0:
         return None
     excess = float((logs[here] ** 2).sum())

@@ -207,7 +207,7 @@ def test_the_column_of_misfits_says_what_it_ranks_by() -> None:
         dataset = examine(frame, ["lambert", "oren-nayar"], name="paint")
         (facts,) = summarise([dataset], title="", normalise="mirror", command="").datasets
         found = next(b for b in model_choice.section(facts.choice) if isinstance(b, Table))
-        assert found.header[-1] == "farthest off, by the median of a region"
+        assert found.header[-1] == "farthest off, with the median there"
         of_misfit = list(found.header).index("misfit tau")
         cells = [str(row[-1]).replace("\u00a0", " ") for row in found.rows]
         for cell, one in zip(cells, facts.choice.candidates, strict=True):
