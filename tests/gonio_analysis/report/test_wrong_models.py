@@ -30,8 +30,9 @@ MODELS = ("lambert", "oren-nayar", "blinn", "cook-torrance")
 OFF = r"(off by )?[\d.]+ % (too high|too low|either way,)"
 SAID = re.compile(
     r"^(?P<model>\S+) is (the nearest of the 4 models tried|the simplest of the models that cannot be told apart from"
-    r" the nearest, \S+): it describes this sample to [\d.]+ % \([\d.]+ to [\d.]+\), worst " + OFF
-    r" (on the retro side|between normal and mirror|around the mirror direction|beyond the mirror direction)"
+    r" the nearest, \S+): it describes this sample to [\d.]+ % \([\d.]+ to [\d.]+\), worst "
+    + OFF
+    + r" (on the retro side|between normal and mirror|around the mirror direction|beyond the mirror direction)"
     r" at θi = \d+°\."
 )
 
