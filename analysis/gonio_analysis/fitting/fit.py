@@ -63,6 +63,8 @@ EXCESS = 2e-5
 """What the bound on rho_dh gives way by, about."""
 SIGNIFICANCE = 0.01
 """A model is rejected where noise alone makes so large a chi-square less often than this."""
+AT_BOUND = 1e-3
+"""Of a parameter's range: nearer to a bound its own place is tried, too."""
 TURNS = 8
 """Parameters and tau are found in turn, so often at most."""
 SETTLED = 1e-3
@@ -515,6 +517,13 @@ def _nearest(rejected: FitResult, searches: int, say: Say) -> FitResult:
         begin.insert(0, search(problem, unstated, searches=searches, say=say))
     found = [refine(problem, unstated, objective(unstated), start, quick=True) for start in begin]
     vector = min(found, key=lambda f: f[1])[0]
+    residual, columns, stated = residuals_on_log_scale(problem, data, vector)
+    if stated is not None and estimated_tau(residual, columns, stated) < float(np.median(stated.random)):
+        # over many decades a search by the stated uncertainties may end where nothing is right
+        whole = _weighted_from(rejected, vector, say)
+        rejected = min(rejected, whole, key=lambda one: one.goal.total(one.whitened))
+        if not rejected.rejected:
+            return rejected
     tau = 0.0
     for _ in range(TURNS):
         before, tau = tau, estimated_tau(*residuals_on_log_scale(problem, data, vector))
@@ -525,6 +534,30 @@ def _nearest(rejected: FitResult, searches: int, say: Say) -> FitResult:
     vector, jacobian = settle(problem, data, goal, vector)
     result = _result(problem, data, goal, vector, jacobian, rejected.wavelength_nm)
     return known_by_blocks(replace(result, chi_square=rejected.chi_square))
+
+
+def _weighted_from(first: FitResult, vector: Floats, say: Say) -> FitResult:
+    """The same fit by the stated uncertainties, begun at another place.
+
+    A search stays off the bounds, if only by 1e-9. Over many decades that is too far: so they are tried as well.
+    """
+    problem, data = first.problem, first.data
+    lower, upper = problem.bounds
+    close = AT_BOUND * (upper - lower)
+    on_bounds = np.where(vector < lower + close, lower, np.where(vector > upper - close, upper, vector))
+    goal = scaled_to(data, apparent(problem.model(vector), data, quick=True))
+    ends = [refine(problem, data, goal, vector, quick=True, say=say)[0]]
+    if np.any(on_bounds != vector):
+        ends.append(on_bounds)
+    found = []
+    for end in ends:
+        goal = scaled_to(data, apparent(problem.model(end), data))
+        for _ in range(TURNS):
+            before, (end, jacobian) = end, settle(problem, data, goal, end)
+            if np.array_equal(before, end):
+                break
+        found.append(_result(problem, data, goal, end, jacobian, first.wavelength_nm))
+    return min(found, key=lambda one: one.goal.total(one.whitened))
 
 
 def residuals_on_log_scale(

@@ -46,6 +46,10 @@ WEIGHTY = 0.15
 """Part of a parameter's variance by blocks above which a block is fitted again."""
 ABSENT = 1e-9
 """Amplitude of a part of the process that is left out, of tau."""
+IMPOSSIBLE = 1e30
+"""-2 ln of a likelihood that is 0."""
+FARTHEST = 100.0
+"""Of ln tau an end of its interval: there nothing is known of it."""
 K95 = 1.959964
 Rows = npt.NDArray[np.intp]
 
@@ -91,7 +95,9 @@ def _unlikely(z: Floats, jacobian: Floats, stated: Covariance) -> Callable[[floa
     def unlikely(log_tau: float) -> float:
         whole = replace(stated, random=np.hypot(stated.random, math.exp(log_tau)))
         white, columns = whole.whiten(z), whole.whiten(basis)
-        return float(white @ white) + whole.log_determinant + float(np.linalg.slogdet(columns.T @ columns)[1])
+        inner = float(np.linalg.slogdet(columns.T @ columns)[1])
+        value = float(white @ white) + whole.log_determinant + inner
+        return value if math.isfinite(value) else IMPOSSIBLE
 
     return unlikely
 
@@ -194,7 +200,7 @@ class Misfit:
     @property
     def interval(self) -> tuple[float, float]:
         """Of tau, 95 %."""
-        far = math.exp(K95 * self.u_log)
+        far = math.exp(min(K95 * self.u_log, FARTHEST))
         return self.tau / far, self.tau * far
 
     @cached_property

@@ -196,6 +196,18 @@ def test_a_model_is_found_over_97_decades() -> None:
     assert known(result.parameters["albedo"].u) > 0
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_the_true_model_is_found_over_97_decades(seed: int) -> None:
+    """A lobe of facets without a base: light a hundred decades below the peak still tells its width."""
+    lobe = CookTorrance(s=1.0, d=0.0, slopes=((0.045, 1.0),), ior=1.5, diffuse_albedo=0.0)
+    frame = measure(lobe, incidences=(0.0,), views=np.linspace(1.0, 68.2, 98), floor=0.0, noise=0.02, seed=seed)
+    assert np.log10(frame["brdf"].max() / frame["brdf"].min()) > 97.0
+    result = fit(frame, "cook-torrance")
+    assert not result.rejected
+    m = result.parameters["m"]
+    assert abs(m.value - 0.045) < 4 * known(m.u)  # 1 in 16 000
+
+
 def test_a_misfit_stays_small_toward_grazing_directions_that_nobody_measured() -> None:
     """Half vectors near the horizon: there nothing is known, and the model is what is left."""
     result = fit(of_facets(3, "in plane")[0], "cook-torrance")
