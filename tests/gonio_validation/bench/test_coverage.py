@@ -45,7 +45,8 @@ def record(number: int, too_small: float = 1.0) -> dict[str, Any]:
         for name, true, x, u in zip("ab", (0.5, 0.2), found, np.sqrt(np.diag(spread)), strict=True)
     }  # fmt: skip
     return {
-        "format": 2, "campaign": number, "model": ("one", "two")[number % 2], "plan": "in plane", "failed": None,
+        "format": coverage_campaign.FORMAT, "campaign": number, "model": ("one", "two")[number % 2],
+        "plan": "in plane", "failed": None,
         "wavelength_nm": 550.0, "seconds": 1.0, "calibrated": {}, "wrong": {},
         "points": {
             "theta_i_deg": [30.0] * POINTS, "theta_r_deg": [40.0] * POINTS, "dphi_deg": [180.0] * POINTS,
@@ -202,7 +203,7 @@ def test_goes_on_where_it_was_stopped(tmp_path: Path, monkeypatch: pytest.Monkey
     with pytest.raises(Interrupted, match="4 of 8 campaigns are done and kept"):
         coverage.make(out, campaigns=8, jobs=1)
     assert not (out / "index.html").exists()
-    (out / "campaigns" / "00002.json").write_text('{"format": 2, "cam', encoding="utf-8")  # a damaged disk
+    (out / "campaigns" / "00002.json").write_text('{"format": 3, "cam', encoding="utf-8")  # a damaged disk
     again = faked(monkeypatch)
     steps: list[tuple[int, int]] = []
     coverage.make(out, campaigns=8, jobs=1, step=lambda done, total: steps.append((done, total)))

@@ -1,0 +1,38 @@
+"""The golden files: one archive a case, of texts without times, versions and folders."""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from pathlib import Path
+
+from tests.golden.cases import CASES, help_of_all
+from tests.golden.comparison import same_for_all
+
+FOLDER = Path(__file__).parent / "data"
+EPOCH = (2026, 1, 1, 0, 0, 0)
+"""Of every file in an archive: an archive of the same texts is the same file."""
+
+
+def carried_out(name: str, folder: Path) -> dict[str, str]:
+    """What a case gives now: text by file."""
+    return {"help.txt": help_of_all()} if name == "help" else CASES[name].carried_out(folder)
+
+
+def read(name: str) -> dict[str, str]:
+    """What it gave when the set was made; nothing where it never was."""
+    path = FOLDER / f"{name}.zip"
+    if not path.exists():
+        return {}
+    with zipfile.ZipFile(path) as archive:
+        return {file: archive.read(file).decode() for file in archive.namelist()}
+
+
+def write(name: str, texts: dict[str, str]) -> None:
+    """Keep what a case gives."""
+    FOLDER.mkdir(exist_ok=True)
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as archive:
+        for file, text in sorted(texts.items()):
+            archive.writestr(zipfile.ZipInfo(file, EPOCH), same_for_all(text), zipfile.ZIP_DEFLATED)
+    (FOLDER / f"{name}.zip").write_bytes(out.getvalue())
