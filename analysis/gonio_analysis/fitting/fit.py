@@ -217,6 +217,21 @@ class FitResult:
         brdf, root = known.beside(at, model)
         return brdf, np.hypot(np.linalg.norm(root, axis=1), own * known.open(at))
 
+    @cached_property
+    def bounded_spread(self) -> Floats:
+        """`spread`, where a parameter that the data do not determine lies between its bounds.
+
+        So does one that stands at a bound: its formal error goes with no other's.
+        """
+        lower, upper = self.problem.bounds
+        finite = np.isfinite(np.diag(self.spread))
+        out = np.where(np.outer(finite, finite), self.spread, 0.0)
+        alone = ~(out - np.diag(np.diag(out))).any(axis=0)
+        widest = (upper - lower) ** 2 / 12.0
+        limited = np.where(finite, np.minimum(np.diag(out), widest), widest)
+        out[np.diag_indices_from(out)] = np.where(alone, limited, np.diag(out))
+        return out
+
     def _parameter_root(self, at: Directions, wave: float) -> Floats:
         """root @ root.T is the covariance of the model's values (n, p) [1/sr] from its parameters."""
         lower, upper = self.problem.bounds
@@ -229,7 +244,7 @@ class FitResult:
             columns.append((high - low) / (ends[0][k] - ends[1][k]))
         slopes = np.array(columns)
         felt = np.abs(slopes).max(axis=1) > 0  # a parameter that the values do not feel may be without an uncertainty
-        sizes, axes = np.linalg.eigh(self.spread[np.ix_(felt, felt)])
+        sizes, axes = np.linalg.eigh(self.bounded_spread[np.ix_(felt, felt)])
         return np.asarray(slopes[felt].T @ (axes * np.sqrt(np.maximum(sizes, 0.0))))
 
     @property

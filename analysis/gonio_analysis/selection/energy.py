@@ -46,11 +46,11 @@ def of_model(result: FitResult) -> list[Reflectance]:
         slopes.append((high - low) / (up[k] - down[k]))
     jacobian = np.array(slopes)
     felt = np.abs(jacobian).max(axis=1) > 1e-9
-    spread = result.spread[np.ix_(felt, felt)]
+    spread = (result.spread if result.misfit is None else result.bounded_spread)[np.ix_(felt, felt)]
     variance = np.einsum("ki,kl,li->i", jacobian[felt], spread, jacobian[felt])
     u = np.sqrt(np.maximum(variance, 0.0))
     if result.misfit is not None:
-        found = zip(theta, value, np.where(np.isfinite(u), u, 0.0), strict=True)
+        found = zip(theta, value, u, strict=True)
         return [_with_misfit(result, t, phi, wave, float(r), float(e)) for t, r, e in found]
     return [
         Reflectance(math.degrees(t), float(r), float(e) if math.isfinite(e) else None, "")

@@ -221,6 +221,16 @@ def test_a_misfit_stays_small_toward_grazing_directions_that_nobody_measured() -
     assert float(np.max(np.abs(np.log(brdf / model)))) < 10 * result.misfit.tau
 
 
+@pytest.mark.parametrize("model", ["phong", "blinn", "oren-nayar"])
+def test_a_prediction_is_uncertain_by_what_is_not_determined_and_never_unknown(model: str) -> None:
+    """Of a diffuser a model's lobe is not determined: it may be anywhere between its bounds."""
+    result = fit(measure(Lambert(0.4), noise=0.005, seed=2), model)
+    at = Directions.from_degrees(30.0, 0.0, np.arange(0.0, 80.0, 10.0), 180.0)
+    brdf, u = result.predict(at)
+    assert np.all(np.isfinite(brdf))
+    assert np.all(np.isfinite(u) & (u > 0.0))
+
+
 def test_few_residuals_that_agree_by_chance_make_no_exact_tau() -> None:
     """Of two values and one parameter the residuals are equal: the blocks agree, and one degree of freedom is left."""
     table, _ = of_facets(3, "in plane")
