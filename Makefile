@@ -36,4 +36,4 @@ site: .venv/.ready
 
 clean:
 	rm -rf .venv .venv-oldest demo-run build
-	find gonio drivers sim scenes analysis sweeps interchange tests -name __pycache__ -type d -exec rm -rf {} +
+	find gonio drivers sim analysis tests -name __pycache__ -type d -exec rm -rf {} +

@@ -42,7 +42,7 @@ def entries(text: str) -> list[str]:
 def files() -> Iterator[Path]:
     """What people read and write: code, docs, shipped TOML; not the changes of the past, nor this file's examples."""
     yield ROOT / "README.md"
-    for folder in ("gonio", "drivers", "sim", "scenes", "analysis", "docs", "tests", "tools"):
+    for folder in ("gonio", "drivers", "sim", "analysis", "docs", "tests", "tools"):
         for path in sorted((ROOT / folder).rglob("*")):
             if path.suffix in {".py", ".md", ".toml"} and path.resolve() != Path(__file__).resolve():
                 yield path

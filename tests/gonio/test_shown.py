@@ -12,7 +12,7 @@ import pytest
 from gonio.shown import apart, interval, with_u
 
 ROOT = Path(__file__).parents[2]
-HOMES = ("gonio", "analysis", "sweeps", "sim", "scenes", "drivers", "interchange")
+HOMES = ("gonio", "analysis", "sim", "drivers")
 OF_ITS_OWN = re.compile(r"\{[^{}]*:[^{}]*\} ?(±|\+-)|(±|\+-) ?\{[^{}]*:[.][^{}]*\} ?(?!/|;|,)")
 """A value or an uncertainty beside ± with a number of digits that somebody chose there."""
 
