@@ -1,10 +1,10 @@
-"""The README's calibration, on benches with fresh hidden truths: is what it finds true, and a run after it?
+"""The tour's calibration, on benches with fresh hidden truths: is what it finds true, and a run after it?
 
     python tools/recipe_campaign.py --setups 6 --seed 1
 
 Every bench is `sim-uncalibrated` with limits of 95 or 120 deg and another truth: zeros up to 2 deg off, harmonics,
 tilted axes, a tilted holder, a gain that is 15 % off, another black level. Every other rig file claims zeros to 0.02
-deg, which is false. The four commands are run as the README has them, then the white is measured as a sample.
+deg, which is false. The four commands are run as docs/tour.md has them, then the white is measured as a sample.
 """
 
 from __future__ import annotations

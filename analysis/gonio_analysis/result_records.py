@@ -7,16 +7,33 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from gonio import shown
 from gonio.checks.verdicts import Check
 
 if TYPE_CHECKING:
     from pydantic import JsonValue
 
-    from gonio.formats.reader import TableBand
 
 WHERE_KNOWN = {"where_known": True}
 """Of a field that JSON has only where it is not None."""
+
+
+def as_json(value: Any) -> Any:
+    """Results as dictionaries and lists, their fields in order; None for numbers that are not finite."""
+    if hasattr(value, "summary"):
+        return as_json(value.summary())
+    if is_dataclass(value):
+        pairs = ((f, getattr(value, f.name)) for f in fields(value))
+        return {f.name: as_json(v) for f, v in pairs if not (v is None and f.metadata.get("where_known"))}
+    if isinstance(value, Mapping):
+        return {str(k): as_json(v) for k, v in value.items()}
+    if isinstance(value, list | tuple | np.ndarray):
+        return [as_json(v) for v in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def finite(value: float | None) -> float | None:
@@ -24,36 +41,7 @@ def finite(value: float | None) -> float | None:
     return None if value is None or not math.isfinite(value) else float(value)
 
 
-def as_json(value: Any) -> Any:
-    """Summaries as dictionaries and lists, their fields in order."""
-    if is_dataclass(value):
-        pairs = ((f, getattr(value, f.name)) for f in fields(value))
-        return {f.name: as_json(v) for f, v in pairs if not (v is None and f.metadata.get("where_known"))}
-    if isinstance(value, Mapping):
-        return {k: as_json(v) for k, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [as_json(v) for v in value]
-    return value
-
-
 # --- fits ------------------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Value:
-    """A fitted value and its standard error; None where it is not determined."""
-
-    value: float | None
-    u: float | None
-
-
-@dataclass(frozen=True)
-class ParameterSummary(Value):
-    """One parameter of a fitted model, as `gonio_analysis.fitting.fit.Estimate`."""
-
-    fixed: bool
-    at_bound: str | None = field(default=None, metadata=WHERE_KNOWN)
-    material: str | None = field(default=None, metadata=WHERE_KNOWN)
 
 
 @dataclass(frozen=True)
@@ -99,84 +87,6 @@ class MisfitSummary:
 
 
 @dataclass(frozen=True)
-class FitSummary:
-    """What `gonio fit --json` prints of a `gonio_analysis.fitting.fit.FitResult`."""
-
-    model: str
-    parameters: dict[str, ParameterSummary]
-    derived: dict[str, ParameterSummary]
-    correlation: dict[str, dict[str, float | None]]
-    chi_square: float | None
-    """The smallest one that the model reaches with the stated uncertainties."""
-    reduced_chi_square: float | None
-    p_value: float | None
-    misfit: MisfitSummary | None
-    """None by a metric, or a loss, of somebody's choice."""
-    verdict: str
-    n_points: int
-    n_free: int
-    wavelength_nm: float | None
-    weighting: str
-    metric: str
-    """As of `--metric`."""
-    u_rel_assumed: float | None
-    """The relative uncertainty that was assumed; None where the table states its own, or nobody assumed any."""
-    condition: float | None
-    left_out: Mapping[str, int]
-    source_solid_angle_sr: float | None
-    """None where tables that are fitted together have different ones."""
-    receiver_solid_angle_sr: float | None
-    convention: str
-    notes: list[str]
-    wall_s: float
-    shared: SharedGeometry | None
-    """Where other wavelengths were fitted together with this one; else None."""
-
-
-@dataclass(frozen=True)
-class CurveSummary:
-    """One in-plane curve with one model's theory."""
-
-    label: str
-    scanned: str
-    parameter_deg: float
-    phi_i_deg: float
-    points: int
-    normalised_by: str
-    normalised_by_words: str
-    normalised_at_deg: float
-    norm_measured: float
-    norm_theory: float
-    theory_peak_deg: float
-    theory_peak: float
-    measured_peak_deg: float
-    measured_peak: float
-
-
-@dataclass(frozen=True)
-class AtWavelength:
-    """The same fit at one of several wavelengths."""
-
-    wavelength_nm: float
-    n_points: int
-    reduced_chi_square: float | None
-    parameters: dict[str, Value]
-
-
-@dataclass(frozen=True)
-class RegionSummary:
-    """Where a model misses, as `gonio_analysis.selection.misfit_regions.Region`."""
-
-    words: str
-    values: int
-    excess: float
-    share: float
-    ratio: float | None
-    single_ratio: float | None = None
-    single_words: str = ""
-
-
-@dataclass(frozen=True)
 class Reflectance:
     """Directional-hemispherical reflectance at one angle of incidence."""
 
@@ -202,26 +112,6 @@ class Reflectance:
 
 
 @dataclass(frozen=True)
-class TransmissionSummary:
-    """What a sample lets through."""
-
-    name: str
-    source: str
-    """The file, where its reflection is not on the page; else empty."""
-    rows: int
-    used: int
-    left_out_words: str
-    wavelength_nm: float | None
-    theta_i_deg: list[float]
-    btdf_min: float
-    btdf_max: float
-    tau_dh: list[Reflectance]
-    """Directional-hemispherical transmittance, in the field `rho_dh` of each."""
-    notes: list[str]
-    """What the table's reader says, where its reflection is not on the page."""
-
-
-@dataclass(frozen=True)
 class MuellerElement:
     """One element of measured Mueller matrices, over the first one, against a model's."""
 
@@ -237,31 +127,6 @@ class MuellerElement:
 
 
 @dataclass(frozen=True)
-class MuellerSummary:
-    """Measured Mueller matrices against those of a model."""
-
-    model: str | None
-    points: int
-    elements: list[MuellerElement]
-
-
-@dataclass(frozen=True)
-class SymmetrySummary:
-    """Pairs of values that a symmetry of the sample would make alike."""
-
-    kind: str
-    """ "reciprocity", "left and right" or "azimuth of incidence"."""
-    words: str
-    pairs: int
-    typical: float
-    """rms of ln(one / other)."""
-    largest: float
-    reduced_chi_square: float | None
-    broken: bool
-    """Whether they differ by more than their uncertainty (by more than 10 %, where none is known)."""
-
-
-@dataclass(frozen=True)
 class ChecksSummary:
     """The checks of a measurement, and what they rest on, thinned for a figure."""
 
@@ -272,83 +137,6 @@ class ChecksSummary:
     """When the white reference was visited, from the first visit on."""
     visits: list[float]
     """Its signal per unit BRDF."""
-
-
-@dataclass(frozen=True)
-class ModelSummary(FitSummary):
-    """A fit with what the page shows of it."""
-
-    metrics: dict[str, float | None]
-    missed: RegionSummary | None
-    """The region of angles with the median of model / measured farthest from 1."""
-    rho_dh: list[Reflectance]
-    reflects_too_much: bool
-    """Whether it reflects more than it receives at one of these."""
-    curves: list[CurveSummary]
-    series: list[AtWavelength]
-
-
-# --- which model -----------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class CandidateSummary:
-    """A model that was tried, as `gonio_analysis.selection.choice.Judged`."""
-
-    label: str
-    model: str
-    n_free: int
-    free: list[str]
-    parameters: dict[str, Value]
-    chi_square: float | None
-    reduced_chi_square: float | None
-    p_value: float | None
-    aic: float | None
-    bic: float | None
-    held_out: float | None
-    wall_s: float
-    misfit: MisfitSummary | None
-    rejected: str
-    fails: RegionSummary | None
-
-
-@dataclass(frozen=True)
-class ProfileSummary:
-    """The rise of chi-square over one parameter."""
-
-    values: list[float]
-    rise: list[float]
-
-
-@dataclass(frozen=True)
-class IntervalSummary:
-    """A profile-likelihood interval, as `gonio_analysis.fitting.profile_likelihood.Interval`."""
-
-    low: float
-    high: float
-    open_low: bool
-    open_high: bool
-    level: float
-    profile: ProfileSummary
-    linear: bool | None = field(default=None, metadata=WHERE_KNOWN)
-    """Whether the standard error says the same; where it does not, the interval stands alone."""
-
-
-@dataclass(frozen=True)
-class ChoiceSummary:
-    """What was tried, as `gonio_analysis.selection.choice.Choice`."""
-
-    named: str | None
-    model: str | None
-    words: str
-    significance: float
-    decisive_aic: float
-    held_out_by: str
-    candidates: list[CandidateSummary]
-    intervals: dict[str, IntervalSummary]
-    left_out: dict[str, str]
-    near: dict[str, float]
-    """Where no model is true: those that cannot be told from the nearest one, it first, with their weights."""
 
 
 # --- appearance ------------------------------------------------------------------------------------------------------
@@ -605,79 +393,7 @@ class MeasuredValue:
     u_brdf: float | None
 
 
-@dataclass(frozen=True)
-class DatasetSummary:
-    """One measured sample with every model that was fitted to it."""
-
-    name: str
-    slug: str
-    source: str
-    format: str | None
-    quantity: str
-    rows: int
-    rows_here: int
-    used: int
-    left_out: Mapping[str, int]
-    left_out_words: str
-    negative: int
-    wavelength_nm: float | None
-    wavelengths_nm: list[float | None]
-    bands: list[TableBand]
-    source_solid_angle_sr: float | None
-    receiver_solid_angle_sr: float | None
-    uncertainty_stated: bool
-    u_rel_assumed: float | None
-    causes: list[str]
-    theta_i_deg: list[float]
-    brdf_min: float
-    brdf_max: float
-    median_u_rel: float | None
-    budget: list[CauseSummary]
-    curves_known: int
-    scanned: str | None
-    out_of_plane_deg: float
-    curves_without_mirror: list[float]
-    notes: list[str]
-    data_notes: list[str]
-    provenance: Any
-    """As the table has it, whoever wrote it."""
-    run: RunFacts | None
-    models: dict[str, ModelSummary]
-    skipped: dict[str, str]
-    choice: ChoiceSummary
-    values: list[MeasuredValue]
-    usable_everywhere: int
-    best: str | None
-    conclusion: str
-    rho_dh: list[Reflectance]
-    """Of the measurement itself."""
-    rho_dh_combined: list[Reflectance]
-    """Over the models that cannot be told from the nearest one (`ChoiceSummary.near`); empty where one is true."""
-    symmetries: list[SymmetrySummary]
-    appearance: Appearance | None = None
-    """None where a table is too large for a quick look."""
-    transmission: TransmissionSummary | None = None
-    """None where the table holds reflection alone."""
-    mueller: MuellerSummary | None = None
-    simulated: bool = False
-    """Whether a simulation made the values."""
-    checks: ChecksSummary | None = None
-
-    @property
-    def title(self) -> str:
-        """The name, with a mark where the values are simulated."""
-        return shown.marked(self.name, self.simulated)
-
-
 # --- pages -----------------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class MetricSummary:
-    """A distance between model and measurement in words."""
-
-    label: str
-    meaning: str
 
 
 @dataclass(frozen=True)
@@ -687,24 +403,3 @@ class FigureSummary:
     name: str
     caption: str
     alt: str
-
-
-@dataclass(frozen=True)
-class Summary:
-    """A comparison of models on one or more samples."""
-
-    title: str
-    created: str
-    command: str
-    versions: dict[str, str]
-    normalise: str
-    models: list[str]
-    in_plane_tolerance_deg: float
-    mirror_tolerance_deg: float
-    log_metrics_above_u: float
-    metrics: dict[str, MetricSummary]
-    datasets: list[DatasetSummary]
-    transmission_only: list[TransmissionSummary] = field(default_factory=list)
-    """Samples of which no reflection was measured."""
-    figures: Sequence[FigureSummary] = ()
-    tables: Sequence[str] = ()

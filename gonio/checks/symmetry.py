@@ -81,13 +81,18 @@ class Pairs:
         return None if self.chi_square is None else self.chi_square / self.pairs
 
     @property
-    def differ(self) -> bool:
+    def broken(self) -> bool:
         """Whether they differ by more than their uncertainty (by more than 10 %, where none is known)."""
         from scipy.special import chdtrc
 
         if self.chi_square is None:
             return self.typical > DIFFERENT
         return bool(chdtrc(self.pairs, self.chi_square) < SIGNIFICANCE)
+
+    def summary(self) -> dict[str, object]:
+        """Plain numbers and words."""
+        names = ("kind", "words", "pairs", "typical", "largest", "reduced_chi_square", "broken")
+        return {name: getattr(self, name) for name in names}
 
 
 def symmetries(data: Values) -> list[Pairs]:

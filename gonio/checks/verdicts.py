@@ -125,11 +125,11 @@ def of_pairs(name: str, pairs: Pairs | None, advice: str) -> Check:
     figure = f"{pairs.pairs} pairs differ typically by {_factor(pairs.typical)}, at most by {_factor(pairs.largest)}"
     if pairs.reduced_chi_square is None:
         value = pairs.typical
-        verdict: Verdict = "bad" if pairs.differ else "look" if value > HALF_DIFFERENT else "ok"
+        verdict: Verdict = "bad" if pairs.broken else "look" if value > HALF_DIFFERENT else "ok"
         limit = f"no uncertainty is stated; {_percent(HALF_DIFFERENT)} is worth a look, {_percent(DIFFERENT)} is bad"
     else:
         value = pairs.reduced_chi_square
-        verdict = "ok" if not pairs.differ else "bad" if value > TWICE else "look"
+        verdict = "ok" if not pairs.broken else "bad" if value > TWICE else "look"
         figure += f"; chi-square a pair {value:.3g}"
         limit = (
             "chi-square with the covariance: 1 run in 100 exceeds the limit by chance; above 4 a pair, differences are"

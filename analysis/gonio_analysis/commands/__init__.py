@@ -187,9 +187,9 @@ def fit(
         out["rho_dh"] = result_records.as_json(rho_dh)
         if others:
             series = sorted([result, *others], key=lambda r: r.wavelength_nm)
-            out["series"] = result_records.as_json([r.at_wavelength() for r in series])
+            out["series"] = result_records.as_json([r.at_wavelength for r in series])
         if intervals:
-            out["intervals"] = {n: result_records.as_json(i.summary()) for n, i in walked.items()}
+            out["intervals"] = {n: result_records.as_json(i) for n, i in walked.items()}
         print(json.dumps(out, indent=1, ensure_ascii=False))
     else:
         if 0 < sum(simulated) < len(tables):
@@ -550,7 +550,7 @@ def _print(result: FitResult, sample: str, walked: dict[str, Interval]) -> None:
     for name, e in [*result.parameters.items(), *result.derived.items()]:
         kind = "derived" if name in result.derived else "fixed" if e.fixed else "fitted"
         alone = name in walked and not e.fixed and not walked[name].linear(e.value, e.u)  # two truths otherwise
-        own, ends = in_words(walked[name].summary(), e.value) if name in walked else ("", "")
+        own, ends = in_words(walked[name], e.value) if name in walked else ("", "")
         shown = own if alone else with_u(e.value, 0.0 if e.fixed else e.u)
         value = quantity(shown, e.unit) + (f" ({e.material})" if e.material else "")
         between = [ends] if walked else []

@@ -41,16 +41,7 @@ from gonio_analysis.fitting.parameters import Family, Values
 from gonio_analysis.fitting.problem import STARTS, Bound, FitRequest, Problem, pose, together
 from gonio_analysis.fitting.search import STEP, covariance, derivatives, one_sided, refine, search, search_from, settle
 from gonio_analysis.fitting.value_covariance import Covariance
-from gonio_analysis.result_records import (
-    AtWavelength,
-    FitSummary,
-    MisfitSummary,
-    ParameterSummary,
-    SharedGeometry,
-    Value,
-    as_json,
-    finite,
-)
+from gonio_analysis.result_records import MisfitSummary, SharedGeometry, as_json
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -89,9 +80,16 @@ class Estimate:
     material: str | None = None
     """Where the value is that of a named material at the fitted wavelength."""
 
-    def summary(self) -> ParameterSummary:
+    def summary(self) -> dict[str, object]:
         """Plain numbers and words."""
-        return ParameterSummary(finite(self.value), finite(self.u), self.fixed, self.at_bound or None, self.material)
+        told = {"at_bound": self.at_bound or None, "material": self.material}
+        known = {key: word for key, word in told.items() if word is not None}
+        return {"value": self.value, "u": self.u, "fixed": self.fixed, **known}
+
+    @property
+    def number(self) -> dict[str, float | None]:
+        """The value and its standard error alone."""
+        return {"value": self.value, "u": self.u}
 
 
 @dataclass(frozen=True)
@@ -359,48 +357,49 @@ class FitResult:
             derived=derived(problem, vector, spread),
         )
 
-    def summary(self) -> FitSummary:
-        """Plain numbers and words."""
-        c = self.correlation
-        names = self.free
-        return FitSummary(
-            model=self.name,
-            parameters={k: v.summary() for k, v in self.parameters.items()},
-            derived={k: v.summary() for k, v in self.derived.items()},
-            correlation={a: {b: finite(c[i, j]) for j, b in enumerate(names)} for i, a in enumerate(names)},
-            chi_square=finite(self.chi_square),
-            reduced_chi_square=finite(self.reduced_chi_square),
-            p_value=finite(self.p_value),
-            misfit=self.tau,
-            verdict=self.verdict,
-            n_points=len(self.data),
-            n_free=len(names),
-            wavelength_nm=finite(self.wavelength_nm),
-            weighting=self.weighting,
-            metric=self.goal.metric,
-            u_rel_assumed=self.data.u_rel_assumed,
-            condition=finite(self.condition),
-            left_out=self.data.left_out,
-            source_solid_angle_sr=finite(self.data.source_solid_angle_sr),
-            receiver_solid_angle_sr=finite(self.data.receiver_solid_angle_sr),
-            convention=self.model.convention,
-            notes=list(self.notes),
-            wall_s=self.wall_s,
-            shared=self.shared,
-        )
-
-    def at_wavelength(self) -> AtWavelength:
-        """Its parameters as a line of a series over wavelengths."""
-        return AtWavelength(
-            self.wavelength_nm,
-            len(self.data),
-            finite(self.reduced_chi_square),
-            {n: Value(finite(e.value), finite(e.u)) for n, e in self.parameters.items()},
-        )
-
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> dict[str, object]:
         """What `gonio fit --json` prints: plain numbers, strings and None."""
-        return dict(as_json(self.summary()))
+        return dict(as_json(self))
+
+    def summary(self) -> dict[str, object]:
+        """The same, of which parts may write themselves."""
+        names, data = self.free, self.data
+        related = zip(names, self.correlation, strict=True)
+        return {
+            "model": self.name,
+            "parameters": self.parameters,
+            "derived": self.derived,
+            "correlation": {a: dict(zip(names, row, strict=True)) for a, row in related},
+            "chi_square": self.chi_square,
+            "reduced_chi_square": self.reduced_chi_square,
+            "p_value": self.p_value,
+            "misfit": self.tau,
+            "verdict": self.verdict,
+            "n_points": len(data),
+            "n_free": len(names),
+            "wavelength_nm": self.wavelength_nm,
+            "weighting": self.weighting,
+            "metric": self.goal.metric,
+            "u_rel_assumed": data.u_rel_assumed,
+            "condition": self.condition,
+            "left_out": data.left_out,
+            "source_solid_angle_sr": data.source_solid_angle_sr,
+            "receiver_solid_angle_sr": data.receiver_solid_angle_sr,
+            "convention": self.model.convention,
+            "notes": self.notes,
+            "wall_s": self.wall_s,
+            "shared": self.shared,
+        }
+
+    @property
+    def at_wavelength(self) -> dict[str, object]:
+        """Its parameters as a line of a series over wavelengths."""
+        return {
+            "wavelength_nm": self.wavelength_nm,
+            "n_points": len(self.data),
+            "reduced_chi_square": self.reduced_chi_square,
+            "parameters": {n: e.number for n, e in self.parameters.items()},
+        }
 
 
 def fit(

@@ -22,7 +22,6 @@ from gonio_analysis.fitting import parameters
 from gonio_analysis.fitting.fit import ROUNDING, FitResult
 from gonio_analysis.fitting.parameters import Values
 from gonio_analysis.fitting.surrogate import Near
-from gonio_analysis.result_records import IntervalSummary, ProfileSummary
 
 LEVEL = 0.95
 TRIES = 14
@@ -62,10 +61,10 @@ class Interval:
         low, high = (word + " (bound)" * is_open for word, (_, is_open) in zip(words, self.ends, strict=False))
         return f"<{100 * self.level:g} % interval of {self.name}: {low} to {high}>"
 
-    def summary(self) -> IntervalSummary:
+    def summary(self) -> dict[str, object]:
         """Plain numbers."""
-        profile = ProfileSummary(self.values.tolist(), self.rise.tolist())
-        return IntervalSummary(self.low, self.high, self.open_low, self.open_high, self.level, profile)
+        ends = {name: getattr(self, name) for name in ("low", "high", "open_low", "open_high", "level")}
+        return {**ends, "profile": {"values": self.values, "rise": self.rise}}
 
     def extended(self, other: Interval) -> Interval:
         """This interval, with the ends of another one of the same parameter where they lie farther out."""

@@ -30,8 +30,9 @@ from gonio_analysis.report import (
 )
 from gonio_analysis.report.comparison import summarise
 from gonio_analysis.report.drawing import Draughtsmen, draughtsmen
+from gonio_analysis.report.facts import DatasetSummary, Summary
 from gonio_analysis.report.figures import Drawing
-from gonio_analysis.result_records import DatasetSummary, FigureSummary, RunFacts, Summary, as_json
+from gonio_analysis.result_records import FigureSummary, RunFacts, as_json
 from gonio_analysis.selection import parallel
 from gonio_analysis.selection.choice import candidates
 from gonio_analysis.selection.compare import Dataset, check_models, examine
@@ -220,7 +221,7 @@ def write(
         What `summary.json` holds: every number of the page.
     """
     summary = summarise(datasets, title=title, normalise=normalise, command=command)
-    summary = replace(summary, transmission_only=[t.summary() for t in apart])
+    summary = replace(summary, transmission_only=apart)
     both = list(zip(datasets, summary.datasets, strict=True))
     progress("drawing")
     most = _most_values(datasets)

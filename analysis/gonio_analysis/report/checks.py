@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from gonio.checks import verdicts
-from gonio.checks.symmetry import repeats, symmetries
+from gonio.checks.symmetry import Pairs, repeats
 from gonio.checks.values import Values
 from gonio.checks.verdicts import Check
 from gonio_analysis.plots.in_plane import COLOURS, FAINT, clean
@@ -26,7 +26,7 @@ MOST_DRAWN = 200
 PANEL_IN = 1.85
 
 
-def summary(data: Values, provenance: dict[str, Any], bands: Sequence[str]) -> ChecksSummary:
+def summary(data: Values, known: Sequence[Pairs], provenance: dict[str, Any], bands: Sequence[str]) -> ChecksSummary:
     """The checks of the values of one wavelength, and of the run that measured them in some bands."""
     read = [Check.from_json(one) for one in provenance.get("checks") or []]
     kept = [one for one in read if one is not None]
@@ -35,7 +35,7 @@ def summary(data: Values, provenance: dict[str, Any], bands: Sequence[str]) -> C
     of_run = [one for one in kept if one.band in bands and one.name not in here]
     given = [v for v in provenance.get("reference") or [] if isinstance(v, dict) and v.get("band") in bands]
     visits = given[0] if given and given[0].get("times_s") else {}
-    found = [*symmetries(data), *(one for one in [repeats(data)] if one is not None)]
+    found = [*known, *(one for one in [repeats(data)] if one is not None)]
     return ChecksSummary(
         checks=[*values, *of_run],
         differences={one.kind: _thinned(sorted(one.logs)) for one in found},

@@ -6,7 +6,6 @@ import datetime
 import math
 import platform
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any, TypedDict
 
@@ -15,25 +14,16 @@ import numpy as np
 from gonio import shown
 from gonio.geometry import AT_MIRROR, IN_PLANE
 from gonio_analysis.appearance.quantities import of_table
-from gonio_analysis.curves.in_plane import NORM_WORDS
 from gonio_analysis.fitting.budget import budget
 from gonio_analysis.fitting.fit import FitResult
 from gonio_analysis.fitting.metrics import BELOW, DESCRIPTIONS
 from gonio_analysis.fitting.observations import describe_left_out
 from gonio_analysis.report import checks, verdict
+from gonio_analysis.report.facts import DatasetSummary, MetricSummary, Summary
 from gonio_analysis.report.text import difference, number, slug
-from gonio_analysis.result_records import (
-    Appearance,
-    CurveSummary,
-    DatasetSummary,
-    MeasuredValue,
-    MetricSummary,
-    ModelSummary,
-    Summary,
-    finite,
-)
+from gonio_analysis.result_records import Appearance, MeasuredValue, finite
 from gonio_analysis.selection.choice import nearness
-from gonio_analysis.selection.compare import Dataset, Drawn, Fitted, jumps
+from gonio_analysis.selection.compare import Dataset
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -138,18 +128,18 @@ def _dataset(d: Dataset, slug: str) -> DatasetSummary:
         data_notes=list(d.data.notes),
         provenance=_plain(attrs.get("provenance") or {}),
         run=d.run,
-        models={name: _fitted(f) for name, f in d.fitted.items()},
+        models=d.fitted,
         skipped=dict(d.skipped),
-        choice=d.choice.summary(),
+        choice=d.choice,
         values=[] if d.fitted else _values(d),
         usable_everywhere=len(usable(d)),
         best=best,
         conclusion=_conclusion(d, best),
         appearance=_appearance(d),
-        transmission=None if d.transmitted is None else d.transmitted.summary(),
-        mueller=None if d.polarisation is None else d.polarisation.summary(),
+        transmission=d.transmitted,
+        mueller=d.polarisation,
         simulated=d.simulated,
-        checks=checks.summary(d.data.checked, attrs.get("provenance") or {}, _bands(d)),
+        checks=checks.summary(d.data.checked, d.symmetries, attrs.get("provenance") or {}, _bands(d)),
         rho_dh=d.rho_dh,
         rho_dh_combined=d.rho_dh_combined,
         symmetries=d.symmetries,
@@ -197,40 +187,6 @@ def _values(d: Dataset) -> list[MeasuredValue]:
         MeasuredValue(finite(nm), theta_i, phi_i, theta_r, phi_r, brdf, finite(u))
         for nm, theta_i, phi_i, theta_r, phi_r, brdf, u in rows
     ]
-
-
-def _fitted(f: Fitted) -> ModelSummary:
-    fitted = f.fit.summary()
-    return ModelSummary(
-        **vars(replace(fitted, notes=[*fitted.notes, *jumps(f.series)])),
-        metrics={k: finite(v) for k, v in f.metrics.items()},
-        missed=None if f.missed is None else f.missed.summary(),
-        rho_dh=f.rho_dh,
-        reflects_too_much=verdict.reflects_too_much(f.rho_dh),
-        curves=[_curve(drawn) for drawn in f.drawn],
-        series=[r.at_wavelength() for r in f.series],
-    )
-
-
-def _curve(drawn: Drawn) -> CurveSummary:
-    c, n = drawn.curve, drawn.norm
-    top = int(np.argmax(drawn.theory))
-    return CurveSummary(
-        label=drawn.label,
-        scanned=c.scanned,
-        parameter_deg=math.degrees(c.parameter),
-        phi_i_deg=math.degrees(c.phi_i),
-        points=int(c.angle.size),
-        normalised_by=n.kind,
-        normalised_by_words=NORM_WORDS[n.kind],
-        normalised_at_deg=math.degrees(n.angle),
-        norm_measured=n.measured,
-        norm_theory=n.theory,
-        theory_peak_deg=math.degrees(drawn.theory_angle[top]),
-        theory_peak=float(drawn.theory[top]),
-        measured_peak_deg=math.degrees(c.angle[int(np.argmax(c.brdf))]),
-        measured_peak=float(c.brdf.max()),
-    )
 
 
 def _best(d: Dataset) -> str | None:

@@ -15,8 +15,8 @@ import numpy as np
 from gonio.typing import Floats
 from gonio_analysis.curves.line import Line
 from gonio_analysis.plots import diagnostics, in_plane, thinning
+from gonio_analysis.report.facts import DatasetSummary
 from gonio_analysis.report.text import cause, number, percent, slug
-from gonio_analysis.result_records import DatasetSummary
 from gonio_analysis.selection.compare import Dataset, Fitted
 
 SVG = {
@@ -142,8 +142,7 @@ def _polar(d: Dataset, facts: DatasetSummary, names: Sequence[str], most: int) -
         caption += f" Cut at the rim: {', '.join(cut)}."
     caption += _spikes(f) + _band(f) + thinning.words(thinning.measured(lines), thinning.measured(every))
     alt = f"Half-disc polar plot for {d.name} ({measurement(d)}) and {model}. " + " ".join(
-        f"{c.label}: measured peak at {c.measured_peak_deg:.1f}°, theory's at {c.theory_peak_deg:.1f}°."
-        for c in facts.models[model].curves
+        "{0}: measured peak at {2:.1f}°, theory's at {1:.1f}°.".format(c.label, *np.degrees(c.peaks)) for c in f.drawn
     )
     legend = _Legend.of(d, f)
     on = partial(_on_half_disc, lines=lines, rim=rim, label=_radius_label(f), legend=legend, called=called(d))
@@ -253,7 +252,7 @@ def _absolute(d: Dataset, facts: DatasetSummary, names: Sequence[str], most: int
         caption = f"{_named(names)}: {measurement(d)} without an in-plane curve, so residuals alone: {kind}."
     drawn = thinning.measured(low) + some.size
     caption += thinning.words(drawn, thinning.measured(lines) + rest.size)
-    chi = facts.models[model].reduced_chi_square
+    chi = facts.models[model].fit.reduced_chi_square
     alt = f"{'Semilog curves and residuals' if lines else 'Residuals'} for {d.name} and {model}" + (
         f"; reduced chi-square {number(chi)}." if chi is not None else "."
     )

@@ -6,10 +6,13 @@ import re
 from collections.abc import Mapping, Sequence
 
 from gonio.shown import interval
+from gonio_analysis.fitting.fit import SIGNIFICANCE
+from gonio_analysis.fitting.profile_likelihood import Interval
 from gonio_analysis.report.blocks import Block, Heading, Notes, Paragraph, Table, Text, code, table
 from gonio_analysis.report.text import glued, number, percent, with_u
 from gonio_analysis.report.verdict import times
-from gonio_analysis.result_records import CandidateSummary, ChoiceSummary, IntervalSummary, MisfitSummary
+from gonio_analysis.result_records import MisfitSummary
+from gonio_analysis.selection.choice import DECISIVE, Choice, Judged
 from gonio_analysis.selection.misfit_regions import ALIKE
 
 TAU = (
@@ -19,29 +22,29 @@ TAU = (
 """For tables that have such a column."""
 
 
-def section(choice: ChoiceSummary, alone_nm: float | None = None) -> list[Block]:
+def section(choice: Choice, alone_nm: float | None = None) -> list[Block]:
     """The section; nothing where one model alone was tried.
 
     Parameters
     ----------
     choice
-        As `gonio_analysis.selection.choice.Choice.summary` has it.
+        What was tried.
     alone_nm
         The wavelength that it was made at, where the models shown afterwards share the geometry of several.
     """
-    tried = choice.candidates
+    tried = choice.judged
     if len(tried) < 2:
         return []
-    stated = any(c.reduced_chi_square is not None for c in tried)
-    aic, bic = (min(x for x in xs if x is not None) for xs in ([c.aic for c in tried], [c.bic for c in tried]))
+    stated = any(c.fit.reduced_chi_square is not None for c in tried)
+    aic, bic = (min(xs) for xs in ([c.aic for c in tried], [c.bic for c in tried]))
     rows = [
         [
-            c.label,
-            str(c.n_free),
-            misfit_words(c.misfit),
-            number(c.reduced_chi_square),
-            number(None if c.aic is None else c.aic - aic),
-            number(None if c.bic is None else c.bic - bic),
+            c.candidate.label,
+            str(len(c.fit.free)),
+            misfit_words(c.fit.tau),
+            number(c.fit.reduced_chi_square),
+            number(c.aic - aic),
+            number(c.bic - bic),
             number(c.held_out),
             f"{c.wall_s:.1f} s",
             _verdict(c, choice.near),
@@ -49,8 +52,8 @@ def section(choice: ChoiceSummary, alone_nm: float | None = None) -> list[Block]
         ]
         for c in tried
     ]
-    named = next((c.label for c in tried if c.label in choice.near), choice.named)
-    marks = ["best" if c.label == named else "" for c in tried]
+    named = next((c for c in tried if c.candidate.label in choice.near), choice.named)
+    marks = ["best" if c is named else "" for c in tried]
     out: list[Block] = [Heading(3, "Which model"), Paragraph(glued(choice.words))]
     if alone_nm is not None:
         out.append(
@@ -86,20 +89,21 @@ def misfit_words(misfit: MisfitSummary | None) -> str:
     return misfit.words if misfit.value > 0 else f"< {percent(misfit.interval[1])}"
 
 
-def _verdict(c: CandidateSummary, near: Mapping[str, float]) -> str:
+def _verdict(c: Judged, near: Mapping[str, float]) -> str:
     """Without the chi-square that stands beside it."""
+    label = c.candidate.label
     if near:
-        place = "nearest" if c.label == next(iter(near)) else "as near" if c.label in near else "farther off"
-        return f"{place}; not true by χ²" if c.reduced_chi_square is not None else place
+        place = "nearest" if label == next(iter(near)) else "as near" if label in near else "farther off"
+        return f"{place}; not true by χ²" if c.fit.reduced_chi_square is not None else place
     why = re.sub(r"^reduced chi-square \S+ \((.*)\)$", r"\1", c.rejected)
-    if c.reduced_chi_square is None:
+    if c.fit.reduced_chi_square is None:
         return f"behind: {why}" if why else "as near as any"
     return f"rejected: {why}" if why else "not rejected"
 
 
-def _rule(choice: ChoiceSummary, stated: bool) -> str:
+def _rule(choice: Choice, stated: bool) -> str:
     """By what models are judged, in sentences."""
-    said = [TAU] if any(c.misfit is not None for c in choice.candidates) else []
+    said = [TAU] if any(c.fit.tau is not None for c in choice.judged) else []
     if choice.near:
         said.append(
             "The nearest model predicts best, as logarithms, what was left out; another one is as near where the"
@@ -108,43 +112,44 @@ def _rule(choice: ChoiceSummary, stated: bool) -> str:
     else:
         said.append(
             f"A model is {'rejected' if stated else 'behind'} where"
-            + (f" the probability of its chi-square is below {100 * choice.significance:g} %, or where" * stated)
-            + f" another is better by more than {choice.decisive_aic:g} in AIC."
+            + (f" the probability of its chi-square is below {100 * SIGNIFICANCE:g} %, or where" * stated)
+            + f" another is better by more than {DECISIVE:g} in AIC."
         )
     return " ".join(said)
 
 
-def _fails(c: CandidateSummary) -> str:
+def _fails(c: Judged) -> str:
     region = c.fails
-    if region is None or (not c.rejected and c.reduced_chi_square is not None):
+    if region is None or (not c.rejected and c.fit.reduced_chi_square is not None):
         return ""
     off = [f"model {times(region.ratio)}"] if region.ratio is not None and abs(region.ratio - 1) >= ALIKE else []
     return f"{region.words}: {', '.join(off)}"
 
 
-def in_words(i: IntervalSummary, value: float | None) -> tuple[str, str]:
+def in_words(i: Interval, value: float | None) -> tuple[str, str]:
     """A parameter's value and its interval, both to the digits that the interval leaves."""
     low, high, middle = interval(i.low, i.high, i.low if value is None else value)
     ends = (low + " (bound)" * i.open_low, high + " (bound)" * i.open_high)
     return "–" if value is None else middle, " to ".join(ends)
 
 
-def _intervals(choice: ChoiceSummary) -> Table:
-    named = next(c for c in choice.candidates if c.label == choice.named)
+def _intervals(choice: Choice) -> Table:
+    assert choice.named is not None
+    named = choice.named.fit
     rows: list[Sequence[Text]] = []
     for name, i in choice.intervals.items():
         p = named.parameters[name]
         # an error of the linearised fit beside an interval that contradicts it would be two truths
         value, ends = in_words(i, p.value)
-        rows.append([code(name), with_u(p.value, p.u) if i.linear else value, ends])
-    off = named.misfit is not None and named.misfit.value > 0
+        rows.append([code(name), with_u(p.value, p.u) if choice.linear(name) else value, ends])
+    off = named.misfit is not None
     how = (
         "intervals by its standard errors"
         if off
         else "profile-likelihood intervals: each is held while all others follow"
     )
     return table(
-        f"Parameters of {named.label} with {how}.",
+        f"Parameters of {choice.named.candidate.label} with {how}.",
         ["parameter", "value and standard error (where it says the same as the interval)", "95 % interval"],
         rows,
     )

@@ -22,10 +22,10 @@ from gonio_analysis.report.blocks import (
     strong,
     table,
 )
+from gonio_analysis.report.facts import Summary
 from gonio_analysis.report.figures import Figure
 from gonio_analysis.report.text import difference, number, slug
 from gonio_analysis.report.viewer import View
-from gonio_analysis.result_records import Summary
 
 MOST_BYTES = 4_500_000
 """Of one page: what a mail takes and a browser shows at once."""
@@ -124,7 +124,7 @@ def _overview(s: Summary, place: Mapping[str, str]) -> list[Block]:
     for d in s.datasets:
         link = Span(d.title, href=place.get(d.slug, f"#{d.slug}"))
         for name, f in d.models.items():
-            numbers = (number(f.reduced_chi_square), difference(f.metrics["log_ratio"]))
+            numbers = (number(f.fit.reduced_chi_square), difference(f.metrics["log_ratio"]))
             rows.append((link, strong(name), *numbers, sample.fitted_words(d, name, f)))
         for name in d.skipped:
             rows.append((link, strong(name), "–", "–", "not fitted: see there"))
@@ -144,8 +144,8 @@ def _conventions(s: Summary) -> Group:
     lines: dict[str, list[str]] = {}
     for d in s.datasets:
         for name, f in d.models.items():
-            if f.convention not in lines.setdefault(name, []):
-                lines[name].append(f.convention)
+            if f.fit.model.convention not in lines.setdefault(name, []):
+                lines[name].append(f.fit.model.convention)
     return section(
         [
             Heading(2, "Conventions"),

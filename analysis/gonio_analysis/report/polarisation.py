@@ -11,7 +11,6 @@ from gonio_analysis.plots import in_plane, polarisation
 from gonio_analysis.report.blocks import Block, Figures, Heading, Paragraph, code, table
 from gonio_analysis.report.figures import Drawing, Figure
 from gonio_analysis.report.text import number
-from gonio_analysis.result_records import MuellerSummary
 from gonio_analysis.selection.polarisation import Polarisation
 
 
@@ -26,7 +25,7 @@ def draw(p: Polarisation, name: str, slug: str) -> list[Drawing]:
     return [Drawing(f"{slug}-mueller", "mueller", "", caption, alt, (6.4, 6.0), on)]
 
 
-def section(m: MuellerSummary, figures: Sequence[Figure]) -> list[Block]:
+def section(m: Polarisation, figures: Sequence[Figure]) -> list[Block]:
     """The elements in numbers, and the figures."""
     beside = "" if m.model is None else f"the matrix of {m.model}, which was fitted to the BRDF alone"
     words = (

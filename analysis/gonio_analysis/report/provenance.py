@@ -7,8 +7,9 @@ from typing import Any
 
 from gonio_analysis.report import blocks
 from gonio_analysis.report.blocks import Block, Group, Heading, Paragraph, facts
+from gonio_analysis.report.facts import Summary
 from gonio_analysis.report.text import number, percent, with_u
-from gonio_analysis.result_records import RunFacts, Summary
+from gonio_analysis.result_records import RunFacts
 
 MOST_SOURCES = 50
 """Samples whose provenance stands on the page."""

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 from gonio import geometry
 from gonio.formats.reader import TableBand
+from gonio_analysis.fitting.fit import Estimate
 from gonio_analysis.fitting.metrics import meaning as meaning_of_metric
 from gonio_analysis.report import (
     appearance,
@@ -38,10 +39,12 @@ from gonio_analysis.report.blocks import (
     strong,
     table,
 )
+from gonio_analysis.report.facts import DatasetSummary, Summary
 from gonio_analysis.report.figures import Figure
 from gonio_analysis.report.text import angle, cause, difference, meaning, number, percent, with_u
 from gonio_analysis.report.viewer import View
-from gonio_analysis.result_records import DatasetSummary, ModelSummary, ParameterSummary, RunFacts, Summary
+from gonio_analysis.result_records import RunFacts
+from gonio_analysis.selection.compare import Fitted
 
 FAR = 0.1
 """Share of a model's light in directions that were not measured, above which it is named."""
@@ -65,11 +68,11 @@ def section(s: Summary, d: DatasetSummary, figures: Sequence[Figure], view: View
     out += [lead(d.conclusion), Heading(3, what), _facts(d)]
     if d.notes:
         out.append(notes(d.notes))
-    shared = any(f.shared is not None for f in d.models.values())
+    shared = any(f.fit.shared is not None for f in d.models.values())
     out += model_choice.section(d.choice, d.wavelength_nm if shared else None)
     values = "Simulated values" if d.simulated else "Measured values"
     out += [Heading(3, "Models"), _models(d)] if d.models else [Heading(3, values), _values(d)]
-    skipped = {m: why for m, why in d.skipped.items() if len(d.choice.candidates) < 2 or m not in d.choice.left_out}
+    skipped = {m: why for m, why in d.skipped.items() if len(d.choice.judged) < 2 or m not in d.choice.left_out}
     if skipped:
         out.append(Notes(tuple((strong(m), f" was not fitted: {why}") for m, why in skipped.items())))
     out += _energy(d)
@@ -192,16 +195,16 @@ def _models(d: DatasetSummary) -> Table:
             [
                 name,
                 fitted_words(d, name, f),
-                model_choice.misfit_words(f.misfit),
-                number(f.reduced_chi_square) + " (assumed u)" * (f.u_rel_assumed is not None),
+                model_choice.misfit_words(f.fit.tau),
+                number(f.fit.reduced_chi_square) + " (assumed u)" * (f.fit.data.u_rel_assumed is not None),
                 difference(f.metrics["log_ratio"]),
-                f.verdict.partition("; it ")[0] + "; ⚠ reflects more than it receives" * f.reflects_too_much,
+                f.fit.verdict.partition("; it ")[0] + "; ⚠ reflects more than it receives" * f.reflects_too_much,
             ]
         )
-    together = next((f.shared for f in d.models.values() if f.shared is not None), None)
+    together = next((f.fit.shared for f in d.models.values() if f.fit.shared is not None), None)
     chi = "reduced χ²" if together is None else f"reduced χ², {len(together.wavelengths_nm)} wavelengths together"
     note = "● marks the model that the first line names. " if any(marks) else ""
-    if any(f.misfit is not None for f in d.models.values()):
+    if any(f.fit.tau is not None for f in d.models.values()):
         note += f"{model_choice.TAU} "
     return table(
         note + "Typical difference: rms of ln(model / measured).",
@@ -282,7 +285,7 @@ def _of_misfits(d: DatasetSummary) -> str:
 
 
 def _polar_words(s: Summary, d: DatasetSummary) -> Paragraph:
-    kinds = {c.normalised_by for f in d.models.values() for c in f.curves}
+    kinds = {c.norm.kind for f in d.models.values() for c in f.drawn}
     first = (
         "The radius is the BRDF divided by its value in the direction of mirror reflection, as in eq. 11 of He, "
         f"Torrance, Sillion and Greenberg (1991): the measured value nearest the mirror, within "
@@ -312,8 +315,8 @@ def _parameters(d: DatasetSummary) -> list[Block]:
     rows: list[Sequence[Text]] = []
     for name, f in d.models.items():
         label = name
-        for p, e in [*f.parameters.items(), *f.derived.items()]:
-            kind = "derived" if p in f.derived else "fixed" if e.fixed else "fitted"
+        for p, e in [*f.fit.parameters.items(), *f.fit.derived.items()]:
+            kind = "derived" if p in f.fit.derived else "fixed" if e.fixed else "fitted"
             kind += f", at its {e.at_bound} bound" if e.at_bound else ""
             value = _value(d, name, p, e)
             value += f" ({e.material})" if e.material else ""
@@ -331,12 +334,12 @@ def _parameters(d: DatasetSummary) -> list[Block]:
 
 def _of_errors(d: DatasetSummary) -> list[str]:
     """What the standard errors of these models are, in sentences."""
-    off = [f.misfit is not None and f.misfit.value > 0 for f in d.models.values()]
+    off = [f.fit.misfit is not None for f in d.models.values()]
     said = []
     if not all(off):
         said.append(
             "Standard errors come from the scatter of the residuals, by the metric of the fit."
-            if all(f.chi_square is None for f in d.models.values())
+            if all(f.fit.chi_square is None for f in d.models.values())
             else f"Standard errors rest on the assumed uncertainty of {percent(d.u_rel_assumed)} of each value."
             if d.u_rel_assumed is not None
             else "Standard errors are those of least squares with the stated covariance; they are not scaled by χ²."
@@ -349,23 +352,27 @@ def _of_errors(d: DatasetSummary) -> list[str]:
     return said
 
 
-def _value(d: DatasetSummary, model: str, parameter: str, e: ParameterSummary) -> str:
+def _value(d: DatasetSummary, model: str, parameter: str, e: Estimate) -> str:
     """value ± u; the interval alone where a standard error would contradict it."""
-    i = d.choice.intervals.get(parameter) if model == d.choice.named else None
-    if d.models[model].shared is not None:
+    i = d.choice.intervals.get(parameter) if d.choice.named and model == d.choice.named.candidate.label else None
+    if d.models[model].fit.shared is not None:
         i = None  # the interval is of the choice, at one wavelength alone
-    if i is not None and i.linear is False:
+    if i is not None and not d.choice.linear(parameter):
         value, ends = model_choice.in_words(i, e.value)
         return f"{value} ({100 * i.level:g} % interval {ends})"
     return with_u(e.value, 0.0 if e.fixed else e.u)
 
 
-def _strongest(f: ModelSummary, parameter: str) -> Text:
-    row = {k: v for k, v in f.correlation.get(parameter, {}).items() if k != parameter and v is not None}
-    if not row:
+def _strongest(f: Fitted, parameter: str) -> Text:
+    names = f.fit.free
+    if parameter not in names:
         return ""
-    other = max(row, key=lambda k: abs(row[k]))
-    return f"{number(row[other], 2)} with ", code(other)
+    row = dict(zip(names, f.fit.correlation[names.index(parameter)].tolist(), strict=True))
+    known = {k: v for k, v in row.items() if k != parameter and math.isfinite(v)}
+    if not known:
+        return ""
+    other = max(known, key=lambda k: abs(known[k]))
+    return f"{number(known[other], 2)} with ", code(other)
 
 
 def _known(d: DatasetSummary) -> bool:
@@ -394,9 +401,9 @@ def _budget(d: DatasetSummary) -> Table:
     )
 
 
-def fitted_words(d: DatasetSummary, model: str, f: ModelSummary) -> str:
+def fitted_words(d: DatasetSummary, model: str, f: Fitted) -> str:
     """The fitted parameters of a model, with their uncertainties."""
-    parts = [f"{n} = {_value(d, model, n, p)}" for n, p in f.parameters.items() if not p.fixed]
+    parts = [f"{n} = {_value(d, model, n, p)}" for n, p in f.fit.parameters.items() if not p.fixed]
     return ", ".join(parts)
 
 

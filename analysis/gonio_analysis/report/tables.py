@@ -14,7 +14,7 @@ from gonio.formats.text import cell_of
 from gonio.typing import Floats
 from gonio_analysis.report import viewer
 from gonio_analysis.report.comparison import VALUES, usable
-from gonio_analysis.result_records import Summary
+from gonio_analysis.report.facts import Summary
 from gonio_analysis.selection.compare import Dataset, Drawn
 
 ROWS_AT_ONCE = 100_000
@@ -32,7 +32,7 @@ def write(
             (s.name, m, n, p.value, p.u, p.fixed, p.at_bound or "")
             for s in facts
             for m, f in s.models.items()
-            for n, p in f.parameters.items()
+            for n, p in f.fit.parameters.items()
         ),
     )
     names = list(summary.metrics)
@@ -43,10 +43,10 @@ def write(
             (
                 s.name,
                 m,
-                f.n_points,
-                f.n_free,
-                f.reduced_chi_square,
-                f.p_value,
+                len(f.fit.data),
+                len(f.fit.free),
+                f.fit.reduced_chi_square,
+                f.fit.p_value,
                 *(f.metrics[n] for n in names),
                 f.metrics["n_log"],
             )
@@ -74,22 +74,23 @@ def write(
                 folder / files[-1],
                 ("model", "wavelength_nm", "points", "reduced_chi_square", "parameter", "value", "standard_error"),
                 (
-                    (m, r.wavelength_nm, r.n_points, r.reduced_chi_square, n, p.value, p.u)
+                    (m, r.wavelength_nm, len(r.data), r.reduced_chi_square, n, p.value, p.u)
                     for m, f in s.models.items()
                     for r in f.series
                     for n, p in r.parameters.items()
                 ),
             )
         intervals = s.choice.intervals
-        if intervals:
+        if intervals and s.choice.named:
+            named = s.choice.named.candidate.label
             files.append(f"{s.slug}-profiles.csv")
             write_csv(
                 folder / files[-1],
                 ("model", "parameter", "value", "rise_of_chi_square"),
                 (
-                    (s.choice.named, n, value, rise)
+                    (named, n, value, rise)
                     for n, i in intervals.items()
-                    for value, rise in zip(i.profile.values, i.profile.rise, strict=True)
+                    for value, rise in zip(i.values.tolist(), i.rise.tolist(), strict=True)
                 ),
             )
     return files

@@ -11,11 +11,12 @@ import numpy as np
 
 from gonio_analysis.curves.in_plane import Curve, labels
 from gonio_analysis.curves.line import Line
+from gonio_analysis.fitting.observations import describe_left_out
 from gonio_analysis.plots import in_plane, two_sides
 from gonio_analysis.report.blocks import Block, Figures, Heading, Notes, facts, notes, table
 from gonio_analysis.report.figures import LEGEND_ROW_IN, Drawing, Figure, legend
 from gonio_analysis.report.text import angle, number, with_u
-from gonio_analysis.result_records import Reflectance, TransmissionSummary
+from gonio_analysis.result_records import Reflectance
 from gonio_analysis.selection.transmission import Transmitted
 
 
@@ -51,14 +52,15 @@ def draw(t: Transmitted, reflected: Sequence[Curve], slug: str, *, simulated: bo
 
 
 def section(
-    t: TransmissionSummary, figures: Sequence[Figure], rho_dh: Sequence[Reflectance] = (), title: str = "Transmission"
+    t: Transmitted, figures: Sequence[Figure], rho_dh: Sequence[Reflectance] = (), title: str = "Transmission"
 ) -> list[Block]:
     """What was transmitted, in numbers and figures."""
     rows = [("source", t.source)] if t.source else []
-    rows += [("values used", f"{t.used} of {t.rows}" + (f"; left out: {t.left_out_words}" if t.left_out_words else ""))]
-    if t.wavelength_nm is not None:
+    at, left_out = t.data, describe_left_out(t.data.left_out)
+    rows += [("values used", f"{len(at)} of {t.rows}" + (f"; left out: {left_out}" if left_out else ""))]
+    if not math.isnan(t.wavelength_nm):
         rows.append(("wavelength", f"{t.wavelength_nm:g} nm"))
-    rows.append(("BTDF", f"{number(t.btdf_min)} to {number(t.btdf_max)} sr⁻¹"))
+    rows.append(("BTDF", f"{number(float(at.brdf.min()))} to {number(float(at.brdf.max()))} sr⁻¹"))
     out: list[Block] = [Heading(3, title), facts(rows)]
     out += [notes(t.notes)] if t.notes else []
     known = [r for r in t.tau_dh if r.rho_dh is not None]

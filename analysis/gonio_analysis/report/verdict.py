@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 
+from gonio.checks.symmetry import Pairs
 from gonio_analysis.fitting.fit import FitResult
 from gonio_analysis.fitting.metrics import DESCRIPTIONS
 from gonio_analysis.report.text import angle, difference, number, percent, with_u
-from gonio_analysis.result_records import Reflectance, SymmetrySummary
-from gonio_analysis.selection.energy import ABOVE_ONE
+from gonio_analysis.result_records import Reflectance
+from gonio_analysis.selection.energy import too_much
 from gonio_analysis.selection.misfit_regions import Region, farthest
 
 NOT_SMALL = 0.5
@@ -90,14 +91,9 @@ def times(ratio: float) -> str:
     return f"{number(ratio, 2)} {'times' if ratio > 1 else 'of'} the measurement"
 
 
-def reflects_too_much(found: Sequence[Reflectance]) -> bool:
-    """Whether a model reflects more than it receives at one of these incidences."""
-    return any(r.rho_dh is not None and r.rho_dh > 1.0 + ABOVE_ONE for r in found)
-
-
 def too_bright(found: Mapping[str, Sequence[Reflectance]], best: str) -> str:
     """Which models reflect more than they receive, as sentences; "" where none does."""
-    worst = {m: max(rs, key=lambda r: r.rho_dh or 0.0) for m, rs in found.items() if reflects_too_much(rs)}
+    worst = {m: max(rs, key=lambda r: r.rho_dh or 0.0) for m, rs in found.items() if too_much(rs)}
     if not worst:
         return ""
     said = [
@@ -116,7 +112,7 @@ def reflectances(model: str, found: Sequence[Reflectance]) -> str:
     return f"rho_dh, by angle of incidence: {line}. {too_bright({model: found}, model)}".rstrip()
 
 
-def direction_of_its_own(found: Sequence[SymmetrySummary], tried: Iterable[str] = ()) -> str:
+def direction_of_its_own(found: Sequence[Pairs], tried: Iterable[str] = ()) -> str:
     """The sentence for a sample that is not isotropic, with the model to try; "" where nothing shows it."""
     shown = next((s for s in found if s.kind == "azimuth of incidence" and s.broken), None)
     if shown is None:

@@ -33,7 +33,6 @@ from gonio_analysis.fitting.parameters import Ior, Values
 from gonio_analysis.fitting.problem import FitRequest, pose
 from gonio_analysis.fitting.profile_likelihood import Interval, Profiles, profiles
 from gonio_analysis.fitting.surrogate import Near, Rows
-from gonio_analysis.result_records import CandidateSummary, ChoiceSummary, IntervalSummary, Value, finite
 from gonio_analysis.selection.misfit_regions import Region, blocks, farthest
 from gonio_analysis.selection.parallel import Share, here
 
@@ -103,25 +102,26 @@ class Judged:
     """Why the data reject it, in words; "" where they do not."""
     wall_s: float = 0.0
 
-    def summary(self) -> CandidateSummary:
+    def summary(self) -> dict[str, object]:
         """Plain numbers and words."""
-        return CandidateSummary(
-            label=self.candidate.label,
-            model=self.candidate.model,
-            n_free=len(self.fit.free),
-            free=list(self.fit.free),
-            parameters={n: Value(finite(e.value), finite(e.u)) for n, e in self.fit.parameters.items()},
-            chi_square=finite(self.fit.chi_square),
-            reduced_chi_square=finite(self.fit.reduced_chi_square),
-            p_value=finite(self.fit.p_value),
-            misfit=self.fit.tau,
-            aic=finite(self.aic),
-            bic=finite(self.bic),
-            held_out=finite(self.held_out),
-            wall_s=self.wall_s,
-            rejected=self.rejected,
-            fails=None if self.fails is None else self.fails.summary(),
-        )
+        fit = self.fit
+        return {
+            "label": self.candidate.label,
+            "model": self.candidate.model,
+            "n_free": len(fit.free),
+            "free": fit.free,
+            "parameters": {n: e.number for n, e in fit.parameters.items()},
+            "chi_square": fit.chi_square,
+            "reduced_chi_square": fit.reduced_chi_square,
+            "p_value": fit.p_value,
+            "aic": self.aic,
+            "bic": self.bic,
+            "held_out": self.held_out,
+            "wall_s": self.wall_s,
+            "misfit": fit.tau,
+            "rejected": self.rejected,
+            "fails": self.fails,
+        }
 
 
 @dataclass(frozen=True)
@@ -153,25 +153,27 @@ class Choice:
         alike = [other for other in self.judged if other.candidate.model == j.candidate.model]
         return len(parameters.parts(j.candidate.model)) == 1 and j is min(alike, key=lambda other: other.aic)
 
-    def _interval(self, name: str, interval: Interval) -> IntervalSummary:
+    def linear(self, name: str) -> bool:
+        """Whether the standard error of a parameter of the named model says the same as its interval."""
         assert self.named is not None
         e = self.named.fit.parameters[name]
-        return replace(interval.summary(), linear=interval.linear(e.value, None if e.fixed else e.u))
+        return self.intervals[name].linear(e.value, None if e.fixed else e.u)
 
-    def summary(self) -> ChoiceSummary:
+    def summary(self) -> dict[str, object]:
         """Plain numbers and words."""
-        return ChoiceSummary(
-            named=self.named.candidate.label if self.named else None,
-            model=self.named.candidate.model if self.named else None,
-            words=self.words,
-            significance=SIGNIFICANCE,
-            decisive_aic=DECISIVE,
-            held_out_by=self.held_out_by,
-            candidates=[j.summary() for j in self.judged],
-            intervals={n: self._interval(n, i) for n, i in self.intervals.items()},
-            left_out=self.left_out,
-            near=self.near,
-        )
+        named = self.named.candidate if self.named else None
+        return {
+            "named": named.label if named else None,
+            "model": named.model if named else None,
+            "words": self.words,
+            "significance": SIGNIFICANCE,
+            "decisive_aic": DECISIVE,
+            "held_out_by": self.held_out_by,
+            "candidates": self.judged,
+            "intervals": {n: {**i.summary(), "linear": self.linear(n)} for n, i in self.intervals.items()},
+            "left_out": self.left_out,
+            "near": self.near,
+        }
 
 
 def candidates(models: Sequence[str], ior: Ior = None) -> list[Candidate]:

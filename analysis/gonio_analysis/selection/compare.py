@@ -15,11 +15,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gonio import shown
+from gonio.checks.symmetry import Pairs, symmetries
 from gonio.cli.pace import Pace, Say
 from gonio.errors import ConfigError, DataError
 from gonio.measurement import is_simulated
 from gonio.typing import Floats
-from gonio_analysis.curves.in_plane import Curve, Norm, Normalise, curves, labels, norm, selection
+from gonio_analysis.curves.in_plane import NORM_WORDS, Curve, Norm, Normalise, curves, labels, norm, selection
 from gonio_analysis.curves.line import Line
 from gonio_analysis.fitting import parameters
 from gonio_analysis.fitting.fit import FitResult, fit
@@ -27,13 +28,12 @@ from gonio_analysis.fitting.metrics import metrics
 from gonio_analysis.fitting.observations import Observations, observations
 from gonio_analysis.fitting.parameters import Ior
 from gonio_analysis.fitting.spectrum import MOST_WAVELENGTHS, fit_shared, shares
-from gonio_analysis.result_records import Reflectance, RunFacts, SymmetrySummary
+from gonio_analysis.result_records import Reflectance, RunFacts
 from gonio_analysis.selection import energy, parallel
 from gonio_analysis.selection.choice import DECISIVE, Choice, Judged, candidates, choose, deviance
 from gonio_analysis.selection.misfit_regions import Region, farthest
 from gonio_analysis.selection.parallel import Share
 from gonio_analysis.selection.polarisation import Polarisation, polarisation
-from gonio_analysis.selection.symmetry import symmetries
 from gonio_analysis.selection.transmission import Transmitted, transmitted
 
 if TYPE_CHECKING:
@@ -63,25 +63,42 @@ class Drawn:
 
     def absolute(self) -> Line:
         """In 1/sr."""
-        c = self.curve
-        return Line(
-            self.label, self.theory_angle, self.theory, c.angle, c.brdf, c.u, c.parameter, self.residual, self.tau
-        )
+        return self._over(1.0, 1.0)
 
     def normalised(self) -> Line:
         """Theory and measurement divided by what `norm` says."""
-        c, n = self.curve, self.norm
-        return Line(
-            self.label,
-            self.theory_angle,
-            self.theory / n.theory,
-            c.angle,
-            c.brdf / n.measured,
-            c.u / n.measured,
-            c.parameter,
-            self.residual,
-            self.tau,
-        )
+        return self._over(self.norm.theory, self.norm.measured)
+
+    def _over(self, theory: float, measured: float) -> Line:
+        c = self.curve
+        values = (self.theory / theory, c.angle, c.brdf / measured, c.u / measured)
+        return Line(self.label, self.theory_angle, *values, c.parameter, self.residual, self.tau)
+
+    @property
+    def peaks(self) -> tuple[float, float]:
+        """Angles of the largest value of theory and of measurement [rad]."""
+        c = self.curve
+        return float(self.theory_angle[int(np.argmax(self.theory))]), float(c.angle[int(np.argmax(c.brdf))])
+
+    def summary(self) -> dict[str, object]:
+        """As `summary.json` holds it."""
+        c, n, (theory_at, measured_at) = self.curve, self.norm, self.peaks
+        return {
+            "label": self.label,
+            "scanned": c.scanned,
+            "parameter_deg": math.degrees(c.parameter),
+            "phi_i_deg": math.degrees(c.phi_i),
+            "points": c.angle.size,
+            "normalised_by": n.kind,
+            "normalised_by_words": NORM_WORDS[n.kind],
+            "normalised_at_deg": math.degrees(n.angle),
+            "norm_measured": n.measured,
+            "norm_theory": n.theory,
+            "theory_peak_deg": math.degrees(theory_at),
+            "theory_peak": self.theory.max(),
+            "measured_peak_deg": math.degrees(measured_at),
+            "measured_peak": c.brdf.max(),
+        }
 
 
 @dataclass(frozen=True)
@@ -96,6 +113,29 @@ class Fitted:
     missed: Region | None = None
     """The region of angles that it misses most, by the ratio to the measurement."""
     rho_dh: list[Reflectance] = field(default_factory=list)
+
+    @property
+    def notes(self) -> list[str]:
+        """Of the fit, and of its series over wavelengths."""
+        return [*self.fit.notes, *jumps(self.series)]
+
+    @property
+    def reflects_too_much(self) -> bool:
+        """Whether it reflects more than it receives at an angle of incidence."""
+        return energy.too_much(self.rho_dh)
+
+    def summary(self) -> dict[str, object]:
+        """As `summary.json` holds it."""
+        return {
+            **self.fit.summary(),
+            "notes": self.notes,
+            "metrics": self.metrics,
+            "missed": self.missed,
+            "rho_dh": self.rho_dh,
+            "reflects_too_much": self.reflects_too_much,
+            "curves": self.drawn,
+            "series": [r.at_wavelength for r in self.series],
+        }
 
 
 @dataclass(frozen=True)
@@ -124,7 +164,7 @@ class Dataset:
     """Of the measurement itself."""
     rho_dh_combined: list[Reflectance] = field(default_factory=list)
     """Of the models that cannot be told from the nearest one."""
-    symmetries: list[SymmetrySummary] = field(default_factory=list)
+    symmetries: list[Pairs] = field(default_factory=list)
     without_mirror: list[tuple[float, str]] = field(default_factory=list)
     """Angle [rad] and label of every in-plane curve whose mirror direction was not measured, drawn or not."""
     transmitted: Transmitted | None = None
@@ -244,7 +284,7 @@ def examine(
         run,
         energy.of_table(at),
         _combined(choice, fitted),
-        symmetries(at),
+        symmetries(at.checked),
         [(c.parameter, label) for c, label in zip(found, labels(found), strict=True) if c.mirror is None],
         through,
         polarisation(table, at, shown, {label: one.fit for label, one in fitted.items()}),

@@ -23,6 +23,11 @@ ABOVE_ONE = 1e-4
 """What a model may reflect beyond all that it receives: far below any uncertainty, above the error of the integral."""
 
 
+def too_much(found: Sequence[Reflectance]) -> bool:
+    """Whether a model reflects more than it receives at one of these incidences."""
+    return any(r.rho_dh is not None and r.rho_dh > 1.0 + ABOVE_ONE for r in found)
+
+
 def of_model(result: FitResult) -> list[Reflectance]:
     """rho_dh of a fitted model at `angles`, with its standard uncertainty.
 

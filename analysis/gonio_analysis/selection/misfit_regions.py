@@ -14,7 +14,6 @@ from gonio.typing import Floats
 from gonio_analysis.fitting.fit import FitResult
 from gonio_analysis.fitting.observations import Observations
 from gonio_analysis.fitting.surrogate import Rows
-from gonio_analysis.result_records import RegionSummary
 
 FOLDS = 5
 RANGE = float(np.radians(15.0))
@@ -61,10 +60,6 @@ class Region:
             how = f"off by {how} either way,"
         at, _, zone = self.words.rpartition(", ")
         return f"{how} {f'{zone} at {at}' if at else f'over {self.words}'}"
-
-    def summary(self) -> RegionSummary:
-        """Plain numbers."""
-        return RegionSummary(**vars(self))
 
 
 def incidences(data: Observations) -> list[tuple[float, Rows]]:

@@ -14,7 +14,7 @@ from gonio_analysis.curves.in_plane import Curve, labels
 from gonio_analysis.curves.line import Line
 from gonio_analysis.fitting.forward import NO_WAVELENGTH_NM
 from gonio_analysis.fitting.observations import Observations
-from gonio_analysis.result_records import MuellerElement, MuellerSummary
+from gonio_analysis.result_records import MuellerElement
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -36,13 +36,19 @@ class Polarisation:
     lines: dict[str, list[Line]]
     """In the plane of incidence, by element, a line for each curve."""
 
-    def summary(self) -> MuellerSummary:
+    def summary(self) -> dict[str, object]:
         """As `summary.json` holds it."""
-        return MuellerSummary(
-            model=self.model,
-            points=int(np.isfinite(self.measured).any(axis=1).sum()),
-            elements=[self._element(k) for k in range(len(MUELLER))],
-        )
+        return {"model": self.model, "points": self.points, "elements": self.elements}
+
+    @property
+    def points(self) -> int:
+        """Values with a matrix."""
+        return int(np.isfinite(self.measured).any(axis=1).sum())
+
+    @property
+    def elements(self) -> list[MuellerElement]:
+        """Each of them against the model's."""
+        return [self._element(k) for k in range(len(MUELLER))]
 
     def _element(self, k: int) -> MuellerElement:
         m, u = self.measured[:, k], self.u[:, k]

@@ -10,7 +10,7 @@ import numpy as np
 from gonio import measurement, shown
 from gonio_analysis.curves.in_plane import Curve, curves, selection
 from gonio_analysis.fitting.observations import Observations, describe_left_out, observations
-from gonio_analysis.result_records import Reflectance, TransmissionSummary, finite
+from gonio_analysis.result_records import Reflectance
 from gonio_analysis.selection import energy
 
 if TYPE_CHECKING:
@@ -42,22 +42,27 @@ class Transmitted:
         """The name, with a mark where the values are simulated."""
         return shown.marked(self.name, self.simulated)
 
-    def summary(self) -> TransmissionSummary:
+    def summary(self) -> dict[str, object]:
         """As `summary.json` holds it."""
         at = self.data
-        return TransmissionSummary(
-            name=self.name,
-            source=self.source,
-            rows=self.rows,
-            used=len(at),
-            left_out_words=describe_left_out(at.left_out),
-            wavelength_nm=finite(self.wavelength_nm),
-            theta_i_deg=[float(x) for x in np.unique(np.round(np.degrees(at.directions.theta_i), 1))],
-            btdf_min=float(at.brdf.min()),
-            btdf_max=float(at.brdf.max()),
-            tau_dh=self.tau_dh,
-            notes=list(at.notes) if self.source else [],
-        )
+        return {
+            "name": self.name,
+            "source": self.source,
+            "rows": self.rows,
+            "used": len(at),
+            "left_out_words": describe_left_out(at.left_out),
+            "wavelength_nm": self.wavelength_nm,
+            "theta_i_deg": np.unique(np.round(np.degrees(at.directions.theta_i), 1)),
+            "btdf_min": at.brdf.min(),
+            "btdf_max": at.brdf.max(),
+            "tau_dh": self.tau_dh,
+            "notes": self.notes,
+        }
+
+    @property
+    def notes(self) -> list[str]:
+        """What the table's reader says, where the sample's reflection is not on the page."""
+        return list(self.data.notes) if self.source else []
 
 
 def transmitted(

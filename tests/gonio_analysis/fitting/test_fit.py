@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -222,7 +223,7 @@ def test_a_parameter_on_its_bound_is_said() -> None:
 
 
 def test_json_has_the_agreed_keys_and_is_json() -> None:
-    out = fit(measure(PAINT), "cook-torrance").to_json()
+    out: Any = fit(measure(PAINT), "cook-torrance").to_json()
     assert set(out) >= {"model", "parameters", "correlation", "reduced_chi_square", "n_points", "wall_s"}
     assert set(out["parameters"]) == {"s", "m", "diffuse_albedo", "ior", "k"}
     assert set(out["parameters"]["m"]) >= {"value", "u", "fixed"}

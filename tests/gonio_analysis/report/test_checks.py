@@ -11,7 +11,8 @@ import pytest
 from gonio_analysis.report import checks
 from gonio_analysis.report.blocks import plain
 from gonio_analysis.report.comparison import summarise
-from gonio_analysis.result_records import DatasetSummary, as_json
+from gonio_analysis.report.facts import DatasetSummary
+from gonio_analysis.result_records import as_json
 from gonio_analysis.selection.compare import examine
 
 from gonio import measurement

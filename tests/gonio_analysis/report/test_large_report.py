@@ -25,6 +25,7 @@ from gonio_analysis.report.blocks import Figures, section
 from gonio_analysis.report.drawing import draughtsmen
 from gonio_analysis.report.figures import Drawing, Figure
 from gonio_analysis.report.text import glued
+from gonio_analysis.result_records import as_json
 from gonio_analysis.selection.choice import Candidate, Choice, choose
 
 from gonio import measurement
@@ -272,7 +273,7 @@ def test_a_choice_is_the_same_whoever_works_it_out() -> None:
         shared = choose(data, [Candidate(m) for m in models], share=hands.share)
 
     def numbers(c: Choice) -> Any:
-        return [replace(x, wall_s=0.0) for x in c.summary().candidates], c.summary().intervals
+        return [as_json(replace(x, wall_s=0.0)) for x in c.judged], as_json(c.intervals)
 
     assert numbers(shared) == numbers(alone)
     assert shared.words == alone.words

@@ -60,7 +60,7 @@ def test_a_bound_cuts_an_interval_and_contradicts_nothing() -> None:
 def test_the_page_shows_the_interval_alone_where_linearisation_fails() -> None:
     d = examine(measure(GLOSS, noise=0.01), ["phong"], name="x")
     facts = summary_of(d)
-    wrong = replace(facts.choice.intervals["k_s"], low=0.01, high=9.0, linear=False)
+    wrong = replace(facts.choice.intervals["k_s"], low=0.01, high=9.0)
     facts = replace(facts, choice=replace(facts.choice, intervals=facts.choice.intervals | {"k_s": wrong}))
     words = fitted_words(facts, "phong", facts.models["phong"])
     assert "95 % interval 0.01 to 9.00" in words

@@ -12,7 +12,7 @@ from gonio_analysis.fitting.fit import fit
 from gonio_analysis.report import model_choice
 from gonio_analysis.report.blocks import Table
 from gonio_analysis.report.comparison import summarise
-from gonio_analysis.result_records import DatasetSummary
+from gonio_analysis.report.facts import DatasetSummary
 from gonio_analysis.selection.compare import examine
 
 from gonio.errors import ConfigError
@@ -43,7 +43,7 @@ def test_without_uncertainties_nothing_is_not_rejected() -> None:
     assert "do not reject" not in words
     assert facts.conclusion.startswith("cook-torrance is the nearest of the 2 models")
     assert "--u-rel 0.03" in facts.conclusion
-    misfit = facts.models["cook-torrance"].misfit
+    misfit = facts.models["cook-torrance"].fit.tau
     assert misfit is not None
     assert misfit.value == pytest.approx(0.03, rel=0.3)  # the noise, which nobody stated; of 95 it is known to 7 %
     assert f"describes this sample to {misfit.words}, worst " in facts.conclusion
@@ -53,9 +53,9 @@ def test_models_that_are_far_off_do_not_describe_the_sample() -> None:
     mirror = build("cook-torrance", {"s": 0.9, "d": 0.1, "slopes": ((0.1, 1.0),), "diffuse_albedo": 0.05, "ior": 3.0})
     facts = headline(bare(mirror), "lambert", "oren-nayar")
     best = facts.models[facts.best or ""]
-    assert best.misfit is not None
-    assert best.misfit.value > math.log(2)
-    assert f"misses this sample by a factor of {math.exp(best.misfit.value):.2g} (" in facts.conclusion
+    assert best.fit.tau is not None
+    assert best.fit.tau.value > math.log(2)
+    assert f"misses this sample by a factor of {math.exp(best.fit.tau.value):.2g} (" in facts.conclusion
     assert best.missed is not None
     where, zone = best.missed.words.split(", ")
     assert f"{zone} at {where}" in facts.conclusion
@@ -96,11 +96,11 @@ def test_an_assumed_uncertainty_judges_and_is_called_assumed() -> None:
     assert facts.uncertainty_stated is False
     f = facts.models["cook-torrance"]
     # 95 degrees of freedom: 1 +- 0.145; 3.4 of them
-    assert f.reduced_chi_square == pytest.approx(1.0, abs=0.5)
+    assert f.fit.reduced_chi_square == pytest.approx(1.0, abs=0.5)
     assert "assumed uncertainty of 3 %" in facts.conclusion
     assert "assumed uncertainty of 3 %" in facts.choice.words
     assert any("ASSUMED" in n for n in facts.notes)
-    assert facts.models["lambert"].verdict.startswith("rejected")
+    assert facts.models["lambert"].fit.verdict.startswith("rejected")
     assert facts.budget == []
 
 
@@ -135,7 +135,7 @@ def test_metrics_minimise_what_they_are_named_for() -> None:
         assert own is not None
         # a thousandth: the logarithmic fit bends into differences where values are small
         assert all(own <= 1.001 * (f.metrics[key] or math.inf) for f in found.values()), name
-        assert found[name].metric == name
+        assert found[name].fit.goal.metric == name
 
 
 def test_a_metric_that_is_none_or_that_lacks_uncertainties_is_refused() -> None:
@@ -185,12 +185,14 @@ def test_the_headline_and_the_choice_name_the_same_model_as_the_nearest() -> Non
     """Phong's lobe takes up some scatter of a matte sample; AIC counts its parameters, a bare metric does not."""
     frame = bare(build("lambert", {"albedo": 0.5}), noise=0.2)
     facts = headline(frame, "lambert", "oren-nayar", "phong")
-    aic = {c.label: c.aic or math.inf for c in facts.choice.candidates}
+    aic = {j.candidate.label: j.aic for j in facts.choice.judged}
     logs = {name: f.metrics["log_ratio"] or math.inf for name, f in facts.models.items()}
     assert min(aic, key=aic.__getitem__) != min(logs, key=logs.__getitem__)  # else there is nothing to tell apart
     first = next(iter(facts.choice.near))
     assert set(facts.choice.near) == set(facts.models)  # noise of 20 % hides what tells them apart
-    assert facts.best == facts.choice.named == "lambert", "the simplest of them"
+    named = facts.choice.named
+    assert named is not None
+    assert facts.best == named.candidate.label == "lambert", "the simplest of them"
     said = f"lambert is the simplest of the models that cannot be told apart from the nearest, {first}: it describes"
     if first == "lambert":
         said = "lambert is the nearest of the 3 models tried: it describes"
@@ -210,13 +212,13 @@ def test_the_column_of_misfits_says_what_it_ranks_by() -> None:
         assert found.header[-1] == "farthest off, with the median there"
         of_misfit = list(found.header).index("misfit tau")
         cells = [str(row[-1]).replace("\u00a0", " ") for row in found.rows]
-        for cell, one in zip(cells, facts.choice.candidates, strict=True):
+        for cell, one in zip(cells, facts.choice.judged, strict=True):
             if one.fails is not None and cell:
                 assert one.fails.words in cell.replace("\u00a0", " ")
         assert any(cells)
-        for row, one in zip(found.rows, facts.choice.candidates, strict=True):
-            assert one.misfit is not None
-            assert str(row[of_misfit]).replace("\u00a0", " ") == one.misfit.words
+        for row, one in zip(found.rows, facts.choice.judged, strict=True):
+            assert one.fit.tau is not None
+            assert str(row[of_misfit]).replace("\u00a0", " ") == one.fit.tau.words
 
 
 def test_a_value_of_zero_does_not_make_a_table_silent() -> None:

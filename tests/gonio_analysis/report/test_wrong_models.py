@@ -15,8 +15,9 @@ import pytest
 from gonio_analysis.fitting.fit import fit
 from gonio_analysis.report import write
 from gonio_analysis.report.comparison import summarise
+from gonio_analysis.report.facts import DatasetSummary
 from gonio_analysis.report.verdict import of_fit
-from gonio_analysis.result_records import DatasetSummary, MisfitSummary, Reflectance
+from gonio_analysis.result_records import MisfitSummary, Reflectance
 from gonio_analysis.selection.compare import examine
 from gonio_analysis.selection.energy import combined
 
@@ -97,11 +98,12 @@ def test_plots_have_a_band_of_tau(page: tuple[Any, str]) -> None:
 
 def test_a_true_model_has_no_band_and_says_what_would_go_unnoticed() -> None:
     facts = facts_of(measure(PAINT, noise=0.01, seed=3), "lambert", "cook-torrance")
-    assert facts.best == facts.choice.named == "cook-torrance"
+    assert facts.choice.named is not None
+    assert facts.best == facts.choice.named.candidate.label == "cook-torrance"
     assert facts.conclusion.startswith(
         "cook-torrance is the simplest of the models tried that the data do not reject: "
     )
-    misfit = facts.models["cook-torrance"].misfit
+    misfit = facts.models["cook-torrance"].fit.tau
     assert misfit is not None
     assert (misfit.value, misfit.interval[0]) == (0.0, 0.0)
     assert re.search(r"a misfit of at most 0\.\d+ % would go unnoticed\.", facts.conclusion)

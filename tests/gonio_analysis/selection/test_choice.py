@@ -38,7 +38,7 @@ def test_the_simplest_that_fits_is_named_and_not_the_best() -> None:
     assert any(j.fit.chi_square < choice.named.fit.chi_square for j in others)  # type: ignore[operator]
     assert set(choice.intervals) == {"albedo"}
     assert "lambert is the simplest model" in choice.words
-    json.dumps(as_json(choice.summary()), allow_nan=False)
+    json.dumps(as_json(choice), allow_nan=False)
 
 
 def test_gloss_rejects_matte_models_where_it_shines() -> None:
@@ -90,7 +90,7 @@ def test_where_everything_fails_nothing_is_named() -> None:
     choice = decide(measure(PAINT, noise=0.003, floor=0.0), ("lambert", "oren-nayar"))
     assert choice.named is None
     assert "reject every model" in choice.words
-    assert choice.summary().named is None
+    assert choice.named is None
 
 
 def test_without_uncertainties_models_are_only_compared() -> None:
@@ -133,7 +133,7 @@ def test_too_few_values_are_no_choice_and_no_error() -> None:
     assert choice.named is None
     assert not choice.judged
     assert "1 usable value at 550 nm" in choice.words
-    json.dumps(as_json(choice.summary()), allow_nan=False)
+    json.dumps(as_json(choice), allow_nan=False)
     # enough values, but a broad band has no wavelength for the model that needs one
     broad = measure(MATTE).assign(wavelength_nm=np.nan)
     with pytest.raises(DataError, match="he-torrance could not be fitted"):

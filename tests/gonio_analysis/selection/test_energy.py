@@ -13,8 +13,8 @@ from gonio_analysis.fitting.observations import observations
 from gonio_analysis.report.comparison import summarise
 from gonio_analysis.selection import energy
 from gonio_analysis.selection.compare import examine
-from gonio_analysis.selection.symmetry import symmetries
 
+from gonio.checks.symmetry import symmetries
 from gonio.formats.reader import table
 from gonio.models import build
 from tests.gonio_analysis.synthetic import measure
@@ -79,23 +79,23 @@ def test_a_model_above_one_is_marked() -> None:
 
 def test_reciprocity_and_both_sides_are_compared() -> None:
     frame = hemisphere(ROUGH, theta_i=(10.0, 30.0, 50.0), u_rel=0.01)
-    found = {s.kind: s for s in symmetries(observations(frame))}
+    found = {s.kind: s for s in symmetries(observations(frame).checked)}
     assert set(found) == {"reciprocity", "left and right"}
     assert not any(s.broken for s in found.values())
     # a hundred pairs and more of 1 % noise: 0.014 +- 0.001
     assert found["left and right"].typical == pytest.approx(0.0141, rel=0.2)
     left = frame["phi_r_deg"].between(1, 179)
     frame.loc[left, "brdf"] *= 1.1
-    assert {s.kind for s in symmetries(observations(frame)) if s.broken} >= {"left and right"}
+    assert {s.kind for s in symmetries(observations(frame).checked) if s.broken} >= {"left and right"}
 
 
 @pytest.mark.parametrize("u_rel", [0.0, 0.01])
 def test_anisotropy_is_seen_in_the_azimuth_of_incidence(u_rel: float) -> None:
     frame = hemisphere(ROUGH, phi_i=(0.0, 45.0, 90.0), u_rel=u_rel)
-    assert not [s for s in symmetries(observations(frame)) if s.broken]
+    assert not [s for s in symmetries(observations(frame).checked) if s.broken]
     brushed = frame.copy()
     brushed.loc[brushed["phi_i_deg"] == 90.0, "brdf"] *= 1.5
-    found = {s.kind: s for s in symmetries(observations(brushed))}["azimuth of incidence"]
+    found = {s.kind: s for s in symmetries(observations(brushed).checked)}["azimuth of incidence"]
     assert found.broken
     (facts,) = summarise([examine(brushed, ["lambert"], name="x")], title="", normalise="mirror", command="").datasets
     assert "The sample is anisotropic" in facts.conclusion

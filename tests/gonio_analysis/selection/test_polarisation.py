@@ -41,23 +41,23 @@ def table() -> pd.DataFrame:
 def test_the_models_own_matrices_leave_noise(table: pd.DataFrame) -> None:
     dataset = examine(table, ["lambert", "he-torrance"], name="metal", ior=INDEX)
     assert dataset.polarisation is not None
-    summary = dataset.polarisation.summary()
-    assert summary.model == "he-torrance"
-    assert [e.name for e in summary.elements] == list(MUELLER)
-    values = summary.points * len(MUELLER)
-    each = [e.chi_square_per_value for e in summary.elements if e.chi_square_per_value is not None]
+    found = dataset.polarisation
+    assert found.model == "he-torrance"
+    assert [e.name for e in found.elements] == list(MUELLER)
+    values = found.points * len(MUELLER)
+    each = [e.chi_square_per_value for e in found.elements if e.chi_square_per_value is not None]
     assert len(each) == len(MUELLER)
     chi = float(np.mean(each))
     # mean square of so many standard normal numbers, within four standard deviations
     assert abs(chi - 1.0) < 4.0 * np.sqrt(2.0 / values)
-    assert all(e.rms_residual == pytest.approx(0.02, rel=0.6) for e in summary.elements)
+    assert all(e.rms_residual == pytest.approx(0.02, rel=0.6) for e in found.elements)
 
 
 def test_a_wrong_sign_is_seen(table: pd.DataFrame) -> None:
     wrong = table.assign(m22=-table["m22"])
     dataset = examine(wrong, ["he-torrance"], name="metal", ior=INDEX)
     assert dataset.polarisation is not None
-    chi = {e.name: e.chi_square_per_value for e in dataset.polarisation.summary().elements}
+    chi = {e.name: e.chi_square_per_value for e in dataset.polarisation.elements}
     assert chi["m22"] is not None
     assert chi["m22"] > 100
     assert max(value for name, value in chi.items() if name != "m22" and value is not None) < 3

@@ -1,4 +1,4 @@
-"""The README's "Calibrate", word for word: its commands and files find what is true of the bench and hidden."""
+"""The tour's "Calibrate", word for word: its commands and files find what is true of the bench and hidden."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ APART = ("camera.full_well_e",)
 
 def blocks() -> list[tuple[str, str]]:
     """The fenced blocks of the section, in order: language and text."""
-    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs" / "tour.md").read_text(encoding="utf-8")
     section = text.split("\n## Calibrate\n")[1].split("\n## ")[0]
     return [(language, body) for language, body in re.findall(r"```(\w*)\n(.*?)```", section, re.S)]
 

@@ -1,0 +1,117 @@
+"""What the pages of a comparison are printed from, and `summary.json` holds: samples with their fits, in numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from gonio import shown
+from gonio.checks.symmetry import Pairs
+from gonio.formats.reader import TableBand
+from gonio_analysis.result_records import (
+    Appearance,
+    CauseSummary,
+    ChecksSummary,
+    FigureSummary,
+    MeasuredValue,
+    Reflectance,
+    RunFacts,
+)
+from gonio_analysis.selection.choice import Choice
+from gonio_analysis.selection.compare import Fitted
+from gonio_analysis.selection.polarisation import Polarisation
+from gonio_analysis.selection.transmission import Transmitted
+
+
+@dataclass(frozen=True)
+class DatasetSummary:
+    """One measured sample with every model that was fitted to it."""
+
+    name: str
+    slug: str
+    source: str
+    format: str | None
+    quantity: str
+    rows: int
+    rows_here: int
+    used: int
+    left_out: Mapping[str, int]
+    left_out_words: str
+    negative: int
+    wavelength_nm: float | None
+    wavelengths_nm: list[float | None]
+    bands: list[TableBand]
+    source_solid_angle_sr: float | None
+    receiver_solid_angle_sr: float | None
+    uncertainty_stated: bool
+    u_rel_assumed: float | None
+    causes: list[str]
+    theta_i_deg: list[float]
+    brdf_min: float
+    brdf_max: float
+    median_u_rel: float | None
+    budget: list[CauseSummary]
+    curves_known: int
+    scanned: str | None
+    out_of_plane_deg: float
+    curves_without_mirror: list[float]
+    notes: list[str]
+    data_notes: list[str]
+    provenance: Any
+    """As the table has it, whoever wrote it."""
+    run: RunFacts | None
+    models: dict[str, Fitted]
+    skipped: dict[str, str]
+    choice: Choice
+    values: list[MeasuredValue]
+    usable_everywhere: int
+    best: str | None
+    conclusion: str
+    rho_dh: list[Reflectance]
+    """Of the measurement itself."""
+    rho_dh_combined: list[Reflectance]
+    """Over the models that cannot be told from the nearest one (`ChoiceSummary.near`); empty where one is true."""
+    symmetries: list[Pairs]
+    appearance: Appearance | None = None
+    """None where a table is too large for a quick look."""
+    transmission: Transmitted | None = None
+    """None where the table holds reflection alone."""
+    mueller: Polarisation | None = None
+    simulated: bool = False
+    """Whether a simulation made the values."""
+    checks: ChecksSummary | None = None
+
+    @property
+    def title(self) -> str:
+        """The name, with a mark where the values are simulated."""
+        return shown.marked(self.name, self.simulated)
+
+
+@dataclass(frozen=True)
+class MetricSummary:
+    """A distance between model and measurement in words."""
+
+    label: str
+    meaning: str
+
+
+@dataclass(frozen=True)
+class Summary:
+    """A comparison of models on one or more samples."""
+
+    title: str
+    created: str
+    command: str
+    versions: dict[str, str]
+    normalise: str
+    models: list[str]
+    in_plane_tolerance_deg: float
+    mirror_tolerance_deg: float
+    log_metrics_above_u: float
+    metrics: dict[str, MetricSummary]
+    datasets: list[DatasetSummary]
+    transmission_only: Sequence[Transmitted] = field(default_factory=list)
+    """Samples of which no reflection was measured."""
+    figures: Sequence[FigureSummary] = ()
+    tables: Sequence[str] = ()
