@@ -76,8 +76,7 @@ def test_no_process_outlives_a_signal(tmp_path: Path, number: signal.Signals, to
     """The end of the output comes when the last process that holds it has gone."""
     (tmp_path / "hanging.py").write_text(HANGING)
     (tmp_path / "stranger.py").write_text(
-        "def hang() -> None:\n    import hanging\n    from gonio_analysis.result_records import as_json
-from gonio_analysis.selection import parallel\n"
+        "def hang() -> None:\n    import hanging\n    from gonio_analysis.selection import parallel\n"
         "    list(parallel.each(hanging.hang, range(4)))\n"
     )
     info = tmp_path / "stranger-1.0.dist-info"
