@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import runpy
 from dataclasses import replace
 
 import numpy as np
@@ -17,7 +16,7 @@ from gonio.checks.values import Values, incidences, values_of
 from gonio.checks.verdicts import Taken, Visits, of_energy, of_pairs, of_run, of_values
 from gonio.geometry import Directions
 from gonio.typing import Floats
-from tests.places import ROOT, measured
+from tests.places import measured
 
 OVER = Visits(
     used=5, lost=(), unknown="", straight=True, chi_square=2.0, drift_per_hour=0.003, u_drift_per_hour=0.001,
@@ -215,43 +214,6 @@ def test_infrared_metals_are_reciprocal_or_not_as_their_makers_say() -> None:
     assert math.exp(found["brushed stainless steel"].largest) > 1.6
     assert "Most of it lies within 5° of the mirror" in verdict["galvanised steel"].advice
     assert "Most of it lies fainter than 1 %" in verdict["brass"].advice
-
-
-def test_infrared_reflectances_agree_with_emissivities_where_the_assumption_holds(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    """In-plane scans turned about the mirror direction: right within 20 % for stainless steel and brass.
-
-    The spikes are 2 degrees wide and the steps 1 degree: their integral is known to a tenth. The scale of the radiances
-    adds a few percent. Brushed steel is no figure of revolution, and comes out at ten times what it can be.
-    """
-    folder = measured("brdf/mwir_metals")
-    runpy.run_path(str(ROOT / "tools" / "infrared_metals.py"))["main"](folder)
-    found: dict[str, list[tuple[float, float]]] = {}
-    for line in capsys.readouterr().out.splitlines():
-        if not line.startswith(" "):
-            found[name := line] = []
-        elif "emissivity" in line:
-            words = line.replace(",", "").split()
-            found[name].append((float(words[3]), float(words[7])))
-    assert {len(rows) for rows in found.values()} == {5}
-    for metal in ("stainless steel", "brass"):
-        for rho, expected in found[metal]:
-            assert rho == pytest.approx(expected, rel=0.2)
-    assert all(rho > 9 for rho, _ in found["brushed stainless steel"])
-
-
-def test_an_integral_of_revolution_is_right_for_lobes_of_revolution() -> None:
-    """A spike that is round in angle has its solid angle; a matte surface its albedo, but for its values near 90."""
-    revolved = runpy.run_path(str(ROOT / "tools" / "infrared_metals.py"))["revolved"]
-    theta_i = np.radians(np.arange(0.25, 90.0, 0.25))
-    for theta_r in np.radians([20.0, 45.0, 70.0]):
-        width = math.radians(1.0)
-        spike = np.exp(-(((theta_i - theta_r) / width) ** 2))
-        expected = math.pi * width**2 * math.cos(theta_r)
-        # logarithms between steps of a quarter of the width miss 1 % of it; sin(alpha) < alpha
-        assert revolved(theta_i, spike, theta_r) == pytest.approx(expected, rel=0.03)
-        assert revolved(theta_i, np.full(theta_i.size, 0.5 / np.pi), theta_r) == pytest.approx(0.5, rel=0.01)
 
 
 @pytest.mark.parametrize(("directions", "visits", "pairs"), [(1, 8, 4), (2, 5, 4), (3, 3, 3), (5, 2, 5), (40, 12, 240)])
