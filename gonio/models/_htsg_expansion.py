@@ -1,4 +1,4 @@
-"""Polynomials of the HTSG series, written by tools/htsg_expansion.py; do not edit."""
+"""Polynomials of the HTSG series, fitted in 40 digits (docs/models.md); do not edit."""
 
 # ruff: noqa: E501
 # mypy: allow-untyped-defs, allow-untyped-calls

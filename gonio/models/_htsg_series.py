@@ -1,7 +1,7 @@
 """The series of He, Torrance, Sillion and Greenberg (1991) for a block of pairs: sorted into classes, summed by class.
 
 How a sum is taken depends on the place m0 of its largest term and on its width, m0 p: so many terms from m = 1, or the
-largest term times a polynomial in 1/m0 and p (tools/htsg_expansion.py derives and writes them). Each class is a loop
+largest term times a polynomial in 1/m0 and p (`_htsg_expansion`). Each class is a loop
 over pairs that vectorises.
 """
 
