@@ -37,6 +37,7 @@ from gonio.reduction import brdf
 from gonio.rig.calibrated import Calibration, identity, uncalibrated, with_keys, write_calibration
 from gonio.rig.description import ParameterUncertainty, RigDescription
 from gonio.typing import Floats
+from gonio_validation.bench.campaigns import Record
 from gonio_validation.bench.coverage_hidden import Campaign
 
 if TYPE_CHECKING:
@@ -61,8 +62,6 @@ PAIRS = 1
 STRAYS: tuple[Literal["trap", "edge"], ...] = ("trap", "edge")
 SEARCH_DEG = 8.0
 """How far a scan looks for the lamp: the sum of two zero offsets of 3 deg, and some."""
-
-Record = dict[str, Any]
 
 
 def carried_out(campaign: Campaign, folder: Path) -> Record:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from gonio_validation.bench.campaigns import Record
 from gonio_validation.bench.results import Machine
 
 ENOUGH = 0.005
@@ -94,9 +95,6 @@ class Sweeps:
     levels: Sequence[Level]
     by_points: Sequence[ByPoints]
     held: Sequence[Held]
-
-
-Record = dict[str, Any]
 
 
 def levels(records: Sequence[Record]) -> list[Level]:

@@ -1,0 +1,165 @@
+"""Runs of a bench that are drawn, carried out, recorded, gone on with and reported: coverage and sweeps.
+
+Every run leaves one record, written whole. So a command that was cut short goes on where it stood, and a larger number
+of runs adds to those that are there.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import fcntl
+import io
+import json
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from gonio_analysis.report import html
+from gonio_analysis.report.blocks import Page
+from gonio_analysis.report.figures import Figure
+from gonio_analysis.result_records import as_json
+from gonio_analysis.selection import parallel
+
+from gonio.config import Strict, parse, read_toml, to_toml
+from gonio.disk import require_name, write_own, write_whole
+from gonio.errors import ConfigError, Interrupted
+
+Record = dict[str, Any]
+Step = Callable[[int, int], None]
+"""Told how many runs are done, of how many."""
+
+
+@dataclass(frozen=True)
+class Campaigns:
+    """The runs in a folder, all of one kind."""
+
+    folder: Path
+    bench: str
+    """What works there: "coverage"."""
+    runs: str
+    """What a run is called, in plural; their records lie in a folder of this name."""
+    settings: Strict
+    """What makes the runs what they are: with others they would be other runs."""
+
+    @contextlib.contextmanager
+    def opened(self) -> Iterator[None]:
+        """A new folder, or one whose runs are of the same kind; nobody else works there meanwhile.
+
+        Raises
+        ------
+        ConfigError
+            The folder cannot be written, holds something else, or runs of another kind; or somebody works there.
+        """
+        file = self.folder / f"{self.bench}.toml"
+        try:
+            self._begin(file)
+            with open(file, "rb") as held:
+                try:
+                    fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                except BlockingIOError:
+                    raise ConfigError(
+                        f"{self.folder}: another bench {self.bench} is at work there; wait until it has ended, or stop"
+                        " it"
+                    ) from None
+                yield
+        except OSError as error:
+            raise ConfigError(f"{self.folder}: cannot be written: {error.strerror}") from None
+
+    def _begin(self, file: Path) -> None:
+        require_name(self.folder)
+        if file.is_file():
+            before = parse(type(self.settings), read_toml(file), file)
+            for name, value in self.settings.model_dump().items():
+                was = getattr(before, name)
+                if was != value:
+                    raise ConfigError(
+                        f"{file}: its {self.runs} have {name} = {_said(was)}, and {_said(value)} is asked for: they "
+                        "cannot be counted together; choose another folder with --out"
+                    )
+        elif self.folder.exists() and not self.folder.is_dir():
+            raise ConfigError(f"{self.folder}: is a file; --out names a folder")
+        elif self.folder.is_dir() and any(self.folder.iterdir()):
+            raise ConfigError(f"{self.folder}: holds something else than {self.runs}; choose another folder with --out")
+        else:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            write_whole(file, to_toml(self.settings.model_dump(mode="json")).encode())
+        (self.folder / self.runs).mkdir(exist_ok=True)
+
+    def carried_out(self, wanted: Mapping[str, Callable[[], Record]], jobs: int | None, step: Step) -> list[Record]:
+        """The records of the runs that are wanted, by name; those that are missing are carried out.
+
+        Raises
+        ------
+        Interrupted
+            Somebody stopped it; the records that are there count.
+        """
+        missing = [name for name in wanted if self.record(name) is None]
+        done = len(wanted) - len(missing)
+        step(done, len(wanted))
+        try:
+            every = [partial(_recorded, wanted[name], self._path(name)) for name in missing]
+            for _ in parallel.each(_called, every, workers=jobs):
+                done += 1
+                step(done, len(wanted))
+        except (KeyboardInterrupt, Interrupted):
+            done = sum(self.record(name) is not None for name in wanted)
+            raise Interrupted(
+                f"{self.folder}: {done} of {len(wanted)} {self.runs} are done and kept; the same command goes on with "
+                "the others"
+            ) from None
+        return [record for name in wanted if (record := self.record(name)) is not None]
+
+    def record(self, name: str) -> Record | None:
+        """Of one run; None where there is none yet, or one that a disk has damaged."""
+        try:
+            record = json.loads(self._path(name).read_text(encoding="utf-8"))
+        except (FileNotFoundError, ValueError):
+            return None
+        whole = isinstance(record, dict) and record.get("format") == getattr(self.settings, "format", None)
+        return record if whole else None
+
+    def _path(self, name: str) -> Path:
+        return self.folder / self.runs / f"{name}.json"
+
+
+def _recorded(run: Callable[[], Record], path: Path) -> None:
+    write_whole(path, json.dumps(run(), ensure_ascii=False, allow_nan=False).encode())
+
+
+def _called(job: Callable[[], None]) -> None:
+    job()
+
+
+def _said(value: object) -> str:
+    return ", ".join(value) if isinstance(value, tuple) else str(value)
+
+
+def write(folder: Path, page: Page, results: object, figures: Iterable[Figure], tables: Mapping[str, bytes]) -> None:
+    """Write page, numbers, tables and figures into a folder that exists; an earlier report there is replaced."""
+    files = {
+        "index.html": html.document(page).encode(),
+        "results.json": (json.dumps(as_json(results), indent=1, ensure_ascii=False, allow_nan=False) + "\n").encode(),
+        **tables,
+    }
+    for figure in figures:
+        files |= {f"{figure.name}.svg": figure.svg.encode(), f"{figure.name}.png": figure.png}
+    write_own(folder, files)
+
+
+def as_csv(rows: Sequence[Mapping[str, Any]]) -> bytes:
+    """A table whose columns are those of its first row; None is an empty cell."""
+    text = io.StringIO()
+    out = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
+    out.writeheader()
+    out.writerows({k: "" if v is None else v for k, v in row.items()} for row in rows)
+    return text.getvalue().encode()
+
+
+def at_least(**given: tuple[int | None, int]) -> None:
+    """Raise `ConfigError` for an option (without dashes) below its least value."""
+    for name, (value, least) in given.items():
+        if value is not None and value < least:
+            raise ConfigError(f"--{name} {value}: must be {least} or more")
