@@ -27,6 +27,7 @@ Another source of the same material is named after a slash: `ior("Al/McPeak")`, 
 from __future__ import annotations
 
 import difflib
+import re
 from dataclasses import dataclass
 from functools import cache
 from importlib.util import find_spec
@@ -207,7 +208,6 @@ def _read(path: Path) -> tuple[Curve, Curve | None, str]:
 
 
 def _plain_text(html: Any) -> str:
-    import re
 
     return re.sub(r"\s+", " ", re.sub(r"<[^>]+>", "", str(html))).strip()
 

@@ -31,6 +31,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, cast
 
+import numpy as np
+
 from gonio.acquisition.journal import Event
 from gonio.acquisition.plan import ANGLES
 from gonio.acquisition.run import TABLE, Run
@@ -71,7 +73,6 @@ class Frames:
 
     def __call__(self, files: Sequence[str], **_: object) -> npt.NDArray[np.uint16]:
         """The raw frames of a step [DN], shape (frames, height, width); none have the shape (0, 0, 0)."""
-        import numpy as np
 
         frames = [read_raw(self._folder / name).mosaic for name in files]
         return np.stack(frames) if frames else np.empty((0, 0, 0), np.uint16)

@@ -5,18 +5,21 @@ from __future__ import annotations
 import contextlib
 import math
 import sys
+import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from gonio import plugins
-from gonio.acquisition.plan import Assessed, Plan
-from gonio.acquisition.schedule import schedule
+from gonio.acquisition.plan import Assessed, Plan, assess, said_beside
+from gonio.acquisition.schedule import going_on, reference_pose, schedule
 from gonio.config import load, parse
 from gonio.errors import ConfigError, DeviceError, GonioError, Interrupted
+from gonio.rig import imaging, kinematics
 from gonio.rig.calibrated import with_calibrations
 from gonio.rig.description import RigDescription, SampleDescription
+from gonio.rig.ways import Blocked, route
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -120,7 +123,6 @@ def find_rig(name: str, *, without: str = "") -> RigChoice:
     plugin: RigPlugin = plugins.load("gonio.rigs", name)
     if not plugin.toml:
         raise ConfigError(f'the rig "{name}" needs a rig file: --rig my-{name}.toml, with rig = "{name}" in it')
-    import tomllib
 
     return RigChoice(plugin, parse(RigDescription, tomllib.loads(plugin.toml), f'rig file of "{name}"'), name)
 
@@ -191,14 +193,12 @@ def carry_out(
         See `gonio.acquisition.loop.measure`, `Run.create`, `Run.resume` and the rig's own documentation.
     """
     from gonio.acquisition.loop import measure
-    from gonio.acquisition.plan import said_beside
     from gonio.acquisition.progress import Silent
     from gonio.acquisition.remaining import Remaining
     from gonio.acquisition.repair import ASIDE
     from gonio.acquisition.run import Run
     from gonio.acquisition.run_folder import begun
     from gonio.acquisition.run_settings import Request
-    from gonio.acquisition.schedule import going_on
     from gonio.acquisition.stop import Stop
 
     out = Path(out)
@@ -266,9 +266,7 @@ def prepared(
         return plan, rig, None, chooser
     from gonio.acquisition.duration import Durations
     from gonio.acquisition.ordering import as_begun, ordered
-    from gonio.acquisition.plan import assess
     from gonio.acquisition.run import Run
-    from gonio.acquisition.schedule import reference_pose
 
     if begun is not None and (begun / "plan.csv").is_file():
         return as_begun(plan, Run.open(begun).planned.angles_deg.tolist()), rig, None, chooser
@@ -281,7 +279,6 @@ def prepared(
 
 def assessed(plan: Plan, rig: RigChoice) -> Prepared:
     """As `prepared` for a run that has not begun, with its points as the rig sees them in any case; raises the same."""
-    from gonio.acquisition.plan import assess
 
     plan, rig, points, chooser = prepared(plan, rig)
     return plan, rig, assess(plan, rig.description) if points is None else points, chooser
@@ -289,7 +286,6 @@ def assessed(plan: Plan, rig: RigChoice) -> Prepared:
 
 def _require_way(device: Rig, reference: Pose) -> None:
     """Raise where no way leads from where the axes stand to the first pose: planning knows all ways but this one."""
-    from gonio.rig.ways import Blocked, route
 
     if not device.description.looks_ahead:
         return
@@ -400,7 +396,6 @@ def _check_patches(rig: RigChoice, sample: SampleDescription | None) -> None:
 
 def _check_frame(rig: RigChoice, steps: list[Step]) -> None:
     """The frame must hold the measured patch of sample and reference whole, in every pose that they are looked at."""
-    from gonio.rig import imaging, kinematics
 
     description = rig.description
     reference, patch, camera = description.reference, description.acquisition.roi_radius_mm, description.camera

@@ -16,10 +16,12 @@ from __future__ import annotations
 import contextlib
 import csv
 import hashlib
+import io
 import json
 import os
 import re
 import sys
+import tempfile
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -530,7 +532,6 @@ class Run:
         DataError
             The table is not valid.
         """
-        import tempfile
 
         from gonio import measurement
 
@@ -583,7 +584,6 @@ def own_files(path: Path) -> Manifest:
 
 
 def _plan_csv(points: list[Assessed]) -> str:
-    import io
 
     out = io.StringIO()
     lines = csv.writer(out, lineterminator="\n")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import tempfile
 from pathlib import Path
 
 from gonio.acquisition.frame_writer import NAME
@@ -108,7 +109,6 @@ def check_writable(path: Path) -> None:
 
 def _refuses(folder: Path) -> bool:
     """Whether a folder takes no new entries although its permissions say so (as in /proc)."""
-    import tempfile
 
     try:
         with tempfile.TemporaryDirectory(prefix=".gonio-", dir=folder):

@@ -11,6 +11,7 @@ import contextlib
 import math
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -242,7 +243,6 @@ def write(table: pd.DataFrame, file: Path) -> Path:
     DataError
         They cannot be written.
     """
-    from io import BytesIO
 
     picture = file.with_suffix(".png")
     _put(file, table.to_csv(index=False).encode())  # before anything that takes time, or may fail

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -155,7 +156,6 @@ def _patch(
 
 
 def _write(shot: Snapshot, file: Path, picture: Path) -> None:
-    from io import BytesIO
 
     if file.suffix.lower() == ".dng":
         dng.write_dng(shot.frame, file)

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from gonio.config import parse, with_numbers
+from gonio.config import numbers_in, parse, with_numbers
 from gonio.errors import DataError
 from gonio.rig import Pose, imaging, kinematics
 from gonio.rig.description import RigDescription
@@ -564,7 +564,6 @@ def _left(rig: RigDescription, s: Sighting) -> tuple[Floats, Floats]:
 
 
 def _numbers(tables: dict[str, Any], paths: Sequence[str]) -> npt.NDArray[np.float64]:
-    from gonio.config import numbers_in
 
     there = numbers_in(tables)
     return np.array([there[path] for path in paths], float)

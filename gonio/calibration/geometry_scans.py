@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -226,7 +226,6 @@ class GeometryScans(Scans):
         return dict(zip(names, map(float, np.clip(turn, -3.0, 3.0)), strict=True))
 
     def _lamp_at(self, rig: RigDescription, pose: Pose, shift: dict[str, float]) -> Floats:
-        from dataclasses import replace
 
         moved = replace(pose, **{n: getattr(pose, n) + math.radians(v) for n, v in shift.items()})
         view = kinematics.view(rig, moved)

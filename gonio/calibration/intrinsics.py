@@ -23,7 +23,7 @@ import numpy.typing as npt
 from pydantic import Field
 
 from gonio.config import Strict, parse, read_toml
-from gonio.errors import ConfigError, DataError
+from gonio.errors import ConfigError, DataError, GonioError
 from gonio.rig.fiducials import dictionary_of
 from gonio.typing import Floats
 
@@ -219,8 +219,6 @@ def read_grey(file: Path) -> Grey:
         The file cannot be read as a picture.
     """
     import cv2
-
-    from gonio.errors import GonioError
 
     try:
         if file.suffix.lower() == ".dng":

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -158,7 +159,6 @@ def _put(bench: Bench, what: str, *, yes: bool) -> None:
 
 
 def _write_picture(table: pd.DataFrame, found: Alignment, picture: Path) -> None:
-    from io import BytesIO
 
     from gonio.by_hand import alignment
     from gonio.disk import write_whole

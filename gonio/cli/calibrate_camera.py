@@ -5,6 +5,7 @@ from __future__ import annotations
 import datetime
 import sys
 from functools import partial
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -172,7 +173,6 @@ def _put(bench: Bench, what: str, *, yes: bool) -> None:
 
 
 def _draw(found: CameraCalibration, description: Any, picture: Path) -> bool:
-    from io import BytesIO
 
     from gonio.calibration import camera_plots
     from gonio.disk import write_whole

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import datetime
 from collections.abc import Sequence
+from dataclasses import replace
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -188,7 +190,6 @@ def _measured(
 
     `share`: of the poses.
     """
-    from dataclasses import replace
 
     from gonio.by_hand.bench import Bench
     from gonio.calibration import camera_check
@@ -332,7 +333,6 @@ def _show_open(notes: Sequence[str]) -> None:
 
 
 def _draw(fit: Fit | None, intrinsics: Intrinsics | None, picture: Path) -> None:
-    from io import BytesIO
 
     from gonio.calibration import geometry as geometric
     from gonio.calibration import intrinsics as lens

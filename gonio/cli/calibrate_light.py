@@ -5,6 +5,8 @@ from __future__ import annotations
 import contextlib
 import datetime
 import math
+import sys
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -328,7 +330,6 @@ def _keep(table: pd.DataFrame, file: Path) -> None:
 
 
 def _picture(figure: Figure, out: Path, what: str) -> str:
-    from io import BytesIO
 
     from gonio.disk import write_whole
     from gonio.errors import DataError
@@ -352,7 +353,6 @@ def _free(out: Path, what: str, suffix: str) -> Path:
 
 
 def _put_white(bench: Bench, *, yes: bool) -> None:
-    import sys
 
     from gonio.cli import console
     from gonio.errors import DeviceError

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
@@ -184,7 +185,6 @@ def _effort(written: Plan, points: list[Assessed], rig: RigChoice, steps: list[S
 def _write_left_out(points: list[Assessed], path: Path) -> int:
     """Write the points without a pose, with flag and reason; how many there are."""
     import csv
-    import io
 
     from gonio.acquisition.plan import ANGLES
     from gonio.disk import write_whole

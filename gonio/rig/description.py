@@ -16,6 +16,7 @@ from functools import lru_cache
 from itertools import pairwise
 from typing import Annotated, Any, Literal
 
+import numpy as np
 from pydantic import Field, model_validator
 
 from gonio.config import Strict, numbers_in
@@ -624,7 +625,6 @@ class ParameterUncertainty(Strict):
 
     @model_validator(mode="after")
     def _fits_together(self) -> ParameterUncertainty:
-        import numpy as np
 
         n = len(self.parameters)
         if len(set(self.parameters)) < n or len(self.u) != n or [len(row) for row in self.correlation] != [n] * n:

@@ -14,7 +14,7 @@ from gonio import models
 from gonio.config import Strict, parse
 from gonio.errors import ConfigError, GonioError
 from gonio.models import Blinn, CookTorrance, HeTorrance, Lambert, Model, OrenNayar, Phong, Sum
-from gonio.models.parameters import Parameters
+from gonio.models.parameters import Parameters, index_at
 from gonio.typing import Floats
 from gonio_scenes import polarised
 from gonio_scenes.patterns import Pattern, Texture
@@ -295,7 +295,6 @@ def _is_constant(model: Model) -> bool:
 
 def _normal_index(model: Model, wavelength_nm: float, where: str) -> complex:
     """The index of refraction that a model has at a wavelength."""
-    from gonio.models.parameters import index_at
 
     if isinstance(model, (CookTorrance, Blinn, HeTorrance)):
         return index_at(model.ior, wavelength_nm)

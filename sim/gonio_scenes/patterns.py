@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Literal
@@ -80,7 +81,6 @@ def _texels(path: Path, where: str) -> Floats:
 
 
 def _of_npy(data: bytes, path: Path, where: str) -> Floats:
-    import io
 
     try:
         array = np.load(io.BytesIO(data), allow_pickle=False)

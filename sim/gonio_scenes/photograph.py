@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial import cKDTree
 
 from gonio import __version__, geometry
 from gonio.errors import ConfigError, DataError
@@ -482,7 +483,6 @@ def _slopes(squares: _Squares, used: Mask, normal: Floats, across: Floats) -> _S
 
 def _over_facets(piece: npt.NDArray[np.intp], normal: Floats, log: Floats, across: Floats) -> tuple[Floats, Floats]:
     """Gradient (n, 2) and Hessian (n, 3) by quadratics through the facets of the nearest normals."""
-    from scipy.spatial import cKDTree
 
     _, facet = np.unique(piece, return_inverse=True)
     count = np.bincount(facet)

@@ -11,6 +11,7 @@ from gonio.config import Strict
 from gonio.errors import ConfigError
 from gonio.rig.description import Camera as SensorModel
 from gonio.rig.description import NonNegative, Positive
+from gonio.rig.protocols import Frame
 from gonio.typing import Floats
 from gonio_scenes.camera import Camera
 
@@ -85,8 +86,6 @@ def expose(sensor: SensorTable, camera: Camera, radiance: Floats, exposure_s: fl
     """The raw frame of radiances (height, width), with the noise of the simulated rig's camera."""
     from gonio_sim.camera import Sensor
     from gonio_sim.world import Stream, key
-
-    from gonio.rig.protocols import Frame
 
     model = sensor.model(camera.width, camera.height)
     chip = Sensor(model, lambda stream: key(seed, stream))

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from gonio import colour, models
+from gonio import colour, measurement, models
 from gonio.config import numbers_in, with_numbers
 from gonio.errors import ArgumentError, ConfigError
 from gonio.geometry import ANGLES, Directions
@@ -90,7 +90,6 @@ def of(spec: str, *, wavelength_nm: float | None = None, how: Reading | None = N
         from gonio.acquisition.measure import load_sample
 
         return of_sample(load_sample(spec), source=spec, wavelength_nm=wavelength_nm)
-    from gonio import measurement
 
     found = measurement.tables(spec, how)
     if len(found) > 1:

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from gonio import geometry, shown
+from gonio import geometry, measurement, shown
 from gonio.cli.pace import Say, silent
 from gonio.errors import ConfigError, DataError
 from gonio.geometry import SAME_ANGLE, Directions
@@ -203,7 +203,6 @@ def side(spec: str, how: Reading | None = None) -> Side:
         sample = load_sample(Path(spec))
         off = 0.0 if sample.uncertainty is None else sample.uncertainty.misfit
         return Side(sample.name, spec, model=models.build(sample.model, sample.parameters), misfit=off)
-    from gonio import measurement
 
     found = measurement.tables(spec, how)
     if len(found) > 1:
@@ -214,7 +213,6 @@ def side(spec: str, how: Reading | None = None) -> Side:
 
 def of_table(name: str, source: str, table: pd.DataFrame) -> Side:
     """A side of a comparison from a measurement table: its reflection, and apart from it its transmission."""
-    from gonio import measurement
 
     through = measurement.transmission(table)
     if through is None:

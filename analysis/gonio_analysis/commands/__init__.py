@@ -5,6 +5,8 @@ Nothing heavy is imported before a command runs: `gonio --help` has to answer at
 
 from __future__ import annotations
 
+import json
+import math
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -121,7 +123,6 @@ def fit(
     blank: Blank = None,
 ) -> None:
     """Fit one model to measurements of a sample. With the table's covariance, and through the instrument's cones."""
-    import json
 
     from gonio import shown
     from gonio.cli import console
@@ -338,7 +339,6 @@ def appearance(
     blank: Blank = None,
 ) -> None:
     """Gloss, haze, reflectances, colour over angle, retroreflection and roughness. Of a measurement or of a model."""
-    import json
 
     from gonio.acquisition.run import command_line
     from gonio_analysis.appearance.quantities import of
@@ -417,7 +417,6 @@ def read_fixed(text: str) -> tuple[str, float | str]:
     ConfigError
         There is no "=", or a side of it is empty, or the number is not finite.
     """
-    import math
 
     from gonio.errors import ConfigError
 

@@ -8,6 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from gonio import measurement
 from gonio.errors import ConfigError
 from gonio.measurement import Reading
 from gonio_analysis.curves.in_plane import Normalise
@@ -96,7 +97,6 @@ def make(
     ConfigError, DataError
         From reading, fitting and writing; then nothing is left behind.
     """
-    from gonio import measurement
 
     with files.staged(out) as stage:
         found = []

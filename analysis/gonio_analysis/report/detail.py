@@ -14,7 +14,7 @@ from gonio.typing import Floats
 from gonio_analysis.curves.in_plane import Curve, Rows, groups, labels
 from gonio_analysis.curves.line import Line
 from gonio_analysis.fitting.forward import NO_WAVELENGTH_NM, seen
-from gonio_analysis.fitting.profile_likelihood import Interval
+from gonio_analysis.fitting.profile_likelihood import Interval, rise
 from gonio_analysis.plots import diagnostics, in_plane, maps, thinning
 from gonio_analysis.report.facts import DatasetSummary
 from gonio_analysis.report.figures import LEGEND_ROW_IN, PANEL_PT, SEEN, Drawing, bars, budget_height, largest
@@ -161,7 +161,6 @@ def _on_space(figure: Any, *, mesh: maps.Mesh, measured: tuple[Floats, Floats, F
 
 
 def _profiles(d: Dataset, facts: DatasetSummary) -> Drawing:
-    from gonio_analysis.fitting.profile_likelihood import rise
 
     named = d.choice.named
     assert named is not None

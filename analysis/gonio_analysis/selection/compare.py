@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gonio import shown
+from gonio import geometry, shown
 from gonio.checks.symmetry import Pairs, symmetries
 from gonio.cli.pace import Pace, Say
 from gonio.errors import ConfigError, DataError
@@ -459,7 +459,6 @@ def theory_angles(curve: Curve, data: Observations, *, dense: bool = True) -> Fl
 
     They end where a cone would touch the horizon. Those that are not `dense` are for curves that are one of many.
     """
-    from gonio import geometry
 
     cones = geometry.half_angle_of_cone([data.source_solid_angle_sr, data.receiver_solid_angle_sr])
     width = float(np.sum(cones))

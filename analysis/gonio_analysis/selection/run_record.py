@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from gonio.errors import GonioError
 from gonio.shown import number
 from gonio_analysis.result_records import HealthSummary, PauseSummary, RunFacts, SampleFacts
 from gonio_analysis.selection.run_budget import run_budget
@@ -93,7 +94,6 @@ def _reference(folder: Path, reference: Reference) -> str:
 
 def _stated(path: str) -> str:
     from gonio import measurement
-    from gonio.errors import GonioError
     from gonio.reduction import reference_table
 
     try:

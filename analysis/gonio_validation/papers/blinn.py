@@ -9,6 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from gonio_analysis.report.text import number
 
+from gonio.models import Blinn, Phong
+from gonio.models.blinn import PRESETS
 from gonio.typing import Floats
 from gonio_validation.papers.figure import Claim, PaperFigure, Parameter, Results, Row, agreed
 from gonio_validation.papers.panels import polar_panel, signed, theory
@@ -44,7 +46,6 @@ class HighlightRow(Row):
 
 def surfaces() -> tuple[Surface, ...]:
     """What the figures may have been made with: the first one is drawn, all of them are judged."""
-    from gonio.models.blinn import PRESETS
 
     def preset(name: str) -> Surface:
         p = PRESETS[name]
@@ -66,7 +67,6 @@ def exponent(surface: Surface) -> float:
 
 def highlights(surface: Surface, theta_i_deg: float, angle_deg: Floats) -> tuple[Floats, Floats]:
     """s of Phong and of Torrance and Sparrow in the plane of incidence."""
-    from gonio.models import Blinn, Phong
 
     theta_r, phi_r = signed(angle_deg)
     where = (math.radians(theta_i_deg), 0.0, theta_r, phi_r)

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from gonio_analysis.report.text import number
 
-from gonio import colour
+from gonio import colour, materials
+from gonio.models import fresnel
 from gonio.typing import Floats
 from gonio_validation.papers import cook_torrance_3
 from gonio_validation.papers.cook_torrance_3 import PAPER, SIMILAR
@@ -37,7 +38,6 @@ def claims(figure: int) -> list[Claim]:
 
 def copper() -> Parameter:
     """The optical constants of all three figures."""
-    from gonio import materials
 
     source = (
         f"{materials.ior('Cu').source}; the paper took a measured reflectance (refs. 10, 17) that it does not print"
@@ -199,7 +199,6 @@ def _shift(linear: Floats) -> Floats:
 
 
 def _claims_5() -> list[Claim]:
-    from gonio.models import fresnel
 
     theta = np.radians(np.append(np.arange(0.0, 90.0, 0.5), 89.999))
     deg = np.degrees(theta)

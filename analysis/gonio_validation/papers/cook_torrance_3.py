@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from gonio_analysis.report.text import number
 
+from gonio.models import CookTorrance
 from gonio.typing import Floats
 from gonio_validation.papers.figure import Claim, PaperFigure, Parameter, Results, Row
 from gonio_validation.papers.panels import Trace, polar_panel, theory, trace_panel
@@ -33,7 +34,6 @@ class DistributionRow(Row):
 
 def distribution(slope: float, form: str, alpha: Floats) -> Floats:
     """D(alpha), read off the model as a goniometer would: a scan of retro-reflection meets facets of every slope."""
-    from gonio.models import CookTorrance
 
     f0 = 0.04
     scanned = CookTorrance(1.0, 0.0, slope, distribution=form, f0=f0).specular(alpha, 0.0, alpha, 0.0)
@@ -63,7 +63,6 @@ def _projected(slope: float) -> float:
 
 def _reflected(slope: float) -> float:
     """What a surface of perfect mirrors reflects at normal incidence with R_s as printed."""
-    from gonio.models import CookTorrance
 
     return CookTorrance(1.0, 0.0, slope, f0=0.9999999).ambient_reflectance(0.0)
 

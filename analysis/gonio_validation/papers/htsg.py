@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from gonio_analysis.report.text import number
 
+from gonio import geometry
 from gonio_validation.papers import htsg_10, htsg_11, htsg_scans
 from gonio_validation.papers.figure import Claim, PaperFigure, Parameter, Results
 from gonio_validation.papers.htsg_scans import Scan, agreement, each, scan
@@ -132,7 +133,6 @@ def exact_spike(model: Any, theta_i_deg: float, wavelength_nm: float) -> float:
 
 
 def _claims_7(scans: Sequence[Scan]) -> list[Claim]:
-    from gonio import geometry
 
     ratios = {s.theta_i_deg: s.spike_over_lobe for s in scans}
     first = scans[0]

@@ -10,6 +10,8 @@ import numpy as np
 from gonio_analysis.curves.line import Line
 from gonio_analysis.report.text import number
 
+from gonio import geometry, materials
+from gonio.models import fresnel
 from gonio_validation.papers import htsg_scans
 from gonio_validation.papers.figure import Claim, PaperFigure, Parameter, Results
 from gonio_validation.papers.htsg_scans import BRDF, Scan, agreement, each, scan
@@ -31,7 +33,6 @@ WAVELENGTH_NM = 460.0
 
 def plastic() -> HtsgSurface:
     """sigma0 = 0, a = 0.15, and the index that the measured rho_dh = 0.195 leaves for the surface."""
-    from gonio.models import fresnel
 
     n = float(fresnel.n_from_f0(PLASTIC_RHO - PLASTIC_A))
     return HtsgSurface(sigma0_um=0.0, tau_um=1.0, ior=n, diffuse_albedo=PLASTIC_A)
@@ -47,8 +48,6 @@ def _scans() -> list[Scan]:
 
 
 def _claims(model: Any, scans: list[Scan]) -> list[Claim]:
-    from gonio import geometry, materials
-    from gonio.models import fresnel
 
     wave = WAVELENGTH_NM
     n = float(model.ior.real)

@@ -11,6 +11,7 @@ import numpy as np
 from gonio_analysis.curves.line import Line
 from gonio_analysis.report.text import number
 
+from gonio import geometry
 from gonio.typing import Floats
 from gonio_validation.papers.figure import Panel, Row
 from gonio_validation.papers.htsg_surfaces import CONE_SR, CONES
@@ -175,7 +176,6 @@ class ScanRow(Row):
 
 def rows(scans: Sequence[Scan], taken: Simulated) -> tuple[list[list[str]], list[ScanRow]]:
     """The table of results, as text and at full precision."""
-    from gonio import geometry
 
     width = 2.0 * float(geometry.half_angle_of_cone(CONE_SR))
     text, numbers = [], []

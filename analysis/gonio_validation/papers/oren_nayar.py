@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from gonio_analysis.report.text import number
 
+from gonio.models import OrenNayar
 from gonio.typing import Floats
 from gonio_validation.papers import oren_nayar_samples
 from gonio_validation.papers.figure import Claim, PaperFigure, Parameter, Results, Row, agreed
@@ -89,7 +90,6 @@ class RadianceRow(Row):
 @functools.cache
 def radiance(choice: Choice, interreflections: bool = True, step_deg: float = 1.0) -> tuple[Floats, Floats]:
     """Signed angles [deg] and radiance over E0, the irradiance head-on [1/sr], by the integral (eq. 13)."""
-    from gonio.models import OrenNayar
 
     angle = np.round(np.arange(-85.0, 85.1, step_deg), 6)
     theta_r, phi_r = signed(angle)
@@ -255,7 +255,6 @@ class PlaneRow(SidesRow):
 
 def plane(choice: Choice, theta_i_deg: float, step_deg: float = JUDGED_DEG) -> tuple[Floats, Floats]:
     """Signed angles [deg] and BRDF [1/sr] in the plane of incidence."""
-    from gonio.models import OrenNayar
 
     angle = np.round(np.arange(-85.0, 85.1, step_deg), 6)
     theta_r, phi_r = signed(angle)
@@ -265,7 +264,6 @@ def plane(choice: Choice, theta_i_deg: float, step_deg: float = JUDGED_DEG) -> t
 
 def beside(choice: Choice, dphi_deg: float, step_deg: float = JUDGED_DEG) -> tuple[Floats, Floats]:
     """Polar angles [deg] and radiance over E0 [1/sr] at an azimuth from the source."""
-    from gonio.models import OrenNayar
 
     angle = np.round(np.arange(0.0, 85.1, step_deg), 6)
     model = OrenNayar(choice.albedo, choice.sigma_deg, "exact")

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from gonio_analysis.report.text import number
 
+from gonio.models import Blinn, Lambert, OrenNayar, Sum
 from gonio.typing import Floats
 from gonio_validation.papers.figure import Cell, Claim, PaperFigure, Parameter, Results, Row, agreed
 from gonio_validation.papers.panels import Trace, angle_panel, at, signed, theory, trace_panel
@@ -101,14 +102,12 @@ def claims(figure: int) -> list[Claim]:
 
 def body(sigma_deg: float, albedo: float) -> Any:
     """Plaster and sand: the integral (eq. 13)."""
-    from gonio.models import OrenNayar
 
     return OrenNayar(albedo, sigma_deg, "exact")
 
 
 def body_and_surface(sigma_deg: float, albedo: float, share: float) -> Any:
     """Foam and cloth, eq. 18: the functional form, and Torrance and Sparrow's on the same grooves."""
-    from gonio.models import Blinn, OrenNayar, Sum
 
     # D2 = exp(-(c2 a)^2) is the Gaussian exp(-a^2/(2 sigma^2))
     width = 1.0 / (math.sqrt(2.0) * math.radians(sigma_deg))
@@ -271,7 +270,6 @@ def _width(x: Floats, value: Floats) -> float:
 
 
 def _claims_vase() -> list[Claim]:
-    from gonio.models import Lambert
 
     flat = {light: cross_section(Lambert(VASE[1]), light) for light in VASE_LIGHT_DEG}
     rough = {(s, light): cross_section(body(s, VASE[1]), light) for s in VASE_SIGMA for light in VASE_LIGHT_DEG}
@@ -323,7 +321,6 @@ def _claims_vase() -> list[Claim]:
 
 
 def _vase() -> PaperFigure:
-    from gonio.models import Lambert
 
     sigma, albedo = VASE
     models = (("Lambertian", Lambert(albedo)), (f"Oren-Nayar, σ = {sigma:g}°", body(sigma, albedo)))

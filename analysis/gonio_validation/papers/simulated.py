@@ -13,6 +13,7 @@ from gonio_analysis.curves.in_plane import Curve, curves
 from gonio_analysis.fitting.forward import apparent
 from gonio_analysis.fitting.observations import Observations, observations
 
+from gonio import geometry
 from gonio.typing import Floats
 from gonio_validation.papers.htsg_surfaces import HtsgSurface
 
@@ -144,7 +145,6 @@ def divided(curve: Curve, by: float) -> tuple[Floats, Floats, Floats]:
 
 def _rig(name: str, wavelength_nm: float, solid_angle_sr: float) -> dict[str, Any]:
     """The tables of the rig "sim", with a lamp and a lens of this solid angle, one band, and a small sensor."""
-    from gonio import geometry
     from gonio.acquisition.measure import find_rig
 
     half = float(geometry.half_angle_of_cone(solid_angle_sr))

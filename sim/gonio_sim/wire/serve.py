@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import signal
+import threading
 from pathlib import Path
 from typing import Annotated
 
@@ -31,8 +33,6 @@ def serve(
     after: Annotated[float, typer.Option(min=0.0, help="Seconds from the start until the faults happen.")] = 0.0,
 ) -> None:
     """Serve twins of a rig file's devices on pseudo-terminals. They run until Ctrl-C."""
-    import signal
-    import threading
 
     from gonio.acquisition.measure import find_rig, load_sample
     from gonio.disk import require_own, write_own
