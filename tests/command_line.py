@@ -13,7 +13,8 @@ from pathlib import Path
 
 import pytest
 
-from gonio.cli import Ending, application
+from gonio.cli import application
+from gonio.cli.signals import Ending
 
 
 def gonio(folder: Path, *arguments: str | Path) -> subprocess.CompletedProcess[str]:

@@ -23,7 +23,8 @@ def figures(
     from gonio.acquisition.run import command_line
     from gonio.cli import console
     from gonio.errors import ConfigError
-    from gonio_validation.papers import FIGURES, PICTURES, check, make, pictures
+    from gonio_validation.papers import PICTURES, check, make, pictures
+    from gonio_validation.papers.index import FIGURES
 
     if name == "list":
         rows = console.table("name", "what it shows")

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
     from gonio.acquisition.choosing import Chooser
     from gonio.acquisition.progress import Progress
+    from gonio.acquisition.resuming import Resumed
     from gonio.acquisition.run import Run
     from gonio.acquisition.stop import Pause, Stop
     from gonio.rig import Pose, Rig, RigPlugin, Step, Target
@@ -196,6 +197,7 @@ def carry_out(
     from gonio.acquisition.progress import Silent
     from gonio.acquisition.remaining import Remaining
     from gonio.acquisition.repair import ASIDE
+    from gonio.acquisition.resuming import reopened
     from gonio.acquisition.run import Run
     from gonio.acquisition.run_folder import begun
     from gonio.acquisition.run_settings import Request
@@ -216,15 +218,17 @@ def carry_out(
         try:
             with contextlib.ExitStack() as stack:
                 if begun_before:
-                    run = stack.enter_context(Run.resume(out, request))
-                    _say_what_was_found(run, progress)
+                    resumed = reopened(out, request)
+                    run = stack.enter_context(resumed.run)
+                    _say_what_was_found(resumed, progress)
                     steps = going_on(plan, rig.description, run.planned.flags)
-                    _check_room(out, rig, plan, len(steps) - len(run.steps()) + run.steps_left_out, progress, yes)
+                    more = len(steps) - len(run.steps()) + len(resumed.found.damaged)
+                    _check_room(out, rig, plan, more, progress, yes)
                 with rig.naming():
                     stack.enter_context(device)
                 entered = True
                 _require_way(device, steps[1].pose)
-                if begun_before and (aside := run.set_right()):
+                if begun_before and (aside := resumed.set_right()):
                     progress.say(f"{out}: {len(aside)} files of steps that were cut short are now in {out / ASIDE}")
                 if not begun_before:
                     run = stack.enter_context(Run.create(out, request))
@@ -308,17 +312,16 @@ def _with_state(error: GonioError, device: Rig, stop: Stop, *, entered: bool) ->
     return "; ".join(filter(None, (str(error), state, "go on with --resume" if stopped else "")))
 
 
-def _say_what_was_found(run: Run, progress: Progress) -> None:
-    if run.lost:
-        progress.say(f"{run.path}: {len(run.lost)} frames are missing or damaged; their steps are taken again:")
-        for text in run.lost[:SHOWN]:
+def _say_what_was_found(resumed: Resumed, progress: Progress) -> None:
+    path, lost, unchecked = resumed.run.path, resumed.lost, resumed.found.unchecked
+    if lost:
+        progress.say(f"{path}: {len(lost)} frames are missing or damaged; their steps are taken again:")
+        for text in lost[:SHOWN]:
             progress.say(f"  {text}")
-        if len(run.lost) > SHOWN:
-            progress.say(f'  and {len(run.lost) - SHOWN} more; the journal names all (event "lost")')
-    if run.unchecked:
-        progress.say(
-            f"{run.path}: of {run.unchecked} frames only the size was compared; `gonio run check {run.path}` reads all"
-        )
+        if len(lost) > SHOWN:
+            progress.say(f'  and {len(lost) - SHOWN} more; the journal names all (event "lost")')
+    if unchecked:
+        progress.say(f"{path}: of {unchecked} frames only the size was compared; `gonio run check {path}` reads all")
 
 
 def check(

@@ -37,8 +37,8 @@ import numpy.typing as npt
 from gonio.acquisition.frame_writer import NAME, label_of
 from gonio.acquisition.journal import Event, Events, Journal, read_events
 from gonio.acquisition.plan import ANGLES, Assessed, Point, points_sha256
-from gonio.acquisition.run_folder import OURS, begun, check_new, check_writable, make_folder, remove_begun
-from gonio.acquisition.run_settings import Request, Settings, differences, named_files, resolved, settings_for
+from gonio.acquisition.run_folder import OURS, check_new, check_writable, make_folder, remove_begun
+from gonio.acquisition.run_settings import Request, Settings, named_files, resolved, settings_for
 from gonio.acquisition.steps import Index, Steps
 from gonio.config import parse, to_toml
 from gonio.disk import (
@@ -62,8 +62,6 @@ from gonio.rig.laboratory import Laboratory
 
 if TYPE_CHECKING:
     import pandas as pd
-
-    from gonio.acquisition.repair import Found
 
 PLAN_COLUMNS = ["point", *ANGLES, "flag", "reason"]
 ROWS = 4096
@@ -105,18 +103,11 @@ class Batch:
 
 @dataclass
 class Run:
-    """An opened run; the methods that write need `journal`, which `create` and `resume` open."""
+    """An opened run; the methods that write need `journal`, which `create` and `gonio.acquisition.resuming` open."""
 
     path: Path
     settings: Settings
     journal: Journal | None = None
-    lost: list[str] = field(default_factory=list)
-    """Which frames were found missing or damaged when it was resumed, and how."""
-    unchecked: int = 0
-    """Of how many frames only the size was looked at then."""
-    _found: Found | None = None
-    """What was found then, until `set_right` has acted on it."""
-    _stated: Laboratory | None = None
     _index: Index = field(default_factory=Index)
     _grown: tuple[int, Points] | None = None
     """How many batches were chosen, and all points with them."""
@@ -144,7 +135,7 @@ class Run:
             (path / "frames").mkdir(exist_ok=True)
             files, description = named_files(request.description)
             settings = settings_for(request, description)
-            plan = _plan_csv(request.points).encode()
+            plan = plan_csv(request.points).encode()
             tables = settings.model_dump(mode="json", exclude_none=True)
             if settings.laboratory is not None:
                 tables["laboratory"] = settings.laboratory.stated()
@@ -163,88 +154,6 @@ class Run:
                 raise ConfigError(f"{path}: cannot be written: {error.strerror}") from None
             raise
         return cls(path, resolved(settings, path), journal)
-
-    @classmethod
-    def resume(cls, path: str | Path, request: Request) -> Run:
-        """Go on with a run, or start it where it has not begun.
-
-        Frames that the journal names and that are missing or damaged are found
-        (`gonio.acquisition.repair.find_damage` says how thoroughly), and `lost` names them. `set_right` acts on it.
-
-        Raises
-        ------
-        ConfigError
-            Plan, rig, sample or seed are not those of the run (the message names what differs), another process
-            writes to it, or among its frames lies something that is none.
-        DataError
-            The journal is damaged before its last line, or plan.csv was changed.
-        """
-        from gonio.acquisition.repair import find_damage, require_frames_only
-
-        path = Path(path)
-        if not begun(path):
-            return cls.create(path, request)
-        run = cls.open(path)
-        run.journal = Journal(path / "journal.jsonl")
-        try:
-            now = settings_for(request, request.description)
-            differing = differences(run.settings, now)
-            if differing:
-                raise ConfigError(
-                    f"{path}: this run was begun with something else, so it cannot be resumed:\n"
-                    + "\n".join(f"  {line}" for line in differing[:8])
-                    + "\nresume with what it was begun with, or measure into a new folder"
-                )
-            if os.path.lexists(path / "plan.csv"):
-                _ = run.points
-            (path / "frames").mkdir(exist_ok=True)
-            found = find_damage(run)
-            require_frames_only(run, found.orphans)
-            run._found, run.unchecked = found, found.unchecked
-            run.lost = [text for number in sorted(found.damaged) for text in found.damaged[number]]
-            run._stated = now.laboratory
-            if not os.path.lexists(path / "plan.csv"):
-                write_own(path, {"plan.csv": _plan_csv(request.points).encode()})
-        except OSError as error:
-            run.journal.close()
-            raise ConfigError(f"{path}: cannot be written: {error.strerror}") from None
-        except BaseException:
-            run.journal.close()
-            raise
-        return run
-
-    @property
-    def steps_left_out(self) -> int:
-        """How many steps of the journal count no more, because of their frames, once it is `set_right`."""
-        return len(self._found.damaged) if self._found is not None else 0
-
-    def set_right(self) -> list[str]:
-        """Act on what `resume` has found: set frames aside that do not count, and take back the steps of damaged ones.
-
-        What may still refuse to go on comes between the two: until then the folder is as it was. The names of frames
-        that were set aside although nothing is wrong with them: their steps were cut short.
-
-        Raises
-        ------
-        ConfigError
-            The folder cannot be written.
-        """
-        from gonio.acquisition.repair import ASIDE, set_orphans_aside
-
-        found, self._found = self._found, None
-        if found is None:
-            return []
-        try:
-            self._state(self._stated)
-            set_orphans_aside(self, found)
-            self.take_back(found.damaged)
-            if found.orphans:
-                names = ", ".join(found.orphans[:5]) + (" ..." if len(found.orphans) > 5 else "")
-                text = f"{len(found.orphans)} files of no step that is done were moved to {ASIDE}/: {names}"
-                self.append({"event": "remark", "message": text})
-        except OSError as error:
-            raise ConfigError(f"{self.path}: cannot be written: {error.strerror}") from None
-        return found.orphans
 
     @classmethod
     def open(cls, path: str | Path) -> Run:
@@ -493,7 +402,7 @@ class Run:
             raise DataError(f"{self.path / CHOSEN}: cannot be written: {error.strerror}") from None
         self.append(event)
 
-    def _state(self, laboratory: Laboratory | None) -> None:
+    def state(self, laboratory: Laboratory | None) -> None:
         """Keep what rig file and plan say now of who measures what, where it differs from what the run has."""
         if laboratory is None or laboratory == self.settings.laboratory:
             return
@@ -583,7 +492,7 @@ def own_files(path: Path) -> Manifest:
     return out
 
 
-def _plan_csv(points: list[Assessed]) -> str:
+def plan_csv(points: list[Assessed]) -> str:
 
     out = io.StringIO()
     lines = csv.writer(out, lineterminator="\n")

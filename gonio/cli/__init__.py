@@ -5,62 +5,10 @@ This module imports next to nothing: from its `main` on a signal ends in one lin
 
 from __future__ import annotations
 
-import contextlib
 import os
-import signal
 import sys
-import threading
-import time
-from collections.abc import Iterator
 
-ENDING = ("SIGINT", "SIGTERM", "SIGHUP")
-"""Ctrl-C, a request to end, and a terminal that has gone (unknown to Windows)."""
-
-TOGETHER_S = 1.0
-"""Signals that come again within so long are one: what they end has the time to be left in order."""
-
-
-class Ending:
-    """What the signals of `ENDING` do in the command line: they interrupt it, whatever it is doing."""
-
-    def __init__(self) -> None:
-        self.heard = False
-        self._last_s = -TOGETHER_S
-
-    def __call__(self, number: int, frame: object) -> None:
-        self.heard = True
-        before_s, self._last_s = self._last_s, time.monotonic()
-        if self._last_s - before_s > TOGETHER_S:
-            raise KeyboardInterrupt
-
-    def listen(self) -> None:
-        """From now on; a signal that was set to be ignored (nohup, a shell's background) stays so."""
-        for name in ENDING:
-            number = getattr(signal, name, None)
-            if number is not None and signal.getsignal(number) in (signal.default_int_handler, signal.SIG_DFL):
-                signal.signal(number, self)
-
-
-def deafen() -> None:
-    """From now on no signal of `ENDING` is heard: the process is ending."""
-    for name in ENDING:
-        if hasattr(signal, name):
-            signal.signal(getattr(signal, name), signal.SIG_IGN)
-
-
-@contextlib.contextmanager
-def undisturbed() -> Iterator[None]:
-    """What was measured is being written: for this moment no signal of `ENDING` is heard, nor what kills."""
-    here = threading.current_thread() is threading.main_thread()
-    names = (*ENDING, "SIGQUIT", "SIGXCPU", "SIGUSR1", "SIGUSR2", "SIGALRM")
-    numbers = [getattr(signal, name) for name in names if hasattr(signal, name)] if here else []
-    # not SIG_IGN: Python prints a traceback of its own where a signal comes in the moment that it is told to ignore it
-    before = {number: signal.signal(number, lambda number, frame: None) for number in numbers}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+from gonio.cli.signals import Ending, deafen
 
 
 def main() -> None:

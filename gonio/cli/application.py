@@ -15,7 +15,7 @@ import sys
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
-from gonio.cli import Ending, deafen
+from gonio.cli.signals import Ending, deafen
 from gonio.errors import ConfigError, DataError, GonioError
 
 if TYPE_CHECKING:

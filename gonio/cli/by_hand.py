@@ -19,8 +19,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from gonio.cli import undisturbed
 from gonio.cli.rigs import app
+from gonio.cli.signals import undisturbed
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from gonio.cli import undisturbed
 from gonio.cli.by_hand import WavelengthOption, _told_where, bench_of, choice_of
 from gonio.cli.calibrate import app
+from gonio.cli.signals import undisturbed
 from gonio.shown import apart
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
@@ -26,7 +26,6 @@ from gonio.models.parameters import number
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
-    from gonio.models.model import Model
     from gonio.typing import Floats
 
 TOLERANCE = 1e-8
@@ -41,8 +40,20 @@ COARSE_TOLERANCE, COARSE_RULES = 1e-6, 2
 """Only for a tolerance above this are the first rules tried, whose agreement says little more."""
 
 
+class Reflecting(Protocol):
+    """What is integrated: a model."""
+
+    @property
+    def name(self) -> str: ...
+    def specular_reflectivity(self, theta_i: ArrayLike, *, wavelength_nm: ArrayLike) -> Any: ...
+    def brdf_vectors(self, omega_i: ArrayLike, omega_r: ArrayLike, *, wavelength_nm: ArrayLike) -> Any: ...
+    def _hemispherical(
+        self, theta: Floats, phi: Floats, wavelength_nm: float, viewer: bool, tolerance: float
+    ) -> Floats: ...
+
+
 def reflectance(
-    model: Model,
+    model: Reflecting,
     theta: ArrayLike,
     phi: ArrayLike,
     wavelength_nm: ArrayLike,
@@ -290,7 +301,7 @@ MOST_BOXES = 20_000
 
 
 def over_directions(
-    model: Model,
+    model: Reflecting,
     theta: Floats,
     phi: Floats,
     wavelength_nm: float,
@@ -331,7 +342,7 @@ def over_directions(
 
 
 def _over_boxes(
-    model: Model, theta: float, phi: float, wavelength_nm: float, viewer: bool, even: bool, tolerance: float
+    model: Reflecting, theta: float, phi: float, wavelength_nm: float, viewer: bool, even: bool, tolerance: float
 ) -> float:
     fixed = np.array([math.sin(theta) * math.cos(phi), math.sin(theta) * math.sin(phi), math.cos(theta)])
     if theta >= HALF_PI:

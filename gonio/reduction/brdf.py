@@ -20,6 +20,7 @@ from gonio.acquisition.plan import ANGLES
 from gonio.errors import ConfigError, DataError
 from gonio.geometry import Directions, mirrored
 from gonio.reduction import angle_sensitivity, budget, light_and_lens, spike_overlap, white_reference
+from gonio.reduction.band_result import BandResult, Inputs
 from gonio.reduction.count_rates import Reduced, Rejected, RunFrames, in_threads
 from gonio.reduction.dark_signal import PATTERNS, strongest
 from gonio.reduction.merging import FALSE_ALARMS, noise_is_known
@@ -29,8 +30,6 @@ from gonio.reduction.table import (
     DARK,
     GEOMETRY,
     LAMP,
-    BandResult,
-    Inputs,
     assemble,
     camera_causes,
     encoder_steps,

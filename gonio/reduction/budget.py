@@ -9,7 +9,7 @@ import numpy as np
 
 from gonio.acquisition.plan import ANGLES
 from gonio.geometry import SAME_AZIMUTH, half_angle_of_cone
-from gonio.reduction.table import BandResult
+from gonio.reduction.band_result import BandResult
 from gonio.rig import kinematics
 from gonio.rig.description import RigDescription
 

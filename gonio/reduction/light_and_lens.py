@@ -20,7 +20,7 @@ from gonio.rig.protocols import Target
 from gonio.typing import Floats
 
 if TYPE_CHECKING:
-    from gonio.reduction.table import BandResult
+    from gonio.reduction.band_result import BandResult
 
 FACET = 1.5
 """Index of refraction of the facets that a sample may reflect with: glass and polymers; metals polarise less."""

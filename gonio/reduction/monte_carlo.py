@@ -17,9 +17,10 @@ import numpy as np
 from gonio.acquisition.plan import ANGLES
 from gonio.geometry import Directions
 from gonio.reduction.angle_sensitivity import NARROWEST, from_above
+from gonio.reduction.band_result import BandResult
 from gonio.reduction.count_rates import Reduced
 from gonio.reduction.spike_overlap import over_patch, overlap
-from gonio.reduction.table import COMMON, DARK, LAMP, BandResult, angle_axes, zero_uncertainties
+from gonio.reduction.table import COMMON, DARK, LAMP, angle_axes, zero_uncertainties
 from gonio.rig import Pose, kinematics
 from gonio.rig.description import RigDescription
 from gonio.rig.filling import filling

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
 import gonio
 from gonio import geometry
@@ -17,12 +16,13 @@ from gonio.checks.values import values_of
 from gonio.checks.verdicts import Check, Taken, Visits, of_run, of_values
 from gonio.geometry import Directions
 from gonio.reduction import light_and_lens, white_reference
-from gonio.reduction.count_rates import FULL, RETAKE, Reduced, RunFrames, camera_parameters
+from gonio.reduction.band_result import BandResult
+from gonio.reduction.count_rates import FULL, RETAKE, RunFrames, camera_parameters
 from gonio.reduction.dark_signal import COLUMNS
 from gonio.reduction.geometry_errors import zero_u_deg
 from gonio.rig import kinematics
 from gonio.rig.calibrated import covariance_of
-from gonio.rig.description import Axis, Band, RigDescription
+from gonio.rig.description import Axis, RigDescription
 from gonio.rig.filling import filling
 from gonio.typing import Floats
 
@@ -53,57 +53,6 @@ CAUSES = {
     "spin": "s_spin_zero",
 }
 """Axes whose zeros are common causes. A spin turns both directions alike: its column is 0 of an isotropic surface."""
-
-
-@dataclass(frozen=True, slots=True)
-class Inputs:
-    """What the values of a band were computed from."""
-
-    points: list[Reduced]
-    """Those that have a value, in the order of `BandResult.points`."""
-    visits: list[Reduced]
-    """To the white reference."""
-    prnu: float
-    """Relative standard deviation of the pixels' responsivities, after maps where there are any."""
-
-
-@dataclass(frozen=True, slots=True)
-class BandResult:
-    """One band of a run: its rows by point, why others have none, and what the attributes say of it."""
-
-    band: Band
-    points: npt.NDArray[np.intp]
-    """Those that have a value."""
-    columns: dict[str, Floats]
-    """Of the table and of its budget, a number for each of them."""
-    darks: Floats
-    """Change of each value [1/sr] by the noise of the dark frames, see `Reduced.dark`; shape (points, 2, n)."""
-    geometry: Floats
-    """Change of each value [1/sr] by the causes of `GeometryErrors`, shape (points, causes)."""
-    lamp: Floats
-    """By how the lamp may wander between visits to the white reference, shape (points, causes)."""
-    flags: dict[int, str]
-    level: white_reference.Level
-    reference_brdf: float
-    u_reference_rel: float
-    """Relative standard uncertainty of it: of the certificate, and of what is interpolated in it."""
-    visits: int
-    unusable: list[str]
-    """The flags of the other visits."""
-    scatter: float
-    """Reduced chi-square of the frames around the means of their steps."""
-    freedom: int
-    frames: int
-    """Of points and visits, used or not."""
-    left_out: int
-    """Of these: because a used pixel is nearly full."""
-    untold: Directions
-    """Nominal directions of points that may see a spike of which only a bound is known."""
-    coarse: Directions
-    """Nominal directions of points beside a lobe that is narrower than the plan's steps."""
-    inputs: Inputs
-    merged: dict[str, Any] = field(default_factory=dict)
-    """How the frames were merged pixel by pixel; empty where whole frames were."""
 
 
 def angle_axes(description: RigDescription) -> dict[str, Axis]:

@@ -13,16 +13,18 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 
 from gonio.shown import interval
 from gonio.typing import Floats
 from gonio_analysis.fitting import parameters
-from gonio_analysis.fitting.fit import ROUNDING, FitResult
 from gonio_analysis.fitting.parameters import Values
+from gonio_analysis.fitting.solution import ROUNDING, Solution
 from gonio_analysis.fitting.surrogate import Near
 
+Found = TypeVar("Found", bound=Solution)
 LEVEL = 0.95
 TRIES = 14
 """Small fits a side."""
@@ -100,7 +102,7 @@ class Profiles:
     """A point of the search scale with a lower chi-square, met on the way: fit again from there."""
 
 
-def profiles(result: FitResult, names: tuple[str, ...] | None = None, *, level: float = LEVEL) -> Profiles:
+def profiles(result: Solution, names: tuple[str, ...] | None = None, *, level: float = LEVEL) -> Profiles:
     """Profile-likelihood intervals of the fitted parameters.
 
     Parameters
@@ -137,12 +139,12 @@ def profiles(result: FitResult, names: tuple[str, ...] | None = None, *, level: 
 
 
 def walked(
-    result: FitResult,
-    again: Callable[[list[Values]], FitResult],
+    result: Found,
+    again: Callable[[list[Values]], Found],
     names: tuple[str, ...] | None = None,
     *,
     level: float = LEVEL,
-) -> tuple[FitResult, dict[str, Interval]]:
+) -> tuple[Found, dict[str, Interval]]:
     """A fit and its intervals; or, where walking them out meets a lower chi-square, those of the fit that begins there.
 
     Parameters
@@ -162,7 +164,7 @@ def walked(
     return result, found.intervals
 
 
-def rise(result: FitResult, level: float) -> float:
+def rise(result: Solution, level: float) -> float:
     """Rise of chi-square at the ends of a single parameter's interval (dimensionless).
 
     Without stated uncertainties it is in units of the scatter of the residuals.
@@ -174,7 +176,7 @@ def rise(result: FitResult, level: float) -> float:
     return float(fdtri(1, len(result.data) - len(result.free), level))
 
 
-def _linear(result: FitResult, name: str, level: float) -> Interval:
+def _linear(result: Solution, name: str, level: float) -> Interval:
     """An interval by the standard error."""
     from scipy.special import ndtri
 
@@ -188,7 +190,7 @@ def _linear(result: FitResult, name: str, level: float) -> Interval:
 
 
 def _interval(
-    result: FitResult, name: str, k: int, ends: list[float], points: list[tuple[float, float]], level: float
+    result: Solution, name: str, k: int, ends: list[float], points: list[tuple[float, float]], level: float
 ) -> Interval:
     lower, upper = result.problem.bounds
     parameter = result.problem.parameter(name)
@@ -208,7 +210,7 @@ def _interval(
 class _Walker:
     """Walks along one parameter at a time, with all others fitted."""
 
-    def __init__(self, result: FitResult) -> None:
+    def __init__(self, result: Solution) -> None:
         self._result = result
         self._lower, self._upper = result.problem.bounds
         self._near = Near(result)

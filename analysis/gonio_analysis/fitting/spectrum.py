@@ -24,23 +24,14 @@ import numpy.typing as npt
 from gonio.cli.pace import Pace, Say, silent
 from gonio.errors import DataError
 from gonio.typing import Floats
-from gonio_analysis.fitting.fit import (
-    ROUNDING,
-    SIGNIFICANCE,
-    FitResult,
-    derived,
-    estimates,
-    fit,
-    known_by_blocks,
-    remarks,
-    residuals_on_log_scale,
-)
+from gonio_analysis.fitting.fit import FitResult, fit, known_by_blocks, remarks
 from gonio_analysis.fitting.forward import apparent, averaging, pointlike
 from gonio_analysis.fitting.misfit import estimated_tau
 from gonio_analysis.fitting.objective import Objective, alone, scaled_to, with_misfit
 from gonio_analysis.fitting.observations import Observations, observations
 from gonio_analysis.fitting.problem import FitRequest, Problem, pose
 from gonio_analysis.fitting.search import covariance, derivatives, one_sided
+from gonio_analysis.fitting.solution import ROUNDING, SIGNIFICANCE, derived, estimates, residuals_on_log_scale
 from gonio_analysis.fitting.value_covariance import independent
 from gonio_analysis.result_records import SharedGeometry
 

@@ -10,9 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from gonio.typing import Floats
-from gonio_analysis.fitting.fit import FitResult
 from gonio_analysis.fitting.forward import apparent
 from gonio_analysis.fitting.search import one_sided
+from gonio_analysis.fitting.solution import Solution
 
 Rows = npt.NDArray[np.intp]
 
@@ -20,7 +20,7 @@ Rows = npt.NDArray[np.intp]
 class Near:
     """The model of a fit for values of its parameters near the fitted ones, over all or some of its data."""
 
-    def __init__(self, result: FitResult, rows: Rows | None = None) -> None:
+    def __init__(self, result: Solution, rows: Rows | None = None) -> None:
         self.problem = result.problem
         self.data = result.data if rows is None else result.data.take(rows)
         goal = result.goal

@@ -6,8 +6,8 @@ import re
 from collections.abc import Mapping, Sequence
 
 from gonio.shown import interval
-from gonio_analysis.fitting.fit import SIGNIFICANCE
 from gonio_analysis.fitting.profile_likelihood import Interval
+from gonio_analysis.fitting.solution import SIGNIFICANCE
 from gonio_analysis.report.blocks import Block, Heading, Notes, Paragraph, Table, Text, code, table
 from gonio_analysis.report.text import glued, number, percent, with_u
 from gonio_analysis.report.verdict import times

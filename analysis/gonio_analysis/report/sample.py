@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 from gonio import geometry
 from gonio.formats.reader import TableBand
-from gonio_analysis.fitting.fit import Estimate
 from gonio_analysis.fitting.metrics import meaning as meaning_of_metric
+from gonio_analysis.fitting.solution import Estimate
 from gonio_analysis.report import (
     appearance,
     blocks,

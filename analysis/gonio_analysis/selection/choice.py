@@ -25,13 +25,14 @@ from gonio.errors import ConfigError, DataError
 from gonio.geometry import Directions
 from gonio.typing import Floats
 from gonio_analysis.fitting import parameters
-from gonio_analysis.fitting.fit import SIGNIFICANCE, FitResult, fit
+from gonio_analysis.fitting.fit import FitResult, fit
 from gonio_analysis.fitting.misfit import groupings
 from gonio_analysis.fitting.objective import smallest
 from gonio_analysis.fitting.observations import Observations
 from gonio_analysis.fitting.parameters import Ior, Values
 from gonio_analysis.fitting.problem import FitRequest, pose
 from gonio_analysis.fitting.profile_likelihood import Interval, Profiles, profiles
+from gonio_analysis.fitting.solution import SIGNIFICANCE
 from gonio_analysis.fitting.surrogate import Near, Rows
 from gonio_analysis.selection.misfit_regions import Region, blocks, farthest
 from gonio_analysis.selection.parallel import Share, here

@@ -28,9 +28,9 @@ from gonio_analysis.report.figures import Figure, rendered
 from gonio_analysis.report.tables import write_csv
 from gonio_analysis.result_records import as_json
 
-from gonio_validation.papers import FIGURES
 from gonio_validation.papers.figure import COLUMNS, ORIGINS, PaperFigure
 from gonio_validation.papers.figure_summary import ClaimSummary, FigureSummary, index_of, summarise
+from gonio_validation.papers.index import FIGURES
 
 VERDICTS = ("holds", "does not hold", "no verdict")
 ALL = "The papers' figures, made again"

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 import gonio
 from gonio.by_hand import scan, snapshot
-from gonio.cli import undisturbed
+from gonio.cli.signals import undisturbed
 from gonio.disk import write_whole
 from gonio.errors import DataError
 

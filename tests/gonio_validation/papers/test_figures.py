@@ -26,6 +26,7 @@ from gonio_validation.papers import (
     simulated,
 )
 from gonio_validation.papers.figure import Claim, agreed
+from gonio_validation.papers.index import FIGURES
 from gonio_validation.papers.panels import Trace, trace_panel
 from matplotlib.figure import Figure
 
@@ -351,7 +352,7 @@ def test_labels_keep_their_digits() -> None:
 
 def test_index_links_every_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     shown = ("cook-torrance-4", "blinn-5")
-    monkeypatch.setattr(papers, "FIGURES", {name: papers.FIGURES[name] for name in shown})
+    monkeypatch.setattr(papers, "FIGURES", {name: FIGURES[name] for name in shown})
     index = papers.make("all", tmp_path / "all")
     text = index.read_text(encoding="utf-8")
     for name in shown:
@@ -361,7 +362,7 @@ def test_index_links_every_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
 
 
 def test_every_name_has_a_module() -> None:
-    assert {name.rpartition("-")[0] for name in papers.FIGURES} == set(papers.PAPERS)
+    assert {name.rpartition("-")[0] for name in FIGURES} == set(papers.PAPERS)
 
 
 def test_unknown_figure_names_the_nearest() -> None:

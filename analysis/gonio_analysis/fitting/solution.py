@@ -1,0 +1,396 @@
+"""What a fit has found: parameters with their errors, how far the model is off, and what is said of both."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any, Self
+
+import numpy as np
+
+from gonio import materials, shown
+from gonio.errors import ArgumentError
+from gonio.geometry import Directions
+from gonio.models import Corrected
+from gonio.models.corrected import folded
+from gonio.typing import Floats
+from gonio_analysis.fitting.forward import NO_WAVELENGTH_NM, ByWavelength, apparent
+from gonio_analysis.fitting.misfit import Misfit, highest_tau
+from gonio_analysis.fitting.objective import Objective, on_log_scale, smallest
+from gonio_analysis.fitting.observations import Observations
+from gonio_analysis.fitting.problem import Problem
+from gonio_analysis.fitting.search import STEP, one_sided
+from gonio_analysis.fitting.value_covariance import Covariance
+from gonio_analysis.result_records import MisfitSummary, SharedGeometry, as_json
+
+SIGNIFICANCE = 0.01
+"""A model is rejected where noise alone makes so large a chi-square less often than this."""
+ROUNDING = 1e-24
+"""Scatter (squared, in the residuals' units) that a fit without one is taken to have: that of its own arithmetic."""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """One parameter of a fitted model."""
+
+    value: float
+    u: float | None
+    """Standard error; 0 where the value was fixed, None where the data do not determine it."""
+    fixed: bool
+    unit: str = ""
+    at_bound: str = ""
+    """ "lower" or "upper" where the search ended on a bound."""
+    material: str | None = None
+    """Where the value is that of a named material at the fitted wavelength."""
+
+    def summary(self) -> dict[str, object]:
+        """Plain numbers and words."""
+        told = {"at_bound": self.at_bound or None, "material": self.material}
+        known = {key: word for key, word in told.items() if word is not None}
+        return {"value": self.value, "u": self.u, "fixed": self.fixed, **known}
+
+    @property
+    def number(self) -> dict[str, float | None]:
+        """The value and its standard error alone."""
+        return {"value": self.value, "u": self.u}
+
+
+@dataclass(frozen=True)
+class Solution:
+    """A fitted model, and everything that a report says about the fit."""
+
+    name: str
+    model: Any
+    parameters: dict[str, Estimate]
+    free: tuple[str, ...]
+    covariance: Floats
+    """Of the free parameters, in the order of `free`."""
+    derived: dict[str, Estimate]
+    data: Observations
+    predicted: Floats
+    """The model through the instrument, in the directions of `data` [1/sr]."""
+    whitened: Floats
+    """Residuals model - measurement, whitened by what `goal` says; logarithmic ones where no uncertainty is stated."""
+    weighting: str
+    chi_square: float | None
+    """The smallest one that the model reaches with the stated uncertainties; that of a rejected model's reported
+    parameters is larger."""
+    wavelength_nm: float
+    condition: float
+    """Condition number of the whitened Jacobian with columns of unit length."""
+    wall_s: float
+    problem: Problem = field(repr=False)
+    vector: Floats = field(repr=False)
+    """The solution on the search scale (`problem.values` of it are the parameters)."""
+    spread: Floats = field(repr=False)
+    """Covariance of `vector`."""
+    goal: Objective = field(repr=False)
+    """What was made small."""
+    notes: list[str] = field(default_factory=list)
+    shared: SharedGeometry | None = None
+    """What was fitted together with other wavelengths; None for a fit of its own."""
+    misfit: Misfit | None = None
+    """How far the model is from the data, where they reject it or state no uncertainties; None elsewhere."""
+    noise: Floats | None = field(default=None, repr=False)
+    """The part of `spread` that the stated uncertainties make, where there is a misfit."""
+
+    @property
+    def rejected(self) -> bool:
+        """Whether chi-square rejects the model."""
+        return self.p_value is not None and self.p_value < SIGNIFICANCE
+
+    @property
+    def degrees_of_freedom(self) -> int:
+        """Values less fitted parameters."""
+        return len(self.data) - len(self.free)
+
+    @property
+    def reduced_chi_square(self) -> float | None:
+        """Chi-square a degree of freedom; None without uncertainties, or with no more values than parameters."""
+        return (
+            None
+            if self.chi_square is None or self.degrees_of_freedom < 1
+            else self.chi_square / self.degrees_of_freedom
+        )
+
+    @cached_property
+    def p_value(self) -> float | None:
+        """Probability of a larger chi-square, were the model and the stated uncertainties right."""
+        if self.chi_square is None or self.degrees_of_freedom < 1:
+            return None
+        from scipy.special import chdtrc
+
+        return float(chdtrc(self.degrees_of_freedom, self.chi_square))
+
+    @cached_property
+    def tau(self) -> MisfitSummary | None:
+        """How far the model itself is off, with its interval."""
+        known = self.misfit
+        if known is not None:
+            return MisfitSummary(known.tau, known.tau * known.u_log, known.interval)
+        data, asked = self.data, self.problem.asked
+        assert asked is not None
+        own_way = asked.metric is not None or asked.loss != "linear"
+        if data.covariance is None or own_way or self.rejected or self.problem.each:
+            return None
+        residual, columns, stated = residuals_on_log_scale(self.problem, data, self.vector)
+        assert stated is not None
+        most = highest_tau(residual, columns, stated)
+        return MisfitSummary(0.0, 0.5 * most, (0.0, most))
+
+    @property
+    def corrected(self) -> Any:
+        """The model with the smooth curve of its misfit; the model itself where it has none."""
+        if self.misfit is None or isinstance(self.model, ByWavelength):
+            return self.model
+        return Corrected(self.model, self.misfit.correction)
+
+    def predict(self, at: Directions) -> tuple[Floats, Floats]:
+        """What the sample's BRDF is in any directions, measured or not, without its spike.
+
+        Parameters
+        ----------
+        at
+            Directions, shape (n,).
+
+        Returns
+        -------
+        brdf : (n,) array [1/sr]
+            Of the model, or of the model with its misfit.
+        u : (n,) array [1/sr]
+            Standard uncertainty: from the parameters; of a model with a misfit from that, and from the parameters as
+            far as values near by do not tell the misfit.
+
+        Raises
+        ------
+        ArgumentError
+            Several wavelengths were fitted together.
+        """
+        if isinstance(self.model, ByWavelength):
+            raise ArgumentError("predict: of several wavelengths that are fitted together, fit one at a time")
+        wave = NO_WAVELENGTH_NM if math.isnan(self.wavelength_nm) else self.wavelength_nm
+        model = np.asarray(self.model.brdf(*at.angles, wavelength_nm=wave))
+        own = np.linalg.norm(self._parameter_root(at, wave), axis=1)
+        if self.misfit is None:
+            return model, own
+        known = self.misfit.correction
+        at = folded(at, self.model)
+        brdf, root = known.beside(at, model)
+        return brdf, np.hypot(np.linalg.norm(root, axis=1), own * known.open(at))
+
+    @cached_property
+    def bounded_spread(self) -> Floats:
+        """`spread`, where a parameter that the data do not determine lies between its bounds.
+
+        So does one that stands at a bound: its formal error goes with no other's.
+        """
+        lower, upper = self.problem.bounds
+        finite = np.isfinite(np.diag(self.spread))
+        out = np.where(np.outer(finite, finite), self.spread, 0.0)
+        alone = ~(out - np.diag(np.diag(out))).any(axis=0)
+        widest = (upper - lower) ** 2 / 12.0
+        limited = np.where(finite, np.minimum(np.diag(out), widest), widest)
+        out[np.diag_indices_from(out)] = np.where(alone, limited, np.diag(out))
+        return out
+
+    def _parameter_root(self, at: Directions, wave: float) -> Floats:
+        """root @ root.T is the covariance of the model's values (n, p) [1/sr] from its parameters."""
+        lower, upper = self.problem.bounds
+        columns = []
+        for k in range(self.vector.size):
+            ends = [self.vector.copy(), self.vector.copy()]
+            for end, sign in zip(ends, (1.0, -1.0), strict=True):
+                end[k] = np.clip(end[k] + sign * STEP, lower[k], upper[k])
+            high, low = (self.problem.model(end).brdf(*at.angles, wavelength_nm=wave) for end in ends)
+            columns.append((high - low) / (ends[0][k] - ends[1][k]))
+        slopes = np.array(columns)
+        felt = np.abs(slopes).max(axis=1) > 0  # a parameter that the values do not feel may be without an uncertainty
+        sizes, axes = np.linalg.eigh(self.bounded_spread[np.ix_(felt, felt)])
+        return np.asarray(slopes[felt].T @ (axes * np.sqrt(np.maximum(sizes, 0.0))))
+
+    @property
+    def correlation(self) -> Floats:
+        """Correlation matrix of the free parameters."""
+        u = np.sqrt(np.diag(self.covariance))
+        with np.errstate(invalid="ignore"):
+            return np.asarray(self.covariance / np.outer(u, u))
+
+    @property
+    def verdict(self) -> str:
+        """What chi-square says, in words."""
+        if self.reduced_chi_square is None or self.p_value is None:
+            if self.data.covariance is None:
+                return "no verdict: the table states no uncertainties" + ("; " + self.described if self.misfit else "")
+            return "no verdict: " + (
+                "no value is left over for one"
+                if self.goal.whitened
+                else f"the metric {self.goal.metric} does not weigh by uncertainties"
+            )
+        return self.by_chi_square + (f"; it {self.described}" if self.misfit is not None else "")
+
+    @property
+    def by_chi_square(self) -> str:
+        """Whether the uncertainties reject the model, in words."""
+        assert self.reduced_chi_square is not None
+        assert self.p_value is not None
+        assumed = self.data.u_rel_assumed
+        which = "stated uncertainties" if assumed is None else f"assumed uncertainty of {100 * assumed:g} %"
+        given = "" if assumed is None else f", with the {which}"
+        if not self.rejected:
+            if self.p_value > 0.99:
+                return f"not rejected; residuals are smaller than the {which}"
+            return f"not rejected at the 1 % level{given}"
+        factor = math.sqrt(self.reduced_chi_square)
+        least = "" if self.misfit is None else "at least "
+        return f"rejected: residuals are {least}{factor:.3g} times the {which}"
+
+    @property
+    def described(self) -> str:
+        """How far off a model with a misfit is, in words."""
+        assert self.tau is not None
+        return self.tau.of("the values")
+
+    def __repr__(self) -> str:
+        found = ", ".join(
+            f"{n} = {shown.value(e.value, e.u, e.unit)}" for n, e in self.parameters.items() if not e.fixed
+        )
+        at = "" if math.isnan(self.wavelength_nm) else f" at {self.wavelength_nm:g} nm"
+        return f"<fit of {self.name} to {len(self.data)} values{at}: {found}; {self._conclusion}>"
+
+    def _repr_html_(self) -> str:
+        rows = []
+        for n, e in [*self.parameters.items(), *self.derived.items()]:
+            kind = "derived" if n in self.derived else "fixed" if e.fixed else "fitted"
+            unknown = "" if e.u is not None else ", not determined"
+            bound = f", at its {e.at_bound} bound" if e.at_bound else ""
+            rows.append([n, shown.value(e.value, None if e.fixed else e.u, e.unit), kind + unknown + bound])
+        at = "" if math.isnan(self.wavelength_nm) else f" at {self.wavelength_nm:g} nm"
+        title = f"{self.name}, fitted to {len(self.data)} values{at}"
+        return shown.html(title, ["parameter", "value", ""], rows, [self._conclusion, *self.notes])
+
+    @property
+    def _conclusion(self) -> str:
+        chi = self.reduced_chi_square
+        return self.verdict if chi is None else f"reduced chi-square {chi:.4g}: {self.verdict}"
+
+    def known_to(self, spread: Floats) -> Self:
+        """The same solution, its parameters known to a covariance on the search scale."""
+        problem, vector = self.problem, self.vector
+        slope = problem.slope(vector)
+        return replace(
+            self,
+            spread=spread,
+            covariance=spread * np.outer(slope, slope),
+            parameters=estimates(problem, vector, spread, self.wavelength_nm),
+            derived=derived(problem, vector, spread),
+        )
+
+    def to_json(self) -> dict[str, object]:
+        """What `gonio fit --json` prints: plain numbers, strings and None."""
+        return dict(as_json(self))
+
+    def summary(self) -> dict[str, object]:
+        """The same, of which parts may write themselves."""
+        names, data = self.free, self.data
+        related = zip(names, self.correlation, strict=True)
+        return {
+            "model": self.name,
+            "parameters": self.parameters,
+            "derived": self.derived,
+            "correlation": {a: dict(zip(names, row, strict=True)) for a, row in related},
+            "chi_square": self.chi_square,
+            "reduced_chi_square": self.reduced_chi_square,
+            "p_value": self.p_value,
+            "misfit": self.tau,
+            "verdict": self.verdict,
+            "n_points": len(data),
+            "n_free": len(names),
+            "wavelength_nm": self.wavelength_nm,
+            "weighting": self.weighting,
+            "metric": self.goal.metric,
+            "u_rel_assumed": data.u_rel_assumed,
+            "condition": self.condition,
+            "left_out": data.left_out,
+            "source_solid_angle_sr": data.source_solid_angle_sr,
+            "receiver_solid_angle_sr": data.receiver_solid_angle_sr,
+            "convention": self.model.convention,
+            "notes": self.notes,
+            "wall_s": self.wall_s,
+            "shared": self.shared,
+        }
+
+    @property
+    def at_wavelength(self) -> dict[str, object]:
+        """Its parameters as a line of a series over wavelengths."""
+        return {
+            "wavelength_nm": self.wavelength_nm,
+            "n_points": len(self.data),
+            "reduced_chi_square": self.reduced_chi_square,
+            "parameters": {n: e.number for n, e in self.parameters.items()},
+        }
+
+
+def residuals_on_log_scale(
+    problem: Problem, data: Observations, vector: Floats
+) -> tuple[Floats, Floats, Covariance | None]:
+    """Residuals on the scale of logarithms, their derivatives by parameters inside their bounds, the covariance."""
+    plain = Objective(data.brdf, None, smallest(data), metric="log")
+    predicted, near = (apparent(problem.model(vector), data, quick=quick) for quick in (False, True))
+    lower, upper = problem.bounds
+    inside = np.flatnonzero((vector > lower) & (vector < upper))
+    columns = plain.jacobian(near, one_sided(problem, data, vector, near, only=inside))
+    return plain.residual(predicted), columns, on_log_scale(data, plain.small, predicted)
+
+
+def estimates(problem: Problem, vector: Floats, spread: Floats, wavelength_nm: float) -> dict[str, Estimate]:
+    """Every parameter at a point of the search scale, with its standard error from `spread` there."""
+    index = None
+    if isinstance(problem.ior, str) and math.isfinite(wavelength_nm):
+        index = complex(materials.ior(problem.ior)(wavelength_nm))
+    values, slope = problem.values(vector), problem.slope(vector)
+    u = dict(zip(problem.free, np.sqrt(np.diag(spread)) * slope, strict=True))
+    lower, upper = problem.bounds
+    wide = {n for n, e, span in zip(problem.free, np.sqrt(np.diag(spread)), upper - lower, strict=True) if e > span}
+    close = 1e-2 * np.minimum(np.sqrt(np.diag(spread)), 1.0) + 1e-7
+    edge = {
+        n: "lower" if x - low <= c else "upper" if high - x <= c else ""
+        for n, x, low, high, c in zip(problem.free, vector, lower, upper, close, strict=True)
+    }
+    out = {}
+    for p in problem.family.parameters:
+        found = [n for n in values if n.partition("@")[0] == p.name]
+        for n in found:
+            error: float | None = float(u[n]) if n in u else 0.0
+            if n in wide:
+                error = None
+            out[n] = Estimate(values[n], error, n not in u, p.unit, edge.get(n, ""))
+        if found:
+            continue
+        if isinstance(problem.ior, str) and index is not None:
+            out[p.name] = Estimate(
+                index.real if p.name == "ior" else index.imag, 0.0, True, p.unit, material=problem.ior
+            )
+    return out
+
+
+def derived(problem: Problem, vector: Floats, spread: Floats) -> dict[str, Estimate]:
+    """Combinations of parameters that say more than they do."""
+    if problem.each:
+        return {}
+    base = problem.family.derived(problem.values(vector))
+    gradients: dict[str, list[float]] = {n: [] for n in base}
+    for k in range(vector.size):
+        up, down = vector.copy(), vector.copy()
+        up[k] += STEP
+        down[k] -= STEP
+        high, low = (problem.family.derived(problem.values(v)) for v in (up, down))
+        for n in base:
+            gradients[n].append((high[n] - low[n]) / (2 * STEP))
+    out = {}
+    for n, value in base.items():
+        g = np.array(gradients[n])
+        used = g != 0
+        variance = g[used] @ spread[np.ix_(used, used)] @ g[used] if used.any() else 0.0
+        out[n] = Estimate(value, math.sqrt(max(float(variance), 0.0)), not used.any())
+    return out
