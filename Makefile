@@ -2,13 +2,21 @@
 PYTHON ?= python3
 BIN = .venv/bin
 
-.PHONY: demo test test-oldest check site clean
+.PHONY: demo test test-slow test-all test-oldest check site clean
 
 demo: .venv/.ready
 	$(BIN)/gonio demo --out demo-run
 
+# a test is slow where it takes more than two seconds: campaigns, driver tests that wait, notebooks, the site
+PYTEST = $(BIN)/python -m pytest -q -n 2 --dist worksteal
 test: .venv/.ready
-	$(BIN)/python -m pytest -q -n 2 --dist worksteal
+	$(PYTEST) -m "not slow"
+	@echo "The slow tests were left out: make test-all runs every one."
+
+test-slow: .venv/.ready
+	$(PYTEST) -m slow
+
+test-all: test test-slow
 
 # the lowest versions that pyproject.toml allows; with the newest: make test-oldest CONSTRAINTS=
 CONSTRAINTS = constraints-oldest.txt

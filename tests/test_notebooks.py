@@ -12,6 +12,8 @@ import pytest
 from tests.places import ROOT, measured
 from tests.test_site import tool
 
+pytestmark = pytest.mark.slow
+
 FOLDER = ROOT / "docs" / "notebooks"
 NAMES = ("measure_a_sample", "two_paints", "my_own_model")
 VOLATILE = re.compile(r"/tmp/|/home/|/root/|/work/|/Users/| at 0x|\x1b")

@@ -14,6 +14,8 @@ import pytest
 
 from tests.places import ROOT
 
+pytestmark = pytest.mark.slow
+
 
 def tool(name: str) -> ModuleType:
     """A script of tools/ as a module."""

@@ -13,6 +13,7 @@ from tests.contracts.conftest import LANDED_DEG, STANDS_DEG, home, off_deg
 from tests.contracts.rigs import Case
 
 
+@pytest.mark.slow
 def test_a_move_lands_inside_the_limits_and_read_says_where_it_stands(case: Case, rig: Rig) -> None:
     landed = rig.arms.move(home(case))
     assert off_deg(landed, home(case), case) <= LANDED_DEG

@@ -17,6 +17,7 @@ def level(frame: Frame) -> float:
     return float(np.mean(frame.mosaic)) - frame.black_level_dn
 
 
+@pytest.mark.slow
 def test_the_camera_sees_the_lamp_go_on_and_off(eye: Eye) -> None:
     """So a frame is newer than the call: those that waited in a queue show the lamp as it was."""
     if eye.lamp is None:

@@ -31,6 +31,7 @@ def test_a_rig_is_dark_when_it_is_entered_and_when_it_is_left(case: Case) -> Non
         assert not case.shines()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("error", [Stopped, KeyboardInterrupt, DeviceError])
 def test_a_rig_is_left_dark_whatever_ends_it(case: Case, error: type[BaseException]) -> None:
     def fail() -> None:

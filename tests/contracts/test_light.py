@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import pytest
+
 from gonio.rig import Rig
 from tests.contracts.rigs import Case
 
 
+@pytest.mark.slow
 def test_every_band_can_be_selected_in_the_dark_and_lit(case: Case, rig: Rig) -> None:
     bands = case.description.bands.all()
     for band in {bands[0], bands[len(bands) // 2], bands[-1]}:

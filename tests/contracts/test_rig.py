@@ -18,6 +18,7 @@ def test_a_rig_can_be_built_and_thrown_away(case: Case) -> None:
         assert rig.time_s() >= 0
 
 
+@pytest.mark.slow
 def test_sample_and_reference_are_presented_in_turn(case: Case) -> None:
     with case.build() as rig:
         begin(rig, case)
@@ -43,6 +44,7 @@ def test_what_is_repeatable_gives_the_same_step_again(case: Case) -> None:
     assert alone.time_s == after.time_s
 
 
+@pytest.mark.slow
 def test_arms_can_be_stopped_before_they_have_moved_and_after_the_rig_was_left(case: Case) -> None:
     """`stop` never raises."""
     with case.build() as rig:

@@ -10,6 +10,8 @@ from tests.golden.cases import CASES
 from tests.golden.comparison import difference
 from tests.golden.stored import carried_out, read
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.mark.parametrize("name", [*CASES, "help"])
 def test_a_case_gives_what_it_gave(name: str, tmp_path: Path) -> None:

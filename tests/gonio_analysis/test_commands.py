@@ -48,6 +48,7 @@ def test_fit_prints_a_table(table: Path, capsys: pytest.CaptureFixture[str]) -> 
     assert "reduced chi-square" in out
 
 
+@pytest.mark.slow
 def test_compare_prints_the_path(table: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     commands.compare([str(table)], tmp_path / "out", models="lambert, oren-nayar")
     assert Path(capsys.readouterr().out.strip()) == tmp_path / "out" / "index.html"

@@ -6,9 +6,12 @@ import json
 from pathlib import Path
 from typing import Any
 
+import pytest
 from gonio_analysis.report import make
 
 from tests.places import SHARED_DATA, measured
+
+pytestmark = pytest.mark.slow
 
 DATA = SHARED_DATA / "brdf"
 MODELS = ("cook-torrance", "oren-nayar", "he-torrance")

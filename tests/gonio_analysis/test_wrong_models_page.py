@@ -25,6 +25,7 @@ def quoted() -> dict[str, str]:
     return dict(zip((b.strip() for b in blocks[::2]), blocks[1::2], strict=True))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", quoted())
 def test_the_page_shows_what_is_printed(command: str, tmp_path: Path) -> None:
     words = shlex.split(command)[1:]

@@ -25,6 +25,8 @@ from tests.gonio_drivers.test_by_hand import COMMAND, LANDED_DEG, angle, written
 from tests.gonio_drivers.test_lab import LONGEST_S, SAMPLE, SCALE, small
 from tests.gonio_drivers.test_light import PATIENCE_S, Plugged, lamp
 
+pytestmark = pytest.mark.slow
+
 __all__ = ["lamp"]
 
 

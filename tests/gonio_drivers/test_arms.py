@@ -171,6 +171,7 @@ def test_wrong_id_names_what_is_there(line: Line) -> None:
         pass
 
 
+@pytest.mark.slow
 def test_wrong_baud_names_the_right_one(wired: Line) -> None:
     wrong = ServoArms(describe(), servos(wired.port, baud=2_000_000))
     with pytest.raises(DeviceError, match=r"at 2000000 baud, but at 1000000 baud: id 1.*devices\.servos\.baud"), wrong:
@@ -581,6 +582,7 @@ def test_old_firmware_without_a_watchdog_moves_and_says_so(
     assert "servo id 3 has no bus watchdog" in caplog.text
 
 
+@pytest.mark.slow
 def test_after_kill_9_in_mid_move_the_servos_stop_within_the_period(caplog: pytest.LogCaptureFixture) -> None:
     clock = scaled_clock(1.0)
     servo = {k: Servo(k, clock, model="xm430-w350", baud=BAUD) for k in (1, 2, 3)}

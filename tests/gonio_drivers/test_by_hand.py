@@ -30,6 +30,8 @@ from tests.command_line import gonio as run
 from tests.gonio_drivers.conftest import be_patient
 from tests.gonio_drivers.test_lab import LONGEST_S, SAMPLE, SCALE, small
 
+pytestmark = pytest.mark.slow
+
 LANDED_DEG = 0.15
 """The rig file's tolerance of a landing."""
 PARKED = {"light": -88.0, "camera": 88.0, "tilt": 0.0, "spin": 0.0}

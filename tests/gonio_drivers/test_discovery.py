@@ -26,6 +26,7 @@ def twins(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Twins]:
         yield served
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dialect", ["scpi", "mightex", "arduino"])
 def test_a_lamps_dialect_is_found_and_nothing_lights(dialect: str, tmp_path: Path) -> None:
     lit: list[bool] = []

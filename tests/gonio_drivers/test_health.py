@@ -35,6 +35,8 @@ from tests.command_line import gonio
 from tests.gonio_drivers.conftest import be_patient
 from tests.gonio_drivers.test_lab import PLAN, SAMPLE, SCALE, assert_true, small
 
+pytestmark = pytest.mark.slow
+
 PASSES_S = 50.0
 """On the twin's clock; a second here: longer than a step."""
 INPUT = 2

@@ -38,6 +38,8 @@ from gonio.rig import Pose, Step
 from gonio.rig.description import RigDescription, SampleDescription
 from tests.gonio_drivers.conftest import be_patient
 
+pytestmark = pytest.mark.slow
+
 SCALE = 50.0
 ALBEDO = 0.5
 SAMPLE = SampleDescription(name="matt", model="lambert", parameters={"albedo": ALBEDO})

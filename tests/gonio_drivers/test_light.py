@@ -162,6 +162,7 @@ def test_a_band_changes_while_the_lamp_is_lit(lamp: Plugged) -> None:
             assert (lamp.twin.shine.lit, lamp.twin.shine.level, lamp.twin.shine.band) == (True, 0.8, band)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fault", ["lamp-nak", "lamp-silent", "lamp-reset"])
 @pytest.mark.parametrize("when", range(0, 9, 2))
 def test_a_fault_at_any_exchange_is_mended_or_told(lamp: Plugged, fault: str, when: int) -> None:
@@ -210,6 +211,7 @@ def test_a_lamp_that_stays_silent(lamp: Plugged) -> None:
         pass
 
 
+@pytest.mark.slow
 def test_a_lamp_that_falls_silent_while_lit_is_an_error_that_says_to_switch_it_off(lamp: Plugged) -> None:
     light = lamp.driver()
     light.__enter__()
@@ -222,6 +224,7 @@ def test_a_lamp_that_falls_silent_while_lit_is_an_error_that_says_to_switch_it_o
         light.__exit__(None, None, None)
 
 
+@pytest.mark.slow
 def test_another_language(lamp: Plugged) -> None:
     other = "mightex" if lamp.name != "mightex" else "scpi"
     wrong = lamp.driver(timeout_s=SHORT_S, dialect=other, channels={}, baud=lamp.twin.bauds[0])
@@ -329,6 +332,7 @@ def test_a_monitor_that_sees_nothing_of_a_lit_lamp_is_an_error(lamp: Plugged, mo
             light.check()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("habit", ["echo", "prompt", "slow", "bytewise", "chatter"])
 def test_habits_of_controllers(lamp: Plugged, tmp_path: Path, habit: str, caplog: pytest.LogCaptureFixture) -> None:
     """An echo, a prompt, answers after the timeout (0.25 s), single bytes, lines that nobody asked for: the lamp shines

@@ -46,6 +46,7 @@ def test_park_never_leaves_the_limits(line: Line) -> None:
         assert all(-80.0 <= goal <= 80.0 for goal in goals)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("approach", [1.0, -1.0])
 def test_corrections_for_friction_never_leave_the_limits(line: Line, approach: float) -> None:
     for servo in line.servos.values():

@@ -306,6 +306,7 @@ def test_a_rig_has_servos_or_stages() -> None:
         LAB.open(both.model_copy(update={"devices": twice}), sample=None, seed=0, confirm=False)
 
 
+@pytest.mark.slow
 def test_a_run_on_stages_measures(twins: Twins, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Nobody swaps: the sample is compared with itself, and has the reference's albedo whatever it is."""
     monkeypatch.setattr("gonio.disk.os.fsync", lambda descriptor: None)  # a busy disk is not what is tested
@@ -338,6 +339,7 @@ def written(twins: Twins, tmp_path: Path) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_read_move_and_park_by_hand_with_one_stage_mute(
     twins: Twins, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

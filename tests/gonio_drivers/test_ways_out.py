@@ -33,6 +33,8 @@ from tests.gonio_drivers.conftest import be_patient
 from tests.gonio_drivers.test_by_hand import COMMAND, written
 from tests.gonio_drivers.test_lab import LONGEST_S, PLAN, SAMPLE, SCALE, crawl, opened, small
 
+pytestmark = pytest.mark.slow
+
 SAID_DEG = 0.15
 """Rounding of what is said, flicker, and what a released axis gives way."""
 

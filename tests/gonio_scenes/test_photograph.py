@@ -429,6 +429,7 @@ def bumpy(folder: Path, nodes: int, normals: str, seed: int) -> dict[str, Any]:
     }  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2])
 @pytest.mark.parametrize("samples", [1, 16])
 @pytest.mark.parametrize("nodes", [7, 12, 24])

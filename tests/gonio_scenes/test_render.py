@@ -34,6 +34,7 @@ def test_a_seed_gives_one_picture_and_another_seed_another() -> None:
     assert (pictures[0] != pictures[2]).any()
 
 
+@pytest.mark.slow
 def test_stated_errors_are_the_scatter_about_the_converged_picture() -> None:
     truth = rendered(camera=SMALL | {"samples": 1024}, shape=TWO, light=[LAMP], seed=99)
     picture = rendered(camera=SMALL | {"samples": 64}, shape=TWO, light=[LAMP], seed=3)
@@ -71,6 +72,7 @@ def test_a_camera_that_sees_nothing_is_refused() -> None:
         rendered(camera=SMALL | {"look_at_mm": [0.0, 0.0, 2000.0]})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("samples", [2, 3, 11, 13, 22])
 def test_any_number_of_rays_tells_its_error(samples: int) -> None:
     truth = rendered(camera=SMALL | {"samples": 1024}, shape=TWO, light=[LAMP], seed=99)

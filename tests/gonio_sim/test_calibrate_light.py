@@ -40,6 +40,7 @@ def write(folder: Path, truth: dict[str, Any] = TRUTH, **changes: dict[str, Any]
     (folder / "rig.toml").write_text(to_toml(values | {"truth": "truth.toml"}))
 
 
+@pytest.mark.slow
 def test_what_is_true_of_the_lamp_is_found_and_can_be_used(tmp_path: Path) -> None:
     write(tmp_path)
     said = gonio(

@@ -166,6 +166,7 @@ def calibrated(known: Calibrated, **changes: dict[str, Any]) -> RigDescription:
     return known_rig(ERRORS, **changes).model_copy(update={"calibration": CalibrationUse(known=(known,))})
 
 
+@pytest.mark.slow
 def test_errors_within_a_calibrations_covariance_stay_within_u(tmp_path: Path) -> None:
     """Forty rigs, each wrong by what its calibration says it may be. Noise there is none: u is the geometry's alone."""
     known, spread = covariance(np.random.default_rng(21), list(UNCERTAIN))

@@ -23,6 +23,8 @@ from tests.gonio.cli.test_cli import installed, process
 from tests.gonio.numpy_rig import SAMPLE, NumpyRig, Plugin, StopAfter, describe
 from tests.places import ROOT
 
+pytestmark = pytest.mark.slow
+
 GUIDE = ROOT / "docs" / "writing_a_chooser.md"
 
 

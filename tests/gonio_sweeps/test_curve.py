@@ -28,6 +28,8 @@ from gonio.rig.description import RigDescription
 from gonio.typing import Floats
 from tests.gonio.numpy_rig import SAMPLE, Plugin, StopAfter, describe
 
+pytestmark = pytest.mark.slow
+
 PLAN = """
 name = "a curve"
 wavelength_nm = [550]

@@ -282,6 +282,7 @@ def measured(plan: Plan, out: Path, **options: Any) -> Run:
     return carry_out(plan, replace(rig, description=SMALL), out, sample=sample, seed=2, **options)
 
 
+@pytest.mark.slow
 def test_a_run_reaches_its_target_and_stopping_it_changes_nothing(tmp_path: Path) -> None:
     (tmp_path / "plan.toml").write_text(PLAN.format(keys=MATTE.format(albedo=0.0045, sigma=0.2)))
     plan = load_plan(tmp_path / "plan.toml")

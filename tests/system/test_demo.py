@@ -30,6 +30,7 @@ def quick_demo(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     return folder, done.stdout
 
 
+@pytest.mark.slow
 def test_prints_the_report_last(quick_demo: tuple[Path, str]) -> None:
     folder, printed = quick_demo
     report = Path(printed.strip().splitlines()[-1])

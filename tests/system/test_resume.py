@@ -66,6 +66,7 @@ def steps_in(files: Path, out: str) -> list[int]:
     return [event["step"] for event in map(json.loads, whole.splitlines()) if event["event"] == "step"]
 
 
+@pytest.mark.slow
 def test_killed_run_resumes_to_the_same_table(gonio: Command, here: Command, files: Path) -> None:
     gonio(*MEASURE, "--out", "whole")
     for steps in (2, 5, 9):
@@ -98,6 +99,7 @@ theta_r_deg = [-60, -30, 0, 10, 35, 65]
 """
 
 
+@pytest.mark.slow
 def test_a_killed_run_that_chooses_its_points_chooses_the_same(here: Command, files: Path) -> None:
     (files / "plan.toml").write_text(ADAPTIVE)
     here(*MEASURE, "--out", "whole")
@@ -113,6 +115,7 @@ def test_a_killed_run_that_chooses_its_points_chooses_the_same(here: Command, fi
     assert (files / "cut" / "brdf.csv").read_bytes() == (files / "whole" / "brdf.csv").read_bytes()
 
 
+@pytest.mark.slow
 def test_interrupt_finishes_the_step_and_exits_130(gonio: Command, files: Path) -> None:
     assert kill_after(files, "run", 3, signal.SIGINT) == 130
     done = steps_in(files, "run")

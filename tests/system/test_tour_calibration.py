@@ -17,6 +17,8 @@ from gonio.measurement import read
 from tests.command_line import gonio
 from tests.places import ROOT
 
+pytestmark = pytest.mark.slow
+
 TRUTH: dict[str, Any] = tomllib.loads(
     (ROOT / "sim" / "gonio_sim" / "rigs" / "sim-uncalibrated.truth.toml").read_text(encoding="utf-8")
 )

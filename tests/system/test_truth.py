@@ -51,6 +51,7 @@ def run(here: Command, folder: Path, rig: str, sample: str, plan: str, seed: int
     return read(folder / out / "brdf.csv")
 
 
+@pytest.mark.slow
 def test_lambertian_sample_on_the_noisy_rig(here: Command, tmp_path: Path) -> None:
     table = run(here, tmp_path, "sim", LAMBERT, LAMBERT_PLAN, 11)
     assert len(table) == 3 * 31 + 12

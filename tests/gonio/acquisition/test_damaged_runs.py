@@ -26,6 +26,8 @@ from gonio.reduction import brdf
 from gonio.rig.description import Camera
 from tests.gonio.numpy_rig import PLAN, SAMPLE, Plugin, describe
 
+pytestmark = pytest.mark.slow
+
 Damage = Callable[[Path, random.Random], None]
 PAIRS = 24
 

@@ -59,6 +59,7 @@ def measure(tmp_path: Path) -> Measure:
     return go
 
 
+@pytest.mark.slow
 def test_the_picture_before_is_known_while_it_is_measured(measure: Measure, tmp_path: Path) -> None:
     with pytest.raises(DeviceError, match=r"step 4: the camera .* gives the same picture twice"):
         measure(OneStuck())
@@ -67,6 +68,7 @@ def test_the_picture_before_is_known_while_it_is_measured(measure: Measure, tmp_
     assert again.equals(brdf.reduce(measure(Plugin(), out="other")))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("at", [3, 4, 5])
 def test_an_older_picture_is_found_among_the_frames(measure: Measure, monkeypatch: pytest.MonkeyPatch, at: int) -> None:
     """A buffer of several pictures: none is the one before. The check names the step, and it is taken again."""

@@ -111,6 +111,7 @@ def test_all_together_find_the_rig_within_their_uncertainties(whole: geometry.Fi
     assert 0.5 < whole.misfit < 1.5
 
 
+@pytest.mark.slow
 def test_what_corners_are_off_alike_in_all_pictures_is_in_the_distance(
     filed: RigDescription, sighted: Callable[..., list[Sighting]]
 ) -> None:

@@ -11,6 +11,8 @@ import sys
 import time
 from pathlib import Path
 
+import pytest
+
 from gonio.cli.jog_keys import End, Jog, JogKeys, Line
 from tests.command_line import gonio
 
@@ -64,6 +66,7 @@ def test_wrong_wishes_are_refused_before_anything_is_opened(tmp_path: Path) -> N
         assert done.stdout == ""
 
 
+@pytest.mark.slow
 def test_a_terminal_is_read_key_by_key_and_is_as_it_was_afterwards(tmp_path: Path) -> None:
     """A pseudo-terminal: an arrow jogs, the status line counts down, and the settings come back."""
     import termios

@@ -56,6 +56,7 @@ def test_what_is_done_soon_says_nothing() -> None:
     assert said == []
 
 
+@pytest.mark.slow
 def test_fits_comparisons_and_changes_tell_how_far_they_are(clock: list[float]) -> None:
     said: list[str] = []
     fit(table(), "oren-nayar", each=["albedo"], say=said.append)

@@ -103,6 +103,7 @@ def test_damaged_files(survives: Callable[..., None]) -> None:
     survives(window(), "blind.xml", format="klems")
 
 
+@pytest.mark.slow
 def test_round_trip_of_measured_matrices(shared: Callable[[str], Path], tmp_path: Path) -> None:
     for name, blocks in (("2011-SA1.XML", 8), ("aerc6216_kf.xml", 3)):
         frame = measurement.read(shared(f"klems/{name}"))

@@ -29,6 +29,7 @@ def file(values: np.ndarray) -> bytes:
     return struct.pack("<3i", 90, 90, 180) + values.astype("<f8").tobytes()
 
 
+@pytest.mark.slow
 def test_cells_scales_and_round_trip(tmp_path: Path) -> None:
     values = cubes()
     values[0, 0, 45, 90] = 1500.0  # theta_h 0.5^2 / 90 degrees, theta_d 45.5, phi_d 90.5: 1/sr in red
@@ -91,6 +92,7 @@ def test_other_tables_are_refused(tmp_path: Path, small: pd.DataFrame) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_reading_takes_little_more_memory_than_the_table(tmp_path: Path) -> None:
     """The table itself takes 290 MB: 3.3 million rows of eight numbers and three references to texts."""
     (tmp_path / "paint.binary").write_bytes(file(cubes()))

@@ -65,6 +65,7 @@ def test_merl_cells_hold_the_model(tmp_path: Path) -> None:
     np.testing.assert_allclose(frame["brdf"], GLOSSY.brdf(*angles), rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_what_a_file_cannot_hold_is_said(tmp_path: Path) -> None:
     (remark,) = measurement.write_model(HeTorrance(), tmp_path / "m.xml", name="metal")
     assert "spike" in remark

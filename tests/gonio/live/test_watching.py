@@ -33,6 +33,7 @@ def until(so: Callable[[], bool]) -> None:
         threading.Event().wait(0.01)
 
 
+@pytest.mark.slow
 def test_every_line_is_an_event_with_its_number(played: Played, followed: Watched) -> None:
     for at in range(0, len(played.lines), 5):
         played.go_on(5)

@@ -58,6 +58,7 @@ def check(got: float, formula: Callable[..., Any], angles: tuple[float, ...]) ->
     assert abs(got / reference - 1) <= limit, f"{got!r} instead of {mp.nstr(reference, 20)}, allowed {limit:.1e}"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("index", INDICES.values(), ids=INDICES.keys())
 @pytest.mark.parametrize("angles", GEOMETRIES.values(), ids=GEOMETRIES.keys())
 def test_cook_torrance(angles: tuple[float, float, float, float], index: complex) -> None:
@@ -137,6 +138,7 @@ def test_exactly_grazing_off_the_mirror_is_the_limit(model: Model, theta_r: floa
     assert float(model.brdf(theta_r, 0.0, PI / 2, dphi)) == pytest.approx(at, rel=1e-13, abs=1e-290)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("form", ["functional", "qualitative", "exact"])
 def test_oren_nayar_with_both_directions_grazing(form: str) -> None:
     model = OrenNayar(0.9, 30.0, form)

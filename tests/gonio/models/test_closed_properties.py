@@ -107,6 +107,7 @@ def test_turning_the_sample_about_its_normal(
     assert other == pytest.approx(one, rel=1e-10, abs=1e-100)
 
 
+@pytest.mark.slow
 @given(reciprocal, st.floats(0.0, 1.56), phis, st.floats(0.0, 1.56), phis)
 def test_angles_and_vectors_agree(model: Model, theta_i: float, phi_i: float, theta_r: float, phi_r: float) -> None:
     def vector(theta: float, phi: float) -> list[float]:

@@ -191,6 +191,7 @@ def stock_results() -> dict[str, Any]:
     return out
 
 
+@pytest.mark.slow
 def test_a_numba_without_the_names_that_the_pipeline_rests_on_gives_the_same(tmp_path: Path) -> None:
     done = subprocess.run(
         [sys.executable, "-c", ANOTHER_NUMBA, str(tmp_path / "stock.npz")],
@@ -212,6 +213,7 @@ def test_a_numba_without_the_names_that_the_pipeline_rests_on_gives_the_same(tmp
         np.testing.assert_allclose(stock[name], values, rtol=tolerance, atol=0, err_msg=name)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("model", [MODEL, Blinn(distribution="phong"), OrenNayar()], ids=["exp2", "log", "Oren-Nayar"])
 def test_loops_over_kernels_are_vectors(model: Model, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     import numba

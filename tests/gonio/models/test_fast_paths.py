@@ -58,6 +58,7 @@ def hard_pairs() -> tuple[np.ndarray, np.ndarray]:
 # --- float32 --------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("model", CLOSED, ids=repr)
 def test_float32_vectors_give_float32_results_within_the_stated_error(model: Model) -> None:
     light, view = (np.concatenate(both).astype(np.float32) for both in zip(pairs(20_000), hard_pairs(), strict=True))
@@ -239,6 +240,7 @@ def test_a_real_index_is_the_limit_of_a_complex_one() -> None:
 # --- wavelengths ----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("model", [HeTorrance(ior="Al", diffuse_albedo=0.1), CookTorrance(ior="Cu")], ids=repr)
 def test_wavelengths_on_an_axis_of_their_own(model: Model) -> None:
     light, view = pairs(30)

@@ -188,6 +188,7 @@ def test_a_point_just_outside_of_a_spike_knows_its_edge() -> None:
     assert odd == pytest.approx(-rise / 2, rel=0.05)
 
 
+@pytest.mark.slow
 def test_a_smooth_peak_is_no_spike() -> None:
     """Eight degrees wide, measured every 2.5 degrees."""
 
@@ -238,6 +239,7 @@ def test_the_flank_of_a_lobe_out_of_the_plane_is_as_steep_as_between_points_that
     assert np.ptp(truth) > 0.0
 
 
+@pytest.mark.slow
 def test_curves_in_the_plane_tell_the_flank_of_a_lobe_that_points_out_of_it_do_not_resolve() -> None:
     """A lobe of facets with a slope of 0.11 over a matte base; at 60 degrees nothing is measured in the plane.
 
@@ -289,6 +291,7 @@ def test_a_blurred_overlap_against_drawn_errors(offset_deg: float) -> None:
     assert math.sqrt(seen.variance) == pytest.approx(float(drawn.std()), rel=0.03)
 
 
+@pytest.mark.slow
 def test_what_a_spike_s_top_lacks_on_average_is_given_back() -> None:
     """Values measured with the mean overlap: the correction restores those at the read directions."""
     u = math.radians(0.04)

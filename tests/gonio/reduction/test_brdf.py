@@ -134,6 +134,7 @@ def flicker(rng: np.random.Generator, time_s: float) -> float:
     return 1.0 + 0.003 * float(rng.standard_normal())
 
 
+@pytest.mark.slow
 def test_pulls_of_sensor_and_lamp_noise_are_standard_normal(tmp_path: Path) -> None:
     """Independent frames from numpy's generators; dim and bright points, short and long frames."""
     found = []
@@ -166,6 +167,7 @@ def test_dim_points_keep_their_sign_and_their_scatter(tmp_path: Path) -> None:
     assert 0.75 < z.std() < 1.2
 
 
+@pytest.mark.slow
 def test_the_noise_of_the_dark_frames_is_common_to_all_points(tmp_path: Path) -> None:
     """Few dark frames and a black sample: all estimates of a run are off together, and the table says by how much."""
     description = describe(camera=NOISY, acquisition={"roi_radius_mm": 2.0, "dark_frames": 2})

@@ -33,6 +33,7 @@ def drawn(kind: str, size: float, visits: int, count: int, seed: int) -> tuple[n
     return np.array(pulls), np.array(chi_squares), np.array(wider)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("visits", [3, 4, 5, 8, 12])
 def test_a_lamp_that_walks_is_within_its_uncertainty(visits: int) -> None:
     """Before, 95 % intervals held 70 to 87 %, and pulls of the level had a root mean square of up to 5.6.

@@ -56,6 +56,7 @@ def told(log: Log, places: Floats, rng: np.random.Generator) -> tuple[Surface, F
     return surface, off, off / np.where(u > 0.0, u, np.inf)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [25, 50])
 def test_scattered_points_tell_the_slopes_of_a_lobe_and_how_uncertain_they_are(count: int) -> None:
     """One point an angle of incidence, all out of the plane: their slopes were 0 with an uncertainty of 0."""

@@ -19,6 +19,7 @@ from tools.angle_campaign import chi_square, measured, truth
 from tools.spike_campaign import rig
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [1, 58, 63, 93])
 def test_drawn_plans_of_scattered_directions(tmp_path: Path, number: int) -> None:
     """Around mirror directions, few points, over the hemisphere: chi-square over n was 59, 202, 53 and 12."""
@@ -60,6 +61,7 @@ def test_an_error_of_theta_i_counts_where_every_point_has_its_own_incidence(tmp_
     assert not table["s_spin_zero"].to_numpy()[table["flag"] == ""].any()  # an isotropic sample does not notice it
 
 
+@pytest.mark.slow
 def test_the_zero_of_the_spin_counts_on_a_brushed_sample(tmp_path: Path) -> None:
     """Curves at six azimuths, without noise of the camera or the lamp: what errors of the angles do is all there is."""
     chosen = rig(name="sim-metrology")

@@ -39,6 +39,7 @@ def reduced(
     return brdf.reduce(Run.open(folder / "run"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 1])
 def test_a_zoom_into_a_spike_gets_back_what_its_top_lacks(tmp_path: Path, seed: int) -> None:
     """No point lies outside the cones' sum by more than 0.2 degrees: the overlap's shape tells the spike."""
@@ -86,6 +87,7 @@ def test_where_nothing_tells_the_spike_its_bound_is_in_u_and_a_note_says_so(tmp_
     assert "more" not in note
 
 
+@pytest.mark.slow
 def test_drawn_plans_around_spikes(tmp_path: Path) -> None:
     """One plan of each kind of the campaign, every other one on the rig with an azimuth axis."""
     found = []

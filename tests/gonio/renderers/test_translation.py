@@ -146,6 +146,7 @@ def test_a_table_is_fitted_at_its_own_directions(tmp_path: Path) -> None:
     assert any("of the table, and to nothing beyond them" in r for r in document["extras"]["remarks"])
 
 
+@pytest.mark.slow
 def test_what_a_material_cannot_say_is_said() -> None:
     smooth = translation.of_model(HeTorrance(sigma0_um=0.02, tau_um=2.0, ior="Al"), "mirror")
     assert any("specular spike" in note for note in smooth.notes)

@@ -83,6 +83,7 @@ def stranger(tmp_path: Path) -> str:
     return site
 
 
+@pytest.mark.slow
 def test_the_guide_s_rig_measures(tmp_path: Path, stranger: str) -> None:
     """With an encoder whose zero is five degrees off, so that the example's zeros count."""
     rig = tmp_path / "bench.toml"

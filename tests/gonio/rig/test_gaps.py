@@ -27,6 +27,7 @@ def found(a: Floats, b: Floats) -> float:
     return float(between(a, len(a), b, len(b), 0.0, np.inf))
 
 
+@pytest.mark.slow
 def test_a_plate_and_a_slanted_post_far_apart_do_not_meet() -> None:
     # The four differences that the search came to lay in one plane to 1e-16 of their size, and their tetrahedron was
     # taken to hold the origin. All digits count: with fewer the differences are in a plane no longer.

@@ -93,6 +93,7 @@ def test_a_reached_pose_shows_the_directions_that_were_asked_for(kind: str) -> N
     assert reached > 120
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_around_retro_and_the_poles_a_pose_is_exact_or_there_is_none(kind: str) -> None:
     """Where a pose is within 0.4 deg and not exact, or refused, 20 searches from anywhere find no exact one either."""

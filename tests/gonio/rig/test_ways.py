@@ -270,6 +270,7 @@ def test_a_body_in_the_light_or_in_the_sight_blocks_a_point() -> None:
         ways.require_free(lit.model_copy(update={"bodies": (raised,)}), deg(-80, 70))
 
 
+@pytest.mark.slow
 def test_a_cable_is_not_torn_and_nothing_runs_into_it() -> None:
     """From 300 mm over the crossing of the axes to the lamp: at 89 deg the ends are 500 mm apart."""
     lead = Cable(name="lead", from_on="bench", from_mm=(0, 0, 300), to_on="light", to_mm=(0, 0, 400), length_mm=520)

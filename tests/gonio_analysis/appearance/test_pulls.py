@@ -17,6 +17,8 @@ from gonio.models import CookTorrance, HeTorrance, Lambert, Model, OrenNayar, Su
 from tests.gonio_analysis.appearance.simulated import hemisphere, measured, named, noisy, plane
 from tests.gonio_analysis.synthetic import known
 
+pytestmark = pytest.mark.slow
+
 RUNS = int(os.environ.get("GONIO_PULLS", "60"))
 SCATTER = 4.0 / math.sqrt(2.0 * RUNS)
 """Four standard deviations of a standard deviation of so many draws: 138 values are looked at, of which one lies beyond

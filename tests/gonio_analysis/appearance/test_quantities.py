@@ -256,6 +256,7 @@ def test_haze_of_a_metal_is_none(metal: Model) -> None:
     assert known(of_model(metal, name="metal").haze_e430_20.value) >= 0.0  # which is a flux, and has no such limit
 
 
+@pytest.mark.slow
 def test_the_uncertainty_of_a_fit_is_that_of_its_parameters() -> None:
     frame = noisy(measured(PAINT, swept(20.0, 60.0)), np.random.default_rng(3))
     result = fit(frame, "he-torrance", ior=1.5)

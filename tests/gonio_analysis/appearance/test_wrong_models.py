@@ -22,6 +22,8 @@ from gonio.typing import Floats
 
 from ..fitting.test_misfit import facets, of_facets
 
+pytestmark = pytest.mark.slow
+
 POINTS = ("rho_dh_8", "gloss_20_gu", "haze_e430_20", "haze_e430_30", "radiance_factor_0_45", "radiance_factor_45_0")
 
 

@@ -316,6 +316,7 @@ def test_models_compare_with_files_and_with_each_other() -> None:
     assert np.all(twice.difference == 0)
 
 
+@pytest.mark.slow
 def test_command_writes_a_report(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for name, seed in (("before", 5), ("after", 6)):
         measurement.write(measure(GLOSS, noise=0.01, reference=0.005, seed=seed, name=name), tmp_path / f"{name}.csv")

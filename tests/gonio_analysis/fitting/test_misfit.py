@@ -141,6 +141,7 @@ def test_errors_by_blocks_are_those_of_fits_without_each_block() -> None:
         np.testing.assert_allclose(np.sqrt(np.diag(result.spread)), whole, rtol=0.2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("model", ["cook-torrance", "blinn"])
 def test_intervals_hold_on_samples_that_no_model_has(model: str) -> None:
     """rho_dh of the model, and parameters from two plans of one sample."""

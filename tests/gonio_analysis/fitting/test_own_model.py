@@ -78,6 +78,7 @@ def test_it_is_fitted_with_intervals(ward: None) -> None:
     assert high - low == pytest.approx(2 * 1.96 * u, rel=0.1)  # linear near the solution
 
 
+@pytest.mark.slow
 def test_an_anisotropic_sample_is_described_by_it_and_by_no_other(ward: None) -> None:
     data = observations(measured((0.0, 45.0, 90.0)))
     tried = [c for c in candidates(["all"]) if c.model in ("lambert", "phong", "cook-torrance", "ward")]

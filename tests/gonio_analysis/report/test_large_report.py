@@ -33,6 +33,8 @@ from gonio.cli.pace import Say
 from gonio.models import Phong, build
 from tests.gonio_analysis.synthetic import measure
 
+pytestmark = pytest.mark.slow
+
 LIMIT = 5_000_000
 """Bytes of a page."""
 GLOSS = build("phong", {"k_d": 0.3, "k_s": 0.5, "exponent": 30})

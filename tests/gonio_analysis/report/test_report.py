@@ -61,6 +61,7 @@ def page(report: Path) -> str:
     return (report / "index.html").read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_page_needs_no_other_file(report: Path) -> None:
     html = page(report)
     assert "<svg" in html

@@ -48,6 +48,7 @@ def plain(text: str) -> str:
     return text.translate(digits).replace(" × 10", "e")
 
 
+@pytest.mark.slow
 def test_a_table_wider_than_the_window_shows_that_it_scrolls(report: Path, tab: Page, tmp_path: Path) -> None:
     tab.open(report / "index.html", 400)
     tab.run("var wide = [...document.querySelectorAll('.scroll')].find(e => e.scrollWidth > e.clientWidth + 60); 0")

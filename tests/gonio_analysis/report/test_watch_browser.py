@@ -25,7 +25,10 @@ from gonio.live.server import Server
 from tests.browser import CHROMIUM, Page, browser
 from tests.gonio.live.runs import Played, measured
 
-pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no chromium on this machine: the page is not opened")
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(CHROMIUM is None, reason="no chromium on this machine: the page is not opened"),
+]
 
 SERVER = "document.getElementById('server').className"
 

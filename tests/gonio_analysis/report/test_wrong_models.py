@@ -54,6 +54,7 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> tuple[Any, str]:
     return (summary, Path(folder)), re.sub(r"\s+", " ", html.unescape(text))
 
 
+@pytest.mark.slow
 def test_the_first_line_says_how_far_off_the_nearest_is_and_where(page: tuple[Any, str]) -> None:
     (summary, _), text = page
     (facts,) = summary["datasets"]

@@ -102,6 +102,7 @@ def test_anisotropy_is_seen_in_the_azimuth_of_incidence(u_rel: float) -> None:
     assert "--models anisotropic" in facts.conclusion
 
 
+@pytest.mark.slow
 def test_a_fit_within_the_bound_reflects_no_more_than_it_receives() -> None:
     bright = build("phong", {"k_d": 0.4, "k_s": 40.0, "exponent": 60.0})
     frame = measure(bright, noise=0.01, floor=0.0, incidences=(10.0, 30.0))

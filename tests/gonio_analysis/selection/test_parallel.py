@@ -109,6 +109,7 @@ def _at_30_degrees(theta_r: float) -> float:
     return float(CookTorrance(ior=1.5).brdf(0.5, 0.0, theta_r, np.pi))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["spawn", "forkserver"])
 def test_models_in_a_pool_of_processes(method: str) -> None:
     if method not in multiprocessing.get_all_start_methods():

@@ -22,6 +22,8 @@ from tests.gonio_drivers.conftest import be_patient
 from tests.gonio_drivers.test_lab import LONGEST_S, SAMPLE, small
 from tests.gonio_sim.wire.test_twin_facts import HandClock
 
+pytestmark = pytest.mark.slow
+
 TAU_S, LOSS, SCALE = 60.0, 0.3, 60.0
 WARM = {"warm_up_loss": LOSS, "warm_up_time_constant_s": TAU_S, "noise": 0.001, "drift_per_hour": 0.0}
 

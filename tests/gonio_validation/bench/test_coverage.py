@@ -144,6 +144,7 @@ def test_regions() -> None:
     assert coverage_campaign.regions(where, math.radians(1.0)) == ["specular spike", *names[1:]]
 
 
+@pytest.mark.slow
 def test_campaigns_from_files_to_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     real = brdf.reduce
 

@@ -15,6 +15,8 @@ from gonio_validation.papers.pictures import catalogue, centre, htsg, sheet
 from gonio_validation.papers.pictures.catalogue import SHOWN, names, scene_file
 from gonio_validation.papers.pictures.cook_torrance import ambient_as_printed
 
+pytestmark = pytest.mark.slow
+
 OPEN = None
 """It hangs on a value that the paper does not state, so there is no verdict."""
 ROWS = 64
