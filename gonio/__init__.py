@@ -10,7 +10,7 @@ __version__ = "0.1.0"
 _FROM = {
     "read": "gonio.measurement",
     "write": "gonio.measurement",
-    "open_rig": "gonio.by_hand.bench",
+    "open_rig": "gonio.by_hand.manual_rig",
     "HeTorrance": "gonio.models",
     "CookTorrance": "gonio.models",
     "OrenNayar": "gonio.models",

@@ -1,4 +1,4 @@
-from gonio.by_hand.bench import open_rig as open_rig
+from gonio.by_hand.manual_rig import open_rig as open_rig
 from gonio.instrument import apparent_brdf as apparent_brdf
 from gonio.measurement import read as read
 from gonio.measurement import write as write

@@ -20,7 +20,7 @@ from scipy.stats import binomtest
 
 from gonio.by_hand import alignment
 from gonio.by_hand.alignment_scans import Scans
-from gonio.by_hand.bench import Bench
+from gonio.by_hand.manual_rig import ManualRig
 from gonio.config import parse
 from gonio.rig.description import RigDescription
 
@@ -73,7 +73,7 @@ def main() -> None:
                                    for n in (1, 2)]  # type: ignore[attr-defined]  # fmt: skip
         began, scans = time.monotonic(), None
         try:
-            with Bench(rig, "hidden") as bench:
+            with ManualRig(rig, "hidden") as bench:
                 scans = Scans(bench, search_deg=6.0, say=lambda text: None)
                 rig.put("mirror")
                 scans.mirror()

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from gonio_sim.rig import SIM, SimulatedRig
 
-from gonio.by_hand.bench import Bench
+from gonio.by_hand.manual_rig import ManualRig
 from gonio.calibration import geometry
 from gonio.calibration.geometry_scans import GeometryScans, reversed_approach
 from gonio.config import parse, to_toml
@@ -76,7 +76,7 @@ def measured(description: RigDescription, seed: int, *, poses: tuple[int, int, i
         out.append(sighting)
 
     rig = SimulatedRig(description, None, seed, confirm=False)
-    with Bench(rig, "hidden") as bench:
+    with ManualRig(rig, "hidden") as bench:
         scans = GeometryScans(bench, search_deg=8.0, say=lambda text: None, keep=keep)
         rig.put("mirror")
         scans.mirror_frames(poses[0])
@@ -85,7 +85,7 @@ def measured(description: RigDescription, seed: int, *, poses: tuple[int, int, i
         rig.put("empty")
         scans.straight_frames(poses[1])
     rig = SimulatedRig(reversed_approach(description), None, seed, confirm=False)
-    with Bench(rig, "hidden") as bench:
+    with ManualRig(rig, "hidden") as bench:
         bench.begin(Step(1, "dark"))
         rig.put("mirror")
         scans = GeometryScans(bench, search_deg=8.0, say=lambda text: None, keep=keep)

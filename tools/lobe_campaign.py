@@ -100,15 +100,19 @@ def _stated(theta_i: Floats, signed: Floats, values: Floats) -> tuple[Floats, Fl
         for k in range(values.size)
     ]
     curves = Curves(goals, goals, values, NOISE * abs(values), (HALF, HALF), shares)
-    odd, even, doubt = np.zeros((3, values.size))
+    odd, even, u_slope = np.zeros((3, values.size))
     for plus, minus in moved:
         for k in range(values.size):
             o, e = curves.effects(k, goals[k], plus[k], minus[k])
-            odd[k], even[k], doubt[k] = odd[k] + o**2, even[k] + e**2, doubt[k] + curves.doubt(k, plus[k]) ** 2
+            odd[k], even[k], u_slope[k] = (
+                odd[k] + o**2,
+                even[k] + e**2,
+                u_slope[k] + curves.slope_uncertainty(k, plus[k]) ** 2,
+            )
     blur = curves.spikes.variance
     blurred = np.where(curves.spike != 0, np.maximum(blur - odd, 0.0), blur + even)
     spiked = np.array([share.most > 0.0 for share in shares])
-    return np.sqrt((NOISE * values) ** 2 + odd + blurred + doubt), spiked
+    return np.sqrt((NOISE * values) ** 2 + odd + blurred + u_slope), spiked
 
 
 def main() -> None:

@@ -19,7 +19,7 @@ import numpy as np
 
 from gonio.errors import ConfigError
 from gonio.geometry import Directions
-from gonio.rig import Pose, ways
+from gonio.rig import Pose, motion_planning
 from gonio.rig.description import Band, Bands, Body, RigDescription
 from gonio.rig.kinematics import Unreachable, reach
 from gonio.typing import Floats
@@ -334,7 +334,7 @@ def examine(rng: np.random.Generator, found: Found, points: int = 5, samples: in
     here = rest
     for goal in (*poses, *poses[::-1], rest):
         try:
-            stations = ways.route(rig, here, goal)
+            stations = motion_planning.route(rig, here, goal)
         except ConfigError as error:
             found.wrong.append(f"no way in the night: {error}")
             continue

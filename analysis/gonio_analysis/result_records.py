@@ -267,18 +267,18 @@ class PauseSummary:
 
 @dataclass(frozen=True)
 class ReferenceLevel:
-    """What the white reference said in one sitting, in one band."""
+    """What the white reference said in one session, in one band."""
 
     band: str
     visits: int
     relative: float
-    """Mean signal of the visits, relative to that of the first sitting that has one in this band."""
+    """Mean signal of the visits, relative to that of the first session that has one in this band."""
     scatter: float | None
     """Standard deviation of the visits, relative to the same; None of one visit."""
 
 
 @dataclass(frozen=True)
-class SittingSummary:
+class SessionSummary:
     """From the start of the program that measured to its last line in the journal."""
 
     began: str
@@ -287,7 +287,7 @@ class SittingSummary:
     steps: int
     ending: str
     levels: list[ReferenceLevel]
-    """One a band; empty where the run is not reduced, or this sitting has no visit."""
+    """One a band; empty where the run is not reduced, or this session has no visit."""
 
 
 @dataclass(frozen=True)
@@ -367,7 +367,7 @@ class RunFacts:
     pauses: list[PauseSummary] = field(default_factory=list)
     budget: list[BudgetFacts] = field(default_factory=list)
     """One a wavelength; empty for runs that an older version reduced."""
-    sittings: list[SittingSummary] = field(default_factory=list)
+    sessions: list[SessionSummary] = field(default_factory=list)
     """Those in which steps were taken."""
 
 

@@ -1,1 +1,1 @@
-"""Sweeps that choose their own points: choosers of the entry-point group `gonio.choosers` (docs/adaptive_sweeps.md)."""
+"""Sweeps that choose their own points: samplers of the entry-point group `gonio.choosers` (docs/adaptive_sweeps.md)."""

@@ -1,4 +1,4 @@
-"""The points that a chooser may choose from, and how far they lie from what was measured."""
+"""The points that a sampler may choose from, and how far they lie from what was measured."""
 
 from __future__ import annotations
 

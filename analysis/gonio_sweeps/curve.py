@@ -1,4 +1,4 @@
-"""The chooser "curve": points for the BRDF over the angle of reflection, without a model of the sample.
+"""The sampler "curve": points for the BRDF over the angle of reflection, without a model of the sample.
 
 Each batch follows from a Gaussian process (`gonio.models.gaussian_process`) given all values so far. Its
 points are those that are expected to lower the variance of the whole curve most for their rig time. A share of them
@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 from pydantic import field_validator
 
-from gonio.acquisition.choosing import Choice
 from gonio.acquisition.duration import Durations
 from gonio.acquisition.plan import Plan, Point
 from gonio.acquisition.run import Run
+from gonio.acquisition.sampling import Choice
 from gonio.acquisition.schedule import reference_pose
 from gonio.config import Strict, parse
 from gonio.errors import ConfigError
@@ -93,7 +93,7 @@ class Plugin:
     """What the entry point names."""
 
     def open(self, plan: Plan, description: RigDescription) -> Curve:
-        """The chooser of a plan on a rig; see `gonio.acquisition.choosing.ChooserPlugin`."""
+        """The sampler of a plan on a rig; see `gonio.acquisition.sampling.SamplerPlugin`."""
         return Curve(plan, description)
 
 
@@ -179,7 +179,7 @@ class Curve:
     # ---- what is measured next ----
 
     def next(self, run: Run) -> Choice:
-        """See `gonio.acquisition.choosing.Chooser`."""
+        """See `gonio.acquisition.sampling.Sampler`."""
         values = [online.values(run) for online in self._online]
         before = run.batches[-1].why.get("kernel") if run.batches else None
         decided = self.decided(values, expected.spent_s(self.durations, run), before)
@@ -330,4 +330,4 @@ def _short(value: float) -> float | None:
     return float(f"{value:.3g}") if math.isfinite(value) else None
 
 
-CHOOSER = Plugin()
+SAMPLER = Plugin()

@@ -2,7 +2,7 @@
 
 A step's count rate follows from its own frames and the dark frames. It is kept. What all values share, the level of the
 white reference over time, is fitted again each time. A reduction at the end (`gonio.reduction.brdf`) says more: what
-errors of the angles do to each value. Choosers have models of the sample, and know that from these.
+errors of the angles do to each value. Samplers have models of the sample, and know that from these.
 """
 
 from __future__ import annotations

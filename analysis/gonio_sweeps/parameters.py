@@ -1,4 +1,4 @@
-"""The chooser "parameters": points for the parameters of a named model, and for whether it is the right one.
+"""The sampler "parameters": points for the parameters of a named model, and for whether it is the right one.
 
 Each batch follows from a fit to all values so far. Most of its points are those that tell most of the parameters for
 their rig time (`gonio_sweeps.fisher`), on average over parameters that the values allow. The others cover: they look
@@ -20,10 +20,10 @@ from gonio_analysis.fitting.forward import apparent
 from gonio_analysis.fitting.observations import DEFAULT_WAVELENGTH_NM
 from gonio_analysis.fitting.value_covariance import Covariance
 
-from gonio.acquisition.choosing import Choice
 from gonio.acquisition.duration import Durations
 from gonio.acquisition.plan import Plan, Point
 from gonio.acquisition.run import Run
+from gonio.acquisition.sampling import Choice
 from gonio.acquisition.schedule import reference_pose
 from gonio.config import parse
 from gonio.errors import ConfigError
@@ -86,7 +86,7 @@ class Plugin:
     """What the entry point names."""
 
     def open(self, plan: Plan, description: RigDescription) -> Parameters:
-        """The chooser of a plan on a rig; see `gonio.acquisition.choosing.ChooserPlugin`."""
+        """The sampler of a plan on a rig; see `gonio.acquisition.sampling.SamplerPlugin`."""
         return Parameters(plan, description)
 
 
@@ -181,7 +181,7 @@ class Parameters:
     # ---- what is measured next ----
 
     def next(self, run: Run) -> Choice:
-        """See `gonio.acquisition.choosing.Chooser`."""
+        """See `gonio.acquisition.sampling.Sampler`."""
         return self.choose(
             self._online.values(run),
             spent_s=expected.spent_s(self._durations, run),
@@ -480,4 +480,4 @@ def _weights(covariance: Floats, count: int, targets: Floats | None) -> Floats |
     return np.where(stated, (ratios / max(float(ratios.max()), 1e-300)) ** 2 / np.where(stated, targets, 1.0) ** 2, 0.0)
 
 
-CHOOSER = Plugin()
+SAMPLER = Plugin()

@@ -16,7 +16,7 @@ STEP_DEG = 0.5
 
 
 def reconstruct(table: pd.DataFrame, *, step_deg: float = STEP_DEG) -> pd.DataFrame:
-    """In-plane curves through the points of a table, by the Gaussian process of the chooser "curve".
+    """In-plane curves through the points of a table, by the Gaussian process of the sampler "curve".
 
     Parameters
     ----------

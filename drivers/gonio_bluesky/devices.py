@@ -28,7 +28,7 @@ from gonio_bluesky.status import Owner, Status
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from gonio.by_hand.bench import Bench
+    from gonio.by_hand.manual_rig import ManualRig
 
 log = logging.getLogger("gonio.devices")
 
@@ -66,7 +66,7 @@ class Brake:
     Bluesky stops every axis that it has moved when a run ends, well or not, when it pauses and when it is suspended.
     """
 
-    def __init__(self, owner: Owner, rig: Bench, lamp: Lamp) -> None:
+    def __init__(self, owner: Owner, rig: ManualRig, lamp: Lamp) -> None:
         self._owner, self._rig, self._lamp = owner, rig, lamp
         self._moves: list[Status] = []
         self._stops = 0
@@ -125,7 +125,7 @@ class Brake:
 class Axis(Named):
     """One axis of a rig, in degrees: movable, readable, locatable, stoppable, pausable, checkable."""
 
-    def __init__(self, owner: Owner, rig: Bench, brake: Brake, name: str) -> None:
+    def __init__(self, owner: Owner, rig: ManualRig, brake: Brake, name: str) -> None:
         super().__init__(f"{name}_axis" if name in ("light", "camera") else name)
         self._owner, self._rig, self._brake, self._axis = owner, rig, brake, name
         self._setpoint: float | None = None
@@ -201,7 +201,7 @@ class Axis(Named):
 class Lamp(Named):
     """The lamp: set to the name of a band, to a wavelength [nm], or to "dark"."""
 
-    def __init__(self, owner: Owner, rig: Bench) -> None:
+    def __init__(self, owner: Owner, rig: ManualRig) -> None:
         super().__init__("lamp")
         self._owner, self._rig, self.state = owner, rig, DARK
         """The band that is lit, or "dark"."""
@@ -287,7 +287,7 @@ NUMBERS = {
 class Camera(Named):
     """The camera: a frame at a trigger, of which numbers are read. With a folder the frame itself is kept, as DNG."""
 
-    def __init__(self, owner: Owner, rig: Bench, folder: Path | None) -> None:
+    def __init__(self, owner: Owner, rig: ManualRig, folder: Path | None) -> None:
         super().__init__("camera")
         self._owner, self._rig, self._folder = owner, rig, folder
         self.exposure_s: Setting[float | None] = Setting("camera_exposure_s", None, "s", self._exposure)
@@ -336,7 +336,7 @@ class Camera(Named):
 class Devices:
     """The devices of a rig; see `devices`."""
 
-    def __init__(self, rig: Bench, folder: Path | None) -> None:
+    def __init__(self, rig: ManualRig, folder: Path | None) -> None:
         self._owner, self._rig = Owner(), rig
         self.lamp = Lamp(self._owner, rig)
         brake = Brake(self._owner, rig, self.lamp)
@@ -366,7 +366,7 @@ class Devices:
             self._owner.close()
 
 
-def devices(rig: Bench, *, frames: str | Path | None = None) -> Devices:
+def devices(rig: ManualRig, *, frames: str | Path | None = None) -> Devices:
     """The devices of a rig, for Bluesky's plans.
 
     Parameters

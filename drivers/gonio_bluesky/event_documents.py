@@ -5,7 +5,7 @@
     resource, datum_page  the folder of raw frames, and which of them a step has
     primary               an event for every point that was measured
     reference, dark       the visits to the white reference, and the dark steps
-    journal               what else happened: sittings, remarks, interruptions, choices
+    journal               what else happened: sessions, remarks, interruptions, choices
     reduced               the rows of the table, where the run has been reduced
     stop                  how it ended
 

@@ -20,7 +20,7 @@ from types import TracebackType
 from typing import NoReturn, Self
 
 from gonio.errors import ConfigError, DeviceError, Disturbed
-from gonio.rig import Pose, Target, ways
+from gonio.rig import Pose, Target, motion_planning
 from gonio.rig.description import RigDescription
 from gonio_drivers import joints, presence, settings, signals, watchdog
 from gonio_drivers.arrival import LARGEST_CORRECTION_DEG, STILL_COUNTS
@@ -78,7 +78,7 @@ class ServoArms:
         for joint in self.joints.values():
             joint.check_acceleration(servos.acceleration_deg_per_s2)
         park: dict[str, float] = {n: axis.park_deg for n, axis in servos.axes.items() if axis.park_deg is not None}
-        ways.require_parking(description, park, "devices.servos.axes.{}.park_deg")
+        motion_planning.require_parking(description, park, "devices.servos.axes.{}.park_deg")
         self._motion = Motion(self.bus, self.joints, servos)
         self.last: Reading | None = None
         self.faulted = False
@@ -289,7 +289,7 @@ class ServoArms:
         """What to move one after the other, so that no bodies touch; all at once where an axis is absent."""
         if not self._description.looks_ahead or self.absent:
             return [goals]
-        return ways.legs(self._description, self._readback().pose, goals)
+        return motion_planning.legs(self._description, self._readback().pose, goals)
 
     def change(self, target: Target) -> None:
         """Put sample or white reference into the beam, by the servo of the changer."""

@@ -143,11 +143,11 @@ class Joint:
         return self.inside(goal - self.approach_deg * self.counts_per_deg)
 
     def warn_of_play(self, goal_deg: float) -> None:
-        """Say so where a limit leaves no way that takes up the axis's play."""
+        """Say so where a limit leaves no way that takes up the axis's backlash."""
         way = self.distance_deg(self.approach_start(self.to_count(goal_deg)), self.to_count(goal_deg))
         if way < min(self.axis.backlash_deg, abs(self.approach_deg)) - 0.5 / abs(self.counts_per_deg):
             log.warning(
-                "axis %s at %g deg, %.2f deg from its limit: its play of %g deg is not taken up there, and it may "
+                "axis %s at %g deg, %.2f deg from its limit: its backlash of %g deg is not taken up there, and it may "
                 "stand that far off what it reads", self.name, goal_deg, way, self.axis.backlash_deg,
             )  # fmt: skip
 

@@ -164,7 +164,7 @@ class LabRig:
         return True
 
     def time_s(self) -> float:
-        """Seconds since 1970, so that the sittings of one run share a clock; it does not jump within a sitting."""
+        """Seconds since 1970, so that the sessions of one run share a clock; it does not jump within a session."""
         return self._clock_starts + time.monotonic()
 
     # ---- ByHand ----

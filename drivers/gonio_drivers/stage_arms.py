@@ -19,7 +19,7 @@ from types import TracebackType
 from typing import NoReturn, Self
 
 from gonio.errors import ConfigError, DeviceError, Disturbed, GonioError
-from gonio.rig import Health, Pose, Reading, Target, ways
+from gonio.rig import Health, Pose, Reading, Target, motion_planning
 from gonio.rig.description import RigDescription
 from gonio_drivers import settings, stages
 from gonio_drivers.patience import Patience
@@ -105,7 +105,7 @@ class StageArms:
                 approach_deg=approach[name], backlash_deg=axis.backlash_deg, hard_stops_deg=stops[name],
             )  # fmt: skip
         park = {n: j.stage.axis.park_deg for n, j in self._all.items() if j.stage.axis.park_deg is not None}
-        ways.require_parking(description, park, "devices.stages.axes.{}.park_deg")
+        motion_planning.require_parking(description, park, "devices.stages.axes.{}.park_deg")
         self.joints: dict[str, Joint] = {}
         """The axes that are open."""
         self.last: Where | None = None
@@ -241,7 +241,7 @@ class StageArms:
         """What to move one after the other, so that no bodies touch; all at once where an axis is absent."""
         if not self._description.looks_ahead or self.absent:
             return [goals]
-        return ways.legs(self._description, self._readback().pose, goals)
+        return motion_planning.legs(self._description, self._readback().pose, goals)
 
     def change(self, target: Target) -> None:
         """Refused: no stage changes the sample."""

@@ -119,11 +119,11 @@ class Joint:
         return min(max(goal_deg - self.approach_deg, lower), upper)
 
     def warn_of_play(self, goal_deg: float) -> None:
-        """Say so where a limit leaves no way that takes up the axis's play."""
+        """Say so where a limit leaves no way that takes up the axis's backlash."""
         way = abs(goal_deg - self.approach_start(goal_deg))
         if way < min(self.backlash_deg, abs(self.approach_deg)):
             log.warning(
-                "axis %s at %g deg, %.2f deg from its limit: its play of %g deg is not taken up there, and it may "
+                "axis %s at %g deg, %.2f deg from its limit: its backlash of %g deg is not taken up there, and it may "
                 "stand that far off what it reads", self.name, goal_deg, way, self.backlash_deg,
             )  # fmt: skip
 

@@ -17,7 +17,7 @@ from gonio.acquisition import exposure
 from gonio.acquisition.schedule import EXPECTED_ALBEDO
 from gonio.rig import Pose, Step
 from gonio.rig.description import Band, RigDescription
-from gonio.rig.ways import Blocked, route
+from gonio.rig.motion_planning import Blocked, route
 from gonio.typing import Floats
 
 SETTLE_S = 0.2

@@ -35,7 +35,7 @@ pixels."""
 
 
 class Holding:
-    """The waits of one sitting.
+    """The waits of one session.
 
     Parameters
     ----------

@@ -23,13 +23,13 @@ import numpy as np
 
 from gonio import __version__
 from gonio.acquisition import exposure
-from gonio.acquisition.choosing import Chooser, keepable
 from gonio.acquisition.frame_writer import Files, Store, Written, slugs
 from gonio.acquisition.holding import Holding
 from gonio.acquisition.progress import Live, Progress
 from gonio.acquisition.records import StepRecord
 from gonio.acquisition.repeats import REPEATED, cannot_be_alike
 from gonio.acquisition.run import Batch, Run
+from gonio.acquisition.sampling import Sampler, keepable
 from gonio.acquisition.schedule import batch_steps
 from gonio.acquisition.stop import Stop
 from gonio.acquisition.suspending import Cause, Suspended, Watch, require
@@ -38,7 +38,7 @@ from gonio.rig import Frame, Pose, Reading, Rig, Step, Target
 from gonio.rig.description import Band, RigDescription
 from gonio.rig.imaging import Roi, require_frame, roi
 from gonio.rig.kinematics import View, left_its_side, view
-from gonio.rig.ways import Blocked, route
+from gonio.rig.motion_planning import Blocked, route
 
 log = logging.getLogger("gonio.devices")
 
@@ -56,9 +56,9 @@ MOVED_DEG = 0.01
 
 
 def measure(
-    rig: Rig, run: Run, steps: Sequence[Step], progress: Progress, stop: Stop, chooser: Chooser | None = None
+    rig: Rig, run: Run, steps: Sequence[Step], progress: Progress, stop: Stop, sampler: Sampler | None = None
 ) -> None:
-    """Take every step of a run that its journal does not hold yet; then what its chooser names, until it is enough.
+    """Take every step of a run that its journal does not hold yet; then what its sampler names, until it is enough.
 
     Parameters
     ----------
@@ -70,7 +70,7 @@ def measure(
         The schedule of the run's plan on this rig.
     progress, stop
         Who watches, and who may ask to stop.
-    chooser : Chooser, optional
+    sampler : Sampler, optional
         Of an adaptive run.
 
     Raises
@@ -86,7 +86,7 @@ def measure(
     left = [steps[number] for number in range(len(steps)) if number not in done]
     grown = [step for batch in run.batches for step in _steps_of(batch, rig.description)]
     left += [step for step in grown if step.index not in done]
-    if not left and (chooser is None or run.enough):
+    if not left and (sampler is None or run.enough):
         progress.say(f"{run.path}: every step is done")
         return
     numbers = _Numbers(steps, [*done, *(step.index for step in grown)])
@@ -96,14 +96,14 @@ def measure(
     run.append({"event": "session", "gonio": __version__, "steps": len(steps), "left": len(left)})
     progress.start(len(done) + len(left), len(done))
     try:
-        _take_all(rig, run, left, numbers, watch, progress, stop, chooser)
+        _take_all(rig, run, left, numbers, watch, progress, stop, sampler)
     except Interrupted as error:
         if stop.requested > 1:
             rig.arms.stop()
         taken = run.steps().numbers
         grown = [step for batch in run.batches for step in _steps_of(batch, rig.description)]
         every = done.union(taken, (step.index for step in left), (step.index for step in grown))
-        where = f"after {len(taken)} of {len(every)} steps" + (" so far" if chooser is not None else "")
+        where = f"after {len(taken)} of {len(every)} steps" + (" so far" if sampler is not None else "")
         raise Interrupted(f"{error} {where}") from None
     run.append({"event": "end", "steps": len(run.steps())})
 
@@ -120,13 +120,13 @@ def _take_all(
     watch: Watch,
     progress: Progress,
     stop: Stop,
-    chooser: Chooser | None,
+    sampler: Sampler | None,
 ) -> None:
     """Take steps; whatever ends that early, those that were taken whole are in the journal, and what it was."""
     with _Session(rig, run, numbers, watch, progress, stop) as session, _remarks(run, progress):
         try:
             begun = False
-            while left or (left := _chosen(rig, run, numbers, progress, stop, chooser)):
+            while left or (left := _chosen(rig, run, numbers, progress, stop, sampler)):
                 if not begun:
                     session.begin(left[0])
                     begun = True
@@ -147,16 +147,16 @@ def _take_all(
 
 
 def _chosen(
-    rig: Rig, run: Run, numbers: _Numbers, progress: Progress, stop: Stop, chooser: Chooser | None
+    rig: Rig, run: Run, numbers: _Numbers, progress: Progress, stop: Stop, sampler: Sampler | None
 ) -> list[Step]:
-    """The steps of the batch that a chooser names, which the journal has now; none where it is enough."""
-    if chooser is None or run.enough:
+    """The steps of the batch that a sampler names, which the journal has now; none where it is enough."""
+    if sampler is None or run.enough:
         return []
     if stop.requested:
         raise Interrupted("stopped")
-    choice = chooser.next(run)
+    choice = sampler.next(run)
     adaptive = run.settings.adaptive
-    why = keepable(choice.why, adaptive.how if adaptive is not None else type(chooser).__name__)
+    why = keepable(choice.why, adaptive.how if adaptive is not None else type(sampler).__name__)
     if choice.message:
         progress.say(choice.message)
     if not choice.points:
@@ -212,7 +212,7 @@ class _Taken:
 
 
 class _Session:
-    """One sitting at the rig: the state of lamp and target, and the frames that wait for the disk."""
+    """One session at the rig: the state of lamp and target, and the frames that wait for the disk."""
 
     def __init__(self, rig: Rig, run: Run, numbers: _Numbers, watch: Watch, progress: Progress, stop: Stop) -> None:
         self._rig, self._run, self._progress = rig, run, progress
@@ -239,7 +239,7 @@ class _Session:
         self._names = slugs(run.bands)
         self._done = run.steps()
         self._last: StepRecord | None = None
-        """The last point of this sitting that has frames."""
+        """The last point of this session that has frames."""
         self._reference = next((s for s in self._done if s.kind == "reference" and not s.flag), None)
         self._angles = run.points.angles_deg
         self._last_s = -math.inf
@@ -460,8 +460,8 @@ class _Session:
         if self._resumed:
             raise DeviceError(
                 f"{camera} stamps its first frame with time_s = {frame.time_s!r}, and this run holds a frame of "
-                f"{last_s!r} s: the rig's clock was set back, or starts anew at every sitting. Set the computer's "
-                "clock right, or let the rig's time_s() go on from sitting to sitting; or measure into a new folder"
+                f"{last_s!r} s: the rig's clock was set back, or starts anew at every session. Set the computer's "
+                "clock right, or let the rig's time_s() go on from session to session; or measure into a new folder"
             )
         raise DeviceError(
             f"{camera} stamps a frame with time_s = {frame.time_s!r}, and the one before it had {last_s!r} s: the "

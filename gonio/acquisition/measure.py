@@ -19,19 +19,19 @@ from gonio.errors import ConfigError, DeviceError, GonioError, Interrupted
 from gonio.rig import imaging, kinematics
 from gonio.rig.calibrated import with_calibrations
 from gonio.rig.description import RigDescription, SampleDescription
-from gonio.rig.ways import Blocked, route
+from gonio.rig.motion_planning import Blocked, route
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from gonio.acquisition.choosing import Chooser
     from gonio.acquisition.progress import Progress
     from gonio.acquisition.resuming import Resumed
     from gonio.acquisition.run import Run
+    from gonio.acquisition.sampling import Sampler
     from gonio.acquisition.stop import Pause, Stop
     from gonio.rig import Pose, Rig, RigPlugin, Step, Target
 
-    Prepared = tuple[Plan, "RigChoice", list[Assessed], Chooser | None]
+    Prepared = tuple[Plan, "RigChoice", list[Assessed], Sampler | None]
 
 SHOWN = 20
 """At most so many frames are named on the terminal."""
@@ -206,7 +206,7 @@ def carry_out(
     out = Path(out)
     progress = progress or Silent()
     begun_before = resume and begun(out)
-    plan, rig, points, chooser = prepared(plan, rig, out if begun_before else None)
+    plan, rig, points, sampler = prepared(plan, rig, out if begun_before else None)
     request = Request(plan, rig.description, sample, seed, command, points)
     _check_patches(rig, sample)
     steps: Sequence[Step] = [] if begun_before else rig.schedule(plan, request.points)
@@ -235,7 +235,7 @@ def carry_out(
                     for line in said_beside(request.points, rig.description):
                         progress.say(line)
                 progress.expects(Remaining.of_run(run, steps, simulated=device.repeatable))
-                measure(device, run, steps, progress, stop, chooser)
+                measure(device, run, steps, progress, stop, sampler)
         except GonioError as error:
             if entered or isinstance(error, Interrupted):
                 with stop.held():
@@ -246,46 +246,46 @@ def carry_out(
 
 def prepared(
     plan: Plan, rig: RigChoice, begun: Path | None = None
-) -> tuple[Plan, RigChoice, list[Assessed] | None, Chooser | None]:
+) -> tuple[Plan, RigChoice, list[Assessed] | None, Sampler | None]:
     """What a plan asks of a run on a rig: the plan in its order, the rig with the plan's visits to the reference.
 
-    With them come its points as the rig sees them, where they had to be looked at for the order, and the chooser of an
+    With them come its points as the rig sees them, where they had to be looked at for the order, and the sampler of an
     adaptive plan. `begun` is the folder of a run that is gone on with: its order is taken.
 
     Raises
     ------
     ConfigError
-        A wavelength lies in no band of the rig, the reference cannot be reached, or the chooser is wrong.
+        A wavelength lies in no band of the rig, the reference cannot be reached, or the sampler is wrong.
     DataError
         The points of the run are damaged.
     """
-    from gonio.acquisition.choosing import chooser_of
+    from gonio.acquisition.sampling import sampler_of
 
     plan.bands(rig.description)
     if plan.reference_every is not None:
         reference = rig.description.reference.model_copy(update={"every": plan.reference_every})
         rig = replace(rig, description=rig.description.model_copy(update={"reference": reference}))
-    plan, chooser = chooser_of(plan, rig.description)
+    plan, sampler = sampler_of(plan, rig.description)
     if plan.order == "as-written":
-        return plan, rig, None, chooser
+        return plan, rig, None, sampler
     from gonio.acquisition.duration import Durations
     from gonio.acquisition.ordering import as_begun, ordered
     from gonio.acquisition.run import Run
 
     if begun is not None and (begun / "plan.csv").is_file():
-        return as_begun(plan, Run.open(begun).planned.angles_deg.tolist()), rig, None, chooser
+        return as_begun(plan, Run.open(begun).planned.angles_deg.tolist()), rig, None, sampler
     description = rig.description
     durations = Durations(description, plan.bands(description))
     points = assess(plan, description)
     plan, points = ordered(plan, points, durations, reference_pose(description), description.reference.every)
-    return plan, rig, points, chooser
+    return plan, rig, points, sampler
 
 
 def assessed(plan: Plan, rig: RigChoice) -> Prepared:
     """As `prepared` for a run that has not begun, with its points as the rig sees them in any case; raises the same."""
 
-    plan, rig, points, chooser = prepared(plan, rig)
-    return plan, rig, assess(plan, rig.description) if points is None else points, chooser
+    plan, rig, points, sampler = prepared(plan, rig)
+    return plan, rig, assess(plan, rig.description) if points is None else points, sampler
 
 
 def _require_way(device: Rig, reference: Pose) -> None:

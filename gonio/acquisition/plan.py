@@ -27,7 +27,7 @@ from gonio.config import Strict, parse, read_toml
 from gonio.disk import only_file
 from gonio.errors import ConfigError
 from gonio.geometry import Directions
-from gonio.rig import Pose, filling
+from gonio.rig import Pose, beam_size
 from gonio.rig.description import Band, Positive, RigDescription
 from gonio.rig.kinematics import Unreachable, directions, reach, view
 from gonio.rig.laboratory import Laboratory
@@ -38,21 +38,21 @@ GRAZING_DEG = 1e-6
 
 
 class Adaptive(Strict):
-    """What a plan asks for in place of points: a chooser names them as the run grows (docs/campaigns.md).
+    """What a plan asks for in place of points: a sampler names them as the run grows (docs/campaigns.md).
 
-    All keys but these two are the chooser's own, and checked by it.
+    All keys but these two are the sampler's own, and checked by it.
     """
 
     model_config = ConfigDict(extra="allow", frozen=True)
 
     how: str
-    """The chooser: an entry point of the group `gonio.choosers`."""
+    """The sampler: an entry point of the group `gonio.choosers`."""
     budget_h: Positive
     """Rig time that the whole run may take."""
 
     @property
     def own(self) -> dict[str, Any]:
-        """The chooser's own keys."""
+        """The sampler's own keys."""
         return dict(self.model_extra or {})
 
 
@@ -320,7 +320,7 @@ def assess(plan: Plan, description: RigDescription) -> list[Assessed]:
                 raise Unreachable("grazing", "theta_r = 90 deg: the sample is seen edge-on")
             pose = reach(description, asked)
             if description.lamp.beam_diameter_mm is not None:
-                why = filling.cut(description, view(description, pose))
+                why = beam_size.cut(description, view(description, pose))
                 if why:
                     raise Unreachable("partly_filled", why, "the beam's edge cuts through the region of interest")
             out.append(Assessed(point, pose))

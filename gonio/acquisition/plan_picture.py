@@ -14,10 +14,10 @@ import numpy as np
 
 from gonio.acquisition.plan import Assessed, Plan
 from gonio.errors import ConfigError
-from gonio.rig import Pose, Step, ways
+from gonio.rig import Pose, Step, motion_planning
 from gonio.rig.description import RigDescription
 from gonio.rig.kinematics import blocked_cone
-from gonio.rig.ways import Blocked, Outline
+from gonio.rig.motion_planning import Blocked, Outline
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -42,7 +42,9 @@ ON_THE_WAY = 24
 def most_crowded(steps: Sequence[Step], description: RigDescription) -> int:
     """The number of the step in whose pose two bodies are closest, or a cable is shortest."""
     lit = [step for step in steps if step.kind != "dark"]
-    found = [min(each.values(), default=math.inf) for each in ways.gaps(description, [step.pose for step in lit])]
+    found = [
+        min(each.values(), default=math.inf) for each in motion_planning.gaps(description, [step.pose for step in lit])
+    ]
     return lit[int(np.argmin(found))].index
 
 
@@ -73,8 +75,8 @@ def draw(
     if not 0 <= number < len(steps):
         raise ConfigError(f"--step {number}: the steps of this plan are numbered 0 to {len(steps) - 1}")
     step = steps[number]
-    before = steps[number - 1].pose if number > 1 else ways.resting(description)
-    pose = ways.resting(description) if step.kind == "dark" else step.pose
+    before = steps[number - 1].pose if number > 1 else motion_planning.resting(description)
+    pose = motion_planning.resting(description) if step.kind == "dark" else step.pose
     figure = Figure(figsize=(11.0, 9.4), layout="constrained")
     rows: Any = figure.subfigures(2, 1, height_ratios=(1.1, 1.0))
     side, above = rows[0].subplots(1, 2)
@@ -100,7 +102,7 @@ def _title(step: Step, plan: Plan, points: Sequence[Assessed], description: RigD
         )
     axes = ", ".join(f"{n} {math.degrees(getattr(pose, n)) + 0.0:.1f}°" for n in description.axes())
     lines = [f"{description.name} — step {step.index}, {what}", axes]
-    found = ways.gaps(description, [pose])[0]
+    found = motion_planning.gaps(description, [pose])[0]
     if found:
         (one, other), gap = min(found.items(), key=lambda each: each[1])
         lines.append(f"closest: {one} and {other}, {gap:.0f} mm" if " end" not in one else
@@ -114,7 +116,7 @@ def _title(step: Step, plan: Plan, points: Sequence[Assessed], description: RigD
 def _view(ax: Axes, description: RigDescription, before: Pose, pose: Pose, view: tuple[int, int]) -> None:
     from matplotlib.patches import Polygon
 
-    for outline in sorted(ways.outlines(description, pose), key=lambda each: each.cable):
+    for outline in sorted(motion_planning.outlines(description, pose), key=lambda each: each.cable):
         ax.add_patch(
             Polygon(
                 _hull(outline, view), closed=True, alpha=0.2 if outline.cable else 0.55, lw=0.8,
@@ -126,15 +128,18 @@ def _view(ax: Axes, description: RigDescription, before: Pose, pose: Pose, view:
     lamp, lens = _heads(description, [pose])
     _cone(ax, description, lamp[0], lens[0], view)
     for hull, name, words in zip(
-        ways.beams(description, pose), ("light", "camera"), ("light to the sample", "sight of the camera"), strict=True
+        motion_planning.beams(description, pose),
+        ("light", "camera"),
+        ("light to the sample", "sight of the camera"),
+        strict=True,
     ):
         beam = Outline("", ("", ""), hull, 0.5, cable=False)
         ax.add_patch(Polygon(_hull(beam, view), closed=True, fc=COLOURS[name], ec=COLOURS[name], lw=1.0, label=words))
     for cable in description.cables:
-        ends = ways.cable_ends(description, pose, cable)
+        ends = motion_planning.cable_ends(description, pose, cable)
         ax.plot(*ends[:, view].T, color="black", lw=1.2, ls="--", label="cable, straight")
     try:
-        legs = [before, *ways.route(description, before, pose)] if before != pose else [pose]
+        legs = [before, *motion_planning.route(description, before, pose)] if before != pose else [pose]
     except Blocked:  # of a rig that stands elsewhere than the plan has it
         legs = [pose]
     way = [_between(a, b, t) for a, b in pairwise(legs) for t in np.linspace(0, 1, ON_THE_WAY)]
@@ -157,7 +162,7 @@ def _between(one: Pose, other: Pose, part: float) -> Pose:
 
 def _heads(description: RigDescription, poses: Sequence[Pose]) -> tuple[np.ndarray, np.ndarray]:
     """Where lamp and lens are, shape (poses, 3) [mm]."""
-    found = [ways.beams(description, pose) for pose in poses]
+    found = [motion_planning.beams(description, pose) for pose in poses]
     lamp, lens = (np.array([each[k][len(each[k]) // 2 :].mean(axis=0) for each in found]) for k in range(2))
     return lamp, lens
 

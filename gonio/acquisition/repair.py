@@ -252,7 +252,7 @@ class Repaired:
     """Steps that were made again from what their frames say."""
     damaged: list[str]
     """Frames that are missing or damaged: their steps will be taken again."""
-    untold: list[str]
+    undetermined: list[str]
     """Frames that say nothing of themselves, or not enough, or belong to another run."""
     journal: Path | None
     """Where the journal lies that was there before."""
@@ -322,7 +322,7 @@ def repair(path: str | Path, *, progress: Progress | None = None) -> Repaired | 
         rebuilt = [step for step in rebuilt if step.step not in alike]
         numbers = [step.step for step in rebuilt]
         named = {frame.file for step in (*done.values(), *rebuilt) for frame in step.frames}
-        untold = sorted(name for name in frames.names if name not in named)
+        undetermined = sorted(name for name in frames.names if name not in named)
         if not torn and events and not rebuilt and not lost:
             return None
         new = [*events, *choices, *(step.to_json() for step in rebuilt)]
@@ -333,7 +333,7 @@ def repair(path: str | Path, *, progress: Progress | None = None) -> Repaired | 
         kept = _keep(journal) if before else None
         write_whole(journal, b"".join(encode(_numbered(event, n)) for n, event in enumerate(new)))
     unproved = sorted(step.frames[-1].file for step in rebuilt if step.step in frames.unproved)
-    return Repaired(len(events), numbers, [t for n in sorted(lost) for t in lost[n]], untold, kept, unproved)
+    return Repaired(len(events), numbers, [t for n in sorted(lost) for t in lost[n]], undetermined, kept, unproved)
 
 
 def _with_choices(run: Run, events: list[Event]) -> tuple[list[Event], list[Event]]:

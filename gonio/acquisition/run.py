@@ -98,7 +98,7 @@ class Batch:
     first_row: int
     points: tuple[Point, ...]
     why: dict[str, Any] = field(default_factory=dict)
-    """What its chooser wrote down."""
+    """What its sampler wrote down."""
 
 
 @dataclass
@@ -289,7 +289,7 @@ class Run:
 
     @property
     def enough(self) -> bool:
-        """Whether the chooser of an adaptive run has said that no more points are needed."""
+        """Whether the sampler of an adaptive run has said that no more points are needed."""
         return self._indexed.enough
 
     @cached_property
@@ -345,9 +345,9 @@ class Run:
 
     @cached_property
     def lit_anew_s(self) -> list[float]:
-        """When the lamp was lit after it had been dark [s, rig's clock]: at later sittings, and after waits.
+        """When the lamp was lit after it had been dark [s, rig's clock]: at later sessions, and after waits.
 
-        Empty for a simulated run: there time does not go by between two sittings.
+        Empty for a simulated run: there time does not go by between two sessions.
         """
         out: list[float] = []
         if self.sample is not None:

@@ -55,7 +55,7 @@ class Settings(Strict):
     adaptive: Adaptive | None = None
     """What was to be chosen beyond the points of plan.csv."""
     laboratory: Laboratory | None = None
-    """Who measured what, as rig file and plan say; a later sitting may say it better."""
+    """Who measured what, as rig file and plan say; a later session may say it better."""
 
 
 @dataclass(frozen=True)

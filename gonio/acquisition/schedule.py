@@ -8,10 +8,10 @@ from typing import overload
 
 from gonio.acquisition.plan import ANGLES, Assessed, Plan, Point, assess, canonical, count_reasons
 from gonio.errors import ConfigError
-from gonio.rig import Pose, Step, filling
+from gonio.rig import Pose, Step, beam_size
 from gonio.rig.description import RigDescription
 from gonio.rig.kinematics import Unreachable, reach, view
-from gonio.rig.ways import Blocked, require_free
+from gonio.rig.motion_planning import Blocked, require_free
 
 EXPECTED_ALBEDO = 0.5
 """What estimates take the sample for where nobody knows better: its reflectance factor, pi times its BRDF."""
@@ -36,7 +36,7 @@ def reference_pose(description: RigDescription) -> Pose:
             f'rig "{description.name}": [reference] theta_i_deg = {reference.theta_i_deg:g}, '
             f"theta_r_deg = {reference.theta_r_deg:g} cannot be reached: {error}"
         ) from None
-    filling.require_whole(description, view(description, pose), "reference")
+    beam_size.require_whole(description, view(description, pose), "reference")
     return pose
 
 
@@ -161,7 +161,7 @@ def batch_steps(description: RigDescription, first_step: int, first_row: int, po
             pose = reach(description, point.directions)
         except Unreachable as error:
             angles = ", ".join(f"{name} = {getattr(point, name):g}" for name in ANGLES)
-            raise ConfigError(f"the chooser named a point that the rig cannot reach ({angles}): {error}") from None
+            raise ConfigError(f"the sampler named a point that the rig cannot reach ({angles}): {error}") from None
         out.append(Step(first_step + len(out), "point", first_row + k, pose))
         if (k + 1) % every == 0 or k + 1 == len(points):
             out.append(Step(first_step + len(out), "reference", pose=reference))

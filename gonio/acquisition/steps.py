@@ -24,7 +24,7 @@ class Index:
         self.chosen: list[Event] = []
         """The batches that were chosen, in order."""
         self.enough = False
-        """Whether the chooser of an adaptive run has said that no more points are needed."""
+        """Whether the sampler of an adaptive run has said that no more points are needed."""
         self.last_point = -1
         """The largest number of a point that a line of a step names."""
         self._seen = 0

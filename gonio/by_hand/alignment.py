@@ -235,7 +235,7 @@ def align(table: pd.DataFrame, description: RigDescription) -> Alignment:
         if determined[index]:
             parts = {
                 "scans": math.sqrt(covariance[index, index]),
-                "backlash": _play_deg(description, name),
+                "backlash": _backlash_deg(description, name),
                 "linearity": spread / math.sqrt(2.0),
             }
             zeros[name] = Zero(float(solution[index]), parts)
@@ -263,10 +263,10 @@ def _solve(design: Floats, y: Floats, own: Floats) -> tuple[float, Floats, Float
     return math.sqrt(extra), solution, covariance * (student if extra > 0 else 1.0), freedom
 
 
-def _play_deg(description: RigDescription, name: str) -> float:
-    """Where the approach is longer than the play the arm always ends on the same flank; else anywhere within it."""
-    play = description.axes()[name].backlash_deg
-    return 0.0 if description.acquisition.approach_deg > play else play / math.sqrt(12.0)
+def _backlash_deg(description: RigDescription, name: str) -> float:
+    """Where the approach is longer than the backlash the arm always ends on the same flank; else anywhere within it."""
+    backlash = description.axes()[name].backlash_deg
+    return 0.0 if description.acquisition.approach_deg > backlash else backlash / math.sqrt(12.0)
 
 
 def _open(

@@ -17,7 +17,7 @@ from gonio.rig import Frame, Pose, imaging, kinematics
 if TYPE_CHECKING:
     import pandas as pd
 
-    from gonio.by_hand.bench import Bench
+    from gonio.by_hand.manual_rig import ManualRig
 
 MIRROR_LIGHT_DEG = (30.0, -30.0, 45.0, -45.0, 60.0, -60.0)
 STRAIGHT = 4
@@ -44,7 +44,7 @@ SLOWER_DEG = 0.1
 class Scans:
     """Takes the scans of one alignment on an open bench; `table` has what was taken, also when one fails."""
 
-    def __init__(self, bench: Bench, *, search_deg: float, say: Callable[[str], None]) -> None:
+    def __init__(self, bench: ManualRig, *, search_deg: float, say: Callable[[str], None]) -> None:
         self._bench, self._say, self._search_deg = bench, say, search_deg
         self._description = bench.description
         self._axes = [name for name in ALIGNED if name in self._description.axes()]

@@ -30,7 +30,7 @@ from gonio.errors import ConfigError, DataError, DeviceError, Disturbed, Emergen
 from gonio.rig import Frame, Pose, Target, imaging
 
 if TYPE_CHECKING:
-    from gonio.by_hand.bench import Bench
+    from gonio.by_hand.manual_rig import ManualRig
 
 Tell = Callable[[dict[str, Any], Pictures | None], None]
 """Takes what is to be shown (what JSON can hold), and the pictures of a new frame."""
@@ -81,7 +81,7 @@ class Assistant:
 
     def __init__(
         self,
-        bench: Bench,
+        bench: ManualRig,
         *,
         tell: Tell,
         say: Callable[[str], None],

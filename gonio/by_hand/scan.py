@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
 
-    from gonio.by_hand.bench import Bench
+    from gonio.by_hand.manual_rig import ManualRig
 
 DARK_FRAMES = 4
 LONGEST = 8.0
@@ -72,7 +72,7 @@ class _Dark:
 
 
 def scan(
-    bench: Bench,
+    bench: ManualRig,
     axis: str,
     angles: Sequence[float],
     *,
@@ -87,7 +87,7 @@ def scan(
     bench
         Open, with arms, light and camera.
     axis
-        As in `Bench.move`.
+        As in `ManualRig.move`.
     angles
         Goals [rad], in the order in which they are gone to.
     frames
@@ -168,7 +168,7 @@ def _bounded(description: RigDescription, exposure_s: float | None) -> RigDescri
     return description.model_copy(update={"camera": camera})
 
 
-def _darks(bench: Bench, bounded: RigDescription) -> _Dark:
+def _darks(bench: ManualRig, bounded: RigDescription) -> _Dark:
     means = []
     for exposure_s in bounded.camera.exposure_limits_s:
         shots = [bench.camera.capture(exposure_s) for _ in range(DARK_FRAMES)]

@@ -21,7 +21,7 @@ from gonio.rig.description import Camera, RigDescription
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from gonio.by_hand.bench import Bench
+    from gonio.by_hand.manual_rig import ManualRig
 
 EIGHT_BITS = 256
 ROUNDING_DN = 1 / math.sqrt(12)
@@ -124,8 +124,8 @@ def require_free(file: Path) -> tuple[Path, Path]:
     return names
 
 
-def take(bench: Bench, file: Path | None, *, exposure_s: float | None) -> Snapshot:
-    """See `Bench.snap`."""
+def take(bench: ManualRig, file: Path | None, *, exposure_s: float | None) -> Snapshot:
+    """See `ManualRig.snap`."""
     names = require_free(file) if file is not None else None
     description, pose = bench.description, bench.pose()
     if exposure_s is None:

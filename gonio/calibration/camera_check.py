@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from gonio.acquisition import exposure
 from gonio.by_hand.alignment_scans import LONGEST_S
-from gonio.by_hand.bench import Bench
+from gonio.by_hand.manual_rig import ManualRig
 from gonio.calibration import photon_transfer
 from gonio.errors import DataError
 from gonio.rig import Frame
@@ -36,7 +36,7 @@ DOUBT = 3.0
 """Standard uncertainties."""
 
 
-def contradictions(bench: Bench) -> str:
+def contradictions(bench: ManualRig) -> str:
     """What the frames of a rig say against its rig file's camera; "" where they say nothing.
 
     The bench is open, and a mirror lies in its holder. The lamp is lit afterwards.

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gonio.acquisition import exposure
-from gonio.by_hand.bench import Bench
+from gonio.by_hand.manual_rig import ManualRig
 from gonio.calibration.camera import black_rectangle
 from gonio.calibration.camera_frames import CONTRADICTS, CameraFrame, Kind, write_list
 from gonio.disk import read_file, write_whole
@@ -48,7 +48,7 @@ class Scan:
 
     def __init__(
         self,
-        bench: Bench,
+        bench: ManualRig,
         folder: Path,
         *,
         pairs: int = 2,

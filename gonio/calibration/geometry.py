@@ -87,7 +87,7 @@ class Sighting:
     encoder_deg: dict[str, float]
     """By axis, without any zero taken out."""
     against: tuple[str, ...] = ()
-    """Axes that arrived from the other side than `acquisition.approach_deg` says: the arm lags by its play."""
+    """Axes that arrived from the other side than `acquisition.approach_deg` says: the arm lags by its backlash."""
     spot_px: tuple[float, float] | None = None
     """Column and row of the middle of the lamp."""
     u_spot_px: float = 0.0
@@ -177,7 +177,7 @@ def unknowns(description: RigDescription, sightings: Sequence[Sighting]) -> list
             add(f"arms.{arm}.axis_offset_mm[1]", 2.0, f"offset of the {arm} arm's axis along z")
         add(f"arms.{arm}.elevation_deg", 1.0, f"elevation of the {arm} over its arm's plane")
         if any(arm in s.against for s in sightings):
-            add(f"arms.{arm}.backlash_deg", 1.0, f"play of the {arm} arm")
+            add(f"arms.{arm}.backlash_deg", 1.0, f"backlash of the {arm} arm")
     if description.arms.azimuth is not None:
         add("arms.azimuth.zero_offset_deg", 10.0, "zero of the azimuth axis")
         add("arms.azimuth.axis_tilt_deg[0]", 1.0, "tilt of the azimuth axis about x")
@@ -236,7 +236,7 @@ class _Axes:
     """What the readings of a rig's axes mean: looked up once for all sightings."""
 
     zero_deg: dict[str, float]
-    play_deg: dict[str, float]
+    backlash_deg: dict[str, float]
     """With the sign in which an arm lags that arrived from the other side."""
 
     @classmethod
@@ -248,10 +248,10 @@ class _Axes:
         )
 
     def pose(self, s: Sighting, shift: dict[str, float]) -> Pose:
-        """What the axes read where the encoders did, the zeros taken out; play is added where it is open."""
-        play = {name: self.play_deg[name] for name in s.against}
+        """What the axes read where the encoders did, the zeros taken out; backlash is added where it is open."""
+        backlash = {name: self.backlash_deg[name] for name in s.against}
         return Pose(**{
-            name: math.radians(encoder - self.zero_deg[name] + shift.get(name, 0.0) + play.get(name, 0.0))
+            name: math.radians(encoder - self.zero_deg[name] + shift.get(name, 0.0) + backlash.get(name, 0.0))
             for name, encoder in s.encoder_deg.items()
         })  # fmt: skip
 

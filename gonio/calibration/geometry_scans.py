@@ -26,7 +26,7 @@ from gonio.rig.description import RigDescription
 from gonio.typing import Floats
 
 if TYPE_CHECKING:
-    from gonio.by_hand.bench import Bench
+    from gonio.by_hand.manual_rig import ManualRig
 
 FILE = "sightings.jsonl"
 MIRROR_POSES = 96
@@ -37,7 +37,7 @@ FEWEST = 6
 STEEPEST_DEG = 72.0
 """Beyond it a mirror of the sample's size shows a sliver of the lamp, and markers run together."""
 AWAY_DEG = 3.0
-"""From where an axis comes that has to arrive with its play open, or taken up: more than any play."""
+"""From where an axis comes that has to arrive with its backlash open, or taken up: more than any backlash."""
 GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
 INSIDE = 0.85
 INSIDE_UNSURE = 0.6
@@ -77,7 +77,7 @@ class GeometryScans(Scans):
     """
 
     def __init__(
-        self, bench: Bench, *, search_deg: float, say: Callable[[str], None],
+        self, bench: ManualRig, *, search_deg: float, say: Callable[[str], None],
         keep: Callable[[Sighting, dict[str, npt.NDArray[Any]]], None],
     ) -> None:  # fmt: skip
         super().__init__(bench, search_deg=search_deg, say=say)
@@ -153,7 +153,7 @@ class GeometryScans(Scans):
                 self._look("mirror", spot=False)
 
     def against_frames(self, sums: dict[float, float], across: float | None, poses: int = AGAINST_POSES) -> None:
-        """The lamp in the mirror again, each arm in turn arriving from the other side: its play stands open.
+        """The lamp in the mirror again, each arm in turn arriving from the other side: its backlash stands open.
 
         The bench's axes approach from nowhere (`reversed_approach`); `sums`, `across`: where the image was.
         """

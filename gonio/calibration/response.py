@@ -90,7 +90,7 @@ def curve(frames: Sequence[npt.NDArray[Any]], exposures_s: Floats, pixels: int =
     g = solve(stack[chosen], np.log(times))
     light = np.exp(g)
     first, last = np.flatnonzero(hat(np.linspace(0.0, 1.0, VALUES)) > 0)[[0, -1]]
-    # the weights leave the ends untold: black is no light, and the top goes on as the curve does
+    # the weights leave the ends undetermined: black is no light, and the top goes on as the curve does
     light[:first] = light[first] * np.arange(first) / first
     light[last + 1 :] = light[last] + (light[last] - light[last - 1]) * np.arange(1, VALUES - last)
     light /= light[-1]

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from gonio.cli.by_hand import RigOption, SampleOption, WavelengthOption, _told_where, bench_of
+from gonio.cli.by_hand import RigOption, SampleOption, WavelengthOption, _told_where, manual_rig_of
 from gonio.cli.rigs import app
 from gonio.shown import apart, number
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from gonio.by_hand.alignment import Alignment
-    from gonio.by_hand.bench import Bench
+    from gonio.by_hand.manual_rig import ManualRig
     from gonio.rig.description import RigDescription
 
 __all__ = ["app"]
@@ -82,7 +82,7 @@ def align(
         description = find_rig(rig).description
         table = _joined([alignment.read(path) for path in again])
     else:
-        bench = bench_of(rig, "arms", "light", "camera", seed=seed)
+        bench = manual_rig_of(rig, "arms", "light", "camera", seed=seed)
         description = bench.description
         scans = Scans(bench, search_deg=search, say=console.note)
         straight = only != "mirror"
@@ -138,12 +138,12 @@ def _joined(tables: list[pd.DataFrame]) -> pd.DataFrame:
     return pd.concat(tables, ignore_index=True)
 
 
-def _dark(bench: Bench) -> None:
+def _dark(bench: ManualRig) -> None:
     """Hands are in the beam now."""
     bench.lamp(False)
 
 
-def _put(bench: Bench, what: str, *, yes: bool) -> None:
+def _put(bench: ManualRig, what: str, *, yes: bool) -> None:
     """Have the holder hold what a scan needs: by the rig itself, or by the person, who confirms it."""
     from gonio.cli import console
     from gonio.errors import DeviceError

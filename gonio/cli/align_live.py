@@ -38,7 +38,7 @@ def live(
     """The session, until `quit`, the end of the input, or a signal. The lamp is dark afterwards, and the arms hold."""
     from gonio.by_hand.assistant import Assistant
     from gonio.cli import console
-    from gonio.cli.by_hand import _told_where, bench_of
+    from gonio.cli.by_hand import _told_where, manual_rig_of
     from gonio.errors import ConfigError
     from gonio.live.alignment import AlignmentPage
     from gonio.live.server import Server
@@ -48,7 +48,7 @@ def live(
         raise ConfigError(f"{out}: is there already; name another file with --out")
     if out.suffix != ".toml" or not out.absolute().parent.is_dir():
         raise ConfigError(f"--out {out}: must end with .toml, and lie in a folder that is there")
-    bench = bench_of(rig, "arms", "light", "camera", sample=sample, seed=seed)
+    bench = manual_rig_of(rig, "arms", "light", "camera", sample=sample, seed=seed)
     if wavelength is not None:
         bench.choose_band(wavelength)
     page, terminal = AlignmentPage(), Terminal(list(bench.description.axes()))

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from gonio.acquisition.measure import RigChoice
-    from gonio.by_hand.bench import Bench
+    from gonio.by_hand.manual_rig import ManualRig
     from gonio.rig import Device, Health
 
 __all__ = ["app"]
@@ -60,7 +60,7 @@ def move(
     from gonio.cli import console
 
     wanted = _angles(goals)
-    bench = bench_of(rig, "arms")
+    bench = manual_rig_of(rig, "arms")
     bench.goals(**wanted)  # whatever is wrong with them is said before anything is opened
     if bench.repeatable:
         console.note("a simulated rig exists for the length of one command, and starts parked")
@@ -91,7 +91,7 @@ def park(rig: RigOption) -> None:
     done, failures = [], []
     for device, text in (("light", "lamp dark"), ("arms", "arms parked")):
         try:
-            bench = bench_of(rig, device)  # type: ignore[arg-type]
+            bench = manual_rig_of(rig, device)  # type: ignore[arg-type]
             with _told_where(bench, device):
                 _leave_in_order(bench, device)
             done.append(text)
@@ -109,7 +109,7 @@ def park(rig: RigOption) -> None:
     console.note(f"{name}: {', '.join(done)}")
 
 
-def _leave_in_order(bench: Bench, device: str) -> None:
+def _leave_in_order(bench: ManualRig, device: str) -> None:
     """Entering darkens, and leaving parks; arms that are stopped on the way hold, and do not fall."""
     from gonio.errors import DeviceError, Interrupted
 
@@ -150,7 +150,7 @@ def dark(rig: RigOption) -> None:
     """Darken the lamp; needs nothing else."""
     from gonio.cli import console
 
-    bench = bench_of(rig, "light")
+    bench = manual_rig_of(rig, "light")
     with _told_dark(bench), bench:
         bench.lamp(False)
     console.note(f"{bench.description.name}: lamp dark" + ("" if hasattr(bench, "only") else ", arms parked"))
@@ -179,7 +179,7 @@ def lamp(
         return dark(rig)
     if not math.isfinite(seconds):
         raise ConfigError(f"--for {seconds:g}: must be a number of seconds")
-    bench = bench_of(rig, "light")
+    bench = manual_rig_of(rig, "light")
     if hasattr(bench.light, "limit_s"):
         bench.light.limit_s = seconds + OVERDUE_S
     with _told_dark(bench):
@@ -192,7 +192,7 @@ def lamp(
         console.note(f"{bench.description.name}: lamp dark")
 
 
-def _count_down(bench: Bench, end: float) -> None:
+def _count_down(bench: ManualRig, end: float) -> None:
     """Wait for the end, and look at the lamp meanwhile, where its driver can."""
     from gonio.acquisition.suspending import wait
     from gonio.cli import console
@@ -226,7 +226,7 @@ def read(
     from gonio.cli import console
     from gonio.errors import DeviceError
 
-    bench = bench_of(rig)
+    bench = manual_rig_of(rig)
     if not hasattr(bench, "survey"):
         console.note("this rig's driver has no `survey`: it is opened for this, and parks when it is left")
     health = bench.read()
@@ -290,7 +290,7 @@ def snap(
         raise ConfigError("--wavelength-nm chooses the band of the lamp, which stays as it is: give --lamp as well")
     require_free(file)
     devices: tuple[Device, ...] = ("camera", "light") if lit else ("camera",)
-    bench = bench_of(rig, *devices, sample=sample)
+    bench = manual_rig_of(rig, *devices, sample=sample)
     with _told_dark(bench) if lit else contextlib.nullcontext(), bench:
         if bench.can_hold:
             bench.hold()
@@ -341,7 +341,7 @@ def scan(
     others = _angles(at or [])
     if axis in others:
         raise ConfigError(f"--at {axis}=...: this axis is scanned; --at is for the other ones")
-    bench = bench_of(rig, "arms", "light", "camera", sample=sample, seed=seed)
+    bench = manual_rig_of(rig, "arms", "light", "camera", sample=sample, seed=seed)
     for angle in angles:
         bench.check({axis: angle})
     if others:
@@ -424,14 +424,14 @@ def choice_of(rig: str, *, without: str = "") -> RigChoice:
     return replace(choice, description=description.model_copy(update={"lamp": cold}))
 
 
-def bench_of(rig: str, *only: Device, sample: Path | None = None, seed: int = 0, without: str = "") -> Bench:
+def manual_rig_of(rig: str, *only: Device, sample: Path | None = None, seed: int = 0, without: str = "") -> ManualRig:
     """The rig with those devices to open (all, without names), and not entered yet; see `choice_of`."""
     from gonio.acquisition.measure import load_sample
-    from gonio.by_hand.bench import Bench
+    from gonio.by_hand.manual_rig import ManualRig
 
     choice = choice_of(rig, without=without)
     described = load_sample(sample) if sample is not None else None
-    return Bench(choice.open(sample=described, seed=seed, by_hand=True), choice.source, only)
+    return ManualRig(choice.open(sample=described, seed=seed, by_hand=True), choice.source, only)
 
 
 def _angles(texts: list[str]) -> dict[str, float]:
@@ -454,7 +454,7 @@ def _angles(texts: list[str]) -> dict[str, float]:
 
 
 @contextlib.contextmanager
-def _told_dark(bench: Bench) -> Iterator[None]:
+def _told_dark(bench: ManualRig) -> Iterator[None]:
     """A command that lights nothing for longer: a lamp that could not be darkened has raised an error of its own."""
     from gonio.errors import Interrupted
 
@@ -467,7 +467,7 @@ def _told_dark(bench: Bench) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def _told_where(bench: Bench, device: str = "arms") -> Iterator[None]:
+def _told_where(bench: ManualRig, device: str = "arms") -> Iterator[None]:
     """Whatever ends a motion early: say where every axis stands now, and whether it holds."""
     from gonio.cli import console
     from gonio.errors import DeviceError, Interrupted
@@ -486,7 +486,7 @@ def _told_where(bench: Bench, device: str = "arms") -> Iterator[None]:
         raise
 
 
-def _where(bench: Bench) -> str:
+def _where(bench: ManualRig) -> str:
     from gonio.rig.whereabouts import axes_stand
 
     if bench.entered and hasattr(bench, "left"):

@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from gonio.cli.by_hand import RigOption, WavelengthOption, _told_where, bench_of
+from gonio.cli.by_hand import RigOption, WavelengthOption, _told_where, manual_rig_of
 from gonio.cli.calibrate import app
 from gonio.shown import apart
 
 if TYPE_CHECKING:
-    from gonio.by_hand.bench import Bench
+    from gonio.by_hand.manual_rig import ManualRig
     from gonio.calibration.camera import CameraCalibration
     from gonio.calibration.camera_frames import CameraFrame
     from gonio.rig.description import RigDescription
@@ -113,7 +113,7 @@ def _has_response(description: RigDescription, rig: str) -> bool:
 
 
 def _band(description: Any, wavelength: float | None) -> Any:
-    from gonio.by_hand.bench import EYE_NM
+    from gonio.by_hand.manual_rig import EYE_NM
 
     if wavelength is not None:
         return description.bands.containing(wavelength)
@@ -127,7 +127,7 @@ def _take(
     from gonio.calibration.camera_scan import Scan
     from gonio.cli import console
 
-    bench = bench_of(rig, "arms", "light", "camera", seed=seed, without="camera")
+    bench = manual_rig_of(rig, "arms", "light", "camera", seed=seed, without="camera")
     if wavelength is not None:
         bench.choose_band(wavelength)
     folder.mkdir()
@@ -152,7 +152,7 @@ def _take(
     return scan.frames
 
 
-def _put(bench: Bench, what: str, *, yes: bool) -> None:
+def _put(bench: ManualRig, what: str, *, yes: bool) -> None:
     """Have the holder hold what is needed, with the lamp dark: by the rig itself, or by the person, who confirms it."""
     from gonio.cli import console
     from gonio.errors import DeviceError

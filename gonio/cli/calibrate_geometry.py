@@ -83,7 +83,7 @@ def geometry(
     if intrinsics is not None:
         description, given = _with_lens(description, intrinsics)
     sightings: Sequence[Sighting] = ()
-    doubt = ""
+    contradiction = ""
     if scans is not None:
         from gonio.calibration.geometry_scans import read_sightings
 
@@ -93,8 +93,10 @@ def geometry(
         _require_axes(sightings, choice.description, scans)
     elif holders or intrinsics is None:
         share = QUICK if quick else 1.0
-        sightings, doubt = _measured(choice, out, holders or None, search=search, share=share, seed=seed, yes=yes)
-    _finish(out, choice.description, description, intrinsics, given, sightings, valid_days, doubt)
+        sightings, contradiction = _measured(
+            choice, out, holders or None, search=search, share=share, seed=seed, yes=yes
+        )
+    _finish(out, choice.description, description, intrinsics, given, sightings, valid_days, contradiction)
 
 
 def _holders(text: str | None) -> list[str]:
@@ -191,7 +193,7 @@ def _measured(
     `share`: of the poses.
     """
 
-    from gonio.by_hand.bench import Bench
+    from gonio.by_hand.manual_rig import ManualRig
     from gonio.calibration import camera_check
     from gonio.calibration import geometry_scans as poses
     from gonio.calibration.geometry_scans import GeometryScans, Kept, reversed_approach
@@ -206,7 +208,7 @@ def _measured(
         raise ConfigError(f"{folder}: is there already; fit it with --scans {folder}, or name another --out")
     devices: tuple[Device, ...] = ("arms", "light", "camera")
     rig = choice.open(seed=seed, confirm=False, by_hand=True)
-    bench = Bench(rig, choice.source, devices)
+    bench = ManualRig(rig, choice.source, devices)
     scans = GeometryScans(bench, search_deg=search, say=console.note, keep=lambda s, f: kept.keep(s, f))
     wanted = holders or list(HOLDERS)
     if "empty" in wanted and not scans.facing():
@@ -214,12 +216,12 @@ def _measured(
             raise ConfigError(f"{choice.source}: {scans.why_not_facing()}")
         console.note(f"{choice.source}: {scans.why_not_facing()}. There are no straight-through frames")
         wanted.remove("empty")
-    kept, doubt = Kept(folder), ""
+    kept, contradiction = Kept(folder), ""
     with _told_where(bench), bench:
         if "mirror" in wanted:
             _put(bench, "mirror", yes=yes)
-            if doubt := camera_check.contradictions(bench):
-                console.note(f"WARNING: {doubt}")
+            if contradiction := camera_check.contradictions(bench):
+                console.note(f"WARNING: {contradiction}")
             scans.mirror_frames(round(share * poses.MIRROR_POSES))
             if bench.description.holder.fiducials is not None:
                 scans.marker_frames(round(share * poses.MARKER_POSES))
@@ -231,7 +233,7 @@ def _measured(
         _dark(bench)
     if "mirror" in wanted and any(a.backlash_deg for a in choice.description.axes().values()):
         straight = replace(choice, description=reversed_approach(choice.description))
-        again = Bench(straight.open(seed=seed, confirm=False, by_hand=True), choice.source, devices)
+        again = ManualRig(straight.open(seed=seed, confirm=False, by_hand=True), choice.source, devices)
         with _told_where(again), again:
             again.begin(Step(1, "dark"))
             _put(again, "mirror", yes=yes)
@@ -239,7 +241,7 @@ def _measured(
             backwards.against_frames(sums, across, round(share * poses.AGAINST_POSES))
             _dark(again)
     console.note(f"{folder}: {len(kept.sightings)} sightings; lamp dark, arms parked; put the sample back")
-    return kept.sightings, doubt
+    return kept.sightings, contradiction
 
 
 # ---- what comes out ----
@@ -247,7 +249,7 @@ def _measured(
 
 def _finish(
     out: Path, filed: RigDescription, description: RigDescription, intrinsics: Intrinsics | None,
-    given: Given | None, sightings: Sequence[Sighting], valid_days: int, doubt: str,
+    given: Given | None, sightings: Sequence[Sighting], valid_days: int, contradiction: str,
 ) -> None:  # fmt: skip
     import numpy as np
 
@@ -259,7 +261,7 @@ def _finish(
     from gonio.rig.description import ParameterUncertainty
 
     fit: Fit | None = None
-    notes = [f"WARNING: {doubt}"] * bool(doubt)
+    notes = [f"WARNING: {contradiction}"] * bool(contradiction)
     measured: dict[str, Any] = {}
     if sightings:
         fit = geometric.solve(description, sightings, given)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from gonio.cli.by_hand import WavelengthOption, _told_where, bench_of, choice_of
+from gonio.cli.by_hand import WavelengthOption, _told_where, choice_of, manual_rig_of
 from gonio.cli.calibrate import app
 from gonio.cli.signals import undisturbed
 from gonio.shown import apart
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
-    from gonio.by_hand.bench import Bench
+    from gonio.by_hand.manual_rig import ManualRig
     from gonio.calibration.beam import Profile
     from gonio.rig.description import RigDescription
 
@@ -76,7 +76,7 @@ def light(
     # what was measured before of the light is not to be taken out of what is measured now
     description = choice_of(rig, without="light").description
     if not any(given):
-        bench = bench_of(rig, "arms", "light", "camera", seed=seed, without="light")
+        bench = manual_rig_of(rig, "arms", "light", "camera", seed=seed, without="light")
         if wavelength is not None:
             bench.choose_band(wavelength)
         _put_white(bench, yes=yes)
@@ -283,25 +283,25 @@ def _polarisation(lamp: Path | None, camera: Path | None, found: _Found) -> None
             found.notes.append(f"the polarisation of the {table} is not corrected for: it is in the budget")
 
 
-def _take_series(bench: Bench, out: Path, duration_s: float, every_s: float) -> Path:
-    from gonio.calibration import lamp_bench
+def _take_series(bench: ManualRig, out: Path, duration_s: float, every_s: float) -> Path:
+    from gonio.calibration import lamp_scan
     from gonio.cli import console
 
     file = _free(out, "series", ".csv")
     console.note(f"watching the lamp for {duration_s / 60:g} minutes from when it is lit; it should be cold now")
     with console.counter("watching the lamp: seconds", lines=True) as told:
-        lamp_bench.take_series(bench, duration_s, every_s, keep=lambda table: _keep(table, file), told=told)
+        lamp_scan.take_series(bench, duration_s, every_s, keep=lambda table: _keep(table, file), told=told)
     return file
 
 
-def _take_flats(bench: Bench, out: Path) -> Path:
-    from gonio.calibration import lamp_bench
+def _take_flats(bench: ManualRig, out: Path) -> Path:
+    from gonio.calibration import lamp_scan
     from gonio.cli import console
 
     file = _free(out, "flats", ".csv")
     console.note("flats of the white at several camera angles")
     with console.counter("flats", lines=True) as told:
-        lamp_bench.take_flats(bench, keep=lambda table: _keep(table, file), told=told)
+        lamp_scan.take_flats(bench, keep=lambda table: _keep(table, file), told=told)
     return file
 
 
@@ -352,7 +352,7 @@ def _free(out: Path, what: str, suffix: str) -> Path:
     return name
 
 
-def _put_white(bench: Bench, *, yes: bool) -> None:
+def _put_white(bench: ManualRig, *, yes: bool) -> None:
 
     from gonio.cli import console
     from gonio.errors import DeviceError

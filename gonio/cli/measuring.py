@@ -118,13 +118,13 @@ def _checks(found: Iterable[Mapping[str, Any]]) -> list[str]:
         if other is None or order.index(check["verdict"]) > order.index(other["verdict"]):
             worst[check["name"]] = check
     fine = [name for name, check in worst.items() if check["verdict"] == "ok"]
-    untold = [name for name, check in worst.items() if check["verdict"] == "not told"]
+    undetermined = [name for name, check in worst.items() if check["verdict"] == "not told"]
     out = [f"checks: {', '.join(fine)}: ok"] if fine else []
     for name, check in worst.items():
         if check["verdict"] in ("look", "bad"):
             where = f" ({check['band']})" if check["band"] else ""
             out.append(f"check {check['verdict']}: {name}{where}: {check['figure']}")
-    return [*out, f"not told by this plan: {', '.join(untold)}"] if untold else out
+    return [*out, f"not told by this plan: {', '.join(undetermined)}"] if undetermined else out
 
 
 def _flags(column: Iterable[str]) -> str:

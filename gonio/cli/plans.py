@@ -103,8 +103,8 @@ def describe(plan: Plan, seen: Prepared | None, *, out: Path | None = None, left
     left_out
         A file for the points that the rig cannot measure.
     """
-    from gonio.acquisition.choosing import about
     from gonio.acquisition.plan import Assessed, said_beside
+    from gonio.acquisition.sampling import about
     from gonio.cli import console
 
     if plan.adaptive is not None and seen is None:
@@ -115,10 +115,10 @@ def describe(plan: Plan, seen: Prepared | None, *, out: Path | None = None, left
         if not plan.points:
             console.show(f"wavelengths: {', '.join(f'{w:g} nm' for w in plan.wavelength_nm)}")
             return
-    written, rig, chooser = plan, None, None
+    written, rig, sampler = plan, None, None
     points = [Assessed(p, None) for p in plan.points]
     if seen is not None:
-        plan, rig, points, chooser = seen
+        plan, rig, points, sampler = seen
     console.show(_table(plan, points, with_rig=rig is not None))
     visits = Counter(Counter(plan.points).values())
     for number, count in sorted(visits.items()):
@@ -143,8 +143,8 @@ def describe(plan: Plan, seen: Prepared | None, *, out: Path | None = None, left
         f"bands: {', '.join(f'{b.name} (centre {b.centre_nm:g} nm, width {b.fwhm_nm:g} nm)' for b in bands)}",
         *_effort(written, points, rig, rig.schedule(plan, points), out),
     )
-    if chooser is not None:
-        console.show("then points are chosen as the run grows:", *(f"  {line}" for line in about(chooser)))
+    if sampler is not None:
+        console.show("then points are chosen as the run grows:", *(f"  {line}" for line in about(sampler)))
 
 
 def _effort(written: Plan, points: list[Assessed], rig: RigChoice, steps: list[Step], out: Path | None) -> list[str]:

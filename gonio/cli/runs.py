@@ -51,13 +51,13 @@ def repair_run(run: Folder) -> None:
         console.note(f"{len(done.damaged)} frames are missing or damaged; their steps will be taken again:")
         for line in some(done.damaged):
             console.note(f"  {line}")
-    if done.untold:
+    if done.undetermined:
         console.note(
-            f"{len(done.untold)} frames do not say enough of themselves: a step counts where its last frame holds the "
-            "step's record and all its frames are whole. Pose and exposures of the others cannot be told; they stay "
-            "where they are, and their steps will be taken again:"
+            f"{len(done.undetermined)} frames do not say enough of themselves: a step counts where its last frame "
+            "holds the step's record and all its frames are whole. Pose and exposures of the others cannot be told; "
+            "they stay where they are, and their steps will be taken again:"
         )
-        for line in some(done.untold):
+        for line in some(done.undetermined):
             console.note(f"  frames/{line}")
     if done.unproved:
         console.note(

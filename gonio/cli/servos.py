@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from gonio.cli.by_hand import RigOption, bench_of, choice_of
+from gonio.cli.by_hand import RigOption, choice_of, manual_rig_of
 from gonio.cli.rigs import app
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ def set_zero(
         raise ConfigError(f'"{rig}" is no rig file to write into: gonio rig show {rig} > my.toml, then --rig my.toml')
     if not math.isfinite(at):
         raise ConfigError(f"--at {at:g}: must be a finite angle")
-    bench = bench_of(rig, "arms")
+    bench = manual_rig_of(rig, "arms")
     bench.check({axis: 0.5 * math.radians(sum(bench.description.limits_deg().get(axis, (0.0, 0.0))))})
     health = bench.read_arms()
     read = health.of(axis, "angle")

@@ -34,7 +34,7 @@ class Follower:
         self.damaged = ""
         """What is wrong with a line that others follow; nothing is read beyond it."""
         self.lives = 0
-        """How many files were read here: another one tells another story."""
+        """How many files were read here: another one tells another run_status."""
         self.places: list[int] = []
         """Where the events that were handed out last begin in the file."""
         self.unread = 0

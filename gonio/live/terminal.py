@@ -6,8 +6,8 @@ import sys
 import threading
 from typing import TYPE_CHECKING, Any
 
+from gonio.live.run_status import ago
 from gonio.live.server import BATCH
-from gonio.live.story import ago
 from gonio.shown import with_u
 
 if TYPE_CHECKING:
@@ -149,9 +149,9 @@ def render(watched: Watched) -> RenderableType:
     if others:
         told = [f"{_clock(event)} {event_line(event)}" for event in others[-LISTED:]]
         row("events", "\n".join(told))
-    if status["sittings"]:
-        began, last, _ = status["sittings"][-1]
-        row("sitting", f"{len(status['sittings'])}., {ago(last - began)}")
+    if status["sessions"]:
+        began, last, _ = status["sessions"][-1]
+        row("session", f"{len(status['sessions'])}., {ago(last - began)}")
     bar = Table.grid(expand=True)  # a bar alone does not end its line
     bar.add_row(ProgressBar(total=max(status["total"], 1), completed=status["done"]))
     name = watched.path.absolute().name

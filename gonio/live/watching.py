@@ -22,9 +22,9 @@ from gonio.acquisition.run import Run
 from gonio.errors import GonioError
 from gonio.geometry import IN_PLANE, Directions
 from gonio.live.follow import Follower
+from gonio.live.run_status import RunStatus, is_one_of_many, plain, rounded, shortened
 from gonio.live.server import BATCH, Content, EventLog, Request
 from gonio.live.shared import CURVES, FRAME, Now, Shared
-from gonio.live.story import Story, is_one_of_many, plain, rounded, shortened
 
 POLL_S = 0.2
 """The journal is looked at so often."""
@@ -58,7 +58,7 @@ class Watched:
         self.shared = Shared(path, command)
         self.log = EventLog(_shorten)
         self.log.tell("run", {"name": path.absolute().name})
-        self.story = Story()
+        self.run_status = RunStatus()
         self.run: Run | None = None
         self.values = Now()
         """What has been worked out so far, last time it was looked at."""
@@ -132,7 +132,7 @@ class Watched:
                 self._tried = time.monotonic()
                 self._open()
             short = self._follower.unread > UNREAD
-            out = [("journal", self.story.take(event, short=short)) for event in events]
+            out = [("journal", self.run_status.take(event, short=short)) for event in events]
             if out:
                 new = True
                 self.log.append(*out)
@@ -141,7 +141,7 @@ class Watched:
     def _begin_anew(self) -> None:
         """Another journal is in the place of the one that was read."""
         self._life = self._follower.lives
-        self.story, self.run, self.values, self._tried = Story(), None, Now(), -LOOK_S
+        self.run_status, self.run, self.values, self._tried = RunStatus(), None, Now(), -LOOK_S
         self.log.restart()
         self.log.tell("hello", {"journal": self._follower.identity})
 
@@ -154,8 +154,8 @@ class Watched:
             self.problem = str(error)
             return
         self.problem = ""
-        self.story.every = run.description.reference.every
-        self.story.angles_deg = planned.angles_deg
+        self.run_status.every = run.description.reference.every
+        self.run_status.angles_deg = planned.angles_deg
         left_out: dict[tuple[str, str], int] = {}
         for flag, reason in zip(planned.flags, planned.reasons, strict=True):
             if flag:
@@ -186,30 +186,30 @@ class Watched:
 
     def status(self) -> dict[str, Any]:
         """How the run stands now, in what JSON can hold; for the thread that follows it."""
-        story, now = self.story, time.time()
-        state, why = story.state(now, None if story.stopped else self._writer_lives())
-        step_s = story.step_s
+        run_status, now = self.run_status, time.time()
+        state, why = run_status.state(now, None if run_status.stopped else self._writer_lives())
+        step_s = run_status.step_s
         going = state in GOING
         left = self.values.left if going else None
         out: dict[str, Any] = {
             "state": state,
             "why": "; ".join(text for text in (why, self._follower.damaged, self.problem) if text),
-            "done": len(story.done),
-            "total": story.total,
+            "done": len(run_status.done),
+            "total": run_status.total,
             "events": len(self.log),
-            "points": story.points,
-            "flagged": story.flagged,
+            "points": run_status.points,
+            "flagged": run_status.flagged,
             "step_s": rounded(step_s, 3) if step_s is not None else None,
             "left_s": left[0] if left is not None else None,
             "left_u_s": left[1] if left is not None else None,
-            "sittings": [[round(s.began, 3), round(s.last, 3), s.steps] for s in story.sittings],
+            "sessions": [[round(s.began, 3), round(s.last, 3), s.steps] for s in run_status.sessions],
             "frame": self.values.frame[0] if self.values.frame else None,
             "frame_step": self.values.frame[1] if self.values.frame else None,
         }
         with contextlib.suppress(OSError):
             room = os.statvfs(self.path)
             out["free_bytes"] = rounded(float(room.f_bavail * room.f_frsize), 3)
-            out["needed_bytes"] = rounded(story.bytes_left, 3) if going else None
+            out["needed_bytes"] = rounded(run_status.bytes_left, 3) if going else None
         return out
 
     def _writer_lives(self) -> bool | None:

@@ -25,8 +25,8 @@ from gonio.live.follow import Follower
 from gonio.live.left import Left
 from gonio.live.picture import png
 from gonio.live.provisional import Provisional, Values
+from gonio.live.run_status import RunStatus, rounded
 from gonio.live.shared import CURVES, FRAME, LOOKED, LOOKED_S, NOW, Now
-from gonio.live.story import Story, rounded
 from gonio.rig.dng import read_raw
 
 SHARE = 0.02
@@ -50,7 +50,7 @@ BUSY = ("running", "silent")
 
 Wait = Callable[[float], bool]
 """Waits for so many seconds; whether it is time to end."""
-Draw = Callable[[Story, Sequence[Values], int], bytes]
+Draw = Callable[[RunStatus, Sequence[Values], int], bytes]
 """What the page shows of values, as it reads it; the number is that of steps that are not reduced yet."""
 
 
@@ -74,7 +74,7 @@ class Worker:
         self._begin_anew()
 
     def _begin_anew(self) -> None:
-        self._life, self._story = self._follower.lives, Story()
+        self._life, self._story = self._follower.lives, RunStatus()
         self._provisional: Provisional | None = None
         self._left: Left | None = None
         self._darks: dict[int, int] = {}

@@ -1,6 +1,6 @@
 """How a measured BRDF follows the angles: what a zero's error or an encoder's step does to each value of a run.
 
-A value at the pose that was read is f(true directions) cos(true theta_i) / cos(read theta_i); with an under-filled
+A value at the pose that was read is f(true directions) cos(true theta_i) / cos(read theta_i); with an underfilled
 region theta_r stands for theta_i. How f changes is taken from the run's own values, which the instrument's cones have
 smoothed already. They are split into
 
@@ -24,7 +24,7 @@ import numpy.typing as npt
 from gonio.geometry import AT_NORMAL, SAME_NOMINAL, Directions
 from gonio.reduction.lobe_surface import Surface
 from gonio.reduction.narrow_lobes import steepest
-from gonio.reduction.spike_overlap import Share, overlap
+from gonio.reduction.spike_overlap import OverlapFraction, overlap
 from gonio.reduction.spikes import Scene, find
 from gonio.typing import Floats
 
@@ -71,7 +71,7 @@ class Curves:
         Of the lamp and of the lens [rad].
     shares
         What each point sees of a spike (`gonio.reduction.spike_overlap.blurred_overlap`).
-    under_filled
+    underfilled
         The flux of the whole beam is known, and not its irradiance: the cosine of the estimate is that of theta_r.
     """
 
@@ -82,10 +82,10 @@ class Curves:
         brdf: Floats,
         u: Floats,
         half_angles: tuple[float, float],
-        shares: Sequence[Share],
-        under_filled: bool = False,
+        shares: Sequence[OverlapFraction],
+        underfilled: bool = False,
     ) -> None:
-        self._half_angles, self._under_filled = half_angles, under_filled
+        self._half_angles, self._underfilled = half_angles, underfilled
         self._azimuth = goals.phi_i.tolist()
         self._places = np.array([from_above(d, a) for d, a in zip(read, self._azimuth, strict=True)]).reshape(-1, 4)
         x, y, theta_i, _ = self._places.T
@@ -101,7 +101,11 @@ class Curves:
         log, size = np.arcsinh(self.lobe / (2 * small)), np.hypot(self.lobe, 2 * small)
         near = scene.most > 0.0
         count = len(brdf)
-        self.slope, self._doubt, self.bend = np.zeros((count, 4)), np.zeros((count, 4, 4)), np.zeros((count, 2))
+        self.slope, self._slope_uncertainty, self.curvature = (
+            np.zeros((count, 4)),
+            np.zeros((count, 4, 4)),
+            np.zeros((count, 2)),
+        )
         self.directed = False
         """Whether the sample has a direction: its values change as it spins."""
         if count:
@@ -110,9 +114,9 @@ class Curves:
             tells = tells if tells.any() else np.ones_like(tells)
             surface = Surface(self._places[tells], log[tells], (u_lobe / size)[tells])
             self.directed = surface.directed
-            slope, covariance, bend = surface.slopes(self._places)
-            self.slope, self._doubt = slope * size[:, None], covariance * size[:, None, None] ** 2
-            self.bend = abs(bend * size[:, None] + slope[:, :2] ** 2 * self.lobe[:, None])
+            slope, covariance, curvature = surface.slopes(self._places)
+            self.slope, self._slope_uncertainty = slope * size[:, None], covariance * size[:, None, None] ** 2
+            self.curvature = abs(curvature * size[:, None] + slope[:, :2] ** 2 * self.lobe[:, None])
         plane = np.round(goals.phi_i / SAME_NOMINAL) if self.directed else np.zeros(count)
         lines = [group[in_plane[group] & (plane[group] == one)] for group in groups for one in np.unique(plane[group])]
         self._bound(brdf, u, size, near, lines)
@@ -143,8 +147,8 @@ class Curves:
             # elsewhere the points tell the slope themselves
             coarse = ~near[curve] & (bound * step > UNRESOLVED * size[curve]) & (step > 0.0)
             curve, bound = curve[coarse], bound[coarse]
-            more = bound**2 - self.slope[curve, 0] ** 2 - self._doubt[curve, 0, 0]
-            self._doubt[curve] += np.maximum(more, 0.0)[:, None, None] * ACROSS_MIRROR
+            more = bound**2 - self.slope[curve, 0] ** 2 - self._slope_uncertainty[curve, 0, 0]
+            self._slope_uncertainty[curve] += np.maximum(more, 0.0)[:, None, None] * ACROSS_MIRROR
 
     def value(self, k: int, d: Directions) -> float:
         """f [1/sr] at directions near those of point k."""
@@ -167,7 +171,7 @@ class Curves:
         return 0.5 * (up - down), 0.5 * (up + down)
 
     def _cosine(self, d: Directions) -> float:
-        return math.cos(d.theta_r if self._under_filled else d.theta_i)
+        return math.cos(d.theta_r if self._underfilled else d.theta_i)
 
     def over_region(self, k: int, read: Directions, omega_i: Floats, omega_r: Floats) -> float:
         """What the lobe's slope and curvature change the mean over a region of interest by, at most [1/sr].
@@ -183,7 +187,7 @@ class Curves:
         x -= -math.atan2(float(centre @ along), float(centre[2]))
         across = (omega_r + omega_i - centre) @ (-along[1], along[0], 0.0)
         first = abs(self.slope[k, :3] @ (x.mean(), across.mean(), theta_i.mean()))
-        return float(first + 0.5 * self.bend[k] @ (np.var(x - theta_i), np.var(across)))
+        return float(first + 0.5 * self.curvature[k] @ (np.var(x - theta_i), np.var(across)))
 
     def facts(self) -> dict[str, Floats]:
         """What of each point is known [1/sr, and per rad]: lobe, spike, slopes, their uncertainties, curvatures."""
@@ -192,14 +196,14 @@ class Curves:
             "spike": self.spike,
             "u_spike": self.spikes.u_amplitude * self.spikes.told,
             "slope": self.slope,
-            "doubts": self._doubt,
-            "u_slope": np.sqrt(np.maximum(self._doubt[:, 0, 0], self._doubt[:, 1, 1])),
-            "u_slope_theta_i": np.sqrt(np.einsum("i,nij,j->n", WITH_MIRROR, self._doubt, WITH_MIRROR)),
-            "bend_x": self.bend[:, 0],
-            "bend_y": self.bend[:, 1],
+            "u_slopes": self._slope_uncertainty,
+            "u_slope": np.sqrt(np.maximum(self._slope_uncertainty[:, 0, 0], self._slope_uncertainty[:, 1, 1])),
+            "u_slope_theta_i": np.sqrt(np.einsum("i,nij,j->n", WITH_MIRROR, self._slope_uncertainty, WITH_MIRROR)),
+            "curvature_x": self.curvature[:, 0],
+            "curvature_y": self.curvature[:, 1],
         }
 
-    def doubt(self, k: int, plus: Directions) -> float:
+    def slope_uncertainty(self, k: int, plus: Directions) -> float:
         """Standard uncertainty [1/sr] of the odd part of `effects`, because points tell slopes only so well."""
         step = from_above(plus, self._azimuth[k]) - self._places[k]
-        return math.sqrt(max(float(step @ self._doubt[k] @ step), 0.0))
+        return math.sqrt(max(float(step @ self._slope_uncertainty[k] @ step), 0.0))

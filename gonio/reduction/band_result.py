@@ -57,7 +57,7 @@ class BandResult:
     """Of points and visits, used or not."""
     left_out: int
     """Of these: because a used pixel is nearly full."""
-    untold: Directions
+    undetermined: Directions
     """Nominal directions of points that may see a spike of which only a bound is known."""
     coarse: Directions
     """Nominal directions of points beside a lobe that is narrower than the plan's steps."""

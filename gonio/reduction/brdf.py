@@ -39,8 +39,8 @@ from gonio.reduction.table import (
     zero_uncertainties,
 )
 from gonio.rig import Pose, calibrated, imaging, kinematics
+from gonio.rig.beam_size import filling
 from gonio.rig.description import Band, RigDescription
-from gonio.rig.filling import filling
 from gonio.typing import Floats
 
 if TYPE_CHECKING:
@@ -130,7 +130,7 @@ def _reduce_band(frames: RunFrames, band: Band, steps: list[Reduced | Rejected])
     visits = [step for step in steps if isinstance(step, Reduced) and step.point is None]
     rejected = [step for step in steps if isinstance(step, Rejected)]
     fitted, reference = level(frames.run, np.array([point.time_s for point in points]), visits, band)
-    columns, untold, coarse = _columns_of_sides(frames, points, visits[0], fitted, reference.u_rel, band)
+    columns, undetermined, coarse = _columns_of_sides(frames, points, visits[0], fitted, reference.u_rel, band)
     geometry, lamp = columns.pop("geometry_causes"), columns.pop("lamp_causes")
     light_and_lens.add(frames.description, columns, [point.pose for point in points], visits[0].pose, band)
     levels = fitted.at(np.array([point.time_s for point in points]))
@@ -154,7 +154,7 @@ def _reduce_band(frames: RunFrames, band: Band, steps: list[Reduced | Rejected])
         freedom=freedom,
         frames=sum(step.frames + step.left_out for step in (*points, *visits)) + sum(r.left_out for r in rejected),
         left_out=sum(s.left_out for s in (*points, *visits)) + sum(r.left_out for r in rejected),
-        untold=untold,
+        undetermined=undetermined,
         coarse=coarse,
         merged=_merged(frames, band, points, visits),
         inputs=Inputs(points, visits, frames.prnu),
@@ -238,7 +238,7 @@ def _columns_of_sides(
     if not behind.any():
         return _columns(frames, points, visit, fitted, u_reference, band)
     columns: dict[str, Floats] = {}
-    untold, coarse = [], []
+    undetermined, coarse = [], []
     for there in (False, True):
         rows = np.flatnonzero(behind == there)
         if not rows.size:
@@ -248,9 +248,9 @@ def _columns_of_sides(
         found, first, second = _columns(frames, group, visit, fitted, u_reference, band)
         for name, values in found.items():
             columns.setdefault(name, np.zeros((len(points), *values.shape[1:])))[rows] = values
-        untold += list(_turned_over(first, there))
+        undetermined += list(_turned_over(first, there))
         coarse += list(_turned_over(second, there))
-    return columns, Directions.stack(untold), Directions.stack(coarse)
+    return columns, Directions.stack(undetermined), Directions.stack(coarse)
 
 
 def _behind(d: Directions) -> bool:
@@ -313,14 +313,14 @@ def _columns(
     shared = darks + np.sum(of_angles.geometry**2, axis=1) + np.sum(lamp**2, axis=1)
     combined = np.sqrt(independent + shared + sum(column**2 for column in common.values()))
     bounded = ~curves.spikes.told & (curves.spikes.variance > noise)
-    known, unresolved, doubts = curves.facts(), of_angles.unresolved, of_angles.of_geometry
+    known, unresolved, u_slopes = curves.facts(), of_angles.unresolved, of_angles.of_geometry
     # the steps along a curve, and not those between angles of incidence
     steep = (unresolved > independent - unresolved) & (known["u_slope"] > known["u_slope_theta_i"])
     columns = {"brdf": brdf, "u_brdf": combined, "u_random": np.sqrt(independent)}
     columns |= {"geometry_causes": of_angles.geometry, "lamp_causes": lamp} | common
     columns |= {name: np.sqrt(part) for name, part in parts.items()} | known
-    columns["geometry_slopes"] = np.sqrt(doubts)
-    of_readings = sum(parts[name] for name in ("encoder", "zeros_even", "spike_blur", "coarse_steps")) - doubts
+    columns["geometry_slopes"] = np.sqrt(u_slopes)
+    of_readings = sum(parts[name] for name in ("encoder", "zeros_even", "spike_blur", "coarse_steps")) - u_slopes
     columns["u_angles"] = np.sqrt(np.maximum(of_readings, 0.0))
     columns["coarse"] = steep.astype(float)
     return columns, goals[bounded], goals[steep]
@@ -355,16 +355,16 @@ def _errors_of_angles(
     description, columns = frames.description, {}
     odd_all, steps, even_steps, even_zeros, unresolved = np.zeros((5, len(points)))
     for axis, u in encoder_steps(description).items():
-        odd, even, doubt = _effects(description, curves, points, axis, u)
+        odd, even, u_slope = _effects(description, curves, points, axis, u)
         odd_all, steps, even_steps = odd_all + odd**2, steps + odd**2, even_steps + even**2
-        unresolved = unresolved + doubt**2
+        unresolved = unresolved + u_slope**2
     for axis, u in zero_uncertainties(description).items():
-        odd, even, doubt = _effects(description, curves, points, axis, u)
-        odd_all, even_zeros, unresolved = odd_all + odd**2, even_zeros + even**2, unresolved + doubt**2
+        odd, even, u_slope = _effects(description, curves, points, axis, u)
+        odd_all, even_zeros, unresolved = odd_all + odd**2, even_zeros + even**2, unresolved + u_slope**2
         columns[CAUSES[axis]] = odd - brdf * _change_of_cosine(description, visit, axis, u)
-    geometry, even_geometry, doubts = _effects_of_geometry(frames, curves, points, visit, brdf)
-    odd_all, unresolved = odd_all + np.sum(geometry**2, axis=1), unresolved + doubts
-    return _OfAngles(columns, geometry, odd_all, steps, even_steps, even_zeros, even_geometry, unresolved, doubts)
+    geometry, even_geometry, u_slopes = _effects_of_geometry(frames, curves, points, visit, brdf)
+    odd_all, unresolved = odd_all + np.sum(geometry**2, axis=1), unresolved + u_slopes
+    return _OfAngles(columns, geometry, odd_all, steps, even_steps, even_zeros, even_geometry, unresolved, u_slopes)
 
 
 def _parts_of_angles(found: _OfAngles, curves: angle_sensitivity.Curves) -> dict[str, Floats]:
@@ -451,7 +451,7 @@ def _effects(
     if u > 0 and (axis != "spin" or curves.directed):
         for k, point in enumerate(points):
             plus, minus = (_moved(description, point.pose, axis, by) for by in (u, -u))
-            out[:, k] = *curves.effects(k, point.directions, plus, minus), curves.doubt(k, plus)
+            out[:, k] = *curves.effects(k, point.directions, plus, minus), curves.slope_uncertainty(k, plus)
     return out[0], out[1], out[2]
 
 
@@ -463,7 +463,7 @@ def _effects_of_geometry(
     And the sums over the causes of the squares of the even changes and of what the plan's steps leave open of them.
     """
     errors = frames.geometry
-    odd, even, doubt = np.zeros((3, len(points), errors.count))
+    odd, even, u_slope = np.zeros((3, len(points), errors.count))
     if not errors.count:
         return odd, np.zeros(len(points)), np.zeros(len(points))
     if frames.description.reference.how == "beam":
@@ -474,9 +474,9 @@ def _effects_of_geometry(
         factor = errors.at(point.pose, "sample").relative_distance_factor
         for j, (up, down) in enumerate(_changed(frames, point)):
             odd[k, j], even[k, j] = curves.effects(k, point.directions, up, down)
-            doubt[k, j] = curves.doubt(k, up)
+            u_slope[k, j] = curves.slope_uncertainty(k, up)
         odd[k] += brdf[k] * 0.5 * (factor[:, 0] - factor[:, 1] - light[:, 0] + light[:, 1])
-    return odd, np.sum(even**2, axis=1), np.sum(doubt**2, axis=1)
+    return odd, np.sum(even**2, axis=1), np.sum(u_slope**2, axis=1)
 
 
 def _shares(
@@ -485,7 +485,7 @@ def _shares(
     errors: list[tuple[str, float]],
     cones: tuple[float, float],
     band: Band,
-) -> list[spike_overlap.Share]:
+) -> list[spike_overlap.OverlapFraction]:
     """What each point sees of a specular spike."""
     description = frames.description
     g, radius = description.geometry, description.acquisition.roi_radius_mm
@@ -497,7 +497,7 @@ def _shares(
         changed = [up for up, _ in _changed(frames, point)]
         turned = sum(float(np.linalg.norm(change.from_mirror - d.from_mirror)) for change in changed)
         if float(d.mirror_offset) >= sum(cones) + blur + 6.0 * turned:
-            out.append(spike_overlap.Share())
+            out.append(spike_overlap.OverlapFraction())
             continue
         moved = Directions.stack([*(_moved(description, point.pose, axis, u) for axis, u in errors), *changed])
         patch = spike_overlap.over_patch(d, radius, g.light_distance_mm, g.camera_distance_mm)

@@ -71,7 +71,7 @@ def assemble(table: pd.DataFrame, bands: list[BandResult]) -> pd.DataFrame:
         of_scatter = c["visits"] if band.level.scatter else np.zeros(at.size)
         with np.errstate(divide="ignore", invalid="ignore"):
             freedom = np.where(of_scatter > 0, max(band.visits - 1, 1) * (c["u_brdf"] / of_scatter) ** 4, math.inf)
-        values[len(COMPONENTS) :, at] = [freedom, c["coarse"], 0.5 * variance * (c["bend_x"] + c["bend_y"])]
+        values[len(COMPONENTS) :, at] = [freedom, c["coarse"], 0.5 * variance * (c["curvature_x"] + c["curvature_y"])]
     values[:, table["flag"].to_numpy() != ""] = math.nan
     found = dict(zip(numbers, values, strict=True))
     parts = pd.DataFrame({name: found[name] for name in COMPONENTS})

@@ -27,7 +27,7 @@ from gonio.geometry import Directions
 from gonio.reduction import merging, stray_light
 from gonio.reduction.dark_signal import FEW, PATTERNS, Darks, Patterns
 from gonio.reduction.geometry_errors import GeometryErrors
-from gonio.rig import Frame, Pose, Target, filling, kinematics
+from gonio.rig import Frame, Pose, Target, beam_size, kinematics
 from gonio.rig.calibrated import known_parameters
 from gonio.rig.description import Band, Camera, RigDescription
 from gonio.rig.dng import pixels_sha256, read_raw
@@ -59,7 +59,7 @@ class Region:
     roi: Roi
     target: Target
     per_weight: Floats
-    """What makes a used pixel's signal the region's: `gonio.rig.filling.per_weight`, over the pixels' responsivities
+    """What makes a used pixel's signal the region's: `gonio.rig.beam_size.per_weight`, over the pixels' responsivities
     where they are mapped."""
     lit: Roi
     """Those of its pixels that the beam falls on."""
@@ -270,11 +270,11 @@ class RunFrames:
             good = region.mask & ~self._maps.defects[region.rows, region.cols]
             region = replace(region, mask=good if good.any() else region.mask)
             responsivity = region.of(self._maps.responsivity)
-        per_weight = filling.per_weight(self.description, view, seen, region, channel)
+        per_weight = beam_size.per_weight(self.description, view, seen, region, channel)
         if responsivity is not None:
             per_weight = per_weight / np.asarray(responsivity, dtype=float)
         lit = region
-        if filling.filling(self.description) == "under":
+        if beam_size.filling(self.description) == "under":
             spot = region.mask & (seen.lit > 0.5)
             lit = replace(region, mask=spot if spot.any() else region.mask)
         return Region(region, target, per_weight, lit) if math.isfinite(per_weight.max()) else None

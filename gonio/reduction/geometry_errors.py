@@ -18,9 +18,9 @@ from gonio.config import numbers_in, with_numbers
 from gonio.errors import ConfigError
 from gonio.geometry import Directions, angles
 from gonio.rig import Pose, Target, imaging, kinematics
+from gonio.rig.beam_size import filling
 from gonio.rig.calibrated import covariance_of, known_parameters
 from gonio.rig.description import Axis, RigDescription
-from gonio.rig.filling import filling
 from gonio.typing import Floats
 
 ARMS = ("zero_offset_deg", "harmonics_deg", "axis_tilt_deg", "axis_offset_mm", "elevation_deg")
@@ -90,19 +90,19 @@ class Sights:
     changed: Floats
     """With the rig one standard deviation of each cause up and down, shape (causes, 2, 5)."""
 
-    under_filled: bool = False
+    underfilled: bool = False
     """The flux of the whole beam is known: it does not depend on where the place is, and spreads as cos(theta_r)."""
 
     @property
     def relative_light(self) -> Floats:
         """The signal of a white there, by causes up and down, over that with the rig as it is known."""
-        which = 2 if self.under_filled else 0
+        which = 2 if self.underfilled else 0
         return np.asarray(np.cos(self.changed[..., which]) / np.cos(self.known[which]) * self.relative_distance_factor)
 
     @property
     def relative_distance_factor(self) -> Floats:
         """The same of (d0 / d)^2 alone."""
-        if self.under_filled:
+        if self.underfilled:
             return np.ones(self.changed.shape[:2])
         return np.asarray(self.changed[..., 4] / self.known[4])
 

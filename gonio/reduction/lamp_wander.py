@@ -4,7 +4,7 @@ Three visits do not say how a lamp wanders; ten hardly do. So the departure of K
 it is averaged over what it may be, each in proportion to how well it agrees with the visits (Bayes). The lamp walks at
 random (Wiener), or smoothly, as in a warm-up (an integrated walk), each with any strength from far below the visits'
 noise to far above what they differ by. In either case one interval may hold a jump, or one visit be off. Level and
-slope of the line are free; level, anew, in each sitting. The means of all these curves are those of generalised least
+slope of the line are free; level, anew, in each session. The means of all these curves are those of generalised least
 squares (kriging), the weights their restricted likelihoods: Rasmussen and Williams 2006, Gaussian Processes for Machine
 Learning, sections 2.7 and 5.4.
 """
@@ -64,7 +64,7 @@ class Visits:
     times_s: Floats
     values: Floats
     variances: Floats
-    sitting: npt.NDArray[np.intp]
+    session: npt.NDArray[np.intp]
     """Of each visit; the lamp was dark between two of them."""
 
 
@@ -74,7 +74,7 @@ def wander(visits: Visits, times_s: Floats, line: Callable[[Floats], tuple[Float
     Parameters
     ----------
     visits
-        At least one; three, of one sitting, to say anything.
+        At least one; three, of one session, to say anything.
     times_s : (m,) array
         When the level is asked for [s].
     line
@@ -94,7 +94,7 @@ def wander(visits: Visits, times_s: Floats, line: Callable[[Floats], tuple[Float
             here = np.flatnonzero(np.clip(place, 0, last) == k)
             rows = slice(max(k * half - half // 2, 0), (k + 1) * half + half // 2 if k < last else count)
             values, variances = visits.values[rows], visits.variances[rows]
-            part = Visits(visits.times_s[rows], values, variances, visits.sitting[rows])
+            part = Visits(visits.times_s[rows], values, variances, visits.session[rows])
             if here.size and len(part.times_s) - _free(part) >= 1:
                 straight, *curves = _curves(part, times_s[here])
                 curves = [c._replace(variance=c.variance - straight.variance + known[here]) for c in curves]
@@ -111,9 +111,9 @@ def wander(visits: Visits, times_s: Floats, line: Callable[[Floats], tuple[Float
 
 
 def _free(visits: Visits) -> int:
-    """How many numbers the line has: a level in each sitting, and one slope where any sitting has two visits."""
-    sittings = len(np.unique(visits.sitting))
-    return sittings + int(len(visits.times_s) > sittings)
+    """How many numbers the line has: a level in each session, and one slope where any session has two visits."""
+    sessions = len(np.unique(visits.session))
+    return sessions + int(len(visits.times_s) > sessions)
 
 
 class _Curve(NamedTuple):
@@ -166,15 +166,15 @@ def _kernels(a: Floats, b: Floats, slope: float = 0.0) -> Floats:
 
 def _curves(visits: Visits, times_s: Floats, *, full: bool = False) -> list[_Curve]:
     """All curves that may be K, at some times; a straight line comes first, with the weight 0."""
-    t, together = visits.times_s, np.diff(visits.sitting) == 0
+    t, together = visits.times_s, np.diff(visits.session) == 0
     unit = float(np.median(np.diff(t)[together if together.any() else slice(None)]))
     start = min(float(t[0]), float(np.min(times_s)))
-    # a point in a sitting without a visit has the level of the nearest one
-    near = visits.sitting[np.clip(np.searchsorted(0.5 * (t[1:] + t[:-1]), times_s), 0, t.size - 1)]
+    # a point in a session without a visit has the level of the nearest one
+    near = visits.session[np.clip(np.searchsorted(0.5 * (t[1:] + t[:-1]), times_s), 0, t.size - 1)]
     t, at = (t - start) / unit, (times_s - start) / unit
     size, mean = math.sqrt(float(np.mean(visits.variances))), float(np.mean(visits.values))
     y, v = (visits.values - mean) / size, visits.variances / size**2
-    design, wanted = ((of[:, None] == np.unique(visits.sitting)).astype(float) for of in (visits.sitting, near))
+    design, wanted = ((of[:, None] == np.unique(visits.session)).astype(float) for of in (visits.session, near))
     tells_slope = together.any() and t.size > design.shape[1] + 2
     if tells_slope:
         design, wanted = np.column_stack([design, t]), np.column_stack([wanted, at])

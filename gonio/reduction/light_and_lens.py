@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gonio.rig import Pose, imaging, kinematics
+from gonio.rig.beam_size import filling
 from gonio.rig.calibrated import covariance_of
 from gonio.rig.description import Band, Beam, Polarisation, RigDescription
-from gonio.rig.filling import filling
 from gonio.rig.protocols import Target
 from gonio.typing import Floats
 
@@ -173,20 +173,20 @@ def add_wavelength(description: RigDescription, results: list[BandResult]) -> No
         if there.size < 2:
             continue
         slopes = np.gradient(values[there], waves[there])
-        bends = _bends(values[there], waves[there])
-        for k, slope, bend in zip(there.tolist(), slopes, bends, strict=True):
+        curvatures = _curvatures(values[there], waves[there])
+        for k, slope, curvature in zip(there.tolist(), slopes, curvatures, strict=True):
             result = results[int(order[k])]
             place = np.searchsorted(result.points, row)
             result.columns["s_wavelength"][place] = slope * u[result.band.name]
             if len(results) > 2:
-                result.columns["s_bandwidth"][place] = 0.5 * bend * (SIGMA * result.band.fwhm_nm) ** 2
+                result.columns["s_bandwidth"][place] = 0.5 * curvature * (SIGMA * result.band.fwhm_nm) ** 2
     for result in results:
         for name in ("s_wavelength", "s_bandwidth"):
             if name in result.columns:
                 _append(result.columns, name, result.columns[name])
 
 
-def _bends(values: Floats, x: Floats) -> Floats:
+def _curvatures(values: Floats, x: Floats) -> Floats:
     """Second derivatives by parabolas through three neighbours; at the ends that of the neighbour."""
     if values.size < 3:
         return np.zeros(values.size)

@@ -287,21 +287,21 @@ class Surface:
         -------
         slope : (n, 4) array
         covariance : (n, 4, 4) array
-        bend : (n, 2) array
+        curvature : (n, 2) array
             Second derivatives along x and y.
         """
         at, scale = coordinates(places), STEP * np.eye(4)
         by_place = coordinates(places[:, None] + scale) - coordinates(places[:, None] - scale)
         by_place[..., TURNED] = np.remainder(by_place[..., TURNED] + math.pi, 2.0 * math.pi) - math.pi
         by_place = np.swapaxes(by_place, 1, 2) / (2.0 * STEP)
-        slope, covariance, bend = np.zeros((len(at), 4)), np.zeros((len(at), 4, 4)), np.zeros((len(at), 2))
+        slope, covariance, curvature = np.zeros((len(at), 4)), np.zeros((len(at), 4, 4)), np.zeros((len(at), 2))
         for some, used in self._blocks(at):
             mean, covariances = self._of_coordinates(at[some], used)
             turn = by_place[some, : mean.shape[1]]
             slope[some] = np.einsum("nc,ncx->nx", mean, turn)
             covariance[some] = np.einsum("ncx,ncd,ndy->nxy", turn, covariances, turn)
-            bend[some] = self._bends(places[some], used)
-        return slope, covariance, bend
+            curvature[some] = self._curvatures(places[some], used)
+        return slope, covariance, curvature
 
     def _blocks(self, at: Floats) -> list[tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]]:
         """Places that are computed together, and the points that tell their slopes."""
@@ -348,7 +348,7 @@ class Surface:
         covariance = np.einsum("s,sncd->ncd", self._weights, np.array(covariances))
         return mean, covariance + np.einsum("s,snc,snd->ncd", self._weights, off, off)
 
-    def _bends(self, places: Floats, used: npt.NDArray[np.intp]) -> Floats:
+    def _curvatures(self, places: Floats, used: npt.NDArray[np.intp]) -> Floats:
         """Second derivatives of ln f along x and y, of the most probable set."""
         moves = np.concatenate([BEND * np.eye(4)[:2], -BEND * np.eye(4)[:2], np.zeros((1, 4))])
         solved = cho_solve((self._factor(used, self._sets[0]), True), self._log[used])

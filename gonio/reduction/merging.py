@@ -66,7 +66,7 @@ class Stack:
     mask: Mask
     """Where the used pixels lie in a rectangle; N of them."""
     per_weight: Floats
-    """What makes a pixel's rate that of the region, shape (N,): see `gonio.rig.filling.per_weight`."""
+    """What makes a pixel's rate that of the region, shape (N,): see `gonio.rig.beam_size.per_weight`."""
     dark_rate: Floats
     """Dark electrons a second of each pixel, shape (N,)."""
     hot: Mask

@@ -22,8 +22,8 @@ from gonio.reduction.count_rates import Reduced
 from gonio.reduction.spike_overlap import over_patch, overlap
 from gonio.reduction.table import COMMON, DARK, LAMP, angle_axes, zero_uncertainties
 from gonio.rig import Pose, kinematics
+from gonio.rig.beam_size import filling
 from gonio.rig.description import RigDescription
-from gonio.rig.filling import filling
 from gonio.typing import Floats
 
 if TYPE_CHECKING:
@@ -185,7 +185,7 @@ class _Inputs:
         g, radius = description.geometry, description.acquisition.roi_radius_mm
         patches = [over_patch(p.directions, radius, g.light_distance_mm, g.camera_distance_mm) for p in self._points]
         self._patch = np.array([patch @ _along_x(a) for patch, a in zip(patches, azimuths, strict=True)])
-        values, vectors = np.linalg.eigh(self._c["doubts"])
+        values, vectors = np.linalg.eigh(self._c["u_slopes"])
         self._doubts = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
         self._curves = _curves(goals, self._place, self._log)
 

@@ -165,8 +165,8 @@ def _parabola(x: float, at: Floats, values: Floats) -> float:
         return float(line + t * (1.0 - t) * (values[above] - values[above - 1]))
     third = min(thirds, key=lambda k: abs(at[k] - x))
     slope = (values[above] - values[above - 1]) / (high - low)
-    bend = ((values[third] - values[above]) / (at[third] - high) - slope) / (at[third] - low)
-    return float(line + bend * (x - low) * (x - high))
+    curvature = ((values[third] - values[above]) / (at[third] - high) - slope) / (at[third] - low)
+    return float(line + curvature * (x - low) * (x - high))
 
 
 def _uncertainties(rows: pd.DataFrame) -> Floats:

@@ -61,7 +61,7 @@ def over_patch(d: Directions, radius_mm: float, light_mm: float, camera_mm: floa
 
 
 @dataclass(frozen=True, slots=True)
-class Share:
+class OverlapFraction:
     """What one point sees of a spike, as parts of its amplitude."""
 
     at_read: float = 0.0
@@ -82,7 +82,7 @@ def blurred_overlap(
     half_angles: tuple[float, float],
     patch: Floats | None = None,
     pixels: Floats | None = None,
-) -> Share:
+) -> OverlapFraction:
     """The overlap, averaged over a patch, at directions whose true place is uncertain.
 
     Parameters
@@ -123,4 +123,4 @@ def blurred_overlap(
         around = centre + FAR * (np.cos(turn) * first + np.sin(turn) * second)
         far = np.mean([of(around + spot) for spot in spots], axis=0)
         least, most = min(mean, float(np.min(far))), max(most, float(np.max(far)))
-    return Share(at_read, mean, variance, most, least)
+    return OverlapFraction(at_read, mean, variance, most, least)

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gonio.geometry import SAME_SPIKE, solid_angle_of_cone
-from gonio.reduction.spike_overlap import FAR, Share
+from gonio.reduction.spike_overlap import FAR, OverlapFraction
 from gonio.typing import Floats
 
 Places = npt.NDArray[np.intp]
@@ -60,17 +60,17 @@ class Scene:
     brdf: Floats
     u: Floats
     """Independent standard uncertainty of `brdf` [1/sr]."""
-    shares: Sequence[Share]
+    shares: Sequence[OverlapFraction]
     half_angles: tuple[float, float]
 
     @property
     def mean(self) -> Floats:
-        """`Share.mean`."""
+        """`OverlapFraction.mean`."""
         return np.array([share.mean for share in self.shares])
 
     @property
     def variance(self) -> Floats:
-        """Of `Share.mean`: no less than what the largest errors take away, over `FAR`, squared.
+        """Of `OverlapFraction.mean`: no less than what the largest errors take away, over `FAR`, squared.
 
         A top that is flat for small errors falls for rare ones, of which the mean square knows nothing.
         """
@@ -78,12 +78,12 @@ class Scene:
 
     @property
     def at_read(self) -> Floats:
-        """`Share.at_read`."""
+        """`OverlapFraction.at_read`."""
         return np.array([share.at_read for share in self.shares])
 
     @property
     def most(self) -> Floats:
-        """`Share.most`."""
+        """`OverlapFraction.most`."""
         return np.array([share.most for share in self.shares])
 
 

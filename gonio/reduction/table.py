@@ -21,9 +21,9 @@ from gonio.reduction.count_rates import FULL, RETAKE, RunFrames, camera_paramete
 from gonio.reduction.dark_signal import COLUMNS
 from gonio.reduction.geometry_errors import zero_u_deg
 from gonio.rig import kinematics
+from gonio.rig.beam_size import filling
 from gonio.rig.calibrated import covariance_of
 from gonio.rig.description import Axis, RigDescription
-from gonio.rig.filling import filling
 from gonio.typing import Floats
 
 if TYPE_CHECKING:
@@ -335,9 +335,9 @@ def _names(names: list[str]) -> str:
 def _notes(result: BandResult) -> list[str]:
     """What a band has to say, without its name (`said_once`)."""
     out = white_reference.notes(result.level, result.visits, result.unusable)
-    if result.untold:
+    if result.undetermined:
         out.append(
-            f"nothing tells whether a specular spike stands at {_listed(result.untold)}: what "
+            f"nothing tells whether a specular spike stands at {_listed(result.undetermined)}: what "
             "errors of the angles would do to one is in u_brdf, which is large; measure the mirror direction too, and "
             "points within 10 degrees on both sides of it that the spike does not reach"
         )

@@ -33,7 +33,7 @@ class Level:
     are what the noise of the visits does to the line, and `wander` what the lamp may do besides
     (`gonio.reduction.lamp_wander`).
     Where the lamp was dark in between, as from one day to the next, K is not interpolated across that time: a point
-    after the last visit of its sitting (`held`) has the K of that visit, and `wander` what the lamp drifts meanwhile.
+    after the last visit of its session (`held`) has the K of that visit, and `wander` what the lamp drifts meanwhile.
     Where the visits do not tell the lamp's drift, K is their mean, `slope` and `u_slope` are zero, and `unknown` says
     why; `wander` is then what they scatter beyond their noise.
     """
@@ -63,16 +63,16 @@ class Level:
         """The time nearest to each that lies between two visits to which the lamp was lit without a break."""
         if self.straight or not len(self.lit_s):
             return time_s
-        sitting, of_visit = (np.searchsorted(self.lit_s, t, side="right") for t in (time_s, self.times_s))
+        session, of_visit = (np.searchsorted(self.lit_s, t, side="right") for t in (time_s, self.times_s))
         out = np.array(time_s, dtype=float)
         for k in np.unique(of_visit):
             inside = self.times_s[of_visit == k]
-            out = np.where(sitting == k, np.clip(out, inside[0], inside[-1]), out)
+            out = np.where(session == k, np.clip(out, inside[0], inside[-1]), out)
         return out
 
     @property
     def _steepest(self) -> float:
-        """How fast K changes at most between two visits of one sitting; where no sitting has two, between any."""
+        """How fast K changes at most between two visits of one session; where no session has two, between any."""
         slopes = np.abs(np.diff(self.values) / np.diff(self.times_s))
         together = np.diff(np.searchsorted(self.lit_s, self.times_s, side="right")) == 0
         return float(slopes[together].max() if together.any() else slopes.max())
@@ -87,8 +87,8 @@ class Level:
 
     def wander(self, time_s: Floats) -> lamp_wander.Wander:
         """What K may depart by beyond that."""
-        sitting = np.searchsorted(self.lit_s, self.times_s, side="right")
-        visits = lamp_wander.Visits(self.times_s, self.values, self.variances, sitting)
+        session = np.searchsorted(self.lit_s, self.times_s, side="right")
+        visits = lamp_wander.Visits(self.times_s, self.values, self.variances, session)
         held = self.held(time_s)
         found = lamp_wander.wander(visits, held, lambda t: (self.at(t), np.stack([self.noise(t), self.drift(t)], 1)))
         away = self._steepest * (time_s - held) if len(self.lit_s) and not self.straight else 0.0

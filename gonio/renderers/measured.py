@@ -10,7 +10,7 @@ from gonio import geometry
 from gonio.formats import klems_xml, rgl
 from gonio.formats.reader import write_bytes
 from gonio.renderers.channels import Rows
-from gonio.renderers.filled import Filled
+from gonio.renderers.interpolated import Interpolated
 from gonio.typing import Floats
 
 _NODES = 193
@@ -20,20 +20,20 @@ _VIEWS = 33
 """Viewing directions at least, even from 0 to 89 degrees; those of the table besides."""
 _MOST_VIEWS = 100
 _CHECKED = np.deg2rad([0.0, 8.0, 15.0, 30.0, 45.0, 60.0, 75.0])
-"""Incidences at which the filled table's reflectance is watched."""
+"""Incidences at which the interpolated table's reflectance is watched."""
 
 
-def remarks(rows: Rows, filled: Filled) -> list[str]:
-    """What was not measured, how it was filled, and what that leads to: a sentence each."""
+def remarks(rows: Rows, interpolated: Interpolated) -> list[str]:
+    """What was not measured, how it was interpolated, and what that leads to: a sentence each."""
     said = list(rows.notes)
-    listed = ", ".join(f"{t:.3g}" for t in np.rad2deg(filled.incidences))
-    if filled.left_out:
-        said.append(f"{filled.left_out} rows are left out: fewer than three at their angle of incidence")
+    listed = ", ".join(f"{t:.3g}" for t in np.rad2deg(interpolated.incidences))
+    if interpolated.left_out:
+        said.append(f"{interpolated.left_out} rows are left out: fewer than three at their angle of incidence")
     said.append(
         f"measured at theta_i = {listed} degrees; in between linear at the same half vector, beyond as at the nearest"
     )
-    share = 100 * filled.extrapolated()
-    what = "in the plane of incidence alone" if filled.in_plane else "in and out of the plane of incidence"
+    share = 100 * interpolated.extrapolated()
+    what = "in the plane of incidence alone" if interpolated.in_plane else "in and out of the plane of incidence"
     said.append(
         f"measured {what}: {share:.0f} % of the hemisphere (projected solid angle, mean over these incidences) is"
         " extrapolated"
@@ -41,21 +41,21 @@ def remarks(rows: Rows, filled: Filled) -> list[str]:
     said.append(
         "the sample is taken as isotropic; out of plane a value is that of the two in-plane directions of the same"
         " theta_h, linear in the cosine of theta_d"
-        + ("" if filled.in_plane else ", plus what the values out of plane differ from that")
+        + ("" if interpolated.in_plane else ", plus what the values out of plane differ from that")
     )
-    narrow = filled.unresolved()
+    narrow = interpolated.unresolved()
     if narrow.size:
         said.append(
             f"the lobe at theta_i = {', '.join(f'{t:.3g}' for t in np.rad2deg(narrow))} degrees is narrower than the"
             " table's step: its height is the table's, its width that of the step, and its flux is not known"
         )
     else:
-        peak = [s for s in filled.slices if s.line is not None and -s.reach[0] > geometry.AT_MIRROR]
+        peak = [s for s in interpolated.slices if s.line is not None and -s.reach[0] > geometry.AT_MIRROR]
         if peak:
             said.append(
                 "at some incidences the mirror direction lies beyond what was measured: the lobe may be missing"
             )
-    rho = filled.reflectance(_CHECKED).max(axis=1)
+    rho = interpolated.reflectance(_CHECKED).max(axis=1)
     at = ", ".join(f"{r:.3g} at {t:.3g}" for r, t in zip(rho, np.rad2deg(_CHECKED), strict=True))
     said.append(f"rho_dh, the largest of the channels, by theta_i in degrees: {at}")
     if (rho > 1).any():
@@ -73,13 +73,13 @@ def write_mitsuba(rows: Rows, path: Path) -> list[str]:
     Mitsuba's first direction is the viewer's: a slice is a viewing direction, and the table's receivers are among them.
     So a picture shows f(source, viewer) even of a table that is not reciprocal.
     """
-    filled = Filled(rows)
+    interpolated = Interpolated(rows)
 
     def seen(viewer: Floats, source: Floats) -> Floats:
-        return np.broadcast_to(filled.brdf(source, viewer), (len(source), 3))
+        return np.broadcast_to(interpolated.brdf(source, viewer), (len(source), 3))
 
-    said = remarks(rows, filled)
-    views = _views(filled)
+    said = remarks(rows, interpolated)
+    views = _views(interpolated)
     source, viewer = _vectors(rows)
     both = np.concatenate([viewer, viewer * [1, -1, 1]]), np.concatenate([source, source * [1, -1, 1]])
     given = np.broadcast_to(rows.values, (len(rows.values), 3))
@@ -101,10 +101,10 @@ def _vectors(rows: Rows) -> tuple[Floats, Floats]:
     return geometry.direction(theta_i, dphi), geometry.direction(theta_r, 0.0 * dphi)
 
 
-def _views(filled: Filled) -> Floats:
+def _views(interpolated: Interpolated) -> Floats:
     """Viewing directions [rad] of the slices: the table's own, and even ones in the gaps between them."""
     even = np.deg2rad(np.linspace(0.0, 89.0, _VIEWS))
-    own = filled.receivers
+    own = interpolated.receivers
     own = own[np.concatenate([[True], np.diff(own) > geometry.SAME_ANGLE])]
     if own.size > _MOST_VIEWS:
         own = own[np.linspace(0, own.size - 1, _MOST_VIEWS).astype(int)]
@@ -116,17 +116,17 @@ def _views(filled: Filled) -> Floats:
 
 def write_radiance(rows: Rows, path: Path) -> list[str]:
     """Write a table as Klems XML for Radiance's primitive BSDF: averages over patches, of luminance; what was said."""
-    filled = Filled(rows)
-    weights = np.array([0.2126, 0.7152, 0.0722]) if filled.channels == 3 else np.ones(1)
+    interpolated = Interpolated(rows)
+    weights = np.array([0.2126, 0.7152, 0.0722]) if interpolated.channels == 3 else np.ones(1)
 
     def luminance(theta_i: Floats, phi_i: Floats, theta_r: Floats, phi_r: Floats) -> Floats:
         given = np.broadcast_arrays(theta_i, phi_i, theta_r, phi_r)
         shape = given[0].shape
         t_i, p_i, t_r, p_r = (a.ravel() for a in given)
-        return (filled.brdf(geometry.direction(t_i, p_i), geometry.direction(t_r, p_r)) @ weights).reshape(shape)
+        return (interpolated.brdf(geometry.direction(t_i, p_i), geometry.direction(t_r, p_r)) @ weights).reshape(shape)
 
-    said = remarks(rows, filled)
-    if filled.channels == 3:
+    said = remarks(rows, interpolated)
+    if interpolated.channels == 3:
         said.append("Radiance's file holds the luminance of the three channels; colour is for a pattern on it")
     said.append("values are averages over pairs of Klems patches, 10 degrees wide: a narrower lobe is spread over one")
     frame = klems_xml.averaged(luminance, rows.name, samples=3)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from gonio.compiled import njit
-from gonio.rig._gaps import CAMERA, LIGHT, SPIN, carried
+from gonio.rig._clearance import CAMERA, LIGHT, SPIN, carried
 from gonio.typing import Floats
 
 MOST = 5

@@ -303,7 +303,7 @@ class Lamp(Strict):
     warm_up_s: NonNegative = 0.0
     beam_diameter_mm: Positive | None = None
     """Diameter of the lit spot on a sample under normal incidence, with a sharp edge: the cone from the lamp's centre
-    that has it. None: the light covers all that the camera looks at. See `gonio.rig.filling`."""
+    that has it. None: the light covers all that the camera looks at. See `gonio.rig.beam_size`."""
     warm_up_loss: Annotated[float, Field(gt=-10, lt=1)] = 0.0
     """How far the lamp is below its later level when it is lit, as a fraction of that; below 0: how far above."""
     warm_up_time_constant_s: Positive = 600.0

@@ -28,8 +28,8 @@ from gonio.errors import ConfigError
 from gonio.geometry import AT_LIMIT, EXACTLY_IN_PLANE, PARALLEL, SAME_ANGLE, Directions
 from gonio.rig import misalignment
 from gonio.rig.description import ArmAxis, Axis, RigDescription
+from gonio.rig.motion_planning import Blocked, require_free
 from gonio.rig.protocols import Pose
-from gonio.rig.ways import Blocked, require_free
 from gonio.typing import Floats
 
 Vector = tuple[float, float, float]
@@ -87,15 +87,15 @@ class _Range:
     """The same [rad], and `upper`."""
     upper: float
     approach_deg: float
-    play_deg: float
+    backlash_deg: float
     """Its backlash."""
 
     def takes_up_play(self, place: float) -> bool:
-        """Whether the approach to a place is as long as the axis's play, or as long as it is away from limits."""
+        """Whether the approach to a place is as long as the axis's backlash, or as long as it is away from limits."""
         at, approach, (lower, upper) = math.degrees(place), self.approach_deg, self.limits_deg
         start = at - approach  # as `RigDescription.approach_starts_deg`
         start = max(start, min(lower, at)) if approach > 0 else min(start, max(upper, at))
-        return abs(at - start) >= min(self.play_deg, abs(approach)) - 1e-9
+        return abs(at - start) >= min(self.backlash_deg, abs(approach)) - 1e-9
 
 
 @dataclass(frozen=True, slots=True)
@@ -469,7 +469,7 @@ def _inside_limits(description: RigDescription, pose: Pose) -> list[Pose]:
     """The poses that show the same with every axis in its limits, or `Unreachable` with the axis that has no place.
 
     Axes that are free of whole turns may have several places, where their limits are wider than a turn. A place that
-    the axis can only arrive at with its play open, because its limit is in the way of the approach, is none.
+    the axis can only arrive at with its backlash open, because its limit is in the way of the approach, is none.
     """
     ranges = _known(description).ranges
     found = [{axis.name: float(getattr(pose, axis.name)) for axis in ranges}]
@@ -486,8 +486,8 @@ def _inside_limits(description: RigDescription, pose: Pose) -> list[Pose]:
             if inside:
                 side = "lower" if axis.approach_deg > 0 else "upper"
                 cause = (
-                    f"closer to the {side} limit of the {NAMES[name]} than its play of {axis.play_deg:g} deg, which an "
-                    "approach from that side could not take up"
+                    f"closer to the {side} limit of the {NAMES[name]} than its backlash of {axis.backlash_deg:g} deg, "
+                    "which an approach from that side could not take up"
                 )
             raise Unreachable("unreachable", f"{math.degrees(value):.2f} deg is {cause}", cause)
         found = [one | {name: place} for one in found for place in taken_up]

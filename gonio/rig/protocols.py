@@ -147,7 +147,7 @@ class Rig(Protocol):
         """Put the sample or the white reference into the beam (an axis, or a prompt that the user confirms)."""
 
     def time_s(self) -> float:
-        """Seconds on the rig's own clock, at least 0. It never goes back, nor from one sitting of a run to the next."""
+        """Seconds on the rig's own clock, at least 0. It never goes back, nor from one session of a run to the next."""
 
     def __enter__(self) -> Self: ...
     def __exit__(

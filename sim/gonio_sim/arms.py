@@ -4,9 +4,9 @@ An encoder sits on the motor's side of the gear. It reads whole counts. The moto
 that is nearest to the goal; within that count it may stand anywhere, with equal probability. So the true position is
 uniform over one encoder step around what is read, which is the standard uncertainty step / sqrt(12) of a reading.
 
-The arm follows with play: on the way up the lower flank of the gear pushes it, on the way down the upper one, and it
-lags by `backlash_deg`. Every goal is approached from below, from `acquisition.approach_deg` away (from above, where
-that is negative), which takes up the play if the approach is longer than it; the zero offset is defined for that side.
+The arm follows with backlash: on the way up the lower flank of the gear pushes it, on the way down the upper one, and
+it lags by `backlash_deg`. Every goal is approached from below, from `acquisition.approach_deg` away (from above, where
+that is negative), which takes up the backlash if the approach is longer; the zero offset is defined for that side.
 The approach never leaves the limits, and is shorter near them. What is left is
 
     true = r - (the encoder's error within its turn at r) - (encoder_noise_deg, drawn at every landing)
@@ -28,7 +28,7 @@ from gonio.errors import ConfigError
 from gonio.rig import Pose
 from gonio.rig.description import Axis
 from gonio.rig.kinematics import encoder_error
-from gonio.rig.ways import route, touching
+from gonio.rig.motion_planning import route, touching
 from gonio_sim.world import SETTLE_S, Stream, World
 
 AXES = tuple(field.name for field in fields(Pose))
@@ -60,7 +60,7 @@ class Mechanism:
         self.rest()
 
     def rest(self) -> None:
-        """Stand at the rest position, reached from the wrong side: the play is open, as before a first approach."""
+        """Stand at the rest position, reached from the wrong side: the backlash is open, as before a first approach."""
         self.encoder = self._rest + self._known_offset
         self._noise = 0.0
         self.arm = self.encoder + sum(self._play)

@@ -21,7 +21,7 @@ def test_a_move_lands_inside_the_limits_and_read_says_where_it_stands(case: Case
 
 
 def test_a_landing_from_above_is_the_same_as_one_from_below(case: Case, rig: Rig) -> None:
-    """Every axis arrives from below, so that play in a gear is on the same side each time."""
+    """Every axis arrives from below, so that backlash in a gear is on the same side each time."""
     goal = home(case)
     landings = []
     for way in (-3.0, 3.0):

@@ -27,7 +27,7 @@ def test_sample_and_reference_are_presented_in_turn(case: Case) -> None:
 
 
 def test_what_is_repeatable_gives_the_same_step_again(case: Case) -> None:
-    """Whatever was done before, in another sitting too; other rigs must not promise it."""
+    """Whatever was done before, in another session too; other rigs must not promise it."""
 
     def taken(*indices: int) -> Frame:
         with case.build() as rig:

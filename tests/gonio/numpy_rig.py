@@ -46,7 +46,7 @@ def describe(**changes: object) -> RigDescription:
 
 
 _CLOCK = itertools.count(1.9e9)
-"""Of the benches on which time goes by, from one sitting to the next."""
+"""Of the benches on which time goes by, from one session to the next."""
 
 
 @dataclass

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from gonio_bluesky import Devices, devices
 
-from gonio.by_hand.bench import Bench, open_rig
+from gonio.by_hand.manual_rig import ManualRig, open_rig
 from gonio.errors import ArgumentError, ConfigError, DeviceError
 from gonio.rig import Pose
 from gonio.rig.dng import read_raw
@@ -53,13 +53,13 @@ class SlowRig(NumpyRig):
 @pytest.fixture
 def slow() -> Iterator[tuple[SlowRig, Devices]]:
     rig = SlowRig(describe())
-    with devices(Bench(rig)) as found:
+    with devices(ManualRig(rig)) as found:
         yield rig, found
         rig.go_on.set()
 
 
 def test_they_are_what_the_protocols_say() -> None:
-    found = devices(Bench(NumpyRig(describe())))
+    found = devices(ManualRig(NumpyRig(describe())))
     for axis in found.axis.values():
         for protocol in (
             protocols.Movable, protocols.Readable, protocols.Locatable, protocols.Stoppable, protocols.Checkable,
@@ -120,7 +120,7 @@ def test_a_goal_outside_the_limits_raises_before_anything_moves(
 
 def test_leaving_darkens_and_parks_whatever_happens() -> None:
     rig = NumpyRig(describe())
-    with contextlib.suppress(RuntimeError), devices(Bench(rig)) as found:
+    with contextlib.suppress(RuntimeError), devices(ManualRig(rig)) as found:
         found.lamp.set("red 650").wait(IN_TIME_S)
         found.axis["light"].set(30.0).wait(IN_TIME_S)
         assert rig.lit
@@ -130,7 +130,7 @@ def test_leaving_darkens_and_parks_whatever_happens() -> None:
 
 def test_the_lamp_takes_bands_wavelengths_and_dark() -> None:
     rig = NumpyRig(describe())
-    with devices(Bench(rig)) as found:
+    with devices(ManualRig(rig)) as found:
         assert found.lamp.read()["lamp"]["value"] == "dark"
         for goal, name in (("red 650", "red 650"), (551.0, "green, 550"), ("dark", "dark")):
             found.lamp.set(goal).wait(IN_TIME_S)
@@ -141,7 +141,7 @@ def test_the_lamp_takes_bands_wavelengths_and_dark() -> None:
 
 
 def test_the_camera_reads_numbers_of_its_frame_and_keeps_it(tmp_path: Path) -> None:
-    with devices(Bench(NumpyRig(describe())), frames=tmp_path) as found:
+    with devices(ManualRig(NumpyRig(describe())), frames=tmp_path) as found:
         with pytest.raises(ConfigError, match="no frame yet"):
             found.camera.read()
         found.lamp.set(550).wait(IN_TIME_S)
@@ -156,12 +156,12 @@ def test_the_camera_reads_numbers_of_its_frame_and_keeps_it(tmp_path: Path) -> N
             assert float(np.mean(kept.mosaic)) == values["camera_mean_dn"]
             assert values["camera_patch_pixels"] > 10
     with pytest.raises(ConfigError, match="no such folder"):
-        devices(Bench(NumpyRig(describe())), frames=tmp_path / "none")
+        devices(ManualRig(NumpyRig(describe())), frames=tmp_path / "none")
 
 
 @pytest.mark.parametrize("wrong", [-1.0, 1e9, float("nan"), 0.0])
 def test_an_exposure_that_the_camera_cannot_do_raises_when_it_is_set(wrong: float) -> None:
-    with devices(Bench(NumpyRig(describe()))) as found:
+    with devices(ManualRig(NumpyRig(describe()))) as found:
         with pytest.raises(ConfigError, match="exposure"):
             found.camera.exposure_s.set(wrong)
         assert found.camera.exposure_s.value is None
@@ -171,7 +171,7 @@ def test_an_exposure_that_the_camera_cannot_do_raises_when_it_is_set(wrong: floa
 class OnTheWay:
     """The simulated arms, whose first move is on its way until it is stopped or let go on."""
 
-    bench: Bench
+    bench: ManualRig
     begun: threading.Event = field(default_factory=threading.Event)
     go_on: threading.Event = field(default_factory=threading.Event)
     moves: int = 0
@@ -265,7 +265,7 @@ def test_the_end_of_a_plan_leaves_the_lamp_as_it_is() -> None:
 
 def test_a_stop_between_two_legs_of_a_way_ends_it() -> None:
     rig = NumpyRig(describe())
-    with Bench(rig) as held:
+    with ManualRig(rig) as held:
         held._legs = lambda goals: [{"light": 0.1}, {"light": 0.2}]  # type: ignore[method-assign]
         drive = held._drive
 

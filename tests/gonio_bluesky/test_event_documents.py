@@ -27,8 +27,8 @@ from gonio.errors import ConfigError, DataError, DeviceError, Interrupted
 from gonio.reduction import brdf
 from gonio.rig.dng import read_raw
 from tests.command_line import gonio
-from tests.gonio.acquisition.test_choosing import PLAN as GROWING
-from tests.gonio.acquisition.test_choosing import Chooses
+from tests.gonio.acquisition.test_sampling import PLAN as GROWING
+from tests.gonio.acquisition.test_sampling import Chooses
 from tests.gonio.numpy_rig import PLAN, SAMPLE, Plugin, describe
 
 event_model = pytest.importorskip("event_model", reason="event-model is not installed (extra bluesky)")

@@ -16,7 +16,7 @@ from gonio_drivers.lab import LAB
 from gonio_sim.wire.twins import Twins
 
 from gonio.by_hand.assistant import CAMERA_S, Assistant
-from gonio.by_hand.bench import Bench
+from gonio.by_hand.manual_rig import ManualRig
 from gonio.errors import DeviceError
 from gonio.rig import Frame
 from tests.gonio.by_hand.test_lamp_timer import Clock
@@ -96,7 +96,7 @@ def test_a_guard_that_was_told_of_life_darkens_what_is_left_lit(lamp: Plugged, m
 
 def test_jogs_frames_and_zeros_over_the_real_drivers(twins: Twins, tmp_path: Path) -> None:
     rig, out = written(twins, tmp_path), tmp_path / "aligned.toml"
-    bench = Bench(LAB.open(twins.description, sample=None, seed=0, confirm=False), "", ("arms", "light", "camera"))
+    bench = ManualRig(LAB.open(twins.description, sample=None, seed=0, confirm=False), "", ("arms", "light", "camera"))
     told: list[dict[str, Any]] = []
     said: list[str] = []
     assistant = Assistant(bench, tell=lambda what, _: told.append(what), say=said.append, rig_file=rig, out=out)
@@ -122,7 +122,7 @@ def test_the_watch_darkens_the_lamp_of_a_camera_that_hangs_and_the_driver_does_n
     twins: Twins, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rig, clock = LAB.open(twins.description, sample=None, seed=0, confirm=False), Clock()
-    bench = Bench(rig, "", ("arms", "light", "camera"))
+    bench = ManualRig(rig, "", ("arms", "light", "camera"))
     said: list[str] = []
     told: list[dict[str, Any]] = []
     assistant = Assistant(bench, tell=lambda what, _: told.append(what), say=said.append, clock=clock)

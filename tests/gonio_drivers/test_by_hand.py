@@ -22,7 +22,7 @@ from gonio_sim.wire.twins import Twins, rig_file
 
 import gonio
 from gonio.by_hand import scan
-from gonio.by_hand.bench import Bench
+from gonio.by_hand.manual_rig import ManualRig
 from gonio.by_hand.rig_file import write_values
 from gonio.errors import ConfigError, DeviceError
 from gonio.rig import FoundServo, Pose
@@ -65,8 +65,8 @@ def angle(twins: Twins, name: str) -> float:
     return math.degrees(twins.followers[name].encoder())
 
 
-def bench(twins: Twins, *only: Any) -> Bench:
-    return Bench(LAB.open(twins.description, sample=None, seed=0, confirm=False), "", only)
+def bench(twins: Twins, *only: Any) -> ManualRig:
+    return ManualRig(LAB.open(twins.description, sample=None, seed=0, confirm=False), "", only)
 
 
 # ---- any device missing or mute: park, dark and read of the others work ----
@@ -390,7 +390,7 @@ def test_a_scan_is_a_lamberts_cosine_and_ends_dark_and_holding(twins: Twins, tmp
     assert list(table["asked_deg"]) == [-30, 0, 30]
     signal_, u = table["signal_dn_per_s"], table["u_signal_dn_per_s"]
     ratio = signal_ / signal_[1] / np.cos(np.radians(table["angle_deg"]))
-    # lamp noise of 0.8 % a frame, drift of 0.5 % an hour and the arms' play: five standard uncertainties of the ratio
+    # lamp noise of 0.8 % a frame, drift of 0.5 % an hour and backlash: five standard uncertainties of the ratio
     u_ratio = np.hypot(u / signal_, u[1] / signal_[1])
     assert (np.abs(ratio - 1)[[0, 2]] < 5 * np.maximum(u_ratio, 0.005)[[0, 2]]).all()
     assert not twins.lamp.shine.lit
@@ -733,7 +733,7 @@ def test_an_encoder_that_trembles_is_told_and_gives_no_zero(
     assert told == ["axis light: its readings at rest lie 0.60 deg apart, and what it is said to read is their mean"]
 
 
-def _powerless_move(twins: Twins, held: Bench) -> None:
+def _powerless_move(twins: Twins, held: ManualRig) -> None:
     for servo in twins.servos.values():
         servo.lose_power()
     held.move(light=math.radians(10))

@@ -26,7 +26,7 @@ from gonio.acquisition.progress import Live, Silent
 from gonio.acquisition.run import Run
 from gonio.acquisition.stop import Pause
 from gonio.by_hand.assistant import Assistant
-from gonio.by_hand.bench import Bench
+from gonio.by_hand.manual_rig import ManualRig
 from gonio.cli.by_hand import app
 from gonio.errors import ConfigError, DeviceError, EmergencyStop
 from gonio.rig import Pose
@@ -239,7 +239,7 @@ def test_a_contact_that_opens_ends_every_command_and_is_told(serve: Serve, tmp_p
 
 def test_a_contact_that_opens_ends_live_alignment_and_a_paused_run(serve: Serve, tmp_path: Path) -> None:
     twins = serve(described(contact=CONTACT))
-    bench = Bench(LAB.open(twins.description, sample=None, seed=0, confirm=False), "", ("arms", "light", "camera"))
+    bench = ManualRig(LAB.open(twins.description, sample=None, seed=0, confirm=False), "", ("arms", "light", "camera"))
     assistant = Assistant(bench, tell=lambda what, _: None, say=lambda text: None)
     with pytest.raises(EmergencyStop), bench:  # noqa: PT012
         bench.hold()

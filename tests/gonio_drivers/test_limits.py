@@ -83,7 +83,7 @@ def test_play_that_a_limit_leaves_open_is_said(line: Line, caplog: pytest.LogCap
             assert not caplog.records
             arms.move(pose(-80.0, 0.0))
         assert "axis light at -80 deg" in caplog.text
-        assert "play of 0.1 deg is not taken up" in caplog.text
+        assert "backlash of 0.1 deg is not taken up" in caplog.text
 
 
 def test_a_reading_beyond_a_hard_stop_is_a_wrong_zero(line: Line) -> None:

@@ -1,4 +1,4 @@
-"""Signals that come at whatever moment end nothing untold, and print nothing of Python's own."""
+"""Signals that come at whatever moment end nothing undetermined, and print nothing of Python's own."""
 
 from __future__ import annotations
 

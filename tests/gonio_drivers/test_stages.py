@@ -126,7 +126,9 @@ def test_a_limit_is_not_crossed_on_the_way_to_it(twins: Twins, caplog: pytest.Lo
         assert caplog.messages == []
         arms.jog({"light": math.radians(-95)})
     assert lowest >= -95 - STEP_DEG
-    assert any("axis light at -95 deg, 0.00 deg from its limit: its play of 0.1" in text for text in caplog.messages)
+    assert any(
+        "axis light at -95 deg, 0.00 deg from its limit: its backlash of 0.1" in text for text in caplog.messages
+    )
 
 
 def test_an_axis_arrives_from_above_where_the_rig_file_says_so(tmp_path: Path) -> None:

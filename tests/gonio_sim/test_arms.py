@@ -88,7 +88,7 @@ def test_known_offset_is_taken_out_and_hidden_offset_is_suffered(rig: Build) -> 
 
 
 def test_approach_from_below_takes_the_backlash_up(rig: Build) -> None:
-    """The true angle at a goal does not hang on where the arm came from, once the approach is longer than the play."""
+    """The true angle at a goal does not hang on where the arm came from, once the approach is longer than that."""
     clean = {"encoder_step_deg": 0.0, "zero_u_deg": 0.0, "backlash_deg": 0.5}
     goal = Pose(light=math.radians(20))
     with rig(describe("sim", arms__light=clean)) as sim:
@@ -99,7 +99,7 @@ def test_approach_from_below_takes_the_backlash_up(rig: Build) -> None:
 
 
 def test_backlash_shows_without_an_approach(rig: Build) -> None:
-    """From above the arm hangs back by the whole play, and the encoder does not see it."""
+    """From above the arm hangs back by the whole backlash, and the encoder does not see it."""
     clean = {"encoder_step_deg": 0.0, "zero_u_deg": 0.0, "backlash_deg": 0.5}
     goal = Pose(light=math.radians(20))
     with rig(describe("sim", arms__light=clean, acquisition={"approach_deg": 0.0})) as sim:
@@ -112,7 +112,7 @@ def test_backlash_shows_without_an_approach(rig: Build) -> None:
 
 
 def test_a_step_lands_the_same_whatever_went_before(rig: Build) -> None:
-    description = describe("sim", acquisition={"approach_deg": 0.02})  # less than the play
+    description = describe("sim", acquisition={"approach_deg": 0.02})  # less than the backlash
     goal = Pose(light=0.4, camera=-0.3, tilt=0.2, spin=1.0)
     with rig(description, seed=6) as a, rig(description, seed=6) as b:
         for n in range(7):

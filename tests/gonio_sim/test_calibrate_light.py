@@ -12,8 +12,8 @@ import pandas as pd
 import pytest
 
 from gonio.acquisition.measure import find_rig
-from gonio.by_hand.bench import Bench
-from gonio.calibration import lamp_bench
+from gonio.by_hand.manual_rig import ManualRig
+from gonio.calibration import lamp_scan
 from gonio.config import numbers_in, to_toml
 from gonio.disk import write_whole
 from gonio.errors import DeviceError
@@ -141,7 +141,7 @@ def test_a_lamp_that_drifts_more_than_the_model_is_refused_and_its_data_kept(tmp
 def test_a_series_that_is_cut_short_is_kept(tmp_path: Path) -> None:
     """The camera is unplugged in the middle of it."""
     write(tmp_path)
-    bench = Bench(find_rig(str(tmp_path / "rig.toml")).open(by_hand=True))
+    bench = ManualRig(find_rig(str(tmp_path / "rig.toml")).open(by_hand=True))
     kept: list[pd.DataFrame] = []
     capture, left = bench.camera.capture, iter(range(60))
 
@@ -152,7 +152,7 @@ def test_a_series_that_is_cut_short_is_kept(tmp_path: Path) -> None:
 
     bench.camera.capture = unplugged  # type: ignore[method-assign]
     with bench, pytest.raises(DeviceError, match="does not answer"):
-        lamp_bench.take_series(bench, 3600.0, 15.0, keep=kept.append)
+        lamp_scan.take_series(bench, 3600.0, 15.0, keep=kept.append)
     assert 50 < len(kept[0]) < 60
     assert (kept[0]["signal_dn_per_s"] > 0).all()
     assert not bench.world.lamp_on

@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 from gonio_sweeps import curve_choice
 from gonio_sweeps.candidates import Candidates
-from gonio_sweeps.curve import CHOOSER, Curve, _angle_errors
+from gonio_sweeps.curve import SAMPLER, Curve, _angle_errors
 from gonio_sweeps.online import Values
 from gonio_sweeps.posterior import AngleErrors, Posterior
 from gonio_sweeps.reconstruct import reconstruct
@@ -55,9 +55,9 @@ def half_angles(description: RigDescription) -> tuple[float, float]:
     return description.lamp.half_angle_deg, description.camera.lens_half_angle_deg
 
 
-def chooser(folder: Path, text: str = PLAN) -> Curve:
+def sampler(folder: Path, text: str = PLAN) -> Curve:
     (folder / "plan.toml").write_text(text)
-    return CHOOSER.open(load_plan(folder / "plan.toml"), describe())
+    return SAMPLER.open(load_plan(folder / "plan.toml"), describe())
 
 
 def measured(candidates: Candidates, rows: list[int], before: Values | None = None, noise: float = 0.003) -> Values:
@@ -230,7 +230,7 @@ def test_zeros_count_in_radians_once() -> None:
 
 
 def test_the_first_points_cover_and_the_mirror_direction_is_one(tmp_path: Path) -> None:
-    first = chooser(tmp_path).first(())
+    first = sampler(tmp_path).first(())
     signed = [p.theta_r_deg * (1 if p.phi_r_deg else -1) for p in first]
     reach = sum(half_angles(describe()))
     assert {30.0 - 0.5 * reach, 30.0, 30.0 + 0.5 * reach} <= set(signed), "what a spike is told by"
@@ -239,7 +239,7 @@ def test_the_first_points_cover_and_the_mirror_direction_is_one(tmp_path: Path) 
 
 
 def test_points_go_where_the_curve_is_known_least(tmp_path: Path) -> None:
-    curve = chooser(tmp_path)
+    curve = sampler(tmp_path)
     away = [k for k, p in enumerate(curve.candidates.points) if not (p.phi_r_deg and 15 < p.theta_r_deg < 45)]
     decided = curve.decided([measured(curve.candidates, away)], 0.0)
     near = [curve.candidates.points[k] for k in decided.picked]
@@ -260,14 +260,14 @@ def test_a_steep_gap_is_bisected() -> None:
 
 
 def test_one_state_gives_one_choice_and_the_target_ends_it(tmp_path: Path) -> None:
-    curve = chooser(tmp_path, PLAN + "u_rel = 0.01\n")
+    curve = sampler(tmp_path, PLAN + "u_rel = 0.01\n")
     rows = [curve.candidates.points.index(p) for p in curve.first(())]
     values: Values | None = None
     kernel = None
     for _ in range(8):
         values = measured(curve.candidates, rows, values)
         decided = curve.decided([values], 0.0, kernel)
-        again = chooser(tmp_path, PLAN + "u_rel = 0.01\n").decided([values], 0.0, kernel)
+        again = sampler(tmp_path, PLAN + "u_rel = 0.01\n").decided([values], 0.0, kernel)
         assert decided == again
         kernel, rows = decided.why["kernel"], decided.picked
         if not rows:
@@ -277,7 +277,7 @@ def test_one_state_gives_one_choice_and_the_target_ends_it(tmp_path: Path) -> No
 
 
 def test_the_budget_and_the_number_of_points_are_kept(tmp_path: Path) -> None:
-    curve = chooser(tmp_path, PLAN + "most_points = 14\n")
+    curve = sampler(tmp_path, PLAN + "most_points = 14\n")
     rows = [curve.candidates.points.index(p) for p in curve.first(())]
     values = measured(curve.candidates, rows)
     more = curve.decided([values], 0.0)
@@ -301,12 +301,12 @@ def test_the_budget_and_the_number_of_points_are_kept(tmp_path: Path) -> None:
 )
 def test_a_wrong_key_is_named(tmp_path: Path, line: str, message: str) -> None:
     with pytest.raises(ConfigError, match=r"plan\.toml.*" + message):
-        chooser(tmp_path, PLAN + line + "\n")
+        sampler(tmp_path, PLAN + line + "\n")
 
 
 def test_a_budget_that_the_first_points_do_not_fit_into_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"budget_h = 0\.0001.*first \d+ points"):
-        chooser(tmp_path, PLAN.replace("budget_h = 1.0", "budget_h = 0.0001"))
+        sampler(tmp_path, PLAN.replace("budget_h = 1.0", "budget_h = 0.0001"))
 
 
 # ---- a whole run ----

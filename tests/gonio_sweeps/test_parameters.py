@@ -1,4 +1,4 @@
-"""The chooser "parameters": against values drawn from models, and in whole runs that are stopped and gone on with."""
+"""The sampler "parameters": against values drawn from models, and in whole runs that are stopped and gone on with."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from gonio_sweeps.online import Online, Values
 from gonio_sweeps.parameters import LARGEST, Parameters
 
 from gonio import measurement, models
-from gonio.acquisition.choosing import Choice, about, chooser_of
 from gonio.acquisition.measure import carry_out, find_rig
 from gonio.acquisition.plan import Plan, Point, canonical, load_plan
 from gonio.acquisition.run import Run
+from gonio.acquisition.sampling import Choice, about, sampler_of
 from gonio.errors import ConfigError, Interrupted
 from gonio.geometry import Directions
 from gonio.reduction.brdf import reduce
@@ -44,15 +44,15 @@ SIM = find_rig("sim").description
 NOISE = 0.005
 
 
-def chooser(tmp_path: Path, keys: str) -> Parameters:
+def sampler(tmp_path: Path, keys: str) -> Parameters:
     (tmp_path / "plan.toml").write_text(PLAN.format(keys=keys))
-    made = chooser_of(load_plan(tmp_path / "plan.toml"), SIM)[1]
+    made = sampler_of(load_plan(tmp_path / "plan.toml"), SIM)[1]
     assert isinstance(made, Parameters)
     return made
 
 
 @dataclass
-class Bench:
+class ManualRig:
     """Draws values of a model as the rig would measure them: noise, landings, the reference's error, zeros."""
 
     model: Any
@@ -98,7 +98,7 @@ def nobody() -> pd.DataFrame:
     raise AssertionError("nothing is reduced where no target is near")
 
 
-def grow(made: Parameters, bench: Bench, batches: int) -> list[Choice]:
+def grow(made: Parameters, bench: ManualRig, batches: int) -> list[Choice]:
     """So many batches, each of them measured."""
     bench.measure(tuple(made.first([])))
     out: list[Choice] = []
@@ -111,8 +111,8 @@ def grow(made: Parameters, bench: Bench, batches: int) -> list[Choice]:
 
 def test_chosen_points_tell_more_than_a_grid_of_them(tmp_path: Path) -> None:
     truth = models.Phong(k_d=0.2, k_s=0.5, exponent=60.0)
-    made = chooser(tmp_path, 'model = "phong"\nu_rel = { k_s = 1e-5, exponent = 1e-5 }')
-    chosen, grid = Bench(truth, 1), Bench(truth, 2)
+    made = sampler(tmp_path, 'model = "phong"\nu_rel = { k_s = 1e-5, exponent = 1e-5 }')
+    chosen, grid = ManualRig(truth, 1), ManualRig(truth, 2)
     choices = grow(made, chosen, 2)
     grid.measure(made.candidates.points)
     found, of_grid = made.fitted(chosen.values), made.fitted(grid.values)
@@ -131,8 +131,8 @@ def test_chosen_points_tell_more_than_a_grid_of_them(tmp_path: Path) -> None:
 
 
 def test_a_wrong_model_is_noticed_and_then_points_cover(tmp_path: Path) -> None:
-    made = chooser(tmp_path, MATTE.format(albedo=0.01, sigma=1.0))
-    bench = Bench(models.Phong(k_d=0.4, k_s=0.1, exponent=20.0), 3)
+    made = sampler(tmp_path, MATTE.format(albedo=0.01, sigma=1.0))
+    bench = ManualRig(models.Phong(k_d=0.4, k_s=0.1, exponent=20.0), 3)
     choices = grow(made, bench, 3)
     assert choices[0].why["p_value"] < 1e-6
     assert choices[0].message.startswith("oren-nayar does not describe the values (chi-square")
@@ -153,8 +153,8 @@ def test_a_wrong_model_is_noticed_and_then_points_cover(tmp_path: Path) -> None:
 def test_where_no_point_tells_more_of_the_parameters_the_rest_of_the_budget_covers(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    made = chooser(tmp_path, 'model = "lambert"\nu_rel = { albedo = 1e-5 }')
-    bench = Bench(models.Lambert(albedo=0.6), 6)
+    made = sampler(tmp_path, 'model = "lambert"\nu_rel = { albedo = 1e-5 }')
+    bench = ManualRig(models.Lambert(albedo=0.6), 6)
     monkeypatch.setattr("gonio_sweeps.parameters.LEAST_GAIN", 10.0)  # as after very many points
     choices = grow(made, bench, 2)
     assert [choice.why["mode"] for choice in choices] == ["filling"] * 2
@@ -166,10 +166,10 @@ def test_where_no_point_tells_more_of_the_parameters_the_rest_of_the_budget_cove
 
 
 def test_half_of_the_points_cover_where_the_target_is_out_of_reach(tmp_path: Path) -> None:
-    bench = Bench(models.OrenNayar(albedo=0.5, sigma_deg=25.0), 8)
+    bench = ManualRig(models.OrenNayar(albedo=0.5, sigma_deg=25.0), 8)
     covers = {}
     for sigma in (0.1, 1e-6):
-        made = chooser(tmp_path, MATTE.format(albedo=0.05, sigma=sigma))
+        made = sampler(tmp_path, MATTE.format(albedo=0.05, sigma=sigma))
         bench.measure(() if bench.brdf else tuple(made.first([])))
         choice = made.choose(bench.values, spent_s=60.0, modes=[], reduced=nobody)
         covers[sigma] = choice.why["cover"] / len(choice.points)
@@ -179,8 +179,8 @@ def test_half_of_the_points_cover_where_the_target_is_out_of_reach(tmp_path: Pat
 
 def test_points_in_few_places_do_not_mislead_the_search(tmp_path: Path) -> None:
     """A search from two starts ends at sigma0_um = 100 here, and the right model would be found wrong."""
-    made = chooser(tmp_path, 'model = "he-torrance"\nior = "Al"\nu_rel = { tau_um = 0.001 }')
-    bench = Bench(models.HeTorrance(sigma0_um=0.28, tau_um=1.77, ior="Al", diffuse_albedo=0.0), 7)
+    made = sampler(tmp_path, 'model = "he-torrance"\nior = "Al"\nu_rel = { tau_um = 0.001 }')
+    bench = ManualRig(models.HeTorrance(sigma0_um=0.28, tau_um=1.77, ior="Al", diffuse_albedo=0.0), 7)
     bench.measure(tuple(canonical(75.0, 0.0, r, 180.0) for r in (80.0, 81.0, 82.0, 64.0, 72.0, 31.0) for _ in range(8)))
     bench.measure(tuple(canonical(60.0, 0.0, r, 180.0) for r in (65.0, 85.0, 51.0, 22.0)))
     bench.measure(
@@ -194,20 +194,20 @@ def test_points_in_few_places_do_not_mislead_the_search(tmp_path: Path) -> None:
 
 def test_the_same_values_give_the_same_choice(tmp_path: Path) -> None:
     keys = MATTE.format(albedo=1e-4, sigma=1e-2)
-    bench = Bench(models.OrenNayar(albedo=0.5, sigma_deg=25.0), 4)
-    first = chooser(tmp_path, keys)
+    bench = ManualRig(models.OrenNayar(albedo=0.5, sigma_deg=25.0), 4)
+    first = sampler(tmp_path, keys)
     bench.measure(tuple(first.first([])))
     choices = [
         made.choose(bench.values, spent_s=50.0, modes=[], reduced=nobody)
-        for made in (first, first, chooser(tmp_path, keys))
+        for made in (first, first, sampler(tmp_path, keys))
     ]
     assert choices[0] == choices[1] == choices[2]
     json.dumps(choices[0].why, allow_nan=False)
 
 
 def test_a_batch_stays_within_the_budget(tmp_path: Path) -> None:
-    made = chooser(tmp_path, MATTE.format(albedo=1e-4, sigma=1e-2))
-    bench = Bench(models.OrenNayar(albedo=0.5, sigma_deg=25.0), 5)
+    made = sampler(tmp_path, MATTE.format(albedo=1e-4, sigma=1e-2))
+    bench = ManualRig(models.OrenNayar(albedo=0.5, sigma_deg=25.0), 5)
     bench.measure(tuple(made.first([])))
     for left_s in (40.0, 25.0, 12.0, 5.0):
         choice = made.choose(bench.values, spent_s=1800.0 - left_s, modes=[], reduced=nobody)
@@ -217,7 +217,7 @@ def test_a_batch_stays_within_the_budget(tmp_path: Path) -> None:
 
 
 def test_a_plan_with_points_of_its_own_needs_no_covering(tmp_path: Path) -> None:
-    made = chooser(tmp_path, MATTE.format(albedo=0.01, sigma=1.0))
+    made = sampler(tmp_path, MATTE.format(albedo=0.01, sigma=1.0))
     assert not made.first(made.candidates.points)
 
 
@@ -236,7 +236,7 @@ def test_a_plan_with_points_of_its_own_needs_no_covering(tmp_path: Path) -> None
 )  # fmt: skip
 def test_a_wrong_key_is_named(tmp_path: Path, keys: str, said: str) -> None:
     with pytest.raises(ConfigError, match=said):
-        chooser(tmp_path, keys)
+        sampler(tmp_path, keys)
 
 
 @pytest.mark.parametrize(
@@ -253,11 +253,11 @@ def test_wrong_candidates_are_named(tmp_path: Path, before: str, after: str, sai
         text = text.replace("stop = 80, ", "")
     (tmp_path / "plan.toml").write_text(text)
     with pytest.raises(ConfigError, match=said):
-        chooser_of(load_plan(tmp_path / "plan.toml"), SIM)
+        sampler_of(load_plan(tmp_path / "plan.toml"), SIM)
 
 
 def test_it_says_what_it_will_do(tmp_path: Path) -> None:
-    lines = "\n".join(about(chooser(tmp_path, MATTE.format(albedo=0.01, sigma=0.5))))
+    lines = "\n".join(about(sampler(tmp_path, MATTE.format(albedo=0.01, sigma=0.5))))
     assert "oren-nayar at 500 nm; fitted: albedo, sigma_deg" in lines
     assert "albedo to 1 %, sigma_deg to 0.5" in lines
     assert "candidates: 1" in lines

@@ -30,7 +30,7 @@ from gonio_analysis.report import (
     viewer,
 )
 from gonio_analysis.report.comparison import summarise
-from gonio_analysis.report.drawing import Draughtsmen, draughtsmen
+from gonio_analysis.report.drawing import FigureWorkers, figure_workers
 from gonio_analysis.report.facts import DatasetSummary, Summary
 from gonio_analysis.report.figures import Drawing
 from gonio_analysis.result_records import FigureSummary, RunFacts, as_json
@@ -128,9 +128,11 @@ def make(
             for name, (_, source, table, run) in zip(names, found, strict=True)
         ]
         tried = len(candidates(models, ior))
-        with draughtsmen(2 * len(jobs) * tried, modules=FITTING) as hands:  # they get ready while models are fitted
+        with figure_workers(
+            2 * len(jobs) * tried, modules=FITTING
+        ) as workers:  # they get ready while models are fitted
             if len(jobs) < parallel.FEW and dask is None:
-                datasets = [job(progress=progress, share=hands.share) for job in jobs]
+                datasets = [job(progress=progress, share=workers.share) for job in jobs]
             else:
                 datasets = []
                 for dataset in parallel.each(_examined, jobs, dask=dask):
@@ -145,7 +147,7 @@ def make(
                 normalise=normalise,
                 command=command,
                 apart=apart,
-                hands=hands,
+                workers=workers,
                 progress=progress,
             )
     return Path(out) / "index.html"
@@ -193,7 +195,7 @@ def write(
     normalise: Normalise = "mirror",
     command: str = "",
     apart: Sequence[Transmitted] = (),
-    hands: Draughtsmen | None = None,
+    workers: FigureWorkers | None = None,
     progress: Callable[[str], None] = lambda text: None,
 ) -> Summary:
     """Write a report of these measurements into a folder that exists (see `files.staged`).
@@ -210,7 +212,7 @@ def write(
         The command line, for the record.
     apart
         Samples of which transmission alone was measured.
-    hands
+    workers
         Who draws; this process alone if it is not given.
     progress
         Called with a line before each step.
@@ -240,7 +242,7 @@ def write(
         views.extend(viewer.viewer(d, facts, normalise, room) if d.curves else None for d, facts in both)
         listed.extend(tables.write(datasets, summary, views, folder / "tables"))
 
-    every = (hands or Draughtsmen()).draw(wanted, progress, views_and_tables)
+    every = (workers or FigureWorkers()).draw(wanted, progress, views_and_tables)
     rest = iter(every)
     drawn = [[next(rest) for _ in group] for group in groups]
     summary = replace(summary, tables=listed)

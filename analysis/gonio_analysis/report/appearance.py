@@ -30,7 +30,7 @@ from gonio_analysis.report.blocks import (
     table,
 )
 from gonio_analysis.report.comparison import stamp
-from gonio_analysis.report.drawing import Draughtsmen
+from gonio_analysis.report.drawing import FigureWorkers
 from gonio_analysis.report.figures import Drawing
 from gonio_analysis.report.text import number, quantity, with_u
 from gonio_analysis.result_records import Appearance, FigureSummary, Quantity, as_json
@@ -125,7 +125,7 @@ def make(a: Appearance, out: str | Path, *, command: str = "") -> Path:
         The folder cannot be written, or holds something that this program did not write.
     """
     with files.staged(out) as stage:
-        figures = Draughtsmen().draw(_drawings(a))
+        figures = FigureWorkers().draw(_drawings(a))
         made = stamp(command)
         page = _page(a, made["created"], command, made["versions"], figures)
         shown = [as_json(FigureSummary(f.name, f.caption, f.alt)) for f in figures]

@@ -43,7 +43,7 @@ from gonio_analysis.report.change_records import (
     VerdictSummary,
 )
 from gonio_analysis.report.comparison import stamp
-from gonio_analysis.report.drawing import Draughtsmen, draughtsmen
+from gonio_analysis.report.drawing import FigureWorkers, figure_workers
 from gonio_analysis.report.figures import Figure
 from gonio_analysis.report.page import MOST_BYTES
 from gonio_analysis.report.tables import write_columns, write_csv
@@ -97,14 +97,14 @@ def make(
     Path
         Of `index.html`.
     """
-    with files.staged(out) as stage, draughtsmen(FIGURES) as hands:
+    with files.staged(out) as stage, figure_workers(FIGURES) as workers:
         a, b = (side(spec, how) for spec in specs)
         if a.name == b.name:
             a, b = replace(a, name=f"{a.name} (A)"), replace(b, name=f"{b.name} (B)")
         progress(f"comparing {b.title} with {a.title}")
         found = change(a, b, wavelength_nm=wavelength_nm, say=progress)
         progress("drawing")
-        _write(found, stage.work, wavelength_nm, command, [run_facts(Path(spec)) for spec in specs], hands, progress)
+        _write(found, stage.work, wavelength_nm, command, [run_facts(Path(spec)) for spec in specs], workers, progress)
     return Path(out) / "index.html"
 
 
@@ -114,7 +114,7 @@ def _write(
     wavelength_nm: float | None,
     command: str,
     runs: Sequence[RunFacts | None],
-    hands: Draughtsmen,
+    workers: FigureWorkers,
     progress: Callable[[str], None],
 ) -> None:
     found = summary(c, command, runs)
@@ -123,7 +123,7 @@ def _write(
     every = curves(at)
     listed = selection(every, viewer.MOST_LISTED)
     drawn = selection(every)
-    figures = hands.draw(change_figures.draw(c, at, drawn, shown), progress)
+    figures = workers.draw(change_figures.draw(c, at, drawn, shown), progress)
     (folder / "tables").mkdir()
     write_columns(folder / "tables" / "change.csv", COLUMNS, _columns(c))
     listed_tables = ["change.csv"]

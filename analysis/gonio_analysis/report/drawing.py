@@ -32,7 +32,7 @@ T = TypeVar("T")
 _SERVE = "from gonio_analysis.report.drawing import serve; serve()"
 
 
-class Draughtsmen:
+class FigureWorkers:
     """Processes that draw beside this one, and do what else is independent of each other before there is a drawing."""
 
     def __init__(self, processes: Sequence[subprocess.Popen[bytes]] = ()) -> None:
@@ -67,8 +67,8 @@ class Draughtsmen:
         for k in range(len(jobs)):
             waiting.put(k)
         helping = self._processes[: max(len(jobs) - 1, 0)]
-        hands = [threading.Thread(target=_hand_over, args=(p, jobs, waiting, made, say)) for p in helping]
-        for hand in hands:
+        workers = [threading.Thread(target=_hand_over, args=(p, jobs, waiting, made, say)) for p in helping]
+        for hand in workers:
             hand.start()
         try:
             meanwhile()
@@ -79,7 +79,7 @@ class Draughtsmen:
             self.stop()
             raise
         finally:
-            for hand in hands:
+            for hand in workers:
                 hand.join()
         # what a process that died had taken
         return [made[k] if k in made else job(say) for k, job in enumerate(jobs)]
@@ -91,7 +91,7 @@ class Draughtsmen:
 
 
 @contextmanager
-def draughtsmen(figures: int, processes: int | None = None, modules: Sequence[str] = ()) -> Iterator[Draughtsmen]:
+def figure_workers(figures: int, processes: int | None = None, modules: Sequence[str] = ()) -> Iterator[FigureWorkers]:
     """Processes for about so many figures; they end with the block.
 
     Parameters
@@ -112,7 +112,7 @@ def draughtsmen(figures: int, processes: int | None = None, modules: Sequence[st
                 started.append(_start(modules))
             except OSError:  # no process or no memory for one: the figures are drawn by those that there are
                 break
-        yield Draughtsmen(started)
+        yield FigureWorkers(started)
     finally:
         for process in started:
             process.kill()

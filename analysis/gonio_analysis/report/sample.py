@@ -17,7 +17,7 @@ from gonio_analysis.report import (
     health,
     model_choice,
     polarisation,
-    sittings,
+    sessions,
     transmission,
 )
 from gonio_analysis.report.blocks import (
@@ -121,7 +121,7 @@ def section(s: Summary, d: DatasetSummary, figures: Sequence[Figure], view: View
         )
     if "series" in by:
         out += [Heading(3, "Parameters over wavelength"), Figures(by["series"])]
-    out += sittings.section(d.run)
+    out += sessions.section(d.run)
     out += health.section(d.run, by.get(health.KIND, ()))
     return blocks.section(out, d.slug)
 

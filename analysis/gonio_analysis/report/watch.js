@@ -193,11 +193,11 @@
     $("state").dataset.state = s.state || "waiting";
     text("done", String(s.done || 0));
     text("total", s.total ? String(s.total) : "?");
-    const going = typeof s.left_s === "number", sittings = s.sittings || [], ended = s.state === "ended" && sittings.length > 0;
+    const going = typeof s.left_s === "number", sessions = s.sessions || [], ended = s.state === "ended" && sessions.length > 0;
     text("left-is", ended ? "took" : "left");
     if (ended) {
-      text("left", duration(sittings.reduce((sum, [began, end]) => sum + end - began, 0)));
-      text("until", `ended ${day(sittings[sittings.length - 1][1])}`);
+      text("left", duration(sessions.reduce((sum, [began, end]) => sum + end - began, 0)));
+      text("until", `ended ${day(sessions[sessions.length - 1][1])}`);
     } else {
       text("left", going ? duration(s.left_s) : "–");
       const unsure = going && s.left_u_s >= Math.max(0.02 * s.left_s, 1) ? `± ${duration(s.left_u_s)}` : "";
@@ -229,7 +229,7 @@
       });
       $("axes").replaceChildren(...axes);
     }
-    list("sittings", (s.sittings || []).slice(-50).map(([began, ended, count], k) => [["b", `${k + 1}`], ["", ` ${day(began)}, ${duration(ended - began)}, ${count} steps`]]), "None yet.");
+    list("sessions", (s.sessions || []).slice(-50).map(([began, ended, count], k) => [["b", `${k + 1}`], ["", ` ${day(began)}, ${duration(ended - began)}, ${count} steps`]]), "None yet.");
     const need = s.needed_bytes ? `; about ${size(s.needed_bytes)} still needed` : "";
     text("disk", s.free_bytes ? `${size(s.free_bytes)} free on the disk${need}` : "");
     $("disk").classList.toggle("short", Boolean(s.needed_bytes && s.needed_bytes > s.free_bytes));

@@ -14,7 +14,7 @@ from gonio import geometry
 from gonio.geometry import IN_PLANE, SAME_ANGLE, Directions
 from gonio.live import working
 from gonio.live.provisional import Values
-from gonio.live.story import Story, rounded
+from gonio.live.run_status import RunStatus, rounded
 from gonio.typing import Floats
 from gonio_analysis.curves.in_plane import MOST_CURVES, curves, groups, labels, selection
 from gonio_analysis.fitting.observations import Observations
@@ -166,7 +166,7 @@ def work() -> None:
     """The process that works out a run's values: arguments are the run and the folder for what is found."""
     run, out = map(Path, sys.argv[1:])
 
-    def draw(story: Story, values: Sequence[Values], behind: int) -> bytes:
-        return encoded(so_far(run.name, values, story.every_angle(), story.visits_s, behind))
+    def draw(run_status: RunStatus, values: Sequence[Values], behind: int) -> bytes:
+        return encoded(so_far(run.name, values, run_status.every_angle(), run_status.visits_s, behind))
 
     working.serve(run, out, draw)

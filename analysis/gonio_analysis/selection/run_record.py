@@ -14,7 +14,7 @@ from gonio.errors import GonioError
 from gonio.shown import number
 from gonio_analysis.result_records import HealthSummary, PauseSummary, RunFacts, SampleFacts
 from gonio_analysis.selection.run_budget import run_budget
-from gonio_analysis.selection.run_sittings import account, run_sittings
+from gonio_analysis.selection.run_sessions import account, run_sessions
 
 if TYPE_CHECKING:
     from gonio.acquisition.run import Run
@@ -72,7 +72,7 @@ def run_facts(path: Path) -> RunFacts | None:
         health=health,
         pauses=pauses,
         budget=run_budget(folder),
-        sittings=run_sittings(run),
+        sessions=run_sessions(run),
     )
 
 

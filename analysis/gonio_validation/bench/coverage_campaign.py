@@ -27,8 +27,8 @@ from gonio.acquisition.measure import carry_out, find_rig, load_sample
 from gonio.acquisition.plan import ANGLES, load_plan
 from gonio.by_hand import alignment, rig_file
 from gonio.by_hand.alignment_scans import Scans
-from gonio.by_hand.bench import Bench, open_rig
-from gonio.calibration import camera, lamp_bench, lamp_stability
+from gonio.by_hand.manual_rig import ManualRig, open_rig
+from gonio.calibration import camera, lamp_scan, lamp_stability
 from gonio.calibration.camera_scan import Scan
 from gonio.config import numbers_in, read_toml, to_toml, with_numbers
 from gonio.errors import GonioError, Interrupted
@@ -131,7 +131,7 @@ def watch_lamp(campaign: Campaign, rig: Path, record: Record) -> Path:
     bench = _bench(campaign, rig)
     series = rig.with_name("series.csv")
     with bench:
-        lamp_bench.take_series(bench, *SERIES_S, keep=lambda table: table.to_csv(series, index=False))
+        lamp_scan.take_series(bench, *SERIES_S, keep=lambda table: table.to_csv(series, index=False))
     table = lamp_stability.read_series(series)
     stability = lamp_stability.fit(*(table[name].to_numpy() for name in lamp_stability.COLUMNS[:3]))
     stability.require_model()
@@ -229,7 +229,7 @@ def calibrate_camera(campaign: Campaign, rig: Path, record: Record) -> Path:
     return _with_file(rig, found.file(description, valid_until=None, maps=maps.name), "camera.toml")
 
 
-def _bench(campaign: Campaign, rig: Path) -> Bench:
+def _bench(campaign: Campaign, rig: Path) -> ManualRig:
     bench = open_rig(str(rig), seed=campaign.seed, only=("arms", "light", "camera"))
     bench.choose_band(campaign.wavelength_nm)
     return bench

@@ -139,7 +139,7 @@ def _spaced(count: int, largest: float, narrow: float = 4.0) -> list[float]:
     return [float(x) for x in narrow * np.sinh(np.linspace(0.0, math.asinh(largest / narrow), count))]
 
 
-def chooser(geometry: Geometry, description: RigDescription, most_points: int | None) -> Curve:
+def sampler(geometry: Geometry, description: RigDescription, most_points: int | None) -> Curve:
     """The adaptive plan: by rig time, or where a number of points is given by points."""
     keys: dict[str, object] = {
         "theta_i_deg": list(INCIDENCES[geometry]),

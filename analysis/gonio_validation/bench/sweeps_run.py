@@ -56,7 +56,7 @@ def carried_out(name: str, geometry: Geometry, seed: int) -> dict[str, Any]:
 
     truth = rig(0).truth(places.directions)
     # what the values' uncertainties are made of is the rig's, and alike in all plans
-    known = sweeps_plans.chooser(geometry, description, None).known
+    known = sweeps_plans.sampler(geometry, description, None).known
     results: list[Result] = []
     for kind, plan in enumerate(FIXED):
         for size in SIZES[geometry]:
@@ -82,17 +82,17 @@ def _adaptive(
     plan: str, rig: FrameFreeRig, geometry: Geometry, most: int | None, stop: int, places: Places, truth: Floats
 ) -> list[Result]:
     """After every batch: what is known by then."""
-    chooser = sweeps_plans.chooser(geometry, rig.description, most)
+    sampler = sweeps_plans.sampler(geometry, rig.description, most)
     out: list[Result] = []
     measured: Measured | None = None
     kernel: list[list[float]] | None = None
-    wanted = list(chooser.first(()))
-    rows = [chooser.candidates.points.index(point) for point in wanted]
+    wanted = list(sampler.first(()))
+    rows = [sampler.candidates.points.index(point) for point in wanted]
     while rows:
-        measured = rig.measure([chooser.candidates.poses[k] for k in rows], measured)
-        decided = chooser.decided([measured.values], measured.seconds, kernel)
+        measured = rig.measure([sampler.candidates.poses[k] for k in rows], measured)
+        decided = sampler.decided([measured.values], measured.seconds, kernel)
         before, kernel = kernel, decided.why["kernel"]
-        posterior = chooser.known(measured.values, None if before is None else before[0])
+        posterior = sampler.known(measured.values, None if before is None else before[0])
         out.append(_by_process(plan, measured, posterior, places, truth))
         rows = decided.picked if len(measured.values) < stop else []
     return out

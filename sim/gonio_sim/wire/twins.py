@@ -133,7 +133,7 @@ class WireWorld(World):
 
 @dataclass(slots=True)
 class Follower:
-    """The arm behind a servo: gear, play, and a zero that is not quite where it was thought to be."""
+    """The arm behind a servo: gear, backlash, and a zero that is not quite where it was thought to be."""
 
     servo: Servo
     built: _Axis
@@ -143,7 +143,7 @@ class Follower:
     axis: Axis
     """With the errors of its encoder within a turn."""
     from_above: bool = False
-    """The rig approaches its goals so: no play then."""
+    """The rig approaches its goals so: no backlash then."""
     arm: float = math.nan
 
     def encoder(self) -> float:

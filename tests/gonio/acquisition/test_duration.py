@@ -15,7 +15,7 @@ from gonio.acquisition.plan import Plan, Point
 from gonio.acquisition.schedule import schedule
 from gonio.rig import Pose, Step
 from gonio.rig.description import Acquisition, ArmAxis, Arms, Body, Cable, Lamp, RigDescription
-from gonio.rig.ways import route
+from gonio.rig.motion_planning import route
 from tests.gonio.numpy_rig import BANDS, describe
 
 ROUNDING = 1e-9

@@ -21,7 +21,7 @@ from gonio.acquisition.plan import load_plan
 from gonio.acquisition.remaining import Remaining
 from gonio.acquisition.run import Run
 from gonio.errors import GonioError
-from gonio.live.story import Story
+from gonio.live.run_status import RunStatus
 from gonio.live.watching import Watched
 from gonio.reduction import brdf
 from tests.command_line import gonio
@@ -166,11 +166,11 @@ def test_a_page_goes_on_after_a_forged_line_and_says_it(whole: Path, tmp_path: P
         assert repair.repair(path) is not None
         while watched.look():
             pass
-        assert len(watched.story.done) == 9
+        assert len(watched.run_status.done) == 9
         assert "line 6" not in watched.status()["why"]
 
 
 def test_a_story_takes_whatever_is_let_through() -> None:
-    story = Story()
+    run_status = RunStatus()
     for n, event in enumerate(OTHERS):
-        json.dumps(story.take(json.loads(encode({"n": n, **event, "wall": WALL}))), allow_nan=False)
+        json.dumps(run_status.take(json.loads(encode({"n": n, **event, "wall": WALL}))), allow_nan=False)

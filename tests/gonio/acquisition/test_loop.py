@@ -324,8 +324,8 @@ def test_a_frame_without_a_time_cannot_be_made() -> None:
         Frame(np.zeros((32, 32), np.uint16), 1.0, 64.0, 4095.0)  # type: ignore[call-arg]
 
 
-def test_a_clock_that_was_set_back_between_two_sittings(measure: Measure) -> None:
-    """Times of the second sitting lie before those of the first; set right, the run goes on."""
+def test_a_clock_that_was_set_back_between_two_sessions(measure: Measure) -> None:
+    """Times of the second session lie before those of the first; set right, the run goes on."""
     with pytest.raises(Interrupted):
         measure("run", rig=Plugin(options={"repeatable": False}), yes=True, progress=StopAfter(4))
     again: dict[str, object] = {"yes": True, "resume": True}

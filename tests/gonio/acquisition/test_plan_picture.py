@@ -11,7 +11,7 @@ from gonio.acquisition import plan_picture
 from gonio.acquisition.plan import assess, load_plan
 from gonio.acquisition.schedule import schedule
 from gonio.errors import ConfigError
-from gonio.rig import Pose, ways
+from gonio.rig import Pose, motion_planning
 from gonio.rig.description import ArmAxis, Arms, Body, Cable, Holder
 from tests.gonio.numpy_rig import describe
 
@@ -50,15 +50,17 @@ def test_a_picture_counts_all_points_and_shows_the_most_crowded_step(tmp_path: P
     assert 0 < measured < len(points)
     assert f"{measured} measured" in said
     crowded = steps[plan_picture.most_crowded(steps, rig)]
-    closest = [min(each.values()) for each in ways.gaps(rig, [step.pose for step in steps if step.kind != "dark"])]
-    assert min(ways.gaps(rig, [crowded.pose])[0].values()) == min(closest)
+    closest = [
+        min(each.values()) for each in motion_planning.gaps(rig, [step.pose for step in steps if step.kind != "dark"])
+    ]
+    assert min(motion_planning.gaps(rig, [crowded.pose])[0].values()) == min(closest)
     with pytest.raises(ConfigError, match=r"--step 99: the steps of this plan are numbered 0 to \d+"):
         plan_picture.draw(plan, points, steps, rig, 99)
 
 
 def test_a_body_is_drawn_where_it_stands() -> None:
     rig = describe(bodies=(POST, Body(name="box", on="light", centre_mm=(0, 0, 500), size_mm=(20, 40, 60))))
-    found = {each.name: each for each in ways.outlines(rig, Pose(light=np.pi / 2))}
+    found = {each.name: each for each in motion_planning.outlines(rig, Pose(light=np.pi / 2))}
     box = plan_picture._hull(found["box"], plan_picture.SIDE)
     # turned from z to x: 60 long along x around 500, 20 high around 0
     assert box.min(axis=0) == pytest.approx([470, -10])

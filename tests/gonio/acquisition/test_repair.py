@@ -147,7 +147,7 @@ def test_a_step_that_is_not_provably_complete_is_taken_again(measure: Measure) -
     done = repair.repair(run.path)
     assert done is not None
     assert 3 not in done.rebuilt
-    assert done.untold == files[:-1]
+    assert done.undetermined == files[:-1]
     assert content(measure(resume=True)) == whole
 
 
@@ -159,7 +159,7 @@ def test_frames_of_an_older_version_are_kept_and_said_to_tell_nothing(measure: M
     names = sorted(path.name for path in (run.path / "frames").iterdir())
     done = repair.repair(run.path)
     assert done is not None
-    assert done.untold == names
+    assert done.undetermined == names
     assert not done.rebuilt
     assert sorted(path.name for path in (run.path / "frames").iterdir()) == names
     measure(resume=True)
@@ -179,7 +179,7 @@ def test_a_camera_s_own_files_have_their_labels_beside_them(
     done = repair.repair(run.path)
     assert done is not None
     assert done.rebuilt == list(range(9))
-    assert not done.untold
+    assert not done.undetermined
     assert content(measure(resume=True)) == whole
 
 

@@ -16,8 +16,8 @@ import pytest
 
 import gonio
 from gonio.by_hand.assistant import CAMERA_S, Assistant
-from gonio.by_hand.bench import Bench
 from gonio.by_hand.live_picture import Pictures
+from gonio.by_hand.manual_rig import ManualRig
 from gonio.config import to_toml
 from gonio.errors import DeviceError, Disturbed
 from gonio.rig import Frame, Pose, imaging, kinematics
@@ -72,7 +72,7 @@ class Session:
     """An assistant at an open rig, and what it has told and said."""
 
     device: Scene
-    bench: Bench
+    bench: ManualRig
     assistant: Assistant
     clock: Clock
     told: list[tuple[dict[str, Any], Pictures | None]]
@@ -98,7 +98,7 @@ def session(device: Scene, rig_file: Path | None = None, out: Path | None = None
     clock = Clock()
     told: list[tuple[dict[str, Any], Pictures | None]] = []
     said: list[str] = []
-    bench = Bench(device, str(rig_file))
+    bench = ManualRig(device, str(rig_file))
     assistant = Assistant(
         bench,
         tell=lambda what, shown: told.append((what, shown)),

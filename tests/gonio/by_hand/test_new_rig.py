@@ -18,7 +18,7 @@ from gonio.rig.description import RigDescription, SampleDescription
 NEEDED = {"light_distance_mm": 800, "camera_distance_mm": 900}
 
 
-class Bench:
+class ManualRig:
     """The driver of the laboratory rig, at ports that do not exist."""
 
     toml = LAB.toml
@@ -49,13 +49,13 @@ class Bench:
         return LAB.open(description, sample=sample, seed=seed, confirm=confirm)
 
 
-def made(values: dict[str, Any], bench: Bench | None = None) -> str:
+def made(values: dict[str, Any], bench: ManualRig | None = None) -> str:
     answers = Answers(Path("answers.toml"), NEEDED | values)
-    return make(cast("Plugin", bench or Bench()), answers, lambda text: None)[0]
+    return make(cast("Plugin", bench or ManualRig()), answers, lambda text: None)[0]
 
 
 def test_what_is_found_is_written_with_the_comments_of_the_form() -> None:
-    bench = Bench()
+    bench = ManualRig()
     text = made({"zero_2": "here", "forward_2": "no", "servo_3": "spin", "servo_4": "none"}, bench)
     tables = tomllib.loads(text)
     assert bench.wiggled == [1, 2, 3, 4]
@@ -75,7 +75,7 @@ def test_what_is_found_is_written_with_the_comments_of_the_form() -> None:
 
 
 def test_nothing_turns_where_it_may_not() -> None:
-    bench = Bench()
+    bench = ManualRig()
     made({"wiggle": False}, bench)
     assert bench.wiggled == []
 
@@ -106,12 +106,12 @@ def test_rubbish_in_a_file_of_answers_is_named(values: dict[str, Any], message: 
 
 def test_an_answer_that_is_missing_is_named() -> None:
     with pytest.raises(ConfigError, match="light_distance_mm is missing"):
-        make(cast("Plugin", Bench()), Answers(Path("a.toml"), {}), lambda text: None)
+        make(cast("Plugin", ManualRig()), Answers(Path("a.toml"), {}), lambda text: None)
 
 
 def test_a_bench_without_servos_says_what_to_look_at() -> None:
     with pytest.raises(ConfigError, match="no servo answers on any port"):
-        made({}, Bench(servos=0))
+        made({}, ManualRig(servos=0))
 
 
 def test_a_person_is_asked_again_after_rubbish() -> None:
@@ -123,7 +123,7 @@ def test_a_person_is_asked_again_after_rubbish() -> None:
             return "900" if "to the lens" in prompt else ""
         return next(lines)
 
-    text, description = make(cast("Plugin", Bench()), Person(typed, said.append), said.append)
+    text, description = make(cast("Plugin", ManualRig()), Person(typed, said.append), said.append)
     assert description.geometry.light_distance_mm == 800
     assert '  "far" is no number; write it like 1000 or 0.5' in said
     assert '  "-2" must be a number above 0' in said
@@ -135,4 +135,4 @@ def test_the_end_of_the_input_writes_nothing() -> None:
         raise EOFError
 
     with pytest.raises(ConfigError, match="name: no answer came; nothing is written"):
-        make(cast("Plugin", Bench()), Person(typed, lambda text: None), lambda text: None)
+        make(cast("Plugin", ManualRig()), Person(typed, lambda text: None), lambda text: None)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from gonio_sim.rig import SIM, SimulatedRig
 
-from gonio.by_hand.bench import Bench
+from gonio.by_hand.manual_rig import ManualRig
 from gonio.calibration import fiducials
 from gonio.config import parse
 from gonio.errors import ConfigError
@@ -35,7 +35,7 @@ def test_corners_are_where_the_markers_are(description: RigDescription, camera: 
     rig = SimulatedRig(description, None, 1, confirm=False)
     marks = description.holder.fiducials
     assert marks is not None
-    with Bench(rig, "test") as bench:
+    with ManualRig(rig, "test") as bench:
         rig.put("mirror")
         bench.lamp(True)
         bench.move(light=math.radians(-30), camera=math.radians(camera), tilt=math.radians(tilt), spin=math.radians(20))

@@ -25,7 +25,7 @@ FULL_S = 8.0
 RATE = np.full((120, 160), 1000.0, np.float32)
 
 
-class Bench:
+class ManualRig:
     """A sensor, and frames of it with one key after the other."""
 
     def __init__(self, camera: Camera, seed: int) -> None:
@@ -41,7 +41,7 @@ class Bench:
 
 
 def transfer(camera: Camera, seed: int) -> tuple[photon_transfer.PhotonTransfer, list[Any], list[Any], Any]:
-    bench = Bench(camera, seed)
+    bench = ManualRig(camera, seed)
     darks = bench.pairs(None, [1e-3] * 4 + [FULL_S] * 4)
     line = np.polyfit([p.exposure_s for p in darks], [p.mean_dn for p in darks], 1)
     levels = np.concatenate([np.linspace(0.03, 0.7, 14), np.linspace(0.75, 1.15, 9)])
@@ -113,7 +113,7 @@ def test_nonlinearity_and_its_inverse() -> None:
 @pytest.mark.parametrize("lamp_noise", [0.0, 0.01])
 def test_nonlinearity_of_one_per_cent_is_found_though_the_lamp_flickers(lamp_noise: float) -> None:
     true = CAMERA.model_copy(update={"nonlinearity": (-0.014, 0.003), "full_well_e": 9500.0})
-    bench, random = Bench(true, 4), np.random.default_rng(8)
+    bench, random = ManualRig(true, 4), np.random.default_rng(8)
     rate = RATE.copy()
     rate[:, :80] *= 0.04
     parts = (np.s_[:, 80:], np.s_[:, :80])

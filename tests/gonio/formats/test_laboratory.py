@@ -167,7 +167,7 @@ def test_a_run_that_states_nothing_is_converted_as_ever_and_says_so(tmp_path: Pa
     assert "[laboratory]" in done.stderr
 
 
-def test_a_later_sitting_may_state_more_and_changes_no_step(tmp_path: Path) -> None:
+def test_a_later_session_may_state_more_and_changes_no_step(tmp_path: Path) -> None:
     run = measured(tmp_path, PLAN)
     steps, table = list(run.steps()), (run.path / "brdf.csv").read_bytes()
     again = measured(tmp_path, PLAN + OF_PLAN, RIG, resume=True)

@@ -40,7 +40,7 @@ def test_the_panel_shows_steps_values_flags_drift_and_events(ended: Watched) -> 
     assert "1/sr" in text
     assert " ± " in text
     assert "provisional" in text
-    assert "session: a sitting begins: 24 steps to take" in text
+    assert "session: a session begins: 24 steps to take" in text
     assert "camera" in text
 
 
@@ -74,6 +74,6 @@ def test_plain_lines_come_where_nobody_looks(
     with pytest.raises(Enough):
         terminal.show(ended)
     lines = capsys.readouterr().out.splitlines()
-    assert lines[0].endswith("session: a sitting begins: 24 steps to take (gonio 0.1.0)")
+    assert lines[0].endswith("session: a session begins: 24 steps to take (gonio 0.1.0)")
     assert sum("  step " in line for line in lines) == 24
     assert lines[-1].startswith("ended: step 24 of 24, 1 flagged")

@@ -17,8 +17,8 @@ from gonio.acquisition.journal import decode, encode
 from gonio.acquisition.records import StepRecord
 from gonio.live import working
 from gonio.live.provisional import Values
+from gonio.live.run_status import RunStatus
 from gonio.live.shared import CURVES, FRAME, LOOKED, NOW, Now, Shared
-from gonio.live.story import Story
 from gonio.live.working import Worker
 from gonio.rig import Frame
 from gonio.rig.description import RigDescription
@@ -26,7 +26,7 @@ from tests.gonio.live.runs import Played
 from tests.gonio.live.test_watching import until
 
 
-def draw(story: Story, values: Sequence[Values], behind: int) -> bytes:
+def draw(run_status: RunStatus, values: Sequence[Values], behind: int) -> bytes:
     return json.dumps([len(v.points) for v in values]).encode()
 
 

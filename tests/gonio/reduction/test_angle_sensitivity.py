@@ -10,7 +10,7 @@ import pytest
 
 from gonio.geometry import Directions, angles, direction
 from gonio.reduction.angle_sensitivity import Curves
-from gonio.reduction.spike_overlap import Share, blurred_overlap, over_patch, overlap
+from gonio.reduction.spike_overlap import OverlapFraction, blurred_overlap, over_patch, overlap
 
 HALF = math.radians(0.5)
 stack = Directions.stack
@@ -28,7 +28,7 @@ def curves(function: Function, goals: list[Directions], half: float = HALF, nois
     return Curves(stack(goals), stack(goals), values, noise * abs(values) + 1e-12, (half, half), sharp(goals, half))
 
 
-def sharp(goals: list[Directions], half: float = HALF) -> list[Share]:
+def sharp(goals: list[Directions], half: float = HALF) -> list[OverlapFraction]:
     """Shares of the lamp's mirror image for angles that are known exactly."""
     return [blurred_overlap(d, stack([]), (half, half)) for d in goals]
 
@@ -218,9 +218,9 @@ def departures(function: Function, goals: list[Directions], u: float) -> tuple[n
         turned = [Directions(d.theta_i, d.phi_i, d.theta_r, d.phi_r + sign * u) for sign in (1, -1)]
         for plus, minus in ((moved(d, r=u), moved(d, r=-u)), turned):
             true.append((function(plus) - function(minus)) / 2)
-            doubt = model.doubt(k, plus)
-            if doubt > 1e-9 * abs(true[-1]) + 1e-15:  # across the plane of incidence a lobe has no slope, for certain
-                away.append((model.effects(k, d, plus, minus)[0] - true[-1]) / doubt)
+            u_slope = model.slope_uncertainty(k, plus)
+            if u_slope > 1e-9 * abs(true[-1]) + 1e-15:  # across the plane of incidence a lobe has no slope, for certain
+                away.append((model.effects(k, d, plus, minus)[0] - true[-1]) / u_slope)
     return np.array(away), np.array(true)
 
 
@@ -269,7 +269,10 @@ def test_repeated_readings_are_no_slope() -> None:
     goals = [at(30.0, 40.0 + 0.01 * k) for k in range(60)]
     read = [at(30.0, round((40.0 + 0.01 * k) / 0.088) * 0.088) for k in range(60)]
     f = 0.2 + 1e-3 * np.random.default_rng(0).standard_normal(60)
-    model, u = Curves(stack(goals), stack(read), f, np.full(60, 1e-3), (0.0, 0.0), [Share()] * 60), math.radians(0.025)
+    model, u = (
+        Curves(stack(goals), stack(read), f, np.full(60, 1e-3), (0.0, 0.0), [OverlapFraction()] * 60),
+        math.radians(0.025),
+    )
     effects = [model.effects(k, d, moved(d, r=u), moved(d, r=-u))[0] for k, d in enumerate(read)]
     # differences over at least 0.2 deg of noise of 1e-3: 0.025/0.2 of it
     assert np.max(np.abs(effects)) < 1e-3
@@ -329,7 +332,7 @@ def test_a_patch_turns_the_mirror_direction() -> None:
 def test_a_spike_of_which_only_the_edge_was_met_is_uncertain_by_what_it_added() -> None:
     """The one point of a coarse curve near the mirror direction lies where errors of the angles make the overlap."""
     goals = [at(40.0, r) for r in (*range(-80, 40, 8), 39.0, *range(48, 81, 8))]
-    shares, edge = [Share()] * len(goals), 15
+    shares, edge = [OverlapFraction()] * len(goals), 15
     shares[edge] = blurred_overlap(goals[edge], stack([moved(goals[edge], r=math.radians(0.03))]), (HALF, HALF))
     f = np.full(len(goals), 0.2)
     f[edge] += 3.0

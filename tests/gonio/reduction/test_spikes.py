@@ -15,7 +15,7 @@ from gonio.acquisition.run import Run
 from gonio.geometry import Directions
 from gonio.reduction import brdf
 from gonio.reduction.angle_sensitivity import Curves
-from gonio.reduction.spike_overlap import Share, blurred_overlap, overlap
+from gonio.reduction.spike_overlap import OverlapFraction, blurred_overlap, overlap
 from gonio.rig.description import SampleDescription
 from tools.spike_campaign import measured, pulls, rig
 
@@ -107,7 +107,7 @@ def at(theta_i: float, theta_r: float, dphi: float = 180.0) -> Directions:
     return Directions(math.radians(theta_i), 0.0, math.radians(theta_r), math.radians(dphi))
 
 
-def shares(goals: list[Directions], u: float) -> list[Share]:
+def shares(goals: list[Directions], u: float) -> list[OverlapFraction]:
     """For errors of both arms of `u` [rad]."""
     return [
         blurred_overlap(
@@ -182,7 +182,7 @@ def test_beside_a_lobe_narrower_than_the_steps_u_is_large_enough(step: float, st
         for k, d in enumerate(goals):
             plus, minus = at(60.0, math.degrees(d.theta_r + u)), at(60.0, math.degrees(d.theta_r - u))
             truth = 0.5 * (lobe(plus) - lobe(minus))
-            stated = math.hypot(model.effects(k, d, plus, minus)[0], model.doubt(k, plus))
+            stated = math.hypot(model.effects(k, d, plus, minus)[0], model.slope_uncertainty(k, plus))
             total = math.sqrt(stated**2 + model.spikes.variance[k] + (0.005 * f[k]) ** 2)
             # docs/radiometry.md, "Narrow lobes and coarse steps"
             assert math.hypot(truth, 0.005 * f[k]) < 1.2 * total

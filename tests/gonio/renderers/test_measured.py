@@ -1,4 +1,4 @@
-"""Measured tables filled for renderers: exact where measured, and what is said of the rest; Mitsuba and Klems."""
+"""Measured tables interpolated for renderers: exact where measured, and what is said of the rest; Mitsuba and Klems."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from gonio.formats.reader import table
 from gonio.formats.rgl import Measured, tensors
 from gonio.models import CookTorrance, Lambert, Model, OrenNayar
 from gonio.renderers import channels, measured
-from gonio.renderers.filled import Filled
+from gonio.renderers.interpolated import Interpolated
 from gonio.typing import Floats
 
 GLOSSY = CookTorrance(0.5, 0.5, 0.2, 1.5, diffuse_albedo=0.3, convention="normalised")
@@ -47,25 +47,29 @@ def vectors(rows: channels.Rows) -> tuple[Floats, Floats]:
 @pytest.mark.parametrize("dphi", [(), (30.0, 60.0, 90.0, 120.0, 150.0)])
 def test_a_filled_table_is_the_table_where_it_was_measured(dphi: tuple[float, ...]) -> None:
     rows = channels.rows(sampled(GLOSSY, [10, 30, 50], 5, dphi_deg=dphi), "g")
-    values = Filled(rows).brdf(*vectors(rows))
+    values = Interpolated(rows).brdf(*vectors(rows))
     # rounding of logarithms and weights
     np.testing.assert_allclose(values, rows.values, rtol=1e-9)
 
 
 def test_a_lambertian_plane_of_incidence_is_a_lambertian_hemisphere() -> None:
-    filled = Filled(channels.rows(sampled(Lambert(albedo=0.4), [0, 20, 60], 10), "white"))
-    np.testing.assert_allclose(filled.reflectance(np.deg2rad([0.0, 40.0, 75.0])), 0.4, rtol=2e-3)  # the quadrature
+    interpolated = Interpolated(channels.rows(sampled(Lambert(albedo=0.4), [0, 20, 60], 10), "white"))
+    np.testing.assert_allclose(
+        interpolated.reflectance(np.deg2rad([0.0, 40.0, 75.0])), 0.4, rtol=2e-3
+    )  # the quadrature
 
 
 def test_between_what_was_measured_the_model_comes_out() -> None:
     """Half a step beside every measured angle, out of plane too, and between the angles of incidence."""
     dphi = tuple(range(15, 180, 15))
-    filled = Filled(channels.rows(sampled(GLOSSY, [*range(0, 71, 10)], 5, dphi_deg=tuple(map(float, dphi))), "g"))
+    interpolated = Interpolated(
+        channels.rows(sampled(GLOSSY, [*range(0, 71, 10)], 5, dphi_deg=tuple(map(float, dphi))), "g")
+    )
     dice = np.random.default_rng(4)
     theta_i, theta_r, phi = dice.uniform(0, 1.2, 500), dice.uniform(0, 1.2, 500), dice.uniform(0, math.pi, 500)
     i, r = geometry.direction(theta_i, 0 * phi), geometry.direction(theta_r, phi)
-    assert filled.measured(i, r).all()
-    error = np.abs(filled.brdf(i, r)[:, 0] / GLOSSY.brdf(theta_i, 0.0, theta_r, phi) - 1)
+    assert interpolated.measured(i, r).all()
+    error = np.abs(interpolated.brdf(i, r)[:, 0] / GLOSSY.brdf(theta_i, 0.0, theta_r, phi) - 1)
     # steps of 10 degrees of incidence and 15 of azimuth against a lobe of 11 degrees' slope
     assert np.median(error) < 0.01
     assert np.quantile(error, 0.95) < 0.1
@@ -73,31 +77,31 @@ def test_between_what_was_measured_the_model_comes_out() -> None:
 
 def test_in_plane_tables_say_what_is_extrapolated() -> None:
     rows = channels.rows(sampled(GLOSSY, [10, 30, 50], 5), "g")
-    filled = Filled(rows)
-    said = " ".join(measured.remarks(rows, filled))
+    interpolated = Interpolated(rows)
+    said = " ".join(measured.remarks(rows, interpolated))
     assert "in the plane of incidence alone" in said
-    assert filled.extrapolated() > 0.9
+    assert interpolated.extrapolated() > 0.9
     assert "WARNING" not in said
     # the lobe is well sampled in plane; swung out of it the flux is the model's to some percent
     exact = GLOSSY.directional_hemispherical(np.deg2rad([10.0, 30.0]))
-    np.testing.assert_allclose(filled.reflectance(np.deg2rad([10.0, 30.0]))[:, 0], exact, rtol=0.05)
+    np.testing.assert_allclose(interpolated.reflectance(np.deg2rad([10.0, 30.0]))[:, 0], exact, rtol=0.05)
 
 
 def test_full_tables_extrapolate_the_edge_alone() -> None:
-    filled = Filled(channels.rows(sampled(GLOSSY, [10, 40], 5, dphi_deg=tuple(range(15, 180, 15))), "g"))
+    interpolated = Interpolated(channels.rows(sampled(GLOSSY, [10, 40], 5, dphi_deg=tuple(range(15, 180, 15))), "g"))
     # beyond 80 degrees lies cos^2(80) = 3 % of the projected hemisphere
-    assert 0.01 < filled.extrapolated() < 0.08
+    assert 0.01 < interpolated.extrapolated() < 0.08
 
 
 def test_a_lobe_narrower_than_the_step_is_named_and_energy_above_one_is_marked() -> None:
     frame = sampled(NARROW, [10, 30, 50], 5)
     rows = channels.rows(frame, "n")
-    assert "narrower than the table's step" in " ".join(measured.remarks(rows, Filled(rows)))
+    assert "narrower than the table's step" in " ".join(measured.remarks(rows, Interpolated(rows)))
     assert "narrower" not in " ".join(
-        measured.remarks(*(lambda r: (r, Filled(r)))(channels.rows(sampled(GLOSSY, [30], 5), "g")))
+        measured.remarks(*(lambda r: (r, Interpolated(r)))(channels.rows(sampled(GLOSSY, [30], 5), "g")))
     )
     rows = channels.rows(frame.assign(brdf=0.5), "n")
-    assert "WARNING: more is reflected than received: 1.5" in " ".join(measured.remarks(rows, Filled(rows)))
+    assert "WARNING: more is reflected than received: 1.5" in " ".join(measured.remarks(rows, Interpolated(rows)))
 
 
 def test_channels_are_one_wavelength_colours_or_a_spectrum() -> None:
@@ -133,7 +137,7 @@ def test_azimuths_of_incidence_are_averaged_and_that_is_said() -> None:
     assert any("several azimuths" in note for note in rows.notes)
     assert not any("several azimuths" in note for note in channels.rows(one, "x").notes)
     # a mean of logarithms where all values are positive
-    values = Filled(rows).brdf(*vectors(channels.rows(one, "x")))
+    values = Interpolated(rows).brdf(*vectors(channels.rows(one, "x")))
     np.testing.assert_allclose(values, math.sqrt(3) * 0.4 / math.pi, rtol=1e-9)
 
 

@@ -26,7 +26,7 @@ SDK = """import math
 import numpy as np
 
 
-class Bench:
+class ManualRig:
     \"\"\"A matt surface of albedo 0.99, whatever is put in; the encoder of the light has its zero off.\"\"\"
 
     def __init__(self):
@@ -60,7 +60,7 @@ class Bench:
 def open(port, timeout):
     if port != "/dev/ttyUSB0":
         raise FileNotFoundError(2, "no such port", port)
-    return Bench()
+    return ManualRig()
 """
 
 
@@ -100,7 +100,7 @@ def test_the_guide_s_rig_measures(tmp_path: Path, stranger: str) -> None:
     assert np.all(table["u_brdf"] / table["brdf"] < 0.01)
     times = [frame.time_s for step in Run.open(tmp_path / "run").steps() for frame in step.frames]
     assert np.all(np.diff(times) > 0)
-    assert times[0] > 1.7e9  # seconds since 1970, so that sittings follow each other
+    assert times[0] > 1.7e9  # seconds since 1970, so that sessions follow each other
     poses = [step.pose.light for step in Run.open(tmp_path / "run").steps() if step.kind == "point"]
     # from the true zero; rounding of 35 degrees minus 5
     np.testing.assert_allclose(np.abs(poses), math.radians(30), atol=1e-12)

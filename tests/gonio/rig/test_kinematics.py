@@ -254,13 +254,13 @@ def test_a_spin_wider_than_a_turn_winds_its_cable_no_further_than_its_limits() -
 
 
 def test_goals_whose_play_a_limit_leaves_open_are_refused() -> None:
-    """At a limit an axis cannot arrive from the side of the limit: within the play its angle would be wrong."""
+    """At a limit an axis cannot arrive from the side of the limit: within the backlash its angle would be wrong."""
     stops = ArmAxis(limits_deg=(-80.0, 80.0), backlash_deg=0.5)
     rig = describe(geometry=NO_BODIES, arms=Arms(light=stops, camera=stops), holder=Holder())
     assert reach(rig, Directions(0.1, 0.0, 80 * DEG, 0.0)).camera == pytest.approx(80 * DEG)
     assert reach(rig, Directions(0.1, 0.0, 79.4 * DEG, math.pi)).camera == pytest.approx(-79.4 * DEG)
     with pytest.raises(
-        Unreachable, match=r"closer to the lower limit of the camera arm than its play of 0\.5 deg"
+        Unreachable, match=r"closer to the lower limit of the camera arm than its backlash of 0\.5 deg"
     ) as e:
         reach(rig, Directions(0.1, 0.0, 79.8 * DEG, math.pi))
     assert e.value.flag == "unreachable"

@@ -22,7 +22,7 @@ from gonio_analysis.fitting.observations import observations
 from gonio_analysis.plots import thinning
 from gonio_analysis.report import change, drawing, html, make, page, viewer
 from gonio_analysis.report.blocks import Figures, section
-from gonio_analysis.report.drawing import draughtsmen
+from gonio_analysis.report.drawing import figure_workers
 from gonio_analysis.report.figures import Drawing, Figure
 from gonio_analysis.report.text import glued
 from gonio_analysis.result_records import as_json
@@ -226,27 +226,27 @@ def drawings(on: Any, **each: list[Any]) -> list[Drawing]:
 
 def test_any_number_of_processes_makes_the_same_figures() -> None:
     wanted = drawings(_curve, power=list(range(1, 9)))
-    with draughtsmen(8, processes=1) as alone:
+    with figure_workers(8, processes=1) as alone:
         first = alone.draw(wanted)
-    with draughtsmen(8, processes=3) as many:
+    with figure_workers(8, processes=3) as many:
         second = many.draw(wanted)
     assert first == second
     assert [f.name for f in second] == [d.name for d in wanted]
 
 
 def test_a_process_that_dies_leaves_its_drawing_to_this_one() -> None:
-    with draughtsmen(8, processes=3) as hands:
-        made = hands.draw(drawings(_ends_elsewhere, here=[os.getpid()] * 8))
+    with figure_workers(8, processes=3) as workers:
+        made = workers.draw(drawings(_ends_elsewhere, here=[os.getpid()] * 8))
     assert len(made) == 8
     assert all(f.svg for f in made)
 
 
 def test_a_drawing_that_fails_ends_every_process() -> None:
     wanted = [Drawing("d", "k", "", "c", "a", (2.0, 1.5), _fails) for _ in range(8)]
-    with pytest.raises(ZeroDivisionError), draughtsmen(8, processes=3) as hands:
-        hands.draw(wanted)
-    assert len(hands._processes) == 2
-    assert all(p.returncode is not None for p in hands._processes)
+    with pytest.raises(ZeroDivisionError), figure_workers(8, processes=3) as workers:
+        workers.draw(wanted)
+    assert len(workers._processes) == 2
+    assert all(p.returncode is not None for p in workers._processes)
 
 
 def _says(k: int, say: Say) -> tuple[int, int]:
@@ -256,9 +256,9 @@ def _says(k: int, say: Say) -> tuple[int, int]:
 
 def test_shared_jobs_keep_their_order_and_their_words() -> None:
     words: list[str] = []
-    with draughtsmen(8, processes=2) as hands:
+    with figure_workers(8, processes=2) as workers:
         for _ in range(20):  # until the other process, too, came to take one
-            done = hands.share([partial(_says, k) for k in range(50)], say=words.append)
+            done = workers.share([partial(_says, k) for k in range(50)], say=words.append)
             if len({pid for _, pid in done}) == 2:
                 break
     assert len({pid for _, pid in done}) == 2
@@ -271,8 +271,8 @@ def test_a_choice_is_the_same_whoever_works_it_out() -> None:
     models = ["lambert", "oren-nayar", "phong"]
     data = observations(table, "sample")
     alone = choose(data, [Candidate(m) for m in models])
-    with draughtsmen(8, processes=2) as hands:
-        shared = choose(data, [Candidate(m) for m in models], share=hands.share)
+    with figure_workers(8, processes=2) as workers:
+        shared = choose(data, [Candidate(m) for m in models], share=workers.share)
 
     def numbers(c: Choice) -> Any:
         return [as_json(replace(x, wall_s=0.0)) for x in c.judged], as_json(c.intervals)
@@ -282,16 +282,16 @@ def test_a_choice_is_the_same_whoever_works_it_out() -> None:
 
 
 def test_few_figures_start_no_process() -> None:
-    with draughtsmen(drawing.FEW - 1, processes=4) as hands:
-        assert hands._processes == []
+    with figure_workers(drawing.FEW - 1, processes=4) as workers:
+        assert workers._processes == []
 
 
 @pytest.mark.skipif(not hasattr(os, "pidfd_open"), reason="no file descriptors of processes on this system")
 def test_a_killed_report_leaves_no_process() -> None:
     code = (
-        "import sys\nfrom gonio_analysis.report.drawing import draughtsmen\n"
-        "with draughtsmen(20, processes=3) as hands:\n"
-        "    print(*(p.pid for p in hands._processes), flush=True)\n"
+        "import sys\nfrom gonio_analysis.report.drawing import figure_workers\n"
+        "with figure_workers(20, processes=3) as workers:\n"
+        "    print(*(p.pid for p in workers._processes), flush=True)\n"
         "    sys.stdin.read()\n"
     )
     with subprocess.Popen([sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as report:

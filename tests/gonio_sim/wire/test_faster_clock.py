@@ -14,8 +14,8 @@ from gonio_drivers.lab import LAB
 from gonio_sim.wire.twins import Twins, WireWorld, rig_file
 
 from gonio.acquisition.measure import find_rig
-from gonio.by_hand.bench import Bench
-from gonio.calibration import lamp_bench, lamp_stability
+from gonio.by_hand.manual_rig import ManualRig
+from gonio.calibration import lamp_scan, lamp_stability
 from gonio.rig.calibrated import Calibration, identity, write_calibration
 from gonio.rig.description import ParameterUncertainty
 from tests.gonio_drivers.conftest import be_patient
@@ -70,8 +70,8 @@ def test_a_rehearsal_on_a_faster_clock_finds_the_warm_up(tmp_path: Path, monkeyp
         path = tmp_path / "rig.toml"
         path.write_text(rig_file(served.description))
         rig = LAB.open(find_rig(str(path)).description, sample=None, seed=0, confirm=False)
-        with Bench(rig) as bench:
-            lamp_bench.take_series(bench, 8.0 * TAU_S / SCALE, 0.1, keep=tables.append)
+        with ManualRig(rig) as bench:
+            lamp_scan.take_series(bench, 8.0 * TAU_S / SCALE, 0.1, keep=tables.append)
         assert served.quiet
     (table,) = tables
     # each frame by the twins' own clock: a busy computer may take them when it likes

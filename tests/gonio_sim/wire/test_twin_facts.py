@@ -50,7 +50,7 @@ class HandClock:
 
 
 @dataclass
-class Bench:
+class ManualRig:
     """Servos on a line, the SDK at its other end, and the hands of who stands beside it."""
 
     port: Any
@@ -102,11 +102,11 @@ class Bench:
 
 
 @pytest.fixture
-def bench(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., Bench]]:
+def bench(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., ManualRig]]:
     """Builds a bench of servos of one model, with ids from 1 on, or with those given."""
     with contextlib.ExitStack() as stack:
 
-        def build(model: str = "xm430-w350", *ids: int) -> Bench:
+        def build(model: str = "xm430-w350", *ids: int) -> ManualRig:
             clock = HandClock()
             servos = [Servo(k, clock, model=model, baud=BAUD, position=2000.0) for k in ids or (1,)]  # type: ignore[arg-type]
             for servo in servos:
@@ -118,12 +118,12 @@ def bench(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., Bench]]:
             port = PortHandler(peer.port)
             port.setBaudRate(BAUD)
             stack.callback(port.closePort)
-            return Bench(port, PacketHandler(2.0), peer, bus, clock, {s.id: s for s in servos})
+            return ManualRig(port, PacketHandler(2.0), peer, bus, clock, {s.id: s for s in servos})
 
         yield build
 
 
-Build = Callable[..., Bench]
+Build = Callable[..., ManualRig]
 
 
 # ---- the page ----
@@ -993,7 +993,7 @@ def test_profile_and_goal_of_one_write_count_together(bench: Build) -> None:
 # ---- bus watchdog ----
 
 
-def expire(b: Bench) -> None:
+def expire(b: ManualRig) -> None:
     b.servos[1]._heard_s -= 10.0  # as if nothing had been said for ten seconds
     b.servos[1].shaft()
 

@@ -1,7 +1,7 @@
 """Whether the beam is larger than the region of interest ("over") or smaller ("under"), and what a rate is then.
 
-Over-filled: every pixel of the region is lit, and the irradiance there is known from the geometry of each.
-Under-filled: the whole spot lies inside the region, and what is known is the flux of the beam. The signals of all
+Overfilled: every pixel of the region is lit, and the irradiance there is known from the geometry of each.
+Underfilled: the whole spot lies inside the region, and what is known is the flux of the beam. The signals of all
 pixels are then summed over the area that each sees (docs/exposure.md, "The beam and the region").
 """
 
@@ -76,7 +76,7 @@ def require_whole(description: RigDescription, view: View, target: Target) -> No
 def per_weight(description: RigDescription, view: View, seen: PixelMap, region: Roi, channel: Channel) -> Floats:
     """What the signals of the used pixels are multiplied with, so that their mean is R pi f; shape (n,).
 
-    Over-filled: 1 / (falloff cos(theta_i) (d0/d)^2 radiation); infinite where no light falls. Under-filled: N A_k /
+    Overfilled: 1 / (falloff cos(theta_i) (d0/d)^2 radiation); infinite where no light falls. Underfilled: N A_k /
     (falloff S) with the area A_k that a pixel sees on the sample, and S = integral of cos(theta_i) (d0/d)^2 radiation
     over the spot, which is the beam's solid angle times d0^2 whatever the angle of incidence.
     """

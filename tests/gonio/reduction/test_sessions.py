@@ -1,4 +1,4 @@
-"""A measurement over days: the lamp is another one in each sitting, and the reference tells which."""
+"""A measurement over days: the lamp is another one in each session, and the reference tells which."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ DAY_TO_DAY = 1.03
 
 @dataclass
 class Lamp(NumpyRig):
-    """A bench whose frames are half a minute apart, with a lamp of its own level in each sitting."""
+    """A bench whose frames are half a minute apart, with a lamp of its own level in each session."""
 
     level: float = 1.0
     clock: itertools.count[float] = field(default_factory=lambda: itertools.count(0.0))
@@ -50,7 +50,7 @@ class Lamp(NumpyRig):
 
 @dataclass
 class Days:
-    """Opens the bench for the next sitting."""
+    """Opens the bench for the next session."""
 
     gap_s: float
     level: float = 1.0
@@ -74,8 +74,8 @@ class StopAfter(Silent):
 
 
 @pytest.mark.parametrize("gap_s", [43_200.0, 0.0], ids=["overnight", "soon"])
-@pytest.mark.parametrize("stops", [(7,), (5, 6)], ids=["two sittings", "three sittings"])
-def test_each_sitting_has_its_own_reference(tmp_path: Path, gap_s: float, stops: tuple[int, ...]) -> None:
+@pytest.mark.parametrize("stops", [(7,), (5, 6)], ids=["two sessions", "three sessions"])
+def test_each_session_has_its_own_reference(tmp_path: Path, gap_s: float, stops: tuple[int, ...]) -> None:
     (tmp_path / "plan.toml").write_text(PLAN)
     plan, rig = load_plan(tmp_path / "plan.toml"), describe(reference=Reference(every=4, frames=2, how="axis"))
     days = Days(gap_s)
@@ -101,7 +101,7 @@ def test_the_level_is_not_interpolated_across_the_dark() -> None:
     wanted = np.array([50.0, 140.0, 160.0, 250.0])
     dark = white_reference.fit(times, values, np.full(5, 1e-8), wanted, lit_s=[190.0])
     level = dark.at(wanted)
-    np.testing.assert_allclose(level[1:3], 1.001, rtol=0, atol=1e-12)  # as at the last visit of their sitting
+    np.testing.assert_allclose(level[1:3], 1.001, rtol=0, atol=1e-12)  # as at the last visit of their session
     assert level[0] == pytest.approx(1.0005, abs=3e-4)  # between the visits; a cubic bends a little
     # 40 s and 60 s after the last visit, of a lamp that drifts by 0.1 % in 100 s
     assert (dark.extra(wanted)[1:3] >= [4e-4, 6e-4]).all()

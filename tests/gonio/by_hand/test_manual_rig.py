@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import gonio
-from gonio.by_hand.bench import Bench
+from gonio.by_hand.manual_rig import ManualRig
 from gonio.errors import ConfigError
 from gonio.rig import Health, Pose, Reading
 from gonio.rig.description import SampleDescription
@@ -81,7 +81,7 @@ def test_a_scan_over_a_mirror_direction_finds_it() -> None:
 
 
 def test_a_strangers_rig_is_worked_on_by_the_protocols_alone(tmp_path: Path) -> None:
-    bench = Bench(NumpyRig(describe()), only=["arms"])
+    bench = ManualRig(NumpyRig(describe()), only=["arms"])
     assert bench.description.name == "bench of numpy"
     with bench:
         assert not bench.can_hold

@@ -4,7 +4,7 @@
         rig.move(light=math.radians(30))
         rig.hold()
 
-A `Bench` is the rig itself, with `move`, `read`, `lamp`, `snap` and `scan` beside what `gonio.rig.Rig` promises.
+A `ManualRig` is the rig itself, with `move`, `read`, `lamp`, `snap` and `scan` beside what `gonio.rig.Rig` promises.
 Leaving it darkens and parks, unless `hold` was called. Angles are radians here.
 """
 
@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any, Self
 from gonio.acquisition.measure import RigChoice, find_rig, load_sample
 from gonio.errors import ArgumentError, ConfigError, DeviceError, GonioError
 from gonio.geometry import Directions
-from gonio.rig import Device, Health, Pose, Reading, Step, Target, kinematics, ways
+from gonio.rig import Device, Health, Pose, Reading, Step, Target, kinematics, motion_planning
 from gonio.rig.description import Band, RigDescription, SampleDescription
 
 if TYPE_CHECKING:
@@ -51,7 +51,7 @@ class Moved:
     """Of a move by directions: which way of reaching them was taken, and on further lines what of the others."""
 
 
-class Bench:
+class ManualRig:
     """An open rig, and what a person does with it.
 
     Parameters
@@ -197,7 +197,7 @@ class Bench:
             return [goals]
         here = self.arms.read()
         there, legs = replace(here, **goals), []
-        for pose in ways.route(self.description, here, there):
+        for pose in motion_planning.route(self.description, here, there):
             moved = {n: getattr(pose, n) for n in self.description.axes() if getattr(pose, n) != getattr(here, n)}
             legs.append(moved or goals)
             here = pose
@@ -382,8 +382,8 @@ class Bench:
 
     def _free(self, pose: Pose) -> str:
         try:
-            ways.require_free(self.description, pose)
-        except ways.Blocked as blocked:
+            motion_planning.require_free(self.description, pose)
+        except motion_planning.Blocked as blocked:
             return f"is blocked: {blocked}"
         return "would do too"
 
@@ -400,7 +400,7 @@ def open_rig(
     seed: int = 0,
     confirm: bool = False,
     only: Sequence[Device] = (),
-) -> Bench:
+) -> ManualRig:
     """A rig by its name or its rig file, built and not yet entered: `with open_rig("sim", sample="s.toml") as rig:`.
 
     Parameters
@@ -424,4 +424,4 @@ def open_rig(
     described = load_sample(sample) if isinstance(sample, (str, Path)) else sample
     choice = find_rig(name)
     rig = choice.open(sample=described, seed=seed, confirm=confirm, by_hand=bool(only))
-    return Bench(rig, choice.source, only)
+    return ManualRig(rig, choice.source, only)

@@ -1,4 +1,4 @@
-"""The chooser and the export of docs/writing_a_chooser.md, as a stranger would install them."""
+"""The sampler and the export of docs/writing_a_sampler.md, as a stranger would install them."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from tests.places import ROOT
 
 pytestmark = pytest.mark.slow
 
-GUIDE = ROOT / "docs" / "writing_a_chooser.md"
+GUIDE = ROOT / "docs" / "writing_a_sampler.md"
 
 
 def block(language: str, holding: str) -> str:

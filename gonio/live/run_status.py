@@ -29,7 +29,7 @@ OWN = ("n", "event", "wall", "crc")
 
 
 @dataclass(slots=True)
-class Sitting:
+class Session:
     """From the start of the program that measures to its last line."""
 
     began: float
@@ -38,7 +38,7 @@ class Sitting:
 
 
 @dataclass
-class Story:
+class RunStatus:
     """A run, after some of its events.
 
     Parameters
@@ -59,7 +59,7 @@ class Story:
     """Steps of the run, as far as it is known."""
     points: int = 0
     """How many of the steps that count are points."""
-    sittings: list[Sitting] = field(default_factory=list)
+    sessions: list[Session] = field(default_factory=list)
     flagged: int = 0
     last: Event | None = None
     last_shown: tuple[str, Event] | None = None
@@ -95,8 +95,8 @@ class Story:
     def note(self, event: Event) -> None:
         """One more event."""
         kind, at = str(event.get("event", "")), seconds(event.get("wall"))
-        if self.sittings:
-            self.sittings[-1].last = at
+        if self.sessions:
+            self.sessions[-1].last = at
         if kind == "step":
             self._step(event, at)
         else:
@@ -105,7 +105,7 @@ class Story:
 
     def _other(self, kind: str, event: Event, at: float) -> None:
         if kind == "session":
-            self.sittings.append(Sitting(at, at))
+            self.sessions.append(Session(at, at))
             self.total, self._waited = len(self.done) + int(event.get("left", 0)), True
             self.stopped, self.why = "", {}
         elif kind == "chosen":
@@ -135,8 +135,8 @@ class Story:
         if event.get("kind") == "reference":
             self.visits_s[number] = rig_s(event)
         self.total = max(self.total, len(self.done))
-        if self.sittings:
-            self.sittings[-1].steps += 1
+        if self.sessions:
+            self.sessions[-1].steps += 1
         self.flagged += bool(event.get("flag"))
         frames = event.get("frames", [])
         self._bytes += sum(int(frame.get("bytes") or 0) for frame in frames)
@@ -244,7 +244,7 @@ def seconds(wall: Any) -> float:
 
 
 def rig_s(event: Mapping[str, Any]) -> float:
-    """When a step was taken [s, rig's clock], which goes on from sitting to sitting; 0 where nothing says it."""
+    """When a step was taken [s, rig's clock], which goes on from session to session; 0 where nothing says it."""
     value = event.get("time_s")
     return float(value) if isinstance(value, int | float) and math.isfinite(value) else 0.0
 
@@ -271,7 +271,7 @@ def said(event: Mapping[str, Any]) -> str:
     """An event in words; of one that nobody knows here, what it holds."""
     kind = event.get("event")
     if kind == "session":
-        return f"a sitting begins: {event.get('left')} steps to take (gonio {event.get('gonio')})"
+        return f"a session begins: {event.get('left')} steps to take (gonio {event.get('gonio')})"
     if kind == "chosen":
         count = len(event.get("points", []))
         return f"{count} {'point' if count == 1 else 'points'} more, from step {event.get('first_step')} on"
@@ -305,11 +305,11 @@ REASONS = {
     "u": "uncertainty",
     "u_final": "uncertainty with all causes",
 }
-"""What the choosers' numbers mean; others go by their own names."""
+"""What the samplers' numbers mean; others go by their own names."""
 
 
 def reasons(why: Any) -> list[str]:
-    """Why points were chosen, a line each; what a chooser keeps for itself (rows of numbers) is left out."""
+    """Why points were chosen, a line each; what a sampler keeps for itself (rows of numbers) is left out."""
     if not isinstance(why, Mapping):
         return [plain(why)] if why else []
     rest: dict[str, Any] = dict(why)

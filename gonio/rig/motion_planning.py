@@ -98,7 +98,7 @@ def _levers(on: str, point: Vector, frames: Floats) -> dict[int, float]:
 
 @dataclass(frozen=True, slots=True)
 class Pairs:
-    """Bodies two by two, which some axes move against each other; arrays as of `gonio.rig._gaps.first_too_close`."""
+    """Bodies two by two, which some axes move against each other; arrays as of `_clearance.first_too_close`."""
 
     axes: tuple[int, ...]
     shapes: tuple[tuple[Shape, Shape], ...]
@@ -252,19 +252,21 @@ def gaps(description: RigDescription, poses: Sequence[Pose]) -> list[dict[tuple[
 
     Bodies that are in each other have a gap below 0 where one of them has a radius, and -`SKIN_MM` where neither has.
     """
-    from gonio.rig import _gaps
+    from gonio.rig import _clearance
 
     space = _space_of(description)
     angles = np.array([space.true_angles(_angles(pose)) for pose in poses]).reshape(-1, len(NAMES))
     out: list[dict[tuple[str, str], float]] = [{} for _ in poses]
     for group in space.groups:
         found = np.empty((len(poses), len(group.shapes)))
-        _gaps.spares(group.kinds, group.on, group.points, group.counts, group.distances, space.frames, angles, found)
+        _clearance.spares(
+            group.kinds, group.on, group.points, group.counts, group.distances, space.frames, angles, found
+        )
         for row, values in zip(out, found.tolist(), strict=True):
             for (one, other), kind, spare in zip(group.shapes, group.kinds.tolist(), values, strict=True):
-                names = _ends(one) if kind == _gaps.TIED else (one.body, other.body)
-                gap = spare + (0.0 if kind == _gaps.TIED else space.clearance)
-                solid = kind == _gaps.APART and one.radius + other.radius == 0.0 and gap <= 0.0
+                names = _ends(one) if kind == _clearance.TIED else (one.body, other.body)
+                gap = spare + (0.0 if kind == _clearance.TIED else space.clearance)
+                solid = kind == _clearance.APART and one.radius + other.radius == 0.0 and gap <= 0.0
                 row[names] = min(row.get(names, math.inf), -SKIN_MM if solid else gap)
     return out
 
@@ -286,26 +288,26 @@ class Outline:
 
 def outlines(description: RigDescription, pose: Pose) -> list[Outline]:
     """The two heads, the bodies, and the cables that hang, for a picture."""
-    from gonio.rig import _gaps
+    from gonio.rig import _clearance
 
     space = _space_of(description)
     angles, out = space.true_angles(_angles(pose)), []
     for shape in space.shapes:
         points = np.empty((len(shape.points), 3))
         on = np.array([CARRIERS.index(each) for each in shape.on])
-        _gaps.placed(on, np.array(shape.points), len(points), angles, space.frames, points)
+        _clearance.placed(on, np.array(shape.points), len(points), angles, space.frames, points)
         out.append(Outline(shape.body, shape.on, points, shape.radius, shape.cable))
     return out
 
 
 def cable_ends(description: RigDescription, pose: Pose, cable: Cable) -> Floats:
     """Where the two ends of a cable are in the lab, shape (2, 3) [mm]."""
-    from gonio.rig import _gaps
+    from gonio.rig import _clearance
 
     space, out = _space_of(description), np.empty((2, 3))
     on = np.array([CARRIERS.index(cable.from_on), CARRIERS.index(cable.to_on)])
     points = np.array([cable.from_mm, cable.to_mm])
-    _gaps.placed(on, points, 2, space.true_angles(_angles(pose)), space.frames, out)
+    _clearance.placed(on, points, 2, space.true_angles(_angles(pose)), space.frames, out)
     return out
 
 
@@ -372,7 +374,7 @@ def _one_by_one(start: Angles, goal: Angles, order: Sequence[Sequence[int]]) -> 
 def _met(space: Space, start: Angles, goal: Angles, planned: bool) -> tuple[Pairs, int, tuple[float, ...]] | None:
     """None where every combination of angles between start and goal, approach included, is free; else two bodies, and
     angles at which they are too close."""
-    from gonio.rig import _gaps
+    from gonio.rig import _clearance
 
     lows, highs = space.box(start, goal, 2.0 * LANDING if planned else LANDING)
     for number, group in enumerate(space.groups):
@@ -380,7 +382,7 @@ def _met(space: Space, start: Angles, goal: Angles, planned: bool) -> tuple[Pair
         if key not in space.known:
             if len(space.known) >= MOST_KEPT:
                 space.known.clear()
-            pair, at = _gaps.first_too_close(
+            pair, at = _clearance.first_too_close(
                 group.kinds, group.on, group.points, group.counts, group.levers,
                 group.planned if planned else group.distances, space.frames, FINEST_MM, MOST_BOXES,
                 np.array(lows), np.array(highs),
@@ -394,10 +396,10 @@ def _met(space: Space, start: Angles, goal: Angles, planned: bool) -> tuple[Pair
 
 def _blocked(space: Space, start: Angles, goal: Angles, group: Pairs, pair: int, near: Sequence[float]) -> Blocked:
     """What is in the way from start to goal, by `_met`."""
-    from gonio.rig import _gaps
+    from gonio.rig import _clearance
 
     one, other = group.shapes[pair]
-    torn = group.kinds[pair] == _gaps.TIED
+    torn = group.kinds[pair] == _clearance.TIED
     verb, bodies = ("tear the cable", one.body) if torn else ("touch:", f"{one.body} and {other.body}")
     would = "would" if _spare(space, group, pair, near) <= FINEST_MM + PLANNED_MM else "may"
     where = ", ".join(
@@ -414,27 +416,29 @@ def _blocked(space: Space, start: Angles, goal: Angles, group: Pairs, pair: int,
 
 def _spare(space: Space, group: Pairs, pair: int, at: Sequence[float]) -> float:
     """The room of a pair of bodies at true angles, beyond the clearance [mm]."""
-    from gonio.rig import _gaps
+    from gonio.rig import _clearance
 
     found = np.empty((1, len(group.shapes)))
     arrays = group.kinds, group.on, group.points, group.counts, group.distances
-    _gaps.spares(*arrays, space.frames, np.array([at]), found)
+    _clearance.spares(*arrays, space.frames, np.array([at]), found)
     return float(found[0, pair])
 
 
 def _require_apart(space: Space, at: Angles) -> None:
     """Raise `Blocked` where bodies are closer than the clearance at a pose, or a cable is too short there."""
-    from gonio.rig import _gaps
+    from gonio.rig import _clearance
 
     angles = space.true_angles(at)[None, :]
     for group in space.groups:
         found = np.empty((1, len(group.shapes)))
-        _gaps.spares(group.kinds, group.on, group.points, group.counts, group.distances, space.frames, angles, found)
+        _clearance.spares(
+            group.kinds, group.on, group.points, group.counts, group.distances, space.frames, angles, found
+        )
         pair = int(np.argmin(found)) if found.size else 0
         if not found.size or found[0, pair] > 0.0:
             continue
         one, other = group.shapes[pair]
-        if group.kinds[pair] == _gaps.TIED:
+        if group.kinds[pair] == _clearance.TIED:
             raise Blocked(
                 f"at {space.said(at)} the cable {one.body} is {-found[0, pair]:.1f} mm too short",
                 "where the point is measured, too short: the cable", one.body,
@@ -459,12 +463,12 @@ def _angles(pose: Pose) -> Angles:
 def beams(description: RigDescription, pose: Pose) -> tuple[Floats, Floats]:
     """The light from the lamp to what is measured of the sample, and from there to the lens: hulls of points in the
     lab, each of shape (2 `RIM`, 3) [mm]; the first half lies on the sample."""
-    from gonio.rig import _gaps
+    from gonio.rig import _clearance
 
     space = _space_of(description)
     angles, geometry = space.true_angles(_angles(pose)), description.geometry
     onto, shift = np.empty((3, 3)), np.empty(3)
-    _gaps.carried(_gaps.SPIN, angles, space.frames, onto, shift)
+    _clearance.carried(_clearance.SPIN, angles, space.frames, onto, shift)
     centre, surface = misalignment.patch(description.holder)
     middle, axes = onto @ centre + shift, onto @ surface
     out = []
@@ -472,7 +476,7 @@ def beams(description: RigDescription, pose: Pose) -> tuple[Floats, Floats]:
         ("light", description.arms.light, geometry.light_distance_mm, description.lamp.half_angle_deg),
         ("camera", description.arms.camera, geometry.camera_distance_mm, description.camera.lens_half_angle_deg),
     ):
-        _gaps.carried(CARRIERS.index(name), angles, space.frames, onto, shift)
+        _clearance.carried(CARRIERS.index(name), angles, space.frames, onto, shift)
         end = onto @ np.array(misalignment.head(axis, distance)) + shift
         toward = (end - middle) / np.linalg.norm(end - middle)
         across = _cross(toward, onto[:, 1])
@@ -506,7 +510,7 @@ def _require_lit(description: RigDescription, space: Space, at: Angles) -> None:
     What is on an arm does not stand in its own beam. Nor does a body that the sample lies in: a holder, whose opening
     its capsule or box does not have.
     """
-    from gonio.rig import _gaps
+    from gonio.rig import _clearance
 
     hulls = beams(description, Pose(*at))
     angles, room = space.true_angles(at), np.empty((8, 3))
@@ -514,11 +518,11 @@ def _require_lit(description: RigDescription, space: Space, at: Angles) -> None:
     for shape in space.shapes:
         on = np.array([CARRIERS.index(each) for each in shape.on])
         count, points = len(shape.points), np.array(shape.points)
-        _gaps.placed(on, points, count, angles, space.frames, room)
-        if _gaps.between(room, count, middle, 1, 0.0, np.inf) <= shape.radius:
+        _clearance.placed(on, points, count, angles, space.frames, room)
+        if _clearance.between(room, count, middle, 1, 0.0, np.inf) <= shape.radius:
             continue
         for hull, arm, words in zip(hulls, ("light", "camera"), ("of the light", "of the camera's sight"), strict=True):
-            if arm not in shape.on and _gaps.between(room, count, hull, len(hull), 0.0, np.inf) <= shape.radius:
+            if arm not in shape.on and _clearance.between(room, count, hull, len(hull), 0.0, np.inf) <= shape.radius:
                 raise Blocked(
                     f"at {space.said(at)} {shape.body} stands in the way {words}", f"in the way {words}:", shape.body
                 )
@@ -570,7 +574,7 @@ def _space(
 
 
 def _together(axes: tuple[int, ...], pairs: list[tuple[int, Shape, Shape, float]], frames: Floats) -> Pairs:
-    from gonio.rig import _gaps
+    from gonio.rig import _clearance
 
     kinds, distances = np.array([kind for kind, *_ in pairs]), np.array([distance for *_, distance in pairs])
     points, levers = np.zeros((len(pairs), 2, 8, 3)), np.zeros((len(pairs), len(NAMES)))
@@ -588,7 +592,7 @@ def _together(axes: tuple[int, ...], pairs: list[tuple[int, Shape, Shape, float]
         counts=np.array([[len(shape.points) for shape in shapes] for _, *shapes, _ in pairs]),
         levers=levers,
         distances=distances,
-        planned=distances + np.where(kinds == _gaps.APART, PLANNED_MM, -PLANNED_MM),
+        planned=distances + np.where(kinds == _clearance.APART, PLANNED_MM, -PLANNED_MM),
     )
 
 
@@ -599,12 +603,12 @@ def _pairs(
 
     Cables may lie on each other, and on what carries their own ends.
     """
-    from gonio.rig import _gaps
+    from gonio.rig import _clearance
 
     for one, other in itertools.combinations(shapes, 2):
         if (one.cable and other.cable) or {*map(_carrier, one.on)} & {*map(_carrier, other.on)}:
             continue
-        yield _gaps.APART, one, other, one.radius + other.radius + geometry.clearance_mm
+        yield _clearance.APART, one, other, one.radius + other.radius + geometry.clearance_mm
     for cable in cables:
         ends = [
             Shape(cable.name, (on, other), (at,), 0.0, cable=True)
@@ -613,7 +617,7 @@ def _pairs(
                 (cable.to_on, cable.from_on, cable.to_mm),
             )
         ]
-        yield _gaps.TIED, ends[0], ends[1], cable.length_mm
+        yield _clearance.TIED, ends[0], ends[1], cable.length_mm
 
 
 def _carrier(on: str) -> str:

@@ -1,4 +1,4 @@
-"""Gaps between bodies that axes carry, over a whole box of angles: the inner loop of `gonio.rig.ways`, compiled.
+"""Clearance of bodies that axes carry, over a whole box of angles: the compiled loop of `gonio.rig.motion_planning`.
 
 A body is all that lies within a radius of the convex hull of some points: a ball has one, a capsule two, a box eight.
 """

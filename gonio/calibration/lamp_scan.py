@@ -1,4 +1,4 @@
-"""Series and flats of a white, taken on an open rig by hand (`gonio.by_hand.bench`)."""
+"""Series and flats of a white, taken on an open rig by hand (`gonio.by_hand.manual_rig`)."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from gonio.typing import Floats
 if TYPE_CHECKING:
     import pandas as pd
 
-    from gonio.by_hand.bench import Bench
+    from gonio.by_hand.manual_rig import ManualRig
 
 DARK_FRAMES = 8
 BURST = 4
@@ -35,7 +35,7 @@ MOST_STEPS = 100_000
 
 
 def take_series(
-    bench: Bench,
+    bench: ManualRig,
     duration_s: float,
     every_s: float,
     *,
@@ -141,7 +141,7 @@ class _Series:
 
 
 def take_flats(
-    bench: Bench,
+    bench: ManualRig,
     *,
     keep: Callable[[pd.DataFrame], None],
     told: Callable[[int, int], None] = lambda done, total: None,
@@ -219,7 +219,7 @@ def _poses(description: RigDescription) -> list[Pose]:
 class _Steps:
     """Steps of a series: a simulated rig sets its clock and its random numbers by them."""
 
-    def __init__(self, bench: Bench) -> None:
+    def __init__(self, bench: ManualRig) -> None:
         self._bench, self._number = bench, 0
 
     def next(self, pose: Pose) -> Pose:
@@ -233,7 +233,7 @@ class _Steps:
         return self._bench.arms.read()
 
 
-def _monitor(bench: Bench) -> float | None:
+def _monitor(bench: ManualRig) -> float | None:
     read = getattr(bench.light, "monitor", lambda: None)()
     return None if read is None else float(read)
 

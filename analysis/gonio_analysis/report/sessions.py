@@ -1,4 +1,4 @@
-"""The sittings of a run: when somebody measured, how far it came, and what the white reference said each time."""
+"""The sessions of a run: when somebody measured, how far it came, and what the white reference said each time."""
 
 from __future__ import annotations
 
@@ -6,40 +6,40 @@ from datetime import datetime, timedelta
 
 from gonio.shown import with_u
 from gonio_analysis.report.blocks import Block, Heading, Paragraph, table
-from gonio_analysis.result_records import ReferenceLevel, RunFacts, SittingSummary
+from gonio_analysis.result_records import ReferenceLevel, RunFacts, SessionSummary
 
 MOST_BANDS = 4
 """Columns of the table; summary.json has all bands."""
-MOST_SITTINGS = 40
+MOST_SESSIONS = 40
 
 
 def section(run: RunFacts | None) -> list[Block]:
-    """The table of sittings; nothing for a run that was measured in one."""
-    if run is None or len(run.sittings) < 2:
+    """The table of sessions; nothing for a run that was measured in one."""
+    if run is None or len(run.sessions) < 2:
         return []
-    bands = list(dict.fromkeys(level.band for one in run.sittings for level in one.levels))
+    bands = list(dict.fromkeys(level.band for one in run.sessions for level in one.levels))
     shown = bands[:MOST_BANDS]
     rows = [
         [f"{k}, {_day(one.began)}", f"{_clock(one.began)} – {_clock(one.ended, one.began)}", str(one.steps), one.ending,
          *(_level(one, band) for band in shown)]
-        for k, one in enumerate(run.sittings[:MOST_SITTINGS], 1)
+        for k, one in enumerate(run.sessions[:MOST_SESSIONS], 1)
     ]  # fmt: skip
-    head = ["sitting", "from, to (UTC)", "steps", "its end", *(f"reference, {band}" for band in shown)]
+    head = ["session", "from, to (UTC)", "steps", "its end", *(f"reference, {band}" for band in shown)]
     words = (
-        f"It was measured in {len(run.sittings)} sittings, and the lamp was dark in between. The white reference joins"
+        f"It was measured in {len(run.sessions)} sessions, and the lamp was dark in between. The white reference joins"
         " them: values are relative to its visits."
     )
-    caption = "Reference: mean signal of the visits of a sitting, relative to the first one's, ± standard deviation."
+    caption = "Reference: mean signal of the visits of a session, relative to the first one's, ± standard deviation."
     if not shown:
         caption = "What the reference says stands here once the run is reduced."
-    if len(bands) > len(shown) or len(run.sittings) > MOST_SITTINGS:
-        caption += " summary.json has all bands and sittings."
+    if len(bands) > len(shown) or len(run.sessions) > MOST_SESSIONS:
+        caption += " summary.json has all bands and sessions."
     right = (2, *range(4, 4 + len(shown)))
-    return [Heading(3, "The sittings of the run"), Paragraph(words), table(caption, head, rows, right=right)]
+    return [Heading(3, "The sessions of the run"), Paragraph(words), table(caption, head, rows, right=right)]
 
 
-def _level(sitting: SittingSummary, band: str) -> str:
-    found: list[ReferenceLevel] = [level for level in sitting.levels if level.band == band]
+def _level(session: SessionSummary, band: str) -> str:
+    found: list[ReferenceLevel] = [level for level in session.levels if level.band == band]
     if not found:
         return "no visit"
     (level,) = found

@@ -14,10 +14,10 @@ from scipy.spatial.distance import cdist
 from gonio.config import parse
 from gonio.errors import ConfigError
 from gonio.geometry import Directions
-from gonio.rig import Pose, Step, ways
+from gonio.rig import Pose, Step, motion_planning
 from gonio.rig.description import ArmAxis, Arms, Body, Cable, Geometry, Holder, Lamp, RigDescription
 from gonio.rig.kinematics import Unreachable, reach
-from gonio.rig.ways import Blocked
+from gonio.rig.motion_planning import Blocked
 from tests.gonio.numpy_rig import describe
 
 AXIS = ArmAxis(limits_deg=(-89.0, 89.0))
@@ -94,7 +94,7 @@ def test_touching_agrees_with_a_cloud_of_points() -> None:
     seen = 0
     for _ in range(20):
         pose = Pose(*np.radians([*rng.uniform(-89, 89, 2), *rng.uniform(-80, 80, 2)]))
-        found = {frozenset(pair) for pair in ways.touching(rig, pose)}
+        found = {frozenset(pair) for pair in motion_planning.touching(rig, pose)}
         seen += len(found)
         for one, other in itertools.combinations(every.values(), 2):
             if one.on == other.on:
@@ -124,33 +124,33 @@ def sampled(rng: np.random.Generator, start: Pose, goal: Pose) -> list[Pose]:
 
 def test_no_way_that_is_found_touches_whatever_the_speeds_of_the_axes() -> None:
     rng = np.random.default_rng(2)
-    at, found, split = Pose(*ways._space_of(RIG).rest), 0, 0
+    at, found, split = Pose(*motion_planning._space_of(RIG).rest), 0, 0
     while found < 5:
         goal = Pose(*np.radians([*rng.uniform(-80, 80, 2), rng.uniform(-50, 50), rng.uniform(-180, 180)]).tolist())
         try:
-            legs = ways.route(RIG, at, goal)
+            legs = motion_planning.route(RIG, at, goal)
         except Blocked:
             continue
         found, split = found + 1, split + (len(legs) > 1)
         assert legs[-1] == goal
         for leg in legs:
-            assert not any(ways.touching(RIG, pose) for pose in sampled(rng, at, leg))
+            assert not any(motion_planning.touching(RIG, pose) for pose in sampled(rng, at, leg))
             at = leg
     assert split > 0
 
 
 def test_one_arm_goes_first_where_both_together_could_meet() -> None:
     start, goal = deg(-60, -20), deg(10, 50)
-    legs = ways.route(RIG, start, goal)
+    legs = motion_planning.route(RIG, start, goal)
     assert legs == [deg(-60, 50), deg(10, 50)]
-    assert ways.route(RIG.model_copy(update={"bodies": ()}), start, goal) == [goal]
+    assert motion_planning.route(RIG.model_copy(update={"bodies": ()}), start, goal) == [goal]
 
 
 def test_arms_in_one_plane_cannot_pass_each_other() -> None:
     with pytest.raises(
         Blocked, match=r"the way from light -89, camera 89, .* would touch: source head and camera head"
     ):
-        ways.route(RIG, deg(-89, 89), deg(30, -30))
+        motion_planning.route(RIG, deg(-89, 89), deg(30, -30))
 
 
 def test_an_approach_from_above_is_part_of_the_way() -> None:
@@ -159,10 +159,10 @@ def test_an_approach_from_above_is_part_of_the_way() -> None:
         light = AXIS.model_copy(update={"approach_deg": approach})
         rig = RIG.model_copy(update={"arms": Arms(light=light, camera=AXIS), "bodies": BARS[:1]})
         if approach == -1.0:
-            assert ways.route(rig, deg(-60, 0), deg(-18, 0)) == [deg(-18, 0)]
+            assert motion_planning.route(rig, deg(-60, 0), deg(-18, 0)) == [deg(-18, 0)]
         else:
             with pytest.raises(Blocked, match="would touch: source head and camera head, near light -1"):
-                ways.route(rig, deg(-60, 0), deg(-18, 0))
+                motion_planning.route(rig, deg(-60, 0), deg(-18, 0))
 
 
 def test_an_axis_that_stays_where_it_is_approaches_that_place_once_more() -> None:
@@ -171,7 +171,7 @@ def test_an_axis_that_stays_where_it_is_approaches_that_place_once_more() -> Non
     light = AXIS.model_copy(update={"approach_deg": -10.0})
     rig = RIG.model_copy(update={"arms": Arms(light=light, camera=AXIS), "bodies": BARS[:1]})
     with pytest.raises(Blocked, match="source head and camera head"):
-        ways.route(rig, deg(-18, 60), deg(-18, 0))
+        motion_planning.route(rig, deg(-18, 60), deg(-18, 0))
 
 
 def test_directions_are_reached_by_the_branch_that_has_a_free_way() -> None:
@@ -207,10 +207,12 @@ def test_the_branch_that_a_limit_closes_is_told_beside_the_one_that_bodies_close
 
 def test_a_place_to_park_needs_ways_there_and_back() -> None:
     rig = RIG.model_copy(update={"bodies": BARS})
-    ways.require_parking(rig, {"light": -70.0}, "axes.{}.park_deg")
-    ways.require_parking(rig.model_copy(update={"bodies": ()}), {"light": 70.0, "camera": 69.0}, "axes.{}.park_deg")
+    motion_planning.require_parking(rig, {"light": -70.0}, "axes.{}.park_deg")
+    motion_planning.require_parking(
+        rig.model_copy(update={"bodies": ()}), {"light": 70.0, "camera": 69.0}, "axes.{}.park_deg"
+    )
     with pytest.raises(ConfigError, match=r"^axes.light.park_deg = 70, axes.camera.park_deg = 20: .* camera head"):
-        ways.require_parking(rig, {"light": 70.0, "camera": 20.0}, "axes.{}.park_deg")
+        motion_planning.require_parking(rig, {"light": 70.0, "camera": 20.0}, "axes.{}.park_deg")
 
 
 def test_bodies_need_one_whole_shape() -> None:
@@ -229,7 +231,7 @@ def test_a_box_is_as_large_as_it_is() -> None:
             place = (float(middle[0]), float(middle[1]), float(middle[2]))
             ball = Body(name="ball", on="light", from_mm=place, to_mm=place, radius_mm=30.0)
             rig = describe(geometry=HEADS, bodies=(cube, ball))
-            found = ways.gaps(rig, [Pose()])[0]["cube", "ball"]
+            found = motion_planning.gaps(rig, [Pose()])[0]["cube", "ball"]
             assert found == pytest.approx(beyond, abs=1e-9)  # rounding of distances of 100 mm
 
 
@@ -240,13 +242,15 @@ def test_what_is_planned_is_found_again_from_where_the_axes_landed() -> None:
     while len(poses) < 4:
         pose = Pose(*np.radians([*rng.uniform(-80, 80, 2), rng.uniform(-40, 40), rng.uniform(-180, 180)]).tolist())
         try:
-            ways.require_free(RIG, pose)
+            motion_planning.require_free(RIG, pose)
         except Blocked:
             continue
         poses.append(pose)
     for start, goal in itertools.permutations(poses, 2):
-        landed = Pose(*(getattr(start, n) + rng.uniform(-1, 1) * ways.LANDING for n in ("light", "camera", "tilt")))
-        assert ways.route(RIG, replace(landed, spin=start.spin), goal)[-1] == goal
+        landed = Pose(
+            *(getattr(start, n) + rng.uniform(-1, 1) * motion_planning.LANDING for n in ("light", "camera", "tilt"))
+        )
+        assert motion_planning.route(RIG, replace(landed, spin=start.spin), goal)[-1] == goal
 
 
 def test_a_body_in_the_light_or_in_the_sight_blocks_a_point() -> None:
@@ -255,19 +259,19 @@ def test_a_body_in_the_light_or_in_the_sight_blocks_a_point() -> None:
     screen = Body(name="screen", on="bench", from_mm=(200, -30, 200), to_mm=(200, 30, 200), radius_mm=10.0)
     rig = lit.model_copy(update={"bodies": (screen,)})
     with pytest.raises(Blocked, match="screen stands in the way of the light"):
-        ways.require_free(rig, deg(45, -30))
+        motion_planning.require_free(rig, deg(45, -30))
     with pytest.raises(Blocked, match="screen stands in the way of the camera's sight"):
-        ways.require_free(rig, deg(-30, 45))
-    ways.require_free(rig, deg(35, 60))
+        motion_planning.require_free(rig, deg(-30, 45))
+    motion_planning.require_free(rig, deg(35, 60))
     own = rig.model_copy(update={"bodies": (screen.model_copy(update={"on": "light"}),)})
-    ways.require_free(own, deg(45, 60))
+    motion_planning.require_free(own, deg(45, 60))
     # flush with the sample's surface, and a holder that the sample lies in: neither takes the light at a low angle
     for top in (0.0, 3.0):
         plate = Body(name="plate", on="spin", centre_mm=(0, 0, top - 5), size_mm=(100, 100, 10))
-        ways.require_free(lit.model_copy(update={"bodies": (plate,)}), deg(-80, 70))
+        motion_planning.require_free(lit.model_copy(update={"bodies": (plate,)}), deg(-80, 70))
     raised = Body(name="clamp", on="spin", centre_mm=(-30, 0, 0), size_mm=(10, 40, 40))
     with pytest.raises(Blocked, match="clamp stands in the way of the light"):
-        ways.require_free(lit.model_copy(update={"bodies": (raised,)}), deg(-80, 70))
+        motion_planning.require_free(lit.model_copy(update={"bodies": (raised,)}), deg(-80, 70))
 
 
 @pytest.mark.slow
@@ -276,19 +280,19 @@ def test_a_cable_is_not_torn_and_nothing_runs_into_it() -> None:
     lead = Cable(name="lead", from_on="bench", from_mm=(0, 0, 300), to_on="light", to_mm=(0, 0, 400), length_mm=520)
     rig = describe(geometry=HEADS, arms=Arms(light=AXIS, camera=AXIS), cables=(lead,))
     apart = math.sqrt(300**2 + 400**2 - 2 * 300 * 400 * math.cos(math.radians(70)))
-    found = ways.gaps(rig, [deg(70, -70)])[0]["lead, bench end", "lead, light end"]
+    found = motion_planning.gaps(rig, [deg(70, -70)])[0]["lead, bench end", "lead, light end"]
     assert found == pytest.approx(520 - apart, abs=1e-9)  # the law of cosines
-    ways.require_free(rig, deg(-70, 70))
+    motion_planning.require_free(rig, deg(-70, 70))
     short = rig.model_copy(update={"cables": (lead.model_copy(update={"length_mm": 400}),)})
     with pytest.raises(Blocked, match=r"the cable lead is 95\.8 mm too short"):
-        ways.require_free(short, deg(-89, 70))
+        motion_planning.require_free(short, deg(-89, 70))
     with pytest.raises(Blocked, match="would tear the cable lead, near light -"):
-        ways.route(short, deg(0, 70), deg(-89, 70))
+        motion_planning.route(short, deg(0, 70), deg(-89, 70))
     # the camera at -10 deg, the lamp at -60: the camera's head is 150 mm and more off the straight line; a cable that
     # hangs by 200 mm may lie there
     hanging = rig.model_copy(update={"cables": (lead.model_copy(update={"sag_mm": 200}),)})
     with pytest.raises(Blocked, match="camera head and lead"):
-        ways.require_free(hanging, deg(-60, -10))
+        motion_planning.require_free(hanging, deg(-60, -10))
     same = lead.model_dump(mode="json", exclude_none=True) | {"from_on": "light"}
     tables = rig.model_dump(mode="json", exclude_none=True) | {"cables": [same]}
     with pytest.raises(ConfigError, match='cable "lead": both ends are on "light"'):
@@ -305,7 +309,7 @@ def test_bodies_ride_on_the_axes_as_they_stand() -> None:
         # at a reading of 0 the encoder reads 2 deg too much
         at = np.array([400 * math.sin(math.radians(-2)), offset + 400 * math.cos(math.radians(2))])
         expected = math.hypot(at[0], 450 - at[1]) - 20.0
-        assert ways.gaps(rig, [Pose()])[0]["bar", "post"] == pytest.approx(expected, abs=1e-9)
+        assert motion_planning.gaps(rig, [Pose()])[0]["bar", "post"] == pytest.approx(expected, abs=1e-9)
 
 
 def test_the_simulated_bench_tells_collisions_and_a_rig_that_looks_ahead_has_none() -> None:
@@ -321,7 +325,7 @@ def test_the_simulated_bench_tells_collisions_and_a_rig_that_looks_ahead_has_non
         rig.begin(Step(1, "dark"))
         for theta_r in (-60, 45):
             goal = reach(described, Directions.from_degrees(30, 0, abs(theta_r), 180 if theta_r > 0 else 0))
-            for leg in ways.route(described, rig.arms.read(), replace(goal)):
+            for leg in motion_planning.route(described, rig.arms.read(), replace(goal)):
                 rig.arms.move(leg)
         assert rig.world.touched == []
     assert rig.world.touched == []

@@ -1,4 +1,4 @@
-"""A run of several days: its report says when it was measured, how far each sitting came, what the reference said."""
+"""A run of several days: its report says when it was measured, how far each session came, what the reference said."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from gonio_analysis.report import make, sittings
+from gonio_analysis.report import make, sessions
 from gonio_analysis.result_records import RunFacts
 from gonio_analysis.selection.run_record import run_facts
 
@@ -39,13 +39,13 @@ class Dimmer(Plugin):
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Three sittings: Ctrl-C, a camera that fails on the next day, and the rest with a dimmer lamp."""
+    """Three sessions: Ctrl-C, a camera that fails on the next day, and the rest with a dimmer lamp."""
     here = tmp_path_factory.mktemp("days")
     (here / "plan.toml").write_text(PLAN)
     plan, out = load_plan(here / "plan.toml"), here / "run"
     with pytest.MonkeyPatch.context() as patch:
 
-        def sitting(day: str, plugin: Plugin, stop: StopAfter | None = None, *, resume: bool = True) -> Run:
+        def session(day: str, plugin: Plugin, stop: StopAfter | None = None, *, resume: bool = True) -> Run:
             patch.setattr("gonio.acquisition.journal.now", lambda: day)
             more: dict[str, Any] = {} if stop is None else {"progress": stop}
             return carry_out(
@@ -53,10 +53,10 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
             )
 
         with pytest.raises(Interrupted):
-            sitting(DAYS[0], Plugin(), StopAfter(6), resume=False)
+            session(DAYS[0], Plugin(), StopAfter(6), resume=False)
         with pytest.raises(DeviceError):
-            sitting(DAYS[1], Plugin(options={"fails_at": 8}))
-        run = sitting(DAYS[2], Dimmer())
+            session(DAYS[1], Plugin(options={"fails_at": 8}))
+        run = session(DAYS[2], Dimmer())
     run.write_table(brdf.reduce(run))
     return out
 
@@ -68,40 +68,40 @@ def facts(folder: Path) -> RunFacts:
     return found
 
 
-def test_sittings_have_their_days_steps_ends_and_levels(folder: Path, facts: RunFacts) -> None:
+def test_sessions_have_their_days_steps_ends_and_levels(folder: Path, facts: RunFacts) -> None:
     steps = len(Run.open(folder).steps())
-    assert [one.began for one in facts.sittings] == list(DAYS)
-    assert [one.ending for one in facts.sittings] == ["was interrupted", "a device failed", "all was measured"]
-    assert sum(one.steps for one in facts.sittings) == steps
-    first, last = facts.sittings[0], facts.sittings[-1]
+    assert [one.began for one in facts.sessions] == list(DAYS)
+    assert [one.ending for one in facts.sessions] == ["was interrupted", "a device failed", "all was measured"]
+    assert sum(one.steps for one in facts.sessions) == steps
+    first, last = facts.sessions[0], facts.sessions[-1]
     assert [level.band for level in first.levels] == ["green, 550", "red 650"]
     for level in first.levels:
         assert level.relative == pytest.approx(1.0)
     for level in last.levels:
         # a visit is a mean over some thousand pixels of some ten thousand electrons: 2e-4, and of one or two visits
         assert level.relative == pytest.approx(DIMMER, abs=2e-3)
-    visits = sum(level.visits for one in facts.sittings for level in one.levels if level.band == "red 650")
+    visits = sum(level.visits for one in facts.sessions for level in one.levels if level.band == "red 650")
     assert visits == sum(step.kind == "reference" for step in Run.open(folder).steps())
 
 
 def test_the_page_shows_them(folder: Path, tmp_path: Path) -> None:
     make([str(folder)], tmp_path / "report", models=["lambert"])
     page = (tmp_path / "report" / "index.html").read_text(encoding="utf-8")
-    assert "measured in 3 sittings" in page
+    assert "measured in 3 sessions" in page
     for said in ("2026-03-05", "22:05", "a device failed", "0.97"):
         assert said in page
     kept = json.loads((tmp_path / "report" / "summary.json").read_text(encoding="utf-8"))
-    assert len(kept["datasets"][0]["run"]["sittings"]) == 3
+    assert len(kept["datasets"][0]["run"]["sessions"]) == 3
 
 
-def test_a_run_of_one_sitting_says_nothing_of_it(facts: RunFacts) -> None:
-    assert sittings.section(replace(facts, sittings=facts.sittings[:1])) == []
-    assert sittings.section(None) == []
+def test_a_run_of_one_session_says_nothing_of_it(facts: RunFacts) -> None:
+    assert sessions.section(replace(facts, sessions=facts.sessions[:1])) == []
+    assert sessions.section(None) == []
 
 
-def test_a_sitting_over_midnight_and_one_that_was_killed(facts: RunFacts) -> None:
-    one = replace(facts.sittings[0], ended="2026-03-03T06:10:00.000Z", ending="no word of an end", levels=[])
-    said = repr(sittings.section(replace(facts, sittings=[one, facts.sittings[2]])))
+def test_a_session_over_midnight_and_one_that_was_killed(facts: RunFacts) -> None:
+    one = replace(facts.sessions[0], ended="2026-03-03T06:10:00.000Z", ending="no word of an end", levels=[])
+    said = repr(sessions.section(replace(facts, sessions=[one, facts.sessions[2]])))
     assert "22:05 – 06:10 (+1 d)" in said
     assert "no word of an end" in said
     assert "no visit" in said

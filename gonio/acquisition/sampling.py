@@ -1,4 +1,4 @@
-"""Runs that grow: what a chooser is, and how a plan finds its own (docs/campaigns.md)."""
+"""Runs that grow: what a sampler is, and how a plan finds its own (docs/campaigns.md)."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Choice:
     """Where it is enough: whether the target is reached, and not only the budget spent."""
 
 
-class Chooser(Protocol):
+class Sampler(Protocol):
     """Somebody who names the next points of a run. What it says follows from the run on the disk alone."""
 
     def first(self, planned: Sequence[Point]) -> Sequence[Point]:
@@ -40,49 +40,49 @@ class Chooser(Protocol):
         """The next batch, after all steps so far were taken; every point of it can be reached on the rig."""
 
 
-def about(chooser: Chooser) -> list[str]:
-    """What a chooser will do, a line each: candidates, target, budget. Choosers may have a method `about` for it."""
-    said: list[str] = list(getattr(chooser, "about", list)())
+def about(sampler: Sampler) -> list[str]:
+    """What a sampler will do, a line each: candidates, target, budget. Samplers may have a method `about` for it."""
+    said: list[str] = list(getattr(sampler, "about", list)())
     return said
 
 
-class ChooserPlugin(Protocol):
+class SamplerPlugin(Protocol):
     """What an entry point of the group `gonio.choosers` names."""
 
-    def open(self, plan: Plan, description: RigDescription) -> Chooser:
-        """A chooser for a plan on a rig, by `plan.adaptive`.
+    def open(self, plan: Plan, description: RigDescription) -> Sampler:
+        """A sampler for a plan on a rig, by `plan.adaptive`.
 
         Raises `ConfigError` for a key that is wrong; the message names the plan's file, the key, value and remedy.
         """
 
 
-def chooser_of(plan: Plan, description: RigDescription) -> tuple[Plan, Chooser | None]:
-    """The chooser that a plan asks for, and the plan with the points that it wants first; the plan itself without one.
+def sampler_of(plan: Plan, description: RigDescription) -> tuple[Plan, Sampler | None]:
+    """The sampler that a plan asks for, and the plan with the points that it wants first; the plan itself without one.
 
     Raises
     ------
     ConfigError
-        There is no such chooser, or one of its keys is wrong.
+        There is no such sampler, or one of its keys is wrong.
     """
     if plan.adaptive is None:
         return plan, None
     try:
-        plugin: ChooserPlugin = plugins.load("gonio.choosers", plan.adaptive.how)
+        plugin: SamplerPlugin = plugins.load("gonio.choosers", plan.adaptive.how)
     except ConfigError as error:
         raise ConfigError(f"{plan.source}: adaptive.how: {error}") from None
-    chooser = plugin.open(plan, description)
-    return replace(plan, points=(*plan.points, *chooser.first(plan.points))), chooser
+    sampler = plugin.open(plan, description)
+    return replace(plan, points=(*plan.points, *sampler.first(plan.points))), sampler
 
 
 def keepable(why: Mapping[str, Any], how: str) -> dict[str, Any]:
-    """The reasons of a chooser as JSON holds them: numpy's scalars and arrays become numbers and lists.
+    """The reasons of a sampler as JSON holds them: numpy's scalars and arrays become numbers and lists.
 
     A number that is not finite becomes None, as everywhere in a journal.
 
     Raises
     ------
     ConfigError
-        Something else stands there; the message names the chooser, the key and what it is.
+        Something else stands there; the message names the sampler, the key and what it is.
     """
     return {str(key): _plain(value, f"why[{key!r}]", how) for key, value in why.items()}
 
@@ -99,6 +99,6 @@ def _plain(value: Any, key: str, how: str) -> Any:
     if isinstance(value, list | tuple):
         return [_plain(part, f"{key}[{at}]", how) for at, part in enumerate(value)]
     raise ConfigError(
-        f'the chooser "{how}" gives {key} = {value!r}, a {type(value).__name__}, as a reason; a journal keeps numbers, '
-        "words, lists and tables: turn it into one of these in the chooser, and go on with --resume"
+        f'the sampler "{how}" gives {key} = {value!r}, a {type(value).__name__}, as a reason; a journal keeps numbers, '
+        "words, lists and tables: turn it into one of these in the sampler, and go on with --resume"
     )

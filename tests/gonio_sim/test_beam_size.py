@@ -15,7 +15,7 @@ from gonio.acquisition.run import Run
 from gonio.errors import ConfigError
 from gonio.geometry import Directions
 from gonio.reduction import brdf
-from gonio.rig import filling
+from gonio.rig import beam_size
 from gonio.rig.description import RigDescription
 from gonio.rig.imaging import pixel_map
 from gonio.rig.kinematics import reach, view
@@ -82,7 +82,7 @@ def test_a_reference_that_the_beam_does_not_fill_is_refused(
 def test_a_beam_reaches_a_reference_beside_the_sample_or_not(beam_mm: float, message: str) -> None:
     description = rig(beam_mm, reference={"how": "beside", "offset_mm": [0.0, 11.0], "diameter_mm": 2.0})
     seen = view(description, reach(description, Directions.from_degrees(0.0, 0.0, 40.0, 180.0)))
-    why = filling.cut(description, seen, "reference")
+    why = beam_size.cut(description, seen, "reference")
     assert message in why if message else not why
 
 

@@ -13,10 +13,10 @@ import pytest
 
 from gonio import plugins
 from gonio.acquisition import repair
-from gonio.acquisition.choosing import Choice
 from gonio.acquisition.measure import RigChoice, carry_out
 from gonio.acquisition.plan import Plan, Point, canonical, load_plan
 from gonio.acquisition.run import Run
+from gonio.acquisition.sampling import Choice
 from gonio.errors import ConfigError, Interrupted
 from gonio.reduction import brdf
 from gonio.rig.description import RigDescription
@@ -59,7 +59,7 @@ class Brightest:
 
 
 class Chooses:
-    """What the entry point names; it collects its choosers."""
+    """What the entry point names; it collects its samplers."""
 
     opened: list[Brightest] = []  # noqa: RUF012
 
@@ -142,9 +142,9 @@ def with_reasons(monkeypatch: pytest.MonkeyPatch, **more: Any) -> None:
     real = Chooses.open
 
     def opened(plan: Plan, description: RigDescription) -> Brightest:
-        chooser = real(plan, description)
-        chooser.more = more
-        return chooser
+        sampler = real(plan, description)
+        sampler.more = more
+        return sampler
 
     monkeypatch.setattr(Chooses, "open", staticmethod(opened))
 
@@ -185,7 +185,7 @@ def test_other_wishes_are_another_run(plan: Plan, tmp_path: Path) -> None:
 
 def test_an_unknown_chooser_is_named_before_anything_moves(tmp_path: Path) -> None:
     (tmp_path / "plan.toml").write_text(PLAN.replace('"brightest"', '"oracle"'))
-    with pytest.raises(ConfigError, match=r'plan\.toml: adaptive\.how: there is no chooser named "oracle"'):
+    with pytest.raises(ConfigError, match=r'plan\.toml: adaptive\.how: there is no sampler named "oracle"'):
         measure(load_plan(tmp_path / "plan.toml"), tmp_path / "run")
     assert not (tmp_path / "run").exists()
 
@@ -207,7 +207,7 @@ def test_a_point_that_the_rig_cannot_reach_ends_the_run_before_the_journal_has_i
 ) -> None:
     monkeypatch.setattr(Brightest, "next", lambda self, run: Choice((canonical(30.0, 0.0, 120.0, 180.0),)))
     rig = Plugin()
-    with pytest.raises(ConfigError, match=r"the chooser named a point .*theta_r_deg = 120.*outside the limits"):
+    with pytest.raises(ConfigError, match=r"the sampler named a point .*theta_r_deg = 120.*outside the limits"):
         carry_out(plan, RigChoice(rig, describe(), "numpy"), tmp_path / "run", sample=SAMPLE, seed=1)
     assert rig.opened[0].log[-2:] == ["off", "park"]
     run = Run.open(tmp_path / "run")

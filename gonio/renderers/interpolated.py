@@ -39,7 +39,7 @@ _DISTINCT = float(np.radians(0.02))
 """Half angles of one place: their values are averaged (`geometry.SAME_DIRECTION`)."""
 
 
-class Filled:
+class Interpolated:
     """A table as a function of two directions.
 
     Parameters
@@ -126,7 +126,7 @@ class Filled:
         return all(s.triangles is None for s in self.slices)
 
     def reflectance(self, theta_i: Floats) -> Floats:
-        """rho_dh (incidences, channels): the light from each direction that the filled table reflects.
+        """rho_dh (incidences, channels): the light from each direction that the interpolated table reflects.
 
         The integral runs over half vectors, close together about the mirror direction.
         """

@@ -1,4 +1,4 @@
-"""The sittings of a run: one that is gone on with has several, over hours or days, with the reference as the thread."""
+"""The sessions of a run: one that is gone on with has several, over hours or days, with the reference as the thread."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 from statistics import fmean, stdev
 from typing import TYPE_CHECKING, Any
 
-from gonio_analysis.result_records import ReferenceLevel, SittingSummary
+from gonio_analysis.result_records import ReferenceLevel, SessionSummary
 
 if TYPE_CHECKING:
     from gonio.acquisition.run import Run
@@ -19,11 +19,11 @@ KIND = re.compile(rb'\{"n":\d+,"event":"(\w+)"(?:,"step":\d+,"kind":"(\w+)")?')
 """How the lines of a journal begin."""
 ENDINGS = {"end": "all was measured", "interrupted": "was interrupted", "device_error": "a device failed"}
 UNKNOWN = "no word of an end"
-"""Of a sitting whose process was killed, or that goes on now."""
+"""Of a session whose process was killed, or that goes on now."""
 
 
 @dataclass
-class _Sitting:
+class _Session:
     began: str
     ended: str
     steps: int = 0
@@ -32,9 +32,9 @@ class _Sitting:
     """Signals of the visits to the reference, by band."""
 
 
-def run_sittings(run: Run) -> list[SittingSummary]:
-    """The sittings in which a run took steps, in order; levels of the reference where the run has been reduced."""
-    found, visits_s = _sittings(run)
+def run_sessions(run: Run) -> list[SessionSummary]:
+    """The sessions in which a run took steps, in order; levels of the reference where the run has been reduced."""
+    found, visits_s = _sessions(run)
     times_s = [time_s for time_s, _ in visits_s]
     told = account(run.path)
     for band in told:
@@ -44,22 +44,22 @@ def run_sittings(run: Run) -> list[SittingSummary]:
                 visits_s[visit][1].levels.setdefault(band["band"], []).append(signal)
     first: dict[str, float] = {}
     out = []
-    for sitting in found:
+    for session in found:
         levels = []
-        for name, signals in sitting.levels.items():
+        for name, signals in session.levels.items():
             level = fmean(signals)
             relative = level / first.setdefault(name, level)
             scatter = stdev(signals) / first[name] if len(signals) > 1 else None
             levels.append(ReferenceLevel(name, len(signals), relative, scatter))
-        if sitting.steps:
-            out.append(SittingSummary(sitting.began, sitting.ended, sitting.steps, sitting.ending, levels))
+        if session.steps:
+            out.append(SessionSummary(session.began, session.ended, session.steps, session.ending, levels))
     return out
 
 
-def _sittings(run: Run) -> tuple[list[_Sitting], list[tuple[float, _Sitting]]]:
-    """Every sitting, and the visits to the reference: when each began [s, rig's clock], and in which sitting."""
-    found: list[_Sitting] = []
-    visits: list[tuple[float, _Sitting]] = []
+def _sessions(run: Run) -> tuple[list[_Session], list[tuple[float, _Session]]]:
+    """Every session, and the visits to the reference: when each began [s, rig's clock], and in which session."""
+    found: list[_Session] = []
+    visits: list[tuple[float, _Session]] = []
     last = b""
     events = run.events()
     for line in events.lines(range(len(events))):
@@ -69,7 +69,7 @@ def _sittings(run: Run) -> tuple[list[_Sitting], list[tuple[float, _Sitting]]]:
             if found:
                 found[-1].ended = json.loads(last)["wall"]
             wall = json.loads(line)["wall"]
-            found.append(_Sitting(wall, wall))
+            found.append(_Session(wall, wall))
         elif found and match and kind == "step":
             found[-1].steps += 1
             if match[2] == b"reference":
