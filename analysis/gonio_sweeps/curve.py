@@ -29,7 +29,7 @@ from gonio.typing import Floats
 from gonio_sweeps import curve_choice, expected
 from gonio_sweeps.candidates import Candidates, candidates, places, snake, spread
 from gonio_sweeps.curve_choice import Grid
-from gonio_sweeps.online import Online, Values
+from gonio_sweeps.online import GrowingValues, Online
 from gonio_sweeps.posterior import FEWEST, AngleErrors, Posterior
 
 FIRST, FURTHER = 12, 7
@@ -50,7 +50,7 @@ DEFAULT_GOAL = 0.005
 """Without `u_rel`: what is known so well counts little."""
 
 
-class Settings(Strict):
+class CurveSettings(Strict):
     """The keys of `[adaptive]` with how = "curve", beside `how` and `budget_h`."""
 
     u_rel: Positive | None = None
@@ -89,7 +89,7 @@ class Decided:
     met: bool = False
 
 
-class Plugin:
+class CurvePlugin:
     """What the entry point names."""
 
     def open(self, plan: Plan, description: RigDescription) -> Curve:
@@ -109,7 +109,7 @@ class Curve:
     def __init__(self, plan: Plan, description: RigDescription) -> None:
         assert plan.adaptive is not None
         where = f"{plan.source}: [adaptive]"
-        self._settings = parse(Settings, plan.adaptive.own, where)
+        self._settings = parse(CurveSettings, plan.adaptive.own, where)
         self._description = description
         self._budget_s = 3600.0 * plan.adaptive.budget_h
         self._bands = plan.bands(description)
@@ -186,7 +186,7 @@ class Curve:
         points = tuple(self.candidates.points[k] for k in decided.picked)
         return Choice(points, decided.why, decided.message, decided.met)
 
-    def known(self, values: Values, before: Sequence[float] | None = None) -> Posterior:
+    def known(self, values: GrowingValues, before: Sequence[float] | None = None) -> Posterior:
         """What the values of one band tell; `before` are the parameters of the kernel that fewer points told."""
         common = np.stack(list(values.common.values()), axis=1) if values.common else np.zeros((len(values), 0))
         return Posterior(
@@ -200,7 +200,7 @@ class Curve:
         )
 
     def decided(
-        self, values: Sequence[Values], spent_s: float, before: Sequence[Sequence[float]] | None = None
+        self, values: Sequence[GrowingValues], spent_s: float, before: Sequence[Sequence[float]] | None = None
     ) -> Decided:
         """The next batch; it follows from the arguments alone.
 
@@ -330,4 +330,4 @@ def _short(value: float) -> float | None:
     return float(f"{value:.3g}") if math.isfinite(value) else None
 
 
-SAMPLER = Plugin()
+SAMPLER = CurvePlugin()

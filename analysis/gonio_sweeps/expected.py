@@ -27,7 +27,7 @@ NOTHING = 1e-9
 
 
 @dataclass(frozen=True)
-class Visits:
+class ExpectedVisits:
     """Visits to points, in one band."""
 
     u_rel: Floats
@@ -43,7 +43,7 @@ class Expected:
         self._durations, self.poses = durations, poses
         self._pixels = [_pixels(durations.description, pose) for pose in poses]
 
-    def visits(self, brdf: Floats) -> Visits:
+    def visits(self, brdf: Floats) -> ExpectedVisits:
         """Where the sample has a BRDF [1/sr], one value a pose.
 
         The noise is that of the EMVA 1288 model (docs/radiometry.md); the dark frames' own is left out.
@@ -52,7 +52,7 @@ class Expected:
         seconds = [self._durations.frames_s(Step(0, "point", 0, p), f) for p, f in zip(self.poses, factor, strict=True)]
         each = zip(self.poses, self._pixels, factor, strict=True)
         weights = [_weight(self._durations.description, pose, pixels, f) for pose, pixels, f in each]
-        return Visits(np.where(brdf > 0, 1.0 / np.sqrt(weights), np.inf), np.array(seconds))
+        return ExpectedVisits(np.where(brdf > 0, 1.0 / np.sqrt(weights), np.inf), np.array(seconds))
 
 
 def _weight(description: RigDescription, pose: Pose, pixels: float, reflectance: float) -> float:

@@ -27,7 +27,7 @@ SPARE = 4
 
 
 @dataclass(frozen=True)
-class Verdict:
+class LackOfFit:
     """What the residuals say of a model."""
 
     chi_square: float
@@ -43,7 +43,7 @@ class Verdict:
         return self.p_value < FALSE_ALARMS * 6.0 / (math.pi * (look + 1)) ** 2
 
 
-def judge(residual: Floats, jacobian: Floats, predicted: Floats, covariance: Covariance, at: Directions) -> Verdict:
+def judge(residual: Floats, jacobian: Floats, predicted: Floats, covariance: Covariance, at: Directions) -> LackOfFit:
     """Test a fit.
 
     Parameters
@@ -66,7 +66,7 @@ def judge(residual: Floats, jacobian: Floats, predicted: Floats, covariance: Cov
     first, rank = _left(white, design)
     freedom = white.size - rank
     if freedom < 1:
-        return Verdict(first, 0, 1.0)
+        return LackOfFit(first, 0, 1.0)
     values = [float(chdtrc(freedom, first))]
     smooth = _smooth(at)[:, : max(freedom - SPARE, 0)]
     if smooth.shape[1]:
@@ -74,7 +74,7 @@ def judge(residual: Floats, jacobian: Floats, predicted: Floats, covariance: Cov
         second, with_more = _left(white, np.concatenate([design, more], axis=1))
         if with_more > rank:
             values.append(float(chdtrc(with_more - rank, max(first - second, 0.0))))
-    return Verdict(first, freedom, min(1.0, len(values) * min(values)))
+    return LackOfFit(first, freedom, min(1.0, len(values) * min(values)))
 
 
 def _left(white: Floats, design: Floats) -> tuple[float, int]:

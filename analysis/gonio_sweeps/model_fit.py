@@ -24,7 +24,7 @@ from gonio.rig.description import Positive, RigDescription
 from gonio.shown import with_u
 from gonio.typing import Floats
 from gonio_sweeps import fisher, lack_of_fit
-from gonio_sweeps.online import Values
+from gonio_sweeps.online import GrowingValues
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -40,7 +40,7 @@ APART = 5.0
 """Solutions differ where a parameter does by so many standard uncertainties."""
 
 
-class Settings(Strict):
+class ParameterSettings(Strict):
     """The keys of `[adaptive]` with how = "parameters", beside `how` and `budget_h`."""
 
     model: str
@@ -87,7 +87,7 @@ class Known:
     rows: fisher.Rows
     modes: list[tuple[Floats, float]]
     """Solutions that are not ruled out, as points of the search scale, with their weights; the best one first."""
-    test: lack_of_fit.Verdict
+    test: lack_of_fit.LackOfFit
     worse: float = 1.0
     """The uncertainties of a full reduction and fit, over those of the quick one: targets are harder by so much."""
 
@@ -106,7 +106,7 @@ class ModelFit:
         The settings name no model, or one of its parameters is wrong.
     """
 
-    def __init__(self, settings: Settings, description: RigDescription, wavelength_nm: float) -> None:
+    def __init__(self, settings: ParameterSettings, description: RigDescription, wavelength_nm: float) -> None:
         self.settings, self.wavelength_nm = settings, wavelength_nm
         self._description = description
         self.problem = pose(self._request)
@@ -116,7 +116,7 @@ class ModelFit:
         s = self.settings
         return FitRequest(s.model, ior=s.index, fix=s.fix, free=s.free, slopes=s.slopes)
 
-    def observed(self, values: Values, covariance: Covariance) -> Observations:
+    def observed(self, values: GrowingValues, covariance: Covariance) -> Observations:
         """Values with a covariance, as fits take them."""
         lamp, lens = self._description.lamp.half_angle_deg, self._description.camera.lens_half_angle_deg
         return Observations(
@@ -129,7 +129,7 @@ class ModelFit:
             receiver_solid_angle_sr=float(solid_angle_of_cone(math.radians(lens))),
         )
 
-    def fitted(self, values: Values, searches: int = SEARCHES) -> Known | None:
+    def fitted(self, values: GrowingValues, searches: int = SEARCHES) -> Known | None:
         """The fit to all values, with what errors of the angles do by the model itself; None where it is impossible."""
         free = len(self.problem.free)
         if len(values) <= free + 1:

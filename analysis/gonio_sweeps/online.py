@@ -25,7 +25,7 @@ from gonio.typing import Floats
 
 
 @dataclass(frozen=True)
-class Values:
+class GrowingValues:
     """The values of one band so far, in the order in which they were measured."""
 
     rows: npt.NDArray[np.intp]
@@ -55,7 +55,7 @@ class Online:
     _kept: dict[int, tuple[tuple[str, ...], Reduced | Rejected]] = field(default_factory=dict)
     """By the number of a step: its frames, and what they came to."""
 
-    def values(self, run: Run) -> Values:
+    def values(self, run: Run) -> GrowingValues:
         """The values of all steps that are done.
 
         Frames of a batch are reduced together: what is kept follows from the journal, and a run that is gone on with
@@ -96,12 +96,12 @@ def _name(record: StepRecord, darks: tuple[str, ...]) -> tuple[str, ...]:
     return (*(str(frame.sha256) for frame in record.frames), *darks)
 
 
-def _values(run: Run, points: list[Reduced], visits: list[Reduced], band: Band) -> Values:
+def _values(run: Run, points: list[Reduced], visits: list[Reduced], band: Band) -> GrowingValues:
     known = so_far(run, points, visits, band)
     # the dark frames' noise, which neighbours share, counts as independent here
     variance = np.array([point.variance + float(np.sum(point.dark**2)) for point in points]) / known.level**2
     prnu = run.description.camera.prnu * np.sqrt([2.0 / point.pixels for point in points])
-    return Values(
+    return GrowingValues(
         rows=np.array([point.point for point in points], dtype=np.intp),
         directions=known.directions,
         poses=tuple(point.pose for point in points),

@@ -34,8 +34,8 @@ from gonio.rig.description import Band, RigDescription
 from gonio.typing import Floats
 from gonio_sweeps import covering, expected, fisher
 from gonio_sweeps.candidates import candidates, from_nearest, nearby, places, read, snake, spread
-from gonio_sweeps.model_fit import MANY, SEARCHES, Known, ModelFit, Settings, short
-from gonio_sweeps.online import Online, Values
+from gonio_sweeps.model_fit import MANY, SEARCHES, Known, ModelFit, ParameterSettings, short
+from gonio_sweeps.online import GrowingValues, Online
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -82,7 +82,7 @@ LEAST_GAIN = 2e-4
 """Where no point lowers the logarithm of the uncertainties by more, none adds anything."""
 
 
-class Plugin:
+class ParameterPlugin:
     """What the entry point names."""
 
     def open(self, plan: Plan, description: RigDescription) -> Parameters:
@@ -102,7 +102,7 @@ class Parameters:
     def __init__(self, plan: Plan, description: RigDescription) -> None:
         assert plan.adaptive is not None
         where = f"{plan.source}: [adaptive]"
-        self._settings = parse(Settings, plan.adaptive.own, where)
+        self._settings = parse(ParameterSettings, plan.adaptive.own, where)
         self._description = description
         self._budget_s = 3600.0 * plan.adaptive.budget_h
         self._bands = plan.bands(description)
@@ -190,7 +190,7 @@ class Parameters:
         )
 
     def choose(
-        self, values: Values, *, spent_s: float, modes: Sequence[str], reduced: Callable[[], pd.DataFrame]
+        self, values: GrowingValues, *, spent_s: float, modes: Sequence[str], reduced: Callable[[], pd.DataFrame]
     ) -> Choice:
         """What is measured next.
 
@@ -255,13 +255,13 @@ class Parameters:
         said.append(f"{spent_s / 60:.3g} of {self._budget_s / 60:.3g} min")
         return Choice(ordered, why, "; ".join(said))
 
-    def fitted(self, values: Values, searches: int = SEARCHES) -> Known | None:
+    def fitted(self, values: GrowingValues, searches: int = SEARCHES) -> Known | None:
         """See `gonio_sweeps.model_fit.ModelFit.fitted`."""
         return self._fits.fitted(values, searches)
 
     # ---- choosing ----
 
-    def _cover(self, values: Values, left_s: float, stage: int) -> tuple[list[int], dict[str, Any]]:
+    def _cover(self, values: GrowingValues, left_s: float, stage: int) -> tuple[list[int], dict[str, Any]]:
         """The candidates of a batch that covers; so many of these were measured before.
 
         The first of these batches is small: how dark the sample is where nothing was measured nobody knows before.
@@ -293,7 +293,7 @@ class Parameters:
             numbers["batch_s"] = round(self._batch_s(batch, seen, here), 1)
         return batch, numbers
 
-    def _pick(self, values: Values, known: Known | None, left_s: float) -> tuple[list[int], dict[str, Any]]:
+    def _pick(self, values: GrowingValues, known: Known | None, left_s: float) -> tuple[list[int], dict[str, Any]]:
         """The candidates of a batch, in the order of their choice, and numbers for the journal."""
         count = LARGEST if known is None else min(max(round(GROWTH * len(values)), SMALLEST), LARGEST)
         seen = self._seen(values, known)
@@ -327,7 +327,7 @@ class Parameters:
             numbers["batch_s"] = round(self._batch_s(batch, seen, here), 1)
         return batch, numbers
 
-    def _uncovered(self, values: Values, count: int, cost: Floats) -> list[int]:
+    def _uncovered(self, values: GrowingValues, count: int, cost: Floats) -> list[int]:
         """So many candidates that are farthest from what was measured and from each other, for their time."""
         distance = np.full(len(cost), 1e3)
         if len(values):
@@ -342,19 +342,19 @@ class Parameters:
             distance = np.minimum(distance, np.linalg.norm(self._places - self._places[k], axis=1))
         return out
 
-    def _out_of_reach(self, values: Values, known: Known, left_s: float, cost: Floats) -> bool:
+    def _out_of_reach(self, values: GrowingValues, known: Known, left_s: float, cost: Floats) -> bool:
         """Whether the targets would take more points than there is time for; what is known grows as their number."""
         ratios = self._fits.ratios(known.result)
         if not np.isfinite(ratios).any():
             return False
         return len(values) * (float(np.nanmax(ratios)) ** 2 - 1.0) > left_s / float(np.quantile(cost, CHEAP))
 
-    def _batch_s(self, batch: list[int], seen: expected.Visits, here: Pose) -> float:
+    def _batch_s(self, batch: list[int], seen: expected.ExpectedVisits, here: Pose) -> float:
         order = [batch[k] for k in snake([self.candidates.points[k] for k in batch])]
         poses = [self.candidates.poses[k] for k in order]
         return expected.batch_s(self._durations, poses, [float(seen.seconds[k]) for k in order], here)
 
-    def _seen(self, values: Values, known: Known | None) -> expected.Visits:
+    def _seen(self, values: GrowingValues, known: Known | None) -> expected.ExpectedVisits:
         """What visits to the candidates come to: by the fit, or by values nearby where no model is to be trusted."""
         if known is not None:
             return self._expected.visits(
@@ -374,7 +374,7 @@ class Parameters:
         none, poses = np.zeros(len(self.candidates)), read(self._description, self.candidates.poses)
         rows = none.astype(np.intp)
         directions = Directions.stack([kinematics.directions(self._description, pose) for pose in poses])
-        values = Values(rows, directions, poses, none, none, {}, none)
+        values = GrowingValues(rows, directions, poses, none, none, {}, none)
         observed = self._fits.observed(values, Covariance(none + 1.0, np.zeros((none.size, 0))))
         return fisher.Sights(observed, poses, self._description)
 
@@ -412,7 +412,7 @@ class Parameters:
         return out
 
     def _informative(
-        self, values: Values, known: Known, taken: list[int], count: int, cost: Floats
+        self, values: GrowingValues, known: Known, taken: list[int], count: int, cost: Floats
     ) -> tuple[list[int], float, bool]:
         """The candidates that tell most for their time, beside those that are taken already; what all of them lower the
         log uncertainty by; and whether the targets are met then.
@@ -480,4 +480,4 @@ def _weights(covariance: Floats, count: int, targets: Floats | None) -> Floats |
     return np.where(stated, (ratios / max(float(ratios.max()), 1e-300)) ** 2 / np.where(stated, targets, 1.0) ** 2, 0.0)
 
 
-SAMPLER = Plugin()
+SAMPLER = ParameterPlugin()

@@ -13,7 +13,7 @@ from gonio.geometry import Directions, direction
 from gonio.models.gaussian_process import (
     Coordinates,
     Process,
-    Values,
+    Training,
     learned,
     nearby,
     objective,
@@ -136,7 +136,7 @@ class Posterior:
         return self._learned.spike
 
     @property
-    def _values(self) -> Values:
+    def _values(self) -> Training:
         return self._learned.values
 
     @cached_property
@@ -153,14 +153,14 @@ class Posterior:
         """The values on the scale of the process, and its parameters; twice where slopes have to be known first."""
         slope = self.link.slope(self.brdf)
         at, z, u, causes = Coordinates.of(self.directions), self.link.z(self.brdf), self._u * slope, self.causes
-        values = Values(at, z, u, causes * slope[:, None])
+        values = Training(at, z, u, causes * slope[:, None])
         if self.angles is None:
             return _Learned.of(values, learned(values, self.before))
         p = learned(values) if self.before is None else self.before
         by_detector, by_source, across = self._slopes(Process(values, p, float(np.median(z))), self.directions)
         u = np.sqrt(u**2 + self.angles.read**2 * (by_detector**2 + by_source**2 + across**2))
         zeros = self.angles.zero * np.stack([by_detector, by_source, across], axis=-1)
-        values = Values(at, z, u, np.concatenate([values.causes, zeros], axis=-1))
+        values = Training(at, z, u, np.concatenate([values.causes, zeros], axis=-1))
         return _Learned.of(values, learned(values, p))
 
     def _summed(self, spike: Spike | None) -> _Learned | None:
@@ -204,7 +204,7 @@ class Posterior:
                 values, gain = self._near(lobe, base, by, spike)
         return _Learned.of(values, p, spike, -float(np.log(gain / self.link.slope(self.brdf)).sum()))
 
-    def _near(self, lobe: Floats, base: Floats, by: Slopes | None, spike: Spike | None) -> tuple[Values, Floats]:
+    def _near(self, lobe: Floats, base: Floats, by: Slopes | None, spike: Spike | None) -> tuple[Training, Floats]:
         """The values as what they tell near a lobe and a base; and how a change of each value is seen there.
 
         `by` are the slopes of the sum, where errors of angles are to be counted by them.
@@ -228,7 +228,7 @@ class Posterior:
             causes = np.concatenate([causes, zero * np.stack(slopes, axis=-1)], axis=-1)
         z = gain * (self.brdf - f) + of_lobe * lobe + of_base * base
         at = Coordinates.of(self.directions).seen(of_lobe, of_base)
-        return Values(at, z, np.sqrt(u) * gain, causes * gain[:, None], summed=True), gain
+        return Training(at, z, np.sqrt(u) * gain, causes * gain[:, None], summed=True), gain
 
     def _steepness_of(self, spike: Spike, read: float) -> Floats:
         """What a spike changes along the plane of the mirror direction [1/sr/rad]."""
@@ -248,7 +248,7 @@ class Posterior:
         slope = self.link.slope(self.brdf)
         read, zero = (0.0, 0.0) if self.angles is None else (self.angles.read, self.angles.zero)
         z0 = self.link.z(self.brdf)
-        values = Values(at, z0, self._u * slope, self.causes * slope[:, None])
+        values = Training(at, z0, self._u * slope, self.causes * slope[:, None])
         # the lobe alone, first: it is known beyond the cones
         start = values.only(beyond)
         if start.z.size < FEWEST:
@@ -266,7 +266,7 @@ class Posterior:
             u = np.sqrt((self._u * gain) ** 2 + (scatter * gain) ** 2 + read**2 * sum(s**2 for s in by))
             # both arms move a point away from the mirror direction
             zeros = zero * np.stack([by[0] + steep, by[1] - steep, by[2]], axis=-1)
-            values = Values(
+            values = Training(
                 at, z, u, np.concatenate([effects * gain[:, None], self.causes * gain[:, None], zeros], axis=-1)
             )
             if last:
@@ -308,7 +308,7 @@ class Posterior:
         v = self._values
         kept = 0 if self.spike is None else self.spike.base.size
         causes = v.causes[:, :kept] if kept else np.zeros((v.z.size, 1))
-        return Process(Values(v.at, v.z, v.u, causes, v.summed), self.parameters, float(np.median(v.z)))
+        return Process(Training(v.at, v.z, v.u, causes, v.summed), self.parameters, float(np.median(v.z)))
 
     @cached_property
     def left_out(self) -> Floats:
@@ -405,14 +405,14 @@ class Posterior:
 class _Learned:
     """What the values come to, and what they tell of the kernel."""
 
-    values: Values
+    values: Training
     p: Floats
     unlikely: float
     """-ln of the values' probability, but for a constant."""
     spike: Spike | None = None
 
     @classmethod
-    def of(cls, values: Values, p: Floats, spike: Spike | None = None, jacobian: float = 0.0) -> _Learned:
+    def of(cls, values: Training, p: Floats, spike: Spike | None = None, jacobian: float = 0.0) -> _Learned:
         return cls(values, p, objective(p, values, float(np.median(values.z)))[0] + jacobian, spike)
 
 

@@ -41,7 +41,7 @@ PATHS = "GENICAM_GENTL64_PATH"
 """Folders of producers, as makers' software sets it."""
 
 
-class Settings(Strict):
+class GenicamSettings(Strict):
     """The keys of `[devices.camera]` beside `driver = "genicam"`."""
 
     producer: str | None = None
@@ -61,7 +61,7 @@ class Settings(Strict):
 class GenICamCamera:
     """A GenICam camera, as a `CameraDevice`."""
 
-    def __init__(self, description: RigDescription, settings: Settings) -> None:
+    def __init__(self, description: RigDescription, settings: GenicamSettings) -> None:
         self._settings = settings
         self._description = description.camera
         self._harvester: Any = None
@@ -333,4 +333,4 @@ def _bits(name: str) -> int:
 
 def genicam(description: RigDescription, table: dict[str, Any]) -> GenICamCamera:
     """The entry point `genicam` of the group `gonio.cameras`."""
-    return GenICamCamera(description, parse(Settings, table, "[devices.camera]"))
+    return GenICamCamera(description, parse(GenicamSettings, table, "[devices.camera]"))

@@ -45,7 +45,7 @@ FAULTS = {
 """Status bits of the APT protocol, by pylablib's names; "current_limit" is a motor that works hard, and no fault."""
 
 
-class Settings(settings.StageAxis):
+class KinesisAxis(settings.StageAxis):
     """The keys of a table `[devices.stages.axes.NAME]` with `driver = "thorlabs"`."""
 
     port: str
@@ -61,7 +61,7 @@ class Settings(settings.StageAxis):
 class KinesisStage:
     """A motor controller of Thorlabs, as a `gonio_drivers.stages.Stage`."""
 
-    def __init__(self, wanted: Settings, key: str) -> None:
+    def __init__(self, wanted: KinesisAxis, key: str) -> None:
         if wanted.stage is not None and wanted.counts_per_deg is not None:
             raise ConfigError(f"{key}: give stage or counts_per_deg, and not both")
         self.axis = wanted
@@ -233,4 +233,4 @@ def _library() -> tuple[Any, type[Exception]]:
 
 def thorlabs(table: dict[str, Any], key: str) -> KinesisStage:
     """The entry point `thorlabs` of the group `gonio.stages`."""
-    return KinesisStage(parse(Settings, table, key), key)
+    return KinesisStage(parse(KinesisAxis, table, key), key)

@@ -38,7 +38,7 @@ from gonio.acquisition.frame_writer import NAME, label_of
 from gonio.acquisition.journal import Event, Events, Journal, read_events
 from gonio.acquisition.plan import ANGLES, Assessed, Point, points_sha256
 from gonio.acquisition.run_folder import OURS, check_new, check_writable, make_folder, remove_begun
-from gonio.acquisition.run_settings import Request, Settings, named_files, resolved, settings_for
+from gonio.acquisition.run_settings import Request, RunSettings, named_files, resolved, settings_for
 from gonio.acquisition.steps import Index, Steps
 from gonio.config import parse, to_toml
 from gonio.disk import (
@@ -106,7 +106,7 @@ class Run:
     """An opened run; the methods that write need `journal`, which `create` and `gonio.acquisition.resuming` open."""
 
     path: Path
-    settings: Settings
+    settings: RunSettings
     journal: Journal | None = None
     _index: Index = field(default_factory=Index)
     _grown: tuple[int, Points] | None = None
@@ -184,7 +184,7 @@ class Run:
         except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
             raise DataError(f"{path / 'run.toml'}: is damaged: {error}") from None
         try:
-            settings = parse(Settings, values, path / "run.toml")
+            settings = parse(RunSettings, values, path / "run.toml")
         except ConfigError as error:
             raise DataError(str(error)) from None
         own = read_manifest(path)

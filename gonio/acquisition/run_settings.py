@@ -45,7 +45,7 @@ class Header(Strict):
     seed: int
 
 
-class Settings(Strict):
+class RunSettings(Strict):
     """A run.toml."""
 
     run: Header
@@ -77,12 +77,12 @@ class Request:
         return assess(self.plan, self.description) if self.assessed is None else self.assessed
 
 
-def settings_for(request: Request, description: RigDescription) -> Settings:
+def settings_for(request: Request, description: RigDescription) -> RunSettings:
     versions = {"python": platform.python_version()}
     for name in RECORDED:
         with contextlib.suppress(PackageNotFoundError):
             versions[name] = version(name)
-    return Settings(
+    return RunSettings(
         run=Header(
             format=FORMAT,
             created=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds").replace("+00:00", "Z"),
@@ -102,7 +102,7 @@ def settings_for(request: Request, description: RigDescription) -> Settings:
     )
 
 
-def differences(was: Settings, now: Settings) -> list[str]:
+def differences(was: RunSettings, now: RunSettings) -> list[str]:
     """What keeps a run from being resumed with other settings, a line each."""
     out = []
     if was.run.plan_sha256 != now.run.plan_sha256:
@@ -175,7 +175,7 @@ def named_files(description: RigDescription) -> tuple[dict[str, bytes], RigDescr
     return files, description
 
 
-def resolved(settings: Settings, path: Path) -> Settings:
+def resolved(settings: RunSettings, path: Path) -> RunSettings:
     """The settings with the paths of the files that the rig names made whole."""
     rig = settings.rig
     for table, key in NAMED_FILES:

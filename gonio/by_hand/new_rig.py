@@ -28,7 +28,7 @@ TIMES = 20
 """So many wrong answers to one question are enough."""
 
 
-class Plugin(RigPlugin, RigService, RigDiscovery, Protocol):
+class DriverPlugin(RigPlugin, RigService, RigDiscovery, Protocol):
     """What a wizard needs of a driver."""
 
 
@@ -195,7 +195,7 @@ class Found:
     releases: list[str] = field(default_factory=list)
 
 
-def look(plugin: Plugin, ports: Sequence[str], say: Callable[[str], None]) -> Found:
+def look(plugin: DriverPlugin, ports: Sequence[str], say: Callable[[str], None]) -> Found:
     """Ask at every port who is there. Nothing is lit, moved or exposed by it."""
     found = Found()
     for name in ports:
@@ -218,7 +218,7 @@ def look(plugin: Plugin, ports: Sequence[str], say: Callable[[str], None]) -> Fo
 
 
 def make(
-    plugin: Plugin, person: Person | Answers, say: Callable[[str], None], *, ports: Sequence[str] = ()
+    plugin: DriverPlugin, person: Person | Answers, say: Callable[[str], None], *, ports: Sequence[str] = ()
 ) -> tuple[str, RigDescription]:
     """The text of a new rig file, and what it says.
 
@@ -281,7 +281,7 @@ def _fill(table: Any, values: Mapping[str, Any]) -> None:
 
 
 def _servos(
-    plugin: Plugin, person: Person | Answers, say: Callable[[str], None], form: Any, servos: list[FoundServo]
+    plugin: DriverPlugin, person: Person | Answers, say: Callable[[str], None], form: Any, servos: list[FoundServo]
 ) -> None:
     ask, table = person.about, _table(form, "devices", "servos")
     at = sorted({(s.port, s.baud) for s in servos})
@@ -336,7 +336,7 @@ def _servos(
 
 
 def _axes(
-    plugin: Plugin, person: Person | Answers, say: Callable[[str], None], servos: list[FoundServo], *, may: bool
+    plugin: DriverPlugin, person: Person | Answers, say: Callable[[str], None], servos: list[FoundServo], *, may: bool
 ) -> dict[str, tuple[FoundServo, int, int]]:
     """By axis: its servo, which way it turns, and the count of its zero."""
     out: dict[str, tuple[FoundServo, int, int]] = {}

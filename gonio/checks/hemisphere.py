@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gonio.checks.values import Incidence, Values, incidences
+from gonio.checks.values import CheckedValues, Incidence, incidences
 from gonio.geometry import SAME_AZIMUTH
 
 COVERED = 0.85
@@ -40,7 +40,7 @@ class Hemispherical:
         return math.hypot(self.u_sampling, self.u_values or 0.0)
 
 
-def reflectances(data: Values) -> list[Hemispherical]:
+def reflectances(data: CheckedValues) -> list[Hemispherical]:
     """At each direction of the source.
 
     The measured values are interpolated in a triangulation of the hemisphere's projection onto the sample, in which an
@@ -54,7 +54,7 @@ def reflectances(data: Values) -> list[Hemispherical]:
     return [_integrated(data, found[k]) for k in picks]
 
 
-def _integrated(data: Values, at: Incidence) -> Hemispherical:
+def _integrated(data: CheckedValues, at: Incidence) -> Hemispherical:
     from scipy.spatial import Delaunay, QhullError
 
     theta_deg = math.degrees(at.theta_i)

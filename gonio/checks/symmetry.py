@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from gonio.checks.values import Rows, Values, incidences
+from gonio.checks.values import CheckedValues, Rows, incidences
 from gonio.geometry import SAME_ANGLE, SAME_AZIMUTH, SAME_DIRECTION, Directions, wrap
 from gonio.typing import Floats
 
@@ -95,7 +95,7 @@ class Pairs:
         return {name: getattr(self, name) for name in names}
 
 
-def symmetries(data: Values) -> list[Pairs]:
+def symmetries(data: CheckedValues) -> list[Pairs]:
     """What could be compared: nothing is listed that has fewer than three pairs."""
     data = data if len(data) <= MOST_VALUES else data.take(np.arange(0, len(data), -(-len(data) // MOST_VALUES)))
     at = data.directions
@@ -117,7 +117,7 @@ def symmetries(data: Values) -> list[Pairs]:
     return [s for s in out if s is not None]
 
 
-def repeats(data: Values) -> Pairs | None:
+def repeats(data: CheckedValues) -> Pairs | None:
     """Values measured in one direction (within 0.02 degrees); None for fewer than three pairs.
 
     Of many visits to one direction the first two make a pair, the next two another: no value is in two of them.
@@ -190,7 +190,7 @@ def _across(turned: Floats, azimuths: Floats, use: npt.NDArray[np.bool_]) -> Row
     return np.asarray(np.unique(pairs[pairs[:, 0] != pairs[:, 1]], axis=0))
 
 
-def _compared(data: Values, pairs: Rows, kind: str, words: str) -> Pairs | None:
+def _compared(data: CheckedValues, pairs: Rows, kind: str, words: str) -> Pairs | None:
     known = data.random is not None
     use = data.brdf > (3 * data.u if known else 0.0)
     pairs = pairs[use[pairs].all(axis=1)] if pairs.size else pairs
@@ -210,7 +210,7 @@ def _compared(data: Values, pairs: Rows, kind: str, words: str) -> Pairs | None:
     )
 
 
-def _places(data: Values, pairs: Rows, logs: Floats) -> list[Place]:
+def _places(data: CheckedValues, pairs: Rows, logs: Floats) -> list[Place]:
     at, brightest = data.directions, np.empty(len(data))
     for one in incidences(at):
         brightest[one.rows] = data.brdf[one.rows].max()

@@ -20,7 +20,7 @@ Rows = npt.NDArray[np.intp]
 
 
 @dataclass(frozen=True)
-class Values:
+class CheckedValues:
     """Values of a table; their covariance is diag(random^2) + common common^T."""
 
     directions: Directions
@@ -45,10 +45,10 @@ class Values:
     def _common(self) -> Floats:
         return np.zeros((len(self), 0)) if self.common is None else self.common
 
-    def take(self, rows: Rows | npt.NDArray[np.bool_]) -> Values:
+    def take(self, rows: Rows | npt.NDArray[np.bool_]) -> CheckedValues:
         """Some of them."""
         random, common = (None if a is None else a[rows] for a in (self.random, self.common))
-        return Values(self.directions[rows], self.brdf[rows], random, common)
+        return CheckedValues(self.directions[rows], self.brdf[rows], random, common)
 
     def chi_square(self, pairs: Rows) -> float:
         """Chi-square of ln(f_j / f_i) over pairs (i, j), shape (n, 2), with the whole covariance of the values.
@@ -68,7 +68,7 @@ class Values:
         return max(float(scaled @ scaled - along @ np.linalg.solve(inner, along)), 0.0)
 
 
-def values_of(frame: pd.DataFrame) -> dict[float, Values]:
+def values_of(frame: pd.DataFrame) -> dict[float, CheckedValues]:
     """The usable values of reflection of a measurement table, by wavelength [nm]; NaN stands for a broad band."""
     use = (frame["flag"].fillna("") == "") & frame["brdf"].notna()
     if "side" in frame.columns:
@@ -81,7 +81,9 @@ def values_of(frame: pd.DataFrame) -> dict[float, Values]:
         if "u_random" in rows.columns and bool((rows["u_random"] > 0).all()):
             random = rows["u_random"].to_numpy(dtype=float)
             common = rows[causes].fillna(0.0).to_numpy(dtype=float)
-        out[float(str(nm))] = Values(Directions.from_table(rows), rows["brdf"].to_numpy(dtype=float), random, common)
+        out[float(str(nm))] = CheckedValues(
+            Directions.from_table(rows), rows["brdf"].to_numpy(dtype=float), random, common
+        )
     return out
 
 

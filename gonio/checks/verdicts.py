@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 from gonio.checks.hemisphere import Hemispherical, reflectances
 from gonio.checks.symmetry import DIFFERENT, FEWEST, PLACES, Pairs, repeats, symmetries
-from gonio.checks.values import Values
+from gonio.checks.values import CheckedValues
 from gonio.shown import with_u
 
 Verdict = Literal["ok", "look", "bad", "not told"]
@@ -63,7 +63,7 @@ class Check:
 
 
 @dataclass(frozen=True)
-class Visits:
+class VisitsOfBand:
     """What the visits to the white reference said of one band."""
 
     used: int
@@ -97,7 +97,7 @@ class Taken:
     """One for each point that the rig can reach: "", or why it gave no value."""
 
 
-def of_values(data: Values) -> list[Check]:
+def of_values(data: CheckedValues) -> list[Check]:
     """Reciprocity, left and right, repeats, and energy, of the values of one wavelength."""
     found = {pairs.kind: pairs for pairs in symmetries(data)}
     out = [
@@ -167,13 +167,13 @@ def of_energy(found: Sequence[Hemispherical]) -> Check:
     return Check(name, verdict, rho, figure, "1; more than two standard uncertainties above it is bad")
 
 
-def of_run(taken: Taken, visits: Visits, band: str) -> list[Check]:
+def of_run(taken: Taken, visits: VisitsOfBand, band: str) -> list[Check]:
     """What frames, visits and points of one band say of their run."""
     out = [_reference(visits), _scatter(taken), _saturated(taken), _lost(taken), _clipped(taken)]
     return [Check(**{**one.to_json(), "band": band}) for one in out]
 
 
-def _reference(visits: Visits) -> Check:
+def _reference(visits: VisitsOfBand) -> Check:
     name = "reference drift"
     lost = f"; {len(visits.lost)} visits cannot be used ({_counted(visits.lost)})" if visits.lost else ""
     if visits.unknown:

@@ -11,7 +11,7 @@ import typer
 from gonio.cli.rigs import app
 
 if TYPE_CHECKING:
-    from gonio.by_hand.new_rig import Plugin
+    from gonio.by_hand.new_rig import DriverPlugin
 
 __all__ = ["app"]
 
@@ -46,7 +46,7 @@ def new_rig(
             f'the driver "{driver}" cannot look for devices: gonio rig show {driver} > {out}, and edit it'
         )
     person: Person | Answers = answers_from(answers) if answers is not None else Person(_line, console.note)
-    text, _ = make(cast("Plugin", plugin), person, console.note, ports=port or ())
+    text, _ = make(cast("DriverPlugin", plugin), person, console.note, ports=port or ())
     try:
         write_whole(out, text.encode())
     except OSError as error:

@@ -75,7 +75,7 @@ def tensors(data: bytes, path: Path) -> dict[str, npt.NDArray[Any]]:
     return out
 
 
-class Measured:
+class RglMeasured:
     """An RGL file, to be evaluated at any pair of directions."""
 
     def __init__(self, data: bytes, path: Path) -> None:
@@ -238,7 +238,7 @@ def _bilinear(array: Floats, u: Floats, v: Floats, lead: tuple[Any, Any] | None 
 
 def read(data: bytes, path: Path) -> pd.DataFrame:
     """The measurement table in an RGL tensor file; `DataError` says what is wrong with the file, and where."""
-    measured = Measured(data, path)
+    measured = RglMeasured(data, path)
     theta = np.arange(0.0, 86.0, 5.0)
     phi_i = np.zeros(1) if measured.isotropic else np.arange(0.0, 360.0, 45.0)
     grid = np.meshgrid(theta, phi_i, theta, np.arange(0.0, 360.0, 15.0), indexing="ij")

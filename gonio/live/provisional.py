@@ -30,7 +30,7 @@ SPARE = 0.5
 
 
 @dataclass(frozen=True, slots=True)
-class Values:
+class ProvisionalValues:
     """What is known of a band; arrays run over the points in the order of their steps."""
 
     band: Band
@@ -103,7 +103,7 @@ class Provisional:
             for kept in self._bands:
                 kept.drop(number)
 
-    def values(self) -> list[Values]:
+    def values(self) -> list[ProvisionalValues]:
         """What is known by now, a band each; none before the first visit to the reference."""
         if self._frames is None:
             return []
@@ -122,7 +122,7 @@ class Provisional:
                 continue
             shared = sum((by**2 for by in known.common.values()), known.u_visits**2)
             out.append(
-                Values(
+                ProvisionalValues(
                     band,
                     steps,
                     point.astype(int),

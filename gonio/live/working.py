@@ -24,7 +24,7 @@ from gonio.errors import GonioError
 from gonio.live.follow import Follower
 from gonio.live.left import Left
 from gonio.live.picture import png
-from gonio.live.provisional import Provisional, Values
+from gonio.live.provisional import Provisional, ProvisionalValues
 from gonio.live.run_status import RunStatus, rounded
 from gonio.live.shared import CURVES, FRAME, LOOKED, LOOKED_S, NOW, Now
 from gonio.rig.dng import read_raw
@@ -50,7 +50,7 @@ BUSY = ("running", "silent")
 
 Wait = Callable[[float], bool]
 """Waits for so many seconds; whether it is time to end."""
-Draw = Callable[[RunStatus, Sequence[Values], int], bytes]
+Draw = Callable[[RunStatus, Sequence[ProvisionalValues], int], bytes]
 """What the page shows of values, as it reads it; the number is that of steps that are not reduced yet."""
 
 

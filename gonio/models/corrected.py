@@ -16,7 +16,7 @@ import numpy.typing as npt
 from gonio.errors import ArgumentError
 from gonio.geometry import ANGLES, Directions
 from gonio.models.arrays import ArrayModel
-from gonio.models.gaussian_process import NAMES, OF_CURVES, Coordinates, Prior, Process, Values
+from gonio.models.gaussian_process import NAMES, OF_CURVES, Coordinates, Prior, Process, Training
 from gonio.models.model import Model
 from gonio.models.parameters import Parameters, number
 from gonio.typing import Floats
@@ -139,7 +139,7 @@ class Correction:
         prior = Prior(np.log(kernel), OF_CURVES.spreads, single["level"], single["cosine"])
         at = Directions(*(np.radians(found[f"{name}_deg"]) for name in ANGLES))
         common = found["common"].reshape(n, -1)
-        process = Process(Values(Coordinates.of(at), found["z"], found["u_z"], common, prior=prior), np.log(kernel))
+        process = Process(Training(Coordinates.of(at), found["z"], found["u_z"], common, prior=prior), np.log(kernel))
         return cls(process, at, single["small_per_sr"], single["wider"], single["u_spike"])
 
 

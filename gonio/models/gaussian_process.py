@@ -204,7 +204,7 @@ class Pairs:
 
 
 @dataclass(frozen=True)
-class Values:
+class Training:
     """What was measured, as the process sees it: on the scale of `Link`."""
 
     at: Coordinates
@@ -226,7 +226,7 @@ class Values:
         """Between places and the values."""
         return Pairs(places, self.at, self.prior)
 
-    def only(self, kept: npt.NDArray[np.bool_]) -> Values:
+    def only(self, kept: npt.NDArray[np.bool_]) -> Training:
         """Some of them."""
         at = self.at.only(kept)
         return replace(self, at=at, z=self.z[kept], u=self.u[kept], causes=self.causes[kept])
@@ -241,7 +241,7 @@ class Values:
         return np.asarray(self.causes @ self.causes.T)
 
 
-def objective(p: Floats, data: Values, mean: float) -> tuple[float, Floats]:
+def objective(p: Floats, data: Training, mean: float) -> tuple[float, Floats]:
     """-ln of likelihood times prior of the parameters' logarithms, and its gradient."""
     from scipy.linalg import cho_factor, cho_solve
 
@@ -273,7 +273,7 @@ def starts(seen: Floats | None, prior: Prior) -> list[Floats]:
     return out if seen is None else [seen, out[1]]
 
 
-def learned(data: Values, before: Floats | None = None, *, on: bool = False) -> Floats:
+def learned(data: Training, before: Floats | None = None, *, on: bool = False) -> Floats:
     """The most probable parameters of the kernel (logarithms), from several starts; `on` from those before alone."""
     from scipy.optimize import minimize
 
@@ -289,7 +289,7 @@ def learned(data: Values, before: Floats | None = None, *, on: bool = False) -> 
     return np.asarray(best.x)
 
 
-def nearby(p: Floats, data: Values, mean: float) -> list[tuple[Floats, Floats]]:
+def nearby(p: Floats, data: Training, mean: float) -> list[tuple[Floats, Floats]]:
     """Parameters a standard deviation away from the most probable ones, to both sides along each principal axis.
 
     Their distribution is taken for the normal one with its curvature there (Laplace's approximation).
@@ -318,7 +318,7 @@ def shares(lobe: Floats, base: Floats) -> tuple[Floats, Floats]:
 class Process:
     """The process given values and parameters."""
 
-    data: Values
+    data: Training
     p: Floats
     mean: float = field(default=0.0)
 

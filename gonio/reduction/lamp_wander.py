@@ -58,7 +58,7 @@ class Wander:
 
 
 @dataclass(frozen=True, slots=True)
-class Visits:
+class LampVisits:
     """Visits of one band, in the order of time."""
 
     times_s: Floats
@@ -68,7 +68,7 @@ class Visits:
     """Of each visit; the lamp was dark between two of them."""
 
 
-def wander(visits: Visits, times_s: Floats, line: Callable[[Floats], tuple[Floats, Floats]]) -> Wander:
+def wander(visits: LampVisits, times_s: Floats, line: Callable[[Floats], tuple[Floats, Floats]]) -> Wander:
     """The uncertainty of a level between the visits.
 
     Parameters
@@ -94,7 +94,7 @@ def wander(visits: Visits, times_s: Floats, line: Callable[[Floats], tuple[Float
             here = np.flatnonzero(np.clip(place, 0, last) == k)
             rows = slice(max(k * half - half // 2, 0), (k + 1) * half + half // 2 if k < last else count)
             values, variances = visits.values[rows], visits.variances[rows]
-            part = Visits(visits.times_s[rows], values, variances, visits.session[rows])
+            part = LampVisits(visits.times_s[rows], values, variances, visits.session[rows])
             if here.size and len(part.times_s) - _free(part) >= 1:
                 straight, *curves = _curves(part, times_s[here])
                 curves = [c._replace(variance=c.variance - straight.variance + known[here]) for c in curves]
@@ -110,7 +110,7 @@ def wander(visits: Visits, times_s: Floats, line: Callable[[Floats], tuple[Float
     return Wander(u, shared * (u / np.sqrt(np.where(size > 0, size, 1.0)))[:, None])
 
 
-def _free(visits: Visits) -> int:
+def _free(visits: LampVisits) -> int:
     """How many numbers the line has: a level in each session, and one slope where any session has two visits."""
     sessions = len(np.unique(visits.session))
     return sessions + int(len(visits.times_s) > sessions)
@@ -164,7 +164,7 @@ def _kernels(a: Floats, b: Floats, slope: float = 0.0) -> Floats:
     return np.stack([low, low**2 * (3.0 * high - low) / 6.0]) + slope * a * b
 
 
-def _curves(visits: Visits, times_s: Floats, *, full: bool = False) -> list[_Curve]:
+def _curves(visits: LampVisits, times_s: Floats, *, full: bool = False) -> list[_Curve]:
     """All curves that may be K, at some times; a straight line comes first, with the weight 0."""
     t, together = visits.times_s, np.diff(visits.session) == 0
     unit = float(np.median(np.diff(t)[together if together.any() else slice(None)]))

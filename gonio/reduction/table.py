@@ -13,7 +13,7 @@ import gonio
 from gonio import geometry
 from gonio.acquisition.plan import ANGLES
 from gonio.checks.values import values_of
-from gonio.checks.verdicts import Check, Taken, Visits, of_run, of_values
+from gonio.checks.verdicts import Check, Taken, VisitsOfBand, of_run, of_values
 from gonio.geometry import Directions
 from gonio.reduction import light_and_lens, white_reference
 from gonio.reduction.band_result import BandResult
@@ -199,7 +199,7 @@ def _of_band(result: BandResult, flags: list[str], clipped: float) -> list[Check
     """The checks of a band's frames, visits and points."""
     level = result.level
     mean = float(np.mean(level.values))
-    visits = Visits(
+    visits = VisitsOfBand(
         used=result.visits,
         lost=result.unusable,
         unknown=level.unknown,

@@ -88,7 +88,7 @@ class Level:
     def wander(self, time_s: Floats) -> lamp_wander.Wander:
         """What K may depart by beyond that."""
         session = np.searchsorted(self.lit_s, self.times_s, side="right")
-        visits = lamp_wander.Visits(self.times_s, self.values, self.variances, session)
+        visits = lamp_wander.LampVisits(self.times_s, self.values, self.variances, session)
         held = self.held(time_s)
         found = lamp_wander.wander(visits, held, lambda t: (self.at(t), np.stack([self.noise(t), self.drift(t)], 1)))
         away = self._steepest * (time_s - held) if len(self.lit_s) and not self.straight else 0.0

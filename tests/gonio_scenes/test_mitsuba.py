@@ -17,7 +17,7 @@ from gonio_scenes.shapes.shape import Ints
 from gonio_scenes.world import World
 
 from gonio.errors import ConfigError
-from gonio.formats.rgl import Measured
+from gonio.formats.rgl import RglMeasured
 from gonio.models import Phong
 from gonio.typing import Floats
 from tests.gonio_scenes.scenes import SPHERE, scene
@@ -70,7 +70,7 @@ def test_slices_hold_the_light_where_mitsuba_looks_for_it() -> None:
     """Mitsuba's incident side is the viewer's: a model that is not reciprocal has both sides where they belong."""
     made = mitsuba.export(scene(material={"m": GLOSS}), **SMALL)
     assert xml(made).find("bsdf/bsdf[@type='measured']/string") is not None
-    read = Measured(made.files["m.bsdf"], Path("m.bsdf"))
+    read = RglMeasured(made.files["m.bsdf"], Path("m.bsdf"))
     # at nodes of the grid: at theta = 89 degrees 3/11, with the normal as half vector
     theta = math.radians(89.0 * 3 / 11)
     viewer, light = np.array([theta]), np.array([theta])

@@ -11,7 +11,7 @@ import pytest
 from gonio_sweeps import curve_choice
 from gonio_sweeps.candidates import Candidates
 from gonio_sweeps.curve import SAMPLER, Curve, _angle_errors
-from gonio_sweeps.online import Values
+from gonio_sweeps.online import GrowingValues
 from gonio_sweeps.posterior import AngleErrors, Posterior
 from gonio_sweeps.reconstruct import reconstruct
 
@@ -60,18 +60,20 @@ def sampler(folder: Path, text: str = PLAN) -> Curve:
     return SAMPLER.open(load_plan(folder / "plan.toml"), describe())
 
 
-def measured(candidates: Candidates, rows: list[int], before: Values | None = None, noise: float = 0.003) -> Values:
+def measured(
+    candidates: Candidates, rows: list[int], before: GrowingValues | None = None, noise: float = 0.003
+) -> GrowingValues:
     """What the rows of the candidates come to on the satin sample."""
     d = Directions.stack([candidates.points[k].directions for k in rows])
     f = satin(d) * (1.0 + noise * np.random.default_rng(len(rows)).standard_normal(len(rows)))
     poses = tuple(candidates.poses[k] for k in rows)
     none = np.zeros(len(rows))
-    new = Values(np.array(rows), d, poses, f, noise * f, {"s_reference": 0.002 * f}, none)
+    new = GrowingValues(np.array(rows), d, poses, f, noise * f, {"s_reference": 0.002 * f}, none)
     if before is None:
         return new
     angles = [np.concatenate(pair) for pair in zip(before.directions.angles, d.angles, strict=True)]
     f = np.concatenate([before.brdf, f])
-    return Values(
+    return GrowingValues(
         np.arange(f.size), Directions(*angles), before.poses + poses, f, noise * f, {"s_reference": 0.002 * f},
         np.zeros(f.size),
     )  # fmt: skip
@@ -262,7 +264,7 @@ def test_a_steep_gap_is_bisected() -> None:
 def test_one_state_gives_one_choice_and_the_target_ends_it(tmp_path: Path) -> None:
     curve = sampler(tmp_path, PLAN + "u_rel = 0.01\n")
     rows = [curve.candidates.points.index(p) for p in curve.first(())]
-    values: Values | None = None
+    values: GrowingValues | None = None
     kernel = None
     for _ in range(8):
         values = measured(curve.candidates, rows, values)

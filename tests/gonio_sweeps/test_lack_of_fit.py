@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from gonio_analysis.fitting.value_covariance import Covariance
-from gonio_sweeps.lack_of_fit import FALSE_ALARMS, Verdict, judge
+from gonio_sweeps.lack_of_fit import FALSE_ALARMS, LackOfFit, judge
 
 from gonio.geometry import Directions
 
@@ -16,7 +16,7 @@ JACOBIAN = np.stack([LOBE, LOBE * ((THETA_R - THETA_I) / 40.0) ** 2], axis=1)
 COVARIANCE = Covariance(0.005 * LOBE, 0.01 * LOBE[:, None], ("reference",))
 
 
-def of(values: np.ndarray) -> Verdict:
+def of(values: np.ndarray) -> LackOfFit:
     """The test of the best lobe through values."""
     white, design = COVARIANCE.whiten(values - LOBE), COVARIANCE.whiten(JACOBIAN)
     best = JACOBIAN @ np.linalg.lstsq(design, white, rcond=None)[0]
@@ -46,8 +46,8 @@ def test_all_looks_together_keep_the_stated_rate() -> None:
     spent = 0.0
     for look in range(10000):
         threshold = FALSE_ALARMS * 6.0 / (np.pi * (look + 1)) ** 2
-        assert Verdict(0.0, 1, 0.999 * threshold).rejects(look)
-        assert not Verdict(0.0, 1, 1.001 * threshold).rejects(look)
+        assert LackOfFit(0.0, 1, 0.999 * threshold).rejects(look)
+        assert not LackOfFit(0.0, 1, 1.001 * threshold).rejects(look)
         spent += threshold
     assert spent <= FALSE_ALARMS
 

@@ -14,7 +14,7 @@ import pytest
 from gonio_analysis.fitting.fit import fit
 from gonio_sweeps import expected
 from gonio_sweeps.candidates import read
-from gonio_sweeps.online import Online, Values
+from gonio_sweeps.online import GrowingValues, Online
 from gonio_sweeps.parameters import LARGEST, Parameters
 
 from gonio import measurement, models
@@ -78,9 +78,9 @@ class ManualRig:
             self.brdf.append(value * self.scale * (1.0 + NOISE * self.rng.normal()))
 
     @property
-    def values(self) -> Values:
+    def values(self) -> GrowingValues:
         brdf = np.array(self.brdf)
-        return Values(
+        return GrowingValues(
             rows=np.arange(brdf.size),
             directions=Directions.stack([kinematics.directions(SIM, pose) for pose in self.poses]),
             poses=tuple(self.poses),

@@ -20,7 +20,7 @@ import numpy.typing as npt
 
 from gonio.geometry import Directions
 from gonio.models.corrected import Correction, folded
-from gonio.models.gaussian_process import OF_CURVES, Coordinates, Prior, Process, Values, objective
+from gonio.models.gaussian_process import OF_CURVES, Coordinates, Prior, Process, Training, objective
 from gonio.typing import Floats
 from gonio_analysis.fitting.forward import sees_spike
 from gonio_analysis.fitting.objective import Objective, on_log_scale
@@ -190,7 +190,7 @@ class Misfit:
     """Standard uncertainty of ln tau, by leaving out blocks of directions."""
     small: float
     """e [1/sr] of the scale."""
-    residuals: Values
+    residuals: Training
     """On the scale of logarithms, with the stated uncertainties."""
     directions: Directions
     """Of the residuals, `folded` where the model is isotropic."""
@@ -254,7 +254,7 @@ def misfit(model: Any, data: Observations, goal: Objective, predicted: Floats, f
     # few blocks may agree by chance: nothing is better known than with as many independent residuals
     u_log = max(0.5 * u_square / goal.tau**2, math.sqrt(0.5 / freedom))
     spike = goal.tau if sees_spike(model, data) else 1.0  # a spike that no value has light of is a guess
-    residuals = Values(Coordinates.of(where), z, u, common, prior=_prior(goal.tau))
+    residuals = Training(Coordinates.of(where), z, u, common, prior=_prior(goal.tau))
     return Misfit(goal.tau, u_log, goal.small, residuals, where, spike)
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from gonio.checks.values import Values
+from gonio.checks.values import CheckedValues
 from gonio.errors import ConfigError, DataError
 from gonio.geometry import AT_HORIZON, Directions
 from gonio.typing import Floats
@@ -110,12 +110,12 @@ class Observations:
         return [float(w) for w in np.unique(self.wavelength_nm)]
 
     @property
-    def checked(self) -> Values:
+    def checked(self) -> CheckedValues:
         """What `gonio.checks` takes."""
         known = self.covariance
         if known is None:
-            return Values(self.directions, self.brdf)
-        return Values(self.directions, self.brdf, known.random, known.common)
+            return CheckedValues(self.directions, self.brdf)
+        return CheckedValues(self.directions, self.brdf, known.random, known.common)
 
     @cached_property
     def cones(self) -> list[Prepared]:

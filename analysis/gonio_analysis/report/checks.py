@@ -11,7 +11,7 @@ import numpy as np
 
 from gonio.checks import verdicts
 from gonio.checks.symmetry import Pairs, repeats
-from gonio.checks.values import Values
+from gonio.checks.values import CheckedValues
 from gonio.checks.verdicts import Check
 from gonio_analysis.plots.in_plane import COLOURS, FAINT, clean
 from gonio_analysis.report.blocks import Block, Figures, Heading, Notes, Paragraph, Text, strong, table
@@ -26,7 +26,9 @@ MOST_DRAWN = 200
 PANEL_IN = 1.85
 
 
-def summary(data: Values, known: Sequence[Pairs], provenance: dict[str, Any], bands: Sequence[str]) -> ChecksSummary:
+def summary(
+    data: CheckedValues, known: Sequence[Pairs], provenance: dict[str, Any], bands: Sequence[str]
+) -> ChecksSummary:
     """The checks of the values of one wavelength, and of the run that measured them in some bands."""
     read = [Check.from_json(one) for one in provenance.get("checks") or []]
     kept = [one for one in read if one is not None]

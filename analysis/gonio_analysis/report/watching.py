@@ -13,7 +13,7 @@ import numpy as np
 from gonio import geometry
 from gonio.geometry import IN_PLANE, SAME_ANGLE, Directions
 from gonio.live import working
-from gonio.live.provisional import Values
+from gonio.live.provisional import ProvisionalValues
 from gonio.live.run_status import RunStatus, rounded
 from gonio.typing import Floats
 from gonio_analysis.curves.in_plane import MOST_CURVES, curves, groups, labels, selection
@@ -37,7 +37,7 @@ class Map(TypedDict):
     """theta_r and phi_r - phi_i [deg], BRDF [1/sr]."""
 
 
-class Visits(TypedDict):
+class DrawnVisits(TypedDict):
     """The levels of the visits to the reference in a band."""
 
     name: str
@@ -50,13 +50,13 @@ class SoFar(TypedDict):
 
     view: View | None
     maps: list[Map]
-    visits: list[Visits]
+    visits: list[DrawnVisits]
     says: str
 
 
 def so_far(
     name: str,
-    known: Sequence[Values],
+    known: Sequence[ProvisionalValues],
     nominal_deg: Floats,
     visits_s: Mapping[int, float],
     behind: int,
@@ -111,7 +111,7 @@ def so_far(
             "shown": list(dict.fromkeys(latest)), "points": [NAME], "models": [], "chosen": [NAME],
             "normalise": "mirror", "note": "", "waves": waves,
         }  # fmt: skip
-    visits: list[Visits] = [
+    visits: list[DrawnVisits] = [
         {
             "name": v.band.name,
             "points": [(visits_s.get(n, 0.0) / 3600.0, rounded(r, 7), rounded(u, 3)) for n, r, u in v.visits],
@@ -124,7 +124,7 @@ def so_far(
     return {"view": view, "maps": maps, "visits": visits, "says": says}
 
 
-def _observations(values: Values, nominal_deg: Floats) -> Observations:
+def _observations(values: ProvisionalValues, nominal_deg: Floats) -> Observations:
     """Values at the angles that were asked for, those in front of the sample alone."""
     asked = nominal_deg[values.points]
     usable = np.isfinite(values.brdf) & (asked[:, 2] <= 90.0)
@@ -166,7 +166,7 @@ def work() -> None:
     """The process that works out a run's values: arguments are the run and the folder for what is found."""
     run, out = map(Path, sys.argv[1:])
 
-    def draw(run_status: RunStatus, values: Sequence[Values], behind: int) -> bytes:
+    def draw(run_status: RunStatus, values: Sequence[ProvisionalValues], behind: int) -> bytes:
         return encoded(so_far(run.name, values, run_status.every_angle(), run_status.visits_s, behind))
 
     working.serve(run, out, draw)

@@ -21,7 +21,7 @@ POINTS, FEW_POINTS = 40, 15
 """At most, of a campaign's plan."""
 
 
-class Settings(Strict):
+class CoverageSettings(Strict):
     """What makes the campaigns of a folder what they are: with others they would be other campaigns."""
 
     format: int = FORMAT
@@ -78,7 +78,9 @@ def make(
     total = campaigns if campaigns is not None else FEW if quick else CAMPAIGNS
     at_least(campaigns=(total, 1), seed=(seed, 0), jobs=(jobs, 1))
     errors = tuple(cause.name for cause in coverage_hidden.chosen(only))
-    settings = Settings(seed=seed, errors=errors, points=FEW_POINTS if quick else POINTS, gonio=version("gonio"))
+    settings = CoverageSettings(
+        seed=seed, errors=errors, points=FEW_POINTS if quick else POINTS, gonio=version("gonio")
+    )
     folder = Path(out)
     every = Campaigns(folder, "coverage", "campaigns", settings)
     with every.opened():
@@ -93,12 +95,14 @@ def make(
     return folder / "index.html"
 
 
-def _carried_out(number: int, settings: Settings, work: Path) -> Record:
+def _carried_out(number: int, settings: CoverageSettings, work: Path) -> Record:
     drawn = coverage_hidden.campaign(settings.seed, number, settings.errors, settings.points)
     return coverage_campaign.carried_out(drawn, work)
 
 
-def summary(records: Sequence[Record], settings: Settings, *, quick: bool = False, command: str = "") -> Coverage:
+def summary(
+    records: Sequence[Record], settings: CoverageSettings, *, quick: bool = False, command: str = ""
+) -> Coverage:
     """Every number of the report, as `results.json` holds it."""
     counts, pulls, uniform = coverage_judgement.judged(records)
     measured = [r for r in records if r["points"] and r["points"]["brdf"]]

@@ -43,14 +43,14 @@ class Peer:
 
 
 @dataclass(frozen=True)
-class Measured:
+class MeasuredPeer:
     """Errors by set, and times, of a peer: what its process prints as JSON."""
 
     errors: dict[Set, ErrorSummary]
     time: PeerTime
 
 
-MEASURED = TypeAdapter(Measured)
+MEASURED = TypeAdapter(MeasuredPeer)
 QUANTITY = "cook-torrance"
 """What the peers evaluate."""
 
@@ -69,7 +69,7 @@ def find() -> tuple[list[PeerState], list[Peer]]:
     return words, found
 
 
-def measured(peer: Peer, effort: timing.Effort) -> Measured:
+def measured(peer: Peer, effort: timing.Effort) -> MeasuredPeer:
     """Measure a peer in a process of its own.
 
     Raises
@@ -94,7 +94,7 @@ def report(peer: str, effort: timing.Effort) -> None:
     quantity = next(q for q in quantities() if q.name == QUANTITY)
     errors = accuracy.by_set(quantity, way)
     taken = timing.times(replace(quantity, ways=(way,)), effort)[way.name]
-    print(MEASURED.dump_json(Measured(errors, PeerTime(**vars(taken), threads=_threads()))).decode())
+    print(MEASURED.dump_json(MeasuredPeer(errors, PeerTime(**vars(taken), threads=_threads()))).decode())
 
 
 def _threads() -> int | None:

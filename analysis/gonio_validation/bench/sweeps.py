@@ -20,7 +20,7 @@ SEEDS = 3
 QUICK = ("rough aluminium", "matte")
 
 
-class Settings(Strict):
+class SweepsSettings(Strict):
     """What makes the comparisons of a folder what they are."""
 
     format: int = FORMAT
@@ -75,7 +75,7 @@ def make(
         for geometry in geometries
         for sample in (QUICK if quick else SAMPLES)
     }
-    every = Campaigns(folder, "sweeps", "comparisons", Settings(gonio=version("gonio")))
+    every = Campaigns(folder, "sweeps", "comparisons", SweepsSettings(gonio=version("gonio")))
     with every.opened():
         records = every.carried_out(wanted, jobs, step)
         write(summary(records, seeds=count, quick=quick, command=command), folder)

@@ -9,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 from gonio_sweeps.curve import Curve
-from gonio_sweeps.online import Values
+from gonio_sweeps.online import GrowingValues
 
 from gonio import models
 from gonio.acquisition.grids import HalfVector, Hemisphere
@@ -152,7 +152,7 @@ def sampler(geometry: Geometry, description: RigDescription, most_points: int | 
     return Curve(_plan([], Adaptive(how="curve", budget_h=1000.0, **keys)), description)
 
 
-def interpolated(values: Values, at: Directions) -> Floats:
+def interpolated(values: GrowingValues, at: Directions) -> Floats:
     """The usual way: in plane monotone cubics through logarithms, out of it linear ones over Delaunay's triangles.
 
     Values that are not above zero are replaced by the smallest that is. Beyond the outermost triangles the nearest

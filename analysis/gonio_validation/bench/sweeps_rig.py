@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from gonio_sweeps import expected
 from gonio_sweeps.candidates import snake
-from gonio_sweeps.online import Values
+from gonio_sweeps.online import GrowingValues
 
 from gonio.acquisition.duration import Durations
 from gonio.acquisition.plan import Point
@@ -34,10 +34,10 @@ BEYOND = math.radians(89.9)
 
 
 @dataclass
-class Measured:
+class MeasuredSweep:
     """What a run has so far."""
 
-    values: Values
+    values: GrowingValues
     seconds: float
     """Rig time."""
 
@@ -89,7 +89,7 @@ class FrameFreeRig:
     def _cones(self) -> tuple[float, float]:
         return self.description.lamp.half_angle_deg, self.description.camera.lens_half_angle_deg
 
-    def measure(self, poses: Sequence[Pose], before: Measured | None = None) -> Measured:
+    def measure(self, poses: Sequence[Pose], before: MeasuredSweep | None = None) -> MeasuredSweep:
         """Visit poses, with the visits to the reference that belong to them; all values so far."""
         read = [self._read(pose) for pose in poses]
         at = Directions.stack([kinematics.directions(self.description, pose) for pose in read])
@@ -103,12 +103,14 @@ class FrameFreeRig:
         if before is None:
             seconds += self.description.lamp.warm_up_s + self.durations.frames_s(Step(0, "dark"))
         none = np.zeros(u.size)
-        new = Values(
+        new = GrowingValues(
             rows=np.arange(u.size), directions=at, poses=tuple(read), brdf=values, u_noise=u,
             common={name: values * s for name, s in self._u_scale.items()}, time_s=none,
         )  # fmt: skip
         return (
-            Measured(new, seconds) if before is None else Measured(joined(before.values, new), before.seconds + seconds)
+            MeasuredSweep(new, seconds)
+            if before is None
+            else MeasuredSweep(joined(before.values, new), before.seconds + seconds)
         )
 
     def _read(self, pose: Pose) -> Pose:
@@ -123,14 +125,14 @@ class FrameFreeRig:
         return replace(pose, **{n: getattr(pose, n) + error for n, error in within.items()})
 
 
-def joined(a: Values, b: Values) -> Values:
+def joined(a: GrowingValues, b: GrowingValues) -> GrowingValues:
     """Values of one run, one after the other."""
 
     def both(x: Any, y: Any) -> Any:
         return np.concatenate([x, y])
 
     angles = [both(x, y) for x, y in zip(a.directions.angles, b.directions.angles, strict=True)]
-    return Values(
+    return GrowingValues(
         rows=np.arange(len(a) + len(b)), directions=Directions(*angles), poses=a.poses + b.poses,
         brdf=both(a.brdf, b.brdf), u_noise=both(a.u_noise, b.u_noise),
         common={name: both(a.common[name], b.common[name]) for name in a.common}, time_s=both(a.time_s, b.time_s),

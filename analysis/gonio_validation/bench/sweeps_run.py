@@ -13,7 +13,7 @@ from gonio.acquisition.measure import find_rig
 from gonio.typing import Floats
 from gonio_validation.bench import sweeps_plans
 from gonio_validation.bench.sweeps_plans import FLOOR, INCIDENCES, SIZES, WAVELENGTH_NM, Geometry, Places
-from gonio_validation.bench.sweeps_rig import FrameFreeRig, Measured, in_order
+from gonio_validation.bench.sweeps_rig import FrameFreeRig, MeasuredSweep, in_order
 
 FORMAT = 3
 FIXED = ("uniform", "mirror-dense", "half-vector")
@@ -84,7 +84,7 @@ def _adaptive(
     """After every batch: what is known by then."""
     sampler = sweeps_plans.sampler(geometry, rig.description, most)
     out: list[Result] = []
-    measured: Measured | None = None
+    measured: MeasuredSweep | None = None
     kernel: list[list[float]] | None = None
     wanted = list(sampler.first(()))
     rows = [sampler.candidates.points.index(point) for point in wanted]
@@ -102,7 +102,7 @@ def _relative(f: Floats, truth: Floats) -> Floats:
     return np.asarray((f - truth) / np.maximum(truth, FLOOR * truth.max()))
 
 
-def _simple(plan: str, measured: Measured, places: Places, truth: Floats) -> Result:
+def _simple(plan: str, measured: MeasuredSweep, places: Places, truth: Floats) -> Result:
     error = _relative(sweeps_plans.interpolated(measured.values, places.directions), truth)
     return Result(
         plan, "interpolated", len(measured.values), measured.seconds, _rms(error, places), float(np.abs(error).max()),
@@ -110,7 +110,7 @@ def _simple(plan: str, measured: Measured, places: Places, truth: Floats) -> Res
     )  # fmt: skip
 
 
-def _by_process(plan: str, measured: Measured, known: Posterior, places: Places, truth: Floats) -> Result:
+def _by_process(plan: str, measured: MeasuredSweep, known: Posterior, places: Places, truth: Floats) -> Result:
     f, u, low, high = known.at(places.directions)
     error = _relative(f, truth)
     inside = float(places.weight @ ((low <= truth) & (truth <= high)))

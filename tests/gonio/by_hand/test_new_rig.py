@@ -10,7 +10,7 @@ from typing import Any, cast
 import pytest
 from gonio_drivers.lab import LAB
 
-from gonio.by_hand.new_rig import Answers, Person, Plugin, make
+from gonio.by_hand.new_rig import Answers, DriverPlugin, Person, make
 from gonio.errors import ConfigError
 from gonio.rig import FoundServo
 from gonio.rig.description import RigDescription, SampleDescription
@@ -51,7 +51,7 @@ class ManualRig:
 
 def made(values: dict[str, Any], bench: ManualRig | None = None) -> str:
     answers = Answers(Path("answers.toml"), NEEDED | values)
-    return make(cast("Plugin", bench or ManualRig()), answers, lambda text: None)[0]
+    return make(cast("DriverPlugin", bench or ManualRig()), answers, lambda text: None)[0]
 
 
 def test_what_is_found_is_written_with_the_comments_of_the_form() -> None:
@@ -106,7 +106,7 @@ def test_rubbish_in_a_file_of_answers_is_named(values: dict[str, Any], message: 
 
 def test_an_answer_that_is_missing_is_named() -> None:
     with pytest.raises(ConfigError, match="light_distance_mm is missing"):
-        make(cast("Plugin", ManualRig()), Answers(Path("a.toml"), {}), lambda text: None)
+        make(cast("DriverPlugin", ManualRig()), Answers(Path("a.toml"), {}), lambda text: None)
 
 
 def test_a_bench_without_servos_says_what_to_look_at() -> None:
@@ -123,7 +123,7 @@ def test_a_person_is_asked_again_after_rubbish() -> None:
             return "900" if "to the lens" in prompt else ""
         return next(lines)
 
-    text, description = make(cast("Plugin", ManualRig()), Person(typed, said.append), said.append)
+    text, description = make(cast("DriverPlugin", ManualRig()), Person(typed, said.append), said.append)
     assert description.geometry.light_distance_mm == 800
     assert '  "far" is no number; write it like 1000 or 0.5' in said
     assert '  "-2" must be a number above 0' in said
@@ -135,4 +135,4 @@ def test_the_end_of_the_input_writes_nothing() -> None:
         raise EOFError
 
     with pytest.raises(ConfigError, match="name: no answer came; nothing is written"):
-        make(cast("Plugin", ManualRig()), Person(typed, lambda text: None), lambda text: None)
+        make(cast("DriverPlugin", ManualRig()), Person(typed, lambda text: None), lambda text: None)

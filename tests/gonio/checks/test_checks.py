@@ -12,13 +12,13 @@ from gonio import measurement
 from gonio.checks import verdicts
 from gonio.checks.hemisphere import reflectances
 from gonio.checks.symmetry import repeats, symmetries
-from gonio.checks.values import Values, incidences, values_of
-from gonio.checks.verdicts import Taken, Visits, of_energy, of_pairs, of_run, of_values
+from gonio.checks.values import CheckedValues, incidences, values_of
+from gonio.checks.verdicts import Taken, VisitsOfBand, of_energy, of_pairs, of_run, of_values
 from gonio.geometry import Directions
 from gonio.typing import Floats
 from tests.places import measured
 
-OVER = Visits(
+OVER = VisitsOfBand(
     used=5, lost=(), unknown="", straight=True, chi_square=2.0, drift_per_hour=0.003, u_drift_per_hour=0.001,
     peak_to_peak=0.004,
 )  # fmt: skip
@@ -32,11 +32,11 @@ def grid(theta_i: tuple[float, ...] = (20.0, 40.0, 60.0), turn: float = 0.0) -> 
     return Directions(ti, np.full(ti.size, turn), tr, turn + dphi)
 
 
-def drawn(seed: int, at: Directions, f: Floats, *, random: float = 0.003, reference: float = 0.02) -> Values:
+def drawn(seed: int, at: Directions, f: Floats, *, random: float = 0.003, reference: float = 0.02) -> CheckedValues:
     """Values with independent noise, and with a certificate's error that all of them share."""
     rng = np.random.default_rng(seed)
     measured = f * (1.0 + reference * rng.normal()) + random * f * rng.normal(size=f.size)
-    return Values(at, measured, random * f, (reference * f)[:, None])
+    return CheckedValues(at, measured, random * f, (reference * f)[:, None])
 
 
 def matte(at: Directions) -> Floats:
@@ -68,7 +68,7 @@ def test_what_is_common_to_both_values_of_a_pair_does_not_excuse_a_difference() 
     assert check.value is not None
     assert check.value > 10  # (2 % / (0.3 % sqrt 2))^2 = 22
     # were that certificate's error independent from value to value, it would be no difference
-    loose = Values(bent.directions, bent.brdf, np.hypot(0.003, 0.02) * matte(at), np.zeros((len(bent), 0)))
+    loose = CheckedValues(bent.directions, bent.brdf, np.hypot(0.003, 0.02) * matte(at), np.zeros((len(bent), 0)))
     assert of_values(loose)[1].verdict == "ok"
 
 
@@ -77,7 +77,7 @@ def test_a_cause_that_all_pairs_share_counts_once() -> None:
     at = grid()
     f = matte(at)
     odd = 0.01 * f * np.sin(at.dphi)
-    values = Values(at, f + odd, 0.001 * f, odd[:, None])
+    values = CheckedValues(at, f + odd, 0.001 * f, odd[:, None])
     (_, sides) = symmetries(values)
     assert sides.chi_square == pytest.approx(1.0, rel=0.02)  # Sherman-Morrison: 1 less the noise's share
 
@@ -86,14 +86,14 @@ def test_a_cause_that_all_pairs_share_counts_once() -> None:
 def test_without_uncertainties_limits_are_fixed(typical: float, verdict: str) -> None:
     at = grid()
     left = (at.dphi > 0.1) & (at.dphi < math.pi - 0.1)
-    check = of_values(Values(at, np.where(left, math.exp(typical), 1.0) * matte(at)))[1]
+    check = of_values(CheckedValues(at, np.where(left, math.exp(typical), 1.0) * matte(at)))[1]
     assert check.value == pytest.approx(typical)
     assert check.verdict == verdict
 
 
 def test_a_plan_without_such_pairs_is_told_what_to_measure() -> None:
     at = Directions(np.full(5, 0.3), np.zeros(5), np.linspace(0.0, 1.2, 5), np.full(5, math.pi))
-    first, second, energy = of_values(Values(at, np.ones(5)))
+    first, second, energy = of_values(CheckedValues(at, np.ones(5)))
     assert {first.verdict, second.verdict, energy.verdict} == {"not told"}
     assert "theta_i = 50, theta_r = 20" in first.advice
     assert "dphi_deg" in second.advice
@@ -129,7 +129,7 @@ def test_the_uncertainty_of_a_reflectance_is_that_of_drawn_tables(reference: flo
     """GUM supplement 1 by hand: with a common cause, points taken as independent give far too little."""
     at = grid(theta_i=(30.0,))
     f = matte(at)
-    (one,) = reflectances(Values(at, f, 0.01 * f, (reference * f)[:, None]))
+    (one,) = reflectances(CheckedValues(at, f, 0.01 * f, (reference * f)[:, None]))
     assert one.u_values is not None
     assert one.u_independent is not None
     rho = [reflectances(drawn(seed, at, f, random=0.01, reference=reference))[0].rho_dh for seed in range(400)]
@@ -150,7 +150,7 @@ def test_energy_is_judged_by_the_uncertainty() -> None:
     at = Directions(ti, np.zeros(ti.size), tr, dphi)
     f = matte(at)
     for scale, verdict in ((1.0, "ok"), (1.21, "look"), (1.4, "bad")):
-        (one,) = reflectances(Values(at, scale * f, 0.01 * f, (0.01 * scale * f)[:, None]))
+        (one,) = reflectances(CheckedValues(at, scale * f, 0.01 * f, (0.01 * scale * f)[:, None]))
         assert one.rho_dh == pytest.approx(scale * 5.0 / 6.0, rel=5e-3)  # 1/2 + 1/3, on a grid of 2 degrees
         assert of_energy([one]).verdict == verdict
 
@@ -176,7 +176,7 @@ def test_energy_is_judged_by_the_uncertainty() -> None:
         (replace(WELL, clipped=1.0), OVER, "", "ok"),
     ],
 )
-def test_what_is_wrong_with_a_run_is_named(taken: Taken, visits: Visits, name: str, verdict: str) -> None:
+def test_what_is_wrong_with_a_run_is_named(taken: Taken, visits: VisitsOfBand, name: str, verdict: str) -> None:
     found = of_run(taken, visits, "green")
     assert {c.name: c.verdict for c in found if c.verdict != "ok"} == ({name: verdict} if name else {})
     assert all(c.band == "green" and (c.limit or c.verdict == "not told") for c in found)
@@ -190,11 +190,11 @@ def test_the_place_of_a_difference_names_its_cause() -> None:
     ti, tr = (np.radians(a.ravel()) for a in np.meshgrid(degrees, degrees))
     at = Directions(ti, np.zeros(ti.size), tr, np.full(ti.size, math.pi))
     lobe = 1e-3 + np.exp(-(((np.sin(ti) - np.sin(tr)) / 0.15) ** 2))
-    stray = of_values(Values(at, lobe + 2e-3 * (ti > tr)))[0]
+    stray = of_values(CheckedValues(at, lobe + 2e-3 * (ti > tr)))[0]
     assert stray.verdict == "bad"
     assert "Most of it lies fainter than 1 %" in stray.advice
     steep = np.where(np.isclose(tr - ti, math.radians(5.0)), 1.5, 1.0)
-    moved = of_values(Values(at, lobe * steep))[0]
+    moved = of_values(CheckedValues(at, lobe * steep))[0]
     assert moved.verdict == "bad"
     assert "Most of it lies within 5° of the mirror direction" in moved.advice
 

@@ -11,7 +11,7 @@ import pytest
 from gonio import measurement
 from gonio.cli.tables import convert
 from gonio.errors import ConfigError, DataError
-from gonio.formats.rgl import Measured
+from gonio.formats.rgl import RglMeasured
 from gonio.models import AnisotropicFacets, CookTorrance, HeTorrance, Lambert, OrenNayar
 
 GLOSSY = CookTorrance(0.5, 0.5, 0.2, 1.5, diffuse_albedo=0.3, convention="normalised")
@@ -28,7 +28,7 @@ def directions(count: int) -> np.ndarray:
 
 def test_a_tensor_file_interpolates_its_model(tmp_path: Path) -> None:
     measurement.write_model(GLOSSY, tmp_path / "g.bsdf", name="glossy", format="rgl")
-    measured = Measured((tmp_path / "g.bsdf").read_bytes(), tmp_path / "g.bsdf")
+    measured = RglMeasured((tmp_path / "g.bsdf").read_bytes(), tmp_path / "g.bsdf")
     assert measured.name == "glossy"
     pairs = directions(2000)
     f, _ = measured.brdf(*pairs)

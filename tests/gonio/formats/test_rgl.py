@@ -14,7 +14,7 @@ import pytest
 
 from gonio import measurement
 from gonio.errors import DataError
-from gonio.formats.rgl import Measured
+from gonio.formats.rgl import RglMeasured
 
 
 def container(fields: dict[str, Any]) -> bytes:
@@ -51,7 +51,7 @@ def material(**changes: Any) -> bytes:
 
 
 def test_the_warp_is_the_distribution_of_visible_normals() -> None:
-    measured = Measured(material(), Path("m.bsdf"))
+    measured = RglMeasured(material(), Path("m.bsdf"))
     rng = np.random.default_rng(5)
     theta_i, theta_r = rng.uniform(0.05, 1.5, (2, 200))
     phi_i, phi_r = rng.uniform(-3, 3, (2, 200))
@@ -89,7 +89,7 @@ def test_a_sample_with_mirror_symmetry_is_turned_into_the_measured_sector() -> N
     phi = np.linspace(-np.pi, 0, 5)
     values = np.broadcast_to(-phi.reshape(5, 1, 1, 1, 1), (5, 3, 3, 3, 5))  # the value is the azimuth of incidence
     vndf = np.broadcast_to(x + 1, (5, 3, 3, 5))
-    measured = Measured(material(phi_i=phi, vndf=vndf, rgb=values, valid=None), Path("m.bsdf"))
+    measured = RglMeasured(material(phi_i=phi, vndf=vndf, rgb=values, valid=None), Path("m.bsdf"))
     angles = np.array([0.3, 1.0, 2.5])
     tilt = np.full(3, 0.5)
     for sign, expected in ((-1, angles), (1, math.pi - angles)):  # y > 0 is turned by half a turn
@@ -126,5 +126,5 @@ def test_against_an_independent_evaluation(shared: Callable[[str], Path]) -> Non
     reference = pd.read_csv(shared("rgl/acrylic_felt_green_mitsuba391_values.csv"))
     angles = (np.deg2rad(reference[f"{name}_deg"].to_numpy(float)) for name in ("theta_i", "theta_r", "phi_r"))
     theta_i, theta_r, phi_r = angles
-    brdf, _ = Measured(path.read_bytes(), path).brdf(theta_i, np.zeros_like(theta_i), theta_r, phi_r)
+    brdf, _ = RglMeasured(path.read_bytes(), path).brdf(theta_i, np.zeros_like(theta_i), theta_r, phi_r)
     np.testing.assert_allclose(brdf, reference[["brdf_r", "brdf_g", "brdf_b"]], rtol=3e-5)  # sums over 128 x 128 nodes

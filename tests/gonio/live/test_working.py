@@ -16,7 +16,7 @@ import pytest
 from gonio.acquisition.journal import decode, encode
 from gonio.acquisition.records import StepRecord
 from gonio.live import working
-from gonio.live.provisional import Values
+from gonio.live.provisional import ProvisionalValues
 from gonio.live.run_status import RunStatus
 from gonio.live.shared import CURVES, FRAME, LOOKED, NOW, Now, Shared
 from gonio.live.working import Worker
@@ -26,7 +26,7 @@ from tests.gonio.live.runs import Played
 from tests.gonio.live.test_watching import until
 
 
-def draw(run_status: RunStatus, values: Sequence[Values], behind: int) -> bytes:
+def draw(run_status: RunStatus, values: Sequence[ProvisionalValues], behind: int) -> bytes:
     return json.dumps([len(v.points) for v in values]).encode()
 
 

@@ -14,7 +14,7 @@ from gonio.errors import ArgumentError
 from gonio.geometry import Directions
 from gonio.models import Blinn, Corrected, Correction, HeTorrance, Lambert, Model, OrenNayar
 from gonio.models.corrected import folded
-from gonio.models.gaussian_process import OF_CURVES, Coordinates, Prior, Process, Values
+from gonio.models.gaussian_process import OF_CURVES, Coordinates, Prior, Process, Training
 
 TAU = 0.05
 PLACES = Directions.from_degrees([20.0] * 7 + [40.0] * 7, 0.0, [0.0, 10.0, 20.0, 30.0, 45.0, 60.0, 70.0] * 2, 180.0)
@@ -24,7 +24,7 @@ def corrected(model: Model, log_ratio: float = 0.1) -> Corrected:
     """Off by exp(log_ratio) everywhere that was measured."""
     prior = Prior(np.log(np.full(12, TAU)) + np.where(np.arange(12) % 2, 0.0, 2.0), OF_CURVES.spreads, TAU, 0.0)
     at = folded(PLACES, model)
-    data = Values(Coordinates.of(at), np.full(14, log_ratio), np.full(14, 1e-4), np.zeros((14, 1)), prior=prior)
+    data = Training(Coordinates.of(at), np.full(14, log_ratio), np.full(14, 1e-4), np.zeros((14, 1)), prior=prior)
     return Corrected(model, Correction(Process(data, prior.centres), at, 1e-6, 1.0, TAU))
 
 

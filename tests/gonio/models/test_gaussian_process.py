@@ -7,7 +7,7 @@ import pytest
 
 from gonio.geometry import Directions
 from gonio.models import gaussian_process as gp
-from gonio.models.gaussian_process import NAMES, OF_CURVES, Coordinates, Pairs, Process, Values
+from gonio.models.gaussian_process import NAMES, OF_CURVES, Coordinates, Pairs, Process, Training
 
 
 def directions(count: int, seed: int) -> Directions:
@@ -33,7 +33,7 @@ def test_a_turned_sample_and_a_turned_table_are_alike() -> None:
 
 def test_derivatives_of_the_likelihood_are_those_of_differences() -> None:
     rng = np.random.default_rng(0)
-    values = Values(
+    values = Training(
         Coordinates.of(directions(24, 0)), rng.normal(0, 1, 24), np.full(24, 0.05), rng.normal(0, 0.01, (24, 2))
     )
     p = OF_CURVES.centres + rng.normal(0, 0.5, len(NAMES))
@@ -50,7 +50,7 @@ def test_what_is_known_is_the_conditional_distribution() -> None:
     rng = np.random.default_rng(3)
     at, there = Coordinates.of(directions(12, 4)), Coordinates.of(directions(5, 5))
     z, u, causes = rng.normal(0, 1, 12), rng.uniform(0.01, 0.1, 12), rng.normal(0, 0.05, (12, 1))
-    process = Process(Values(at, z, u, causes), OF_CURVES.centres, 0.3)
+    process = Process(Training(at, z, u, causes), OF_CURVES.centres, 0.3)
     mean, covariance = process.mean_at(there), process.covariance_at(there)
     k = Pairs(at, at).kernel(OF_CURVES.centres) + np.diag(u**2) + causes @ causes.T
     cross = Pairs(there, at).kernel(OF_CURVES.centres)
@@ -64,9 +64,9 @@ def test_a_value_left_out_is_predicted_by_the_others() -> None:
     rng = np.random.default_rng(6)
     d = directions(10, 7)
     at, z, u = Coordinates.of(d), rng.normal(0, 1, 10), np.full(10, 0.1)
-    left_out = Process(Values(at, z, u, np.zeros((10, 1))), OF_CURVES.centres).left_out
+    left_out = Process(Training(at, z, u, np.zeros((10, 1))), OF_CURVES.centres).left_out
     others = np.arange(10) != 4
-    process = Process(Values(Coordinates.of(d[others]), z[others], u[others], np.zeros((9, 1))), OF_CURVES.centres)
+    process = Process(Training(Coordinates.of(d[others]), z[others], u[others], np.zeros((9, 1))), OF_CURVES.centres)
     mean, covariance = process.mean_at(Coordinates.of(d[4:5])), process.covariance_at(Coordinates.of(d[4:5]))
     expected = (z[4] - mean[0]) / np.sqrt(covariance[0, 0] + 0.01)
     assert left_out[4] == pytest.approx(expected, rel=1e-5)  # jitter of 1e-10 beside a noise of 1e-2

@@ -15,7 +15,7 @@ from gonio import geometry, measurement
 from gonio.cli.tables import convert
 from gonio.errors import ConfigError, DataError
 from gonio.formats.reader import table
-from gonio.formats.rgl import Measured, tensors
+from gonio.formats.rgl import RglMeasured, tensors
 from gonio.models import CookTorrance, Lambert, Model, OrenNayar
 from gonio.renderers import channels, measured
 from gonio.renderers.interpolated import Interpolated
@@ -160,7 +160,7 @@ def test_a_tensor_file_gives_the_table_back_and_carries_the_remarks(tmp_path: Pa
     rows = channels.rows(frame, "g")
     theta_i, theta_r, dphi = rows.angles.T
     # the file's first direction is the viewer's
-    f, _ = Measured(data, tmp_path / "o.bsdf").brdf(theta_r, 0 * dphi, theta_i, dphi)
+    f, _ = RglMeasured(data, tmp_path / "o.bsdf").brdf(theta_r, 0 * dphi, theta_i, dphi)
     np.testing.assert_allclose(f[:, 1], rows.values[:, 0], rtol=0.005)  # where rows share nodes, they are averaged
 
 

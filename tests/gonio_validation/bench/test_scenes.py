@@ -16,7 +16,7 @@ from gonio_scenes.render import render
 from gonio_validation.bench import mitsuba_pictures, scenes, timing
 from typer.testing import CliRunner
 
-from gonio.formats.rgl import Measured
+from gonio.formats.rgl import RglMeasured
 from gonio.geometry import angles
 from gonio.typing import Floats
 from tests.gonio_scenes.scenes import scene
@@ -172,7 +172,7 @@ class _Sliced:
 
     has_spike, constant = False, True
 
-    def __init__(self, measured: Measured) -> None:
+    def __init__(self, measured: RglMeasured) -> None:
         self.measured = measured
 
     def brdf(self, omega_i: Floats, omega_r: Floats, uv: Floats) -> Floats:
@@ -187,7 +187,7 @@ def test_mitsuba_agrees_on_the_same_slices_and_slices_on_the_model(material: str
     tables = {"m": scenes.MATERIALS[material], "floor": scenes.FLOOR}
     made = scene(camera=CAMERA, material=tables, shape=[FLOOR, BALL], light=[scenes.LAMP, scenes.SUN], mirror_depth=0)
     coarse = mitsuba.export(made, nodes=32, incidences=16)
-    sliced = _Sliced(Measured(coarse.files["m.bsdf"], Path("m.bsdf")))
+    sliced = _Sliced(RglMeasured(coarse.files["m.bsdf"], Path("m.bsdf")))
     assert np.abs(apart(replace(made, material=(made.material[0], sliced)), coarse, tmp_path)).max() < 3.0  # type: ignore[arg-type]
     # and the default numbers of nodes are fine enough not to be seen
     assert np.abs(apart(made, mitsuba.export(made), tmp_path)).max() < 3.0
