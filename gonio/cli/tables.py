@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import difflib
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from gonio.cli.options import Blank, Columns, reading, remember
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 def convert(
@@ -30,8 +33,7 @@ def convert(
         str | None,
         typer.Option(
             "--to",
-            help="Format of OUT, where its ending does not tell; mitsuba, radiance, gltf or principled (Blender); "
-            "datacite; of a run bluesky.",
+            help="Format of OUT, where its ending does not tell; mitsuba or radiance; datacite; of a run bluesky.",
             show_default=False,
         ),
     ] = None,
@@ -63,53 +65,59 @@ def convert(
             return
         elif target_format not in known:
             raise ConfigError(_unknown(target_format, known, list(exports)))
-    to: str | None = "gltf" if target_format is None and target.suffix.lower() in (".gltf", ".glb") else target_format
-    is_model = source.endswith(".toml")
-    if is_model and to == "datacite":
-        raise ConfigError(f"{source}: is a model; --to datacite takes a run, or its table")
-    if is_model and (columns, blank) != (None, None):
-        raise ConfigError(f"{source}: is a model, which has no --{'blank' if columns is None else 'columns'}")
-    if wavelength_nm is not None and (is_model or to not in _RENDERERS):
+    if source.endswith(".toml"):
+        for name, given in (("columns", columns), ("blank", blank), ("wavelength-nm", wavelength_nm)):
+            if given is not None:
+                raise ConfigError(f"{source}: is a model, which has no --{name}")
+        remarks, done = _model(source, target, target_format)
+    elif wavelength_nm is not None and target_format not in _RENDERERS:
         raise ConfigError(
             f"--wavelength-nm {wavelength_nm:g}: goes with a table and --to {', '.join(_RENDERERS)}; leave it out"
         )
-    if is_model:
-        from gonio import models
-        from gonio.acquisition.measure import load_sample
+    else:
+        path, sample = measurement.split(source)
+        table = measurement.read(path, format=source_format, sample=sample, columns=how.columns, blank=how.blank)
+        remarks, done = _table(
+            table, target, target_format, sample or table.attrs.get("sample") or Path(path).stem, wavelength_nm
+        )
+    for remark in remarks:
+        console.note(remark)
+    remember([source], how)
+    _done(target, done)
 
-        sample_file = load_sample(source)
-        model = models.build(sample_file.model, sample_file.parameters)
-        if to in _TRANSLATED:
-            from gonio.renderers import translation
 
-            remarks = translation.write(translation.of_model(model, sample_file.name), target, to)
-        else:
-            plain = _MODEL_FORMATS.get(to, to) if to else None
-            remarks = measurement.write_model(model, target, name=sample_file.name, format=plain)
-        for remark in remarks:
-            console.note(remark)
-        _done(target, sample_file.name)
-        return
-    path, sample = measurement.split(source)
-    table = measurement.read(path, format=source_format, sample=sample, columns=how.columns, blank=how.blank)
+def _model(source: str, target: Path, to: str | None) -> tuple[list[str], str]:
+    """Write a model; remarks, and what was written."""
+    from gonio import measurement, models
+    from gonio.acquisition.measure import load_sample
+    from gonio.errors import ConfigError
+
+    if to == "datacite":
+        raise ConfigError(f"{source}: is a model; --to datacite takes a run, or its table")
+    given = load_sample(source)
+    model = models.build(given.model, given.parameters)
+    plain = _RENDERERS.get(to, to) if to else None
+    return measurement.write_model(model, target, name=given.name, format=plain), given.name
+
+
+def _table(
+    table: pd.DataFrame, target: Path, to: str | None, name: str, wavelength_nm: float | None
+) -> tuple[list[str], str]:
+    """Write a measurement; remarks, and what was written."""
+    from gonio import measurement
+
     if to in _RENDERERS:
-        from gonio.renderers import channels, measured, translation
+        from gonio.renderers import channels, measured
 
-        rows = channels.rows(table, sample or table.attrs.get("sample") or Path(path).stem, wavelength_nm=wavelength_nm)
-        if to in _TRANSLATED:
-            remarks = translation.write(translation.of_rows(rows), target, to)
-        else:
-            remarks = measured.write(rows, target, to)
+        rows = channels.rows(table, name, wavelength_nm=wavelength_nm)
+        remarks = measured.write(rows, target, to)
     elif to == "datacite":
         from gonio.formats import datacite
 
         remarks = datacite.write(table, target)
     else:
         remarks = measurement.write(table, target, format=to)
-    for remark in remarks:
-        console.note(remark)
-    remember([source], how)
-    _done(target, f"{len(table)} values")
+    return remarks, f"{len(table)} values"
 
 
 def _export(source: str, target: Path, name: str, more: object) -> None:
@@ -155,6 +163,5 @@ def _unknown(name: str, known: list[str], exports: list[str]) -> str:
     )
 
 
-_TRANSLATED = ("gltf", "principled")
-_MODEL_FORMATS = {"mitsuba": "rgl", "radiance": "klems"}
-_RENDERERS = (*_MODEL_FORMATS, *_TRANSLATED)
+_RENDERERS = {"mitsuba": "rgl", "radiance": "klems"}
+"""What writes tables for a renderer -> the format that writes models for it."""

@@ -11,7 +11,6 @@ import numpy as np
 from gonio import colour, geometry, measurement
 from gonio.errors import ConfigError, DataError
 from gonio.formats.reader import ANGLES
-from gonio.models import Model
 from gonio.typing import Floats
 
 if TYPE_CHECKING:
@@ -122,12 +121,3 @@ def _rows(name: str, wide: pd.DataFrame, values: Floats, notes: Sequence[str]) -
         said.append(f"{below} of {len(values)} values are below zero (noise, or colours beyond sRGB) and become zero")
     angles = np.column_stack([index[:, 0], index[:, 2], dphi])
     return Rows(name, angles, np.maximum(values, 0.0), tuple(said))
-
-
-def of_model(model: Model, theta_i: Floats, theta_r: Floats, dphi: Floats) -> Floats:
-    """A model's values in linear sRGB under D65 at pairs of directions [rad]; (n, 3) [1/sr]."""
-    ends = [model.brdf(theta_i, 0.0, theta_r, dphi, wavelength_nm=nm) for nm in WAVELENGTHS_NM[[0, -1]].tolist()]
-    if np.allclose(ends[0], ends[1], rtol=1e-9, atol=0):
-        return np.repeat(ends[0][:, np.newaxis], 3, axis=1)
-    angles = [a[:, np.newaxis] for a in (theta_i, 0.0 * theta_i, theta_r, dphi)]
-    return colour.SRGB.rgb(colour.xyz(model.brdf(*angles, wavelength_nm=WAVELENGTHS_NM), WAVELENGTHS_NM))

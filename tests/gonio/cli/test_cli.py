@@ -511,7 +511,16 @@ def test_a_format_that_there_is_not_lists_all(tmp_path: Path, source: str) -> No
     done = gonio(tmp_path, "convert", source, "out", "--to", "nope")
     said = " ".join(done.stderr.split())
     assert done.returncode == 2
-    for name in ("--to nope", "gonio", "astm", "bird-json", "datacite", "mitsuba", "gltf", "of a whole run bluesky"):
+    for name in (
+        "--to nope",
+        "gonio",
+        "astm",
+        "bird-json",
+        "datacite",
+        "mitsuba",
+        "radiance",
+        "of a whole run bluesky",
+    ):
         assert name in said
     assert "did you mean bluesky?" in gonio(tmp_path, "convert", source, "out", "--to", "bluesk").stderr
     assert not (tmp_path / "out").exists()
