@@ -27,8 +27,8 @@ import numpy as np
 from gonio.disk import only_file
 from gonio.errors import ConfigError, DataError
 from gonio.formats import workbook
-from gonio.formats._xls import MAGIC, Sheet, worksheets
 from gonio.formats.reader import MAX_BYTES, Format, fold, table
+from gonio.formats.workbook_cells import OLD, Sheet, worksheets
 from gonio.typing import Floats
 
 if TYPE_CHECKING:
@@ -174,7 +174,7 @@ FORMAT = Format(
     name="rt300s",
     title="RT-300S workbook (LOFT)",
     endings=(".xls",),
-    sniff=lambda head: head.startswith(MAGIC),
+    sniff=lambda head: head.startswith(OLD),
     read=read,
     max_bytes=64 * 2**20,
 )

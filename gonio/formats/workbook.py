@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from gonio.errors import DataError
-from gonio.formats import _xls, _xlsx, native
+from gonio.formats import native, workbook_cells
 from gonio.formats.reader import Format
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ MAX_PLACES = 4_000_000
 
 def is_workbook(data: bytes) -> bool:
     """Whether the bytes begin as an Excel workbook does, of 1997 or of today."""
-    return data.startswith((_xls.MAGIC, _xlsx.MAGIC))
+    return data.startswith((workbook_cells.OLD, workbook_cells.NEW))
 
 
 def as_csv(data: bytes, path: Path, needed: Collection[str]) -> tuple[bytes, list[str]]:
@@ -38,7 +38,7 @@ def as_csv(data: bytes, path: Path, needed: Collection[str]) -> tuple[bytes, lis
     DataError
         It is no such workbook, is damaged, or holds nothing; a cell stands in a column without a name.
     """
-    sheets = (_xls if data.startswith(_xls.MAGIC) else _xlsx).worksheets(data, path)
+    sheets = workbook_cells.worksheets(data, path)
     full = [(number, sheet) for number, sheet in enumerate(sheets, start=1) if sheet]
     if not full:
         raise DataError(f"{path}: the workbook holds no cells")
@@ -67,7 +67,7 @@ def as_csv(data: bytes, path: Path, needed: Collection[str]) -> tuple[bytes, lis
     return out.getvalue().encode(), notes
 
 
-def _header(sheet: _xls.Sheet) -> dict[int, str]:
+def _header(sheet: workbook_cells.Sheet) -> dict[int, str]:
     """Names of the columns by their places: the first line that is not empty."""
     first = min(row for row, _ in sheet)
     return {column: _cell(value).strip() for (row, column), value in sorted(sheet.items()) if row == first}
@@ -89,7 +89,7 @@ FORMAT = Format(
     name="xlsx",
     title="Excel workbook with a measurement table's columns",
     endings=(".xlsx",),
-    sniff=lambda head: head.startswith(_xlsx.MAGIC),
+    sniff=lambda head: head.startswith(workbook_cells.NEW),
     read=read,
     max_bytes=MAX_BYTES,
 )

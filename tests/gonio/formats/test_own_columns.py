@@ -10,13 +10,14 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
+import openpyxl
 import pandas as pd
 import pytest
 
 from gonio import measurement
 from gonio.cli.tables import convert
 from gonio.errors import ConfigError, DataError
-from gonio.formats import _xls, own_columns
+from gonio.formats import own_columns, workbook_cells
 from tests.command_line import gonio
 
 PLAIN = """theta_i_deg,phi_i_deg,theta_r_deg,phi_r_deg,wavelength_nm,brdf,u_brdf
@@ -109,36 +110,15 @@ def test_what_is_wrong_with_the_files_is_told(tmp_path: Path) -> None:
 
 
 def xlsx(*sheets: Sequence[Sequence[object]]) -> bytes:
-    """A workbook as ECMA-376 has it: numbers as they are, some texts shared and some in their cells."""
-    shared: list[str] = []
+    """A workbook with these rows."""
+    book = openpyxl.Workbook()
+    book.remove(book.active)
+    for rows in sheets:
+        sheet = book.create_sheet()
+        for row in rows:
+            sheet.append(list(row))
     out = io.BytesIO()
-    with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as archive:
-        for number, rows in enumerate(sheets, start=1):
-            lines = []
-            for r, row in enumerate(rows, start=1):
-                cells = []
-                for c, value in enumerate(row):
-                    place = f'r="{chr(65 + c)}{r}"'
-                    if isinstance(value, str) and c % 2:
-                        cells.append(f'<c {place} t="inlineStr"><is><t>{value}</t></is></c>')
-                    elif isinstance(value, str):
-                        shared.append(value)
-                        cells.append(f'<c {place} t="s"><v>{len(shared) - 1}</v></c>')
-                    elif value is not None:
-                        cells.append(f"<c {place}><v>{value!r}</v></c>")
-                lines.append(f'<row r="{r}">{"".join(cells)}</row>')
-            sheet = f'<worksheet xmlns="{MAIN}"><sheetData>{"".join(lines)}</sheetData></worksheet>'
-            archive.writestr(f"xl/worksheets/sheet{number}.xml", sheet)
-        texts = "".join(f"<si><r><t>{text}</t></r></si>" for text in shared)
-        archive.writestr("xl/sharedStrings.xml", f'<sst xmlns="{MAIN}">{texts}</sst>')
-        names = "".join(f'<sheet name="s{k}" sheetId="{k}" r:id="rId{k}"/>' for k in range(1, len(sheets) + 1))
-        book = f'<workbook xmlns="{MAIN}" xmlns:r="{LINKS}"><sheets>{names}</sheets></workbook>'
-        archive.writestr("xl/workbook.xml", book)
-        links = "".join(
-            f'<Relationship Id="rId{k}" Type="{LINKS}/worksheet" Target="worksheets/sheet{k}.xml"/>'
-            for k in range(1, len(sheets) + 1)
-        )
-        archive.writestr("xl/_rels/workbook.xml.rels", f"<Relationships>{links}</Relationships>")
+    book.save(out)
     return out.getvalue()
 
 
@@ -167,8 +147,8 @@ def test_a_workbook_under_the_tables_names_needs_none() -> None:
 def test_an_old_workbook_under_ones_own_names(monkeypatch: pytest.MonkeyPatch) -> None:
     numbers = [[v if isinstance(v, str) else float(str(v)) for v in row] for row in ROWS]
     cells = {(r, c): value for r, row in enumerate(numbers) for c, value in enumerate(row)}
-    monkeypatch.setattr(_xls, "worksheets", lambda data, path: [cells])  # the reader has tests of its own
-    frame = measurement.parse(_xls.MAGIC, Path("mine.xls"), columns=own_columns.pairs(SPEC))
+    monkeypatch.setattr(workbook_cells, "worksheets", lambda data, path: [cells])  # the reader has tests of its own
+    frame = measurement.parse(workbook_cells.OLD, Path("mine.xls"), columns=own_columns.pairs(SPEC))
     assert_plain(frame)
 
 

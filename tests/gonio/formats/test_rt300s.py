@@ -113,13 +113,13 @@ def test_the_blank_beside_is_subtracted(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("data", "told"),
     [
-        (workbook(SAMPLE)[:3000], "lies beyond the end of the file"),
+        (workbook(SAMPLE)[:3000], "the workbook is damaged"),
         (workbook([[(-90, 30.0, 95.0, 1.0)]]), "worksheet 1, column 1: Receive is 95.0"),
         (workbook(SAMPLE).replace(b" RT", b" XX"), "column 0 has no label RT"),
         (workbook([[]]), "holds no measurement"),
         (
             workbook(SAMPLE).replace(struct.pack("<2I", 0xFFFFFFFD, 0xFFFFFFFE), struct.pack("<2I", 0xFFFFFFFD, 1)),
-            "does not end",
+            "the workbook is damaged",
         ),
     ],
 )
