@@ -44,7 +44,7 @@ def add(group: Group, name: str, kind: type) -> None:
         function).
     """
     point = EntryPoint(name, f"{kind.__module__}:{kind.__qualname__}", group)
-    what = group.removeprefix("gonio.").removesuffix("s")
+    what = kind_of(group)
     installed = _installed(group, tuple(sys.path)).get(name)
     if installed is not None:
         if load(group, name) is not kind:
@@ -70,6 +70,11 @@ def _installed(group: Group, path: tuple[str, ...]) -> dict[str, EntryPoint]:
     return {point.name: point for point in sorted(entry_points(group=group), key=lambda p: p.name)}
 
 
+def kind_of(group: Group) -> str:
+    """What a group has, in the singular, for messages."""
+    return "sampler" if group == "gonio.choosers" else group.removeprefix("gonio.").removesuffix("s")
+
+
 def load(group: Group, name: str) -> Any:
     """What an entry point names.
 
@@ -79,7 +84,7 @@ def load(group: Group, name: str) -> Any:
         Nothing of that name is installed (with the nearest name), or its import fails (with its error).
     """
     points = available(group)
-    kind = group.removeprefix("gonio.").removesuffix("s")
+    kind = kind_of(group)
     if name not in points:
         near = difflib.get_close_matches(name, points, n=1)
         hint = f'did you mean "{near[0]}"?' if near else f"installed: {', '.join(points) or 'none'}"
