@@ -14,10 +14,10 @@ from gonio.models import Lambert, Model, Sum
 from gonio_analysis.changes import point_by_point
 from gonio_analysis.changes.point_by_point import Change, Side
 from gonio_analysis.curves.in_plane import Normalise, curves, labels, norm, selection
+from gonio_analysis.fitting.families import Ior
 from gonio_analysis.fitting.fit import FitResult
 from gonio_analysis.fitting.forward import ByWavelength
 from gonio_analysis.fitting.observations import check_u_rel, observations
-from gonio_analysis.fitting.parameters import Ior
 from gonio_analysis.fitting.problem import FitRequest, check_metric
 from gonio_analysis.fitting.spectrum import fit_table
 from gonio_analysis.plots import in_plane

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from gonio_analysis.commands import read_ior
+from gonio_analysis.commands.arguments import read_ior
 from gonio_analysis.fitting.fit import FitResult, fit
 from gonio_analysis.fitting.forward import apparent
 from gonio_analysis.fitting.objective import alone, scaled_to

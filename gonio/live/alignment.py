@@ -5,7 +5,8 @@ from __future__ import annotations
 from importlib.resources import files
 from typing import Any, Protocol
 
-from gonio.live.server import Content, EventLog, Request, Route
+from gonio.live.event_log import EventLog
+from gonio.live.server import Content, Request, Route
 
 KEPT = 3
 """Pictures of so many frames: a browser asks for the one that it was just told of."""

@@ -6,8 +6,8 @@ import sys
 import threading
 from typing import TYPE_CHECKING, Any
 
+from gonio.live.event_log import BATCH
 from gonio.live.run_status import ago
-from gonio.live.server import BATCH
 from gonio.shown import with_u
 
 if TYPE_CHECKING:

@@ -21,9 +21,10 @@ import numpy as np
 from gonio.acquisition.run import Run
 from gonio.errors import GonioError
 from gonio.geometry import IN_PLANE, Directions
+from gonio.live.event_log import BATCH, EventLog
 from gonio.live.follow import Follower
 from gonio.live.run_status import RunStatus, is_one_of_many, plain, rounded, shortened
-from gonio.live.server import BATCH, Content, EventLog, Request
+from gonio.live.server import Content, Request
 from gonio.live.shared import CURVES, FRAME, Now, Shared
 
 POLL_S = 0.2

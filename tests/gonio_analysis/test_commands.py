@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from gonio_analysis import commands
 from gonio_analysis.changes.point_by_point import side
+from gonio_analysis.commands import arguments
 from gonio_analysis.fitting.fit import fit
 from gonio_analysis.fitting.forward import apparent
 from gonio_analysis.fitting.observations import observations
@@ -73,29 +74,29 @@ def test_unknown_model_is_told_before_anything_is_read(tmp_path: Path) -> None:
     [("0.77+6.08j", 0.77 + 6.08j), ("1.5", 1.5 + 0j), ("1.37+7.6i", 1.37 + 7.6j), ("Al", "Al"), (None, None)],
 )
 def test_optical_constants(text: str | None, value: object) -> None:
-    assert commands.read_ior(text) == value
+    assert arguments.read_ior(text) == value
 
 
 @pytest.mark.parametrize("text", ["-1+2j", "1.5-2j", "0", "nan", "Unobtainium"])
 def test_wrong_optical_constants(text: str) -> None:
     with pytest.raises(ConfigError):
-        commands.read_ior(text)
+        arguments.read_ior(text)
 
 
 def test_fixed_values() -> None:
-    assert commands.read_fixed("tau_um=1.77") == ("tau_um", 1.77)
-    assert commands.read_fixed("form = exact") == ("form", "exact")
+    assert arguments.read_fixed("tau_um=1.77") == ("tau_um", 1.77)
+    assert arguments.read_fixed("form = exact") == ("form", "exact")
     for text in ("tau_um", "=3", "tau_um=", "tau_um=inf"):
         with pytest.raises(ConfigError, match="--fix"):
-            commands.read_fixed(text)
+            arguments.read_fixed(text)
 
 
 def test_bounds_and_priors() -> None:
-    assert commands.read_bound("tau_um = 0.5:5") == ("tau_um", (0.5, 5.0))
-    assert commands.read_prior("m=0.2+-0.01") == commands.read_prior("m=0.2±0.01") == ("m", (0.2, 0.01))
+    assert arguments.read_bound("tau_um = 0.5:5") == ("tau_um", (0.5, 5.0))
+    assert arguments.read_prior("m=0.2+-0.01") == arguments.read_prior("m=0.2±0.01") == ("m", (0.2, 0.01))
     for text in ("m=0.2", "m=a:b", "0.1:0.2"):
         with pytest.raises(ConfigError, match=r"--bound tau_um=0\.5:5"):
-            commands.read_bound(text)
+            arguments.read_bound(text)
 
 
 def test_fit_prints_intervals(table: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -140,7 +141,7 @@ def test_a_saved_fit_is_the_sample_of_another_measurement(name: str, tmp_path: P
     first = json.loads(done.stdout)["parameters"]
     built = side(str(tmp_path / "sample.toml")).model
     data = observations(measurement.read(tmp_path / "a.csv"))
-    np.testing.assert_array_equal(apparent(built, data), fit(data, name, ior=commands.read_ior(given)).predicted)
+    np.testing.assert_array_equal(apparent(built, data), fit(data, name, ior=arguments.read_ior(given)).predicted)
     made = gonio(tmp_path, "measure", "plan.toml", "--rig", "sim-ideal", "--sample", "sample.toml", "--out", "run")
     assert made.returncode == 0, made.stderr
     assert gonio(tmp_path, "reduce", "run").returncode == 0

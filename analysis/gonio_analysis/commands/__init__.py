@@ -6,7 +6,6 @@ Nothing heavy is imported before a command runs: `gonio --help` has to answer at
 from __future__ import annotations
 
 import json
-import math
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -14,12 +13,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from gonio.cli.options import Blank, Columns, reading, remember
+from gonio_analysis.commands.arguments import read_bound, read_fixed, read_ior, read_prior
 
 if TYPE_CHECKING:
     from gonio.measurement import Reading
     from gonio_analysis.fitting.fit import FitResult
     from gonio_analysis.fitting.observations import Observations
-    from gonio_analysis.fitting.parameters import Ior
     from gonio_analysis.fitting.profile_likelihood import Interval
     from gonio_analysis.result_records import Appearance
 
@@ -375,29 +374,6 @@ def _names(models: str) -> list[str]:
     return names
 
 
-def read_ior(text: str | None) -> Ior:
-    """Optical constants from a command line: a complex number, a material's name, or None.
-
-    Raises
-    ------
-    ConfigError
-        Neither a number nor a known material, or a number that no material has.
-    """
-    if text is None:
-        return None
-    from gonio import materials
-    from gonio.errors import ConfigError
-
-    try:
-        value = complex(text.replace(" ", "").replace("i", "j"))
-    except ValueError:
-        materials.ior(text)
-        return text
-    if not (0 < value.real < 1e4 and 0 <= value.imag < 1e4):
-        raise ConfigError(f"--ior {text}: n is above 0 and k at least 0 (n + ik absorbs with k > 0)")
-    return value
-
-
 def _once(option: str, pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     """What an option says of each name; `ConfigError` where it says two things of one."""
     from gonio.errors import ConfigError
@@ -407,62 +383,6 @@ def _once(option: str, pairs: list[tuple[str, Any]]) -> dict[str, Any]:
         if names.count(name) > 1:
             raise ConfigError(f"{option} {name}=...: is given {names.count(name)} times; say it once")
     return dict(pairs)
-
-
-def read_fixed(text: str) -> tuple[str, float | str]:
-    """NAME=VALUE from a command line; a value that is no number stays a word.
-
-    Raises
-    ------
-    ConfigError
-        There is no "=", or a side of it is empty, or the number is not finite.
-    """
-
-    from gonio.errors import ConfigError
-
-    name, _, value = (part.strip() for part in text.partition("="))
-    if not name or not value:
-        raise ConfigError(f"--fix {text}: NAME=VALUE is needed, as in --fix tau_um=1.77")
-    try:
-        number = float(value)
-    except ValueError:
-        return name, value
-    if not math.isfinite(number):
-        raise ConfigError(f"--fix {text}: the value has to be finite")
-    return name, number
-
-
-def read_bound(text: str) -> tuple[str, tuple[float, float]]:
-    """NAME=LOW:HIGH from a command line.
-
-    Raises
-    ------
-    ConfigError
-        It is written otherwise, or a number is none.
-    """
-    return _read_two(text, "--bound", ":", "NAME=LOW:HIGH", "tau_um=0.5:5")
-
-
-def read_prior(text: str) -> tuple[str, tuple[float, float]]:
-    """NAME=VALUE+-U from a command line; "±" is taken too.
-
-    Raises
-    ------
-    ConfigError
-        It is written otherwise, or a number is none.
-    """
-    return _read_two(text.replace("±", "+-"), "--prior", "+-", "NAME=VALUE+-U", "tau_um=1.77+-0.05")
-
-
-def _read_two(text: str, option: str, between: str, form: str, example: str) -> tuple[str, tuple[float, float]]:
-    from gonio.errors import ConfigError
-
-    name, _, numbers = text.partition("=")
-    first, _, second = numbers.partition(between)
-    try:
-        return name.strip(), (float(first), float(second))
-    except ValueError:
-        raise ConfigError(f"{option} {text}: {form} is needed, as in {option} {example}") from None
 
 
 def _report(

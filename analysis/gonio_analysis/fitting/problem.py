@@ -12,11 +12,11 @@ import numpy as np
 
 from gonio.errors import ConfigError
 from gonio.typing import Floats
-from gonio_analysis.fitting import parameters
+from gonio_analysis.fitting import families, parameters
+from gonio_analysis.fitting.families import Family, Ior, Parameter, Values
 from gonio_analysis.fitting.forward import ByWavelength
 from gonio_analysis.fitting.objective import LOSSES, METRICS
 from gonio_analysis.fitting.observations import check_u_rel
-from gonio_analysis.fitting.parameters import Family, Ior, Parameter, Values
 
 STARTS = 4
 MARGIN = 1e-4
@@ -248,7 +248,7 @@ def pose(asked: FitRequest) -> Problem:
         notes.append(f"The optical constants are not used: {model} has none.")
     family = parameters.family(model, slopes=asked.slopes, ior=ior)
     words = {k: v for k, v in fix.items() if isinstance(v, str)}
-    if words and len(parameters.parts(model)) > 1:
+    if words and len(families.parts(model)) > 1:
         raise ConfigError(f"--fix {next(iter(words))}=...: words go to a single model's constructor, not to a sum")
     numbers = {k: float(v) for k, v in fix.items() if not isinstance(v, str)}
     for n, value in numbers.items():

@@ -20,7 +20,7 @@ import numpy as np
 from gonio.shown import interval
 from gonio.typing import Floats
 from gonio_analysis.fitting import parameters
-from gonio_analysis.fitting.parameters import Values
+from gonio_analysis.fitting.families import Values
 from gonio_analysis.fitting.solution import ROUNDING, Solution
 from gonio_analysis.fitting.surrogate import Near
 

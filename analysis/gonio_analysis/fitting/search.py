@@ -17,10 +17,10 @@ import numpy as np
 from gonio.cli.pace import Pace, Say, silent
 from gonio.typing import Floats
 from gonio_analysis.fitting import parameters
+from gonio_analysis.fitting.families import Values
 from gonio_analysis.fitting.forward import apparent, averaging, pointlike
 from gonio_analysis.fitting.objective import Objective, alone, softened
 from gonio_analysis.fitting.observations import Observations
-from gonio_analysis.fitting.parameters import Values
 from gonio_analysis.fitting.problem import STARTS, Problem
 
 if TYPE_CHECKING:

@@ -12,8 +12,8 @@ from gonio import measurement
 from gonio.errors import ConfigError
 from gonio.measurement import Reading
 from gonio_analysis.curves.in_plane import Normalise
+from gonio_analysis.fitting.families import Ior
 from gonio_analysis.fitting.observations import of_reader, said_once
-from gonio_analysis.fitting.parameters import Ior
 from gonio_analysis.report import (
     budget,
     checks,
@@ -31,8 +31,8 @@ from gonio_analysis.report import (
 )
 from gonio_analysis.report.comparison import summarise
 from gonio_analysis.report.drawing import FigureWorkers, figure_workers
+from gonio_analysis.report.drawings import Drawing
 from gonio_analysis.report.facts import DatasetSummary, Summary
-from gonio_analysis.report.figures import Drawing
 from gonio_analysis.result_records import FigureSummary, RunFacts, as_json
 from gonio_analysis.selection import parallel
 from gonio_analysis.selection.choice import candidates

@@ -31,7 +31,7 @@ from gonio_analysis.report.blocks import (
 )
 from gonio_analysis.report.comparison import stamp
 from gonio_analysis.report.drawing import FigureWorkers
-from gonio_analysis.report.figures import Drawing
+from gonio_analysis.report.drawings import Drawing
 from gonio_analysis.report.text import number, quantity, with_u
 from gonio_analysis.result_records import Appearance, FigureSummary, Quantity, as_json
 

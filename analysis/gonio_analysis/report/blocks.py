@@ -9,7 +9,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import ClassVar, Literal
 
-from gonio_analysis.report.figures import Figure
+from gonio_analysis.report.drawings import Figure
 from gonio_analysis.report.text import cut, glued
 from gonio_analysis.report.viewer import View
 

@@ -10,7 +10,8 @@ import numpy as np
 
 from gonio_analysis.plots.in_plane import COLOURS, FAINT, clean
 from gonio_analysis.report.blocks import Block, Figures, Notes, Paragraph, strong, table
-from gonio_analysis.report.figures import LEGEND_ROW_IN, Drawing, Figure, key
+from gonio_analysis.report.drawings import Drawing, Figure
+from gonio_analysis.report.figures import LEGEND_ROW_IN, key
 from gonio_analysis.report.text import CAUSES, cause, meaning, number, percent
 from gonio_analysis.result_records import BudgetCurve, BudgetFacts, RunFacts
 

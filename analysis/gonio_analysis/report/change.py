@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from gonio.measurement import Reading
-from gonio_analysis.changes.point_by_point import FALSE_DISCOVERIES, LEVEL, Change, Side, change, side
+from gonio_analysis.changes.point_by_point import Change, Side, change, side
+from gonio_analysis.changes.verdict import FALSE_DISCOVERIES, LEVEL
 from gonio_analysis.curves.in_plane import Curve, curves, labels, selection
 from gonio_analysis.fitting.metrics import DESCRIPTIONS, meaning
 from gonio_analysis.fitting.observations import Observations, describe_left_out, of_reader, said_once
@@ -44,7 +45,7 @@ from gonio_analysis.report.change_records import (
 )
 from gonio_analysis.report.comparison import stamp
 from gonio_analysis.report.drawing import FigureWorkers, figure_workers
-from gonio_analysis.report.figures import Figure
+from gonio_analysis.report.drawings import Figure
 from gonio_analysis.report.page import MOST_BYTES
 from gonio_analysis.report.tables import write_columns, write_csv
 from gonio_analysis.report.text import difference, number, percent, with_u

@@ -10,13 +10,15 @@ from typing import Any
 import numpy as np
 
 from gonio.typing import Floats
-from gonio_analysis.changes.point_by_point import LEVEL, Change
+from gonio_analysis.changes.point_by_point import Change
+from gonio_analysis.changes.verdict import LEVEL
 from gonio_analysis.curves.in_plane import Curve, groups, labels
 from gonio_analysis.curves.line import Line
 from gonio_analysis.fitting.observations import Observations
 from gonio_analysis.plots import in_plane, maps, thinning
 from gonio_analysis.report.detail import DISC_PT
-from gonio_analysis.report.figures import LEGEND_ROW_IN, PANEL_PT, Drawing, key
+from gonio_analysis.report.drawings import Drawing
+from gonio_analysis.report.figures import LEGEND_ROW_IN, PANEL_PT, key
 
 MOST_DISCS = 4
 MOST_DRAWN = 2400

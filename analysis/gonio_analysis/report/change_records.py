@@ -39,7 +39,7 @@ class ModelSide(SideSummary):
 
 @dataclass(frozen=True)
 class VerdictSummary:
-    """Whether the two differ, as `gonio_analysis.changes.point_by_point.Verdict`."""
+    """Whether the two differ, as `gonio_analysis.changes.verdict.Verdict`."""
 
     changed: bool
     found_by: Sequence[str]

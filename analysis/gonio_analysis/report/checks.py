@@ -15,7 +15,7 @@ from gonio.checks.values import CheckedValues
 from gonio.checks.verdicts import Check
 from gonio_analysis.plots.in_plane import COLOURS, FAINT, clean
 from gonio_analysis.report.blocks import Block, Figures, Heading, Notes, Paragraph, Text, strong, table
-from gonio_analysis.report.figures import Drawing, Figure
+from gonio_analysis.report.drawings import Drawing, Figure
 from gonio_analysis.report.text import angle, number, with_u
 from gonio_analysis.result_records import ChecksSummary, Reflectance
 

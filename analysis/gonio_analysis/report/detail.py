@@ -16,8 +16,9 @@ from gonio_analysis.curves.line import Line
 from gonio_analysis.fitting.forward import NO_WAVELENGTH_NM, seen
 from gonio_analysis.fitting.profile_likelihood import Interval, rise
 from gonio_analysis.plots import diagnostics, in_plane, maps, thinning
+from gonio_analysis.report.drawings import Drawing
 from gonio_analysis.report.facts import DatasetSummary
-from gonio_analysis.report.figures import LEGEND_ROW_IN, PANEL_PT, SEEN, Drawing, bars, budget_height, largest
+from gonio_analysis.report.figures import LEGEND_ROW_IN, PANEL_PT, SEEN, bars, budget_height, largest
 from gonio_analysis.report.text import cause, number, unit
 from gonio_analysis.selection.compare import Dataset
 

@@ -23,7 +23,7 @@ from functools import partial
 from typing import BinaryIO, TypeVar
 
 from gonio.cli.pace import Pace, Say, silent
-from gonio_analysis.report.figures import Drawing, Figure
+from gonio_analysis.report.drawings import Drawing, Figure
 
 FEW = 6
 """Fewer figures than this are drawn here alone: to start a process takes as long as two of them."""

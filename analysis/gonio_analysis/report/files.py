@@ -20,7 +20,7 @@ from gonio_analysis.report import html
 
 if TYPE_CHECKING:
     from gonio_analysis.report.blocks import Page
-    from gonio_analysis.report.figures import Figure
+    from gonio_analysis.report.drawings import Figure
 
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 """Errors of a write that name no file."""

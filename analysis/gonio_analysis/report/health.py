@@ -8,7 +8,8 @@ from typing import Any
 
 from gonio_analysis.plots.in_plane import COLOURS, FAINT, clean
 from gonio_analysis.report.blocks import Block, Figures, Heading, Notes, Paragraph, table
-from gonio_analysis.report.figures import LEGEND_ROW_IN, Drawing, Figure, key
+from gonio_analysis.report.drawings import Drawing, Figure
+from gonio_analysis.report.figures import LEGEND_ROW_IN, key
 from gonio_analysis.report.text import number
 from gonio_analysis.result_records import HealthSummary, PauseSummary, RunFacts
 

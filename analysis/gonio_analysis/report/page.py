@@ -22,8 +22,8 @@ from gonio_analysis.report.blocks import (
     strong,
     table,
 )
+from gonio_analysis.report.drawings import Figure
 from gonio_analysis.report.facts import Summary
-from gonio_analysis.report.figures import Figure
 from gonio_analysis.report.text import difference, number, slug
 from gonio_analysis.report.viewer import View
 

@@ -9,7 +9,7 @@ from typing import Any
 from gonio_analysis.curves.line import Line
 from gonio_analysis.plots import in_plane, polarisation
 from gonio_analysis.report.blocks import Block, Figures, Heading, Paragraph, code, table
-from gonio_analysis.report.figures import Drawing, Figure
+from gonio_analysis.report.drawings import Drawing, Figure
 from gonio_analysis.report.text import number
 from gonio_analysis.selection.polarisation import Polarisation
 

@@ -39,8 +39,8 @@ from gonio_analysis.report.blocks import (
     strong,
     table,
 )
+from gonio_analysis.report.drawings import Figure
 from gonio_analysis.report.facts import DatasetSummary, Summary
-from gonio_analysis.report.figures import Figure
 from gonio_analysis.report.text import angle, cause, difference, meaning, number, percent, with_u
 from gonio_analysis.report.viewer import View
 from gonio_analysis.result_records import RunFacts

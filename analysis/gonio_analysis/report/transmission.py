@@ -14,7 +14,8 @@ from gonio_analysis.curves.line import Line
 from gonio_analysis.fitting.observations import describe_left_out
 from gonio_analysis.plots import in_plane, two_sides
 from gonio_analysis.report.blocks import Block, Figures, Heading, Notes, facts, notes, table
-from gonio_analysis.report.figures import LEGEND_ROW_IN, Drawing, Figure, legend
+from gonio_analysis.report.drawings import Drawing, Figure
+from gonio_analysis.report.figures import LEGEND_ROW_IN, legend
 from gonio_analysis.report.text import angle, number, with_u
 from gonio_analysis.result_records import Reflectance
 from gonio_analysis.selection.transmission import Transmitted

@@ -24,12 +24,12 @@ from gonio.cli.pace import QUIET_S, Say, silent
 from gonio.errors import ConfigError, DataError
 from gonio.geometry import Directions
 from gonio.typing import Floats
-from gonio_analysis.fitting import parameters
+from gonio_analysis.fitting import families, parameters
+from gonio_analysis.fitting.families import Ior, Values
 from gonio_analysis.fitting.fit import FitResult, fit
 from gonio_analysis.fitting.misfit import groupings
 from gonio_analysis.fitting.objective import smallest
 from gonio_analysis.fitting.observations import Observations
-from gonio_analysis.fitting.parameters import Ior, Values
 from gonio_analysis.fitting.problem import FitRequest, pose
 from gonio_analysis.fitting.profile_likelihood import Interval, Profiles, profiles
 from gonio_analysis.fitting.solution import SIGNIFICANCE
@@ -152,7 +152,7 @@ class Choice:
         if j is self.named or j is self.best:
             return True
         alike = [other for other in self.judged if other.candidate.model == j.candidate.model]
-        return len(parameters.parts(j.candidate.model)) == 1 and j is min(alike, key=lambda other: other.aic)
+        return len(families.parts(j.candidate.model)) == 1 and j is min(alike, key=lambda other: other.aic)
 
     def linear(self, name: str) -> bool:
         """Whether the standard error of a parameter of the named model says the same as its interval."""
@@ -312,7 +312,7 @@ def choose(
 
 def _beyond_the_directions(candidate: Candidate, data: Observations) -> str:
     """Why a model that was not asked for by name cannot be told from others in these directions; "" where it can."""
-    where, terms = data.directions, parameters.parts(candidate.model)
+    where, terms = data.directions, families.parts(candidate.model)
     if "anisotropic" in terms:
         tilted = where.theta_i > math.radians(SAME_AZIMUTH_DEG)
         half_turns = np.exp(2j * where.phi_i[tilted])  # azimuths half a turn apart are the same
@@ -363,7 +363,7 @@ def _starts(candidate: Candidate, fits: Mapping[Candidate, FitResult]) -> list[l
     if candidate.free and simpler is not None:
         known = _values(simpler)
         return [[known, *({**known, "ior": n, "k": k} for n, k in parameters.INDICES)]]
-    terms = parameters.parts(candidate.model)
+    terms = families.parts(candidate.model)
     if len(terms) == 1 or candidate.model == "lambert+he-torrance" or terms[0] == "retroreflecting":
         return [None]
     base = "lambert+he-torrance" if terms[1] == "he-torrance" else terms[1]

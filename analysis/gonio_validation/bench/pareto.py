@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from gonio_analysis.plots.in_plane import COLOURS, FAINT, INK
-from gonio_analysis.report.figures import Figure, rendered
+from gonio_analysis.report.drawings import Figure, rendered
 
 from gonio_validation.bench.results import QuantitySummary, Set, WaySummary
 

@@ -18,7 +18,7 @@ from gonio_analysis.report.blocks import (
     strong,
     table,
 )
-from gonio_analysis.report.figures import Figure
+from gonio_analysis.report.drawings import Figure
 from gonio_analysis.report.text import number, slug
 
 from gonio_validation.bench.results import (

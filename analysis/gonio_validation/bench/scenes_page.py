@@ -20,7 +20,7 @@ from gonio_analysis.report.blocks import (
     strong,
     table,
 )
-from gonio_analysis.report.figures import Figure, rendered
+from gonio_analysis.report.drawings import Figure, rendered
 from gonio_analysis.report.text import number
 
 from gonio_validation.bench.scene_results import SceneBench

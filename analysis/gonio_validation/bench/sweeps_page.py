@@ -22,7 +22,7 @@ from gonio_analysis.report.blocks import (
     strong,
     table,
 )
-from gonio_analysis.report.figures import Figure, rendered
+from gonio_analysis.report.drawings import Figure, rendered
 from gonio_analysis.report.text import number
 
 from gonio_validation.bench.sweeps_plans import AROUND_DEG, FLOOR, INCIDENCES, LARGEST_DEG, WAVELENGTH_NM

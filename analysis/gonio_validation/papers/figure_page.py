@@ -24,7 +24,7 @@ from gonio_analysis.report.blocks import (
     table,
 )
 from gonio_analysis.report.comparison import stamp
-from gonio_analysis.report.figures import Figure, rendered
+from gonio_analysis.report.drawings import Figure, rendered
 from gonio_analysis.report.tables import write_csv
 from gonio_analysis.result_records import as_json
 

@@ -15,7 +15,8 @@ import pytest
 
 from gonio.errors import ConfigError
 from gonio.live import server as module
-from gonio.live.server import Content, EventLog, Request, Server
+from gonio.live.event_log import EventLog
+from gonio.live.server import Content, Request, Server
 
 PATIENCE_S = 120.0
 """Machines that test are busy."""

@@ -13,12 +13,13 @@ import pandas as pd
 import pytest
 from gonio_analysis import commands
 from gonio_analysis.changes import point_by_point
-from gonio_analysis.changes.point_by_point import Change, Side, change, judge
+from gonio_analysis.changes.point_by_point import Change, Side, change
 from gonio_analysis.changes.resampling import carry
+from gonio_analysis.changes.verdict import judge
 from gonio_analysis.fitting.observations import observations
 from gonio_analysis.fitting.value_covariance import Covariance
 from gonio_analysis.report import change_figures
-from gonio_analysis.report.figures import Drawing
+from gonio_analysis.report.drawings import Drawing
 from scipy.special import ndtri
 
 from gonio import measurement

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from gonio_analysis.fitting import parameters
+from gonio_analysis.fitting import families, parameters
 from gonio_analysis.fitting.observations import observations
 
 from gonio.errors import ConfigError
@@ -43,6 +43,6 @@ def test_an_unknown_parameter_is_named() -> None:
 
 
 def test_a_sum_is_its_parts() -> None:
-    assert parameters.parts("oren-nayar + cook-torrance") == ("oren-nayar", "cook-torrance")
+    assert families.parts("oren-nayar + cook-torrance") == ("oren-nayar", "cook-torrance")
     assert parameters.needs_ior("oren-nayar+cook-torrance")
     assert not parameters.needs_ior("lambert")

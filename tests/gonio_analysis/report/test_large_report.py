@@ -23,7 +23,7 @@ from gonio_analysis.plots import thinning
 from gonio_analysis.report import change, drawing, html, make, page, viewer
 from gonio_analysis.report.blocks import Figures, section
 from gonio_analysis.report.drawing import figure_workers
-from gonio_analysis.report.figures import Drawing, Figure
+from gonio_analysis.report.drawings import Drawing, Figure
 from gonio_analysis.report.text import glued
 from gonio_analysis.result_records import as_json
 from gonio_analysis.selection.choice import Candidate, Choice, choose

@@ -28,7 +28,7 @@ from gonio_analysis.report.blocks import (
     strong,
     table,
 )
-from gonio_analysis.report.figures import Figure
+from gonio_analysis.report.drawings import Figure
 from gonio_analysis.report.viewer import View
 
 

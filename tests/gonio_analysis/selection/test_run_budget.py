@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from gonio_analysis.report import budget
-from gonio_analysis.report.figures import Figure
+from gonio_analysis.report.drawings import Figure
 from gonio_analysis.selection.run_budget import run_budget
 
 

@@ -13,7 +13,7 @@ from gonio_validation.papers.pictures.catalogue import SHOWN, Shown, names, scen
 
 if TYPE_CHECKING:
     from gonio_analysis.report.blocks import Block, Page
-    from gonio_analysis.report.figures import Figure
+    from gonio_analysis.report.drawings import Figure
     from gonio_scenes.picture import Image
 
     from gonio_validation.papers.figure import Claim
@@ -144,7 +144,7 @@ def _rendered(folder: Path, step: Step) -> tuple[dict[str, Image], dict[str, flo
 
 def _cross_sections() -> Figure:
     """Oren and Nayar's Fig. 13."""
-    from gonio_analysis.report.figures import rendered
+    from gonio_analysis.report.drawings import rendered
 
     from gonio_validation.papers.panels import Trace, trace_panel
     from gonio_validation.papers.pictures import oren_nayar
@@ -253,7 +253,7 @@ def _page(found: dict[str, Any], images: dict[str, Image], judged: dict[str, lis
 def _raster(name: str, label: str, image: Image) -> Figure:
     """A picture as a figure of a page: an SVG that holds a JPEG."""
     import cv2
-    from gonio_analysis.report.figures import Figure
+    from gonio_analysis.report.drawings import Figure
 
     high, wide = image.shape[:2]
     done, data = cv2.imencode(".jpg", image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
