@@ -16,7 +16,6 @@ from __future__ import annotations
 import contextlib
 import csv
 import hashlib
-import io
 import json
 import os
 import re
@@ -36,7 +35,8 @@ import numpy.typing as npt
 
 from gonio.acquisition.frame_writer import NAME, label_of
 from gonio.acquisition.journal import Event, Events, Journal, read_events
-from gonio.acquisition.plan import ANGLES, Assessed, Point, points_sha256
+from gonio.acquisition.plan import ANGLES, Point, points_sha256
+from gonio.acquisition.plan_csv import PLAN_COLUMNS, plan_csv
 from gonio.acquisition.run_folder import OURS, check_new, check_writable, make_folder, remove_begun
 from gonio.acquisition.run_settings import Request, RunSettings, named_files, resolved, settings_for
 from gonio.acquisition.steps import Index, Steps
@@ -63,7 +63,6 @@ from gonio.rig.laboratory import Laboratory
 if TYPE_CHECKING:
     import pandas as pd
 
-PLAN_COLUMNS = ["point", *ANGLES, "flag", "reason"]
 ROWS = 4096
 """So many rows of a plan.csv are read at once."""
 _LIT = re.compile(rb'\{"n":\d+,"event":"(session|continued)"')
@@ -490,16 +489,6 @@ def own_files(path: Path) -> Manifest:
                 if label is not None and label.run == run.key:
                     out[f"frames/{file.name}"] = {sha256_of(file)}
     return out
-
-
-def plan_csv(points: list[Assessed]) -> str:
-
-    out = io.StringIO()
-    lines = csv.writer(out, lineterminator="\n")
-    lines.writerow(PLAN_COLUMNS)
-    for row, a in enumerate(points):
-        lines.writerow([row, *(repr(float(getattr(a.point, name))) for name in ANGLES), a.flag, a.reason])
-    return out.getvalue()
 
 
 def command_line() -> str:

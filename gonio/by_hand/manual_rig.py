@@ -180,7 +180,7 @@ class ManualRig:
 
     def _tell_unsteady(self, landed: Iterable[str]) -> None:
         """Say so where the readings at rest, whose mean is given, lie too far apart to tell a place."""
-        from gonio.acquisition.loop import MOVED_DEG, MOVED_STEPS
+        from gonio.acquisition.session import MOVED_DEG, MOVED_STEPS
 
         spread = getattr(self.arms, "spread", None)
         for name in landed if spread is not None else ():

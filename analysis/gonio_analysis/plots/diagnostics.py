@@ -9,7 +9,8 @@ import numpy as np
 
 from gonio.typing import Floats
 from gonio_analysis.fitting.profile_likelihood import Interval
-from gonio_analysis.plots.in_plane import COLOURS, FAINT, INK, angle_axis, clean
+from gonio_analysis.plots.in_plane import COLOURS, angle_axis, clean
+from gonio_analysis.plots.style import FAINT, INK
 
 Dashes = str | tuple[int, tuple[float, ...]]
 DASHES: tuple[Dashes, ...] = (

@@ -20,7 +20,8 @@ from gonio_analysis.changes.resampling import FARTHEST
 from gonio_analysis.curves.in_plane import Rows
 from gonio_analysis.curves.line import Line
 from gonio_analysis.fitting.observations import Observations
-from gonio_analysis.plots.in_plane import FAINT, INK, angle_axis, log_axis, style
+from gonio_analysis.plots.in_plane import angle_axis, log_axis, style
+from gonio_analysis.plots.style import FAINT, INK
 
 FEWEST = 4
 """Values that make a slice."""

@@ -9,7 +9,8 @@ import numpy as np
 
 from gonio.formats.reader import MUELLER
 from gonio_analysis.curves.line import Line
-from gonio_analysis.plots.in_plane import FAINT, INK, clean, style
+from gonio_analysis.plots.in_plane import clean, style
+from gonio_analysis.plots.style import FAINT, INK
 
 
 def grid(axes: Any, lines: Mapping[str, Sequence[Line]]) -> list[Any]:

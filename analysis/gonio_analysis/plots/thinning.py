@@ -11,7 +11,7 @@ import numpy.typing as npt
 from gonio.typing import Floats
 from gonio_analysis.curves.in_plane import Curve, Rows
 from gonio_analysis.curves.line import Line
-from gonio_analysis.plots.in_plane import xy
+from gonio_analysis.plots.half_disc import xy
 
 CELL_PT = 1.3
 """Half of a marker: values that share a square of this side [pt] are drawn on top of each other."""

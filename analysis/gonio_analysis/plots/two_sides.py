@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 
 from gonio_analysis.curves.line import Line
-from gonio_analysis.plots.in_plane import FAINT, INK, style, xy
+from gonio_analysis.plots.half_disc import xy
+from gonio_analysis.plots.in_plane import style
+from gonio_analysis.plots.style import FAINT, INK
 
 RIM = 1.0
 

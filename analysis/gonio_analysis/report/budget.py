@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from gonio_analysis.plots.in_plane import COLOURS, FAINT, clean
+from gonio_analysis.plots.in_plane import COLOURS, clean
+from gonio_analysis.plots.style import FAINT
 from gonio_analysis.report.blocks import Block, Figures, Notes, Paragraph, strong, table
 from gonio_analysis.report.drawings import Drawing, Figure
 from gonio_analysis.report.figures import LEGEND_ROW_IN, key

@@ -13,7 +13,8 @@ from gonio.checks import verdicts
 from gonio.checks.symmetry import Pairs, repeats
 from gonio.checks.values import CheckedValues
 from gonio.checks.verdicts import Check
-from gonio_analysis.plots.in_plane import COLOURS, FAINT, clean
+from gonio_analysis.plots.in_plane import COLOURS, clean
+from gonio_analysis.plots.style import FAINT
 from gonio_analysis.report.blocks import Block, Figures, Heading, Notes, Paragraph, Text, strong, table
 from gonio_analysis.report.drawings import Drawing, Figure
 from gonio_analysis.report.text import angle, number, with_u

@@ -15,7 +15,7 @@ from gonio_analysis.curves.in_plane import Curve, Rows, groups, labels
 from gonio_analysis.curves.line import Line
 from gonio_analysis.fitting.forward import NO_WAVELENGTH_NM, seen
 from gonio_analysis.fitting.profile_likelihood import Interval, rise
-from gonio_analysis.plots import diagnostics, in_plane, maps, thinning
+from gonio_analysis.plots import diagnostics, in_plane, maps, style, thinning
 from gonio_analysis.report.drawings import Drawing
 from gonio_analysis.report.facts import DatasetSummary
 from gonio_analysis.report.figures import LEGEND_ROW_IN, PANEL_PT, SEEN, bars, budget_height, largest
@@ -222,7 +222,7 @@ def _on_budget(figure: Any, *, panels: list[Any], entries: list[tuple[str, diagn
         diagnostics.budget_over_angle(ax, angle, parts)
         ax.set_xticks(range(-60, 61, 60), [f"{a}°".replace("-", "−") for a in range(-60, 61, 60)])
         ax.set_xlabel("θr" if scanned == "theta_r" else "θi")
-        ax.set_title(name, fontsize=8, loc="left", color=in_plane.INK)
+        ax.set_title(name, fontsize=8, loc="left", color=style.INK)
     axes[0].set_ylabel("u / value [%]")
     _legend(figure, entries)
 

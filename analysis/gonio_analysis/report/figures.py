@@ -11,7 +11,7 @@ import numpy as np
 
 from gonio.typing import Floats
 from gonio_analysis.curves.line import Line
-from gonio_analysis.plots import diagnostics, in_plane, thinning
+from gonio_analysis.plots import diagnostics, in_plane, style, thinning
 from gonio_analysis.report.drawings import Drawing
 from gonio_analysis.report.facts import DatasetSummary
 from gonio_analysis.report.text import cause, number, percent, slug
@@ -294,7 +294,7 @@ def _on_overlay(
     limits = []
     for ax, (line, theory) in zip(axes.ravel(), panels, strict=False):
         limits.append(in_plane.overlay(ax, line, theory))
-        ax.set_title(line.label, fontsize=7.5, loc="left", pad=2, color=in_plane.INK)
+        ax.set_title(line.label, fontsize=7.5, loc="left", pad=2, color=style.INK)
     ends = np.array([pair for pair in limits if np.isfinite(pair).all()])
     if ends.size:
         top = in_plane.ceiling([line for line, _ in panels])
@@ -312,7 +312,7 @@ def _on_overlay(
         Line2D([], [], color=in_plane.style(k)["color"], lw=1.4, ls=in_plane.dashes(k), label=name)
         for k, name in enumerate(names)
     ]
-    points = Line2D([], [], color=in_plane.INK, ls="none", marker=".", ms=4, label=called)
+    points = Line2D([], [], color=style.INK, ls="none", marker=".", ms=4, label=called)
     key(figure, lines, columns, [points], long=2.6)
 
 
@@ -380,7 +380,7 @@ def _on_series(figure: Any, *, x: Any, values: dict[str, Floats]) -> None:
         span = float(np.ptp(y)) or float(np.abs(y).max()) or 1.0
         u = np.where(np.isfinite(u) & (u < 2 * span), u, 0.0)
         diagnostics.series(ax, x, y, u, x_label="wavelength [nm]", y_label="", colour=in_plane.COLOURS[k % 6])
-        ax.set_title(name, fontsize=8, color=in_plane.INK)  # a power of ten stands on the left
+        ax.set_title(name, fontsize=8, color=style.INK)  # a power of ten stands on the left
 
 
 @dataclass(frozen=True)

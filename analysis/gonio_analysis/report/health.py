@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
-from gonio_analysis.plots.in_plane import COLOURS, FAINT, clean
+from gonio_analysis.plots.in_plane import COLOURS, clean
+from gonio_analysis.plots.style import FAINT
 from gonio_analysis.report.blocks import Block, Figures, Heading, Notes, Paragraph, table
 from gonio_analysis.report.drawings import Drawing, Figure
 from gonio_analysis.report.figures import LEGEND_ROW_IN, key

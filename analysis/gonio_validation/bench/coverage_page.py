@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from gonio_analysis.plots.in_plane import COLOURS, FAINT, INK
+from gonio_analysis.plots.in_plane import COLOURS
+from gonio_analysis.plots.style import FAINT, INK
 from gonio_analysis.report.blocks import (
     Block,
     Contents,

@@ -6,7 +6,8 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from gonio_analysis.plots.in_plane import COLOURS, FAINT, INK
+from gonio_analysis.plots.in_plane import COLOURS
+from gonio_analysis.plots.style import FAINT, INK
 from gonio_analysis.report.drawings import Figure, rendered
 
 from gonio_validation.bench.results import QuantitySummary, Set, WaySummary

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from gonio_analysis.plots.in_plane import COLOURS, FAINT
+from gonio_analysis.plots.in_plane import COLOURS
+from gonio_analysis.plots.style import FAINT
 from gonio_analysis.report.blocks import (
     Block,
     Figures,

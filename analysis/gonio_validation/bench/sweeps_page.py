@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from gonio_analysis.plots.in_plane import COLOURS, FAINT, INK
+from gonio_analysis.plots.in_plane import COLOURS
+from gonio_analysis.plots.style import FAINT, INK
 from gonio_analysis.report.blocks import (
     Block,
     Contents,

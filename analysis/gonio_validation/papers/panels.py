@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 from gonio_analysis.curves.line import Line
-from gonio_analysis.plots import in_plane
+from gonio_analysis.plots import in_plane, style
 
 from gonio import geometry
 from gonio.typing import Floats
@@ -136,7 +136,7 @@ def plain_axes(ax: Any, x_label: str, y_label: str) -> None:
     """Grid, labels and frame in the style of `in_plane`'s plots."""
     ax.set_xlabel(x_label, fontsize=8)
     ax.set_ylabel(y_label, fontsize=8)
-    ax.grid(color=in_plane.FAINT, lw=0.5)
+    ax.grid(color=style.FAINT, lw=0.5)
     ax.tick_params(labelsize=7.5, color="#77808c")
     ax.set_axisbelow(True)
     for side, spine in ax.spines.items():

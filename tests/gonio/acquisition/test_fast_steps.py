@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gonio.acquisition import loop
+from gonio.acquisition import loop, session
 from gonio.acquisition.journal import Events
 from gonio.acquisition.measure import RigChoice, carry_out
 from gonio.acquisition.plan import Plan, load_plan
@@ -106,7 +106,7 @@ def test_fast_steps_share_their_syncs_and_the_record_is_the_same(
     assert len(together.steps()) == POINTS + 5  # a dark, and visits before, after 100, after 200 and at the end
     assert counted["journal"] >= POINTS
     # 64 steps show the pace; then the clock decides, and a machine that is busy needs more than a few
-    assert fast["journal"] < loop.PACE_STEPS + (POINTS - loop.PACE_STEPS) / 2
+    assert fast["journal"] < session.PACE_STEPS + (POINTS - session.PACE_STEPS) / 2
     assert fast["others"] <= counted["others"]
     assert fast["read"] < 20, "the journal is not read again at every step"
 
@@ -124,7 +124,7 @@ def test_a_kill_among_fast_steps_loses_nothing_that_was_journalled(
             os._exit(1)
     assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == -signal.SIGKILL
     before = list(Run.open(tmp_path / "cut").steps())
-    assert len(before) >= loop.PACE_STEPS
+    assert len(before) >= session.PACE_STEPS
     run = measure(plan, tmp_path / "cut", resume=True)
     assert list(run.steps())[: len(before)] == before
     assert list(run.steps()) == list(measure(plan, tmp_path / "whole").steps())

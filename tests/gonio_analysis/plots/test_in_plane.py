@@ -8,7 +8,7 @@ import matplotlib
 import numpy as np
 import pytest
 from gonio_analysis.curves.line import Line
-from gonio_analysis.plots import diagnostics, in_plane
+from gonio_analysis.plots import diagnostics, half_disc, in_plane
 from matplotlib.artist import Artist
 from matplotlib.figure import Figure
 
@@ -84,7 +84,7 @@ def test_notes_of_six_curves_overprint_no_label_and_not_the_rim() -> None:
     notes = [text for text in ax.texts if "theory to" in text.get_text()]
     assert len(notes) == 6
     turn = np.radians(np.linspace(-90.0, 90.0, 721))
-    rim = ax.transData.transform(np.stack(in_plane.xy(turn, np.full(turn.size, 2.5)), axis=1))
+    rim = ax.transData.transform(np.stack(half_disc.xy(turn, np.full(turn.size, 2.5)), axis=1))
     assert not any(note.get_window_extent().contains(*point) for note in notes for point in rim)
 
 
@@ -185,7 +185,7 @@ def test_angles_around_the_half_disc_do_not_stand_on_its_rim() -> None:
     in_plane.polar(ax, [line()], radius=1.0)
     figure.canvas.draw()
     turn = np.radians(np.linspace(-90.0, 90.0, 1441))
-    rim = ax.transData.transform(np.stack(in_plane.xy(turn, np.ones(turn.size)), axis=1))
+    rim = ax.transData.transform(np.stack(half_disc.xy(turn, np.ones(turn.size)), axis=1))
     labels = [text.get_window_extent() for text in ax.texts if text.get_text() in ("−60°", "−30°", "30°", "60°")]
     assert len(labels) == 4
     assert not any(box.contains(*point) for box in labels for point in rim)
@@ -196,5 +196,5 @@ def test_a_line_goes_through_every_value_that_it_joins() -> None:
     value = np.array([0.1, 0.5, 0.9, 0.2, 0.3, 0.8, 0.1])
     artists = in_plane.polar(axes(), [Line("", np.empty(0), np.empty(0), angle, value, np.full(7, np.nan))])
     drawn = np.stack(artists[0].get_data(), axis=1)
-    for point in np.stack(in_plane.xy(angle, value), axis=1):
+    for point in np.stack(half_disc.xy(angle, value), axis=1):
         assert np.hypot(*(drawn - point).T).min() < 1e-14  # a rounding of the sum of an angle and a step
