@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gonio.acquisition import loop, session
+from gonio.acquisition import session
 from gonio.acquisition.journal import Events
 from gonio.acquisition.measure import RigChoice, carry_out
 from gonio.acquisition.plan import Plan, load_plan
@@ -96,11 +96,11 @@ def counted(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
 def test_fast_steps_share_their_syncs_and_the_record_is_the_same(
     plan: Plan, tmp_path: Path, counted: Counter[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(loop, "FAST_STEP_S", 10.0)  # every machine is fast enough
+    monkeypatch.setattr(session, "FAST_STEP_S", 10.0)  # every machine is fast enough
     together = measure(plan, tmp_path / "together")
     fast = Counter(counted)
     counted.clear()
-    monkeypatch.setattr(loop, "FAST_STEP_S", 0.0)
+    monkeypatch.setattr(session, "FAST_STEP_S", 0.0)
     single = measure(plan, tmp_path / "single")
     assert list(together.steps()) == list(single.steps())
     assert len(together.steps()) == POINTS + 5  # a dark, and visits before, after 100, after 200 and at the end
@@ -114,8 +114,8 @@ def test_fast_steps_share_their_syncs_and_the_record_is_the_same(
 def test_a_kill_among_fast_steps_loses_nothing_that_was_journalled(
     plan: Plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(loop, "FAST_STEP_S", 10.0)
-    monkeypatch.setattr(loop, "TOGETHER_S", 0.01)
+    monkeypatch.setattr(session, "FAST_STEP_S", 10.0)
+    monkeypatch.setattr(session, "TOGETHER_S", 0.01)
     child = os.fork()
     if child == 0:
         try:
@@ -135,7 +135,7 @@ def test_a_kill_among_fast_steps_loses_nothing_that_was_journalled(
 def test_no_frame_has_its_name_before_it_is_on_the_disk_nor_a_line_before_that(
     plan: Plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(loop, "FAST_STEP_S", 10.0)
+    monkeypatch.setattr(session, "FAST_STEP_S", 10.0)
     synced, named, told = set[int](), dict[str, int](), list[str]()
     replace, append_all = os.replace, Run.append_all
 
@@ -167,7 +167,7 @@ def test_no_frame_has_its_name_before_it_is_on_the_disk_nor_a_line_before_that(
 def test_a_disk_that_fails_among_fast_steps_leaves_no_line_without_its_frames(
     plan: Plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, at: int
 ) -> None:
-    monkeypatch.setattr(loop, "FAST_STEP_S", 10.0)
+    monkeypatch.setattr(session, "FAST_STEP_S", 10.0)
     synced = count(1)  # by several threads
 
     def fails(descriptor: int) -> None:

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gonio.acquisition import loop, repair, repeats
+from gonio.acquisition import repair, repeats
 from gonio.acquisition.measure import RigChoice, carry_out
 from gonio.acquisition.plan import load_plan
 from gonio.acquisition.run import Run
@@ -73,7 +73,7 @@ def test_the_picture_before_is_known_while_it_is_measured(measure: Measure, tmp_
 def test_an_older_picture_is_found_among_the_frames(measure: Measure, monkeypatch: pytest.MonkeyPatch, at: int) -> None:
     """A buffer of several pictures: none is the one before. The check names the step, and it is taken again."""
     whole = brdf.reduce(measure(Plugin(), out="other"))
-    monkeypatch.setattr(loop, "cannot_be_alike", lambda *args: False)
+    monkeypatch.setattr(session, "cannot_be_alike", lambda *args: False)
     run = measure(OneStuck(options={"at": at, "back": 1}))
     with pytest.raises(DataError, match=rf"again under a new header in steps? .*\b{at}\b"):
         brdf.reduce(Run.open(run.path))
