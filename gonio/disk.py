@@ -263,7 +263,7 @@ def is_own(path: Path, digests: Collection[str]) -> bool:
         return False
 
 
-def strangers(folder: Path, own: Manifest) -> list[str]:
+def foreign_files(folder: Path, own: Manifest) -> list[str]:
     """What lies in a folder, and below it, that this program did not write, or that was changed since; no link is
     followed. A manifest inside the folder, or inside a folder of it, says what is ours there, beside `own`.
 
@@ -279,7 +279,7 @@ def strangers(folder: Path, own: Manifest) -> list[str]:
             below = {name.removeprefix(start): found for name, found in own.items() if name.startswith(start)}
             inside = Path(entry.path)
             if below or (inside / MANIFEST).is_file():
-                out += [start + name for name in strangers(inside, below)]
+                out += [start + name for name in foreign_files(inside, below)]
             else:
                 out.append(start)
         elif entry.name == MANIFEST:
@@ -291,7 +291,7 @@ def strangers(folder: Path, own: Manifest) -> list[str]:
 
 
 def remove_own(folder: Path, own: Manifest) -> None:
-    """Remove what `strangers` does not name, and the folders that are empty then; raises `OSError`.
+    """Remove what `foreign_files` does not name, and the folders that are empty then; raises `OSError`.
 
     The manifest goes last, so that what a process that dies leaves is still known.
     """

@@ -1,4 +1,4 @@
-"""Entry points: rigs, cameras, models, commands and exports of runs, ours and a stranger's alike."""
+"""Entry points: rigs, cameras, models, commands and exports of runs, ours and others' alike."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Cameras by name: entry points of the group `gonio.cameras`, ours and a stranger's alike.
+"""Cameras by name: entry points of the group `gonio.cameras`, ours and others' alike.
 
 An entry point names a callable `(description, settings) -> camera`: the rig's description, and what stands in the table
 `[devices.camera]` beside `driver`. It returns a context manager that opens the camera, with the method `capture` of

@@ -1,4 +1,4 @@
-"""Motorised stages by name: entry points of the group `gonio.stages`, ours and a stranger's alike.
+"""Motorised stages by name: entry points of the group `gonio.stages`, ours and others' alike.
 
 An entry point names a callable `(table, key) -> stage`: the table of one axis in the rig file, and its name for
 messages. What it returns speaks for one axis, in degrees of the stage's own readout; it touches no device before it is

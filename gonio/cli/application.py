@@ -1,8 +1,8 @@
 """What the command line does: the core's own commands, and those that other packages add by entry point.
 
 Whatever goes wrong ends here as one message on stderr and an exit code (docs: gonio/errors.py). Nothing heavy is
-imported before a command needs it, so that `gonio --help` answers at once; and the module of a stranger's command is
-imported by that command and by the help alone.
+imported before a command needs it, so that `gonio --help` answers at once; and the module of another package's command
+is imported by that command and by the help alone.
 """
 
 from __future__ import annotations

@@ -119,7 +119,7 @@ def run_demo(out: Path, *, quick: bool) -> Path:
 def _clear(out: Path) -> None:
     """Take an earlier demo away; refuse anything else."""
     from gonio.acquisition.run import own_files
-    from gonio.disk import NOT_OWN, remove_own, require_name, strangers
+    from gonio.disk import NOT_OWN, foreign_files, remove_own, require_name
 
     require_name(out)
     if os.path.lexists(out) and not out.is_dir():
@@ -128,7 +128,7 @@ def _clear(out: Path) -> None:
         return
     try:
         own = {f"run/{name}": found for name, found in own_files(out / "run").items()}
-        foreign = strangers(out, own)
+        foreign = foreign_files(out, own)
         if foreign:
             names = ", ".join(foreign[:5]) + (" ..." if len(foreign) > 5 else "")
             raise ConfigError(

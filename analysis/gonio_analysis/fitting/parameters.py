@@ -52,7 +52,7 @@ def family(name: str, *, slopes: int = 1, ior: Ior = None) -> Family:
         if slopes != 1:
             raise ConfigError(f"--slopes {slopes}: only cook-torrance has several slopes, not {name}")
         return _sum(name, ior)
-    others = strangers() if name not in FAMILIES else ()
+    others = plugin_models() if name not in FAMILIES else ()
     if name not in FAMILIES and name not in others:
         known = [*FAMILIES, *others]
         near = difflib.get_close_matches(name, known, n=1)
@@ -67,7 +67,7 @@ def family(name: str, *, slopes: int = 1, ior: Ior = None) -> Family:
     return FAMILIES[name](ior) if name in FAMILIES else _declared(name)
 
 
-def strangers() -> tuple[str, ...]:
+def plugin_models() -> tuple[str, ...]:
     """Names of the models that other packages bring."""
     from gonio import plugins
 
@@ -77,7 +77,7 @@ def strangers() -> tuple[str, ...]:
 def declared() -> tuple[str, ...]:
     """Those of them that declare what is fitted; a model whose import fails is none of them."""
     out = []
-    for name in strangers():
+    for name in plugin_models():
         try:
             _declared(name)
         except ConfigError:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from gonio.disk import MANIFEST, NOT_OWN, manifest_of, remove_own, require_name, strangers, write_manifest
+from gonio.disk import MANIFEST, NOT_OWN, foreign_files, manifest_of, remove_own, require_name, write_manifest
 from gonio.errors import ConfigError
 from gonio_analysis.report import html
 
@@ -98,7 +98,7 @@ def write_page(folder: Path, page: Page, summary: Mapping[str, Any], figures: It
 def _check(final: Path, shown: Path) -> None:
     try:
         if final.is_dir():
-            foreign = strangers(final, {})
+            foreign = foreign_files(final, {})
             if foreign:
                 names = ", ".join(foreign[:5]) + (" ..." if len(foreign) > 5 else "")
                 raise ConfigError(

@@ -301,7 +301,9 @@ def _combined(choice: Choice, fitted: Mapping[str, Fitted]) -> list[Reflectance]
 def check_models(models: Sequence[str]) -> None:
     """Raise `ConfigError` for a name that no fit knows, before anything is read."""
     if not models:
-        raise ConfigError(f"--models names no model; known: {', '.join([*families.FAMILIES, *parameters.strangers()])}")
+        raise ConfigError(
+            f"--models names no model; known: {', '.join([*families.FAMILIES, *parameters.plugin_models()])}"
+        )
     candidates(models)
     twice = {m for m in models if list(models).count(m) > 1}
     if twice:

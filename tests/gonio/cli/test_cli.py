@@ -36,7 +36,7 @@ def process(folder: Path, *arguments: str, **environment: str) -> subprocess.Com
 
 
 def installed(folder: Path, group: str, points: str, module: str) -> str:
-    """A stranger's package with entry points, as an installer would leave it; the path to put on PYTHONPATH."""
+    """Another package's package with entry points, as an installer would leave it; the path to put on PYTHONPATH."""
     site = folder / "site"
     info = site / "stranger-1.0.dist-info"
     info.mkdir(parents=True)

@@ -103,7 +103,7 @@ def test_the_command_line_knows_it(ward: None, tmp_path: Path) -> None:
 
 def test_only_models_that_declare_what_is_fitted_are_tried_unasked(ward: None) -> None:
     assert parameters.declared() == ("ward",)
-    assert set(parameters.strangers()) == {"ward", "bare"}
+    assert set(parameters.plugin_models()) == {"ward", "bare"}
 
 
 @pytest.mark.parametrize(
