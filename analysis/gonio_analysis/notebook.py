@@ -11,10 +11,10 @@ import numpy as np
 from gonio import measurement, plugins
 from gonio.errors import ArgumentError, ConfigError, DataError
 from gonio.models import Lambert, Model, Sum
+from gonio.models.declaration import Ior
 from gonio_analysis.changes import point_by_point
 from gonio_analysis.changes.point_by_point import Change, Side
 from gonio_analysis.curves.in_plane import Normalise, curves, labels, norm, selection
-from gonio_analysis.fitting.families import Ior
 from gonio_analysis.fitting.fit import FitResult
 from gonio_analysis.fitting.forward import ByWavelength
 from gonio_analysis.fitting.observations import check_u_rel, observations

@@ -12,6 +12,7 @@ from gonio_analysis.fitting.fit import FitResult, fit
 from gonio_analysis.fitting.forward import apparent
 from gonio_analysis.fitting.objective import alone, scaled_to
 from gonio_analysis.fitting.observations import Observations
+from gonio_analysis.fitting.parameters import levels
 from gonio_analysis.fitting.problem import FitRequest, Problem, pose
 from gonio_analysis.fitting.search import refine
 from gonio_analysis.fitting.value_covariance import Covariance
@@ -165,7 +166,7 @@ class ModelFit:
     def _modes(self, result: FitResult, data: Observations) -> list[tuple[Floats, float]]:
         """The fit's solution, and others that the values do not rule out."""
         problem, goal = self.problem, alone(data)
-        starts = [problem.vector({"k": 1.0, **start}) for start in problem.family.starts(data)]
+        starts = [problem.vector({"k": 1.0, **start}) for start in problem.family.starts(levels(data))]
         cost = [float((goal.residual(apparent(problem.model(x), data, quick=True)) ** 2).sum()) for x in starts]
         here, best = refine(problem, data, goal, result.vector, quick=True, limit=20)
         lower, upper = problem.bounds

@@ -8,22 +8,36 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import product
 from math import pi, sqrt
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
+from gonio.geometry import Directions
 from gonio.models import hemispherical
 from gonio.models._compile import device, with_others
 from gonio.models._facets import OPPOSITE, fresnel, fresnel_constants, fresnel_real
 from gonio.models._loops import HALF_PI
+from gonio.models.declaration import (
+    DIFFUSE,
+    OPTICAL,
+    Declaration,
+    Ior,
+    Levels,
+    Values,
+    optical_argument,
+    with_optical_constants,
+)
 from gonio.models.engine import Constants, Kernel
 from gonio.models.fresnel import reflectance
 from gonio.models.model import Model, store
-from gonio.models.parameters import Index, checked_index, index_at, number
+from gonio.models.parameters import Fitted, Index, checked_index, index_at, number
 
 if TYPE_CHECKING:
     from gonio.typing import Floats
+SAME_AZIMUTH_DEG = 2.0
+"""Azimuths of incidence nearer than this, or half a turn apart, show one side of a surface with a direction."""
 
 
 @device
@@ -99,6 +113,58 @@ class AnisotropicFacets(Model):
     s: float = 1.0
     diffuse_albedo: float = 0.0
     name: ClassVar[str] = "anisotropic"
+    rank: ClassVar[int] = 7
+    in_sums: ClassVar[str] = "gloss"
+    has_ior: ClassVar[bool] = True
+
+    @classmethod
+    def declaration(cls, ior: Ior = None, slopes: int = 1) -> Declaration:
+        """See `Model.declaration`."""
+        names = ("s", "alpha_along", "alpha_across", "brushing_deg", "diffuse_albedo")
+        fixed, free, needs = with_optical_constants(ior, (*names, "ior"))
+
+        def starts(levels: Levels) -> list[Values]:
+            indices = (1.5,) if ior is not None else (1.5, 20.0)
+            grid = product((0.03, 0.1, 0.3), (1.5, 4.0), (-45.0, 0.0, 45.0, 90.0), (0.03, 0.2, 0.7), indices)
+            return [
+                {
+                    "s": s,
+                    "alpha_along": alpha,
+                    "alpha_across": alpha * ratio,
+                    "brushing_deg": brushing,
+                    "diffuse_albedo": min(levels.diffuse / (1 - s), 1.0),
+                    "ior": n,
+                }
+                for alpha, ratio, brushing, s, n in grid
+            ]
+
+        return Declaration(
+            cls.name,
+            {
+                "s": Fitted(0.0, 1.0),
+                "alpha_along": Fitted(0.002, 3.0, "log"),
+                "alpha_across": Fitted(0.002, 3.0, "log"),
+                # twice round, so that no direction of brushing lies at a bound
+                "brushing_deg": Fitted(-180.0, 180.0, unit="deg"),
+                "diffuse_albedo": DIFFUSE,
+                **OPTICAL,
+            },
+            free,
+            fixed,
+            lambda v: {**{n: v[n] for n in names}, "ior": optical_argument(v, ior)},
+            starts,
+            needs_wavelength=needs,
+            flat=lambda v: {"diffuse_albedo": (1.0 - v["s"]) / math.pi},
+        )
+
+    @classmethod
+    def not_told_by(cls, directions: Directions) -> str:
+        """See `Model.not_told_by`."""
+        tilted = directions.theta_i > math.radians(SAME_AZIMUTH_DEG)
+        half_turns = np.exp(2j * directions.phi_i[tilted])  # azimuths half a turn apart are the same
+        if np.any(np.abs(np.angle(half_turns / half_turns[:1])) > 2.0 * math.radians(SAME_AZIMUTH_DEG)):
+            return ""
+        return "the light comes from one azimuth, which does not tell a surface's own direction"
 
     def __post_init__(self) -> None:
         store(

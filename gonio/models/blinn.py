@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import product
 from math import pi
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -30,9 +31,19 @@ from gonio.models._facets import (
     log_cos2,
 )
 from gonio.models._math import _LOG2_E, exp2
+from gonio.models.declaration import (
+    OPTICAL,
+    Declaration,
+    Ior,
+    Levels,
+    Values,
+    optical_argument,
+    with_optical_constants,
+)
 from gonio.models.engine import Constants, Kernel
 from gonio.models.model import Model, store
 from gonio.models.parameters import (
+    Fitted,
     Index,
     Parameters,
     checked_index,
@@ -188,6 +199,26 @@ class Phong(Model):
     k_s: float = 0.5
     exponent: float = 50.0
     name: ClassVar[str] = "phong"
+    rank: ClassVar[int] = 3
+    in_sums: ClassVar[str] = "gloss"
+    bases: ClassVar[tuple[str, ...]] = ("oren-nayar",)
+
+    @classmethod
+    def declaration(cls, ior: Ior = None, slopes: int = 1) -> Declaration:
+        """See `Model.declaration`."""
+
+        def starts(levels: Levels) -> list[Values]:
+            return [
+                {"k_d": min(levels.diffuse, 1.0), "k_s": min(levels.peak * scale, 100.0), "exponent": exponent}
+                for exponent, scale in product((3.0, 10.0, 30.0, 100.0, 300.0, 1000.0, 10000.0), (0.3, 1.0))
+            ]
+
+        rows = {
+            "k_d": Fitted(0.0, 1.0),
+            "k_s": Fitted(0.0, 1e4),
+            "exponent": Fitted(0.1, 1e6, "log", geometry=True),
+        }
+        return Declaration(cls.name, rows, tuple(rows), {}, lambda v: {n: v[n] for n in rows}, starts)
 
     def __post_init__(self) -> None:
         store(
@@ -273,6 +304,35 @@ class Blinn(Model):
     c: float
     fresnel: str
     name: ClassVar[str] = "blinn"
+    rank: ClassVar[int] = 4
+    in_sums: ClassVar[str] = "gloss"
+    bases: ClassVar[tuple[str, ...]] = ("oren-nayar",)
+    has_ior: ClassVar[bool] = True
+
+    @classmethod
+    def declaration(cls, ior: Ior = None, slopes: int = 1) -> Declaration:
+        """See `Model.declaration`."""
+        fixed, free, needs = with_optical_constants(ior, ("k_d", "k_s", "c", "ior"))
+
+        def starts(levels: Levels) -> list[Values]:
+            grid = product((0.03, 0.08, 0.15, 0.3, 0.5, 0.8), (0.03, 0.3, 1.0), (1.5, 5.0, 50.0))
+            k_d = min(levels.diffuse, 1.0)
+            return [{"k_d": k_d, "k_s": levels.peak * scale, "c": c, "ior": n} for c, scale, n in grid]
+
+        return Declaration(
+            cls.name,
+            {
+                "k_d": Fitted(0.0, 1.0),
+                "k_s": Fitted(0.0, 1e4),
+                "c": Fitted(0.001, 1.0, "log", geometry=True),
+                **OPTICAL,
+            },
+            free,
+            fixed,
+            lambda v: {"k_d": v["k_d"], "k_s": v["k_s"], "c": v["c"], "ior": optical_argument(v, ior)},
+            starts,
+            needs_wavelength=needs,
+        )
 
     def __init__(
         self,

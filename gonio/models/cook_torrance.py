@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 from math import pi, sqrt
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -15,10 +16,22 @@ from gonio.models import engine, hemispherical
 from gonio.models._compile import device, of_columns, with_others
 from gonio.models._facets import SINGLE_RANGE, by_angle, by_tan2, fresnel, fresnel_constants, fresnel_real
 from gonio.models._math import _LOG2_E, exp2
+from gonio.models.declaration import (
+    DIFFUSE,
+    OPTICAL,
+    Arguments,
+    Declaration,
+    Ior,
+    Levels,
+    Values,
+    optical_argument,
+    with_optical_constants,
+)
 from gonio.models.engine import Constants, Kernel
 from gonio.models.fresnel import n_from_f0, reflectance
 from gonio.models.model import Model, store
 from gonio.models.parameters import (
+    Fitted,
     Index,
     Parameters,
     checked_index,
@@ -178,6 +191,52 @@ class CookTorrance(Model):
     normalisation: str
     fresnel: str
     name: ClassVar[str] = "cook-torrance"
+    rank: ClassVar[int] = 5
+    in_sums: ClassVar[str] = "gloss"
+    bases: ClassVar[tuple[str, ...]] = ("oren-nayar", "retroreflecting")
+    has_ior: ClassVar[bool] = True
+    several_slopes: ClassVar[bool] = True
+
+    @classmethod
+    def declaration(cls, ior: Ior = None, slopes: int = 1) -> Declaration:
+        """See `Model.declaration`."""
+        names = ("m",) if slopes == 1 else ("m_1", "m_2", "w_1")
+        fixed, free, needs = with_optical_constants(ior, ("s", *names, "diffuse_albedo", "ior"))
+
+        def arguments(v: Values) -> Arguments:
+            slope = ((v["m"], 1.0),) if slopes == 1 else ((v["m_1"], v["w_1"]), (v["m_2"], 1.0 - v["w_1"]))
+            # s + d = 1 to the last bit: the constructor refuses more
+            return {
+                "s": v["s"],
+                "d": 1.0 - v["s"],
+                "slopes": slope,
+                "diffuse_albedo": v["diffuse_albedo"],
+                "ior": optical_argument(v, ior),
+            }
+
+        def starts(levels: Levels) -> list[Values]:
+            widths = [{"m": m} for m in (0.005, 0.03, 0.08, 0.15, 0.25, 0.4, 0.7)]
+            if slopes == 2:
+                pairs = product((0.03, 0.08, 0.15, 0.25), (0.25, 0.5, 0.9))
+                widths = [{"m_1": a, "m_2": b, "w_1": 0.5} for a, b in pairs if a < b]
+            return [
+                {"s": s, **width, "diffuse_albedo": min(levels.diffuse / (1 - s), 1.0), "ior": n}
+                for width, s, n in product(widths, (0.03, 0.2, 0.7), (1.5, 3.0, 20.0))
+            ]
+
+        width, share = Fitted(0.0005, 3.0, "log", geometry=True), Fitted(0.0, 1.0, geometry=True)
+        own = {n: share if n == "w_1" else width for n in names}
+        return Declaration(
+            cls.name,
+            {"s": Fitted(0.0, 1.0), **own, "diffuse_albedo": DIFFUSE, **OPTICAL},
+            free,
+            fixed,
+            arguments,
+            starts,
+            needs_wavelength=needs,
+            flat=lambda v: {"diffuse_albedo": (1.0 - v["s"]) / math.pi},
+            derived=lambda v: {"d": 1.0 - v["s"]} | ({"w_2": 1.0 - v["w_1"]} if slopes == 2 else {}),
+        )
 
     def __init__(
         self,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import math
 from dataclasses import dataclass
+from itertools import product
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -16,10 +17,20 @@ from gonio.models._facets import fresnel_constants
 from gonio.models._hemisphere import about_mirror, about_source
 from gonio.models._htsg_series import TIERS
 from gonio.models._loops import HALF_PI
+from gonio.models.declaration import (
+    DIFFUSE,
+    OPTICAL,
+    Declaration,
+    Ior,
+    Levels,
+    Values,
+    optical_argument,
+    with_optical_constants,
+)
 from gonio.models.engine import Constants, Kernel
 from gonio.models.hemispherical import COARSE_RULES, COARSE_TOLERANCE, TOLERANCE
 from gonio.models.model import Model, over_thetas
-from gonio.models.parameters import Index, checked_index, checked_wavelength, choice, index_at, number
+from gonio.models.parameters import Fitted, Index, checked_index, checked_wavelength, choice, index_at, number
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -67,7 +78,46 @@ class HeTorrance(Model):
     shadowing: str = "smith"
     tolerance: float = 1e-12
     name: ClassVar[str] = "he-torrance"
+    rank: ClassVar[int] = 6
+    in_sums: ClassVar[str] = "weighted gloss"
+    bases: ClassVar[tuple[str, ...]] = ("lambert", "oren-nayar")
+    has_ior: ClassVar[bool] = True
     grain: ClassVar[int] = 8192
+
+    @classmethod
+    def declaration(cls, ior: Ior = None, slopes: int = 1) -> Declaration:
+        """See `Model.declaration`."""
+        fixed, free, _ = with_optical_constants(ior, ("sigma0_um", "tau_um", "diffuse_albedo", "ior"))
+
+        def starts(levels: Levels) -> list[Values]:
+            wave, albedos = levels.wavelength_um, {0.0, min(levels.diffuse, 1.0)}
+            roughness = (0.01, 0.03, 0.06, 0.1, 0.16, 0.25, 0.4, 0.6, 1.0, 2.0, 5.0)
+            slope = (0.02, 0.05, 0.1, 0.17, 0.25, 0.35, 0.5, 0.8, 1.3)
+            indices = (1.5,) if ior is not None else (1.3, 1.5, 3.0, 20.0)
+            return [
+                {"sigma0_um": r * wave, "tau_um": 2 * r * wave / m, "diffuse_albedo": a, "ior": n}
+                for r, m, a, n in product(roughness, slope, albedos, indices)
+            ]
+
+        return Declaration(
+            cls.name,
+            {
+                "sigma0_um": Fitted(1e-4, 100.0, "log", "um", geometry=True),
+                "tau_um": Fitted(1e-3, 1e4, "log", "um", geometry=True),
+                "diffuse_albedo": DIFFUSE,
+                **OPTICAL,
+            },
+            free,
+            fixed,
+            lambda v: {
+                **{n: v[n] for n in ("sigma0_um", "tau_um", "diffuse_albedo")},
+                "ior": optical_argument(v, ior),
+            },
+            starts,
+            needs_wavelength=True,
+            flat=lambda v: {"diffuse_albedo": 1.0 / math.pi},
+            derived=lambda v: {"slope_m": 2.0 * v["sigma0_um"] / v["tau_um"]},
+        )
 
     def __post_init__(self) -> None:
         store = functools.partial(object.__setattr__, self)

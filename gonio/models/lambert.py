@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from math import pi
 from typing import TYPE_CHECKING, ClassVar
@@ -9,6 +10,11 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from gonio.models._compile import device
+from gonio.models.declaration import (
+    ALBEDO,
+    Declaration,
+    Ior,
+)
 from gonio.models.engine import Constants, Kernel
 from gonio.models.model import Model, store
 from gonio.models.parameters import number
@@ -36,6 +42,21 @@ class Lambert(Model):
 
     albedo: float = 0.5
     name: ClassVar[str] = "lambert"
+    rank: ClassVar[int] = 1
+    in_sums: ClassVar[str] = "base"
+
+    @classmethod
+    def declaration(cls, ior: Ior = None, slopes: int = 1) -> Declaration:
+        """See `Model.declaration`."""
+        return Declaration(
+            cls.name,
+            {"albedo": ALBEDO},
+            ("albedo",),
+            {},
+            lambda v: {"albedo": v["albedo"]},
+            lambda levels: [{"albedo": ALBEDO.inside(levels.median)}],
+            flat=lambda v: {"albedo": 1.0 / math.pi},
+        )
 
     def __post_init__(self) -> None:
         store(self, albedo=number("albedo", self.albedo, 0.0, 1.0))

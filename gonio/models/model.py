@@ -13,7 +13,9 @@ from typing import TYPE_CHECKING, Any, ClassVar, cast, overload
 import numpy as np
 
 from gonio.errors import ArgumentError
+from gonio.geometry import Directions
 from gonio.models import engine, hemispherical
+from gonio.models.declaration import Declaration, Ior, plain
 from gonio.models.engine import SPLIT, Constants, Geometry, Kernel
 from gonio.models.parameters import Fitted, Parameters, checked_wavelength
 
@@ -48,10 +50,22 @@ class Model(ABC):
     name: ClassVar[str]
     """The model's name on the command line and in sample files."""
     fitted: ClassVar[Mapping[str, Fitted]] = {}
-    """Of a model from another package: what a fit may move of the constructor's arguments, and within which bounds.
-    Those of the papers are described in `gonio_analysis.fitting.parameters`."""
+    """What a fit may move of the constructor's arguments, and within which bounds; unless `declaration` says more."""
     needs_wavelength: ClassVar[bool] = False
     """Of such a model: whether its value depends on the wavelength, so that a broad band cannot be fitted."""
+    rank: ClassVar[int] = 100
+    """Its place among models with as many parameters."""
+    has_ior: ClassVar[bool] = False
+    """Whether optical constants mean something to it."""
+    several_slopes: ClassVar[bool] = False
+    """Whether its facets may have two slopes (`--slopes 2`)."""
+    in_sums: ClassVar[str] = ""
+    """What it may be in a sum that is fitted: "base", "gloss", "weighted gloss" (it has no level of its own), or two of
+    these."""
+    bases: ClassVar[tuple[str, ...]] = ()
+    """Bases under its gloss that are tried unasked."""
+    hides_index: ClassVar[bool] = False
+    """Whether no data tell n + ik of a gloss over it."""
     grain: ClassVar[int] = SPLIT
     """How many evaluations are worth a thread of their own."""
 
@@ -74,6 +88,22 @@ class Model(ABC):
         A model without a kernel of its own overrides `brdf`, `brdf_vectors` and `at`.
         """
         raise NotImplementedError
+
+    @classmethod
+    def declaration(cls, ior: Ior = None, slopes: int = 1) -> Declaration:
+        """What a fit may move of it, where optical constants `ior` are known, or not (None).
+
+        Raises
+        ------
+        ConfigError
+            The class does not say what is fitted.
+        """
+        return plain(cls.name, cls.fitted, cls.needs_wavelength)
+
+    @classmethod
+    def not_told_by(cls, directions: Directions) -> str:
+        """Why it cannot be told from other models in these directions; "" where it can."""
+        return ""
 
     @property
     def depends_on_azimuth(self) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import math
 from dataclasses import dataclass
+from itertools import product
 from math import pi, sqrt
 from typing import TYPE_CHECKING, ClassVar
 
@@ -15,9 +16,14 @@ from gonio.models import hemispherical
 from gonio.models._compile import device, of_columns
 from gonio.models._groove_integral import gaussian_grooves, isotropic_grooves, parallel_grooves
 from gonio.models._math import atan_over_near
+from gonio.models.declaration import (
+    ALBEDO,
+    Declaration,
+    Ior,
+)
 from gonio.models.engine import SPLIT, Constants, Kernel
 from gonio.models.model import Model, store
-from gonio.models.parameters import choice, number
+from gonio.models.parameters import Fitted, choice, number
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -167,6 +173,24 @@ class OrenNayar(Model):
     groove_azimuth_deg: float | None
     interreflections: bool
     name: ClassVar[str] = "oren-nayar"
+    rank: ClassVar[int] = 2
+    in_sums: ClassVar[str] = "base"
+
+    @classmethod
+    def declaration(cls, ior: Ior = None, slopes: int = 1) -> Declaration:
+        """See `Model.declaration`."""
+        return Declaration(
+            cls.name,
+            {"albedo": ALBEDO, "sigma_deg": Fitted(0.0, 60.0, unit="deg", geometry=True)},
+            ("albedo", "sigma_deg"),
+            {},
+            lambda v: {"albedo": v["albedo"], "sigma_deg": v["sigma_deg"]},
+            lambda levels: [
+                {"albedo": ALBEDO.inside(scale * levels.median), "sigma_deg": sigma}
+                for scale, sigma in product((0.5, 1.0, 1.3), (5.0, 25.0, 45.0))
+            ],
+            base_starts=lambda albedo: [{"albedo": albedo, "sigma_deg": 20.0}],
+        )
 
     def __init__(
         self,

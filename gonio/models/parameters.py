@@ -44,6 +44,10 @@ class Fitted:
     geometry: bool = False
     """Whether it belongs to the surface (a roughness, a slope), and so is the same at every wavelength."""
 
+    def inside(self, value: float) -> float:
+        """`value`, brought between the bounds."""
+        return min(max(value, self.lower), self.upper)
+
     def __post_init__(self) -> None:
         if not (math.isfinite(self.lower) and math.isfinite(self.upper) and self.lower < self.upper):
             raise ArgumentError(f"bounds {self.lower:g} to {self.upper:g}: must be finite, and ascend")

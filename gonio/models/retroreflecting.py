@@ -4,24 +4,35 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import product
 from math import pi
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
+from gonio.geometry import Directions
 from gonio.models import hemispherical
 from gonio.models._compile import device, of_columns
 from gonio.models._loops import HALF_PI
 from gonio.models._math import _LOG2_E, exp2, log
+from gonio.models.declaration import (
+    DIFFUSE,
+    Declaration,
+    Ior,
+    Levels,
+    Values,
+)
 from gonio.models.engine import Constants, Kernel
 from gonio.models.model import Model, store
-from gonio.models.parameters import number
+from gonio.models.parameters import Fitted, number
 
 if TYPE_CHECKING:
     from gonio.typing import Floats
 
 GRAZING = 1e-150
 """The cosine that stands for that of an exactly grazing direction: the limit along equal polar angles."""
+NEAR_RETRO_DEG = 10.0
+"""A lobe about the direction of incidence is looked for where a value lies this near to it."""
 
 
 @device
@@ -78,6 +89,48 @@ class Retroreflecting(Model):
     entrance: float = 0.0
     diffuse_albedo: float = 0.0
     name: ClassVar[str] = "retroreflecting"
+    rank: ClassVar[int] = 8
+    in_sums: ClassVar[str] = "base gloss"
+    hides_index: ClassVar[bool] = True
+
+    @classmethod
+    def declaration(cls, ior: Ior = None, slopes: int = 1) -> Declaration:
+        """See `Model.declaration`."""
+        rows = {
+            "returned": Fitted(0.0, 1.0),
+            "width_deg": Fitted(0.01, 60.0, "log", "deg"),
+            "tail": Fitted(0.5, 30.0, "log"),
+            "entrance": Fitted(0.0, 20.0),
+            "diffuse_albedo": DIFFUSE,
+        }
+
+        def starts(levels: Levels) -> list[Values]:
+            grid = product((0.01, 0.1, 0.5), (0.2, 1.0, 4.0, 15.0), (1.0, 2.0), (0.0, 1.0))
+            return [dict(zip(rows, (s, *rest, min(levels.diffuse / (1 - s), 1.0)), strict=True)) for s, *rest in grid]
+
+        def base_starts(albedo: float) -> list[Values]:
+            lobe = {"returned": 0.1, "tail": 1.2, "entrance": 0.0, "diffuse_albedo": albedo}
+            return [{**lobe, "width_deg": width} for width in (0.5, 2.0, 8.0)]
+
+        return Declaration(
+            cls.name,
+            rows,
+            tuple(rows),
+            {},
+            lambda v: {n: v[n] for n in rows},
+            starts,
+            flat=lambda v: {"diffuse_albedo": (1.0 - v["returned"]) / math.pi},
+            base_starts=base_starts,
+        )
+
+    @classmethod
+    def not_told_by(cls, directions: Directions) -> str:
+        """See `Model.not_told_by`."""
+        omega_i, omega_r = directions.vectors
+        squares = np.sum((omega_i - omega_r) ** 2, axis=-1)
+        if np.any(squares < (2.0 * math.sin(math.radians(NEAR_RETRO_DEG) / 2.0)) ** 2):
+            return ""
+        return f"no value lies within {NEAR_RETRO_DEG:g} degrees of the direction of incidence"
 
     def __post_init__(self) -> None:
         store(

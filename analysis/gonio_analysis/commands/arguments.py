@@ -6,7 +6,7 @@ import math
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from gonio_analysis.fitting.families import Ior
+    from gonio.models.declaration import Ior
 
 
 def read_ior(text: str | None) -> Ior:

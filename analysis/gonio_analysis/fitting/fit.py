@@ -24,9 +24,9 @@ import numpy.typing as npt
 
 from gonio.cli.pace import Say, silent
 from gonio.errors import ArgumentError, ConfigError, DataError
+from gonio.models.declaration import Declaration, Values
 from gonio.typing import Floats
 from gonio_analysis.fitting.angle_zeros import by_model
-from gonio_analysis.fitting.families import Family, Values
 from gonio_analysis.fitting.forward import NO_WAVELENGTH_NM, apparent, pointlike
 from gonio_analysis.fitting.identifiability import tied
 from gonio_analysis.fitting.incidences import angles
@@ -389,7 +389,7 @@ def _together(
 
 
 def _one_wavelength(
-    data: Observations, wavelength_nm: float | None, family: Family, name: str
+    data: Observations, wavelength_nm: float | None, family: Declaration, name: str
 ) -> tuple[Observations, float, list[str]]:
     if wavelength_nm is not None and not (math.isfinite(wavelength_nm) and wavelength_nm > 0):
         raise ArgumentError(f"wavelength_nm = {wavelength_nm}: a wavelength is above 0 nm")

@@ -1,45 +1,66 @@
-"""What is fitted of each model: parameters, bounds, scales, and where to start.
-
-A model that is not listed here (another package's, from the entry-point group `gonio.models`) is fitted as its class
-declares it by `fitted` (docs/writing_a_model.md).
-"""
+"""Models by name, as fits see them: what their classes declare (`gonio.models.declaration`), and sums of two."""
 
 from __future__ import annotations
 
 import difflib
+import math
 from collections.abc import Callable, Mapping
-from itertools import product
 from typing import Any
 
+import numpy as np
+
+from gonio import plugins
 from gonio.errors import ConfigError
-from gonio_analysis.fitting.families import (
-    FAMILIES,
-    Family,
-    Ior,
-    Parameter,
-    Values,
-    _cook_torrance,
-    _levels,
-    _sum,
-    parts,
-)
+from gonio.models import Sum
+from gonio.models.declaration import ALBEDO, Arguments, Declaration, Ior, Levels, Values
+from gonio.models.model import Model, build_model
+from gonio.models.parameters import Fitted
 from gonio_analysis.fitting.observations import Observations
 
-METALLIC_N = Parameter("ior", 0.02, 200.0, "log")
-"""n where k is fitted too: good conductors have n < 1, which without absorption means total reflection."""
 INDICES = ((1.5, 0.3), (0.3, 3.0), (1.0, 7.0), (3.0, 3.5))
 """n and k that a search for both starts from: a glass, silver, aluminium, iron."""
 
 
-def family(name: str, *, slopes: int = 1, ior: Ior = None) -> Family:
-    """The family of a model by its name on the command line.
+def kind(name: str) -> type[Model]:
+    """The class of a single model; raises `ConfigError` where there is none, or its import fails."""
+    loaded: type[Model] = plugins.load("gonio.models", name)
+    return loaded
+
+
+def known(role: str = "") -> tuple[str, ...]:
+    """Names of the models that can be loaded, by their rank; of those that play a role in sums, where one is asked."""
+    found = {}
+    for name in plugins.available("gonio.models"):
+        try:
+            found[name] = kind(name)
+        except ConfigError:
+            continue
+    every = sorted(found, key=lambda name: (found[name].rank, name))
+    return tuple(name for name in every if not role or role in found[name].in_sums.split())
+
+
+def declared() -> tuple[str, ...]:
+    """Those of them that say what of them is fitted."""
+    return tuple(name for name in known() if _declares(name))
+
+
+def _declares(name: str) -> bool:
+    try:
+        kind(name).declaration()
+    except ConfigError:
+        return False
+    return True
+
+
+def family(name: str, *, slopes: int = 1, ior: Ior = None) -> Declaration:
+    """What a fit may move of a model, by its name on the command line.
 
     Parameters
     ----------
     name
         As in `gonio fit --model NAME`.
     slopes
-        Slopes of Cook-Torrance's facet distribution, 1 or 2.
+        Slopes of the facet distribution, 1 or 2.
     ior
         Optical constants, where they are known: they are then fixed.
 
@@ -48,92 +69,48 @@ def family(name: str, *, slopes: int = 1, ior: Ior = None) -> Family:
     ConfigError
         No such model can be fitted, or an option does not belong to it.
     """
-    if "+" in name:
-        if slopes != 1:
-            raise ConfigError(f"--slopes {slopes}: only cook-torrance has several slopes, not {name}")
-        return _sum(name, ior)
-    others = plugin_models() if name not in FAMILIES else ()
-    if name not in FAMILIES and name not in others:
-        known = [*FAMILIES, *others]
-        near = difflib.get_close_matches(name, known, n=1)
-        hint = f'did you mean "{near[0]}"?' if near else f"known: {', '.join(known)}"
+    if "+" not in name and name not in plugins.available("gonio.models"):
+        near = difflib.get_close_matches(name, known(), n=1)
+        hint = f'did you mean "{near[0]}"?' if near else f"known: {', '.join(known())}"
         raise ConfigError(f'there is no model named "{name}" to fit; {hint}')
-    if slopes != 1 and name != "cook-torrance":
-        raise ConfigError(f"--slopes {slopes}: only cook-torrance has several slopes, not {name}")
+    if slopes != 1 and ("+" in name or not kind(name).several_slopes):
+        several = ", ".join(one for one in known() if kind(one).several_slopes)
+        raise ConfigError(f"--slopes {slopes}: only {several} has several slopes, not {name}")
     if slopes not in (1, 2):
         raise ConfigError(f"--slopes {slopes}: 1 or 2 slopes can be fitted")
-    if name == "cook-torrance":
-        return _cook_torrance(slopes, ior)
-    return FAMILIES[name](ior) if name in FAMILIES else _declared(name)
+    return _sum(name, ior) if "+" in name else kind(name).declaration(ior, slopes)
 
 
-def plugin_models() -> tuple[str, ...]:
-    """Names of the models that other packages bring."""
-    from gonio import plugins
-
-    return tuple(name for name in plugins.available("gonio.models") if name not in FAMILIES)
+def parts(name: str) -> tuple[str, ...]:
+    """The models that a name stands for: one, or the terms of a sum as in "oren-nayar+cook-torrance"."""
+    return tuple(part.strip() for part in name.split("+"))
 
 
-def declared() -> tuple[str, ...]:
-    """Those of them that declare what is fitted; a model whose import fails is none of them."""
-    out = []
-    for name in plugin_models():
-        try:
-            _declared(name)
-        except ConfigError:
-            continue
-        out.append(name)
-    return tuple(out)
-
-
-def _declared(name: str) -> Family:
-    """The family of another package's model, as its class declares it."""
-    from gonio import plugins
-    from gonio.models import Fitted
-
-    kind = plugins.load("gonio.models", name)
-    rows: Mapping[str, Fitted] = getattr(kind, "fitted", {})
-    if not rows:
-        raise ConfigError(
-            f'the model "{name}" does not say what of it is fitted: its class needs `fitted`, bounds and scales by'
-            " the names of its parameters"
-        )
-    for key, row in rows.items():
-        if not isinstance(row, Fitted):
-            raise ConfigError(f'the model "{name}": fitted["{key}"] has to be a gonio.models.Fitted, not {row!r}')
-    free = tuple(key for key, row in rows.items() if row.fixed is None)
-
-    def starts(data: Observations) -> list[Values]:
-        diffuse, peak = _levels(data)
-        grid = []
-        for key in free:
-            row = rows[key]
-            if isinstance(row.starts, str):
-                level = diffuse if row.starts == "diffuse" else peak
-                some = [level] if row.starts == "diffuse" else [0.03 * level, 0.3 * level, level]
-            elif row.starts:
-                some = list(row.starts)
-            elif row.scale == "log":
-                some = [row.lower ** (1 - q) * row.upper**q for q in (0.2, 0.5, 0.8)]
-            else:
-                some = [row.lower + (row.upper - row.lower) * q for q in (0.2, 0.5, 0.8)]
-            grid.append([min(max(x, row.lower), row.upper) for x in some])
-        return [dict(zip(free, values, strict=True)) for values in product(*grid)]
-
-    return Family(
-        name,
-        tuple(Parameter(key, row.lower, row.upper, row.scale, row.unit, row.geometry) for key, row in rows.items()),
-        free,
-        {key: row.fixed for key, row in rows.items() if row.fixed is not None},
-        lambda v: dict(v),
-        starts,
-        needs_wavelength=kind.needs_wavelength,
-    )
+def sums() -> tuple[str, ...]:
+    """Sums that are tried unasked: the bases that a glossy model names, under its gloss."""
+    return tuple(f"{base}+{gloss}" for gloss in known() for base in kind(gloss).bases)
 
 
 def needs_ior(name: str) -> bool:
     """Whether optical constants mean something to this model."""
-    return any(part in ("blinn", "cook-torrance", "he-torrance", "anisotropic") for part in parts(name))
+    return any(part in plugins.available("gonio.models") and kind(part).has_ior for part in parts(name))
+
+
+def tells_index(name: str) -> bool:
+    """Whether data may tell n + ik of this model."""
+    return needs_ior(name) and not any(kind(part).hides_index for part in parts(name))
+
+
+def levels(data: Observations) -> Levels:
+    """What starts are made of."""
+    low, high = np.quantile(data.brdf, [0.1, 1.0])
+    known = data.wavelength_nm[np.isfinite(data.wavelength_nm)]
+    return Levels(
+        max(math.pi * float(low), 0.0),
+        math.pi * float(np.median(data.brdf)),
+        max(math.pi * float(high), 1e-6),
+        float(known.mean()) / 1e3 if known.size else 1.0,
+    )
 
 
 def maker(name: str) -> Callable[[Mapping[str, Any]], Any]:
@@ -141,11 +118,7 @@ def maker(name: str) -> Callable[[Mapping[str, Any]], Any]:
 
     Of a sum the arguments are one table a term, as `gonio.models.build("sum", ...)` takes them.
     """
-    from gonio import plugins
-    from gonio.models import Sum
-    from gonio.models.model import build_model
-
-    kinds = {part: plugins.load("gonio.models", part) for part in parts(name)}
+    kinds = {part: kind(part) for part in parts(name)}
     if len(kinds) == 1:
         return lambda arguments: build_model(kinds[name], name, arguments)
 
@@ -154,3 +127,44 @@ def maker(name: str) -> Callable[[Mapping[str, Any]], Any]:
         return Sum(*((build_model(kinds[part], part, own), weight) for part, own, weight in split))
 
     return summed
+
+
+def _sum(name: str, ior: Ior) -> Declaration:
+    """A matte or retroreflecting base and a glossy model on it, whose own Lambertian part is left out.
+
+    The level of the gloss lies in its own k_s or s; one that has none gets a weight.
+    """
+    terms, bases, glosses = parts(name), known("base"), known("gloss")
+    if len(terms) != 2 or terms[0] not in bases or terms[1] not in glosses or terms[0] == terms[1]:
+        raise ConfigError(f'"{name}": a sum to fit is one of {", ".join(bases)} + another of {", ".join(glosses)}')
+    base, gloss = (kind(term).declaration(ior) for term in terms)
+    own = {"k_d", "diffuse_albedo"} & gloss.parameters.keys()
+    weighted = "weighted" in kind(terms[1]).in_sums.split()
+    level = {"weight": Fitted(0.0, 1.0)} if weighted else {}
+
+    def arguments(v: Values) -> Arguments:
+        shine = gloss.arguments({**v, **dict.fromkeys(own, 0.0)})
+        return {
+            terms[0]: {"weight": 1.0, **base.arguments(v)},
+            terms[1]: {"weight": v.get("weight", 1.0), **shine},
+        }
+
+    def starts(levels: Levels) -> list[Values]:
+        bases = base.base_starts(ALBEDO.inside(levels.diffuse))
+        shapes: dict[tuple[tuple[str, float], ...], None] = {}
+        for values in gloss.starts(levels):
+            shapes[tuple((n, x) for n, x in values.items() if n not in own)] = None
+        more: Values = {"weight": 0.5} if weighted else {}
+        return [{**base, **dict(shape), **more} for base in bases for shape in shapes]
+
+    return Declaration(
+        name,
+        {**base.parameters, **level, **{n: p for n, p in gloss.parameters.items() if n not in own}},
+        (*base.free, *level, *(n for n in gloss.free if n not in own)),
+        {n: x for n, x in gloss.fixed.items() if n not in own},
+        arguments,
+        starts,
+        needs_wavelength=gloss.needs_wavelength,
+        flat=base.flat,
+        derived=gloss.derived if weighted else lambda values: {},
+    )

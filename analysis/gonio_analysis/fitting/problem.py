@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 
 from gonio.errors import ConfigError
+from gonio.models.declaration import METALLIC_N, Declaration, Ior, Values
+from gonio.models.parameters import Fitted
 from gonio.typing import Floats
-from gonio_analysis.fitting import families, parameters
-from gonio_analysis.fitting.families import Family, Ior, Parameter, Values
+from gonio_analysis.fitting import parameters
 from gonio_analysis.fitting.forward import ByWavelength
 from gonio_analysis.fitting.objective import LOSSES, METRICS
 from gonio_analysis.fitting.observations import check_u_rel
@@ -110,7 +111,7 @@ class Bound:
 class Problem:
     """Which numbers move, on which scale, and the model that they make."""
 
-    family: Family
+    family: Declaration
     make: Callable[[Mapping[str, Any]], Any]
     """Constructor's arguments -> model."""
     free: tuple[str, ...]
@@ -134,12 +135,12 @@ class Problem:
         # the functions of a family do not pickle: another process makes the problem again
         return _posed, (self.asked, self.waves, self.each, self.bound)
 
-    def parameter(self, name: str) -> Parameter:
+    def parameter(self, name: str) -> Fitted:
         """The parameter of a name in `free`."""
         return self.family.parameter(name.partition("@")[0])
 
     @cached_property
-    def _moving(self) -> list[Parameter]:
+    def _moving(self) -> list[Fitted]:
         """The parameters of `free`."""
         return [self.parameter(n) for n in self.free]
 
@@ -248,7 +249,7 @@ def pose(asked: FitRequest) -> Problem:
         notes.append(f"The optical constants are not used: {model} has none.")
     family = parameters.family(model, slopes=asked.slopes, ior=ior)
     words = {k: v for k, v in fix.items() if isinstance(v, str)}
-    if words and len(families.parts(model)) > 1:
+    if words and len(parameters.parts(model)) > 1:
         raise ConfigError(f"--fix {next(iter(words))}=...: words go to a single model's constructor, not to a sum")
     numbers = {k: float(v) for k, v in fix.items() if not isinstance(v, str)}
     for n, value in numbers.items():
@@ -263,13 +264,12 @@ def pose(asked: FitRequest) -> Problem:
             raise ConfigError(
                 f"--free {n}: with --ior {ior} the material fixes n + ik; give numbers (as 1.5+2j) to start from"
             )
-    names = tuple(p.name for p in family.parameters)
+    names = tuple(family.parameters)
     moving = tuple(n for n in names if (n in family.free or n in free) and n not in numbers)
     if not moving:
         raise ConfigError(f"every parameter of {model} is fixed: there is nothing to fit")
     if "k" in moving and "ior" in moving:
-        metallic = tuple(parameters.METALLIC_N if p.name == "ior" else p for p in family.parameters)
-        family = replace(family, parameters=metallic)
+        family = replace(family, parameters={**family.parameters, "ior": METALLIC_N})
     family = _bounded(family, asked.bounds or {}, moving)
     fixed = {**family.fixed, **numbers}
     if ior is None and "ior" in moving and parameters.needs_ior(model) and not fixed.get("k") and "k" not in moving:
@@ -310,7 +310,7 @@ def together(problem: Problem, waves: Sequence[float], each: Sequence[str]) -> P
     return replace(problem, free=shared + own, waves=tuple(waves), each=tuple(n for n in problem.free if n in each))
 
 
-def _bounded(family: Family, bounds: Mapping[str, tuple[float, float]], moving: Sequence[str]) -> Family:
+def _bounded(family: Declaration, bounds: Mapping[str, tuple[float, float]], moving: Sequence[str]) -> Declaration:
     """The family with narrower bounds."""
     for n, (low, high) in bounds.items():
         p = family.parameter(n)
@@ -320,11 +320,8 @@ def _bounded(family: Family, bounds: Mapping[str, tuple[float, float]], moving: 
             )
         if n not in moving:
             raise ConfigError(f"--bound {n}={low:g}:{high:g}: {n} is not fitted; --free {n} would fit it")
-    narrower = (
-        replace(p, lower=bounds[p.name][0], upper=bounds[p.name][1]) for p in family.parameters if p.name in bounds
-    )
-    by_name = {p.name: p for p in narrower}
-    return replace(family, parameters=tuple(by_name.get(p.name, p) for p in family.parameters))
+    narrower = {n: replace(family.parameter(n), lower=low, upper=high) for n, (low, high) in bounds.items()}
+    return replace(family, parameters={**family.parameters, **narrower})
 
 
 def _checked_priors(

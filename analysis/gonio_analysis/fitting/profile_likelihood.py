@@ -17,10 +17,10 @@ from typing import TypeVar
 
 import numpy as np
 
+from gonio.models.declaration import Values
 from gonio.shown import interval
 from gonio.typing import Floats
 from gonio_analysis.fitting import parameters
-from gonio_analysis.fitting.families import Values
 from gonio_analysis.fitting.solution import ROUNDING, Solution
 from gonio_analysis.fitting.surrogate import Near
 

@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gonio.cli.pace import Pace, Say, silent
+from gonio.models.declaration import Values
 from gonio.typing import Floats
 from gonio_analysis.fitting import parameters
-from gonio_analysis.fitting.families import Values
 from gonio_analysis.fitting.forward import apparent, averaging, pointlike
 from gonio_analysis.fitting.objective import Objective, alone, softened
 from gonio_analysis.fitting.observations import Observations
@@ -77,7 +77,7 @@ def search(
     soft = softened(few, COARSE_U)
     known = {n: v for n, v in problem.family.fixed.items() if n in problem.free and v}
     candidates: list[tuple[float, Floats]] = []
-    starts = problem.family.starts(data)
+    starts = problem.family.starts(parameters.levels(data))
     if "k" in problem.free and not known:
         shapes = {tuple((n, x) for n, x in start.items() if n != "ior"): None for start in starts}
         starts = [{**dict(shape), "ior": n, "k": k} for shape in shapes for n, k in parameters.INDICES]

@@ -358,8 +358,8 @@ def estimates(problem: Problem, vector: Floats, spread: Floats, wavelength_nm: f
         for n, x, low, high, c in zip(problem.free, vector, lower, upper, close, strict=True)
     }
     out = {}
-    for p in problem.family.parameters:
-        found = [n for n in values if n.partition("@")[0] == p.name]
+    for name, p in problem.family.parameters.items():
+        found = [n for n in values if n.partition("@")[0] == name]
         for n in found:
             error: float | None = float(u[n]) if n in u else 0.0
             if n in wide:
@@ -368,9 +368,7 @@ def estimates(problem: Problem, vector: Floats, spread: Floats, wavelength_nm: f
         if found:
             continue
         if isinstance(problem.ior, str) and index is not None:
-            out[p.name] = Estimate(
-                index.real if p.name == "ior" else index.imag, 0.0, True, p.unit, material=problem.ior
-            )
+            out[name] = Estimate(index.real if name == "ior" else index.imag, 0.0, True, p.unit, material=problem.ior)
     return out
 
 

@@ -23,9 +23,9 @@ from gonio.cli.console import duration
 from gonio.cli.pace import QUIET_S, Say, silent
 from gonio.errors import ConfigError, DataError
 from gonio.geometry import Directions
+from gonio.models.declaration import Ior, Values
 from gonio.typing import Floats
-from gonio_analysis.fitting import families, parameters
-from gonio_analysis.fitting.families import Ior, Values
+from gonio_analysis.fitting import parameters
 from gonio_analysis.fitting.fit import FitResult, fit
 from gonio_analysis.fitting.misfit import groupings
 from gonio_analysis.fitting.objective import smallest
@@ -46,21 +46,6 @@ BEYOND = 2
 MANY = 20_000
 """Of more values than this, held-out errors take an even selection, and intervals are not walked out: with so many the
 standard errors are as good."""
-SINGLE = ("lambert", "oren-nayar", "phong", "blinn", "cook-torrance", "he-torrance", "anisotropic", "retroreflecting")
-TAPE = "retroreflecting+cook-torrance"
-"""Under a gloss of some per cent, whose own n + ik no data tell."""
-SUMS = (
-    "oren-nayar+phong",
-    "oren-nayar+blinn",
-    "oren-nayar+cook-torrance",
-    "lambert+he-torrance",
-    "oren-nayar+he-torrance",
-    TAPE,
-)
-SAME_AZIMUTH_DEG = 2.0
-"""Azimuths of incidence nearer than this, or half a turn apart, show one side of a surface with a direction."""
-NEAR_RETRO_DEG = 10.0
-"""A lobe about the direction of incidence is looked for where a value lies this near to it."""
 
 
 @dataclass(frozen=True)
@@ -152,7 +137,7 @@ class Choice:
         if j is self.named or j is self.best:
             return True
         alike = [other for other in self.judged if other.candidate.model == j.candidate.model]
-        return len(families.parts(j.candidate.model)) == 1 and j is min(alike, key=lambda other: other.aic)
+        return len(parameters.parts(j.candidate.model)) == 1 and j is min(alike, key=lambda other: other.aic)
 
     def linear(self, name: str) -> bool:
         """Whether the standard error of a parameter of the named model says the same as its interval."""
@@ -196,16 +181,16 @@ def candidates(models: Sequence[str], ior: Ior = None) -> list[Candidate]:
         return [Candidate(name) for name in models]
     if len(models) > 1:
         raise ConfigError("--models all names every model: nothing can stand beside it")
-    single = [Candidate(name, asked=False) for name in (*SINGLE, *parameters.declared())]
+    single = [Candidate(name, asked=False) for name in parameters.declared()]
     several = [
-        *(Candidate(name, asked=False) for name in SUMS),
+        *(Candidate(name, asked=False) for name in parameters.sums()),
         Candidate("cook-torrance", slopes=2, asked=False),
     ]
     out = []
     for group in (single, several):
         out += group
         if ior is None:
-            out += [replace(c, free=("k",)) for c in group if parameters.needs_ior(c.model) and c.model != TAPE]
+            out += [replace(c, free=("k",)) for c in group if parameters.tells_index(c.model)]
     return out
 
 
@@ -312,18 +297,8 @@ def choose(
 
 def _beyond_the_directions(candidate: Candidate, data: Observations) -> str:
     """Why a model that was not asked for by name cannot be told from others in these directions; "" where it can."""
-    where, terms = data.directions, families.parts(candidate.model)
-    if "anisotropic" in terms:
-        tilted = where.theta_i > math.radians(SAME_AZIMUTH_DEG)
-        half_turns = np.exp(2j * where.phi_i[tilted])  # azimuths half a turn apart are the same
-        if not np.any(np.abs(np.angle(half_turns / half_turns[:1])) > 2.0 * math.radians(SAME_AZIMUTH_DEG)):
-            return "the light comes from one azimuth, which does not tell a surface's own direction"
-    if "retroreflecting" in terms:
-        omega_i, omega_r = where.vectors
-        apart = np.sum((omega_i - omega_r) ** 2, axis=-1)
-        if not np.any(apart < (2.0 * math.sin(math.radians(NEAR_RETRO_DEG) / 2.0)) ** 2):
-            return f"no value lies within {NEAR_RETRO_DEG:g} degrees of the direction of incidence"
-    return ""
+    told = (parameters.kind(term).not_told_by(data.directions) for term in parameters.parts(candidate.model))
+    return next((why for why in told if why), "")
 
 
 def _walked(
@@ -363,8 +338,8 @@ def _starts(candidate: Candidate, fits: Mapping[Candidate, FitResult]) -> list[l
     if candidate.free and simpler is not None:
         known = _values(simpler)
         return [[known, *({**known, "ior": n, "k": k} for n, k in parameters.INDICES)]]
-    terms = families.parts(candidate.model)
-    if len(terms) == 1 or candidate.model == "lambert+he-torrance" or terms[0] == "retroreflecting":
+    terms = parameters.parts(candidate.model)
+    if len(terms) == 1 or candidate.model == "lambert+he-torrance" or parameters.kind(terms[0]).hides_index:
         return [None]
     base = "lambert+he-torrance" if terms[1] == "he-torrance" else terms[1]
     simpler = fits.get(Candidate(base))

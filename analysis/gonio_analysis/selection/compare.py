@@ -19,11 +19,11 @@ from gonio.checks.symmetry import Pairs, symmetries
 from gonio.cli.pace import Pace, Say
 from gonio.errors import ConfigError, DataError
 from gonio.measurement import is_simulated
+from gonio.models.declaration import Ior
 from gonio.typing import Floats
 from gonio_analysis.curves.in_plane import NORM_WORDS, Curve, Norm, Normalise, curves, labels, norm, selection
 from gonio_analysis.curves.line import Line
-from gonio_analysis.fitting import families, parameters
-from gonio_analysis.fitting.families import Ior
+from gonio_analysis.fitting import parameters
 from gonio_analysis.fitting.fit import FitResult, fit
 from gonio_analysis.fitting.metrics import metrics
 from gonio_analysis.fitting.observations import Observations, observations
@@ -301,9 +301,7 @@ def _combined(choice: Choice, fitted: Mapping[str, Fitted]) -> list[Reflectance]
 def check_models(models: Sequence[str]) -> None:
     """Raise `ConfigError` for a name that no fit knows, before anything is read."""
     if not models:
-        raise ConfigError(
-            f"--models names no model; known: {', '.join([*families.FAMILIES, *parameters.plugin_models()])}"
-        )
+        raise ConfigError(f"--models names no model; known: {', '.join(parameters.known())}")
     candidates(models)
     twice = {m for m in models if list(models).count(m) > 1}
     if twice:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from gonio_analysis.fitting import families, parameters
+from gonio_analysis.fitting import parameters
 from gonio_analysis.fitting.observations import observations
 
 from gonio.errors import ConfigError
@@ -17,7 +17,7 @@ NAMES = ("lambert", "oren-nayar", "phong", "blinn", "cook-torrance", "he-torranc
 def test_starts_are_inside_the_bounds_and_free_parameters_are_known(name: str) -> None:
     family = parameters.family(name)
     assert family.name == name
-    starts = family.starts(observations(measure(Lambert(0.5))))
+    starts = family.starts(parameters.levels(observations(measure(Lambert(0.5)))))
     assert starts
     for start in starts:
         for parameter, value in start.items():
@@ -32,8 +32,8 @@ def test_starts_are_inside_the_bounds_and_free_parameters_are_known(name: str) -
 def test_arguments_build_the_model(name: str) -> None:
     family = parameters.family(name)
     middle = {}
-    for p in family.parameters:
-        middle[p.name] = (p.lower * p.upper) ** 0.5 if p.scale == "log" else (p.lower + p.upper) / 2
+    for own, p in family.parameters.items():
+        middle[own] = (p.lower * p.upper) ** 0.5 if p.scale == "log" else (p.lower + p.upper) / 2
     assert build(name, family.arguments({**middle, **family.fixed})).name == name
 
 
@@ -43,6 +43,6 @@ def test_an_unknown_parameter_is_named() -> None:
 
 
 def test_a_sum_is_its_parts() -> None:
-    assert families.parts("oren-nayar + cook-torrance") == ("oren-nayar", "cook-torrance")
+    assert parameters.parts("oren-nayar + cook-torrance") == ("oren-nayar", "cook-torrance")
     assert parameters.needs_ior("oren-nayar+cook-torrance")
     assert not parameters.needs_ior("lambert")
