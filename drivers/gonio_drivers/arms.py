@@ -13,14 +13,13 @@ from __future__ import annotations
 import logging
 import math
 import statistics
-import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from types import TracebackType
 from typing import NoReturn, Self
 
 from gonio.errors import ConfigError, DeviceError, Disturbed
-from gonio.rig import Pose, Target, motion_planning
+from gonio.rig import Pose, Target, clock, motion_planning
 from gonio.rig.description import RigDescription
 from gonio_drivers import joints, presence, settings, signals, watchdog
 from gonio_drivers.arrival import LARGEST_CORRECTION_DEG, STILL_COUNTS
@@ -369,9 +368,9 @@ class ServoArms:
 
     def _readback(self, looks: int = 1) -> Reading:
         """Where the axes stand: the mean of several readings."""
-        before = time.monotonic()
+        before = clock.monotonic()
         seen = [joints.reports(self.bus, self.joints.values()) for _ in range(looks)]
-        after = time.monotonic()
+        after = clock.monotonic()
         places = {name: [reports[name].position for reports in seen] for name in seen[0]}
         counts = {name: statistics.fmean(place) for name, place in places.items()}
         axes = {name: math.radians(self.joints[name].to_deg(count)) for name, count in counts.items() if name in AXES}

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import math
 import statistics
-import time
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from gonio.rig import Pose
+from gonio.rig import Pose, clock
 from gonio_drivers.stage_arms import StageArms
 
 if TYPE_CHECKING:
@@ -69,9 +68,9 @@ def _bus(arms: ServoArms) -> list[Row]:
     before = arms.bus.recovered
     times, counts = [], []
     for _ in range(READINGS):
-        start = time.perf_counter()
+        start = clock.monotonic()
         reading = arms.look()
-        times.append(1e3 * (time.perf_counter() - start))
+        times.append(1e3 * (clock.monotonic() - start))
         counts.append(reading.counts)
     # a slow adapter delays every reading, and a busy computer some
     quickest, typical, worst = min(times), statistics.median(times), max(times)

@@ -39,7 +39,7 @@ def lamp_on(port: str) -> tuple[str, str] | None:
     for name in DIALECTS:
         spoken = dialect(name)
         try:
-            with serial.Serial(port, int(spoken.baud), timeout=LISTEN_S, exclusive=True) as line:
+            with ports.opened(port, int(spoken.baud), LISTEN_S) as line:
                 answer = _name(line, spoken)
         except (*ports.FAILURES, ValueError) as error:
             raise ports.unopened(port, error, "port") from None
@@ -74,7 +74,7 @@ def _name(line: serial.Serial, spoken: Dialect) -> str | None:
 def is_release(port: str) -> bool:
     """Whether a release box answers a line that it does not know, and so makes no exposure."""
     try:
-        with serial.Serial(port, RELEASE_BAUD, timeout=LISTEN_S, exclusive=True) as line:
+        with ports.opened(port, RELEASE_BAUD, LISTEN_S) as line:
             for _ in range(2):
                 line.reset_input_buffer()
                 ports.send(line, b"\n?\n")

@@ -22,7 +22,6 @@ import contextlib
 import logging
 import math
 import threading
-import time
 from collections.abc import Callable, Iterable, Mapping
 from types import TracebackType
 from typing import Self
@@ -37,6 +36,7 @@ from dynamixel_sdk import (
 )
 
 from gonio.errors import ConfigError, DeviceError
+from gonio.rig import clock
 from gonio_drivers import ports
 from gonio_drivers.sdk import WAIT_S, ExclusivePort, Packets
 
@@ -172,9 +172,9 @@ class Bus:
                 self._port.setPacketTimeoutMillis(1e3 * listen_s)
                 while len(heard) <= LONGEST:
                     # before the look: what has come by then is heard
-                    over = self._port.isPacketTimeout() or time.monotonic() > end
+                    over = self._port.isPacketTimeout() or clock.monotonic() > end
                     if more := self._port.readPort(1024):
-                        end = min(end, time.monotonic() + listen_s + BABBLE_S)
+                        end = min(end, clock.monotonic() + listen_s + BABBLE_S)
                         heard += more
                         self._port.setPacketTimeoutMillis(1e3 * listen_s)
                     elif over:
@@ -378,11 +378,11 @@ class Bus:
         self._require_open()
         self._port.is_using = False
         try:
-            time.sleep(quiet_s)
+            clock.sleep(quiet_s)
             for _ in range(int(BABBLE_S / WAIT_S)):  # looks, and no clock: this computer may be held up between two
                 if not self._port.readPort(1024):
                     break
-                time.sleep(WAIT_S)
+                clock.sleep(WAIT_S)
             else:
                 raise DeviceError(
                     f'{self.key}.port = "{self.port}": something else talks on this line without a pause; is this '

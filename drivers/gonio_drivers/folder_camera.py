@@ -24,7 +24,7 @@ from typing import Self
 import serial
 
 from gonio.errors import ConfigError, DataError, DeviceError, PassingFault
-from gonio.rig import Frame
+from gonio.rig import Frame, clock
 from gonio.rig.description import RigDescription
 from gonio.rig.dng import read_raw
 from gonio.rig.imaging import require_raw
@@ -81,7 +81,7 @@ class FolderCamera:
         if trigger.how == "serial":
             ports.require_free(trigger.port, "devices.camera.trigger.port")
             try:
-                self._release = serial.Serial(trigger.port, int(trigger.baud), timeout=RELEASE_S, exclusive=True)
+                self._release = ports.opened(trigger.port, int(trigger.baud), RELEASE_S)
             except (*ports.FAILURES, ValueError) as error:
                 raise ports.unopened(trigger.port, error, "devices.camera.trigger.port") from None
         self._seen = set(self._files().items())
@@ -192,7 +192,7 @@ class FolderCamera:
                 return moved, frame
             if over:
                 raise NoFile(f"no new file in {self._folder} within {timeout_s:.1f} s after the exposure was asked")
-            time.sleep(POLL_S)
+            clock.sleep(POLL_S)
 
     def _await_stragglers(self, exposure_s: float) -> None:
         """Files of earlier exposures that may still come must not be taken for the next one."""
@@ -260,7 +260,7 @@ class FolderCamera:
                 return hashlib.sha256(data).hexdigest(), frame
             # nobody has it open: what is read after this is all that there will be
             closed = looked() >= WHOLE_S and not any(ports.holders_of(str(path)))
-            time.sleep(POLL_S)
+            clock.sleep(POLL_S)
 
     def _put_away(self, path: Path) -> Path:
         """Move a file out of the watched folder; where it lies then."""

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import time
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -19,7 +18,7 @@ import numpy.typing as npt
 
 from gonio.config import Strict, parse
 from gonio.errors import ConfigError, DeviceError, PassingFault
-from gonio.rig import Frame
+from gonio.rig import Frame, clock
 from gonio.rig.description import NonNegative, Positive, RigDescription
 
 OFF = {
@@ -123,7 +122,7 @@ class GenICamCamera:
             actual = float(feature.value) * 1e-6
             if abs(actual / exposure_s - 1) > EXPOSURE_TOLERANCE:
                 raise DeviceError(f"the {self._who} exposes {actual:g} s where {exposure_s:g} s were asked")
-            begun = time.monotonic()
+            begun = clock.monotonic()
             mosaic = self._fresh(actual, begun)
         except self._failures as error:
             raise DeviceError(f"the {self._who} gives no frame: {error}") from None
@@ -139,10 +138,10 @@ class GenICamCamera:
         self._camera.start()
         try:
             while True:
-                left = end - time.monotonic()
+                left = end - clock.monotonic()
                 # `fetch` waits for ever for a whole frame; and what lies here when the time is over is taken yet
                 buffer = self._camera.try_fetch(timeout=max(left, ONCE_MORE_S), is_raw=True)
-                arrived = time.monotonic()
+                arrived = clock.monotonic()
                 if buffer is None and left <= 0:
                     said = f"{incomplete} frames with parts missing" if incomplete else "no frame"
                     within = f"within {self._settings.timeout_s:g} s"

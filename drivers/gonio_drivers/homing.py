@@ -11,14 +11,13 @@ from __future__ import annotations
 
 import contextlib
 import statistics
-import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 
 import serial
 
 from gonio.errors import ConfigError, DeviceError
-from gonio.rig import Homed
+from gonio.rig import Homed, clock
 from gonio_drivers import home_mark, joints, settings, watchdog
 from gonio_drivers.joints import ACCELERATION_UNIT_DEG_S2, COUNTS, VELOCITY_UNIT_DEG_S, Joint
 from gonio_drivers.patience import Patience
@@ -124,7 +123,7 @@ class Search:
         joint.write("Goal Position", self._goal)
         still, looked = _Still(), Patience()
         while looked() < 1.5 * travel / self.speed_deg_s + 5.0:
-            time.sleep(POLL_S)
+            clock.sleep(POLL_S)
             self.allowed()
             here = self._look()
             if there(here, (here - start) / joint.counts_per_deg):

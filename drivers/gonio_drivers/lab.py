@@ -19,7 +19,7 @@ from typing import Self
 from gonio.config import Strict, parse
 from gonio.disk import write_whole
 from gonio.errors import ArgumentError, ConfigError, DeviceError, GonioError, Interrupted, PassingFault
-from gonio.rig import Device, Frame, Health, Step, Target, ask_for
+from gonio.rig import Device, Frame, Health, Step, Target, ask_for, clock
 from gonio.rig.description import Camera, RigDescription, SampleDescription
 from gonio.rig.imaging import require_frame
 from gonio.rig.whereabouts import axes_stand
@@ -118,7 +118,7 @@ class LabRig:
             if not lenient:
                 raise
             self._camera = cameras.Unbuilt(error)
-        self._clock_starts = time.time() - time.monotonic()
+        self._clock_starts = time.time() - clock.monotonic()
         self.camera = GuardedCamera(description.camera, self._camera, self.light, self.arms, self.time_s)
         self.interlock: interlock.Interlock | None = None
         if devices.interlock is not None:
@@ -165,7 +165,7 @@ class LabRig:
 
     def time_s(self) -> float:
         """Seconds since 1970, so that the sessions of one run share a clock; it does not jump within a session."""
-        return self._clock_starts + time.monotonic()
+        return self._clock_starts + clock.monotonic()
 
     # ---- ByHand ----
 

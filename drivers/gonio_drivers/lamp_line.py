@@ -8,13 +8,13 @@ from __future__ import annotations
 import contextlib
 import logging
 import re
-import time
 from collections import deque
 from collections.abc import Sequence
 
 import serial
 
 from gonio.errors import DeviceError, PassingFault
+from gonio.rig import clock
 from gonio_drivers import ports
 from gonio_drivers.dialect import Dialect
 
@@ -65,7 +65,7 @@ class LampLine:
     def open(self, baud: int) -> None:
         """Open the port, for this process alone."""
         try:
-            self._port = serial.Serial(self._name, baud, timeout=self._dialect.timeout_s, exclusive=True)
+            self._port = ports.opened(self._name, baud, self._dialect.timeout_s)
         except (*ports.FAILURES, ValueError) as error:
             raise ports.unopened(self._name, error, "devices.light.port") from None
 
@@ -159,7 +159,7 @@ class LampLine:
         acknowledgement of an earlier command, or a line that nobody has asked for may come before the answer.
         """
         d = self._dialect
-        end = time.monotonic() + self._timeout_s()
+        end = clock.monotonic() + self._timeout_s()
         answer = ""
         while line := self.next():
             if any(pattern is not None and re.fullmatch(pattern, line) for pattern in (good, d.refuse, d.banner)):
@@ -167,7 +167,7 @@ class LampLine:
                 break
             if line not in self._sent and not re.fullmatch(d.acknowledge or "(?!)", line):
                 answer = answer or line
-            if time.monotonic() > end:
+            if clock.monotonic() > end:
                 break
         self._silent = self._silent and not answer
         return answer
@@ -179,7 +179,7 @@ class LampLine:
     def next(self) -> str:
         """One line without its ending and without a prompt; empty where no whole one comes in time."""
         assert self._port is not None
-        end = time.monotonic() + self._timeout_s()
+        end = clock.monotonic() + self._timeout_s()
         try:
             while not self._lines:
                 raw = self._port.read_until(self._ending)
@@ -195,7 +195,7 @@ class LampLine:
                         "lamp on %s: its lines end with %r, and reply_ending of its dialect is %r",
                         self._name, self._ending.decode(), self._dialect.reply_ending,
                     )  # fmt: skip
-                if time.monotonic() > end:
+                if clock.monotonic() > end:
                     break
         except ports.FAILURES as error:
             raise ports.lost(self._name, error, "devices.light.port") from None
@@ -214,20 +214,20 @@ class LampLine:
         timeout_s = self._port.timeout
         try:
             if missing and not self._silent:  # of one that says nothing at all no more is awaited
-                begun = time.monotonic()
+                begun = clock.monotonic()
                 self._port.timeout = LATENESS * timeout_s
                 late = self.next()
                 self._port.timeout = timeout_s
                 self._silent = not late
                 if late and not re.fullmatch(self._dialect.banner or "", late):
-                    timeout_s += 2 * (time.monotonic() - begun)
+                    timeout_s += 2 * (clock.monotonic() - begun)
                     timeout_s = min(timeout_s, SLOWEST * self._dialect.timeout_s)
                     self._port.timeout = timeout_s
                     log.warning(
                         "lamp on %s: it answers late; waiting for %.1f s from now on (timeout_s of its dialect)",
                         self._name, timeout_s,
                     )  # fmt: skip
-            time.sleep(0.05)
+            clock.sleep(0.05)
             self._lines.clear()
             self._port.reset_input_buffer()
         except ports.FAILURES as error:

@@ -10,12 +10,12 @@ from __future__ import annotations
 import contextlib
 import logging
 import re
-import time
 from collections.abc import Callable, Iterator
 from types import TracebackType
 from typing import Self
 
 from gonio.errors import ConfigError, DeviceError, Disturbed, GonioError, Interrupted
+from gonio.rig import clock
 from gonio.rig.description import Band, RigDescription
 from gonio_drivers import guard, ports, settings
 from gonio_drivers.dialect import dialect
@@ -127,7 +127,7 @@ class SerialLight:
             self._off()
             self._channel = channel
             self._shine()
-            time.sleep(self._light.settle_s)
+            clock.sleep(self._light.settle_s)
         self._channel = channel
         if d.select is not None and d.selected is not None:
             wanted = band.centre_nm
@@ -139,7 +139,7 @@ class SerialLight:
                 WAVELENGTH_STEP_NM,
             )
             if self.lit:
-                time.sleep(self._light.settle_s)
+                clock.sleep(self._light.settle_s)
         self._band = band
 
     def on(self) -> None:
@@ -188,7 +188,7 @@ class SerialLight:
             self.select(band)
         self._shine()
         log.warning("lamp on %s: it has gone dark, or lost its settings, by itself; lit again", self._light.port)
-        time.sleep(self._light.settle_s)
+        clock.sleep(self._light.settle_s)
         raise LampReset("the lamp went dark, or lost its settings, by itself")
 
     def dim(self, level: float | None) -> None:
@@ -225,7 +225,7 @@ class SerialLight:
     def _open(self) -> None:
         looked = Patience()
         while self._is_being_darkened() and looked() < GUARD_S:
-            time.sleep(LOOK_S)
+            clock.sleep(LOOK_S)
         ports.require_free(self._light.port, "devices.light.port")
         self._line.open(self._baud)
 
@@ -240,9 +240,9 @@ class SerialLight:
     def _wake(self) -> None:
         d = self._dialect
         if d.banner is not None:
-            end = time.monotonic() + d.banner_s
+            end = clock.monotonic() + d.banner_s
             while not re.fullmatch(d.banner, self._line.next()):
-                if time.monotonic() > end:
+                if clock.monotonic() > end:
                     log.warning("lamp on %s: no banner within %g s; asking anyway", self._light.port, d.banner_s)
                     break
         for command in d.start:
@@ -352,7 +352,7 @@ class SerialLight:
         return abs(self._line.number(d.selected, d.selected_got) - self._band.centre_nm) <= WAVELENGTH_STEP_NM
 
     def _settle(self) -> None:
-        now = time.monotonic()
+        now = clock.monotonic()
         first = self._lit_since is None
         if self._lit_since is None:
             self._lit_since = now
@@ -366,7 +366,7 @@ class SerialLight:
     def _wait(self, seconds: float) -> None:
         """A lamp may need an hour to warm up; raises as soon as it may not shine any more."""
         while seconds > 0:
-            time.sleep(min(seconds, LOOK_S))
+            clock.sleep(min(seconds, LOOK_S))
             seconds -= LOOK_S
             self.allowed()
 

@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import logging
 import math
-import time
 from collections.abc import Callable, Mapping
 
 from gonio.errors import DeviceError
+from gonio.rig import clock
 from gonio_drivers import joints, settings, watchdog
 from gonio_drivers.arrival import SMALLEST_COUNTS, Landing
 from gonio_drivers.dynamixel import Bus
@@ -95,7 +95,7 @@ class Motion:
         self.send({name: landing.sent for name, landing in landings.items()})
         allowed = max(self.duration_s(name, before[name].position, goal) for name, goal in goals.items())
         while not all(landing.done for landing in landings.values()):
-            time.sleep(POLL_S)
+            clock.sleep(POLL_S)
             self.allowed()
             reports = joints.reports(self._bus, self._joints.values())
             now = looked()

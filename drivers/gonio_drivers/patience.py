@@ -7,7 +7,7 @@ many looks at least, and ends after a bounded number of them.
 
 from __future__ import annotations
 
-import time
+from gonio.rig import clock
 
 LATE_S = 0.05
 """The polls of all devices come at least twice as often."""
@@ -24,10 +24,10 @@ class Patience:
 
     def __init__(self, late_s: float = LATE_S) -> None:
         self._late_s = late_s
-        self._before_s, self._looked_s = time.monotonic(), 0.0
+        self._before_s, self._looked_s = clock.monotonic(), 0.0
 
     def __call__(self) -> float:
         """The seconds that count, this look included [s]."""
-        before_s, self._before_s = self._before_s, time.monotonic()
+        before_s, self._before_s = self._before_s, clock.monotonic()
         self._looked_s += min(self._before_s - before_s, self._late_s)
         return self._looked_s

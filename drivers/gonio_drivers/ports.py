@@ -49,6 +49,16 @@ def require_free(port: str, key: str) -> None:
         raise DeviceError(f'{key} = "{port}": the port is taken{holder}; end what holds it, then try again')
 
 
+def opened(port: str, baud: int, timeout_s: float) -> serial.Serial:
+    """A port that nobody else may open; a read from it ends after `timeout_s`."""
+    return serial.Serial(port, baud, timeout=timeout_s, exclusive=True)
+
+
+def wait(line: serial.Serial, seconds: float) -> None:
+    """Until bytes are there, or so many seconds are over."""
+    select.select([line.fileno()], [], [], seconds)
+
+
 def send(line: serial.Serial, data: bytes) -> None:
     """Write all of `data`; raise `SerialTimeoutException` where the line takes none.
 

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import select
-
-import serial
 from dynamixel_sdk import PortHandler, Protocol2PacketHandler
 
 from gonio_drivers import ports
@@ -33,13 +30,7 @@ class ExclusivePort(PortHandler):  # type: ignore[misc]
         """Open the port (again) at a line speed, with the lock taken again."""
         if self.is_open:
             self.closePort()
-        self.ser = serial.Serial(
-            port=self.port_name,
-            baudrate=cflag_baud,
-            bytesize=serial.EIGHTBITS,
-            timeout=0,
-            exclusive=True,
-        )
+        self.ser = ports.opened(self.port_name, cflag_baud, 0)
         self.is_open = True
         self.ser.reset_input_buffer()
         self.tx_time_per_byte = 1000.0 / cflag_baud * 10.0
@@ -63,7 +54,7 @@ class ExclusivePort(PortHandler):  # type: ignore[misc]
         if length <= 0:
             return b""
         if not self.ser.in_waiting:
-            select.select([self.ser.fileno()], [], [], WAIT_S)
+            ports.wait(self.ser, WAIT_S)
         data = bytes(self.ser.read(length))
         self.received += len(data)
         return data

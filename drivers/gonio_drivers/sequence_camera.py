@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from types import TracebackType
@@ -11,7 +10,7 @@ from typing import Self
 import numpy as np
 
 from gonio.errors import ConfigError, DataError, DeviceError
-from gonio.rig import Frame
+from gonio.rig import Frame, clock
 from gonio.rig.description import RigDescription
 from gonio.rig.dng import read_raw
 from gonio.rig.imaging import require_raw
@@ -90,5 +89,5 @@ class SequenceCamera:
             camera.black_level_dn,
             camera.white_level_dn,
             camera.pattern,
-            time_s=time.monotonic(),
+            time_s=clock.monotonic(),
         )

@@ -12,14 +12,13 @@ import contextlib
 import logging
 import math
 import statistics
-import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from types import TracebackType
 from typing import NoReturn, Self
 
 from gonio.errors import ConfigError, DeviceError, Disturbed, GonioError
-from gonio.rig import Health, Pose, Reading, Target, motion_planning
+from gonio.rig import Health, Pose, Reading, Target, clock, motion_planning
 from gonio.rig.description import RigDescription
 from gonio_drivers import settings, stages
 from gonio_drivers.patience import Patience
@@ -177,7 +176,7 @@ class StageArms:
                 idle = now if said.moving else idle
                 if now - idle > STALL_S or now > HOMING_S:
                     raise DeviceError(f"axis {joint.name}: {joint.stage} does not find its home")
-                time.sleep(POLL_S)
+                clock.sleep(POLL_S)
         except BaseException:
             self._halt(joint)
             raise
@@ -370,7 +369,7 @@ class StageArms:
             if ways and now > SLOWEST * longest + SPARE_S:
                 raise DeviceError(f"axis {next(iter(ways))} does not come to rest; all axes are stopped")
             if ways:
-                time.sleep(POLL_S)
+                clock.sleep(POLL_S)
 
     def _landed(self, joint: Joint, way: Way, within_deg: float, now: float) -> bool:
         said = joint.state()
@@ -400,10 +399,10 @@ class StageArms:
         return False
 
     def _readback(self) -> Where:
-        before = time.monotonic()
+        before = clock.monotonic()
         angles = {name: joint.angle_deg() for name, joint in self.joints.items()}
         pose = Pose(**{name: math.radians(angle) for name, angle in angles.items()})
-        self.last = Where(pose, (before + time.monotonic()) / 2, angles)
+        self.last = Where(pose, (before + clock.monotonic()) / 2, angles)
         return self.last
 
     @staticmethod

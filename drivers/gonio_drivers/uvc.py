@@ -7,7 +7,6 @@ after the call, and without a response calibration the camera does not open for 
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
@@ -17,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gonio.errors import ConfigError, DeviceError, PassingFault
-from gonio.rig import Frame
+from gonio.rig import Frame, clock
 from gonio.rig.description import RigDescription
 from gonio_drivers import settings
 from gonio_drivers.patience import LATE_S, Patience
@@ -108,7 +107,7 @@ class UvcCamera:
                 "see camera.exposure_limits_s"
             )
         self._require("exposure", cv2.CAP_PROP_EXPOSURE, units)
-        begun = time.monotonic()
+        begun = clock.monotonic()
         image = self._fresh(units * EXPOSURE_UNIT_S)
         if self._response is None:  # the reduction makes linear what the camera gave
             raw, black, white = image, self._description.black_level_dn, self._description.white_level_dn
@@ -125,7 +124,7 @@ class UvcCamera:
         """A frame that began after now: queued ones are dropped by count and by time."""
         import cv2
 
-        begin, looked = time.monotonic(), Patience(2 * exposure_s + LATE_S)
+        begin, looked = clock.monotonic(), Patience(2 * exposure_s + LATE_S)
         stamped = float(self._capture.get(cv2.CAP_PROP_POS_MSEC))
         for _ in range(self._camera.drop):
             if not self._capture.grab():
@@ -136,7 +135,7 @@ class UvcCamera:
                 raise PassingFault(f"the video camera {self._camera.device} gives no frames", "camera")
             # V4L2 stamps frames with the monotonic clock; where a camera has no stamps, or such of another clock, which
             # show by lying in the future, the time of arrival must do
-            stamp, now = float(self._capture.get(cv2.CAP_PROP_POS_MSEC)) / 1e3, time.monotonic()
+            stamp, now = float(self._capture.get(cv2.CAP_PROP_POS_MSEC)) / 1e3, clock.monotonic()
             arrived = stamp if 0 < stamp <= now and stamp * 1e3 != stamped else now
             if arrived - exposure_s >= begin:
                 break

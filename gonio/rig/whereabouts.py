@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterable
 
+from gonio.rig import clock
 from gonio.rig.health import Health
 from gonio.rig.protocols import Rig
 
@@ -29,10 +29,10 @@ def left(rig: Rig, otherwise: str) -> str:
 
 def axes_stand(look: Callable[[], Health], names: Iterable[str]) -> str:
     """Where axes stand once they are at rest, and whether they hold; `look` reads them anew."""
-    health, before, end = look(), None, time.monotonic() + AT_REST_S
-    while health.readings and time.monotonic() < end and (_moves(health) or _angles(health) != before):
+    health, before, end = look(), None, clock.monotonic() + AT_REST_S
+    while health.readings and clock.monotonic() < end and (_moves(health) or _angles(health) != before):
         before = _angles(health)  # a servo that was stopped at speed overshoots, and comes back
-        time.sleep(LOOK_S)
+        clock.sleep(LOOK_S)
         health = look()
     if not health.readings:
         return f"where the axes stand is not known: {'; '.join(dict.fromkeys(health.silent.values()))}"

@@ -16,7 +16,7 @@ from gonio_sim.wire.uvc import VideoStandIn
 from gonio.rig import CameraDevice, LightDevice
 from gonio.rig.description import Band, Bands, Camera, RigDescription
 
-NAMES = ("sequence", "uvc", "basler", "genicam")
+NAMES = ("sequence", "uvc", "genicam")
 DESCRIPTION = RigDescription(
     rig="lab",
     name="bench",
@@ -59,7 +59,7 @@ def switch(light: LightDevice) -> Callable[[bool], None]:
 
 def opened(name: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Eye]:
     """A camera of the laboratory, without a laboratory."""
-    yield from {"sequence": sequence, "uvc": uvc, "basler": basler, "genicam": genicam}[name](folder, monkeypatch)
+    yield from {"sequence": sequence, "uvc": uvc, "genicam": genicam}[name](folder, monkeypatch)
 
 
 def sequence(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Eye]:
@@ -89,14 +89,6 @@ def uvc(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Eye]:
     monkeypatch.setattr(cv2, "VideoCapture", twin)
     with build(DESCRIPTION, {"driver": "uvc", "response": str(response)}) as camera:
         yield Eye(camera, DESCRIPTION, time.monotonic, lamp)
-
-
-def basler(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Eye]:
-    """The camera that pypylon emulates, which sees a test picture and no lamp."""
-    pytest.importorskip("pypylon.pylon", reason="pypylon is not installed, with which its emulator comes")
-    monkeypatch.setenv("PYLON_CAMEMU", "1")
-    with build(DESCRIPTION, {"driver": "basler"}) as camera:
-        yield Eye(camera, DESCRIPTION, time.monotonic, None)
 
 
 def genicam(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Eye]:

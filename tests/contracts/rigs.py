@@ -21,9 +21,8 @@ from gonio.acquisition.measure import find_rig, load_sample
 from gonio.config import parse
 from gonio.rig import Rig, RigPlugin
 from gonio.rig.description import RigDescription, SampleDescription
-from tests.gonio_drivers.conftest import be_patient
+from tests.gonio_drivers.conftest import be_patient, small
 from tests.gonio_drivers.staged import on_stages
-from tests.gonio_drivers.test_lab import small
 from tests.places import ROOT
 
 SAMPLE = SampleDescription(name="matt", model="lambert", parameters={"albedo": 0.5})

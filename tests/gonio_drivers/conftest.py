@@ -3,20 +3,33 @@
 from __future__ import annotations
 
 import select
+import tomllib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import pytest
 from dynamixel_sdk import PacketHandler, PortHandler
+from gonio_drivers import folder_camera
+from gonio_drivers.lab import LAB
 from gonio_drivers.sdk import ExclusivePort
 from gonio_sim.wire.bus import ServoBus
 from gonio_sim.wire.faults import Faults
 from gonio_sim.wire.peer import Device, SerialPeer, scaled_clock
 from gonio_sim.wire.servo import Servo
+from gonio_sim.wire.twins import Twins
+
+from gonio.config import parse
+from gonio.rig.description import RigDescription, SampleDescription
+from tests.gonio_drivers.virtual import VirtualClock, virtual_time
 
 SCALE = 50.0
 BAUD = 1_000_000
 HANGS_MS = 60_000.0
+SAMPLE = SampleDescription(name="matt", model="lambert", parameters={"albedo": 0.5})
+LONGEST_S = 60.0
+"""A measurement takes 3 s, and the longest chain of timeouts and repetitions 10 s; the rest is for a busy machine."""
 
 
 @dataclass
@@ -90,6 +103,13 @@ def be_patient(peer: SerialPeer, faults: Faults, monkeypatch: pytest.MonkeyPatch
 
 
 @pytest.fixture
+def hours(monkeypatch: pytest.MonkeyPatch) -> Iterator[VirtualClock]:
+    """Drivers and twins are on a clock that nobody waits for."""
+    with virtual_time(monkeypatch) as clock:
+        yield clock
+
+
+@pytest.fixture
 def wired(monkeypatch: pytest.MonkeyPatch) -> Iterator[Line]:
     clock = scaled_clock(SCALE)
     servos = {k: Servo(k, clock, model="xm430-w350", baud=BAUD, position=1000.0 + 500 * k) for k in (1, 2, 3)}
@@ -119,3 +139,37 @@ def sdk(line: Line) -> Iterator[tuple[PortHandler, PacketHandler]]:
     port.setBaudRate(BAUD)
     yield port, PacketHandler(2.0)
     port.closePort()
+
+
+# ---- a whole laboratory ----
+
+
+def small(**changes: dict[str, Any]) -> RigDescription:
+    """The shipped rig with a small sensor and few frames: it measures the same patch in a tenth of the time."""
+    tables = tomllib.loads(LAB.toml)
+    tables["camera"] |= {"width": 64, "height": 48}
+    tables["reference"] |= {"frames": 3}
+    tables["acquisition"] |= {"dark_frames": 2}
+    tables["devices"]["camera"]["timeout_s"] = LONGEST_S
+    for name, table in changes.items():
+        tables[name] |= table
+    return parse(RigDescription, tables, "lab.toml")
+
+
+@pytest.fixture
+def real_time() -> None:
+    """The twins of this test are at terminals, on the real clock: for other processes and threads."""
+
+
+@pytest.fixture
+def twins(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> Iterator[Twins]:
+    """Twins of the small rig; on a clock that nobody waits for, but for `real_time`."""
+    virtual = "real_time" not in request.fixturenames
+    if virtual:
+        request.getfixturevalue("hours")
+    monkeypatch.setattr("gonio.disk.os.fsync", lambda descriptor: None)  # a busy disk is not what is tested
+    monkeypatch.setattr(folder_camera, "RELEASE_S", LONGEST_S)
+    with Twins(small(), SAMPLE, 3, folder=tmp_path / "twin", scale=SCALE) as served:
+        if not virtual:
+            be_patient(served.peers["servos"], served.faults, monkeypatch)
+        yield served

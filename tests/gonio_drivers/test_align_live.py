@@ -6,12 +6,10 @@ import signal
 import subprocess
 import threading
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
-from gonio_drivers import folder_camera
 from gonio_drivers.lab import LAB
 from gonio_sim.wire.twins import Twins
 
@@ -20,23 +18,13 @@ from gonio.by_hand.manual_rig import ManualRig
 from gonio.errors import DeviceError
 from gonio.rig import Frame
 from tests.gonio.by_hand.test_lamp_timer import Clock
-from tests.gonio_drivers.conftest import be_patient
+from tests.gonio_drivers.conftest import LONGEST_S
 from tests.gonio_drivers.test_by_hand import COMMAND, LANDED_DEG, angle, written
-from tests.gonio_drivers.test_lab import LONGEST_S, SAMPLE, SCALE, small
 from tests.gonio_drivers.test_light import PATIENCE_S, Plugged, lamp
 
 pytestmark = pytest.mark.slow
 
 __all__ = ["lamp"]
-
-
-@pytest.fixture
-def twins(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Twins]:
-    monkeypatch.setattr("gonio.disk.os.fsync", lambda descriptor: None)  # a busy disk is not what is tested
-    monkeypatch.setattr(folder_camera, "RELEASE_S", LONGEST_S)
-    with Twins(small(), SAMPLE, 3, folder=tmp_path / "twin", scale=SCALE) as served:
-        be_patient(served.peers["servos"], served.faults, monkeypatch)
-        yield served
 
 
 # ---- the guard process ----
@@ -118,6 +106,7 @@ def test_jogs_frames_and_zeros_over_the_real_drivers(twins: Twins, tmp_path: Pat
     assert twins.servos["camera"].torque, "after hold the arms hold"
 
 
+@pytest.mark.usefixtures("real_time")
 def test_the_watch_darkens_the_lamp_of_a_camera_that_hangs_and_the_driver_does_not_light_it_again(
     twins: Twins, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -166,6 +155,7 @@ def test_the_watch_darkens_the_lamp_of_a_camera_that_hangs_and_the_driver_does_n
 ENDS = ["nobody there", signal.SIGTERM, signal.SIGHUP, signal.SIGKILL]
 
 
+@pytest.mark.usefixtures("real_time")
 @pytest.mark.parametrize("ends", ENDS)
 def test_every_end_of_the_command_leaves_the_lamp_dark_and_the_arms_holding(
     twins: Twins, tmp_path: Path, ends: str | signal.Signals

@@ -29,7 +29,7 @@ from gonio.errors import ConfigError, DeviceError
 from gonio.rig import Pose
 from gonio.rig.description import Acquisition, ArmAxis, Arms, Band, Bands, Holder, Reference, RigDescription
 from tests.gonio_drivers.conftest import BAUD, Line, be_patient, deaf_to
-from tests.gonio_drivers.virtual import on_virtual_time
+from tests.gonio_drivers.virtual import PORT, VirtualClock, servo_bus
 from tests.places import ROOT
 
 TOLERANCE_DEG = 0.15
@@ -66,7 +66,7 @@ def degrees(read: Pose) -> tuple[float, float, float]:
 
 
 @pytest.fixture
-def line(monkeypatch: pytest.MonkeyPatch) -> Line:
+def line(hours: VirtualClock) -> Line:
     """Three servos in this process, on a clock that nobody waits for; `wired` has them at a port."""
     there: dict[int, Servo] = {}
 
@@ -77,8 +77,8 @@ def line(monkeypatch: pytest.MonkeyPatch) -> Line:
             servo.write(9, b"\x00")
         return there.values()
 
-    _, bus = on_virtual_time(monkeypatch, built)
-    return Line("/dev/virtual", there, bus.faults, None, bus)
+    bus = servo_bus(built)
+    return Line(PORT, there, bus.faults, None, bus)
 
 
 @pytest.fixture
@@ -230,7 +230,7 @@ def test_a_program_that_takes_no_lock_is_named(wired: Line) -> None:
 
 
 def test_no_permission(wired: Line, monkeypatch: pytest.MonkeyPatch) -> None:
-    def refused(**_: object) -> None:
+    def refused(*_: object, **__: object) -> None:
         raise serial.SerialException(13, "could not open port: [Errno 13] Permission denied")
 
     monkeypatch.setattr(serial, "Serial", refused)
@@ -389,8 +389,7 @@ def test_a_repeated_goal_moves_nothing(arms: ServoArms, line: Line) -> None:
     assert told == []
 
 
-def test_the_readback_is_returned_and_not_the_goal(arms: ServoArms, line: Line) -> None:
-    hours = sys.modules["gonio_drivers.arms"].time  # the clock of `line`
+def test_the_readback_is_returned_and_not_the_goal(arms: ServoArms, line: Line, hours: VirtualClock) -> None:
     before = hours.monotonic()
     read = arms.move(pose(10.04, 0, 0))
     expected = (line.servos[1].get("Present Position") - 2048) * COUNT_DEG
@@ -729,12 +728,7 @@ def test_the_hardware_error_byte_is_read_after_every_move_alert_or_not(
     ],
 )
 def test_models_speeds_delays_and_ways_of_mounting(
-    baud: int,
-    delay: int,
-    level: int,
-    mode: int,
-    built: dict[str, tuple[int, str, int, float]],
-    monkeypatch: pytest.MonkeyPatch,
+    baud: int, delay: int, level: int, mode: int, built: dict[str, tuple[int, str, int, float]], hours: VirtualClock
 ) -> None:
     built = built | {"tilt": (9, "xm430-w350", 1, 1.0)}
     axes = {n: dict(zip(("id", "model", "direction", "gear_ratio"), v, strict=True)) for n, v in built.items()}
@@ -749,9 +743,9 @@ def test_models_speeds_delays_and_ways_of_mounting(
                 servo.write(address, bytes([value]))
         return twins
 
-    on_virtual_time(monkeypatch, made)
+    servo_bus(made)
     limits = ArmAxis(limits_deg=(-80, 80))
-    with ServoArms(describe(light=limits, camera=limits), servos("/dev/virtual", baud=baud, **axes)) as arms:
+    with ServoArms(describe(light=limits, camera=limits), servos(PORT, baud=baud, **axes)) as arms:
         for target in [(35, -70, 20), (-77, 77, -20)]:  # friction of 8 counts needs room before a limit
             read = degrees(arms.move(pose(*target)))
             for name, servo, angle, goal in zip(built, twins, read, target, strict=True):

@@ -9,13 +9,12 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from gonio_drivers import dynamixel, folder_camera, service, survey
+from gonio_drivers import dynamixel, service, survey
 from gonio_drivers.lab import LAB, LabRig
 from gonio_sim.wire.servo import Mechanics, Servo
 from gonio_sim.wire.twins import Twins, rig_file
@@ -27,23 +26,13 @@ from gonio.by_hand.rig_file import write_values
 from gonio.errors import ConfigError, DeviceError
 from gonio.rig import FoundServo, Pose
 from tests.command_line import gonio as run
-from tests.gonio_drivers.conftest import be_patient
-from tests.gonio_drivers.test_lab import LONGEST_S, SAMPLE, SCALE, small
+from tests.gonio_drivers.conftest import LONGEST_S, SAMPLE, small
 
 pytestmark = pytest.mark.slow
 
 LANDED_DEG = 0.15
 """The rig file's tolerance of a landing."""
 PARKED = {"light": -88.0, "camera": 88.0, "tilt": 0.0, "spin": 0.0}
-
-
-@pytest.fixture
-def twins(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Twins]:
-    monkeypatch.setattr("gonio.disk.os.fsync", lambda descriptor: None)  # a busy disk is not what is tested
-    monkeypatch.setattr(folder_camera, "RELEASE_S", LONGEST_S)
-    with Twins(small(), SAMPLE, 3, folder=tmp_path / "twin", scale=SCALE) as served:
-        be_patient(served.peers["servos"], served.faults, monkeypatch)
-        yield served
 
 
 def written(twins: Twins, tmp_path: Path, **missing: str) -> Path:
@@ -235,6 +224,7 @@ def test_directions_are_reached_and_the_branch_is_told(twins: Twins, tmp_path: P
     assert angle(twins, "camera") == pytest.approx(-45, abs=LANDED_DEG)
 
 
+@pytest.mark.usefixtures("real_time")
 @pytest.mark.parametrize(
     ("goals", "message"),
     [
@@ -314,6 +304,7 @@ def test_the_lamp_shines_for_its_time_and_is_dark_then(twins: Twins, tmp_path: P
     assert "lamp lit at level 0.25, band 550 nm; dark in 0.05 s" in done.stderr
 
 
+@pytest.mark.usefixtures("real_time")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
 def test_the_lamp_is_dark_however_its_command_ends(twins: Twins, tmp_path: Path, number: signal.Signals) -> None:
     command = [*COMMAND, "rig", "lamp", "on", "--for", "1000", "--rig", str(written(twins, tmp_path))]
@@ -332,6 +323,7 @@ def test_the_lamp_is_dark_however_its_command_ends(twins: Twins, tmp_path: Path,
         assert "interrupted; the lamp is dark" in said
 
 
+@pytest.mark.usefixtures("real_time")
 def test_the_lamp_goes_dark_in_time_though_its_command_stands_still(twins: Twins, tmp_path: Path) -> None:
     program = "from gonio.cli import by_hand, main; by_hand.OVERDUE_S = 2.0; main()"
     command = [sys.executable, "-c", program, "rig", "lamp", "on", "--for", "0.5"]
@@ -700,6 +692,7 @@ def test_a_servo_restarts_and_one_that_is_mute_is_named(twins: Twins, tmp_path: 
     assert not any(servo.torque for servo in twins.servos.values())
 
 
+@pytest.mark.usefixtures("real_time")
 def test_ctrl_c_does_not_cut_off_what_is_said_of_the_axes(twins: Twins, monkeypatch: pytest.MonkeyPatch) -> None:
     held = bench(twins, "arms")
     with held:

@@ -468,42 +468,6 @@ def test_a_bad_response(tmp_path: Path) -> None:
         video(VideoStandIn(images), str(tmp_path / "none.csv"))
 
 
-# ---- Basler, on the emulator that comes with pypylon ----
-
-
-@pytest.fixture
-def emulated(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("PYLON_CAMEMU", "1")
-    pytest.importorskip("pypylon.pylon", reason="the extra gonio[basler] is not installed")
-
-
-def test_a_basler_camera(emulated: None) -> None:
-    with cameras.build(DESCRIPTION, {"driver": "basler"}) as camera:
-        frame = camera.capture(0.005)
-    assert frame.mosaic.shape == SIZE
-    assert frame.mosaic.dtype == np.uint16
-    assert frame.mosaic.max() > 255  # 12 bits
-    assert frame.exposure_s == pytest.approx(0.005, abs=1e-6)  # whole microseconds
-
-
-def test_a_basler_camera_that_is_not_there(emulated: None) -> None:
-    camera = cameras.build(DESCRIPTION, {"driver": "basler", "serial": "4711"})
-    with pytest.raises(DeviceError, match=r'serial = "4711": no such Basler camera; found: 0815-0000'), camera:
-        pass
-
-
-def test_a_basler_camera_that_cannot_do_what_the_rig_file_says(emulated: None) -> None:
-    wide = DESCRIPTION.model_copy(update={"camera": DESCRIPTION.camera.model_copy(update={"width": 8000})})
-    with pytest.raises(DeviceError, match="does not take Width = 8000"), cameras.build(wide, {"driver": "basler"}):
-        pass
-
-
-def test_without_pypylon_the_message_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "pypylon", None)
-    with pytest.raises(ConfigError, match="needs pypylon"), cameras.build(DESCRIPTION, {"driver": "basler"}):
-        pass
-
-
 # ---- sequence ----
 
 

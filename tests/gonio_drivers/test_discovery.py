@@ -14,8 +14,7 @@ from gonio_sim.wire.peer import SerialPeer
 from gonio_sim.wire.twins import Twins
 
 from gonio.rig import FoundServo
-from tests.gonio_drivers.conftest import be_patient
-from tests.gonio_drivers.test_lab import LONGEST_S, SAMPLE, SCALE, small
+from tests.gonio_drivers.conftest import LONGEST_S, SAMPLE, SCALE, be_patient, small
 
 
 @pytest.fixture

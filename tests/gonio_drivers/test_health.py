@@ -32,8 +32,8 @@ from gonio.errors import ConfigError, DeviceError, EmergencyStop
 from gonio.rig import Pose
 from gonio.rig.description import RigDescription
 from tests.command_line import gonio
-from tests.gonio_drivers.conftest import be_patient
-from tests.gonio_drivers.test_lab import PLAN, SAMPLE, SCALE, assert_true, small
+from tests.gonio_drivers.conftest import SAMPLE, SCALE, be_patient, small
+from tests.gonio_drivers.test_lab import PLAN, assert_true
 
 pytestmark = pytest.mark.slow
 

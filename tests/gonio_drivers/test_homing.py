@@ -22,7 +22,7 @@ from gonio.rig.description import ArmAxis, RigDescription
 from tests.command_line import gonio as run
 from tests.gonio_drivers.conftest import BAUD, Line
 from tests.gonio_drivers.test_arms import TOLERANCE_DEG, describe, servos
-from tests.gonio_drivers.virtual import on_virtual_time
+from tests.gonio_drivers.virtual import PORT, VirtualClock, servo_bus
 
 SCALE = 4.0
 GEAR = 4.0
@@ -37,7 +37,7 @@ SWITCH = {"how": "switch", "external_port": 1, "at_deg": 55.0, "speed_deg_per_s"
 
 
 @pytest.fixture
-def line(monkeypatch: pytest.MonkeyPatch) -> Line:
+def line(hours: VirtualClock) -> Line:
     places = {1: SHOWN_ZERO + STANDS_DEG * PER_DEG, 2: 2000.0, 3: 2100.0}
     there: dict[int, Servo] = {}
 
@@ -48,9 +48,9 @@ def line(monkeypatch: pytest.MonkeyPatch) -> Line:
             servo.write(9, b"\x00")
         return there.values()
 
-    _, bus = on_virtual_time(monkeypatch, built)
+    bus = servo_bus(built)
     put_stops(there[1], *(SHOWN_ZERO + stop * PER_DEG for stop in (-85.0, 85.0)))
-    return Line("/dev/virtual", there, bus.faults, None, bus)
+    return Line(PORT, there, bus.faults, None, bus)
 
 
 def put_stops(servo: Servo, low: float, high: float) -> None:

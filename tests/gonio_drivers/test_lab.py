@@ -12,14 +12,13 @@ import sys
 import threading
 import time
 import tomllib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from gonio_drivers import folder_camera
 from gonio_drivers.arms import ServoArms
 from gonio_drivers.lab import LAB, LabRig
 from gonio_sim.wire import faults, motion, tether
@@ -35,14 +34,12 @@ from gonio.config import parse, to_toml
 from gonio.errors import ConfigError, DeviceError, Interrupted
 from gonio.reduction import brdf
 from gonio.rig import Pose, Step
-from gonio.rig.description import RigDescription, SampleDescription
-from tests.gonio_drivers.conftest import be_patient
+from gonio.rig.description import RigDescription
+from tests.gonio_drivers.conftest import LONGEST_S, SAMPLE, SCALE, small
 
 pytestmark = pytest.mark.slow
 
-SCALE = 50.0
-ALBEDO = 0.5
-SAMPLE = SampleDescription(name="matt", model="lambert", parameters={"albedo": ALBEDO})
+ALBEDO = SAMPLE.parameters["albedo"]
 PLAN = """
 name = "small"
 wavelength_nm = [500]
@@ -54,32 +51,8 @@ theta_i_deg = [30]
 theta_r_deg = [20]
 dphi_deg = [90]
 """
-LONGEST_S = 60.0
-"""A measurement takes 3 s, and the longest chain of timeouts and repetitions 10 s; the rest is for a busy machine."""
 SHORT_S = 3.0
 """How long a file that may be missing is awaited."""
-
-
-def small(**changes: dict[str, Any]) -> RigDescription:
-    """The shipped rig with a small sensor and few frames: it measures the same patch in a tenth of the time."""
-    tables = tomllib.loads(LAB.toml)
-    tables["camera"] |= {"width": 64, "height": 48}
-    tables["reference"] |= {"frames": 3}
-    tables["acquisition"] |= {"dark_frames": 2}
-    tables["devices"]["camera"]["timeout_s"] = LONGEST_S
-    for name, table in changes.items():
-        tables[name] |= table
-    return parse(RigDescription, tables, "lab.toml")
-
-
-@pytest.fixture
-def twins(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Twins]:
-    monkeypatch.setattr("gonio.disk.os.fsync", lambda descriptor: None)  # a busy disk is not what is tested
-    monkeypatch.setattr(tether, "FILE_LATE_S", 0.5)
-    monkeypatch.setattr(folder_camera, "RELEASE_S", LONGEST_S)
-    with Twins(small(), SAMPLE, 3, folder=tmp_path / "twin", scale=SCALE) as served:
-        be_patient(served.peers["servos"], served.faults, monkeypatch)
-        yield served
 
 
 def opened(twins: Twins) -> LabRig:
@@ -213,6 +186,7 @@ def test_one_ctrl_c_finishes_the_step_and_parks(twins: Twins, tmp_path: Path) ->
     assert at == pytest.approx(88, abs=0.3)  # parked as its file says, within landing and zero errors
 
 
+@pytest.mark.usefixtures("real_time")
 def test_a_press_on_the_way_to_the_rest_position_stops_there_and_says_so(
     twins: Twins, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -263,6 +237,7 @@ def patient_dialect(folder: Path) -> Path:
     return path
 
 
+@pytest.mark.usefixtures("real_time")
 @pytest.mark.parametrize("presses", [2, 5])
 def test_rapid_ctrl_c_ends_with_130_and_one_message(twins: Twins, tmp_path: Path, presses: int) -> None:
     (tmp_path / "plan.toml").write_text(PLAN)
@@ -304,6 +279,7 @@ def test_rapid_ctrl_c_ends_with_130_and_one_message(twins: Twins, tmp_path: Path
     assert twins.quiet
 
 
+@pytest.mark.usefixtures("real_time")
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGUSR1])  # background jobs are deaf to SIGQUIT
 def test_a_signal_leaves_the_rig_dark(twins: Twins, number: signal.Signals) -> None:
     with pytest.raises(Interrupted, match=number.name), opened(twins) as rig:  # noqa: PT012

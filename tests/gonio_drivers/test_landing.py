@@ -16,10 +16,9 @@ from gonio_sim.wire.servo import Mechanics, Servo
 from gonio.errors import DeviceError
 from tests.gonio_drivers.conftest import BAUD
 from tests.gonio_drivers.test_arms import COUNT_DEG, TOLERANCE_DEG, degrees, describe, pose, servos
-from tests.gonio_drivers.virtual import Hours, on_virtual_time
+from tests.gonio_drivers.virtual import PORT, VirtualClock, servo_bus
 
-PORT = "/dev/virtual"
-Bench = tuple[Hours, ServoBus]
+Bench = tuple[VirtualClock, ServoBus]
 
 
 def built() -> list[Servo]:
@@ -32,8 +31,8 @@ def built() -> list[Servo]:
 
 
 @pytest.fixture
-def bench(monkeypatch: pytest.MonkeyPatch) -> Bench:
-    return on_virtual_time(monkeypatch, built)
+def bench(hours: VirtualClock) -> Bench:
+    return hours, servo_bus(built)
 
 
 @pytest.fixture

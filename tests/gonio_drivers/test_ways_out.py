@@ -9,12 +9,12 @@ import re
 import signal
 import subprocess
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
-from gonio_drivers import folder_camera, lamp_line, signals
+from gonio_drivers import lamp_line, signals
 from gonio_drivers.lab import LAB
 from gonio_drivers.signals import ENDING
 from gonio_sim.wire import motion, tables
@@ -29,23 +29,14 @@ from gonio.cli.rigs import checks
 from gonio.errors import DeviceError, GonioError, Interrupted
 from gonio.rig import Pose
 from tests.command_line import gonio as run
-from tests.gonio_drivers.conftest import be_patient
+from tests.gonio_drivers.conftest import LONGEST_S
 from tests.gonio_drivers.test_by_hand import COMMAND, written
-from tests.gonio_drivers.test_lab import LONGEST_S, PLAN, SAMPLE, SCALE, crawl, opened, small
+from tests.gonio_drivers.test_lab import PLAN, crawl, opened
 
 pytestmark = pytest.mark.slow
 
 SAID_DEG = 0.15
 """Rounding of what is said, flicker, and what a released axis gives way."""
-
-
-@pytest.fixture
-def twins(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Twins]:
-    monkeypatch.setattr("gonio.disk.os.fsync", lambda descriptor: None)  # a busy disk is not what is tested
-    monkeypatch.setattr(folder_camera, "RELEASE_S", LONGEST_S)
-    with Twins(small(), SAMPLE, 3, folder=tmp_path / "twin", scale=SCALE) as served:
-        be_patient(served.peers["servos"], served.faults, monkeypatch)
-        yield served
 
 
 def angle(twins: Twins, name: str) -> float:
@@ -95,6 +86,7 @@ def measure(twins: Twins, tmp_path: Path, *, resume: bool = False) -> Run:
 # ---- signals ----
 
 
+@pytest.mark.usefixtures("real_time")
 @pytest.mark.parametrize("number", [signal.SIGQUIT, signal.SIGUSR1, signal.SIGXCPU])
 def test_a_signal_in_mid_move_of_a_measurement_tells_where_the_arms_stand(
     twins: Twins, tmp_path: Path, number: signal.Signals
@@ -121,6 +113,7 @@ def test_every_signal_that_ends_a_process_is_heard_while_a_rig_is_open() -> None
             signal.signal(number, before)
 
 
+@pytest.mark.usefixtures("real_time")
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 def test_a_signal_whose_exception_is_lost_still_ends_a_measurement(twins: Twins, tmp_path: Path) -> None:
     class Finalised:
@@ -137,6 +130,7 @@ def test_a_signal_whose_exception_is_lost_still_ends_a_measurement(twins: Twins,
     assert twins.quiet
 
 
+@pytest.mark.usefixtures("real_time")
 def test_a_signal_between_moves_parks_and_says_so(twins: Twins, tmp_path: Path) -> None:
     expose, exposures = twins.camera._expose, []
 
@@ -152,6 +146,7 @@ def test_a_signal_between_moves_parks_and_says_so(twins: Twins, tmp_path: Path) 
     assert_true(str(stopped.value), twins)
 
 
+@pytest.mark.usefixtures("real_time")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGQUIT])
 def test_a_signal_in_mid_move_of_a_check_tells_where_the_arms_stand(twins: Twins, number: signal.Signals) -> None:
     when_it_sets_out(twins.servos["light"], lambda: os.kill(os.getpid(), number), 25)
@@ -165,6 +160,7 @@ def test_a_signal_in_mid_move_of_a_check_tells_where_the_arms_stand(twins: Twins
     assert_true(str(stopped.value), twins)
 
 
+@pytest.mark.usefixtures("real_time")
 @pytest.mark.parametrize("command", [["park"], ["move", "camera=-20"]])
 def test_a_signal_in_mid_move_of_a_command_tells_where_the_arms_stand(
     twins: Twins, tmp_path: Path, command: list[str]
@@ -193,6 +189,7 @@ def test_an_error_in_a_measurement_tells_where_the_arms_stand(twins: Twins, tmp_
 # ---- standing still ----
 
 
+@pytest.mark.usefixtures("real_time")
 def test_a_park_that_stood_still_for_longer_than_the_watchdog_goes_on_and_parks(twins: Twins, tmp_path: Path) -> None:
     camera = twins.servos["camera"]
     child: list[subprocess.Popen[str]] = []
@@ -273,6 +270,7 @@ def test_a_measurement_that_cannot_open_its_camera_lets_no_arm_fall(twins: Twins
 # ---- a lamp that stays lit ----
 
 
+@pytest.mark.usefixtures("real_time")
 def test_a_lamp_that_stays_lit_at_resume_is_told_and_the_run_goes_on_once_it_obeys(
     twins: Twins, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -298,6 +296,7 @@ def test_a_lamp_that_stays_lit_at_resume_is_told_and_the_run_goes_on_once_it_obe
     assert twins.quiet
 
 
+@pytest.mark.usefixtures("real_time")
 def test_a_lamp_found_lit_is_darkened_though_its_opening_is_interrupted(
     twins: Twins, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

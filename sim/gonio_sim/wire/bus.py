@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import contextlib
-import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 
+from gonio.rig import clock
 from gonio_sim.wire import protocol2 as p2
 from gonio_sim.wire.faults import Faults
 from gonio_sim.wire.registers import Refused
@@ -45,7 +45,7 @@ class ServoBus:
 
     def receive(self, data: bytes, baud: int, send: Send) -> None:
         """Take bytes from the line."""
-        for packet in self._reader.feed(data, time.monotonic()):
+        for packet in self._reader.feed(data, clock.monotonic()):
             if packet.instruction != p2.STATUS:
                 self._instruct(packet, [s for s in self.servos if s.answers and s.baud == baud], send)
 
@@ -55,7 +55,7 @@ class ServoBus:
     # ---- one instruction ----
 
     def _instruct(self, packet: p2.Packet, present: list[Servo], send: Send) -> None:
-        wall = time.monotonic()
+        wall = clock.monotonic()
         for servo in present:
             servo.heard(wall)
         if not packet.crc_ok:
@@ -134,10 +134,10 @@ class ServoBus:
             return
         first = min(answers, key=lambda answer: answer.delay_s)
         status = first.status if len(answers) == 1 else _collided(answers)
-        time.sleep(first.delay_s + first.length_s)
+        clock.sleep(first.delay_s + first.length_s)
         for delay_s, chunk in self.faults.on_status(first.servo, status):
             if delay_s:
-                time.sleep(delay_s)
+                clock.sleep(delay_s)
             send(chunk)
 
     # ---- several servos ----

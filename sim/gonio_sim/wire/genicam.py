@@ -6,7 +6,6 @@ may come with parts missing, which harvesters throws away.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from types import SimpleNamespace
@@ -14,6 +13,8 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+
+from gonio.rig import clock
 
 FORMATS = {
     "Mono8": 0x01080001, "Mono10": 0x01100003, "Mono10p": 0x010A0046, "Mono10Packed": 0x010C0004, "Mono12": 0x01100005,
@@ -146,13 +147,13 @@ class GenICamTwin:
         assert self.runs
         assert is_raw
         if self.silent:
-            time.sleep(timeout)
+            clock.sleep(timeout)
             return None
         if self._queue:
             image = self._queue.pop(0)
         else:
             exposure_s = self.nodes.ExposureTime.value * 1e-6
-            time.sleep(exposure_s)
+            clock.sleep(exposure_s)
             image = self.see(exposure_s)
         if self.incomplete:
             self.incomplete -= 1

@@ -7,10 +7,10 @@ the bench through `changed` what they do: lit or dark, band, level.
 from __future__ import annotations
 
 import re
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from gonio.rig import clock
 from gonio.rig.description import Band
 from gonio_sim.wire.faults import LAMP, LOCK_QUESTIONS, Faults
 
@@ -55,7 +55,7 @@ class Lamp:
 
     def receive(self, data: bytes, baud: int, send: Send) -> None:
         """Take bytes from the line."""
-        if baud not in self.bauds or time.monotonic() < self._dead_until:
+        if baud not in self.bauds or clock.monotonic() < self._dead_until:
             return
         self._buffer += data
         while (end := re.search(rb"[\r\n]+", self._buffer)) is not None:
@@ -241,7 +241,7 @@ class ArduinoLamp(Lamp):
         super().reset(send)
         self._levels = dict.fromkeys(self._levels, 0.0)
         self._lit = None
-        time.sleep(RESET_S)
+        clock.sleep(RESET_S)
         send(b"READY gonio lamp 1.2\r\n")
 
     def command(self, line: str) -> str | None:

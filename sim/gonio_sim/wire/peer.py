@@ -6,13 +6,14 @@ import os
 import select
 import termios
 import threading
-import time
 import tty
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Protocol, Self
+
+from gonio.rig import clock
 
 BAUD_RATES = {
     getattr(termios, name): int(name[1:])
@@ -113,7 +114,7 @@ class SerialPeer:
                     self.device.receive(os.read(self._master, 4096), self.baud(), self.send)
                 elif event & select.POLLHUP:
                     is_open = False
-                    time.sleep(OPENING_MS / 1000)
+                    clock.sleep(OPENING_MS / 1000)
                 elif not is_open:
                     is_open = True
                     self.device.opened(self.send)
@@ -129,7 +130,7 @@ class Clock:
     start_s: float
 
     def __call__(self) -> float:
-        return self.at(time.monotonic())
+        return self.at(clock.monotonic())
 
     def at(self, wall_s: float) -> float:
         """What it shows at a time of `time.monotonic`."""
@@ -138,4 +139,4 @@ class Clock:
 
 def scaled_clock(scale: float) -> Clock:
     """A clock that starts now and runs `scale` times faster than wall time."""
-    return Clock(scale, time.monotonic())
+    return Clock(scale, clock.monotonic())

@@ -7,10 +7,10 @@ the bus watchdog, which belong to the wire, run on wall time.
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from gonio.rig import clock as wall
 from gonio_sim.wire import motion, tables
 from gonio_sim.wire import protocol2 as p2
 from gonio_sim.wire.peer import Clock
@@ -101,7 +101,7 @@ class Servo:
         self._blocked_at: float | None = None
         self._stalled_since: float | None = None
         self._back_at: float | None = None
-        self._heard_s = time.monotonic()
+        self._heard_s = wall.monotonic()
         self._booted_s = clock()
         self._forgotten = 0.0
         self._profile_type = STEP
@@ -149,14 +149,14 @@ class Servo:
         return self._shaft()[0]
 
     def _shaft(self) -> tuple[float, float]:
-        self._watch(time.monotonic())
+        self._watch(wall.monotonic())
         if self._blocked_at is not None:
             return self._blocked_at, 0.0
         return self._path.at(self._clock())
 
     def moves(self) -> bool:
         """Whether the shaft turns now, or would turn if nothing blocked it."""
-        self._watch(time.monotonic())
+        self._watch(wall.monotonic())
         return self._clock() < self._path.end_s or abs(self._path.at(self._clock())[1]) > 0
 
     def turn(self, counts: float) -> None:

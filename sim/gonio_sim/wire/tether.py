@@ -6,12 +6,11 @@ name and renamed, as a careful tethering program does.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from pathlib import Path
 
 from gonio.errors import ConfigError
-from gonio.rig import Frame
+from gonio.rig import Frame, clock
 from gonio.rig.dng import write_dng
 from gonio_sim.wire.faults import CAMERA, FILE_LATE_S, Faults
 
@@ -62,7 +61,7 @@ class TetheredCamera:
 
     def _shoot(self, exposure_s: float) -> None:
         fault = self.faults.take(*CAMERA)
-        time.sleep(exposure_s / self._scale)
+        clock.sleep(exposure_s / self._scale)
         try:
             frame = self._expose(2 * exposure_s if fault == "wrong-exposure" else exposure_s)
         except ConfigError:
@@ -72,7 +71,7 @@ class TetheredCamera:
         if fault == "file-missing":
             return
         if fault == "file-late":
-            time.sleep(FILE_LATE_S)
+            clock.sleep(FILE_LATE_S)
         if fault == "file-truncated":
             whole = self._folder / f".{path.name}.whole"
             write_dng(frame, whole)

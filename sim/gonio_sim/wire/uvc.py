@@ -6,7 +6,6 @@ cameras are.
 
 from __future__ import annotations
 
-import time
 from collections import deque
 from collections.abc import Callable, Iterable
 from itertools import cycle
@@ -15,6 +14,8 @@ from typing import Any
 import cv2
 import numpy as np
 import numpy.typing as npt
+
+from gonio.rig import clock
 
 Image = npt.NDArray[Any]
 QUEUE = 4
@@ -92,13 +93,13 @@ class VideoStandIn:
     def _next(self) -> tuple[float, Image]:
         if self._queue:
             return self._queue.popleft()
-        time.sleep(self._exposure_s())
-        return time.monotonic(), self._image(self._exposure_s())
+        clock.sleep(self._exposure_s())
+        return clock.monotonic(), self._image(self._exposure_s())
 
     def fall_behind(self) -> None:
         """Let dark frames wait in the queue that were exposed a while ago."""
         for k in range(QUEUE):
-            self._queue.append((time.monotonic() - 0.1 * (QUEUE - k), np.zeros_like(self._image(1e-3))))
+            self._queue.append((clock.monotonic() - 0.1 * (QUEUE - k), np.zeros_like(self._image(1e-3))))
 
     def _exposure_s(self) -> float:
         return self._values[cv2.CAP_PROP_EXPOSURE] * 1e-4
