@@ -103,6 +103,11 @@ class Joint:
         return "devices.servos.changer" if self.name == "changer" else f"devices.servos.axes.{self.name}"
 
     @property
+    def park_deg(self) -> float | None:
+        """Where it rests, if the rig file says so."""
+        return self.servo.park_deg
+
+    @property
     def counts_per_deg(self) -> float:
         """Counts for one degree of the axis; negative where the servo turns the other way round."""
         return self.servo.direction * self.servo.gear_ratio * COUNTS / 360

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import logging
-import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from importlib.resources import files
@@ -118,7 +117,7 @@ class LabRig:
             if not lenient:
                 raise
             self._camera = cameras.Unbuilt(error)
-        self._clock_starts = time.time() - clock.monotonic()
+        self._clock_starts = clock.time() - clock.monotonic()
         self.camera = GuardedCamera(description.camera, self._camera, self.light, self.arms, self.time_s)
         self.interlock: interlock.Interlock | None = None
         if devices.interlock is not None:

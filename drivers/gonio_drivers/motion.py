@@ -38,6 +38,8 @@ class Motion:
         The servos, by the names of their axes.
     servos
         Tolerance, settle time, acceleration.
+    allowed
+        Called at every look while axes move; raises where nothing may move any more.
 
     Raises
     ------
@@ -45,10 +47,10 @@ class Motion:
         An axis does not land, is stuck, or its servo does not answer; it has to be stopped then.
     """
 
-    def __init__(self, bus: Bus, joints: Mapping[str, Joint], servos: settings.Servos) -> None:
-        self._bus, self._joints, self._servos = bus, joints, servos
-        self.allowed: Callable[[], None] = lambda: None
-        """Called at every look while axes move; raises where nothing may move any more."""
+    def __init__(
+        self, bus: Bus, joints: Mapping[str, Joint], servos: settings.Servos, allowed: Callable[[], None]
+    ) -> None:
+        self._bus, self._joints, self._servos, self._allowed = bus, joints, servos, allowed
 
     def approach(self, goals: Mapping[str, float]) -> None:
         """To a point before each goal, where that is needed, and from there to the goals; never beyond a limit."""
@@ -96,7 +98,7 @@ class Motion:
         allowed = max(self.duration_s(name, before[name].position, goal) for name, goal in goals.items())
         while not all(landing.done for landing in landings.values()):
             clock.sleep(POLL_S)
-            self.allowed()
+            self._allowed()
             reports = joints.reports(self._bus, self._joints.values())
             now = looked()
             for name, landing in landings.items():

@@ -12,22 +12,21 @@ import contextlib
 import logging
 import math
 import statistics
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from collections.abc import Mapping
+from dataclasses import dataclass
 from types import TracebackType
-from typing import NoReturn, Self
+from typing import Self
 
 from gonio.errors import ConfigError, DeviceError, Disturbed, GonioError
 from gonio.rig import Health, Pose, Reading, Target, clock, motion_planning
 from gonio.rig.description import RigDescription
 from gonio_drivers import settings, stages
+from gonio_drivers.any_arms import Arms, ArmsReading
 from gonio_drivers.patience import Patience
 from gonio_drivers.stages import Joint
 
 log = logging.getLogger("gonio.devices")
 
-AXES = tuple(field.name for field in fields(Pose))
-ROUNDING_DEG = 1e-6
 STILL_DEG = 0.01
 """Readings this close, or two steps of the encoder, are the same place."""
 FAR_DEG = 2.0
@@ -64,17 +63,8 @@ class Way:
     tries: int = 1
 
 
-@dataclass(frozen=True, slots=True)
-class Where:
-    """Positions of the axes and when they were read, in seconds of `time.monotonic`."""
-
-    pose: Pose
-    time_s: float
-    angles_deg: Mapping[str, float] = field(default_factory=dict)
-
-
-class StageArms:
-    """All axes of a rig, as an `ArmsDevice`.
+class StageArms(Arms[Joint]):
+    """All axes of a rig, as an `ArmsDevice`: a stage holds by its gear and motor, whether its port is open or not.
 
     Parameters
     ----------
@@ -89,39 +79,24 @@ class StageArms:
         Stages and axes do not belong together, or a key of a stage is wrong.
     """
 
+    unparked = "not parked, and where it stands is not known"
+
     def __init__(self, description: RigDescription, table: settings.Stages) -> None:
         settings.check_stages(table, description)
         self._settings = table
-        self._description = description
         limits, approach, stops = description.limits_deg(), description.approach_deg(), description.hard_stops_deg()
-        self._all: dict[str, Joint] = {}
+        every: dict[str, Joint] = {}
         for name, axis in description.axes().items():
             stage = stages.build(table.driver, table.axes[name], f"devices.stages.axes.{name}")  # type: ignore[index]
             offset = axis.zero_offset_deg if axis.zero_offset_known else 0.0
             still = max(STILL_DEG, 2 * axis.encoder_step_deg)
-            self._all[name] = Joint(
+            every[name] = Joint(
                 name, stage, limits[name], axis.speed_deg_per_s, offset, still,
                 approach_deg=approach[name], backlash_deg=axis.backlash_deg, hard_stops_deg=stops[name],
             )  # fmt: skip
-        park = {n: j.stage.axis.park_deg for n, j in self._all.items() if j.stage.axis.park_deg is not None}
+        super().__init__(description, every)
+        park = {n: j.park_deg for n, j in every.items() if j.park_deg is not None}
         motion_planning.require_parking(description, park, "devices.stages.axes.{}.park_deg")
-        self.joints: dict[str, Joint] = {}
-        """The axes that are open."""
-        self.last: Where | None = None
-        self.faulted = False
-        """An axis has failed: nothing moves any more until the rig is opened again."""
-        self.stopped = False
-        """Somebody has called `stop` since the last move."""
-        self.partial = False
-        """Open those axes whose stages answer and are well; without it, all or none."""
-        self.holds = True
-        """A stage holds by its gear and its motor, whether its port is open or not."""
-        self.as_found = False
-        """Leave stages as they were found: these hold in any case."""
-        self.allowed: Callable[[], None] = lambda: None
-        """Called before and during every motion; raises where nothing may move."""
-        self.absent: dict[str, DeviceError] = {}
-        """Axes that could not be opened (`partial`), and why; they are missing from `joints`."""
         self._stack = contextlib.ExitStack()
 
     # ---- opening and leaving ----
@@ -130,7 +105,7 @@ class StageArms:
         self.faulted = False
         self.absent, self.joints = {}, {}
         with contextlib.ExitStack() as stack:
-            for name, joint in self._all.items():
+            for name, joint in self.every.items():
                 try:
                     with contextlib.ExitStack() as one:
                         one.enter_context(joint.stage)
@@ -183,29 +158,6 @@ class StageArms:
 
     # ---- ArmsDevice ----
 
-    def move(self, goal: Pose) -> Pose:
-        """Drive every axis to `goal`, from below, wait until all have landed; the readback [rad].
-
-        Raises
-        ------
-        ConfigError
-            A goal is beyond a limit, or the rig has no such axis; nothing has moved.
-        DeviceError
-            An axis does not land, or a stage is unwell; every axis has been stopped.
-        """
-        self._require_all()
-        return self._move(self._checked(goal))
-
-    def jog(self, goals: Mapping[str, float]) -> dict[str, float]:
-        """Drive some axes [rad], and leave the others where they are; the readback of those [rad]; errors of `move`."""
-        for name in goals:
-            if name in self.absent:
-                raise DeviceError(f"axis {name} cannot be moved: {self.absent[name]}")
-            if name not in self._all:
-                raise ConfigError(f"the rig has no axis {name}; it has {', '.join(self._all)}")
-        landed = self._move(self._checked(Pose(**goals), tuple(goals)))
-        return {name: float(getattr(landed, name)) for name in goals}
-
     def read(self) -> Pose:
         """The readback, now [rad]; `last` keeps it with its time."""
         self._require_all()
@@ -217,30 +169,6 @@ class StageArms:
         for joint in self.joints.values():
             joint.stood_at = None
             self._halt(joint)
-
-    def park(self) -> None:
-        """Drive every axis that is there to its rest position.
-
-        Raises
-        ------
-        DeviceError
-            As of `move`; or axes are absent, and the others have been parked.
-        """
-        goals = dict.fromkeys(self._all, 0.0)
-        goals |= {"light": self._all["light"].limits_deg[0], "camera": self._all["camera"].limits_deg[1]}
-        goals |= {n: j.stage.axis.park_deg for n, j in self._all.items() if j.stage.axis.park_deg is not None}
-        for leg in self._legs({name: math.radians(angle) for name, angle in goals.items() if name in self.joints}):
-            self._move({name: math.degrees(angle) for name, angle in leg.items()}, parking=True)
-        if self.absent:
-            parked = ", ".join(name for name in goals if name in self.joints)
-            why = "; ".join(f"{name}: {failure}" for name, failure in self.absent.items())
-            raise DeviceError(f"parked: {parked}; not parked, and where it stands is not known: {why}")
-
-    def _legs(self, goals: dict[str, float]) -> list[dict[str, float]]:
-        """What to move one after the other, so that no bodies touch; all at once where an axis is absent."""
-        if not self._description.looks_ahead or self.absent:
-            return [goals]
-        return motion_planning.legs(self._description, self._readback().pose, goals)
 
     def change(self, target: Target) -> None:
         """Refused: no stage changes the sample."""
@@ -284,7 +212,7 @@ class StageArms:
         """The same of stages that nobody has opened, each by itself; nothing turns."""
         found: list[Reading] = []
         silent: dict[str, str] = {}
-        for name, joint in self._all.items():
+        for name, joint in self.every.items():
             try:
                 with joint.stage:
                     found += stages.readings(joint, joint.stage.state())
@@ -294,62 +222,24 @@ class StageArms:
 
     # ---- inside ----
 
-    def _require_all(self) -> None:
-        """Raise where an axis is absent: what it would be said to read, or to do, would not be true."""
-        for name, failure in self.absent.items():
-            raise DeviceError(f"axis {name} is missing: {failure}")
-        if not self.joints:
-            raise DeviceError("the arms are not open: enter the rig first")
-
-    def _checked(self, goal: Pose, names: Sequence[str] = AXES) -> dict[str, float]:
-        """Goals [deg] by axis, or `ConfigError`."""
-        out = {}
-        for name in names:
-            angle = math.degrees(getattr(goal, name))
-            if not math.isfinite(angle):
-                raise ConfigError(f"{name} = {angle}: a goal must be a finite angle")
-            if name not in self._all:
-                if abs(angle) > ROUNDING_DEG:
-                    raise ConfigError(
-                        f"{name} = {angle:g} deg: the rig has no such axis; it has {', '.join(self._all)}"
-                    )
-                continue
-            lower, upper = self._all[name].limits_deg
-            if not lower - ROUNDING_DEG <= angle <= upper + ROUNDING_DEG:
-                raise ConfigError(f"{name} = {angle:g} deg is outside this axis's limits, {lower:g} to {upper:g} deg")
-            out[name] = min(max(angle, lower), upper)
-        return out
-
-    def _move(self, goals: Mapping[str, float], *, parking: bool = False) -> Pose:
-        if self.faulted:
-            raise DeviceError("the arms have been stopped after a failure; open the rig again")
-        self.stopped = False
-        try:
-            self.allowed()
-            starts = {}
-            for name, goal in goals.items():
-                joint = self.joints[name]
-                joint.stood_at = None
-                start = joint.approach_start(goal)
-                beyond = joint.angle_deg() - start
-                if math.copysign(beyond, beyond * joint.approach_deg) > joint.still_deg and joint.approach_deg:
-                    starts[name] = start
-                if not parking:
-                    joint.warn_of_play(goal)
-            tolerance = self._settings.tolerance_deg
-            self._arrive(starts, {n: max(tolerance, abs(self.joints[n].approach_deg) / 2) for n in starts})
-            self._arrive(goals, dict.fromkeys(goals, tolerance))
-            for name in goals:
-                joint = self.joints[name]
-                joint.stood_at = statistics.fmean(joint.angle_deg() for _ in range(LOOKS))
-            return self._readback().pose
-        except DeviceError:
-            self.stop()
-            self.faulted = True
-            raise
-        except BaseException:
-            self.stop()
-            raise
+    def _drive(self, goals: Mapping[str, float], *, parking: bool) -> Pose:
+        starts = {}
+        for name, goal in goals.items():
+            joint = self.joints[name]
+            joint.stood_at = None
+            start = joint.approach_start(goal)
+            beyond = joint.angle_deg() - start
+            if math.copysign(beyond, beyond * joint.approach_deg) > joint.still_deg and joint.approach_deg:
+                starts[name] = start
+            if not parking:
+                joint.warn_of_play(goal)
+        tolerance = self._settings.tolerance_deg
+        self._arrive(starts, {n: max(tolerance, abs(self.joints[n].approach_deg) / 2) for n in starts})
+        self._arrive(goals, dict.fromkeys(goals, tolerance))
+        for name in goals:
+            joint = self.joints[name]
+            joint.stood_at = statistics.fmean(joint.angle_deg() for _ in range(LOOKS))
+        return self._readback().pose
 
     def _arrive(self, goals: Mapping[str, float], within_deg: Mapping[str, float]) -> None:
         """Drive axes to goals [deg], all at once; return when each stands still within its distance of its goal."""
@@ -398,11 +288,11 @@ class StageArms:
         joint.stage.go(joint.to_readout(way.goal_deg))
         return False
 
-    def _readback(self) -> Where:
+    def _readback(self, looks: int = 1) -> ArmsReading:
         before = clock.monotonic()
         angles = {name: joint.angle_deg() for name, joint in self.joints.items()}
         pose = Pose(**{name: math.radians(angle) for name, angle in angles.items()})
-        self.last = Where(pose, (before + clock.monotonic()) / 2, angles)
+        self.last = ArmsReading(pose, (before + clock.monotonic()) / 2)
         return self.last
 
     @staticmethod
@@ -411,8 +301,3 @@ class StageArms:
             joint.stage.stop()
         except GonioError as failure:
             log.error("stopping %s: %s", joint.name, failure)
-
-    def _fail(self, message: str) -> NoReturn:
-        self.stop()
-        self.faulted = True
-        raise DeviceError(message)

@@ -105,6 +105,11 @@ class Joint:
         """The table of the rig file that describes it."""
         return f"devices.stages.axes.{self.name}"
 
+    @property
+    def park_deg(self) -> float | None:
+        """Where it rests, if the rig file says so."""
+        return self.stage.axis.park_deg
+
     def to_deg(self, readout_deg: float) -> float:
         """Angle of the axis, with the zero offset taken out."""
         return (readout_deg - self.stage.axis.zero_deg) * self.stage.axis.direction - self.offset_deg

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib.util
 import re
 import sys
@@ -14,7 +15,6 @@ from types import ModuleType
 import pytest
 from gonio_drivers.lab import LAB
 from gonio_sim.rig import SIM, SIM_IDEAL, SimulatedRig
-from gonio_sim.wire import tether
 from gonio_sim.wire.twins import Twins
 
 from gonio.acquisition.measure import find_rig, load_sample
@@ -23,6 +23,7 @@ from gonio.rig import Rig, RigPlugin
 from gonio.rig.description import RigDescription, SampleDescription
 from tests.gonio_drivers.conftest import be_patient, small
 from tests.gonio_drivers.staged import on_stages
+from tests.gonio_drivers.virtual import virtual_time
 from tests.places import ROOT
 
 SAMPLE = SampleDescription(name="matt", model="lambert", parameters={"albedo": 0.5})
@@ -128,14 +129,18 @@ def simulated(name: str) -> Case:
 
 
 def twins(name: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Case]:
-    """The laboratory's drivers on the wire; lamps in the three languages."""
+    """The laboratory's drivers; lamps in three languages, one of them at a terminal and on the real clock."""
     monkeypatch.setattr("gonio.disk.os.fsync", lambda descriptor: None)
-    monkeypatch.setattr(tether, "FILE_LATE_S", 0.5)
+    real = name == "lab-scpi"
     described = small()
     devices = described.devices | {"light": described.devices["light"] | {"dialect": name.partition("-")[2]}}
     described = described.model_copy(update={"devices": devices})
-    with Twins(described, SAMPLE, 3, folder=folder / "twin", scale=50.0) as bench:
-        be_patient(bench.peers["servos"], bench.faults, monkeypatch)
+    with (
+        contextlib.nullcontext() if real else virtual_time(monkeypatch),
+        Twins(described, SAMPLE, 3, folder=folder / "twin", scale=50.0) as bench,
+    ):
+        if real:
+            be_patient(bench.peers["servos"], bench.faults, monkeypatch)
         yield Case(name, LAB, bench.description, None, lambda: bench.world.lamp_on)
 
 
@@ -143,7 +148,6 @@ def staged(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Case]:
     """The laboratory's lamp and camera, with axes of Thorlabs stages through the unmodified pylablib."""
     pytest.importorskip("pylablib", reason="pylablib is not installed (the extra thorlabs)")
     monkeypatch.setattr("gonio.disk.os.fsync", lambda descriptor: None)
-    monkeypatch.setattr(tether, "FILE_LATE_S", 0.5)
     with Twins(on_stages(), SAMPLE, 3, folder=folder / "twin", scale=50.0) as bench:
         yield Case("stages", LAB, bench.description, None, lambda: bench.world.lamp_on)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import select
 import tomllib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,7 @@ from gonio_sim.wire.twins import Twins
 
 from gonio.config import parse
 from gonio.rig.description import RigDescription, SampleDescription
-from tests.gonio_drivers.virtual import VirtualClock, virtual_time
+from tests.gonio_drivers.virtual import PORT, VirtualClock, servo_bus, virtual_time
 
 SCALE = 50.0
 BAUD = 1_000_000
@@ -123,8 +123,19 @@ def wired(monkeypatch: pytest.MonkeyPatch) -> Iterator[Line]:
 
 
 @pytest.fixture
-def line(wired: Line) -> Line:
-    return wired
+def line(hours: VirtualClock) -> Line:
+    """Three servos in this process, on a clock that nobody waits for; `wired` has them at a port."""
+    there: dict[int, Servo] = {}
+
+    def built() -> Iterable[Servo]:
+        clock = scaled_clock(1.0)
+        there.update({k: Servo(k, clock, baud=BAUD, position=1000.0 + 500 * k) for k in (1, 2, 3)})
+        for servo in there.values():
+            servo.write(9, b"\x00")
+        return there.values()
+
+    bus = servo_bus(built)
+    return Line(PORT, there, bus.faults, None, bus)
 
 
 @pytest.fixture
@@ -134,8 +145,8 @@ def unwatched(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
-def sdk(line: Line) -> Iterator[tuple[PortHandler, PacketHandler]]:
-    port = PortHandler(line.port)
+def sdk(wired: Line) -> Iterator[tuple[PortHandler, PacketHandler]]:
+    port = PortHandler(wired.port)
     port.setBaudRate(BAUD)
     yield port, PacketHandler(2.0)
     port.closePort()

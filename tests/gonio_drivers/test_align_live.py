@@ -30,6 +30,7 @@ __all__ = ["lamp"]
 # ---- the guard process ----
 
 
+@pytest.mark.usefixtures("real_time")
 def test_the_guard_darkens_the_lamp_of_a_program_that_shows_no_sign_of_life(lamp: Plugged) -> None:
     with lamp.driver() as light:
         light.on()
@@ -45,6 +46,7 @@ def test_the_guard_darkens_the_lamp_of_a_program_that_shows_no_sign_of_life(lamp
     assert not lamp.twin.shine.lit
 
 
+@pytest.mark.usefixtures("real_time")
 def test_no_order_of_the_guard_comes_after_a_new_lighting(lamp: Plugged) -> None:
     with lamp.driver() as light:
         for _ in range(3):
@@ -66,6 +68,7 @@ def test_no_order_of_the_guard_comes_after_a_new_lighting(lamp: Plugged) -> None
     assert not lamp.twin.shine.lit
 
 
+@pytest.mark.usefixtures("real_time")
 def test_a_guard_that_was_told_of_life_darkens_what_is_left_lit(lamp: Plugged, monkeypatch: pytest.MonkeyPatch) -> None:
     def pressed() -> None:
         raise KeyboardInterrupt

@@ -9,7 +9,7 @@ import math
 import os
 import subprocess
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
@@ -63,22 +63,6 @@ def pose(light: float = 0.0, camera: float = 0.0, tilt: float = 0.0) -> Pose:
 
 def degrees(read: Pose) -> tuple[float, float, float]:
     return math.degrees(read.light), math.degrees(read.camera), math.degrees(read.tilt)
-
-
-@pytest.fixture
-def line(hours: VirtualClock) -> Line:
-    """Three servos in this process, on a clock that nobody waits for; `wired` has them at a port."""
-    there: dict[int, Servo] = {}
-
-    def built() -> Iterable[Servo]:
-        clock = scaled_clock(1.0)
-        there.update({k: Servo(k, clock, baud=BAUD, position=1000.0 + 500 * k) for k in (1, 2, 3)})
-        for servo in there.values():
-            servo.write(9, b"\x00")
-        return there.values()
-
-    bus = servo_bus(built)
-    return Line(PORT, there, bus.faults, None, bus)
 
 
 @pytest.fixture

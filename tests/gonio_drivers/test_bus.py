@@ -22,6 +22,12 @@ from gonio.errors import DeviceError
 from tests.gonio_drivers.conftest import BAUD, HANGS_MS, Line, deaf_to
 
 
+@pytest.fixture
+def line(wired: Line) -> Line:
+    """At a terminal: the bytes of a bus are what is tested."""
+    return wired
+
+
 def test_a_late_reply_is_not_the_answer_to_the_next_request(line: Line) -> None:
     with Bus(line.port, BAUD) as bus:
         line.faults.arm("late-reply", servo=1)
@@ -141,9 +147,9 @@ def test_what_lies_on_a_computer_that_was_held_up_is_heard(line: Line, monkeypat
         held_up_s = 1e3  # it looked just before the answer came, and comes to the clock long after
         return b""
 
-    clock = SimpleNamespace(monotonic=lambda: time.monotonic() + held_up_s, sleep=time.sleep)
-    monkeypatch.setattr(dynamixel, "time", clock)
-    monkeypatch.setattr(patience, "time", clock)
+    held_up_clock = SimpleNamespace(monotonic=lambda: time.monotonic() + held_up_s, sleep=time.sleep)
+    monkeypatch.setattr(dynamixel, "clock", held_up_clock)
+    monkeypatch.setattr(patience, "clock", held_up_clock)
     monkeypatch.setattr(sdk.ExclusivePort, "writePort", written)
     monkeypatch.setattr(sdk.ExclusivePort, "readPort", held_up)
     with Bus(line.port, BAUD) as bus:

@@ -93,7 +93,7 @@ def tethered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Tether
         else:
             time.sleep(seconds)
 
-    monkeypatch.setattr(tether, "time", SimpleNamespace(sleep=sleep))
+    monkeypatch.setattr(tether, "clock", SimpleNamespace(sleep=sleep))
 
     def expose(exposure_s: float) -> Frame:
         exposed.append(exposure_s)
@@ -407,7 +407,7 @@ def test_time_stamps_of_another_clock_make_no_queued_frame_fresh(
     response: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     clock = itertools.count(step=5e-4)  # the four queued frames are read within the exposure
-    monkeypatch.setattr("gonio_drivers.uvc.time", SimpleNamespace(monotonic=lambda: next(clock)))
+    monkeypatch.setattr("gonio_drivers.uvc.clock", SimpleNamespace(monotonic=lambda: next(clock)))
     stand_in = VideoStandIn(images)  # it stamps its frames with the computer's clock, which is ahead of this one
     with video(stand_in, response, drop=0) as camera:
         assert camera.capture(0.006).mosaic[0, 0] > 0  # those in the queue are black

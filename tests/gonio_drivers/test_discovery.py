@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from gonio_drivers import discovery, folder_camera
+from gonio_drivers import discovery
 from gonio_drivers.lab import LAB
 from gonio_sim.wire.faults import Faults
 from gonio_sim.wire.lamps import LAMPS, Shine
@@ -14,20 +13,13 @@ from gonio_sim.wire.peer import SerialPeer
 from gonio_sim.wire.twins import Twins
 
 from gonio.rig import FoundServo
-from tests.gonio_drivers.conftest import LONGEST_S, SAMPLE, SCALE, be_patient, small
-
-
-@pytest.fixture
-def twins(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Twins]:
-    monkeypatch.setattr(folder_camera, "RELEASE_S", LONGEST_S)
-    with Twins(small(), SAMPLE, 3, folder=tmp_path / "twin", scale=SCALE) as served:
-        be_patient(served.peers["servos"], served.faults, monkeypatch)
-        yield served
+from tests.gonio_drivers.conftest import small
+from tests.gonio_drivers.virtual import VirtualClock
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("dialect", ["scpi", "mightex", "arduino"])
-def test_a_lamps_dialect_is_found_and_nothing_lights(dialect: str, tmp_path: Path) -> None:
+def test_a_lamps_dialect_is_found_and_nothing_lights(dialect: str, tmp_path: Path, hours: VirtualClock) -> None:
     lit: list[bool] = []
 
     def shine(state: Shine) -> None:

@@ -22,6 +22,7 @@ from gonio_sim.wire.faults import Faults
 from gonio_sim.wire.peer import SerialPeer
 
 from gonio.errors import ConfigError, DeviceError, EmergencyStop
+from gonio.rig import clock
 from gonio.rig.description import Band, Bands, Lamp, RigDescription
 from tests.places import ROOT
 
@@ -57,6 +58,8 @@ class Plugged:
 
 @pytest.fixture(params=DIALECTS)
 def lamp(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iterator[Plugged]:
+    if "real_time" not in request.fixturenames:
+        request.getfixturevalue("hours")
     monkeypatch.setattr(lamps, "RESET_S", 0.05)
     twin = lamps.LAMPS[request.param](BANDS, faults=Faults())
     heard: list[str] = []
@@ -104,6 +107,7 @@ def test_dark_after_an_exception(lamp: Plugged) -> None:
     assert not lamp.twin.shine.lit
 
 
+@pytest.mark.usefixtures("real_time")
 def test_dark_after_kill_9(lamp: Plugged, tmp_path: Path) -> None:
     table = {"port": lamp.port, "dialect": lamp.name, "settle_s": 0.0}
     program = (
@@ -125,6 +129,7 @@ def test_dark_after_kill_9(lamp: Plugged, tmp_path: Path) -> None:
         assert time.monotonic() < end
 
 
+@pytest.mark.usefixtures("real_time")
 def test_the_guard_darkens_what_an_interruption_has_left_lit(lamp: Plugged, monkeypatch: pytest.MonkeyPatch) -> None:
     def pressed() -> None:
         raise KeyboardInterrupt
@@ -137,6 +142,7 @@ def test_the_guard_darkens_what_an_interruption_has_left_lit(lamp: Plugged, monk
         assert time.monotonic() < end
 
 
+@pytest.mark.usefixtures("real_time")
 def test_the_guard_waits_for_a_port_that_the_dead_program_still_holds(
     lamp: Plugged, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -301,10 +307,10 @@ def test_a_device_that_never_stops_talking_is_no_lamp(lamp: Plugged, monkeypatch
 def test_a_line_of_blanks_ends_in_time(lamp: Plugged, monkeypatch: pytest.MonkeyPatch) -> None:
     with lamp.driver() as light:
         speak(light, prompt="> ")
-        monkeypatch.setattr(light._line._port, "timeout", 0.01)
-        monkeypatch.setattr(light._line._port, "read_until", lambda ending: b"> \r\n")
-        assert light._line.next() == ""
-        monkeypatch.undo()
+        with monkeypatch.context() as patch:
+            patch.setattr(light._line._port, "timeout", 0.01)
+            patch.setattr(light._line._port, "read_until", lambda ending: b"> \r\n")
+            assert light._line.next() == ""
 
 
 def test_a_number_is_asked_for_again_where_something_else_comes(lamp: Plugged, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -348,11 +354,11 @@ def test_habits_of_controllers(lamp: Plugged, tmp_path: Path, habit: str, caplog
 
         if habit == "echo":
             send(data)
-            time.sleep(0.05)  # the echo comes at once, the answer when the command has been carried out
+            clock.sleep(0.05)  # the echo comes at once, the answer when the command has been carried out
         if habit == "chatter":
             send(b"\r\n\nTEMP 31.2\r\n\r")
         if habit == "slow" and b"?" in data:
-            time.sleep(0.3)  # on the twin's side
+            clock.sleep(0.3)  # on the twin's side
         receive(data, baud, bytewise if habit == "bytewise" else send)
         if habit == "prompt":
             send(b"\r\n> ")
@@ -414,8 +420,8 @@ def test_half_a_number_is_none(lamp: Plugged, monkeypatch: pytest.MonkeyPatch) -
 
 def test_warm_up_is_waited_for_once(lamp: Plugged, monkeypatch: pytest.MonkeyPatch) -> None:
     waits: list[float] = []
-    clock = SimpleNamespace(sleep=waits.append, monotonic=time.monotonic)
-    monkeypatch.setattr("gonio_drivers.light.time", clock)  # the twin sleeps as it likes
+    noting = SimpleNamespace(sleep=waits.append, monotonic=time.monotonic)
+    monkeypatch.setattr("gonio_drivers.light.clock", noting)  # the twin sleeps as it likes
     light = SerialLight(
         DESCRIPTION.model_copy(update={"lamp": Lamp(warm_up_s=900.0)}),
         settings.Light.model_validate({"port": lamp.port, "dialect": lamp.name, "settle_s": 0.25}),
@@ -447,7 +453,7 @@ def test_an_interlock_that_opens_while_the_lamp_warms_up_ends_the_wait(
 
     with light:
         light.allowed = opens
-        monkeypatch.setattr("gonio_drivers.light.time", SimpleNamespace(sleep=nap, monotonic=time.monotonic))
+        monkeypatch.setattr("gonio_drivers.light.clock", SimpleNamespace(sleep=nap, monotonic=time.monotonic))
         with pytest.raises(EmergencyStop):
             light.on()
         assert not lamp.twin.shine.lit

@@ -128,9 +128,9 @@ def test_parking_goes_by_a_free_way(line: Line, monkeypatch: pytest.MonkeyPatch)
         legs: list[dict[str, float]] = []
         jog = arms._jog
 
-        def noted(goals: dict[str, float], *, resting: bool) -> dict[str, float]:
+        def noted(goals: dict[str, float], *, parking: bool) -> dict[str, float]:
             legs.append({name: round(math.degrees(angle)) for name, angle in goals.items()})
-            return jog(goals, resting=resting)
+            return jog(goals, parking=parking)
 
         monkeypatch.setattr(arms, "_jog", noted)
         arms.park()

@@ -212,6 +212,7 @@ class Unneeded:
 def virtual_time(monkeypatch: pytest.MonkeyPatch) -> Iterator[VirtualClock]:
     """From now on drivers and twins are on this clock, and twins that are served from now on at no terminal."""
     hours = VirtualClock()
+    started_s = clock.time() - hours.now_s
     lines = hours.lines
     numbers = itertools.count()
 
@@ -272,6 +273,7 @@ def virtual_time(monkeypatch: pytest.MonkeyPatch) -> Iterator[VirtualClock]:
     monkeypatch.setattr(guard, "Guard", Unneeded)
     monkeypatch.setattr(clock, "monotonic", hours.monotonic)
     monkeypatch.setattr(clock, "sleep", hours.sleep)
+    monkeypatch.setattr(clock, "time", lambda: started_s + hours.monotonic())
     napping = SimpleNamespace(monotonic=hours.monotonic, sleep=hours.nap)
     monkeypatch.setattr(motion, "clock", napping)
     for module in (holding, suspending):

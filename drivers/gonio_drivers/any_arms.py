@@ -1,0 +1,176 @@
+"""What arms of servos and arms of stages have in common: what is refused, moves, parking, failures."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from typing import Generic, NoReturn, Protocol, TypeVar
+
+from gonio.errors import ConfigError, DeviceError
+from gonio.rig import Pose, motion_planning
+from gonio.rig.description import RigDescription
+
+AXES = tuple(field.name for field in fields(Pose))
+ROUNDING_DEG = 1e-6
+
+
+@dataclass(frozen=True, slots=True)
+class ArmsReading:
+    """Positions of the axes and when they were read, in seconds of the drivers' clock."""
+
+    pose: Pose
+    time_s: float
+    counts: Mapping[str, float] = field(default_factory=dict)
+    spread: Pose = field(default_factory=Pose)
+    """Of several readings, the largest less the smallest [rad]."""
+
+
+class AnyJoint(Protocol):
+    """An axis and what turns it."""
+
+    @property
+    def limits_deg(self) -> tuple[float, float]: ...
+    @property
+    def park_deg(self) -> float | None: ...
+
+
+J = TypeVar("J", bound=AnyJoint)
+
+
+class Arms(ABC, Generic[J]):
+    """All axes of a rig, as an `ArmsDevice`."""
+
+    unparked = "not parked"
+    """What is said of axes that are absent."""
+
+    def __init__(self, description: RigDescription, every: dict[str, J]) -> None:
+        self._description = description
+        self.every = every
+        """All axes of the rig file, `absent` ones too, and the changer."""
+        self.joints: dict[str, J] = {}
+        """Those that are used."""
+        self.last: ArmsReading | None = None
+        self.faulted = False
+        """An axis has failed: nothing moves any more until the rig is opened again."""
+        self.stopped = False
+        """Somebody has called `stop` since the last move."""
+        self.partial = False
+        """Open those axes that answer and are well; without it, all or none."""
+        self.holds = True
+        """The axes hold when this is left."""
+        self.as_found = False
+        """Every axis is left holding or free, as it was found when this was entered."""
+        self.absent: dict[str, DeviceError] = {}
+        """Axes that could not be opened (`partial`), and why; they are missing from `joints`."""
+        self.allowed: Callable[[], None] = lambda: None
+        """Called before axes move, and at every look while they do; raises where nothing may move."""
+
+    @abstractmethod
+    def stop(self) -> None:
+        """Stop every axis where it is. Never raises."""
+
+    @abstractmethod
+    def _drive(self, goals: Mapping[str, float], *, parking: bool) -> Pose:
+        """Drive axes to goals [deg], each from its side, until all have landed; the readback [rad]."""
+
+    @abstractmethod
+    def _readback(self, looks: int = 1) -> ArmsReading:
+        """Where the axes stand."""
+
+    def move(self, goal: Pose) -> Pose:
+        """Drive every axis to `goal`, from its side, wait until all have landed; the encoders' readback [rad].
+
+        Raises
+        ------
+        ConfigError
+            A goal is beyond a limit, or the rig has no such axis; nothing has moved.
+        DeviceError
+            An axis does not land, or is unwell; every axis has been stopped.
+        """
+        self._require_all()
+        return self._move(self._checked(goal))
+
+    def jog(self, goals: Mapping[str, float]) -> dict[str, float]:
+        """Drive some axes [rad], and leave the others where they are; the readback of those [rad]; errors of `move`."""
+        return self._jog(goals)
+
+    def _jog(self, goals: Mapping[str, float], *, parking: bool = False) -> dict[str, float]:
+        for name in goals:
+            if name in self.absent:
+                raise DeviceError(f"axis {name} cannot be moved: {self.absent[name]}")
+            if name not in AXES or name not in self.every:
+                raise ConfigError(f"the rig has no axis {name}; it has {', '.join(n for n in self.every if n in AXES)}")
+        landed = self._move(self._checked(Pose(**goals), tuple(goals)), parking=parking)
+        return {name: float(getattr(landed, name)) for name in goals}
+
+    def park(self) -> None:
+        """Drive every axis that is there to its rest position.
+
+        Raises
+        ------
+        DeviceError
+            As of `move`; or axes are absent, and the others have been parked.
+        """
+        goals = dict.fromkeys((name for name in self.every if name in AXES), 0.0)
+        goals |= {"light": self.every["light"].limits_deg[0], "camera": self.every["camera"].limits_deg[1]}
+        goals |= {n: j.park_deg for n, j in self.every.items() if n in AXES and j.park_deg is not None}
+        wanted = {name: math.radians(angle) for name, angle in goals.items() if name in self.joints}
+        for leg in self._legs(wanted):
+            self._jog(leg, parking=True)
+        if self.absent:
+            parked = ", ".join(wanted) or "no axis"
+            why = "; ".join(f"{name}: {failure}" for name, failure in self.absent.items())
+            raise DeviceError(f"parked: {parked}; {self.unparked}: {why}")
+
+    def _legs(self, goals: dict[str, float]) -> list[dict[str, float]]:
+        """What to move one after the other, so that no bodies touch; all at once where an axis is absent."""
+        if not self._description.looks_ahead or self.absent:
+            return [goals]
+        return motion_planning.legs(self._description, self._readback().pose, goals)
+
+    def _require_all(self) -> None:
+        """Raise where an axis is absent: what it would be said to read, or to do, would not be true."""
+        for name, failure in self.absent.items():
+            raise DeviceError(f"axis {name} is missing: {failure}")
+        if not self.joints:
+            raise DeviceError("the arms are not open: enter the rig first")
+
+    def _checked(self, goal: Pose, names: Sequence[str] = AXES) -> dict[str, float]:
+        """Goals [deg] by axis, or `ConfigError`."""
+        out = {}
+        for name in names:
+            angle = math.degrees(getattr(goal, name))
+            if not math.isfinite(angle):
+                raise ConfigError(f"{name} = {angle}: a goal must be a finite angle")
+            if name not in self.every:
+                if abs(angle) > ROUNDING_DEG:
+                    known = ", ".join(self.every)
+                    raise ConfigError(f"{name} = {angle:g} deg: the rig has no such axis; it has {known}")
+                continue
+            lower, upper = self.every[name].limits_deg
+            if not lower - ROUNDING_DEG <= angle <= upper + ROUNDING_DEG:
+                raise ConfigError(f"{name} = {angle:g} deg is outside this axis's limits, {lower:g} to {upper:g} deg")
+            out[name] = min(max(angle, lower), upper)
+        return out
+
+    def _move(self, goals: Mapping[str, float], *, parking: bool = False) -> Pose:
+        if self.faulted:
+            raise DeviceError("the arms have been stopped after a failure; open the rig again")
+        self.stopped = False
+        try:
+            self.allowed()
+            return self._drive(goals, parking=parking)
+        except DeviceError:
+            self.stop()
+            self.faulted = True
+            raise
+        except BaseException:
+            self.stop()
+            raise
+
+    def _fail(self, message: str) -> NoReturn:
+        self.stop()
+        self.faulted = True
+        raise DeviceError(message)
