@@ -1,8 +1,10 @@
 """Compiled loops over rays: where they meet each analytic shape, and what its surface is there.
 
-Each loop turns a ray into the shape's own frame and counts the distance from where the ray comes nearest to the
-shape's origin, so that a far camera costs no digits: only the sum at the end is large. A convex solid is the stretch
-that a ray spends inside all of its bounds, so that no rounding opens a gap at an edge.
+A loop takes rays (origins, directions) and a shape's place (its centre, its axes in rows), and fills `hits`
+(distances, primitives) or `out` (positions, normals, shading normals, tangents, uv). Each turns a ray into the
+shape's own frame and counts the distance from where the ray comes nearest to the shape's origin, so that a far camera
+costs no digits: only the sum at the end is large. A convex solid is the stretch that a ray spends inside all of its
+bounds, so that no rounding opens a gap at an edge.
 """
 
 from __future__ import annotations
@@ -18,11 +20,14 @@ from gonio.compiled import njit
 FAST = {"contract", "nsz"}
 INF = math.inf
 TWO_PI = 2.0 * math.pi
+_compiled = njit(error_model="numpy", nogil=True, fastmath=FAST)
+UP, ALONG = (0.0, 0.0, 1.0), (1.0, 0.0, 0.0)
 
 
-@njit(error_model="numpy", nogil=True, fastmath=FAST)
-def _local(origin: Any, direction: Any, i: int, center: Any, axes: Any) -> Any:
+@_compiled
+def _local(rays: Any, place: Any, i: int) -> Any:
     """The ray in the shape's frame, from its point nearest to the shape's origin; the distance up to that point."""
+    (origin, direction), (center, axes) = rays, place
     ox, oy, oz = origin[i, 0] - center[0], origin[i, 1] - center[1], origin[i, 2] - center[2]
     dx, dy, dz = direction[i, 0], direction[i, 1], direction[i, 2]
     before = -(ox * dx + oy * dy + oz * dz)
@@ -38,7 +43,7 @@ def _local(origin: Any, direction: Any, i: int, center: Any, axes: Any) -> Any:
     )
 
 
-@njit(error_model="numpy", nogil=True, fastmath=FAST)
+@_compiled
 def _out(axes: Any, x: float, y: float, z: float, out: Any, i: int) -> None:
     """A direction in the shape's frame as one of the scene."""
     out[i, 0] = axes[0, 0] * x + axes[1, 0] * y + axes[2, 0] * z
@@ -46,16 +51,25 @@ def _out(axes: Any, x: float, y: float, z: float, out: Any, i: int) -> None:
     out[i, 2] = axes[0, 2] * x + axes[1, 2] * y + axes[2, 2] * z
 
 
-@njit(error_model="numpy", nogil=True, fastmath=FAST)
-def _out_point(center: Any, axes: Any, x: float, y: float, z: float, out: Any, i: int) -> None:
-    """A point in the shape's frame as one of the scene."""
-    _out(axes, x, y, z, out, i)
-    out[i, 0] += center[0]
-    out[i, 1] += center[1]
-    out[i, 2] += center[2]
+@_compiled
+def _put(place: Any, out: Any, i: int, point: Any, normal: Any, shading: Any, tangent: Any, uv: Any) -> None:
+    """A point of the surface and its directions, in the shape's frame, as the scene's; and its place on a texture."""
+    center, axes = place
+    _out(axes, point[0], point[1], point[2], out[0], i)
+    for k in range(3):
+        out[0][i, k] += center[k]
+    _out(axes, normal[0], normal[1], normal[2], out[1], i)
+    _out(axes, shading[0], shading[1], shading[2], out[2], i)
+    _out(axes, tangent[0], tangent[1], tangent[2], out[3], i)
+    out[4][i, 0], out[4][i, 1] = uv
 
 
-@njit(error_model="numpy", nogil=True, fastmath=FAST)
+@_compiled
+def _clipped(u: float) -> float:
+    return min(max(u, 0.0), 1.0)
+
+
+@_compiled
 def _turn(x: float, y: float) -> float:
     """The azimuth of (x, y) in turns, in [0, 1)."""
     u = math.atan2(y, x) / TWO_PI
@@ -64,7 +78,7 @@ def _turn(x: float, y: float) -> float:
     return u if u < 1.0 else 0.0
 
 
-@njit(error_model="numpy", nogil=True, fastmath=FAST)
+@_compiled
 def _roots(a: float, b: float, c: float) -> Any:
     """Both roots, in order, of a t^2 + 2 b t + c; without cancellation. (inf, -inf) where there is none.
 
@@ -80,7 +94,7 @@ def _roots(a: float, b: float, c: float) -> Any:
     return (one, other) if one < other else (other, one)
 
 
-@njit(error_model="numpy", nogil=True, fastmath=FAST)
+@_compiled
 def _between(position: float, speed: float, half: float) -> Any:
     """The stretch within +-half along one axis; (inf, -inf) for none."""
     if speed == 0.0:
@@ -89,129 +103,58 @@ def _between(position: float, speed: float, half: float) -> Any:
     return (one, other) if one < other else (other, one)
 
 
-@njit(error_model="numpy", nogil=True, fastmath=FAST)
-def patch_hit(
-    origin: Any,
-    direction: Any,
-    nearest: float,
-    center: Any,
-    axes: Any,
-    half: Any,
-    tile: Any,
-    distance: Any,
-    primitive: Any,
-    start: int,
-    stop: int,
-) -> None:
+@_compiled
+def patch_hit(rays: Any, place: Any, half: Any, tile: Any, nearest: float, hits: Any, start: int, stop: int) -> None:
     """A rectangle of the half-widths `half`, which may be infinite."""
     for i in range(start, stop):
-        x, y, z, dx, dy, dz, before = _local(origin, direction, i, center, axes)
+        x, y, z, dx, dy, dz, before = _local(rays, place, i)
         t = -z / dz
         # not |...| <= half alone: a plane without an end is met at any finite t
         on = abs(x + t * dx) <= half[0] and abs(y + t * dy) <= half[1] and abs(t) < INF and before + t > nearest
-        distance[i] = before + t if on else INF
-        primitive[i] = 0
+        hits[0][i] = before + t if on else INF
+        hits[1][i] = 0
 
 
-@njit(error_model="numpy", nogil=True, fastmath=FAST)
-def patch_surface(
-    origin: Any,
-    direction: Any,
-    distance: Any,
-    primitive: Any,
-    center: Any,
-    axes: Any,
-    half: Any,
-    tile: Any,
-    position: Any,
-    normal: Any,
-    shading: Any,
-    tangent: Any,
-    uv: Any,
-    start: int,
-    stop: int,
-) -> None:
+@_compiled
+def patch_surface(rays: Any, place: Any, half: Any, tile: Any, hits: Any, out: Any, start: int, stop: int) -> None:
     """A rectangle, tiled from its middle; uv = (1/2, 1/2) there."""
     for i in range(start, stop):
-        x, y, _, dx, dy, _, before = _local(origin, direction, i, center, axes)
-        t = distance[i] - before
+        x, y, _, dx, dy, _, before = _local(rays, place, i)
+        t = hits[0][i] - before
         x, y = x + t * dx, y + t * dy
-        _out_point(center, axes, x, y, 0.0, position, i)
-        _out(axes, 0.0, 0.0, 1.0, normal, i)
-        _out(axes, 0.0, 0.0, 1.0, shading, i)
-        _out(axes, 1.0, 0.0, 0.0, tangent, i)
         u, v = x / tile[0] + 0.5, y / tile[1] + 0.5
         # a patch that is one tile ends at 1; where tiles repeat each begins at 0
-        uv[i, 0] = min(max(u, 0.0), 1.0) if 2.0 * half[0] <= tile[0] else u - math.floor(u)
-        uv[i, 1] = min(max(v, 0.0), 1.0) if 2.0 * half[1] <= tile[1] else v - math.floor(v)
+        u = _clipped(u) if 2.0 * half[0] <= tile[0] else u - math.floor(u)
+        v = _clipped(v) if 2.0 * half[1] <= tile[1] else v - math.floor(v)
+        _put(place, out, i, (x, y, 0.0), UP, UP, ALONG, (u, v))
 
 
-@njit(error_model="numpy", nogil=True, fastmath=FAST)
-def disc_hit(
-    origin: Any,
-    direction: Any,
-    nearest: float,
-    center: Any,
-    axes: Any,
-    radius: float,
-    distance: Any,
-    primitive: Any,
-    start: int,
-    stop: int,
-) -> None:
+@_compiled
+def disc_hit(rays: Any, place: Any, radius: float, nearest: float, hits: Any, start: int, stop: int) -> None:
     """A disc."""
     for i in range(start, stop):
-        x, y, z, dx, dy, dz, before = _local(origin, direction, i, center, axes)
+        x, y, z, dx, dy, dz, before = _local(rays, place, i)
         t = -z / dz
         x, y = x + t * dx, y + t * dy
-        distance[i] = before + t if x * x + y * y <= radius * radius and before + t > nearest else INF
-        primitive[i] = 0
+        hits[0][i] = before + t if x * x + y * y <= radius * radius and before + t > nearest else INF
+        hits[1][i] = 0
 
 
-@njit(error_model="numpy", nogil=True, fastmath=FAST)
-def disc_surface(
-    origin: Any,
-    direction: Any,
-    distance: Any,
-    primitive: Any,
-    center: Any,
-    axes: Any,
-    radius: float,
-    position: Any,
-    normal: Any,
-    shading: Any,
-    tangent: Any,
-    uv: Any,
-    start: int,
-    stop: int,
-) -> None:
+@_compiled
+def disc_surface(rays: Any, place: Any, radius: float, hits: Any, out: Any, start: int, stop: int) -> None:
     """A disc; uv spans the square around it."""
     for i in range(start, stop):
-        x, y, _, dx, dy, _, before = _local(origin, direction, i, center, axes)
-        t = distance[i] - before
+        x, y, _, dx, dy, _, before = _local(rays, place, i)
+        t = hits[0][i] - before
         x, y = x + t * dx, y + t * dy
-        _out_point(center, axes, x, y, 0.0, position, i)
-        _out(axes, 0.0, 0.0, 1.0, normal, i)
-        _out(axes, 0.0, 0.0, 1.0, shading, i)
-        _out(axes, 1.0, 0.0, 0.0, tangent, i)
-        uv[i, 0] = min(max(0.5 * x / radius + 0.5, 0.0), 1.0)
-        uv[i, 1] = min(max(0.5 * y / radius + 0.5, 0.0), 1.0)
+        uv = _clipped(0.5 * x / radius + 0.5), _clipped(0.5 * y / radius + 0.5)
+        _put(place, out, i, (x, y, 0.0), UP, UP, ALONG, uv)
 
 
-@njit(error_model="numpy", nogil=True, fastmath=FAST)
-def sphere_hit(
-    origin: Any,
-    direction: Any,
-    nearest: float,
-    center: Any,
-    axes: Any,
-    radius: float,
-    distance: Any,
-    primitive: Any,
-    start: int,
-    stop: int,
-) -> None:
+@_compiled
+def sphere_hit(rays: Any, place: Any, radius: float, nearest: float, hits: Any, start: int, stop: int) -> None:
     """A sphere."""
+    (origin, direction), (center, _) = rays, place
     for i in range(start, stop):
         x, y, z = origin[i, 0] - center[0], origin[i, 1] - center[1], origin[i, 2] - center[2]
         dx, dy, dz = direction[i, 0], direction[i, 1], direction[i, 2]
@@ -223,64 +166,32 @@ def sphere_hit(
         off = math.sqrt(x * x + y * y + z * z)
         one, other = _roots(a, b, (off - radius) * (off + radius))
         one, other = before + one, before + other
-        distance[i] = one if one > nearest else other if other > nearest else INF
-        primitive[i] = 0
+        hits[0][i] = one if one > nearest else other if other > nearest else INF
+        hits[1][i] = 0
 
 
-@njit(error_model="numpy", nogil=True, fastmath=FAST)
-def sphere_surface(
-    origin: Any,
-    direction: Any,
-    distance: Any,
-    primitive: Any,
-    center: Any,
-    axes: Any,
-    radius: float,
-    position: Any,
-    normal: Any,
-    shading: Any,
-    tangent: Any,
-    uv: Any,
-    start: int,
-    stop: int,
-) -> None:
+@_compiled
+def sphere_surface(rays: Any, place: Any, radius: float, hits: Any, out: Any, start: int, stop: int) -> None:
     """A sphere: u the azimuth, v from the lower pole to the upper one by the angle at the centre."""
     for i in range(start, stop):
-        x, y, z, dx, dy, dz, before = _local(origin, direction, i, center, axes)
-        t = distance[i] - before
+        x, y, z, dx, dy, dz, before = _local(rays, place, i)
+        t = hits[0][i] - before
         x, y, z = x + t * dx, y + t * dy, z + t * dz
         f = 1.0 / math.sqrt(x * x + y * y + z * z)
         x, y, z = x * f, y * f, z * f
-        _out_point(center, axes, radius * x, radius * y, radius * z, position, i)
-        _out(axes, x, y, z, normal, i)
-        _out(axes, x, y, z, shading, i)
         off = math.sqrt(x * x + y * y)
-        if off > 0.0:
-            _out(axes, -y / off, x / off, 0.0, tangent, i)
-        else:
-            _out(axes, 0.0, 1.0, 0.0, tangent, i)
-        uv[i, 0] = _turn(x, y)
-        uv[i, 1] = min(max(math.atan2(off, -z) / math.pi, 0.0), 1.0)
+        tangent = (-y / off, x / off, 0.0) if off > 0.0 else (0.0, 1.0, 0.0)
+        uv = _turn(x, y), _clipped(math.atan2(off, -z) / math.pi)
+        _put(place, out, i, (radius * x, radius * y, radius * z), (x, y, z), (x, y, z), tangent, uv)
 
 
-@njit(error_model="numpy", nogil=True, fastmath=FAST)
+@_compiled
 def cylinder_hit(
-    origin: Any,
-    direction: Any,
-    nearest: float,
-    center: Any,
-    axes: Any,
-    radius: float,
-    half: float,
-    caps: bool,
-    distance: Any,
-    primitive: Any,
-    start: int,
-    stop: int,
+    rays: Any, place: Any, radius: float, half: float, caps: bool, nearest: float, hits: Any, start: int, stop: int
 ) -> None:
     """A cylinder about z, up to +-half; primitive 0 is its side, 1 its upper and 2 its lower cap."""
     for i in range(start, stop):
-        x, y, z, dx, dy, dz, before = _local(origin, direction, i, center, axes)
+        x, y, z, dx, dy, dz, before = _local(rays, place, i)
         a = dx * dx + dy * dy
         off = math.sqrt(x * x + y * y)
         c = (off - radius) * (off + radius)
@@ -304,70 +215,46 @@ def cylinder_hit(
             t = one
         elif before + other > nearest and abs(z + other * dz) <= half:
             t = other
-        distance[i] = before + t if abs(t) < INF else INF
-        primitive[i] = part
+        hits[0][i] = before + t if abs(t) < INF else INF
+        hits[1][i] = part
 
 
-@njit(error_model="numpy", nogil=True, fastmath=FAST)
+@_compiled
 def cylinder_surface(
-    origin: Any,
-    direction: Any,
-    distance: Any,
-    primitive: Any,
-    center: Any,
-    axes: Any,
-    radius: float,
-    half: float,
-    caps: bool,
-    position: Any,
-    normal: Any,
-    shading: Any,
-    tangent: Any,
-    uv: Any,
-    start: int,
-    stop: int,
+    rays: Any, place: Any, radius: float, half: float, caps: bool, hits: Any, out: Any, start: int, stop: int
 ) -> None:
     """A cylinder: around its side u is the azimuth and v the height; on a cap uv spans the square around it."""
     for i in range(start, stop):
-        x, y, z, dx, dy, dz, before = _local(origin, direction, i, center, axes)
-        t = distance[i] - before
+        x, y, z, dx, dy, dz, before = _local(rays, place, i)
+        t = hits[0][i] - before
         x, y, z = x + t * dx, y + t * dy, z + t * dz
-        if primitive[i] == 0:
+        if hits[1][i] == 0:
             f = 1.0 / math.sqrt(x * x + y * y)
             x, y = x * f, y * f
             z = min(max(z, -half), half)
-            _out_point(center, axes, radius * x, radius * y, z, position, i)
-            _out(axes, x, y, 0.0, normal, i)
-            _out(axes, x, y, 0.0, shading, i)
-            _out(axes, -y, x, 0.0, tangent, i)
-            uv[i, 0] = _turn(x, y)
-            uv[i, 1] = 0.5 * z / half + 0.5
+            out_of = (x, y, 0.0)
+            _put(
+                place,
+                out,
+                i,
+                (radius * x, radius * y, z),
+                out_of,
+                out_of,
+                (-y, x, 0.0),
+                (_turn(x, y), 0.5 * z / half + 0.5),
+            )
         else:
-            side = 1.0 if primitive[i] == 1 else -1.0
-            _out_point(center, axes, x, y, side * half, position, i)
-            _out(axes, 0.0, 0.0, side, normal, i)
-            _out(axes, 0.0, 0.0, side, shading, i)
-            _out(axes, 1.0, 0.0, 0.0, tangent, i)
-            uv[i, 0] = min(max(0.5 * x / radius + 0.5, 0.0), 1.0)
-            uv[i, 1] = min(max(0.5 * side * y / radius + 0.5, 0.0), 1.0)
+            side = 1.0 if hits[1][i] == 1 else -1.0
+            cap = (0.0, 0.0, side)
+            uv = _clipped(0.5 * x / radius + 0.5), _clipped(0.5 * side * y / radius + 0.5)
+            _put(place, out, i, (x, y, side * half), cap, cap, ALONG, uv)
 
 
-@njit(error_model="numpy", nogil=True, fastmath=FAST)
-def box_hit(
-    origin: Any,
-    direction: Any,
-    nearest: float,
-    center: Any,
-    axes: Any,
-    half: Any,
-    distance: Any,
-    primitive: Any,
-    start: int,
-    stop: int,
-) -> None:
+@_compiled
+def box_hit(rays: Any, place: Any, half: Any, nearest: float, hits: Any, start: int, stop: int) -> None:
     """A box; primitives 0 to 5 are its sides at +x, -x, +y, -y, +z, -z."""
     for i in range(start, stop):
-        x, y, z, dx, dy, dz, before = _local(origin, direction, i, center, axes)
+        x, y, z, dx, dy, dz, before = _local(rays, place, i)
         x_low, x_high = _between(x, dx, half[0])
         y_low, y_high = _between(y, dy, half[1])
         z_low, z_high = _between(z, dz, half[2])
@@ -391,57 +278,34 @@ def box_hit(
                     side = 2 if dy > 0.0 else 3
                 else:
                     side = 4 if dz > 0.0 else 5
-        distance[i] = before + t
-        primitive[i] = side
+        hits[0][i] = before + t
+        hits[1][i] = side
 
 
-@njit(error_model="numpy", nogil=True, fastmath=FAST)
-def box_surface(
-    origin: Any,
-    direction: Any,
-    distance: Any,
-    primitive: Any,
-    center: Any,
-    axes: Any,
-    half: Any,
-    position: Any,
-    normal: Any,
-    shading: Any,
-    tangent: Any,
-    uv: Any,
-    start: int,
-    stop: int,
-) -> None:
+@_compiled
+def box_surface(rays: Any, place: Any, half: Any, hits: Any, out: Any, start: int, stop: int) -> None:
     """A box: each side has its own uv, and v runs along z on the four upright ones."""
     for i in range(start, stop):
-        x, y, z, dx, dy, dz, before = _local(origin, direction, i, center, axes)
-        t = distance[i] - before
+        x, y, z, dx, dy, dz, before = _local(rays, place, i)
+        t = hits[0][i] - before
         x = min(max(x + t * dx, -half[0]), half[0])
         y = min(max(y + t * dy, -half[1]), half[1])
         z = min(max(z + t * dz, -half[2]), half[2])
-        side = 1.0 if primitive[i] % 2 == 0 else -1.0
-        along = primitive[i] // 2
+        side = 1.0 if hits[1][i] % 2 == 0 else -1.0
+        along = hits[1][i] // 2
         if along == 0:
             x = side * half[0]
-            _out(axes, side, 0.0, 0.0, normal, i)
-            _out(axes, side, 0.0, 0.0, shading, i)
-            _out(axes, 0.0, side, 0.0, tangent, i)
+            normal, tangent = (side, 0.0, 0.0), (0.0, side, 0.0)
             u, v = side * y / half[1], z / half[2]
         elif along == 1:
             y = side * half[1]
-            _out(axes, 0.0, side, 0.0, normal, i)
-            _out(axes, 0.0, side, 0.0, shading, i)
-            _out(axes, -side, 0.0, 0.0, tangent, i)
+            normal, tangent = (0.0, side, 0.0), (-side, 0.0, 0.0)
             u, v = -side * x / half[0], z / half[2]
         else:
             z = side * half[2]
-            _out(axes, 0.0, 0.0, side, normal, i)
-            _out(axes, 0.0, 0.0, side, shading, i)
-            _out(axes, 1.0, 0.0, 0.0, tangent, i)
+            normal, tangent = (0.0, 0.0, side), ALONG
             u, v = x / half[0], side * y / half[1]
-        _out_point(center, axes, x, y, z, position, i)
-        uv[i, 0] = 0.5 * u + 0.5
-        uv[i, 1] = 0.5 * v + 0.5
+        _put(place, out, i, (x, y, z), normal, normal, tangent, (0.5 * u + 0.5, 0.5 * v + 0.5))
 
 
 # --- surfaces of revolution ---------------------------------------------------------------------------------------
@@ -458,7 +322,7 @@ POLISHED = 0.005
 """Of the distance from a cone at which a ray has met it: roots nearer than this are left as they are."""
 
 
-@njit(error_model="numpy", nogil=True, fastmath=FAST)
+@_compiled
 def _frustum(
     x: float,
     y: float,
@@ -466,16 +330,14 @@ def _frustum(
     dx: float,
     dy: float,
     dz: float,
-    r0: float,
-    z0: float,
-    er: float,
-    ez: float,
-    length: float,
+    point: Any,
+    frustum: Any,
     tolerance: float,
     before: float,
     nearest: float,
 ) -> float:
     """The first distance that with `before` is beyond `nearest` at which a ray meets a frustum; inf for none."""
+    (r0, z0), (er, ez, length) = (point[0], point[1]), (frustum[0], frustum[1], frustum[2])
     if abs(ez) < FLAT:
         if dz == 0.0:
             return INF
@@ -509,21 +371,18 @@ def _frustum(
     return best
 
 
-@njit(error_model="numpy", nogil=True, fastmath=FAST)
+@_compiled
 def revolution_hit(
-    origin: Any,
-    direction: Any,
-    nearest: float,
-    center: Any,
-    axes: Any,
+    rays: Any,
+    place: Any,
     points: Any,
     frusta: Any,
     slopes: Any,
     nodes: Any,
     bounds: Any,
     tolerance: float,
-    distance: Any,
-    primitive: Any,
+    nearest: float,
+    hits: Any,
     start: int,
     stop: int,
 ) -> None:
@@ -534,7 +393,7 @@ def revolution_hit(
     """
     waiting = np.empty(64, np.int64)
     for i in range(start, stop):
-        x, y, z, dx, dy, dz, before = _local(origin, direction, i, center, axes)
+        x, y, z, dx, dy, dz, before = _local(rays, place, i)
         a, b, c = dx * dx + dy * dy, x * dx + y * dy, x * x + y * y
         waist = -b / a if a > 0.0 else 0.0
         above = nearest - before
@@ -569,48 +428,26 @@ def revolution_hit(
                 count += 2
                 continue
             for k in range(nodes[node, 0], nodes[node, 1]):
-                t = _frustum(
-                    x,
-                    y,
-                    z,
-                    dx,
-                    dy,
-                    dz,
-                    points[k, 0],
-                    points[k, 1],
-                    frusta[k, 0],
-                    frusta[k, 1],
-                    frusta[k, 2],
-                    tolerance,
-                    before,
-                    nearest,
-                )
+                t = _frustum(x, y, z, dx, dy, dz, points[k], frusta[k], tolerance, before, nearest)
                 if t < best:
                     best = t
                     part = k
-        distance[i] = before + best
-        primitive[i] = part
+        hits[0][i] = before + best
+        hits[1][i] = part
 
 
-@njit(error_model="numpy", nogil=True, fastmath=FAST)
+@_compiled
 def revolution_surface(
-    origin: Any,
-    direction: Any,
-    distance: Any,
-    primitive: Any,
-    center: Any,
-    axes: Any,
+    rays: Any,
+    place: Any,
     points: Any,
     frusta: Any,
     slopes: Any,
     nodes: Any,
     bounds: Any,
     tolerance: float,
-    position: Any,
-    normal: Any,
-    shading: Any,
-    tangent: Any,
-    uv: Any,
+    hits: Any,
+    out: Any,
     start: int,
     stop: int,
 ) -> None:
@@ -622,10 +459,10 @@ def revolution_surface(
     last = frusta.shape[0] - 1
     total = frusta[last, 3] + frusta[last, 2]
     for i in range(start, stop):
-        x, y, z, dx, dy, dz, before = _local(origin, direction, i, center, axes)
-        t = distance[i] - before
+        x, y, z, dx, dy, dz, before = _local(rays, place, i)
+        t = hits[0][i] - before
         x, y, z = x + t * dx, y + t * dy, z + t * dz
-        k = primitive[i]
+        k = hits[1][i]
         er, ez, length = frusta[k, 0], frusta[k, 1], frusta[k, 2]
         rho = math.sqrt(x * x + y * y)
         if rho > 0.0:
@@ -641,9 +478,6 @@ def revolution_surface(
             dh = (slopes[k, 1, 0] * s + slopes[k, 1, 1]) * s + slopes[k, 1, 2]
             f = 1.0 / math.sqrt(dr * dr + dh * dh)
             dr, dh = dr * f, dh * f
-        _out_point(center, axes, rho * x, rho * y, z, position, i)
-        _out(axes, ez * x, ez * y, -er, normal, i)
-        _out(axes, dh * x, dh * y, -dr, shading, i)
-        _out(axes, -y, x, 0.0, tangent, i)
-        uv[i, 0] = _turn(x, y)
-        uv[i, 1] = min(max((frusta[k, 3] + along) / total, 0.0), 1.0)
+        uv = _turn(x, y), _clipped((frusta[k, 3] + along) / total)
+        normal, shading = (ez * x, ez * y, -er), (dh * x, dh * y, -dr)
+        _put(place, out, i, (rho * x, rho * y, z), normal, shading, (-y, x, 0.0), uv)

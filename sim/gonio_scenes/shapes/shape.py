@@ -123,54 +123,29 @@ class Analytic:
     def intersect(self, origin: Floats, direction: Floats, nearest: float) -> tuple[Floats, Ints]:
         """See `Shape`."""
         origin, direction = rays(origin, direction)
-        distance = np.empty(len(origin))
-        primitive = np.empty(len(origin), np.int64)
+        hits = np.empty(len(origin)), np.empty(len(origin), np.int64)
+        place = self.place.center, self.place.axes
         in_parts(
             lambda start, stop: self.hit(
-                origin,
-                direction,
-                float(nearest),
-                self.place.center,
-                self.place.axes,
-                *self.constants,
-                distance,
-                primitive,
-                start,
-                stop,
+                (origin, direction), place, *self.constants, float(nearest), hits, start, stop
             ),
             len(origin),
             SPLIT,
         )
-        return distance, primitive
+        return hits
 
     def surface(self, origin: Floats, direction: Floats, distance: Floats, primitive: Ints) -> Surface:
         """See `Shape`."""
         origin, direction = rays(origin, direction)
-        position, normal, shading, tangent = np.empty((4, len(origin), 3))
-        uv = np.empty((len(origin), 2))
-        distance = np.ascontiguousarray(distance, np.float64)
-        primitive = np.ascontiguousarray(primitive, np.int64)
+        place = self.place.center, self.place.axes
+        hits = np.ascontiguousarray(distance, np.float64), np.ascontiguousarray(primitive, np.int64)
+        out = (*np.empty((4, len(origin), 3)), np.empty((len(origin), 2)))
         in_parts(
-            lambda start, stop: self.describe(
-                origin,
-                direction,
-                distance,
-                primitive,
-                self.place.center,
-                self.place.axes,
-                *self.constants,
-                position,
-                normal,
-                shading,
-                tangent,
-                uv,
-                start,
-                stop,
-            ),
+            lambda start, stop: self.describe((origin, direction), place, *self.constants, hits, out, start, stop),
             len(origin),
             SPLIT,
         )
-        return Surface(position, normal, shading, tangent, uv)
+        return Surface(*out)
 
     def contains(self, point: npt.ArrayLike) -> bool:
         """See `Shape`."""
