@@ -13,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from gonio.disk import only_file
+from gonio.documents import TomlTable
 from gonio.errors import ConfigError
 
 MAX_DEPTH = 32
@@ -69,7 +70,7 @@ LARGEST_WHOLE = 2**63 - 1
 """What TOML promises of a whole number."""
 
 
-def read_toml(path: str | Path) -> dict[str, Any]:
+def read_toml(path: str | Path) -> TomlTable:
     """The tables of a TOML file.
 
     Raises
@@ -111,7 +112,7 @@ def read_toml(path: str | Path) -> dict[str, Any]:
     raise too_deep
 
 
-def parse(table: type[Table], values: dict[str, Any], source: str | Path) -> Table:
+def parse(table: type[Table], values: TomlTable, source: str | Path) -> Table:
     """Check `values` (from `source`, named in messages) against a configuration table.
 
     Raises
@@ -195,7 +196,7 @@ def _tables_inside(annotation: Any) -> list[type[BaseModel]]:
     return [found for inner in get_args(annotation) for found in _tables_inside(inner)]
 
 
-def to_toml(tables: dict[str, Any]) -> str:
+def to_toml(tables: TomlTable) -> str:
     """TOML of nested tables of strings, booleans, finite numbers and lists; None does not occur."""
     import tomli_w
 

@@ -6,7 +6,6 @@ import itertools
 import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -14,6 +13,7 @@ from pydantic import ValidationError
 
 from gonio.acquisition.plan import Plan, Point, assess, canonical, count_reasons
 from gonio.acquisition.sweeps import Sweep
+from gonio.documents import TomlTable
 from gonio.errors import ConfigError
 from gonio.geometry import Directions
 from gonio.rig import Pose
@@ -49,7 +49,7 @@ class Candidates:
         return Directions.from_degrees(*zip(*rows, strict=True))
 
 
-def candidates(plan: Plan, description: RigDescription, given: dict[str, Any]) -> Candidates:
+def candidates(plan: Plan, description: RigDescription, given: TomlTable) -> Candidates:
     """The combinations of the keys theta_i_deg, theta_r_deg and dphi_deg that a rig can reach.
 
     In the plane of incidence always; with `dphi_deg` at these azimuths, too.

@@ -21,6 +21,7 @@ from gonio.acquisition.run import Run
 from gonio.acquisition.sampling import Choice
 from gonio.acquisition.schedule import reference_pose
 from gonio.config import Strict, parse
+from gonio.documents import JsonObject
 from gonio.errors import ConfigError
 from gonio.reduction.table import angle_axes, zero_uncertainties
 from gonio.rig import Pose
@@ -84,7 +85,7 @@ class Decided:
     """Which candidates are measured next; none where it is enough."""
 
     picked: list[int]
-    why: dict[str, Any]
+    why: JsonObject
     message: str
     met: bool = False
 
@@ -215,7 +216,7 @@ class Curve:
         """
         usable = [v for v in values if len(v) >= FEWEST]
         left_s, n = self._budget_s - spent_s, max((len(v) for v in values), default=0)
-        why: dict[str, Any] = {"spent_s": round(spent_s, 1), "values": n}
+        why: JsonObject = {"spent_s": round(spent_s, 1), "values": n}
         if not usable:
             return Decided([], why, f"enough: only {n} points could be used; a curve needs {FEWEST}")
         starts = before if before is not None and len(before) == len(usable) else [None] * len(usable)
@@ -260,7 +261,7 @@ class Curve:
         return expected.batch_s(self.durations, poses, [float(seconds[k]) for k in order], here)
 
 
-def _with_mirror(plan: Plan, description: RigDescription, given: dict[str, Any]) -> Candidates:
+def _with_mirror(plan: Plan, description: RigDescription, given: JsonObject) -> Candidates:
     """The candidates of the keys, and where theta_r is a range those around the mirror direction too."""
     found = candidates(plan, description, given)
     if isinstance(given["theta_r_deg"], list):

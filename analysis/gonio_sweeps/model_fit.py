@@ -19,6 +19,7 @@ from gonio_analysis.fitting.value_covariance import Covariance
 from pydantic import Field, field_validator
 
 from gonio.config import Strict
+from gonio.documents import JsonObject
 from gonio.errors import DataError
 from gonio.geometry import solid_angle_of_cone
 from gonio.rig.description import Positive, RigDescription
@@ -218,7 +219,7 @@ class ModelFit:
             out.append(f"{name} = {with_u(e.value, e.u)}" + (f" (wanted {wanted:.2g})" if wanted is not None else ""))
         return ", ".join(out)
 
-    def of_fit(self, known: Known) -> dict[str, Any]:
+    def of_fit(self, known: Known) -> JsonObject:
         """What the journal keeps of a fit."""
         result, test = known.result, known.test
         return {

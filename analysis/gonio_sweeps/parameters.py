@@ -13,7 +13,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from gonio_analysis.fitting.forward import apparent
@@ -26,6 +26,7 @@ from gonio.acquisition.run import Run
 from gonio.acquisition.sampling import Choice
 from gonio.acquisition.schedule import reference_pose
 from gonio.config import parse
+from gonio.documents import JsonObject
 from gonio.errors import ConfigError
 from gonio.geometry import Directions
 from gonio.reduction import brdf as reduction
@@ -209,7 +210,7 @@ class Parameters:
         covered, nearest = (sum(mode in names for mode in modes) for names in (COVERS, (NEAREST,)))
         turn = wrong and covered > nearest  # of the nearest model
         known = self._fits.fitted(values) if turn or not wrong else None
-        why: dict[str, Any] = {"spent_s": round(spent_s, 1), "values": len(values)}
+        why: JsonObject = {"spent_s": round(spent_s, 1), "values": len(values)}
         said = []
         if known is not None and not wrong and known.test.rejects(look):  # unless it is the search that has failed
             known = min(known, self._fits.fitted(values, MANY) or known, key=lambda one: one.test.chi_square)
@@ -261,7 +262,7 @@ class Parameters:
 
     # ---- choosing ----
 
-    def _cover(self, values: GrowingValues, left_s: float, stage: int) -> tuple[list[int], dict[str, Any]]:
+    def _cover(self, values: GrowingValues, left_s: float, stage: int) -> tuple[list[int], JsonObject]:
         """The candidates of a batch that covers; so many of these were measured before.
 
         The first of these batches is small: how dark the sample is where nothing was measured nobody knows before.
@@ -272,7 +273,7 @@ class Parameters:
             points, self._places, places(values.directions), values.brdf, values.u_noise, seen.u_rel
         )
         open_to = np.flatnonzero(seen.seconds < DEAREST * max(left_s, 0.0)).tolist()
-        numbers: dict[str, Any] = {"gain": None}
+        numbers: JsonObject = {"gain": None}
 
         def fits(share: float, most: int) -> Callable[[list[int]], bool]:
             return lambda batch: len(batch) <= most and self._batch_s(batch, seen, here) <= share * left_s
@@ -293,7 +294,7 @@ class Parameters:
             numbers["batch_s"] = round(self._batch_s(batch, seen, here), 1)
         return batch, numbers
 
-    def _pick(self, values: GrowingValues, known: Known | None, left_s: float) -> tuple[list[int], dict[str, Any]]:
+    def _pick(self, values: GrowingValues, known: Known | None, left_s: float) -> tuple[list[int], JsonObject]:
         """The candidates of a batch, in the order of their choice, and numbers for the journal."""
         count = LARGEST if known is None else min(max(round(GROWTH * len(values)), SMALLEST), LARGEST)
         seen = self._seen(values, known)
@@ -314,7 +315,7 @@ class Parameters:
             picked += apart
             cover = cover if picked or enough else []
         batch = [*picked, *cover]
-        numbers: dict[str, Any] = {"gain": None if math.isnan(gain) else short(gain)}
+        numbers: JsonObject = {"gain": None if math.isnan(gain) else short(gain)}
         if not affordable.any():
             numbers["cut"] = True
         while batch and self._batch_s(batch, seen, here) > left_s:

@@ -22,6 +22,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Generic, Self, TypeVar
 
+from gonio.documents import JsonObject
 from gonio.errors import ArgumentError, ConfigError, DeviceError
 from gonio_bluesky.status import Owner, Status
 
@@ -33,7 +34,7 @@ if TYPE_CHECKING:
 log = logging.getLogger("gonio.devices")
 
 Value = TypeVar("Value")
-Reading = dict[str, Any]
+Reading = JsonObject
 DARK = "dark"
 AGAIN_S = 0.1
 """How often axes are told to stop until none is on its way: one that was about to leave may not have heard it."""
@@ -50,12 +51,12 @@ class Named:
         self.name = name
 
     @staticmethod
-    def _readings(values: dict[str, Any]) -> dict[str, Reading]:
+    def _readings(values: JsonObject) -> dict[str, Reading]:
         now = time.time()
         return {key: {"value": value, "timestamp": now} for key, value in values.items()}
 
 
-def number(source: str, units: str = "", **more: Any) -> dict[str, Any]:
+def number(source: str, units: str = "", **more: Any) -> JsonObject:
     """The data key of a number."""
     return {"source": source, "dtype": "number", "dtype_numpy": "<f8", "shape": [], "units": units, **more}
 
@@ -133,7 +134,7 @@ class Axis(Named):
         """Whether it was stopped during this move, and then whether the plan wanted that."""
 
     @property
-    def hints(self) -> dict[str, Any]:
+    def hints(self) -> JsonObject:
         """What is plotted of it."""
         return {"fields": [self.name]}
 
@@ -184,7 +185,7 @@ class Axis(Named):
         at = self.locate()
         return self._readings({self.name: at["readback"], f"{self.name}_setpoint": at["setpoint"]})
 
-    def describe(self) -> dict[str, Any]:
+    def describe(self) -> JsonObject:
         """The data keys of `read`."""
         lower, upper = self._rig.description.limits_deg()[self._axis]
         limits = {"limits": {"control": {"low": lower, "high": upper}}}
@@ -238,7 +239,7 @@ class Lamp(Named):
         """The band that is lit, or "dark"."""
         return self._readings({self.name: self.state})
 
-    def describe(self) -> dict[str, Any]:
+    def describe(self) -> JsonObject:
         """The data key of `read`."""
         names = [*(band.name for band in self._rig.description.bands.all()), DARK]
         return {self.name: {"source": "light", "dtype": "string", "shape": [], "choices": names}}
@@ -262,7 +263,7 @@ class Setting(Named, Generic[Value]):
         """What is kept."""
         return self._readings({self.name: self.value})
 
-    def describe(self) -> dict[str, Any]:
+    def describe(self) -> JsonObject:
         """The data key of `read`."""
         return {self.name: number("setting", self._units)}
 
@@ -296,7 +297,7 @@ class Camera(Named):
         self._file, self._taken = "", 0
 
     @property
-    def hints(self) -> dict[str, Any]:
+    def hints(self) -> JsonObject:
         """What is plotted of it."""
         return {"fields": [f"{self.name}_patch_mean_dn"]}
 
@@ -322,12 +323,12 @@ class Camera(Named):
         """Numbers of the last frame; `ConfigError` where none was taken."""
         if self._numbers is None:
             raise ConfigError("the camera has taken no frame yet: trigger it before it is read")
-        values: dict[str, Any] = {f"{self.name}_{key}": self._numbers.get(key, math.nan) for key in NUMBERS}
+        values: JsonObject = {f"{self.name}_{key}": self._numbers.get(key, math.nan) for key in NUMBERS}
         return self._readings(values | ({f"{self.name}_file": self._file} if self._folder is not None else {}))
 
-    def describe(self) -> dict[str, Any]:
+    def describe(self) -> JsonObject:
         """The data keys of `read`."""
-        out: dict[str, Any] = {f"{self.name}_{key}": number("camera", units) for key, units in NUMBERS.items()}
+        out: JsonObject = {f"{self.name}_{key}": number("camera", units) for key, units in NUMBERS.items()}
         if self._folder is not None:
             out[f"{self.name}_file"] = {"source": "camera", "dtype": "string", "shape": []}
         return out

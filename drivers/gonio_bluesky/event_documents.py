@@ -37,6 +37,7 @@ from gonio.acquisition.journal import Event
 from gonio.acquisition.plan import ANGLES
 from gonio.acquisition.run import TABLE, Run
 from gonio.disk import is_own, read_file, read_manifest, require_name
+from gonio.documents import JsonObject
 from gonio.errors import ConfigError, DataError
 from gonio.rig.dng import read_raw
 
@@ -44,8 +45,7 @@ if TYPE_CHECKING:
     import numpy as np
     import numpy.typing as npt
 
-Json = dict[str, Any]
-Document = tuple[str, Json]
+Document = tuple[str, JsonObject]
 """Its kind (start, descriptor, event, ...), and what it holds."""
 
 SPEC = "GONIO_FRAMES"
@@ -152,7 +152,7 @@ def read(path: str | Path) -> Iterator[Document]:
         raise DataError(f"{path}: line {number + 1}: is no document of a run: {error}") from None
 
 
-def _checker() -> tuple[Callable[[str, Json], None], list[str]]:
+def _checker() -> tuple[Callable[[str, JsonObject], None], list[str]]:
     """What refuses a document that does not fit the event model, and what to say where that is not installed."""
     try:
         from event_model import DocumentNames, basemodels, schema_validators
@@ -161,9 +161,9 @@ def _checker() -> tuple[Callable[[str, Json], None], list[str]]:
         how = 'pip install "gonio[bluesky]" brings it'
         return (lambda kind, document: None), [f"the documents are unchecked: event-model is not installed ({how})"]
     # fifty times as fast as the schemas
-    many: dict[str, Any] = {"event": basemodels.Event, "datum_page": basemodels.DatumPage}
+    many: JsonObject = {"event": basemodels.Event, "datum_page": basemodels.DatumPage}
 
-    def check(kind: str, document: Json) -> None:
+    def check(kind: str, document: JsonObject) -> None:
         try:
             if kind in many:
                 many[kind].model_validate(document, strict=True)
@@ -290,10 +290,10 @@ class _Documents:
 
     # ---- start and stop ----
 
-    def _start(self) -> Json:
+    def _start(self) -> JsonObject:
         settings, header = self._settings, self._settings.run
         sample = settings.sample
-        out: Json = {
+        out: JsonObject = {
             "uid": str(self._run_uid),
             "time": self._start_s,
             "plan_name": header.plan,
@@ -316,9 +316,9 @@ class _Documents:
             out["sample"] = sample.model_dump(mode="json", exclude_none=True)
         if settings.laboratory is not None:
             out["laboratory"] = settings.laboratory.stated()
-        return cast("Json", _named(out))
+        return cast("JsonObject", _named(out))
 
-    def _stop(self) -> Json:
+    def _stop(self) -> JsonObject:
         known = self._known
         told = {
             "end": ("success", ""),
@@ -339,11 +339,13 @@ class _Documents:
 
     # ---- streams ----
 
-    def _descriptor(self, name: str, keys: dict[str, Json], configuration: Mapping[str, Any], device: str) -> Json:
+    def _descriptor(
+        self, name: str, keys: dict[str, JsonObject], configuration: Mapping[str, Any], device: str
+    ) -> JsonObject:
         """The descriptor of a stream; another set of keys gives another one, as the event model has it."""
         config_keys = {key: _key_of(value, "run.toml") for key, value in configuration.items()}
         hinted = [key for key in ("level_per_s", "brdf", "event") if key in keys][:1]
-        document: Json = {
+        document: JsonObject = {
             "run_start": str(self._run_uid),
             "time": self._start_s,
             "name": name,
@@ -362,7 +364,7 @@ class _Documents:
         self._streams[name] = _Stream(uid, list(keys))
         return {"uid": uid} | document
 
-    def _event(self, name: str, number: object, time: float, data: Json) -> Document:
+    def _event(self, name: str, number: object, time: float, data: JsonObject) -> Document:
         stream = self._streams[name]
         stream.count += 1
         return "event", {
@@ -382,7 +384,7 @@ class _Documents:
         yield "descriptor", self._descriptor("baseline", keys, {}, "rig")
         yield self._event("baseline", 0, self._start_s, values)
 
-    def _resource(self) -> Json:
+    def _resource(self) -> JsonObject:
         return {
             "uid": self._uid("frames"),
             "run_start": str(self._run_uid),
@@ -401,7 +403,7 @@ class _Documents:
         for event in events:
             yield from self._step(event) if event["event"] == "step" else self._happened(event)
 
-    def _datum_page(self, steps: list[Event]) -> Json:
+    def _datum_page(self, steps: list[Event]) -> JsonObject:
         resource = self._uid("frames")
         listed = [event["frames"] for event in steps]
         self._missing += [f["file"] for frames in listed for f in frames if f["file"] not in self._there]
@@ -422,7 +424,7 @@ class _Documents:
         if name not in self._streams:
             yield "descriptor", self._descriptor(name, self._step_keys(name), self._step_configuration(), "goniometer")
         frames, levels = event["frames"], event.get("level_per_s") or {}
-        data: Json = {"step": event["step"]}
+        data: JsonObject = {"step": event["step"]}
         if name == "primary":
             data["point"] = event["point"]
             data |= dict(zip(ANGLES, map(float, self._angles[event["point"]]), strict=True))
@@ -448,7 +450,7 @@ class _Documents:
     def _pose(self, pose: Mapping[str, float] | None) -> list[float | None]:
         return [None if pose is None else math.degrees(pose.get(axis, 0.0)) for axis in self._axes]
 
-    def _step_keys(self, name: str) -> dict[str, Json]:
+    def _step_keys(self, name: str) -> dict[str, JsonObject]:
         axes, bands = len(self._axes), len(self._bands)
         camera = self._run.description.camera
         keys = {"step": _integer("journal")}
@@ -476,9 +478,9 @@ class _Documents:
         }
         return keys
 
-    def _step_configuration(self) -> Json:
+    def _step_configuration(self) -> JsonObject:
         known = self._known
-        out: Json = {"axes": self._axes, "bands": self._bands}
+        out: JsonObject = {"axes": self._axes, "bands": self._bands}
         if known.numbers:
             out |= {"health": known.numbers, "health_units": [known.units[name] for name in known.numbers]}
         return out
@@ -531,24 +533,24 @@ def _finite(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def _number(source: str, units: str = "") -> Json:
+def _number(source: str, units: str = "") -> JsonObject:
     return {"source": source, "dtype": "number", "dtype_numpy": "<f8", "shape": [], "units": units}
 
 
-def _integer(source: str) -> Json:
+def _integer(source: str) -> JsonObject:
     return {"source": source, "dtype": "integer", "dtype_numpy": "<i8", "shape": []}
 
 
-def _text(source: str) -> Json:
+def _text(source: str) -> JsonObject:
     return {"source": source, "dtype": "string", "shape": []}
 
 
-def _array(source: str, length: int, units: str, dim: str) -> Json:
+def _array(source: str, length: int, units: str, dim: str) -> JsonObject:
     out = {"source": source, "dtype": "array", "dtype_numpy": "<f8", "shape": [length], "dims": [dim]}
     return out | ({"units": units} if units else {})
 
 
-def _key_of(value: Any, source: str) -> Json:
+def _key_of(value: Any, source: str) -> JsonObject:
     """The data key of a value of the configuration."""
     if isinstance(value, bool):
         return {"source": source, "dtype": "boolean", "shape": []}

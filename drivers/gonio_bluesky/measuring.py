@@ -26,6 +26,7 @@ from gonio.acquisition.measure import RigChoice, find_rig, load_sample
 from gonio.acquisition.plan import Plan, Point, canonical, load_plan
 from gonio.acquisition.run import Run, command_line
 from gonio.acquisition.run_folder import begun
+from gonio.documents import JsonObject
 from gonio.errors import ArgumentError, ConfigError, Interrupted
 from gonio.rig import Frame, Pose, Step
 from gonio_bluesky.devices import Named, Reading, number
@@ -49,7 +50,7 @@ class Direction(Named):
         self.value = 0.0
 
     @property
-    def hints(self) -> dict[str, Any]:
+    def hints(self) -> JsonObject:
         """What is plotted of it."""
         return {"fields": [self.name]}
 
@@ -78,7 +79,7 @@ class Direction(Named):
         """The angle that was named [deg]."""
         return self._readings({self.name: self.value})
 
-    def describe(self) -> dict[str, Any]:
+    def describe(self) -> JsonObject:
         """The data key of `read`."""
         return {self.name: number("plan", "deg")}
 
@@ -91,7 +92,7 @@ class StepCamera(Named):
         self._measurement = measurement
 
     @property
-    def hints(self) -> dict[str, Any]:
+    def hints(self) -> JsonObject:
         """What is plotted of it."""
         return {"fields": [f"{self.name}_level_per_s"]}
 
@@ -106,10 +107,10 @@ class StepCamera(Named):
         """Which step it was, and where the axes stood; NaN and step -1 for a point that the rig cannot measure."""
         return self._readings({f"{self.name}_{key}": value for key, value in self._measurement.last.items()})
 
-    def describe(self) -> dict[str, Any]:
+    def describe(self) -> JsonObject:
         """The data keys of `read`."""
         units = {"exposure_s": "s", "level_per_s": "1/s", "time_s": "s"}
-        out: dict[str, Any] = {}
+        out: JsonObject = {}
         for key in self._measurement.last:
             whole = key in ("step", "point")
             key_of = number("engine", units.get(key, "deg" if key.endswith("_deg") else ""))
@@ -123,7 +124,7 @@ class Measurement:
     `theta_i`, `phi_i`, `theta_r`, `phi_r` are the movable directions, `camera` is the detector.
     """
 
-    def __init__(self, plan: Plan, choice: RigChoice, out: Path, given: dict[str, Any]) -> None:
+    def __init__(self, plan: Plan, choice: RigChoice, out: Path, given: JsonObject) -> None:
         self._plan, self._choice, self._out, self._given = plan, choice, out, given
         self.theta_i, self.phi_i, self.theta_r, self.phi_r = (Direction(self, name) for name in DIRECTIONS)
         self.camera = StepCamera(self)
@@ -137,7 +138,7 @@ class Measurement:
         self._gate = _Gate(self._scheduled)
         self._done: set[int] = set()
         self._thread: threading.Thread | None = None
-        self.last: dict[str, Any] = {}
+        self.last: JsonObject = {}
         """What the camera reads of the last point."""
         self._note(None)
 

@@ -8,10 +8,11 @@ An entry point names a callable `(description, settings) -> camera`: the rig's d
 from __future__ import annotations
 
 from types import TracebackType
-from typing import Any, Protocol, Self
+from typing import Protocol, Self
 
 from gonio import plugins
 from gonio.config import parse
+from gonio.documents import TomlTable
 from gonio.errors import ConfigError
 from gonio.rig import Frame
 from gonio.rig.description import RigDescription
@@ -30,7 +31,7 @@ class OpenableCamera(Protocol):
     ) -> None: ...
 
 
-def build(description: RigDescription, table: dict[str, Any]) -> OpenableCamera:
+def build(description: RigDescription, table: TomlTable) -> OpenableCamera:
     """The camera that the table `[devices.camera]` describes.
 
     Raises
@@ -67,21 +68,21 @@ class Unbuilt:
         raise self._error
 
 
-def folder(description: RigDescription, table: dict[str, Any]) -> OpenableCamera:
+def folder(description: RigDescription, table: TomlTable) -> OpenableCamera:
     """RAW files from a watched folder."""
     from gonio_drivers.folder_camera import FolderCamera
 
     return FolderCamera(description, parse(settings.FolderCamera, table, SOURCE))
 
 
-def uvc(description: RigDescription, table: dict[str, Any]) -> OpenableCamera:
+def uvc(description: RigDescription, table: TomlTable) -> OpenableCamera:
     """A USB video camera."""
     from gonio_drivers.uvc import UvcCamera
 
     return UvcCamera(description, parse(settings.UvcCamera, table, SOURCE))
 
 
-def sequence(description: RigDescription, table: dict[str, Any]) -> OpenableCamera:
+def sequence(description: RigDescription, table: TomlTable) -> OpenableCamera:
     """Images from a folder."""
     from gonio_drivers.sequence_camera import SequenceCamera
 

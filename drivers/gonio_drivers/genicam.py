@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gonio.config import Strict, parse
+from gonio.documents import TomlTable
 from gonio.errors import ConfigError, DeviceError, PassingFault
 from gonio.rig import Frame, clock
 from gonio.rig.description import NonNegative, Positive, RigDescription
@@ -330,6 +331,6 @@ def _bits(name: str) -> int:
     return int("".join(c for c in name if c.isdigit()))
 
 
-def genicam(description: RigDescription, table: dict[str, Any]) -> GenICamCamera:
+def genicam(description: RigDescription, table: TomlTable) -> GenICamCamera:
     """The entry point `genicam` of the group `gonio.cameras`."""
     return GenICamCamera(description, parse(GenicamSettings, table, "[devices.camera]"))

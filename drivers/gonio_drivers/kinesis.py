@@ -17,6 +17,7 @@ from types import TracebackType
 from typing import Any, Self, TypeVar
 
 from gonio.config import parse
+from gonio.documents import TomlTable
 from gonio.errors import ConfigError, DeviceError
 from gonio.rig.description import Positive
 from gonio_drivers import ports, settings
@@ -231,6 +232,6 @@ def _library() -> tuple[Any, type[Exception]]:
     return Motor, Thorlabs.ThorlabsError
 
 
-def thorlabs(table: dict[str, Any], key: str) -> KinesisStage:
+def thorlabs(table: TomlTable, key: str) -> KinesisStage:
     """The entry point `thorlabs` of the group `gonio.stages`."""
     return KinesisStage(parse(KinesisAxis, table, key), key)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
 from gonio.config import Strict
+from gonio.documents import TomlTable
 from gonio.errors import ConfigError
 from gonio.rig.description import NonNegative, Positive, RigDescription
 
@@ -123,7 +124,7 @@ class Stages(Strict):
 
     driver: str
     """Its name: "thorlabs", or an entry point of the group `gonio.stages`."""
-    axes: dict[AxisName, dict[str, Any]]
+    axes: dict[AxisName, TomlTable]
     """The keys of `StageAxis`, and the driver's own."""
     acceleration_deg_per_s2: Positive = 20.0
     tolerance_deg: Positive = 0.05
@@ -233,7 +234,7 @@ class Devices(Strict):
     stages: Stages | None = None
     """motorised stages. One of the two."""
     light: Light
-    camera: dict[str, Any]
+    camera: TomlTable
     """`driver` ("folder", "uvc", "sequence", or an entry point of the group `gonio.cameras`) and that driver's keys."""
     interlock: Interlock | None = None
     holder: ServedHolder | None = None

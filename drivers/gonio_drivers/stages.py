@@ -11,9 +11,10 @@ import logging
 import math
 from dataclasses import dataclass
 from types import TracebackType
-from typing import Any, Protocol, Self
+from typing import Protocol, Self
 
 from gonio import plugins
+from gonio.documents import TomlTable
 from gonio.errors import DeviceError
 from gonio.rig import Reading
 from gonio_drivers import settings
@@ -70,7 +71,7 @@ class Stage(Protocol):
         """Come to rest at once, whatever it is doing."""
 
 
-def build(driver: str, table: dict[str, Any], key: str) -> Stage:
+def build(driver: str, table: TomlTable, key: str) -> Stage:
     """The stage that a table of the rig file describes; `key` is its name, for messages.
 
     Raises

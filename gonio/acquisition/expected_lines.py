@@ -14,7 +14,8 @@ from typing import Annotated, Any, Literal, NotRequired
 from pydantic import AfterValidator, ConfigDict, Field, TypeAdapter, ValidationError, with_config
 from typing_extensions import TypedDict
 
-from gonio.acquisition.records import AXES, Json, Kind
+from gonio.acquisition.records import AXES, Kind
+from gonio.documents import JsonObject
 from gonio.errors import DataError
 
 _LARGEST = 2**53
@@ -82,7 +83,7 @@ _LABEL = (
         "event": NotRequired[_shape(_STEP) | None],
     }
 )
-_SAID: dict[str, Any] = {"step": Count, "message": str, "time_s": Seconds}
+_SAID: JsonObject = {"step": Count, "message": str, "time_s": Seconds}
 _OTHERS: Mapping[str, Mapping[str, Any]] = {
     "session": {"gonio": str, "steps": Count, "left": Count},
     "remark": {"message": str},
@@ -90,7 +91,7 @@ _OTHERS: Mapping[str, Mapping[str, Any]] = {
     "paused": {"why": str, **_SAID},
     "retry": {"device": str, "attempt": Count, **_SAID},
     "continued": {"step": Count, "waited_s": Seconds, "time_s": Seconds},
-    "enough": {"met": bool, "message": str, "why": dict[str, Any]},
+    "enough": {"met": bool, "message": str, "why": JsonObject},
     "interrupted": {"message": str},
     "device_error": {"message": str},
     "repaired": {"kept": Count, "rebuilt": list[Count]},
@@ -102,7 +103,7 @@ _KINDS: Mapping[str, Mapping[str, Any]] = {
     "chosen": {
         "first_step": Count,
         "points": list[tuple[ThetaI, Degrees, Degrees, Degrees]],
-        "why": NotRequired[dict[str, Any]],
+        "why": NotRequired[JsonObject],
     },
     "lost": {"steps": list[Count], "frames": NotRequired[list[str]]},
 } | {kind: {key: NotRequired[what] for key, what in keys.items()} for kind, keys in _OTHERS.items()}
@@ -119,7 +120,7 @@ def _adapter(kind: str) -> TypeAdapter[Any]:
     return TypeAdapter(_shape(_EVERY | own, "allow"))
 
 
-def event_of(line: bytes) -> Json:
+def event_of(line: bytes) -> JsonObject:
     """The event of a line whose checksum is right.
 
     Raises
@@ -129,7 +130,9 @@ def event_of(line: bytes) -> Json:
     """
     found = _BEGINNING.match(line)
     kind = found[1].decode() if found is not None else ""
-    event: Json = _read(_adapter(kind if kind in _KINDS else ""), line, f"the record of a {kind}" if kind else "it")
+    event: JsonObject = _read(
+        _adapter(kind if kind in _KINDS else ""), line, f"the record of a {kind}" if kind else "it"
+    )
     if found is None and event["event"] in _KINDS:
         event = _read(_adapter(event["event"]), line, f"the record of a {event['event']}")
     if event["event"] == "step":
@@ -139,9 +142,9 @@ def event_of(line: bytes) -> Json:
     return event
 
 
-def label_json(text: str | bytes) -> Json:
+def label_json(text: str | bytes) -> JsonObject:
     """The label of a frame; raises `DataError` as `event_of` does."""
-    label: Json = _read(_adapter("label"), text, "the label of a frame")
+    label: JsonObject = _read(_adapter("label"), text, "the label of a frame")
     if label.get("event") is not None:
         _checked_step(label["event"])
     return label
@@ -160,7 +163,7 @@ def _read(adapter: TypeAdapter[Any], text: str | bytes, what: str) -> Any:
         raise DataError(f"{what} cannot be understood: {place}{shown}: {first['msg']}") from None
 
 
-def _checked_step(step: Json) -> Json:
+def _checked_step(step: JsonObject) -> JsonObject:
     if (step["kind"] == "point") != (step["point"] is not None):
         raise DataError(f'the record of a step cannot be understood: kind = "{step["kind"]}", point = {step["point"]}')
     start = f"{step['step']:06d}-"

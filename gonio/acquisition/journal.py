@@ -24,11 +24,12 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, BinaryIO, Self, overload
 
-from gonio.acquisition.records import Json, compact
+from gonio.acquisition.records import compact
 from gonio.disk import only_file
+from gonio.documents import JsonObject
 from gonio.errors import ConfigError, DataError
 
-Event = Json
+Event = JsonObject
 """A line: its `event` says what kind it is. Those of steps are `gonio.acquisition.records.StepRecord`."""
 
 MARK = b',"crc":"'

@@ -25,6 +25,7 @@ from gonio.acquisition.sweeps import ANGLES as ANGLES
 from gonio.acquisition.sweeps import MAX_POINTS, PointsFile, Repeated, Sweep
 from gonio.config import Strict, parse, read_toml
 from gonio.disk import only_file
+from gonio.documents import TomlTable
 from gonio.errors import ConfigError
 from gonio.geometry import Directions
 from gonio.rig import Pose, beam_size
@@ -51,7 +52,7 @@ class Adaptive(Strict):
     """Rig time that the whole run may take."""
 
     @property
-    def own(self) -> dict[str, Any]:
+    def own(self) -> TomlTable:
         """The sampler's own keys."""
         return dict(self.model_extra or {})
 

@@ -15,11 +15,11 @@ from math import isfinite
 from operator import attrgetter
 from typing import Any, Literal, Self, TypeVar
 
+from gonio.documents import JsonObject
 from gonio.errors import DataError
 from gonio.rig.health import Reading
 from gonio.rig.protocols import Pose
 
-Json = dict[str, Any]
 """An object of JSON."""
 Kind = Literal["dark", "reference", "point"]
 Parsed = TypeVar("Parsed")
@@ -154,9 +154,9 @@ class StepRecord:
         out.append(f',"flag":{compact(self.flag)},"frames":[{",".join(frames)}]}}')
         return "".join(out)
 
-    def to_json(self) -> Json:
+    def to_json(self) -> JsonObject:
         """`text` as an object."""
-        out: Json = json.loads(self.text())
+        out: JsonObject = json.loads(self.text())
         return out
 
     @classmethod
@@ -245,9 +245,9 @@ class FrameLabel:
             out += f',"goal":{_axes(self.goal)},"pose":{_axes(self.pose)},"pose_time_s":{time_s}'
         return f"{out}}}" if self.record is None else f'{out},"event":{self.record.text(files)}}}'
 
-    def to_json(self) -> Json:
+    def to_json(self) -> JsonObject:
         """`text` as an object."""
-        out: Json = json.loads(self.text())
+        out: JsonObject = json.loads(self.text())
         return out
 
     @classmethod

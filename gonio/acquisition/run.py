@@ -56,6 +56,7 @@ from gonio.disk import (
     sync_folder,
     write_own,
 )
+from gonio.documents import JsonObject
 from gonio.errors import ConfigError, DataError
 from gonio.rig.description import Band, RigDescription, SampleDescription
 from gonio.rig.laboratory import Laboratory
@@ -96,7 +97,7 @@ class Batch:
     first_step: int
     first_row: int
     points: tuple[Point, ...]
-    why: dict[str, Any] = field(default_factory=dict)
+    why: JsonObject = field(default_factory=dict)
     """What its sampler wrote down."""
 
 
@@ -211,7 +212,7 @@ class Run:
         return self.settings.run.seed
 
     @property
-    def laboratory(self) -> dict[str, Any]:
+    def laboratory(self) -> JsonObject:
         """What is stated of who measured what, with the time of the run and its plan; nothing where nobody has."""
         stated, header = self.settings.laboratory, self.settings.run
         return {} if stated is None else stated.stated() | {"measured": header.created, "plan": header.plan}

@@ -12,6 +12,7 @@ import numpy as np
 from gonio import plugins
 from gonio.acquisition.plan import Plan, Point
 from gonio.acquisition.run import Run
+from gonio.documents import TomlTable
 from gonio.errors import ConfigError
 from gonio.rig.description import RigDescription
 
@@ -22,7 +23,7 @@ class Choice:
 
     points: tuple[Point, ...]
     """In the order in which they are measured; the same point may come again. None: it is enough."""
-    why: dict[str, Any] = field(default_factory=dict)
+    why: TomlTable = field(default_factory=dict)
     """What the journal keeps of the reasons: numbers and words, in lists and tables; numpy's too (`keepable`)."""
     message: str = ""
     """For the person who watches, in one line."""
@@ -74,7 +75,7 @@ def sampler_of(plan: Plan, description: RigDescription) -> tuple[Plan, Sampler |
     return replace(plan, points=(*plan.points, *sampler.first(plan.points))), sampler
 
 
-def keepable(why: Mapping[str, Any], how: str) -> dict[str, Any]:
+def keepable(why: Mapping[str, Any], how: str) -> TomlTable:
     """The reasons of a sampler as JSON holds them: numpy's scalars and arrays become numbers and lists.
 
     A number that is not finite becomes None, as everywhere in a journal.

@@ -11,6 +11,7 @@ from typing import Any, Literal
 from gonio.checks.hemisphere import Hemispherical, reflectances
 from gonio.checks.symmetry import DIFFERENT, FEWEST, PLACES, Pairs, repeats, symmetries
 from gonio.checks.values import CheckedValues
+from gonio.documents import JsonObject
 from gonio.shown import with_u
 
 Verdict = Literal["ok", "look", "bad", "not told"]
@@ -57,7 +58,7 @@ class Check:
         names = {one.name for one in fields(cls)}
         return cls(**values) if isinstance(values, dict) and values.keys() == names else None
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> JsonObject:
         """As it stands in the attributes of a table."""
         return asdict(self)
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, TypedDict
 import numpy as np
 
 from gonio import __version__
+from gonio.documents import JsonObject
 from gonio.errors import DataError
 from gonio.formats.reader import ANGLES, write_bytes
 from gonio.formats.stated import Need, get, laboratory_of, require
@@ -85,7 +86,7 @@ def write(frame: pd.DataFrame, path: Path) -> None:
     write_bytes(path, text.encode() + b"\n")
 
 
-def _metadata(frame: pd.DataFrame, path: Path) -> dict[str, Any]:
+def _metadata(frame: pd.DataFrame, path: Path) -> JsonObject:
     attrs = frame.attrs
     provenance = attrs.get("provenance") or {}
     attributes = {key: value for key, value in attrs.items() if key not in ("provenance", "source_file")}
@@ -112,7 +113,7 @@ def _is_simulated(provenance: Mapping[str, Any]) -> bool:
     return told if isinstance(told, bool) else str(provenance.get("rig", "")).startswith("sim")
 
 
-def _unstated(frame: pd.DataFrame) -> dict[str, Any]:
+def _unstated(frame: pd.DataFrame) -> JsonObject:
     """What the schema requires, of a table of which nobody has said whose it is."""
     attrs, unknown = frame.attrs, "unknown"
     provenance = attrs.get("provenance") or {}
@@ -150,7 +151,7 @@ _NEEDED_OF_A_MEASUREMENT: tuple[Need, ...] = (
 )  # fmt: skip
 
 
-def _stated(frame: pd.DataFrame, stated: dict[str, Any], path: Path) -> dict[str, Any]:
+def _stated(frame: pd.DataFrame, stated: JsonObject, path: Path) -> JsonObject:
     """The same from `[laboratory]`; `ConfigError` names every key that is missing."""
     attrs = frame.attrs
     provenance = attrs["provenance"]
@@ -166,7 +167,7 @@ def _stated(frame: pd.DataFrame, stated: dict[str, Any], path: Path) -> dict[str
     def of(key: str) -> Any:
         return get(stated, key)
 
-    def there(**values: Any) -> dict[str, Any]:
+    def there(**values: Any) -> JsonObject:
         return {key: value for key, value in values.items() if value is not None}
 
     address = there(
@@ -208,11 +209,11 @@ def _stated(frame: pd.DataFrame, stated: dict[str, Any], path: Path) -> dict[str
     return out
 
 
-def _mm(value: float) -> dict[str, Any]:
+def _mm(value: float) -> JsonObject:
     return {"value": value, "unit": "mm"}
 
 
-def _instrumentation(frame: pd.DataFrame, stated: dict[str, Any]) -> dict[str, Any]:
+def _instrumentation(frame: pd.DataFrame, stated: JsonObject) -> JsonObject:
     attrs, instrument = frame.attrs, stated["instrument"]
     lit, seen = (
         {"min_value": instrument[key][0], "max_value": instrument[key][1], "unit": "nm"}
@@ -243,13 +244,13 @@ def _instrumentation(frame: pd.DataFrame, stated: dict[str, Any]) -> dict[str, A
     return out | {key: value for key, value in more.items() if value is not None}
 
 
-def _environment(stated: dict[str, Any]) -> dict[str, Any]:
+def _environment(stated: JsonObject) -> JsonObject:
     if "temperature_c" not in stated:
         return {}
-    temperature: dict[str, Any] = {"value": stated["temperature_c"], "unit": "°C"}
+    temperature: JsonObject = {"value": stated["temperature_c"], "unit": "°C"}
     if "u_temperature_c" in stated:
         temperature |= {"uncertainty": stated["u_temperature_c"], "uncertainty_unit": "°C"}
-    out: dict[str, Any] = {"temperature": temperature}
+    out: JsonObject = {"temperature": temperature}
     if "relative_humidity_percent" in stated:
         out["relative_humidity"] = {"value": stated["relative_humidity_percent"], "unit": "%"}
     return out

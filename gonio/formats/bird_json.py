@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
+from gonio.documents import JsonObject
 from gonio.errors import DataError
 from gonio.formats._bird_writer import _STATES, _Variable, write
 from gonio.formats.native import checked_attributes
@@ -99,7 +100,7 @@ def read(data: bytes, path: Path) -> pd.DataFrame:
 class _Section:
     """The object `data` of a file, whose messages name the variable and the index."""
 
-    def __init__(self, section: dict[str, Any], path: Path) -> None:
+    def __init__(self, section: JsonObject, path: Path) -> None:
         self.section = section
         self.path = path
 
@@ -203,7 +204,7 @@ def _uncertainty(file: _Section, brdf: Floats) -> Floats:
     return 0.01 * value * np.abs(brdf) if stated["unit"] == "%" else np.full(brdf.size, value)
 
 
-def _solid_angle(metadata: dict[str, Any]) -> float | None:
+def _solid_angle(metadata: JsonObject) -> float | None:
     here: Any = metadata
     for key in ("instrumentation", "detection_system", "solid_angle"):
         here = here.get(key) if isinstance(here, dict) else None
@@ -212,7 +213,7 @@ def _solid_angle(metadata: dict[str, Any]) -> float | None:
     return float(value) if known and value is not None else None
 
 
-def _load(data: bytes, path: Path) -> dict[str, Any]:
+def _load(data: bytes, path: Path) -> JsonObject:
     def refuse(word: str) -> Any:
         raise ValueError(f"{word} is not JSON")
 

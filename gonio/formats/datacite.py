@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from gonio.documents import JsonObject
 from gonio.errors import ConfigError
 from gonio.formats.reader import write_bytes
 from gonio.formats.stated import Need, get, laboratory_of, require
@@ -20,7 +21,7 @@ _SCHEMA = "http://datacite.org/schema/kernel-4"
 _NEEDED: tuple[Need, ...] = ("creators", "publication_year", ("publisher", "organisation"))
 
 
-def record(frame: pd.DataFrame, path: Path) -> dict[str, Any]:
+def record(frame: pd.DataFrame, path: Path) -> JsonObject:
     """The record of a table; `path` is for messages.
 
     Raises
@@ -39,7 +40,7 @@ def record(frame: pd.DataFrame, path: Path) -> dict[str, Any]:
     require(stated, needed, "a DataCite record", path)
     simulated = (frame.attrs.get("provenance") or {}).get("simulated") is True
     what = "Simulated measurement" if simulated else "Measurement"
-    out: dict[str, Any] = {
+    out: JsonObject = {
         "schemaVersion": _SCHEMA,
         "types": {"resourceTypeGeneral": "Dataset", "resourceType": f"{what} of a BRDF"},
         "creators": [_creator(one) for one in stated["creators"]],
@@ -55,7 +56,7 @@ def record(frame: pd.DataFrame, path: Path) -> dict[str, Any]:
     if "doi" in stated:
         out["doi"] = stated["doi"]
     if "contact" in stated:
-        contact: dict[str, Any] = {"contributorType": "ContactPerson", "name": stated["contact"]}
+        contact: JsonObject = {"contributorType": "ContactPerson", "name": stated["contact"]}
         if "organisation" in stated:
             contact["affiliation"] = [{"name": stated["organisation"]}]
         out["contributors"] = [contact]
@@ -70,7 +71,7 @@ def record(frame: pd.DataFrame, path: Path) -> dict[str, Any]:
     return out
 
 
-def encode(content: dict[str, Any]) -> bytes:
+def encode(content: JsonObject) -> bytes:
     """A record as a file has it."""
     return json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False).encode() + b"\n"
 
@@ -93,8 +94,8 @@ def write(frame: pd.DataFrame, path: Path) -> list[str]:
     return [] if "doi" in content else ["the record has no DOI yet: laboratory.doi, once there is one"]
 
 
-def _creator(stated: dict[str, Any]) -> dict[str, Any]:
-    out: dict[str, Any] = {"name": stated["name"]}
+def _creator(stated: JsonObject) -> JsonObject:
+    out: JsonObject = {"name": stated["name"]}
     family, comma, first = stated["name"].partition(",")
     if comma and first.strip():
         out |= {"nameType": "Personal", "familyName": family.strip(), "givenName": first.strip()}

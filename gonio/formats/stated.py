@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from gonio.documents import JsonObject
 from gonio.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -15,7 +16,7 @@ Need = str | tuple[str, ...]
 """A key that a record needs; of several keys in a tuple one is enough."""
 
 
-def laboratory_of(frame: pd.DataFrame) -> dict[str, Any] | None:
+def laboratory_of(frame: pd.DataFrame) -> JsonObject | None:
     """The table `[laboratory]` of the run that a table was reduced from; None where it had none."""
     provenance = frame.attrs.get("provenance")
     stated = provenance.get("laboratory") if isinstance(provenance, Mapping) else None

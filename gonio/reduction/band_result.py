@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from gonio.documents import JsonObject
 from gonio.geometry import Directions
 from gonio.reduction import white_reference
 from gonio.reduction.count_rates import Reduced
@@ -62,5 +62,5 @@ class BandResult:
     coarse: Directions
     """Nominal directions of points beside a lobe that is narrower than the plan's steps."""
     inputs: Inputs
-    merged: dict[str, Any] = field(default_factory=dict)
+    merged: JsonObject = field(default_factory=dict)
     """How the frames were merged pixel by pixel; empty where whole frames were."""

@@ -12,11 +12,12 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from gonio.acquisition.plan import ANGLES
+from gonio.documents import JsonObject
 from gonio.errors import ConfigError, DataError
 from gonio.geometry import Directions, mirrored
 from gonio.reduction import angle_sensitivity, budget, light_and_lens, spike_overlap, white_reference
@@ -171,7 +172,7 @@ class Reference:
     """Relative standard uncertainty of that."""
 
 
-def _merged(frames: RunFrames, band: Band, points: list[Reduced], visits: list[Reduced]) -> dict[str, Any]:
+def _merged(frames: RunFrames, band: Band, points: list[Reduced], visits: list[Reduced]) -> JsonObject:
     """What merging by pixels left out, in a band; nothing where whole frames were merged."""
     if not frames.description.acquisition.by_pixels:
         return {}

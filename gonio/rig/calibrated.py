@@ -32,6 +32,7 @@ from pydantic import Field, model_validator
 
 from gonio.config import Strict, numbers_in, parse, read_toml, to_toml
 from gonio.disk import read_file, write_whole
+from gonio.documents import TomlTable
 from gonio.errors import ArgumentError, ConfigError
 from gonio.rig.description import Calibrated, ParameterUncertainty, RigDescription
 from gonio.typing import Floats
@@ -59,11 +60,11 @@ class Calibration(Strict):
     valid_until: datetime.date | None = None
     notes: tuple[str, ...] = ()
     """What remained undetermined, and what else a user of the values has to know."""
-    values: dict[str, Any]
+    values: TomlTable
     """Keys of the rig file, in its tables."""
     uncertainty: ParameterUncertainty = ParameterUncertainty(parameters=[], u=[], correlation=[])
     """Of numbers of `values`, by their paths."""
-    measured: dict[str, Any] = Field(default_factory=dict)
+    measured: TomlTable = Field(default_factory=dict)
     """What else was found, for people and reports."""
 
     @model_validator(mode="after")
@@ -114,7 +115,7 @@ def write_calibration(calibration: Calibration, path: str | Path) -> None:
     write_whole(Path(path), to_toml(tables).encode())
 
 
-def with_keys(description: RigDescription, values: dict[str, Any], source: str | Path) -> RigDescription:
+def with_keys(description: RigDescription, values: TomlTable, source: str | Path) -> RigDescription:
     """A rig with other values for some keys of its file; `source` is named where one is wrong."""
     return parse(RigDescription, _laid_over(description.model_dump(mode="python"), values), source)
 
@@ -137,7 +138,7 @@ def with_calibrations(
     remarks, out = [], description
     known: list[Calibrated] = []
     as_filed = description.model_dump(mode="python", exclude_none=True)
-    replaced: dict[str, Any] = {}
+    replaced: TomlTable = {}
     for name in use.files:
         path = Path(folder) / name
         calibration = read_calibration(path)
@@ -171,13 +172,13 @@ def with_calibrations(
     return out.model_copy(update={"calibration": use})
 
 
-def _require_calibrated(values: dict[str, Any], path: Path) -> None:
+def _require_calibrated(values: TomlTable, path: Path) -> None:
     wrong = [name for name in values if name not in TABLES]
     if wrong:
         raise ConfigError(f"{path}: values.{wrong[0]}: a calibration gives values for {', '.join(TABLES)} alone")
 
 
-def _beside(values: dict[str, Any], path: Path) -> dict[str, Any]:
+def _beside(values: TomlTable, path: Path) -> TomlTable:
     """Values whose file of maps lies beside the calibration file that names it."""
     camera = values.get("camera")
     if not isinstance(camera, dict) or not isinstance(camera.get("maps"), str):
@@ -245,9 +246,9 @@ def known_parameters(description: RigDescription) -> list[str]:
     return list(dict.fromkeys(name for known in description.calibration.known for name in known.parameters))
 
 
-def _where(values: dict[str, Any], tables: dict[str, Any]) -> dict[str, Any]:
+def _where(values: TomlTable, tables: TomlTable) -> TomlTable:
     """The part of nested tables that values are given for."""
-    out: dict[str, Any] = {}
+    out: TomlTable = {}
     for key, value in values.items():
         below = tables.get(key)
         if isinstance(value, dict) and isinstance(below, dict):
@@ -257,7 +258,7 @@ def _where(values: dict[str, Any], tables: dict[str, Any]) -> dict[str, Any]:
     return out
 
 
-def _laid_over(tables: dict[str, Any], values: dict[str, Any]) -> dict[str, Any]:
+def _laid_over(tables: TomlTable, values: TomlTable) -> TomlTable:
     """Nested tables with other values for some keys; a table lies over a table, anything else takes its place."""
     out = dict(tables)
     for key, value in values.items():

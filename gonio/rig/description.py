@@ -14,12 +14,13 @@ import datetime
 import math
 from functools import lru_cache
 from itertools import pairwise
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
 
 from gonio.config import Strict, numbers_in
+from gonio.documents import TomlTable
 from gonio.errors import ConfigError
 from gonio.rig.health import Reading
 from gonio.rig.laboratory import Laboratory
@@ -657,7 +658,7 @@ class CalibrationUse(Strict):
     """Where a file is out of date, or was made on another rig."""
     known: tuple[Calibrated, ...] = ()
     """What was read: a run keeps it, so that it can be reduced without the files. Not for a person to write."""
-    replaced: dict[str, Any] = Field(default_factory=dict)
+    replaced: TomlTable = Field(default_factory=dict)
     """What the rig file itself says where a calibration says otherwise, in its tables. Not for a person to write."""
     remarks: tuple[str, ...] = ()
     """Why a file was unfit, where that was only to be warned of. Not for a person to write."""
@@ -683,7 +684,7 @@ class RigDescription(Strict):
     """What could touch on its way. Where there are any, the two balls of `geometry` belong to them."""
     cables: tuple[Cable, ...] = ()
     """What could be torn on its way, or caught."""
-    devices: dict[str, Any] = Field(default_factory=dict)
+    devices: TomlTable = Field(default_factory=dict)
     """Ports, ids and dialects: checked by the rig's own driver."""
     calibration: CalibrationUse = CalibrationUse()
     laboratory: Laboratory | None = None
@@ -762,7 +763,7 @@ class SampleDescription(Strict):
 
     name: str
     model: str
-    parameters: dict[str, Any] = Field(default_factory=dict)
+    parameters: TomlTable = Field(default_factory=dict)
     diameter_mm: Positive | None = None
     integrate_band: bool = False
     """Render the integral over the band instead of the value at its centre."""

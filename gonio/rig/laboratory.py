@@ -6,11 +6,12 @@ Every key is optional: what a record needs and nobody has stated is named when t
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated
 
 from pydantic import Field, StringConstraints, field_validator
 
 from gonio.config import Strict, parse
+from gonio.documents import TomlTable
 
 Words = Annotated[str, StringConstraints(min_length=1, strip_whitespace=True)]
 """A text that says something."""
@@ -129,7 +130,7 @@ class Laboratory(Strict):
     doi: Doi | None = None
     funding: tuple[Funding, ...] = ()
 
-    def stated(self) -> dict[str, Any]:
+    def stated(self) -> TomlTable:
         """What is stated, and nothing else: nested tables as TOML and JSON have them."""
         return _said(self.model_dump(mode="json", exclude_none=True))
 
@@ -141,12 +142,12 @@ def merged(below: Laboratory | None, above: Laboratory | None) -> Laboratory | N
     return parse(Laboratory, _laid_over(below.stated(), above.stated()), "laboratory")
 
 
-def _said(values: dict[str, Any]) -> dict[str, Any]:
+def _said(values: TomlTable) -> TomlTable:
     inner = {key: _said(value) if isinstance(value, dict) else value for key, value in values.items()}
     return {key: value for key, value in inner.items() if value not in ({}, [])}
 
 
-def _laid_over(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
+def _laid_over(below: TomlTable, above: TomlTable) -> TomlTable:
     out = dict(below)
     for key, value in above.items():
         both = isinstance(value, dict) and isinstance(out.get(key), dict)

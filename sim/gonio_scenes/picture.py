@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from gonio import __version__
 from gonio.disk import require_own, write_own
+from gonio.documents import JsonObject
 from gonio.errors import ConfigError
 from gonio.rig.dng import encode_dng
 from gonio.rig.protocols import Frame
@@ -79,7 +80,7 @@ def _photographed(scene: Scene) -> bool:
     return scene.tables.photograph is not None and scene.tables.photograph.simulated
 
 
-def _of_frame(scene: Scene, frame: Frame) -> dict[str, Any]:
+def _of_frame(scene: Scene, frame: Frame) -> JsonObject:
     table = scene.tables.photograph
     assert table is not None
     assert table.sensor is not None
@@ -145,7 +146,7 @@ def _white(radiance: Floats) -> float:
 
 
 def _npz(scene: Scene, picture: Picture) -> bytes:
-    arrays: dict[str, Any] = {
+    arrays: JsonObject = {
         "radiance": picture.radiance,
         "wavelength_nm": scene.wavelength_nm,
         "shape": picture.shape,
@@ -246,10 +247,10 @@ def left_out(scene: Scene) -> list[dict[str, str]]:
     return out
 
 
-def summary(scene: Scene, picture: Picture, white: float, command: str) -> dict[str, Any]:
+def summary(scene: Scene, picture: Picture, white: float, command: str) -> JsonObject:
     """The numbers of a rendered scene, as `summary.json` holds them."""
     hit = picture.shape >= 0
-    out: dict[str, Any] = {
+    out: JsonObject = {
         "name": scene.name,
         "gonio": __version__,
         "command": command,

@@ -11,6 +11,7 @@ import numpy as np
 
 from gonio import disk
 from gonio.config import numbers_in, to_toml
+from gonio.documents import TomlTable
 from gonio.errors import ConfigError
 from gonio.models import Corrected
 from gonio.typing import Floats
@@ -71,7 +72,7 @@ def save(result: FitResult, path: Path, *, name: str, source: str, residual: boo
     """
     check_target(path, FitRequest(result.name, each=result.problem.each))
     model = "sum" if "+" in result.name else result.name
-    tables: dict[str, Any] = {"name": name, "model": model, "parameters": _parameters(result, result.vector)}
+    tables: TomlTable = {"name": name, "model": model, "parameters": _parameters(result, result.vector)}
     uncertainty = _uncertainty(result)
     if uncertainty is not None and result.misfit is not None and not residual:
         uncertainty["misfit"] = float(f"{result.misfit.tau:.3g}")
@@ -90,14 +91,14 @@ def save(result: FitResult, path: Path, *, name: str, source: str, residual: boo
         raise ConfigError(f"--save {path}: cannot be written: {error.strerror or error}") from None
 
 
-def _parameters(result: FitResult, vector: Floats) -> dict[str, Any]:
+def _parameters(result: FitResult, vector: Floats) -> TomlTable:
     """The constructor's arguments at a point of the search, as TOML has them."""
     problem = result.problem
     given = {**problem.family.arguments(problem.values(vector)), **problem.words}
     return {key: _plain(value) for key, value in given.items()}
 
 
-def _uncertainty(result: FitResult) -> dict[str, Any] | None:
+def _uncertainty(result: FitResult) -> TomlTable | None:
     """Standard uncertainties and correlation of the arguments that the fit found; None where it states none.
 
     Arguments follow the fitted parameters to first order; those that do not depend on them are exact, and left out.

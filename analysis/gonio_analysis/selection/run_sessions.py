@@ -8,8 +8,9 @@ from bisect import bisect_right
 from dataclasses import dataclass, field
 from pathlib import Path
 from statistics import fmean, stdev
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from gonio.documents import JsonObject
 from gonio_analysis.result_records import ReferenceLevel, SessionSummary
 
 if TYPE_CHECKING:
@@ -82,7 +83,7 @@ def _sessions(run: Run) -> tuple[list[_Session], list[tuple[float, _Session]]]:
     return found, sorted(visits, key=lambda visit: visit[0])
 
 
-def account(folder: Path) -> list[dict[str, Any]]:
+def account(folder: Path) -> list[JsonObject]:
     """What the visits to the reference said, a band each, as the reduction has left it; nothing before it."""
     try:
         meta = json.loads((folder / "brdf.meta.json").read_text(encoding="utf-8"))
