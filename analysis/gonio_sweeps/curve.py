@@ -23,7 +23,7 @@ from gonio.acquisition.schedule import reference_pose
 from gonio.config import Strict, parse
 from gonio.documents import JsonObject
 from gonio.errors import ConfigError
-from gonio.reduction.table import angle_axes, zero_uncertainties
+from gonio.reduction.angle_errors import angle_axes, zero_uncertainties
 from gonio.rig import Pose
 from gonio.rig.description import Positive, RigDescription
 from gonio.typing import Floats

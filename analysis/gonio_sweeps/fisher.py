@@ -23,7 +23,7 @@ from gonio_analysis.fitting.problem import Problem
 from gonio_analysis.fitting.search import derivatives
 
 from gonio.geometry import Directions
-from gonio.reduction.table import CAUSES, angle_axes, zero_uncertainties
+from gonio.reduction.angle_errors import CAUSES, angle_axes, zero_uncertainties
 from gonio.rig import Pose, kinematics
 from gonio.rig.description import RigDescription
 from gonio.typing import Floats

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -54,6 +55,31 @@ def from_above(d: Directions, azimuth: float) -> Floats:
     turn = math.atan2(across, along) if signed >= AT_NORMAL else 0.0  # rotate with the plane of incidence
     phi = phi_r - azimuth - turn
     return np.array([-theta_r * math.cos(phi), theta_r * math.sin(phi), signed, azimuth + turn])
+
+
+@dataclass(frozen=True, slots=True)
+class Lobes:
+    """What is known of the lobe and of the spike at each point [1/sr], and of their slopes [1/sr per rad]."""
+
+    lobe: Floats
+    spike: Floats
+    u_spike: Floats
+    slope: Floats
+    """Along x, y, theta_i and the turn (`from_above`), shape (points, 4)."""
+    u_slopes: Floats
+    """Covariance of these, shape (points, 4, 4)."""
+    curvature: Floats
+    """Along x and y, shape (points, 2)."""
+
+    @property
+    def u_slope(self) -> Floats:
+        """Standard uncertainty of the slopes of the detector, the larger of both."""
+        return np.asarray(np.sqrt(np.maximum(self.u_slopes[:, 0, 0], self.u_slopes[:, 1, 1])))
+
+    @property
+    def u_slope_theta_i(self) -> Floats:
+        """That of the slope of the source, which the detector follows."""
+        return np.asarray(np.sqrt(np.einsum("i,nij,j->n", WITH_MIRROR, self.u_slopes, WITH_MIRROR)))
 
 
 class Curves:
@@ -189,19 +215,10 @@ class Curves:
         first = abs(self.slope[k, :3] @ (x.mean(), across.mean(), theta_i.mean()))
         return float(first + 0.5 * self.curvature[k] @ (np.var(x - theta_i), np.var(across)))
 
-    def facts(self) -> dict[str, Floats]:
-        """What of each point is known [1/sr, and per rad]: lobe, spike, slopes, their uncertainties, curvatures."""
-        return {
-            "lobe": self.lobe,
-            "spike": self.spike,
-            "u_spike": self.spikes.u_amplitude * self.spikes.told,
-            "slope": self.slope,
-            "u_slopes": self._slope_uncertainty,
-            "u_slope": np.sqrt(np.maximum(self._slope_uncertainty[:, 0, 0], self._slope_uncertainty[:, 1, 1])),
-            "u_slope_theta_i": np.sqrt(np.einsum("i,nij,j->n", WITH_MIRROR, self._slope_uncertainty, WITH_MIRROR)),
-            "curvature_x": self.curvature[:, 0],
-            "curvature_y": self.curvature[:, 1],
-        }
+    def facts(self) -> Lobes:
+        """What of each point is known."""
+        u_spike = self.spikes.u_amplitude * self.spikes.told
+        return Lobes(self.lobe, self.spike, u_spike, self.slope, self._slope_uncertainty, self.curvature)
 
     def slope_uncertainty(self, k: int, plus: Directions) -> float:
         """Standard uncertainty [1/sr] of the odd part of `effects`, because points tell slopes only so well."""

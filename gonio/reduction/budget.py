@@ -9,7 +9,7 @@ import numpy as np
 
 from gonio.acquisition.plan import ANGLES
 from gonio.geometry import SAME_AZIMUTH, half_angle_of_cone
-from gonio.reduction.band_result import BandResult
+from gonio.reduction.values import BandResult
 from gonio.rig import kinematics
 from gonio.rig.description import RigDescription
 
@@ -58,26 +58,28 @@ def assemble(table: pd.DataFrame, bands: list[BandResult]) -> pd.DataFrame:
 
     causes = [name for name in table.columns if name.startswith("s_")]
     kept = [*ANGLES, "wavelength_nm", *(["side"] if "side" in table.columns else []), "brdf", "u_brdf"]
-    rows, numbers = len(table), [*COMPONENTS, "nu_eff", "coarse", "cone_difference"]
+    parts = list(dict.fromkeys([*COMPONENTS, *(name for band in bands for name in band.values.own)]))
+    rows, numbers = len(table), [*parts, "nu_eff", "coarse", "cone_difference"]
     values = np.full((len(numbers), rows), math.nan)
     cones = [half_angle_of_cone(table.attrs[f"{name}_solid_angle_sr"]) for name in ("source", "receiver")]
     # each disc has the variance of a quarter of its squared radius in each direction
     variance = 0.25 * sum(float(cone) ** 2 for cone in cones)
     for k, band in enumerate(bands):
-        at, c = band.points * len(bands) + k, band.columns
+        at, of = band.rows * len(bands) + k, band.values
         if not at.size:
             continue
-        values[: len(COMPONENTS), at] = [c[name] for name in COMPONENTS]
-        of_scatter = c["visits"] if band.level.scatter else np.zeros(at.size)
+        none = np.zeros(at.size)
+        of_scatter = of.own["visits"] if band.level.scatter else none
         with np.errstate(divide="ignore", invalid="ignore"):
-            freedom = np.where(of_scatter > 0, max(band.visits - 1, 1) * (c["u_brdf"] / of_scatter) ** 4, math.inf)
-        values[len(COMPONENTS) :, at] = [freedom, c["coarse"], 0.5 * variance * (c["curvature_x"] + c["curvature_y"])]
+            freedom = np.where(of_scatter > 0, max(band.visits - 1, 1) * (of.u_brdf / of_scatter) ** 4, math.inf)
+        of_cones = 0.5 * variance * of.lobes.curvature.sum(axis=1)
+        values[:, at] = [*(of.own.get(name, none) for name in parts), freedom, of.coarse, of_cones]
     values[:, table["flag"].to_numpy() != ""] = math.nan
     found = dict(zip(numbers, values, strict=True))
-    parts = pd.DataFrame({name: found[name] for name in COMPONENTS})
-    more = pd.DataFrame({name: found[name] for name in numbers[len(COMPONENTS) :]})
+    more = pd.DataFrame({name: found[name] for name in numbers[len(parts) :]})
     more["coarse"] = more["coarse"] > 0
-    out = pd.concat([table[kept], parts, table[causes], more, table[["flag"]]], axis=1)
+    own = pd.DataFrame({name: found[name] for name in parts})
+    out = pd.concat([table[kept], own, table[causes], more, table[["flag"]]], axis=1)
     out.attrs = {}
     return out
 

@@ -77,9 +77,5 @@ def of_rates(
         level=level,
         brdf=value,
         u_visits=value * fitted.extra(time_s) / level,
-        common={
-            "s_reference": value * reference.u_rel,
-            "s_reference_noise": -value * fitted.noise(time_s) / level,
-            "s_lamp_drift": -value * fitted.drift(time_s) / level,
-        },
+        common=fitted.changes(value, time_s, reference.u_rel),
     )

@@ -7,20 +7,16 @@ Derived in docs/calibrate_light.md. None of these effects is corrected here (the
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from gonio.reduction.values import BandResult, MeasuredBand, Values
 from gonio.rig import Pose, imaging, kinematics
 from gonio.rig.beam_size import filling
 from gonio.rig.calibrated import covariance_of
 from gonio.rig.description import Band, Beam, Polarisation, RigDescription
 from gonio.rig.protocols import Target
 from gonio.typing import Floats
-
-if TYPE_CHECKING:
-    from gonio.reduction.band_result import BandResult
 
 FACET = 1.5
 """Index of refraction of the facets that a sample may reflect with: glass and polymers; metals polarise less."""
@@ -29,58 +25,34 @@ SIGMA = 1.0 / (2.0 * math.sqrt(2.0 * math.log(2.0)))
 """Standard deviation of a band of Gaussian shape over its full width at half maximum."""
 
 
-def add(
-    description: RigDescription, columns: dict[str, Floats], poses: Sequence[Pose], visit: Pose, band: Band
-) -> None:
-    """Add `s_beam` and `s_polarisation` to the columns of a band, where the rig file or a calibration tells of them.
-
-    Parameters
-    ----------
-    description
-        The rig.
-    columns
-        Of the table: `brdf`, `u_brdf` and `u_random` of every point; changed in place. "beam" is the part of `u_random`
-        that is added.
-    poses
-        What the encoders read at each point.
-    visit
-        The same at the visits to the white reference.
-    band
-        Which of the camera's pixels count.
-    """
+def beam(measured: MeasuredBand, values: Values) -> None:
+    """Add `s_beam`, and the part "beam" of `u_random`, where the rig file or a calibration tells of the profile."""
+    description = measured.description
     covariance = covariance_of(description, BEAM)
-    if filling(description) == "under":  # the whole beam is seen, on the sample as on the reference
-        covariance = np.zeros_like(covariance)
-    columns["beam"] = np.zeros(len(poses))
-    if covariance.any():
-        relative, rest = _beam(description, covariance, columns["brdf"], poses, visit, band)
-        columns["beam"] = np.asarray(rest)
-        columns["u_random"] = np.hypot(columns["u_random"], rest)
-        columns["u_brdf"] = np.hypot(columns["u_brdf"], rest)
-        _append(columns, "s_beam", relative)
-    lamp, camera = description.lamp.polarisation, description.camera.polarisation
-    if lamp.degree or camera.degree:
-        relative = np.array([polarisation_bound(description, pose) for pose in poses]) / math.sqrt(3.0)
-        _append(columns, "s_polarisation", columns["brdf"] * relative)
+    # the whole beam is seen, on the sample as on the reference, where it underfills
+    if filling(description) != "under" and covariance.any():
+        values.common["s_beam"], values.own["beam"] = _beam(measured, covariance, values.brdf)
 
 
-def _append(columns: dict[str, Floats], name: str, values: Floats) -> None:
-    columns[name] = values
-    columns["u_brdf"] = np.hypot(columns["u_brdf"], values)
+def polarisation(measured: MeasuredBand, values: Values) -> None:
+    """Add `s_polarisation` where the rig file or a calibration tells how far lamp or camera polarise."""
+    description = measured.description
+    if description.lamp.polarisation.degree or description.camera.polarisation.degree:
+        bounds = [polarisation_bound(description, point.pose) for point in measured.points]
+        values.common["s_polarisation"] = values.brdf * (np.array(bounds) / math.sqrt(3.0))
 
 
-def _beam(
-    description: RigDescription, covariance: Floats, brdf: Floats, poses: Sequence[Pose], visit: Pose, band: Band
-) -> tuple[Floats, Floats]:
+def _beam(measured: MeasuredBand, covariance: Floats, brdf: Floats) -> tuple[Floats, Floats]:
     """The change of the BRDF that all points share, and the standard uncertainty that is each point's own [1/sr].
 
     A profile that is wrong by a factor exp(m d), with m the monomials and d the errors of their coefficients, changes a
     rate by the mean of m over its region; a BRDF by the difference of that at the reference and at the point.
     """
+    description, band = measured.description, measured.band
     at_visit = np.zeros(len(BEAM))
     if description.reference.how != "beam":
-        at_visit = _monomials(description, visit, "reference", band)
-    gradients = np.array([at_visit - _monomials(description, pose, "sample", band) for pose in poses])
+        at_visit = _monomials(description, measured.visit.pose, "reference", band)
+    gradients = np.array([at_visit - _monomials(description, p.pose, "sample", band) for p in measured.points])
     gradients = gradients.reshape(-1, len(BEAM)) * brdf[:, None]
     size = np.einsum("pk,kl,pl->p", gradients, covariance, gradients)
     if not size.size:
@@ -158,16 +130,15 @@ def add_wavelength(description: RigDescription, results: list[BandResult]) -> No
     u = centre_uncertainties(description)
     if len(results) < 2 or not any(u[result.band.name] for result in results):
         return
-    points = np.unique(np.concatenate([result.points for result in results]))
+    points = np.unique(np.concatenate([result.rows for result in results]))
     brdf = np.full((points.size, len(results)), math.nan)
     for k, result in enumerate(results):
-        brdf[np.searchsorted(points, result.points), k] = result.columns["brdf"]
+        brdf[np.searchsorted(points, result.rows), k] = result.values.brdf
     order = np.argsort([result.band.centre_nm for result in results])
     waves = np.array([results[k].band.centre_nm for k in order])
+    names = ("s_wavelength", "s_bandwidth") if len(results) > 2 else ("s_wavelength",)
     for result in results:
-        result.columns["s_wavelength"] = np.zeros(result.points.size)
-        if len(results) > 2:
-            result.columns["s_bandwidth"] = np.zeros(result.points.size)
+        result.values.common |= {name: np.zeros(len(result.points)) for name in names}
     for row, values in zip(points.tolist(), brdf[:, order], strict=True):
         there = np.flatnonzero(np.isfinite(values))
         if there.size < 2:
@@ -176,14 +147,10 @@ def add_wavelength(description: RigDescription, results: list[BandResult]) -> No
         curvatures = _curvatures(values[there], waves[there])
         for k, slope, curvature in zip(there.tolist(), slopes, curvatures, strict=True):
             result = results[int(order[k])]
-            place = np.searchsorted(result.points, row)
-            result.columns["s_wavelength"][place] = slope * u[result.band.name]
-            if len(results) > 2:
-                result.columns["s_bandwidth"][place] = 0.5 * curvature * (SIGMA * result.band.fwhm_nm) ** 2
-    for result in results:
-        for name in ("s_wavelength", "s_bandwidth"):
-            if name in result.columns:
-                _append(result.columns, name, result.columns[name])
+            place = np.searchsorted(result.rows, row)
+            found = slope * u[result.band.name], 0.5 * curvature * (SIGMA * result.band.fwhm_nm) ** 2
+            for name, change in zip(names, found, strict=False):
+                result.values.common[name][place] = change
 
 
 def _curvatures(values: Floats, x: Floats) -> Floats:

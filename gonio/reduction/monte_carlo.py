@@ -16,11 +16,12 @@ import numpy as np
 
 from gonio.acquisition.plan import ANGLES
 from gonio.geometry import Directions
+from gonio.reduction.angle_errors import angle_axes, is_behind, turned_over, zero_uncertainties
 from gonio.reduction.angle_sensitivity import NARROWEST, from_above
-from gonio.reduction.band_result import BandResult
 from gonio.reduction.count_rates import Reduced
 from gonio.reduction.spike_overlap import over_patch, overlap
-from gonio.reduction.table import COMMON, DARK, LAMP, angle_axes, zero_uncertainties
+from gonio.reduction.table import COMMON, DARK, LAMP
+from gonio.reduction.values import BandResult
 from gonio.rig import Pose, kinematics
 from gonio.rig.beam_size import filling
 from gonio.rig.description import RigDescription
@@ -42,6 +43,10 @@ STEP = 1e-4
 """[rad]: of the differences that tell how directions follow the axes, which they do smoothly."""
 FORMULA = ("s_theta_i_zero", "s_theta_r_zero", "s_tilt_zero", "s_azimuth_zero", "s_spin_zero", *COMMON, *DARK)
 """Columns whose causes are drawn as inputs."""
+COMPUTED = (
+    "noise", "dark", "prnu", "encoder", "zeros_even", "spike_blur", "coarse_steps", "region", "visits", "geometry",
+)  # fmt: skip
+"""Parts of `u_random` that a draw computes or takes by name; others are drawn by their standard uncertainties."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,11 +102,11 @@ def check(
     found = np.full((5, len(table)), math.nan)
     more = [name for name in table.columns if name.startswith("s_") and name not in FORMULA]
     for k, band in enumerate(bands):
-        rows = band.points * len(bands) + k
+        rows = band.rows * len(bands) + k
         if not rows.size:
             continue
         columns = table.loc[rows, more].to_numpy(dtype=float)
-        inputs = _Inputs(run.description, Directions.from_table(run.plan)[band.points], band, np.nan_to_num(columns))
+        inputs = _Inputs(run.description, Directions.from_table(run.plan)[band.rows], band, np.nan_to_num(columns))
         rng = np.random.default_rng([seed, k])
         drawn = []
         for start in range(0, draws, AT_ONCE):
@@ -113,7 +118,7 @@ def check(
             every.mean(axis=0),
             every.std(axis=0, ddof=1),
             *np.quantile(every, [0.025, 0.975], axis=0),
-            band.columns["u_brdf"],
+            band.values.u_brdf,
         ]
     good = table["flag"].to_numpy() == ""
     mean, u, low, high, _ = np.where(good, found, math.nan)
@@ -136,11 +141,13 @@ class _Inputs:
     """The inputs of one band with their distributions, and the values as a function of them."""
 
     def __init__(self, description: RigDescription, goals: Directions, band: BandResult, columns: Floats) -> None:
-        self._points, self._visits, self._level = band.inputs.points, band.inputs.visits, band.level
-        self._c, self._columns = band.columns, columns
-        c = band.columns
-        self._u_rel = float(np.max(abs(c["s_reference"] / np.where(c["brdf"] != 0, c["brdf"], np.inf)), initial=0.0))
-        self._prnu = band.inputs.prnu
+        self._points, self._visits, self._level = band.points, band.seen, band.level
+        of = band.values
+        self._own, self._lobes, self._columns = of.own, of.lobes, columns
+        self._geometry_slopes = of.of_readings["geometry_slopes"]
+        of_reference = abs(of.common["s_reference"] / np.where(of.brdf != 0, of.brdf, np.inf))
+        self._u_rel = float(np.max(of_reference, initial=0.0))
+        self._prnu = band.prnu
         self._under = filling(description) == "under"
         self._cones = (
             math.radians(description.lamp.half_angle_deg),
@@ -174,24 +181,24 @@ class _Inputs:
         self._visit_rel = np.sqrt([v.variance for v in self._visits]) / np.array([v.rate for v in self._visits])
         self._pixels = np.array([p.pixels for p in self._points])
         self._shared = np.array([p.shared for p in self._points])
-        lobe = self._c["lobe"]
+        lobe = self._lobes.lobe
         # asinh(lobe / small) is the lobe's logarithm, and goes through zero
-        self._small = max(6.0 * float(np.min(np.sqrt(self._c["noise"] ** 2 + self._c["prnu"] ** 2))), 1e-300)
+        self._small = max(6.0 * float(np.min(np.hypot(self._own["noise"], self._own["prnu"]))), 1e-300)
         self._log = np.arcsinh(lobe / self._small)
         self._size = np.hypot(lobe, self._small)
         errors = float(np.sum(self._zeros + self._steps + self._trembles))
         reach = sum(self._cones) + 6.0 * errors + math.radians(0.2)
-        self._near = (self._c["spike"] > 0) & (_from_mirror(self._place)[1] < reach)
+        self._near = (self._lobes.spike > 0) & (_from_mirror(self._place)[1] < reach)
         g, radius = description.geometry, description.acquisition.roi_radius_mm
         patches = [over_patch(p.directions, radius, g.light_distance_mm, g.camera_distance_mm) for p in self._points]
         self._patch = np.array([patch @ _along_x(a) for patch, a in zip(patches, azimuths, strict=True)])
-        values, vectors = np.linalg.eigh(self._c["u_slopes"])
+        values, vectors = np.linalg.eigh(self._lobes.u_slopes)
         self._doubts = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
         self._curves = _curves(goals, self._place, self._log)
 
     def evaluate(self, rng: np.random.Generator, count: int) -> Floats:
         """Values [1/sr] of so many draws, shape (count, points)."""
-        c, points, axes = self._c, self._rate.size, self._zeros.size
+        own, points, axes = self._own, self._rate.size, self._zeros.size
         zeros = rng.standard_normal((count, axes)) * self._zeros
         level = self._levels(rng, count, zeros)
         rate = self._rate + self._sd * rng.standard_normal((count, points))
@@ -201,8 +208,9 @@ class _Inputs:
         moved = np.einsum("dpa,pax->dpx", errors, self._turns)
         value = value - self._changes(rng, moved)
         # what no input quantity stands for, by its standard uncertainty
-        rest = [c["region"], c["visits"], np.where(c["spike"] > 0, 0.0, c["spike_blur"])]
-        rest += [c[name] for name in ("geometry", "geometry_slopes", "beam") if c[name].any()]
+        rest = [own["region"], own["visits"], np.where(self._lobes.spike > 0, 0.0, own["spike_blur"])]
+        others = own["geometry"], self._geometry_slopes, *(own[name] for name in own if name not in COMPUTED)
+        rest += [each for each in others if each.any()]
         value = value + sum(part * rng.standard_normal((count, points)) for part in rest)
         value = value + rng.standard_normal((count, self._columns.shape[1])) @ self._columns.T
         return np.asarray(value)
@@ -241,26 +249,24 @@ class _Inputs:
 
     def _changes(self, rng: np.random.Generator, moved: Floats) -> Floats:
         """What lobe and spike change by where the axes truly stand elsewhere [1/sr]; `moved`: x, y, theta_i, turn."""
-        c = self._c
+        of = self._lobes
         dx, dy, di, _ = np.moveaxis(moved, -1, 0)
         along = dx - di
         log = np.empty(along.shape)
         for k, curve in enumerate(self._curves):
             at = self._place[k, 0] - self._place[k, 2]
             log[:, k] = (
-                c["slope"][k, 0] / self._size[k] * along[:, k]
-                if curve is None
-                else (curve(at + along[:, k]) - curve(at))
+                of.slope[k, 0] / self._size[k] * along[:, k] if curve is None else (curve(at + along[:, k]) - curve(at))
             )
         # beyond what the step along the curve does already
-        log += np.einsum("dpx,px->dp", moved, c["slope"] / self._size[:, None]) - c["slope"][:, 0] / self._size * along
+        log += np.einsum("dpx,px->dp", moved, of.slope / self._size[:, None]) - of.slope[:, 0] / self._size * along
         wrong = np.einsum("pxy,dpy->dpx", self._doubts, rng.standard_normal(moved.shape))
         log += np.einsum("dpx,dpx->dp", moved, wrong) / self._size
         before = self._small * np.sinh(self._log)
         after = self._small * np.sinh(self._log + log)
         near = np.flatnonzero(self._near)
         if near.size:
-            amplitude = c["spike"][near] + c["u_spike"][near] * rng.standard_normal((len(along), near.size))
+            amplitude = of.spike[near] + of.u_spike[near] * rng.standard_normal((len(along), near.size))
             before = np.broadcast_to(before, after.shape).copy()
             before[:, near] += amplitude * overlap(_from_mirror(self._place[near])[1], *self._cones)
             centre = _from_mirror(self._place[near] + moved[:, near])[0]
@@ -310,7 +316,7 @@ def _along_x(azimuth: float) -> Floats:
 def _seen(description: RigDescription, pose: Pose) -> Directions:
     """Directions of a pose; behind the sample those mirrored at its plane."""
     d = kinematics.directions(description, pose)
-    return Directions(d.theta_i, d.phi_i, math.pi - d.theta_r, d.phi_r) if d.theta_r > 0.5 * math.pi else d
+    return turned_over(d, is_behind(d))
 
 
 def _place(description: RigDescription, pose: Pose, azimuth: float) -> Floats:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -16,14 +17,13 @@ from gonio.checks.values import values_of
 from gonio.checks.verdicts import Check, Taken, VisitsOfBand, of_run, of_values
 from gonio.geometry import Directions
 from gonio.reduction import light_and_lens, white_reference
-from gonio.reduction.band_result import BandResult
-from gonio.reduction.count_rates import FULL, RETAKE, RunFrames, camera_parameters
+from gonio.reduction.angle_errors import CAUSES, angle_axes, encoder_steps, zero_uncertainties
+from gonio.reduction.count_rates import FULL, RETAKE, RunFrames
 from gonio.reduction.dark_signal import COLUMNS
-from gonio.reduction.geometry_errors import zero_u_deg
+from gonio.reduction.values import BandResult
 from gonio.rig import kinematics
 from gonio.rig.beam_size import filling
-from gonio.rig.calibrated import covariance_of
-from gonio.rig.description import Axis, RigDescription
+from gonio.rig.description import RigDescription
 from gonio.typing import Floats
 
 if TYPE_CHECKING:
@@ -45,56 +45,6 @@ LIGHT = ("s_beam", "s_polarisation", "s_wavelength", "s_bandwidth")
 DARK = tuple(f"s_dark_{k + 1}" for k in range(COLUMNS))
 GEOMETRY = tuple(f"s_geometry_{k + 1}" for k in range(4))
 LAMP = tuple(f"s_lamp_wander_{k + 1}" for k in range(4))
-CAUSES = {
-    "light": "s_theta_i_zero",
-    "camera": "s_theta_r_zero",
-    "tilt": "s_tilt_zero",
-    "azimuth": "s_azimuth_zero",
-    "spin": "s_spin_zero",
-}
-"""Axes whose zeros are common causes. A spin turns both directions alike: its column is 0 of an isotropic surface."""
-
-
-def angle_axes(description: RigDescription) -> dict[str, Axis]:
-    """The axes whose angles a value depends on."""
-    return {name: axis for name, axis in description.axes().items() if name in CAUSES}
-
-
-def zero_uncertainties(description: RigDescription) -> dict[str, float]:
-    """Standard uncertainty [rad] of each zero; both arms are always there, so that tables have the same columns.
-
-    0 where the zero is one of the numbers that `s_geometry_1` and its neighbours hold.
-    """
-    axes = {name: math.radians(u) for name, u in zero_u_deg(description, angle_axes(description)).items()}
-    return {name: u for name, u in axes.items() if u > 0 or name in ("light", "camera")}
-
-
-def encoder_steps(description: RigDescription) -> dict[str, float]:
-    """Standard uncertainty [rad] of a reading: in whole steps, uniform over one step, and with the encoder's noise."""
-    axes = {
-        name: math.hypot(math.radians(axis.encoder_step_deg) / math.sqrt(12.0), math.radians(axis.encoder_noise_deg))
-        for name, axis in angle_axes(description).items()
-    }
-    return {name: u for name, u in axes.items() if u > 0}
-
-
-def camera_causes(description: RigDescription) -> dict[str, Floats]:
-    """Independent directions of the calibration's covariance of the camera, in `camera_parameters`, by their columns.
-
-    The first direction of a cause has the name of the cause; others, where several numbers are known, have a number.
-    """
-    parameters = camera_parameters(description)
-    out: dict[str, Floats] = {}
-    for cause in dict.fromkeys(parameters.values()):
-        names = [name for name, of in parameters.items() if of == cause]
-        covariance = covariance_of(description, names)
-        values, vectors = np.linalg.eigh(covariance)
-        held = [k for k in range(len(names))[::-1] if values[k] > 1e-12 * max(values[-1], 1e-300)]
-        for number, k in enumerate(held):
-            direction = np.zeros(len(parameters))
-            direction[[list(parameters).index(name) for name in names]] = vectors[:, k] * math.sqrt(values[k])
-            out[cause if number == 0 else f"{cause}_{number + 1}"] = direction
-    return out
 
 
 def assemble(run: Run, results: list[BandResult], notes: list[str], clipped: float) -> pd.DataFrame:
@@ -105,11 +55,11 @@ def assemble(run: Run, results: list[BandResult], notes: list[str], clipped: flo
     import pandas as pd
 
     description, plan = run.description, run.plan
-    causes = [*COMMON, *DARK, *(CAUSES[axis] for axis in zero_uncertainties(description))]
-    causes += GEOMETRY[: results[0].geometry.shape[1]]
-    causes += [name for name in LAMP if name in results[0].columns]
-    causes += [name for name in LIGHT if any(name in result.columns for result in results)]
-    causes += camera_causes(description)
+    nominal = Directions.from_table(plan)
+    zeros = (CAUSES[axis] for axis in zero_uncertainties(description))
+    added = dict.fromkeys(name for result in results for name in result.values.common)
+    causes = [name for name in (*COMMON, *DARK, *zeros, *GEOMETRY, *LAMP, *LIGHT) if name in added]
+    causes += [name for name in added if name not in causes]
     chosen = _angles_of_chosen(run)
     numbers = [*ANGLES, "brdf", "u_brdf", "u_random", *causes, *(["u_angles"] if chosen else [])]
     values = np.full((len(numbers), len(plan), len(results)), math.nan)
@@ -117,15 +67,16 @@ def assemble(run: Run, results: list[BandResult], notes: list[str], clipped: flo
     flags = np.empty((len(plan), len(results)), dtype=object)
     planned = plan["flag"].tolist()
     for k, result in enumerate(results):
-        measured = set(result.points.tolist())
+        rows, columns = result.rows, result.values.columns()
+        columns |= dict(zip(ANGLES, angles_deg([point.directions for point in result.points]), strict=True))
         flags[:, k] = [
-            flag or result.flags.get(point, "") or ("" if point in measured else "not_measured")
+            flag or result.flags.get(point, "") or ("" if point in rows else "not_measured")
             for point, flag in enumerate(planned)
         ]
-        good = np.array([not flags[point, k] for point in result.points], dtype=bool)
+        good = np.array([not flags[point, k] for point in rows], dtype=bool)
         if good.any():
             for column, name in zip(values, numbers, strict=True):
-                column[result.points[good], k] = result.columns[name][good]
+                column[rows[good], k] = columns[name][good]
     frame = pd.DataFrame(dict(zip(numbers, values.reshape(len(numbers), -1), strict=True)))
     frame.insert(len(ANGLES), "wavelength_nm", np.tile([result.band.centre_nm for result in results], len(plan)))
     frame.insert(len(ANGLES) + 1, "polarisation", "unpolarised")
@@ -164,7 +115,7 @@ def assemble(run: Run, results: list[BandResult], notes: list[str], clipped: flo
         + notes
         + _notes_on_zeros(description)
         + light_and_lens.notes(description, results)
-        + said_once([(result.band.name, _notes(result)) for result in results]),
+        + said_once([(result.band.name, _notes(result, nominal[result.rows])) for result in results]),
     )
     reachable = [not flag for flag in planned]
     found = [
@@ -177,6 +128,15 @@ def assemble(run: Run, results: list[BandResult], notes: list[str], clipped: flo
         found += [replace(one, band=band) for one in of_values(measured_values)]
     frame.attrs["provenance"]["checks"] = [one.to_json() for one in found]
     return frame
+
+
+def angles_deg(points: Sequence[Directions]) -> Floats:
+    """The four angles [deg] of points as tables have them, shape (4, points)."""
+    d = Directions.stack(points)
+    theta = np.degrees([d.theta_i, d.theta_r]).round(9)
+    theta = np.minimum(theta, [np.full(len(d), 90.0), np.where(d.theta_r > 0.5 * math.pi, 180.0, 90.0)])
+    phi = np.degrees([d.phi_i, d.phi_r]).round(9) % 360.0
+    return np.array([theta[0], phi[0], theta[1], phi[1]])
 
 
 def _angles_of_chosen(run: Run) -> dict[str, dict[str, float]]:
@@ -332,18 +292,19 @@ def _names(names: list[str]) -> str:
     return ", ".join(names[:NAMED]) + (f" and {len(names) - NAMED} more bands" if len(names) > NAMED else "")
 
 
-def _notes(result: BandResult) -> list[str]:
-    """What a band has to say, without its name (`said_once`)."""
+def _notes(result: BandResult, goals: Directions) -> list[str]:
+    """What a band has to say, without its name (`said_once`); `goals` are the points' nominal directions."""
     out = white_reference.notes(result.level, result.visits, result.unusable)
-    if result.undetermined:
+    values = result.values
+    if values.bounded.any():
         out.append(
-            f"nothing tells whether a specular spike stands at {_listed(result.undetermined)}: what "
+            f"nothing tells whether a specular spike stands at {_listed(goals[values.bounded])}: what "
             "errors of the angles would do to one is in u_brdf, which is large; measure the mirror direction too, and "
             "points within 10 degrees on both sides of it that the spike does not reach"
         )
-    if result.coarse:
+    if values.coarse.any():
         out.append(
-            f"the points do not tell how steep the lobe is at {_listed(result.coarse)}: u_brdf there rests on "
+            f"the points do not tell how steep the lobe is at {_listed(goals[values.coarse])}: u_brdf there rests on "
             "how steep lobes may be; measure more points there, in finer steps"
         )
     if result.merged.get("noise") == "poisson":

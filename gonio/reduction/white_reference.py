@@ -81,6 +81,15 @@ class Level:
         """Change of K for one standard deviation of the mean level."""
         return np.full(np.shape(time_s), self.u_level)
 
+    def changes(self, brdf: Floats, time_s: Floats, u_reference: float) -> dict[str, Floats]:
+        """Columns of values [1/sr]: changes by the reference's relative uncertainty, and by `noise` and `drift`."""
+        level = self.at(time_s)
+        return {
+            "s_reference": brdf * u_reference,
+            "s_reference_noise": -brdf * self.noise(time_s) / level,
+            "s_lamp_drift": -brdf * self.drift(time_s) / level,
+        }
+
     def drift(self, time_s: Floats) -> Floats:
         """Change of K for one standard deviation of the slope."""
         return np.asarray(self.u_slope * (time_s - self.centre_s))

@@ -23,7 +23,7 @@ from gonio.errors import ConfigError, DataError, Interrupted
 from gonio.geometry import Directions, solid_angle_of_cone
 from gonio.instrument import apparent_brdf
 from gonio.reduction import brdf
-from gonio.reduction.table import angle_axes
+from gonio.reduction.angle_errors import angle_axes
 from gonio.rig.description import RigDescription
 from gonio.typing import Floats
 from tests.gonio.numpy_rig import SAMPLE, Plugin, StopAfter, describe

@@ -193,7 +193,7 @@ def test_bytes_that_follow_soon_are_one_packet() -> None:
 def test_a_status_packet_takes_the_time_of_its_bytes(bench: Build, monkeypatch: pytest.MonkeyPatch) -> None:
     b = bench()
     slept: list[float] = []
-    monkeypatch.setattr("gonio_sim.wire.bus.time.sleep", slept.append)
+    monkeypatch.setattr("gonio_sim.wire.bus.clock.sleep", slept.append)
     b.get("Present Position")
     assert slept[-1] == pytest.approx(15 * 10 / BAUD)  # 15 bytes of ten bits
 
@@ -202,7 +202,7 @@ def test_the_return_delay_is_two_microseconds_a_unit(bench: Build, monkeypatch: 
     b = bench()
     b.set(Return_Delay_Time=10)
     slept: list[float] = []
-    monkeypatch.setattr("gonio_sim.wire.bus.time.sleep", slept.append)
+    monkeypatch.setattr("gonio_sim.wire.bus.clock.sleep", slept.append)
     b.get("LED")
     assert slept[-1] == pytest.approx(20e-6 + 12 * 10 / BAUD)
     assert tables.table("xm430-w350").factory["Return Delay Time"] == 250
