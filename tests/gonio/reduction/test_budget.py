@@ -16,8 +16,9 @@ from gonio.acquisition.plan import Plan, Point
 from gonio.acquisition.run import Run
 from gonio.cli.application import build
 from gonio.errors import ConfigError
-from gonio.reduction import budget
+from gonio.reduction import brdf, budget
 from gonio.reduction.brdf import Reduction, reduce_in_parts
+from gonio.reduction.values import MeasuredBand, Values
 from gonio.rig.description import ArmAxis, Arms, Lamp, SampleDescription
 from tests.gonio.reduction.made_run import Maker, describe, in_plane
 from tests.gonio.reduction.test_brdf import NOISY, POINTS, flicker, glossy
@@ -53,6 +54,23 @@ def test_parts_add_up_in_squares_to_u(noisy: Reduction) -> None:
     # a sum of 20 doubles: some units in the last place
     np.testing.assert_allclose(np.sqrt(random), table["u_random"], rtol=1e-13)
     np.testing.assert_allclose(np.sqrt(random + common), table["u_brdf"], rtol=1e-13)
+
+
+def test_a_cause_of_ones_own_is_one_function(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fluorescence(measured: MeasuredBand, values: Values) -> None:
+        values.common["s_fluorescence"] = 0.02 * values.brdf
+        values.own["fluorescence"] = np.full(len(measured.points), 3e-3)
+
+    before = reduce_in_parts(cast(Run, Maker(tmp_path, describe(), glossy).make(POINTS, (0.25,))))
+    monkeypatch.setattr(brdf, "CAUSES", (*brdf.CAUSES, fluorescence))
+    after = reduce_in_parts(cast(Run, Maker(tmp_path, describe(), glossy).make(POINTS, (0.25,))))
+    f = before.table["brdf"].to_numpy()
+    np.testing.assert_array_equal(after.table["s_fluorescence"], 0.02 * f)
+    np.testing.assert_array_equal(after.budget["fluorescence"], 3e-3)
+    # what the columns of the dark frames hold is chosen in units of u_random: a little moves between them
+    np.testing.assert_allclose(after.table["u_random"] ** 2 - before.table["u_random"] ** 2, 3e-3**2, rtol=1e-5)
+    expected = before.table["u_brdf"] ** 2 + 3e-3**2 + (0.02 * f) ** 2
+    np.testing.assert_allclose(after.table["u_brdf"] ** 2, expected, rtol=1e-12)
 
 
 def test_parts_are_what_they_are_named_after(noisy: Reduction) -> None:
