@@ -14,7 +14,7 @@ from gonio.acquisition.records import StepRecord
 from gonio.acquisition.run import Run
 from gonio.acquisition.schedule import reference_pose
 from gonio.errors import ConfigError
-from gonio.rig import Pose, Step
+from gonio.rig import Pose, Step, sensor_noise
 from gonio.rig.description import RigDescription
 from gonio.rig.imaging import pixel_on_sample_mm
 from gonio.rig.kinematics import view
@@ -66,9 +66,7 @@ def _weight(description: RigDescription, pose: Pose, pixels: float, reflectance:
     rate = camera.responsivity_e_per_s * reflectance * exposure.cosine_of_incidence(pose)
     out = 0.0
     for t in exposures:
-        noise = camera.read_noise_e**2 + camera.electrons_per_dn**2 / 12.0
-        if camera.photon_noise:
-            noise += (rate + camera.dark_current_e_per_s) * t
+        noise = float(sensor_noise.variance(camera, (rate + camera.dark_current_e_per_s) * t))
         out += 1.0 / max(noise / (pixels * (rate * t) ** 2) + description.lamp.frame_noise**2, 1e-18)
     return out
 

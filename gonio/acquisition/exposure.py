@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from gonio.errors import DeviceError
 from gonio.geometry import solid_angle_of_cone
-from gonio.rig import Frame, Pose
+from gonio.rig import Frame, Pose, sensor_noise
 from gonio.rig.description import Camera, RigDescription
 from gonio.rig.imaging import pixel_on_sample_mm
 from gonio.rig.kinematics import view
@@ -114,8 +114,7 @@ def level(camera: Camera, frame: Frame, used: Used) -> float:
 def expected_level_per_s(description: RigDescription, pose: Pose, albedo: float) -> float:
     """Level for one second [1/s] that a matt surface should give at a pose, by the camera's data sheet alone."""
     camera = description.camera
-    full_well = min(camera.full_well_e, (camera.white_level_dn - camera.black_level_dn) * camera.electrons_per_dn)
-    return camera.responsivity_e_per_s * albedo * cosine_of_incidence(pose) / full_well
+    return camera.responsivity_e_per_s * albedo * cosine_of_incidence(pose) / camera.saturation_e
 
 
 def expected_straight_level_per_s(description: RigDescription) -> float:
@@ -294,7 +293,7 @@ class _Planned:
         target = acquisition.u_rel_target or math.inf
         # what responsivities leave is there whatever is exposed; noise is not brought far below it
         self._wanted = max(target**2 - camera.prnu**2 / count, 0.25 * target**2)
-        self._full = min(camera.full_well_e, (camera.white_level_dn - camera.black_level_dn) * camera.electrons_per_dn)
+        self._full = camera.saturation_e
         least_s = FEWEST + 1.0 / SHORTER  # of two frames and the shorter one, in units of their exposure
         longest = min(camera.exposure_limits_s[1], acquisition.longest_point_s / least_s)
         if camera.dark_current_e_per_s > 0:
@@ -352,9 +351,7 @@ class _Planned:
     def _weights(self, exposure_s: float) -> Floats:
         """1 / variance [s^2/e-^2] of a pixel of each class in one frame; 0 where it may saturate."""
         camera, t = self._description.camera, exposure_s
-        charge = (self._rates + camera.dark_current_e_per_s) * t
-        noise = camera.read_noise_e**2 + camera.electrons_per_dn**2 / 12.0
-        weights = t**2 / (noise + (charge if camera.photon_noise else 0.0))
+        weights = t**2 / sensor_noise.variance(camera, (self._rates + camera.dark_current_e_per_s) * t)
         full = (self._brightest + camera.dark_current_e_per_s) * t
         spread = 6.0 * np.sqrt(full + camera.read_noise_e**2 + (camera.prnu * full) ** 2)
         return np.where((full + spread < SATURATED * self._full) | (t <= self._shortest), weights, 0.0)

@@ -14,7 +14,7 @@ from gonio.acquisition.exposure import SATURATED, full_scale_dn
 from gonio.acquisition.records import StepRecord
 from gonio.acquisition.run import Run
 from gonio.errors import DataError
-from gonio.rig import Frame
+from gonio.rig import Frame, sensor_noise
 from gonio.rig.description import Camera
 from gonio.rig.dng import pixels_sha256, read_raw
 
@@ -45,9 +45,7 @@ def cannot_be_alike(camera: Camera, one: Frame, other: Frame) -> bool:
     change = (1.0 - shorter / longer) * float(np.sum(np.where(open_, signal, 0.0) * counts)) / mosaic.size
     if change > SHOWS_DN:
         return True
-    gain = camera.electrons_per_dn
-    photons = np.maximum(signal, 0.0) * gain if camera.photon_noise else np.zeros(levels.size)
-    noise_dn = np.sqrt(photons + camera.read_noise_e**2) / gain
+    noise_dn = sensor_noise.deviation_dn(camera, signal * camera.electrons_per_dn, rounding=False)
     # two normal numbers of this spread, rounded, are equal with a probability of 1/(2 sqrt(pi) spread)
     rolls = open_ & (noise_dn > SMALLEST_DN)
     chances = np.where(rolls, -np.log(2.0 * math.sqrt(math.pi) * np.where(rolls, noise_dn, 1.0)), 0.0)

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gonio.acquisition import exposure
-from gonio.rig import Frame
+from gonio.rig import Frame, sensor_noise
 from gonio.rig.description import Camera, RigDescription
 from gonio.rig.imaging import Channel, Roi
 from gonio.rig.sensor_response import linear_dn
@@ -203,11 +203,9 @@ def noise(camera: Camera, first: Frame, second: Frame, region: Roi) -> Noise | N
     scaled = a * (means[1] / means[0] * second.exposure_s / first.exposure_s) if lit else a
     deviation = float(np.std(scaled - b, ddof=1)) / math.sqrt(2.0)
     level = float(b.mean())
-    charge = (max(level, 0.0) * camera.electrons_per_dn) if camera.photon_noise else 0.0
-    expected = math.sqrt(charge + camera.read_noise_e**2) / camera.electrons_per_dn
-    expected = math.hypot(expected, math.sqrt(1.0 / 12.0) if camera.quantised else 0.0)
+    expected = sensor_noise.deviation_dn(camera, level * camera.electrons_per_dn, rounding=camera.quantised)
     u_rel = deviation / math.sqrt(a.size) / level if lit else None
-    return Noise(deviation, expected, level, u_rel)
+    return Noise(deviation, float(expected), level, u_rel)
 
 
 # ---- levels ----

@@ -21,7 +21,7 @@ import numpy.typing as npt
 from gonio.acquisition import exposure
 from gonio.disk import write_whole
 from gonio.errors import ArgumentError, ConfigError, DataError
-from gonio.rig import Frame, Pose, imaging, kinematics
+from gonio.rig import Frame, Pose, imaging, kinematics, sensor_noise
 from gonio.rig.description import RigDescription
 
 if TYPE_CHECKING:
@@ -194,12 +194,8 @@ def _signal(description: RigDescription, shots: list[Frame], roi: imaging.Roi, d
     exposure_s = shots[0].exposure_s
     off = np.asarray(roi.of(dark.of(exposure_s)), float)
     means = np.array([float(np.mean(np.asarray(roi.of(shot.mosaic), float) - off)) for shot in shots])
-    electrons = max(float(means.mean()), 0.0) * camera.electrons_per_dn + camera.dark_current_e_per_s * exposure_s
-    pixel_dn = math.hypot(math.sqrt(electrons + camera.read_noise_e**2) / camera.electrons_per_dn, 1 / math.sqrt(12))
-    dark_dn = math.hypot(
-        math.sqrt(camera.dark_current_e_per_s * exposure_s + camera.read_noise_e**2) / camera.electrons_per_dn,
-        1 / math.sqrt(12),
-    )
+    light_e, dark_e = max(float(means.mean()), 0.0) * camera.electrons_per_dn, camera.dark_current_e_per_s * exposure_s
+    pixel_dn, dark_dn = sensor_noise.deviation_dn(camera, [light_e + dark_e, dark_e]).tolist()
     noise = math.hypot(pixel_dn / math.sqrt(roi.count), float(means.mean()) * description.lamp.noise)
     noise /= math.sqrt(len(shots))
     scatter = float(means.std(ddof=1)) / math.sqrt(len(shots)) if len(shots) > 1 else 0.0

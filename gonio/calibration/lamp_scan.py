@@ -17,7 +17,7 @@ from gonio.calibration.lamp_stability import COLUMNS
 from gonio.errors import ConfigError, DataError, DeviceError
 from gonio.geometry import Directions
 from gonio.reduction import stray_light
-from gonio.rig import Frame, Pose, Step, imaging, kinematics
+from gonio.rig import Frame, Pose, Step, imaging, kinematics, sensor_noise
 from gonio.rig.description import RigDescription
 from gonio.rig.sensor_response import linear_dn, straightened
 from gonio.typing import Floats
@@ -272,7 +272,5 @@ def _without_stray_light(description: RigDescription, signal: Floats, channel: i
 def _noise(description: RigDescription, signal_dn: Floats | float, exposure_s: float) -> Floats:
     """Standard deviation of a pixel [DN] from the camera alone."""
     camera = description.camera
-    electrons = np.asarray(signal_dn) * camera.electrons_per_dn + camera.dark_current_e_per_s * exposure_s
-    shot = electrons if camera.photon_noise else 0.0 * electrons
-    rounding = 1.0 / 12.0
-    return np.sqrt((shot + camera.read_noise_e**2) / camera.electrons_per_dn**2 + rounding)
+    dark = camera.dark_current_e_per_s * exposure_s
+    return sensor_noise.deviation_dn(camera, np.asarray(signal_dn) * camera.electrons_per_dn + dark)

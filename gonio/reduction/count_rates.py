@@ -27,11 +27,12 @@ from gonio.geometry import Directions
 from gonio.reduction import merging, stray_light
 from gonio.reduction.dark_signal import FEW, PATTERNS, Darks, Patterns
 from gonio.reduction.geometry_errors import GeometryErrors
-from gonio.rig import Frame, Pose, Target, beam_size, kinematics
+from gonio.rig import Frame, Pose, Target, beam_size, kinematics, sensor_noise
 from gonio.rig.calibrated import known_parameters
-from gonio.rig.description import Band, Camera, RigDescription
+from gonio.rig.description import Band, RigDescription
 from gonio.rig.dng import pixels_sha256, read_raw
 from gonio.rig.imaging import Channel, Roi, pixel_map, roi, straight_through_weight
+from gonio.rig.sensor_noise import rounding_of_mean
 from gonio.rig.sensor_response import PixelMaps, by_coefficients, linear_dn, read_maps, straightened
 from gonio.typing import Floats
 
@@ -530,20 +531,19 @@ def pool(description: RigDescription, region: Region, shots: list[Shot], dark_ex
     rates, times = np.array([shot.rate for shot in shots]), np.array([shot.time_s for shot in shots])
     count = region.per_weight.size
     mean_1, mean_2 = float(np.mean(region.per_weight)), float(np.mean(region.per_weight**2))
-    read = camera.read_noise_e**2
-    dark = camera.dark_current_e_per_s * exposure if camera.photon_noise else np.zeros(exposure.size)
+    dark = sensor_noise.variance(camera, camera.dark_current_e_per_s * exposure, rounding=False)
     pooled = float(np.sum(rates * exposure) / np.sum(exposure))
     for _ in range(3):
         signal = max(pooled, 0.0)
         shot_noise = signal * mean_1 / exposure if camera.photon_noise else 0.0
-        rounding = _rounding(camera, signal * exposure / mean_1, count)
-        single = (read + dark) * mean_2 / exposure**2 + shot_noise
+        rounding = rounding_of_mean(camera, signal * exposure / mean_1, count)
+        single = dark * mean_2 / exposure**2 + shot_noise
         variances = single / count + rounding * mean_2 / exposure**2 + (of_lamp * signal) ** 2
         weights = (1.0 / variances) / np.sum(1.0 / variances)
         pooled = float(np.sum(weights * rates))
     # the dark frames are one and the same for all frames of the point
     charge = camera.dark_current_e_per_s * dark_exposures_s
-    of_pixels = (read + (charge if camera.photon_noise else 0.0)) / count + _rounding(camera, charge, count)
+    of_pixels = sensor_noise.variance(camera, charge, rounding=False) / count + rounding_of_mean(camera, charge, count)
     lines = np.array([shot.leverage for shot in shots])
     of_darks = np.zeros(2)
     of_darks[: charge.size] = -((weights / exposure) @ lines) * np.sqrt(of_pixels * mean_2)
@@ -567,7 +567,6 @@ def pool_pixels(description: RigDescription, region: Region, shots: list[Shot], 
     # a brighter lamp is as good as a longer exposure
     exposure = np.array([shot.exposure_s * shot.lamp for shot in acquired])
     rate = np.maximum(darks.rate(region.roi) * camera.electrons_per_dn, camera.dark_current_e_per_s)
-    full = min(camera.full_well_e, (camera.white_level_dn - camera.black_level_dn) * camera.electrons_per_dn)
     stack = merging.Stack(
         electrons=np.stack([shot.electrons for shot in acquired if shot.electrons is not None]),
         levels=np.stack([shot.levels for shot in acquired if shot.levels is not None]),
@@ -575,15 +574,15 @@ def pool_pixels(description: RigDescription, region: Region, shots: list[Shot], 
         mask=region.roi.mask,
         per_weight=region.per_weight,
         dark_rate=rate,
-        hot=_hot(rate, float(exposure.max()), float(darks.exposures_s.max()), full),
+        hot=_hot(rate, float(exposure.max()), float(darks.exposures_s.max()), camera.saturation_e),
     )
     merged = merging.merge(description, stack)
     if merged is None:
         return None
     # the dark frames are one and the same for all frames of the point, and independent from pixel to pixel
-    charge = camera.dark_current_e_per_s * darks.exposures_s if camera.photon_noise else 0.0 * darks.exposures_s
+    charge = camera.dark_current_e_per_s * darks.exposures_s
     count = region.per_weight.size
-    noise = camera.read_noise_e**2 + charge + count * _rounding(camera, charge, count)
+    noise = sensor_noise.variance(camera, charge, rounding=False) + count * rounding_of_mean(camera, charge, count)
     lines = np.array([shot.leverage for shot in acquired])
     of_darks = np.zeros(2)
     for k, variance in enumerate(noise):
@@ -614,23 +613,6 @@ def _hot(rate: Floats, longest_s: float, dark_s: float, full: float) -> npt.NDAr
     """
     excess = rate - np.median(rate)
     return np.asarray((excess * longest_s > merging.HOT * full) | (excess * dark_s > USABLE * full))
-
-
-def _rounding(camera: Camera, electrons: Floats, count: int) -> Floats:
-    """Variance [e-^2] of the mean of `count` pixels of about `electrons` each, from rounding to whole DN.
-
-    Pixels round independently where they differ by half a DN or more, from noise or by nature (Widrow's condition: the
-    remaining error is below 0.3 % of a DN). Pixels that are all alike round alike.
-    """
-    spread = camera.read_noise_e**2 + camera.dsnu_e**2 + (camera.prnu * electrons) ** 2
-    if camera.photon_noise:
-        spread = spread + electrons
-    step = camera.electrons_per_dn**2
-    if camera.response:  # a step of a curve that is bent
-        level = np.asarray(electrons) / camera.electrons_per_dn + camera.black_level_dn
-        slope = np.interp(level, camera.response, np.gradient(camera.response))
-        return step * slope**2 / 12.0 / np.where(spread >= 0.25 * step * slope**2, count, 1)
-    return step / 12.0 / np.where(spread >= 0.25 * step, count, 1)
 
 
 def _lines(

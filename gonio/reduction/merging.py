@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from gonio.rig import sensor_noise
 from gonio.rig.description import Camera, RigDescription
 from gonio.typing import Floats
 
@@ -46,7 +47,7 @@ def without_hits(camera: Camera, frames: npt.NDArray[np.uint16], black_dn: float
         return values, 0
     middle = np.sort(values, axis=0)[(len(values) - 1) // 2]
     charge = np.maximum(middle - black_dn, 0.0) * camera.electrons_per_dn
-    variance = 2.0 * (charge + camera.read_noise_e**2 + camera.electrons_per_dn**2 / 12.0)
+    variance = 2.0 * (charge + sensor_noise.variance(camera, 0.0))
     limit = math.log(values.size / FALSE_ALARMS)
     hit = (values - middle) * camera.electrons_per_dn > bound(variance, limit)
     others = np.where(hit, 0.0, values).sum(axis=0) / (~hit).sum(axis=0)
@@ -149,8 +150,7 @@ class _Fit:
             stack, np.where(used, stack.electrons, 0.0).sum(0), np.where(used, t, 0).sum(0)
         )
         shot = self._shot(self.expected * t)
-        dark = stack.dark_rate * t if camera.photon_noise else 0.0
-        self.charge_variance = shot + dark + camera.read_noise_e**2 + camera.electrons_per_dn**2 / 12.0
+        self.charge_variance = shot + sensor_noise.variance(camera, stack.dark_rate * t)
         self.weights = np.where(used, t**2 / self.charge_variance, 0.0)
         self.total = self.weights.sum(axis=0)
         self.alive = self.total > 0
@@ -222,10 +222,8 @@ class _Fit:
         """What is missing of the rounding's variance in frames whose pixels all round alike (Widrow's condition)."""
         camera, t = self._camera, self._stack.exposures_s
         charge = np.maximum(rate, 0.0) * t
-        spread = camera.read_noise_e**2 + camera.dsnu_e**2 + (camera.prnu * charge) ** 2
-        spread = spread + (charge if camera.photon_noise else 0.0)
         step = camera.electrons_per_dn**2
-        missing = np.where(spread >= 0.25 * step, 0.0, step / 12.0 * (1.0 - 1.0 / count))
+        missing = np.where(sensor_noise.spread(camera, charge) >= 0.25 * step, 0.0, step / 12.0 * (1.0 - 1.0 / count))
         return float(np.sum((shares.sum(axis=1) / t) ** 2 * missing))
 
     def _scatter(self) -> tuple[float, int]:
@@ -311,6 +309,6 @@ def _neighbours_mean(stack: Stack, charge: Floats, time: Floats) -> Floats:
 
 def _usable(camera: Camera) -> float:
     """The level of neighbours up to which a pixel is used: its noise then does not reach `SATURATED`."""
-    full = min(camera.full_well_e, (camera.white_level_dn - camera.black_level_dn) * camera.electrons_per_dn)
-    noise = (full if camera.photon_noise else 0.0) + camera.read_noise_e**2
+    full = camera.saturation_e
+    noise = float(sensor_noise.variance(camera, full, rounding=False))
     return SATURATED - DEVIATIONS * math.sqrt(noise / full**2 + camera.prnu**2)

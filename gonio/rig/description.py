@@ -385,6 +385,11 @@ class Camera(Strict):
     cosmic_per_s: NonNegative = 0.0
     """Simulation: hits of cosmic radiation a second on the whole sensor."""
 
+    @property
+    def saturation_e(self) -> float:
+        """Charge [e-] that fills a pixel: its full well, or the range of the converter."""
+        return min(self.full_well_e, (self.white_level_dn - self.black_level_dn) * self.electrons_per_dn)
+
     @model_validator(mode="after")
     def _sound(self) -> Camera:
         if self.exposure_limits_s[0] >= self.exposure_limits_s[1]:
