@@ -6,6 +6,7 @@ Directions leave the surface, toward the source and toward the detector alike.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -134,6 +135,23 @@ def half_angle_of_cone(solid_angle_sr: npt.ArrayLike) -> Floats:
     if not np.all((omega >= 0.0) & (omega <= 4.0 * np.pi)):
         raise ArgumentError(f"solid_angle_sr = {omega}: the solid angle of a cone lies in [0, 4 pi] sr")
     return np.asarray(2.0 * np.arcsin(np.sqrt(omega / (4.0 * np.pi))))
+
+
+def overlap_of_discs(apart: npt.ArrayLike, a: float, b: float) -> Floats:
+    """Area that two discs in a plane share, over that of the smaller one; their radii and distance in one unit.
+
+    A disc without extent is a point: it is inside the other, to its edge, or it is not.
+    """
+    small, large = sorted((a, b))
+    apart = np.asarray(apart, dtype=float)
+    if small == 0.0:
+        return np.where(apart <= large, 1.0, 0.0)
+    d = np.clip(apart, large - small + 1e-12, large + small)
+    at_a = np.arccos(np.clip((d**2 + small**2 - large**2) / (2.0 * d * small), -1.0, 1.0))
+    at_b = np.arccos(np.clip((d**2 + large**2 - small**2) / (2.0 * d * large), -1.0, 1.0))
+    lens = small**2 * (at_a - 0.5 * np.sin(2.0 * at_a)) + large**2 * (at_b - 0.5 * np.sin(2.0 * at_b))
+    part = np.where(apart <= large - small, 1.0, lens / (math.pi * small**2))
+    return np.where(apart < large + small, part, 0.0)
 
 
 def mirrored(omega: npt.ArrayLike) -> Floats:

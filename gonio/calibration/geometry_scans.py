@@ -21,6 +21,7 @@ from gonio.by_hand.alignment_scans import BRIGHT, SPOT_PIXELS, Scans
 from gonio.calibration import fiducials
 from gonio.calibration.geometry import Sighting
 from gonio.errors import ConfigError, DataError, DeviceError
+from gonio.geometry import overlap_of_discs
 from gonio.rig import Pose, imaging, kinematics
 from gonio.rig.description import RigDescription
 from gonio.typing import Floats
@@ -389,7 +390,7 @@ def spot_of(
 
     def left(p: Floats) -> Floats:
         r = np.hypot(x - p[0], y - p[1])
-        form = np.minimum(p[2] * _shared(r, p[3] * lamp, p[3] * pupil) + p[4], 1.0)  # where it saturates
+        form = np.minimum(p[2] * overlap_of_discs(r, p[3] * lamp, p[3] * pupil) + p[4], 1.0)  # where it saturates
         return np.append(form - values, (p[3] - 1.0) / SIZE_U * SPOT_NOISE)
 
     found = None
@@ -417,17 +418,6 @@ def _disc_radii_px(description: RigDescription) -> tuple[float, float]:
     pitch_mm = 1e-3 * camera.pixel_um * g.camera_distance_mm / imaging.image_distance_mm(description)
     turn = (1.0 / g.light_distance_mm + 1.0 / g.camera_distance_mm) * pitch_mm  # [rad] a pixel
     return math.radians(description.lamp.half_angle_deg) / turn, math.radians(camera.lens_half_angle_deg) / turn
-
-
-def _shared(apart: Floats, a: float, b: float) -> Floats:
-    """Area that two discs of radii a and b share, over that of the smaller one."""
-    small, large = min(a, b), max(a, b)
-    d = np.clip(apart, large - small + 1e-9, large + small)
-    at_a = np.arccos(np.clip((d**2 + small**2 - large**2) / (2.0 * d * small), -1.0, 1.0))
-    at_b = np.arccos(np.clip((d**2 + large**2 - small**2) / (2.0 * d * large), -1.0, 1.0))
-    area = small**2 * (at_a - 0.5 * np.sin(2.0 * at_a)) + large**2 * (at_b - 0.5 * np.sin(2.0 * at_b))
-    out: Floats = np.where(apart <= large - small, 1.0, area / (math.pi * small**2))
-    return out
 
 
 def _spread(number: int, k: int = 0) -> float:

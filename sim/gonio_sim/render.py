@@ -347,22 +347,11 @@ def _paint_fiducials(holder: Holder, marks: Fiducials, seen: PixelMap, brdf: Flo
 
 
 def _shared_disc(apart: Floats, lamp: float, pupil: float) -> Floats:
-    """Solid angle that two small caps [rad] share over the product of both [1/sr]; like `spherical_caps.overlap_area`.
-
-    In the limit of one direction it is 1 over the other's solid angle inside it; two directions see nothing.
-    """
-    small, large = sorted((lamp, pupil))
+    """Solid angle that two small caps [rad] share over the product of both [1/sr]; two directions see nothing."""
+    large = max(lamp, pupil)
     if large == 0.0:
         return np.zeros(apart.shape)
-    if small == 0.0:
-        return np.where(apart <= large, 1.0 / (math.pi * large**2), 0.0)
-    d = np.clip(apart, large - small + 1e-12, large + small)
-    at_a = np.arccos(np.clip((d**2 + small**2 - large**2) / (2.0 * d * small), -1.0, 1.0))
-    at_b = np.arccos(np.clip((d**2 + large**2 - small**2) / (2.0 * d * large), -1.0, 1.0))
-    lens = small**2 * (at_a - 0.5 * np.sin(2.0 * at_a)) + large**2 * (at_b - 0.5 * np.sin(2.0 * at_b))
-    lens = np.where(apart <= large - small, math.pi * small**2, lens)
-    out: Floats = np.where(apart < large + small, lens, 0.0) / (math.pi * small**2 * math.pi * large**2)
-    return out
+    return geometry.overlap_of_discs(apart, lamp, pupil) / (math.pi * large**2)
 
 
 def _apart(scene: View, x: Floats, y: Floats) -> Floats:

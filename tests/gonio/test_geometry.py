@@ -183,3 +183,13 @@ def test_directions_broadcast_and_are_chosen_by_rows() -> None:
     np.testing.assert_array_equal(d.seen_from(math.pi).signed, [-0.1, -0.2, -0.3])
     np.testing.assert_array_equal(d.swapped.signed, [0.5, 0.5, 0.5])
     np.testing.assert_allclose(d.turned(1.0).out_of_plane, d.out_of_plane, atol=4 * EPS)
+
+
+def test_overlap_of_discs_by_counting() -> None:
+    x, y = np.meshgrid(np.linspace(-1.0, 3.0, 2001), np.linspace(-2.0, 2.0, 2001))
+    for apart, a, b in ((0.0, 1.0, 0.5), (0.8, 1.0, 0.5), (1.2, 1.0, 1.0), (1.49, 0.5, 1.0), (1.6, 0.5, 1.0)):
+        shared = np.mean((np.hypot(x, y) < a) & (np.hypot(x - apart, y) < b)) * 16.0
+        # a grid of 0.002 counts an outline of length 6 to some 1e-4
+        assert geometry.overlap_of_discs(apart, a, b) == pytest.approx(shared / (math.pi * min(a, b) ** 2), abs=3e-3)
+    np.testing.assert_array_equal(geometry.overlap_of_discs([0.5, 1.0, 1.1], 0.0, 1.0), [1.0, 1.0, 0.0])
+    assert geometry.overlap_of_discs([0.0, 0.4, 0.6], 0.3, 0.3).tolist()[::2] == [1.0, 0.0]
