@@ -39,7 +39,7 @@ from gonio.disk import is_stream, only_file
 from gonio.errors import ConfigError, DataError
 from gonio.formats import native, own_columns, rt300s
 from gonio.formats.native import check, check_columns, meta_path
-from gonio.formats.reader import ANGLES, COLUMNS, MAX_BYTES, MUELLER, U_ANGLES, U_MUELLER, reflection_only
+from gonio.formats.reader import ANGLES, COLUMNS, MAX_BYTES, MUELLER, U_ANGLES, U_MUELLER, Format, reflection_only
 from gonio.typing import Floats
 
 if TYPE_CHECKING:
@@ -173,6 +173,11 @@ def write(frame: pd.DataFrame, path: str | Path, *, format: str | None = None) -
     if "transmission" not in chosen.carries:
         reflection_only(frame, path, chosen.title)
     chosen.write(frame, path)
+    return _left_out(frame, path, chosen)
+
+
+def _left_out(frame: pd.DataFrame, path: Path, chosen: Format) -> list[str]:
+    """What a format has no room for, a sentence each."""
     lost = chosen.remarks(frame) if chosen.remarks is not None else []
     if chosen is native.FORMAT and is_stream(path):
         lost.append(f"{path}: takes the table alone; solid angles, bands and provenance need a file beside a file")

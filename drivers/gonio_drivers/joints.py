@@ -193,6 +193,31 @@ class Joint:
             return f"{said}, but at {baud} baud: {_listed(found)}; set devices.servos.baud to that speed"
         return f"{said}, nor does any servo at another speed; is the servo power on, and the cable in?"
 
+    def _set_mode(self) -> None:
+        """Write what of mode, offset and limits the servo has otherwise, with its torque off."""
+        wanted = {"Operating Mode": self.mode, "Drive Mode": 0, "Homing Offset": 0} | self.also
+        if self.servo.current_limit is not None:
+            wanted["Current Limit"] = self.servo.current_limit
+        if self.get(SHADOW) <= LAST_ID:  # it would obey what is meant for another servo
+            wanted[SHADOW] = NO_ID
+        wrong = {name: value for name, value in wanted.items() if self.get(name) != value}
+        if wrong:
+            changes = ", ".join(f"{name} = {value}" for name, value in wrong.items())
+            log.warning("axis %s: setting %s in the servo", self.name, changes)
+            self.write("Torque Enable", 0)
+            for name, value in wrong.items():
+                self.write(name, value)
+
+    def _set_profile(self, acceleration_deg_per_s2: float) -> None:
+        """Speed and acceleration in the servo's units, as near as it allows."""
+        gear = self.servo.gear_ratio
+        wish = int(self.axis.speed_deg_per_s * gear / VELOCITY_UNIT_DEG_S)
+        speed = max(1, min(wish, self.get("Velocity Limit") or wish))
+        self.speed_deg_per_s = speed * VELOCITY_UNIT_DEG_S / gear
+        acceleration = max(1, int(acceleration_deg_per_s2 * gear / ACCELERATION_UNIT_DEG_S2))
+        self.profile = self.table["Profile Acceleration"].encode(acceleration)
+        self.profile += self.table["Profile Velocity"].encode(speed)
+
     def prepare(self, acceleration_deg_per_s2: float, *, homed: bool = True) -> None:
         """Bring the servo into the state that moves rely on; it does not turn meanwhile.
 
@@ -206,18 +231,7 @@ class Joint:
             home_mark.wipe(self)
         if homed:
             home_mark.recall(self)
-        wanted = {"Operating Mode": self.mode, "Drive Mode": 0, "Homing Offset": 0} | self.also
-        if self.servo.current_limit is not None:
-            wanted["Current Limit"] = self.servo.current_limit
-        if self.get(SHADOW) <= LAST_ID:  # it would obey what is meant for another servo
-            wanted[SHADOW] = NO_ID
-        wrong = {name: value for name, value in wanted.items() if self.get(name) != value}
-        if wrong:
-            changes = ", ".join(f"{name} = {value}" for name, value in wrong.items())
-            log.warning("axis %s: setting %s in the servo", self.name, changes)
-            self.write("Torque Enable", 0)
-            for name, value in wrong.items():
-                self.write(name, value)
+        self._set_mode()
         # a largest value of zero was never set, and the factory's holds
         self.max_temperature_c = self.get("Temperature Limit") or self.max_temperature_c
         if highest_dv := self.get("Max Voltage Limit"):
@@ -228,13 +242,7 @@ class Joint:
         if self.mode == EXTENDED_CURRENT_MODE:  # a homing that was cut off leaves little
             self.write("Goal Current", self.full_current)
         self.check_reach()
-        gear = self.servo.gear_ratio
-        wish = int(self.axis.speed_deg_per_s * gear / VELOCITY_UNIT_DEG_S)
-        speed = max(1, min(wish, self.get("Velocity Limit") or wish))
-        self.speed_deg_per_s = speed * VELOCITY_UNIT_DEG_S / gear
-        acceleration = max(1, int(acceleration_deg_per_s2 * gear / ACCELERATION_UNIT_DEG_S2))
-        self.profile = self.table["Profile Acceleration"].encode(acceleration)
-        self.profile += self.table["Profile Velocity"].encode(speed)
+        self._set_profile(acceleration_deg_per_s2)
         self.send_profile()  # before the watchdog is cleared, and after it, since running out sets the profile to 0
         released = self._clear_watchdog()
         self.send_profile()

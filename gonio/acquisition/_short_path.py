@@ -80,6 +80,46 @@ def nearest_first(
 
 
 @njit()
+def _place(
+    at: Floats,
+    begin: Floats,
+    speed: Floats,
+    side: Floats,
+    settle: float,
+    same: float,
+    near: Ints,
+    after: Ints,
+    before: Ints,
+    stretch: tuple[int, int, int],
+    saved: float,
+) -> tuple[int, int]:
+    """Between which two poses a stretch (its first, its last, its length) costs least; -1 where that gains nothing."""
+    a, b, length = stretch
+    best, best_from, best_to = GAIN_S, -1, -1
+    for end in range(2):
+        for c in near[a if end == 0 else b]:
+            inside, d = False, a
+            for _ in range(length):
+                inside = inside or d == c
+                d = after[d]
+            if inside:
+                continue
+            source, sink = (c, after[c]) if end == 0 else (before[c], c)
+            if source == b or sink == a:
+                continue
+            first, last = (c, a) if end == 0 else (b, c)
+            joined = move_s(at, begin, speed, side, settle, same, first, last)
+            if joined >= saved:  # a neighbour so far away is no better place
+                continue
+            first, last = (b, sink) if end == 0 else (source, a)
+            joined += move_s(at, begin, speed, side, settle, same, first, last)
+            gain = saved - joined + move_s(at, begin, speed, side, settle, same, source, sink)
+            if gain > best:
+                best, best_from, best_to = gain, source, sink
+    return best_from, best_to
+
+
+@njit()
 def improved(
     at: Floats, begin: Floats, speed: Floats, side: Floats, settle: float, same: float, near: Ints, way: Ints, most: int
 ) -> Ints:
@@ -120,27 +160,9 @@ def improved(
                     + move_s(at, begin, speed, side, settle, same, b, q)
                     - move_s(at, begin, speed, side, settle, same, p, q)
                 )
-                best, best_from, best_to = GAIN_S, -1, -1
-                for end in range(2):
-                    for c in near[a if end == 0 else b]:
-                        inside, d = False, a
-                        for _ in range(length):
-                            inside = inside or d == c
-                            d = after[d]
-                        if inside:
-                            continue
-                        source, sink = (c, after[c]) if end == 0 else (before[c], c)
-                        if source == b or sink == a:
-                            continue
-                        first, last = (c, a) if end == 0 else (b, c)
-                        joined = move_s(at, begin, speed, side, settle, same, first, last)
-                        if joined >= saved:  # a neighbour so far away is no better place
-                            continue
-                        first, last = (b, sink) if end == 0 else (source, a)
-                        joined += move_s(at, begin, speed, side, settle, same, first, last)
-                        gain = saved - joined + move_s(at, begin, speed, side, settle, same, source, sink)
-                        if gain > best:
-                            best, best_from, best_to = gain, source, sink
+                best_from, best_to = _place(
+                    at, begin, speed, side, settle, same, near, after, before, (a, b, length), saved
+                )
                 if best_from >= 0:
                     after[p], before[q] = q, p
                     after[best_from], before[a] = a, best_from

@@ -260,6 +260,35 @@ class Repaired:
     """Frames of an earlier version, which hold no checksum of their pixels, and none is left of them elsewhere."""
 
 
+def _done(events: Iterable[Event]) -> dict[int, StepRecord]:
+    """The steps that the journal's lines name as taken, and not as lost."""
+    done: dict[int, StepRecord] = {}
+    for event in events:
+        if event["event"] == "step":
+            done[event["step"]] = StepRecord.from_json(event)
+        elif event["event"] == "lost":
+            for number in event["steps"]:
+                done.pop(number, None)
+    return done
+
+
+def _judged(run: Run, frames: _Frames, done: dict[int, StepRecord]) -> tuple[list[StepRecord], dict[int, list[str]]]:
+    """Steps that the frames tell anew, and what is wrong with those that are lost."""
+    rebuilt: list[StepRecord] = []
+    lost: dict[int, list[str]] = {}
+    for number in sorted({*done, *frames.told}):
+        line, told = done.get(number), frames.told.get(number)
+        wrong = frames.wrong(line) if line is not None else []
+        if line is not None and wrong:  # what the journal says of its frames counts, not what lies there now
+            lost[number] = wrong
+        elif told is not None and told != line and not frames.wrong(told) and (line or frames.is_as_written(told)):
+            rebuilt.append(told)
+    sound = {step.step: step for step in (*(done[n] for n in done if n not in lost), *rebuilt)}
+    alike = repeated(run, (sound[n] for n in sorted(frames.pictures.suspects & {*sound})))
+    lost |= {number: texts for number, texts in alike.items() if number in done}
+    return [step for step in rebuilt if step.step not in alike], lost
+
+
 def repair(path: str | Path, *, progress: Progress | None = None) -> Repaired | None:
     """Make a run's journal again, from the lines that can be read and from what the frames say of their steps.
 
@@ -300,26 +329,8 @@ def repair(path: str | Path, *, progress: Progress | None = None) -> Repaired | 
         events, choices = _with_choices(run, events)
         torn = torn or len(events) < readable
         frames = _Frames(run, progress)
-        done: dict[int, StepRecord] = {}
-        for event in events:
-            if event["event"] == "step":
-                done[event["step"]] = StepRecord.from_json(event)
-            elif event["event"] == "lost":
-                for number in event["steps"]:
-                    done.pop(number, None)
-        rebuilt: list[StepRecord] = []
-        lost: dict[int, list[str]] = {}
-        for number in sorted({*done, *frames.told}):
-            line, told = done.get(number), frames.told.get(number)
-            wrong = frames.wrong(line) if line is not None else []
-            if line is not None and wrong:  # what the journal says of its frames counts, not what lies there now
-                lost[number] = wrong
-            elif told is not None and told != line and not frames.wrong(told) and (line or frames.is_as_written(told)):
-                rebuilt.append(told)
-        sound = {step.step: step for step in (*(done[n] for n in done if n not in lost), *rebuilt)}
-        alike = repeated(run, (sound[n] for n in sorted(frames.pictures.suspects & {*sound})))
-        lost |= {number: texts for number, texts in alike.items() if number in done}
-        rebuilt = [step for step in rebuilt if step.step not in alike]
+        done = _done(events)
+        rebuilt, lost = _judged(run, frames, done)
         numbers = [step.step for step in rebuilt]
         named = {frame.file for step in (*done.values(), *rebuilt) for frame in step.frames}
         undetermined = sorted(name for name in frames.names if name not in named)

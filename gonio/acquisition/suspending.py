@@ -132,6 +132,15 @@ class Watch:
                 out.append(Cause(name, max(found, key=rule.badness), rule.words(back)))
         return out
 
+    def _require_patience(self, causes: Sequence[Cause], since: dict[str, float]) -> None:
+        for cause in causes:
+            longest = self._rules[cause.rule].longest_s
+            if time.monotonic() - since[cause.rule] > longest:
+                raise DeviceError(
+                    f"{cause}; that has not ended within suspend.{cause.rule}.longest_s = {longest:g} s; "
+                    "remove the cause, then go on with --resume"
+                )
+
     def wait(
         self,
         causes: Sequence[Cause],
@@ -181,13 +190,7 @@ class Watch:
             for _ in naps(LOOK_S):
                 if stop.requested:
                     raise Interrupted(f"stopped while waiting ({causes[0]}),")
-            for cause in causes:
-                rule = self._rules[cause.rule]
-                if time.monotonic() - since[cause.rule] > rule.longest_s:
-                    raise DeviceError(
-                        f"{cause}; that has not ended within suspend.{cause.rule}.longest_s = {rule.longest_s:g} s; "
-                        "remove the cause, then go on with --resume"
-                    )
+            self._require_patience(causes, since)
             readings, lit = look()
             causes = self.broken(readings, lit=lit, waiting=tuple(since))
         waited = time.monotonic() - begun

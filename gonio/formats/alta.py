@@ -61,15 +61,7 @@ def read(data: bytes, path: Path) -> pd.DataFrame:
         wavelengths = [math.nan]
     if not lines:
         raise DataError(f"{path}: there is no line of data")
-    names = [f"coordinate {k + 1}" for k in range(coordinates)] + [f"value {k + 1}" for k in range(count)]
-    rows = np.empty((len(lines), coordinates + count))
-    for row, line in enumerate(lines):
-        cells = text.lines[line].split()
-        if len(cells) != len(names):
-            raise DataError(f"{text.where(line)}: {len(cells)} numbers, and #DIM makes it {len(names)}")
-        rows[row, :coordinates] = numbers(cells[:coordinates], text.where(line), names[:coordinates])
-        rows[row, coordinates:] = numbers(cells[coordinates:], text.where(line), names[coordinates:], estimate)
-
+    rows = _rows(text, lines, coordinates, count)
     theta_i, phi_i, theta_r, phi_r = _directions(kind, rows)
     for name, theta in (("light", theta_i), ("viewer", theta_r)):
         for row in np.flatnonzero(theta > 90)[:1]:
@@ -99,6 +91,19 @@ def read(data: bytes, path: Path) -> pd.DataFrame:
             "notes": notes,
         },
     )
+
+
+def _rows(text: Text, lines: list[int], coordinates: int, count: int) -> Floats:
+    """Coordinates and values of each line of data."""
+    names = [f"coordinate {k + 1}" for k in range(coordinates)] + [f"value {k + 1}" for k in range(count)]
+    rows = np.empty((len(lines), coordinates + count))
+    for row, line in enumerate(lines):
+        cells = text.lines[line].split()
+        if len(cells) != len(names):
+            raise DataError(f"{text.where(line)}: {len(cells)} numbers, and #DIM makes it {len(names)}")
+        rows[row, :coordinates] = numbers(cells[:coordinates], text.where(line), names[:coordinates])
+        rows[row, coordinates:] = numbers(cells[coordinates:], text.where(line), names[coordinates:], estimate)
+    return rows
 
 
 def _directions(kind: str, rows: Floats) -> tuple[Floats, Floats, Floats, Floats]:

@@ -40,30 +40,7 @@ def read(data: bytes, path: Path) -> pd.DataFrame:
     angle_columns = [plain.index(name) for name in _ANGLES]
     value_columns = [k for k in range(len(names)) if k not in angle_columns]
     wavelengths = _wavelengths([names[k] for k in value_columns], where)
-
-    rows, decimals, last = [], 0, first
-    for line in range(first, len(text.lines)):
-        cells = _cells(text.lines[line])
-        if not cells:
-            continue
-        if len(cells) != len(names):
-            raise DataError(f"{text.where(line)}: {len(cells)} values, and VARS names {len(names)}")
-        angle_cells = [cells[k] for k in angle_columns]
-        angle = numbers(angle_cells, text.where(line), _ANGLES)
-        for k in (0, 2):
-            if abs(angle[k]) > math.pi / 2 + 1e-3:
-                allowed = "a polar angle in radians is needed, at most pi/2"
-                raise DataError(f"{text.where(line)}: {_ANGLES[k]} = {angle[k]:g}; {allowed}")
-        for k in (1, 3):
-            if abs(angle[k]) > 2 * math.pi + 1e-3:
-                allowed = "an azimuth in radians is needed, within +-2 pi"
-                raise DataError(f"{text.where(line)}: {_ANGLES[k]} = {angle[k]:g}; {allowed}")
-        decimals = max(decimals, *map(_decimals, angle_cells))
-        value_names = [names[k] for k in value_columns]
-        rows.append(angle + numbers([cells[k] for k in value_columns], text.where(line), value_names, estimate))
-        last = line
-    if not rows:
-        raise DataError(f"{text.where(first - 1)}: no line of data follows")
+    rows, decimals, last = _rows(text, first, names, angle_columns, value_columns)
     if "NUM_POINTS" in keywords:
         promised = integer(keywords["NUM_POINTS"], str(path), "NUM_POINTS", 0, 10**9)
         if promised != len(rows):
@@ -96,6 +73,36 @@ def read(data: bytes, path: Path) -> pd.DataFrame:
             "notes": notes,
         },
     )
+
+
+def _rows(
+    text: Text, first: int, names: list[str], angle_columns: list[int], value_columns: list[int]
+) -> tuple[list[list[float]], int, int]:
+    """Angles [rad] and values of each line from `first` on; the angles' decimals; and the last line that has some."""
+    rows, decimals, last = [], 0, first
+    for line in range(first, len(text.lines)):
+        cells = _cells(text.lines[line])
+        if not cells:
+            continue
+        if len(cells) != len(names):
+            raise DataError(f"{text.where(line)}: {len(cells)} values, and VARS names {len(names)}")
+        angle_cells = [cells[k] for k in angle_columns]
+        angle = numbers(angle_cells, text.where(line), _ANGLES)
+        for k in (0, 2):
+            if abs(angle[k]) > math.pi / 2 + 1e-3:
+                allowed = "a polar angle in radians is needed, at most pi/2"
+                raise DataError(f"{text.where(line)}: {_ANGLES[k]} = {angle[k]:g}; {allowed}")
+        for k in (1, 3):
+            if abs(angle[k]) > 2 * math.pi + 1e-3:
+                allowed = "an azimuth in radians is needed, within +-2 pi"
+                raise DataError(f"{text.where(line)}: {_ANGLES[k]} = {angle[k]:g}; {allowed}")
+        decimals = max(decimals, *map(_decimals, angle_cells))
+        value_names = [names[k] for k in value_columns]
+        rows.append(angle + numbers([cells[k] for k in value_columns], text.where(line), value_names, estimate))
+        last = line
+    if not rows:
+        raise DataError(f"{text.where(first - 1)}: no line of data follows")
+    return rows, decimals, last
 
 
 def write(frame: pd.DataFrame, path: Path) -> None:

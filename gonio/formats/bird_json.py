@@ -46,13 +46,11 @@ def read(data: bytes, path: Path) -> pd.DataFrame:
     theta_i, phi_i = fold(angles["theta_i"], angles["phi_i"], slack_deg=0.001)
     theta_r, phi_r = fold(angles["theta_r"], angles["phi_r"], slack_deg=0.001)
     notes = []
-    received = file.numbers("wavelength_r", {"nm": 1.0, "μm": 1000.0}, count) if "wavelength_r" in section else None
-    wavelength = (
-        file.numbers("wavelength_i", {"nm": 1.0, "μm": 1000.0}, count) if "wavelength_i" in section else received
-    )
-    if received is not None and wavelength is not None and not np.array_equal(received, wavelength):
+    units = {"nm": 1.0, "μm": 1000.0}
+    stated = [file.numbers(name, units, count) for name in ("wavelength_i", "wavelength_r") if name in section]
+    if stated and not np.array_equal(stated[0], stated[-1]):
         raise DataError(f"{path}: data.wavelength_r differs from data.wavelength_i; fluorescence is not a BRDF")
-    if wavelength is None:
+    if not stated:
         notes.append("the file states no wavelength")
     u_brdf = _uncertainty(file, brdf)
     notes.append(
@@ -71,7 +69,7 @@ def read(data: bytes, path: Path) -> pd.DataFrame:
         phi_i_deg=phi_i,
         theta_r_deg=theta_r,
         phi_r_deg=phi_r,
-        wavelength_nm=math.nan if wavelength is None else wavelength,
+        wavelength_nm=stated[0] if stated else math.nan,
         brdf=columns.get("brdf", brdf),
         u_brdf=columns.get("u_brdf", u_brdf),
         u_random=columns.get("u_random", math.nan),

@@ -66,20 +66,7 @@ def _rings(rings: Iterator[tuple[float, int]]) -> Basis:
 
 def read(data: bytes, path: Path) -> pd.DataFrame:
     """The measurement table in WINDOW's XML; `DataError` says what is wrong with the file, and where."""
-    if re.search(rb"<!(DOCTYPE|ENTITY)", data):
-        raise DataError(f"{path}: has a document type, which no Klems file needs")
-    try:
-        root = ElementTree.fromstring(data)
-    except ElementTree.ParseError as error:
-        line, column = error.position
-        raise DataError(
-            f"{path}, line {line}, column {column + 1}: not valid XML: {str(error).partition(':')[0]}"
-        ) from None
-    except (ValueError, LookupError) as error:
-        raise DataError(f"{path}: not valid XML: {str(error)[:100]}") from None
-    layer = root.find(".//{*}Layer")
-    if layer is None:
-        raise DataError(f"{path}: there is no element Layer; this is not a WINDOW file")
+    layer = _layer(data, path)
     definition = _child(layer, "DataDefinition", path)
     structure = _text(definition, "IncidentDataStructure", path)
     if structure not in ("Columns", "Rows"):
@@ -126,6 +113,25 @@ def read(data: bytes, path: Path) -> pd.DataFrame:
             "notes": notes,
         },
     )
+
+
+def _layer(data: bytes, path: Path) -> ElementTree.Element:
+    """The element that holds the matrices."""
+    if re.search(rb"<!(DOCTYPE|ENTITY)", data):
+        raise DataError(f"{path}: has a document type, which no Klems file needs")
+    try:
+        root = ElementTree.fromstring(data)
+    except ElementTree.ParseError as error:
+        line, column = error.position
+        raise DataError(
+            f"{path}, line {line}, column {column + 1}: not valid XML: {str(error).partition(':')[0]}"
+        ) from None
+    except (ValueError, LookupError) as error:
+        raise DataError(f"{path}: not valid XML: {str(error)[:100]}") from None
+    layer = root.find(".//{*}Layer")
+    if layer is None:
+        raise DataError(f"{path}: there is no element Layer; this is not a WINDOW file")
+    return layer
 
 
 def _bases(definition: ElementTree.Element, path: Path) -> Iterator[tuple[str, Basis]]:

@@ -218,29 +218,7 @@ def check(frame: pd.DataFrame, where: Any) -> None:
             shown = f"{value:.9g}" if isinstance(value, float) else repr(value)[:40]
             raise DataError(f"{where(int(bad[0]))}: {column} = {shown}; {allowed}")
 
-    if "side" in frame.columns:
-        demand(_one_of(frame["side"], lambda word: word in SIDES), "side", f"one of {', '.join(SIDES)}")
-        through = frame["side"].to_numpy() == "transmission"
-    else:
-        through = np.zeros(len(frame), dtype=bool)
-    polar = "polar angles lie in [0, 90] degrees; write (-theta, phi) as (theta, phi + 180)"
-    for column in ("theta_i_deg", "theta_r_deg"):
-        theta = frame[column].to_numpy(np.float64)
-        behind = through if column == "theta_r_deg" else np.zeros(len(frame), dtype=bool)
-        stated = (
-            ""
-            if column == "theta_i_deg"
-            else '; of transmission they go on to 180, in rows whose column "side" says "transmission"'
-        )
-        demand(behind | ((theta >= 0) & (theta <= 90)), column, polar + stated)
-        demand(
-            ~behind | ((theta > 90) & (theta <= 180)),
-            column,
-            'a row whose column "side" says "transmission" has its detector behind the sample, in (90, 180] degrees',
-        )
-    for column in ("phi_i_deg", "phi_r_deg"):
-        phi = frame[column].to_numpy(np.float64)
-        demand((phi >= 0) & (phi < 360), column, "azimuths lie in [0, 360) degrees")
+    _check_angles(frame, demand)
     wavelength = frame["wavelength_nm"].to_numpy(np.float64)
     known = (wavelength > 0) & np.isfinite(wavelength)
     demand(np.isnan(wavelength) | known, "wavelength_nm", "a positive number, or NaN for a broad band")
@@ -275,6 +253,32 @@ def check(frame: pd.DataFrame, where: Any) -> None:
     for column in ("flag", "sample"):
         if column in frame.columns:
             demand(_one_of(frame[column], lambda word: isinstance(word, str)), column, "text is needed")
+
+
+def _check_angles(frame: pd.DataFrame, demand: Callable[[Any, str, str], None]) -> None:
+    if "side" in frame.columns:
+        demand(_one_of(frame["side"], lambda word: word in SIDES), "side", f"one of {', '.join(SIDES)}")
+        through = frame["side"].to_numpy() == "transmission"
+    else:
+        through = np.zeros(len(frame), dtype=bool)
+    polar = "polar angles lie in [0, 90] degrees; write (-theta, phi) as (theta, phi + 180)"
+    for column in ("theta_i_deg", "theta_r_deg"):
+        theta = frame[column].to_numpy(np.float64)
+        behind = through if column == "theta_r_deg" else np.zeros(len(frame), dtype=bool)
+        stated = (
+            ""
+            if column == "theta_i_deg"
+            else '; of transmission they go on to 180, in rows whose column "side" says "transmission"'
+        )
+        demand(behind | ((theta >= 0) & (theta <= 90)), column, polar + stated)
+        demand(
+            ~behind | ((theta > 90) & (theta <= 180)),
+            column,
+            'a row whose column "side" says "transmission" has its detector behind the sample, in (90, 180] degrees',
+        )
+    for column in ("phi_i_deg", "phi_r_deg"):
+        phi = frame[column].to_numpy(np.float64)
+        demand((phi >= 0) & (phi < 360), column, "azimuths lie in [0, 360) degrees")
 
 
 def _per_word(words: pd.Series[Any], change: Callable[[str], str]) -> pd.Series[Any]:

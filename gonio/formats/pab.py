@@ -83,32 +83,7 @@ class _Header:
 def read(data: bytes, path: Path) -> pd.DataFrame:
     """The measurement table in a file of Mountain's; `DataError` says what is wrong with it, and in which line."""
     text = Text(data, path)
-    header, begun, incidence = _Header(), False, (0.0, 0.0)
-    name: str | None = None
-    rows: list[tuple[float, ...]] = []
-    colorimetry = set()
-    for index, line in enumerate(text.lines):
-        where = text.where(index)
-        if line.startswith("#"):
-            if begun:  # the next file of several joined into one
-                header, begun = _Header(), False
-            name = header.take(line[1:], where) or name
-            continue
-        cells = line.split()
-        if not cells:
-            continue
-        if not begun:
-            incidence = header.incidence(where)
-            colorimetry.add(header.colorimetry)
-            begun = True
-        channels = _CHANNELS[header.colorimetry]
-        if len(cells) != 2 + len(channels):
-            raise DataError(f"{where}: {len(cells)} numbers, and theta, phi, {', '.join(channels)} are needed")
-        found = numbers(cells, where, ("theta", "phi", *channels))
-        if not -180.0 <= found[0] <= 180.0:
-            raise DataError(f"{where}: theta is {found[0]:g} degrees; it lies between 0 and 180")
-        value = found[2 + _TAKEN[header.colorimetry]]
-        rows.append((*incidence, *found[:2], value, float(bool(header.is_dsf))))
+    rows, colorimetry, name = _rows(text)
     if not rows:
         raise DataError(f"{path}: holds a header and no values")
     theta_i, phi_i, theta_r, phi_r, value, dsf = np.array(rows).T
@@ -148,6 +123,37 @@ def read(data: bytes, path: Path) -> pd.DataFrame:
         sample=sides,
         attrs={"source_file": str(path), "sample": called, "notes": notes},
     )
+
+
+def _rows(text: Text) -> tuple[list[tuple[float, ...]], set[str], str | None]:
+    """Angles [deg], value and whether it is a DSF of each line; kinds of values; and the sample's name."""
+    header, begun, incidence = _Header(), False, (0.0, 0.0)
+    name: str | None = None
+    rows: list[tuple[float, ...]] = []
+    colorimetry = set()
+    for index, line in enumerate(text.lines):
+        where = text.where(index)
+        if line.startswith("#"):
+            if begun:  # the next file of several joined into one
+                header, begun = _Header(), False
+            name = header.take(line[1:], where) or name
+            continue
+        cells = line.split()
+        if not cells:
+            continue
+        if not begun:
+            incidence = header.incidence(where)
+            colorimetry.add(header.colorimetry)
+            begun = True
+        channels = _CHANNELS[header.colorimetry]
+        if len(cells) != 2 + len(channels):
+            raise DataError(f"{where}: {len(cells)} numbers, and theta, phi, {', '.join(channels)} are needed")
+        found = numbers(cells, where, ("theta", "phi", *channels))
+        if not -180.0 <= found[0] <= 180.0:
+            raise DataError(f"{where}: theta is {found[0]:g} degrees; it lies between 0 and 180")
+        value = found[2 + _TAKEN[header.colorimetry]]
+        rows.append((*incidence, *found[:2], value, float(bool(header.is_dsf))))
+    return rows, colorimetry, name
 
 
 def _sniff(head: bytes) -> bool:

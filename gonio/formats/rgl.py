@@ -289,6 +289,19 @@ def write_model(model: Model, name: str, path: Path) -> None:
     write_bytes(path, sliced(brdf, name))
 
 
+def _slices(brdf: Callable[[Floats, Floats], Floats], half: Floats, theta_i: Floats) -> npt.NDArray[np.float32]:
+    """brdf cos(theta_r) of three channels at half vectors (3, m, n), an incidence after another."""
+    values = np.zeros((theta_i.size, 3, *half.shape[1:]), np.float32)
+    for slice_, theta in zip(values, theta_i.tolist(), strict=True):
+        incident = _vector(np.array(theta), np.zeros(()))[:, np.newaxis, np.newaxis]
+        outgoing = 2 * (incident * half).sum(axis=0) * half - incident
+        above = outgoing[2] > 1e-6
+        directions = np.moveaxis(outgoing[:, above], 0, -1)
+        f = brdf(np.broadcast_to(incident[:, 0, 0], directions.shape), directions)
+        slice_[:, above] = (np.maximum(f, 0.0) * outgoing[2][above, np.newaxis]).T
+    return values
+
+
 def sliced(
     brdf: Callable[[Floats, Floats], Floats],
     name: str,
@@ -324,14 +337,7 @@ def sliced(
     theta_m, phi_m = np.meshgrid(np.pi / 2 * side**2, np.pi * (2 * side - 1))
     half = _vector(theta_m, phi_m)
     theta_i = np.linspace(0.0, np.deg2rad(89.0), incidences) if isinstance(incidences, int) else incidences
-    values = np.zeros((1, theta_i.size, 3, nodes, nodes), np.float32)
-    for slice_, theta in zip(values[0], theta_i.tolist(), strict=True):
-        incident = _vector(np.array(theta), np.zeros(()))[:, np.newaxis, np.newaxis]
-        outgoing = 2 * (incident * half).sum(axis=0) * half - incident
-        above = outgoing[2] > 1e-6
-        directions = np.moveaxis(outgoing[:, above], 0, -1)
-        f = brdf(np.broadcast_to(incident[:, 0, 0], directions.shape), directions)
-        slice_[:, above] = (np.maximum(f, 0.0) * outgoing[2][above, np.newaxis]).T
+    values = _slices(brdf, half, theta_i)[np.newaxis]
     if exact is not None:
         _move_nodes(values[0], theta_i, *exact)
     # samples are drawn from this: what a half vector reflects, times the solid angle of its cell

@@ -179,13 +179,8 @@ def sine_less(h):  # type: ignore[no-untyped-def]
 
 
 @device
-def around(ti, tr, delta, turns, tangent, c, second, more, edges, work):  # type: ignore[no-untyped-def]
-    """The mean over phi_a for grooves of one slope, without cos(theta_a)."""
-    a = ti * tangent
-    b = tr * tangent
-    if a <= 1.0 and b <= 1.0:  # nothing is shadowed or masked, m_s = m_v = 1, J = pi (1 - c)
-        cross = 0.5 * a * b * cos(delta)
-        return 1.0 + cross + second * pi * (1.0 - c) * (1.0 - cross)
+def arc_edges(a, b, delta, turns, edges):  # type: ignore[no-untyped-def]
+    """Fill `edges` with the azimuths in [0, 2 pi), in order, where shadow or mask begin or end; how many they are."""
     count = 0
     if a > 1.0:
         wide = acos(1.0 / a)
@@ -193,12 +188,8 @@ def around(ti, tr, delta, turns, tangent, c, second, more, edges, work):  # type
         count = 4
     if b > 1.0:
         wide = acos(1.0 / b)
-        edges[count], edges[count + 1], edges[count + 2], edges[count + 3] = (
-            delta + wide,
-            delta - wide,
-            delta + pi - wide,
-            delta + wide - pi,
-        )
+        edges[count], edges[count + 1] = delta + wide, delta - wide
+        edges[count + 2], edges[count + 3] = delta + pi - wide, delta + wide - pi
         count += 4
     if a > 1.0 and b > 1.0:  # V and S, or V and S', can be equal above 2
         for turn in turns:
@@ -213,6 +204,18 @@ def around(ti, tr, delta, turns, tangent, c, second, more, edges, work):  # type
             edges[k] = edges[k - 1]
             k -= 1
         edges[k] = edge
+    return count
+
+
+@device
+def around(ti, tr, delta, turns, tangent, c, second, more, edges, work):  # type: ignore[no-untyped-def]
+    """The mean over phi_a for grooves of one slope, without cos(theta_a)."""
+    a = ti * tangent
+    b = tr * tangent
+    if a <= 1.0 and b <= 1.0:  # nothing is shadowed or masked, m_s = m_v = 1, J = pi (1 - c)
+        cross = 0.5 * a * b * cos(delta)
+        return 1.0 + cross + second * pi * (1.0 - c) * (1.0 - cross)
+    count = arc_edges(a, b, delta, turns, edges)
     sd, cd = sincos(delta)
     total = 0.0
     for j in range(count):

@@ -171,16 +171,8 @@ def over_facets(
     levels, rooted = _fresnel_levels(index) if index else ([], False)
     edges = _alpha_edges(theta, scales, reach, levels)
     for n_alpha, n_beta in ORDERS[0 if tolerance > COARSE_TOLERANCE else COARSE_RULES :]:
-        value = _facet_rule(
-            kernel,
-            constants,
-            theta[open_],
-            edges[open_],
-            viewer,
-            levels,
-            unit_rule(n_alpha, True),
-            unit_rule(n_beta, rooted),
-        )
+        rules = unit_rule(n_alpha, True), unit_rule(n_beta, rooted)
+        value = _facet_rule(kernel, constants, theta[open_], edges[open_], viewer, levels, *rules)
         out[open_] = value
         with np.errstate(invalid="ignore"):
             held = np.abs(value - before[open_]) <= TOLERANCE * np.maximum(np.abs(value), NOTHING)

@@ -170,27 +170,19 @@ class RunFrames:
         """Of points without frames."""
         self.lost_visits: list[str] = []
         """The flags of the visits to the reference without frames."""
-        dark: list[tuple[StepRecord, FrameRecord]] = []
         self.geometry = GeometryErrors(run.description)
         self._pictures = Pictures(run.description.camera)
-        monitored: list[float] = []
         self._every = run.steps() if steps is None else steps
         for step in self._every:
             if step.kind == "dark":
-                dark += [(step, frame) for frame in step.frames]
-            elif not step.flag:
+                continue
+            if not step.flag:
                 self.points.append(step.point)
-                if self.description.lamp.monitor:
-                    monitored += [frame.monitor for frame in step.frames if frame.lamp and frame.monitor is not None]
             elif step.point is not None:
                 self.flags[step.point] = step.flag
             else:
                 self.lost_visits.append(step.flag)
-        if self.description.lamp.monitor and not monitored:
-            raise DataError(
-                f"{run.path}: lamp.monitor = true, and no frame of the run has a reading of the lamp's monitor"
-            )
-        self._usual = sum(monitored) / len(monitored) if monitored else math.nan
+        self._usual = self._mean_of_monitor()
         """Mean reading of the lamp's monitor: rates are those of a lamp at which it reads this."""
         channels = dict.fromkeys(band.channel for band in run.bands)
         camera = self.description.camera
@@ -199,24 +191,10 @@ class RunFrames:
             self._maps = read_maps(camera.maps, (camera.height, camera.width))
         self._parameters = tuple(camera_parameters(self.description))
         self._spreads = any(name.startswith("camera.stray") for name in self._parameters)
-        boxes: dict[Target, tuple[slice, slice]] = {}
+        self._channels = tuple(channels)
         self.reference: dict[str, Roi] = {}
-        regions: dict[Channel, list[Roi]] = {channel: [] for channel in channels}
-        seen = dict.fromkeys(channels, 0)
-        spacing = -(-len(self.points) // FEW)
-        for step in self.steps():
-            for channel in channels:
-                region = self._region(step, channel)
-                if region is not None:
-                    boxes[region.target] = _around(region.roi, boxes.get(region.target))
-                    if region.target == "reference":
-                        self.reference.setdefault(channel, region.lit)
-                    else:
-                        if seen[channel] % spacing == 0:
-                            regions[channel].append(region.roi)
-                        seen[channel] += 1
-        if not boxes:
-            raise DataError(f"{run.path}: no point was measured in this run; finish it with --resume")
+        """The region of the first visit, by channel."""
+        boxes, regions = self._looked_at()
         if spare:
             boxes = {target: _widened(box, spare, (camera.height, camera.width)) for target, box in boxes.items()}
         self._boxes = boxes
@@ -226,15 +204,48 @@ class RunFrames:
         """The part of the used pixels that read 0 DN in the dark frames."""
         self.full = 0.0
         """The largest part of a used frame's pixels that are full, where the light that frames spread is taken out."""
-        self._channels = tuple(channels)
         self._dark_means: dict[str, tuple[float, float]] = {}
         self.darks_taken = self.darks_used = 0
         """How many exposures the dark frames were taken with, and of how many some are left."""
         self.dark_hits = 0
         """Pixels of dark frames that were hit by cosmic radiation; where frames are merged by pixels."""
+        dark = [(step, frame) for step in self._every if step.kind == "dark" for frame in step.frames]
         self._darks = self._read_darks(dark, boxes)
         self.prnu = self._remaining_prnu(boxes)
         """Relative standard deviation of the pixels' responsivities, after maps where there are any."""
+
+    def _mean_of_monitor(self) -> float:
+        if not self.description.lamp.monitor:
+            return math.nan
+        frames = (frame for step in self._every if step.kind != "dark" and not step.flag for frame in step.frames)
+        readings = [frame.monitor for frame in frames if frame.lamp and frame.monitor is not None]
+        if not readings:
+            raise DataError(
+                f"{self.run.path}: lamp.monitor = true, and no frame of the run has a reading of the lamp's monitor"
+            )
+        return sum(readings) / len(readings)
+
+    def _looked_at(self) -> tuple[dict[Target, tuple[slice, slice]], dict[Channel, list[Roi]]]:
+        """What of the frames the steps look at, by target; and the regions of some points, by channel."""
+        boxes: dict[Target, tuple[slice, slice]] = {}
+        regions: dict[Channel, list[Roi]] = {channel: [] for channel in self._channels}
+        seen = dict.fromkeys(self._channels, 0)
+        spacing = -(-len(self.points) // FEW)
+        for step in self.steps():
+            for channel in self._channels:
+                region = self._region(step, channel)
+                if region is None:
+                    continue
+                boxes[region.target] = _around(region.roi, boxes.get(region.target))
+                if region.target == "reference":
+                    self.reference.setdefault(channel, region.lit)
+                    continue
+                if seen[channel] % spacing == 0:
+                    regions[channel].append(region.roi)
+                seen[channel] += 1
+        if not boxes:
+            raise DataError(f"{self.run.path}: no point was measured in this run; finish it with --resume")
+        return boxes, regions
 
     def steps(self) -> Iterator[StepRecord]:
         """The steps with frames of point or reference, each read when it is asked for: a run may have very many."""

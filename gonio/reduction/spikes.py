@@ -125,6 +125,20 @@ class _Fit:
     stands_out: bool
 
 
+def _fits(scene: Scene, groups: Sequence[Places], near: npt.NDArray[np.bool_]) -> list[_Fit | None]:
+    """A fit of each group that may see a spike; with groups at nearly the same angle, where one alone does not tell."""
+    centres = [float(np.mean(scene.theta_i[group])) for group in groups]
+    fits: list[_Fit | None] = []
+    for group, centre in zip(groups, centres, strict=True):
+        fit = _fit(scene, group, near) if near[group].any() else None
+        if fit is not None and not fit.told:
+            beside = [g for g, c in zip(groups, centres, strict=True) if abs(c - centre) < SAME_SPIKE]
+            pooled = _fit(scene, np.concatenate([group, *(g for g in beside if g is not group)]), near, group)
+            fit = pooled if pooled.told else fit
+        fits.append(fit)
+    return fits
+
+
 def find(scene: Scene, groups: Sequence[Places]) -> Spikes:
     """Spikes of a band.
 
@@ -140,15 +154,8 @@ def find(scene: Scene, groups: Sequence[Places]) -> Spikes:
     out = Spikes(zero.copy(), zero.copy(), scene.brdf.astype(float), np.ones(count, bool), zero.copy(), zero.copy())
     if sum(scene.half_angles) <= 0:
         return out
-    near, centres = scene.most > 0.0, [float(np.mean(scene.theta_i[group])) for group in groups]
-    fits: list[_Fit | None] = []
-    for group, centre in zip(groups, centres, strict=True):
-        fit = _fit(scene, group, near) if near[group].any() else None
-        if fit is not None and not fit.told:
-            beside = [g for g, c in zip(groups, centres, strict=True) if abs(c - centre) < SAME_SPIKE]
-            pooled = _fit(scene, np.concatenate([group, *(g for g in beside if g is not group)]), near, group)
-            fit = pooled if pooled.told else fit
-        fits.append(fit)
+    near = scene.most > 0.0
+    fits = _fits(scene, groups, near)
     for group, fit in zip(groups, fits, strict=True):
         if fit is None:
             continue

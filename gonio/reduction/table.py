@@ -9,6 +9,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+import numpy.typing as npt
 
 import gonio
 from gonio import geometry
@@ -52,35 +53,10 @@ def assemble(run: Run, results: list[BandResult], notes: list[str], clipped: flo
 
     `clipped` is the part of the used pixels that read 0 DN in the dark frames.
     """
-    import pandas as pd
-
-    description, plan = run.description, run.plan
-    nominal = Directions.from_table(plan)
-    zeros = (CAUSES[axis] for axis in zero_uncertainties(description))
-    added = dict.fromkeys(name for result in results for name in result.values.common)
-    causes = [name for name in (*COMMON, *DARK, *zeros, *GEOMETRY, *LAMP, *LIGHT) if name in added]
-    causes += [name for name in added if name not in causes]
-    chosen = _angles_of_chosen(run)
-    numbers = [*ANGLES, "brdf", "u_brdf", "u_random", *causes, *(["u_angles"] if chosen else [])]
-    values = np.full((len(numbers), len(plan), len(results)), math.nan)
-    values[: len(ANGLES)] = plan[list(ANGLES)].to_numpy(dtype=float).T[..., None]
-    flags = np.empty((len(plan), len(results)), dtype=object)
-    planned = plan["flag"].tolist()
-    for k, result in enumerate(results):
-        rows, columns = result.rows, result.values.columns()
-        columns |= dict(zip(ANGLES, angles_deg([point.directions for point in result.points]), strict=True))
-        flags[:, k] = [
-            flag or result.flags.get(point, "") or ("" if point in rows else "not_measured")
-            for point, flag in enumerate(planned)
-        ]
-        good = np.array([not flags[point, k] for point in rows], dtype=bool)
-        if good.any():
-            for column, name in zip(values, numbers, strict=True):
-                column[rows[good], k] = columns[name][good]
-    frame = pd.DataFrame(dict(zip(numbers, values.reshape(len(numbers), -1), strict=True)))
-    frame.insert(len(ANGLES), "wavelength_nm", np.tile([result.band.centre_nm for result in results], len(plan)))
-    frame.insert(len(ANGLES) + 1, "polarisation", "unpolarised")
-    behind = np.repeat(plan["theta_r_deg"].to_numpy(dtype=float) > 90.0, len(results))
+    description = run.description
+    nominal, chosen = Directions.from_table(run.plan), _angles_of_chosen(run)
+    frame, flags = _rows(run, results, of_angles=bool(chosen))
+    behind = np.repeat(run.plan["theta_r_deg"].to_numpy(dtype=float) > 90.0, len(results))
     if behind.any():
         frame.insert(len(ANGLES) + 2, "side", np.where(behind, "transmission", "reflection").astype(object))
         notes = [
@@ -88,7 +64,6 @@ def assemble(run: Run, results: list[BandResult], notes: list[str], clipped: flo
             "transmission is measured against the white reference in reflection: its BTDF is that of the sample as it "
             "lies, seen from behind",
         ]
-    frame["flag"] = pd.Series(flags.ravel().tolist(), dtype=str)
     lamp, camera = description.lamp, description.camera
     cones = (math.radians(lamp.half_angle_deg), math.radians(camera.lens_half_angle_deg))
     frame.attrs.update(
@@ -117,7 +92,48 @@ def assemble(run: Run, results: list[BandResult], notes: list[str], clipped: flo
         + light_and_lens.notes(description, results)
         + said_once([(result.band.name, _notes(result, nominal[result.rows])) for result in results]),
     )
-    reachable = [not flag for flag in planned]
+    frame.attrs["provenance"]["checks"] = [one.to_json() for one in _checks(run, frame, results, flags, clipped)]
+    return frame
+
+
+def _rows(run: Run, results: list[BandResult], *, of_angles: bool) -> tuple[pd.DataFrame, npt.NDArray[np.object_]]:
+    """Angles, numbers and flags of every point of the plan and every band; and the flags, shape (points, bands)."""
+    import pandas as pd
+
+    plan = run.plan
+    zeros = (CAUSES[axis] for axis in zero_uncertainties(run.description))
+    added = dict.fromkeys(name for result in results for name in result.values.common)
+    causes = [name for name in (*COMMON, *DARK, *zeros, *GEOMETRY, *LAMP, *LIGHT) if name in added]
+    causes += [name for name in added if name not in causes]
+    numbers = [*ANGLES, "brdf", "u_brdf", "u_random", *causes, *(["u_angles"] if of_angles else [])]
+    values = np.full((len(numbers), len(plan), len(results)), math.nan)
+    values[: len(ANGLES)] = plan[list(ANGLES)].to_numpy(dtype=float).T[..., None]
+    flags = np.empty((len(plan), len(results)), dtype=object)
+    planned = plan["flag"].tolist()
+    for k, result in enumerate(results):
+        rows, columns = result.rows, result.values.columns()
+        columns |= dict(zip(ANGLES, angles_deg([point.directions for point in result.points]), strict=True))
+        measured = set(rows.tolist())
+        flags[:, k] = [
+            flag or result.flags.get(point, "") or ("" if point in measured else "not_measured")
+            for point, flag in enumerate(planned)
+        ]
+        good = np.array([not flags[point, k] for point in rows], dtype=bool)
+        if good.any():
+            for column, name in zip(values, numbers, strict=True):
+                column[rows[good], k] = columns[name][good]
+    frame = pd.DataFrame(dict(zip(numbers, values.reshape(len(numbers), -1), strict=True)))
+    frame.insert(len(ANGLES), "wavelength_nm", np.tile([result.band.centre_nm for result in results], len(plan)))
+    frame.insert(len(ANGLES) + 1, "polarisation", "unpolarised")
+    frame["flag"] = pd.Series(flags.ravel().tolist(), dtype=str)
+    return frame, flags
+
+
+def _checks(
+    run: Run, frame: pd.DataFrame, results: list[BandResult], flags: npt.NDArray[np.object_], clipped: float
+) -> list[Check]:
+    """What is judged of frames, visits, points and values."""
+    reachable = [not flag for flag in run.plan["flag"]]
     found = [
         one
         for k, result in enumerate(results)
@@ -126,8 +142,7 @@ def assemble(run: Run, results: list[BandResult], notes: list[str], clipped: flo
     for nm, measured_values in values_of(frame).items():
         band = next((result.band.name for result in results if result.band.centre_nm == nm), "")
         found += [replace(one, band=band) for one in of_values(measured_values)]
-    frame.attrs["provenance"]["checks"] = [one.to_json() for one in found]
-    return frame
+    return found
 
 
 def angles_deg(points: Sequence[Directions]) -> Floats:

@@ -89,6 +89,11 @@ def rows(table: pd.DataFrame, name: str, *, wavelength_nm: float | None = None) 
     if wide.shape[1] == 1:
         notes.append(f"grey: {f'{waves[0]:g} nm' if waves.size else 'one band'} stands for all three channels")
         return _rows(name, wide, wide.to_numpy(), notes)
+    return _in_colour(name, wide, waves, notes)
+
+
+def _in_colour(name: str, wide: pd.DataFrame, waves: Floats, notes: list[str]) -> Rows:
+    """Directions that were measured at several wavelengths, a column each, in linear sRGB."""
     whole = wide.notna().all(axis=1)
     wide = wide[whole]
     if not whole.all():

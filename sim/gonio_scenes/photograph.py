@@ -6,13 +6,16 @@ See docs/photograph.md for the design, and for what is neglected and how small t
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import numpy.typing as npt
 
 from gonio import __version__, geometry
 from gonio.errors import ConfigError, DataError
+from gonio.formats.reader import Attributes, attributes
 from gonio.typing import Floats
 from gonio_scenes import exposures
 from gonio_scenes._photograph_causes import _common, _require_light
@@ -302,23 +305,43 @@ def _table(
         }
     )[shown].reset_index(drop=True)
     frame["flag"] = frame["flag"].astype(str)
-    aside = {str(word): int(np.count_nonzero(flag[~shown] == word)) for word in sorted(set(flag[~shown]))}
-    notes = [f"Each row is the mean over {squares.size} x {squares.size} pixels, brought to its middle."]
+    frame.attrs.update(_attributes(scene, image, exposure, squares, cones, good))
+    frame.attrs["notes"] = _notes(scene, squares.size, flag[~shown], columns, unseen_deg)
+    return frame
+
+
+def _notes(
+    scene: Scene, size: int, hidden: npt.NDArray[np.object_], causes: Iterable[str], unseen_deg: float
+) -> list[str]:
+    aside = {str(word): int(np.count_nonzero(hidden == word)) for word in sorted(set(hidden))}
+    notes = [f"Each row is the mean over {size} x {size} pixels, brought to its middle."]
     notes += [f"{count} more squares have no directions above the horizon: {word}." for word, count in aside.items()]
-    if any(name.startswith("unseen") for name in columns):
+    if any(name.startswith("unseen") for name in causes):
         notes.append(
             f"The stated uncertainties turn directions by up to {unseen_deg:.2g} degrees to where this picture does "
             "not look; what that may do is in the columns s_unseen."
         )
     if len(scene.world.shapes) > 1:
         notes.append("Light that the scene's other shapes reflect onto the sample is not subtracted.")
+    return notes
+
+
+def _attributes(
+    scene: Scene,
+    image: Path,
+    exposure: Exposure,
+    squares: _Squares,
+    cones: tuple[Floats, float],
+    good: npt.NDArray[np.bool_],
+) -> Attributes:
+    """All but the notes; `cones` are half-angles [rad], of the source as each square sees it and of the lens."""
+    given = scene.tables.photograph
+    assert given is not None
     source = float(np.median(cones[0][good]))
-    frame.attrs.update(
+    return attributes(
         quantity="brdf",
         source_solid_angle_sr=float(geometry.solid_angle_of_cone(source)),
         receiver_solid_angle_sr=float(geometry.solid_angle_of_cone(cones[1])),
-        bands=[],
-        polarisation="unpolarised",
         source_file=str(image),
         sample=scene.name,
         provenance={
@@ -326,11 +349,9 @@ def _table(
             "scene": scene.name,
             "pixels_a_square": squares.size,
             **dict(exposure.described),
-            "standard_uncertainties": {n: u for n, u in stated.items() if u},
+            "standard_uncertainties": {n: u for n, u in given.uncertainty.model_dump().items() if u},
         },
-        notes=notes,
     )
-    return frame
 
 
 def _picked(seen: Seen, here: Mask) -> Seen:

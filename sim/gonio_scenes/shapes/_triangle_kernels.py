@@ -99,6 +99,32 @@ def _breadth(vertices: Any, faces: Any, k: int) -> float:
 
 
 @njit(error_model="numpy", nogil=True, fastmath=FAST)
+def _neighbours(
+    origin: Any,
+    direction: Any,
+    i: int,
+    nearest: float,
+    vertices: Any,
+    faces: Any,
+    fan_start: Any,
+    fan: Any,
+    k: int,
+) -> Any:
+    """Where a ray meets a triangle around the corners of another: distance, which, and whether one before `nearest`."""
+    best, part, behind = INF, 0, False
+    for corner in range(3):
+        v = faces[k, corner]
+        for at in range(fan_start[v], fan_start[v + 1]):
+            t, inside, _, _ = _meet(origin, direction, i, vertices, faces, fan[at])
+            if inside >= -EDGE:
+                if t <= nearest:
+                    behind = True
+                elif t < best:
+                    best, part = t, fan[at]
+    return best, part, behind
+
+
+@njit(error_model="numpy", nogil=True, fastmath=FAST)
 def refine(
     origin: Any,
     direction: Any,
@@ -142,19 +168,11 @@ def refine(
             since[i] += passed  # a ray that leaves the triangle it starts on, away from the neighbours
             state[i] = AGAIN
             continue
-        best = INF
-        for corner in range(3):
-            v = faces[k, corner]
-            for at in range(fan_start[v], fan_start[v + 1]):
-                t, inside, _, _ = _meet(origin, direction, i, vertices, faces, fan[at])
-                if inside >= -EDGE:
-                    if t <= nearest:
-                        behind = True
-                    elif t < best:
-                        best = t
-                        primitive[i] = fan[at]
+        best, part, met = _neighbours(origin, direction, i, nearest, vertices, faces, fan_start, fan, k)
+        behind = behind or met
         if best < INF:
             distance[i] = best
+            primitive[i] = part
             state[i] = DONE
         elif behind:
             since[i] += passed
@@ -194,6 +212,16 @@ def all_of_them(
 def _normalised(x: float, y: float, z: float) -> Any:
     f = 1.0 / math.sqrt(x * x + y * y + z * z)
     return x * f, y * f, z * f
+
+
+@njit(error_model="numpy", nogil=True, fastmath=FAST)
+def _across(tx: float, ty: float, tz: float, nx: float, ny: float, nz: float) -> Any:
+    """The part of t across the unit vector n, as a unit vector; any where there is none."""
+    along = tx * nx + ty * ny + tz * nz
+    wx, wy, wz = tx - along * nx, ty - along * ny, tz - along * nz
+    if not wx * wx + wy * wy + wz * wz > 1e-12 * (tx * tx + ty * ty + tz * tz):
+        wx, wy, wz = (0.0, nz, -ny) if abs(nx) < 0.5 else (nz, 0.0, -nx)
+    return _normalised(wx, wy, wz)
 
 
 @njit(error_model="numpy", nogil=True, fastmath=FAST)
@@ -259,10 +287,4 @@ def describe(
         else:
             uv[i, 0] = 0.0
             uv[i, 1] = 0.0
-        along = tx * nx + ty * ny + tz * nz
-        wx, wy, wz = tx - along * nx, ty - along * ny, tz - along * nz
-        if not wx * wx + wy * wy + wz * wz > 1e-12 * (tx * tx + ty * ty + tz * tz):
-            # along the normal: any direction across it
-            wx, wy, wz = (0.0, nz, -ny) if abs(nx) < 0.5 else (nz, 0.0, -nx)
-        tx, ty, tz = _normalised(wx, wy, wz)
-        tangent[i, 0], tangent[i, 1], tangent[i, 2] = tx, ty, tz
+        tangent[i, 0], tangent[i, 1], tangent[i, 2] = _across(tx, ty, tz, nx, ny, nz)

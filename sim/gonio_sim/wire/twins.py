@@ -245,21 +245,27 @@ class Twins:
         contact = self._devices.interlock
         if contact is not None and contact.axis in self.servos:
             self.servos[contact.axis].contacts.add(contact.input)
-        self.stages: dict[str, KinesisTwin] = {}
+        self.stages = self._built_stages()
+        self.bus = ServoBus(self.servos.values(), self.faults)
+        self.lamp: Lamp = LAMPS[self._devices.light.dialect](description.bands.all(), self._shine, self.faults)
+        self.camera = TetheredCamera(self._expose, folder / "frames", scale=scale, faults=self.faults)
+        self.peers: dict[str, SerialPeer] = {}
+        self._stack = contextlib.ExitStack()
+
+    def _built_stages(self) -> dict[str, KinesisTwin]:
+        """Stages by axis, with followers that move the arms of the world with them."""
+        stages: dict[str, KinesisTwin] = {}
+        known = self.world.truth.axes()
         for name, stage in self._devices.stages.axes.items() if self._devices.stages is not None else ():
             readout = stage.zero_deg + START_DEG.get(name, 1.0) * stage.direction
-            twin = self.stages[name] = KinesisTwin(clock, position=readout * COUNTS_PER_DEG, serial=stage.serial)
+            twin = stages[name] = KinesisTwin(self._clock, position=readout * COUNTS_PER_DEG, serial=stage.serial)
             body = known[name]
             arm = self.followers[name] = StageFollower(
                 twin, stage, math.radians(body.backlash_deg), math.radians(body.zero_offset_deg),
                 float(self.world.zero_error[name]), body,
             )  # fmt: skip
             twin.leaving = arm.follow
-        self.bus = ServoBus(self.servos.values(), self.faults)
-        self.lamp: Lamp = LAMPS[self._devices.light.dialect](description.bands.all(), self._shine, self.faults)
-        self.camera = TetheredCamera(self._expose, folder / "frames", scale=scale, faults=self.faults)
-        self.peers: dict[str, SerialPeer] = {}
-        self._stack = contextlib.ExitStack()
+        return stages
 
     def __enter__(self) -> Self:
         try:
