@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from gonio_analysis.appearance import sampled
@@ -70,6 +71,78 @@ def _key(theta_i_deg: float, aspecular_deg: float) -> str:
     return f"{theta_i_deg:g}as{aspecular_deg:g}"
 
 
+def _brighter(value: float) -> str | None:
+    return BRIGHTER if value > WHITE_L else None
+
+
+@dataclass(frozen=True)
+class _Quantities:
+    """What standards ask for, made of numbers, with their uncertainties; or why it is not known."""
+
+    numbers: _Numbers
+    uncertainty: Callable[[Sampled], float | None]
+    wavelength_nm: float
+
+    def quantity(
+        self, make: Callable[[], Sampled], unit: str, note: Callable[[float], str | None] | None = None
+    ) -> Quantity:
+        try:
+            one = make()
+        except NotMeasured as error:
+            return Quantity(None, None, None, unit, why=str(error), at_least=finite(error.at_least))
+        u = self.uncertainty(one)
+        remark = one.note if note is None else note(one.value)
+        return Quantity(finite(one.value), finite(u), finite(one.error), unit, note=remark)
+
+    def named(self, key: str, unit: str) -> Quantity:
+        return self.quantity(lambda: self.numbers[key], unit)
+
+    def haze(self) -> Sampled:
+        high, low = self.numbers["gloss_60_gu"], self.numbers["gloss_20_gu"]
+        if high.value <= HAZE_GU[0]:
+            raise NotMeasured(f"D4039 is for a gloss at 60° above {HAZE_GU[0]:g} GU: it is {high.value:.3g} GU")
+        for angle, one in ((20, low), (60, high)):
+            slack = HAZE_SLACK_GU + one.error + 2.0 * (finite(self.uncertainty(one)) or 0.0)
+            if one.value > HAZE_GU[1] + slack:
+                raise NotMeasured(
+                    f"D4039 is for non-metals, whose gloss ends at {HAZE_GU[1]:g} GU, that of the standard glass: at"
+                    f" {angle}° it is {one.value:.4g} GU"
+                )
+        return high.plus(low, -1.0)
+
+    def tis(self) -> Sampled:
+        return sampled.made_of(lambda rho, spike: 1.0 - spike / rho, self.numbers["rho_dh_8"], self.numbers["spike_8"])
+
+    def roughness(self) -> Sampled:
+        share = self.tis()
+        if not 0.0 < share.value < SMOOTH_TIS:
+            raise NotMeasured(
+                f"{100 * share.value:.3g} % of what is reflected is scattered: a roughness follows between 0 and"
+                f" {100 * SMOOTH_TIS:g} %, from a smooth surface without a diffuse base"
+            )
+        if math.isnan(self.wavelength_nm):
+            raise NotMeasured("the wavelength is not known")
+        length = self.wavelength_nm / (4.0 * math.pi * math.cos(math.radians(8.0)))
+        return sampled.made_of(lambda t: length * math.sqrt(-math.log1p(-t)), share)
+
+    def retro(self, entrance: float, observation: float, after: str) -> Retroreflection:
+        cos_i, cos_r = math.cos(math.radians(entrance)), math.cos(math.radians(entrance + observation))
+        return Retroreflection(
+            after,
+            entrance,
+            observation,
+            self.quantity(lambda: self.numbers[f"f {entrance}"].times(cos_i * cos_r), "cd/(lx m²)"),
+            self.quantity(lambda: self.numbers[f"f {entrance}"].times(cos_i), "cd/(m² lx)"),
+        )
+
+    def colour_at(self, theta_i: float, aspecular: float) -> Colour:
+        key = _key(theta_i, aspecular)
+        light = self.quantity(lambda: self.numbers[f"L {key}"], "1", _brighter)
+        return Colour(
+            theta_i, aspecular, theta_i - aspecular, light, *(self.named(f"{letter} {key}", "1") for letter in "ab")
+        )
+
+
 def _assembled(
     numbers: _Numbers,
     uncertainty: Callable[[Sampled], float | None],
@@ -80,89 +153,30 @@ def _assembled(
     incidences: Sequence[float],
     notes: Sequence[str],
 ) -> Appearance:
-    def quantity(make: Callable[[], Sampled], unit: str, note: Callable[[float], str | None] | None = None) -> Quantity:
-        try:
-            one = make()
-        except NotMeasured as error:
-            return Quantity(None, None, None, unit, why=str(error), at_least=finite(error.at_least))
-        u = uncertainty(one)
-        remark = one.note if note is None else note(one.value)
-        return Quantity(finite(one.value), finite(u), finite(one.error), unit, note=remark)
-
-    def named(key: str, unit: str) -> Quantity:
-        return quantity(lambda: numbers[key], unit)
-
-    def haze() -> Sampled:
-        high, low = numbers["gloss_60_gu"], numbers["gloss_20_gu"]
-        if high.value <= HAZE_GU[0]:
-            raise NotMeasured(f"D4039 is for a gloss at 60° above {HAZE_GU[0]:g} GU: it is {high.value:.3g} GU")
-        for angle, one in ((20, low), (60, high)):
-            slack = HAZE_SLACK_GU + one.error + 2.0 * (finite(uncertainty(one)) or 0.0)
-            if one.value > HAZE_GU[1] + slack:
-                raise NotMeasured(
-                    f"D4039 is for non-metals, whose gloss ends at {HAZE_GU[1]:g} GU, that of the standard glass: at"
-                    f" {angle}° it is {one.value:.4g} GU"
-                )
-        return high.plus(low, -1.0)
-
-    def brighter(value: float) -> str | None:
-        return BRIGHTER if value > WHITE_L else None
-
-    def tis() -> Sampled:
-        return sampled.made_of(lambda rho, spike: 1.0 - spike / rho, numbers["rho_dh_8"], numbers["spike_8"])
-
-    def roughness() -> Sampled:
-        share = tis()
-        if not 0.0 < share.value < SMOOTH_TIS:
-            raise NotMeasured(
-                f"{100 * share.value:.3g} % of what is reflected is scattered: a roughness follows between 0 and"
-                f" {100 * SMOOTH_TIS:g} %, from a smooth surface without a diffuse base"
-            )
-        if math.isnan(wavelength_nm):
-            raise NotMeasured("the wavelength is not known")
-        length = wavelength_nm / (4.0 * math.pi * math.cos(math.radians(8.0)))
-        return sampled.made_of(lambda t: length * math.sqrt(-math.log1p(-t)), share)
-
-    def retro(entrance: float, observation: float, after: str) -> Retroreflection:
-        cos_i, cos_r = math.cos(math.radians(entrance)), math.cos(math.radians(entrance + observation))
-        return Retroreflection(
-            after,
-            entrance,
-            observation,
-            quantity(lambda: numbers[f"f {entrance}"].times(cos_i * cos_r), "cd/(lx m²)"),
-            quantity(lambda: numbers[f"f {entrance}"].times(cos_i), "cd/(m² lx)"),
-        )
-
-    def colour_at(theta_i: float, aspecular: float) -> Colour:
-        key = _key(theta_i, aspecular)
-        light = quantity(lambda: numbers[f"L {key}"], "1", brighter)
-        return Colour(
-            theta_i, aspecular, theta_i - aspecular, light, *(named(f"{letter} {key}", "1") for letter in "ab")
-        )
-
+    of = _Quantities(numbers, uncertainty, wavelength_nm)
     return Appearance(
         name=name,
         source=source,
         kind=kind,
         wavelength_nm=finite(wavelength_nm),
-        gloss_20_gu=named("gloss_20_gu", "GU"),
-        gloss_60_gu=named("gloss_60_gu", "GU"),
-        gloss_85_gu=named("gloss_85_gu", "GU"),
-        haze_gu=quantity(haze, "GU"),
-        haze_e430_20=named("haze_e430_20", "HU"),
-        haze_e430_30=quantity(lambda: numbers["haze_e430_30"], "HU", lambda _: UNVERIFIED),
-        rho_dh_8=named("rho_dh_8", "1"),
+        gloss_20_gu=of.named("gloss_20_gu", "GU"),
+        gloss_60_gu=of.named("gloss_60_gu", "GU"),
+        gloss_85_gu=of.named("gloss_85_gu", "GU"),
+        haze_gu=of.quantity(of.haze, "GU"),
+        haze_e430_20=of.named("haze_e430_20", "HU"),
+        haze_e430_30=of.quantity(lambda: numbers["haze_e430_30"], "HU", lambda _: UNVERIFIED),
+        rho_dh_8=of.named("rho_dh_8", "1"),
         rho_dh=[
-            AtIncidence(**vars(named(f"rho_dh {math.degrees(t)}", "1")), theta_i_deg=round(math.degrees(t), 2))
+            AtIncidence(**vars(of.named(f"rho_dh {math.degrees(t)}", "1")), theta_i_deg=round(math.degrees(t), 2))
             for t in incidences
         ],
-        radiance_factor_0_45=named("radiance_factor_0_45", "1"),
-        radiance_factor_45_0=named("radiance_factor_45_0", "1"),
-        retroreflection=[retro(*geometry) for geometry in RETRO],
-        lab=[colour_at(*geometry) for geometry in MULTI_ANGLE],
-        flop_index=quantity(lambda: _flop(numbers), "1"),
-        tis_8=quantity(tis, "1"),
-        rms_roughness_nm=quantity(roughness, "nm"),
+        radiance_factor_0_45=of.named("radiance_factor_0_45", "1"),
+        radiance_factor_45_0=of.named("radiance_factor_45_0", "1"),
+        retroreflection=[of.retro(*geometry) for geometry in RETRO],
+        lab=[of.colour_at(*geometry) for geometry in MULTI_ANGLE],
+        flop_index=of.quantity(lambda: _flop(numbers), "1"),
+        tis_8=of.quantity(of.tis, "1"),
+        rms_roughness_nm=of.quantity(of.roughness, "nm"),
         notes=list(notes),
     )
 

@@ -95,6 +95,32 @@ class FitResult(Solution):
         return fit(self.data, replace(asked, start=start))
 
 
+def _require_enough(data: Observations, names: Sequence[str], wavelength: float, name: str) -> None:
+    if len(data) <= len(names):
+        at = "" if math.isnan(wavelength) else f" at {wavelength:g} nm"
+        raise DataError(
+            f"{name}: {len(data)} usable value{'s' * (len(data) != 1)}{at} cannot determine the parameter"
+            f"{'s' * (len(names) != 1)} {', '.join(names)} with an uncertainty: at least {len(names) + 1} are needed"
+        )
+
+
+def _minimised(
+    problem: Problem, data: Observations, asked: FitRequest, start: Sequence[Values] | None, say: Say
+) -> tuple[Observations, Objective, Floats, Floats]:
+    """The values with scales by a model near the least, what is made small, the least, and the Jacobian there."""
+    if start is None:
+        vector = search(problem, data, asked.loss, asked.searches, asked.metric, say)
+    else:
+        vector = search_from(problem.softer(BOUND_FIRST), data, start, asked.loss, asked.metric, say)
+    found = apparent(problem.model(vector), data, quick=True)
+    data = by_model(data, problem.model(vector), found)
+    goal = replace(scaled_to(data, found, asked.metric), loss=asked.loss)
+    done = asked.metric is None and problem.bound is None  # the search has made the same sum small, without more ado
+    if not (done and pointlike(data) and (goal.weights is None or not goal.weights.causes)):
+        vector = refine(problem, data, goal, vector, say=say)[0]
+    return data, goal, *settle(problem, data, goal, vector)
+
+
 def fit(
     table: pd.DataFrame | Observations,
     model: str | FitRequest,
@@ -139,13 +165,7 @@ def fit(
     else:
         data, wavelength, notes = _one_wavelength(data, asked.wavelength_nm, problem.family, name)
     _require_parts(data, wavelength)
-    names = problem.free
-    if len(data) <= len(names):
-        at = "" if math.isnan(wavelength) else f" at {wavelength:g} nm"
-        raise DataError(
-            f"{name}: {len(data)} usable value{'s' * (len(data) != 1)}{at} cannot determine the parameter"
-            f"{'s' * (len(names) != 1)} {', '.join(names)} with an uncertainty: at least {len(names) + 1} are needed"
-        )
+    _require_enough(data, problem.free, wavelength, name)
     notes += problem.notes
     if asked.energy:
         if problem.waves:
@@ -153,18 +173,7 @@ def fit(
         free = fit(data, replace(asked, energy=False), name=name, say=say)
         problem, start, said = _bounded(problem, free, start)
         notes += said
-
-    if start is None:
-        vector = search(problem, data, asked.loss, asked.searches, asked.metric, say)
-    else:
-        vector = search_from(problem.softer(BOUND_FIRST), data, start, asked.loss, asked.metric, say)
-    found = apparent(problem.model(vector), data, quick=True)
-    data = by_model(data, problem.model(vector), found)
-    goal = replace(scaled_to(data, found, asked.metric), loss=asked.loss)
-    done = asked.metric is None and problem.bound is None  # the search has made the same sum small, without more ado
-    if not (done and pointlike(data) and (goal.weights is None or not goal.weights.causes)):
-        vector = refine(problem, data, goal, vector, say=say)[0]
-    vector, jacobian = settle(problem, data, goal, vector)
+    data, goal, vector, jacobian = _minimised(problem, data, asked, start, say)
     result = _result(problem, data, goal, vector, jacobian, wavelength)
     if asked.metric is None and asked.loss == "linear":
         if result.rejected:

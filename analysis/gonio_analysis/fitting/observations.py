@@ -174,6 +174,29 @@ class Observations:
         return self.at(chosen), chosen
 
 
+def _why_left_out(table: pd.DataFrame, directions: Directions, brdf: Floats) -> npt.NDArray[np.object_]:
+    """Why each row of a table is not used; "" for those that may be."""
+    flags = table["flag"].fillna("").astype(str).to_numpy()
+    why = np.where(flags == "", "", np.char.add("flagged ", flags.astype(str))).astype(object)
+    if "side" in table.columns:
+        why[(table["side"] == "transmission").to_numpy()] = TRANSMISSION
+    why[(why == "") & (table["polarisation"] != "unpolarised").to_numpy()] = "polarised"
+    why[(why == "") & ~np.isfinite(brdf)] = "without a value"
+    why[(why == "") & (np.abs(brdf) > LARGEST)] = f"beyond {LARGEST:g} 1/sr"
+    horizon = np.maximum(directions.theta_i, directions.theta_r) >= np.pi / 2 - AT_HORIZON
+    why[(why == "") & horizon] = "at the horizon"
+    return why
+
+
+def _none_left(name: str, rows: int, omitted: Mapping[str, Floats]) -> DataError:
+    counts = describe_left_out({reason: waves.size for reason, waves in omitted.items()})
+    alone = TRANSMISSION in omitted and len(omitted) == 1
+    return DataError(
+        f"{name}: none of its {rows} rows can be used: {counts or 'it is empty'}"
+        + ("; models and quantities here are those of reflection" if alone else "")
+    )
+
+
 def observations(table: pd.DataFrame, name: str = "the table", u_rel: float | None = None) -> Observations:
     """The usable rows of a measurement table.
 
@@ -204,16 +227,7 @@ def observations(table: pd.DataFrame, name: str = "the table", u_rel: float | No
 
     directions = Directions.from_table(table)
     brdf = table["brdf"].to_numpy(np.float64)
-    flags = table["flag"].fillna("").astype(str).to_numpy()
-    why = np.where(flags == "", "", np.char.add("flagged ", flags.astype(str))).astype(object)
-    if "side" in table.columns:
-        why[(table["side"] == "transmission").to_numpy()] = TRANSMISSION
-    why[(why == "") & (table["polarisation"] != "unpolarised").to_numpy()] = "polarised"
-    why[(why == "") & ~np.isfinite(brdf)] = "without a value"
-    why[(why == "") & (np.abs(brdf) > LARGEST)] = f"beyond {LARGEST:g} 1/sr"
-    horizon = np.maximum(directions.theta_i, directions.theta_r) >= np.pi / 2 - AT_HORIZON
-    why[(why == "") & horizon] = "at the horizon"
-
+    why = _why_left_out(table, directions, brdf)
     random, common, causes = measurement.uncertainty(table)
     common = np.where(np.isfinite(common), common, 0.0)
     total = np.sqrt(random**2 + (common**2).sum(axis=1))
@@ -229,13 +243,7 @@ def observations(table: pd.DataFrame, name: str = "the table", u_rel: float | No
     wavelength = table["wavelength_nm"].to_numpy(np.float64)
     omitted = {str(reason): wavelength[why == reason] for reason in sorted(set(why) - {""})}
     if not keep.size:
-        counts = describe_left_out({reason: waves.size for reason, waves in omitted.items()})
-        alone = TRANSMISSION in omitted and len(omitted) == 1
-        raise DataError(
-            f"{name}: none of its {len(table)} rows can be used: {counts or 'it is empty'}"
-            + ("; models and quantities here are those of reflection" if alone else "")
-        )
-
+        raise _none_left(name, len(table), omitted)
     covariance, assumed = None, None
     if stated[keep].any():
         # A value whose independent part is 0 (an ideal rig) would have infinite weight.
@@ -255,12 +263,8 @@ def observations(table: pd.DataFrame, name: str = "the table", u_rel: float | No
     if TRANSMISSION in omitted:
         notes.append(f"{omitted[TRANSMISSION].size} rows are transmission: left out, models here describe reflection.")
     cones = {which: _solid_angle(table.attrs, which) for which in ("source", "receiver")}
-    unknown = [which for which, cone in cones.items() if cone is None]
-    if unknown:
-        notes.append(
-            f"The solid angle of the {' and of the '.join(unknown)} is unknown: models are evaluated for a single"
-            " direction there."
-        )
+    if unknown := " and of the ".join(which for which, cone in cones.items() if cone is None):
+        notes.append(f"The solid angle of the {unknown} is unknown: models are evaluated for a single direction there.")
     return Observations(
         directions=directions[keep],
         wavelength_nm=wavelength[keep],

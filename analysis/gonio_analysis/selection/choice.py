@@ -194,6 +194,55 @@ def candidates(models: Sequence[str], ior: Ior = None) -> list[Candidate]:
     return out
 
 
+def _fitted(
+    data: Observations,
+    tried: Sequence[Candidate],
+    sizes: Mapping[Candidate, int],
+    fitted: Callable[[Candidate, Sequence[Values] | None], FitResult],
+    name: str,
+    all_of_them: bool,
+    progress: Callable[[str], None],
+) -> tuple[dict[Candidate, FitResult], dict[Candidate, float], dict[str, str]]:
+    """Fits of candidates, few parameters first; how long each took [s]; and why others have none."""
+    fits: dict[Candidate, FitResult] = {}
+    left_out: dict[str, str] = {}
+    walls: dict[Candidate, float] = {}
+    enough = math.inf
+
+    began_all = time.perf_counter()
+    for k, candidate in enumerate(sorted(tried, key=lambda c: sizes[c])):  # stable
+        beyond = "" if candidate.asked else _beyond_the_directions(candidate, data)
+        if beyond:
+            left_out[candidate.label] = beyond
+            continue
+        if sizes[candidate] > enough and not all_of_them:
+            left_out[candidate.label] = "a model with fewer parameters is not rejected"
+            continue
+        passed = time.perf_counter() - began_all
+        left = f", about {duration(passed / k * (len(tried) - k))} left" if passed > QUIET_S and k else ""
+        many = f" ({k + 1} of {len(tried)}{left})" if len(tried) > 1 else ""
+        progress(f"{name}: fitting {candidate.label}{many}")
+        began = time.perf_counter()
+        try:
+            result = min((fitted(candidate, s) for s in _starts(candidate, fits)), key=_farness)
+        except (DataError, ConfigError) as error:
+            if isinstance(error, ConfigError) and not all(math.isnan(w) for w in data.wavelengths):
+                raise
+            left_out[candidate.label] = str(error)
+            continue
+        fits[candidate] = result
+        walls[candidate] = time.perf_counter() - began
+        if result.p_value is not None and result.p_value >= SIGNIFICANCE:
+            enough = min(enough, sizes[candidate] + BEYOND)
+    return fits, walls, left_out
+
+
+def _none_fitted(left_out: Mapping[str, str], name: str) -> str:
+    simplest, why = next(iter(left_out.items()))
+    others = f" (nor {len(left_out) - 1} with more parameters)" if len(left_out) > 1 else ""
+    return f"{simplest} could not be fitted{others}: {why.removeprefix(f'{name}: ')}"
+
+
 def choose(
     data: Observations,
     tried: Sequence[Candidate],
@@ -239,45 +288,15 @@ def choose(
         See `gonio_analysis.fitting.fit.fit`; in a broad band candidates that need a wavelength are left out instead.
     """
     sizes = {c: _parameters(c, ior) for c in tried}
-    fits: dict[Candidate, FitResult] = {}
-    left_out: dict[str, str] = {}
-    walls: dict[Candidate, float] = {}
-    enough = math.inf
 
     def fitted(candidate: Candidate, start: Sequence[Values] | None) -> FitResult:
         return fit(
             data, replace(candidate.request(ior, metric, energy), wavelength_nm=wavelength_nm, start=start), name=name
         )
 
-    began_all = time.perf_counter()
-    for k, candidate in enumerate(sorted(tried, key=lambda c: sizes[c])):  # stable
-        beyond = "" if candidate.asked else _beyond_the_directions(candidate, data)
-        if beyond:
-            left_out[candidate.label] = beyond
-            continue
-        if sizes[candidate] > enough and not all_of_them:
-            left_out[candidate.label] = "a model with fewer parameters is not rejected"
-            continue
-        passed = time.perf_counter() - began_all
-        left = f", about {duration(passed / k * (len(tried) - k))} left" if passed > QUIET_S and k else ""
-        many = f" ({k + 1} of {len(tried)}{left})" if len(tried) > 1 else ""
-        progress(f"{name}: fitting {candidate.label}{many}")
-        began = time.perf_counter()
-        try:
-            result = min((fitted(candidate, s) for s in _starts(candidate, fits)), key=_farness)
-        except (DataError, ConfigError) as error:
-            if isinstance(error, ConfigError) and not all(math.isnan(w) for w in data.wavelengths):
-                raise
-            left_out[candidate.label] = str(error)
-            continue
-        fits[candidate] = result
-        walls[candidate] = time.perf_counter() - began
-        if result.p_value is not None and result.p_value >= SIGNIFICANCE:
-            enough = min(enough, sizes[candidate] + BEYOND)
+    fits, walls, left_out = _fitted(data, tried, sizes, fitted, name, all_of_them, progress)
     if not fits:
-        simplest, why = next(iter(left_out.items()))
-        others = f" (nor {len(left_out) - 1} with more parameters)" if len(left_out) > 1 else ""
-        words = f"{simplest} could not be fitted{others}: {why.removeprefix(f'{name}: ')}"
+        words = _none_fitted(left_out, name)
         if len(data.nearest(wavelength_nm)[0]) > min(sizes.values()):
             raise DataError(f"{name}: {words}")
         return Choice([], None, {}, f"{words}.", "", left_out)
