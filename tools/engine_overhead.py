@@ -29,17 +29,9 @@ from gonio.acquisition.plan import Plan, load_plan
 from gonio.acquisition.progress import Live, Silent
 from gonio.errors import Interrupted
 from gonio.rig import Frame, Pose, Step, Target
-from gonio.rig.description import (
-    Acquisition,
-    Arms,
-    Band,
-    Bands,
-    Camera,
-    Holder,
-    Reference,
-    RigDescription,
-    SampleDescription,
-)
+from gonio.rig.bands import Band, Bands
+from gonio.rig.description import Acquisition, Arms, Holder, Reference, RigDescription, SampleDescription
+from gonio.rig.light_and_camera import Camera
 
 SAMPLE = SampleDescription(name="matte", model="lambert", parameters={"albedo": 0.5})
 PARTS = 10

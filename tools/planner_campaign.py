@@ -20,8 +20,9 @@ import numpy as np
 from gonio.errors import ConfigError
 from gonio.geometry import Directions
 from gonio.rig import Pose, motion_planning
-from gonio.rig.description import Band, Bands, Body, RigDescription
-from gonio.rig.kinematics import Unreachable, reach
+from gonio.rig.bands import Band, Bands
+from gonio.rig.description import Body, RigDescription
+from gonio.rig.inverse_kinematics import Unreachable, reach
 from gonio.typing import Floats
 
 NAMES = ("light", "camera", "tilt", "spin", "azimuth")

@@ -25,7 +25,8 @@ from gonio.documents import JsonObject
 from gonio.errors import ConfigError
 from gonio.reduction.angle_errors import angle_axes, zero_uncertainties
 from gonio.rig import Pose
-from gonio.rig.description import Positive, RigDescription
+from gonio.rig.description import RigDescription
+from gonio.rig.ranges import Positive
 from gonio.typing import Floats
 from gonio_sweeps import curve_choice, expected
 from gonio_sweeps.candidates import Candidates, candidates, places, snake, spread

@@ -22,7 +22,8 @@ from gonio.config import Strict
 from gonio.documents import JsonObject
 from gonio.errors import DataError
 from gonio.geometry import solid_angle_of_cone
-from gonio.rig.description import Positive, RigDescription
+from gonio.rig.description import RigDescription
+from gonio.rig.ranges import Positive
 from gonio.shown import with_u
 from gonio.typing import Floats
 from gonio_sweeps import fisher, lack_of_fit

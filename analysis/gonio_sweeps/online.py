@@ -17,10 +17,12 @@ import numpy.typing as npt
 from gonio.acquisition.records import StepRecord
 from gonio.acquisition.run import Run
 from gonio.geometry import Directions
-from gonio.reduction.count_rates import Reduced, Rejected, RunFrames, in_threads
+from gonio.reduction.count_rates import RunFrames
 from gonio.reduction.growing import so_far
+from gonio.reduction.rates import Reduced, Rejected
+from gonio.reduction.threads import in_threads
 from gonio.rig import Pose
-from gonio.rig.description import Band
+from gonio.rig.bands import Band
 from gonio.typing import Floats
 
 

@@ -31,7 +31,8 @@ from gonio.errors import ConfigError
 from gonio.geometry import Directions
 from gonio.reduction import brdf as reduction
 from gonio.rig import Pose, kinematics
-from gonio.rig.description import Band, RigDescription
+from gonio.rig.bands import Band
+from gonio.rig.description import RigDescription
 from gonio.typing import Floats
 from gonio_sweeps import covering, expected, fisher
 from gonio_sweeps.candidates import candidates, from_nearest, nearby, places, read, snake, spread

@@ -16,30 +16,25 @@ document is checked against its models. docs/interchange.md says what each key h
 
 from __future__ import annotations
 
-import datetime
-import gzip
 import hashlib
-import io
 import json
 import math
 import os
-import re
 import uuid
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
 from gonio.acquisition.journal import Event
 from gonio.acquisition.plan import ANGLES
 from gonio.acquisition.run import TABLE, Run
-from gonio.disk import is_own, read_file, read_manifest, require_name
+from gonio.disk import is_own, read_file, read_manifest
 from gonio.documents import JsonObject
-from gonio.errors import ConfigError, DataError
 from gonio.rig.dng import read_raw
+from gonio_bluesky.event_values import _array, _finite, _flat, _integer, _key_of, _named, _number, _seconds, _text
 
 if TYPE_CHECKING:
     import numpy as np
@@ -76,103 +71,6 @@ class Frames:
 
         frames = [read_raw(self._folder / name).mosaic for name in files]
         return np.stack(frames) if frames else np.empty((0, 0, 0), np.uint16)
-
-
-def write(source: str, target: Path) -> list[str]:
-    """Write the documents of a run, one JSON array `[kind, document]` a line; compressed where the name ends in .gz.
-
-    Returns
-    -------
-    list of str
-        What a reader should know: what is missing in the run, and whether the documents were checked.
-
-    Raises
-    ------
-    ConfigError
-        `source` is no run, or `target` cannot be written.
-    DataError
-        The run is damaged, or a document does not fit the event model; nothing is written then.
-    """
-    run = Run.open(source)
-    if not len(run.events()):
-        raise ConfigError(f"{source}: nothing has been measured in this run yet")
-    require_name(target)
-    if target.is_dir():
-        raise ConfigError(f"{target}: is a folder; name the file to write, as {target / 'run.jsonl'}")
-    check, remarks = _checker()
-    temporary = target.with_name(f".{target.name}.{os.getpid()}.new")
-    counted = 0
-    try:
-        with ExitStack() as stack:
-            raw = stack.enter_context(temporary.open("wb"))
-            out: IO[bytes] = raw
-            if target.suffix == ".gz":  # without name and time, so that the same run gives the same bytes
-                out = stack.enter_context(cast("IO[bytes]", gzip.GzipFile("", "wb", fileobj=raw, mtime=0)))
-            text = stack.enter_context(io.TextIOWrapper(out, encoding="utf-8", newline="\n"))
-            for kind, document in documents(run, remarks):
-                check(kind, document)
-                text.write(json.dumps([kind, document], ensure_ascii=False, allow_nan=False) + "\n")
-                counted += 1
-            text.flush()
-            if out is not raw:
-                out.close()
-            raw.flush()
-            os.fsync(raw.fileno())
-        temporary.replace(target)
-    except OSError as error:
-        raise ConfigError(f"{target}: cannot be written: {error.strerror}") from None
-    finally:
-        temporary.unlink(missing_ok=True)
-    return [*remarks, f"{counted} documents"]
-
-
-def read(path: str | Path) -> Iterator[Document]:
-    """The documents of a file that `write` has written, in their order.
-
-    Raises
-    ------
-    ConfigError
-        There is no such file.
-    DataError
-        It is damaged; the message names the line.
-    """
-    path = Path(path)
-    number = 0
-    try:
-        with gzip.open(path, "rb") if path.suffix == ".gz" else path.open("rb") as file:
-            for line in file:
-                kind, document = json.loads(line)
-                number += 1
-                yield kind, document
-    except OSError as error:
-        if isinstance(error, gzip.BadGzipFile):
-            raise DataError(f"{path}: is not compressed with gzip, or damaged") from None
-        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
-    except (ValueError, EOFError) as error:
-        raise DataError(f"{path}: line {number + 1}: is no document of a run: {error}") from None
-
-
-def _checker() -> tuple[Callable[[str, JsonObject], None], list[str]]:
-    """What refuses a document that does not fit the event model, and what to say where that is not installed."""
-    try:
-        from event_model import DocumentNames, basemodels, schema_validators
-        from jsonschema import ValidationError
-    except ImportError:
-        how = 'pip install "gonio[bluesky]" brings it'
-        return (lambda kind, document: None), [f"the documents are unchecked: event-model is not installed ({how})"]
-    # fifty times as fast as the schemas
-    many: JsonObject = {"event": basemodels.Event, "datum_page": basemodels.DatumPage}
-
-    def check(kind: str, document: JsonObject) -> None:
-        try:
-            if kind in many:
-                many[kind].model_validate(document, strict=True)
-            else:
-                schema_validators[DocumentNames[kind]].validate(document)
-        except (ValueError, ValidationError) as error:
-            raise DataError(f"a document ({kind}) does not fit the event model: {error}") from None
-
-    return check, []
 
 
 def documents(run: Run, remarks: list[str] | None = None) -> Iterator[Document]:
@@ -521,68 +419,3 @@ class _Documents:
         for row in range(len(frame)):
             data = {name: values[row] for name, values in columns.items()}
             yield self._event("reduced", row, self._known.last_time, data)
-
-
-def _seconds(wall: str) -> float:
-    """Seconds since 1970 of a time of day (UTC) as run.toml and journal hold it; 0 where they do not."""
-    return datetime.datetime.fromisoformat(wall).timestamp() if wall else 0.0
-
-
-def _finite(value: Any) -> Any:
-    """A value as JSON has it: null for a number that is not known."""
-    return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
-def _number(source: str, units: str = "") -> JsonObject:
-    return {"source": source, "dtype": "number", "dtype_numpy": "<f8", "shape": [], "units": units}
-
-
-def _integer(source: str) -> JsonObject:
-    return {"source": source, "dtype": "integer", "dtype_numpy": "<i8", "shape": []}
-
-
-def _text(source: str) -> JsonObject:
-    return {"source": source, "dtype": "string", "shape": []}
-
-
-def _array(source: str, length: int, units: str, dim: str) -> JsonObject:
-    out = {"source": source, "dtype": "array", "dtype_numpy": "<f8", "shape": [length], "dims": [dim]}
-    return out | ({"units": units} if units else {})
-
-
-def _key_of(value: Any, source: str) -> JsonObject:
-    """The data key of a value of the configuration."""
-    if isinstance(value, bool):
-        return {"source": source, "dtype": "boolean", "shape": []}
-    if isinstance(value, int):
-        return _integer(source)
-    if isinstance(value, float):
-        return _number(source)
-    if isinstance(value, list):
-        text = any(isinstance(one, str) for one in value)
-        return _array(source, len(value), "", "entry") | ({"dtype_numpy": "<U64"} if text else {})
-    return _text(source)
-
-
-_NOT_IN_NAMES = re.compile(r"[^\w-]+")
-
-
-def _named(value: Any) -> Any:
-    """Nested tables with names that the event model takes: no dots and no slashes."""
-    if isinstance(value, dict):
-        return {_NOT_IN_NAMES.sub("_", str(key)): _named(inner) for key, inner in value.items()}
-    return [_named(inner) for inner in value] if isinstance(value, list) else value
-
-
-def _flat(tables: Mapping[str, Any], where: str = "") -> Iterable[tuple[str, Any]]:
-    """Nested tables as one, by names such as `geometry_light_distance_mm`."""
-    for key, value in tables.items():
-        name = _NOT_IN_NAMES.sub("_", f"{where}_{key}" if where else key)
-        if isinstance(value, dict):
-            yield from _flat(value, name)
-        elif isinstance(value, list) and not all(
-            isinstance(one, int | float) and not isinstance(one, bool) for one in value
-        ):
-            yield name, json.dumps(value, ensure_ascii=False)
-        else:
-            yield name, value

@@ -20,7 +20,7 @@ from typing import Self
 from gonio.errors import ConfigError, DeviceError, Disturbed
 from gonio.rig import Pose, Target, clock, motion_planning
 from gonio.rig.description import RigDescription
-from gonio_drivers import joints, presence, settings, signals, watchdog
+from gonio_drivers import joint_reports, joint_settings, presence, settings, signals, watchdog
 from gonio_drivers.any_arms import AXES, Arms, ArmsReading
 from gonio_drivers.arrival import LARGEST_CORRECTION_DEG, STILL_COUNTS
 from gonio_drivers.dynamixel import Bus
@@ -54,11 +54,13 @@ class ServoArms(Arms[Joint]):
         self._servos = servos
         self.bus = Bus(servos.port, servos.baud)
         every = {
-            name: joints.joint(self.bus, description, name, servos.axes[name])  # type: ignore[index]
+            name: joint_settings.joint(self.bus, description, name, servos.axes[name])  # type: ignore[index]
             for name in description.axes()
         }
         if servos.changer is not None:
-            every["changer"] = joints.changer_joint(self.bus, servos.changer, description.acquisition.approach_deg)
+            every["changer"] = joint_settings.changer_joint(
+                self.bus, servos.changer, description.acquisition.approach_deg
+            )
         super().__init__(description, every)
         self.joints.update(every)
         for joint in every.values():
@@ -202,7 +204,7 @@ class ServoArms(Arms[Joint]):
         DeviceError
             It is far from its place, or its servo is unwell; every axis has been stopped.
         """
-        reports = joints.reports(self.bus, self.joints.values())
+        reports = joint_reports.reports(self.bus, self.joints.values())
         for name, report in reports.items():
             try:
                 self.joints[name].keep_profile(report.profile)
@@ -223,7 +225,7 @@ class ServoArms(Arms[Joint]):
                 self._fail(f"{disturbed}; all axes are stopped")
             joint.landed_at = joint.stood_at = None
         try:
-            joints.require_torque(self.bus, self.joints.values())
+            joint_reports.require_torque(self.bus, self.joints.values())
         except DeviceError as failure:
             self._fail(str(failure))
         if disturbed:
@@ -239,7 +241,7 @@ class ServoArms(Arms[Joint]):
     def _readback(self, looks: int = 1) -> ArmsReading:
         """Where the axes stand: the mean of several readings."""
         before = clock.monotonic()
-        seen = [joints.reports(self.bus, self.joints.values()) for _ in range(looks)]
+        seen = [joint_reports.reports(self.bus, self.joints.values()) for _ in range(looks)]
         after = clock.monotonic()
         places = {name: [reports[name].position for reports in seen] for name in seen[0]}
         counts = {name: statistics.fmean(place) for name, place in places.items()}

@@ -13,7 +13,8 @@ import statistics
 from dataclasses import dataclass, field
 from typing import Literal
 
-from gonio_drivers.joints import Joint, Report
+from gonio_drivers.joint_reports import Report
+from gonio_drivers.joints import Joint
 
 Verdict = Literal["on its way", "landed", "short", "stuck"]
 

@@ -11,7 +11,7 @@ from pydantic import ValidationInfo, field_validator, model_validator
 from gonio import config
 from gonio.config import Strict
 from gonio.errors import ConfigError
-from gonio.rig.description import NonNegative, Positive
+from gonio.rig.ranges import NonNegative, Positive
 
 DIALECTS = ("scpi", "mightex", "arduino")
 FILLS = {"set": ("value", "channel"), "select": ("wavelength_nm", "channel")}

@@ -20,7 +20,8 @@ from gonio.config import Strict, parse
 from gonio.documents import TomlTable
 from gonio.errors import ConfigError, DeviceError, PassingFault
 from gonio.rig import Frame, clock
-from gonio.rig.description import NonNegative, Positive, RigDescription
+from gonio.rig.description import RigDescription
+from gonio.rig.ranges import NonNegative, Positive
 
 OFF = {
     "AcquisitionFrameRateEnable": False, "ExposureAuto": "Off", "GainAuto": "Off", "BlackLevelAuto": "Off",

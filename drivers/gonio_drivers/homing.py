@@ -18,7 +18,7 @@ import serial
 
 from gonio.errors import ConfigError, DeviceError
 from gonio.rig import Homed, clock
-from gonio_drivers import home_mark, joints, settings, watchdog
+from gonio_drivers import home_mark, joint_reports, settings, watchdog
 from gonio_drivers.joints import ACCELERATION_UNIT_DEG_S2, COUNTS, VELOCITY_UNIT_DEG_S, Joint
 from gonio_drivers.patience import Patience
 
@@ -154,7 +154,7 @@ class Search:
         return True
 
     def _look(self) -> int:
-        return joints.reports(self.joint.bus, [self.joint])[self.joint.name].position
+        return joint_reports.reports(self.joint.bus, [self.joint])[self.joint.name].position
 
     def _halt(self) -> None:
         """Stay here."""

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 from gonio.errors import ConfigError, DeviceError
-from gonio.rig.description import Axis, RigDescription
+from gonio.rig.description import Axis
 from gonio_drivers import control_table, dynamixel, home_mark, settings, watchdog
 from gonio_drivers.control_table import Item
 from gonio_drivers.dynamixel import Bus
@@ -36,14 +36,6 @@ HELD_DEG = 2.0
 """A servo that holds stands this close to its goal, corrections for friction included."""
 HOT_MARGIN_C = 3
 """Stop this far below the temperature at which the servo would let go by itself."""
-
-REPORTED = frozenset(
-    {
-        "Goal Position", "Moving", "Moving Status", "Present Current", "Present Load", "Present Position",
-        "Present Input Voltage", "Present Temperature",
-    }
-)  # fmt: skip
-"""Items that a report needs; all lie in one block from Profile Acceleration to Present Temperature."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -443,134 +435,6 @@ def shaft_count(get: Callable[[str], int]) -> int | None:
         return None
     offset, position = get("Homing Offset"), get("Present Position")
     return position if get("Operating Mode") == POSITION_MODE and abs(offset) > VALID_OFFSET else position - offset
-
-
-@dataclass(slots=True)
-class Report:
-    """One reading of a joint."""
-
-    position: int
-    moving: bool
-    """Faster than the servo's threshold, 14 deg/s as it comes."""
-    under_way: bool
-    """Its profile has not ended, however slow it is."""
-    goal: int
-    profile: bytes
-    current: int
-
-
-def span(table: Mapping[str, Item]) -> tuple[int, int]:
-    """Address and size of the block that a report reads."""
-    first, last = table["Profile Acceleration"], table["Present Temperature"]
-    return first.address, last.address + last.size - first.address
-
-
-def reports(bus: Bus, joints: Iterable[Joint]) -> dict[str, Report]:
-    """What every servo says now, by the name of its axis, with its health checked; one block a servo.
-
-    Raises
-    ------
-    DeviceError
-        A servo does not answer, or is unwell.
-    """
-    by_id = {joint.id: joint for joint in joints}
-    groups: dict[tuple[int, int], list[int]] = {}
-    for joint in by_id.values():
-        groups.setdefault(span(joint.table), []).append(joint.id)
-    blocks: dict[int, bytes] = {}
-    for (address, size), ids in groups.items():
-        blocks |= bus.read_all(ids, address, size)
-    out = {}
-    for identity, block in blocks.items():
-        joint = by_id[identity]
-        start = span(joint.table)[0]
-        value = {n: joint.table[n].decode(block, start) for n in joint.table if n in REPORTED}
-        current = value.get("Present Current", value.get("Present Load", 0))
-        joint.health = Health(value["Present Temperature"], value["Present Input Voltage"] / 10, current)
-        joint.strained[:] = [
-            max((*joint.strained, joint.health), key=lambda h: abs(h.current)),
-            min((*joint.strained, joint.health), key=lambda h: h.voltage_v),
-        ]
-        profile = block[: len(joint.profile)]
-        under_way = bool(value["Moving Status"] & PROFILE_ONGOING)
-        out[joint.name] = Report(
-            value["Present Position"], bool(value["Moving"]), under_way, value["Goal Position"], profile, current
-        )
-        joint.check_health()
-    return out
-
-
-def require_torque(bus: Bus, joints: Iterable[Joint]) -> None:
-    """Raise `DeviceError` where a servo has an error in its hardware-error byte, or holds nothing any more."""
-    by_id = {joint.id: joint for joint in joints}
-    table = next(iter(by_id.values())).table  # these items have the same addresses in every model of the X series
-    torque, error = table["Torque Enable"], table["Hardware Error Status"]
-    blocks = bus.read_all(by_id, torque.address, error.address + error.size - torque.address)
-    for identity, joint in by_id.items():
-        joint.complain(error.decode(blocks[identity], torque.address))
-        if torque.decode(blocks[identity], torque.address) != 1:
-            raise DeviceError(f"axis {joint.name}: servo id {identity} has let go of its torque; all axes are stopped")
-
-
-def joint(bus: Bus, description: RigDescription, name: str, servo: settings.ServoAxis) -> Joint:
-    """The joint of an axis of the rig; `ConfigError` where its limits are beyond a turn of its servo."""
-    table = control_table.of_model(servo.model, f"devices.servos.axes.{name}.model")
-    axis, limits = description.axes()[name], description.limits_deg()[name]
-    approach, stops = description.approach_deg()[name], description.hard_stops_deg()[name]
-    return _checked(Joint(bus, name, servo, axis, limits, table, approach, stops))
-
-
-def changer_joint(bus: Bus, changer: settings.Changer, approach_deg: float) -> Joint:
-    """The joint of the sample changer, which is no axis of a pose; errors as of `joint`.
-
-    What it may turn in is the range between its two places, and the way of approach to the outer one.
-    """
-    ends = (changer.sample_deg, changer.reference_deg)
-    limits = min(ends) - max(0.0, approach_deg), max(ends) - min(0.0, approach_deg)
-    axis = Axis(speed_deg_per_s=changer.speed_deg_per_s)
-    table = control_table.of_model(changer.model, "devices.servos.changer.model")
-    return _checked(Joint(bus, "changer", changer, axis, limits, table, approach_deg))
-
-
-def _checked(joint: Joint) -> Joint:
-    _check_current_limit(joint)
-    _check_profile(joint)
-    if joint.servo.homing is not None:
-        home_mark.check(joint, joint.servo.homing)
-        joint.count_limits = -MOST_TURNS * COUNTS, MOST_TURNS * COUNTS - 1
-    joint.check_reach()
-    return joint
-
-
-def _check_current_limit(joint: Joint) -> None:
-    model, homing = joint.servo.model, joint.servo.homing
-    if joint.servo.current_limit is not None and "Current Limit" not in joint.table:
-        raise ConfigError(
-            f"{joint.key}.current_limit = {joint.servo.current_limit}: a {model} has no current limit; leave the key "
-            "out"
-        )
-    highest = control_table.highest_current(model)
-    pushes = None if homing is None else homing.current
-    for key, value in (("current_limit", joint.servo.current_limit), ("homing.current", pushes)):
-        if value is not None and value > highest:
-            raise ConfigError(
-                f"{joint.key}.{key} = {value}: the Current Limit of a {model} is 1 to {highest}, in units of "
-                f"{control_table.current_unit_ma(model):g} mA"
-            )
-
-
-def _check_profile(joint: Joint) -> None:
-    """The slowest that a profile can be: less would be rounded up to it."""
-    slowest = VELOCITY_UNIT_DEG_S / joint.servo.gear_ratio
-    speeds = [("speed_deg_per_s", joint.axis.speed_deg_per_s)]
-    if joint.servo.homing is not None:
-        speeds.append((f"{joint.key}.homing.speed_deg_per_s", joint.servo.homing.speed_deg_per_s))
-    for key, speed in speeds:
-        if speed < slowest * (1 - 1e-9):
-            raise ConfigError(
-                f"axis {joint.name}, {key} = {speed:g}: its servo turns it at {slowest:.4g} deg/s or more "
-                f"(Profile Velocity 1, {joint.key}.gear_ratio = {joint.servo.gear_ratio:g})"
-            )
 
 
 def _listed(found: Mapping[int, tuple[int, int]]) -> str:

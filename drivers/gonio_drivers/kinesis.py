@@ -19,7 +19,7 @@ from typing import Any, Self, TypeVar
 from gonio.config import parse
 from gonio.documents import TomlTable
 from gonio.errors import ConfigError, DeviceError
-from gonio.rig.description import Positive
+from gonio.rig.ranges import Positive
 from gonio_drivers import ports, settings
 from gonio_drivers.stages import StageState
 

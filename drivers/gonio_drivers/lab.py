@@ -19,8 +19,9 @@ from gonio.config import Strict, parse
 from gonio.disk import write_whole
 from gonio.errors import ArgumentError, ConfigError, DeviceError, GonioError, Interrupted, PassingFault
 from gonio.rig import Device, Frame, Health, Step, Target, ask_for, clock
-from gonio.rig.description import Camera, RigDescription, SampleDescription
-from gonio.rig.imaging import require_frame
+from gonio.rig.description import RigDescription, SampleDescription
+from gonio.rig.light_and_camera import Camera
+from gonio.rig.regions import require_frame
 from gonio.rig.whereabouts import axes_stand
 from gonio_drivers import cameras, diagnosis, discovery, interlock, signals, survey
 from gonio_drivers.arms import ServoArms

@@ -16,7 +16,8 @@ from typing import Self
 
 from gonio.errors import ConfigError, DeviceError, Disturbed, GonioError, Interrupted
 from gonio.rig import clock
-from gonio.rig.description import Band, RigDescription
+from gonio.rig.bands import Band
+from gonio.rig.description import RigDescription
 from gonio_drivers import guard, ports, settings
 from gonio_drivers.dialect import dialect
 from gonio_drivers.lamp_line import TRIES, LampLine

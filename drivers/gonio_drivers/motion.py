@@ -11,10 +11,11 @@ from collections.abc import Callable, Mapping
 
 from gonio.errors import DeviceError
 from gonio.rig import clock
-from gonio_drivers import joints, settings, watchdog
+from gonio_drivers import joint_reports, settings, watchdog
 from gonio_drivers.arrival import SMALLEST_COUNTS, Landing
 from gonio_drivers.dynamixel import Bus
-from gonio_drivers.joints import Joint, Report
+from gonio_drivers.joint_reports import Report
+from gonio_drivers.joints import Joint
 from gonio_drivers.patience import Patience
 
 log = logging.getLogger("gonio.devices")
@@ -55,7 +56,7 @@ class Motion:
     def approach(self, goals: Mapping[str, float]) -> None:
         """To a point before each goal, where that is needed, and from there to the goals; never beyond a limit."""
         finals = {name: self._joints[name].to_count(angle) for name, angle in goals.items()}
-        reports = joints.reports(self._bus, self._joints.values())
+        reports = joint_reports.reports(self._bus, self._joints.values())
         for name, report in reports.items():
             self._joints[name].keep_profile(report.profile)
         starts: dict[str, float] = {}
@@ -92,14 +93,14 @@ class Motion:
     def _land(self, goals: Mapping[str, float], *, exact: bool) -> None:
         """Drive to counts, all axes at once, until every one has landed (`exact`) or come to rest close by."""
         looked = Patience()
-        before = joints.reports(self._bus, self._joints.values())
+        before = joint_reports.reports(self._bus, self._joints.values())
         landings = {name: self._landing(name, goal, exact=exact) for name, goal in goals.items()}
         self.send({name: landing.sent for name, landing in landings.items()})
         allowed = max(self.duration_s(name, before[name].position, goal) for name, goal in goals.items())
         while not all(landing.done for landing in landings.values()):
             clock.sleep(POLL_S)
             self._allowed()
-            reports = joints.reports(self._bus, self._joints.values())
+            reports = joint_reports.reports(self._bus, self._joints.values())
             now = looked()
             for name, landing in landings.items():
                 if not landing.done:
@@ -107,7 +108,7 @@ class Motion:
             if now > 2 * allowed + GRACE_S:
                 late = ", ".join(self._state(n, x, reports[n]) for n, x in landings.items() if not x.done)
                 raise DeviceError(f"no landing within {now:.1f} s: {late}; all axes are stopped")
-        joints.require_torque(self._bus, self._joints.values())  # those that were not named are said to hold too
+        joint_reports.require_torque(self._bus, self._joints.values())  # those that were not named are said to hold too
 
     def _landing(self, name: str, goal: float, *, exact: bool) -> Landing:
         joint, servos = self._joints[name], self._servos
@@ -137,7 +138,7 @@ class Motion:
         elif verdict == "stuck" and self._release(joint, landing):
             landing.begin(now)
         elif verdict == "stuck":
-            joints.require_torque(self._bus, [joint])
+            joint_reports.require_torque(self._bus, [joint])
             raise DeviceError(f"{self._state(joint.name, landing, report)}: it is stuck; all axes are stopped")
 
     def _release(self, joint: Joint, landing: Landing) -> bool:

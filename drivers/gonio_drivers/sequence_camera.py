@@ -13,7 +13,7 @@ from gonio.errors import ConfigError, DataError, DeviceError
 from gonio.rig import Frame, clock
 from gonio.rig.description import RigDescription
 from gonio.rig.dng import read_raw
-from gonio.rig.imaging import require_raw
+from gonio.rig.regions import require_raw
 from gonio_drivers import settings
 
 RAW = (".dng", ".cr2", ".nef", ".arw")

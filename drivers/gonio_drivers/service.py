@@ -16,7 +16,7 @@ from gonio.config import parse
 from gonio.errors import ConfigError, DeviceError, GonioError
 from gonio.rig import FoundServo, Homed
 from gonio.rig.description import RigDescription
-from gonio_drivers import control_table, dynamixel, homing, interlock, joints, ports, presence, settings
+from gonio_drivers import control_table, dynamixel, homing, interlock, joint_settings, joints, ports, presence, settings
 from gonio_drivers.dynamixel import Bus
 from gonio_drivers.patience import Patience
 
@@ -115,7 +115,7 @@ class ServoService:
         servos = _servos(description)
         out: dict[str, Homed | str] = {}
         with Bus(servos.port, servos.baud) as bus:
-            there = {str(n): joints.joint(bus, description, n, servo) for n, servo in servos.axes.items()}
+            there = {str(n): joint_settings.joint(bus, description, n, servo) for n, servo in servos.axes.items()}
             for name in axes:
                 if name not in there:
                     raise ConfigError(f"the rig has no servo of an axis {name}; it has {', '.join(there)}")

@@ -10,7 +10,8 @@ from pydantic import Field, model_validator
 from gonio.config import Strict
 from gonio.documents import TomlTable
 from gonio.errors import ConfigError
-from gonio.rig.description import NonNegative, Positive, RigDescription
+from gonio.rig.description import RigDescription
+from gonio.rig.ranges import NonNegative, Positive
 
 AxisName = Literal["light", "camera", "tilt", "spin", "azimuth"]
 

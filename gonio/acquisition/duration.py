@@ -16,7 +16,8 @@ import numpy as np
 from gonio.acquisition import exposure
 from gonio.acquisition.schedule import EXPECTED_ALBEDO
 from gonio.rig import Pose, Step
-from gonio.rig.description import Band, RigDescription
+from gonio.rig.bands import Band
+from gonio.rig.description import RigDescription
 from gonio.rig.motion_planning import Blocked, route
 from gonio.typing import Floats
 

@@ -20,9 +20,10 @@ import numpy.typing as npt
 from gonio.errors import DeviceError
 from gonio.geometry import solid_angle_of_cone
 from gonio.rig import Frame, Pose, sensor_noise
-from gonio.rig.description import Camera, RigDescription
+from gonio.rig.description import RigDescription
 from gonio.rig.imaging import pixel_on_sample_mm
 from gonio.rig.kinematics import view
+from gonio.rig.light_and_camera import Camera
 from gonio.typing import Floats
 
 Shot = Callable[[float], Frame]

@@ -28,7 +28,7 @@ from gonio.acquisition.records import FrameFile, FrameLabel, FrameRecord, StepRe
 from gonio.disk import Staged, read_file, sync_folder
 from gonio.errors import ArgumentError, DataError
 from gonio.rig import Frame, Pose, Step
-from gonio.rig.description import Band
+from gonio.rig.bands import Band
 from gonio.rig.dng import encode_dng, pixels_sha256, read_raw, read_record
 
 WAITING = 8

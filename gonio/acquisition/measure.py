@@ -16,7 +16,7 @@ from gonio.acquisition.plan import Assessed, Plan, assess, said_beside
 from gonio.acquisition.schedule import going_on, reference_pose, schedule
 from gonio.config import load, parse
 from gonio.errors import ConfigError, DeviceError, GonioError, Interrupted
-from gonio.rig import imaging, kinematics
+from gonio.rig import kinematics, regions
 from gonio.rig.calibrated import with_calibrations
 from gonio.rig.description import RigDescription, SampleDescription
 from gonio.rig.motion_planning import Blocked, route
@@ -406,16 +406,16 @@ def _check_frame(rig: RigChoice, steps: list[Step]) -> None:
     for step in steps:
         if step.kind == "reference" and reference.how == "beam":
             try:
-                imaging.straight_through(description, kinematics.view(description, step.pose))
+                regions.straight_through(description, kinematics.view(description, step.pose))
             except ConfigError as error:
                 raise ConfigError(f"{rig.source}: {error}") from None
         elif step.kind == "reference":
             looks["reference", step.pose] = None
-        elif step.kind == "point" and not imaging.always_holds_sample(description):
+        elif step.kind == "point" and not regions.always_holds_sample(description):
             looks["sample", step.pose] = None
     for target, pose in looks:
-        extent = imaging.patch_extent(description, kinematics.view(description, pose), target)
-        if imaging.frame_holds(description, extent):
+        extent = regions.patch_extent(description, kinematics.view(description, pose), target)
+        if regions.frame_holds(description, extent):
             continue
         at = kinematics.directions(description, pose)
         radius = f"[acquisition] roi_radius_mm = {patch:g}"

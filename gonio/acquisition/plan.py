@@ -29,9 +29,12 @@ from gonio.documents import TomlTable
 from gonio.errors import ConfigError
 from gonio.geometry import Directions
 from gonio.rig import Pose, beam_size
-from gonio.rig.description import Band, Positive, RigDescription
-from gonio.rig.kinematics import Unreachable, directions, reach, view
+from gonio.rig.bands import Band
+from gonio.rig.description import RigDescription
+from gonio.rig.inverse_kinematics import Unreachable, reach
+from gonio.rig.kinematics import directions, view
 from gonio.rig.laboratory import Laboratory
+from gonio.rig.ranges import Positive
 
 SAME_DEG = 1e-7
 """Points closer than this in every angle [deg] are one point: above rounding, and far below an encoder's step."""

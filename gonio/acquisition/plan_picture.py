@@ -14,10 +14,11 @@ import numpy as np
 
 from gonio.acquisition.plan import Assessed, Plan
 from gonio.errors import ConfigError
-from gonio.rig import Pose, Step, motion_planning
+from gonio.rig import Pose, Step, motion_planning, outlines
 from gonio.rig.description import RigDescription
 from gonio.rig.kinematics import blocked_cone
-from gonio.rig.motion_planning import Blocked, Outline
+from gonio.rig.motion_planning import Blocked
+from gonio.rig.outlines import Outline
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -116,7 +117,7 @@ def _title(step: Step, plan: Plan, points: Sequence[Assessed], description: RigD
 def _view(ax: Axes, description: RigDescription, before: Pose, pose: Pose, view: tuple[int, int]) -> None:
     from matplotlib.patches import Polygon
 
-    for outline in sorted(motion_planning.outlines(description, pose), key=lambda each: each.cable):
+    for outline in sorted(outlines.outlines(description, pose), key=lambda each: each.cable):
         ax.add_patch(
             Polygon(
                 _hull(outline, view), closed=True, alpha=0.2 if outline.cable else 0.55, lw=0.8,
@@ -136,7 +137,7 @@ def _view(ax: Axes, description: RigDescription, before: Pose, pose: Pose, view:
         beam = Outline("", ("", ""), hull, 0.5, cable=False)
         ax.add_patch(Polygon(_hull(beam, view), closed=True, fc=COLOURS[name], ec=COLOURS[name], lw=1.0, label=words))
     for cable in description.cables:
-        ends = motion_planning.cable_ends(description, pose, cable)
+        ends = outlines.cable_ends(description, pose, cable)
         ax.plot(*ends[:, view].T, color="black", lw=1.2, ls="--", label="cable, straight")
     try:
         legs = [before, *motion_planning.route(description, before, pose)] if before != pose else [pose]

@@ -21,7 +21,7 @@ from gonio.acquisition.records import StepRecord
 from gonio.acquisition.run import Run
 from gonio.acquisition.schedule import Schedule, batch_steps
 from gonio.rig import Pose, Step
-from gonio.rig.kinematics import Unreachable, reach
+from gonio.rig.inverse_kinematics import Unreachable, reach
 from gonio.typing import Floats
 
 REMEMBERED = 400

@@ -15,8 +15,8 @@ from gonio.acquisition.records import StepRecord
 from gonio.acquisition.run import Run
 from gonio.errors import DataError
 from gonio.rig import Frame, sensor_noise
-from gonio.rig.description import Camera
 from gonio.rig.dng import pixels_sha256, read_raw
+from gonio.rig.light_and_camera import Camera
 
 IMPOSSIBLE = -50.0
 """Natural logarithm of a probability that no run has frames enough for: 1e11 frames have 1e22 pairs."""

@@ -58,7 +58,8 @@ from gonio.disk import (
 )
 from gonio.documents import JsonObject
 from gonio.errors import ConfigError, DataError
-from gonio.rig.description import Band, RigDescription, SampleDescription
+from gonio.rig.bands import Band
+from gonio.rig.description import RigDescription, SampleDescription
 from gonio.rig.laboratory import Laboratory
 
 if TYPE_CHECKING:

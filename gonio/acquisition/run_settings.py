@@ -18,7 +18,8 @@ from gonio.config import Strict
 from gonio.disk import read_file
 from gonio.errors import ConfigError
 from gonio.formats.native import meta_path
-from gonio.rig.description import CalibrationUse, RigDescription, SampleDescription
+from gonio.rig.calibration_use import CalibrationUse
+from gonio.rig.description import RigDescription, SampleDescription
 from gonio.rig.laboratory import Laboratory, merged
 
 FORMAT = 1

@@ -10,7 +10,8 @@ from gonio.acquisition.plan import ANGLES, Assessed, Plan, Point, assess, canoni
 from gonio.errors import ConfigError
 from gonio.rig import Pose, Step, beam_size
 from gonio.rig.description import RigDescription
-from gonio.rig.kinematics import Unreachable, reach, view
+from gonio.rig.inverse_kinematics import Unreachable, reach
+from gonio.rig.kinematics import view
 from gonio.rig.motion_planning import Blocked, require_free
 
 EXPECTED_ALBEDO = 0.5

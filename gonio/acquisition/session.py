@@ -27,10 +27,10 @@ from gonio.acquisition.stop import Stop
 from gonio.acquisition.suspending import Cause, Suspended, Watch, require
 from gonio.errors import DeviceError, Disturbed, Interrupted, PassingFault
 from gonio.rig import Frame, Pose, Reading, Rig, Step, Target
-from gonio.rig.description import Band
-from gonio.rig.imaging import Roi, require_frame, roi
+from gonio.rig.bands import Band
 from gonio.rig.kinematics import View, left_its_side, view
 from gonio.rig.motion_planning import Blocked, route
+from gonio.rig.regions import Roi, require_frame, roi
 
 log = logging.getLogger("gonio.devices")
 ATTEMPTS = 3

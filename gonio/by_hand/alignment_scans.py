@@ -12,7 +12,7 @@ import numpy as np
 from gonio.acquisition import exposure
 from gonio.by_hand.alignment import ALIGNED, COLUMNS, Peak, peak
 from gonio.errors import ConfigError, DeviceError
-from gonio.rig import Frame, Pose, imaging, kinematics
+from gonio.rig import Frame, Pose, kinematics, regions
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -48,7 +48,7 @@ class Scans:
         self._bench, self._say, self._search_deg = bench, say, search_deg
         self._description = bench.description
         self._axes = [name for name in ALIGNED if name in self._description.axes()]
-        self._roi = imaging.roi(self._description, kinematics.view(self._description, Pose()))
+        self._roi = regions.roi(self._description, kinematics.view(self._description, Pose()))
         cones = self._description.lamp.half_angle_deg + self._description.camera.lens_half_angle_deg
         self._half = {"camera": max(1.6 * cones, 0.8), "tilt": max(0.8 * cones, 0.4), "azimuth": max(2 * cones, 1.0)}
         self._level: float | bool = True

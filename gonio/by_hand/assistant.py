@@ -27,7 +27,7 @@ from gonio.by_hand.rig_file import with_values, write_values, zero_values
 from gonio.by_hand.sight import Sight
 from gonio.disk import write_whole
 from gonio.errors import ConfigError, DataError, DeviceError, Disturbed, EmergencyStop
-from gonio.rig import Frame, Pose, Target, imaging
+from gonio.rig import Frame, Pose, Target, regions
 
 if TYPE_CHECKING:
     from gonio.by_hand.manual_rig import ManualRig
@@ -228,7 +228,7 @@ class Assistant:
         allowed_s = exposure_s + camera.frame_overhead_s + CAMERA_S
         with self.timer.within(allowed_s, "the camera"):
             frame = self._bench.camera.capture(exposure_s)
-        imaging.require_frame(camera, frame, "camera")
+        regions.require_frame(camera, frame, "camera")
         return frame
 
     def _mind_lamp(self) -> bool:

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from gonio.acquisition import exposure
 from gonio.by_hand import looking
 from gonio.rig import Frame
-from gonio.rig.description import Camera
+from gonio.rig.light_and_camera import Camera
 
 WIDEST = 960
 """Columns of the picture, at most."""

@@ -15,8 +15,10 @@ import numpy.typing as npt
 
 from gonio.acquisition import exposure
 from gonio.rig import Frame, sensor_noise
-from gonio.rig.description import Camera, RigDescription
-from gonio.rig.imaging import Channel, Roi
+from gonio.rig.description import RigDescription
+from gonio.rig.imaging import Channel
+from gonio.rig.light_and_camera import Camera
+from gonio.rig.regions import Roi
 from gonio.rig.sensor_response import linear_dn
 
 Floats32 = npt.NDArray[np.float32]

@@ -22,8 +22,9 @@ from typing import TYPE_CHECKING, Any, Self
 from gonio.acquisition.measure import RigChoice, find_rig, load_sample
 from gonio.errors import ArgumentError, ConfigError, DeviceError, GonioError
 from gonio.geometry import Directions
-from gonio.rig import Device, Health, Pose, Reading, Step, Target, kinematics, motion_planning
-from gonio.rig.description import Band, RigDescription, SampleDescription
+from gonio.rig import Device, Health, Pose, Reading, Step, Target, inverse_kinematics, motion_planning
+from gonio.rig.bands import Band
+from gonio.rig.description import RigDescription, SampleDescription
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -367,12 +368,12 @@ class ManualRig:
         else:
             phi_r = phi_i + (math.pi if theta_r >= 0 else 0.0)
         directions = Directions(angles["theta_i"], phi_i, abs(theta_r), phi_r)
-        pose = kinematics.reach(self.description, directions)
+        pose = inverse_kinematics.reach(self.description, directions)
         return pose, self._branch(directions, pose)
 
     def _branch(self, directions: Directions, taken: Pose) -> str:
         others = []
-        for pose, verdict in kinematics.branches(self.description, directions):
+        for pose, verdict in inverse_kinematics.branches(self.description, directions):
             if isinstance(verdict, Pose):
                 if any(abs(getattr(verdict, n) - getattr(taken, n)) > 1e-9 for n in self.description.axes()):
                     others.append(f"{self._said(verdict)} {self._free(verdict)}")

@@ -21,7 +21,7 @@ import numpy.typing as npt
 from gonio.acquisition import exposure
 from gonio.disk import write_whole
 from gonio.errors import ArgumentError, ConfigError, DataError
-from gonio.rig import Frame, Pose, imaging, kinematics, sensor_noise
+from gonio.rig import Frame, Pose, kinematics, regions, sensor_noise
 from gonio.rig.description import RigDescription
 
 if TYPE_CHECKING:
@@ -180,15 +180,15 @@ def _darks(bench: ManualRig, bounded: RigDescription) -> _Dark:
     return _Dark(short_s, short, long_s, long, DARK_FRAMES)
 
 
-def _patch(description: RigDescription, pose: Pose | None) -> tuple[imaging.Roi, str]:
+def _patch(description: RigDescription, pose: Pose | None) -> tuple[regions.Roi, str]:
     """The patch of the sample; of the frame's centre, as large as it is seen from above, where there is none."""
     if pose is not None:
         with contextlib.suppress(ConfigError):
-            return imaging.roi(description, kinematics.view(description, pose)), "sample"
-    return imaging.roi(description, kinematics.view(description, Pose())), "centre"
+            return regions.roi(description, kinematics.view(description, pose)), "sample"
+    return regions.roi(description, kinematics.view(description, Pose())), "centre"
 
 
-def _signal(description: RigDescription, shots: list[Frame], roi: imaging.Roi, dark: _Dark) -> dict[str, object]:
+def _signal(description: RigDescription, shots: list[Frame], roi: regions.Roi, dark: _Dark) -> dict[str, object]:
     """Signal and its standard uncertainty [DN/s] of a patch, from frames of one exposure."""
     camera = description.camera
     exposure_s = shots[0].exposure_s

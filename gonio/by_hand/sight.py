@@ -16,8 +16,9 @@ import numpy as np
 from gonio.acquisition import exposure
 from gonio.by_hand import looking
 from gonio.errors import ConfigError
-from gonio.rig import Frame, Pose, Target, imaging, kinematics
-from gonio.rig.description import Band, RigDescription
+from gonio.rig import Frame, Pose, Target, imaging, kinematics, regions
+from gonio.rig.bands import Band
+from gonio.rig.description import RigDescription
 from gonio.rig.kinematics import View
 from gonio.typing import Floats
 
@@ -42,7 +43,7 @@ class Sight:
     """
 
     def __init__(self, description: RigDescription, clock: Callable[[], float]) -> None:
-        self.region: imaging.Roi | None = None
+        self.region: regions.Roi | None = None
         """What a measurement of sample or reference would use from this pose; None where there is none."""
         self._description, self._clock = description, clock
         self._pose: Pose | None = None
@@ -98,15 +99,15 @@ class Sight:
             out["why"] = "the arms do not say where they stand"
             return
         try:
-            self.region = imaging.roi(description, view, self._target, self._band.channel)
+            self.region = regions.roi(description, view, self._target, self._band.channel)
             out["centre"] = list(imaging.place(description, view, self._target))
         except ConfigError as error:
             out["why"] = str(error)
             return
         out["region_pixels"] = self.region.count
-        out["sample"] = _places(*imaging.outline(description, view))
+        out["sample"] = _places(*regions.outline(description, view))
         if description.reference.how == "beside":
-            out["reference"] = _places(*imaging.outline(description, view, "reference"))
+            out["reference"] = _places(*regions.outline(description, view, "reference"))
         out["beam"] = _beam(description, view)
 
     def _angles(self) -> dict[str, Any]:

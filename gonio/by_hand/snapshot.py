@@ -15,8 +15,9 @@ from gonio.acquisition import exposure
 from gonio.by_hand import looking
 from gonio.disk import write_whole
 from gonio.errors import ConfigError, DataError
-from gonio.rig import Frame, Pose, dng, imaging, kinematics
-from gonio.rig.description import Camera, RigDescription
+from gonio.rig import Frame, Pose, dng, kinematics, regions
+from gonio.rig.description import RigDescription
+from gonio.rig.light_and_camera import Camera
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -38,7 +39,7 @@ class Snapshot:
     camera: Camera
     pose: Pose | None
     """Where the axes stood [rad]; None where that is not known."""
-    patch: imaging.Roi | None
+    patch: regions.Roi | None
     """The pixels that a measurement of the sample would use, from that pose."""
     outline: tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]] | None
     """Columns and rows of its edge."""
@@ -141,7 +142,7 @@ def take(bench: ManualRig, file: Path | None, *, exposure_s: float | None) -> Sn
 
 def _patch(
     description: RigDescription, pose: Pose | None, frame: Frame
-) -> tuple[imaging.Roi | None, tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]] | None, str]:
+) -> tuple[regions.Roi | None, tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]] | None, str]:
     if pose is None:
         return None, None, "the arms do not say where they stand"
     camera = description.camera
@@ -150,7 +151,7 @@ def _patch(
         return None, None, f"the frame has {width} x {height} pixels, and the rig file {camera.width} x {camera.height}"
     try:
         view = kinematics.view(description, pose)
-        return imaging.roi(description, view), imaging.outline(description, view), ""
+        return regions.roi(description, view), regions.outline(description, view), ""
     except ConfigError as error:
         return None, None, str(error)
 

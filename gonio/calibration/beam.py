@@ -19,7 +19,8 @@ import numpy as np
 from gonio.calibration.tables import read_numbers
 from gonio.errors import DataError
 from gonio.rig import Pose, imaging, kinematics
-from gonio.rig.description import Beam, RigDescription
+from gonio.rig.description import RigDescription
+from gonio.rig.light_and_camera import Beam
 from gonio.typing import Floats
 
 if TYPE_CHECKING:

@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gonio.reduction.stray_light import spread
-from gonio.rig.description import Camera
 from gonio.rig.imaging import Channel, of_channel
+from gonio.rig.light_and_camera import Camera
 from gonio.typing import Floats
 
 SIGNIFICANT = 5.0

@@ -18,8 +18,10 @@ from gonio.errors import DataError
 from gonio.reduction.stray_light import spread
 from gonio.rig import Pose
 from gonio.rig.calibrated import Calibration, identity
-from gonio.rig.description import Camera, ParameterUncertainty, RigDescription
+from gonio.rig.calibration_use import ParameterUncertainty
+from gonio.rig.description import RigDescription
 from gonio.rig.imaging import Channel, of_channel
+from gonio.rig.light_and_camera import Camera
 from gonio.rig.sensor_response import PixelMaps, linear_dn, straightened
 from gonio.typing import Floats
 

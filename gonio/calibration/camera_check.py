@@ -18,7 +18,7 @@ from gonio.calibration import photon_transfer
 from gonio.errors import DataError
 from gonio.rig import Frame
 from gonio.rig.calibrated import covariance_of
-from gonio.rig.description import Camera
+from gonio.rig.light_and_camera import Camera
 from gonio.typing import Floats
 
 LIGHT_DEG, CAMERA_DEG = 30.0, 0.0

@@ -21,8 +21,8 @@ import numpy.typing as npt
 from gonio.disk import read_file, write_whole
 from gonio.errors import ConfigError, DataError, DeviceError
 from gonio.rig import Frame, Pose, dng
-from gonio.rig.description import Camera
-from gonio.rig.imaging import require_raw
+from gonio.rig.light_and_camera import Camera
+from gonio.rig.regions import require_raw
 
 Kind = Literal["dark", "flat", "trap", "edge", "field"]
 LIST = "frames.csv"

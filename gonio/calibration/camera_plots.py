@@ -8,7 +8,7 @@ import numpy as np
 
 from gonio.calibration.camera import CameraCalibration
 from gonio.calibration.photon_transfer import FIT_RANGE
-from gonio.rig.description import Camera
+from gonio.rig.light_and_camera import Camera
 from gonio.shown import with_u
 
 if TYPE_CHECKING:

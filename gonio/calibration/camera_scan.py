@@ -18,7 +18,8 @@ from gonio.calibration.camera_frames import CONTRADICTS, CameraFrame, Kind, writ
 from gonio.disk import read_file, write_whole
 from gonio.errors import ConfigError, DeviceError
 from gonio.rig import Frame, Pose, dng, kinematics
-from gonio.rig.imaging import pixel_map, require_raw
+from gonio.rig.imaging import pixel_map
+from gonio.rig.regions import require_raw
 
 Put = Literal["reference", "trap", "edge", "sample"]
 

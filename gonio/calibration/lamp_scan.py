@@ -17,7 +17,7 @@ from gonio.calibration.lamp_stability import COLUMNS
 from gonio.errors import ConfigError, DataError, DeviceError
 from gonio.geometry import Directions
 from gonio.reduction import stray_light
-from gonio.rig import Frame, Pose, Step, imaging, kinematics, sensor_noise
+from gonio.rig import Frame, Pose, Step, imaging, inverse_kinematics, kinematics, regions, sensor_noise
 from gonio.rig.description import RigDescription
 from gonio.rig.sensor_response import linear_dn, straightened
 from gonio.typing import Floats
@@ -76,7 +76,7 @@ def take_series(
         bench.lamp(False)
         steps.next(pose)
         bench.present("reference")
-        region = imaging.roi(description, kinematics.view(description, pose), "reference", bench.band.channel)
+        region = regions.roi(description, kinematics.view(description, pose), "reference", bench.band.channel)
         lit_s = 0.0 if bench.repeatable else bench.time_s()  # a simulated clock counts from when the lamp is lit
         bench.lamp(True, wavelength_nm=bench.band.centre_nm)
         metered = exposure.meter(description, bench.camera.capture, region.of, expected)
@@ -112,9 +112,9 @@ class _Series:
         self.black_level_dn = 0.0
         self._pixels = 1
 
-    def add(self, frame: Frame, region: imaging.Roi, lit_s: float, monitor: float | None) -> None:
+    def add(self, frame: Frame, region: regions.Roi, lit_s: float, monitor: float | None) -> None:
         """One more frame; raises `DataError` where it cannot be used."""
-        imaging.require_frame(self._description.camera, frame, "the camera")
+        regions.require_frame(self._description.camera, frame, "the camera")
         pixels = np.asarray(region.of(frame.mosaic), float)
         _require(self._description, frame, pixels)
         time_s = float(frame.time_s) - lit_s
@@ -177,7 +177,7 @@ def take_flats(
         for number, pose in enumerate(poses, 1):
             landed = steps.next(pose)
             bench.lamp(True, wavelength_nm=bench.band.centre_nm)
-            region = imaging.roi(description, kinematics.view(description, landed), "reference", bench.band.channel)
+            region = regions.roi(description, kinematics.view(description, landed), "reference", bench.band.channel)
             level = exposure.expected_level_per_s(description, pose, 1.0)
             metered = exposure.meter(description, bench.camera.capture, region.of, level)
             shots = [bench.camera.capture(metered.exposure_s) for _ in range(FLAT_FRAMES)]
@@ -204,9 +204,11 @@ def _poses(description: RigDescription) -> list[Pose]:
         phi = math.pi if camera >= 0 else 0.0
         try:
             out.append(
-                kinematics.reach(description, Directions(math.radians(light), 0.0, math.radians(abs(camera)), phi))
+                inverse_kinematics.reach(
+                    description, Directions(math.radians(light), 0.0, math.radians(abs(camera)), phi)
+                )
             )
-        except kinematics.Unreachable:
+        except inverse_kinematics.Unreachable:
             continue
     if len(out) < 4:
         raise ConfigError(

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gonio.errors import DataError
-from gonio.rig.description import Camera
+from gonio.rig.light_and_camera import Camera
 from gonio.rig.sensor_response import bent, straightened
 from gonio.typing import Floats
 

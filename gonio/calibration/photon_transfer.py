@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gonio.errors import DataError
-from gonio.rig.description import Camera
+from gonio.rig.light_and_camera import Camera
 from gonio.rig.sensor_response import straightened
 from gonio.typing import Floats
 

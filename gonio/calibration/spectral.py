@@ -14,7 +14,7 @@ import numpy as np
 
 from gonio.calibration.tables import read_numbers
 from gonio.errors import DataError
-from gonio.rig.description import Bands
+from gonio.rig.bands import Bands
 from gonio.typing import Floats
 
 FLOOR = 0.02

@@ -258,7 +258,7 @@ def _finish(
     from gonio.config import numbers_in
     from gonio.errors import DataError
     from gonio.rig.calibrated import Calibration, identity, write_calibration
-    from gonio.rig.description import ParameterUncertainty
+    from gonio.rig.calibration_use import ParameterUncertainty
 
     fit: Fit | None = None
     notes = [f"WARNING: {contradiction}"] * bool(contradiction)

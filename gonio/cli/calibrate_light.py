@@ -142,7 +142,7 @@ class _Found:
         import numpy as np
         from scipy.linalg import block_diag
 
-        from gonio.rig.description import ParameterUncertainty
+        from gonio.rig.calibration_use import ParameterUncertainty
 
         covariance = block_diag(*self.blocks) if self.names else np.zeros((0, 0))
         u = np.sqrt(np.maximum(np.diag(covariance), 0.0))

@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from gonio.acquisition.exposure import SATURATED, full_scale_dn
 from gonio.acquisition.records import StepRecord
-from gonio.rig import Frame, imaging, kinematics
+from gonio.rig import Frame, kinematics, regions
 from gonio.rig.description import RigDescription
 
 WIDTH = 640
@@ -44,7 +44,7 @@ def png(description: RigDescription, frame: Frame, step: StepRecord | None = Non
         seen = kinematics.view(description, step.pose)
         straight = step.kind == "reference" and description.reference.how == "beam"
         if not straight:
-            cols, rows = imaging.outline(description, seen, "reference" if step.kind == "reference" else "sample")
+            cols, rows = regions.outline(description, seen, "reference" if step.kind == "reference" else "sample")
             line = np.round(np.stack([cols, rows], axis=1) / part).astype(np.int32)
             if np.isfinite(line).all():
                 cv2.polylines(out, [line.reshape(-1, 1, 2)], True, OUTLINE, 1, cv2.LINE_AA)

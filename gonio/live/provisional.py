@@ -19,9 +19,10 @@ from gonio.acquisition.records import StepRecord
 from gonio.acquisition.run import Run
 from gonio.errors import GonioError
 from gonio.geometry import Directions
-from gonio.reduction.count_rates import Reduced, RunFrames
+from gonio.reduction.count_rates import RunFrames
 from gonio.reduction.growing import of_rates
-from gonio.rig.description import Band
+from gonio.reduction.rates import Reduced
+from gonio.rig.bands import Band
 from gonio.typing import Floats
 
 COLUMNS = 8

@@ -10,10 +10,10 @@ import numpy as np
 from gonio.geometry import Directions, mirrored
 from gonio.reduction import spike_overlap
 from gonio.reduction.angle_sensitivity import Curves
-from gonio.reduction.count_rates import Reduced
 from gonio.reduction.geometry_errors import zero_u_deg
+from gonio.reduction.rates import Reduced
 from gonio.reduction.values import MeasuredBand, Values
-from gonio.rig import Pose, imaging, kinematics
+from gonio.rig import Pose, imaging, kinematics, regions
 from gonio.rig.beam_size import filling
 from gonio.rig.description import Axis, RigDescription
 from gonio.typing import Floats
@@ -201,7 +201,7 @@ def _pixels(measured: MeasuredBand, point: Reduced) -> tuple[Floats, Floats]:
     """Unit vectors to source and detector from the pixels that a point's value is the mean of, shape (n, 3)."""
     description = measured.description
     view = kinematics.view(description, point.pose)
-    region = imaging.roi(description, view, "sample", measured.band.channel)
+    region = regions.roi(description, view, "sample", measured.band.channel)
     seen = imaging.pixel_map(description, view, region.rows, region.cols)
     omega_i, omega_r = seen.omega_i[region.mask], seen.omega_r[region.mask]
     omega_r = omega_r * (1.0, 1.0, -1.0) if view.camera_mm[2] < 0.0 else omega_r

@@ -20,14 +20,16 @@ from gonio.documents import JsonObject
 from gonio.errors import ConfigError, DataError
 from gonio.reduction import angle_errors, budget, camera_errors, light_and_lens, white_reference
 from gonio.reduction.angle_errors import change_of_cosine, encoder_steps, is_behind, turned_over
-from gonio.reduction.count_rates import Reduced, Rejected, RunFrames, in_threads
+from gonio.reduction.count_rates import RunFrames
 from gonio.reduction.dark_signal import PATTERNS
 from gonio.reduction.merging import FALSE_ALARMS, noise_is_known
+from gonio.reduction.rates import Reduced, Rejected
 from gonio.reduction.reference_table import brdf_of_reference, u_of_reference
 from gonio.reduction.table import DARK, GEOMETRY, LAMP, assemble, notes_on_camera, notes_on_damage, notes_on_darks
+from gonio.reduction.threads import in_threads
 from gonio.reduction.values import BandResult, Cause, MeasuredBand, Values, joined, share
 from gonio.rig import calibrated
-from gonio.rig.description import Band
+from gonio.rig.bands import Band
 from gonio.typing import Floats
 
 if TYPE_CHECKING:

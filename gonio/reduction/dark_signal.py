@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from gonio.rig.imaging import Roi
+from gonio.rig.regions import Roi
 from gonio.typing import Floats
 
 FEW = 300

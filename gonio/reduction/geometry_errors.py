@@ -17,7 +17,7 @@ import numpy as np
 from gonio.config import numbers_in, with_numbers
 from gonio.errors import ConfigError
 from gonio.geometry import Directions, angles
-from gonio.rig import Pose, Target, imaging, kinematics
+from gonio.rig import Pose, Target, imaging, kinematics, regions
 from gonio.rig.beam_size import filling
 from gonio.rig.calibrated import covariance_of, known_parameters
 from gonio.rig.description import Axis, RigDescription
@@ -164,7 +164,7 @@ class GeometryErrors:
         """
 
         def scale(rig: RigDescription) -> float:
-            return imaging.straight_through_scale(rig, kinematics.view(rig, pose))
+            return regions.straight_through_scale(rig, kinematics.view(rig, pose))
 
         known, changed = scale(self._description), [[scale(rig) for rig, _ in rigs] for rigs in self._rigs]
         return np.array(changed).reshape(-1, 2) / known

@@ -17,8 +17,8 @@ import numpy as np
 from gonio.acquisition.run import Run
 from gonio.geometry import Directions
 from gonio.reduction import brdf
-from gonio.reduction.count_rates import Reduced
-from gonio.rig.description import Band
+from gonio.reduction.rates import Reduced
+from gonio.rig.bands import Band
 from gonio.typing import Floats
 
 

@@ -11,10 +11,12 @@ import math
 import numpy as np
 
 from gonio.reduction.values import BandResult, MeasuredBand, Values
-from gonio.rig import Pose, imaging, kinematics
+from gonio.rig import Pose, imaging, kinematics, regions
+from gonio.rig.bands import Band
 from gonio.rig.beam_size import filling
 from gonio.rig.calibrated import covariance_of
-from gonio.rig.description import Band, Beam, Polarisation, RigDescription
+from gonio.rig.description import RigDescription
+from gonio.rig.light_and_camera import Beam, Polarisation
 from gonio.rig.protocols import Target
 from gonio.typing import Floats
 
@@ -65,7 +67,7 @@ def _beam(measured: MeasuredBand, covariance: Floats, brdf: Floats) -> tuple[Flo
 def _monomials(description: RigDescription, pose: Pose, target: Target, band: Band) -> Floats:
     """Mean over a region of x, y, x^2, xy, y^2 on the plane that faces the lamp [mm, mm^2]."""
     view = kinematics.view(description, pose)
-    region = imaging.roi(description, view, target, band.channel)
+    region = regions.roi(description, view, target, band.channel)
     x, y = (value[region.mask] for value in imaging.pixel_map(description, view, region.rows, region.cols).beam_xy_mm)
     return np.array([float(np.mean(term)) for term in (x, y, x * x, x * y, y * y)])
 

@@ -13,7 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 from gonio.rig import sensor_noise
-from gonio.rig.description import Camera, RigDescription
+from gonio.rig.description import RigDescription
+from gonio.rig.light_and_camera import Camera
 from gonio.typing import Floats
 
 Mask = npt.NDArray[np.bool_]

@@ -18,7 +18,7 @@ from gonio.acquisition.plan import ANGLES
 from gonio.geometry import Directions
 from gonio.reduction.angle_errors import angle_axes, is_behind, turned_over, zero_uncertainties
 from gonio.reduction.angle_sensitivity import NARROWEST, from_above
-from gonio.reduction.count_rates import Reduced
+from gonio.reduction.rates import Reduced
 from gonio.reduction.spike_overlap import over_patch, overlap
 from gonio.reduction.table import COMMON, DARK, LAMP
 from gonio.reduction.values import BandResult

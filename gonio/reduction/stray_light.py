@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from gonio.rig.description import Camera
 from gonio.rig.imaging import Channel
+from gonio.rig.light_and_camera import Camera
 from gonio.typing import Floats
 
 TO_HALO = 4.0

@@ -16,9 +16,11 @@ import numpy.typing as npt
 from gonio.documents import JsonObject
 from gonio.reduction import white_reference
 from gonio.reduction.angle_sensitivity import Lobes
-from gonio.reduction.count_rates import Reduced, RunFrames
+from gonio.reduction.count_rates import RunFrames
 from gonio.reduction.dark_signal import strongest
-from gonio.rig.description import Band, RigDescription
+from gonio.reduction.rates import Reduced
+from gonio.rig.bands import Band
+from gonio.rig.description import RigDescription
 from gonio.typing import Floats
 
 

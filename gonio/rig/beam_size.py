@@ -15,8 +15,9 @@ import numpy as np
 from gonio.errors import ConfigError
 from gonio.rig import imaging
 from gonio.rig.description import RigDescription
-from gonio.rig.imaging import Channel, PixelMap, Roi
+from gonio.rig.imaging import Channel, PixelMap
 from gonio.rig.protocols import Target
+from gonio.rig.regions import Roi
 from gonio.typing import Floats
 
 if TYPE_CHECKING:

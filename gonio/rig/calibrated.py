@@ -34,7 +34,8 @@ from gonio.config import Strict, numbers_in, parse, read_toml, to_toml
 from gonio.disk import read_file, write_whole
 from gonio.documents import TomlTable
 from gonio.errors import ArgumentError, ConfigError
-from gonio.rig.description import Calibrated, ParameterUncertainty, RigDescription
+from gonio.rig.calibration_use import Calibrated, ParameterUncertainty
+from gonio.rig.description import RigDescription
 from gonio.typing import Floats
 
 FORMAT = 1

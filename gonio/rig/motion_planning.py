@@ -25,22 +25,16 @@ import numpy as np
 
 from gonio.errors import ConfigError
 from gonio.rig import misalignment
+from gonio.rig.bodies import CARRIERS, FINEST_MM, NAMES, PLANNED_MM, Pairs, Shape, _pairs, _shapes, _together
 from gonio.rig.description import Arms, Body, Cable, Geometry, Holder, RigDescription
 from gonio.rig.protocols import Pose
 from gonio.typing import Floats
 
-CARRIERS = ("bench", "light", "camera", "tilt", "spin")
-Vector = tuple[float, float, float]
 Angles = tuple[float, float, float, float, float]
 """light, camera, tilt, spin, azimuth [rad], as in `Pose`."""
 
-NAMES = ("light", "camera", "tilt", "spin", "azimuth")
 LANDING = math.radians(0.2)
 """How far beyond the ends of its way an axis may stand, by the tolerance of a landing."""
-FINEST_MM = 0.25
-"""Gaps smaller than this beyond the clearance are none."""
-PLANNED_MM = FINEST_MM
-"""Beyond the clearance, where a run is planned: a way with so much to spare is proved free by any finer look at it."""
 SKIN_MM = 0.1
 """Bodies that are flush with the sample's surface, within so much, do not stand in its light."""
 RIM = 12
@@ -64,53 +58,6 @@ class Blocked(ConfigError):
     def __init__(self, message: str, what: str, bodies: str) -> None:
         super().__init__(message)
         self.what, self.bodies = what, bodies
-
-
-@dataclass(frozen=True, slots=True)
-class Shape:
-    """All that lies within `radius` of the hull of some points, each in the frame of what carries it [mm]."""
-
-    body: str
-    on: tuple[str, str]
-    """What carries the first point, and what the others: only a cable is carried by two."""
-    points: tuple[Vector, ...]
-    radius: float
-    cable: bool = False
-
-    def levers(self, frames: Floats) -> dict[int, float]:
-        """How far it moves at most for one radian of an axis [mm], by the axis's number."""
-        out: dict[int, float] = {}
-        for place, point in enumerate(self.points):
-            for axis, lever in _levers(self.on[min(place, 1)], point, frames).items():
-                out[axis] = max(out.get(axis, 0.0), lever)
-        return out
-
-
-def _levers(on: str, point: Vector, frames: Floats) -> dict[int, float]:
-    x, y, z = point
-    whole, beside = math.hypot(x, y, z), abs(float(frames[3, 1, 3]))
-    off_azimuth = math.dist(frames[1, :, 3], frames[2, :, 3])
-    return {
-        "bench": {}, "light": {0: math.hypot(x, z)}, "camera": {1: math.hypot(x, z), 4: whole + off_azimuth},
-        "tilt": {2: math.hypot(y, z) + beside}, "spin": {2: whole + beside, 3: math.hypot(x, y)},
-    }[on]  # fmt: skip
-
-
-@dataclass(frozen=True, slots=True)
-class Pairs:
-    """Bodies two by two, which some axes move against each other; arrays as of `_clearance.first_too_close`."""
-
-    axes: tuple[int, ...]
-    shapes: tuple[tuple[Shape, Shape], ...]
-    kinds: np.ndarray
-    on: np.ndarray
-    points: Floats
-    counts: np.ndarray
-    levers: Floats
-    distances: Floats
-    """That two bodies have to keep, radii and clearance included; or that the ends of a cable may be apart [mm]."""
-    planned: Floats
-    """The same with `PLANNED_MM` to spare."""
 
 
 @dataclass(frozen=True)
@@ -273,42 +220,6 @@ def gaps(description: RigDescription, poses: Sequence[Pose]) -> list[dict[tuple[
 
 def _ends(cable: Shape) -> tuple[str, str]:
     return f"{cable.body}, {cable.on[0]} end", f"{cable.body}, {cable.on[1]} end"
-
-
-@dataclass(frozen=True, slots=True)
-class Outline:
-    """A body where it stands: all within `radius` of the hull of some points of the lab, shape (n, 3) [mm]."""
-
-    name: str
-    on: tuple[str, str]
-    points: Floats
-    radius: float
-    cable: bool
-
-
-def outlines(description: RigDescription, pose: Pose) -> list[Outline]:
-    """The two heads, the bodies, and the cables that hang, for a picture."""
-    from gonio.rig import _clearance
-
-    space = _space_of(description)
-    angles, out = space.true_angles(_angles(pose)), []
-    for shape in space.shapes:
-        points = np.empty((len(shape.points), 3))
-        on = np.array([CARRIERS.index(each) for each in shape.on])
-        _clearance.placed(on, np.array(shape.points), len(points), angles, space.frames, points)
-        out.append(Outline(shape.body, shape.on, points, shape.radius, shape.cable))
-    return out
-
-
-def cable_ends(description: RigDescription, pose: Pose, cable: Cable) -> Floats:
-    """Where the two ends of a cable are in the lab, shape (2, 3) [mm]."""
-    from gonio.rig import _clearance
-
-    space, out = _space_of(description), np.empty((2, 3))
-    on = np.array([CARRIERS.index(cable.from_on), CARRIERS.index(cable.to_on)])
-    points = np.array([cable.from_mm, cable.to_mm])
-    _clearance.placed(on, points, 2, space.true_angles(_angles(pose)), space.frames, out)
-    return out
 
 
 def resting(description: RigDescription) -> Pose:
@@ -571,82 +482,3 @@ def _space(
         groups=tuple(_together(axes, pairs, frames) for axes, pairs in by_axes.items()),
         harmonics=tuple(tuple((k, math.radians(c), math.radians(s)) for k, c, s in each) for each in rows),
     )
-
-
-def _together(axes: tuple[int, ...], pairs: list[tuple[int, Shape, Shape, float]], frames: Floats) -> Pairs:
-    from gonio.rig import _clearance
-
-    kinds, distances = np.array([kind for kind, *_ in pairs]), np.array([distance for *_, distance in pairs])
-    points, levers = np.zeros((len(pairs), 2, 8, 3)), np.zeros((len(pairs), len(NAMES)))
-    for number, (_, *shapes, _) in enumerate(pairs):
-        for which, shape in enumerate(shapes):
-            points[number, which, : len(shape.points)] = shape.points
-            for axis, lever in shape.levers(frames).items():
-                levers[number, axis] += lever
-    return Pairs(
-        axes=axes,
-        shapes=tuple((one, other) for _, one, other, _ in pairs),
-        kinds=kinds,
-        on=np.array([[[CARRIERS.index(on) for on in shape.on] for shape in shapes] for _, *shapes, _ in pairs]),
-        points=points,
-        counts=np.array([[len(shape.points) for shape in shapes] for _, *shapes, _ in pairs]),
-        levers=levers,
-        distances=distances,
-        planned=distances + np.where(kinds == _clearance.APART, PLANNED_MM, -PLANNED_MM),
-    )
-
-
-def _pairs(
-    shapes: Sequence[Shape], cables: Sequence[Cable], geometry: Geometry
-) -> Iterator[tuple[int, Shape, Shape, float]]:
-    """Every two shapes that can move against each other, and the two ends of each cable.
-
-    Cables may lie on each other, and on what carries their own ends.
-    """
-    from gonio.rig import _clearance
-
-    for one, other in itertools.combinations(shapes, 2):
-        if (one.cable and other.cable) or {*map(_carrier, one.on)} & {*map(_carrier, other.on)}:
-            continue
-        yield _clearance.APART, one, other, one.radius + other.radius + geometry.clearance_mm
-    for cable in cables:
-        ends = [
-            Shape(cable.name, (on, other), (at,), 0.0, cable=True)
-            for on, other, at in (
-                (cable.from_on, cable.to_on, cable.from_mm),
-                (cable.to_on, cable.from_on, cable.to_mm),
-            )
-        ]
-        yield _clearance.TIED, ends[0], ends[1], cable.length_mm
-
-
-def _carrier(on: str) -> str:
-    return "holder" if on in ("tilt", "spin") else on
-
-
-def _shapes(bodies: tuple[Body, ...], cables: tuple[Cable, ...], geometry: Geometry, arms: Arms) -> tuple[Shape, ...]:
-    """The two heads, the bodies, and the cables that hang."""
-    heads = []
-    for name, on, axis, distance, radius in (
-        ("source head", "light", arms.light, geometry.light_distance_mm, geometry.light_body_radius_mm),
-        ("camera head", "camera", arms.camera, geometry.camera_distance_mm, geometry.camera_body_radius_mm),
-    ):
-        if radius > 0.0:
-            heads.append(Shape(name, (on, on), (misalignment.head(axis, distance),), radius))
-    hanging = [
-        Shape(c.name, (c.from_on, c.to_on), (c.from_mm, c.to_mm), c.radius_mm + c.sag_mm, cable=True)
-        for c in cables
-        if c.sag_mm is not None
-    ]
-    return (*heads, *map(_shape, bodies), *hanging)
-
-
-def _shape(body: Body) -> Shape:
-    if body.from_mm is not None and body.to_mm is not None and body.radius_mm is not None:
-        points = (body.from_mm,) if body.from_mm == body.to_mm else (body.from_mm, body.to_mm)
-        return Shape(body.name, (body.on, body.on), points, body.radius_mm)
-    assert body.centre_mm is not None
-    assert body.size_mm is not None
-    sides = [(c - s / 2, c + s / 2) for c, s in zip(body.centre_mm, body.size_mm, strict=True)]
-    corners = tuple((x, y, z) for x in sides[0] for y in sides[1] for z in sides[2])
-    return Shape(body.name, (body.on, body.on), corners, 0.0)

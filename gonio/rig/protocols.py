@@ -16,7 +16,8 @@ from typing import Literal, Protocol, Self
 import numpy as np
 import numpy.typing as npt
 
-from gonio.rig.description import Band, RigDescription, SampleDescription
+from gonio.rig.bands import Band
+from gonio.rig.description import RigDescription, SampleDescription
 from gonio.rig.health import Health
 
 Target = Literal["sample", "reference"]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from gonio.rig.description import Camera
+from gonio.rig.light_and_camera import Camera
 from gonio.typing import Floats
 
 

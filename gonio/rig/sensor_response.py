@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from gonio.disk import read_file, write_whole
 from gonio.errors import ConfigError
-from gonio.rig.description import Camera
+from gonio.rig.light_and_camera import Camera
 from gonio.typing import Floats
 
 FORMAT = 1

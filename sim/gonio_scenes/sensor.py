@@ -9,9 +9,9 @@ from pydantic import Field, model_validator
 
 from gonio.config import Strict
 from gonio.errors import ConfigError
-from gonio.rig.description import Camera as SensorModel
-from gonio.rig.description import NonNegative, Positive
+from gonio.rig.light_and_camera import Camera as SensorModel
 from gonio.rig.protocols import Frame
+from gonio.rig.ranges import NonNegative, Positive
 from gonio.typing import Floats
 from gonio_scenes.camera import Camera
 

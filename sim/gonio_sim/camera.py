@@ -13,7 +13,8 @@ import numpy.typing as npt
 
 from gonio.errors import ConfigError, DeviceError
 from gonio.rig import Frame
-from gonio.rig.description import Band, Camera
+from gonio.rig.bands import Band
+from gonio.rig.light_and_camera import Camera
 from gonio_sim.world import Stream, World
 
 if TYPE_CHECKING:

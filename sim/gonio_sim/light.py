@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from gonio.errors import ConfigError
-from gonio.rig.description import Band
+from gonio.rig.bands import Band
 from gonio_sim.world import Stream, World
 
 

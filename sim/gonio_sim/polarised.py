@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gonio.geometry import Directions
-from gonio.rig.description import Polarisation, RigDescription
+from gonio.rig.description import RigDescription
 from gonio.rig.kinematics import View
+from gonio.rig.light_and_camera import Polarisation
 from gonio.typing import Floats
 
 if TYPE_CHECKING:

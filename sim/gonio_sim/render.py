@@ -24,7 +24,8 @@ import numpy.typing as npt
 from gonio import geometry
 from gonio.errors import ConfigError
 from gonio.rig import Pose, fiducials
-from gonio.rig.description import Band, Fiducials, Holder, SampleDescription
+from gonio.rig.bands import Band
+from gonio.rig.description import Fiducials, Holder, SampleDescription
 from gonio.rig.imaging import PixelMap, of_channel, pixel_map
 from gonio.rig.kinematics import View, directions, view
 from gonio.typing import Floats

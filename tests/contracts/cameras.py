@@ -14,7 +14,9 @@ from gonio_drivers.cameras import build
 from gonio_sim.wire.uvc import VideoStandIn
 
 from gonio.rig import CameraDevice, LightDevice
-from gonio.rig.description import Band, Bands, Camera, RigDescription
+from gonio.rig.bands import Band, Bands
+from gonio.rig.description import RigDescription
+from gonio.rig.light_and_camera import Camera
 
 NAMES = ("sequence", "uvc", "genicam")
 DESCRIPTION = RigDescription(

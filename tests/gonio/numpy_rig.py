@@ -15,17 +15,9 @@ import numpy as np
 from gonio.acquisition.progress import Live, Silent
 from gonio.errors import DeviceError
 from gonio.rig import Frame, Pose, Step, Target
-from gonio.rig.description import (
-    Acquisition,
-    Arms,
-    Band,
-    Bands,
-    Camera,
-    Holder,
-    Reference,
-    RigDescription,
-    SampleDescription,
-)
+from gonio.rig.bands import Band, Bands
+from gonio.rig.description import Acquisition, Arms, Holder, Reference, RigDescription, SampleDescription
+from gonio.rig.light_and_camera import Camera
 
 BANDS = (Band(name="green, 550", centre_nm=550, fwhm_nm=20), Band(name="red 650", centre_nm=650, fwhm_nm=20))
 

@@ -10,7 +10,8 @@ from pydantic import Field
 
 from gonio.config import Strict, load, parse, read_toml
 from gonio.errors import ConfigError
-from gonio.rig.description import Bands, RigDescription
+from gonio.rig.bands import Bands
+from gonio.rig.description import RigDescription
 
 RIG: dict[str, Any] = {
     "rig": "sim",

@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 import pytest
 from gonio_bluesky import Frames
-from gonio_bluesky.event_documents import Document, documents, read, write
+from gonio_bluesky.event_documents import Document, documents
+from gonio_bluesky.event_files import read, write
 
 from gonio import plugins
 from gonio.acquisition.journal import Journal, encode, now

@@ -8,7 +8,7 @@ import tomllib
 from pathlib import Path
 
 import pytest
-from gonio_bluesky.event_documents import read
+from gonio_bluesky.event_files import read
 
 from gonio import measurement
 from gonio.config import parse

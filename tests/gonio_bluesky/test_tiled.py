@@ -7,7 +7,7 @@ import math
 from pathlib import Path
 
 import pytest
-from gonio_bluesky.event_documents import read, write
+from gonio_bluesky.event_files import read, write
 
 from gonio.acquisition.run import Run
 from gonio.reduction import brdf

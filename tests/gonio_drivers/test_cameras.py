@@ -26,9 +26,11 @@ from gonio_sim.wire.uvc import VideoStandIn
 
 from gonio.errors import ConfigError, DataError, DeviceError
 from gonio.rig import Frame
-from gonio.rig.description import Band, Bands, Camera, RigDescription
+from gonio.rig.bands import Band, Bands
+from gonio.rig.description import RigDescription
 from gonio.rig.dng import read_raw, write_dng
-from gonio.rig.imaging import require_frame
+from gonio.rig.light_and_camera import Camera
+from gonio.rig.regions import require_frame
 
 SIZE = (48, 64)
 DESCRIPTION = RigDescription(

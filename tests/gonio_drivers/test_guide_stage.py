@@ -21,7 +21,8 @@ from gonio import plugins
 from gonio.config import parse
 from gonio.errors import ConfigError, DeviceError
 from gonio.rig import Pose
-from gonio.rig.description import Band, Bands, RigDescription
+from gonio.rig.bands import Band, Bands
+from gonio.rig.description import RigDescription
 from tests.contracts.rigs import imported
 from tests.places import ROOT
 

@@ -23,7 +23,9 @@ from gonio_sim.wire.peer import SerialPeer
 
 from gonio.errors import ConfigError, DeviceError, EmergencyStop
 from gonio.rig import clock
-from gonio.rig.description import Band, Bands, Lamp, RigDescription
+from gonio.rig.bands import Band, Bands
+from gonio.rig.description import RigDescription
+from gonio.rig.light_and_camera import Lamp
 from tests.places import ROOT
 
 BANDS = (Band(name="blue", centre_nm=460, fwhm_nm=20), Band(name="red", centre_nm=630, fwhm_nm=20))

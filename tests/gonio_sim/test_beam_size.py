@@ -18,7 +18,8 @@ from gonio.reduction import brdf
 from gonio.rig import beam_size
 from gonio.rig.description import RigDescription
 from gonio.rig.imaging import pixel_map
-from gonio.rig.kinematics import reach, view
+from gonio.rig.inverse_kinematics import reach
+from gonio.rig.kinematics import view
 from tests.gonio_sim.conftest import MATTE, describe
 
 SMALL = {"width": 128, "height": 96}

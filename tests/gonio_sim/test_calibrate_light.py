@@ -19,7 +19,7 @@ from gonio.disk import write_whole
 from gonio.errors import DeviceError
 from gonio.rig import Frame
 from gonio.rig.calibrated import Calibration, identity, read_calibration, write_calibration
-from gonio.rig.description import ParameterUncertainty
+from gonio.rig.calibration_use import ParameterUncertainty
 from tests.command_line import gonio
 from tests.gonio_sim.conftest import describe
 

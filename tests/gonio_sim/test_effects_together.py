@@ -20,7 +20,8 @@ from gonio.errors import ConfigError
 from gonio.reduction import brdf, monte_carlo
 from gonio.reduction.budget import COMPONENTS
 from gonio.rig.calibrated import with_keys
-from gonio.rig.description import Calibrated, CalibrationUse, RigDescription
+from gonio.rig.calibration_use import Calibrated, CalibrationUse
+from gonio.rig.description import RigDescription
 from tests.gonio_sim.conftest import MATTE, describe
 from tests.gonio_sim.test_misaligned_rig import ERRORS
 

@@ -22,7 +22,7 @@ from gonio.geometry import Directions
 from gonio.reduction import count_rates
 from gonio.reduction.brdf import reduce
 from gonio.rig.calibrated import Calibration, identity, write_calibration
-from gonio.rig.description import ParameterUncertainty
+from gonio.rig.calibration_use import ParameterUncertainty
 from tests.gonio_sim.conftest import describe
 
 SMALL = {"width": 96, "height": 96, "pixel_um": 25.0}

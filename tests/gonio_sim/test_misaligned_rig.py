@@ -24,8 +24,9 @@ from gonio.reduction import brdf
 from gonio.reduction.geometry_errors import GeometryErrors
 from gonio.rig import Pose
 from gonio.rig.calibrated import with_keys
-from gonio.rig.description import Calibrated, CalibrationUse, RigDescription
-from gonio.rig.kinematics import reach
+from gonio.rig.calibration_use import Calibrated, CalibrationUse
+from gonio.rig.description import RigDescription
+from gonio.rig.inverse_kinematics import reach
 from gonio.typing import Floats
 from tests.gonio.rig import plain_rig
 from tests.gonio_sim.conftest import MATTE, describe

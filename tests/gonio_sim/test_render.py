@@ -19,7 +19,8 @@ from gonio.geometry import angles, solid_angle_of_cone
 from gonio.instrument import apparent_brdf
 from gonio.reduction import brdf
 from gonio.rig import Pose, Target
-from gonio.rig.description import Band, RigDescription, SampleDescription
+from gonio.rig.bands import Band
+from gonio.rig.description import RigDescription, SampleDescription
 from gonio.rig.imaging import pixel_map
 from gonio.rig.kinematics import view
 from gonio.typing import Floats

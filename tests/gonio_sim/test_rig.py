@@ -16,7 +16,8 @@ from scipy import stats
 from gonio import plugins
 from gonio.errors import ConfigError, DeviceError
 from gonio.rig import Pose, RigPlugin
-from gonio.rig.description import Band, SampleDescription
+from gonio.rig.bands import Band
+from gonio.rig.description import SampleDescription
 from tests.gonio_sim.conftest import MATTE, describe, step
 
 Build = Callable[..., SimulatedRig]

@@ -25,7 +25,7 @@ from gonio.acquisition.sampling import Choice, about, sampler_of
 from gonio.errors import ConfigError, Interrupted
 from gonio.geometry import Directions
 from gonio.reduction.brdf import reduce
-from gonio.rig import Pose, kinematics
+from gonio.rig import Pose, inverse_kinematics, kinematics
 from gonio.rig.description import SampleDescription
 from tests.gonio.numpy_rig import StopAfter
 
@@ -68,7 +68,7 @@ class ManualRig:
 
     def measure(self, points: tuple[Point, ...]) -> None:
         for point in points:
-            read = kinematics.reach(SIM, point.directions)
+            read = inverse_kinematics.reach(SIM, point.directions)
             step = math.radians(SIM.arms.light.encoder_step_deg)
             off = {name: zero + step * (self.rng.random() - 0.5) for name, zero in self.zero.items()}
             true = kinematics.directions(SIM, Pose(**{n: getattr(read, n) + off.get(n, 0.0) for n in AXES}))

@@ -15,7 +15,7 @@ from gonio.acquisition.measure import find_rig
 from gonio.disk import write_own
 from gonio.measurement import read
 from gonio.rig.calibrated import Calibration, identity, write_calibration
-from gonio.rig.description import ParameterUncertainty
+from gonio.rig.calibration_use import ParameterUncertainty
 from tests.command_line import gonio
 from tests.system.conftest import LAMBERT
 from tests.system.test_calibrate_camera import small

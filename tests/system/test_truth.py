@@ -10,7 +10,8 @@ import numpy as np
 import pandas as pd
 import pytest
 from gonio_analysis.fitting.observations import observations
-from gonio_analysis.selection.choice import Candidate, choose
+from gonio_analysis.selection.choice import choose
+from gonio_analysis.selection.judging import Candidate
 
 from gonio.acquisition.run import Run
 from gonio.measurement import read

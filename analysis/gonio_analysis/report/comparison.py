@@ -22,8 +22,8 @@ from gonio_analysis.report import checks, verdict
 from gonio_analysis.report.facts import DatasetSummary, MetricSummary, Summary
 from gonio_analysis.report.text import difference, number, slug
 from gonio_analysis.result_records import Appearance, MeasuredValue, finite
-from gonio_analysis.selection.choice import nearness
 from gonio_analysis.selection.compare import Dataset
+from gonio_analysis.selection.judging import nearness
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -12,7 +12,8 @@ from gonio_analysis.report.blocks import Block, Heading, Notes, Paragraph, Table
 from gonio_analysis.report.text import glued, number, percent, with_u
 from gonio_analysis.report.verdict import times
 from gonio_analysis.result_records import MisfitSummary
-from gonio_analysis.selection.choice import DECISIVE, Choice, Judged
+from gonio_analysis.selection.choice import Choice
+from gonio_analysis.selection.judging import DECISIVE, Judged
 from gonio_analysis.selection.misfit_regions import ALIKE
 
 TAU = (

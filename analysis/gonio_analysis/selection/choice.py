@@ -17,97 +17,35 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
-import numpy as np
-
 from gonio.cli.console import duration
-from gonio.cli.pace import QUIET_S, Say, silent
+from gonio.cli.pace import QUIET_S, Say
 from gonio.errors import ConfigError, DataError
-from gonio.geometry import Directions
 from gonio.models.declaration import Ior, Values
 from gonio.typing import Floats
 from gonio_analysis.fitting import parameters
 from gonio_analysis.fitting.fit import FitResult, fit
-from gonio_analysis.fitting.misfit import groupings
-from gonio_analysis.fitting.objective import smallest
 from gonio_analysis.fitting.observations import Observations
-from gonio_analysis.fitting.problem import FitRequest, pose
+from gonio_analysis.fitting.problem import pose
 from gonio_analysis.fitting.profile_likelihood import Interval, Profiles, profiles
 from gonio_analysis.fitting.solution import SIGNIFICANCE
-from gonio_analysis.fitting.surrogate import Near, Rows
-from gonio_analysis.selection.misfit_regions import Region, blocks, farthest
+from gonio_analysis.selection.judging import (
+    DECISIVE,
+    MANY,
+    Candidate,
+    Judged,
+    _compared,
+    _judged,
+    _near,
+    _reject,
+    _tested,
+    deviance,
+    nearness,
+)
+from gonio_analysis.selection.misfit_regions import blocks
 from gonio_analysis.selection.parallel import Share, here
 
-TOLD_APART = 2.0
-"""Standard uncertainties of the difference of two models' errors beyond which they are told apart."""
-DECISIVE = 10.0
-"""Difference in AIC beyond which the worse model has essentially no support (Burnham and Anderson 2002, 2.6)."""
 BEYOND = 2
 """Models with more parameters than this beyond the first that chi-square does not reject are not tried."""
-MANY = 20_000
-"""Of more values than this, held-out errors take an even selection, and intervals are not walked out: with so many the
-standard errors are as good."""
-
-
-@dataclass(frozen=True)
-class Candidate:
-    """A model with what of it is fitted."""
-
-    model: str
-    """As on the command line; sums as "oren-nayar+phong"."""
-    free: tuple[str, ...] = ()
-    slopes: int = 1
-    asked: bool = field(default=True, compare=False)
-    """Whether it was named, and not tried as one of all."""
-
-    @property
-    def label(self) -> str:
-        """For reports."""
-        return self.model + (", two slopes" if self.slopes == 2 else "") + (", n + ik" if "k" in self.free else "")
-
-    def request(self, ior: Ior, metric: str | None = None, energy: bool = False) -> FitRequest:
-        """Its fit, with the optical constants where it has any."""
-        own = ior if parameters.needs_ior(self.model) else None
-        return FitRequest(self.model, ior=own, free=self.free, slopes=self.slopes, metric=metric, energy=energy)
-
-
-@dataclass(frozen=True)
-class Judged:
-    """A candidate after its fit."""
-
-    candidate: Candidate
-    fit: FitResult
-    aic: float
-    bic: float
-    held_out: float | None
-    """Mean squared whitened residual of values that the fit had not seen; of logarithms without uncertainties."""
-    misses: Floats | None
-    """Squared differences of logarithms of the same (n,), by the fits of which each value was left out."""
-    fails: Region | None
-    """Where the misfit is largest."""
-    rejected: str = ""
-    """Why the data reject it, in words; "" where they do not."""
-    wall_s: float = 0.0
-
-    def summary(self) -> dict[str, object]:
-        """Plain numbers and words."""
-        fit = self.fit
-        return {
-            "label": self.candidate.label,
-            "model": self.candidate.model,
-            "n_free": len(fit.free),
-            "free": fit.free,
-            "parameters": {n: e.number for n, e in fit.parameters.items()},
-            "chi_square": fit.chi_square,
-            "reduced_chi_square": fit.reduced_chi_square,
-            "p_value": fit.p_value,
-            "aic": self.aic,
-            "bic": self.bic,
-            "held_out": self.held_out,
-            "wall_s": self.wall_s,
-            "misfit": fit.tau,
-            "rejected": self.rejected,
-            "fails": self.fails,
-        }
 
 
 @dataclass(frozen=True)
@@ -375,14 +313,6 @@ def _values(result: FitResult) -> Values:
     return dict(result.problem.values(result.vector))
 
 
-def deviance(result: FitResult) -> float:
-    """-2 log L of a fit, up to a constant of its data; without uncertainties the scatter is fitted too."""
-    n, total = len(result.data), float(result.whitened @ result.whitened)
-    if result.chi_square is not None:
-        return total if result.misfit is None else result.chi_square
-    return n * math.log(max(total, 1e-300) / n)
-
-
 def _farness(result: FitResult) -> tuple[float, float]:
     """Of fits of one model to the same values the nearest has the least."""
     return 0.0 if result.misfit is None else result.misfit.tau, deviance(result)
@@ -390,109 +320,6 @@ def _farness(result: FitResult) -> tuple[float, float]:
 
 def _profiles(result: FitResult, say: Say) -> Profiles:
     return profiles(result)
-
-
-Tested = tuple[float | None, Floats | None, float]
-"""`Judged.held_out` and `Judged.misses`, and the time that they took [s]."""
-
-
-def _tested(result: FitResult, folds: Sequence[Rows], say: Say = silent) -> Tested:
-    began = time.perf_counter()
-    error, misses = _held_out(result, folds)
-    return error, misses, time.perf_counter() - began
-
-
-def _judged(candidate: Candidate, result: FitResult, tested: Tested, wall_s: float) -> Judged:
-    n, p = len(result.data), len(result.free)
-    error, misses, took = tested
-    return Judged(
-        candidate,
-        result,
-        deviance(result) + 2 * p,
-        deviance(result) + p * math.log(n),
-        error,
-        misses,
-        farthest(result),
-        wall_s=wall_s + took,
-    )
-
-
-def _held_out(result: FitResult, folds: Sequence[Rows]) -> tuple[float | None, Floats | None]:
-    """`Judged.held_out` and `Judged.misses`; None where blocks are too few to leave one out."""
-    if len(folds) < 2:
-        return None, None
-    everything = np.arange(0, len(result.data), -(-len(result.data) // MANY))
-    free = np.arange(len(result.free))
-    total, misses = 0.0, np.full(len(result.data), np.nan)
-    scale = 2.0 * smallest(result.data)
-    for fold in (np.intersect1d(everything, whole) for whole in folds):
-        rest = np.setdiff1d(everything, fold)
-        if rest.size <= free.size:
-            return None, None
-        vector, _ = Near(result, rest).refit(result.vector, free, limit=15)
-        left = Near(result, fold)
-        predicted, known = left.predicted(vector), left.data.covariance
-        stated = known is not None and result.goal.whitened
-        residual = known.whiten(predicted - left.data.brdf) if stated and known else left.goal.residual(predicted)
-        total += float(residual @ residual)
-        misses[fold] = (np.arcsinh(predicted / scale) - np.arcsinh(left.data.brdf / scale)) ** 2
-    return total / everything.size, misses
-
-
-def _near(judged: Sequence[Judged]) -> dict[str, float]:
-    """`Choice.near`: the weight of a model falls with its excess over the nearest, in uncertainties of that excess."""
-    tested = [j for j in judged if j.misses is not None and j.fit.misfit is not None]
-    if len(tested) < len(judged):  # one is not rejected, or a metric was asked for
-        return {}
-    best = min(tested, key=_prediction)
-    out = {best.candidate.label: 1.0}
-    for j in sorted(tested, key=_prediction):
-        assert j.misses is not None
-        assert best.misses is not None
-        kept = np.isfinite(j.misses)
-        if j is not best:
-            excess = _excess(j.misses[kept], best.misses[kept], j.fit.data.directions[kept])
-            if excess <= TOLD_APART:
-                out[j.candidate.label] = math.exp(-0.5 * max(excess, 0.0) ** 2)
-    return out
-
-
-def _excess(worse: Floats, better: Floats, directions: Directions) -> float:
-    """By how much one model predicts worse than another, in standard uncertainties of that.
-
-    Blocks of directions count alike, each by the logarithm of the ratio of its mean squares: where both models fail in
-    one place, that place alone does not decide.
-    """
-    means, variances = [], []
-    for number in groupings(directions):
-        ratio = np.log(np.maximum(np.bincount(number, worse), 1e-300) / np.maximum(np.bincount(number, better), 1e-300))
-        means.append(float(ratio.mean()))
-        variances.append(float(ratio.var(ddof=1)) / ratio.size if ratio.size > 1 else math.inf)
-    return float(np.mean(means)) / max(math.sqrt(float(np.mean(variances))), 1e-12)
-
-
-def _prediction(j: Judged) -> float:
-    """Root mean square of the logarithms of what was left out, over its prediction."""
-    return math.inf if j.misses is None else math.sqrt(float(np.nanmean(j.misses)))
-
-
-def _reject(judged: Sequence[Judged]) -> list[Judged]:
-    """Why the data reject each, where they do."""
-    best, near = min(judged, key=lambda j: j.aic), _near(judged)
-    out = []
-    for j in judged:
-        p = j.fit.p_value
-        why = ""
-        if p is not None and p < SIGNIFICANCE:
-            why = f"reduced chi-square {j.fit.reduced_chi_square:.4g} (p {'< 0.0001' if p < 1e-4 else f'= {p:.2g}'})"
-        elif near:
-            if j.candidate.label not in near:
-                why = f"{next(iter(near))} predicts values that were left out better"
-        elif j.aic - best.aic > DECISIVE and (best.fit.p_value is None or best.fit.p_value >= SIGNIFICANCE):
-            behind = j.aic - best.aic
-            why = f"{best.candidate.label} describes the same values better by {behind:.{behind < 100:d}f} in AIC"
-        out.append(replace(j, rejected=why))
-    return out
 
 
 def _words(judged: Sequence[Judged], named: Judged | None, near: Mapping[str, float]) -> str:
@@ -538,49 +365,3 @@ def _best(judged: Sequence[Judged], named: Judged | None, near: Mapping[str, flo
     if near:
         return next(j for j in judged if j.candidate.label in near)
     return lowest if named is None or named.fit.reduced_chi_square is None else named
-
-
-def nearness(label: str, result: FitResult, fails: Region | None, near: Mapping[str, float], tried: int) -> str:
-    """How far a model is from the sample, where it is farthest off, and what it cannot be told from, in sentences.
-
-    Parameters
-    ----------
-    label, result
-        The model that is put first, and its fit, which has a misfit.
-    fails
-        Where it is farthest off.
-    near
-        See `Choice.near`.
-    tried
-        Number of models.
-    """
-    assert result.tau is not None
-    first = next(iter(near), label)
-    if tried == 1:
-        which = "the only model tried"
-    elif first == label:
-        which = f"the nearest of the {tried} models tried"
-    else:
-        which = f"the simplest of the models that cannot be told apart from the nearest, {first}"
-    off = result.tau.of("this sample") + (f", worst {fails.off}" if fails is not None and fails.off else "")
-    text = f"{label} is {which}: it {off}."
-    others = [n for n in near if n not in (label, first)]
-    if others:
-        text += f" This plan cannot tell {'it' if first == label else 'either'} from {', '.join(others)}."
-    return text
-
-
-def _compared(judged: Sequence[Judged], named: Judged, best: Judged) -> str:
-    """The finding where no chi-square says whether a model is good enough."""
-    by = f"the metric {named.fit.goal.metric}"
-    if len(judged) == 1:
-        return f"{named.candidate.label} is the only model tried; nothing says whether it is good enough."
-    if named is best:
-        text = f"{named.candidate.label} comes nearest of the {len(judged)} models that were tried, by {by} and AIC."
-    else:
-        text = (
-            f"{best.candidate.label} comes nearest of the {len(judged)} models that were tried, by {by} and AIC;"
-            f" {named.candidate.label} is the simplest within {DECISIVE:g} of it."
-        )
-    why = "the table states no uncertainties" if named.fit.data.covariance is None else f"{by} takes no account of them"
-    return f"{text} This compares models with each other: {why}, so nothing says whether any is good enough."

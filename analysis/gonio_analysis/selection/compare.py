@@ -30,7 +30,8 @@ from gonio_analysis.fitting.observations import Observations, observations
 from gonio_analysis.fitting.spectrum import MOST_WAVELENGTHS, fit_shared, shares
 from gonio_analysis.result_records import Reflectance, RunFacts
 from gonio_analysis.selection import energy, parallel
-from gonio_analysis.selection.choice import DECISIVE, Choice, Judged, candidates, choose, deviance
+from gonio_analysis.selection.choice import Choice, candidates, choose
+from gonio_analysis.selection.judging import DECISIVE, Judged, deviance
 from gonio_analysis.selection.misfit_regions import Region, farthest
 from gonio_analysis.selection.parallel import Share
 from gonio_analysis.selection.polarisation import Polarisation, polarisation

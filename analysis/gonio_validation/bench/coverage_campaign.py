@@ -35,7 +35,8 @@ from gonio.errors import GonioError, Interrupted
 from gonio.geometry import AROUND_MIRROR, Directions
 from gonio.reduction import brdf
 from gonio.rig.calibrated import Calibration, identity, uncalibrated, with_keys, write_calibration
-from gonio.rig.description import ParameterUncertainty, RigDescription
+from gonio.rig.calibration_use import ParameterUncertainty
+from gonio.rig.description import RigDescription
 from gonio.typing import Floats
 from gonio_validation.bench.campaigns import Record
 from gonio_validation.bench.coverage_hidden import Campaign

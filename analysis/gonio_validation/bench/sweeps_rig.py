@@ -26,7 +26,8 @@ from gonio.geometry import Directions, solid_angle_of_cone
 from gonio.instrument import apparent_brdf
 from gonio.models import Model
 from gonio.rig import Pose, Step, kinematics
-from gonio.rig.description import Band, RigDescription
+from gonio.rig.bands import Band
+from gonio.rig.description import RigDescription
 from gonio.typing import Floats
 
 BEYOND = math.radians(89.9)

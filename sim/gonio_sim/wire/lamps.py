@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from gonio.rig import clock
-from gonio.rig.description import Band
+from gonio.rig.bands import Band
 from gonio_sim.wire.faults import LAMP, LOCK_QUESTIONS, Faults
 
 Send = Callable[[bytes], None]

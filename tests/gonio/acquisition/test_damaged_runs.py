@@ -23,7 +23,7 @@ from gonio.acquisition.plan import load_plan
 from gonio.acquisition.run import Run
 from gonio.errors import GonioError
 from gonio.reduction import brdf
-from gonio.rig.description import Camera
+from gonio.rig.light_and_camera import Camera
 from tests.gonio.numpy_rig import PLAN, SAMPLE, Plugin, describe
 
 pytestmark = pytest.mark.slow

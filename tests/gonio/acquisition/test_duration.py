@@ -14,7 +14,8 @@ from gonio.acquisition.exposure import expected_bracket, expected_exposure_s
 from gonio.acquisition.plan import Plan, Point
 from gonio.acquisition.schedule import schedule
 from gonio.rig import Pose, Step
-from gonio.rig.description import Acquisition, ArmAxis, Arms, Body, Cable, Lamp, RigDescription
+from gonio.rig.description import Acquisition, ArmAxis, Arms, Body, Cable, RigDescription
+from gonio.rig.light_and_camera import Lamp
 from gonio.rig.motion_planning import route
 from tests.gonio.numpy_rig import BANDS, describe
 

@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from gonio.acquisition import exposure
 from gonio.errors import DeviceError
 from gonio.rig import Frame, Pose
-from gonio.rig.description import Camera, RigDescription
+from gonio.rig.description import RigDescription
+from gonio.rig.light_and_camera import Camera
 from tests.gonio.numpy_rig import describe
 
 RIG = describe()

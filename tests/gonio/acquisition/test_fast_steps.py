@@ -22,7 +22,8 @@ from gonio.acquisition.repair import find_damage
 from gonio.acquisition.run import Run
 from gonio.errors import DataError
 from gonio.rig import Frame, Step
-from gonio.rig.description import Acquisition, Bands, Reference, RigDescription, SampleDescription
+from gonio.rig.bands import Bands
+from gonio.rig.description import Acquisition, Reference, RigDescription, SampleDescription
 from tests.gonio.numpy_rig import BANDS, SAMPLE, NumpyRig, describe
 
 POINTS = 240

@@ -21,7 +21,7 @@ from gonio.acquisition.progress import Silent
 from gonio.acquisition.records import FrameRecord, StepRecord
 from gonio.acquisition.run import Run
 from gonio.errors import ConfigError, DataError, DeviceError, GonioError
-from gonio.reduction import brdf, count_rates
+from gonio.reduction import brdf, count_rates, threads
 from gonio.rig import Frame
 from gonio.rig.description import Reference
 from gonio.rig.dng import read_raw, read_record
@@ -510,9 +510,9 @@ def test_threads_take_a_few_items_ahead() -> None:
             asked.append(k)
             yield k
 
-    for k, done in enumerate(count_rates.in_threads(abs, ask())):
+    for k, done in enumerate(threads.in_threads(abs, ask())):
         assert done == k
-        assert len(asked) - k <= 2 * count_rates.THREADS + 1
+        assert len(asked) - k <= 2 * threads.THREADS + 1
 
 
 def test_a_refused_resume_has_changed_nothing(measure: Measure, tmp_path: Path) -> None:

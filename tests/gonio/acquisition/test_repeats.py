@@ -18,7 +18,7 @@ from gonio.acquisition.run import Run
 from gonio.errors import DataError, DeviceError
 from gonio.reduction import brdf
 from gonio.rig import Frame
-from gonio.rig.description import Camera
+from gonio.rig.light_and_camera import Camera
 from tests.gonio.numpy_rig import PLAN, SAMPLE, NumpyRig, Plugin, describe
 
 NOISY = Camera(width=64, height=48, pixel_um=40, exposure_limits_s=(1e-4, 10.0), photon_noise=True)

@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gonio.rig import Frame
-from gonio.rig.description import Camera
+from gonio.rig.light_and_camera import Camera
 
 HEIGHT, WIDTH = 240, 320
 READ_E = 5.0

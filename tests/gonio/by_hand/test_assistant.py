@@ -21,7 +21,8 @@ from gonio.by_hand.manual_rig import ManualRig
 from gonio.config import to_toml
 from gonio.errors import DeviceError, Disturbed
 from gonio.rig import Frame, Pose, imaging, kinematics
-from gonio.rig.description import Camera, Lamp, Reference, RigDescription, SampleDescription
+from gonio.rig.description import Reference, RigDescription, SampleDescription
+from gonio.rig.light_and_camera import Camera, Lamp
 from tests.gonio.by_hand.test_lamp_timer import Clock
 from tests.gonio.numpy_rig import NumpyRig, describe
 

@@ -12,7 +12,7 @@ from gonio.by_hand import looking
 from gonio.by_hand.live_picture import pictures
 from gonio.rig import Frame
 from gonio.rig.description import RigDescription
-from gonio.rig.imaging import Roi
+from gonio.rig.regions import Roi
 from tests.gonio.by_hand.frames import HEIGHT, WIDTH, camera, ellipse, expose, texture
 from tests.gonio.numpy_rig import describe
 

@@ -9,7 +9,7 @@ import pytest
 
 from gonio.by_hand.snapshot import Snapshot
 from gonio.rig import Frame
-from gonio.rig.description import Camera
+from gonio.rig.light_and_camera import Camera
 from tests.gonio.by_hand.frames import HEIGHT, WIDTH, camera, expose
 
 

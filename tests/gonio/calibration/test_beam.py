@@ -11,7 +11,8 @@ import pytest
 from gonio.calibration import beam
 from gonio.errors import DataError
 from gonio.rig import Pose, imaging, kinematics
-from gonio.rig.description import Beam, RigDescription
+from gonio.rig.description import RigDescription
+from gonio.rig.light_and_camera import Beam
 from tests.gonio.reduction.made_run import describe
 
 TRUE = (0.002, -0.001, -2e-4, 3e-5, -1.5e-4)

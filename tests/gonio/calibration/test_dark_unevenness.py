@@ -11,7 +11,8 @@ import pytest
 
 from gonio.calibration.camera import _Work
 from gonio.calibration.camera_frames import CameraFrame
-from gonio.rig.description import Camera, Lamp, RigDescription
+from gonio.rig.description import RigDescription
+from gonio.rig.light_and_camera import Camera, Lamp
 
 SHAPE = 48, 64
 EXPOSURES_S = (0.001, 15.0, 30.0, 60.0)

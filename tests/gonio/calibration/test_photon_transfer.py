@@ -12,7 +12,7 @@ from gonio_sim.camera import Sensor
 
 from gonio.calibration import linearity, photon_transfer, pixel_statistics, response
 from gonio.errors import DataError
-from gonio.rig.description import Camera
+from gonio.rig.light_and_camera import Camera
 from gonio.rig.sensor_response import bent, straightened
 from tests.places import measured
 

@@ -12,7 +12,7 @@ import pytest
 from gonio.calibration import spectral
 from gonio.calibration.polariser import polarised
 from gonio.errors import DataError
-from gonio.rig.description import Band, Bands, Tunable
+from gonio.rig.bands import Band, Bands, Tunable
 
 
 def test_centre_and_width_of_noisy_gaussian_bands_have_honest_uncertainties() -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from gonio.live.alignment import AlignmentPage
 from gonio.live.server import Request, Server
-from gonio.rig.description import Lamp
+from gonio.rig.light_and_camera import Lamp
 from tests.browser import CHROMIUM, Page, browser
 from tests.gonio.by_hand.test_assistant import Scene, Session, rig, session
 

@@ -22,8 +22,10 @@ from gonio.geometry import Directions
 from gonio.reduction import brdf as radiometry
 from gonio.reduction import count_rates
 from gonio.rig import Frame, Pose
-from gonio.rig.description import ArmAxis, Arms, Band, Lamp
+from gonio.rig.bands import Band
+from gonio.rig.description import ArmAxis, Arms
 from gonio.rig.dng import read_raw
+from gonio.rig.light_and_camera import Lamp
 from tests.gonio.reduction.made_run import MadeRun, Maker, describe, in_plane
 
 POINTS = [in_plane(i, r) for i in (10.0, 45.0, 70.0) for r in (-60.0, -30.0, 0.0, 25.0, 50.0, 80.0)]

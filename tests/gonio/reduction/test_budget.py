@@ -19,7 +19,8 @@ from gonio.errors import ConfigError
 from gonio.reduction import brdf, budget
 from gonio.reduction.brdf import Reduction, reduce_in_parts
 from gonio.reduction.values import MeasuredBand, Values
-from gonio.rig.description import ArmAxis, Arms, Lamp, SampleDescription
+from gonio.rig.description import ArmAxis, Arms, SampleDescription
+from gonio.rig.light_and_camera import Lamp
 from tests.gonio.reduction.made_run import Maker, describe, in_plane
 from tests.gonio.reduction.test_brdf import NOISY, POINTS, flicker, glossy
 from tools.spike_campaign import pulls, rig

@@ -9,7 +9,7 @@ import pytest
 
 from gonio.reduction import dark_signal
 from gonio.reduction.dark_signal import COLUMNS, PATTERNS, Patterns, strongest
-from gonio.rig.imaging import Roi
+from gonio.rig.regions import Roi
 
 
 def ellipse(width: float, height: float) -> Roi:

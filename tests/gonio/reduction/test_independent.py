@@ -13,20 +13,10 @@ import pytest
 from gonio.acquisition.measure import RigChoice, carry_out
 from gonio.acquisition.plan import load_plan
 from gonio.reduction.brdf import reduce
-from gonio.rig import Pose, imaging, kinematics
-from gonio.rig.description import (
-    Acquisition,
-    ArmAxis,
-    Arms,
-    Band,
-    Bands,
-    Camera,
-    Geometry,
-    Holder,
-    Lamp,
-    Reference,
-    RigDescription,
-)
+from gonio.rig import Pose, imaging, inverse_kinematics, kinematics
+from gonio.rig.bands import Band, Bands
+from gonio.rig.description import Acquisition, ArmAxis, Arms, Geometry, Holder, Reference, RigDescription
+from gonio.rig.light_and_camera import Camera, Lamp
 from tests.gonio.numpy_rig import SAMPLE
 from tests.independent_frames import Bench, Brdf, Placed, Plugin, brushed, lambert, lobe
 
@@ -91,7 +81,7 @@ def goals(bench: Bench, table: pd.DataFrame) -> list[Pose]:
     """The poses that the rig went to, point by point."""
     from gonio.geometry import Directions
 
-    return [kinematics.reach(bench.description, d) for d in Directions.from_table(table)]
+    return [inverse_kinematics.reach(bench.description, d) for d in Directions.from_table(table)]
 
 
 @pytest.mark.parametrize("kind", RIGS)

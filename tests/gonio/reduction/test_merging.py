@@ -11,7 +11,8 @@ import numpy.typing as npt
 import pytest
 
 from gonio.reduction import merging
-from gonio.rig.description import Calibrated, CalibrationUse, RigDescription
+from gonio.rig.calibration_use import Calibrated, CalibrationUse
+from gonio.rig.description import RigDescription
 from tests.gonio.reduction.made_run import describe
 
 SHAPE = (16, 16)

@@ -21,7 +21,7 @@ from gonio.rig.calibrated import (
     uncalibrated,
     write_calibration,
 )
-from gonio.rig.description import ParameterUncertainty
+from gonio.rig.calibration_use import ParameterUncertainty
 
 ZERO = "arms.light.zero_offset_deg"
 

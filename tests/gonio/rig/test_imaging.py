@@ -10,9 +10,12 @@ import pytest
 
 from gonio.errors import ConfigError
 from gonio.rig import Pose
-from gonio.rig.description import Acquisition, Band, Bands, Camera, Geometry, Lamp, Reference, RigDescription
-from gonio.rig.imaging import always_holds_sample, frame_holds, of_channel, patch_extent, pixel_map, roi
+from gonio.rig.bands import Band, Bands
+from gonio.rig.description import Acquisition, Geometry, Reference, RigDescription
+from gonio.rig.imaging import of_channel, pixel_map
 from gonio.rig.kinematics import View, view
+from gonio.rig.light_and_camera import Camera, Lamp
+from gonio.rig.regions import always_holds_sample, frame_holds, patch_extent, roi
 
 BANDS = Bands(list=(Band(name="550 nm", centre_nm=550, fwhm_nm=10),))
 POSES = [

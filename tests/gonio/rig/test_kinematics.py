@@ -15,16 +15,8 @@ from gonio.errors import ConfigError
 from gonio.geometry import Directions
 from gonio.rig import Pose
 from gonio.rig.description import ArmAxis, Arms, Geometry, Holder
-from gonio.rig.kinematics import (
-    Unreachable,
-    blocked_cone,
-    branches,
-    directions,
-    left_its_side,
-    reach,
-    separation,
-    view,
-)
+from gonio.rig.inverse_kinematics import Unreachable, branches, reach
+from gonio.rig.kinematics import blocked_cone, directions, left_its_side, separation, view
 from tests.gonio.numpy_rig import describe
 
 DEG = math.pi / 180

@@ -13,9 +13,12 @@ from gonio.errors import ArgumentError, ConfigError
 from gonio.geometry import Directions
 from gonio.rig import Pose, misalignment
 from gonio.rig.calibrated import covariance_of
-from gonio.rig.description import Calibrated, CalibrationUse, RigDescription
-from gonio.rig.imaging import outline, pixel_map, place, spot
-from gonio.rig.kinematics import Unreachable, directions, reach, read_pose, separation, true_pose, view
+from gonio.rig.calibration_use import Calibrated, CalibrationUse
+from gonio.rig.description import RigDescription
+from gonio.rig.imaging import pixel_map, place, spot
+from gonio.rig.inverse_kinematics import Unreachable, reach
+from gonio.rig.kinematics import directions, read_pose, separation, true_pose, view
+from gonio.rig.regions import outline
 from tests.gonio.numpy_rig import describe
 from tests.gonio.rig import plain_rig
 

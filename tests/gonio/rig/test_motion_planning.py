@@ -15,8 +15,9 @@ from gonio.config import parse
 from gonio.errors import ConfigError
 from gonio.geometry import Directions
 from gonio.rig import Pose, Step, motion_planning
-from gonio.rig.description import ArmAxis, Arms, Body, Cable, Geometry, Holder, Lamp, RigDescription
-from gonio.rig.kinematics import Unreachable, reach
+from gonio.rig.description import ArmAxis, Arms, Body, Cable, Geometry, Holder, RigDescription
+from gonio.rig.inverse_kinematics import Unreachable, reach
+from gonio.rig.light_and_camera import Lamp
 from gonio.rig.motion_planning import Blocked
 from tests.gonio.numpy_rig import describe
 

@@ -8,7 +8,8 @@ from typing import Any, Literal
 import numpy as np
 import pytest
 from gonio_analysis.appearance.glossmeter import GLOSSMETERS, gloss
-from gonio_analysis.appearance.quantities import of_fit, of_model, of_table
+from gonio_analysis.appearance.of_models import of_fit, of_model
+from gonio_analysis.appearance.quantities import of_table
 from gonio_analysis.fitting.fit import fit
 from gonio_analysis.report.appearance import listed
 

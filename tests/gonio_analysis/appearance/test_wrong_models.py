@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from gonio_analysis.appearance.quantities import of_fit, of_fits, of_model, of_sample
+from gonio_analysis.appearance.of_models import of_fit, of_fits, of_model, of_sample
 from gonio_analysis.commands import fit as fit_command
 from gonio_analysis.fitting.fit import fit
 from gonio_analysis.result_records import Appearance

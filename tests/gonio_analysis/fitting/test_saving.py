@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 import tomli_w
-from gonio_analysis.appearance.quantities import of, of_fit
+from gonio_analysis.appearance.of_models import of_fit
+from gonio_analysis.appearance.quantities import of
 from gonio_analysis.fitting.fit import FitResult, fit
 from gonio_analysis.fitting.saving import save
 

@@ -26,7 +26,8 @@ from gonio_analysis.report.drawing import figure_workers
 from gonio_analysis.report.drawings import Drawing, Figure
 from gonio_analysis.report.text import glued
 from gonio_analysis.result_records import as_json
-from gonio_analysis.selection.choice import Candidate, Choice, choose
+from gonio_analysis.selection.choice import Choice, choose
+from gonio_analysis.selection.judging import Candidate
 
 from gonio import measurement
 from gonio.cli.pace import Say

@@ -12,7 +12,8 @@ import pytest
 from gonio_analysis.fitting.observations import observations
 from gonio_analysis.fitting.profile_likelihood import profiles
 from gonio_analysis.result_records import as_json
-from gonio_analysis.selection.choice import Candidate, Choice, candidates, choose
+from gonio_analysis.selection.choice import Choice, candidates, choose
+from gonio_analysis.selection.judging import Candidate
 from gonio_analysis.selection.misfit_regions import blocks, incidences
 
 from gonio.errors import ConfigError, DataError

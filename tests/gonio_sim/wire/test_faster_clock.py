@@ -17,7 +17,7 @@ from gonio.acquisition.measure import find_rig
 from gonio.by_hand.manual_rig import ManualRig
 from gonio.calibration import lamp_scan, lamp_stability
 from gonio.rig.calibrated import Calibration, identity, write_calibration
-from gonio.rig.description import ParameterUncertainty
+from gonio.rig.calibration_use import ParameterUncertainty
 from tests.gonio_drivers.conftest import LONGEST_S, SAMPLE, be_patient, small
 from tests.gonio_sim.wire.test_twin_facts import HandClock
 

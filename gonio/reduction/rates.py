@@ -1,0 +1,59 @@
+"""What a step's frames come to in a band: a rate, or why there is none."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from gonio.geometry import Directions
+from gonio.rig import Pose
+from gonio.typing import Floats
+
+if TYPE_CHECKING:
+    pass
+
+
+@dataclass(frozen=True, slots=True)
+class Reduced:
+    """The frames of one step and band, merged to a rate."""
+
+    rate: float
+    variance: float
+    """Of everything that is independent from step to step, the pixels' responsivities left out."""
+    dark: Floats
+    """Change of the rate for one standard deviation of the noise of the shorter and of the longer dark frames in each
+    of the patterns that points share (`dark_signal.Patterns`), shape (2, n); zero for a visit to the reference."""
+    time_s: float
+    chi_square: float
+    """Of the frames around their mean."""
+    frames: int
+    left_out: int
+    """Frames that are not used, because a pixel of the region is nearly full."""
+    pixels: int
+    """How many the light falls on."""
+    by_camera: Floats
+    """Derivatives of the rate by `camera_parameters`."""
+    shared: int
+    """How many of the pixels the first visit to the reference uses too."""
+    directions: Directions
+    pose: Pose
+    point: int | None
+    """Row of the plan; None for a visit to the reference."""
+    hits: int = 0
+    """Pixels of single frames left out as hits of cosmic radiation; where frames are merged by pixels."""
+    hot: int = 0
+    """Pixels left out in all frames."""
+    saturated: float = 0.0
+    """The part of all pixels of all frames that was left out as too bright."""
+
+
+@dataclass(frozen=True, slots=True)
+class Rejected:
+    """A step that gives no rate in a band."""
+
+    point: int | None
+    """Row of the plan; None for a visit to the reference."""
+    flag: str
+    """Why."""
+    left_out: int = 0
+    """As in `Reduced`."""

@@ -1,0 +1,30 @@
+"""Work in a few threads, in order."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from typing import TYPE_CHECKING, TypeVar
+
+if TYPE_CHECKING:
+    pass
+
+In = TypeVar("In")
+Out = TypeVar("Out")
+THREADS = 2
+
+
+def in_threads(work: Callable[[In], Out], items: Iterable[In]) -> Iterator[Out]:
+    """`map` in two threads, in order, a few items ahead: decoding a frame releases the interpreter."""
+    with ThreadPoolExecutor(THREADS, thread_name_prefix="gonio-reduce") as pool:
+        waiting = []
+        try:
+            for item in items:
+                waiting.append(pool.submit(work, item))
+                if len(waiting) > 2 * THREADS:
+                    yield waiting.pop(0).result()
+            for future in waiting:
+                yield future.result()
+        finally:
+            for future in waiting:
+                future.cancel()

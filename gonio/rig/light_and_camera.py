@@ -1,0 +1,180 @@
+"""The lamp and the camera of a rig file, with what polarises and how the beam falls off."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from gonio.config import Strict
+from gonio.errors import ConfigError
+from gonio.rig.ranges import Fraction, NonNegative, Positive, SmallAngle
+
+
+class Beam(Strict):
+    """Irradiance on the plane that faces the lamp, through the sample's centre, relative to that at the centre.
+
+    It is exp(x_per_mm x + y_per_mm y + xx_per_mm2 x^2 + xy_per_mm2 x y + yy_per_mm2 y^2) [mm], but at most e times the
+    centre's. x lies in the plane of the arms and y along the axis that they turn about; x grows as the light arm's
+    angle does. A Gaussian beam of standard deviation w has xx = yy = -1/(2 w^2). The pattern is one of directions from
+    the lamp: a spot off that plane has the x and y where its ray crosses the plane.
+    """
+
+    x_per_mm: float = 0.0
+    y_per_mm: float = 0.0
+    xx_per_mm2: float = 0.0
+    xy_per_mm2: float = 0.0
+    yy_per_mm2: float = 0.0
+
+    def terms(self) -> tuple[float, float, float, float, float]:
+        """The five numbers, in the order above."""
+        return self.x_per_mm, self.y_per_mm, self.xx_per_mm2, self.xy_per_mm2, self.yy_per_mm2
+
+
+class Polarisation(Strict):
+    """Linear polarisation that a lamp has, or that a camera with its lens prefers."""
+
+    degree: Fraction = 0.0
+    """(largest - smallest)/(largest + smallest) of what passes an ideal polariser that is turned."""
+    azimuth_deg: float | None = None
+    """Direction of the largest, from the axis that the arms turn about (for a camera: from `image_y`), in the sense
+    that is counterclockwise for who looks from the sample to the lamp, or to the camera. None: nobody knows; the
+    budget takes the worst, and a simulated rig 0."""
+
+
+class Lamp(Strict):
+    """The lamp: its size, its radiation pattern, its noise, its drift."""
+
+    half_angle_deg: Annotated[float, Field(ge=0, lt=90)] = 0.0
+    """Half-angle of the disc of the lamp, seen from the sample's centre."""
+    radiation: Literal["isotropic", "lambertian"] = "isotropic"
+    """Radiant intensity around the direction to the sample's centre: alike in all directions, or with its cosine."""
+    noise: NonNegative = 0.0
+    """Relative standard deviation of the lamp's output from frame to frame."""
+    drift_per_hour: float = 0.0
+    """Relative drift of the lamp (simulation); the reduction learns the drift from the reference alone."""
+    wander_per_sqrt_hour: NonNegative = 0.0
+    """Relative standard deviation of the lamp's random walk after an hour (simulation); after t hours sqrt(t) of it."""
+    warm_up_s: NonNegative = 0.0
+    beam_diameter_mm: Positive | None = None
+    """Diameter of the lit spot on a sample under normal incidence, with a sharp edge: the cone from the lamp's centre
+    that has it. None: the light covers all that the camera looks at. See `gonio.rig.beam_size`."""
+    warm_up_loss: Annotated[float, Field(gt=-10, lt=1)] = 0.0
+    """How far the lamp is below its later level when it is lit, as a fraction of that; below 0: how far above."""
+    warm_up_time_constant_s: Positive = 600.0
+    """Time in which what is left of `warm_up_loss` falls to 1/e."""
+    monitor: bool = False
+    """Every frame carries the reading of a monitor of the lamp, by which the reduction divides it."""
+    monitor_noise: NonNegative = 0.0
+    """Relative standard deviation of frame over monitor reading that photon noise does not explain."""
+    beam: Beam | None = None
+    """Profile of the beam over the sample; None: even."""
+    polarisation: Polarisation = Polarisation()
+
+    @property
+    def frame_noise(self) -> float:
+        """Relative standard deviation from frame to frame of what the reduction takes for the lamp's light."""
+        return self.monitor_noise if self.monitor else self.noise
+
+
+class Camera(Strict):
+    """The camera in the terms of EMVA 1288, and its lens."""
+
+    width: Annotated[int, Field(ge=32, le=8192)] = 640
+    height: Annotated[int, Field(ge=32, le=8192)] = 480
+    pixel_um: Positive = 5.0
+    focal_length_mm: Positive = 100.0
+    lens_half_angle_deg: Annotated[float, Field(ge=0, lt=90)] = 0.0
+    """Half-angle of the lens's entrance pupil, seen from the sample's centre."""
+    principal_point_px: tuple[float, float] = (0.0, 0.0)
+    """Where the optical axis meets the sensor, from its middle: [columns, rows]."""
+    distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    """Brown's polynomial as OpenCV has it: [k1, k2, p1, p2, k3], of image coordinates in image distances."""
+    roll_deg: float = 0.0
+    """The camera turned about its optical axis: its columns' direction toward its rows'."""
+    pointing_deg: tuple[SmallAngle, SmallAngle] = (0.0, 0.0)
+    """How far the optical axis points beside the crossing that its arm carries it around: toward growing columns, and
+    toward growing rows."""
+    cos4: bool = False
+    vignetting: Annotated[float, Field(ge=0, lt=1)] = 0.0
+    """Relative loss of light at the corner of the frame beyond cos^4, growing as the fourth power of the radius."""
+    pattern: Literal["mono", "RGGB", "BGGR", "GRBG", "GBRG"] = "mono"
+    bits: Literal[8, 10, 12, 14, 16] = 12
+    quantised: bool = True
+    electrons_per_dn: Positive = 3.0
+    black_level_dn: NonNegative = 64.0
+    full_well_e: Positive = 11_000.0
+    photon_noise: bool = False
+    read_noise_e: NonNegative = 0.0
+    dark_current_e_per_s: NonNegative = 0.0
+    prnu: Annotated[float, Field(ge=0, lt=1)] = 0.0
+    """Relative standard deviation of the pixels' responsivity."""
+    dsnu_e: NonNegative = 0.0
+    """Standard deviation of the pixels' dark signal [e-]."""
+    nonlinearity: tuple[float, ...] = ()
+    """Relative departure of the signal from the light: a linear signal x above the dark level [DN] reads
+    x (1 + c[0] s + c[1] s^2 + ...), s = x / (2^bits - 1). The reduction takes it out."""
+    response: tuple[float, ...] = ()
+    """Linear value [DN] of each of the 2^bits values that a pixel reads, for a camera of 8 bits with a gamma: 256
+    numbers that grow from 0 to 255. Levels and noise are those of the linear values."""
+    stray_light: Annotated[float, Field(ge=0, lt=0.5)] = 0.0
+    """Light that lens and sensor spread evenly over the frame: a fraction of the frame's mean signal, in each pixel."""
+    stray_halo: Annotated[float, Field(ge=0, lt=0.5)] = 0.0
+    """Fraction of the light of each pixel that falls around it, as a Gaussian of `stray_halo_px`."""
+    stray_halo_px: Annotated[float, Field(ge=2, le=4096)] = 64.0
+    """Standard deviation of the halo along a row [pixels]."""
+    maps: str | None = None
+    """Maps of the pixels (.npz), as `gonio calibrate camera` writes them: responsivities and defects. A path beside
+    the file that names it."""
+    hot_pixels: Annotated[float, Field(ge=0, le=0.5)] = 0.0
+    """Simulation: the part of the pixels that have a dark current of their own."""
+    hot_pixel_e_per_s: NonNegative = 0.0
+    """Simulation: its mean over them [e-/s], exponentially distributed."""
+    responsivity_e_per_s: Positive = 40_000.0
+    """Electrons a second on the axis from a Lambertian white (brdf = 1/pi) at normal incidence, with a fresh lamp."""
+    exposure_limits_s: tuple[Positive, Positive] = (1e-4, 60.0)
+    frame_overhead_s: NonNegative = 0.05
+    polarisation: Polarisation = Polarisation()
+    """Diattenuation of lens and sensor together."""
+    cosmic_per_s: NonNegative = 0.0
+    """Simulation: hits of cosmic radiation a second on the whole sensor."""
+
+    @property
+    def saturation_e(self) -> float:
+        """Charge [e-] that fills a pixel: its full well, or the range of the converter."""
+        return min(self.full_well_e, (self.white_level_dn - self.black_level_dn) * self.electrons_per_dn)
+
+    @model_validator(mode="after")
+    def _sound(self) -> Camera:
+        if self.exposure_limits_s[0] >= self.exposure_limits_s[1]:
+            raise ValueError("exposure_limits_s must be [shortest, longest] with shortest < longest")
+        if self.black_level_dn >= self.white_level_dn:
+            raise ValueError(
+                f"black_level_dn = {self.black_level_dn:g} must lie below the highest value of {self.bits} bits, "
+                f"{self.white_level_dn:g}"
+            )
+        # its slope, 1 + sum (k + 1) c[k] s^k, stays above a half
+        if sum((k + 2) * abs(c) for k, c in enumerate(self.nonlinearity)) > 0.5:
+            raise ValueError(f"nonlinearity = {list(self.nonlinearity)}: more than a sensor's; is it in per cent?")
+        if self.response:
+            if self.bits != 8 or len(self.response) != 256:
+                raise ValueError(f"response has {len(self.response)} values; a camera of 8 bits needs 256")
+            if any(b <= a for a, b in pairwise(self.response)):
+                raise ValueError("response must grow from each value to the next")
+            if self.response[0] != 0.0 or abs(self.response[-1] - 255.0) > 1e-6:
+                raise ValueError("response must begin with 0 and end with 255")
+        return self
+
+    @property
+    def white_level_dn(self) -> float:
+        """The highest value that a pixel can take [DN]."""
+        return float(2**self.bits - 1)
+
+    def require_exposure(self, exposure_s: float) -> None:
+        """Raise `ConfigError` for an exposure outside `exposure_limits_s`."""
+        shortest, longest = self.exposure_limits_s
+        if not shortest * (1 - 1e-9) <= exposure_s <= longest * (1 + 1e-9):
+            raise ConfigError(
+                f"an exposure of {exposure_s:g} s is outside camera.exposure_limits_s, {shortest:g} to {longest:g} s"
+            )
