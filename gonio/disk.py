@@ -13,6 +13,7 @@ import sys
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from pathlib import Path
 
+from gonio import platform
 from gonio.errors import ConfigError
 
 MANIFEST = "gonio.sha256"
@@ -35,7 +36,7 @@ def only_file(path: str, flags: int) -> int:
     """
     none = OSError(errno.EINVAL, "it is a pipe, a socket or a device, not a file", path)
     try:
-        handle = os.open(path, flags | os.O_NONBLOCK | os.O_NOCTTY, 0o666)
+        handle = platform.opened(path, flags)
     except OSError as error:
         raise none if error.errno == errno.ENXIO else error from None  # a socket, or a pipe that nobody reads
     mode = os.fstat(handle).st_mode
@@ -66,7 +67,7 @@ def write_whole(path: Path, data: bytes) -> None:
             sys.stdout.buffer.write(data)
             sys.stdout.flush()
             return
-        with open(path, "wb", opener=lambda name, flags: os.open(name, flags & ~(os.O_CREAT | os.O_TRUNC))) as stream:
+        with open(path, "wb", opener=platform.existing) as stream:
             stream.write(data)
         return
     staged = Staged(path, data)
@@ -111,7 +112,7 @@ class Staged:
         self._temporary = os.path.join(folder, f".{name}.{number}.new")
         self._handle = -1
         with self._whole_or_gone():
-            self._handle = os.open(self._temporary, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, 0o666)
+            self._handle = platform.new_file(self._temporary)
             left = memoryview(data)
             while len(left):
                 left = left[os.write(self._handle, left) :]
@@ -129,7 +130,7 @@ class Staged:
     def sync(self) -> None:
         """Wait until it is on the disk; raises `OSError`, and nothing lies beside it then."""
         with self._whole_or_gone():
-            os.fsync(self._handle)
+            platform.sync(self._handle)
 
     def settle(self) -> None:
         """Give it its name, once it is on the disk; raises `OSError`, and nothing lies beside it then."""
@@ -137,7 +138,7 @@ class Staged:
             os.close(self._handle)
             self._handle = -1
             self._require_file()
-            os.replace(self._temporary, self.path)
+            platform.replace(self._temporary, self.path)
 
     def _require_file(self) -> None:
         """Only a file is ever replaced: renamed over a device or a pipe, a file would stand in its place."""
@@ -175,15 +176,6 @@ def half_written(name: str, of: Collection[str] | re.Pattern[str]) -> bool:
     """Whether `name` is that of a file among `of` (names, or their pattern) that a process was writing when it died."""
     found = re.fullmatch(r"\.(.+)\.\d+\.new", name)
     return found is not None and bool(of.fullmatch(found[1]) if isinstance(of, re.Pattern) else found[1] in of)
-
-
-def sync_folder(folder: Path) -> None:
-    """Wait until the names of a folder's files are on the disk too; raises `OSError`."""
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
 
 
 def require_name(path: str | Path) -> None:

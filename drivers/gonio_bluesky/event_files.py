@@ -11,6 +11,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, cast
 
+from gonio import platform
 from gonio.acquisition.run import Run
 from gonio.disk import require_name
 from gonio.documents import JsonObject
@@ -60,7 +61,7 @@ def write(source: str, target: Path) -> list[str]:
             if out is not raw:
                 out.close()
             raw.flush()
-            os.fsync(raw.fileno())
+            platform.sync(raw.fileno())
         temporary.replace(target)
     except OSError as error:
         raise ConfigError(f"{target}: cannot be written: {error.strerror}") from None

@@ -23,6 +23,7 @@ from typing import Self
 
 import serial
 
+from gonio import platform
 from gonio.errors import ConfigError, DataError, DeviceError, PassingFault
 from gonio.rig import Frame, clock
 from gonio.rig.description import RigDescription
@@ -259,7 +260,7 @@ class FolderCamera:
             if whole or closed or looked() >= self._camera.timeout_s:
                 return hashlib.sha256(data).hexdigest(), frame
             # nobody has it open: what is read after this is all that there will be
-            closed = looked() >= WHOLE_S and not any(ports.holders_of(str(path)))
+            closed = looked() >= WHOLE_S and not platform.holders_of(str(path))
             clock.sleep(POLL_S)
 
     def _put_away(self, path: Path) -> Path:

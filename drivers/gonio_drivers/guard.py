@@ -16,16 +16,17 @@ be lit before it is set anew.
 from __future__ import annotations
 
 import contextlib
-import fcntl
-import os
-import select
+import queue
 import subprocess
 import sys
-import termios
 import threading
 import time
-import tty
 from collections.abc import Callable
+from typing import IO
+
+import serial
+
+from gonio import platform
 
 TIMES = 3
 PAUSE_S = 0.1
@@ -53,9 +54,10 @@ class Guard:
 
     def __init__(self, port: str, baud: int, orders: list[bytes], limit_s: float = 0.0) -> None:
         self._command = [
-            sys.executable, "-I", "-S", __file__, port, str(baud), str(limit_s), *(order.hex() for order in orders)
+            sys.executable, "-I", __file__, port, str(baud), str(limit_s), *(order.hex() for order in orders)
         ]  # fmt: skip
         self._process: subprocess.Popen[bytes] | None = None
+        self._answers: queue.SimpleQueue[bytes] = queue.SimpleQueue()
         self._asking = threading.Lock()
         self._asked = 0
 
@@ -66,8 +68,10 @@ class Guard:
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
-            start_new_session=True,
+            **platform.detached(),
         )
+        assert self._process.stdout is not None
+        self._answers = _lines_of(self._process.stdout)
 
     def allow(self, limit_s: float) -> None:
         """Darken so long from now, whatever the program does, and not before; 0 for no limit. From any thread."""
@@ -81,79 +85,91 @@ class Guard:
         """The answer to a line; b"" where somebody has ended or stopped the guard, or it is released."""
         with self._asking:
             process = self._process
-            if process is None or process.stdin is None or process.stdout is None:
+            if process is None or process.stdin is None:
                 return b""
             self._asked += 1
-            with contextlib.suppress(BrokenPipeError, ValueError):
-                os.write(process.stdin.fileno(), f"{self._asked} {what}\n".encode())
-                heard = b""
-                while select.select([process.stdout], [], [], ANSWER_S)[0]:
-                    heard += (some := os.read(process.stdout.fileno(), 4096))
-                    for number, _, answer in (line.partition(b" ") for line in heard.split(b"\n")[:-1]):
-                        if int(number) == self._asked:  # and not the answer to a question that was interrupted
-                            return answer
-                    if not some:
-                        break
+            with contextlib.suppress(OSError, ValueError, queue.Empty):
+                process.stdin.write(f"{self._asked} {what}\n".encode())
+                process.stdin.flush()
+                while line := self._answers.get(timeout=ANSWER_S):
+                    number, _, answer = line.rstrip(b"\n").partition(b" ")
+                    if int(number) == self._asked:  # and not the answer to a question that was interrupted
+                        return answer
             return b""
 
     def release(self, *, in_order: bool) -> None:
         """End the watch: the lamp is left in order, or the guard darkens it now that its port is closed."""
         with self._asking:
             process, self._process = self._process, None
-        if process is not None:
-            with contextlib.suppress(BrokenPipeError):  # somebody has ended the guard
-                process.communicate(b"x" if in_order else b"")
+        if process is not None and process.stdin is not None:
+            with contextlib.suppress(OSError):  # somebody has ended the guard
+                process.stdin.write(b"x" if in_order else b"")
+            with contextlib.suppress(OSError):
+                process.stdin.close()
+            process.wait()
 
 
-def _locked(line: int) -> bool:
-    """Whether the port is the guard's; the dead program's pipe may be closed a good while before its port is."""
+def _lines_of(pipe: IO[bytes]) -> queue.SimpleQueue[bytes]:
+    """The lines of a pipe as they come, and b"" at its end; from a thread, since not every system waits for pipes."""
+    lines: queue.SimpleQueue[bytes] = queue.SimpleQueue()
+
+    def read() -> None:
+        with contextlib.suppress(OSError, ValueError), pipe:
+            for line in pipe:
+                lines.put(line)
+        lines.put(b"")
+
+    threading.Thread(target=read, daemon=True).start()
+    return lines
+
+
+def _opened(port: str, baud: int, *, alone: bool) -> serial.Serial | None:
+    """The port, as soon as it is the guard's; the dead program's pipe may be closed a good while before its port is."""
     end = time.monotonic() + PATIENCE_S
     while True:
         over = time.monotonic() > end  # before the look: this process may be held up after it
         try:
-            fcntl.flock(line, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            return True
+            return serial.Serial(port, baud, exclusive=True if alone else None)
         except OSError:
             if over:
-                return False
+                return None
             time.sleep(POLL_S)
 
 
 def _darken(port: str, baud: int, orders: list[bytes], *, alone: bool = True) -> None:
-    line = os.open(port, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
-    if alone and not _locked(line):
+    line = _opened(port, baud, alone=alone)
+    if line is None:
         return
-    tty.setraw(line)
-    state = termios.tcgetattr(line)
-    state[4] = state[5] = getattr(termios, f"B{baud}", state[4])
-    termios.tcsetattr(line, termios.TCSANOW, state)
-    for _ in range(TIMES):
-        for order in orders:
-            os.write(line, order)
-            time.sleep(PAUSE_S)
-    os.close(line)
+    with line:
+        for _ in range(TIMES):
+            for order in orders:
+                line.write(order)
+                time.sleep(PAUSE_S)
 
 
 def _wait(limit_s: float, at_time: Callable[[], None]) -> bool:
     """Listen at the pipe until it ends, and act when the time is over; whether the lamp was left in order."""
     end = time.monotonic() + limit_s if limit_s > 0 else None
-    heard, answer = b"", GOOD
+    heard, answer = _lines_of(sys.stdin.buffer), GOOD
+    last = b""
     while True:
-        left = None if end is None else max(end - time.monotonic(), 0.0)
-        if not select.select([sys.stdin], [], [], left)[0]:
+        try:
+            line = heard.get(timeout=None if end is None else max(end - time.monotonic(), 0.0))
+        except queue.Empty:
             at_time()
             end, answer = None, OVER
             continue
-        some = os.read(sys.stdin.fileno(), 4096)
-        heard += some
-        *lines, heard = heard.split(b"\n")
-        for number, _, what in (line.partition(b" ") for line in lines):
-            if what != b"?":
-                end, answer = time.monotonic() + float(what) if float(what) > 0 else None, GOOD
-            with contextlib.suppress(BrokenPipeError):  # who has asked is dead
-                os.write(sys.stdout.fileno(), number + b" " + answer + b"\n")
-        if not some:
-            return heard == b"x"
+        if not line:
+            return last == b"x"
+        last = line
+        if not line.endswith(b"\n"):
+            continue
+        number, _, what = line.rstrip(b"\n").partition(b" ")
+        if what != b"?":
+            end, answer = time.monotonic() + float(what) if float(what) > 0 else None, GOOD
+        with contextlib.suppress(OSError):  # who has asked is dead
+            sys.stdout.buffer.write(number + b" " + answer + b"\n")
+            sys.stdout.buffer.flush()
 
 
 if __name__ == "__main__":

@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterator
 from types import TracebackType
 from typing import Self
 
+from gonio import platform
 from gonio.errors import ConfigError, DeviceError, Disturbed, GonioError, Interrupted
 from gonio.rig import clock
 from gonio.rig.bands import Band
@@ -232,11 +233,7 @@ class SerialLight:
 
     def _is_being_darkened(self) -> bool:
         """Whether the guard of a program that has died is at work."""
-        for process in ports.holders_of(self._light.port):
-            with contextlib.suppress(OSError):
-                if guard.__file__.encode() in (process / "cmdline").read_bytes():
-                    return True
-        return False
+        return any(guard.__file__ in each.command for each in platform.holders_of(self._light.port))
 
     def _wake(self) -> None:
         d = self._dialect

@@ -2,25 +2,22 @@
 
 from __future__ import annotations
 
-import contextlib
 import errno
 import os
 import select
-import termios
-from collections.abc import Iterator
 from pathlib import Path
 
 import serial
 
+from gonio import platform
 from gonio.errors import DeviceError
 
-FAILURES = (serial.SerialException, OSError, termios.error)
+FAILURES = (serial.SerialException, OSError, *platform.TERMINAL_ERRORS)
 """What a serial port raises that does not open, or goes away."""
 
 
 CLOGGED_S = 1.0
 """A line that takes no byte for this long is dead."""
-MASTERS = {"/dev/ptmx", "/dev/pts/ptmx"}
 
 
 def unopened(port: str, error: Exception, key: str) -> DeviceError:
@@ -32,13 +29,14 @@ def unopened(port: str, error: Exception, key: str) -> DeviceError:
         there = ", ".join(present()) or "none"
         return DeviceError(f"{said}: there is no such port (is the adapter plugged in?); ports here: {there}")
     if number in (errno.EACCES, errno.EPERM):
+        group = platform.group_of(port) or "dialout"
         return DeviceError(
-            f'{said}: no permission to open it; add yourself to its group ("sudo usermod -aG {_group(port)} $USER", '
+            f'{said}: no permission to open it; add yourself to its group ("sudo usermod -aG {group} $USER", '
             "then log in again) or install the udev rule of docs/lab_setup.md"
         )
     if number in (errno.EBUSY, errno.EAGAIN) or "exclusively lock" in text:
         return DeviceError(f"{said}: the port is taken{_holder(port)}; end what holds it, then try again")
-    if number == errno.EISDIR or isinstance(error, termios.error) or "configure port" in text:
+    if number == errno.EISDIR or isinstance(error, platform.TERMINAL_ERRORS) or "configure port" in text:
         return DeviceError(f"{said}: this is no serial port; ports here: {', '.join(present()) or 'none'}")
     return DeviceError(f"{said}: cannot be opened as a serial port: {text}")
 
@@ -75,7 +73,7 @@ def send(line: serial.Serial, data: bytes) -> None:
 
 def lost(port: str, error: Exception, key: str) -> DeviceError:
     """What to tell a person whose port went away while it was in use."""
-    said = os.strerror(error.args[0]) if isinstance(error, termios.error) else error
+    said = os.strerror(error.args[0]) if isinstance(error, platform.TERMINAL_ERRORS) else error
     return DeviceError(f'{key} = "{port}": the port went away while in use ({said}); check cable and power')
 
 
@@ -88,36 +86,7 @@ def present() -> list[str]:
     return sorted(stable.get(p.device, p.device) for p in list_ports.comports() if p.hwid != "n/a")
 
 
-def _group(port: str) -> str:
-    import grp
-
-    try:
-        return grp.getgrgid(Path(port).stat().st_gid).gr_name
-    except (KeyError, OSError):
-        return "dialout"
-
-
 def _holder(port: str) -> str:
-    """The other processes that have a port open, as far as they can be seen.
-
-    A process that has the other end of a pseudo-terminal is the device, and no rival for it.
-    """
-    holders = []
-    for process in holders_of(port):
-        with contextlib.suppress(OSError):
-            holders.append(f"process {process.name} ({(process / 'comm').read_text().strip()})")
+    """The other processes that have a port open, as far as they can be seen."""
+    holders = [f"process {each.number} ({each.name})" for each in platform.holders_of(port)]
     return f" by {' and '.join(holders)}" if holders else ""
-
-
-def holders_of(port: str) -> Iterator[Path]:
-    """The folders in /proc of other processes that have a port open, as far as they can be seen."""
-    target = os.path.realpath(port)
-    for process in Path("/proc").glob("[0-9]*"):
-        if process.name == str(os.getpid()):
-            continue
-        try:
-            opened = {os.readlink(link) for link in (process / "fd").iterdir()}
-        except OSError:
-            continue  # another user's process, or one that has just ended
-        if target in opened and not opened & MASTERS:
-            yield process

@@ -9,13 +9,8 @@ from collections.abc import Iterator
 from types import FrameType
 from typing import Any
 
+from gonio import platform
 from gonio.errors import Interrupted
-
-ENDING = (
-    signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGUSR1, signal.SIGUSR2, signal.SIGALRM, signal.SIGVTALRM,
-    signal.SIGPROF, signal.SIGXCPU, signal.SIGABRT, signal.SIGIO, signal.SIGPWR,
-)  # fmt: skip
-"""Signals that would end the process with the lamp lit; Ctrl-C is an exception in Python already."""
 
 
 def deaf(number: int, frame: FrameType | None) -> None:
@@ -50,7 +45,7 @@ def heard() -> Iterator[Heard]:
 
     mine: list[signal.Signals] = []
     if threading.current_thread() is threading.main_thread():
-        mine = [n for n in ENDING if signal.getsignal(n) is signal.SIG_DFL]
+        mine = [n for n in platform.KILLING if signal.getsignal(n) is signal.SIG_DFL]
     for number in mine:
         signal.signal(number, leave)
     try:
@@ -65,7 +60,7 @@ def undisturbed() -> Iterator[None]:
     """For the moment that it takes to stop, to darken and to close the ports, Ctrl-C and its like are not heard."""
     before: dict[signal.Signals, Any] = {}
     if threading.current_thread() is threading.main_thread():
-        before = {n: signal.signal(n, deaf) for n in (signal.SIGINT, *ENDING)}
+        before = {n: signal.signal(n, deaf) for n in (signal.SIGINT, *platform.KILLING)}
     try:
         yield
     finally:

@@ -25,8 +25,9 @@ from typing import Protocol
 from gonio.acquisition.expected_lines import label_json
 from gonio.acquisition.journal import is_whole, sealed
 from gonio.acquisition.records import FrameFile, FrameLabel, FrameRecord, StepRecord
-from gonio.disk import Staged, read_file, sync_folder
+from gonio.disk import Staged, read_file
 from gonio.errors import ArgumentError, DataError
+from gonio.platform import sync_folder
 from gonio.rig import Frame, Pose, Step
 from gonio.rig.bands import Band
 from gonio.rig.dng import encode_dng, pixels_sha256, read_raw, read_record

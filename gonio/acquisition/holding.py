@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import os
 import time
 import zlib
 from collections.abc import Callable
 from pathlib import Path
 
+from gonio import platform
 from gonio.acquisition.exposure import dark_exposures_s, expected_bracket
 from gonio.acquisition.journal import Event
 from gonio.acquisition.progress import Progress
@@ -142,10 +142,9 @@ class Holding:
 def free_bytes(folder: Path) -> int:
     """What this user may still write into a folder, or the nearest one above it that exists."""
     try:
-        there = os.statvfs(folder)
+        return platform.free_bytes(folder)
     except (FileNotFoundError, NotADirectoryError):
         return free_bytes(folder.absolute().parent)
-    return there.f_bavail * there.f_frsize
 
 
 def size(count: float) -> str:

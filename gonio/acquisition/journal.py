@@ -12,7 +12,6 @@ from __future__ import annotations
 import contextlib
 import datetime
 import errno
-import fcntl
 import json
 import os
 import threading
@@ -24,6 +23,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, BinaryIO, Self, overload
 
+from gonio import platform
 from gonio.acquisition.records import compact
 from gonio.disk import only_file
 from gonio.documents import JsonObject
@@ -194,9 +194,7 @@ def _lock(path: Path) -> Any:
         file = open(path, "a+b", buffering=0, opener=only_file)  # noqa: SIM115
     except OSError as error:
         raise ConfigError(f"{path}: cannot be written: {error.strerror}") from None
-    try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
+    if not platform.lock(file):
         file.close()
         raise ConfigError(f"{path.parent}: another process is measuring into this folder") from None
     return file
@@ -260,7 +258,7 @@ class Journal:
             data = b"".join(lines)
             if self._file.write(data) != len(data):
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-            os.fsync(self._file.fileno())
+            platform.sync(self._file.fileno())
             self._starts.extend(accumulate(map(len, lines[:-1]), initial=before))
             self._good += len(data)
         except BaseException as error:  # a signal too: file and events must not tell different stories

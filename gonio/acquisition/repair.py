@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from gonio import platform
 from gonio.acquisition.expected_lines import event_of
 from gonio.acquisition.frame_writer import BESIDE, NAME, label_of, pixels_of
 from gonio.acquisition.journal import Event, decode, encode, locked, now
@@ -173,18 +174,14 @@ def _listed(folder: Path) -> tuple[Integers, Integers]:
     """Hashes of the names in a folder, in order, and the sizes of the files."""
     names, sizes, foreign = array("q"), array("q"), []
     try:
-        handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-        try:
-            with os.scandir(handle) as entries:  # by its handle: files are found without their folders' names
-                for entry in entries:
-                    link = entry.is_symlink() and NAME.fullmatch(entry.name) is not None
-                    if not entry.is_file() and not link:
-                        foreign.append(entry.name)
-                        continue
-                    names.append(hash(os.fsencode(entry.name)))
-                    sizes.append(-1 if link else entry.stat().st_size)  # of a link the file is looked at
-        finally:
-            os.close(handle)
+        with platform.entries(folder) as entries:
+            for entry in entries:
+                link = entry.is_symlink() and NAME.fullmatch(entry.name) is not None
+                if not entry.is_file() and not link:
+                    foreign.append(entry.name)
+                    continue
+                names.append(hash(os.fsencode(entry.name)))
+                sizes.append(-1 if link else entry.stat().st_size)  # of a link the file is looked at
     except OSError as error:
         raise ConfigError(f"{folder}: cannot be read: {error.strerror}") from None
     if foreign:

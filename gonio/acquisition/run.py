@@ -53,11 +53,11 @@ from gonio.disk import (
     require_name,
     require_own,
     sha256_of,
-    sync_folder,
     write_own,
 )
 from gonio.documents import JsonObject
 from gonio.errors import ConfigError, DataError
+from gonio.platform import sync_folder
 from gonio.rig.bands import Band
 from gonio.rig.description import RigDescription, SampleDescription
 from gonio.rig.laboratory import Laboratory

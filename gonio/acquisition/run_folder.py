@@ -103,13 +103,12 @@ def check_writable(path: Path) -> None:
         at = at.parent
     if not at.is_dir():
         raise ConfigError(f"{path}: {at} is not a folder")
-    if not os.access(at, os.W_OK | os.X_OK) or os.statvfs(at).f_flag & os.ST_RDONLY or _refuses(at):
+    if not os.access(at, os.W_OK | os.X_OK) or _refuses(at):
         raise ConfigError(f"{path}: {at} is not writable; choose another folder, or change its permissions")
 
 
 def _refuses(folder: Path) -> bool:
-    """Whether a folder takes no new entries although its permissions say so (as in /proc)."""
-
+    """Whether a folder takes no new entries although its permissions say so (a read-only disk, /proc)."""
     try:
         with tempfile.TemporaryDirectory(prefix=".gonio-", dir=folder):
             return False

@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from types import FrameType, TracebackType
 from typing import Any, Self
 
+from gonio import platform
 from gonio.acquisition.progress import Progress
 from gonio.errors import Interrupted
 
@@ -58,8 +59,6 @@ class Stop:
         Who is told of SIGTSTP, and of SIGCONT.
     """
 
-    SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-
     def __init__(self, progress: Progress, *, last: bool = False, pause: Pause | None = None) -> None:
         self.requested = 0
         self.pause = pause or Pause()
@@ -70,14 +69,12 @@ class Stop:
 
     def __enter__(self) -> Self:
         if threading.current_thread() is threading.main_thread():
-            wanted = list(self.SIGNALS)
-            if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:  # under nohup a lost terminal means nothing
-                wanted.remove(signal.SIGHUP)
+            lost = (n for n in platform.HANG_UP if signal.getsignal(n) is signal.SIG_IGN)
+            wanted = set(platform.ENDING).difference(lost)  # under nohup a lost terminal means nothing
             self._before = {number: signal.signal(number, self._request) for number in wanted}
-            if signal.getsignal(signal.SIGTSTP) is not signal.SIG_IGN:
-                self._between = {
-                    number: signal.signal(number, self._hold) for number in (signal.SIGTSTP, signal.SIGCONT)
-                }
+            if not any(signal.getsignal(number) is signal.SIG_IGN for number in platform.PAUSE):
+                between = (*platform.PAUSE, *platform.GO_ON)
+                self._between = {number: signal.signal(number, self._hold) for number in between}
         return self
 
     def __exit__(
@@ -111,7 +108,7 @@ class Stop:
             raise Interrupted("stopped at once, in the middle of a step")
 
     def _hold(self, number: int, frame: FrameType | None) -> None:
-        if number == signal.SIGCONT:
+        if number in platform.GO_ON:
             self.pause.go_on()
         elif not self.pause.requested:
             self.pause.ask("SIGTSTP (Ctrl-Z)")

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import contextlib
-import os
-import select
 import shutil
 import sys
 import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from gonio import platform
 from gonio.cli.jog_keys import End, Jog, JogKeys, Line
 
 if TYPE_CHECKING:
@@ -73,7 +72,7 @@ class Terminal:
     """The person's terminal: a status line with what is being typed; or, where there is none, lines of a pipe."""
 
     def __init__(self, axes: list[str]) -> None:
-        self._keys = JogKeys(axes)
+        self._keys, self._terminal = JogKeys(axes), platform.Keys()
         self._lock = threading.Lock()
         self._ended = threading.Event()
         self._assistant: Assistant | None = None
@@ -90,7 +89,7 @@ class Terminal:
         """Read in a thread of its own; the terminal is as it was afterwards."""
         self._assistant = assistant
         keys = sys.stdin.isatty() and sys.stderr.isatty()
-        with _one_by_one() if keys else contextlib.nullcontext():
+        with self._terminal if keys else contextlib.nullcontext():
             reader = threading.Thread(
                 target=self._read_keys if keys else self._read_lines, name="terminal", daemon=True
             )
@@ -115,17 +114,15 @@ class Terminal:
         self._assistant.orders.put("quit")
 
     def _read_keys(self) -> None:
-        assistant, handle = self._assistant, sys.stdin.fileno()
+        assistant = self._assistant
         assert assistant is not None
         while not self._ended.is_set():
-            if select.select([handle], [], [], REFRESH_S)[0]:
-                try:
-                    data = os.read(handle, 1024)
-                except OSError:
-                    data = b""  # the terminal has gone
-                if not data:
-                    assistant.orders.put("quit")
-                    return
+            try:
+                data = self._terminal.read(REFRESH_S)
+            except EOFError:
+                assistant.orders.put("quit")
+                return
+            if data:
                 assistant.alive()
                 for what in self._keys.feed(data):
                     self._act(what, assistant)
@@ -150,19 +147,3 @@ class Terminal:
         with self._lock:
             print(CLEAR + text, end="", file=sys.stderr, flush=True)
             self._drawn = True
-
-
-@contextlib.contextmanager
-def _one_by_one() -> Iterator[None]:
-    """The terminal gives every key at once, and shows none; Ctrl-C stays what it is."""
-    import termios
-
-    handle = sys.stdin.fileno()
-    before = termios.tcgetattr(handle)
-    changed: list[Any] = termios.tcgetattr(handle)
-    changed[3] &= ~(termios.ICANON | termios.ECHO)
-    termios.tcsetattr(handle, termios.TCSADRAIN, changed)
-    try:
-        yield
-    finally:
-        termios.tcsetattr(handle, termios.TCSADRAIN, before)

@@ -15,6 +15,7 @@ import sys
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
+from gonio import platform
 from gonio.cli.signals import Ending, deafen
 from gonio.errors import ConfigError, DataError, GonioError
 
@@ -137,7 +138,7 @@ def _open_streams() -> None:
     """
     for name, number in (("stdin", 0), ("stdout", 1), ("stderr", 2)):
         if getattr(sys, name) is None:
-            handle = os.open(os.devnull, os.O_RDWR)
+            handle = platform.nowhere()
             if handle != number and not _is_open(number):
                 os.dup2(handle, number)
             setattr(sys, name, open(handle, "r" if name == "stdin" else "w", encoding="utf-8"))  # noqa: SIM115
@@ -186,7 +187,7 @@ def _fail(message: str, code: int) -> int:
     try:
         sys.stdout.flush()
     except DataError:  # nobody takes the results: Python would complain once more at the end
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        os.dup2(platform.nowhere(), sys.stdout.fileno())
     if message:
         print(f"gonio: {message}", file=sys.stderr)
     return code

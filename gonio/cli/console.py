@@ -209,10 +209,11 @@ class _Bar:
     def __init__(self, console: Console, pause: Pause | None) -> None:
         from rich.live import Live as Screen
 
+        from gonio import platform
         from gonio.cli.pause_keys import PauseKeys
 
         self._pause = pause
-        self.keys = PauseKeys(pause) if pause is not None and PauseKeys.possible() else contextlib.nullcontext()
+        self.keys = PauseKeys(pause) if pause is not None and platform.has_keys() else contextlib.nullcontext()
         self._bar = _progress_bar("measuring", console, own_rest=True)
         self._task = self._bar.add_task("", total=None, left="")
         self._text, self._rest = "", _Rest()

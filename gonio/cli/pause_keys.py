@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-import contextlib
-import os
-import select
-import signal
-import sys
-import termios
 import threading
-import tty
 from types import TracebackType
-from typing import Any, Self
+from typing import Self
 
+from gonio import platform
 from gonio.acquisition.stop import Pause
 
-PAUSE, GO_ON, END = b"p ", b"c", b"q"
+PAUSE, GO_ON, END = "p ", "c", "q"
+LOOK_S = 0.05
+"""How long leaving waits at most for the thread that listens."""
 
 
 class PauseKeys:
@@ -28,20 +24,10 @@ class PauseKeys:
         self._pause = pause
         self._thread: threading.Thread | None = None
 
-    @staticmethod
-    def possible() -> bool:
-        """Whether there is a terminal to press keys on, and this process may read from it."""
-        try:
-            return sys.stdin.isatty() and os.tcgetpgrp(sys.stdin.fileno()) == os.getpgrp()
-        except (AttributeError, OSError, ValueError):
-            return False
-
     def __enter__(self) -> Self:
-        if self._thread is None and self.possible():
-            self._handle = sys.stdin.fileno()
-            self._before: list[Any] = termios.tcgetattr(self._handle)
-            self._wake, self._waker = os.pipe()
-            tty.setcbreak(self._handle, termios.TCSADRAIN)
+        if self._thread is None and platform.has_keys():
+            self._keys, self._ended = platform.Keys(), threading.Event()
+            self._keys.__enter__()
             self._pause.attended = True
             self._thread = threading.Thread(target=self._listen, name="gonio-keys", daemon=True)
             self._thread.start()
@@ -54,27 +40,20 @@ class PauseKeys:
             return
         thread, self._thread = self._thread, None
         self._pause.attended = False
-        os.write(self._waker, b".")
+        self._ended.set()
         thread.join()
-        for handle in (self._wake, self._waker):
-            os.close(handle)
-        with contextlib.suppress(termios.error):  # the terminal has gone
-            termios.tcsetattr(self._handle, termios.TCSADRAIN, self._before)
+        self._keys.__exit__(kind, error, trace)
 
     def _listen(self) -> None:
-        while True:
-            ready, _, _ = select.select([self._handle, self._wake], [], [])
-            if self._wake in ready:
-                return
+        while not self._ended.is_set():
             try:
-                key = os.read(self._handle, 1).lower()
-            except OSError:
+                pressed = self._keys.read(LOOK_S)
+            except EOFError:
                 return
-            if not key:  # the terminal has gone
-                return
-            if key in PAUSE:
-                self._pause.ask("a key")
-            elif key == GO_ON:
-                self._pause.go_on()
-            elif key == END:
-                os.kill(os.getpid(), signal.SIGINT)
+            for key in pressed.lower().decode(errors="replace"):
+                if key in PAUSE:
+                    self._pause.ask("a key")
+                elif key == GO_ON:
+                    self._pause.go_on()
+                elif key == END:
+                    platform.interrupt()

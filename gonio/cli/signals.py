@@ -8,15 +8,14 @@ import threading
 import time
 from collections.abc import Iterator
 
-ENDING = ("SIGINT", "SIGTERM", "SIGHUP")
-"""Ctrl-C, a request to end, and a terminal that has gone (unknown to Windows)."""
+from gonio import platform
 
 TOGETHER_S = 1.0
 """Signals that come again within so long are one: what they end has the time to be left in order."""
 
 
 class Ending:
-    """What the signals of `ENDING` do in the command line: they interrupt it, whatever it is doing."""
+    """What the signals of `platform.ENDING` do in the command line: they interrupt it, whatever it is doing."""
 
     def __init__(self) -> None:
         self.heard = False
@@ -30,25 +29,22 @@ class Ending:
 
     def listen(self) -> None:
         """From now on; a signal that was set to be ignored (nohup, a shell's background) stays so."""
-        for name in ENDING:
-            number = getattr(signal, name, None)
-            if number is not None and signal.getsignal(number) in (signal.default_int_handler, signal.SIG_DFL):
+        for number in platform.ENDING:
+            if signal.getsignal(number) in (signal.default_int_handler, signal.SIG_DFL):
                 signal.signal(number, self)
 
 
 def deafen() -> None:
-    """From now on no signal of `ENDING` is heard: the process is ending."""
-    for name in ENDING:
-        if hasattr(signal, name):
-            signal.signal(getattr(signal, name), signal.SIG_IGN)
+    """From now on no signal of `platform.ENDING` is heard: the process is ending."""
+    for number in platform.ENDING:
+        signal.signal(number, signal.SIG_IGN)
 
 
 @contextlib.contextmanager
 def undisturbed() -> Iterator[None]:
-    """What was measured is being written: for this moment no signal of `ENDING` is heard, nor what kills."""
+    """What was measured is being written: for this moment no signal of `platform.ENDING` is heard, nor what kills."""
     here = threading.current_thread() is threading.main_thread()
-    names = (*ENDING, "SIGQUIT", "SIGXCPU", "SIGUSR1", "SIGUSR2", "SIGALRM")
-    numbers = [getattr(signal, name) for name in names if hasattr(signal, name)] if here else []
+    numbers = {*platform.ENDING, *platform.KILLING} if here else ()
     # not SIG_IGN: Python prints a traceback of its own where a signal comes in the moment that it is told to ignore it
     before = {number: signal.signal(number, lambda number, frame: None) for number in numbers}
     try:

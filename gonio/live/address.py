@@ -15,6 +15,8 @@ import stat
 import tempfile
 from pathlib import Path
 
+from gonio import platform
+
 
 def folder() -> Path:
     """Where programs keep what outlives them, by the XDG base directory specification."""
@@ -31,7 +33,7 @@ def _closed(made: Path) -> None:
     for one in (made, *made.parents):
         with contextlib.suppress(OSError):
             there = os.lstat(one)
-            if stat.S_ISDIR(there.st_mode) and there.st_uid == os.getuid() and there.st_mode & 0o077:
+            if platform.is_own_but_open(there):
                 one.chmod(0o700)
         if one.name == "gonio":
             break
@@ -58,7 +60,7 @@ def private(what: Path) -> Path:
     _closed(made.parent)
     made.mkdir(mode=0o700, exist_ok=True)
     there = os.lstat(made)
-    if not stat.S_ISDIR(there.st_mode) or there.st_uid != os.getuid() or there.st_mode & 0o077:
+    if not stat.S_ISDIR(there.st_mode) or not platform.is_private(there):
         raise PermissionError(errno.EPERM, "is open to others", str(made))
     return made
 
@@ -68,7 +70,7 @@ def recall(what: Path) -> tuple[int, str | None]:
     file = _file(what)
     with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
         there = os.lstat(file)
-        if there.st_uid == os.getuid() and not there.st_mode & 0o077:
+        if platform.is_private(there):
             kept = json.loads(file.read_text(encoding="utf-8"))
             port, token = int(kept["port"]), str(kept["token"])
             if 0 < port < 65536 and len(token) >= 32 and token.replace("-", "").replace("_", "").isalnum():
@@ -82,4 +84,4 @@ def remember(what: Path, port: int, token: str) -> None:
     _closed(file.parent)
     with tempfile.NamedTemporaryFile("w", dir=file.parent, encoding="utf-8", delete=False) as made:  # mode 0600
         json.dump({"port": port, "token": token}, made)
-    os.replace(made.name, file)
+    platform.replace(made.name, file)

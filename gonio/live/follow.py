@@ -10,6 +10,7 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
+from gonio import platform
 from gonio.acquisition.expected_lines import event_of
 from gonio.acquisition.journal import Event, decode
 from gonio.disk import only_file
@@ -17,7 +18,6 @@ from gonio.errors import DataError
 
 PIECE = 1 << 20
 """Bytes that are read at once."""
-LOCKS = Path("/proc/locks")
 
 
 class Follower:
@@ -120,10 +120,4 @@ class Follower:
         """
         if self._file is None:
             return None
-        try:
-            held = LOCKS.read_text()
-        except OSError:
-            return None
-        inode = self._file[1]
-        rows = (row.split() for row in held.splitlines())
-        return any("FLOCK" in row and any(word.endswith(f":{inode}") for word in row) for row in rows)
+        return platform.is_locked(self.path)

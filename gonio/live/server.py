@@ -23,7 +23,7 @@ import hmac
 import io
 import ipaddress
 import secrets
-import select
+import selectors
 import socket
 import socketserver
 import threading
@@ -346,9 +346,9 @@ class _Client(BaseHTTPRequestHandler):
 
     def _gone(self) -> bool:
         """Whether the client has closed its end."""
-        look = select.poll()
-        look.register(self.connection, select.POLLIN)
-        return bool(look.poll(0)) and self.connection.recv(1, socket.MSG_PEEK) == b""
+        with selectors.DefaultSelector() as look:
+            look.register(self.connection, selectors.EVENT_READ)
+            return bool(look.select(0)) and self.connection.recv(1, socket.MSG_PEEK) == b""
 
     def _refuse(self, status: HTTPStatus, why: str = "") -> None:
         body = f"{status.value} {status.phrase}" + (f": {why}" if why else "")

@@ -8,7 +8,6 @@ one begins it again.
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import json
 import os
 import subprocess
@@ -19,6 +18,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+from gonio import platform
 from gonio.live import address
 
 NOW, CURVES, FRAME, LOOKED, LOCK = "now.json", "curves.json", "frame.png", "looked", "lock"
@@ -112,20 +112,22 @@ class Shared:
             ended = self._child.poll()
             if ended is None:
                 return
-            self.problem = f"the values cannot be worked out: their process has ended ({ended})"
+            if ended:  # and not because another one works there
+                self.problem = f"the values cannot be worked out: their process has ended ({ended})"
             assert self._child.stdin is not None
             self._child.stdin.close()
             self._child, self._next_s = None, now_s + AGAIN_S
             return
         with contextlib.suppress(OSError), open(self.folder / LOCK, "ab") as lock:
-            os.chmod(lock.fileno(), 0o600)
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            os.chmod(self.folder / LOCK, 0o600)
+            if not platform.lock(lock):
+                return
+        with contextlib.suppress(OSError):  # the process takes the lock itself
             self._child = subprocess.Popen(
                 [*self._command, str(self._run.absolute()), str(self.folder)],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.DEVNULL,
-                pass_fds=[lock.fileno()],
-                start_new_session=True,  # Ctrl-C ends it through its input, which ends with the watcher
+                **platform.detached(),  # Ctrl-C ends it through its input, which ends with the watcher
             )
 
     def close(self) -> None:

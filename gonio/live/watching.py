@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import os
 import threading
 import time
 from collections.abc import Sequence
@@ -18,6 +17,7 @@ from typing import Any, Self
 
 import numpy as np
 
+from gonio import platform
 from gonio.acquisition.run import Run
 from gonio.errors import GonioError
 from gonio.geometry import IN_PLANE, Directions
@@ -208,8 +208,7 @@ class Watched:
             "frame_step": self.values.frame[1] if self.values.frame else None,
         }
         with contextlib.suppress(OSError):
-            room = os.statvfs(self.path)
-            out["free_bytes"] = rounded(float(room.f_bavail * room.f_frsize), 3)
+            out["free_bytes"] = rounded(float(platform.free_bytes(self.path)), 3)
             out["needed_bytes"] = rounded(run_status.bytes_left, 3) if going else None
         return out
 

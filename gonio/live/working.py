@@ -8,14 +8,14 @@ looks.
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import os
-import select
+import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import islice
 from pathlib import Path
 
+from gonio import platform
 from gonio.acquisition.journal import Event
 from gonio.acquisition.records import StepRecord
 from gonio.acquisition.run import Run
@@ -26,7 +26,7 @@ from gonio.live.left import Left
 from gonio.live.picture import png
 from gonio.live.provisional import Provisional, ProvisionalValues
 from gonio.live.run_status import RunStatus, rounded
-from gonio.live.shared import CURVES, FRAME, LOOKED, LOOKED_S, NOW, Now
+from gonio.live.shared import CURVES, FRAME, LOCK, LOOKED, LOOKED_S, NOW, Now
 from gonio.rig.dng import read_raw
 
 SHARE = 0.02
@@ -137,12 +137,8 @@ class Worker:
                 file = held.enter_context(open(self.path / "run.toml", "rb", opener=only_file))
                 until = time.monotonic() + TURN_S
                 while time.monotonic() < until:
-                    try:
-                        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                    if platform.lock(file) or wait(0.05):
                         break
-                    except BlockingIOError:
-                        if wait(0.05):
-                            break
             yield
 
     # --- reading -----------------------------------------------------------------------------------------------------
@@ -269,7 +265,7 @@ def write(path: Path, data: bytes) -> None:
     """A file in the place of an older one, whole for whoever reads it."""
     new = path.with_name(path.name + ".new")
     new.write_bytes(data)
-    os.replace(new, path)
+    platform.replace(new, path)
 
 
 def serve(run: Path, out: Path, draw: Draw, told: int = 0) -> None:
@@ -282,8 +278,18 @@ def serve(run: Path, out: Path, draw: Draw, told: int = 0) -> None:
     told
         A file descriptor whose other end the watcher holds.
     """
-    with contextlib.suppress(AttributeError, OSError):
-        os.setpriority(os.PRIO_PROCESS, 0, 19)
-    end = select.poll()
-    end.register(told, select.POLLIN | select.POLLHUP)
-    Worker(run, out, draw).work(lambda seconds: bool(end.poll(1000.0 * seconds)))
+    platform.work_modestly()
+    with open(out / LOCK, "ab") as held:
+        os.chmod(out / LOCK, 0o600)
+        if not platform.lock(held):  # another one has begun meanwhile
+            return
+        ended = threading.Event()
+        threading.Thread(target=_until_end, args=(told, ended), daemon=True).start()
+        Worker(run, out, draw).work(ended.wait)
+
+
+def _until_end(told: int, ended: threading.Event) -> None:
+    """Wait at a pipe until it says something, or its other end has gone."""
+    with contextlib.suppress(OSError):
+        os.read(told, 1)
+    ended.set()

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from gonio import platform
 from gonio.errors import ArgumentError, refuse_masked
 from gonio.models import _loops
 from gonio.models._compile import loop, whole_vectors
@@ -49,7 +50,7 @@ if hasattr(os, "register_at_fork"):
 
 def threads() -> int:
     """How many threads large arrays are split over: the processors that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return platform.processors()
 
 
 def in_parts(work: Callable[[int, int], int | None], count: int, split: int = SPLIT) -> int:

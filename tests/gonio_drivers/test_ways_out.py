@@ -16,11 +16,11 @@ from typing import Any
 import pytest
 from gonio_drivers import lamp_line, signals
 from gonio_drivers.lab import LAB
-from gonio_drivers.signals import ENDING
 from gonio_sim.wire import motion, tables
 from gonio_sim.wire.servo import Servo
 from gonio_sim.wire.twins import Twins
 
+from gonio import platform
 from gonio.acquisition.measure import RigChoice, carry_out
 from gonio.acquisition.plan import load_plan
 from gonio.acquisition.progress import Silent
@@ -103,7 +103,7 @@ def test_a_signal_in_mid_move_of_a_measurement_tells_where_the_arms_stand(
 
 
 def test_every_signal_that_ends_a_process_is_heard_while_a_rig_is_open() -> None:
-    for number in ENDING:
+    for number in platform.KILLING:
         before = signal.signal(number, signal.SIG_DFL)  # whatever listens in this process already
         try:
             with pytest.raises(Interrupted, match=number.name), signals.heard():

@@ -23,6 +23,7 @@ from gonio_sim.wire.bus import ServoBus
 from gonio_sim.wire.peer import SerialPeer
 from gonio_sim.wire.servo import Servo
 
+from gonio import platform
 from gonio.acquisition import holding, suspending
 from gonio.rig import clock
 
@@ -264,9 +265,9 @@ def virtual_time(monkeypatch: pytest.MonkeyPatch) -> Iterator[VirtualClock]:
         ("wait", lambda line, seconds: hours.wait(lambda: line.in_waiting > 0, seconds)),
         ("send", lambda line, data: line.write(data)),
         ("require_free", lambda port, key: None),
-        ("holders_of", lambda port: iter(())),
     ):
         monkeypatch.setattr(ports, name, value)
+    monkeypatch.setattr(platform, "holders_of", lambda port: [])
     for name, method in (("__enter__", enter), ("__exit__", leave)):
         monkeypatch.setattr(SerialPeer, name, method)
     monkeypatch.setattr(SerialPeer, "send", lambda peer, data: lines[peer.port].outbox.extend(data))

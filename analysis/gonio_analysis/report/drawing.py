@@ -22,6 +22,7 @@ from contextlib import contextmanager
 from functools import partial
 from typing import BinaryIO, TypeVar
 
+from gonio import platform
 from gonio.cli.pace import Pace, Say, silent
 from gonio_analysis.report.drawings import Drawing, Figure
 
@@ -191,4 +192,4 @@ def _taken(waiting: queue.SimpleQueue[int]) -> Iterator[int]:
 
 
 def _processors() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return platform.processors()

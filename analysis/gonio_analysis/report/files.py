@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from gonio import platform
 from gonio.disk import MANIFEST, NOT_OWN, foreign_files, manifest_of, remove_own, require_name, write_manifest
 from gonio.errors import ConfigError
 from gonio_analysis.report import html
@@ -143,7 +144,7 @@ def _tidy(final: Path) -> None:
     """Remove the hidden folders of processes that died; a report that one had moved aside comes back."""
     for left in final.parent.iterdir():
         found = re.fullmatch(rf"\.{re.escape(final.name)}\.(\d+)\.\w+\.(part|old)", left.name)
-        if found is None or _alive(int(found[1])):
+        if found is None or platform.is_alive(int(found[1])):
             continue
         if left.is_symlink() or not left.is_dir():
             continue
@@ -153,16 +154,6 @@ def _tidy(final: Path) -> None:
             shutil.rmtree(left, ignore_errors=True)
         else:
             _discard(left)
-
-
-def _alive(process: int) -> bool:
-    try:
-        os.kill(process, 0)
-    except ProcessLookupError:
-        return False
-    except PermissionError:  # another user's
-        return True
-    return True
 
 
 def _remove(folders: list[Path]) -> None:

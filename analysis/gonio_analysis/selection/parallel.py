@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import os
-import signal
 import socket
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
 from multiprocessing import get_context, parent_process
 from multiprocessing.connection import wait
 from typing import Any, Protocol, TypeVar
 
+from gonio import platform
 from gonio.cli.pace import Pace, Say, silent
 from gonio.errors import ConfigError, DataError
 
@@ -82,7 +81,7 @@ def _on_processors(function: Callable[[In], Out], jobs: Sequence[In], workers: i
     """Whatever ends this, an error, a signal or the death of this process, ends the other processes at once."""
     pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_stay_with_parent)
     try:
-        with _deaf_children():
+        with platform.deaf_children():
             waiting = [pool.submit(function, job) for job in jobs]
         yield from map(Future.result, waiting)
     except BrokenProcessPool:
@@ -107,19 +106,6 @@ def _stay_with_parent() -> None:
         os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()
-
-
-@contextmanager
-def _deaf_children() -> Iterator[None]:
-    """Processes that are started here hear no signal that is sent to all: who started them does, and ends them."""
-    if not hasattr(signal, "pthread_sigmask"):
-        yield
-        return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM, signal.SIGHUP})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _on_cluster(function: Callable[[In], Out], jobs: Sequence[In], address: str) -> Iterator[Out]:

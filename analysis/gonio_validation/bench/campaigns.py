@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import csv
-import fcntl
 import io
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -23,6 +22,7 @@ from gonio_analysis.report.drawings import Figure
 from gonio_analysis.result_records import as_json
 from gonio_analysis.selection import parallel
 
+from gonio import platform
 from gonio.config import Strict, parse, read_toml, to_toml
 from gonio.disk import require_name, write_own, write_whole
 from gonio.errors import ConfigError, Interrupted
@@ -57,13 +57,11 @@ class Campaigns:
         try:
             self._begin(file)
             with open(file, "rb") as held:
-                try:
-                    fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                except BlockingIOError:
+                if not platform.lock(held):
                     raise ConfigError(
                         f"{self.folder}: another bench {self.bench} is at work there; wait until it has ended, or stop"
                         " it"
-                    ) from None
+                    )
                 yield
         except OSError as error:
             raise ConfigError(f"{self.folder}: cannot be written: {error.strerror}") from None

@@ -4,22 +4,15 @@ from __future__ import annotations
 
 import os
 import select
-import termios
 import threading
-import tty
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Protocol, Self
 
+from gonio import platform
 from gonio.rig import clock
-
-BAUD_RATES = {
-    getattr(termios, name): int(name[1:])
-    for name in dir(termios)
-    if name.startswith("B") and name[1:].isdigit() and name != "B0"
-}
 
 OPENING_MS = 5
 """How often to look whether a closed port has been opened."""
@@ -61,10 +54,8 @@ class SerialPeer:
         self.failure: BaseException | None = None
 
     def __enter__(self) -> Self:
-        self._master, self._slave = os.openpty()
-        tty.setraw(self._slave)
+        self._master, self._slave, self.port = platform.pseudo_terminal()
         self._wake = os.pipe()
-        self.port = os.ttyname(self._slave)
         if self._link is not None:
             if self._link.is_symlink():
                 self._link.unlink()
@@ -94,7 +85,7 @@ class SerialPeer:
 
     def baud(self) -> int:
         """The line speed that the other side has set; 0 where it is none of the standard ones."""
-        return BAUD_RATES.get(termios.tcgetattr(self._master)[4], 0)
+        return platform.baud_of(self._master)
 
     def _serve(self) -> None:
         try:

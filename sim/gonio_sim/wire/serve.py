@@ -34,6 +34,7 @@ def serve(
 ) -> None:
     """Serve twins of a rig file's devices on pseudo-terminals. They run until Ctrl-C."""
 
+    from gonio import platform
     from gonio.acquisition.measure import find_rig, load_sample
     from gonio.disk import require_own, write_own
     from gonio.errors import ConfigError
@@ -51,7 +52,7 @@ def serve(
     described = load_sample(sample) if sample is not None else None
     require_own(out, ["rig.toml"])
     stop = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+    for number in platform.ENDING:
         signal.signal(number, lambda *_: stop.set())
     with Twins(choice.description, described, seed, folder=out.absolute(), scale=time_scale) as twins:
         path = out / "rig.toml"

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
+from gonio import platform
 from gonio.acquisition import repair
 from gonio.acquisition.journal import Event, Journal, encode, read_events
-from gonio.live import follow
 from gonio.live.follow import Follower
 from tests.gonio.live.runs import Played
 
@@ -121,10 +121,11 @@ def test_who_measures_is_seen_without_touching_the_lock(tmp_path: Path) -> None:
         assert follower.writer_lives()
 
 
-def test_a_machine_without_a_list_of_locks_tells_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(follow, "LOCKS", tmp_path / "none")
+def test_a_machine_without_a_list_of_locks_tells_by_trying(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(platform, "LOCKS", tmp_path / "none")
     with Journal(tmp_path / "journal.jsonl") as journal:
         journal.append({"event": "session"})
         follower = Follower(tmp_path)
         new(follower)
-        assert follower.writer_lives() is None
+        assert follower.writer_lives() is True
+    assert follower.writer_lives() is False

@@ -199,7 +199,15 @@ def test_the_outline_is_that_of_the_frame_and_not_of_a_later_step(
 
 # --- who works it out ------------------------------------------------------------------------------------------------
 
-STAND_IN = "import pathlib, sys; pathlib.Path(sys.argv[2], 'began').open('a').write('x'); sys.stdin.read()"
+STAND_IN = """
+import pathlib, sys
+from gonio import platform
+folder = pathlib.Path(sys.argv[2])
+held = (folder / "lock").open("ab")
+if platform.lock(held):
+    (folder / "began").open("a").write("x")
+    sys.stdin.read()
+"""
 
 
 def test_one_process_works_for_all_watchers_and_another_one_follows_it(played: Played) -> None:
