@@ -20,6 +20,8 @@ from typing import Any
 
 import mpmath as mp
 
+from gonio.documents import JsonObject
+
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
@@ -169,11 +171,11 @@ def unit(v: Any) -> list[Any]:
 # --- the sets -------------------------------------------------------------------------------------------------------
 
 
-def surface(sigma0: float, tau: float, index: complex, wavelength_nm: float) -> dict[str, Any]:
+def surface(sigma0: float, tau: float, index: complex, wavelength_nm: float) -> JsonObject:
     return {"sigma0_um": sigma0, "tau_um": tau, "n": index.real, "k": index.imag, "wavelength_nm": wavelength_nm}
 
 
-def group(kind: str, parameters: dict[str, Any], labelled: dict[str, Pair], values: list[tuple[float, float]]) -> Any:
+def group(kind: str, parameters: JsonObject, labelled: dict[str, Pair], values: list[tuple[float, float]]) -> Any:
     return {
         "set": kind,
         "parameters": parameters,
@@ -234,7 +236,7 @@ def closed() -> dict[str, list[Any]]:
     plain = {str(j): p for j, p in enumerate(grid())}
     hard = hard_pairs()
 
-    def groups(make: Callable[..., Any], sets: list[tuple[str, dict[str, Any]]]) -> list[Any]:
+    def groups(make: Callable[..., Any], sets: list[tuple[str, JsonObject]]) -> list[Any]:
         out = []
         for kind, parameters in sets:
             labelled = plain if kind == "grid" else hard
@@ -243,20 +245,20 @@ def closed() -> dict[str, list[Any]]:
             out.append(group(kind, parameters, labelled, values))
         return out
 
-    def cook(p: dict[str, Any]) -> Any:
+    def cook(p: JsonObject) -> Any:
         return lambda *a: oracles.cook_torrance(*a, p["slopes"], complex(p["n"], p["k"]), "beckmann")
 
-    def blinn(p: dict[str, Any]) -> Any:
+    def blinn(p: JsonObject) -> Any:
         return lambda *a: oracles.blinn(*a, p["c"], p["ior"], p["distribution"], mp.mpf(p["k_d"]), mp.mpf(p["k_s"]))
 
-    def phong(p: dict[str, Any]) -> Any:
+    def phong(p: JsonObject) -> Any:
         def formula(*a: Any) -> Any:
             nl, _, nh, _ = oracles.halfway(*a)
             return (mp.mpf(p["k_d"]) + mp.mpf(p["k_s"]) * nh ** mp.mpf(p["exponent"]) / nl) / mp.pi
 
         return formula
 
-    def oren(p: dict[str, Any]) -> Any:
+    def oren(p: JsonObject) -> Any:
         return lambda *a: oracles.oren_nayar(*a, p["albedo"], mp.mpf(p["sigma_deg"]) * mp.pi / 180)
 
     copper = {"slopes": [[0.4, 0.4], [0.2, 0.6]], "n": metal.real, "k": metal.imag}
@@ -296,7 +298,7 @@ def closed() -> dict[str, list[Any]]:
     return out
 
 
-def small() -> dict[str, Any]:
+def small() -> JsonObject:
     indices = {
         "copper-like, 450 nm": 1.17 + 2.40j,
         "copper-like, 550 nm": 1.02 + 2.58j,

@@ -18,9 +18,10 @@ import math
 import shutil
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+
+from gonio.documents import JsonObject
 
 PLAN = """\
 name = "blind sample: in plane, and out of it"
@@ -39,7 +40,7 @@ LEVEL = 2.576
 """Standard uncertainties that a value exceeds in 1 % of the cases."""
 
 
-def draw(rng: np.random.Generator) -> tuple[str, dict[str, Any]]:
+def draw(rng: np.random.Generator) -> tuple[str, JsonObject]:
     """A random family and its parameters."""
     kind = str(rng.choice(CLASSES))
     if kind != "sum":
@@ -56,7 +57,7 @@ def draw(rng: np.random.Generator) -> tuple[str, dict[str, Any]]:
     return "sum", {base: below, gloss: {"weight": share, **own}}
 
 
-def _parameters(kind: str, rng: np.random.Generator) -> dict[str, Any]:
+def _parameters(kind: str, rng: np.random.Generator) -> JsonObject:
     def even(low: float, high: float) -> float:
         return round(float(rng.uniform(low, high)), 4)
 
@@ -125,7 +126,7 @@ def measured(folder: Path, seed: int) -> Path:
     return table
 
 
-def judged(folder: Path) -> dict[str, Any]:
+def judged(folder: Path) -> JsonObject:
     """What the analysis says of a measured sample, beside the truth."""
     import tomllib
 
@@ -141,7 +142,7 @@ def judged(folder: Path) -> dict[str, Any]:
     sample = tomllib.loads((folder / "sample.toml").read_text())
     kind, true = _family(sample["model"], sample["parameters"])
     truth = apparent(models.build(sample["model"], sample["parameters"]), data)
-    out: dict[str, Any] = {"sample": folder.name, "true": kind, "parameters": true, **as_json(chosen.summary())}
+    out: JsonObject = {"sample": folder.name, "true": kind, "parameters": true, **as_json(chosen.summary())}
     whitened = (
         chosen.judged[0].fit.goal.residual(truth) if chosen.named is None else chosen.named.fit.goal.residual(truth)
     )
@@ -160,7 +161,7 @@ def judged(folder: Path) -> dict[str, Any]:
     return out
 
 
-def _family(kind: str, parameters: dict[str, Any]) -> tuple[str, dict[str, float]]:
+def _family(kind: str, parameters: JsonObject) -> tuple[str, dict[str, float]]:
     """Name and parameters of a truth as fits have them."""
     if kind != "sum":
         return kind, _flat(kind, parameters, 1.0)
@@ -179,7 +180,7 @@ def _family(kind: str, parameters: dict[str, Any]) -> tuple[str, dict[str, float
     return gloss, shine | {"k_d": level * below["albedo"]}
 
 
-def _flat(kind: str, parameters: dict[str, Any], weight: float) -> dict[str, float]:
+def _flat(kind: str, parameters: JsonObject, weight: float) -> dict[str, float]:
     out = {n: v for n, v in parameters.items() if n not in ("ior", "slopes", "d", "weight")}
     for level in ("s", "k_s"):
         if level in out:
@@ -191,7 +192,7 @@ def _flat(kind: str, parameters: dict[str, Any], weight: float) -> dict[str, flo
     return out
 
 
-def study(folder: Path, seed: int) -> dict[str, Any]:
+def study(folder: Path, seed: int) -> JsonObject:
     """Measure and judge one sample."""
     measured(folder, seed)
     verdict = judged(folder)

@@ -25,13 +25,14 @@ from gonio.by_hand.manual_rig import ManualRig
 from gonio.calibration import geometry
 from gonio.calibration.geometry_scans import GeometryScans, reversed_approach
 from gonio.config import parse, to_toml
+from gonio.documents import TomlTable
 from gonio.rig import Step
 from gonio.rig.description import RigDescription
 
 RANGE_DEG = 70.0
 
 
-def rig_tables(limit_deg: float = 95.0) -> dict[str, Any]:
+def rig_tables(limit_deg: float = 95.0) -> TomlTable:
     """The rig file that everybody knows: `sim` with printed markers, a wider view and arms that can face each other."""
     tables = tomllib.loads(SIM.toml)
     tables["camera"] |= {"width": 400, "height": 300, "pixel_um": 8.0, "focal_length_mm": 50.0}
@@ -42,9 +43,9 @@ def rig_tables(limit_deg: float = 95.0) -> dict[str, Any]:
     return tables
 
 
-def hidden(rng: np.random.Generator) -> dict[str, Any]:
+def hidden(rng: np.random.Generator) -> TomlTable:
     """A truth file: keys of the rig file with what is true."""
-    tables: dict[str, Any] = {"arms": {}, "holder": {}, "camera": {}, "geometry": {}}
+    tables: TomlTable = {"arms": {}, "holder": {}, "camera": {}, "geometry": {}}
     for arm in ("light", "camera"):
         phases = rng.uniform(0.0, math.tau, 2)
         sizes = rng.uniform(0.0, (0.4, 0.2))

@@ -35,6 +35,7 @@ from gonio.acquisition.measure import RigChoice, carry_out
 from gonio.acquisition.plan import Plan, Point
 from gonio.acquisition.run import Run
 from gonio.config import parse
+from gonio.documents import TomlTable
 from gonio.errors import GonioError
 from gonio.reduction import brdf
 from gonio.rig.description import RigDescription, SampleDescription
@@ -104,10 +105,10 @@ def turned(vector: Any, rng: np.random.Generator, u_deg: float) -> list[float]:
     return [float(x) for x in moved / np.linalg.norm(moved)]
 
 
-def shaped(shape: str, rng: np.random.Generator, radius: float, out: Path) -> dict[str, Any]:
+def shaped(shape: str, rng: np.random.Generator, radius: float, out: Path) -> TomlTable:
     """The table of a shape that is about as wide as a sphere; its file is written."""
     kind, _, normals = shape.partition("-")
-    table: dict[str, Any] = {"kind": kind, "material": "sample"}
+    table: TomlTable = {"kind": kind, "material": "sample"}
     if kind == "sphere":
         return table | {"radius_mm": radius}
     if kind == "cylinder":
@@ -143,9 +144,7 @@ def shaped(shape: str, rng: np.random.Generator, radius: float, out: Path) -> di
     return table | {"file": "mesh.obj", "normals": normals}
 
 
-def scenes(
-    rng: np.random.Generator, what: SampleDescription, shape: str, out: Path
-) -> tuple[dict[str, Any], dict[str, Any]]:
+def scenes(rng: np.random.Generator, what: SampleDescription, shape: str, out: Path) -> tuple[TomlTable, TomlTable]:
     """A scene as it is described, and as it truly is: tables of scene files."""
 
     def even(low: float, high: float) -> float:
@@ -166,7 +165,7 @@ def scenes(
     }
     far = even(500.0, 1500.0)
     u |= {"light_deg": even(0.05, 0.3)} if kind == "directional" else {"light_mm": far * math.radians(even(0.05, 0.25))}
-    light: dict[str, Any] = {"kind": kind}
+    light: TomlTable = {"kind": kind}
     if kind == "directional":
         light |= {"toward": toward.tolist(), "irradiance": 1.0}
     elif kind == "point":
@@ -182,7 +181,7 @@ def scenes(
         "height": PIXELS,
         "samples": int(rng.choice([1, 36])),  # fewer rays an area would add noise of their own
     }
-    described: dict[str, Any] = {
+    described: TomlTable = {
         "name": what.name,
         "wavelength_nm": [WAVELENGTH_NM],
         "camera": camera,

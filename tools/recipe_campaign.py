@@ -19,12 +19,12 @@ import tempfile
 import time
 import tomllib
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from gonio_sim.rig import SIM_UNCALIBRATED
 
 from gonio.config import numbers_in, read_toml, to_toml
+from gonio.documents import TomlTable
 from gonio.measurement import read
 
 PLAN = """name = "the white, as a sample"
@@ -36,9 +36,9 @@ theta_r_deg = { start = -70, stop = 70, step = 10 }
 WHITE = 'name = "white"\nmodel = "lambert"\n[parameters]\nalbedo = 0.99\n'
 
 
-def hidden(rng: np.random.Generator) -> dict[str, Any]:
+def hidden(rng: np.random.Generator) -> TomlTable:
     """A truth file."""
-    arms: dict[str, Any] = {}
+    arms: TomlTable = {}
     for arm in ("light", "camera"):
         phases, sizes = rng.uniform(0.0, math.tau, 2), rng.uniform(0.0, (0.15, 0.08))
         arms[arm] = {
@@ -68,7 +68,7 @@ def hidden(rng: np.random.Generator) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def rig_of(limit_deg: float, claim_deg: float) -> dict[str, Any]:
+def rig_of(limit_deg: float, claim_deg: float) -> TomlTable:
     """The rig file."""
     tables = tomllib.loads(SIM_UNCALIBRATED.toml) | {"truth": "truth.toml"}
     for arm in ("light", "camera"):
@@ -77,7 +77,7 @@ def rig_of(limit_deg: float, claim_deg: float) -> dict[str, Any]:
     return tables
 
 
-def follow(folder: Path, tables: dict[str, Any], seed: int) -> str:
+def follow(folder: Path, tables: TomlTable, seed: int) -> str:
     """The recipe; what was said, and an end with an error where there was one."""
     said = ""
 
@@ -104,7 +104,7 @@ def follow(folder: Path, tables: dict[str, Any], seed: int) -> str:
     return said
 
 
-def pulls_of(folder: Path, truth: dict[str, Any], filed: dict[str, Any]) -> dict[str, float]:
+def pulls_of(folder: Path, truth: TomlTable, filed: TomlTable) -> dict[str, float]:
     """(found - true) / u by path."""
     out = {}
     for kind in ("geometry", "camera", "light"):

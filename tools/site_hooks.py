@@ -19,6 +19,8 @@ from urllib.parse import unquote, urlsplit
 
 from mkdocs.structure.files import File
 
+from gonio.documents import JsonObject
+
 log = logging.getLogger("mkdocs.gonio")
 ROOT = Path(__file__).resolve().parents[1]
 ENTRY_POINT = re.compile(r"(?m)^# (.+)$")
@@ -83,7 +85,7 @@ def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
 # --- notebooks -------------------------------------------------------------------------------------------------------
 
 
-def page_of(notebook: dict[str, Any], stem: str) -> tuple[str, dict[str, bytes]]:
+def page_of(notebook: JsonObject, stem: str) -> tuple[str, dict[str, bytes]]:
     """The page of an executed notebook, and its pictures by file name."""
     parts: list[str] = []
     pictures: dict[str, bytes] = {}
@@ -100,7 +102,7 @@ def page_of(notebook: dict[str, Any], stem: str) -> tuple[str, dict[str, bytes]]
     return "\n\n".join([heading, taken, rest.strip(), *parts[1:]]) + "\n", pictures
 
 
-def _shown(output: dict[str, Any], stem: str, pictures: dict[str, bytes]) -> str:
+def _shown(output: JsonObject, stem: str, pictures: dict[str, bytes]) -> str:
     if output["output_type"] == "stream":
         return _fenced("".join(output["text"]), "text", "output")
     data = {kind: "".join(value) for kind, value in output["data"].items() if isinstance(value, str | list)}

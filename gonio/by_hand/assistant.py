@@ -26,13 +26,14 @@ from gonio.by_hand.live_picture import Pictures, pictures
 from gonio.by_hand.rig_file import with_values, write_values, zero_values
 from gonio.by_hand.sight import Sight
 from gonio.disk import write_whole
+from gonio.documents import JsonObject
 from gonio.errors import ConfigError, DataError, DeviceError, Disturbed, EmergencyStop
 from gonio.rig import Frame, Pose, Target, regions
 
 if TYPE_CHECKING:
     from gonio.by_hand.manual_rig import ManualRig
 
-Tell = Callable[[dict[str, Any], Pictures | None], None]
+Tell = Callable[[JsonObject, Pictures | None], None]
 """Takes what is to be shown (what JSON can hold), and the pictures of a new frame."""
 
 KEEP_S = 60.0
@@ -108,7 +109,7 @@ class Assistant:
         self._pose: Pose | None = None
         self._target: Target = "sample"
         self._sight = Sight(bench.description, clock)
-        self._shown: dict[str, Any] = {}
+        self._shown: JsonObject = {}
         self._nudge: tuple[str, float] | None = None
         self._do = {
             "jog": self._jog, "go": self._go, "zero": self._zero, "park": self._park, "lamp": self._lamp,
@@ -211,7 +212,7 @@ class Assistant:
         self._pose = self._bench.pose()
         self._sight.stand(self._pose, self._bench.band, self._target)
 
-    def _session(self) -> dict[str, Any]:
+    def _session(self) -> JsonObject:
         """What there is to show beside the frame."""
         left = self.timer.left_s
         return {

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 from gonio.config import parse, read_toml
+from gonio.documents import TomlTable
 from gonio.errors import ConfigError, DeviceError
 from gonio.rig import FoundServo, RigDiscovery, RigPlugin, RigService
 from gonio.rig.description import RigDescription
@@ -63,7 +64,7 @@ class Answers:
     """Answers from a TOML file, by the key of the question; what is missing is answered by its default."""
 
     path: Path
-    values: dict[str, Any]
+    values: TomlTable
     used: set[str] = field(default_factory=set)
 
     def about(self, key: str, text: str, default: str | None, check: Check) -> Any:
@@ -168,7 +169,7 @@ def angles(text: str) -> list[float]:
     return [low, high]
 
 
-def bands(text: str) -> list[dict[str, Any]] | None:
+def bands(text: str) -> list[TomlTable] | None:
     """None for a tunable source; else centre and width of each band [nm]."""
     if text.lower() == "tunable":
         return None
@@ -393,7 +394,7 @@ def _camera(person: Person | Answers, form: Any, found: Found) -> None:
         how = ask(
             "trigger", "Who releases it: serial (a box), command, none", usual, one_of("serial", "command", "none")
         )
-        trigger: dict[str, Any] = {"how": how}
+        trigger: TomlTable = {"how": how}
         if how == "serial":
             box = found.releases[0] if found.releases else None
             trigger["port"] = ask("release_port", "Port of the release box", box, port)

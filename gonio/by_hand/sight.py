@@ -9,12 +9,12 @@ import math
 from collections import deque
 from collections.abc import Callable
 from dataclasses import asdict
-from typing import Any
 
 import numpy as np
 
 from gonio.acquisition import exposure
 from gonio.by_hand import looking
+from gonio.documents import JsonObject
 from gonio.errors import ConfigError
 from gonio.rig import Frame, Pose, Target, imaging, kinematics, regions
 from gonio.rig.bands import Band
@@ -50,7 +50,7 @@ class Sight:
         self._band: Band | None = None
         self._target: Target = "sample"
         self._view: View | None = None
-        self._predicted: dict[str, Any] = {}
+        self._predicted: JsonObject = {}
         self._last: Frame | None = None
         self._number = 0
         self._times: deque[float] = deque(maxlen=FPS_OF)
@@ -110,7 +110,7 @@ class Sight:
             out["reference"] = _places(*regions.outline(description, view, "reference"))
         out["beam"] = _beam(description, view)
 
-    def _angles(self) -> dict[str, Any]:
+    def _angles(self) -> JsonObject:
         description, pose = self._description, self._pose
         if pose is None:
             return {"angles_deg": None, "directions_deg": None}
@@ -124,7 +124,7 @@ class Sight:
 
     # ---- in the frame ----
 
-    def told(self, frame: Frame) -> dict[str, Any]:
+    def told(self, frame: Frame) -> JsonObject:
         """What there is to show of a frame; `stand` was called before."""
         description, region, last = self._description, self.region, self._last
         camera = description.camera
@@ -150,7 +150,7 @@ class Sight:
         self._last = frame
         return out
 
-    def _focus(self, frame: Frame) -> dict[str, Any]:
+    def _focus(self, frame: Frame) -> JsonObject:
         camera, now = self._description.camera, self._clock()
         rows, cols = box = looking.focus_box(camera, self.region)
         found = looking.focus(camera, self._last, frame, box) if self._last is not None else None
@@ -165,7 +165,7 @@ class Sight:
             "history": [[round(t - now, 2), value] for t, value in self._history],
         }  # fmt: skip
 
-    def _placed(self, spot: looking.Spot) -> dict[str, Any]:
+    def _placed(self, spot: looking.Spot) -> JsonObject:
         """A spot with its offset from the sample's centre, and its size on the sample, where the pose is known."""
         out = asdict(spot) | {"from_centre_px": None, "from_centre_mm": None, "axes_mm": None}
         centre, view = self._predicted["centre"], self._view

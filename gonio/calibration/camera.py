@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from gonio.calibration import black_frames, linearity, photon_transfer, pixel_statistics, response, vignetting
 from gonio.calibration.camera_frames import CameraFrame
+from gonio.documents import TomlTable
 from gonio.errors import DataError
 from gonio.reduction.stray_light import spread
 from gonio.rig import Pose
@@ -53,13 +54,13 @@ Say = Callable[[str], None]
 class CameraCalibration:
     """What came out."""
 
-    values: dict[str, Any]
+    values: TomlTable
     """Keys of the rig file's table [camera]."""
     names: list[str]
     """Of the numbers with uncertainties, as `nonlinearity[0]`."""
     covariance: Floats
     notes: list[str]
-    measured: dict[str, Any]
+    measured: TomlTable
     maps: PixelMaps | None
     transfer: photon_transfer.PhotonTransfer | None
     curve: linearity.Linearity | None
@@ -390,10 +391,10 @@ class _Work:
 
     def _noise(
         self, transfer: photon_transfer.PhotonTransfer, dsnu: tuple[float, float], prnu: tuple[float, float]
-    ) -> tuple[dict[str, Any], dict[str, float]]:
+    ) -> tuple[TomlTable, dict[str, float]]:
         """Keys of the noise model, and the standard uncertainties that they have beside that of the gain."""
         gain = transfer.electrons_per_dn
-        out: dict[str, Any] = {
+        out: TomlTable = {
             "electrons_per_dn": gain,
             "black_level_dn": max(self.level, 0.0),
             "read_noise_e": transfer.read_noise_e,
@@ -428,10 +429,10 @@ class _Work:
         curve: linearity.Linearity,
         uneven: pixel_statistics.Unevenness,
         prnu: float,
-    ) -> dict[str, Any]:
+    ) -> TomlTable:
         """The standard's figures, for people; `standard` has no curve taken out."""
         gain = transfer.electrons_per_dn
-        out: dict[str, Any] = {
+        out: TomlTable = {
             "gain_dn_per_e": transfer.gain,
             "gain_of_the_standard_dn_per_e": standard.gain,
             "temporal_dark_noise_dn": transfer.dark_noise_dn,
@@ -598,7 +599,7 @@ class _Work:
 
 
 def _with_gain(
-    values: dict[str, Any], own: dict[str, float], transfer: photon_transfer.PhotonTransfer
+    values: TomlTable, own: dict[str, float], transfer: photon_transfer.PhotonTransfer
 ) -> tuple[Floats, list[str]]:
     """Covariance of numbers of which those in electrons share the gain's uncertainty."""
     names = list(own)

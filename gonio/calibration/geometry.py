@@ -18,12 +18,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from gonio.config import numbers_in, parse, with_numbers
+from gonio.documents import TomlTable
 from gonio.errors import DataError
 from gonio.rig import Pose, imaging, kinematics
 from gonio.rig.description import RigDescription
@@ -211,7 +212,7 @@ def _orders(description: RigDescription, arm: str) -> list[int]:
     return own + [order for order in ORDERS if order not in own]
 
 
-def start_of(description: RigDescription) -> dict[str, Any]:
+def start_of(description: RigDescription) -> TomlTable:
     """The rig file's tables, with a place for every number that may be sought."""
     tables = description.model_dump(mode="json")
     for arm in ("light", "camera"):
@@ -563,7 +564,7 @@ def _left(rig: RigDescription, s: Sighting) -> tuple[Floats, Floats]:
     return seen - spot, np.array(s.corners_px).reshape(-1, 2) - corners
 
 
-def _numbers(tables: dict[str, Any], paths: Sequence[str]) -> npt.NDArray[np.float64]:
+def _numbers(tables: TomlTable, paths: Sequence[str]) -> npt.NDArray[np.float64]:
 
     there = numbers_in(tables)
     return np.array([there[path] for path in paths], float)
@@ -625,7 +626,7 @@ def _open(fit: Fit, sightings: Sequence[Sighting], null: Floats) -> tuple[str, .
 # ---- what is written ----
 
 
-def values_of(fit: Fit) -> tuple[dict[str, Any], list[str], Floats]:
+def values_of(fit: Fit) -> tuple[TomlTable, list[str], Floats]:
     """The tables of a calibration file, the paths of its uncertain numbers, and their covariance.
 
     A number that is not known is not written. Where it shares a list with one that is, it stands as in the rig file.
@@ -638,7 +639,7 @@ def values_of(fit: Fit) -> tuple[dict[str, Any], list[str], Floats]:
     for pair in rows.values():
         if not all(k in keep for k in pair):
             keep = [k for k in keep if k not in pair]
-    tables: dict[str, Any] = {}
+    tables: TomlTable = {}
     paths: list[str] = []
     for k in keep:
         path = fit.unknowns[k].path
@@ -669,12 +670,12 @@ def values_of(fit: Fit) -> tuple[dict[str, Any], list[str], Floats]:
     return tables, paths, fit.covariance[np.ix_(keep, keep)]
 
 
-def filled(tables: dict[str, Any], rig: RigDescription) -> dict[str, Any]:
+def filled(tables: TomlTable, rig: RigDescription) -> TomlTable:
     """Lists of which only some numbers are known, with the rest as the rig file has it; and that zeros are known."""
     as_filed = rig.model_dump(mode="python")
 
-    def fill(values: dict[str, Any], there: dict[str, Any]) -> dict[str, Any]:
-        out: dict[str, Any] = {}
+    def fill(values: TomlTable, there: TomlTable) -> TomlTable:
+        out: TomlTable = {}
         for name, value in values.items():
             if isinstance(value, dict):
                 out[name] = fill(value, there[name])

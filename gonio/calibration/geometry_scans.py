@@ -20,6 +20,7 @@ from gonio.acquisition import exposure
 from gonio.by_hand.alignment_scans import BRIGHT, SPOT_PIXELS, Scans
 from gonio.calibration import fiducials
 from gonio.calibration.geometry import Sighting
+from gonio.documents import TomlTable
 from gonio.errors import ConfigError, DataError, DeviceError
 from gonio.geometry import overlap_of_discs
 from gonio.rig import Pose, imaging, kinematics
@@ -481,7 +482,7 @@ def read_sightings(path: Path) -> list[Sighting]:
 def _sightings(lines: list[str], file: Path) -> Iterator[Sighting]:
     for number, line in enumerate(lines, 1):
         try:
-            fields: dict[str, Any] = json.loads(line)
+            fields: TomlTable = json.loads(line)
             fields.pop("frames", None)
             spot = fields["spot_px"]
             sighting = Sighting(

@@ -23,6 +23,7 @@ import numpy.typing as npt
 from pydantic import Field
 
 from gonio.config import Strict, parse, read_toml
+from gonio.documents import TomlTable
 from gonio.errors import ConfigError, DataError, GonioError
 from gonio.rig.fiducials import dictionary_of
 from gonio.typing import Floats
@@ -479,7 +480,7 @@ def _apart_deg(poses: Floats) -> float:
 # ---- OpenCV's own files ----
 
 
-def _opencv_keys(path: Path) -> dict[str, Any]:
+def _opencv_keys(path: Path) -> TomlTable:
     """The keys of a `BoardFile` from a file of OpenCV's FileStorage."""
     store = _opened(path)
     root = store.root()
@@ -488,7 +489,7 @@ def _opencv_keys(path: Path) -> dict[str, Any]:
             f"{path}: is a dictionary of markers, and not a board. Write a board.toml with squares = [across, down], "
             f'square_mm, marker_mm and dictionary = "{path.name}"'
         )
-    out: dict[str, Any] = {}
+    out: TomlTable = {}
     for key in BoardFile.model_fields:
         node = root.getNode(key)
         if node.empty():

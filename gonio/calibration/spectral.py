@@ -8,11 +8,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from gonio.calibration.tables import read_numbers
+from gonio.documents import TomlTable
 from gonio.errors import DataError
 from gonio.rig.bands import Bands
 from gonio.typing import Floats
@@ -134,7 +134,7 @@ def wavelength_scale(path: str | Path) -> Scale:
     return Scale(middle, float(found[0]), float(found[1]) if columns == 2 else 0.0, covariance, scatter)
 
 
-def values(bands: Bands, measured: list[Spectrum], scale: Scale | None) -> tuple[dict[str, Any], list[str], Floats]:
+def values(bands: Bands, measured: list[Spectrum], scale: Scale | None) -> tuple[TomlTable, list[str], Floats]:
     """Keys of [bands] with their values, which of their numbers are uncertain, and their covariance.
 
     A spectrum tells of the band that it names; the scale tells of all others.
@@ -149,7 +149,7 @@ def values(bands: Bands, measured: list[Spectrum], scale: Scale | None) -> tuple
         if one.name not in listed:
             known = ", ".join(listed) or "none; a tunable source is calibrated by lines"
             raise DataError(f'a spectrum is of band "{one.name}", and the rig file lists: {known}')
-    out: dict[str, Any] = {}
+    out: TomlTable = {}
     names: list[str] = []
     rows: list[Floats] = []  # of the Jacobian over offset and slope of the scale
     own: list[float] = []  # variances of their own

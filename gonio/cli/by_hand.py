@@ -15,12 +15,13 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from gonio.cli.rigs import app
 from gonio.cli.signals import undisturbed
+from gonio.documents import JsonObject
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -258,8 +259,8 @@ def _said(quantity: str, value: float | str, unit: str) -> str:
     return f"{named}{value:{digits}} {unit}".strip()
 
 
-def _record(name: str, health: Health) -> dict[str, Any]:
-    devices: dict[str, dict[str, Any]] = {}
+def _record(name: str, health: Health) -> JsonObject:
+    devices: dict[str, JsonObject] = {}
     for r in health.readings:
         limit = r.limit and [x if math.isfinite(x) else None for x in r.limit]
         devices.setdefault(r.device, {})[r.quantity] = {

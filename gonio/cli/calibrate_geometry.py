@@ -7,11 +7,12 @@ from collections.abc import Sequence
 from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from gonio.cli.calibrate import app
+from gonio.documents import TomlTable
 from gonio.shown import apart
 
 if TYPE_CHECKING:
@@ -262,7 +263,7 @@ def _finish(
 
     fit: Fit | None = None
     notes = [f"WARNING: {contradiction}"] * bool(contradiction)
-    measured: dict[str, Any] = {}
+    measured: TomlTable = {}
     if sightings:
         fit = geometric.solve(description, sightings, given)
         tables, paths, covariance = geometric.values_of(fit)

@@ -15,6 +15,7 @@ import typer
 from gonio.cli.by_hand import WavelengthOption, _told_where, choice_of, manual_rig_of
 from gonio.cli.calibrate import app
 from gonio.cli.signals import undisturbed
+from gonio.documents import TomlTable
 from gonio.shown import apart
 
 if TYPE_CHECKING:
@@ -122,14 +123,14 @@ class _Found:
     """What was found so far: values of keys, blocks of their covariance, figures, remarks."""
 
     def __init__(self) -> None:
-        self.values: dict[str, Any] = {}
+        self.values: TomlTable = {}
         self.names: list[str] = []
         self.blocks: list[Any] = []
-        self.measured: dict[str, Any] = {}
+        self.measured: TomlTable = {}
         self.notes: list[str] = []
         self.pictures: list[str] = []
 
-    def add(self, table: str, values: dict[str, Any], names: list[str], covariance: Any) -> None:
+    def add(self, table: str, values: TomlTable, names: list[str], covariance: Any) -> None:
         """Values of keys below a table, and the covariance of some, whose whole paths are given."""
         where = self.values
         for name in table.split("."):
@@ -368,7 +369,7 @@ def _put_white(bench: ManualRig, *, yes: bool) -> None:
         raise DeviceError("there is no terminal to confirm that the white lies in the holder; --yes asks for none")
 
 
-def _show(values: dict[str, Any], found: _Found) -> None:
+def _show(values: TomlTable, found: _Found) -> None:
     from gonio.cli import console
     from gonio.config import numbers_in
 

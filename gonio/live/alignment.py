@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from importlib.resources import files
-from typing import Any, Protocol
+from typing import Protocol
 
+from gonio.documents import JsonObject
 from gonio.live.event_log import EventLog
 from gonio.live.server import Content, Request, Route
 
@@ -38,7 +39,7 @@ class AlignmentPage:
         """For `Server`."""
         return {"/": self._page, "/frame": self._frame, "/zoom": self._zoom}
 
-    def tell(self, told: dict[str, Any], pictures: Pictures | None) -> None:
+    def tell(self, told: JsonObject, pictures: Pictures | None) -> None:
         """What there is to show now, with the pictures of a new frame; as `gonio.by_hand.assistant.Tell`."""
         if pictures is not None:
             newest = {number: kept for number, kept in self._pictures.items() if number > told["n"] - KEPT}

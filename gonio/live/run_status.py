@@ -14,6 +14,7 @@ import numpy as np
 
 from gonio import shown
 from gonio.acquisition.journal import Event
+from gonio.documents import JsonObject
 from gonio.typing import Floats
 
 RECENT = 64
@@ -76,13 +77,13 @@ class RunStatus:
     _waited: bool = True
     _bytes: int = 0
 
-    def take(self, event: Event, *, short: bool = False) -> dict[str, Any]:
+    def take(self, event: Event, *, short: bool = False) -> JsonObject:
         """One more event; what a page has to know of it, or the least of that of a step among very many."""
         self.note(event)
         kind = str(event.get("event", ""))
         if short and is_one_of_many(event):
             return shortened(event)
-        out: dict[str, Any] = {"n": event["n"], "event": kind, "wall": event.get("wall", "")}
+        out: JsonObject = {"n": event["n"], "event": kind, "wall": event.get("wall", "")}
         if kind == "step":
             out |= self._told(event)
         else:
@@ -144,12 +145,12 @@ class RunStatus:
         if shown is not None:
             self.last_shown = str(shown["file"]), event
 
-    def _told(self, event: Event) -> dict[str, Any]:
+    def _told(self, event: Event) -> JsonObject:
         point, frames = event.get("point"), event.get("frames", [])
         exposure = max((float(frame["exposure_s"]) for frame in _lit(frames)), default=0.0)
         levels = event.get("level_per_s") or {}
         level = max((float(v) for v in levels.values()), default=0.0)
-        out: dict[str, Any] = {
+        out: JsonObject = {
             "step": int(event["step"]),
             "time_s": rig_s(event),
             "kind": event.get("kind"),
@@ -226,7 +227,7 @@ def is_one_of_many(event: Mapping[str, Any]) -> bool:
     return event.get("event") == "step" and not event.get("flag") and bool(event["n"] % KEPT)
 
 
-def shortened(event: Mapping[str, Any]) -> dict[str, Any]:
+def shortened(event: Mapping[str, Any]) -> JsonObject:
     """The least that a page has to know of a step."""
     return {key: event.get(key) for key in ("n", "event", "step", "kind", "point")}
 
@@ -312,7 +313,7 @@ def reasons(why: Any) -> list[str]:
     """Why points were chosen, a line each; what a sampler keeps for itself (rows of numbers) is left out."""
     if not isinstance(why, Mapping):
         return [plain(why)] if why else []
-    rest: dict[str, Any] = dict(why)
+    rest: JsonObject = dict(why)
     out: list[str] = []
     fit, u = rest.get("fit"), rest.get("u")
     if isinstance(fit, Mapping) and isinstance(u, Mapping):

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from gonio import platform
+from gonio.documents import JsonObject
 from gonio.live import address
 
 NOW, CURVES, FRAME, LOOKED, LOCK = "now.json", "curves.json", "frame.png", "looked", "lock"
@@ -45,7 +46,7 @@ class Now:
     left: list[float] | None = None
     """How long the rest of the run takes, and the standard uncertainty of that [s]; None where nobody knows."""
     problem: str = ""
-    bands: list[dict[str, Any]] = field(default_factory=list)
+    bands: list[JsonObject] = field(default_factory=list)
     """By band: `name`; the newest `values` (the four angles [deg], BRDF and its standard uncertainty [1/sr]) of all
     `count`; and of the last `visit` to the reference, its level over that of the first and the uncertainty of that."""
 

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import sys
 import threading
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from gonio.documents import JsonObject
 from gonio.live.event_log import BATCH
 from gonio.live.run_status import ago
 from gonio.shown import with_u
@@ -60,11 +61,11 @@ def _lines(watched: Watched) -> None:
         threading.Event().wait(DRAWN_S)
 
 
-def _clock(event: dict[str, Any]) -> str:
+def _clock(event: JsonObject) -> str:
     return str(event.get("wall", ""))[11:19]
 
 
-def summary(status: dict[str, Any]) -> str:
+def summary(status: JsonObject) -> str:
     """How a run stands, in a line."""
     parts = [f"{status['state']}: step {status['done']} of {status['total'] or '?'}"]
     if status["left_s"] is not None:
@@ -82,7 +83,7 @@ def is_unsure(seconds: float, u_seconds: float | None) -> bool:
     return u_seconds is not None and u_seconds >= max(0.02 * seconds, 1.0)
 
 
-def step_line(event: dict[str, Any]) -> str:
+def step_line(event: JsonObject) -> str:
     """A step in a line."""
     what = f"step {event['step']}: {event['kind']}" + (f" {event['point']}" if event["point"] is not None else "")
     if "angles_deg" in event:
@@ -93,7 +94,7 @@ def step_line(event: dict[str, Any]) -> str:
     return what + (f"  [{event['flag']}]" if event.get("flag") else "")
 
 
-def event_line(event: dict[str, Any]) -> str:
+def event_line(event: JsonObject) -> str:
     """What happened, and the reasons where there are some."""
     why = "; ".join(event.get("why", []))
     return f"{event['event'].replace('_', ' ')}: {event.get('text', '')}" + (f" ({why})" if why else "")

@@ -13,12 +13,13 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 
 from gonio import platform
 from gonio.acquisition.run import Run
+from gonio.documents import JsonObject
 from gonio.errors import GonioError
 from gonio.geometry import IN_PLANE, Directions
 from gonio.live.event_log import BATCH, EventLog
@@ -100,7 +101,7 @@ class Watched:
             self._thread.join(PATIENCE_S)
         self.shared.close()
 
-    def events_after(self, number: int) -> list[dict[str, Any]]:
+    def events_after(self, number: int) -> list[JsonObject]:
         """What a page knows of the journal's next `BATCH` events beyond the first `number`."""
         return [json.loads(event.data) for event in self.log.events(number, BATCH)]
 
@@ -185,14 +186,14 @@ class Watched:
         self.stands = self.status()
         self.log.tell("status", self.stands)
 
-    def status(self) -> dict[str, Any]:
+    def status(self) -> JsonObject:
         """How the run stands now, in what JSON can hold; for the thread that follows it."""
         run_status, now = self.run_status, time.time()
         state, why = run_status.state(now, None if run_status.stopped else self._writer_lives())
         step_s = run_status.step_s
         going = state in GOING
         left = self.values.left if going else None
-        out: dict[str, Any] = {
+        out: JsonObject = {
             "state": state,
             "why": "; ".join(text for text in (why, self._follower.damaged, self.problem) if text),
             "done": len(run_status.done),

@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gonio.disk import read_file
+from gonio.documents import JsonObject
 from gonio.errors import ConfigError, DataError
 from gonio.typing import Floats
 from gonio_scenes.sensor import SATURATED, falloff
@@ -220,7 +221,7 @@ def _nanometres(channel: str) -> float | None:
         return None
 
 
-def _one_of(channels: dict[str, Any], table: PhotographTable, path: Path) -> Any:
+def _one_of(channels: JsonObject, table: PhotographTable, path: Path) -> Any:
     """The channel that is measured, of a picture in colours or in one."""
     if len(channels) == 1:
         return next(iter(channels.values()))

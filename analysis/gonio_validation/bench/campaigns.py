@@ -25,9 +25,10 @@ from gonio_analysis.selection import parallel
 from gonio import platform
 from gonio.config import Strict, parse, read_toml, to_toml
 from gonio.disk import require_name, write_own, write_whole
+from gonio.documents import JsonObject
 from gonio.errors import ConfigError, Interrupted
 
-Record = dict[str, Any]
+Record = JsonObject
 Step = Callable[[int, int], None]
 """Told how many runs are done, of how many."""
 

@@ -13,9 +13,10 @@ from typing import Any
 
 import numpy as np
 
+from gonio.documents import TomlTable
 from gonio.errors import ConfigError
 
-Tables = dict[str, Any]
+Tables = TomlTable
 """Keys of a file, in its tables."""
 Angles = tuple[float, float, float, float]
 """theta_i, phi_i, theta_r, phi_r [deg]."""

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from gonio.documents import JsonObject
 from gonio.typing import Floats
 from gonio_validation.bench.coverage_results import LEVEL, Count, Failed, Pulls, Uniform, Worst
 
@@ -215,10 +216,10 @@ def failed(records: Sequence[Record]) -> list[Failed]:
     ]
 
 
-def line(record: Record) -> dict[str, Any]:
+def line(record: Record) -> JsonObject:
     """A record as a line of `campaigns.csv`."""
     fit = record["fit"]
-    out: dict[str, Any] = {name: record[name] for name in ("campaign", "model", "plan", "wavelength_nm")}
+    out: JsonObject = {name: record[name] for name in ("campaign", "model", "plan", "wavelength_nm")}
     out |= dict.fromkeys(("points", "pull_of_one", "largest_pull", "joint_p", "parameter", "parameter_holds"))
     out["points"] = 0
     if record["points"] and record["points"]["brdf"]:

@@ -20,6 +20,7 @@ from gonio_scenes.scene import Scene, SceneFile, build
 
 from gonio import colour
 from gonio.config import parse
+from gonio.documents import TomlTable
 from gonio.typing import Floats
 from gonio_validation.bench import mitsuba_pictures, scenes_page, timing
 from gonio_validation.bench.scene_results import (
@@ -32,7 +33,7 @@ from gonio_validation.bench.scene_results import (
     WayRow,
 )
 
-SceneTables = dict[str, Any]
+SceneTables = TomlTable
 """A scene file or a part of it, as tables of TOML."""
 
 Step = Callable[[int, int], None]

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
+from gonio.documents import JsonObject
 from gonio_validation.bench.campaigns import Record
 from gonio_validation.bench.results import Machine
 
@@ -99,7 +99,7 @@ class Sweeps:
 
 def levels(records: Sequence[Record]) -> list[Level]:
     """Results of a plan's size, put together over seeds; of the adaptive plan batch by batch."""
-    groups: dict[tuple[str, str, str, str, int], list[dict[str, Any]]] = {}
+    groups: dict[tuple[str, str, str, str, int], list[JsonObject]] = {}
     for record in records:
         count: dict[tuple[str, str], int] = {}
         for r in record["results"]:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import time
 from dataclasses import asdict, dataclass
-from typing import Any
 
 import numpy as np
 from gonio_sweeps.posterior import Posterior
 
 from gonio.acquisition.measure import find_rig
+from gonio.documents import JsonObject
 from gonio.typing import Floats
 from gonio_validation.bench import sweeps_plans
 from gonio_validation.bench.sweeps_plans import FLOOR, INCIDENCES, SIZES, WAVELENGTH_NM, Geometry, Places
@@ -41,7 +41,7 @@ class Result:
     """Median stated relative standard uncertainty."""
 
 
-def carried_out(name: str, geometry: Geometry, seed: int) -> dict[str, Any]:
+def carried_out(name: str, geometry: Geometry, seed: int) -> JsonObject:
     """The record of a comparison, as JSON has it."""
     began = time.perf_counter()
     description = find_rig("sim").description

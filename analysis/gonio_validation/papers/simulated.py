@@ -6,7 +6,6 @@ import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from gonio_analysis.curves.in_plane import Curve, curves
@@ -14,6 +13,7 @@ from gonio_analysis.fitting.forward import apparent
 from gonio_analysis.fitting.observations import Observations, observations
 
 from gonio import geometry
+from gonio.documents import TomlTable
 from gonio.typing import Floats
 from gonio_validation.papers.htsg_surfaces import HtsgSurface
 
@@ -143,12 +143,12 @@ def divided(curve: Curve, by: float) -> tuple[Floats, Floats, Floats]:
     return curve.angle, curve.brdf / by, curve.u / by
 
 
-def _rig(name: str, wavelength_nm: float, solid_angle_sr: float) -> dict[str, Any]:
+def _rig(name: str, wavelength_nm: float, solid_angle_sr: float) -> TomlTable:
     """The tables of the rig "sim", with a lamp and a lens of this solid angle, one band, and a small sensor."""
     from gonio.acquisition.measure import find_rig
 
     half = float(geometry.half_angle_of_cone(solid_angle_sr))
-    tables: dict[str, Any] = find_rig("sim").description.model_dump(mode="json", exclude_none=True, exclude={"devices"})
+    tables: TomlTable = find_rig("sim").description.model_dump(mode="json", exclude_none=True, exclude={"devices"})
     tables["name"] = f"simulated goniometer for {name}"
     tables["lamp"]["half_angle_deg"] = tables["camera"]["lens_half_angle_deg"] = float(np.degrees(half))
     tables["camera"].update(width=64, height=48)  # the region of interest, and little else

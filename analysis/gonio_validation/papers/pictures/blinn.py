@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from gonio_analysis.report.text import number
 
+from gonio.documents import TomlTable
 from gonio.models import Blinn, Phong
 from gonio.typing import Floats
 from gonio_validation.papers.figure import Claim, agreed
@@ -60,7 +59,7 @@ def _difference(phong: Centre, facets: Centre) -> float:
 def _as_printed(letter: str) -> Change:
     weight = {"a": 0.4, "b": 0.667}[letter]
 
-    def change(tables: dict[str, Any]) -> None:
+    def change(tables: TomlTable) -> None:
         tables["material"]["goblet"]["parameters"]["k_s"] = weight
 
     return change
@@ -150,7 +149,7 @@ ALMOST_TANGENTIAL = (160.0, 165.0, 170.0, 175.0)
 def _grazing(letter: str, height: int | None, angle_deg: float) -> float:
     """The strongest highlight where the light comes from behind, at this angle to the line of sight."""
 
-    def behind(tables: dict[str, Any]) -> None:
+    def behind(tables: TomlTable) -> None:
         camera = tables["camera"]
         view = np.subtract(camera["position_mm"], camera["look_at_mm"])
         view = view / np.linalg.norm(view)
@@ -193,7 +192,7 @@ def figure_8(height: int | None = None) -> list[Claim]:
 def _everywhere(c: float) -> Change:
     """The whole surface of one shininess, normalised as the texture's smallest value is."""
 
-    def change(tables: dict[str, Any]) -> None:
+    def change(tables: TomlTable) -> None:
         texture = tables["material"]["sphere"]["textures"]["c"]
         ends = {texture.get("low", 0.0), texture.get("high", 1.0)}
         parameters = tables["material"]["sphere"]["parameters"]

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -14,11 +13,12 @@ from gonio_scenes.render import Picture, render
 from gonio_scenes.scene import Scene, SceneFile, build
 
 from gonio.config import load
+from gonio.documents import TomlTable
 from gonio.typing import Floats
 from gonio_validation.papers.pictures.catalogue import scene_file
 
 Mask = npt.NDArray[np.bool_]
-Change = Callable[[dict[str, Any]], None]
+Change = Callable[[TomlTable], None]
 """Changes the tables of a scene file before they are checked again."""
 
 
@@ -140,7 +140,7 @@ def blurred(value: Floats, where: Mask) -> Floats:
 def altogether(*changes: Change) -> Change:
     """Changes one after another."""
 
-    def change(tables: dict[str, Any]) -> None:
+    def change(tables: TomlTable) -> None:
         for each in changes:
             each(tables)
 

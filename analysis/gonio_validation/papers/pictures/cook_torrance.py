@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from gonio_analysis.report.text import number
 from gonio_scenes.picture import tristimulus
 
 from gonio import colour, materials
+from gonio.documents import TomlTable
 from gonio.typing import Floats
 from gonio_validation.papers.figure import Claim, agreed
 from gonio_validation.papers.oren_nayar_samples import between
@@ -60,7 +59,7 @@ GRAZING = (164.0, 168.0, 172.0)
 def _edge_lit(angle_deg: float) -> Change:
     """One light nearly behind the vase."""
 
-    def change(tables: dict[str, Any]) -> None:
+    def change(tables: TomlTable) -> None:
         camera = tables["camera"]
         view = np.subtract(camera["position_mm"], camera["look_at_mm"])
         view = view / np.linalg.norm(view)
@@ -74,7 +73,7 @@ def _edge_lit(angle_deg: float) -> Change:
 def ambient_as_printed(height: int | None = None) -> float:
     """Ambient light of 0.01 I_i, over what lights of d omega = 0.0001 and 0.0002 give; the median of Fig. 6 (a)."""
 
-    def dark(tables: dict[str, Any]) -> None:
+    def dark(tables: TomlTable) -> None:
         tables["light"] = [light for light in tables["light"] if light["kind"] != "ambient"]
 
     c, lit = centre("cook-torrance-6a", height=height), centre("cook-torrance-6a", height=height, change=dark)
@@ -168,7 +167,7 @@ def figure_7(height: int | None = None) -> list[Claim]:
     ]
 
 
-def _grey(tables: dict[str, Any]) -> None:
+def _grey(tables: TomlTable) -> None:
     """The nonmetals of Fig. 7 with one F_0, in place of the spectra that are not the paper's."""
     for name in NONMETALS:
         material = tables["material"][name]
@@ -181,7 +180,7 @@ SLOPES = ((0.1, 0.2), (0.2, 0.3), (0.3, 0.6))
 
 
 def _slopes(border: float, interior: float) -> Change:
-    def change(tables: dict[str, Any]) -> None:
+    def change(tables: TomlTable) -> None:
         tables["material"]["gold"]["parameters"]["slopes"] = border
         tables["material"]["gold-rough"]["parameters"]["slopes"] = interior
 

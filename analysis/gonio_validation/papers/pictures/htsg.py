@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 from gonio_analysis.report.text import number
@@ -12,6 +11,7 @@ from gonio_scenes.scene import SceneFile
 
 from gonio import materials
 from gonio.config import load
+from gonio.documents import TomlTable
 from gonio.models import fresnel
 from gonio.typing import Floats
 from gonio_validation.papers.figure import Claim, agreed
@@ -64,10 +64,10 @@ def _width_deg(c: Centre) -> float:
     return float(fine[last] - fine[first])
 
 
-def _blue(name: str, light: dict[str, Any], height: int | None) -> float:
+def _blue(name: str, light: TomlTable, height: int | None) -> float:
     """A lamp's highlight at the shortest over that at the longest wavelength, the metal divided out."""
 
-    def alone(tables: dict[str, Any]) -> None:
+    def alone(tables: TomlTable) -> None:
         tables["light"] = [light]
         tables["shape"] = tables["shape"][:1]  # the cylinder: the floor would shade it
 
@@ -89,13 +89,13 @@ CAMERAS_MM = (850.0, 700.0, 1100.0)
 """Heights of the camera: that of the pictures, and two that see the tops at about 80 and 67 degrees."""
 
 
-def _lit_as_12(tables: dict[str, Any]) -> None:
+def _lit_as_12(tables: TomlTable) -> None:
     """The lights of Fig. 12 on the same surface: a mirror image is compared with what was there to be mirrored."""
     tables["light"] = load(SceneFile, scene_file("htsg-12a")).model_dump(exclude_none=True, exclude_unset=True)["light"]
 
 
 def _from(height_mm: float) -> Change:
-    def change(tables: dict[str, Any]) -> None:
+    def change(tables: TomlTable) -> None:
         at = tables["camera"]["position_mm"]
         tables["camera"]["position_mm"] = (at[0], height_mm, at[2])
 
@@ -296,18 +296,18 @@ PLASTICS = (1.4, 1.5, 1.7)
 
 
 def _of_index(index: float) -> Change:
-    def change(tables: dict[str, Any]) -> None:
+    def change(tables: TomlTable) -> None:
         for name in ("cube", "table"):
             tables["material"][name]["parameters"]["ior"] = index
 
     return change
 
 
-def _lamps_alone(tables: dict[str, Any]) -> None:
+def _lamps_alone(tables: TomlTable) -> None:
     tables["light"] = [light for light in tables["light"] if light["kind"] != "ambient"]
 
 
-def _no_mirror(tables: dict[str, Any]) -> None:
+def _no_mirror(tables: TomlTable) -> None:
     tables["mirror_depth"] = 0
 
 

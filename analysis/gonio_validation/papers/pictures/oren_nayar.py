@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 from gonio_analysis.report.text import number
 
+from gonio.documents import TomlTable
 from gonio.typing import Floats
 from gonio_validation.papers.figure import Claim, agreed
 from gonio_validation.papers.oren_nayar_samples import VASE_SIGMA, between
@@ -69,7 +69,7 @@ CHOSEN = f"{TRIED}: the text gives neither"
 def _made_with(sigma_deg: float, between_facets: bool) -> Change:
     """Another roughness where there is one, and the functional form (14) with or without (15)."""
 
-    def change(tables: dict[str, Any]) -> None:
+    def change(tables: TomlTable) -> None:
         for material in tables["material"].values():
             given = material["parameters"]
             if material["model"] == "oren-nayar" and given["sigma_deg"] > 0.0:
