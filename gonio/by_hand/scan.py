@@ -19,6 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gonio.acquisition import exposure
+from gonio.by_hand.moved import Movable
 from gonio.disk import write_whole
 from gonio.errors import ArgumentError, ConfigError, DataError
 from gonio.rig import Frame, Pose, kinematics, regions, sensor_noise
@@ -27,8 +28,6 @@ from gonio.rig.description import RigDescription
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
-
-    from gonio.by_hand.manual_rig import ManualRig
 
 DARK_FRAMES = 4
 LONGEST = 8.0
@@ -72,7 +71,7 @@ class _Dark:
 
 
 def scan(
-    bench: ManualRig,
+    bench: Movable,
     axis: str,
     angles: Sequence[float],
     *,
@@ -168,7 +167,7 @@ def _bounded(description: RigDescription, exposure_s: float | None) -> RigDescri
     return description.model_copy(update={"camera": camera})
 
 
-def _darks(bench: ManualRig, bounded: RigDescription) -> _Dark:
+def _darks(bench: Movable, bounded: RigDescription) -> _Dark:
     means = []
     for exposure_s in bounded.camera.exposure_limits_s:
         shots = [bench.camera.capture(exposure_s) for _ in range(DARK_FRAMES)]

@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from gonio.acquisition import exposure
 from gonio.by_hand import looking
+from gonio.by_hand.moved import Movable
 from gonio.disk import write_whole
 from gonio.errors import ConfigError, DataError
 from gonio.rig import Frame, Pose, dng, kinematics, regions
@@ -21,8 +22,6 @@ from gonio.rig.light_and_camera import Camera
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-    from gonio.by_hand.manual_rig import ManualRig
 
 EIGHT_BITS = 256
 ROUNDING_DN = 1 / math.sqrt(12)
@@ -125,7 +124,7 @@ def require_free(file: Path) -> tuple[Path, Path]:
     return names
 
 
-def take(bench: ManualRig, file: Path | None, *, exposure_s: float | None) -> Snapshot:
+def take(bench: Movable, file: Path | None, *, exposure_s: float | None) -> Snapshot:
     """See `ManualRig.snap`."""
     names = require_free(file) if file is not None else None
     description, pose = bench.description, bench.pose()
