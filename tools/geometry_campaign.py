@@ -160,8 +160,11 @@ def main() -> None:
             flush=True,
         )
     print(f"{failed} of {asked.setups} failed")
-    if not curves:
-        return
+    if curves:
+        _summarise(found, curves)
+
+
+def _summarise(found: dict[str, list[tuple[float, float]]], curves: list[float]) -> None:
     print(f"zero and harmonics of an arm over +-{RANGE_DEG:g} deg: {np.median(curves):.4f} deg rms (median), "
           f"{np.max(curves):.4f} (largest)")  # fmt: skip
     pulls = []

@@ -379,32 +379,37 @@ def spot(camera: Camera, frame: Frame) -> tuple[Spot | None, str]:
     largest = int(np.argmax(light))
     if stats[largest, cv2.CC_STAT_AREA] < SMALLEST:
         return None, "no spot: what is bright is smaller than a few pixels"
-    mine = labels == largest
     left, top, width, height = (int(stats[largest, k]) for k in range(4))
-    cut = left == 0 or top == 0 or left + width == image.shape[1] or top + height == image.shape[0]
+    found = Spot(
+        **_form(labels == largest, above - HALF * height_dn, scale), peak_dn=peak, background_dn=background,
+        cut=left == 0 or top == 0 or left + width == image.shape[1] or top + height == image.shape[0],
+        saturated=bool(peak >= exposure.SATURATED * full_scale),
+        others=int(np.count_nonzero(light >= OTHERS * light[largest])) - 1,
+    )  # fmt: skip
+    return found, _said(found)
+
+
+def _form(mine: npt.NDArray[np.bool_], above: npt.NDArray[np.float32], scale: float) -> dict[str, Any]:
+    """Place, axes and outline of a spot, whose pixels count by `above`: zero at the outline, so that none is halved."""
+    import cv2
+
+    def place(k: float) -> float:
+        return float(scale * k + 0.5 * (scale - 1.0))
+
     rows, cols = np.nonzero(mine)
-    weights = above[mine].astype(float) - HALF * height_dn  # zero at the outline, so that no pixel counts by halves
+    weights = above[mine].astype(float)
     column, row = float(np.average(cols, weights=weights)), float(np.average(rows, weights=weights))
     spread = np.cov(np.stack([cols, rows]).astype(float), ddof=0) + np.eye(2) / 12.0
     values, vectors = np.linalg.eigh(spread)
     minor, major = (4.0 * math.sqrt(max(float(value), 0.0)) for value in values)
     angle = math.degrees(math.atan2(vectors[1, 1], vectors[0, 1]))
-    angle = (angle + 90.0) % 180.0 - 90.0
     contours, _ = cv2.findContours(mine.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     edge = max(contours, key=len)[:, 0, :].astype(float)
-    edge = edge[:: math.ceil(len(edge) / CORNERS)]
-
-    def place(k: float) -> float:
-        return float(scale * k + 0.5 * (scale - 1.0))
-
-    found = Spot(
-        column=place(column), row=place(row), major_px=scale * major, minor_px=scale * minor, angle_deg=angle,
-        peak_dn=peak, background_dn=background, cut=cut,
-        saturated=bool(peak >= exposure.SATURATED * full_scale),
-        others=int(np.count_nonzero(light >= OTHERS * light[largest])) - 1,
-        outline=tuple((place(x), place(y)) for x, y in edge),
-    )  # fmt: skip
-    return found, _said(found)
+    return {
+        "column": place(column), "row": place(row), "major_px": scale * major, "minor_px": scale * minor,
+        "angle_deg": (angle + 90.0) % 180.0 - 90.0,
+        "outline": tuple((place(x), place(y)) for x, y in edge[:: math.ceil(len(edge) / CORNERS)]),
+    }  # fmt: skip
 
 
 def _said(found: Spot) -> str:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -348,6 +348,28 @@ def reversed_approach(description: RigDescription) -> RigDescription:
     return RigDescription.model_validate(tables)
 
 
+def _best_of(
+    left: Callable[[Floats], Floats],
+    centre: Sequence[float],
+    reach: float,
+    brightest: float,
+    bounds: tuple[list[float], list[float]],
+    count: int,
+) -> Any:
+    """The least of `left` (column, row, brightness, factor of the size, background), from up to five places."""
+    from scipy.optimize import least_squares
+
+    found = None
+    for to in ((0.0, 0.0), (0.5, 0.0), (-0.5, 0.0), (0.0, 0.5), (0.0, -0.5)):
+        start = [centre[0] + to[0] * reach, centre[1] + to[1] * reach, brightest, 1.0, 0.0]
+        tried = least_squares(left, np.clip(start, *bounds), bounds=bounds, x_scale=[1, 1, 0.1, 0.05, 0.1])
+        if found is None or tried.cost < found.cost:
+            found = tried
+        if math.sqrt(2.0 * found.cost / count) < SPOT_NOISE:
+            break
+    return found
+
+
 def spot_of(
     light: Floats, description: RigDescription, inside: npt.NDArray[np.bool_]
 ) -> tuple[float, float, float] | None:
@@ -368,8 +390,6 @@ def spot_of(
     distance from its middle is what two discs share, as far apart: those of lamp and pupil, as the plane in focus shows
     them. Their sizes are the rig file's, but for one factor. So no whole image is needed: a part of its edge tells.
     """
-    from scipy.optimize import least_squares
-
     camera = description.camera
     size = max(1, round(math.sqrt(np.count_nonzero(inside) / PIXELS)))
     rows, cols = camera.height // size, camera.width // size
@@ -394,16 +414,8 @@ def spot_of(
         form = np.minimum(p[2] * overlap_of_discs(r, p[3] * lamp, p[3] * pupil) + p[4], 1.0)  # where it saturates
         return np.append(form - values, (p[3] - 1.0) / SIZE_U * SPOT_NOISE)
 
-    found = None
-    for to in ((0.0, 0.0), (0.5, 0.0), (-0.5, 0.0), (0.0, 0.5), (0.0, -0.5)):
-        start = [centre[0] + to[0] * reach, centre[1] + to[1] * reach, float(values.max()), 1.0, 0.0]
-        bounds = ([-reach, -reach, 0.1, 0.6, -0.3], [cols + reach, rows + reach, 50.0, 1.6, 0.6])
-        tried = least_squares(left, np.clip(start, *bounds), bounds=bounds, x_scale=[1, 1, 0.1, 0.05, 0.1])
-        if found is None or tried.cost < found.cost:
-            found = tried
-        if math.sqrt(2.0 * found.cost / len(values)) < SPOT_NOISE:
-            break
-    assert found is not None
+    bounds = ([-reach, -reach, 0.1, 0.6, -0.3], [cols + reach, rows + reach, 50.0, 1.6, 0.6])
+    found = _best_of(left, centre, reach, float(values.max()), bounds, len(values))
     variance = 2.0 * found.cost / max(len(values) - 5, 1)
     covariance = np.linalg.pinv(found.jac.T @ found.jac) * variance
     u = size * math.sqrt(max(float(covariance[0, 0]), float(covariance[1, 1]), 0.0))

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from gonio import __version__, geometry
 from gonio.errors import ConfigError, DataError
-from gonio.formats.reader import Attributes, attributes
+from gonio.formats.reader import ANGLES, Attributes, attributes
 from gonio.typing import Floats
 from gonio_scenes import exposures
 from gonio_scenes._photograph_causes import _common, _require_light
@@ -262,8 +262,7 @@ def _table(
     flag = np.array(["", *FLAGS], dtype=object)[squares.why.flat[there]]
     value, random = squares.value.flat[there], squares.random.flat[there]
     flag[(flag == "") & ~seen.met] = "limb"
-    origin, direction = scene.camera.through(squares.column.flat[there], squares.row.flat[there])
-    middle = scene.world.hit(origin, direction)
+    middle = scene.world.hit(*scene.camera.through(squares.column.flat[there], squares.row.flat[there]))
     grazing = np.minimum(omega_i[:, 2], omega_r[:, 2]) <= math.cos(math.radians(theta_max_deg))
     flag[(flag == "") & grazing] = "grazing"
     flag[(flag == "") & ~np.isfinite(value)] = "beside_unused"
@@ -292,18 +291,12 @@ def _table(
     for k, name in enumerate(columns):
         numbers[2 + k, good] = columns[name]
     angles = [np.degrees(a) for omega in (omega_i, omega_r) for a in geometry.angles(np.nan_to_num(omega))]
-    frame = pd.DataFrame(
-        {
-            **dict(zip(("theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg"), angles, strict=True)),
-            "wavelength_nm": float(scene.wavelength_nm[0]),
-            "polarisation": "unpolarised",
-            "brdf": numbers[0],
-            "u_brdf": np.sqrt((numbers[1:] ** 2).sum(axis=0)),
-            "u_random": numbers[1],
-            **{f"s_{name}": numbers[2 + k] for k, name in enumerate(columns)},
-            "flag": flag,
-        }
-    )[shown].reset_index(drop=True)
+    filled = dict(zip(ANGLES, angles, strict=True)) | {
+        "wavelength_nm": float(scene.wavelength_nm[0]), "polarisation": "unpolarised", "brdf": numbers[0],
+        "u_brdf": np.sqrt((numbers[1:] ** 2).sum(axis=0)), "u_random": numbers[1],
+    }  # fmt: skip
+    filled |= {f"s_{name}": numbers[2 + k] for k, name in enumerate(columns)} | {"flag": flag}
+    frame = pd.DataFrame(filled)[shown].reset_index(drop=True)
     frame["flag"] = frame["flag"].astype(str)
     frame.attrs.update(_attributes(scene, image, exposure, squares, cones, good))
     frame.attrs["notes"] = _notes(scene, squares.size, flag[~shown], columns, unseen_deg)

@@ -179,6 +179,15 @@ def of_table(name: str, source: str, table: pd.DataFrame) -> Side:
     return Side(name, source, reflected, observations(reflected, source), through=behind)
 
 
+def _of_measured(at: Observations, values: Sequence[Floats], *, measured_is_a: bool) -> Covariance | None:
+    """The covariance of the differences by the measurement's own, scaled to the model's values."""
+    if at.covariance is None:
+        return None
+    weights = scaled_to(at, values[1] if measured_is_a else values[0]).weights
+    assert weights is not None
+    return Covariance(weights.random, weights.common * (-1 if measured_is_a else 1), weights.causes)
+
+
 def change(a: Side, b: Side, *, wavelength_nm: float | None = None, say: Say = silent) -> Change:
     """Compare two sides.
 
@@ -222,12 +231,7 @@ def change(a: Side, b: Side, *, wavelength_nm: float | None = None, say: Say = s
             f"The model is evaluated at {wavelength_nm or 550.0:g} nm: the measurement has no single wavelength."
         )
     values = [x.data.brdf if x.data is not None else apparent(x.model, at) for x in (a, b)]
-    covariance = None
-    if at.covariance is not None:
-        measured_is_a = a.data is not None
-        weights = scaled_to(at, values[1] if measured_is_a else values[0]).weights
-        assert weights is not None
-        covariance = Covariance(weights.random, weights.common * (-1 if measured_is_a else 1), weights.causes)
+    covariance = _of_measured(at, values, measured_is_a=a.data is not None)
     of_models = [_off(x, at, value) for x, value in zip((a, b), values, strict=True)]
     off = np.hypot(*(np.zeros(len(at)) if u is None else u for u in of_models))
     if off.any() and covariance is not None:

@@ -151,17 +151,16 @@ def fit(
     """
     began = time.perf_counter()
     asked = FitRequest(model, **options) if isinstance(model, str) else replace(model, **options)
+    if asked.each is not None and asked.wavelength_nm is not None:
+        nm = f"{asked.wavelength_nm:g}"
+        raise ConfigError(f"--wavelength-nm {nm}: all wavelengths are fitted together; leave it out")
     problem, start = pose(asked), asked.start
     data = table if isinstance(table, Observations) else observations(table, name, asked.u_rel)
     if asked.each is not None:
-        if asked.wavelength_nm is not None:
-            nm = f"{asked.wavelength_nm:g}"
-            raise ConfigError(f"--wavelength-nm {nm}: all wavelengths are fitted together; leave it out")
         first = fit(data, replace(asked, each=None, loss="linear", start=None, searches=STARTS), name=name, say=say)
         problem, data, notes = _together(problem, data, asked.each, name)
         wavelength = math.nan
-        known = first.problem.values(first.vector)
-        start = [{n: known[n.partition("@")[0]] for n in problem.free}]
+        start = [{n: first.problem.values(first.vector)[n.partition("@")[0]] for n in problem.free}]
     else:
         data, wavelength, notes = _one_wavelength(data, asked.wavelength_nm, problem.family, name)
     _require_parts(data, wavelength)

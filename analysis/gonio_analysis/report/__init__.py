@@ -227,9 +227,7 @@ def write(
     both = list(zip(datasets, summary.datasets, strict=True))
     progress("drawing")
     most = _most_values(datasets)
-    groups = [
-        [*figures.draw(d, facts, most), *detail.draw(d, facts, most), *_other_sides(d, facts)] for d, facts in both
-    ]
+    groups = [[*figures.draw(d, f, most), *detail.draw(d, f, most), *_other_sides(d, f)] for d, f in both]
     groups += [transmission.draw(t, (), slug) for t, slug in zip(apart, page.slugs_apart(summary), strict=True)]
     wanted = [drawing for group in groups for drawing in group]
     summary = replace(summary, figures=[FigureSummary(f.name, f.caption, f.alt) for f in wanted])
@@ -244,9 +242,8 @@ def write(
 
     every = (workers or FigureWorkers()).draw(wanted, progress, views_and_tables)
     rest = iter(every)
-    drawn = [[next(rest) for _ in group] for group in groups]
     summary = replace(summary, tables=listed)
-    pages = page.render(summary, drawn, views)
+    pages = page.render(summary, [[next(rest) for _ in group] for group in groups], views)
     for name, one in pages.items():
         (folder / name).write_text(html.document(one), encoding="utf-8")
     files.write(folder, as_json(summary), every)

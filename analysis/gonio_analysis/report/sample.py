@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from gonio import geometry
 from gonio.formats.reader import TableBand
@@ -50,6 +50,34 @@ FAR = 0.1
 """Share of a model's light in directions that were not measured, above which it is named."""
 
 
+OTHER_FIGURES = {
+    "In the plane of incidence, absolute, with residuals": ("absolute",),
+    "All models together": ("overlay",),
+    "Out of the plane of incidence": ("heat", "slices", "lobe"),
+}
+
+
+def _uncertainty(d: DatasetSummary, by: Mapping[str, tuple[Figure, ...]]) -> list[Block]:
+    """What is known of the values' uncertainties."""
+    if d.u_rel_assumed is not None:
+        return [
+            Paragraph(
+                f"The table states no uncertainties. A standard uncertainty of {percent(d.u_rel_assumed)} of each"
+                " value, independent from value to value, is assumed: error bars, standard errors and χ² rest on it."
+            )
+        ]
+    if "budget" not in by:
+        return [
+            Paragraph(
+                "The table states no uncertainties: there are no error bars and no chi-square, and "
+                "fits compare logarithms, every value alike."
+            )
+        ]
+    parts = budget.of(d.run, d.wavelength_nm)
+    shown = [_budget(d)] if parts is None else budget.section(parts, by.get(budget.KIND, ()))
+    return [Figures((*by["budget"], *by.get("budget-angle", ()))), *shown]
+
+
 def section(s: Summary, d: DatasetSummary, figures: Sequence[Figure], view: View | None) -> Group:
     """One sample's section of the page.
 
@@ -80,13 +108,9 @@ def section(s: Summary, d: DatasetSummary, figures: Sequence[Figure], view: View
         out += [Heading(3, "In the plane of incidence, normalised"), _polar_words(s, d)]
         out += [Viewer(d.slug, view)] if view else []
         out.append(Figures(by["polar"]))
-    if "absolute" in by:
-        out += [Heading(3, "In the plane of incidence, absolute, with residuals"), Figures(by["absolute"])]
-    if "overlay" in by:
-        out += [Heading(3, "All models together"), Figures(by["overlay"])]
-    beyond = [f for kind in ("heat", "slices", "lobe") for f in by.get(kind, ())]
-    if beyond:
-        out += [Heading(3, "Out of the plane of incidence"), Figures(tuple(beyond))]
+    for heading, kinds in OTHER_FIGURES.items():
+        if shown := tuple(f for kind in kinds for f in by.get(kind, ())):
+            out += [Heading(3, heading), Figures(shown)]
     if d.models:
         out += [Heading(3, "Parameters"), *_parameters(d)]
         out += [Figures(by["profile"])] if "profile" in by else []
@@ -100,25 +124,7 @@ def section(s: Summary, d: DatasetSummary, figures: Sequence[Figure], view: View
     if quantities is not None:
         out += [Heading(3, "Appearance"), quantities]
     out += checks.section(d.checks, d.rho_dh, by.get(checks.KIND, ()))
-    out.append(Heading(3, "Uncertainty"))
-    if d.u_rel_assumed is not None:
-        out.append(
-            Paragraph(
-                f"The table states no uncertainties. A standard uncertainty of {percent(d.u_rel_assumed)} of each"
-                " value, independent from value to value, is assumed: error bars, standard errors and χ² rest on it."
-            )
-        )
-    elif "budget" in by:
-        out.append(Figures((*by["budget"], *by.get("budget-angle", ()))))
-        parts = budget.of(d.run, d.wavelength_nm)
-        out += [_budget(d)] if parts is None else budget.section(parts, by.get(budget.KIND, ()))
-    else:
-        out.append(
-            Paragraph(
-                "The table states no uncertainties: there are no error bars and no chi-square, and "
-                "fits compare logarithms, every value alike."
-            )
-        )
+    out += [Heading(3, "Uncertainty"), *_uncertainty(d, by)]
     if "series" in by:
         out += [Heading(3, "Parameters over wavelength"), Figures(by["series"])]
     out += sessions.section(d.run)

@@ -14,7 +14,7 @@ from gonio.formats.text import cell_of
 from gonio.typing import Floats
 from gonio_analysis.report import viewer
 from gonio_analysis.report.comparison import VALUES, usable
-from gonio_analysis.report.facts import Summary
+from gonio_analysis.report.facts import DatasetSummary, Summary
 from gonio_analysis.selection.compare import Dataset, Drawn
 
 ROWS_AT_ONCE = 100_000
@@ -68,31 +68,38 @@ def write(
         if view is not None:
             files.append(f"{s.slug}-interactive.csv")
             write_csv(folder / files[-1], viewer.COLUMNS, viewer.rows(view))
-        if any(f.series for f in s.models.values()):
-            files.append(f"{s.slug}-wavelengths.csv")
-            write_csv(
-                folder / files[-1],
-                ("model", "wavelength_nm", "points", "reduced_chi_square", "parameter", "value", "standard_error"),
-                (
-                    (m, r.wavelength_nm, len(r.data), r.reduced_chi_square, n, p.value, p.u)
-                    for m, f in s.models.items()
-                    for r in f.series
-                    for n, p in r.parameters.items()
-                ),
-            )
-        intervals = s.choice.intervals
-        if intervals and s.choice.named:
-            named = s.choice.named.candidate.label
-            files.append(f"{s.slug}-profiles.csv")
-            write_csv(
-                folder / files[-1],
-                ("model", "parameter", "value", "rise_of_chi_square"),
-                (
-                    (named, n, value, rise)
-                    for n, i in intervals.items()
-                    for value, rise in zip(i.values.tolist(), i.rise.tolist(), strict=True)
-                ),
-            )
+        files += _of_choice(s, folder)
+    return files
+
+
+def _of_choice(s: DatasetSummary, folder: Path) -> list[str]:
+    """Parameters over wavelength, and profiles of the model that is named; the names of the files."""
+    files = []
+    if any(f.series for f in s.models.values()):
+        files.append(f"{s.slug}-wavelengths.csv")
+        write_csv(
+            folder / files[-1],
+            ("model", "wavelength_nm", "points", "reduced_chi_square", "parameter", "value", "standard_error"),
+            (
+                (m, r.wavelength_nm, len(r.data), r.reduced_chi_square, n, p.value, p.u)
+                for m, f in s.models.items()
+                for r in f.series
+                for n, p in r.parameters.items()
+            ),
+        )
+    intervals = s.choice.intervals
+    if intervals and s.choice.named:
+        named = s.choice.named.candidate.label
+        files.append(f"{s.slug}-profiles.csv")
+        write_csv(
+            folder / files[-1],
+            ("model", "parameter", "value", "rise_of_chi_square"),
+            (
+                (named, n, value, rise)
+                for n, i in intervals.items()
+                for value, rise in zip(i.values.tolist(), i.rise.tolist(), strict=True)
+            ),
+        )
     return files
 
 

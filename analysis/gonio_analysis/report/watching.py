@@ -16,11 +16,11 @@ from gonio.live import working
 from gonio.live.provisional import ProvisionalValues
 from gonio.live.run_status import RunStatus, rounded
 from gonio.typing import Floats
-from gonio_analysis.curves.in_plane import MOST_CURVES, curves, groups, labels, selection
+from gonio_analysis.curves.in_plane import MOST_CURVES, Curve, curves, groups, labels, selection
 from gonio_analysis.fitting.observations import Observations
 from gonio_analysis.fitting.value_covariance import independent
 from gonio_analysis.plots import thinning
-from gonio_analysis.report.viewer import MOST_LISTED, View, WaveView, points
+from gonio_analysis.report.viewer import MOST_LISTED, CurveView, View, WaveView, points
 
 NAME = "so far"
 MOST = 6000
@@ -52,6 +52,11 @@ class SoFar(TypedDict):
     maps: list[Map]
     visits: list[DrawnVisits]
     says: str
+
+
+def _entry(curve: Curve, label: str) -> CurveView:
+    series = [points(NAME, curve, curve.brdf, curve.u)]
+    return {"label": label, "mirror": round(float(np.degrees(curve.parameter)), 4), "series": series}
 
 
 def so_far(
@@ -93,24 +98,15 @@ def so_far(
         names += own
         by_age = sorted(zip(found, own, strict=True), key=lambda pair: int(pair[0].rows.max()))
         latest += [label for _, label in by_age[-MOST_CURVES:]]
-        entries = [
-            {
-                "label": label,
-                "mirror": round(float(np.degrees(curve.parameter)), 4),
-                "series": [points(NAME, curve, curve.brdf, curve.u)],
-            }
-            for curve, label in zip(listed, own, strict=True)
-        ]
-        waves.append({"nm": values.band.centre_nm, "curves": entries})  # type: ignore[typeddict-item]
+        entries = [_entry(curve, label) for curve, label in zip(listed, own, strict=True)]
+        waves.append({"nm": values.band.centre_nm, "curves": entries})
         if not maps:
             maps = _maps(data)
-    view: View | None = None
-    if waves:
-        view = {
-            "name": name, "moving": moving, "at": 0, "labels": list(dict.fromkeys(names)),
-            "shown": list(dict.fromkeys(latest)), "points": [NAME], "models": [], "chosen": [NAME],
-            "normalise": "mirror", "note": "", "waves": waves,
-        }  # fmt: skip
+    view: View = {
+        "name": name, "moving": moving, "at": 0, "labels": list(dict.fromkeys(names)),
+        "shown": list(dict.fromkeys(latest)), "points": [NAME], "models": [], "chosen": [NAME],
+        "normalise": "mirror", "note": "", "waves": waves,
+    }  # fmt: skip
     visits: list[DrawnVisits] = [
         {
             "name": v.band.name,
@@ -121,7 +117,7 @@ def so_far(
     says = f"{behind} steps are not reduced yet." if behind else ""
     if known and known[0].steps:
         says = f"At the plan's angles; the reference is known up to its last visit. {says}".strip()
-    return {"view": view, "maps": maps, "visits": visits, "says": says}
+    return {"view": view if waves else None, "maps": maps, "visits": visits, "says": says}
 
 
 def _observations(values: ProvisionalValues, nominal_deg: Floats) -> Observations:

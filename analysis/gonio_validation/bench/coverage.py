@@ -77,10 +77,8 @@ def make(
     """
     total = campaigns if campaigns is not None else FEW if quick else CAMPAIGNS
     at_least(campaigns=(total, 1), seed=(seed, 0), jobs=(jobs, 1))
-    errors = tuple(cause.name for cause in coverage_hidden.chosen(only))
-    settings = CoverageSettings(
-        seed=seed, errors=errors, points=FEW_POINTS if quick else POINTS, gonio=version("gonio")
-    )
+    errors, points = tuple(cause.name for cause in coverage_hidden.chosen(only)), FEW_POINTS if quick else POINTS
+    settings = CoverageSettings(seed=seed, errors=errors, points=points, gonio=version("gonio"))
     folder = Path(out)
     every = Campaigns(folder, "coverage", "campaigns", settings)
     with every.opened():

@@ -372,6 +372,31 @@ def _frustum(
 
 
 @_compiled
+def _enters(
+    z: float, dz: float, a: float, b: float, c: float, waist: float, bound: Any, above: float, best: float
+) -> bool:
+    """Whether a ray comes between `above` and `best` through the hollow cylinder of a node.
+
+    (a t + 2 b) t + c is its distance from the axis, squared, and `waist` where that is least.
+    """
+    r_low, r_high, z_low, z_high = bound[0], bound[1], bound[2], bound[3]
+    if dz == 0.0:
+        if not z_low <= z <= z_high:
+            return False
+        low, high = _roots(a, b, c - r_high * r_high) if a > 0.0 else (INF, -INF)
+    else:
+        low, high = (z_low - z) / dz, (z_high - z) / dz
+        if low > high:
+            low, high = high, low
+    if high <= above or low >= best or not low <= high:
+        return False
+    t = min(max(waist, low), high)
+    if (a * t + 2.0 * b) * t + c > r_high * r_high:
+        return False
+    return bool(max((a * low + 2.0 * b) * low, (a * high + 2.0 * b) * high) + c >= r_low * r_low)
+
+
+@_compiled
 def revolution_hit(
     rays: Any,
     place: Any,
@@ -404,22 +429,7 @@ def revolution_hit(
         while count > 0:
             count -= 1
             node = waiting[count]
-            r_low, r_high, z_low, z_high = bounds[node, 0], bounds[node, 1], bounds[node, 2], bounds[node, 3]
-            if dz == 0.0:
-                if not z_low <= z <= z_high:
-                    continue
-                low, high = _roots(a, b, c - r_high * r_high) if a > 0.0 else (INF, -INF)
-            else:
-                low, high = (z_low - z) / dz, (z_high - z) / dz
-                if low > high:
-                    low, high = high, low
-            if high <= above or low >= best or not low <= high:
-                continue
-            # the distance from the axis, squared, on the stretch between the planes
-            t = min(max(waist, low), high)
-            if (a * t + 2.0 * b) * t + c > r_high * r_high:
-                continue
-            if max((a * low + 2.0 * b) * low, (a * high + 2.0 * b) * high) + c < r_low * r_low:
+            if not _enters(z, dz, a, b, c, waist, bounds[node], above, best):
                 continue
             child = nodes[node, 2]
             if child > 0:

@@ -215,6 +215,15 @@ def _normalised(x: float, y: float, z: float) -> Any:
 
 
 @njit(error_model="numpy", nogil=True, fastmath=FAST)
+def _inside(b1: float, b2: float) -> Any:
+    """The three barycentric coordinates of the nearest place on a triangle."""
+    b1, b2 = min(max(b1, 0.0), 1.0), min(max(b2, 0.0), 1.0)
+    over = max(b1 + b2, 1.0)
+    b1, b2 = b1 / over, b2 / over
+    return 1.0 - b1 - b2, b1, b2
+
+
+@njit(error_model="numpy", nogil=True, fastmath=FAST)
 def _across(tx: float, ty: float, tz: float, nx: float, ny: float, nz: float) -> Any:
     """The part of t across the unit vector n, as a unit vector; any where there is none."""
     along = tx * nx + ty * ny + tz * nz
@@ -249,10 +258,7 @@ def describe(
     for i in range(start, stop):
         k = primitive[i]
         _, _, b1, b2 = _meet(origin, direction, i, vertices, faces, k)
-        b1, b2 = min(max(b1, 0.0), 1.0), min(max(b2, 0.0), 1.0)
-        over = max(b1 + b2, 1.0)
-        b1, b2 = b1 / over, b2 / over
-        b0 = 1.0 - b1 - b2
+        b0, b1, b2 = _inside(b1, b2)
         ax, ay, az = vertices[faces[k, 0], 0], vertices[faces[k, 0], 1], vertices[faces[k, 0], 2]
         ux, uy, uz = vertices[faces[k, 1], 0] - ax, vertices[faces[k, 1], 1] - ay, vertices[faces[k, 1], 2] - az
         vx, vy, vz = vertices[faces[k, 2], 0] - ax, vertices[faces[k, 2], 1] - ay, vertices[faces[k, 2], 2] - az
