@@ -231,6 +231,26 @@ def htsg() -> list[Any]:
     return out
 
 
+def cook(p: JsonObject) -> Any:
+    return lambda *a: oracles.cook_torrance(*a, p["slopes"], complex(p["n"], p["k"]), "beckmann")
+
+
+def blinn(p: JsonObject) -> Any:
+    return lambda *a: oracles.blinn(*a, p["c"], p["ior"], p["distribution"], mp.mpf(p["k_d"]), mp.mpf(p["k_s"]))
+
+
+def phong(p: JsonObject) -> Any:
+    def formula(*a: Any) -> Any:
+        nl, _, nh, _ = oracles.halfway(*a)
+        return (mp.mpf(p["k_d"]) + mp.mpf(p["k_s"]) * nh ** mp.mpf(p["exponent"]) / nl) / mp.pi
+
+    return formula
+
+
+def oren(p: JsonObject) -> Any:
+    return lambda *a: oracles.oren_nayar(*a, p["albedo"], mp.mpf(p["sigma_deg"]) * mp.pi / 180)
+
+
 def closed() -> dict[str, list[Any]]:
     metal = 0.64 + 2.6j
     plain = {str(j): p for j, p in enumerate(grid())}
@@ -244,22 +264,6 @@ def closed() -> dict[str, list[Any]]:
             values = [condition(formula, [mp.mpf(x) for x in (*p[0], *p[1])]) for p in labelled.values()]
             out.append(group(kind, parameters, labelled, values))
         return out
-
-    def cook(p: JsonObject) -> Any:
-        return lambda *a: oracles.cook_torrance(*a, p["slopes"], complex(p["n"], p["k"]), "beckmann")
-
-    def blinn(p: JsonObject) -> Any:
-        return lambda *a: oracles.blinn(*a, p["c"], p["ior"], p["distribution"], mp.mpf(p["k_d"]), mp.mpf(p["k_s"]))
-
-    def phong(p: JsonObject) -> Any:
-        def formula(*a: Any) -> Any:
-            nl, _, nh, _ = oracles.halfway(*a)
-            return (mp.mpf(p["k_d"]) + mp.mpf(p["k_s"]) * nh ** mp.mpf(p["exponent"]) / nl) / mp.pi
-
-        return formula
-
-    def oren(p: JsonObject) -> Any:
-        return lambda *a: oracles.oren_nayar(*a, p["albedo"], mp.mpf(p["sigma_deg"]) * mp.pi / 180)
 
     copper = {"slopes": [[0.4, 0.4], [0.2, 0.6]], "n": metal.real, "k": metal.imag}
     out = {

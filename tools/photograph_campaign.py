@@ -19,6 +19,7 @@ from __future__ import annotations
 import argparse
 import math
 import tomllib
+from collections.abc import Callable
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -40,6 +41,7 @@ from gonio.errors import GonioError
 from gonio.reduction import brdf
 from gonio.rig.description import RigDescription, SampleDescription
 from gonio.rig.dng import write_dng
+from gonio.typing import Floats
 
 KINDS = ("he-torrance", "oren-nayar", "cook-torrance")
 METALS = (0.96 + 6.69j, 0.26 + 2.55j, 0.42 + 2.35j, 2.9 + 3.05j, 1.5 + 0j)  # about Al, Cu, Au, Fe, and glass
@@ -144,6 +146,18 @@ def shaped(shape: str, rng: np.random.Generator, radius: float, out: Path) -> To
     return table | {"file": "mesh.obj", "normals": normals}
 
 
+def _light(kind: str, toward: Floats, far: float, even: Callable[[float, float], float]) -> TomlTable:
+    """A light of one kind, as a scene file has it."""
+    if kind == "directional":
+        return {"kind": kind, "toward": toward.tolist(), "irradiance": 1.0}
+    place = (far * toward).tolist()
+    if kind == "point":
+        return {"kind": kind, "position_mm": place, "intensity": far**2}
+    size = far * math.tan(math.radians(even(0.2, 1.5)))
+    light = {"kind": kind, "center_mm": place, "normal": (-toward).tolist(), "radius_mm": size, "samples": 16}
+    return light | {"radiance": (far / size) ** 2 / math.pi}
+
+
 def scenes(rng: np.random.Generator, what: SampleDescription, shape: str, out: Path) -> tuple[TomlTable, TomlTable]:
     """A scene as it is described, and as it truly is: tables of scene files."""
 
@@ -165,15 +179,7 @@ def scenes(rng: np.random.Generator, what: SampleDescription, shape: str, out: P
     }
     far = even(500.0, 1500.0)
     u |= {"light_deg": even(0.05, 0.3)} if kind == "directional" else {"light_mm": far * math.radians(even(0.05, 0.25))}
-    light: TomlTable = {"kind": kind}
-    if kind == "directional":
-        light |= {"toward": toward.tolist(), "irradiance": 1.0}
-    elif kind == "point":
-        light |= {"position_mm": (far * toward).tolist(), "intensity": far**2}
-    else:
-        size = far * math.tan(math.radians(even(0.2, 1.5)))
-        light |= {"center_mm": (far * toward).tolist(), "normal": (-toward).tolist(), "radius_mm": size, "samples": 16}
-        light["radiance"] = (far / size) ** 2 / math.pi
+    light = _light(kind, toward, far, even)
     camera = {
         "position_mm": [0.0, 0.0, distance],
         "vertical_field_deg": 2.0 * math.degrees(math.asin(radius / distance)) * even(1.1, 1.5),

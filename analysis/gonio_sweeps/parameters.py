@@ -246,14 +246,17 @@ class Parameters:
             elif picked:
                 why["mode"] = "filling"
                 said.append("no point tells more of the parameters: all next points cover")
-        why |= gains
+        return self._chosen(picked, why | gains, said, spent_s, wrong=wrong)
+
+    def _chosen(self, picked: list[int], why: JsonObject, said: list[str], spent_s: float, *, wrong: bool) -> Choice:
+        """The points picked in an order of short ways; or that it is enough, where there is none."""
         if not picked:
-            said.insert(0, "the budget is spent" if gains.get("cut") else "no point adds anything")
+            said.insert(0, "the budget is spent" if why.get("cut") else "no point adds anything")
             at_fault = f" ({self._settings.model} does not describe the sample)" if wrong else ""
             return Choice((), why, f"enough{at_fault}: " + "; ".join(said))
         points = [self.candidates.points[k] for k in picked]
         ordered = tuple(points[k] for k in snake(points))
-        said.append(f"{len(ordered)} points next, {gains['cover']} of them to cover")
+        said.append(f"{len(ordered)} points next, {why['cover']} of them to cover")
         said.append(f"{spent_s / 60:.3g} of {self._budget_s / 60:.3g} min")
         return Choice(ordered, why, "; ".join(said))
 

@@ -14,6 +14,7 @@ person reads, and what stands in the file of scans.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -169,6 +170,19 @@ def peak(x: Floats, signal: Floats, u_signal: Floats, step_deg: float) -> Peak |
     return Peak(centre, u, width, power, height * span, background * span + low)
 
 
+def _equation(
+    axes: Sequence[str], axis: str, holder: str, at: float, centre: float
+) -> tuple[npt.NDArray[np.float64], float]:
+    """What a peak at `centre` says of the zeros: how they add up, and to what [deg]; `at` is where the light stood."""
+    row = np.zeros(len(axes))
+    if axis != "camera":
+        row[axes.index(axis)] = 1.0
+        return row, centre
+    row[axes.index("camera")] = 1.0
+    row[axes.index("light")] = 1.0 if holder == "mirror" else -1.0
+    return row, centre + (at if holder == "mirror" else math.copysign(180.0, at - centre) - at)
+
+
 def align(table: pd.DataFrame, description: RigDescription) -> Alignment:
     """The zeros that a table of scans leads to.
 
@@ -186,9 +200,9 @@ def align(table: pd.DataFrame, description: RigDescription) -> Alignment:
     """
     import pandas as pd
 
-    missing = [name for name in COLUMNS if name not in table]
-    if missing:
-        raise DataError(f"this is no file of scans: the column {missing[0]} is missing")
+    for name in COLUMNS:
+        if name not in table:
+            raise DataError(f"this is no file of scans: the column {name} is missing")
     known = description.axes()
     axes = tuple(name for name in ALIGNED if name in known)
     rows, values, variances, about, peaks = [], [], [], [], {}
@@ -202,14 +216,7 @@ def align(table: pd.DataFrame, description: RigDescription) -> Alignment:
         if found is None:
             raise DataError(f"scan {number} ({axis}, holder {holder}) shows no spot: take it again")
         at = float(scan["light_encoder_deg"].mean())
-        row = np.zeros(len(axes))
-        value = found.centre
-        if axis == "camera":
-            row[axes.index("camera")] = 1.0
-            row[axes.index("light")] = 1.0 if holder == "mirror" else -1.0
-            value += at if holder == "mirror" else math.copysign(180.0, at - found.centre) - at
-        else:
-            row[axes.index(axis)] = 1.0
+        row, value = _equation(axes, axis, holder, at, found.centre)
         steps = known["light"].encoder_step_deg / math.sqrt(12.0) if axis == "camera" else 0.0
         rows.append(row)
         values.append(value)
@@ -230,15 +237,11 @@ def align(table: pd.DataFrame, description: RigDescription) -> Alignment:
         spread = max(departure * math.sqrt(freedom / (freedom - 2)), left)  # of two encoders
     else:  # too few scans to show what encoders are off
         spread = FEW * max(departure, math.sqrt(float(own.mean())))
+    parts = {"linearity": spread / math.sqrt(2.0)}
     zeros = {}
-    for index, name in enumerate(axes):
-        if determined[index]:
-            parts = {
-                "scans": math.sqrt(covariance[index, index]),
-                "backlash": _backlash_deg(description, name),
-                "linearity": spread / math.sqrt(2.0),
-            }
-            zeros[name] = Zero(float(solution[index]), parts)
+    for k in np.flatnonzero(determined).tolist():
+        own_parts = {"scans": math.sqrt(covariance[k, k]), "backlash": _backlash_deg(description, axes[k])}
+        zeros[axes[k]] = Zero(float(solution[k]), own_parts | parts)
     return Alignment(zeros, axes, covariance, rank, departure, _open(description, scans, zeros, y, own), scans, peaks)
 
 

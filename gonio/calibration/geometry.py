@@ -420,6 +420,35 @@ def _whitening(covariance: Floats) -> Floats:
     return out
 
 
+def _solved(
+    description: RigDescription,
+    sightings: Sequence[Sighting],
+    sought: list[Unknown],
+    given: tuple[Sequence[str], Floats, Floats] | None,
+) -> tuple[Problem, Floats, list[Sighting], list[str]]:
+    """The least squares of the sightings, those that are far off left out; which are kept, and which are not."""
+    dropped: list[str] = []
+    kept = list(sightings)
+    for _ in range(4):
+        problem = Problem(description, kept, sought, given)
+        x = problem.solved()
+        for _ in range(HARMONIC_ROUNDS):
+            if not problem.expect_harmonics():
+                break
+            x = problem.solved()
+        sizes = problem.of_sightings(problem.described(x))
+        chi = np.array([float(r @ r) / len(r) if len(r) else 0.0 for r in sizes])
+        typical = max(float(np.median(chi)), 1.0)
+        bad = [
+            k for k in range(len(kept)) if len(sizes[k]) and float(np.abs(sizes[k]).max()) > FAR * math.sqrt(typical)
+        ]
+        if not bad or len(bad) > 0.2 * len(kept):
+            break
+        dropped += [_said(kept[k]) for k in bad]
+        kept = [s for k, s in enumerate(kept) if k not in bad]
+    return problem, x, kept, dropped
+
+
 def solve(
     description: RigDescription,
     sightings: Sequence[Sighting],
@@ -444,26 +473,9 @@ def solve(
     if not any(s.spot_px is not None or s.corners for s in sightings):
         raise DataError("nothing was seen: neither the lamp nor a marker")
     sought = unknowns(description, sightings)
-    dropped: list[str] = []
-    kept = list(sightings)
-    for _ in range(4):
-        problem = Problem(description, kept, sought, given)
-        x = problem.solved()
-        for _ in range(HARMONIC_ROUNDS):
-            if not problem.expect_harmonics():
-                break
-            x = problem.solved()
-        rig = problem.described(x)
-        sizes = problem.of_sightings(rig)
-        chi = np.array([float(r @ r) / len(r) if len(r) else 0.0 for r in sizes])
-        typical = max(float(np.median(chi)), 1.0)
-        bad = [
-            k for k in range(len(kept)) if len(sizes[k]) and float(np.abs(sizes[k]).max()) > FAR * math.sqrt(typical)
-        ]
-        if not bad or len(bad) > 0.2 * len(kept):
-            break
-        dropped += [_said(kept[k]) for k in bad]
-        kept = [s for k, s in enumerate(kept) if k not in bad]
+    problem, x, kept, dropped = _solved(description, sightings, sought, given)
+    rig = problem.described(x)
+    sizes = problem.of_sightings(rig)
     jacobian = problem.jacobian(x)
     rows = sum(map(len, sizes))
     data, prior = jacobian[:rows], jacobian[rows:]

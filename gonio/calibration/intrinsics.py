@@ -123,24 +123,10 @@ def read_board(path: str | Path) -> tuple[BoardFile, Any]:
     return board, dictionary
 
 
-def calibrate(files: Sequence[Path], board: BoardFile, dictionary: Any, size: tuple[int, int] | None) -> Intrinsics:
-    """Intrinsics from pictures.
-
-    Parameters
-    ----------
-    files
-        Pictures, at least `FEWEST_IMAGES` of which show the board.
-    board, dictionary
-        From `read_board`.
-    size
-        Columns and rows that they must have; None where they need only have one size.
-
-    Raises
-    ------
-    DataError
-        A file cannot be read, or has another size; too few show the board; the board is another one than stated; the
-        poses are too much alike; too many corners are wrong.
-    """
+def _seen(
+    files: Sequence[Path], board: BoardFile, dictionary: Any, size: tuple[int, int] | None
+) -> tuple[list[tuple[Path, Floats, Floats, Floats]], tuple[int, int]]:
+    """The pictures that show the board, with its corners on the board and in the picture; and their common size."""
     views, empty = [], []
     for file in files:
         grey = read_grey(file)
@@ -166,6 +152,36 @@ def calibrate(files: Sequence[Path], board: BoardFile, dictionary: Any, size: tu
             f"{len(views)} pictures show the board ({FEWEST_CORNERS} corners or more), and {FEWEST_IMAGES} are needed"
             f"{without}"
         )
+    return views, size
+
+
+def _require_sharp(fit: _Fit, board: BoardFile) -> None:
+    if fit.rms > LARGEST_RMS:
+        raise DataError(
+            f"corners lie {fit.rms:.1f} px (rms) off a pinhole with distortion; {LARGEST_RMS:g} px is the most: is the "
+            f"board flat, sharp, and one of {board.squares[0]} x {board.squares[1]} squares?"
+        )
+
+
+def calibrate(files: Sequence[Path], board: BoardFile, dictionary: Any, size: tuple[int, int] | None) -> Intrinsics:
+    """Intrinsics from pictures.
+
+    Parameters
+    ----------
+    files
+        Pictures, at least `FEWEST_IMAGES` of which show the board.
+    board, dictionary
+        From `read_board`.
+    size
+        Columns and rows that they must have; None where they need only have one size.
+
+    Raises
+    ------
+    DataError
+        A file cannot be read, or has another size; too few show the board; the board is another one than stated; the
+        poses are too much alike; too many corners are wrong.
+    """
+    views, size = _seen(files, board, dictionary, size)
     _require_ratio(views, board)
     fit = _Fit([v[1] for v in views], [v[2] for v in views], size)
     fit.robust()
@@ -175,11 +191,7 @@ def calibrate(files: Sequence[Path], board: BoardFile, dictionary: Any, size: tu
             f"the boards of all pictures lie within {apart:.1f} deg of each other: focal length and distance cannot be "
             f"told apart. Tilt the board by 20 to 45 deg, to different sides ({ALIKE_DEG:g} deg is the least)"
         )
-    if fit.rms > LARGEST_RMS:
-        raise DataError(
-            f"corners lie {fit.rms:.1f} px (rms) off a pinhole with distortion; {LARGEST_RMS:g} px is the most: is the "
-            f"board flat, sharp, and one of {board.squares[0]} x {board.squares[1]} squares?"
-        )
+    _require_sharp(fit, board)
     total = sum(len(v[2]) for v in views)
     rejected = total - int(sum(map(np.count_nonzero, fit.used)))
     if rejected > MOST_REJECTED * total:

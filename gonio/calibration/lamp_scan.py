@@ -34,6 +34,18 @@ FLAT_FRAMES = 8
 MOST_STEPS = 100_000
 
 
+def _metered(bench: ManualRig, region: regions.Roi, pose: Pose) -> exposure.Metered:
+    """The exposure for the white."""
+    description = bench.description
+    expected = exposure.expected_level_per_s(description, pose, 1.0)
+    if description.reference.how == "beam":
+        expected = exposure.expected_straight_level_per_s(description)
+    metered = exposure.meter(description, bench.camera.capture, region.of, expected)
+    if metered.saturated:
+        raise DataError("the white saturates at the shortest exposure: dim the lamp, or close the lens's aperture")
+    return metered
+
+
 def take_series(
     bench: ManualRig,
     duration_s: float,
@@ -66,11 +78,7 @@ def take_series(
     DeviceError
         A device fails.
     """
-    description = bench.description
-    pose = reference_pose(description)
-    expected = exposure.expected_level_per_s(description, pose, 1.0)
-    if description.reference.how == "beam":
-        expected = exposure.expected_straight_level_per_s(description)
+    pose = reference_pose(description := bench.description)
     steps, taken, dark = _Steps(bench), _Series(description), math.nan
     try:
         bench.lamp(False)
@@ -79,23 +87,20 @@ def take_series(
         region = regions.roi(description, kinematics.view(description, pose), "reference", bench.band.channel)
         lit_s = 0.0 if bench.repeatable else bench.time_s()  # a simulated clock counts from when the lamp is lit
         bench.lamp(True, wavelength_nm=bench.band.centre_nm)
-        metered = exposure.meter(description, bench.camera.capture, region.of, expected)
-        if metered.saturated:
-            raise DataError("the white saturates at the shortest exposure: dim the lamp, or close the lens's aperture")
+        metered = _metered(bench, region, pose)
         due = 0.0
         while due <= duration_s:
             now = bench.time_s() - lit_s
-            if now < due and not bench.repeatable:
-                wait(bench, due - now)
-            elif now < due:
+            if now < due and bench.repeatable:
                 steps.next(pose)  # a simulated clock goes on with the steps
                 continue
+            wait(bench, max(due - now, 0.0))
             for _ in range(BURST):
                 taken.add(bench.camera.capture(metered.exposure_s), region, lit_s, _monitor(bench))
             due = max(due + every_s, bench.time_s() - lit_s)
             told(round(min(due, duration_s)), round(duration_s))
         bench.lamp(False)
-        darks = [bench.camera.capture(metered.exposure_s) for _ in range(DARK_FRAMES)]
+        darks = (bench.camera.capture(metered.exposure_s) for _ in range(DARK_FRAMES))
         dark = float(np.mean([_linear(description, frame, region.of(frame.mosaic)) for frame in darks]))
     finally:
         bench.light.off()

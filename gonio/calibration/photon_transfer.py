@@ -130,6 +130,28 @@ def saturation_index(variances: Floats) -> int:
     return int(np.argmax(variances))
 
 
+def _require_levels(count: int) -> None:
+    if count < FEWEST_LEVELS:
+        raise DataError(
+            f"flat frames have {count} levels below {100 * FIT_RANGE:.0f} % of saturation; the gain "
+            f"needs {FEWEST_LEVELS}: take flats at more exposures from dark to full"
+        )
+
+
+def _slope(camera: Camera, level: Floats) -> Floats:
+    step = 1e-3 * np.maximum(level, 1.0)
+    return np.asarray((straightened(camera, level + step) - straightened(camera, level - step)) / (2.0 * step))
+
+
+def _by_level(flats: Sequence[Pair], dark_level: tuple[float, float]) -> tuple[Floats, Floats, list[Pair]]:
+    """Exposures [s], levels above the dark one [DN], and pairs of one exposure averaged; by their levels."""
+    merged = [_merged([p for p in flats if p.exposure_s == t]) for t in sorted({p.exposure_s for p in flats})]
+    exposures = np.array([p.exposure_s for p in merged])
+    level = np.array([p.mean_dn for p in merged]) - dark_level[0] - dark_level[1] * exposures
+    order = np.argsort(level)
+    return exposures[order], level[order], [merged[k] for k in order]
+
+
 def photon_transfer(
     flats: Sequence[Pair],
     darks: Sequence[Pair],
@@ -157,24 +179,13 @@ def photon_transfer(
     """
     if not darks:
         raise DataError("there are no pairs of dark frames: the noise of the dark frames is not known")
-    by_exposure = [_merged([p for p in flats if p.exposure_s == t]) for t in sorted({p.exposure_s for p in flats})]
-    exposures = np.array([p.exposure_s for p in by_exposure])
-    level = np.array([p.mean_dn for p in by_exposure]) - dark_level[0] - dark_level[1] * exposures
-    order = np.argsort(level)
-    by_exposure, exposures, level = [by_exposure[k] for k in order], exposures[order], level[order]
+    exposures, level, by_exposure = _by_level(flats, dark_level)
     total = np.array([p.variance_dn2 for p in by_exposure])
     dark_noise, u_dark, dark_slope = _dark_variance(darks)
     last = saturation_index(total)
     usable = level <= FIT_RANGE * level[last]
-    if np.count_nonzero(usable) < FEWEST_LEVELS:
-        raise DataError(
-            f"flat frames have {np.count_nonzero(usable)} levels below {100 * FIT_RANGE:.0f} % of saturation; the gain "
-            f"needs {FEWEST_LEVELS}: take flats at more exposures from dark to full"
-        )
-    # a bent curve changes a signal's noise by its slope
-    linear = straightened(camera, level)
-    step = 1e-3 * np.maximum(level, 1.0)
-    slope = (straightened(camera, level + step) - straightened(camera, level - step)) / (2.0 * step)
+    _require_levels(int(np.count_nonzero(usable)))
+    linear, slope = straightened(camera, level), _slope(camera, level)  # a bent curve changes noise by its slope
     shot = total * slope**2 - dark_noise - dark_slope * exposures
     x, y = linear[usable], shot[usable]
     u = np.array([p.u_variance for p in by_exposure])[usable] * slope[usable] ** 2

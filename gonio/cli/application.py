@@ -12,7 +12,7 @@ import errno
 import io
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 from gonio import platform
@@ -202,6 +202,33 @@ def _past_typer() -> Iterator[None]:
         raise _Passing(error) from error
 
 
+def _in_order(points: Mapping[str, Any]) -> type[typer.core.TyperGroup]:
+    """The group of commands: ours and plug-ins', in the order of `ORDER`, each loaded when it is asked for."""
+    import typer
+
+    class InOrder(typer.core.TyperGroup):
+        def list_commands(self, ctx: Any) -> list[str]:
+            names = {*super().list_commands(ctx), *points}
+            return [n for n in ORDER if n in names] + sorted(names.difference(ORDER))
+
+        def get_command(self, ctx: Any, cmd_name: str) -> Any:
+            known = cmd_name in self.commands or cmd_name in points
+            for name in [cmd_name] if known else points:  # of a wrong name the nearest of all is told
+                if name in points and name not in self.commands:
+                    self.add_command(_command(name, points[name]), name)
+            return super().get_command(ctx, cmd_name)
+
+        def make_context(self, *args: Any, **kwargs: Any) -> Any:
+            with _past_typer():
+                return super().make_context(*args, **kwargs)
+
+        def invoke(self, ctx: Any) -> Any:
+            with _past_typer():
+                return super().invoke(ctx)
+
+    return InOrder
+
+
 def build() -> typer.Typer:
     """The application with every command that is installed."""
     import typer
@@ -224,29 +251,8 @@ def build() -> typer.Typer:
     )
 
     points = plugins.available("gonio.commands")
-
-    class InOrder(typer.core.TyperGroup):
-        def list_commands(self, ctx: Any) -> list[str]:
-            names = {*super().list_commands(ctx), *points}
-            return [n for n in ORDER if n in names] + sorted(names.difference(ORDER))
-
-        def get_command(self, ctx: Any, cmd_name: str) -> Any:
-            known = cmd_name in self.commands or cmd_name in points
-            for name in [cmd_name] if known else points:  # of a wrong name the nearest of all is told
-                if name in points and name not in self.commands:
-                    self.add_command(_command(name, points[name]), name)
-            return super().get_command(ctx, cmd_name)
-
-        def make_context(self, *args: Any, **kwargs: Any) -> Any:
-            with _past_typer():
-                return super().make_context(*args, **kwargs)
-
-        def invoke(self, ctx: Any) -> Any:
-            with _past_typer():
-                return super().invoke(ctx)
-
     app = typer.Typer(
-        cls=InOrder,
+        cls=_in_order(points),
         no_args_is_help=True,
         add_completion=False,
         pretty_exceptions_enable=False,

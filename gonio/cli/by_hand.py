@@ -310,6 +310,18 @@ def snap(
         console.note(f"no patch of the sample is drawn: {shot.without}")
 
 
+def _show_scan(table: pd.DataFrame, axis: str) -> None:
+    from gonio.cli import console
+
+    good = table[table["flag"] == ""]
+    if len(good):
+        signals, places = good["signal_dn_per_s"].to_numpy(), good["angle_deg"].to_numpy()
+        top = int(signals.argmax())
+        console.show(f"largest signal {signals[top]:.5g} DN/s at {axis} {places[top]:.3f} deg")
+    if len(good) < len(table):
+        console.show(f"{len(table) - len(good)} angles saturated")
+
+
 @app.command()
 def scan(
     axis: Annotated[str, typer.Argument(help="light, camera, tilt, spin or azimuth.", show_default=False)],
@@ -367,13 +379,7 @@ def scan(
             with undisturbed():
                 picture = write_scan(taken[0], file)
             console.note(f"{file}, {picture.name}: {len(taken[0])} of {len(angles)} angles")
-    good = taken[0][taken[0]["flag"] == ""]
-    if len(good):
-        signals, places = good["signal_dn_per_s"].to_numpy(), good["angle_deg"].to_numpy()
-        top = int(signals.argmax())
-        console.show(f"largest signal {signals[top]:.5g} DN/s at {axis} {places[top]:.3f} deg")
-    if len(good) < len(taken[0]):
-        console.show(f"{len(taken[0]) - len(good)} angles saturated")
+    _show_scan(taken[0], axis)
     holds = bench.can_hold and not bench.repeatable
     console.note("the lamp is dark" + ("; the axes hold, until gonio rig park" if holds else ""))
 

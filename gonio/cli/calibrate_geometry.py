@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from gonio.acquisition.measure import RigChoice
     from gonio.calibration.geometry import Fit, Sighting
     from gonio.calibration.intrinsics import Intrinsics
+    from gonio.rig.calibrated import Calibration
     from gonio.rig.description import RigDescription
     from gonio.typing import Floats
 
@@ -28,6 +29,19 @@ PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".dng")
 HOLDERS = ("mirror", "empty")
 QUICK = 0.25
 Given = tuple[list[str], "Floats", "Floats"]
+
+
+def _required(out: Path | None) -> Path:
+    """The file to write, which must not be there."""
+    from gonio.errors import ConfigError
+
+    if out is None:
+        raise ConfigError("--out CALIBRATION.toml is missing")
+    if out.exists():
+        raise ConfigError(f"{out}: is there already; name another file with --out")
+    if out.suffix != ".toml" or not out.absolute().parent.is_dir():
+        raise ConfigError(f"--out {out}: must end with .toml, and lie in a folder that is there")
+    return out
 
 
 @app.command()
@@ -70,19 +84,14 @@ def geometry(
     if print_fiducials is not None:
         _print_sheet(choice.description, rig, print_fiducials)
         return
-    if out is None:
-        raise ConfigError("--out CALIBRATION.toml is missing")
-    if out.exists():
-        raise ConfigError(f"{out}: is there already; name another file with --out")
-    if out.suffix != ".toml" or not out.absolute().parent.is_dir():
-        raise ConfigError(f"--out {out}: must end with .toml, and lie in a folder that is there")
+    out = _required(out)
     if (images is None) != (board is None):
         raise ConfigError("--images and --board go together: pictures, and the file of the board that they show")
     holders = _holders(holder)
     intrinsics = _intrinsics(choice.description, images, board) if images and board else None
-    description, given = choice.description, None
+    lens: tuple[RigDescription, Given | None] = choice.description, None
     if intrinsics is not None:
-        description, given = _with_lens(description, intrinsics)
+        lens = _with_lens(choice.description, intrinsics)
     sightings: Sequence[Sighting] = ()
     contradiction = ""
     if scans is not None:
@@ -93,11 +102,9 @@ def geometry(
         sightings = read_sightings(scans)
         _require_axes(sightings, choice.description, scans)
     elif holders or intrinsics is None:
-        share = QUICK if quick else 1.0
-        sightings, contradiction = _measured(
-            choice, out, holders or None, search=search, share=share, seed=seed, yes=yes
-        )
-    _finish(out, choice.description, description, intrinsics, given, sightings, valid_days, contradiction)
+        asked, share = (choice, out, holders or None), QUICK if quick else 1.0
+        sightings, contradiction = _measured(*asked, search=search, share=share, seed=seed, yes=yes)
+    _finish(out, choice.description, *lens, intrinsics, sightings, valid_days, contradiction)
 
 
 def _holders(text: str | None) -> list[str]:
@@ -248,18 +255,52 @@ def _measured(
 # ---- what comes out ----
 
 
+def _show_numbers(filed: RigDescription, tables: TomlTable, u: dict[str, float]) -> None:
+    from gonio.calibration import geometry as geometric
+    from gonio.cli import console
+    from gonio.config import numbers_in
+
+    was, now, claimed = numbers_in(geometric.start_of(filed)), numbers_in(tables), geometric.claims(filed)
+    table = console.table("key", "value", "u (k = 1)", "was", "with u")
+    for path, one in u.items():
+        before = f"{was[path]:.5g}" if path in was else "-"
+        table.add_row(path, *apart(now[path], one), before, f"{claimed[path]:.2g}" if path in claimed else "")
+    console.show(table)
+
+
+def _calibration(
+    filed: RigDescription, tables: TomlTable, paths: list[str], covariance: Floats, notes: Sequence[str],
+    measured: TomlTable, valid_days: int,
+) -> Calibration:  # fmt: skip
+    """What is known now of a rig's numbers, with its covariance."""
+    import numpy as np
+
+    from gonio.rig.calibrated import Calibration, identity
+    from gonio.rig.calibration_use import ParameterUncertainty
+
+    u = np.sqrt(np.diag(covariance))
+    correlation = np.clip(covariance / np.outer(u, u), -1.0, 1.0)
+    correlation = 0.5 * (correlation + correlation.T)
+    np.fill_diagonal(correlation, 1.0)
+    today = datetime.date.today()
+    return Calibration(
+        kind="geometry", rig=filed.name, rig_identity=identity(filed), made=today,
+        valid_until=today + datetime.timedelta(days=valid_days), notes=tuple(notes), values=tables,
+        uncertainty=ParameterUncertainty(parameters=paths, u=u.tolist(), correlation=correlation.tolist()),
+        measured=measured,
+    )  # fmt: skip
+
+
 def _finish(
-    out: Path, filed: RigDescription, description: RigDescription, intrinsics: Intrinsics | None,
-    given: Given | None, sightings: Sequence[Sighting], valid_days: int, contradiction: str,
+    out: Path, filed: RigDescription, description: RigDescription, given: Given | None,
+    intrinsics: Intrinsics | None, sightings: Sequence[Sighting], valid_days: int, contradiction: str,
 ) -> None:  # fmt: skip
     import numpy as np
 
     from gonio.calibration import geometry as geometric
     from gonio.cli import console
-    from gonio.config import numbers_in
     from gonio.errors import DataError
-    from gonio.rig.calibrated import Calibration, identity, write_calibration
-    from gonio.rig.calibration_use import ParameterUncertainty
+    from gonio.rig.calibrated import write_calibration
 
     fit: Fit | None = None
     notes = [f"WARNING: {contradiction}"] * bool(contradiction)
@@ -291,31 +332,14 @@ def _finish(
     if not paths:
         _show_open(notes)
         raise DataError(f"{out} is not written: nothing of the rig is determined")
-    u = np.sqrt(np.diag(covariance))
-    correlation = np.clip(covariance / np.outer(u, u), -1.0, 1.0)
-    correlation = 0.5 * (correlation + correlation.T)
-    np.fill_diagonal(correlation, 1.0)
-    today = datetime.date.today()
-    calibration = Calibration(
-        kind="geometry", rig=filed.name, rig_identity=identity(filed), made=today,
-        valid_until=today + datetime.timedelta(days=valid_days), notes=tuple(notes), values=tables,
-        uncertainty=ParameterUncertainty(parameters=paths, u=u.tolist(), correlation=correlation.tolist()),
-        measured=measured,
-    )  # fmt: skip
+    calibration = _calibration(filed, tables, paths, covariance, notes, measured, valid_days)
     picture = out.with_name(f"{out.stem}-residuals.png")
     _draw(fit, intrinsics, picture)
     try:
         write_calibration(calibration, out)
     except OSError as error:
         raise DataError(f"{out}: cannot be written: {error.strerror}") from None
-    was = numbers_in(geometric.start_of(filed))
-    now = numbers_in(tables)
-    claimed = geometric.claims(filed)
-    table = console.table("key", "value", "u (k = 1)", "was", "with u")
-    for path, one in zip(paths, u, strict=True):
-        before = f"{was[path]:.5g}" if path in was else "-"
-        table.add_row(path, *apart(now[path], one), before, f"{claimed[path]:.2g}" if path in claimed else "")
-    console.show(table)
+    _show_numbers(filed, tables, dict(zip(paths, np.sqrt(np.diag(covariance)).tolist(), strict=True)))
     if intrinsics is not None:
         console.show(f"lens: rms reprojection error {intrinsics.rms_px:.3f} px, {intrinsics.corners} corners of "
                      f"{len(intrinsics.images)} pictures, {intrinsics.rejected} left out")  # fmt: skip

@@ -10,7 +10,7 @@ as it reflects no more light than there is (docs/radiometry.md, "Narrow lobes an
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -24,6 +24,14 @@ FALL = 0.2
 """Steps over which the logarithm of a lobe falls by less resolve it."""
 SURE = 5.0
 """A value counts as above a base where it exceeds it by so many standard uncertainties."""
+
+
+def _outward(t: Floats, f: Floats, k: int, outside: Sequence[int]) -> float:
+    """How fast a value falls toward the next point farther out, over t."""
+    if not outside or f[k] <= 0.0:
+        return 0.0
+    j = outside[0]
+    return float(f[k] * math.log(max(f[k] / max(f[j], 1e-3 * f[k]), 1.0)) / (t[j] - t[k]))
 
 
 def steepest(
@@ -52,11 +60,6 @@ def steepest(
         Of the lamp and of the lens [rad]: no lobe is seen narrower than they make it.
     apart
         Points that are nearer to each other [rad] do not tell a slope.
-
-    Returns
-    -------
-    (n,) array
-        Size of the slope at most.
     """
     # values below the noise may be negative; no lobe is
     x, f = np.abs(from_mirror), np.maximum(np.asarray(values, dtype=float), 0.0)
@@ -81,20 +84,13 @@ def steepest(
         nearest = _energy(t[k], min(math.cos(theta_i[k]), float(cosine[k])) * excess)
         rate = min(nearest, 0.5 * t[k] / narrowest) / t[k]
         if inside:
-            j = inside[0]
-            rise = math.log(max((f[j] + u[j] - inner) / excess, 1.0))
+            rise = math.log(max((f[inside[0]] + u[inside[0]] - inner) / excess, 1.0))
             if not outside and rise > FALL:
-                # toward grazing reflection a lobe may rise as 1 / cos(theta_r): no point farther out shows how much of
-                # its fall that hides
-                rise += max(math.log(cosine[j] / cosine[k]), 0.0)
-            rise /= t[k] - t[j]
-            rate = min(rate, rise)
-        steep = fall + excess * rate
-        beyond = 0.0
-        if outside and f[k] > 0.0:
-            j = outside[0]
-            beyond = f[k] * math.log(max(f[k] / max(f[j], 1e-3 * f[k]), 1.0)) / (t[j] - t[k])
-        bound[k] = 2.0 * math.sqrt(t[k]) * (1.0 + 0.25 * t[k]) * max(steep, beyond)
+                # toward grazing reflection a lobe may rise as 1 / cos(theta_r), which hides some of its fall
+                rise += max(math.log(cosine[inside[0]] / cosine[k]), 0.0)
+            rate = min(rate, rise / (t[k] - t[inside[0]]))
+        steep = max(fall + excess * rate, _outward(t, f, int(k), outside))
+        bound[k] = 2.0 * math.sqrt(t[k]) * (1.0 + 0.25 * t[k]) * steep
     return bound
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -52,7 +52,7 @@ class _Squares:
     """
 
     def __init__(self, pixels: _Pixels, exposure: Exposure, size: int, whole: bool) -> None:
-        self.size = size
+        self.size, self.flat = size, pixels.flat
         height, width = (n // size for n in pixels.why.shape)
 
         def cut(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
@@ -97,31 +97,34 @@ class _Squares:
             self.why[elsewhere], self.mean[elsewhere] = _MIXED, np.nan
         area = 1.0 / 12.0 if whole else 0.0
         xx, yy, xy = over(column**2) - x**2 + area, over(row**2) - y**2 + area, over(row * column) - x * y
-        self.flat = pixels.flat
-        if pixels.flat:  # over a square a facet's normal is the same
-            xx, yy, xy = (np.zeros_like(moment) for moment in (xx, yy, xy))
-        self.above = self._bent(self.mean, (xx, yy, xy))
+        moments = [np.zeros_like(xx)] * 3 if pixels.flat else [xx, yy, xy]  # a facet's normal is the same over a square
+        self.above = self._bent(self.mean, moments)
         """By how much the mean lies above the value in the middle, from second differences."""
-        self.per_value = per_value - self._bent(per_value, (xx, yy, xy))
+        self.per_value = per_value - self._bent(per_value, moments)
         """BRDF [1/sr] of a picture whose pixels all have the value 1."""
         doubt = self._bent(self.mean, (np.full_like(xx, 1 / 12), np.full_like(yy, 1 / 12), np.zeros_like(xy)))
         self.around = self._of_others()
         """Mean of the eight neighbours: what is expected of a square, free of its own noise. Of facets, their mean."""
         self.noise = self._noise(exposure, gain, used, cut, self.around)
         """Standard uncertainty of the mean."""
-        # in mean - above the square itself counts 1 + k + m, and its neighbours -k/2 and -m/2
-        k, m = xx / size**2, yy / size**2
-        weights = (1.0 + k + m) ** 2 + 0.5 * (k**2 + m**2)
-        unsure = (UNSURE * self.above) ** 2
-        if pixels.kinked:  # second differences do not say whether the kink is in the square or beside it
-            beside = np.stack([self.above, *(_shifted(self.above, *step) for step in _RING)])
-            unsure = np.where(np.isfinite(beside), beside**2, 0.0).max(axis=0)
-        self.random = np.sqrt(weights * self.noise**2 + unsure + doubt**2)
+        self.random = self._random(moments, doubt, kinked=pixels.kinked)
         """The same of `value`."""
         self.value = self.mean - self.above
         """The BRDF in the middle [1/sr]; NaN too where a neighbour has none."""
 
-    def _bent(self, grid: Floats, moments: tuple[Floats, Floats, Floats]) -> Floats:
+    def _random(self, moments: Sequence[Floats], doubt: Floats, *, kinked: bool) -> Floats:
+        """Standard uncertainty of `mean` less `above`, to which the square and its neighbours contribute."""
+        xx, yy, _ = moments
+        # in mean - above the square itself counts 1 + k + m, and its neighbours -k/2 and -m/2
+        k, m = xx / self.size**2, yy / self.size**2
+        weights = (1.0 + k + m) ** 2 + 0.5 * (k**2 + m**2)
+        unsure = (UNSURE * self.above) ** 2
+        if kinked:  # second differences do not say whether the kink is in the square or beside it
+            beside = np.stack([self.above, *(_shifted(self.above, *step) for step in _RING)])
+            unsure = np.where(np.isfinite(beside), beside**2, 0.0).max(axis=0)
+        return np.asarray(np.sqrt(weights * self.noise**2 + unsure + doubt**2))
+
+    def _bent(self, grid: Floats, moments: Sequence[Floats]) -> Floats:
         """`_curved`; NaN where a neighbour lies beyond a crease, and 0 for what is flat."""
         if self.flat:
             return np.zeros_like(grid)
@@ -173,7 +176,7 @@ def _shifted(grid: Floats, down: int, right: int) -> Floats:
     return out
 
 
-def _curved(mean: Floats, moments: tuple[Floats, Floats, Floats], size: int) -> Floats:
+def _curved(mean: Floats, moments: Sequence[Floats], size: int) -> Floats:
     """What second moments (columns, rows, both) [px^2] add to a mean, from second differences of a grid."""
     xx, yy, xy = moments
     along = _shifted(mean, 0, 1) + _shifted(mean, 0, -1) - 2.0 * mean

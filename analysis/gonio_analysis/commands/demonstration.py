@@ -43,6 +43,22 @@ MODELS = ("lambert", "oren-nayar", "cook-torrance", "he-torrance")
 QUICK_MODELS = ("lambert", "cook-torrance", "he-torrance")
 
 
+def _begun(out: Path, *, quick: bool) -> tuple[Path, Path, Path]:
+    """The sample's and the plan's files, written, and where the run will be."""
+    from gonio.acquisition.run_folder import check_writable
+    from gonio.disk import write_own
+
+    _clear(out)
+    check_writable(out)
+    sample, plan = out / "sample.toml", out / "plan.toml"
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        write_own(out, {sample.name: SAMPLE.encode(), plan.name: (QUICK_PLAN if quick else PLAN).encode()})
+    except OSError as error:
+        raise ConfigError(f"{out}: cannot be written: {error.strerror}") from None
+    return sample, plan, out / "run"
+
+
 def run_demo(out: Path, *, quick: bool) -> Path:
     """Measure, reduce, fit, compare and report a simulated aluminium sample.
 
@@ -66,37 +82,20 @@ def run_demo(out: Path, *, quick: bool) -> Path:
     from gonio import measurement
     from gonio.acquisition.measure import carry_out, find_rig, load_sample
     from gonio.acquisition.plan import load_plan
-    from gonio.acquisition.run_folder import check_writable
     from gonio.cli import console
-    from gonio.disk import write_own
     from gonio.reduction import brdf
     from gonio_analysis.fitting.fit import fit
     from gonio_analysis.report import make
     from gonio_analysis.report.text import with_u
 
     began = time.perf_counter()
-    _clear(out)
-    check_writable(out)
-    sample, plan, run = out / "sample.toml", out / "plan.toml", out / "run"
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        write_own(out, {sample.name: SAMPLE.encode(), plan.name: (QUICK_PLAN if quick else PLAN).encode()})
-    except OSError as error:
-        raise ConfigError(f"{out}: cannot be written: {error.strerror}") from None
-
+    sample, plan, run = _begun(out, quick=quick)
     command = f"gonio measure {plan} --rig sim --sample {sample} --seed {SEED} --out {run} --yes"
     _say(command)
     with console.progress() as progress:
-        made = carry_out(
-            load_plan(plan),
-            find_rig("sim"),
-            run,
-            sample=load_sample(sample),
-            seed=SEED,
-            yes=True,
-            command=command,
-            progress=progress,
-        )
+        asked = load_plan(plan), find_rig("sim"), run
+        known = load_sample(sample)
+        made = carry_out(*asked, sample=known, seed=SEED, yes=True, command=command, progress=progress)
     _say(f"gonio reduce {run}")
     with console.counter("reducing") as counting:
         reduced = brdf.reduce_in_parts(made, progress=counting)

@@ -95,6 +95,14 @@ class FitResult(Solution):
         return fit(self.data, replace(asked, start=start))
 
 
+def _require_one_way(asked: FitRequest) -> None:
+    if asked.each is not None and asked.wavelength_nm is not None:
+        nm = f"{asked.wavelength_nm:g}"
+        raise ConfigError(f"--wavelength-nm {nm}: all wavelengths are fitted together; leave it out")
+    if asked.each is not None and asked.energy:
+        raise ConfigError("--energy: the bound holds a fit at one wavelength; leave out --joint")
+
+
 def _require_enough(data: Observations, names: Sequence[str], wavelength: float, name: str) -> None:
     if len(data) <= len(names):
         at = "" if math.isnan(wavelength) else f" at {wavelength:g} nm"
@@ -151,9 +159,7 @@ def fit(
     """
     began = time.perf_counter()
     asked = FitRequest(model, **options) if isinstance(model, str) else replace(model, **options)
-    if asked.each is not None and asked.wavelength_nm is not None:
-        nm = f"{asked.wavelength_nm:g}"
-        raise ConfigError(f"--wavelength-nm {nm}: all wavelengths are fitted together; leave it out")
+    _require_one_way(asked)
     problem, start = pose(asked), asked.start
     data = table if isinstance(table, Observations) else observations(table, name, asked.u_rel)
     if asked.each is not None:
@@ -167,8 +173,6 @@ def fit(
     _require_enough(data, problem.free, wavelength, name)
     notes += problem.notes
     if asked.energy:
-        if problem.waves:
-            raise ConfigError("--energy: the bound holds a fit at one wavelength; leave out --joint")
         free = fit(data, replace(asked, energy=False), name=name, say=say)
         problem, start, said = _bounded(problem, free, start)
         notes += said

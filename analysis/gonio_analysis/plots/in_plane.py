@@ -157,30 +157,11 @@ def polar(
             artists += ax.plot(*path, color=look["color"], lw=1.5, label=line.label, zorder=3, ls=ls)
             artists[-1].set_clip_path(clip)
             if line.tau > 0:
-                edges = [xy(line.theory_angle, np.fmin(np.nan_to_num(edge), 2 * rim)) for edge in band(line)]
-                x, y = (np.concatenate([low, high[::-1]]) for low, high in zip(*edges, strict=True))
-                artists += ax.fill(x, y, color=look["color"], alpha=BAND, lw=0, zorder=1)
-                artists[-1].set_clip_path(clip)
+                artists += _misfit_band(ax, line, look["color"], rim, clip)
             if _top(line.theory) > rim * 1.001:
                 notes.append(f"theory to {_top(line.theory):.3g}")
         if line.measured.size:
-            shown = np.maximum(line.measured, 0.0)
-            x, y = xy(line.angle, shown)
-            inside = shown <= rim * 1.0001
-            artists += ax.plot(*xy(*_around(line.angle, shown)), color=look["color"], lw=0.9, ls=(0, (4, 2)), zorder=4)
-            artists[-1].set_clip_path(clip)
-            artists += ax.plot(
-                x[inside],
-                y[inside],
-                ls="none",
-                marker=look["marker"],
-                ms=2.6,
-                color=look["color"],
-                label=None if line.theory.size else line.label,
-                zorder=4,
-                clip_on=False,
-            )
-            artists += _radial_bars(ax, line, clip, look["color"])
+            artists += _measured(ax, line, look, rim, clip)
             if _top(line.measured) > rim * 1.001:
                 notes.append(f"{called} to {_top(line.measured):.3g}")
         if line.mirror is not None:
@@ -188,6 +169,12 @@ def polar(
             artists += ax.plot(x, y, color=look["color"], lw=2.2, solid_capstyle="butt", clip_on=False, zorder=5)
         if notes:
             beyond.append((f"{line.label}: {' and '.join(notes)}", look["color"]))
+    return artists + _notes_at_rim(ax, beyond, rim, retro_right=retro_right)
+
+
+def _notes_at_rim(ax: Any, beyond: Sequence[tuple[str, str]], rim: float, *, retro_right: bool) -> list[Any]:
+    """What is cut off, each note in its curve's colour."""
+    artists = []
     rows = max(3, -(-len(beyond) // 2))  # three find room above the rim, on each side of the label of the normal
     for k, (text, colour) in enumerate(beyond):
         ha = "left" if k < rows else "right"
@@ -195,6 +182,31 @@ def polar(
         at = (side * 1.12 * rim, (1.105 - 0.048 * (k % rows)) * rim)
         artists.append(ax.text(*at, text, color=colour, fontsize=6.5, ha=ha, va="center", zorder=6))
     return artists
+
+
+def _misfit_band(ax: Any, line: Line, colour: str, rim: float, clip: Any) -> list[Any]:
+    """How far the model is off, as a band about its curve."""
+    edges = [xy(line.theory_angle, np.fmin(np.nan_to_num(edge), 2 * rim)) for edge in band(line)]
+    x, y = (np.concatenate([low, high[::-1]]) for low, high in zip(*edges, strict=True))
+    filled: list[Any] = ax.fill(x, y, color=colour, alpha=BAND, lw=0, zorder=1)
+    filled[-1].set_clip_path(clip)
+    return filled
+
+
+def _measured(ax: Any, line: Line, look: Style, rim: float, clip: Any) -> list[Any]:
+    """The measurement's line, its marks within the rim, and error bars."""
+    shown = np.maximum(line.measured, 0.0)
+    x, y = xy(line.angle, shown)
+    inside = shown <= rim * 1.0001
+    artists: list[Any] = [
+        *ax.plot(*xy(*_around(line.angle, shown)), color=look["color"], lw=0.9, ls=(0, (4, 2)), zorder=4)
+    ]
+    artists[-1].set_clip_path(clip)
+    artists += ax.plot(
+        x[inside], y[inside], ls="none", marker=look["marker"], ms=2.6, color=look["color"],
+        label=None if line.theory.size else line.label, zorder=4, clip_on=False,
+    )  # fmt: skip
+    return artists + _radial_bars(ax, line, clip, look["color"])
 
 
 def semilog(ax: Any, lines: Sequence[Line], *, unit: str = "BRDF [1/sr]") -> list[Any]:

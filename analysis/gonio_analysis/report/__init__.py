@@ -222,8 +222,8 @@ def write(
     Summary
         What `summary.json` holds: every number of the page.
     """
-    summary = summarise(datasets, title=title, normalise=normalise, command=command)
-    summary = replace(summary, transmission_only=apart)
+    known = summarise(datasets, title=title, normalise=normalise, command=command)
+    summary = replace(known, transmission_only=apart)
     both = list(zip(datasets, summary.datasets, strict=True))
     progress("drawing")
     most = _most_values(datasets)
@@ -232,16 +232,14 @@ def write(
     wanted = [drawing for group in groups for drawing in group]
     summary = replace(summary, figures=[FigureSummary(f.name, f.caption, f.alt) for f in wanted])
     (folder / "tables").mkdir()
-    room = viewer.BYTES // max(len(datasets), 1)
+    room, listed = viewer.BYTES // max(len(datasets), 1), list[str]()
     views: list[viewer.View | None] = []
-    listed: list[str] = []
 
     def views_and_tables() -> None:
         views.extend(viewer.viewer(d, facts, normalise, room) if d.curves else None for d, facts in both)
         listed.extend(tables.write(datasets, summary, views, folder / "tables"))
 
-    every = (workers or FigureWorkers()).draw(wanted, progress, views_and_tables)
-    rest = iter(every)
+    rest = iter(every := (workers or FigureWorkers()).draw(wanted, progress, views_and_tables))
     summary = replace(summary, tables=listed)
     pages = page.render(summary, [[next(rest) for _ in group] for group in groups], views)
     for name, one in pages.items():

@@ -228,9 +228,8 @@ def choose(
     sizes = {c: _parameters(c, ior) for c in tried}
 
     def fitted(candidate: Candidate, start: Sequence[Values] | None) -> FitResult:
-        return fit(
-            data, replace(candidate.request(ior, metric, energy), wavelength_nm=wavelength_nm, start=start), name=name
-        )
+        asked = candidate.request(ior, metric, energy)
+        return fit(data, replace(asked, wavelength_nm=wavelength_nm, start=start), name=name)
 
     fits, walls, left_out = _fitted(data, tried, sizes, fitted, name, all_of_them, progress)
     if not fits:

@@ -75,6 +75,20 @@ def highlights(surface: Surface, theta_i_deg: float, angle_deg: Floats) -> tuple
     return np.asarray(phong), np.asarray(facets)
 
 
+def _parameters(theta_i: float) -> list[Parameter]:
+    first = surfaces()[0]
+    return [
+        Parameter("θi", f"{theta_i:g}°", "paper"),
+        Parameter("p_d, p_s, n", f"{first.p_d:g}, {first.p_s:g}, {first.ior:g}", "assumed",
+                  "the figure has none; those of the aluminium of Fig. 7"),
+        Parameter("c1", "50", "assumed", "“typically 50 or 60”"),
+        Parameter("β", f"{first.beta_deg:.2f}°", "derived",
+                  "where cos^c1 falls to one half; D3 with the same β, as the paper compares distributions"),
+        Parameter("judged with", "; ".join(f"{s.name} (n = {s.ior:g}, β = {s.beta_deg:.1f}°)" for s in surfaces()),
+                  "assumed", "a claim gets a verdict where all three agree"),
+    ]  # fmt: skip
+
+
 def build(figure: int, progress: Callable[[str], None]) -> PaperFigure:
     """The page of Fig. 5 or 6."""
     progress(f"blinn-{figure}: theory")
@@ -110,21 +124,11 @@ def build(figure: int, progress: Callable[[str], None]) -> PaperFigure:
                 number(row.intensity_peak_ratio),
             ]
         )
-    first = surfaces()[0]
     return PaperFigure(
         f"blinn-{figure}",
         f"Blinn Fig. {figure}: Phong and Torrance-Sparrow at {theta_i:g}°",
         PAPER,
-        [
-            Parameter("θi", f"{theta_i:g}°", "paper"),
-            Parameter("p_d, p_s, n", f"{first.p_d:g}, {first.p_s:g}, {first.ior:g}", "assumed",
-                      "the figure has none; those of the aluminium of Fig. 7"),
-            Parameter("c1", "50", "assumed", "“typically 50 or 60”"),
-            Parameter("β", f"{first.beta_deg:.2f}°", "derived",
-                      "where cos^c1 falls to one half; D3 with the same β, as the paper compares distributions"),
-            Parameter("judged with", "; ".join(f"{s.name} (n = {s.ior:g}, β = {s.beta_deg:.1f}°)" for s in surfaces()),
-                      "assumed", "a claim gets a verdict where all three agree"),
-        ],
+        _parameters(theta_i),
         claims(figure),
         panels,
         Results(

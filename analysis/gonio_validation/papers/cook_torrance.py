@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -198,8 +199,33 @@ def _shift(linear: Floats) -> Floats:
     return np.asarray(np.linalg.norm(way, axis=1) / np.linalg.norm(whole))
 
 
-def _claims_5() -> list[Claim]:
+def _claims_of_index(theta: Floats) -> list[Claim]:
+    """What the paper says of one real index in place of n + ik."""
+    deg = np.degrees(theta)
+    exact, effective = spectrum(theta), spectrum(theta, absorbing=False)
+    off, below = np.abs(exact - effective), deg <= 70.0
+    k = np.unravel_index(int(np.argmax(off)), exact.shape)
+    worst, worst_early = float(off[k]), float(np.max(off[deg <= EARLY_DEG]))
+    change, change_real = (float(np.max(np.abs(r[below] - r[:1]))) for r in (exact, effective))
+    return [
+        Claim(
+            "The effective index gives “a good estimate of [F's] angular dependence, which is only weakly dependent on "
+            "the extinction coefficient k”.",
+            worst < SIMILAR,
+            f"up to {EARLY_DEG:g}° reflectances differ by at most {worst_early:.3f}, beyond by at most {worst:.3f} (at "
+            f"{deg[k[0]]:g}° and {NM[k[1]]:g} nm, near the Brewster angle of an index so large)",
+            "less than 0.1 apart at every angle and wavelength",
+        ),
+        Claim(
+            "“The reflectance varies only slightly for incidence angles within about 70° of the surface normal.”",
+            agreed(v < SIMILAR for v in (change, change_real)),
+            f"up to 70° it changes by at most {change:.3f} (n + ik), {change_real:.3f} (effective index)",
+            "by less than 0.1 at every wavelength",
+        ),
+    ]
 
+
+def _claims_5() -> list[Claim]:
     theta = np.radians(np.append(np.arange(0.0, 90.0, 0.5), 89.999))
     deg = np.degrees(theta)
     found = colours(theta)
@@ -208,17 +234,9 @@ def _claims_5() -> list[Claim]:
     at_60 = [float(_shift(c)[int(np.argmin(np.abs(deg - 60.0)))]) for c in (complete, real)]
     half = [float(deg[int(np.argmax(_shift(c) > 0.5))]) for c in (complete, real)]
     near, far = deg <= EARLY_DEG, deg > EARLY_DEG
-    early = [float(np.max(np.abs(c - short)[near])) for c in (complete, real)]
-    late = [float(np.max(np.abs(c - short)[far])) for c in (complete, real)]
+    early, late = ([float(np.max(np.abs(c - short)[at])) for c in (complete, real)] for at in (near, far))
     worst_deg = float(deg[int(np.argmax(np.abs(complete - short).max(axis=1)))])
     brewster = math.degrees(math.atan(fresnel.n_from_f0(float(spectrum(np.zeros(1)).mean()))))
-    exact, effective = spectrum(theta), spectrum(theta, absorbing=False)
-    k = np.unravel_index(int(np.argmax(np.abs(exact - effective))), exact.shape)
-    worst = float(np.abs(exact - effective)[k])
-    worst_early = float(np.max(np.abs(exact - effective)[near]))
-    below = deg <= 70.0
-    change = float(np.max(np.abs(exact[below] - exact[:1])))
-    change_real = float(np.max(np.abs(effective[below] - effective[:1])))
     return [
         Claim(
             "“As the incidence angle approaches π/2, the color of the reflected light approaches the color of the "
@@ -250,21 +268,42 @@ def _claims_5() -> list[Claim]:
             f"Brewster angle at {brewster:.1f}°, and until there the colour stays that of normal incidence",
             "less than a tenth of white, in every channel",
         ),
-        Claim(
-            "The effective index gives “a good estimate of [F's] angular dependence, which is only weakly dependent on "
-            "the extinction coefficient k”.",
-            worst < SIMILAR,
-            f"up to {EARLY_DEG:g}° reflectances differ by at most {worst_early:.3f}, beyond by at most {worst:.3f} (at "
-            f"{deg[k[0]]:g}° and {NM[k[1]]:g} nm, near the Brewster angle of an index so large)",
-            "less than 0.1 apart at every angle and wavelength",
-        ),
-        Claim(
-            "“The reflectance varies only slightly for incidence angles within about 70° of the surface normal.”",
-            agreed(v < SIMILAR for v in (change, change_real)),
-            f"up to 70° it changes by at most {change:.3f} (n + ik), {change_real:.3f} (effective index)",
-            "by less than 0.1 at every wavelength",
-        ),
+        *_claims_of_index(theta),
     ]
+
+
+def _parameters_5() -> list[Parameter]:
+    return [
+        copper(),
+        Parameter("illuminant", "CIE D6500", "database", D65_SOURCE),
+        Parameter("average normal reflectance", f"{float(spectrum(np.zeros(1)).mean()):.4f}", "derived",
+                  "mean over the spectrum; the approximation's index is that of this reflectance"),
+        Parameter("index", "n + ik, and the effective real one", "assumed",
+                  "the scan does not say which one the figure was made with: both are judged"),
+        Parameter("monitor", "sRGB primaries and curve", "assumed", "the paper's monitor is not described"),
+    ]  # fmt: skip
+
+
+CHANNELS = ("red", "green", "blue")
+
+
+def _draw_colours(figure: Any, deg: Floats, found: Mapping[str, Floats]) -> None:
+    """Stripes of the colours, and their channels over the angle."""
+    for place, (letter, name) in enumerate(
+        (("b", "complete"), ("b'", "complete, k = 0"), ("c", "approximate")),
+    ):
+        ax = figure.add_axes((0.13, 0.86 - 0.125 * place, 0.85, 0.075))
+        ax.imshow(colour.SRGB.encode(found[name])[None], aspect="auto", extent=(0, 90, 0, 1))
+        ax.set_xticks([])
+        ax.set_yticks([])
+        ax.set_title(f"({letter}) {name}", fontsize=7.5, loc="left", pad=2)
+    ax = figure.add_axes((0.13, 0.13, 0.85, 0.42))
+    for c, tint in enumerate(("#D55E00", "#009E73", "#0072B2")):
+        for name, dashes in (("complete", "-"), ("approximate", (0, (4, 2)))):
+            ax.plot(deg, found[name][:, c], color=tint, lw=1.3, ls=dashes)
+        ax.text(1.0, found["complete"][0, c] + 0.012, CHANNELS[c], color=tint, fontsize=7)
+    ax.set_xlim(0, 90)
+    plain_axes(ax, "θ, angle of incidence [deg]", "linear RGB")
 
 
 def _colours() -> PaperFigure:
@@ -272,30 +311,12 @@ def _colours() -> PaperFigure:
     deg, nm = np.degrees(theta), NM
     found = colours(theta)
     mirrors = spectrum(np.radians(np.array(ANGLES_DEG)))
-    channels = ("red", "green", "blue")
     rows: list[CurveRow] = [
         (f"{name}: {channel}", "theory", float(x), float(y), None)
         for name, values in found.items()
-        for c, channel in enumerate(channels)
+        for c, channel in enumerate(CHANNELS)
         for x, y in zip(deg, values[:, c], strict=True)
     ]
-
-    def on(figure: Any) -> None:
-        for place, (letter, name) in enumerate(
-            (("b", "complete"), ("b'", "complete, k = 0"), ("c", "approximate")),
-        ):
-            ax = figure.add_axes((0.13, 0.86 - 0.125 * place, 0.85, 0.075))
-            ax.imshow(colour.SRGB.encode(found[name])[None], aspect="auto", extent=(0, 90, 0, 1))
-            ax.set_xticks([])
-            ax.set_yticks([])
-            ax.set_title(f"({letter}) {name}", fontsize=7.5, loc="left", pad=2)
-        ax = figure.add_axes((0.13, 0.13, 0.85, 0.42))
-        for c, tint in enumerate(("#D55E00", "#009E73", "#0072B2")):
-            for name, dashes in (("complete", "-"), ("approximate", (0, (4, 2)))):
-                ax.plot(deg, found[name][:, c], color=tint, lw=1.3, ls=dashes)
-            ax.text(1.0, found["complete"][0, c] + 0.012, channels[c], color=tint, fontsize=7)
-        ax.set_xlim(0, 90)
-        plain_axes(ax, "θ, angle of incidence [deg]", "linear RGB")
 
     wanted = (0.0, 30.0, 60.0, 70.0, 80.0, 85.0, 89.0)
     text, numbers = [], []
@@ -307,15 +328,7 @@ def _colours() -> PaperFigure:
         "cook-torrance-5",
         "Cook-Torrance Fig. 5: copper over the angle of incidence",
         PAPER,
-        [
-            copper(),
-            Parameter("illuminant", "CIE D6500", "database", D65_SOURCE),
-            Parameter("average normal reflectance", f"{float(spectrum(np.zeros(1)).mean()):.4f}", "derived",
-                      "mean over the spectrum; the approximation's index is that of this reflectance"),
-            Parameter("index", "n + ik, and the effective real one", "assumed",
-                      "the scan does not say which one the figure was made with: both are judged"),
-            Parameter("monitor", "sRGB primaries and curve", "assumed", "the paper's monitor is not described"),
-        ],
+        _parameters_5(),
         _claims_5(),
         [
             trace_panel(
@@ -330,7 +343,7 @@ def _colours() -> PaperFigure:
                 "(b), (c) Colours: of D6500 light reflected by copper, complete from the spectrum (b; b' with the "
                 "effective real index) and approximate (c). Below: linear RGB, complete solid, approximate dashed.",
                 (WIDTH_IN, 3.72),
-                on,
+                partial(_draw_colours, deg=deg, found=found),
                 ("angle of incidence [deg]", "linear RGB"),
                 rows,
             ),

@@ -122,6 +122,19 @@ def claims() -> list[Claim]:
     ]
 
 
+def _parameters() -> list[Parameter]:
+    return [
+        Parameter("m", "0.2 and 0.6", "paper", "the total rms slope: √2 times that along a line"),
+        Parameter("c of the Gaussian", "1", "paper", "arbitrary; drawings are divided by D(0)"),
+        Parameter(
+            "θi",
+            f"{SHOWN_DEG:g}°",
+            "assumed",
+            "the scan gives none; it only turns the drawing: no verdict uses it",
+        ),
+    ]
+
+
 def build() -> PaperFigure:
     """The page of Fig. 3."""
     alpha = _alpha()
@@ -149,16 +162,7 @@ def build() -> PaperFigure:
         "cook-torrance-3",
         "Cook-Torrance Fig. 3: facet distributions",
         PAPER,
-        [
-            Parameter("m", "0.2 and 0.6", "paper", "the total rms slope: √2 times that along a line"),
-            Parameter("c of the Gaussian", "1", "paper", "arbitrary; drawings are divided by D(0)"),
-            Parameter(
-                "θi",
-                f"{SHOWN_DEG:g}°",
-                "assumed",
-                "the scan gives none; it only turns the drawing: no verdict uses it",
-            ),
-        ],
+        _parameters(),
         claims(),
         [
             polar_panel(

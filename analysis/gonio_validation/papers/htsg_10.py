@@ -79,6 +79,26 @@ def claims() -> list[Claim]:
     ]
 
 
+def _parameters() -> list[Parameter]:
+    return [
+        Parameter("σ0/τ", "4.4", "paper", "the ratio alone counts for very rough surfaces"),
+        Parameter("τ", "100 µm", "assumed", "not given, and of no effect: the claims are tried with 10 µm too"),
+        Parameter("a(λ)", "0", "paper"),
+        Parameter(
+            "λ", "0.55 µm", "assumed", "the text says 0.55 µm, the caption 0.5 µm; the claims are tried with both"
+        ),
+        Parameter("θi", "0°", "paper"),
+        index_parameter("Al2O3", WAVELENGTH_NM),
+        Parameter(
+            "grit",
+            "aluminium oxide",
+            "assumed",
+            "the paper says 220 grit, not of what; the claims are tried with n = 1.5 and silicon carbide too",
+        ),
+        cones_parameter("given for Figs. 7 and 8 alone; the curve is broad, so that they hardly matter"),
+    ]
+
+
 def build(progress: Callable[[str], None]) -> PaperFigure:
     """The page of Fig. 10."""
     progress("htsg-10: theory")
@@ -120,23 +140,7 @@ def build(progress: Callable[[str], None]) -> PaperFigure:
         "htsg-10",
         "HTSG Fig. 10: sandpaper at normal incidence",
         PAPER,
-        [
-            Parameter("σ0/τ", "4.4", "paper", "the ratio alone counts for very rough surfaces"),
-            Parameter("τ", "100 µm", "assumed", "not given, and of no effect: the claims are tried with 10 µm too"),
-            Parameter("a(λ)", "0", "paper"),
-            Parameter(
-                "λ", "0.55 µm", "assumed", "the text says 0.55 µm, the caption 0.5 µm; the claims are tried with both"
-            ),
-            Parameter("θi", "0°", "paper"),
-            index_parameter("Al2O3", WAVELENGTH_NM),
-            Parameter(
-                "grit",
-                "aluminium oxide",
-                "assumed",
-                "the paper says 220 grit, not of what; the claims are tried with n = 1.5 and silicon carbide too",
-            ),
-            cones_parameter("given for Figs. 7 and 8 alone; the curve is broad, so that they hardly matter"),
-        ],
+        _parameters(),
         judged,
         shown,
         Results(

@@ -136,13 +136,12 @@ def _claims_5() -> list[Claim]:
         spread.append(float(total.max() / total.min()))
         inside = (angle >= -c.theta_i_deg) & (angle <= 0.0)
         toward.append(bool(np.all(np.diff(total[inside]) < 0)))
-        share = twice(c)[1]
-        shares.append(at(angle, share, c.theta_i_deg) / at(angle, share, -c.theta_i_deg))
-        last.append(at(angle, share, c.theta_i_deg))
-    kinks = {c: kink(c) for c in CHOICES}
-    tails = [growth(c) for c in CHOICES]
+        last.append(at(angle, twice(c)[1], c.theta_i_deg))
+        shares.append(last[-1] / at(angle, twice(c)[1], -c.theta_i_deg))
+    kinks, tails = {c: kink(c) for c in CHOICES}, [growth(c) for c in CHOICES]
     beyond = [float(radiance(c)[1].max()) / at(*radiance(c), -c.theta_i_deg) for c in CHOICES]
     tangents = [tangent(c) for c in CHOICES]
+    mirror = ", ".join(f"{100 * s:.0f} % ({c.text})" for c, s in zip(CHOICES, last, strict=True))
     return [
         Claim(
             "“These radiance plots deviate substantially from Lambertian reflectance.”",
@@ -186,8 +185,7 @@ def _claims_5() -> list[Claim]:
         Claim(
             "“Interreflections dominate in the forward direction.”",
             agreed(s > 0.5 for s in last),
-            "in the mirror direction "
-            + ", ".join(f"{100 * s:.0f} % ({c.text})" for c, s in zip(CHOICES, last, strict=True)),
+            f"in the mirror direction {mirror}",
             "more than half of the radiance in the mirror direction; hangs on σ and θi",
         ),
     ]  # fmt: skip

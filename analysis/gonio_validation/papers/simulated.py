@@ -87,23 +87,14 @@ def measure(
     progress(f"{name}: measuring {points} directions on the simulated goniometer")
     with tempfile.TemporaryDirectory(prefix="gonio-figure-") as temporary:
         folder = Path(temporary)
-        plan = {
-            "name": name,
-            "wavelength_nm": [wavelength_nm],
-            "sweep": [{"theta_i_deg": [i], "theta_r_deg": list(r)} for i, r in scans.items()],
-        }
+        sweeps = [{"theta_i_deg": [i], "theta_r_deg": list(r)} for i, r in scans.items()]
+        plan = {"name": name, "wavelength_nm": [wavelength_nm], "sweep": sweeps}
         sample = {"name": name, "model": surface.model.name, "parameters": dict(surface.parameters)}
         tables = {"rig": _rig(name, wavelength_nm, solid_angle_sr), "plan": plan, "sample": sample}
         for kind, table in tables.items():
             (folder / f"{kind}.toml").write_text(to_toml(table), encoding="utf-8")
-        run = carry_out(
-            load_plan(folder / "plan.toml"),
-            find_rig(str(folder / "rig.toml")),
-            folder / "run",
-            sample=load_sample(folder / "sample.toml"),
-            seed=SEED,
-            yes=True,
-        )
+        asked = load_plan(folder / "plan.toml"), find_rig(str(folder / "rig.toml")), folder / "run"
+        run = carry_out(*asked, sample=load_sample(folder / "sample.toml"), seed=SEED, yes=True)
         frame = brdf.reduce(run)
         frame.attrs["source_file"] = "RUN"  # the temporary folder is nobody's business
         measurement.write(frame, folder / "brdf.csv")

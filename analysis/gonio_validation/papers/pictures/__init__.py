@@ -163,6 +163,42 @@ def _cross_sections() -> Figure:
 # --- the page -------------------------------------------------------------------------------------------------------
 
 
+def _notes(found: dict[str, Any]) -> list[Block]:
+    from gonio_analysis.report.blocks import Heading, facts, notes, section
+
+    from gonio_validation.papers.pictures.cook_torrance import ambient_as_printed
+
+    times = found["seconds"]
+    return [
+        section(
+            [
+                Heading(2, "Notes"),
+                notes(
+                    [
+                        "Cook-Torrance Figs. 6 and 7: as printed (I_ia = 0.01 I_i) ambient light would be "
+                        f"{ambient_as_printed(100):.0f} times what the two lights give on the plastic vase, whose "
+                        "solid angles are 0.0001 and 0.0002. It is taken as 0.01 of their irradiance instead.",
+                        "Ambient light is multiplied by ambient_reflectance where a scene file gives it.",
+                    ]
+                ),
+            ]
+        ),
+        section(
+            [
+                Heading(2, "Provenance"),
+                facts(
+                    [
+                        ("command", found["command"] or "–"),
+                        ("made", found["created"]),
+                        ("versions", ", ".join(f"{k} {v}" for k, v in found["versions"].items())),
+                        ("seconds", ", ".join(f"{name} {seconds:.1f}" for name, seconds in times.items())),
+                    ]
+                ),
+            ]
+        ),
+    ]
+
+
 def _page(found: dict[str, Any], images: dict[str, Image], judged: dict[str, list[Claim]], plot: Figure) -> Page:
     from gonio_analysis.report.blocks import (
         Contents,
@@ -173,13 +209,10 @@ def _page(found: dict[str, Any], images: dict[str, Image], judged: dict[str, lis
         Page,
         Paragraph,
         code,
-        facts,
-        notes,
         section,
         table,
     )
 
-    from gonio_validation.papers.pictures.cook_torrance import ambient_as_printed
     from gonio_validation.papers.pictures.sheet import verdicts
 
     every = [c for shown in SHOWN for c in judged[shown.name]]
@@ -212,34 +245,8 @@ def _page(found: dict[str, Any], images: dict[str, Image], judged: dict[str, lis
                 shown.name,
             )
         )
-    times = found["seconds"]
     body += [
-        section(
-            [
-                Heading(2, "Notes"),
-                notes(
-                    [
-                        "Cook-Torrance Figs. 6 and 7: as printed (I_ia = 0.01 I_i) ambient light would be "
-                        f"{ambient_as_printed(100):.0f} times what the two lights give on the plastic vase, whose "
-                        "solid angles are 0.0001 and 0.0002. It is taken as 0.01 of their irradiance instead.",
-                        "Ambient light is multiplied by ambient_reflectance where a scene file gives it.",
-                    ]
-                ),
-            ]
-        ),
-        section(
-            [
-                Heading(2, "Provenance"),
-                facts(
-                    [
-                        ("command", found["command"] or "–"),
-                        ("made", found["created"]),
-                        ("versions", ", ".join(f"{k} {v}" for k, v in found["versions"].items())),
-                        ("seconds", ", ".join(f"{name} {seconds:.1f}" for name, seconds in times.items())),
-                    ]
-                ),
-            ]
-        ),
+        *_notes(found),
         Footer(
             (
                 *("Every picture is in ", code("pictures/"), ", its scene file in ", code("scenes/"), " for "),

@@ -136,16 +136,36 @@ def _images(height: int | None, camera_mm: float) -> _Images:
     )
 
 
+def _claims_of_colour(first: _Images, height: int | None) -> list[Claim]:
+    """What the paper says of blue and red shifts."""
+    blues = {
+        words: [_blue(name, light, height) for name in CYLINDERS]
+        for words, light in (("in front", IN_FRONT), ("behind, at the side", AT_THE_SIDE))
+    }
+    return [
+        Claim(
+            "“A slight color shift … is most apparent in the blue shift on the front faces.”",
+            agreed(all(b > 1.0 for b in ratios) for ratios in blues.values()),
+            "highlight at 400 over 700 nm, the metal divided out, for (a) to (e): "
+            + "; ".join(f"lamp {words}: " + ", ".join(f"{r:.3f}" for r in ratios) for words, ratios in blues.items()),
+            "more than 1 for every cylinder; hangs on where the lamp is, which the paper does not say",
+        ),
+        Claim(
+            "“The enhanced red shift of the specular images is not so apparent.”",
+            None,
+            f"(a): strength of the image on the top {number(first.strengths[0])} at 700 nm, {number(first.in_blue)} at "
+            "400 nm: the red shift is there",
+            "how apparent it is hangs on the spectra of bricks and lamps, which were chosen here",
+        ),
+    ]
+
+
 def figure_12(height: int | None = None) -> list[Claim]:
     """Six cylinders before a wall."""
     every = [_images(height, camera) for camera in CAMERAS_MM]
     first = every[0]
     spikes = first.spikes
     widths = [_width_deg(c) for c in many(CYLINDERS, height).values()]
-    blues = {
-        words: [_blue(name, light, height) for name in CYLINDERS]
-        for words, light in (("in front", IN_FRONT), ("behind, at the side", AT_THE_SIDE))
-    }
     elsewhere = "with the camera of the pictures, a lower and a higher one: the paper does not say where it is"
     return [
         Claim(
@@ -186,20 +206,7 @@ def figure_12(height: int | None = None) -> list[Claim]:
             f"an image that is seen (above {10 * FAINT:.2g}) at the edges, and none (below {FAINT:.2g}) on the front, "
             f"{elsewhere}",
         ),
-        Claim(
-            "“A slight color shift … is most apparent in the blue shift on the front faces.”",
-            agreed(all(b > 1.0 for b in ratios) for ratios in blues.values()),
-            "highlight at 400 over 700 nm, the metal divided out, for (a) to (e): "
-            + "; ".join(f"lamp {words}: " + ", ".join(f"{r:.3f}" for r in ratios) for words, ratios in blues.items()),
-            "more than 1 for every cylinder; hangs on where the lamp is, which the paper does not say",
-        ),
-        Claim(
-            "“The enhanced red shift of the specular images is not so apparent.”",
-            None,
-            f"(a): strength of the image on the top {number(first.strengths[0])} at 700 nm, {number(first.in_blue)} at "
-            "400 nm: the red shift is there",
-            "how apparent it is hangs on the spectra of bricks and lamps, which were chosen here",
-        ),
+        *_claims_of_colour(first, height),
     ]
 
 
