@@ -17,17 +17,15 @@ OUT = Path(__file__).resolve().parents[1] / "docs" / "equations.md"
 
 HEAD = """# The papers' equations
 
-Where each equation stands. Every formula is written once, slowly and obviously, in
-`gonio/models/plain/`: one module a paper, in the paper's order and symbols. The models evaluate the
-same formulas by compiled kernels, which `tests/gonio/models/test_plain_*.py` hold against the plain
-ones.
+Every formula stands once in `gonio/models/plain/`: one module a paper, in the paper's order and
+symbols. Its docstring says what it is, or why nothing compiled stands for it. The models evaluate
+the same formulas by compiled kernels, which `tests/gonio/models/test_plain_*.py` hold against the
+plain ones.
 
-To find an equation, search the paper's module for its number, as "eq. 25", or this page. Equations
-without a number go by the letter on their left, as "Cook1982 R_s". Names such as He1991 are keys of
-[references.bib](references.bib). A dagger marks formulas whose print is wrong or must be read with
-care: the docstring says how. Names under "plain" begin with `gonio.models.plain.`, names under
-"compiled" with `gonio.models.` unless they begin with `gonio.` Where there is no compiled form the
-page says why.
+Equations without a number go by the letter on their left, as "Cook1982 R_s". Names such as He1991
+are keys of [references.bib](references.bib). A dagger marks formulas whose print is wrong or must
+be read with care. Names under "plain" begin with `gonio.models.plain.`, names under "compiled" with
+`gonio.models.` unless they begin with `gonio.`
 
 `python tools/equations.py` writes this page from the docstrings, and a test compares the two.
 """
@@ -98,20 +96,19 @@ def formulas(module: ModuleType) -> list[Formula]:
 
 def _row(first: str, f: Formula) -> str:
     module = f.module.removeprefix("gonio.models.plain.")
-    compiled = ", ".join(f"`{name.removeprefix('gonio.models.')}`" for name in f.compiled) or f"none: {f.instead}"
-    what = f.what.replace("|", "\\|")
-    return f"| {first}{' †' if f.doubt else ''} | `{module}.{f.name}` | {what} | {compiled} |"
+    compiled = ", ".join(f"`{name.removeprefix('gonio.models.')}`" for name in f.compiled) or "none"
+    return f"| {first}{' †' if f.doubt else ''} | `{module}.{f.name}` | {compiled} |"
 
 
 def page() -> str:
     """The whole page."""
-    head = "\n| {} | plain | is | compiled |\n|---|---|---|---|"
+    head = "\n| {} | plain | compiled |\n|---|---|---|"
     he = formulas(plain.he_torrance) + formulas(plain.he_torrance_appendix_a)
     oren = formulas(plain.oren_nayar)
     lines = [HEAD, "## He1991: He, Torrance, Sillion and Greenberg", head.format("eq.")]
     for number in range(1, 87):
         here = [_row(str(number), f) for f in he if number in f.numbers]
-        lines += here or [f"| {number} | no function | {STEPS[number]} | none: a step |"]
+        lines += here or [f"| {number} | no function: {STEPS[number]} | none |"]
     lines += [_row(f.where, f) for f in he if not f.numbers]
     lines += ["\n## Cook1982: Cook and Torrance", head.format("equation")]
     lines += [_row(f.where, f) for f in formulas(plain.cook_torrance)]

@@ -145,7 +145,7 @@ def small(axis: str, degrees: float) -> Floats:
 
 
 def frames(rig: RigDescription, read: dict[str, Floats]) -> dict[str, tuple[Floats, Floats]]:
-    """Rotation and shift of all that is carried, at many poses: the axes as docs/architecture.md has them."""
+    """Rotation and shift of all that is carried, at many poses: the axes as docs/pose_to_pixel.md has them."""
     arms, holder = rig.arms, rig.holder
     true = dict(read)
     for name, axis in (("light", arms.light), ("camera", arms.camera), ("azimuth", arms.azimuth)):

@@ -11,8 +11,8 @@ The inverse rests on one fact: both arms are perpendicular to y, so y = +-(L x V
 signs are the two branches: they mirror the arms, change the sign of the tilt and turn the sample by half a turn.
 
 That is the rig as it was meant. Where its description names errors of alignment, `misalignment` does the same
-with them, and the inverse starts from the closed form and goes on by Newton's method (docs/architecture.md, "From pose
-to pixel"). A pose is what encoders read, less their zeros; `true_pose` takes out what else is wrong with them.
+with them, and the inverse starts from the closed form and goes on by Newton's method (docs/pose_to_pixel.md). A pose
+is what encoders read, less their zeros; `true_pose` takes out what else is wrong with them.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """A rig with errors of alignment: where lamp and lens truly are, and which pose brings them where they should be.
 
 Angles here are true angles of the axes (`kinematics.true_pose`). Rotations are right-handed, Rx, Ry and Rz about x, y
-and z of the lab (docs/architecture.md, "From pose to pixel").
+and z of the lab (docs/pose_to_pixel.md).
 """
 
 from __future__ import annotations
