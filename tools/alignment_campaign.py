@@ -73,8 +73,8 @@ def main() -> None:
                                    for n in (1, 2)]  # type: ignore[attr-defined]  # fmt: skip
         began, scans = time.monotonic(), None
         try:
-            with ManualRig(rig, "hidden") as bench:
-                scans = Scans(bench, search_deg=6.0, say=lambda text: None)
+            with ManualRig(rig, "hidden") as manual:
+                scans = Scans(manual, search_deg=6.0, say=lambda text: None)
                 rig.put("mirror")
                 scans.mirror()
                 rig.put("empty")

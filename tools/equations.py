@@ -56,7 +56,7 @@ class Formula(NamedTuple):
     compiled: list[str]
     instead: str
     """Why there is no compiled form, where there is none."""
-    doubt: bool
+    in_doubt: bool
 
     @property
     def numbers(self) -> list[int]:
@@ -87,17 +87,17 @@ def formulas(module: ModuleType) -> list[Formula]:
         if not (names or instead):
             raise ValueError(f"{module.__name__}.{name}: the docstring must say what is compiled, or why nothing is")
         # what the print has wrong, lacks, or leaves to be guessed
-        doubt = re.search(
+        in_doubt = re.search(
             r"\b(print|printed|two separate|standard deviation|hidden shares|0\.57)\b", rest, re.IGNORECASE
         )
-        found.append(Formula(module.__name__, name, paper, where, what, names, instead, doubt is not None))
+        found.append(Formula(module.__name__, name, paper, where, what, names, instead, in_doubt is not None))
     return found
 
 
 def _row(first: str, f: Formula) -> str:
     module = f.module.removeprefix("gonio.models.plain.")
     compiled = ", ".join(f"`{name.removeprefix('gonio.models.')}`" for name in f.compiled) or "none"
-    return f"| {first}{' †' if f.doubt else ''} | `{module}.{f.name}` | {compiled} |"
+    return f"| {first}{' †' if f.in_doubt else ''} | `{module}.{f.name}` | {compiled} |"
 
 
 def page() -> str:

@@ -77,8 +77,8 @@ def measured(description: RigDescription, seed: int, *, poses: tuple[int, int, i
         out.append(sighting)
 
     rig = SimulatedRig(description, None, seed, confirm=False)
-    with ManualRig(rig, "hidden") as bench:
-        scans = GeometryScans(bench, search_deg=8.0, say=lambda text: None, keep=keep)
+    with ManualRig(rig, "hidden") as manual:
+        scans = GeometryScans(manual, search_deg=8.0, say=lambda text: None, keep=keep)
         rig.put("mirror")
         scans.mirror_frames(poses[0])
         sums, across = scans.where
@@ -86,10 +86,10 @@ def measured(description: RigDescription, seed: int, *, poses: tuple[int, int, i
         rig.put("empty")
         scans.straight_frames(poses[1])
     rig = SimulatedRig(reversed_approach(description), None, seed, confirm=False)
-    with ManualRig(rig, "hidden") as bench:
-        bench.begin(Step(1, "dark"))
+    with ManualRig(rig, "hidden") as manual:
+        manual.begin(Step(1, "dark"))
         rig.put("mirror")
-        scans = GeometryScans(bench, search_deg=8.0, say=lambda text: None, keep=keep)
+        scans = GeometryScans(manual, search_deg=8.0, say=lambda text: None, keep=keep)
         scans.against_frames(sums, across, poses[3])
     return out
 

@@ -164,8 +164,8 @@ class _Line:
         if len(there) > 1:
             found, at = known.departures([line[n] for n in there]), x[there]
             across = np.concatenate([at[2:3] - at[:1], at[2:] - at[:-2], at[-1:] - at[-3:-2]])
-            bend = found / np.maximum(across, 1e-9) ** 4 if len(there) > 3 else np.full(len(there), 0.0)
-            ends = np.maximum(bend[:-1], bend[1:])
+            curvature = found / np.maximum(across, 1e-9) ** 4 if len(there) > 3 else np.full(len(there), 0.0)
+            ends = np.maximum(curvature[:-1], curvature[1:])
             for n, (a, b) in enumerate(itertools.pairwise(there)):
                 out[a:b] = ends[n]
         free = np.array([k in allowed for k in line])

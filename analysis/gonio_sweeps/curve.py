@@ -189,7 +189,7 @@ class Curve:
         return Choice(points, decided.why, decided.message, decided.met)
 
     def known(self, values: GrowingValues, before: Sequence[float] | None = None) -> Posterior:
-        """What the values of one band tell; `before` are the parameters of the kernel that fewer points told."""
+        """What the values of one band tell; `before` are the parameters of the kernel that fewer points gave."""
         common = np.stack(list(values.common.values()), axis=1) if values.common else np.zeros((len(values), 0))
         return Posterior(
             values.directions,

@@ -103,7 +103,7 @@ def find_rig(name: str, *, without: str = "") -> RigChoice:
         table = description.reference.table
         if description.reference.scale != 1.0:
             raise ConfigError(
-                f"{path}: reference.scale = {description.reference.scale:g} says what is true of a simulated bench, "
+                f"{path}: reference.scale = {description.reference.scale:g} says what is true of a simulated rig, "
                 "which nobody who measures there knows: write it into the file that `truth` names"
             )
         if table is not None:

@@ -44,7 +44,8 @@ def most_crowded(steps: Sequence[Step], description: RigDescription) -> int:
     """The number of the step in whose pose two bodies are closest, or a cable is shortest."""
     lit = [step for step in steps if step.kind != "dark"]
     found = [
-        min(each.values(), default=math.inf) for each in motion_planning.gaps(description, [step.pose for step in lit])
+        min(each.values(), default=math.inf)
+        for each in motion_planning.clearances(description, [step.pose for step in lit])
     ]
     return lit[int(np.argmin(found))].index
 
@@ -103,7 +104,7 @@ def _title(step: Step, plan: Plan, points: Sequence[Assessed], description: RigD
         )
     axes = ", ".join(f"{n} {math.degrees(getattr(pose, n)) + 0.0:.1f}°" for n in description.axes())
     lines = [f"{description.name} — step {step.index}, {what}", axes]
-    found = motion_planning.gaps(description, [pose])[0]
+    found = motion_planning.clearances(description, [pose])[0]
     if found:
         (one, other), gap = min(found.items(), key=lambda each: each[1])
         lines.append(f"closest: {one} and {other}, {gap:.0f} mm" if " end" not in one else

@@ -42,11 +42,11 @@ SLOWER_DEG = 0.1
 
 
 class Scans:
-    """Takes the scans of one alignment on an open bench; `table` has what was taken, also when one fails."""
+    """Takes the scans of one alignment on an open rig; `table` has what was taken, also when one fails."""
 
-    def __init__(self, bench: ManualRig, *, search_deg: float, say: Callable[[str], None]) -> None:
-        self._bench, self._say, self._search_deg = bench, say, search_deg
-        self._description = bench.description
+    def __init__(self, manual: ManualRig, *, search_deg: float, say: Callable[[str], None]) -> None:
+        self._manual, self._say, self._search_deg = manual, say, search_deg
+        self._description = manual.description
         self._axes = [name for name in ALIGNED if name in self._description.axes()]
         self._roi = regions.roi(self._description, kinematics.view(self._description, Pose()))
         cones = self._description.lamp.half_angle_deg + self._description.camera.lens_half_angle_deg
@@ -167,7 +167,7 @@ class Scans:
                 continue
             tried.append(exposure_s)
             self._say(f"looking for the lamp: {exposure_s:.3g} s, camera {guess:g} +-{self._search_deg:g} deg")
-            self._bench.lamp(True)
+            self._manual.lamp(True)
             for shift_across in _outward(self._search_deg / 2, 0.8) if across else [0.0]:
                 if across:
                     self._go(**{across: shift_across})
@@ -175,7 +175,7 @@ class Scans:
                     if not self._fits("camera", guess + shift, 0.0):
                         continue
                     self._go(camera=guess + shift)
-                    frame = self._bench.camera.capture(exposure_s)
+                    frame = self._manual.camera.capture(exposure_s)
                     self._require_size(frame)
                     if self._spot(frame) >= SPOT_PIXELS:
                         self._exposure_s = exposure_s
@@ -235,9 +235,9 @@ class Scans:
         """An exposure, and where the shortest one saturates a lamp level, at which the spot is in scale."""
         target, camera = self._description.acquisition.exposure_target, self._description.camera
         shortest, longest = camera.exposure_limits_s
-        exposure_s, levels = self._exposure_s or shortest, iter(DIMMED if hasattr(self._bench.light, "dim") else ())
+        exposure_s, levels = self._exposure_s or shortest, iter(DIMMED if hasattr(self._manual.light, "dim") else ())
         for _ in range(24):
-            frame = self._bench.camera.capture(exposure_s)
+            frame = self._manual.camera.capture(exposure_s)
             used = np.asarray(frame.mosaic if whole else self._roi.of(frame.mosaic), float)
             level = float(np.percentile(used, 99.5)) - frame.black_level_dn
             level /= exposure.full_scale_dn(camera, frame)
@@ -250,7 +250,7 @@ class Scans:
                     self._say("the spot saturates at the shortest exposure: a grey filter makes its centre better")
                     break
                 self._level = dimmer
-                self._bench.lamp(dimmer)
+                self._manual.lamp(dimmer)
                 continue
             wanted = min(max(round(exposure_s * min(target / max(level, 0.02), 16.0), 6), shortest), longest, LONGEST_S)
             if level >= 0.25 or wanted <= exposure_s or exposure_s >= min(longest, LONGEST_S):
@@ -321,9 +321,9 @@ class Scans:
     # ---- one angle ----
 
     def _point(self, axis: str, angle: float) -> dict[str, object]:
-        read = math.degrees(self._bench.move(**{axis: math.radians(angle)}).landed[axis])
+        read = math.degrees(self._manual.move(**{axis: math.radians(angle)}).landed[axis])
         camera = self._description.camera
-        frames = [self._bench.camera.capture(self._exposure_s) for _ in range(FRAMES)]
+        frames = [self._manual.camera.capture(self._exposure_s) for _ in range(FRAMES)]
         black, exposure_s = frames[0].black_level_dn, frames[0].exposure_s
         used = [np.asarray(self._roi.of(f.mosaic), float) - black for f in frames]
         mean = float(np.mean(used))
@@ -350,14 +350,14 @@ class Scans:
     # ---- axes ----
 
     def _go(self, **angles: float) -> None:
-        self._bench.move(**{n: math.radians(a) for n, a in angles.items()})
+        self._manual.move(**{n: math.radians(a) for n, a in angles.items()})
 
     def _offset(self, axis: str) -> float:
         known = self._description.axes()[axis]
         return known.zero_offset_deg if known.zero_offset_known else 0.0
 
     def _read(self, axis: str) -> float:
-        pose = self._bench.pose()
+        pose = self._manual.pose()
         if pose is None:
             raise DeviceError("the axes do not say where they stand")
         return math.degrees(getattr(pose, axis))

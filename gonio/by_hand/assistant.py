@@ -1,7 +1,7 @@
 """Aligning a rig with a live picture: one loop owns the devices, takes frames, and does what it is told in between.
 
-    assistant = Assistant(bench, tell=page.tell, say=print, rig_file=Path("my.toml"), out=Path("aligned.toml"))
-    with bench:
+    assistant = Assistant(manual, tell=page.tell, say=print, rig_file=Path("my.toml"), out=Path("aligned.toml"))
+    with manual:
         assistant.run()
 
 Orders are lines of text, put into `orders` by whatever thread; they are carried out between two frames, by the thread
@@ -66,7 +66,7 @@ class Assistant:
 
     Parameters
     ----------
-    bench
+    manual
         The rig; arms, light and camera are open while `run` runs.
     tell
         Is told what to show, at each frame and each change.
@@ -82,7 +82,7 @@ class Assistant:
 
     def __init__(
         self,
-        bench: ManualRig,
+        manual: ManualRig,
         *,
         tell: Tell,
         say: Callable[[str], None],
@@ -93,12 +93,12 @@ class Assistant:
     ) -> None:
         self.orders: queue.SimpleQueue[str] = queue.SimpleQueue()
         """Lines, as a person types them."""
-        self.timer = DeadMansTimer(bench.light, keep_s, clock)
+        self.timer = DeadMansTimer(manual.light, keep_s, clock)
         self.ended = False
         """Somebody has said `quit`."""
         self.exposure_s: float = 0.0
         """Of the next frame [s]; 0: what a matt white would need."""
-        self._bench, self._tell, self._say, self._clock = bench, tell, say, clock
+        self._manual, self._tell, self._say, self._clock = manual, tell, say, clock
         self._rig_file, self._out = rig_file, out
         self._zeros: dict[tuple[str, ...], Any] = {}
         self._zeroed: dict[str, float] = {}
@@ -108,7 +108,7 @@ class Assistant:
         self._confirmed = True  # by its owner, since it was lit: that the lamp is dark
         self._pose: Pose | None = None
         self._target: Target = "sample"
-        self._sight = Sight(bench.description, clock)
+        self._sight = Sight(manual.description, clock)
         self._shown: JsonObject = {}
         self._nudge: tuple[str, float] | None = None
         self._do = {
@@ -175,10 +175,10 @@ class Assistant:
     def look(self) -> None:
         """Take a frame, and tell what it shows."""
         self._mind_lamp()
-        camera = self._bench.description.camera
+        camera = self._manual.description.camera
         self._stand()
         if not self.exposure_s:
-            expected = exposure.expected_exposure_s(self._bench.description, self._pose or Pose(), 1.0)
+            expected = exposure.expected_exposure_s(self._manual.description, self._pose or Pose(), 1.0)
             self.exposure_s = max(min(expected, START_S), camera.exposure_limits_s[0])
         try:
             frame = self._capture(self.exposure_s)
@@ -209,14 +209,14 @@ class Assistant:
 
     def _stand(self) -> None:
         """Where the axes are, and so what is seen."""
-        self._pose = self._bench.pose()
-        self._sight.stand(self._pose, self._bench.band, self._target)
+        self._pose = self._manual.pose()
+        self._sight.stand(self._pose, self._manual.band, self._target)
 
     def _session(self) -> JsonObject:
         """What there is to show beside the frame."""
         left = self.timer.left_s
         return {
-            "doing": self._doing, "band": self._bench.band.name, "target_exposure_s": self.exposure_s,
+            "doing": self._doing, "band": self._manual.band.name, "target_exposure_s": self.exposure_s,
             "lamp": {
                 "left_s": left, "keep_s": self.timer.seconds, "why_dark": self.timer.why_dark,
                 "level": None if self._level is True else float(self._level),
@@ -225,10 +225,10 @@ class Assistant:
         }  # fmt: skip
 
     def _capture(self, exposure_s: float) -> Frame:
-        camera = self._bench.description.camera
+        camera = self._manual.description.camera
         allowed_s = exposure_s + camera.frame_overhead_s + CAMERA_S
         with self.timer.within(allowed_s, "the camera"):
-            frame = self._bench.camera.capture(exposure_s)
+            frame = self._manual.camera.capture(exposure_s)
         regions.require_frame(camera, frame, "camera")
         return frame
 
@@ -244,7 +244,7 @@ class Assistant:
 
     def _darken(self) -> None:
         self.timer.dark()
-        self._bench.lamp(False)
+        self._manual.lamp(False)
         self._confirmed = True
         self._sight.changed()
 
@@ -286,13 +286,13 @@ class Assistant:
     def _move(self, degrees: dict[str, float], *, relative: bool) -> None:
         goals = {name: math.radians(angle) for name, angle in degrees.items()}
         if relative:
-            here = self._bench.arms.read()
+            here = self._manual.arms.read()
             goals = {name: getattr(here, name, 0.0) + by for name, by in goals.items()}
-            self._bench.check(goals)
-        self._bench.goals(**goals)  # whatever is wrong with them is said before anything moves
+            self._manual.check(goals)
+        self._manual.goals(**goals)  # whatever is wrong with them is said before anything moves
         said = ", ".join(f"{n} {round(math.degrees(a), 3) + 0.0:g}" for n, a in goals.items())
         self._busy(f"moving to {said} deg")
-        moved = self._bench.move(**goals)
+        moved = self._manual.move(**goals)
         self._sight.changed()
         if moved.branch:
             self._say(moved.branch)
@@ -300,7 +300,7 @@ class Assistant:
 
     def _park(self, words: list[str]) -> None:
         self._busy("parking")
-        self._bench.arms.park()
+        self._manual.arms.park()
         self._sight.changed()
         self._say("arms parked")
 
@@ -329,26 +329,26 @@ class Assistant:
         self.timer.light_up()
         self._confirmed = False
         try:
-            self._bench.lamp(level)
+            self._manual.lamp(level)
         except BaseException:
             self._darken()
             raise
         self._level = level
         self._sight.changed()
-        self._say(f"lamp lit, band {self._bench.band.name}; dark {self.timer.seconds:g} s after the last key press")
+        self._say(f"lamp lit, band {self._manual.band.name}; dark {self.timer.seconds:g} s after the last key press")
 
     def _band(self, words: list[str]) -> None:
         wavelength = _one_number(words, "band 550", ("nm",))
-        self._bench.choose_band(wavelength)
+        self._manual.choose_band(wavelength)
         self._sight.changed()
         if self.timer.left_s is not None:
-            self._bench.light.select(self._bench.band)
-        self._say(f"band {self._bench.band.name}")
+            self._manual.light.select(self._manual.band)
+        self._say(f"band {self._manual.band.name}")
 
     def _exposure(self, words: list[str]) -> None:
         milli = bool(words) and words[-1].endswith("ms")
         wanted = _one_number(words, "exposure 0.02", ("ms", "s")) * (1e-3 if milli else 1.0)
-        self._bench.description.camera.require_exposure(wanted)
+        self._manual.description.camera.require_exposure(wanted)
         self.exposure_s = wanted
         self._sight.changed()
         self._say(f"exposure {wanted:g} s")
@@ -358,7 +358,7 @@ class Assistant:
             raise ConfigError("auto needs light: lamp on")
         self._busy("looking for the exposure")
         self._stand()
-        description, region = self._bench.description, self._sight.region
+        description, region = self._manual.description, self._sight.region
         expected = exposure.expected_level_per_s(description, self._pose or Pose(), 1.0)
         used = region.of if region is not None else np.ravel
         failed = []
@@ -390,7 +390,7 @@ class Assistant:
         if len(words) != 1 or words[0] not in targets:
             raise ConfigError("show sample, or show reference")
         self._busy(f"putting the {words[0]} into the beam")
-        self._bench.present(targets[words[0]])
+        self._manual.present(targets[words[0]])
         self._target = targets[words[0]]
         self._sight.changed()
         self._say(f"the {words[0]} is in the beam")
@@ -398,7 +398,7 @@ class Assistant:
     def _save(self, words: list[str]) -> None:
         if len(words) != 1:
             raise ConfigError("save FILE: one name that ends with .dng, .tif or .png")
-        shot = self._bench.snap(words[0], exposure_s=self.exposure_s)
+        shot = self._manual.snap(words[0], exposure_s=self.exposure_s)
         self._say(", ".join(str(file) for file in shot.files))
 
     def _zero(self, words: list[str]) -> None:
@@ -407,15 +407,15 @@ class Assistant:
         if not 1 <= len(words) <= 2:
             raise ConfigError("zero AXIS [DEG]: as in zero light 30")
         axis, at = words[0], _one_number(words[1:] or ["0"], "zero light 30", ("deg",))
-        limits = self._bench.description.limits_deg()
-        self._bench.check({axis: 0.5 * math.radians(sum(limits.get(axis, (0.0, 0.0))))})
-        health = self._bench.read()
+        limits = self._manual.description.limits_deg()
+        self._manual.check({axis: 0.5 * math.radians(sum(limits.get(axis, (0.0, 0.0))))})
+        health = self._manual.read()
         read = health.of(axis, "angle")
         if not isinstance(read, float):
             raise DataError(f"axis {axis}: {health.silent.get(axis, 'its angle is not known')}")
         if isinstance(apart := health.of(axis, "angle_spread"), float):
             raise DataError(f"axis {axis}: its readings at rest lie {apart:.2f} deg apart, and tell no zero")
-        values, offset = zero_values(self._bench.description, axis, read_deg=read, true_deg=at)
+        values, offset = zero_values(self._manual.description, axis, read_deg=read, true_deg=at)
         wanted = self._zeros | values
         if self._zeros:
             try:
@@ -429,7 +429,7 @@ class Assistant:
             f"{axis} reads {read:.3f} deg and stands at {at:g} deg: zero_offset_deg = {offset:.3f} in {self._out}, "
             "which holds from the next command on; this session goes on with the zeros that it began with"
         )
-        others = [name for name in self._bench.description.holder.axes if name != axis]
+        others = [name for name in self._manual.description.holder.axes if name != axis]
         if others and ("holder", "zero_offset_known") in values:
             self._say(f"holder.zero_offset_known = true holds for {others[0]} too: set its zero as well")
 

@@ -37,7 +37,7 @@ SOBEL = 0.375
 OF_PIXELS = 0.5
 """How well, relative, the rig file knows the square of its pixels' differences."""
 FEW = 0.01
-"""Saturated pixels of a region, beyond which its noise is not told."""
+"""Saturated pixels of a region, beyond which its noise is not determined."""
 USABLE = 0.5
 """Of a region: where more of it is saturated, it has no focus measure."""
 WIDEST = 1024
@@ -100,7 +100,7 @@ def focus(camera: Camera, first: Frame, second: Frame, box: Box) -> Focus | None
     It is Tenengrad (the squared Sobel gradient, averaged), made of the product of the gradients of two frames, so that
     noise, which is different in each, cancels in the mean instead of being taken for structure. Divided by the product
     of the means it is the same at all exposures that do not saturate. What the pixels' own differences make of an even
-    light (`camera.prnu`, `camera.dsnu_e`) is taken off. Its root is told.
+    light (`camera.prnu`, `camera.dsnu_e`) is taken off. Its root is shown.
 
     Parameters
     ----------

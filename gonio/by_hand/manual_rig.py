@@ -316,12 +316,12 @@ class ManualRig:
         *,
         frames: int = 2,
         exposure_s: float | None = None,
-        told: Callable[[pd.DataFrame, int], None] | None = None,
+        progress: Callable[[pd.DataFrame, int], None] | None = None,
     ) -> pd.DataFrame:
         """A signal against an angle; see `gonio.by_hand.scan.scan`. The lamp is dark after it, whatever happens."""
         from gonio.by_hand import scan
 
-        return scan.scan(self, axis, angles, frames=frames, exposure_s=exposure_s, told=told)
+        return scan.scan(self, axis, angles, frames=frames, exposure_s=exposure_s, progress=progress)
 
     # ---- inside ----
 

@@ -71,19 +71,19 @@ class _Dark:
 
 
 def scan(
-    bench: Movable,
+    manual: Movable,
     axis: str,
     angles: Sequence[float],
     *,
     frames: int = 2,
     exposure_s: float | None = None,
-    told: Callable[[pd.DataFrame, int], None] | None = None,
+    progress: Callable[[pd.DataFrame, int], None] | None = None,
 ) -> pd.DataFrame:
     """Scan one axis of a rig that is open, the others standing where they are; the lamp is dark before and after.
 
     Parameters
     ----------
-    bench
+    manual
         Open, with arms, light and camera.
     axis
         As in `ManualRig.move`.
@@ -93,7 +93,7 @@ def scan(
         At each angle.
     exposure_s
         For all angles; without it every angle is metered, within `LONGEST` exposures of a matt white surface.
-    told
+    progress
         Hears the table so far, and how many angles there will be.
 
     Returns
@@ -114,33 +114,33 @@ def scan(
     """
     import pandas as pd
 
-    description = bench.description
+    description = manual.description
     if not len(angles):
         raise ArgumentError("angles: there are none to go to")
     if frames < 1:
         raise ArgumentError(f"frames = {frames}: must be at least 1")
     for angle in angles:
-        bench.check({axis: float(angle)})
+        manual.check({axis: float(angle)})
     if exposure_s is not None:
         description.camera.require_exposure(exposure_s)
     bounded = _bounded(description, exposure_s)
     rows: list[dict[str, object]] = []
-    attrs: dict[Hashable | None, object] = {"axis": axis, "rig": description.name, "band": bench.band.name}
+    attrs: dict[Hashable | None, object] = {"axis": axis, "rig": description.name, "band": manual.band.name}
     try:
-        bench.lamp(False)
-        bench.move(**{axis: float(angles[0])})
-        dark = _darks(bench, bounded)
-        bench.lamp(True, wavelength_nm=bench.band.centre_nm)
+        manual.lamp(False)
+        manual.move(**{axis: float(angles[0])})
+        dark = _darks(manual, bounded)
+        manual.lamp(True, wavelength_nm=manual.band.centre_nm)
         expected = exposure.expected_level_per_s(description, Pose(), 1.0)
         for angle in angles:
-            landed = bench.move(**{axis: float(angle)}).landed[axis]
-            pose = bench.pose()
+            landed = manual.move(**{axis: float(angle)}).landed[axis]
+            pose = manual.pose()
             if pose is not None:
                 others = {n: round(math.degrees(getattr(pose, n)), 3) for n in description.axes() if n != axis}
                 attrs.setdefault("others_deg", others)
             roi, where = _patch(description, pose)
-            metered = exposure.meter(bounded, bench.camera.capture, roi.of, expected)
-            shots = [bench.camera.capture(metered.exposure_s) for _ in range(frames)]
+            metered = exposure.meter(bounded, manual.camera.capture, roi.of, expected)
+            shots = [manual.camera.capture(metered.exposure_s) for _ in range(frames)]
             if metered.level_per_s > 0:
                 expected = metered.level_per_s
             row = {"angle_deg": math.degrees(landed), "asked_deg": round(math.degrees(angle), 9)}
@@ -148,10 +148,10 @@ def scan(
             table = pd.DataFrame(rows)
             table["flag"] = np.where(table["saturated"] > 0, "saturated", "")
             table.attrs = attrs
-            if told is not None:
-                told(table, len(angles))
+            if progress is not None:
+                progress(table, len(angles))
     finally:
-        bench.light.off()
+        manual.light.off()
     return table
 
 
@@ -167,10 +167,10 @@ def _bounded(description: RigDescription, exposure_s: float | None) -> RigDescri
     return description.model_copy(update={"camera": camera})
 
 
-def _darks(bench: Movable, bounded: RigDescription) -> _Dark:
+def _darks(manual: Movable, bounded: RigDescription) -> _Dark:
     means = []
     for exposure_s in bounded.camera.exposure_limits_s:
-        shots = [bench.camera.capture(exposure_s) for _ in range(DARK_FRAMES)]
+        shots = [manual.camera.capture(exposure_s) for _ in range(DARK_FRAMES)]
         means.append((shots[0].exposure_s, np.mean([shot.mosaic for shot in shots], axis=0)))
         if bounded.camera.exposure_limits_s[0] == bounded.camera.exposure_limits_s[1]:
             means *= 2

@@ -26,7 +26,7 @@ HISTORY = 240
 HISTORY_S = 0.25
 """The curve of the focus has a point so often, and so many points."""
 FPS_OF = 20
-"""Frames that their rate is told from."""
+"""Frames from which their rate is determined."""
 STEADY_DEG = 0.1
 """An axis that reads so much elsewhere has moved: another scene, and another focus."""
 

@@ -124,14 +124,14 @@ def require_free(file: Path) -> tuple[Path, Path]:
     return names
 
 
-def take(bench: Movable, file: Path | None, *, exposure_s: float | None) -> Snapshot:
+def take(manual: Movable, file: Path | None, *, exposure_s: float | None) -> Snapshot:
     """See `ManualRig.snap`."""
     names = require_free(file) if file is not None else None
-    description, pose = bench.description, bench.pose()
+    description, pose = manual.description, manual.pose()
     if exposure_s is None:
         exposure_s = exposure.expected_exposure_s(description, pose or Pose(), 1.0)
     description.camera.require_exposure(exposure_s)
-    frame = bench.camera.capture(exposure_s)
+    frame = manual.camera.capture(exposure_s)
     patch, outline, without = _patch(description, pose, frame)
     shot = Snapshot(frame, description.camera, pose, patch, outline, without, names or ())
     if names is not None:

@@ -31,7 +31,7 @@ CLIPPED = 1e-3
 BRIGHT = 0.9
 """Of the brightest part of the flats: pixels above it are the region of the photon transfer."""
 PARTS = (BRIGHT, 0.45, 0.2, 0.09, 0.04, 0.02, 0.01)
-"""Edges of the parts of other brightness, of which the linearity is told."""
+"""Edges of the parts of other brightness, from which the linearity is determined."""
 FEWEST_PIXELS = 200
 UNDETERMINED = 0.05
 """Standard uncertainty of `vignetting` from which on it is not: lenses lose a tenth or two at the corners."""
@@ -174,7 +174,7 @@ class _Work:
             raise DataError(
                 f"{100 * zero:.2g} % of the pixels of the dark frames read 0 DN: what lies below is cut off, "
                 f"and neither "
-                "noise nor dark level can be told; raise the camera's black level"
+                "noise nor dark level can be determined; raise the camera's black level"
             )
         self.dark_mean, self.dark_t = total / count, float(t.mean())
         self.dark_slope = first / float(np.sum((t - t.mean()) ** 2))
@@ -330,7 +330,7 @@ class _Work:
         self.map_sum, self.map_count = sums, len(of_map)
         self.map_exposure = float(np.mean(of_map)) if of_map else 0.0
 
-    # ---- what is told ----
+    # ---- results ----
 
     def done(self) -> CameraCalibration:
         self.darks()
@@ -464,7 +464,7 @@ class _Work:
         curve = linearity.fit(level, self.u_dn[:, kept], self.u_dark_dn, t, times, self.raw)
         if curve.parts == 1:
             self.notes.append(
-                "the flat frames are of one brightness throughout: the linearity is told by exposure times, and "
+                "the flat frames are of one brightness throughout: the linearity is determined by exposure times, and "
                 "is as good as "
                 "the lamp and the shutter are steady; let something darker be in view beside the white reference"
             )
@@ -490,8 +490,8 @@ class _Work:
         ratio, region, total = pixel_statistics.evened(signal, region)
         if not region.any():
             self.notes.append(
-                "the white is blurred or marked all over the flat frames: single pixels' responsivities are not told; "
-                "let more of it be in view, and in focus"
+                "the white is blurred or marked all over the flat frames: single pixels' responsivities are not "
+                "determined; let more of it be in view, and in focus"
             )
         bad = pixel_statistics.outliers(ratio, pixel_statistics.LEAST_DEPARTURE)
         self.defects = self.defects | bad

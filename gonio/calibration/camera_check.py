@@ -26,7 +26,7 @@ LIGHT_DEG, CAMERA_DEG = 30.0, 0.0
 LEVEL = 0.7
 EXPOSURES = 10
 LEAST_DN = 100.0
-"""Of the brightest hundredth over the black level, below which nothing is told."""
+"""Of the brightest hundredth over the black level, below which nothing is concluded."""
 PART = 0.2
 """Of the brightness of the brightest hundredth: pixels that are darker say little of the gain."""
 NONLINEAR = 0.03
@@ -36,37 +36,37 @@ DOUBT = 3.0
 """Standard uncertainties."""
 
 
-def contradictions(bench: ManualRig) -> str:
+def contradictions(manual: ManualRig) -> str:
     """What the frames of a rig say against its rig file's camera; "" where they say nothing.
 
-    The bench is open, and a mirror lies in its holder. The lamp is lit afterwards.
+    The rig is open, and a mirror lies in its holder. The lamp is lit afterwards.
     """
-    description, camera = bench.description, bench.description.camera
+    description, camera = manual.description, manual.description.camera
     if not camera.photon_noise or camera.response:
         return ""
     shortest, longest = camera.exposure_limits_s
-    limits = bench.description.limits_deg()
+    limits = manual.description.limits_deg()
     goals = {"light": LIGHT_DEG, "camera": CAMERA_DEG}
-    bench.move(**{n: math.radians(float(np.clip(a, *limits[n]))) for n, a in goals.items()})
-    bench.lamp(True)
+    manual.move(**{n: math.radians(float(np.clip(a, *limits[n]))) for n, a in goals.items()})
+    manual.lamp(True)
     t = min(max(LONGEST_S, shortest), longest)
-    frame = bench.camera.capture(t)
+    frame = manual.camera.capture(t)
     while (level := _level(camera, frame)) > LEVEL and t > shortest:
         t = max(round(t * min(LEVEL / level, 0.9) if level < exposure.SATURATED else t / 4.0, 6), shortest)
-        frame = bench.camera.capture(t)
+        frame = manual.camera.capture(t)
     full = exposure.full_scale_dn(camera, frame)
     bright = np.asarray(frame.mosaic, float) - frame.black_level_dn
     if level * full < LEAST_DN or level >= exposure.SATURATED:
         return ""
     region = (bright > PART * level * full) & (bright < 0.9 * full)
     times = [max(round(t * (k + 1) / EXPOSURES, 6), shortest) for k in range(EXPOSURES)]
-    lit = [(s, _values(bench.camera.capture(s), region), _values(bench.camera.capture(s), region)) for s in times]
-    over = bench.camera.capture(round(min(4.0 * t, longest), 6))
+    lit = [(s, _values(manual.camera.capture(s), region), _values(manual.camera.capture(s), region)) for s in times]
+    over = manual.camera.capture(round(min(4.0 * t, longest), 6))
     clips = exposure.clipped_dn(camera, over)
-    bench.lamp(False)
-    dark = [(s, _values(bench.camera.capture(s), region), _values(bench.camera.capture(s), region))
+    manual.lamp(False)
+    dark = [(s, _values(manual.camera.capture(s), region), _values(manual.camera.capture(s), region))
             for s in (shortest, shortest, t, t)]  # fmt: skip
-    bench.lamp(True)
+    manual.lamp(True)
     said = []
     levels = [float(np.mean([a.mean(), b.mean()])) for _, a, b in dark]
     black = 0.5 * (levels[0] + levels[1])

@@ -49,78 +49,78 @@ class Scan:
 
     def __init__(
         self,
-        bench: ManualRig,
+        manual: ManualRig,
         folder: Path,
         *,
         pairs: int = 2,
         say: Callable[[str], None] = print,
         counter: Callable[[str], AbstractContextManager[Callable[[int, int], None]]] = _uncounted,
     ) -> None:
-        self._bench, self._folder, self._pairs, self._say, self._counter = bench, folder, pairs, say, counter
+        self._manual, self._folder, self._pairs, self._say, self._counter = manual, folder, pairs, say, counter
         self.frames: list[CameraFrame] = []
 
     def go(self) -> None:
         """Drive to where the white reference is looked at."""
-        reference = self._bench.description.reference
-        self._bench.move(theta_i=math.radians(reference.theta_i_deg), theta_r=math.radians(reference.theta_r_deg))
+        reference = self._manual.description.reference
+        self._manual.move(theta_i=math.radians(reference.theta_i_deg), theta_r=math.radians(reference.theta_r_deg))
 
     def darks(self) -> None:
         """With the lamp dark, from the shortest to the longest exposure that is used."""
-        self._bench.lamp(False)
-        short, longest = exposure.dark_exposures_s(self._bench.description)
+        self._manual.lamp(False)
+        short, longest = exposure.dark_exposures_s(self._manual.description)
         times = [short, longest / 4, longest / 2, longest]
         self._say(f"dark frames: {DARK_FRAMES} at each of {len(times)} exposures up to {longest:g} s")
         self._take_all("dark", times * DARK_FRAMES)  # a camera that grows warm is as warm at every exposure
 
     def flats(self) -> None:
         """Pairs over the white reference from dark to full, in an order in which no drift looks like a level."""
-        self._bench.lamp(True)
+        self._manual.lamp(True)
         metered = self._meter("flat")
         times = self._times(np.concatenate([LOW, HIGH]) / metered.level_per_s)
         shuffled = [float(t) for t in np.random.default_rng(0).permutation(np.repeat(times, self._pairs))]
         self._say(f"flats: {len(shuffled)} pairs at {len(times)} exposures from {times[0]:.3g} to {times[-1]:.3g} s")
         self._take_all("flat", [t for t in shuffled for _ in range(2)])
-        self._bench.lamp(False)
+        self._manual.lamp(False)
 
     def stray(self, kind: Literal["trap", "edge"]) -> None:
         """Frames of a trap in the holder, or of a knife edge before the white reference."""
-        self._bench.lamp(True)
+        self._manual.lamp(True)
         black = self._black(kind)
         t = float(self._times(np.array([self._meter(kind).exposure_s]))[0])
         self._say(f"{kind}: {STRAY_FRAMES} frames of {t:.3g} s")
         self._take_all(kind, [t] * STRAY_FRAMES, black)
-        self._bench.lamp(False)
+        self._manual.lamp(False)
 
     def field(self) -> None:
         """The white reference from several directions: what stays with the pixels is the lens."""
-        self._bench.lamp(True)
-        description = self._bench.description
+        self._manual.lamp(True)
+        description = self._manual.description
         first = math.radians(description.reference.theta_i_deg)
         for angle in FIELD_DEG:
             try:
-                self._bench.move(theta_i=first, theta_r=math.radians(angle))
+                self._manual.move(theta_i=first, theta_r=math.radians(angle))
             except ConfigError:
                 continue  # this rig does not get there
             t = float(self._times(np.array([self._meter("field").exposure_s]))[0])
             self._say(f"field: {FIELD_FRAMES} frames at theta_r = {angle:g} deg")
-            pose = self._bench.arms.read()
+            pose = self._manual.arms.read()
             for _ in range(FIELD_FRAMES):
                 self._take("field", t, pose=pose)
-        self._bench.lamp(False)
+        self._manual.lamp(False)
 
     def _times(self, wanted: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        shortest, longest = self._bench.description.camera.exposure_limits_s
+        shortest, longest = self._manual.description.camera.exposure_limits_s
         return np.unique(np.clip(np.round(wanted, exposure.MICROSECONDS), shortest, longest))
 
     def _meter(self, kind: Kind) -> exposure.Metered:
-        description, pose = self._bench.description, self._bench.pose() or Pose()
+        description, pose = self._manual.description, self._manual.pose() or Pose()
         expected = exposure.expected_level_per_s(description, pose, 1.0 if kind != "trap" else 0.03)
         # a level is that of the brightest used pixel: the used "pixel" is a percentile of all
         return exposure.meter(description, self._shot, lambda mosaic: np.percentile(mosaic, [BRIGHTEST]), expected)
 
     def _shot(self, exposure_s: float) -> Frame:
-        camera = self._bench.description.camera
-        frame = self._bench.camera.capture(exposure_s)
+        camera = self._manual.description.camera
+        frame = self._manual.camera.capture(exposure_s)
         require_raw(camera, frame, str(frame.file or "the camera"))
         if not frame.exposure_s > 0 or abs(frame.exposure_s / exposure_s - 1.0) > CONTRADICTS:
             raise DeviceError(
@@ -156,10 +156,10 @@ class Scan:
 
     def _black(self, kind: Literal["trap", "edge"]) -> tuple[slice, slice]:
         """The pixels that see the trap, or the screen well behind its edge at x = 0."""
-        description = self._bench.description
+        description = self._manual.description
         diameter = description.reference.diameter_mm if kind == "edge" else description.holder.sample_diameter_mm
         half = 0.5 * INSIDE * diameter
-        seen = pixel_map(description, kinematics.view(description, self._bench.arms.read()))
+        seen = pixel_map(description, kinematics.view(description, self._manual.arms.read()))
         inside = (np.abs(seen.x_mm) <= half) & (np.abs(seen.y_mm) <= half)
         if kind == "edge":
             inside &= seen.x_mm >= EDGE_MM

@@ -46,7 +46,7 @@ as its camera points to the middle; a mirror alone, 2 deg and more."""
 CONTRADICTS = 3.0
 """Combined standard uncertainties between what was measured and what the rig file says beyond which one is wrong."""
 SAID_DEG = 3.0
-"""A sum or difference of zeros that is known as well as this is told in words."""
+"""A sum or difference of zeros that is known as well as this is reported in words."""
 TOLD = 1.0
 """Singular value of the scaled, whitened Jacobian below which a direction is not determined: less than expected."""
 CORNER_FLOOR_PX = 0.01
@@ -278,7 +278,7 @@ class Problem:
         self, description: RigDescription, sightings: Sequence[Sighting], sought: Sequence[Unknown],
         given: tuple[Sequence[str], Floats, Floats] | None = None,
     ) -> None:  # fmt: skip
-        """`given`: paths, values and covariance of numbers that something else has told (intrinsics)."""
+        """`given`: paths, values and covariance of numbers that something else has determined (intrinsics)."""
         self.x = np.zeros(len(sought) + (len(given[0]) if given else 0))
         self.sightings = list(sightings)
         self._tables = start_of(description)
@@ -388,15 +388,15 @@ class Problem:
         """
         rows = sum(map(len, self._pixels))
         left, slopes = self.residuals(self.x)[:rows], self.jacobian(self.x)[:rows]
-        told, pull, x = slopes.T @ slopes, slopes.T @ (slopes @ self.x - left), self.x
+        information, pull, x = slopes.T @ slopes, slopes.T @ (slopes @ self.x - left), self.x
         orders = {
             k: self._order(u.path) for k, u in enumerate(self.unknowns) if "harmonics_deg" in u.path
         }  # fmt: skip
         before = np.diag(self._expected).copy()
-        alone = np.diag(np.linalg.inv(told + np.linalg.inv(self._at_first)))
+        alone = np.diag(np.linalg.inv(information + np.linalg.inv(self._at_first)))
         learnt = {o for o in orders.values() if all(alone[k] < KNOWN**2 for k, its in orders.items() if its == o)}
         for _ in range(LEARNING_STEPS):
-            covariance = np.linalg.inv(told + np.linalg.inv(self._expected))
+            covariance = np.linalg.inv(information + np.linalg.inv(self._expected))
             x, last = covariance @ pull, np.diag(self._expected).copy()
             for order in learnt:
                 mine = [k for k, its in orders.items() if its == order]
@@ -463,7 +463,7 @@ def solve(
     sightings
         At least a few, of any kind.
     given
-        Paths, values and covariance of numbers that something else has told: intrinsics from a board.
+        Paths, values and covariance of numbers that something else has determined: intrinsics from a board.
 
     Raises
     ------

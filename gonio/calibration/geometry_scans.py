@@ -68,21 +68,21 @@ PIXELS = 4000
 
 
 class GeometryScans(Scans):
-    """Takes the sightings of one calibration on an open bench.
+    """Takes the sightings of one calibration on an open rig.
 
     Parameters
     ----------
-    bench, search_deg, say
+    manual, search_deg, say
         As of an alignment.
     keep
         Is given each sighting with its frames, by a word each, as soon as it is made.
     """
 
     def __init__(
-        self, bench: ManualRig, *, search_deg: float, say: Callable[[str], None],
+        self, manual: ManualRig, *, search_deg: float, say: Callable[[str], None],
         keep: Callable[[Sighting, dict[str, npt.NDArray[Any]]], None],
     ) -> None:  # fmt: skip
-        super().__init__(bench, search_deg=search_deg, say=say)
+        super().__init__(manual, search_deg=search_deg, say=say)
         self._keep_sighting = keep
         self._sums: dict[float, float] = {}
         """Sum of both encoders at which the lamp's mirror image is in the middle, by the light's angle as read."""
@@ -157,12 +157,12 @@ class GeometryScans(Scans):
     def against_frames(self, sums: dict[float, float], across: float | None, poses: int = AGAINST_POSES) -> None:
         """The lamp in the mirror again, each arm in turn arriving from the other side: its backlash stands open.
 
-        The bench's axes approach from nowhere (`reversed_approach`); `sums`, `across`: where the image was.
+        The rig's axes approach from nowhere (`reversed_approach`); `sums`, `across`: where the image was.
         """
         self._sums, self._across = dict(sums), across
         side = {n: math.copysign(1.0, a or 1.0) for n, a in self._description.approach_deg().items()}
         lights = sorted((a for a in sums if 10.0 < abs(a) < 65.0), key=lambda a: _spread(int(10 * a), 5))
-        self._bench.lamp(True)
+        self._manual.lamp(True)
         for number in range(poses if lights else 0):
             light = lights[number % len(lights)]
             odd = ("light", "camera")[number % 2]
@@ -243,7 +243,7 @@ class GeometryScans(Scans):
         if marks and rig.holder.fiducials is not None:
             limits = rig.camera.exposure_limits_s
             wanted = exposure.expected_exposure_s(rig, pose, rig.holder.fiducials.albedo)
-            frame = self._bench.camera.capture(round(min(max(wanted, limits[0]), limits[1], 2.0), 6))
+            frame = self._manual.camera.capture(round(min(max(wanted, limits[0]), limits[1], 2.0), 6))
             self._require_size(frame)
             frames["markers"] = frame.mosaic
             numbers, pixels = fiducials.detect(frame.mosaic, rig.holder.fiducials)
@@ -252,7 +252,7 @@ class GeometryScans(Scans):
                 self._beside = fiducials.middle(rig.holder.fiducials, numbers, pixels) - self._middle(pose)
         found: tuple[float, float, float] | None = None
         if spot:
-            frame = self._bench.camera.capture(self._exposure_s)
+            frame = self._manual.camera.capture(self._exposure_s)
             self._require_size(frame)
             frames["lamp"] = frame.mosaic
             light = np.asarray(frame.mosaic, float) - frame.black_level_dn
@@ -321,7 +321,7 @@ class GeometryScans(Scans):
         if not all(self._fits(name, goal, 0.0) for name, goal in goals.items()):
             return False
         try:
-            self._bench.goals(**{n: math.radians(a) for n, a in goals.items()})
+            self._manual.goals(**{n: math.radians(a) for n, a in goals.items()})
         except ConfigError:
             return False
         self._go(**goals)

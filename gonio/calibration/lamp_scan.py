@@ -34,25 +34,25 @@ FLAT_FRAMES = 8
 MOST_STEPS = 100_000
 
 
-def _metered(bench: ManualRig, region: regions.Roi, pose: Pose) -> exposure.Metered:
+def _metered(manual: ManualRig, region: regions.Roi, pose: Pose) -> exposure.Metered:
     """The exposure for the white."""
-    description = bench.description
+    description = manual.description
     expected = exposure.expected_level_per_s(description, pose, 1.0)
     if description.reference.how == "beam":
         expected = exposure.expected_straight_level_per_s(description)
-    metered = exposure.meter(description, bench.camera.capture, region.of, expected)
+    metered = exposure.meter(description, manual.camera.capture, region.of, expected)
     if metered.saturated:
         raise DataError("the white saturates at the shortest exposure: dim the lamp, or close the lens's aperture")
     return metered
 
 
 def take_series(
-    bench: ManualRig,
+    manual: ManualRig,
     duration_s: float,
     every_s: float,
     *,
     keep: Callable[[pd.DataFrame], None],
-    told: Callable[[int, int], None] = lambda done, total: None,
+    progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> None:
     """Frames of the white from the moment that the lamp is lit.
 
@@ -61,14 +61,14 @@ def take_series(
 
     Parameters
     ----------
-    bench
+    manual
         Open.
     duration_s, every_s
         How long, and how often [s].
     keep
         Gets the table, with the columns of `lamp_stability.COLUMNS` and with `monitor` where the lamp has one; whatever
         ends the series early, it gets what there is. (Then the camera's black level takes the place of dark frames.)
-    told
+    progress
         Called with the seconds that are done, and with how many there are.
 
     Raises
@@ -78,32 +78,32 @@ def take_series(
     DeviceError
         A device fails.
     """
-    pose = reference_pose(description := bench.description)
-    steps, taken, dark = _Steps(bench), _Series(description), math.nan
+    pose = reference_pose(description := manual.description)
+    steps, taken, dark = _Steps(manual), _Series(description), math.nan
     try:
-        bench.lamp(False)
+        manual.lamp(False)
         steps.next(pose)
-        bench.present("reference")
-        region = regions.roi(description, kinematics.view(description, pose), "reference", bench.band.channel)
-        lit_s = 0.0 if bench.repeatable else bench.time_s()  # a simulated clock counts from when the lamp is lit
-        bench.lamp(True, wavelength_nm=bench.band.centre_nm)
-        metered = _metered(bench, region, pose)
+        manual.present("reference")
+        region = regions.roi(description, kinematics.view(description, pose), "reference", manual.band.channel)
+        lit_s = 0.0 if manual.repeatable else manual.time_s()  # a simulated clock counts from when the lamp is lit
+        manual.lamp(True, wavelength_nm=manual.band.centre_nm)
+        metered = _metered(manual, region, pose)
         due = 0.0
         while due <= duration_s:
-            now = bench.time_s() - lit_s
-            if now < due and bench.repeatable:
+            now = manual.time_s() - lit_s
+            if now < due and manual.repeatable:
                 steps.next(pose)  # a simulated clock goes on with the steps
                 continue
-            wait(bench, max(due - now, 0.0))
+            wait(manual, max(due - now, 0.0))
             for _ in range(BURST):
-                taken.add(bench.camera.capture(metered.exposure_s), region, lit_s, _monitor(bench))
-            due = max(due + every_s, bench.time_s() - lit_s)
-            told(round(min(due, duration_s)), round(duration_s))
-        bench.lamp(False)
-        darks = (bench.camera.capture(metered.exposure_s) for _ in range(DARK_FRAMES))
+                taken.add(manual.camera.capture(metered.exposure_s), region, lit_s, _monitor(manual))
+            due = max(due + every_s, manual.time_s() - lit_s)
+            progress(round(min(due, duration_s)), round(duration_s))
+        manual.lamp(False)
+        darks = (manual.camera.capture(metered.exposure_s) for _ in range(DARK_FRAMES))
         dark = float(np.mean([_linear(description, frame, region.of(frame.mosaic)) for frame in darks]))
     finally:
-        bench.light.off()
+        manual.light.off()
         if taken.rows:
             keep(taken.table(dark if math.isfinite(dark) else taken.black_level_dn))
 
@@ -146,10 +146,10 @@ class _Series:
 
 
 def take_flats(
-    bench: ManualRig,
+    manual: ManualRig,
     *,
     keep: Callable[[pd.DataFrame], None],
-    told: Callable[[int, int], None] = lambda done, total: None,
+    progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> None:
     """Flats of the white at several camera angles.
 
@@ -166,39 +166,39 @@ def take_flats(
     """
     import pandas as pd
 
-    description = bench.description
+    description = manual.description
     if description.reference.how == "beam":
         raise ConfigError(
             'reference.how = "beam": there is no white to see the beam on; calibrate its profile with a rig file that '
             "has a white, or take --only lamp"
         )
     poses = _poses(description)
-    steps = _Steps(bench)
+    steps = _Steps(manual)
     tables = []
     try:
-        bench.lamp(False)
+        manual.lamp(False)
         steps.next(poses[0])
-        bench.present("reference")
+        manual.present("reference")
         for number, pose in enumerate(poses, 1):
             landed = steps.next(pose)
-            bench.lamp(True, wavelength_nm=bench.band.centre_nm)
-            region = regions.roi(description, kinematics.view(description, landed), "reference", bench.band.channel)
+            manual.lamp(True, wavelength_nm=manual.band.centre_nm)
+            region = regions.roi(description, kinematics.view(description, landed), "reference", manual.band.channel)
             level = exposure.expected_level_per_s(description, pose, 1.0)
-            metered = exposure.meter(description, bench.camera.capture, region.of, level)
-            shots = [bench.camera.capture(metered.exposure_s) for _ in range(FLAT_FRAMES)]
-            bench.lamp(False)
-            darks = [bench.camera.capture(metered.exposure_s) for _ in range(DARK_FRAMES)]
+            metered = exposure.meter(description, manual.camera.capture, region.of, level)
+            shots = [manual.camera.capture(metered.exposure_s) for _ in range(FLAT_FRAMES)]
+            manual.lamp(False)
+            darks = [manual.camera.capture(metered.exposure_s) for _ in range(DARK_FRAMES)]
             for shot in shots:
                 _require(description, shot, np.asarray(region.of(shot.mosaic), float))
             dark, lit = (np.mean([_linear(description, f, f.mosaic) for f in some], axis=0) for some in (darks, shots))
-            mean = _without_stray_light(description, lit - dark, bench.band.channel)
+            mean = _without_stray_light(description, lit - dark, manual.band.channel)
             t = shots[0].exposure_s
             noise = _noise(description, np.maximum(mean, 0.0), t) / math.sqrt(FLAT_FRAMES)
             noise = np.hypot(noise, _noise(description, np.zeros_like(mean), t) / math.sqrt(DARK_FRAMES))
             tables.append(beam.blocks(description, landed, mean / t, noise / t, number))
-            told(number, len(poses))
+            progress(number, len(poses))
     finally:
-        bench.light.off()
+        manual.light.off()
         if tables:
             keep(pd.concat(tables, ignore_index=True))
 
@@ -226,22 +226,22 @@ def _poses(description: RigDescription) -> list[Pose]:
 class _Steps:
     """Steps of a series: a simulated rig sets its clock and its random numbers by them."""
 
-    def __init__(self, bench: ManualRig) -> None:
-        self._bench, self._number = bench, 0
+    def __init__(self, manual: ManualRig) -> None:
+        self._manual, self._number = manual, 0
 
     def next(self, pose: Pose) -> Pose:
         """Begin another step at a pose; where the axes stand then."""
         if self._number >= MOST_STEPS:
             raise DeviceError("the rig's clock does not go on: see its driver's time_s()")
-        self._bench.begin(Step(self._number, "reference", pose=pose))
+        self._manual.begin(Step(self._number, "reference", pose=pose))
         self._number += 1
-        names = self._bench.description.axes()
-        self._bench.move(**{name: getattr(pose, name) for name in names})
-        return self._bench.arms.read()
+        names = self._manual.description.axes()
+        self._manual.move(**{name: getattr(pose, name) for name in names})
+        return self._manual.arms.read()
 
 
-def _monitor(bench: ManualRig) -> float | None:
-    read = getattr(bench.light, "monitor", lambda: None)()
+def _monitor(manual: ManualRig) -> float | None:
+    read = getattr(manual.light, "monitor", lambda: None)()
     return None if read is None else float(read)
 
 

@@ -40,8 +40,8 @@ def solve(values: npt.NDArray[np.integer], log_exposures: Floats, smoothness: fl
     squared = hat(np.linspace(0.0, 1.0, VALUES)) ** 2
     weights = squared[values]
     of_pixel = weights.sum(axis=1)
-    told = of_pixel > 0
-    values, weights, of_pixel = values[told], weights[told], of_pixel[told]
+    seen = of_pixel > 0
+    values, weights, of_pixel = values[seen], weights[seen], of_pixel[seen]
     pixels = np.repeat(np.arange(len(values)), values.shape[1])
     shares = np.zeros((len(values), VALUES))
     np.add.at(shares, (pixels, values.ravel()), weights.ravel())
@@ -50,10 +50,10 @@ def solve(values: npt.NDArray[np.integer], log_exposures: Floats, smoothness: fl
     right -= shares.T @ ((weights @ log_exposures) / of_pixel)
     normal = np.diag(shares.sum(axis=0)) - shares.T @ (shares / of_pixel[:, None])
     normal[VALUES // 2, VALUES // 2] += 1.0
-    bend = np.zeros((VALUES - 2, VALUES))
+    curvature = np.zeros((VALUES - 2, VALUES))
     k = np.arange(VALUES - 2)
-    bend[k, k], bend[k, k + 1], bend[k, k + 2] = 1.0, -2.0, 1.0
-    normal += smoothness**2 * bend.T @ (squared[1:-1, None] * bend)
+    curvature[k, k], curvature[k, k + 1], curvature[k, k + 2] = 1.0, -2.0, 1.0
+    normal += smoothness**2 * curvature.T @ (squared[1:-1, None] * curvature)
     return np.asarray(np.linalg.pinv(normal, rcond=1e-14, hermitian=True) @ right)
 
 

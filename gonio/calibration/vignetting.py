@@ -1,4 +1,4 @@
-"""The lens's vignetting, told from the beam's profile: the white reference seen from several directions.
+"""The lens's vignetting, determined from the beam's profile: the white reference seen from several directions.
 
 Vignetting stays with the pixels, beam and reference stay with the sample. Seen more obliquely, the same spots fall on
 other pixels. So ln(signal / known geometry) = level of the direction + ln(1 - v rho^4) + polynomial in x and y.

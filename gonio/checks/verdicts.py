@@ -14,7 +14,7 @@ from gonio.checks.values import CheckedValues
 from gonio.documents import JsonObject
 from gonio.shown import with_u
 
-Verdict = Literal["ok", "look", "bad", "not told"]
+Verdict = Literal["ok", "look", "bad", "undetermined"]
 
 TWICE = 4.0
 """Chi-square a pair beyond which differences are twice what uncertainties say: an interval of k = 2 then covers what
@@ -56,7 +56,10 @@ class Check:
     def from_json(cls, values: Any) -> Check | None:
         """Inverse of `to_json`; None for anything else, which a file may hold under the same name."""
         names = {one.name for one in fields(cls)}
-        return cls(**values) if isinstance(values, dict) and values.keys() == names else None
+        if not isinstance(values, dict) or values.keys() != names:
+            return None
+        old = values["verdict"] == "not told"  # the word of version 0.1
+        return cls(**values | ({"verdict": "undetermined"} if old else {}))
 
     def to_json(self) -> JsonObject:
         """As it stands in the attributes of a table."""
@@ -122,7 +125,7 @@ def of_values(data: CheckedValues) -> list[Check]:
 def of_pairs(name: str, pairs: Pairs | None, advice: str) -> Check:
     """Whether pairs of values are as much alike as their covariance says."""
     if pairs is None:
-        return Check(name, "not told", None, f"fewer than {FEWEST} such pairs were measured", "", advice)
+        return Check(name, "undetermined", None, f"fewer than {FEWEST} such pairs were measured", "", advice)
     figure = f"{pairs.pairs} pairs differ typically by {_factor(pairs.typical)}, at most by {_factor(pairs.largest)}"
     if pairs.reduced_chi_square is None:
         value = pairs.typical
@@ -158,7 +161,7 @@ def of_energy(found: Sequence[Hemispherical]) -> Check:
     if not known:
         why = Counter(one.why for one in found).most_common(1)
         return Check(
-            name, "not told", None, f"no hemisphere: {why[0][0]}" if why else "no values", "",
+            name, "undetermined", None, f"no hemisphere: {why[0][0]}" if why else "no values", "",
             "measure one incidence over the hemisphere (theta_r 0 to 80, dphi 0 to 180 degrees)",
         )  # fmt: skip
     above, worst = max(known, key=lambda one: one[0])
@@ -179,7 +182,7 @@ def _reference(visits: VisitsOfBand) -> Check:
     lost = f"; {len(visits.lost)} visits cannot be used ({_counted(visits.lost)})" if visits.lost else ""
     if visits.unknown:
         advice = "visit the white reference at the start, at the end and between (reference.every)"
-        return Check(name, "not told", None, visits.unknown + lost, "", advice)
+        return Check(name, "undetermined", None, visits.unknown + lost, "", advice)
     swing = visits.peak_to_peak
     figure = (
         f"{visits.used} visits, {_percent(swing)} from lowest to highest, drift "
@@ -194,7 +197,9 @@ def _reference(visits: VisitsOfBand) -> Check:
 def _scatter(taken: Taken) -> Check:
     name = "repeatability"
     if not taken.freedom:
-        return Check(name, "not told", None, "no step has several frames", "", "take acquisition.frames = 2 or more")
+        return Check(
+            name, "undetermined", None, "no step has several frames", "", "take acquisition.frames = 2 or more"
+        )
     limit = max(SCATTER, 1.0 + 3.0 * math.sqrt(2.0 / taken.freedom))
     verdict: Verdict = "bad" if taken.scatter > max(TWICE, limit) else "look" if taken.scatter > limit else "ok"
     figure = f"frames of one step scatter {math.sqrt(taken.scatter):.2g} times as much as the noise model says"

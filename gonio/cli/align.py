@@ -82,9 +82,9 @@ def align(
         description = find_rig(rig).description
         table = _joined([alignment.read(path) for path in again])
     else:
-        bench = manual_rig_of(rig, "arms", "light", "camera", seed=seed)
-        description = bench.description
-        scans = Scans(bench, search_deg=search, say=console.note)
+        manual = manual_rig_of(rig, "arms", "light", "camera", seed=seed)
+        description = manual.description
+        scans = Scans(manual, search_deg=search, say=console.note)
         straight = only != "mirror"
         if straight and not scans.facing():
             if only == "straight":
@@ -92,16 +92,16 @@ def align(
             console.note(f"{rig}: {scans.why_not_facing()}. The mirror scan is made alone")
             straight = False
         try:
-            with _told_where(bench), bench:
+            with _told_where(manual), manual:
                 if only != "straight":
-                    _put(bench, "mirror", yes=yes)
+                    _put(manual, "mirror", yes=yes)
                     scans.mirror()
                 if straight:
-                    _dark(bench)
-                    _put(bench, "empty", yes=yes)
+                    _dark(manual)
+                    _put(manual, "empty", yes=yes)
                     scans.straight_through()
-                _dark(bench)
-                _put(bench, "sample", yes=True)  # nobody has to press a key for it
+                _dark(manual)
+                _put(manual, "sample", yes=True)  # nobody has to press a key for it
         finally:
             if len(scans.table):
                 alignment.write(scans.table, scans_file)
@@ -138,17 +138,17 @@ def _joined(tables: list[pd.DataFrame]) -> pd.DataFrame:
     return pd.concat(tables, ignore_index=True)
 
 
-def _dark(bench: ManualRig) -> None:
+def _dark(manual: ManualRig) -> None:
     """Hands are in the beam now."""
-    bench.lamp(False)
+    manual.lamp(False)
 
 
-def _put(bench: ManualRig, what: str, *, yes: bool) -> None:
+def _put(manual: ManualRig, what: str, *, yes: bool) -> None:
     """Have the holder hold what a scan needs: by the rig itself, or by the person, who confirms it."""
     from gonio.cli import console
     from gonio.errors import DeviceError
 
-    if hasattr(bench, "put") and bench.put(what):
+    if hasattr(manual, "put") and manual.put(what):
         return
     if yes:
         console.note(f"{PROMPTS[what]} (--yes: taken as done)")

@@ -47,24 +47,24 @@ def live(
         raise ConfigError(f"{out}: is there already; name another file with --out")
     if out.suffix != ".toml" or not out.absolute().parent.is_dir():
         raise ConfigError(f"--out {out}: must end with .toml, and lie in a folder that is there")
-    bench = manual_rig_of(rig, "arms", "light", "camera", sample=sample, seed=seed)
+    manual = manual_rig_of(rig, "arms", "light", "camera", sample=sample, seed=seed)
     if wavelength is not None:
-        bench.choose_band(wavelength)
-    page, terminal = AlignmentPage(), Terminal(list(bench.description.axes()))
-    assistant = Assistant(bench, tell=page.tell, say=terminal.say, rig_file=file, out=out, keep_s=keep_s)
+        manual.choose_band(wavelength)
+    page, terminal = AlignmentPage(), Terminal(list(manual.description.axes()))
+    assistant = Assistant(manual, tell=page.tell, say=terminal.say, rig_file=file, out=out, keep_s=keep_s)
     with Server(page.routes, page.events, host, port) as server:
         print(server.address, flush=True)
         try:
-            with _told_where(bench), bench, terminal.listening(assistant):
-                if bench.can_hold:
-                    bench.hold()
+            with _told_where(manual), manual, terminal.listening(assistant):
+                if manual.can_hold:
+                    manual.hold()
                 terminal.say("lamp on lights the lamp; help lists what else there is")
                 assistant.run()
         finally:
-            page.end(dark=bool(getattr(bench.light, "known_dark", not assistant.timer.left_s)))
+            page.end(dark=bool(getattr(manual.light, "known_dark", not assistant.timer.left_s)))
             if page.seen:
                 time.sleep(END_S)
-    holds = bench.can_hold and not bench.repeatable
+    holds = manual.can_hold and not manual.repeatable
     console.note("the lamp is dark" + ("; the axes hold, until gonio rig park" if holds else ""))
 
 

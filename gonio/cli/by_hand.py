@@ -61,22 +61,22 @@ def move(
     from gonio.cli import console
 
     wanted = _angles(goals)
-    bench = manual_rig_of(rig, "arms")
-    bench.goals(**wanted)  # whatever is wrong with them is said before anything is opened
-    if bench.repeatable:
+    manual = manual_rig_of(rig, "arms")
+    manual.goals(**wanted)  # whatever is wrong with them is said before anything is opened
+    if manual.repeatable:
         console.note("a simulated rig exists for the length of one command, and starts parked")
-    with _told_where(bench), bench:
-        if bench.can_hold:
-            bench.hold()
-        moved = bench.move(**wanted)
+    with _told_where(manual), manual:
+        if manual.can_hold:
+            manual.hold()
+        moved = manual.move(**wanted)
     if moved.branch:
         print(moved.branch)
     for name, angle in moved.landed.items():
         asked = round(math.degrees(moved.asked[name]), 6) + 0.0
         console.show(f"{name} {math.degrees(angle):.3f} deg (asked for {asked:g})")
-    if bench.repeatable:
+    if manual.repeatable:
         return
-    if bench.can_hold:
+    if manual.can_hold:
         console.note("the axes hold with torque on; gonio rig park ends that")
     else:
         console.note("this rig's driver cannot hold: its arms have parked again")
@@ -92,9 +92,9 @@ def park(rig: RigOption) -> None:
     done, failures = [], []
     for device, text in (("light", "lamp dark"), ("arms", "arms parked")):
         try:
-            bench = manual_rig_of(rig, device)  # type: ignore[arg-type]
-            with _told_where(bench, device):
-                _leave_in_order(bench, device)
+            manual = manual_rig_of(rig, device)  # type: ignore[arg-type]
+            with _told_where(manual, device):
+                _leave_in_order(manual, device)
             done.append(text)
         except DeviceError as failure:
             failures.append(f"{'the lamp could not be darkened' if device == 'light' else 'the arms'}: {failure}")
@@ -102,7 +102,7 @@ def park(rig: RigOption) -> None:
             if failures:
                 console.note(f"{name}: {'; '.join(failures)}")
             raise
-        if not hasattr(bench, "only"):
+        if not hasattr(manual, "only"):
             done = [] if failures else ["lamp dark", "arms parked"]
             break  # it opens everything, and was left in order
     if failures:
@@ -110,19 +110,19 @@ def park(rig: RigOption) -> None:
     console.note(f"{name}: {', '.join(done)}")
 
 
-def _leave_in_order(bench: ManualRig, device: str) -> None:
+def _leave_in_order(manual: ManualRig, device: str) -> None:
     """Entering darkens, and leaving parks; arms that are stopped on the way hold, and do not fall."""
     from gonio.errors import DeviceError, Interrupted
 
     failure: DeviceError | None = None
-    with bench:
-        if device == "arms" and bench.can_hold:
+    with manual:
+        if device == "arms" and manual.can_hold:
             try:
-                bench.arms.park()
+                manual.arms.park()
             except DeviceError as stuck:
                 failure = stuck  # what can be parked is; leaving says the same where it fails again
             except (KeyboardInterrupt, Interrupted):
-                bench.hold()
+                manual.hold()
                 raise
     if failure is not None:
         raise failure
@@ -151,10 +151,10 @@ def dark(rig: RigOption) -> None:
     """Darken the lamp; needs nothing else."""
     from gonio.cli import console
 
-    bench = manual_rig_of(rig, "light")
-    with _told_dark(bench), bench:
-        bench.lamp(False)
-    console.note(f"{bench.description.name}: lamp dark" + ("" if hasattr(bench, "only") else ", arms parked"))
+    manual = manual_rig_of(rig, "light")
+    with _told_dark(manual), manual:
+        manual.lamp(False)
+    console.note(f"{manual.description.name}: lamp dark" + ("" if hasattr(manual, "only") else ", arms parked"))
 
 
 @app.command()
@@ -180,20 +180,20 @@ def lamp(
         return dark(rig)
     if not math.isfinite(seconds):
         raise ConfigError(f"--for {seconds:g}: must be a number of seconds")
-    bench = manual_rig_of(rig, "light")
-    if hasattr(bench.light, "limit_s"):
-        bench.light.limit_s = seconds + OVERDUE_S
-    with _told_dark(bench):
-        with bench:
+    manual = manual_rig_of(rig, "light")
+    if hasattr(manual.light, "limit_s"):
+        manual.light.limit_s = seconds + OVERDUE_S
+    with _told_dark(manual):
+        with manual:
             end = time.monotonic() + seconds
-            bench.lamp(wanted, wavelength_nm=wavelength)
+            manual.lamp(wanted, wavelength_nm=wavelength)
             at = "" if wanted is True else f" at level {wanted:g}"
-            console.note(f"lamp lit{at}, band {bench.band.name}; dark in {seconds:g} s, or on Ctrl-C")
-            _count_down(bench, end)
-        console.note(f"{bench.description.name}: lamp dark")
+            console.note(f"lamp lit{at}, band {manual.band.name}; dark in {seconds:g} s, or on Ctrl-C")
+            _count_down(manual, end)
+        console.note(f"{manual.description.name}: lamp dark")
 
 
-def _count_down(bench: ManualRig, end: float) -> None:
+def _count_down(manual: ManualRig, end: float) -> None:
     """Wait for the end, and look at the lamp meanwhile, where its driver can."""
     from gonio.acquisition.suspending import wait
     from gonio.cli import console
@@ -203,10 +203,10 @@ def _count_down(bench: ManualRig, end: float) -> None:
     while (left := end - time.monotonic()) > 0:
         if terminal:
             print(f"\r{left:4.0f} s until dark ", end="", file=sys.stderr, flush=True)
-        wait(bench, min(left, LOOK_S))
-        if hasattr(bench.light, "check") and time.monotonic() < end:
+        wait(manual, min(left, LOOK_S))
+        if hasattr(manual.light, "check") and time.monotonic() < end:
             try:
-                bench.light.check()
+                manual.light.check()
             except Disturbed as reset:
                 console.note(str(reset))  # it was not as it should be, and is again
     if terminal:
@@ -227,14 +227,14 @@ def read(
     from gonio.cli import console
     from gonio.errors import DeviceError
 
-    bench = manual_rig_of(rig)
-    if not hasattr(bench, "survey"):
+    manual = manual_rig_of(rig)
+    if not hasattr(manual, "survey"):
         console.note("this rig's driver has no `survey`: it is opened for this, and parks when it is left")
-    health = bench.read()
+    health = manual.read()
     if as_json:
-        print(json.dumps(_record(bench.description.name, health), indent=2))
+        print(json.dumps(_record(manual.description.name, health), indent=2))
     else:
-        table = console.table("device", "says", "", title=bench.description.name)
+        table = console.table("device", "says", "", title=manual.description.name)
         for device in dict.fromkeys(reading.device for reading in health.readings):
             mine = [reading for reading in health.readings if reading.device == device]
             words = ("error", "settings")
@@ -245,7 +245,7 @@ def read(
             table.add_row(device, why, Text("SILENT", style="bold red"))
         console.show(table)
     if health.silent:
-        raise DeviceError(f"{bench.description.name}: nothing could be read of {', '.join(health.silent)}")
+        raise DeviceError(f"{manual.description.name}: nothing could be read of {', '.join(health.silent)}")
 
 
 def _said(quantity: str, value: float | str, unit: str) -> str:
@@ -291,16 +291,16 @@ def snap(
         raise ConfigError("--wavelength-nm chooses the band of the lamp, which stays as it is: give --lamp as well")
     require_free(file)
     devices: tuple[Device, ...] = ("camera", "light") if lit else ("camera",)
-    bench = manual_rig_of(rig, *devices, sample=sample)
-    with _told_dark(bench) if lit else contextlib.nullcontext(), bench:
-        if bench.can_hold:
-            bench.hold()
+    manual = manual_rig_of(rig, *devices, sample=sample)
+    with _told_dark(manual) if lit else contextlib.nullcontext(), manual:
+        if manual.can_hold:
+            manual.hold()
         if lit:
-            bench.lamp(True, wavelength_nm=wavelength)
-        shot = bench.snap(file, exposure_s=exposure)
+            manual.lamp(True, wavelength_nm=wavelength)
+        shot = manual.snap(file, exposure_s=exposure)
     numbers = shot.numbers()
     if as_json:
-        print(json.dumps({"rig": bench.description.name, "files": [str(f) for f in shot.files]} | numbers, indent=2))
+        print(json.dumps({"rig": manual.description.name, "files": [str(f) for f in shot.files]} | numbers, indent=2))
     else:
         console.show(*(f"{name} {value:.6g}" for name, value in numbers.items()))
         console.show(*(str(name) for name in shot.files))
@@ -354,33 +354,33 @@ def scan(
     others = _angles(at or [])
     if axis in others:
         raise ConfigError(f"--at {axis}=...: this axis is scanned; --at is for the other ones")
-    bench = manual_rig_of(rig, "arms", "light", "camera", sample=sample, seed=seed)
+    manual = manual_rig_of(rig, "arms", "light", "camera", sample=sample, seed=seed)
     for angle in angles:
-        bench.check({axis: angle})
+        manual.check({axis: angle})
     if others:
-        bench.goals(**others)
+        manual.goals(**others)
     if wavelength is not None:
-        bench.choose_band(wavelength)
+        manual.choose_band(wavelength)
     taken: list[pd.DataFrame] = []
     try:
-        with _told_where(bench), bench, _progress() as told:
+        with _told_where(manual), manual, _progress() as progress:
 
             def keep(table: pd.DataFrame, total: int) -> None:
                 taken[:] = [table]
-                told(len(table), total)
+                progress(len(table), total)
 
-            if bench.can_hold:
-                bench.hold()
+            if manual.can_hold:
+                manual.hold()
             if others:
-                bench.move(**others)
-            bench.scan(axis, angles, frames=frames, exposure_s=exposure, told=keep)
+                manual.move(**others)
+            manual.scan(axis, angles, frames=frames, exposure_s=exposure, progress=keep)
     finally:
         if taken:  # of a scan that was cut short, what was measured
             with undisturbed():
                 picture = write_scan(taken[0], file)
             console.note(f"{file}, {picture.name}: {len(taken[0])} of {len(angles)} angles")
     _show_scan(taken[0], axis)
-    holds = bench.can_hold and not bench.repeatable
+    holds = manual.can_hold and not manual.repeatable
     console.note("the lamp is dark" + ("; the axes hold, until gonio rig park" if holds else ""))
 
 
@@ -390,8 +390,8 @@ def _progress() -> Iterator[Callable[[int, int], None]]:
     from gonio.cli.pace import Pace
 
     if sys.stderr.isatty():
-        with console.counter("scanning") as told:
-            yield told
+        with console.counter("scanning") as progress:
+            yield progress
         return
     pace: list[Pace] = []
 
@@ -461,44 +461,44 @@ def _angles(texts: list[str]) -> dict[str, float]:
 
 
 @contextlib.contextmanager
-def _told_dark(bench: ManualRig) -> Iterator[None]:
+def _told_dark(manual: ManualRig) -> Iterator[None]:
     """A command that lights nothing for longer: a lamp that could not be darkened has raised an error of its own."""
     from gonio.errors import Interrupted
 
     try:
         yield
     except (KeyboardInterrupt, Interrupted):
-        dark = getattr(bench.light, "known_dark", True)
+        dark = getattr(manual.light, "known_dark", True)
         now = "the lamp is dark" if dark else "whether the lamp is dark is not known: look at it"
         raise Interrupted(f"interrupted; {now}") from None
 
 
 @contextlib.contextmanager
-def _told_where(bench: ManualRig, device: str = "arms") -> Iterator[None]:
+def _told_where(manual: ManualRig, device: str = "arms") -> Iterator[None]:
     """Whatever ends a motion early: say where every axis stands now, and whether it holds."""
     from gonio.cli import console
     from gonio.errors import DeviceError, Interrupted
 
     if device != "arms":
-        with _told_dark(bench):
+        with _told_dark(manual):
             yield
         return
     try:
         yield
     except (KeyboardInterrupt, Interrupted):
-        raise Interrupted(f"interrupted; {_where(bench)}") from None
+        raise Interrupted(f"interrupted; {_where(manual)}") from None
     except DeviceError:
-        if bench.entered:
-            console.note(_where(bench))
+        if manual.entered:
+            console.note(_where(manual))
         raise
 
 
-def _where(bench: ManualRig) -> str:
+def _where(manual: ManualRig) -> str:
     from gonio.rig.whereabouts import axes_stand
 
-    if bench.entered and hasattr(bench, "left"):
-        said: str = bench.left()
+    if manual.entered and hasattr(manual, "left"):
+        said: str = manual.left()
         return said
-    if not hasattr(bench, "survey"):
+    if not hasattr(manual, "survey"):
         return "where the axes stand is not known: look at them"
-    return axes_stand(bench.read_arms, bench.description.axes())
+    return axes_stand(manual.read_arms, manual.description.axes())

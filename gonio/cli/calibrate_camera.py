@@ -127,24 +127,24 @@ def _take(
     from gonio.calibration.camera_scan import Scan
     from gonio.cli import console
 
-    bench = manual_rig_of(rig, "arms", "light", "camera", seed=seed, without="camera")
+    manual = manual_rig_of(rig, "arms", "light", "camera", seed=seed, without="camera")
     if wavelength is not None:
-        bench.choose_band(wavelength)
+        manual.choose_band(wavelength)
     folder.mkdir()
     counter = partial(console.counter, lines=True)
-    scan = Scan(bench, folder, pairs=pairs, say=console.note, counter=counter)
+    scan = Scan(manual, folder, pairs=pairs, say=console.note, counter=counter)
     try:
-        with _told_where(bench), bench:
-            _put(bench, "reference", yes=yes)
+        with _told_where(manual), manual:
+            _put(manual, "reference", yes=yes)
             scan.go()
             scan.darks()
             scan.flats()
             scan.field()
             for kind in ("trap", "edge"):
                 if kind in kinds:
-                    _put(bench, kind, yes=yes)
+                    _put(manual, kind, yes=yes)
                     scan.stray(kind)
-            _put(bench, "sample", yes=True)  # nobody has to press a key for it
+            _put(manual, "sample", yes=True)  # nobody has to press a key for it
     finally:
         scan.keep()
         console.note(f"{folder}: {len(scan.frames)} frames")
@@ -152,17 +152,17 @@ def _take(
     return scan.frames
 
 
-def _put(bench: ManualRig, what: str, *, yes: bool) -> None:
+def _put(manual: ManualRig, what: str, *, yes: bool) -> None:
     """Have the holder hold what is needed, with the lamp dark: by the rig itself, or by the person, who confirms it."""
     from gonio.cli import console
     from gonio.errors import DeviceError
 
-    bench.lamp(False)
-    if bench.description.reference.how == "axis":  # the rig itself turns the white reference into the beam
-        bench.present("reference" if what in ("reference", "edge") else "sample")
-    if hasattr(bench, "put") and bench.put(what):
+    manual.lamp(False)
+    if manual.description.reference.how == "axis":  # the rig itself turns the white reference into the beam
+        manual.present("reference" if what in ("reference", "edge") else "sample")
+    if hasattr(manual, "put") and manual.put(what):
         return
-    if what == "reference" and bench.description.reference.how == "axis":
+    if what == "reference" and manual.description.reference.how == "axis":
         return
     if yes:
         console.note(f"{PROMPTS[what]} (--yes: taken as done)")

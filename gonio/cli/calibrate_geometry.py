@@ -216,8 +216,8 @@ def _measured(
         raise ConfigError(f"{folder}: is there already; fit it with --scans {folder}, or name another --out")
     devices: tuple[Device, ...] = ("arms", "light", "camera")
     rig = choice.open(seed=seed, confirm=False, by_hand=True)
-    bench = ManualRig(rig, choice.source, devices)
-    scans = GeometryScans(bench, search_deg=search, say=console.note, keep=lambda s, f: kept.keep(s, f))
+    manual = ManualRig(rig, choice.source, devices)
+    scans = GeometryScans(manual, search_deg=search, say=console.note, keep=lambda s, f: kept.keep(s, f))
     wanted = holders or list(HOLDERS)
     if "empty" in wanted and not scans.facing():
         if holders is not None and wanted == ["empty"]:
@@ -225,20 +225,20 @@ def _measured(
         console.note(f"{choice.source}: {scans.why_not_facing()}. There are no straight-through frames")
         wanted.remove("empty")
     kept, contradiction = Kept(folder), ""
-    with _told_where(bench), bench:
+    with _told_where(manual), manual:
         if "mirror" in wanted:
-            _put(bench, "mirror", yes=yes)
-            if contradiction := camera_check.contradictions(bench):
+            _put(manual, "mirror", yes=yes)
+            if contradiction := camera_check.contradictions(manual):
                 console.note(f"WARNING: {contradiction}")
             scans.mirror_frames(round(share * poses.MIRROR_POSES))
-            if bench.description.holder.fiducials is not None:
+            if manual.description.holder.fiducials is not None:
                 scans.marker_frames(round(share * poses.MARKER_POSES))
         sums, across = scans.where
         if "empty" in wanted:
-            _dark(bench)
-            _put(bench, "empty", yes=yes)
+            _dark(manual)
+            _put(manual, "empty", yes=yes)
             scans.straight_frames(round(share * poses.STRAIGHT_POSES))
-        _dark(bench)
+        _dark(manual)
     if "mirror" in wanted and any(a.backlash_deg for a in choice.description.axes().values()):
         straight = replace(choice, description=reversed_approach(choice.description))
         again = ManualRig(straight.open(seed=seed, confirm=False, by_hand=True), choice.source, devices)

@@ -77,15 +77,15 @@ def light(
     # what was measured before of the light is not to be taken out of what is measured now
     description = choice_of(rig, without="light").description
     if not any(given):
-        bench = manual_rig_of(rig, "arms", "light", "camera", seed=seed, without="light")
+        manual = manual_rig_of(rig, "arms", "light", "camera", seed=seed, without="light")
         if wavelength is not None:
-            bench.choose_band(wavelength)
-        _put_white(bench, yes=yes)
-        with _told_where(bench), bench:
+            manual.choose_band(wavelength)
+        _put_white(manual, yes=yes)
+        with _told_where(manual), manual:
             if only != "beam":
-                series = _take_series(bench, out, 60.0 * minutes, every)
+                series = _take_series(manual, out, 60.0 * minutes, every)
             if only != "lamp":
-                flats = _take_flats(bench, out)
+                flats = _take_flats(manual, out)
                 found.notes += _of_the_camera(description)
         console.note("lamp dark, arms parked")
     if series is not None:
@@ -284,25 +284,25 @@ def _polarisation(lamp: Path | None, camera: Path | None, found: _Found) -> None
             found.notes.append(f"the polarisation of the {table} is not corrected for: it is in the budget")
 
 
-def _take_series(bench: ManualRig, out: Path, duration_s: float, every_s: float) -> Path:
+def _take_series(manual: ManualRig, out: Path, duration_s: float, every_s: float) -> Path:
     from gonio.calibration import lamp_scan
     from gonio.cli import console
 
     file = _free(out, "series", ".csv")
     console.note(f"watching the lamp for {duration_s / 60:g} minutes from when it is lit; it should be cold now")
-    with console.counter("watching the lamp: seconds", lines=True) as told:
-        lamp_scan.take_series(bench, duration_s, every_s, keep=lambda table: _keep(table, file), told=told)
+    with console.counter("watching the lamp: seconds", lines=True) as progress:
+        lamp_scan.take_series(manual, duration_s, every_s, keep=lambda table: _keep(table, file), progress=progress)
     return file
 
 
-def _take_flats(bench: ManualRig, out: Path) -> Path:
+def _take_flats(manual: ManualRig, out: Path) -> Path:
     from gonio.calibration import lamp_scan
     from gonio.cli import console
 
     file = _free(out, "flats", ".csv")
     console.note("flats of the white at several camera angles")
-    with console.counter("flats", lines=True) as told:
-        lamp_scan.take_flats(bench, keep=lambda table: _keep(table, file), told=told)
+    with console.counter("flats", lines=True) as progress:
+        lamp_scan.take_flats(manual, keep=lambda table: _keep(table, file), progress=progress)
     return file
 
 
@@ -353,12 +353,12 @@ def _free(out: Path, what: str, suffix: str) -> Path:
     return name
 
 
-def _put_white(bench: ManualRig, *, yes: bool) -> None:
+def _put_white(manual: ManualRig, *, yes: bool) -> None:
 
     from gonio.cli import console
     from gonio.errors import DeviceError
 
-    if bench.repeatable or bench.description.reference.how in ("axis", "beside"):
+    if manual.repeatable or manual.description.reference.how in ("axis", "beside"):
         return
     prompt = "Put the white reference into the holder; the lamp should have been dark for long"
     if yes:

@@ -22,7 +22,7 @@ LINES = 20
 """At most about so many lines of progress where there is no terminal."""
 UNSURE = 0.02
 """An uncertainty of a time below this share of it is not said."""
-UNTOLD_S = 3.0
+SILENT_S = 3.0
 """Work that is done sooner writes none of them."""
 
 
@@ -153,7 +153,7 @@ def _counted(what: str) -> Callable[[int, int], None]:
     def line(done: int, total: int) -> None:
         elapsed = time.monotonic() - began
         part = done / total
-        if elapsed < UNTOLD_S or done >= total or not done or part - told[0] < 1.0 / LINES:
+        if elapsed < SILENT_S or done >= total or not done or part - told[0] < 1.0 / LINES:
             return
         told[0] = part
         note(f"{what}: {done} of {total}, about {duration(elapsed / part - elapsed)} left")

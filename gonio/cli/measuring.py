@@ -112,19 +112,19 @@ def reduce(
 def _checks(found: Iterable[Mapping[str, Any]]) -> list[str]:
     """Checks as lines: those that are fine by name, the others with their figure, over all bands the worst."""
     worst: dict[str, Mapping[str, Any]] = {}
-    order = ("ok", "not told", "look", "bad")
+    order = ("ok", "undetermined", "look", "bad")
     for check in found:
         other = worst.get(check["name"])
         if other is None or order.index(check["verdict"]) > order.index(other["verdict"]):
             worst[check["name"]] = check
     fine = [name for name, check in worst.items() if check["verdict"] == "ok"]
-    undetermined = [name for name, check in worst.items() if check["verdict"] == "not told"]
+    undetermined = [name for name, check in worst.items() if check["verdict"] == "undetermined"]
     out = [f"checks: {', '.join(fine)}: ok"] if fine else []
     for name, check in worst.items():
         if check["verdict"] in ("look", "bad"):
             where = f" ({check['band']})" if check["band"] else ""
             out.append(f"check {check['verdict']}: {name}{where}: {check['figure']}")
-    return [*out, f"not told by this plan: {', '.join(undetermined)}"] if undetermined else out
+    return [*out, f"not determined by this plan: {', '.join(undetermined)}"] if undetermined else out
 
 
 def _flags(column: Iterable[str]) -> str:

@@ -54,8 +54,8 @@ def repair_run(run: Folder) -> None:
     if done.undetermined:
         console.note(
             f"{len(done.undetermined)} frames do not say enough of themselves: a step counts where its last frame "
-            "holds the step's record and all its frames are whole. Pose and exposures of the others cannot be told; "
-            "they stay where they are, and their steps will be taken again:"
+            "holds the step's record and all its frames are whole. Pose and exposures of the others cannot be "
+            "determined; they stay where they are, and their steps will be taken again:"
         )
         for line in some(done.undetermined):
             console.note(f"  frames/{line}")

@@ -158,8 +158,8 @@ class AnisotropicFacets(Model):
         )
 
     @classmethod
-    def not_told_by(cls, directions: Directions) -> str:
-        """See `Model.not_told_by`."""
+    def undetermined_by(cls, directions: Directions) -> str:
+        """See `Model.undetermined_by`."""
         tilted = directions.theta_i > math.radians(SAME_AZIMUTH_DEG)
         half_turns = np.exp(2j * directions.phi_i[tilted])  # azimuths half a turn apart are the same
         if np.any(np.abs(np.angle(half_turns / half_turns[:1])) > 2.0 * math.radians(SAME_AZIMUTH_DEG)):

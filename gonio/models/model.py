@@ -101,7 +101,7 @@ class Model(ABC):
         return plain(cls.name, cls.fitted, cls.needs_wavelength)
 
     @classmethod
-    def not_told_by(cls, directions: Directions) -> str:
+    def undetermined_by(cls, directions: Directions) -> str:
         """Why it cannot be told from other models in these directions; "" where it can."""
         return ""
 

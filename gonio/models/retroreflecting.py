@@ -124,8 +124,8 @@ class Retroreflecting(Model):
         )
 
     @classmethod
-    def not_told_by(cls, directions: Directions) -> str:
-        """See `Model.not_told_by`."""
+    def undetermined_by(cls, directions: Directions) -> str:
+        """See `Model.undetermined_by`."""
         omega_i, omega_r = directions.vectors
         squares = np.sum((omega_i - omega_r) ** 2, axis=-1)
         if np.any(squares < (2.0 * math.sin(math.radians(NEAR_RETRO_DEG) / 2.0)) ** 2):

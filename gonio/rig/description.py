@@ -391,7 +391,7 @@ class RigDescription(Strict):
     laboratory: Laboratory | None = None
     """Whose rig it is; a run has it under its own name, with what the plan says."""
     truth: str | None = None
-    """Simulation: a file of rig keys, beside the rig file, that says what is true of the bench and that nobody knows
+    """Simulation: a file of rig keys, beside the rig file, that says what is true of the rig and that nobody knows
     who measures there. The simulated devices read it; nothing that plans, measures or reduces does."""
 
     def axes(self) -> dict[str, Axis]:

@@ -191,10 +191,10 @@ def require_parking(description: RigDescription, park_deg: Mapping[str, float], 
 
 def touching(description: RigDescription, pose: Pose) -> list[tuple[str, str]]:
     """The pairs of bodies that are in each other, without any clearance; of a torn cable its two ends."""
-    return [names for names, gap in gaps(description, [pose])[0].items() if gap < 0.0]
+    return [names for names, gap in clearances(description, [pose])[0].items() if gap < 0.0]
 
 
-def gaps(description: RigDescription, poses: Sequence[Pose]) -> list[dict[tuple[str, str], float]]:
+def clearances(description: RigDescription, poses: Sequence[Pose]) -> list[dict[tuple[str, str], float]]:
     """How far every two bodies are apart at each pose [mm]; of a cable how much longer it is than its ends are apart.
 
     Bodies that are in each other have a gap below 0 where one of them has a radius, and -`SKIN_MM` where neither has.

@@ -52,8 +52,8 @@ class _Slopes:
     def moved(self, step: Floats) -> Floats:
         """The BRDF [1/sr] at places (n, 2) [px] beside the middles."""
         x, y = step.T
-        bend = 0.5 * (self.hessian[:, 0] * x**2 + self.hessian[:, 1] * y**2) + self.hessian[:, 2] * x * y
-        return np.asarray(2.0 * self.small * np.sinh(self.level + (self.gradient * step).sum(axis=1) + bend))
+        curvature = 0.5 * (self.hessian[:, 0] * x**2 + self.hessian[:, 1] * y**2) + self.hessian[:, 2] * x * y
+        return np.asarray(2.0 * self.small * np.sinh(self.level + (self.gradient * step).sum(axis=1) + curvature))
 
 
 def _slopes(squares: _Squares, used: Mask, normal: Floats, across: Floats) -> _Slopes:

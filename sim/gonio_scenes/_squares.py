@@ -102,17 +102,17 @@ class _Squares:
         """By how much the mean lies above the value in the middle, from second differences."""
         self.per_value = per_value - self._bent(per_value, moments)
         """BRDF [1/sr] of a picture whose pixels all have the value 1."""
-        doubt = self._bent(self.mean, (np.full_like(xx, 1 / 12), np.full_like(yy, 1 / 12), np.zeros_like(xy)))
+        u_curvature = self._bent(self.mean, (np.full_like(xx, 1 / 12), np.full_like(yy, 1 / 12), np.zeros_like(xy)))
         self.around = self._of_others()
         """Mean of the eight neighbours: what is expected of a square, free of its own noise. Of facets, their mean."""
         self.noise = self._noise(exposure, gain, used, cut, self.around)
         """Standard uncertainty of the mean."""
-        self.random = self._random(moments, doubt, kinked=pixels.kinked)
+        self.random = self._random(moments, u_curvature, kinked=pixels.kinked)
         """The same of `value`."""
         self.value = self.mean - self.above
         """The BRDF in the middle [1/sr]; NaN too where a neighbour has none."""
 
-    def _random(self, moments: Sequence[Floats], doubt: Floats, *, kinked: bool) -> Floats:
+    def _random(self, moments: Sequence[Floats], u_curvature: Floats, *, kinked: bool) -> Floats:
         """Standard uncertainty of `mean` less `above`, to which the square and its neighbours contribute."""
         xx, yy, _ = moments
         # in mean - above the square itself counts 1 + k + m, and its neighbours -k/2 and -m/2
@@ -122,7 +122,7 @@ class _Squares:
         if kinked:  # second differences do not say whether the kink is in the square or beside it
             beside = np.stack([self.above, *(_shifted(self.above, *step) for step in _RING)])
             unsure = np.where(np.isfinite(beside), beside**2, 0.0).max(axis=0)
-        return np.asarray(np.sqrt(weights * self.noise**2 + unsure + doubt**2))
+        return np.asarray(np.sqrt(weights * self.noise**2 + unsure + u_curvature**2))
 
     def _bent(self, grid: Floats, moments: Sequence[Floats]) -> Floats:
         """`_curved`; NaN where a neighbour lies beyond a crease, and 0 for what is flat."""

@@ -52,7 +52,7 @@ class Stream(IntEnum):
 
 
 class World:
-    """Everything that is true on the simulated bench, and known to nobody who measures there.
+    """Everything that is true of the simulated rig, and known to nobody who measures there.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ class World:
         The rig; the world suffers what it names. With `truth` in it, it suffers what that file says instead, and
         nothing is drawn from stated uncertainties. A calibration changes what is known, and not what is true.
     sample
-        What lies in the holder; None for a bench without a sample, where only the reference can be looked at.
+        What lies in the holder; None for a rig without a sample, where only the reference can be looked at.
     seed
         At least 0. The remaining errors of the zeros and of the reference, the pixels' differences and every noise
         follow from it.
@@ -201,7 +201,7 @@ class World:
 
 
 def truth_of(description: RigDescription) -> RigDescription:
-    """What is true of a simulated bench: the rig file without calibrations, and over it the file that `truth` names.
+    """What is true of a simulated rig: the rig file without calibrations, and over it the file that `truth` names.
 
     Where that is not there, and a shipped file has its name, the shipped one is meant.
     """

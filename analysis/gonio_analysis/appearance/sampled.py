@@ -134,12 +134,12 @@ def _along(curve: Curve, angle: float, gap: float, n: int) -> Sampled | None:
     gradient[curve.rows[above - 1]], gradient[curve.rows[above]] = 1.0 - share, share
     value = float((1.0 - share) * curve.brdf[above - 1] + share * curve.brdf[above])
     others = [k for k in (above - 2, above + 1) if 0 <= k < curve.angle.size and curve.angle[k] not in (low, high)]
-    bend = 0.0
+    curvature = 0.0
     for k in others:  # the parabola through a third value, less the straight line
         slope = (curve.brdf[above] - curve.brdf[above - 1]) / (high - low)
         second = ((curve.brdf[k] - curve.brdf[above]) / (curve.angle[k] - high) - slope) / (curve.angle[k] - low)
-        bend = max(bend, abs(float(second * (angle - low) * (angle - high))))
-    return Sampled(value, gradient, bend)
+        curvature = max(curvature, abs(float(second * (angle - low) * (angle - high))))
+    return Sampled(value, gradient, curvature)
 
 
 def made_of(function: Callable[..., float], *parts: Sampled, step: float | None = None) -> Sampled:

@@ -115,13 +115,13 @@ def carry(a: Observations, b: Observations, b_table: pd.DataFrame, say: Say = si
             key = tuple(p.key for p in (goal, known, holes))
             if key not in kept:
                 kept[key] = Interpolation(goal, known, holes)
-            nodes, weights, bend = kept[key].nodes, kept[key].weights, kept[key].error(b.brdf[partner])
+            nodes, weights, curvature = kept[key].nodes, kept[key].weights, kept[key].error(b.brdf[partner])
             found = nodes[:, 0] >= 0
             if not found.all():
                 reason = "outside the other's directions, or in a hole of them"
                 missing[reason] = missing.get(reason, 0) + int((~found).sum())
             rows, near, w = group[found], partner[nodes[found]], weights[found]
-            value[rows], error[rows] = (w * b.brdf[near]).sum(axis=1), bend[found]
+            value[rows], error[rows] = (w * b.brdf[near]).sum(axis=1), curvature[found]
             if b.covariance is not None:
                 random[rows] = np.sqrt((w**2 * b.covariance.random[near] ** 2).sum(axis=1))
                 common[rows] = (w[:, :, None] * b.covariance.common[near]).sum(axis=1)
@@ -291,8 +291,8 @@ class _Across:
         # the interpolant's gradient: value = sum_k w_k f_k with w_0, w_1 linear in the position
         f = values[self.nodes]
         chord = np.einsum("nij,ni->nj", self.turn, f[:, :2] - f[:, 2:])
-        bend = np.linalg.norm(slope[self.nodes] - chord[:, None], axis=2)
-        return np.asarray(0.5 * (self.weights * bend * self.step).sum(axis=1))
+        curvature = np.linalg.norm(slope[self.nodes] - chord[:, None], axis=2)
+        return np.asarray(0.5 * (self.weights * curvature * self.step).sum(axis=1))
 
 
 def _along(goal: _Places, known: _Places, holes: _Places, rows: Rows, line: Rows) -> _Along | None:

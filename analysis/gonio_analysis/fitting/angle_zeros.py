@@ -2,10 +2,10 @@
 
 A reduction takes the slopes of its columns `s_theta_i_zero` and `s_theta_r_zero` from neighbouring points. Those of a
 run that chose its points are few and far apart: where facets hide each other, toward grazing, a column can have the
-wrong sign, and a fit that many such points decide would state too small an uncertainty. Elsewhere nothing tells how
-steep a lobe is between two points, and `u_random` holds that doubt. The fitted model knows the slopes. The provenance
-of such a table names the uncertainties of the zeros (`zeros_rad`) and of the encoders' readings (`readings_rad`), and
-its column `u_angles` says what readings have added to `u_random`.
+wrong sign, and a fit that many such points decide would state too small an uncertainty. Elsewhere no value shows how
+steep a lobe is between two points, and `u_random` holds the uncertainty of that slope. The fitted model knows the
+slopes. The provenance of such a table names the uncertainties of the zeros (`zeros_rad`) and of the encoders' readings
+(`readings_rad`), and its column `u_angles` says what readings have added to `u_random`.
 """
 
 from __future__ import annotations

@@ -250,21 +250,21 @@ class _Walker:
         best = self._result.vector
         centre = float(best[k])
         bound = float(self._upper[k] if side > 0 else self._lower[k])
-        room = abs(bound - centre)
-        if room <= 1e-9 * (self._upper[k] - self._lower[k]):
+        left = abs(bound - centre)
+        if left <= 1e-9 * (self._upper[k] - self._lower[k]):
             return bound, []
         variance = float(self._result.spread[k, k])
-        step = threshold * math.sqrt(variance) if math.isfinite(variance) and variance > 0 else room
+        step = threshold * math.sqrt(variance) if math.isfinite(variance) and variance > 0 else left
         follow = self._result.spread[:, k] / variance if 0 < variance < math.inf else np.zeros(best.size)
-        step = min(step, room)
+        step = min(step, left)
         inside, outside = (0.0, 0.0), (math.inf, math.inf)  # (distance from the centre, root of the rise)
         known = {0.0: best}
         tried: list[tuple[float, float]] = []
         for attempt in range(TRIES):
             if math.isinf(outside[0]) and attempt == TRIES // 2:
-                step = room  # chi-square hardly rises: is there an end before the bound?
+                step = left  # chi-square hardly rises: is there an end before the bound?
             nearest = min(known, key=lambda d: abs(d - step))
-            place = bound if step >= room else centre + side * step
+            place = bound if step >= left else centre + side * step
             x, rise = self._held(
                 k, self._start(k, place, known[nearest], np.nan_to_num(follow) * side * (step - nearest))
             )
@@ -275,26 +275,26 @@ class _Walker:
             root = math.sqrt(max(rise, 0.0))
             tried.append((float(x[k]), max(rise, 0.0)))
             if root < threshold:
-                if step >= room:
+                if step >= left:
                     return bound, tried
                 inside = (step, root)
             else:
                 outside = (step, root)
             if abs(root - threshold) < CLOSE:
                 break
-            step = _next(inside, outside, threshold, room)
+            step = _next(inside, outside, threshold, left)
         if abs(root - threshold) < CLOSE:
             return centre + side * step, tried
         straight = outside[1] < STEEP * threshold and inside[1] > threshold / STEEP
-        distance = _next(inside, outside, threshold, room) if straight else min(outside[0], room)
+        distance = _next(inside, outside, threshold, left) if straight else min(outside[0], left)
         return centre + side * distance, tried
 
 
-def _next(inside: tuple[float, float], outside: tuple[float, float], threshold: float, room: float) -> float:
+def _next(inside: tuple[float, float], outside: tuple[float, float], threshold: float, left: float) -> float:
     """Where the root of the rise should meet the threshold: it is nearly a straight line, but not over a long way."""
     if math.isinf(outside[0]):
         grow = threshold / inside[1] if inside[1] > 0 else 4.0
-        return min(inside[0] * min(max(1.02 * grow, 1.05), 4.0), room)
+        return min(inside[0] * min(max(1.02 * grow, 1.05), 4.0), left)
     if outside[1] > STEEP * threshold:
         return 0.5 * (inside[0] + outside[0])
     share = (threshold - inside[1]) / (outside[1] - inside[1])

@@ -107,10 +107,10 @@ def make(
                 found.append((sample, spec if len(many) == 1 else f"{spec}:{sample}", table, run))
         check_models(models)
         _cite([table for _, _, table, _ in found], stage.work, progress)
-        apart, found = _apart(found, wavelength_nm, u_rel)
+        transmission_only, found = _transmission_only(found, wavelength_nm, u_rel)
         names = _distinct([sample for sample, *_ in found], [source for _, source, *_ in found])
         told = {name: of_reader(one[2]) for name, one in zip(names, found, strict=True)}
-        for note in said_once(told | {t.name: t.data.notes for t in apart}):
+        for note in said_once(told | {t.name: t.data.notes for t in transmission_only}):
             progress(note)
         examined = partial(
             examine,
@@ -138,7 +138,7 @@ def make(
                 for dataset in parallel.each(_examined, jobs, dask=dask):
                     datasets.append(dataset)
                     progress(f"{dataset.name}: fitted ({len(datasets)} of {len(jobs)})")
-            every = names + [t.name for t in apart]
+            every = names + [t.name for t in transmission_only]
             title = every[0] if len(every) == 1 else " and ".join(every) if len(every) == 2 else f"{len(every)} samples"
             write(
                 datasets,
@@ -146,7 +146,7 @@ def make(
                 title=title,
                 normalise=normalise,
                 command=command,
-                apart=apart,
+                transmission_only=transmission_only,
                 workers=workers,
                 progress=progress,
             )
@@ -167,11 +167,11 @@ def _cite(tables: Sequence[pd.DataFrame], folder: Path, progress: Callable[[str]
     (folder / "datacite.json").write_bytes(datacite.encode(content))
 
 
-def _apart(
+def _transmission_only(
     found: list[Measured], wavelength_nm: float | None, u_rel: float | None
 ) -> tuple[list[Transmitted], list[Measured]]:
     """Samples of which transmission alone was measured, and the others."""
-    apart, others = [], []
+    transmission_only, others = [], []
     for one in found:
         name, source, table, _ = one
         alone = "side" in table.columns and (table["side"] == "transmission").all()
@@ -179,8 +179,8 @@ def _apart(
         if through is None:
             others.append(one)
         else:
-            apart.append(replace(through, source=source))
-    return apart, others
+            transmission_only.append(replace(through, source=source))
+    return transmission_only, others
 
 
 def _examined(job: Callable[[], Dataset]) -> Dataset:
@@ -194,7 +194,7 @@ def write(
     title: str,
     normalise: Normalise = "mirror",
     command: str = "",
-    apart: Sequence[Transmitted] = (),
+    transmission_only: Sequence[Transmitted] = (),
     workers: FigureWorkers | None = None,
     progress: Callable[[str], None] = lambda text: None,
 ) -> Summary:
@@ -210,7 +210,7 @@ def write(
         What was asked for the polar plots.
     command
         The command line, for the record.
-    apart
+    transmission_only
         Samples of which transmission alone was measured.
     workers
         Who draws; this process alone if it is not given.
@@ -223,12 +223,15 @@ def write(
         What `summary.json` holds: every number of the page.
     """
     known = summarise(datasets, title=title, normalise=normalise, command=command)
-    summary = replace(known, transmission_only=apart)
+    summary = replace(known, transmission_only=transmission_only)
     both = list(zip(datasets, summary.datasets, strict=True))
     progress("drawing")
     most = _most_values(datasets)
     groups = [[*figures.draw(d, f, most), *detail.draw(d, f, most), *_other_sides(d, f)] for d, f in both]
-    groups += [transmission.draw(t, (), slug) for t, slug in zip(apart, page.slugs_apart(summary), strict=True)]
+    groups += [
+        transmission.draw(t, (), slug)
+        for t, slug in zip(transmission_only, page.slugs_of_transmission(summary), strict=True)
+    ]
     wanted = [drawing for group in groups for drawing in group]
     summary = replace(summary, figures=[FigureSummary(f.name, f.caption, f.alt) for f in wanted])
     (folder / "tables").mkdir()

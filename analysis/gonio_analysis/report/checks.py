@@ -21,7 +21,7 @@ from gonio_analysis.report.text import angle, number, with_u
 from gonio_analysis.result_records import ChecksSummary, Reflectance
 
 KIND = "checks"
-MARKS = {"ok": "✓\u00a0ok", "look": "▲\u00a0look", "bad": "✕\u00a0bad", "not told": "not\u00a0told"}
+MARKS = {"ok": "✓\u00a0ok", "look": "▲\u00a0look", "bad": "✕\u00a0bad", "undetermined": "undetermined"}
 MOST_DRAWN = 200
 """Pairs and visits of a panel, evenly taken."""
 PANEL_IN = 1.85
@@ -71,12 +71,13 @@ def draw(c: ChecksSummary | None, rho: Sequence[Reflectance], slug: str) -> list
 
 
 def section(c: ChecksSummary | None, rho: Sequence[Reflectance], figures: Sequence[Figure]) -> list[Block]:
-    """The table of checks, what would tell those that are not told, and reflectances with both uncertainties."""
+    """The table of checks, what would tell those that are not determined, and reflectances with both uncertainties."""
     if c is None or not c.checks:
         return []
     out: list[Block] = [Heading(3, "Checks"), Paragraph(in_words(c) + ".")]
     rows: list[Sequence[Text]] = [
-        [one.name, MARKS[one.verdict], one.figure, one.limit if one.verdict != "not told" else "–"] for one in c.checks
+        [one.name, MARKS[one.verdict], one.figure, one.limit if one.verdict != "undetermined" else "–"]
+        for one in c.checks
     ]
     out.append(table("", ["check", "verdict", "what was found", "the limit"], rows))
     advice = [(strong(one.name), f": {one.advice}.") for one in c.checks if one.advice and one.verdict != "ok"]
@@ -106,10 +107,14 @@ def section(c: ChecksSummary | None, rho: Sequence[Reflectance], figures: Sequen
 def in_words(c: ChecksSummary) -> str:
     """How many are fine, and which are not."""
     counts = Counter(one.verdict for one in c.checks)
-    told = len(c.checks) - counts["not told"]
-    ok = f"{counts['ok']} of {told} checks {'is' if counts['ok'] == 1 else 'are'} ok"
-    parts = [ok if told else "No check is told"]
-    for verdict, words in (("bad", "bad"), ("look", "worth a look"), ("not told", "not told by these values")):
+    determined = len(c.checks) - counts["undetermined"]
+    ok = f"{counts['ok']} of {determined} checks {'is' if counts['ok'] == 1 else 'are'} ok"
+    parts = [ok if determined else "No check is determined by these values"]
+    for verdict, words in (
+        ("bad", "bad"),
+        ("look", "worth a look"),
+        ("undetermined", "not determined by these values"),
+    ):
         names = [one.name for one in c.checks if one.verdict == verdict]
         parts += [f"{words}: {', '.join(names)}"] if names else []
     return "; ".join(parts)

@@ -53,8 +53,8 @@ def render(summary: Summary, drawn: Sequence[Sequence[Figure]], views: Sequence[
     """
     datasets, title = summary.datasets, summary.title
     several = len(datasets) > 1
-    apart = _apart(summary, drawn[len(datasets) :])
-    last = [*apart, _conventions(summary), provenance.section(summary)]
+    transmission_only = _transmission_only(summary, drawn[len(datasets) :])
+    last = [*transmission_only, _conventions(summary), provenance.section(summary)]
     frame = Page(title, (*(_overview(summary, {}) if several else ()), *last, FOOTER))
     room = MOST_BYTES - html.size(html.document(frame)) - 300 * len(datasets) - 10_000
     room -= html.size(html.program()) if any(views) else 0
@@ -83,17 +83,17 @@ def render(summary: Summary, drawn: Sequence[Sequence[Figure]], views: Sequence[
     return pages
 
 
-def slugs_apart(s: Summary) -> list[str]:
+def slugs_of_transmission(s: Summary) -> list[str]:
     """Of the samples of which transmission alone was measured."""
     return [f"{slug(t.name) or 'sample'}-transmission-{k + 1}" for k, t in enumerate(s.transmission_only)]
 
 
-def _apart(s: Summary, drawn: Sequence[Sequence[Figure]]) -> list[Group]:
+def _transmission_only(s: Summary, drawn: Sequence[Sequence[Figure]]) -> list[Group]:
     """Their sections."""
     many = len(s.datasets) + len(s.transmission_only) > 1
     return [
         section([*([Heading(2, t.name)] if many else []), *transmission.section(t, figures)], name)
-        for t, name, figures in zip(s.transmission_only, slugs_apart(s), drawn, strict=True)
+        for t, name, figures in zip(s.transmission_only, slugs_of_transmission(s), drawn, strict=True)
     ]
 
 

@@ -253,7 +253,7 @@ def choose(
 
 def _beyond_the_directions(candidate: Candidate, data: Observations) -> str:
     """Why a model that was not asked for by name cannot be told from others in these directions; "" where it can."""
-    told = (parameters.kind(term).not_told_by(data.directions) for term in parameters.parts(candidate.model))
+    told = (parameters.kind(term).undetermined_by(data.directions) for term in parameters.parts(candidate.model))
     return next((why for why in told if why), "")
 
 

@@ -101,9 +101,9 @@ def radiance(choice: Choice, interreflections: bool = True, step_deg: float = 1.
 def kink(choice: Choice) -> float:
     """The angle [deg] at which the direct radiance bends most, on the retro side."""
     angle, direct = radiance(choice, False)
-    bend = np.abs(np.diff(direct, 2))
+    curvature = np.abs(np.diff(direct, 2))
     inside = (angle[1:-1] < -30.0) & (angle[1:-1] > -84.0)
-    return float(angle[1:-1][inside][int(np.argmax(bend[inside]))])
+    return float(angle[1:-1][inside][int(np.argmax(curvature[inside]))])
 
 
 def growth(choice: Choice) -> float:

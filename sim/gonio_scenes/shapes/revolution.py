@@ -138,9 +138,9 @@ def _spline(points: Floats, loop: bool, size: float) -> tuple[Floats, Floats]:
             CubicSpline(knots, points[:, 1], bc_type=at_z),
         ]
     # a chord of the parameter h is off a curve of the second derivative c by at most c h^2 / 8
-    bend = np.max([np.abs(curve(knots, 2)) for curve in curves], axis=0) * math.sqrt(2.0)
-    bend = np.maximum(bend[:-1], bend[1:])
-    counts = np.ceil(np.diff(knots) * np.sqrt(bend / (8.0 * CHORD_ERROR * size))).astype(int).clip(1)
+    curvature = np.max([np.abs(curve(knots, 2)) for curve in curves], axis=0) * math.sqrt(2.0)
+    curvature = np.maximum(curvature[:-1], curvature[1:])
+    counts = np.ceil(np.diff(knots) * np.sqrt(curvature / (8.0 * CHORD_ERROR * size))).astype(int).clip(1)
     s = np.concatenate(
         [*(np.linspace(a, b, n + 1)[:-1] for a, b, n in zip(knots, knots[1:], counts, strict=False)), knots[-1:]]
     )

@@ -46,7 +46,7 @@ class Armed:
 
 
 class Faults:
-    """The faults that are armed on one bench; safe to use from several threads."""
+    """The faults that are armed on one set of twins; safe to use from several threads."""
 
     def __init__(self) -> None:
         self._armed: list[Armed] = []

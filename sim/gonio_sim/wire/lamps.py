@@ -1,7 +1,7 @@
 """Lamp controllers in three languages, each written from the language's own side.
 
 `ScpiLamp` is a tunable source, `MightexLamp` and `ArduinoLamp` have an emitter for each of the rig's bands. All tell
-the bench through `changed` what they do: lit or dark, band, level.
+the simulated rig through `changed` what they do: lit or dark, band, level.
 """
 
 from __future__ import annotations

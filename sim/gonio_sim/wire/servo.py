@@ -120,7 +120,7 @@ class Servo:
         """Bits of the hardware error that nothing else here causes: the encoder's 0x08, an electrical shock's 0x10."""
         self._power_up()
 
-    # ---- what the bench sees and does ----
+    # ---- what the simulated rig sees and does ----
 
     @property
     def id(self) -> int:

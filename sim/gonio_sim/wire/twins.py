@@ -342,7 +342,7 @@ class Twins:
         if self.replays and fault in fault_names.CAMERA:
             raise ConfigError(f'the fault "{fault}" needs a tethered camera; devices.camera.driver = "{self.driver}"')
         if axis is not None and axis not in self.servos:
-            raise ConfigError(f'the bench has no axis "{axis}"; it has {", ".join(self.servos)}')
+            raise ConfigError(f'the rig has no axis "{axis}"; it has {", ".join(self.servos)}')
         others = fault_names.LAMP + fault_names.CAMERA + fault_names.LIGHT
         servo = None if axis is None or fault in others else self.servos[axis].id
         self.faults.arm(fault, servo=servo, times=times, skip=skip)

@@ -51,9 +51,10 @@ def test_a_picture_counts_all_points_and_shows_the_most_crowded_step(tmp_path: P
     assert f"{measured} measured" in said
     crowded = steps[plan_picture.most_crowded(steps, rig)]
     closest = [
-        min(each.values()) for each in motion_planning.gaps(rig, [step.pose for step in steps if step.kind != "dark"])
+        min(each.values())
+        for each in motion_planning.clearances(rig, [step.pose for step in steps if step.kind != "dark"])
     ]
-    assert min(motion_planning.gaps(rig, [crowded.pose])[0].values()) == min(closest)
+    assert min(motion_planning.clearances(rig, [crowded.pose])[0].values()) == min(closest)
     with pytest.raises(ConfigError, match=r"--step 99: the steps of this plan are numbered 0 to \d+"):
         plan_picture.draw(plan, points, steps, rig, 99)
 

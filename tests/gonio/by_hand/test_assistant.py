@@ -73,7 +73,7 @@ class Session:
     """An assistant at an open rig, and what it has told and said."""
 
     device: Scene
-    bench: ManualRig
+    manual: ManualRig
     assistant: Assistant
     clock: Clock
     told: list[tuple[dict[str, Any], Pictures | None]]
@@ -99,22 +99,22 @@ def session(device: Scene, rig_file: Path | None = None, out: Path | None = None
     clock = Clock()
     told: list[tuple[dict[str, Any], Pictures | None]] = []
     said: list[str] = []
-    bench = ManualRig(device, str(rig_file))
+    manual = ManualRig(device, str(rig_file))
     assistant = Assistant(
-        bench,
+        manual,
         tell=lambda what, shown: told.append((what, shown)),
         say=said.append,
         rig_file=rig_file,
         out=out,
         clock=clock,
     )
-    return Session(device, bench, assistant, clock, told, said)
+    return Session(device, manual, assistant, clock, told, said)
 
 
 @pytest.fixture
 def at_work() -> Iterator[Session]:
     made = session(Scene(rig(), repeatable=False))
-    with made.bench:
+    with made.manual:
         yield made
 
 
@@ -145,7 +145,7 @@ def test_the_beam_of_the_rig_file_is_outlined_where_its_light_would_be() -> None
     """The corners against the share of light of the pixels there, which is computed in another way."""
     device = Scene(rig(lamp=Lamp(beam_diameter_mm=4.0)), repeatable=False)
     at_work = session(device)
-    with at_work.bench:
+    with at_work.manual:
         at_work.obey("go light 50 camera -20 tilt 10")
         told = at_work.look()
         view = kinematics.view(device.description, device.pose)
@@ -161,7 +161,7 @@ def test_the_axis_is_the_principal_point_and_the_centre_follows_the_pose() -> No
     camera = CAMERA.model_copy(update={"principal_point_px": (7.0, -4.0)})
     device = Scene(describe(camera=camera), repeatable=False)
     at_work = session(device)
-    with at_work.bench:
+    with at_work.manual:
         told = at_work.look()
     assert told["predicted"]["axis"] == [79.5 + 7, 59.5 - 4]
     assert told["predicted"]["centre"] == pytest.approx([79.5 + 7, 59.5 - 4])
@@ -170,7 +170,7 @@ def test_the_axis_is_the_principal_point_and_the_centre_follows_the_pose() -> No
 def test_a_region_outside_the_frame_is_not_drawn_and_the_page_says_why() -> None:
     device = Scene(rig(reference=Reference(how="beside", offset_mm=(90.0, 0.0))), repeatable=False)
     at_work = session(device)
-    with at_work.bench:
+    with at_work.manual:
         told = at_work.look()
         assert told["predicted"]["centre"] == pytest.approx([79.5, 59.5])
         assert not any(0 <= column < 160 for column, _ in told["predicted"]["reference"])
@@ -287,7 +287,7 @@ def test_bodies_that_would_touch_keep_the_arms_where_they_are() -> None:
     post = Body(name="post", on="bench", centre_mm=(0.0, 0.0, 300.0), size_mm=(2.0, 2.0, 2.0))  # in the way of both
     device = Scene(rig(bodies=(post,)), repeatable=False, pose=Pose(light=0.5, camera=-0.5))
     at_work = session(device)
-    with at_work.bench:
+    with at_work.manual:
         said = at_work.obey("go camera 40")
         assert "would touch" in said, said
         assert device.pose.camera == -0.5
@@ -309,7 +309,7 @@ def test_zeros_go_into_a_copy_of_the_rig_file_one_after_the_other(tmp_path: Path
     file.write_text(f"# a rig\n{text}")
     device = Scene(rig(), repeatable=False)
     at_work = session(device, file, out)
-    with at_work.bench:
+    with at_work.manual:
         at_work.obey("go light 29.5 camera -31 tilt 2")
         said = at_work.obey("zero light 30", "zero camera -30")
         assert "light reads 29.500 deg and stands at 30 deg: zero_offset_deg = -0.500" in said
@@ -427,7 +427,7 @@ def test_every_way_out_leaves_the_lamp_dark(ends: str) -> None:
     at_work.assistant.orders.put("lamp on")
     raised = ""
     try:
-        with at_work.bench:
+        with at_work.manual:
             at_work.assistant.run()
     except (KeyboardInterrupt, RuntimeError, DeviceError) as error:
         raised = type(error).__name__
@@ -441,8 +441,8 @@ def test_a_simulated_rig_is_looked_at_in_the_same_way() -> None:
     """Its frames are rendered with the errors of its zeros, which the spot's place shows: less than a degree."""
     told: list[dict[str, Any]] = []
     sample = SampleDescription(name="matt", model="lambert", parameters={"albedo": 0.5})
-    with gonio.open_rig("sim", sample=sample) as bench:
-        assistant = Assistant(bench, tell=lambda what, _: told.append(what), say=lambda _: None)
+    with gonio.open_rig("sim", sample=sample) as manual:
+        assistant = Assistant(manual, tell=lambda what, _: told.append(what), say=lambda _: None)
         for order in ("go light 20 camera -30", "lamp on", "auto"):
             assistant.obey(order)
         assistant.look()

@@ -70,7 +70,7 @@ def test_a_scan_over_a_mirror_direction_finds_it() -> None:
     with gonio.open_rig("sim-ideal", sample=sample) as rig:
         rig.move(light=math.radians(30))
         angles = [math.radians(a) for a in (-36.0, -31.0, -30.0, -29.0)]
-        table = rig.scan("camera", angles, frames=1, told=lambda t, total: heard.append(len(t)))
+        table = rig.scan("camera", angles, frames=1, progress=lambda t, total: heard.append(len(t)))
         assert rig.read().of("lamp", "state") == "dark"
     assert heard == [1, 2, 3, 4]
     assert table["signal_dn_per_s"].idxmax() == 2
@@ -81,22 +81,22 @@ def test_a_scan_over_a_mirror_direction_finds_it() -> None:
 
 
 def test_a_strangers_rig_is_worked_on_by_the_protocols_alone(tmp_path: Path) -> None:
-    bench = ManualRig(NumpyRig(describe()), only=["arms"])
-    assert bench.description.name == "bench of numpy"
-    with bench:
-        assert not bench.can_hold
+    manual = ManualRig(NumpyRig(describe()), only=["arms"])
+    assert manual.description.name == "bench of numpy"
+    with manual:
+        assert not manual.can_hold
         with pytest.raises(ConfigError, match="has no `hold`"):
-            bench.hold()
-        moved = bench.move(light=0.3)
+            manual.hold()
+        moved = manual.move(light=0.3)
         assert moved.landed == {"light": 0.3}
-        assert bench.move(camera=-0.3).landed == {"camera": -0.3}
-        assert bench.arms.read() == Pose(light=0.3, camera=-0.3)
-        assert bench.read().of("light", "angle") == pytest.approx(math.degrees(0.3))
+        assert manual.move(camera=-0.3).landed == {"camera": -0.3}
+        assert manual.arms.read() == Pose(light=0.3, camera=-0.3)
+        assert manual.read().of("light", "angle") == pytest.approx(math.degrees(0.3))
         with pytest.raises(ConfigError, match="has no levels"):
-            bench.lamp(0.5)
-        bench.lamp(True)
-        assert bench.snap(tmp_path / "a.png", exposure_s=0.01).patch is not None
-        bench.lamp(False)
+            manual.lamp(0.5)
+        manual.lamp(True)
+        assert manual.snap(tmp_path / "a.png", exposure_s=0.01).patch is not None
+        manual.lamp(False)
 
 
 def test_reading_a_simulated_rig_opens_nothing() -> None:

@@ -49,16 +49,16 @@ class ManualRig:
         return LAB.open(description, sample=sample, seed=seed, confirm=confirm)
 
 
-def made(values: dict[str, Any], bench: ManualRig | None = None) -> str:
+def made(values: dict[str, Any], manual: ManualRig | None = None) -> str:
     answers = Answers(Path("answers.toml"), NEEDED | values)
-    return make(cast("DriverPlugin", bench or ManualRig()), answers, lambda text: None)[0]
+    return make(cast("DriverPlugin", manual or ManualRig()), answers, lambda text: None)[0]
 
 
 def test_what_is_found_is_written_with_the_comments_of_the_form() -> None:
-    bench = ManualRig()
-    text = made({"zero_2": "here", "forward_2": "no", "servo_3": "spin", "servo_4": "none"}, bench)
+    manual = ManualRig()
+    text = made({"zero_2": "here", "forward_2": "no", "servo_3": "spin", "servo_4": "none"}, manual)
     tables = tomllib.loads(text)
-    assert bench.wiggled == [1, 2, 3, 4]
+    assert manual.wiggled == [1, 2, 3, 4]
     assert tables["devices"]["light"] | {"settle_s": 0} == {
         "port": "/dev/zero", "dialect": "mightex", "level": 0.8, "settle_s": 0,
     }  # fmt: skip
@@ -75,9 +75,9 @@ def test_what_is_found_is_written_with_the_comments_of_the_form() -> None:
 
 
 def test_nothing_turns_where_it_may_not() -> None:
-    bench = ManualRig()
-    made({"wiggle": False}, bench)
-    assert bench.wiggled == []
+    manual = ManualRig()
+    made({"wiggle": False}, manual)
+    assert manual.wiggled == []
 
 
 @pytest.mark.parametrize(

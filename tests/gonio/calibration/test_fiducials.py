@@ -35,11 +35,13 @@ def test_corners_are_where_the_markers_are(description: RigDescription, camera: 
     rig = SimulatedRig(description, None, 1, confirm=False)
     marks = description.holder.fiducials
     assert marks is not None
-    with ManualRig(rig, "test") as bench:
+    with ManualRig(rig, "test") as manual:
         rig.put("mirror")
-        bench.lamp(True)
-        bench.move(light=math.radians(-30), camera=math.radians(camera), tilt=math.radians(tilt), spin=math.radians(20))
-        frame = bench.camera.capture(0.05)
+        manual.lamp(True)
+        manual.move(
+            light=math.radians(-30), camera=math.radians(camera), tilt=math.radians(tilt), spin=math.radians(20)
+        )
+        frame = manual.camera.capture(0.05)
         view = kinematics.view(rig.world.truth, rig.world.pose)
     numbers, pixels = fiducials.detect(frame.mosaic, marks)
     numbers, pixels, scatter = fiducials.consistent(marks, numbers, pixels)

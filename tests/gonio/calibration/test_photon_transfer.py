@@ -41,11 +41,11 @@ class ManualRig:
 
 
 def transfer(camera: Camera, seed: int) -> tuple[photon_transfer.PhotonTransfer, list[Any], list[Any], Any]:
-    bench = ManualRig(camera, seed)
-    darks = bench.pairs(None, [1e-3] * 4 + [FULL_S] * 4)
+    manual = ManualRig(camera, seed)
+    darks = manual.pairs(None, [1e-3] * 4 + [FULL_S] * 4)
     line = np.polyfit([p.exposure_s for p in darks], [p.mean_dn for p in darks], 1)
     levels = np.concatenate([np.linspace(0.03, 0.7, 14), np.linspace(0.75, 1.15, 9)])
-    flats = bench.pairs(RATE, np.tile(levels * FULL_S, 3))
+    flats = manual.pairs(RATE, np.tile(levels * FULL_S, 3))
     found = photon_transfer.photon_transfer(flats, darks, (line[1], line[0]), camera)
     return found, flats, darks, line
 
@@ -113,14 +113,14 @@ def test_nonlinearity_and_its_inverse() -> None:
 @pytest.mark.parametrize("lamp_noise", [0.0, 0.01])
 def test_nonlinearity_of_one_per_cent_is_found_though_the_lamp_flickers(lamp_noise: float) -> None:
     true = CAMERA.model_copy(update={"nonlinearity": (-0.014, 0.003), "full_well_e": 9500.0})
-    bench, random = ManualRig(true, 4), np.random.default_rng(8)
+    manual, random = ManualRig(true, 4), np.random.default_rng(8)
     rate = RATE.copy()
     rate[:, :80] *= 0.04
     parts = (np.s_[:, 80:], np.s_[:, :80])
     exposures = np.tile(np.linspace(0.3, 8.0, 18), 4)
     level, u = np.zeros((2, 2, exposures.size))
     for k, t in enumerate(exposures):
-        frame = bench.frame(rate, t, 1.0 + lamp_noise * random.standard_normal()).astype(float)
+        frame = manual.frame(rate, t, 1.0 + lamp_noise * random.standard_normal()).astype(float)
         for b, part in enumerate(parts):
             level[b, k] = frame[part].mean() - 64.0 - 4.0 * t / 2.3
             u[b, k] = math.sqrt((level[b, k] / 2.3 + 7.0) / frame[part].size)

@@ -94,7 +94,7 @@ def test_without_uncertainties_limits_are_fixed(typical: float, verdict: str) ->
 def test_a_plan_without_such_pairs_is_told_what_to_measure() -> None:
     at = Directions(np.full(5, 0.3), np.zeros(5), np.linspace(0.0, 1.2, 5), np.full(5, math.pi))
     first, second, energy = of_values(CheckedValues(at, np.ones(5)))
-    assert {first.verdict, second.verdict, energy.verdict} == {"not told"}
+    assert {first.verdict, second.verdict, energy.verdict} == {"undetermined"}
     assert "theta_i = 50, theta_r = 20" in first.advice
     assert "dphi_deg" in second.advice
     assert "hemisphere" in energy.advice
@@ -159,13 +159,13 @@ def test_energy_is_judged_by_the_uncertainty() -> None:
     ("taken", "visits", "name", "verdict"),
     [
         (WELL, OVER, "", "ok"),
-        (WELL, replace(OVER, unknown="one visit to the white reference only"), "reference drift", "not told"),
+        (WELL, replace(OVER, unknown="one visit to the white reference only"), "reference drift", "undetermined"),
         (WELL, replace(OVER, straight=False, chi_square=40.0), "reference drift", "look"),
         (WELL, replace(OVER, lost=["saturated"]), "reference drift", "look"),
         (WELL, replace(OVER, peak_to_peak=0.2), "reference drift", "bad"),
         (replace(WELL, scatter=2.0), OVER, "repeatability", "look"),
         (replace(WELL, scatter=6.0), OVER, "repeatability", "bad"),
-        (replace(WELL, freedom=0), OVER, "repeatability", "not told"),
+        (replace(WELL, freedom=0), OVER, "repeatability", "undetermined"),
         (replace(WELL, flags=["saturated"] + [""] * 39), OVER, "saturation", "look"),
         (replace(WELL, frames_left_out=60), OVER, "saturation", "look"),
         (replace(WELL, flags=["saturated"] * 10 + [""] * 30), OVER, "saturation", "bad"),
@@ -179,7 +179,7 @@ def test_energy_is_judged_by_the_uncertainty() -> None:
 def test_what_is_wrong_with_a_run_is_named(taken: Taken, visits: VisitsOfBand, name: str, verdict: str) -> None:
     found = of_run(taken, visits, "green")
     assert {c.name: c.verdict for c in found if c.verdict != "ok"} == ({name: verdict} if name else {})
-    assert all(c.band == "green" and (c.limit or c.verdict == "not told") for c in found)
+    assert all(c.band == "green" and (c.limit or c.verdict == "undetermined") for c in found)
     assert [verdicts.Check.from_json(c.to_json()) for c in found] == found
     assert verdicts.Check.from_json({"name": "another program's"}) is None
 

@@ -25,7 +25,7 @@ def tab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
 @pytest.fixture
 def at_work() -> Iterator[Session]:
     made = session(Scene(rig(lamp=Lamp(beam_diameter_mm=4.0)), repeatable=False, at_mm=(1.0, -0.6)))
-    with made.bench:
+    with made.manual:
         yield made
 
 

@@ -232,7 +232,7 @@ def test_a_box_is_as_large_as_it_is() -> None:
             place = (float(middle[0]), float(middle[1]), float(middle[2]))
             ball = Body(name="ball", on="light", from_mm=place, to_mm=place, radius_mm=30.0)
             rig = describe(geometry=HEADS, bodies=(cube, ball))
-            found = motion_planning.gaps(rig, [Pose()])[0]["cube", "ball"]
+            found = motion_planning.clearances(rig, [Pose()])[0]["cube", "ball"]
             assert found == pytest.approx(beyond, abs=1e-9)  # rounding of distances of 100 mm
 
 
@@ -281,7 +281,7 @@ def test_a_cable_is_not_torn_and_nothing_runs_into_it() -> None:
     lead = Cable(name="lead", from_on="bench", from_mm=(0, 0, 300), to_on="light", to_mm=(0, 0, 400), length_mm=520)
     rig = describe(geometry=HEADS, arms=Arms(light=AXIS, camera=AXIS), cables=(lead,))
     apart = math.sqrt(300**2 + 400**2 - 2 * 300 * 400 * math.cos(math.radians(70)))
-    found = motion_planning.gaps(rig, [deg(70, -70)])[0]["lead, bench end", "lead, light end"]
+    found = motion_planning.clearances(rig, [deg(70, -70)])[0]["lead, bench end", "lead, light end"]
     assert found == pytest.approx(520 - apart, abs=1e-9)  # the law of cosines
     motion_planning.require_free(rig, deg(-70, 70))
     short = rig.model_copy(update={"cables": (lead.model_copy(update={"length_mm": 400}),)})
@@ -310,7 +310,7 @@ def test_bodies_ride_on_the_axes_as_they_stand() -> None:
         # at a reading of 0 the encoder reads 2 deg too much
         at = np.array([400 * math.sin(math.radians(-2)), offset + 400 * math.cos(math.radians(2))])
         expected = math.hypot(at[0], 450 - at[1]) - 20.0
-        assert motion_planning.gaps(rig, [Pose()])[0]["bar", "post"] == pytest.approx(expected, abs=1e-9)
+        assert motion_planning.clearances(rig, [Pose()])[0]["bar", "post"] == pytest.approx(expected, abs=1e-9)
 
 
 def test_the_simulated_bench_tells_collisions_and_a_rig_that_looks_ahead_has_none() -> None:
