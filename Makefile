@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN = .venv/bin
 
-.PHONY: demo test test-slow test-all test-oldest check site clean
+.PHONY: demo test test-slow test-portable test-all test-oldest check site clean
 
 demo: .venv/.ready
 	$(BIN)/gonio demo --out demo-run
@@ -10,13 +10,17 @@ demo: .venv/.ready
 # a test is slow where it takes more than two seconds: campaigns, driver tests that wait, notebooks, the site
 PYTEST = $(BIN)/python -m pytest -q -n 2 --dist worksteal
 test: .venv/.ready
-	$(PYTEST) -m "not slow"
+	$(PYTEST) -m "not slow and not portable"
 	@echo "The slow tests were left out: make test-all runs every one."
 
 test-slow: .venv/.ready
 	$(PYTEST) -m slow
 
-test-all: test test-slow
+# on a Python without what one on Windows lacks: tests/portable/shim
+test-portable: .venv/.ready
+	$(PYTEST) -m portable tests/portable
+
+test-all: test test-slow test-portable
 
 # the lowest versions that pyproject.toml allows; with the newest: make test-oldest CONSTRAINTS=
 CONSTRAINTS = constraints-oldest.txt

@@ -7,7 +7,7 @@ promise                   with POSIX                      elsewhere
 ========================  ==============================  =====================================================
 a file is whole or gone   rename over the old one         the same; retried while another program has it open
 on the disk               fsync, F_FULLFSYNC              fsync; a folder's names are left to the file system
-one writer                flock on the file               a lock on one byte far beyond its end
+one writer                flock on the file               a lock on one byte far beyond its end, or a note
 who holds a lock          the kernel's list, or trying    trying for a moment
 ending signals            INT, TERM, HUP                  INT, TERM, BREAK (closing the window, logging off)
 pausing                   TSTP and CONT, keys             keys alone
@@ -22,6 +22,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import hashlib
 import os
 import selectors
 import shutil
@@ -29,6 +30,7 @@ import signal
 import stat
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 from collections.abc import Iterator
@@ -159,7 +161,13 @@ def lock(file: Any) -> bool:
         except BlockingIOError:
             return False
         return True
-    handle = file if isinstance(file, int) else file.fileno()
+    if msvcrt is None:
+        listed = _listed(file.name)
+        if _is_elsewhere(listed):
+            return False
+        listed.write_text(str(os.getpid()), encoding="ascii")
+        return True
+    handle = file.fileno()
     place = os.lseek(handle, 0, os.SEEK_CUR)
     try:
         os.lseek(handle, FAR, os.SEEK_SET)
@@ -171,11 +179,28 @@ def lock(file: Any) -> bool:
     return True
 
 
+def _listed(path: str | Path) -> Path:
+    """Where the process that has locked a file is noted, for a Python that can lock none."""
+    whole = os.path.realpath(path).encode(errors="surrogateescape")
+    return Path(tempfile.gettempdir(), f"gonio-{hashlib.sha256(whole).hexdigest()[:16]}.lock")
+
+
+def _is_elsewhere(listed: Path) -> bool:
+    """Whether another process that still lives is noted there."""
+    try:
+        holder = int(listed.read_text(encoding="ascii"))
+    except (OSError, ValueError):
+        return False
+    return holder != os.getpid() and is_alive(holder)
+
+
 def is_locked(path: Path) -> bool | None:
     """Whether a process holds the lock of a file; None where the file system knows no locks.
 
     The kernel's list is looked at where there is one: to try the lock would keep another from taking it for a moment.
     """
+    if fcntl is None and msvcrt is None:
+        return _is_elsewhere(_listed(path))
     try:
         number = os.stat(path).st_ino
         held = LOCKS.read_text()
@@ -267,6 +292,14 @@ def is_alive(process: int) -> bool:
     return bool(psutil.pid_exists(process))
 
 
+def command_lines() -> Iterator[list[str]]:
+    """The words of the command of every process that may be looked at."""
+    import psutil
+
+    for process in psutil.process_iter(["cmdline"]):
+        yield process.info["cmdline"] or []
+
+
 def interrupt() -> None:
     """What Ctrl-C does, from any thread."""
     if hasattr(signal, "pthread_kill"):  # wakes the main thread where it sleeps
@@ -299,7 +332,9 @@ def has_keys() -> bool:
     try:
         if not sys.stdin.isatty():
             return False
-        return termios is None or os.tcgetpgrp(sys.stdin.fileno()) == os.getpgrp()
+        if termios is None:
+            return msvcrt is not None
+        return os.tcgetpgrp(sys.stdin.fileno()) == os.getpgrp()
     except (AttributeError, OSError, ValueError):
         return False
 
@@ -375,7 +410,9 @@ def holders_of(port: str) -> list[Holder]:
 
     A process that has the other end of a pseudo-terminal is the device, and no rival for it.
     """
-    target, out = os.path.realpath(port), []
+    target, out = os.path.realpath(port), list[Holder]()
+    if "://" in port:
+        return out
     for process in Path("/proc").glob("[0-9]*"):
         if process.name == str(os.getpid()):
             continue

@@ -60,7 +60,7 @@ def _name(line: serial.Serial, spoken: Dialect) -> str | None:
             break  # it says nothing: no restart, or no such controller
     for _ in range(2):  # what another dialect left in its buffer may spoil the first
         line.reset_input_buffer()
-        ports.send(line, (spoken.identify + spoken.send_ending).encode())
+        line.write((spoken.identify + spoken.send_ending).encode())
         heard, looked = "", Patience(LISTEN_S)
         while looked() < 2 * LISTEN_S:
             heard += str(line.read(line.in_waiting or 1), "ascii", "replace")
@@ -77,7 +77,7 @@ def is_release(port: str) -> bool:
         with ports.opened(port, RELEASE_BAUD, LISTEN_S) as line:
             for _ in range(2):
                 line.reset_input_buffer()
-                ports.send(line, b"\n?\n")
+                line.write(b"\n?\n")
                 if b"ERR" in line.read_until(b"\n") + line.read_until(b"\n"):
                     return True
     except (*ports.FAILURES, ValueError) as error:

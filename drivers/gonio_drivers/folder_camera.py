@@ -153,7 +153,7 @@ class FolderCamera:
         port = self._camera.trigger.port
         try:
             self._release.reset_input_buffer()
-            ports.send(self._release, f"EXPOSE {exposure_s:.9g}\n".encode())
+            self._release.write(f"EXPOSE {exposure_s:.9g}\n".encode())
             line = self._release.readline()
         except ports.FAILURES as error:
             raise ports.lost(port, error, "devices.camera.trigger.port") from None

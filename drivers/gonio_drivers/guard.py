@@ -16,6 +16,7 @@ be lit before it is set anew.
 from __future__ import annotations
 
 import contextlib
+import os
 import queue
 import subprocess
 import sys
@@ -31,6 +32,7 @@ from gonio import platform
 TIMES = 3
 PAUSE_S = 0.1
 POLL_S = 0.02
+WRITE_S = 3.0
 PATIENCE_S = 5.0
 """A port that is locked for longer is another program's."""
 ANSWER_S = 30.0
@@ -54,7 +56,8 @@ class Guard:
 
     def __init__(self, port: str, baud: int, orders: list[bytes], limit_s: float = 0.0) -> None:
         self._command = [
-            sys.executable, "-I", __file__, port, str(baud), str(limit_s), *(order.hex() for order in orders)
+            sys.executable, "-I", __file__, port, str(baud), str(limit_s), str(os.getpid()),
+            *(order.hex() for order in orders)
         ]  # fmt: skip
         self._process: subprocess.Popen[bytes] | None = None
         self._answers: queue.SimpleQueue[bytes] = queue.SimpleQueue()
@@ -109,6 +112,14 @@ class Guard:
             process.wait()
 
 
+def is_darkening(port: str) -> bool:
+    """Whether the guard of a program that has died is at work at a port."""
+    for words in platform.command_lines():
+        if words[2:4] == [__file__, port] and not platform.is_alive(int(words[6])):
+            return True
+    return False
+
+
 def _lines_of(pipe: IO[bytes]) -> queue.SimpleQueue[bytes]:
     """The lines of a pipe as they come, and b"" at its end; from a thread, since not every system waits for pipes."""
     lines: queue.SimpleQueue[bytes] = queue.SimpleQueue()
@@ -123,28 +134,25 @@ def _lines_of(pipe: IO[bytes]) -> queue.SimpleQueue[bytes]:
     return lines
 
 
-def _opened(port: str, baud: int, *, alone: bool) -> serial.Serial | None:
-    """The port, as soon as it is the guard's; the dead program's pipe may be closed a good while before its port is."""
+def _darken(port: str, baud: int, orders: list[bytes], *, alone: bool = True) -> None:
+    """Send the orders as soon as the port is the guard's: it may be closed a good while after the dead program's pipe.
+
+    A server on the network may take a second connection and drop it: then it is tried anew.
+    """
     end = time.monotonic() + PATIENCE_S
     while True:
-        over = time.monotonic() > end  # before the look: this process may be held up after it
-        try:
-            return serial.Serial(port, baud, exclusive=True if alone else None)
-        except OSError:
-            if over:
-                return None
-            time.sleep(POLL_S)
-
-
-def _darken(port: str, baud: int, orders: list[bytes], *, alone: bool = True) -> None:
-    line = _opened(port, baud, alone=alone)
-    if line is None:
-        return
-    with line:
-        for _ in range(TIMES):
-            for order in orders:
-                line.write(order)
-                time.sleep(PAUSE_S)
+        over = time.monotonic() > end  # before the try: this process may be held up after it
+        with contextlib.suppress(OSError):
+            line = serial.serial_for_url(port, baud, timeout=0.0, write_timeout=WRITE_S, exclusive=alone or None)
+            with line:
+                for order in orders * TIMES:
+                    line.write(order)
+                    time.sleep(PAUSE_S)
+                    line.read(4096)  # raises where the line was dropped; the answers themselves say nothing here
+            return
+        if over:
+            return
+        time.sleep(POLL_S)
 
 
 def _wait(limit_s: float, at_time: Callable[[], None]) -> bool:
@@ -173,6 +181,6 @@ def _wait(limit_s: float, at_time: Callable[[], None]) -> bool:
 
 
 if __name__ == "__main__":
-    to_darken = sys.argv[1], int(sys.argv[2]), [bytes.fromhex(order) for order in sys.argv[4:]]
+    to_darken = sys.argv[1], int(sys.argv[2]), [bytes.fromhex(order) for order in sys.argv[5:]]
     if not _wait(float(sys.argv[3]), lambda: _darken(*to_darken, alone=False)):
         _darken(*to_darken)

@@ -234,7 +234,7 @@ def _switch(joint: Joint, homing: settings.Homing) -> Iterator[Callable[[], bool
     elif homing.line is not None:
         signal = homing.line.signal
         try:
-            line = serial.Serial(homing.line.port)
+            line = serial.serial_for_url(homing.line.port)
         except (OSError, serial.SerialException) as error:
             raise DeviceError(
                 f"{joint.key}.homing.line.port = {homing.line.port!r}: cannot be opened: {error}"

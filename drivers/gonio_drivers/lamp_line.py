@@ -140,7 +140,7 @@ class LampLine:
             self._sent.append(command.strip())
             self._lines.clear()
             self._port.reset_input_buffer()
-            ports.send(self._port, (command + self._dialect.send_ending).encode())
+            self._port.write((command + self._dialect.send_ending).encode())
         except ports.FAILURES as error:
             raise ports.lost(self._name, error, "devices.light.port") from None
 
@@ -150,7 +150,7 @@ class LampLine:
         if port is not None:
             with contextlib.suppress(*ports.FAILURES, TypeError, ValueError):  # it may be closed meanwhile
                 for order in orders:
-                    ports.send(port, order)
+                    port.write(order)
 
     def reply(self, good: str) -> str:
         """The line that is `good`; where none comes in time, the first one that may be meant as the answer.

@@ -14,7 +14,6 @@ from collections.abc import Callable, Iterator
 from types import TracebackType
 from typing import Self
 
-from gonio import platform
 from gonio.errors import ConfigError, DeviceError, Disturbed, GonioError, Interrupted
 from gonio.rig import clock
 from gonio.rig.bands import Band
@@ -226,14 +225,10 @@ class SerialLight:
 
     def _open(self) -> None:
         looked = Patience()
-        while self._is_being_darkened() and looked() < GUARD_S:
+        while guard.is_darkening(self._light.port) and looked() < GUARD_S:
             clock.sleep(LOOK_S)
         ports.require_free(self._light.port, "devices.light.port")
         self._line.open(self._baud)
-
-    def _is_being_darkened(self) -> bool:
-        """Whether the guard of a program that has died is at work."""
-        return any(guard.__file__ in each.command for each in platform.holders_of(self._light.port))
 
     def _wake(self) -> None:
         d = self._dialect

@@ -1,10 +1,13 @@
-"""Serial ports: opened for one owner only, with messages that say what is wrong and what to do."""
+"""Serial ports: opened for one owner only, with messages that say what is wrong and what to do.
+
+A port is what pyserial opens: `COM3`, `/dev/ttyUSB0`, `socket://host:port` (a raw server, such as ser2net or
+`gonio sim serve --tcp`), `rfc2217://host:port` (one that knows line speeds too).
+"""
 
 from __future__ import annotations
 
 import errno
 import os
-import select
 from pathlib import Path
 
 import serial
@@ -14,17 +17,24 @@ from gonio.errors import DeviceError
 
 FAILURES = (serial.SerialException, OSError, *platform.TERMINAL_ERRORS)
 """What a serial port raises that does not open, or goes away."""
+WORDED = {"FileNotFoundError": errno.ENOENT, "PermissionError": errno.EBUSY}
+"""What Windows says of a port that is missing, and of one that another program has open."""
 
-
-CLOGGED_S = 1.0
-"""A line that takes no byte for this long is dead."""
+CLOGGED_S = 3.0
+"""A line that takes no byte for this long is dead. pyserial cannot tell it from a computer that was held up as long."""
 
 
 def unopened(port: str, error: Exception, key: str) -> DeviceError:
     """What to tell a person whose port did not open; `key` is where the port was written."""
     said = f'{key} = "{port}"'
-    number = getattr(error, "errno", None)
     text = str(error)
+    if is_url(port):
+        return DeviceError(f"{said}: {text}; is the server running there, and free (one program at a time)?")
+    number = getattr(error, "errno", None)
+    if number is None:  # where there are no device files pyserial puts the system's error into words
+        number = next((n for name, n in WORDED.items() if name in text), None)
+    if number in (errno.EBUSY, errno.EAGAIN) or "exclusively lock" in text:
+        return DeviceError(f"{said}: the port is taken{_holder(port)}; end what holds it, then try again")
     if number in (errno.ENOENT, errno.ENODEV, errno.ENXIO) or not Path(port).exists():
         there = ", ".join(present()) or "none"
         return DeviceError(f"{said}: there is no such port (is the adapter plugged in?); ports here: {there}")
@@ -34,8 +44,6 @@ def unopened(port: str, error: Exception, key: str) -> DeviceError:
             f'{said}: no permission to open it; add yourself to its group ("sudo usermod -aG {group} $USER", '
             "then log in again) or install the udev rule of docs/lab_setup.md"
         )
-    if number in (errno.EBUSY, errno.EAGAIN) or "exclusively lock" in text:
-        return DeviceError(f"{said}: the port is taken{_holder(port)}; end what holds it, then try again")
     if number == errno.EISDIR or isinstance(error, platform.TERMINAL_ERRORS) or "configure port" in text:
         return DeviceError(f"{said}: this is no serial port; ports here: {', '.join(present()) or 'none'}")
     return DeviceError(f"{said}: cannot be opened as a serial port: {text}")
@@ -49,31 +57,21 @@ def require_free(port: str, key: str) -> None:
 
 def opened(port: str, baud: int, timeout_s: float) -> serial.Serial:
     """A port that nobody else may open; a read from it ends after `timeout_s`."""
-    return serial.Serial(port, baud, timeout=timeout_s, exclusive=True)
+    return serial.serial_for_url(port, baud, timeout=timeout_s, write_timeout=CLOGGED_S, exclusive=True)
 
 
-def wait(line: serial.Serial, seconds: float) -> None:
-    """Until bytes are there, or so many seconds are over."""
-    select.select([line.fileno()], [], [], seconds)
-
-
-def send(line: serial.Serial, data: bytes) -> None:
-    """Write all of `data`; raise `SerialTimeoutException` where the line takes none.
-
-    `Serial.write` raises that too where all was written, but the computer was held up meanwhile.
-    """
-    while data:
-        if not select.select([], [line.fileno()], [], CLOGGED_S)[1]:
-            raise serial.SerialTimeoutException("Write timeout")
-        try:
-            data = data[os.write(line.fileno(), data) :]
-        except BlockingIOError:
-            continue
+def is_url(port: str) -> bool:
+    """Whether a port is a server's address, and no device of this computer."""
+    return "://" in port
 
 
 def lost(port: str, error: Exception, key: str) -> DeviceError:
     """What to tell a person whose port went away while it was in use."""
     said = os.strerror(error.args[0]) if isinstance(error, platform.TERMINAL_ERRORS) else error
+    if is_url(port):
+        return DeviceError(
+            f'{key} = "{port}": the server has closed the connection ({said}); does another program use it?'
+        )
     return DeviceError(f'{key} = "{port}": the port went away while in use ({said}); check cable and power')
 
 

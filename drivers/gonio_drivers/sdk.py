@@ -30,7 +30,7 @@ class ExclusivePort(PortHandler):  # type: ignore[misc]
         """Open the port (again) at a line speed, with the lock taken again."""
         if self.is_open:
             self.closePort()
-        self.ser = ports.opened(self.port_name, cflag_baud, 0)
+        self.ser = ports.opened(self.port_name, cflag_baud, WAIT_S)
         self.is_open = True
         self.ser.reset_input_buffer()
         self.tx_time_per_byte = 1000.0 / cflag_baud * 10.0
@@ -50,18 +50,16 @@ class ExclusivePort(PortHandler):  # type: ignore[misc]
         self.packet_timeout += PATIENCE_MS
 
     def readPort(self, length: int) -> bytes:
-        """Bytes that are there, after a short wait where there are none."""
+        """Bytes that are there, or come in a short wait."""
         if length <= 0:
             return b""
-        if not self.ser.in_waiting:
-            ports.wait(self.ser, WAIT_S)
         data = bytes(self.ser.read(length))
         self.received += len(data)
         return data
 
     def writePort(self, packet: list[int]) -> int:
         """Send a packet, however long the computer is held up meanwhile; its length."""
-        ports.send(self.ser, bytes(packet))
+        self.ser.write(bytes(packet))
         return len(packet)
 
     def clearPort(self) -> None:

@@ -16,7 +16,7 @@ from gonio_drivers.lab import LAB
 from gonio_drivers.sdk import ExclusivePort
 from gonio_sim.wire.bus import ServoBus
 from gonio_sim.wire.faults import Faults
-from gonio_sim.wire.peer import Device, SerialPeer, scaled_clock
+from gonio_sim.wire.peer import Device, SerialPeer, SocketPeer, scaled_clock
 from gonio_sim.wire.servo import Servo
 from gonio_sim.wire.twins import Twins
 
@@ -70,7 +70,7 @@ class Counted:
         self._device.opened(send)
 
 
-def be_patient(peer: SerialPeer, faults: Faults, monkeypatch: pytest.MonkeyPatch) -> None:
+def be_patient(peer: SerialPeer | SocketPeer, faults: Faults, monkeypatch: pytest.MonkeyPatch) -> None:
     """On this line silence is what servos leave unanswered, and never what a busy machine has not come to yet."""
     peer.device = twin = Counted(peer.device)
     on_status, is_over = faults.on_status, PortHandler.isPacketTimeout

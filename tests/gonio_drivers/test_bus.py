@@ -257,8 +257,8 @@ def test_a_port_that_goes_away() -> None:
 def test_a_line_that_takes_no_more_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ports, "CLOGGED_S", 0.05)
     master, slave = pty.openpty()
-    with serial.Serial(os.ttyname(slave)) as line, pytest.raises(serial.SerialTimeoutException):
-        ports.send(line, bytes(1_000_000))
+    with ports.opened(os.ttyname(slave), BAUD, 0.1) as line, pytest.raises(serial.SerialTimeoutException):
+        line.write(bytes(1_000_000))
     for descriptor in (slave, master):
         os.close(descriptor)
 

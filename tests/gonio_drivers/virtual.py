@@ -262,8 +262,6 @@ def virtual_time(monkeypatch: pytest.MonkeyPatch) -> Iterator[VirtualClock]:
 
     for name, value in (
         ("opened", opened),
-        ("wait", lambda line, seconds: hours.wait(lambda: line.in_waiting > 0, seconds)),
-        ("send", lambda line, data: line.write(data)),
         ("require_free", lambda port, key: None),
     ):
         monkeypatch.setattr(ports, name, value)

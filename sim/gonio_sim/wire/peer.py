@@ -1,9 +1,12 @@
-"""A serial peer on a pseudo-terminal: what is plugged in at the other end of the cable."""
+"""What is plugged in at the other end of a cable: a device on a pseudo-terminal, or behind a port of the network."""
 
 from __future__ import annotations
 
+import contextlib
 import os
 import select
+import selectors
+import socket
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -111,6 +114,89 @@ class SerialPeer:
                     self.device.opened(self.send)
         except BaseException as failure:  # shown when the peer is closed: a thread has nobody to raise to
             self.failure = failure
+
+
+class SocketPeer:
+    """The same over TCP, for one program at a time, on this computer alone: others are sent away, as ser2net does.
+
+    Parameters
+    ----------
+    device, tells_opening
+        As of `SerialPeer`.
+    speed
+        At which line speed [baud] bytes come to the device: the network knows none.
+    """
+
+    def __init__(self, device: Device, speed: int, *, tells_opening: bool = False) -> None:
+        self.device = device
+        self._speed = speed
+        self._tells_opening = tells_opening
+        self._line: socket.socket | None = None
+        self.port = ""
+        self.failure: BaseException | None = None
+
+    def __enter__(self) -> Self:
+        self._server = socket.create_server(("127.0.0.1", 0))
+        self._wake, self._woken = socket.socketpair()
+        self.port = f"socket://127.0.0.1:{self._server.getsockname()[1]}"
+        self._thread = threading.Thread(target=self._serve, name=f"twin on {self.port}", daemon=True)
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._wake.close()
+        self._thread.join()
+        for one in (self._woken, self._server, self._line):
+            if one is not None:
+                one.close()
+        if self.failure is not None and error is None:
+            raise self.failure
+
+    def send(self, data: bytes) -> None:
+        """Put bytes on the line, whatever was asked (noise, banners); nobody may listen."""
+        with contextlib.suppress(OSError):
+            if self._line is not None:
+                self._line.sendall(data)
+
+    def _serve(self) -> None:
+        try:
+            with selectors.DefaultSelector() as look:
+                look.register(self._woken, selectors.EVENT_READ)
+                look.register(self._server, selectors.EVENT_READ)
+                while True:
+                    ready = {key.fileobj for key, _ in look.select()}
+                    if self._woken in ready:
+                        return
+                    if self._line is not None and self._line in ready:
+                        self._hear(look, self._line)
+                    elif self._server in ready:  # after the line, which may have ended just before
+                        self._answer(look)
+        except BaseException as failure:  # shown when the peer is closed: a thread has nobody to raise to
+            self.failure = failure
+
+    def _hear(self, look: selectors.BaseSelector, line: socket.socket) -> None:
+        data = b""
+        with contextlib.suppress(ConnectionError):
+            data = line.recv(4096)
+        if data:
+            self.device.receive(data, self._speed, self.send)
+        else:
+            look.unregister(line)
+            line.close()
+            self._line = None
+
+    def _answer(self, look: selectors.BaseSelector) -> None:
+        line, _ = self._server.accept()
+        if self._line is not None:
+            line.close()
+            return
+        line.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._line = line
+        look.register(line, selectors.EVENT_READ)
+        if self._tells_opening:
+            self.device.opened(self.send)
 
 
 @dataclass(frozen=True, slots=True)

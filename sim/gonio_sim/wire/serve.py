@@ -30,9 +30,12 @@ def serve(
         list[str] | None,
         typer.Option(help='Inject a fault by name, or "NAME:AXIS"; "list" names them.', show_default=False),
     ] = None,
+    tcp: Annotated[
+        bool, typer.Option("--tcp", help="Serve at TCP ports of this computer; pseudo-terminals otherwise.")
+    ] = False,
     after: Annotated[float, typer.Option(min=0.0, help="Seconds from the start until the faults happen.")] = 0.0,
 ) -> None:
-    """Serve twins of a rig file's devices on pseudo-terminals. They run until Ctrl-C."""
+    """Serve twins of a rig file's devices on pseudo-terminals, or over TCP. They run until Ctrl-C."""
 
     from gonio import platform
     from gonio.acquisition.measure import find_rig, load_sample
@@ -54,7 +57,7 @@ def serve(
     stop = threading.Event()
     for number in platform.ENDING:
         signal.signal(number, lambda *_: stop.set())
-    with Twins(choice.description, described, seed, folder=out.absolute(), scale=time_scale) as twins:
+    with Twins(choice.description, described, seed, folder=out.absolute(), scale=time_scale, tcp=tcp) as twins:
         path = out / "rig.toml"
         write_own(out, {path.name: rig_file(twins.description, Path(rig).parent).encode()})
         print(f"twins of {rig} are running, {time_scale:g} times as fast; Ctrl-C ends them")

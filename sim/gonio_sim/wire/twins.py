@@ -32,7 +32,7 @@ from gonio_sim.wire.bus import ServoBus
 from gonio_sim.wire.faults import Faults
 from gonio_sim.wire.kinesis import COUNTS_PER_DEG, KinesisTwin
 from gonio_sim.wire.lamps import LAMPS, Lamp, Shine
-from gonio_sim.wire.peer import Clock, Device, SerialPeer, scaled_clock
+from gonio_sim.wire.peer import Clock, Device, SerialPeer, SocketPeer, scaled_clock
 from gonio_sim.wire.servo import Mechanics, Servo
 from gonio_sim.wire.tether import TetheredCamera
 from gonio_sim.world import InHolder, World
@@ -40,6 +40,7 @@ from gonio_sim.world import InHolder, World
 COUNTS = 4096
 START_DEG = {"light": -40.0, "camera": 40.0}
 """Where the arms hang when the power comes."""
+STAGE_BAUD = 115_200
 TARGET_FILE = "target"
 IN_HOLDER: tuple[InHolder, ...] = ("mirror", "empty", "trap", "edge")
 """What a person may put there besides sample and white reference."""
@@ -192,6 +193,8 @@ class Twins:
         How many times faster than wall time motion, exposures and the lamp's drift run.
     short_counts
         How far friction stops a servo before its goal.
+    tcp
+        Serve at ports of the network in place of pseudo-terminals, which not every system has.
 
     Raises
     ------
@@ -208,11 +211,12 @@ class Twins:
         folder: Path,
         scale: float = 50.0,
         short_counts: float = 4.0,
+        tcp: bool = False,
     ) -> None:
         if not scale > 0:
             raise ConfigError(f"--time-scale {scale:g}: must be positive")
         self._devices = _parsed(description)
-        self._folder = folder
+        self._folder, self._tcp = folder, tcp
         self.scale = scale
         self.faults = Faults()
         self._clock = clock = scaled_clock(scale)
@@ -249,7 +253,7 @@ class Twins:
         self.bus = ServoBus(self.servos.values(), self.faults)
         self.lamp: Lamp = LAMPS[self._devices.light.dialect](description.bands.all(), self._shine, self.faults)
         self.camera = TetheredCamera(self._expose, folder / "frames", scale=scale, faults=self.faults)
-        self.peers: dict[str, SerialPeer] = {}
+        self.peers: dict[str, SerialPeer | SocketPeer] = {}
         self._stack = contextlib.ExitStack()
 
     def _built_stages(self) -> dict[str, KinesisTwin]:
@@ -280,8 +284,8 @@ class Twins:
             devices |= {f"stage-{name}": stage for name, stage in self.stages.items()}
             for name, device in devices.items():
                 tells = name == "lamp" and self.lamp.resets_on_open
-                peer = SerialPeer(device, self._folder / name, tells_opening=tells)
-                self.peers[name] = stack.enter_context(peer)
+                self.peers[name] = self._plug(name, device, tells_opening=tells)
+                stack.enter_context(self.peers[name])
             self._stack = stack.pop_all()
         return self
 
@@ -294,30 +298,40 @@ class Twins:
             self._render.close()
             self.world.open = False
 
+    def _plug(self, name: str, device: Device, *, tells_opening: bool) -> SerialPeer | SocketPeer:
+        if not self._tcp:
+            return SerialPeer(device, self._folder / name, tells_opening=tells_opening)
+        speed = {"servos": self._devices.servos.baud, "lamp": self.lamp.bauds[0]}.get(name, STAGE_BAUD)
+        return SocketPeer(device, speed, tells_opening=tells_opening)
+
     @property
     def description(self) -> RigDescription:
         """The rig file with its cables plugged into the twins, and with waits that suit their clock."""
         original = self.world.description
         devices = {name: dict(table) for name, table in original.devices.items()}
         if self._devices.stages is not None:
-            ports = {name: {"port": str(self._folder / f"stage-{name}")} for name in self.stages}
+            ports = {name: {"port": self._port(f"stage-{name}")} for name in self.stages}
             axes = devices["stages"]["axes"]
             devices["stages"]["axes"] = {name: dict(axis) | ports[name] for name, axis in axes.items()}
         arms = devices["servos" if "servos" in devices else "stages"]
         arms["settle_s"] = max(0.03, arms.get("settle_s", 0.1) / self.scale)
         if "servos" in devices:
-            devices["servos"]["port"] = str(self._folder / "servos")
-        devices["light"]["port"] = str(self._folder / "lamp")
+            devices["servos"]["port"] = self._port("servos")
+        devices["light"]["port"] = self._port("lamp")
         devices["holder"] = {"target_file": str(self._folder / TARGET_FILE)}
         devices["light"]["settle_s"] = devices["light"].get("settle_s", 0.5) / self.scale
         if self.replays:
             devices["camera"]["folder"] = str(Path(devices["camera"]["folder"]).expanduser().absolute())
         else:
             kept = devices["camera"] if self.driver == "folder" else {"driver": "folder"}
-            trigger = {"how": "serial", "port": str(self._folder / "release")}
+            trigger = {"how": "serial", "port": self._port("release")}
             devices["camera"] = kept | {"folder": str(self._folder / "frames"), "trigger": trigger}
         lamp = original.lamp.model_copy(update={"warm_up_s": original.lamp.warm_up_s / self.scale})
         return original.model_copy(update={"devices": devices, "lamp": lamp})
+
+    def _port(self, name: str) -> str:
+        """Where a device is served; over TCP once this is entered."""
+        return self.peers[name].port if name in self.peers else str(self._folder / name)
 
     @property
     def driver(self) -> str:

@@ -1,0 +1,245 @@
+"""The workbench on a Python that has only what one on Windows has (`shim/sitecustomize.py`): `make test-portable`."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+import urllib.request
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from gonio_sim.wire.twins import Twins, rig_file
+
+from gonio import measurement
+from tests.gonio_drivers.conftest import SAMPLE, small
+
+pytestmark = pytest.mark.portable
+
+SHIM = Path(__file__).with_name("shim")
+HANGS_S = 600.0
+"""A command that takes longer than this hangs."""
+COMMAND = [sys.executable, "-c", "from gonio.cli import main; main()"]
+SAMPLE_TOML = 'name = "aux"\nmodel = "lambert"\n[parameters]\nalbedo = 0.5\n'
+PLAN = """name = "small"
+wavelength_nm = [550]
+[[sweep]]
+theta_i_deg = [20, 50]
+theta_r_deg = [-60, -40, 0, 20, 40, 70]
+"""
+MEASURE = ("measure", "plan.toml", "--rig", "sim", "--sample", "sample.toml", "--seed", "5")
+
+
+def plain() -> dict[str, str]:
+    """What commands see without the shim, on a console of 40 columns."""
+    return os.environ | {"COLUMNS": "40", "NO_COLOR": "1"}
+
+
+def environment(**more: str) -> dict[str, str]:
+    return plain() | {"PYTHONIOENCODING": "cp1252", "PYTHONPATH": str(SHIM)} | more
+
+
+def run(folder: Path, *words: str | Path, expect: int = 0, env: dict[str, str] | None = None) -> str:
+    """What a command printed; it shows no traceback."""
+    env = env or environment()
+    done = subprocess.run(
+        [*COMMAND, *map(str, words)], cwd=folder, env=env, capture_output=True, stdin=subprocess.DEVNULL,
+        timeout=HANGS_S, check=False,
+    )  # fmt: skip
+    said = (done.stdout + done.stderr).decode(env.get("PYTHONIOENCODING", "utf-8"))
+    assert done.returncode == expect, said
+    assert "Traceback" not in said
+    assert "should not happen" not in said
+    return said
+
+
+@pytest.fixture
+def files(tmp_path: Path) -> Path:
+    # blanks and letters outside of ASCII in the path, as in a user's folder
+    folder = tmp_path / "My Höhe"
+    folder.mkdir()
+    (folder / "plan.toml").write_text(PLAN, encoding="utf-8")
+    (folder / "sample.toml").write_text(SAMPLE_TOML, encoding="utf-8")
+    return folder
+
+
+def test_the_shim_takes_away_what_it_says(tmp_path: Path) -> None:
+    program = (
+        "import importlib.util, sys\n"
+        "spec = importlib.util.spec_from_file_location('gonio_tried', sys.argv[1])\n"
+        "spec.loader.exec_module(importlib.util.module_from_spec(spec))\n"
+    )
+    lines = """
+import fcntl
+import os; os.O_NONBLOCK
+import os; os.open("x", os.O_CREAT | os.O_WRONLY)
+import os; os.fork()
+import os; os.getuid()
+import os; f = open("x", "w"); os.replace("y", "x")
+import signal; signal.SIGKILL
+import select; select.poll
+open("con.txt", "w")
+open("a:b", "w")
+open("x", "w").write("\u03b8")
+"""
+    for number, line in enumerate(lines.split("\n")[1:-1]):
+        (tmp_path / "y").touch()
+        tried = tmp_path / f"tried{number}.py"
+        tried.write_text(line, encoding="utf-8")
+        done = subprocess.run(
+            [sys.executable, "-c", program, str(tried)],
+            env=environment(),
+            capture_output=True,
+            cwd=tmp_path,
+            check=False,
+        )
+        assert done.returncode != 0, line
+
+
+def test_the_quick_demo(tmp_path: Path) -> None:
+    run(tmp_path, "demo", "--quick", "--out", "demo", env=environment(PYTHONIOENCODING="cp850"))
+    page = (tmp_path / "demo" / "run" / "report" / "index.html").read_text(encoding="utf-8")
+    assert "rough aluminium" in page
+    assert "θ" in page
+
+
+@pytest.mark.parametrize("console", ["yes", "no"])
+def test_read_fit_compare_report_convert(files: Path, console: str) -> None:
+    env = environment(GONIO_SHIM_CONSOLE=console)
+    run(files, *MEASURE, "--out", "run", env=env)
+    run(files, "reduce", "run", env=env)
+    run(files, "fit", "run/brdf.csv", "--model", "lambert", "--save", "fit.toml", env=env)
+    run(files, "compare", "run/brdf.csv", "--models", "lambert,oren-nayar", "--out", "page", env=env)
+    run(files, "report", "run", "--models", "lambert", env=env)
+    run(files, "convert", "run/brdf.csv", "run.astm", env=env)
+    run(files, "convert", "run.astm", "back.csv", env=env)
+    back = measurement.read(files / "back.csv")
+    assert len(back) == 12
+    names = {path.name.split(".")[0] for path in files.rglob("*")}
+    assert not names & {"aux", "con", "nul", "prn"}, "a sample's name became the name of a device"
+    # without the shim: the same bytes
+    done = subprocess.run(
+        [*COMMAND, *MEASURE, "--out", "other"], cwd=files, env=plain(), capture_output=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    subprocess.run([*COMMAND, "reduce", "other"], cwd=files, env=plain(), check=True)
+    assert (files / "run" / "brdf.csv").read_bytes() == (files / "other" / "brdf.csv").read_bytes()
+
+
+def steps_in(run_folder: Path) -> list[int]:
+    whole = (run_folder / "journal.jsonl").read_bytes().rpartition(b"\n")[0]
+    return [event["step"] for event in map(json.loads, whole.splitlines()) if event["event"] == "step"]
+
+
+@pytest.mark.parametrize("console", ["yes", "no"])
+def test_a_killed_run_is_taken_up_again_and_followed(files: Path, console: str) -> None:
+    env = environment(GONIO_SHIM_CONSOLE=console)
+    begun = subprocess.Popen(
+        [*COMMAND, *MEASURE, "--out", "run"], cwd=files, env=env, stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+    )  # fmt: skip
+    journal = files / "run" / "journal.jsonl"
+    while begun.poll() is None and not (journal.exists() and steps_in(files / "run")):
+        time.sleep(0.001)
+    if begun.poll() is None:
+        said = run(files, *MEASURE, "--out", "run", "--resume", expect=2, env=env)
+        assert "another process is measuring" in " ".join(said.split())
+    begun.kill()
+    begun.wait()
+    run(files, *MEASURE, "--out", "run", "--resume", env=env)
+    assert steps_in(files / "run") == list(range(len(steps_in(files / "run"))))
+    with subprocess.Popen(
+        [*COMMAND, "watch", "run"], cwd=files, env=env, stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
+    ) as watch:  # fmt: skip
+        try:
+            assert watch.stdout is not None
+            address = watch.stdout.readline().decode().strip()
+            with urllib.request.urlopen(address, timeout=60) as page:
+                assert b"<html" in page.read()
+        finally:
+            watch.kill()
+
+
+def test_a_file_that_is_open_elsewhere_is_named_and_kept(files: Path) -> None:
+    run(files, *MEASURE, "--out", "run")
+    run(files, "reduce", "run")
+    fit = ("fit", "run/brdf.csv", "--model", "lambert", "--save", "fit.toml")
+    run(files, *fit)
+    before = (files / "fit.toml").read_bytes()
+    with (files / "fit.toml").open("rb"):
+        said = run(files, *fit, expect=2)
+    assert "open in another program" in " ".join(said.split())
+    assert (files / "fit.toml").read_bytes() == before
+    assert not [name for name in os.listdir(files) if name.endswith(".new")]
+    run(files, *fit)
+
+
+@pytest.mark.parametrize("name", ["aux", "a:b", "x" * 250])
+def test_a_name_that_cannot_be_had_is_said(files: Path, name: str) -> None:
+    said = run(files, *MEASURE, "--out", name, expect=2)
+    assert "Errno" not in said
+    assert set(os.listdir(files)) == {"plan.toml", "sample.toml"}
+
+
+@pytest.fixture
+def twins(tmp_path: Path) -> Iterator[Twins]:
+    with Twins(small(), SAMPLE, 3, folder=tmp_path / "twin", scale=20.0, tcp=True) as served:
+        (tmp_path / "rig.toml").write_text(rig_file(served.description), encoding="utf-8")
+        yield served
+
+
+def test_the_laboratory_over_tcp(twins: Twins, files: Path) -> None:
+    rig = files.parent / "rig.toml"
+    assert all(peer.port.startswith("socket://127.0.0.1:") for peer in twins.peers.values())
+    run(files, "rig", "check", "--rig", rig)
+    run(files, "measure", "plan.toml", "--rig", rig, "--out", "run", "--yes")
+    run(files, "reduce", "run")
+    assert len(measurement.read(files / "run" / "brdf.csv")) == 12
+    assert twins.quiet
+
+
+def test_the_lamp_of_a_program_that_was_killed_goes_dark_over_tcp(twins: Twins, files: Path) -> None:
+    command = [*COMMAND, "rig", "lamp", "on", "--for", "1000", "--rig", str(files.parent / "rig.toml")]
+    with subprocess.Popen(command, env=environment(COLUMNS="200"), stderr=subprocess.PIPE) as child:
+        assert child.stderr is not None
+        while b"lamp lit" not in (line := child.stderr.readline()):
+            assert line, "it ended"
+        assert twins.lamp.shine.lit
+        child.kill()
+    end = time.monotonic() + 60.0
+    while twins.lamp.shine.lit:
+        assert time.monotonic() < end
+        time.sleep(0.01)
+    run(files, "rig", "dark", "--rig", files.parent / "rig.toml")
+
+
+def test_one_program_at_a_time_has_a_port_of_the_network(twins: Twins, files: Path) -> None:
+    rig = files.parent / "rig.toml"
+    command = [*COMMAND, "rig", "lamp", "on", "--for", "1000", "--rig", str(rig)]
+    with subprocess.Popen(command, env=environment(COLUMNS="200"), stderr=subprocess.PIPE) as child:
+        try:
+            assert child.stderr is not None
+            while b"lamp lit" not in (line := child.stderr.readline()):
+                assert line, "it ended"
+            said = run(files, "rig", "lamp", "on", "--for", "1", "--rig", rig, expect=3)
+            assert "does another program use it?" in " ".join(said.split())
+            assert twins.lamp.shine.lit
+        finally:
+            child.kill()
+
+
+def test_twins_are_served_over_tcp_by_command(files: Path) -> None:
+    with subprocess.Popen(
+        [*COMMAND, "sim", "serve", "--rig", "lab", "--tcp", "--out", "twin"], cwd=files, env=environment(COLUMNS="200"),
+        stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+    ) as serving:  # fmt: skip
+        try:
+            assert serving.stdout is not None
+            assert b"twins of lab are running" in serving.stdout.readline()
+            run(files, "rig", "read", "--rig", "twin/rig.toml")
+        finally:
+            serving.kill()
