@@ -28,6 +28,8 @@ _MODULES = (
     "workbook",
     "merl",
     "rgl",
+    "nexus",
+    "parquet",
 )
 _ALSO = {"bird-json": "bird"}
 """Other names of formats, for --from and --to."""

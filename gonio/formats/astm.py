@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gonio.errors import DataError
+from gonio.formats import stated
 from gonio.formats.reader import Format, fold, plain_degrees, table, wide, write_bytes
 from gonio.formats.text import Text, estimate, integer, numbers
 
@@ -105,12 +106,39 @@ def _rows(
     return rows, decimals, last
 
 
+HEADER = {
+    "LAB_NAME": "organisation", "LAB_ADD": "address.street", "LAB_CITY": "address.city",
+    "LAB_ZIP": "address.postal_code", "LAB_OPERATOR": "operator", "LAB_COMMENTS": "description",
+    "SAMPLE_NAME": "sample.name", "SAMPLE_TYPE": "sample.type", "MEAS_DATE": "measured",
+}  # fmt: skip
+"""Keywords of the standard's header, and the keys of `[laboratory]` that say it."""
+REQUIRED = ("LAB_NAME", "LAB_OPERATOR", "SAMPLE_NAME", "MEAS_DATE")
+
+
+def _known(frame: pd.DataFrame) -> dict[str, str]:
+    """Keywords of the header: those of the file that was read, and what the laboratory has stated."""
+    known = {key: value for key, value in frame.attrs.get("provenance", {}).items() if _is_keyword(key, value)}
+    laboratory = stated.laboratory_of(frame) or {}
+    for keyword, key in HEADER.items():
+        if value := stated.get(laboratory, key):
+            known.setdefault(keyword, " ".join(str(value).split()))
+    if frame.attrs.get("sample"):
+        known["SAMPLE_NAME"] = " ".join(str(frame.attrs["sample"]).split())
+    return known
+
+
+def remarks(frame: pd.DataFrame) -> list[str]:
+    """Of a run: which keywords of the header nobody has stated."""
+    if "reduced_by" not in frame.attrs.get("provenance", {}):
+        return []
+    lacking = [f"{name} (laboratory.{HEADER[name]})" for name in REQUIRED if name not in _known(frame)]
+    return [f"the header lacks what nobody has stated: {', '.join(lacking)}"] if lacking else []
+
+
 def write(frame: pd.DataFrame, path: Path) -> None:
     """Angles in radians and values, all digits; a flagged row becomes a zero, which reads as "clamped"."""
     angles, wavelengths, values = wide(frame, path, "ASTM E1392")
-    known = {key: value for key, value in frame.attrs.get("provenance", {}).items() if _is_keyword(key, value)}
-    if frame.attrs.get("sample"):
-        known["SAMPLE_NAME"] = " ".join(str(frame.attrs["sample"]).split())
+    known = _known(frame)
     known["MEAS_NAME"] = "BRDF"
     lines = [f"{key} {value}" for key, value in known.items()]
     lines += [
@@ -175,6 +203,7 @@ FORMAT = Format(
     sniff=lambda head: re.search(rb"^VARS\s[^\r\n]*theta_i\b", head, re.MULTILINE) is not None,
     read=read,
     write=write,
+    remarks=remarks,
     carries=frozenset({"flag"}),
     only_flag="clamped",
 )

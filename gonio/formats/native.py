@@ -68,8 +68,8 @@ def meta_path(path: str | Path) -> Path:
     return Path(path).with_suffix(".meta.json")
 
 
-def read(data: bytes, path: Path) -> pd.DataFrame:
-    """The table, its numbers to the last bit, and its attributes."""
+def read(data: bytes, path: Path, stored: Any = None) -> pd.DataFrame:
+    """The table, its numbers to the last bit, and its attributes: `stored`, or those that lie beside the file."""
     text = decode(data, path)
     frame = _read_at_once(text)
     if frame is None:
@@ -77,13 +77,30 @@ def read(data: bytes, path: Path) -> pd.DataFrame:
         for name in _TEXTS:
             if name in frame.columns:
                 frame[name] = _per_word(frame[name], plain_word)
+    return _completed(
+        frame, checked_attributes(stored, str(path)) if stored else _read_attrs(path, quantity(frame)), path
+    )
+
+
+def taken(frame: pd.DataFrame, stored: Any, path: Path) -> pd.DataFrame:
+    """The table of columns and attributes that another file format has kept; `DataError` where they are none."""
+    check_columns(list(frame.columns), str(path), needed=NEEDED)
+    for name in frame.columns:
+        if (frame[name].dtype.kind in "biuf") == (name in _WORDS):
+            raise DataError(f"{path}: the column {name} holds {'words' if name not in _WORDS else 'numbers'}")
+    attrs = checked_attributes(stored, str(path)) if stored else attributes(quantity=quantity(frame))
+    return _completed(frame, attrs, path)
+
+
+def _completed(frame: pd.DataFrame, attrs: Attributes, path: Path) -> pd.DataFrame:
+    """The table with the columns that a file may lack, and its attributes; `DataError` where a value is not allowed."""
     absent = [name for name in _DEFAULTS if name not in frame.columns]
     if absent:
         causes = [name for name in frame.columns if name.startswith("s_")]
         frame = frame.assign(**{name: _DEFAULTS[name] for name in absent})
         words, numbers = ([name for name in some if name in frame.columns] for some in (EXTRA[:2], EXTRA[2:]))
         frame = frame[[*COLUMNS[:6], *words, *COLUMNS[6:9], *causes, *numbers, "flag"]]
-    frame.attrs.update(_read_attrs(path, quantity(frame)))
+    frame.attrs.update(attrs)
     if absent:
         shown = ", ".join(absent)
         frame.attrs["notes"] = [*frame.attrs["notes"], f"the file has no columns {shown}: taken as unknown, or none"]
@@ -169,7 +186,7 @@ def write(frame: pd.DataFrame, path: Path) -> None:
     with np.printoptions(legacy=False):
         text = cells.to_csv(index=False, lineterminator="\n", quoting=quoting)
     try:
-        meta = json.dumps(_plain(frame.attrs), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+        meta = json.dumps(plain(frame.attrs), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
     except (TypeError, ValueError) as error:
         raise DataError(f"{path}: an attribute of the table cannot be written as JSON: {error}") from None
     if not is_stream(path):  # nothing lies beside standard output, a pipe or a device
@@ -338,14 +355,14 @@ def checked_attributes(stored: Any, where: str) -> Attributes:
     return attributes(**stored)
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
     """Attributes as JSON has them."""
     if isinstance(value, dict):
-        return {str(key): _plain(item) for key, item in value.items()}
+        return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
+        return [plain(item) for item in value]
     if isinstance(value, np.ndarray | np.generic):
-        return _plain(value.tolist())
+        return plain(value.tolist())
     if isinstance(value, Path):
         return str(value)
     return value

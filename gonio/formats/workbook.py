@@ -2,24 +2,34 @@
 
 A worksheet's first line that is not empty names the columns. It is read as a CSV with these cells would be: under the
 measurement table's names, or under others that are named (`gonio.formats.own_columns`). Of several worksheets the first
-is taken whose header has all the columns that are needed. Numbers come out with every bit that the workbook holds.
+is taken whose header has all the columns that are needed. Numbers come out with every bit that the workbook holds;
+those that are written have 16 digits.
 """
 
 from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Collection
+import json
+import re
+from collections.abc import Collection, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from gonio.errors import DataError
 from gonio.formats import native, workbook_cells
-from gonio.formats.reader import Format
+from gonio.formats.curve_sheets import curves
+from gonio.formats.reader import Format, write_bytes
 
 if TYPE_CHECKING:
     import pandas as pd
 
+ABOUT = "attributes of the table, as JSON"
+MOST_ROWS = 1_048_576
+MOST_TEXT = 30_000
+"""Characters of a cell: Excel takes 32 767."""
 MAX_BYTES = 64 * 2**20
 MAX_PLACES = 4_000_000
 """Rows times columns, empty ones too: what the lines of the CSV take, four times the cells of a workbook."""
@@ -38,7 +48,10 @@ def as_csv(data: bytes, path: Path, needed: Collection[str]) -> tuple[bytes, lis
     DataError
         It is no such workbook, is damaged, or holds nothing; a cell stands in a column without a name.
     """
-    sheets = workbook_cells.worksheets(data, path)
+    return _table_of(workbook_cells.worksheets(data, path), path, needed)
+
+
+def _table_of(sheets: Sequence[workbook_cells.Sheet], path: Path, needed: Collection[str]) -> tuple[bytes, list[str]]:
     full = [(number, sheet) for number, sheet in enumerate(sheets, start=1) if sheet]
     if not full:
         raise DataError(f"{path}: the workbook holds no cells")
@@ -79,10 +92,66 @@ def _cell(value: float | str) -> str:
 
 def read(data: bytes, path: Path) -> pd.DataFrame:
     """The measurement table in a workbook whose columns have the table's own names."""
-    text, notes = as_csv(data, path, native.NEEDED)
-    frame = native.read(text, path)
-    frame.attrs["notes"] = [*notes, *frame.attrs["notes"]]
+    sheets = workbook_cells.worksheets(data, path)
+    text, notes = _table_of(sheets, path, native.NEEDED)
+    stored = _stored(sheets)
+    frame = native.read(text, path, stored)
+    frame.attrs["notes"] = [*([] if stored else notes), *frame.attrs["notes"]]
     return frame
+
+
+def _stored(sheets: Sequence[workbook_cells.Sheet]) -> Any:
+    """The attributes that `write` has put on a sheet of their own; None where there is none."""
+    for sheet in sheets:
+        if sheet.get((0, 0)) == ABOUT:
+            parts = [str(value) for (row, column), value in sorted(sheet.items()) if row and not column]
+            try:
+                return json.loads("".join(parts))
+            except ValueError:
+                return None
+    return None
+
+
+def write(frame: pd.DataFrame, path: Path) -> None:
+    """A sheet of the whole table, one a curve, and one of the table's attributes; numbers to 16 digits."""
+    from openpyxl import Workbook
+
+    if len(frame) >= MOST_ROWS or frame.size > workbook_cells.MOST_CELLS // 2:
+        raise DataError(f"{path}: {len(frame)} rows are too many for a workbook; write .parquet or .csv")
+    every = list(curves(frame, path))
+    book = Workbook(write_only=True)
+    _fill(book.create_sheet("table"), list(frame.columns), [frame[name].tolist() for name in frame.columns])
+    names: set[str] = {"table", "about"}
+    shown = ("wavelength_nm", "brdf", "u_brdf", "flag")
+    for curve in every:
+        header = ["viewing angle [deg]", "wavelength [nm]", "BRDF [1/sr]", "u(BRDF) [1/sr]", "flag"]
+        columns = [curve.signed_deg.tolist(), *(curve.rows[name].tolist() for name in shown)]
+        _fill(book.create_sheet(_sheet_name(curve.name, names)), header, columns)
+    text = json.dumps(native.plain(frame.attrs), ensure_ascii=True, allow_nan=False)
+    parts = [text[k : k + MOST_TEXT] for k in range(0, len(text), MOST_TEXT)]
+    _fill(book.create_sheet("about"), [ABOUT], [parts])
+    buffer = io.BytesIO()
+    book.save(buffer)
+    write_bytes(path, buffer.getvalue())
+
+
+def _fill(sheet: Any, header: list[str], columns: list[list[Any]]) -> None:
+    sheet.append(header)
+    for row in zip(*columns, strict=True):
+        sheet.append(
+            [None if value == "" or (isinstance(value, float) and np.isnan(value)) else value for value in row]
+        )
+
+
+def _sheet_name(name: str, taken: set[str]) -> str:
+    """A name that Excel takes, and that no other sheet has."""
+    plain = re.sub(r"[\[\]:*?/\\']", "-", name)[:27] or "curve"
+    out, count = plain, 1
+    while out.lower() in taken:
+        count += 1
+        out = f"{plain} {count}"
+    taken.add(out.lower())
+    return out
 
 
 FORMAT = Format(
@@ -91,5 +160,7 @@ FORMAT = Format(
     endings=(".xlsx",),
     sniff=lambda head: head.startswith(workbook_cells.NEW),
     read=read,
+    write=write,
     max_bytes=MAX_BYTES,
+    carries=native.FORMAT.carries,
 )
