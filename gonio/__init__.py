@@ -5,7 +5,7 @@ What a script or a notebook needs most can be taken from here; it is imported wh
 
 from typing import Any
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 _FROM = {
     "read": "gonio.measurement",

@@ -11,6 +11,7 @@ compiled again, with one line of notice where a file was damaged. Files keep num
 from __future__ import annotations
 
 import contextlib
+import functools
 import hashlib
 import os
 import pickle
@@ -133,7 +134,10 @@ if FunctionCache is not None:
 
         def load_overload(self, signature: Any, target: Any) -> Any:
             try:
-                return super().load_overload(signature, target)
+                found = super().load_overload(signature, target)
+                if found is None:
+                    _say_once(self.cache_path)
+                return found
             except Exception as error:  # whole, and yet of no use to this numba
                 tell(f"{self.cache_path}: compiled code on disk cannot be used ({error!r:.100}); it is compiled again")
                 return None
@@ -143,6 +147,13 @@ if FunctionCache is not None:
                 super().save_overload(signature, data)
             except OSError as error:
                 tell(f"{self.cache_path}: compiled code cannot be kept ({error.strerror}): each start compiles again")
+
+
+@functools.cache
+def _say_once(folder: str) -> None:
+    """On a terminal: why the first command takes longer than later ones."""
+    if sys.stderr is not None and sys.stderr.isatty():
+        tell(f"compiling for this processor: seconds for each model, once; kept in {os.path.dirname(folder)}")
 
 
 def _checksum(path: str, content: bytes) -> bytes:

@@ -106,6 +106,8 @@ class Staged:
 
     def __init__(self, path: str | Path, data: bytes) -> None:
         self.path = os.path.realpath(path) if os.path.islink(path) else path  # a link stays one
+        if platform.is_reserved(path):
+            raise OSError(errno.EINVAL, "the system keeps this name for a device; choose another", str(path))
         self._require_file()
         number = f"{os.getpid()}{next(_STAGED):09d}"  # a file may be staged twice, and the later one counts
         folder, name = os.path.split(path)
@@ -179,7 +181,9 @@ def half_written(name: str, of: Collection[str] | re.Pattern[str]) -> bool:
 
 
 def require_name(path: str | Path) -> None:
-    """Raise `ConfigError` where a path is longer than file systems take."""
+    """Raise `ConfigError` where a path is longer than file systems take, or the system keeps its name for a device."""
+    if platform.is_reserved(path):
+        raise ConfigError(f"{path}: the system keeps this name for a device; choose another")
     for part in Path(path).parts:
         if len(os.fsencode(part)) > LONGEST_NAME:
             raise ConfigError(

@@ -34,7 +34,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Iterator
-from pathlib import Path
+from pathlib import Path, PureWindowsPath
 from types import TracebackType
 from typing import Any, NamedTuple, Self
 
@@ -216,6 +216,17 @@ def is_locked(path: Path) -> bool | None:
     return any("FLOCK" in row and any(word.endswith(f":{number}") for word in row) for row in rows)
 
 
+def is_reserved(path: str | Path) -> bool:
+    """Whether the system takes a name for a device or a stream (`aux`, `con.txt`, `a:b`): what is written there
+    is lost.
+
+    Names that only other systems refuse are names here.
+    """
+    if hasattr(os.path, "isreserved"):
+        return bool(os.path.isreserved(path))
+    return isinstance(path := Path(path), PureWindowsPath) and path.is_reserved()
+
+
 def free_bytes(folder: Path) -> int:
     """What this user may still write into a folder; raises `OSError`."""
     return shutil.disk_usage(folder).free
@@ -282,7 +293,9 @@ def detached() -> dict[str, Any]:
     """What `subprocess.Popen` takes for a child that no Ctrl-C reaches and that outlives this process."""
     if hasattr(os, "setsid"):
         return {"start_new_session": True}
-    return {"creationflags": getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0)}
+    # without the console, which takes all of its processes with it when its window is closed
+    names = "CREATE_NEW_PROCESS_GROUP", "DETACHED_PROCESS"
+    return {"creationflags": sum(getattr(subprocess, name, 0) for name in names)}
 
 
 def is_alive(process: int) -> bool:

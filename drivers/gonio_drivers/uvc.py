@@ -1,4 +1,4 @@
-"""A USB video camera through OpenCV and V4L2.
+"""A USB video camera through OpenCV: V4L2, or DirectShow where that is what the system has.
 
 A video camera is a poor radiometer: its exposure may silently stay what it was, frames queue up, and gamma and white
 balance bend its response. So every setting is read back, queued frames are thrown away until one was surely exposed
@@ -7,10 +7,11 @@ after the call, and without a response calibration the camera does not open for 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -23,8 +24,48 @@ from gonio_drivers.patience import LATE_S, Patience
 
 EXPOSURE_UNIT_S = 1e-4
 """V4L2 counts exposure in units of 100 us."""
-MANUAL, AUTOMATIC = 1, 3
-"""V4L2's codes for the mode of the exposure; switching through automatic makes stubborn cameras listen."""
+
+
+class Backend(NamedTuple):
+    """How OpenCV reaches cameras on one kind of system."""
+
+    code: int
+    """OpenCV's, by which it is chosen: another one may count otherwise."""
+    name: str
+    manual: float
+    automatic: float
+    """Codes for the mode of the exposure; switching through automatic makes stubborn cameras listen."""
+    in_octaves: bool
+    """Exposures are powers of two, and counted by their logarithm."""
+
+    def count_of(self, exposure_s: float) -> int:
+        """The number that stands for an exposure, or for the one that is nearest to it."""
+        return round(math.log2(exposure_s) if self.in_octaves else exposure_s / EXPOSURE_UNIT_S)
+
+    def seconds(self, count: int) -> float:
+        """The exposure that a number stands for [s]."""
+        return 2.0**count if self.in_octaves else count * EXPOSURE_UNIT_S
+
+
+def backend() -> Backend:
+    """The first of those that this OpenCV has; raises `DeviceError` where it has none that takes exposures."""
+    import cv2
+
+    known = (
+        Backend(cv2.CAP_V4L2, "V4L2", 1, 3, in_octaves=False),
+        Backend(cv2.CAP_DSHOW, "DirectShow", 0, 1, in_octaves=True),
+    )
+    there = cv2.videoio_registry.getCameraBackends()
+    for one in known:
+        if one.code in there:
+            return one
+    names = ", ".join(cv2.videoio_registry.getBackendName(code) for code in there) or "none"
+    raise DeviceError(
+        'devices.camera.driver = "uvc": OpenCV reaches video cameras here by ways that take no exposure time '
+        f"({names}); measure on a system with V4L2 or DirectShow, or with another camera"
+    )
+
+
 WHITE = 65535.0
 
 
@@ -68,12 +109,14 @@ class UvcCamera:
         import cv2
 
         opener = self._open or cv2.VideoCapture
-        self._capture = opener(self._camera.device, cv2.CAP_V4L2)
+        self._by = backend()
+        self._capture = opener(self._camera.device, self._by.code)
         if not self._capture.isOpened():
             self._capture = None
             raise DeviceError(
-                f'devices.camera.device = "{self._camera.device}": no video camera opens there through V4L2 (is it '
-                "plugged in, used by another program, and are you in the group video?)"
+                f'devices.camera.device = "{self._camera.device}": no video camera opens there through '
+                f"{self._by.name} (is it plugged in, "
+                "used by another program, and are you in the group video?)"
             )
         self._require("width", cv2.CAP_PROP_FRAME_WIDTH, self._description.width)
         self._require("height", cv2.CAP_PROP_FRAME_HEIGHT, self._description.height)
@@ -82,8 +125,8 @@ class UvcCamera:
         self._require("automatic white balance", cv2.CAP_PROP_AUTO_WB, 0)
         if self._camera.gain is not None:
             self._require("gain", cv2.CAP_PROP_GAIN, self._camera.gain)
-        self._capture.set(cv2.CAP_PROP_AUTO_EXPOSURE, AUTOMATIC)
-        self._require("automatic exposure", cv2.CAP_PROP_AUTO_EXPOSURE, MANUAL)
+        self._capture.set(cv2.CAP_PROP_AUTO_EXPOSURE, self._by.automatic)
+        self._require("automatic exposure", cv2.CAP_PROP_AUTO_EXPOSURE, self._by.manual)
         return self
 
     def __exit__(
@@ -100,15 +143,16 @@ class UvcCamera:
         if self._capture is None:
             raise DeviceError("the video camera is not open: enter the rig first")
         self._description.require_exposure(exposure_s)
-        units = round(exposure_s / EXPOSURE_UNIT_S)
-        if units < 1:
+        count = self._by.count_of(exposure_s)
+        if not self._by.in_octaves and count < 1:
             raise ConfigError(
                 f"an exposure of {exposure_s:g} s is below the {EXPOSURE_UNIT_S:g} s that a video camera counts in; "
                 "see camera.exposure_limits_s"
             )
-        self._require("exposure", cv2.CAP_PROP_EXPOSURE, units)
+        self._require("exposure", cv2.CAP_PROP_EXPOSURE, count)
+        exposure_s = self._by.seconds(count)
         begun = clock.monotonic()
-        image = self._fresh(units * EXPOSURE_UNIT_S)
+        image = self._fresh(exposure_s)
         if self._response is None:  # the reduction makes linear what the camera gave
             raw, black, white = image, self._description.black_level_dn, self._description.white_level_dn
             if raw.dtype != np.uint8:
@@ -118,7 +162,7 @@ class UvcCamera:
         else:
             raw, black, white = self._response[image] if image.dtype == np.uint8 else image, 0.0, WHITE
         mosaic = np.ascontiguousarray(raw.astype(np.uint16))
-        return Frame(mosaic, units * EXPOSURE_UNIT_S, black, white, self._description.pattern, time_s=begun)
+        return Frame(mosaic, exposure_s, black, white, self._description.pattern, time_s=begun)
 
     def _fresh(self, exposure_s: float) -> npt.NDArray[Any]:
         """A frame that began after now: queued ones are dropped by count and by time."""

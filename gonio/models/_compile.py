@@ -110,7 +110,7 @@ def _clone(
 def _sources(kernel_file: str) -> str:
     """A fingerprint of the models' and the kernel's source files: numba's cache watches only the file of the loop."""
     digest = hashlib.sha256()
-    for path in sorted({*Path(__file__).parent.rglob("*.py"), Path(kernel_file)}):
+    for path in sorted({*Path(__file__).parent.glob("*.py"), Path(kernel_file)}):  # plain/ is not compiled
         digest.update(path.read_bytes())
     return digest.hexdigest()[:16]
 

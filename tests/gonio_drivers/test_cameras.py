@@ -379,6 +379,21 @@ def test_a_video_camera_without_response_refuses() -> None:
         video(VideoStandIn(images), None)
 
 
+def test_directshow_counts_exposures_in_octaves(response: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cv2.videoio_registry, "getCameraBackends", lambda: (cv2.CAP_MSMF, cv2.CAP_DSHOW))
+    stand_in = VideoStandIn(lambda exposure_s: images(2.0 ** (exposure_s / 1e-4)))  # it counts as V4L2 does
+    with video(stand_in, response) as camera:
+        assert stand_in.opened_with == ("/dev/video0", cv2.CAP_DSHOW)
+        assert stand_in.get(cv2.CAP_PROP_AUTO_EXPOSURE) == 0
+        monkeypatch.setattr(stand_in, "_exposure_s", lambda: stand_in.get(cv2.CAP_PROP_EXPOSURE) * 1e-4)
+        monkeypatch.setattr("gonio_sim.wire.uvc.clock", SimpleNamespace(monotonic=time.monotonic, sleep=lambda s: None))
+        assert camera.capture(0.006).exposure_s == 2.0**-7  # 0.0078 s is the nearest
+        assert stand_in.get(cv2.CAP_PROP_EXPOSURE) == -7
+    monkeypatch.setattr(cv2.videoio_registry, "getCameraBackends", lambda: (cv2.CAP_GSTREAMER,))
+    with pytest.raises(DeviceError, match=r"take no exposure time \(GSTREAMER\)"), video(stand_in, response):
+        pass
+
+
 def test_a_video_frame_is_fresh_manual_and_linear(response: str) -> None:
     stand_in = VideoStandIn(images)
     with video(stand_in, response) as camera:

@@ -61,6 +61,8 @@ def serve(
         path = out / "rig.toml"
         write_own(out, {path.name: rig_file(twins.description, Path(rig).parent).encode()})
         print(f"twins of {rig} are running, {time_scale:g} times as fast; Ctrl-C ends them")
+        if tcp:
+            print("\n".join(f"  {name}: {peer.port}" for name, peer in twins.peers.items()))
         if twins.replays:
             print(
                 f"  the camera has no twin: the images in {twins.description.devices['camera']['folder']} are replayed"

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import pytest
 from rich.console import Console
 
+import gonio
 from gonio.acquisition.journal import decode, encode
 from gonio.live import terminal
 from gonio.live.watching import Watched
@@ -74,6 +75,6 @@ def test_plain_lines_come_where_nobody_looks(
     with pytest.raises(Enough):
         terminal.show(ended)
     lines = capsys.readouterr().out.splitlines()
-    assert lines[0].endswith("session: a session begins: 24 steps to take (gonio 0.1.0)")
+    assert lines[0].endswith(f"session: a session begins: 24 steps to take (gonio {gonio.__version__})")
     assert sum("  step " in line for line in lines) == 24
     assert lines[-1].startswith("ended: step 24 of 24, 1 flagged")
