@@ -143,7 +143,8 @@ def _darken(port: str, baud: int, orders: list[bytes], *, alone: bool = True) ->
     while True:
         over = time.monotonic() > end  # before the try: this process may be held up after it
         with contextlib.suppress(OSError):
-            line = serial.serial_for_url(port, baud, timeout=0.0, write_timeout=WRITE_S, exclusive=alone or None)
+            patience = None if port.startswith("rfc2217:") else WRITE_S  # pyserial knows no such time there
+            line = serial.serial_for_url(port, baud, timeout=0.0, write_timeout=patience, exclusive=alone or None)
             with line:
                 for order in orders * TIMES:
                     line.write(order)

@@ -57,7 +57,8 @@ def require_free(port: str, key: str) -> None:
 
 def opened(port: str, baud: int, timeout_s: float) -> serial.Serial:
     """A port that nobody else may open; a read from it ends after `timeout_s`."""
-    return serial.serial_for_url(port, baud, timeout=timeout_s, write_timeout=CLOGGED_S, exclusive=True)
+    patience = None if port.startswith("rfc2217:") else CLOGGED_S  # pyserial knows no such time there
+    return serial.serial_for_url(port, baud, timeout=timeout_s, write_timeout=patience, exclusive=True)
 
 
 def is_url(port: str) -> bool:

@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import ast
 import errno
+import ntpath
 import os
 import re
 import signal
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 
-from gonio import platform
+from gonio import disk, platform
+from gonio.errors import ConfigError
 
 ROOT = Path(__file__).parents[2]
 PRODUCT = [file for top in ("gonio", "drivers", "sim", "analysis") for file in (ROOT / top).rglob("*.py")]
@@ -136,3 +139,52 @@ def test_where_there_are_no_pseudo_terminals_it_is_said(monkeypatch: pytest.Monk
     monkeypatch.setattr(platform, "tty", None)
     with pytest.raises(OSError, match="no pseudo-terminals; serve over TCP"):
         platform.pseudo_terminal()
+
+
+def test_one_process_has_a_file_where_nothing_can_lock(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("fcntl", "msvcrt"):
+        monkeypatch.setattr(platform, name, None)
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    journal = tmp_path / "journal"
+    journal.touch()
+    assert platform.is_locked(journal) is False
+    with subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE) as other:
+        platform._listed(journal).write_text(str(other.pid))
+        with journal.open("rb") as file:
+            assert not platform.lock(file)
+        assert platform.is_locked(journal)
+        other.kill()
+    with journal.open("rb") as file:  # of a process that has died
+        assert platform.lock(file)
+    assert platform.is_locked(journal) is False  # its own is no other's
+
+
+def test_a_name_that_is_a_device_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert not platform.is_reserved(tmp_path / "aux")  # here it is a name
+    monkeypatch.setattr(os.path, "isreserved", ntpath.isreserved if hasattr(ntpath, "isreserved") else reserved, False)
+    for name in ("aux", "con.txt", "a:b"):
+        assert platform.is_reserved(name)
+        with pytest.raises(ConfigError, match="keeps this name for a device"):
+            disk.require_name(name)
+        with pytest.raises(OSError, match="keeps this name for a device"):
+            disk.write_whole(tmp_path / name, b"")
+    assert not platform.is_reserved("auxiliary.csv")
+
+
+def reserved(path: str | Path) -> bool:
+    """What Python 3.13 has for the names of Windows."""
+    name = os.path.basename(path)
+    return name.partition(".")[0].lower() in ("aux", "con") or ":" in name
+
+
+def test_a_process_is_found_by_its_command() -> None:
+    with subprocess.Popen([sys.executable, "-c", "input()", "a-word-of-this-test"], stdin=subprocess.PIPE) as child:
+        assert any(words[-1:] == ["a-word-of-this-test"] for words in platform.command_lines())
+        child.kill()
+
+
+def test_a_console_that_closes_does_not_take_the_guard_along(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delattr(os, "setsid")
+    monkeypatch.setattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0x200, raising=False)
+    monkeypatch.setattr(subprocess, "DETACHED_PROCESS", 0x8, raising=False)
+    assert platform.detached() == {"creationflags": 0x208}
