@@ -193,7 +193,7 @@ class Bus:
         found = None
         with self._lock:
             try:
-                for baud in BAUD_RATES:
+                for baud in speeds(self.port):
                     if baud != self.baud and found is None:
                         self.set_baud(baud)
                         with contextlib.suppress(BusError):
@@ -410,12 +410,17 @@ def hardware_error(byte: int) -> str:
     return ", ".join(text for bit, text in HARDWARE_ERRORS.items() if byte & 1 << bit) or f"hardware error {byte:#04x}"
 
 
+def speeds(port: str) -> tuple[int, ...]:
+    """The line speeds at which servos may be sought on a port; a raw server has its own, and any stands for that."""
+    return BAUD_RATES[:1] if port.startswith("socket:") else BAUD_RATES
+
+
 def scan(port: str, *, without: int, key: str = "devices.servos") -> tuple[int, dict[int, tuple[int, int]]] | None:
     """The first line speed, other than `without`, at which servos answer a broadcast ping, and those servos.
 
     Takes about a second a speed; factory settings (57600 baud) come first.
     """
-    for baud in BAUD_RATES:
+    for baud in speeds(port):
         if baud != without:
             with Bus(port, baud, key=key) as bus:
                 servos = bus.discover(rounds=1)

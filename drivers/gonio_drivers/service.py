@@ -46,7 +46,7 @@ class ServoService:
     def servos(self, port: str, say: Callable[[str], None]) -> list[FoundServo]:
         """Every servo that answers on a port, at every line speed."""
         found: list[FoundServo] = []
-        for baud in dynamixel.BAUD_RATES:
+        for baud in dynamixel.speeds(port):
             say(f"asking at {baud} baud")
             with Bus(port, baud, key="devices.servos") as bus:
                 found += _at(bus)

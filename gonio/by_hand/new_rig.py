@@ -153,7 +153,7 @@ def some(text: str) -> str:
 
 def port(text: str) -> str:
     """A port that is there."""
-    if not some(text).startswith("COM") and not Path(text).exists():
+    if not some(text).startswith("COM") and "://" not in text and not Path(text).exists():
         raise ValueError("is no port that is there; plug it in, or write its name as /dev/serial/by-id shows it")
     return text
 

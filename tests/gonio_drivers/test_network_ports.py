@@ -13,11 +13,13 @@ import serial
 import serial.rfc2217
 from gonio_drivers import discovery, guard
 from gonio_drivers.dynamixel import Bus
+from gonio_drivers.service import ServoService
 from gonio_sim.wire.bus import ServoBus
 from gonio_sim.wire.lamps import LAMPS, Lamp, Shine
 from gonio_sim.wire.peer import Device, SerialPeer, SocketPeer, scaled_clock
 from gonio_sim.wire.servo import Servo
 
+from gonio.by_hand import new_rig
 from gonio.rig.bands import Band
 
 pytestmark = pytest.mark.filterwarnings("ignore:set(Daemon|Name):DeprecationWarning")  # pyserial's
@@ -44,7 +46,8 @@ def rfc2217(port: str) -> Iterator[str]:
         def serve() -> None:
             manager: serial.rfc2217.PortManager | None = None
             with selectors.DefaultSelector() as look:
-                for one in (server, line, woken):
+                look.register(line, selectors.EVENT_READ, "line")
+                for one in (server, woken):
                     look.register(one, selectors.EVENT_READ)
                 client = None
                 while True:
@@ -61,8 +64,8 @@ def rfc2217(port: str) -> Iterator[str]:
                             look.register(client, selectors.EVENT_READ)
                             made = client
                             manager = serial.rfc2217.PortManager(line, type("Out", (), {"write": made.sendall})())
-                        elif key.fileobj is line:
-                            data = line.read(4096)
+                        elif key.data == "line":
+                            data = bytes(line.read(4096))
                             if client is not None and manager is not None:
                                 client.sendall(b"".join(manager.escape(data)))
                         elif client is not None and manager is not None:
@@ -104,6 +107,13 @@ def test_servos_answer_over_the_network(how: str) -> None:
         assert int.from_bytes(bus.read(2, 132, 4), "little") == 2000
 
 
+def test_a_raw_server_is_asked_once_and_not_at_every_line_speed() -> None:
+    bus = ServoBus([Servo(1, scaled_clock(50.0), model="xm430-w350", baud=BAUD)])
+    with SocketPeer(bus, BAUD) as peer:
+        found = ServoService().servos(peer.port, lambda said: None)
+    assert [servo.id for servo in found] == [1]
+
+
 @pytest.mark.parametrize("how", ["socket", "rfc2217"])
 def test_a_lamp_is_found_and_darkened_over_the_network(how: str) -> None:
     seen: list[Shine] = []
@@ -118,3 +128,9 @@ def test_a_lamp_is_found_and_darkened_over_the_network(how: str) -> None:
             assert line.read_until(b"\n")
         guard._darken(port, lamp.bauds[0], [b"OUTP OFF\n"])
     assert not lamp.shine.lit
+
+
+def test_a_rig_file_may_name_a_server() -> None:
+    assert new_rig.port("socket://bench:4001") == "socket://bench:4001"
+    with pytest.raises(ValueError, match="is no port that is there"):
+        new_rig.port("/dev/nothing-of-that-name")
