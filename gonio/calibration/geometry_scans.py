@@ -465,7 +465,7 @@ class Kept:
                     raise DataError(f"{self.folder / name}: this frame cannot be written as a picture")
                 (self.folder / name).write_bytes(data.tobytes())
                 names[what] = name
-            with (self.folder / FILE).open("a", encoding="utf-8") as file:
+            with (self.folder / FILE).open("a", encoding="utf-8", newline="\n") as file:
                 file.write(json.dumps(asdict(sighting) | {"frames": names}) + "\n")
         except OSError as error:
             raise DataError(f"{self.folder}: cannot be written: {error.strerror}") from None

@@ -246,7 +246,7 @@ def write(
     summary = replace(summary, tables=listed)
     pages = page.render(summary, [[next(rest) for _ in group] for group in groups], views)
     for name, one in pages.items():
-        (folder / name).write_text(html.document(one), encoding="utf-8")
+        (folder / name).write_text(html.document(one), encoding="utf-8", newline="\n")
     files.write(folder, as_json(summary), every)
     pdf.write(folder / "report.pdf", list(pages.values()))
     return summary

@@ -84,16 +84,16 @@ def write(folder: Path, summary: Mapping[str, Any], figures: Iterable[Figure] = 
     for figure in figures:
         drawn = folder / "figures"
         drawn.mkdir(exist_ok=True)
-        (drawn / f"{figure.name}.svg").write_text(figure.svg, encoding="utf-8")
+        (drawn / f"{figure.name}.svg").write_text(figure.svg, encoding="utf-8", newline="\n")
         (drawn / f"{figure.name}.png").write_bytes(figure.png)
     text = json.dumps(summary, indent=1, ensure_ascii=False, allow_nan=False)
-    (folder / "summary.json").write_text(text + "\n", encoding="utf-8")
+    (folder / "summary.json").write_text(text + "\n", encoding="utf-8", newline="\n")
 
 
 def write_page(folder: Path, page: Page, summary: Mapping[str, Any], figures: Iterable[Figure] = ()) -> None:
     """Write `index.html`, and with it what `write` writes."""
     write(folder, summary, figures)
-    (folder / "index.html").write_text(html.document(page), encoding="utf-8")
+    (folder / "index.html").write_text(html.document(page), encoding="utf-8", newline="\n")
 
 
 def _check(final: Path, shown: Path) -> None:
@@ -117,12 +117,13 @@ def _put(work: Path, final: Path) -> None:
         os.rename(work, final)
         return
     old = _beside(final, "old")
-    os.rename(final, old / "report")
     try:
-        os.rename(work, final)
-    except OSError:
-        os.rename(old / "report", final)
-        raise
+        os.rename(final, old / "report")
+        try:
+            os.rename(work, final)
+        except OSError:
+            os.rename(old / "report", final)
+            raise
     finally:
         _discard(old)
 

@@ -118,10 +118,10 @@ def _write(campaign: Campaign, folder: Path) -> None:
     plan = {"name": campaign.plan, "wavelength_nm": [campaign.wavelength_nm], "points": [{"file": "points.csv"}]}
     files = {"rig": campaign.rig, "truth": campaign.true, "sample": sample, "plan": plan}
     for name, tables in files.items():
-        (folder / f"{name}.toml").write_text(to_toml(tables), encoding="utf-8")
+        (folder / f"{name}.toml").write_text(to_toml(tables), encoding="utf-8", newline="\n")
     text = io.StringIO()
     csv.writer(text).writerows([ANGLES, *campaign.points])
-    (folder / "points.csv").write_text(text.getvalue(), encoding="utf-8")
+    (folder / "points.csv").write_text(text.getvalue(), encoding="utf-8", newline="\n")
 
 
 # --- calibrations -------------------------------------------------------------------------------------------------
@@ -258,7 +258,7 @@ def _with_file(rig: Path, calibration: Calibration, name: str) -> Path:
     tables = read_toml(rig)
     files = tables.setdefault("calibration", {}).setdefault("files", [])
     files.append(name)
-    rig.write_text(to_toml(tables), encoding="utf-8")
+    rig.write_text(to_toml(tables), encoding="utf-8", newline="\n")
     return rig
 
 

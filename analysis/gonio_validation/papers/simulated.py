@@ -92,7 +92,7 @@ def measure(
         sample = {"name": name, "model": surface.model.name, "parameters": dict(surface.parameters)}
         tables = {"rig": _rig(name, wavelength_nm, solid_angle_sr), "plan": plan, "sample": sample}
         for kind, table in tables.items():
-            (folder / f"{kind}.toml").write_text(to_toml(table), encoding="utf-8")
+            (folder / f"{kind}.toml").write_text(to_toml(table), encoding="utf-8", newline="\n")
         asked = load_plan(folder / "plan.toml"), find_rig(str(folder / "rig.toml")), folder / "run"
         run = carry_out(*asked, sample=load_sample(folder / "sample.toml"), seed=SEED, yes=True)
         frame = brdf.reduce(run)

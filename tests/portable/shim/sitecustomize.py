@@ -99,7 +99,8 @@ def sharing(function: object) -> object:
     def wrapped(*paths: object, **more: object) -> object:
         for path in paths:
             refuse(path)
-            if not (path_of(path) and os.path.isdir(path_of(path))) and is_open(path):
+            inside = [os.path.join(at, name) for at, _, names in os.walk(path_of(path)) for name in names]
+            if any(map(is_open, inside or [path])):
                 raise PermissionError(errno.EACCES, "The process cannot access the file because it is being used by"
                                       " another process", path_of(path))  # fmt: skip
         return function(*paths, **more)
@@ -123,7 +124,7 @@ def opened(file: object, mode: str = "r", buffering: int = -1, encoding: object 
            newline: object = None, closefd: bool = True, opener: object = None) -> object:  # fmt: skip
     if not isinstance(file, int):
         refuse(file)
-        if os.path.isdir(path_of(file)):
+        if opener is None and os.path.isdir(path_of(file)):
             raise PermissionError(errno.EACCES, "Permission denied", path_of(file))
     if "b" not in mode:
         encoding = "cp1252" if encoding in (None, "locale") else encoding

@@ -79,7 +79,7 @@ def make(out: str | Path, *, command: str = "", step: Step | None = None) -> Pat
         plot = _cross_sections()
         files.write(stage.work, found, [plot])
         page = html.document(_page(found, images, judged, plot))
-        (stage.work / "index.html").write_text(page, encoding="utf-8")
+        (stage.work / "index.html").write_text(page, encoding="utf-8", newline="\n")
     return Path(out) / "index.html"
 
 
