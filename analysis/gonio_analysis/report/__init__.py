@@ -15,24 +15,20 @@ from gonio.models.declaration import Ior
 from gonio_analysis.curves.in_plane import Normalise
 from gonio_analysis.fitting.observations import of_reader, said_once
 from gonio_analysis.report import (
-    budget,
-    checks,
     detail,
     figures,
     files,
-    health,
     html,
     page,
     pdf,
-    polarisation,
     tables,
     transmission,
     viewer,
 )
 from gonio_analysis.report.comparison import summarise
 from gonio_analysis.report.drawing import FigureWorkers, figure_workers
-from gonio_analysis.report.drawings import Drawing
-from gonio_analysis.report.facts import DatasetSummary, Summary
+from gonio_analysis.report.facts import Summary
+from gonio_analysis.report.sections import SECTIONS
 from gonio_analysis.result_records import FigureSummary, RunFacts, as_json
 from gonio_analysis.selection import parallel
 from gonio_analysis.selection.choice import candidates
@@ -223,11 +219,16 @@ def write(
         What `summary.json` holds: every number of the page.
     """
     known = summarise(datasets, title=title, normalise=normalise, command=command)
-    summary = replace(known, transmission_only=transmission_only)
+    own = [{one.name: numbers for one in SECTIONS if (numbers := one.facts(d)) is not None} for d in datasets]
+    facts_of = [replace(f, sections=numbers or None) for f, numbers in zip(known.datasets, own, strict=True)]
+    summary = replace(known, datasets=facts_of, transmission_only=transmission_only)
     both = list(zip(datasets, summary.datasets, strict=True))
     progress("drawing")
     most = _most_values(datasets)
-    groups = [[*figures.draw(d, f, most), *detail.draw(d, f, most), *_other_sides(d, f)] for d, f in both]
+    groups = [
+        [*figures.draw(d, f, most), *detail.draw(d, f, most), *(x for one in SECTIONS for x in one.draw(d, f))]
+        for d, f in both
+    ]
     groups += [
         transmission.draw(t, (), slug)
         for t, slug in zip(transmission_only, page.slugs_of_transmission(summary), strict=True)
@@ -256,21 +257,6 @@ def _most_values(datasets: Sequence[Dataset]) -> int:
     """Measured values in one panel, so that those of all panels take about half of the room of a page."""
     panels = sum(3 * len(d.fitted) + 6 for d in datasets)
     return min(max(MARKERS // max(panels, 1), 300), 2400)
-
-
-def _other_sides(d: Dataset, facts: DatasetSummary) -> list[Drawing]:
-    """The figures of transmission, of polarisation, of a run's budget and of the rig's health, where there are any."""
-    out: list[Drawing] = []
-    if d.transmitted is not None:
-        out += transmission.draw(d.transmitted, d.curves, facts.slug, simulated=d.simulated)
-    if d.polarisation is not None:
-        out += polarisation.draw(d.polarisation, d.name, facts.slug)
-    return (
-        out
-        + budget.draw(budget.of(facts.run, facts.wavelength_nm), facts.slug)
-        + health.draw(facts.run, facts.slug)
-        + checks.draw(facts.checks, facts.rho_dh, facts.slug)
-    )
 
 
 def _distinct(names: Sequence[str], sources: Sequence[str]) -> list[str]:

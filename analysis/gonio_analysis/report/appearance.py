@@ -32,6 +32,8 @@ from gonio_analysis.report.blocks import (
 from gonio_analysis.report.comparison import stamp
 from gonio_analysis.report.drawing import FigureWorkers
 from gonio_analysis.report.drawings import Drawing
+from gonio_analysis.report.facts import DatasetSummary
+from gonio_analysis.report.section import Section
 from gonio_analysis.report.text import number, quantity, with_u
 from gonio_analysis.result_records import Appearance, FigureSummary, Quantity, as_json
 
@@ -219,3 +221,11 @@ def _signed(angle: float) -> str:
 
 def _or_nan(value: float | None) -> float:
     return math.nan if value is None else value
+
+
+def _beside(d: DatasetSummary, figures: object) -> list[Block]:
+    quantities = None if d.appearance is None else known(d.appearance)
+    return [] if quantities is None else [Heading(3, "Appearance"), quantities]
+
+
+SECTION = Section("appearance", _beside)

@@ -17,6 +17,7 @@ from gonio_analysis.plots.in_plane import COLOURS, clean
 from gonio_analysis.plots.style import FAINT
 from gonio_analysis.report.blocks import Block, Figures, Heading, Notes, Paragraph, Text, strong, table
 from gonio_analysis.report.drawings import Drawing, Figure
+from gonio_analysis.report.section import Section
 from gonio_analysis.report.text import angle, number, with_u
 from gonio_analysis.result_records import ChecksSummary, Reflectance
 
@@ -172,3 +173,10 @@ def _on(figure: Any, *, panels: list[str], c: ChecksSummary, rho: list[Reflectan
             ax.set_xticks([0, 30, 60, 90])
             ax.set_xlabel("θi [°]", fontsize=7.5)
             ax.set_ylabel("reflectance", fontsize=7.5)
+
+
+SECTION = Section(
+    "checks",
+    lambda d, figures: section(d.checks, d.rho_dh, figures.get(KIND, ())),
+    lambda d, facts: draw(facts.checks, facts.rho_dh, facts.slug),
+)

@@ -10,6 +10,7 @@ from gonio import shown
 from gonio.checks.symmetry import Pairs
 from gonio.formats.reader import TableBand
 from gonio_analysis.result_records import (
+    WHERE_KNOWN,
     Appearance,
     CauseSummary,
     ChecksSummary,
@@ -73,6 +74,8 @@ class DatasetSummary:
     rho_dh_combined: list[Reflectance]
     """Over the models that cannot be told from the nearest one (`ChoiceSummary.near`); empty where one is true."""
     symmetries: list[Pairs]
+    sections: dict[str, Any] | None = field(default=None, metadata=WHERE_KNOWN)
+    """Numbers of sections of their own (`gonio_analysis.report.section`), by their names."""
     appearance: Appearance | None = None
     """None where a table is too large for a quick look."""
     transmission: Transmitted | None = None

@@ -11,6 +11,7 @@ from gonio_analysis.plots.style import FAINT
 from gonio_analysis.report.blocks import Block, Figures, Heading, Notes, Paragraph, table
 from gonio_analysis.report.drawings import Drawing, Figure
 from gonio_analysis.report.figures import LEGEND_ROW_IN, key
+from gonio_analysis.report.section import Section
 from gonio_analysis.report.text import number
 from gonio_analysis.result_records import HealthSummary, PauseSummary, RunFacts
 
@@ -129,3 +130,10 @@ def _on_panels(
         ax.tick_params(labelsize=7.5)
     axes[-1].set_xlabel("time from the first step [h]", fontsize=8)
     key(figure, [Line2D([], [], color=colour[d], lw=1.2, label=d) for d in devices], min(len(devices), 6))
+
+
+SECTION = Section(
+    "health",
+    lambda d, figures: section(d.run, figures.get(KIND, ())),
+    lambda d, facts: draw(facts.run, facts.slug),
+)

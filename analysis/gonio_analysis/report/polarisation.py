@@ -10,6 +10,7 @@ from gonio_analysis.curves.line import Line
 from gonio_analysis.plots import in_plane, polarisation
 from gonio_analysis.report.blocks import Block, Figures, Heading, Paragraph, code, table
 from gonio_analysis.report.drawings import Drawing, Figure
+from gonio_analysis.report.section import Section
 from gonio_analysis.report.text import number
 from gonio_analysis.selection.polarisation import Polarisation
 
@@ -64,3 +65,10 @@ def _on_grid(figure: Any, *, lines: dict[str, list[Line]]) -> None:
         loc="center", fontsize=7, frameon=False, handlelength=1.4, labelspacing=0.3,
     )  # fmt: skip
     figure.supxlabel("θr, positive on the mirror side", fontsize=8, y=0.012)
+
+
+SECTION = Section(
+    "polarisation",
+    lambda d, figures: [] if d.mueller is None else section(d.mueller, figures.get("mueller", ())),
+    lambda d, facts: [] if d.polarisation is None else draw(d.polarisation, d.name, facts.slug),
+)

@@ -3,25 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 from gonio import geometry
 from gonio.formats.reader import TableBand
 from gonio_analysis.fitting.metrics import meaning as meaning_of_metric
 from gonio_analysis.fitting.solution import Estimate
-from gonio_analysis.report import (
-    appearance,
-    blocks,
-    budget,
-    checks,
-    health,
-    model_choice,
-    polarisation,
-    sessions,
-    transmission,
-)
+from gonio_analysis.report import blocks, model_choice
 from gonio_analysis.report.blocks import (
-    MOST_ROWS,
     Block,
     Facts,
     Figures,
@@ -41,7 +30,8 @@ from gonio_analysis.report.blocks import (
 )
 from gonio_analysis.report.drawings import Figure
 from gonio_analysis.report.facts import DatasetSummary, Summary
-from gonio_analysis.report.text import angle, cause, difference, meaning, number, percent, with_u
+from gonio_analysis.report.sections import SECTIONS
+from gonio_analysis.report.text import angle, cause, difference, number, percent, with_u
 from gonio_analysis.report.viewer import View
 from gonio_analysis.result_records import RunFacts
 from gonio_analysis.selection.compare import Fitted
@@ -55,27 +45,6 @@ OTHER_FIGURES = {
     "All models together": ("overlay",),
     "Out of the plane of incidence": ("heat", "slices", "lobe"),
 }
-
-
-def _uncertainty(d: DatasetSummary, by: Mapping[str, tuple[Figure, ...]]) -> list[Block]:
-    """What is known of the values' uncertainties."""
-    if d.u_rel_assumed is not None:
-        return [
-            Paragraph(
-                f"The table states no uncertainties. A standard uncertainty of {percent(d.u_rel_assumed)} of each"
-                " value, independent from value to value, is assumed: error bars, standard errors and χ² rest on it."
-            )
-        ]
-    if "budget" not in by:
-        return [
-            Paragraph(
-                "The table states no uncertainties: there are no error bars and no chi-square, and "
-                "fits compare logarithms, every value alike."
-            )
-        ]
-    parts = budget.of(d.run, d.wavelength_nm)
-    shown = [_budget(d)] if parts is None else budget.section(parts, by.get(budget.KIND, ()))
-    return [Figures((*by["budget"], *by.get("budget-angle", ()))), *shown]
 
 
 def section(s: Summary, d: DatasetSummary, figures: Sequence[Figure], view: View | None) -> Group:
@@ -115,20 +84,8 @@ def section(s: Summary, d: DatasetSummary, figures: Sequence[Figure], view: View
         out += [Heading(3, "Parameters"), *_parameters(d)]
         out += [Figures(by["profile"])] if "profile" in by else []
         out += [Heading(3, "Metrics"), *_metrics(s, d)]
-    if d.transmission is not None:
-        both = (*by.get("both-sides", ()), *by.get("transmission", ()))
-        out += transmission.section(d.transmission, both, d.rho_dh)
-    if d.mueller is not None:
-        out += polarisation.section(d.mueller, by.get("mueller", ()))
-    quantities = None if d.appearance is None else appearance.known(d.appearance)
-    if quantities is not None:
-        out += [Heading(3, "Appearance"), quantities]
-    out += checks.section(d.checks, d.rho_dh, by.get(checks.KIND, ()))
-    out += [Heading(3, "Uncertainty"), *_uncertainty(d, by)]
-    if "series" in by:
-        out += [Heading(3, "Parameters over wavelength"), Figures(by["series"])]
-    out += sessions.section(d.run)
-    out += health.section(d.run, by.get(health.KIND, ()))
+    for one in SECTIONS:
+        out += one.blocks(d, by)
     return blocks.section(out, d.slug)
 
 
@@ -394,17 +351,6 @@ def _metrics(s: Summary, d: DatasetSummary) -> list[Block]:
         table("", header, rows, right=tuple(range(1, len(names) + 1))),
         facts((s.metrics[n].label, meaning_of_metric(n, known=_known(d))) for n in names),
     ]
-
-
-def _budget(d: DatasetSummary) -> Table:
-    rows = [[cause(p.cause), percent(p.median), percent(p.p95), meaning(p.cause, common=True)] for p in d.budget]
-    return table(
-        "Standard uncertainties relative to the value.",
-        ["cause", "median", "95th percentile", "what it is"],
-        rows,
-        right=(1, 2),
-        most=(MOST_ROWS, f"{d.slug}-budget.csv"),
-    )
 
 
 def fitted_words(d: DatasetSummary, model: str, f: Fitted) -> str:

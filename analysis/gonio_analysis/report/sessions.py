@@ -6,6 +6,7 @@ from datetime import datetime, timedelta
 
 from gonio.shown import with_u
 from gonio_analysis.report.blocks import Block, Heading, Paragraph, table
+from gonio_analysis.report.section import Section
 from gonio_analysis.result_records import ReferenceLevel, RunFacts, SessionSummary
 
 MOST_BANDS = 4
@@ -61,3 +62,6 @@ def _clock(wall: str, began: str = "") -> str:
     """The time of day; with the days that went by since it began."""
     days = (_time(wall).date() - _time(began).date()) // timedelta(days=1) if began else 0
     return f"{_time(wall):%H:%M}" + (f" (+{days} d)" if days else "")
+
+
+SECTION = Section("sessions", lambda d, figures: section(d.run))

@@ -16,6 +16,7 @@ from gonio_analysis.plots import in_plane, two_sides
 from gonio_analysis.report.blocks import Block, Figures, Heading, Notes, facts, notes, table
 from gonio_analysis.report.drawings import Drawing, Figure
 from gonio_analysis.report.figures import LEGEND_ROW_IN, legend
+from gonio_analysis.report.section import Section
 from gonio_analysis.report.text import angle, number, with_u
 from gonio_analysis.result_records import Reflectance
 from gonio_analysis.selection.transmission import Transmitted
@@ -139,3 +140,14 @@ def _on_axis(figure: Any, *, lines: list[Line]) -> None:
     in_plane.semilog(ax, lines, unit="BTDF [1/sr]")
     ax.set_xlabel("angle from the normal of the back", fontsize=8)
     legend(figure, names, _columns(names))
+
+
+SECTION = Section(
+    "transmission",
+    lambda d, figures: (
+        []
+        if d.transmission is None
+        else section(d.transmission, (*figures.get("both-sides", ()), *figures.get("transmission", ())), d.rho_dh)
+    ),
+    lambda d, facts: [] if d.transmitted is None else draw(d.transmitted, d.curves, facts.slug, simulated=d.simulated),
+)

@@ -1,0 +1,25 @@
+"""The parts that a sample's page ends with, in their order. To add one: its file, and its name here."""
+
+from __future__ import annotations
+
+from gonio_analysis.report import (
+    appearance,
+    checks,
+    health,
+    polarisation,
+    sessions,
+    transmission,
+    uncertainty,
+    wavelengths,
+)
+
+SECTIONS = (
+    transmission.SECTION,
+    polarisation.SECTION,
+    appearance.SECTION,
+    checks.SECTION,
+    uncertainty.SECTION,
+    wavelengths.SECTION,
+    sessions.SECTION,
+    health.SECTION,
+)

@@ -1,0 +1,17 @@
+"""Parameters over the wavelength, where several were fitted: their part of a page."""
+
+from __future__ import annotations
+
+from gonio_analysis.report.blocks import Block, Figures, Heading
+from gonio_analysis.report.facts import DatasetSummary
+from gonio_analysis.report.section import Figures as ByKind
+from gonio_analysis.report.section import Section
+
+
+def _blocks(d: DatasetSummary, figures: ByKind) -> list[Block]:
+    if "series" not in figures:
+        return []
+    return [Heading(3, "Parameters over wavelength"), Figures(figures["series"])]
+
+
+SECTION = Section("wavelengths", _blocks)
