@@ -380,3 +380,13 @@ def test_maps_hold_what_differs_and_has_a_ratio() -> None:
     (plane,) = _drawn(bare, other)
     assert "3 directions, in which A or B is not above 0, have no logarithm" in plane.caption
     assert _drawn(bare, bare.copy()) == []  # white everywhere: the headline says that they are alike
+
+
+def test_a_shift_by_its_own_uncertainty_has_weighted_residuals_of_one() -> None:
+    frame = measure(build("lambert", {"albedo": 0.5}), incidences=(30.0,))
+    moved = frame.assign(brdf=frame["brdf"] + np.hypot(frame["u_brdf"], frame["u_brdf"]))
+    moved.attrs = frame.attrs
+    found = change(side(frame), side(moved))
+    # both sides' uncertainties, all independent: whitened differences are 1 each
+    assert found.metrics["weighted"] == pytest.approx(1.0, rel=1e-6)
+    assert change(side(frame), side(frame.copy())).metrics["weighted"] == 0.0

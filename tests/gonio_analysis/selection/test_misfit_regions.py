@@ -11,7 +11,7 @@ from gonio_analysis.curves.in_plane import curves
 from gonio_analysis.fitting.fit import FitResult
 from gonio_analysis.fitting.observations import observations
 from gonio_analysis.report import verdict
-from gonio_analysis.selection.misfit_regions import farthest
+from gonio_analysis.selection.misfit_regions import Region, farthest
 
 from gonio.formats.reader import table
 
@@ -127,3 +127,12 @@ def test_no_value_is_farther_off_than_what_a_headline_says(seed: int) -> None:
 )
 def test_how_a_model_stands_to_a_measurement(ratio: float, words: str) -> None:
     assert verdict.times(ratio) == words
+
+
+@pytest.mark.parametrize(("part", "words"), [(0.71, "too high"), (0.69, "either way")])
+def test_a_region_is_off_one_way_where_its_median_is_most_of_its_scatter(part: float, words: str) -> None:
+    typical = 0.2
+    region = Region("", 4, 4 * typical**2, 1.0, float(np.exp(part * typical)))
+    assert words in region.off
+    low = Region("", 4, 4 * typical**2, 1.0, float(np.exp(-part * typical)))
+    assert words.replace("high", "low") in low.off
