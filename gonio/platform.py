@@ -337,6 +337,8 @@ def processors() -> int:
 TERMINAL_ERRORS: tuple[type[Exception], ...] = () if termios is None else (termios.error,)
 """What calls to a terminal raise beside `OSError`."""
 KEY_S = 0.05
+LOOKS, LOOK_AGAIN_S = 3, 0.1
+"""How often, and when, to look again who holds a port: starting a program takes a busy computer 0.1 s."""
 PSEUDO_TERMINALS = {"/dev/ptmx", "/dev/pts/ptmx"}
 
 
@@ -421,8 +423,17 @@ class Holder(NamedTuple):
 def holders_of(port: str) -> list[Holder]:
     """The other processes that have a port open, as far as they can be seen.
 
-    A process that has the other end of a pseudo-terminal is the device, and no rival for it.
+    A process that has the other end of a pseudo-terminal is the device, and no rival for it. Nor is a program that this
+    one is starting: until it runs it has its parent's files, so that what is found is looked at again.
     """
+    for _ in range(LOOKS):
+        if not (out := _holders_of(port)):
+            return []
+        time.sleep(LOOK_AGAIN_S)
+    return out
+
+
+def _holders_of(port: str) -> list[Holder]:
     target, out = os.path.realpath(port), list[Holder]()
     if "://" in port:
         return out

@@ -9,7 +9,8 @@ NUMBER = re.compile(r"(?<![\w.])[-+−]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?(?![
 CHANGES = [
     (re.compile(r"\d{4}-\d\d-\d\d(?:[T ]\d\d:\d\d(?::\d\d(?:\.\d+)?)?(?:Z|[+-]\d\d:?\d\d)?)?"), "<when>"),
     (re.compile(r'("(?:wall_s|seconds|fit_s|draw_s|search_s)": )[-\d.e+]+'), r"\1<time>"),
-    (re.compile(r'("(?:python|gonio|numpy|scipy|numba|pandas|matplotlib)": )"[^"]*"'), r"\1<version>"),
+    (re.compile(r'("(?:python|gonio|numpy|scipy|numba|pandas|matplotlib)": ?)"[^"]*"'), r"\1<version>"),
+    (re.compile(r'("version": |\bgonio )"?\d+\.\d+\.\d+\b"?'), r"\1<version>"),
     (re.compile(r'"crc": ?"[0-9a-f]{8}"'), '"crc":"<of the line>"'),
     (re.compile(r"(?:/[\w.+-]+)+/(?=[\w.-]+)"), "<folder>/"),
 ]

@@ -14,6 +14,7 @@ from dynamixel_sdk import PacketHandler, PortHandler
 from gonio_drivers import folder_camera
 from gonio_drivers.lab import LAB
 from gonio_drivers.sdk import ExclusivePort
+from gonio_sim.wire import protocol2 as p2
 from gonio_sim.wire.bus import ServoBus
 from gonio_sim.wire.faults import Faults
 from gonio_sim.wire.peer import Device, SerialPeer, SocketPeer, scaled_clock
@@ -27,6 +28,8 @@ from tests.gonio_drivers.virtual import PORT, VirtualClock, servo_bus, virtual_t
 SCALE = 50.0
 BAUD = 1_000_000
 HANGS_MS = 60_000.0
+GAP_S = 0.5
+"""In a packet: a busy kernel may bring one in two pieces, further apart than a servo waits."""
 SAMPLE = SampleDescription(name="matt", model="lambert", parameters={"albedo": 0.5})
 LONGEST_S = 60.0
 """A measurement takes 3 s, and the longest chain of timeouts and repetitions 10 s; the rest is for a busy machine."""
@@ -56,12 +59,18 @@ class Counted:
     def __init__(self, device: Device) -> None:
         self._device = device
         self.bytes = 0
+        self.answered = 0
+        """Bytes that it sent: the kernel brings them to the other end when it has time."""
         self.dawdles = False
         """It answers late, because a fault is to make it so."""
 
     def receive(self, data: bytes, baud: int, send: Callable[[bytes], None]) -> None:
+        def counted(answer: bytes) -> None:
+            self.answered += len(answer)
+            send(answer)
+
         try:
-            self._device.receive(data, baud, send)
+            self._device.receive(data, baud, counted)
         finally:
             self.bytes += len(data)
             self.dawdles = False
@@ -74,7 +83,7 @@ def be_patient(peer: SerialPeer | SocketPeer, faults: Faults, monkeypatch: pytes
     """On this line silence is what servos leave unanswered, and never what a busy machine has not come to yet."""
     peer.device = twin = Counted(peer.device)
     on_status, is_over = faults.on_status, PortHandler.isPacketTimeout
-    sent = 0
+    sent = heard_of = 0  # bytes to the twin, and those of its answers that were read or are none of the last packet's
 
     def told(servo: Servo, status: bytes) -> list[tuple[float, bytes]]:
         chunks = on_status(servo, status)
@@ -83,23 +92,37 @@ def be_patient(peer: SerialPeer | SocketPeer, faults: Faults, monkeypatch: pytes
 
     def counting(write: Callable[[PortHandler, list[int]], int]) -> Callable[[PortHandler, list[int]], int]:
         def written(port: PortHandler, packet: list[int]) -> int:
-            nonlocal sent
-            sent += len(packet) if port.port_name == peer.port else 0
+            nonlocal sent, heard_of
+            if port.port_name == peer.port:
+                sent += len(packet)
+                heard_of = twin.answered
             return write(port, packet)
 
         return written
+
+    def hearing(read: Callable[[PortHandler, int], bytes]) -> Callable[[PortHandler, int], bytes]:
+        def heard(port: PortHandler, length: int) -> bytes:
+            nonlocal heard_of
+            data = read(port, length)
+            heard_of += len(data) if port.port_name == peer.port else 0
+            return data
+
+        return heard
 
     def is_silent(port: PortHandler) -> bool:
         over = is_over(port)
         if not over or port.port_name != peer.port:
             return over
-        done = twin.bytes >= sent or twin.dawdles or port.getTimeSinceStart() > HANGS_MS
+        all_said = twin.bytes >= sent and heard_of >= twin.answered
+        done = all_said or twin.dawdles or port.getTimeSinceStart() > HANGS_MS
         return done and not select.select([port.ser.fileno()], [], [], 0)[0]
 
     monkeypatch.setattr(faults, "on_status", told)
     monkeypatch.setattr(PortHandler, "isPacketTimeout", is_silent)
     for kind in (PortHandler, ExclusivePort):
         monkeypatch.setattr(kind, "writePort", counting(kind.writePort))
+        monkeypatch.setattr(kind, "readPort", hearing(kind.readPort))
+    monkeypatch.setattr(p2, "LONGEST_GAP_S", GAP_S)
 
 
 @pytest.fixture

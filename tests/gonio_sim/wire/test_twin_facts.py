@@ -28,7 +28,7 @@ from gonio_sim.wire.faults import Faults
 from gonio_sim.wire.peer import SerialPeer
 from gonio_sim.wire.servo import Servo
 
-from tests.gonio_drivers.conftest import BAUD, Counted, be_patient
+from tests.gonio_drivers.conftest import BAUD, GAP_S, Counted, be_patient
 from tests.places import ROOT
 
 PAGE = ROOT / "docs/twin_facts.md"
@@ -173,7 +173,7 @@ def test_a_gap_in_a_packet_makes_a_servo_wait_for_the_next_header(bench: Build) 
     b.port.writePort(packet[:9])
     while twin.bytes < 9:
         time.sleep(0.001)
-    time.sleep(0.003)  # twice what is allowed
+    time.sleep(2 * GAP_S)  # twice what is allowed here; a servo waits 1.5 ms
     b.port.writePort(packet[9:])
     while twin.bytes < len(packet):
         time.sleep(0.001)
