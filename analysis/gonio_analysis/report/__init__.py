@@ -27,7 +27,8 @@ from gonio_analysis.report import (
 )
 from gonio_analysis.report.comparison import summarise
 from gonio_analysis.report.drawing import FigureWorkers, figure_workers
-from gonio_analysis.report.facts import Summary
+from gonio_analysis.report.drawings import Drawing
+from gonio_analysis.report.facts import DatasetSummary, Summary
 from gonio_analysis.report.sections import SECTIONS
 from gonio_analysis.result_records import FigureSummary, RunFacts, as_json
 from gonio_analysis.selection import parallel
@@ -219,20 +220,10 @@ def write(
         What `summary.json` holds: every number of the page.
     """
     known = summarise(datasets, title=title, normalise=normalise, command=command)
-    own = [{one.name: numbers for one in SECTIONS if (numbers := one.facts(d)) is not None} for d in datasets]
-    facts_of = [replace(f, sections=numbers or None) for f, numbers in zip(known.datasets, own, strict=True)]
-    summary = replace(known, datasets=facts_of, transmission_only=transmission_only)
+    summary = replace(known, datasets=_with_sections(datasets, known), transmission_only=transmission_only)
     both = list(zip(datasets, summary.datasets, strict=True))
     progress("drawing")
-    most = _most_values(datasets)
-    groups = [
-        [*figures.draw(d, f, most), *detail.draw(d, f, most), *(x for one in SECTIONS for x in one.draw(d, f))]
-        for d, f in both
-    ]
-    groups += [
-        transmission.draw(t, (), slug)
-        for t, slug in zip(transmission_only, page.slugs_of_transmission(summary), strict=True)
-    ]
+    groups = _drawings(both, transmission_only, page.slugs_of_transmission(summary))
     wanted = [drawing for group in groups for drawing in group]
     summary = replace(summary, figures=[FigureSummary(f.name, f.caption, f.alt) for f in wanted])
     (folder / "tables").mkdir()
@@ -251,6 +242,23 @@ def write(
     files.write(folder, as_json(summary), every)
     pdf.write(folder / "report.pdf", list(pages.values()))
     return summary
+
+
+def _with_sections(datasets: Sequence[Dataset], known: Summary) -> list[DatasetSummary]:
+    own = [{one.name: numbers for one in SECTIONS if (numbers := one.facts(d)) is not None} for d in datasets]
+    return [replace(f, sections=numbers or None) for f, numbers in zip(known.datasets, own, strict=True)]
+
+
+def _drawings(
+    both: Sequence[tuple[Dataset, DatasetSummary]], transmission_only: Sequence[Transmitted], slugs: Sequence[str]
+) -> list[list[Drawing]]:
+    """What is to be drawn of each sample, in the order of the page; of those that transmit only, last."""
+    most = _most_values([d for d, _ in both])
+    groups = [
+        [*figures.draw(d, f, most), *detail.draw(d, f, most), *(x for one in SECTIONS for x in one.draw(d, f))]
+        for d, f in both
+    ]
+    return groups + [transmission.draw(t, (), slug) for t, slug in zip(transmission_only, slugs, strict=True)]
 
 
 def _most_values(datasets: Sequence[Dataset]) -> int:
