@@ -5,7 +5,7 @@ What a script or a notebook needs most can be taken from here; it is imported wh
 
 from typing import Any
 
-__all__ = ["change", "compare", "fit", "polar", "semilog"]
+__all__ = ["change", "compare", "consensus", "fit", "polar", "semilog"]
 
 
 def __getattr__(name: str) -> Any:

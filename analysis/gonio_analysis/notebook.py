@@ -13,6 +13,7 @@ from gonio.errors import ArgumentError, ConfigError, DataError
 from gonio.models import Lambert, Model, Sum
 from gonio.models.declaration import Ior
 from gonio_analysis.changes import point_by_point
+from gonio_analysis.changes.consensus import consensus as consensus
 from gonio_analysis.changes.point_by_point import Change, Side
 from gonio_analysis.curves.in_plane import Normalise, curves, labels, norm, selection
 from gonio_analysis.fitting.fit import FitResult

@@ -82,6 +82,7 @@ def assemble(run: Run, results: list[BandResult], notes: list[str], clipped: flo
             "reference": [_account(result) for result in results],
             "filling": filling(description),
             **chosen,
+            **({"white": description.reference.name} if description.reference.name else {}),
             **({"laboratory": run.laboratory} if run.laboratory else {}),
             **({"calibrations": used} if (used := _calibrations(description)) else {}),
             **({"merge": [result.merged for result in results]} if description.acquisition.by_pixels else {}),

@@ -250,6 +250,8 @@ class Holder(Axis):
 class Reference(Strict):
     """The white reference: how it is reached, and what its certificate says."""
 
+    name: str | None = None
+    """Which white it is, as on its certificate: tables of one white share its error (docs/laboratories.md)."""
     how: Literal["beside", "axis", "swap", "beam"] = "swap"
     """"beam": no white at all. The holder is empty, and the camera looks into the lamp through `attenuation`."""
     albedo: Fraction | None = 0.99

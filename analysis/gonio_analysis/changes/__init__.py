@@ -1,1 +1,1 @@
-"""Two measurements, files or models compared point by point."""
+"""Measurements, files or models compared point by point; laboratories compared with each other."""

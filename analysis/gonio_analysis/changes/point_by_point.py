@@ -139,8 +139,10 @@ class Change:
         return self.covariance.total if self.covariance is not None else np.full(len(self.at), np.nan)
 
 
-def side(spec: str, how: Reading | None = None) -> Side:
+def side(spec: str, how: Reading | None = None, u_rel: float | None = None) -> Side:
     """What a command line names: a table, a run, `FILE:SAMPLE`, or a model as a sample file (.toml).
+
+    `u_rel` is the relative standard uncertainty to assume of a table that states none.
 
     Raises
     ------
@@ -159,24 +161,24 @@ def side(spec: str, how: Reading | None = None) -> Side:
     if len(found) > 1:
         raise ConfigError(f"{spec} holds {len(found)} samples: name one as {spec}:SAMPLE, of: {'; '.join(found)}")
     name, table = next(iter(found.items()))
-    return of_table(name, spec, table)
+    return of_table(name, spec, table, u_rel)
 
 
-def of_table(name: str, source: str, table: pd.DataFrame) -> Side:
+def of_table(name: str, source: str, table: pd.DataFrame, u_rel: float | None = None) -> Side:
     """A side of a comparison from a measurement table: its reflection, and apart from it its transmission."""
 
     through = measurement.transmission(table)
     if through is None:
-        return Side(name, source, table, observations(table, source))
+        return Side(name, source, table, observations(table, source, u_rel))
     turned = measurement.turned_over(through)
     if len(through) == len(table):
-        return Side(name, source, turned, observations(turned, source), behind=True)
+        return Side(name, source, turned, observations(turned, source, u_rel), behind=True)
     behind = None
     if (through["flag"].fillna("") == "").any():
         called = f"{source}, transmission"
-        behind = Side(name, called, turned, observations(turned, called), behind=True)
+        behind = Side(name, called, turned, observations(turned, called, u_rel), behind=True)
     reflected = measurement.reflection(table)
-    return Side(name, source, reflected, observations(reflected, source), through=behind)
+    return Side(name, source, reflected, observations(reflected, source, u_rel), through=behind)
 
 
 def _of_measured(at: Observations, values: Sequence[Floats], *, measured_is_a: bool) -> Covariance | None:
@@ -208,7 +210,7 @@ def change(a: Side, b: Side, *, wavelength_nm: float | None = None, say: Say = s
     DataError
         Two measurements share no direction; the message says why.
     """
-    _require_alike(a, b)
+    require_alike(a, b)
     apart = _through(a, b, wavelength_nm, say)
     a, b, notes = _at_one(a, b, wavelength_nm)
     notes += apart
@@ -258,7 +260,7 @@ def _off(x: Side, at: Observations, value: Floats) -> Floats | None:
     return x.misfit * np.abs(value) if x.misfit else None
 
 
-def _require_alike(a: Side, b: Side) -> None:
+def require_alike(a: Side, b: Side) -> None:
     """Transmission is compared with transmission, and with nothing else."""
     if a.behind != b.behind:
         one, other = (a, b) if a.behind else (b, a)
@@ -306,7 +308,7 @@ def _at_one(a: Side, b: Side, wavelength_nm: float | None) -> tuple[Side, Side, 
 def _measurements(a: Side, b: Side, say: Say) -> Change:
     """The values of one side against those of the other, carried to its directions."""
     assert a.data is not None and a.table is not None  # noqa: PT018
-    data, table, turned = _laid_on(a.data, b)
+    data, table, turned = laid_on(a.data, b)
     forth, back = carry(a.data, data, table, say), carry(data, a.data, a.table, say)
     onto = _still(forth, back, len(a.data), len(data))
     carried = forth if onto == "A" else back
@@ -333,7 +335,7 @@ def _measurements(a: Side, b: Side, say: Say) -> Change:
     return _judged(a, b, at, values, covariance, carried.missing, notes)
 
 
-def _laid_on(a: Observations, b: Side) -> tuple[Observations, pd.DataFrame, list[str]]:
+def laid_on(a: Observations, b: Side) -> tuple[Observations, pd.DataFrame, list[str]]:
     """B's values and table with its plane of incidence turned onto A's, and a note where that was needed."""
     assert b.data is not None and b.table is not None  # noqa: PT018
     turn = _turn(a, b.data)

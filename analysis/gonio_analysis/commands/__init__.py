@@ -28,6 +28,7 @@ IOR_HELP = "Optical constants: a material (Al) or n + ik (0.77+6.08j); without t
 METRIC_HELP = "What fits make small: log, weighted, ngan, cube-root or relative; otherwise weighted, or log without u."
 U_REL_HELP = "Relative uncertainty to ASSUME where the table states none (0.03)."
 ENERGY_HELP = "Fit with the bound rho_dh <= 1 at the table's incidences."
+SHARED_HELP = "With --laboratories: a cause that is the same in all, or in those named, as reference=A,B; once each."
 SEPARATE_HELP = "Fit each wavelength alone: no geometry is shared."
 WAVELENGTH_HELP = "Wavelength [nm] of a table with several, or the effective one of a broad band."
 
@@ -251,24 +252,35 @@ def compare(
     change: Annotated[
         bool, typer.Option("--change", help="Compare two point by point; a model is given by its sample file (.toml).")
     ] = False,
+    laboratories: Annotated[
+        bool, typer.Option("--laboratories", help="One sample by several laboratories: do they agree, who is off?")
+    ] = False,
+    shared: Annotated[
+        list[str] | None, typer.Option(metavar="CAUSE[=A,B]", help=SHARED_HELP, show_default=False)
+    ] = None,
     columns: Columns = None,
     blank: Blank = None,
 ) -> None:
-    """Fit several models to measurements, and write a report. With --change instead: did A change into B?"""
+    """Fit several models to measurements, and write a report.
+
+    With --change instead: did A change into B? With --laboratories: do they agree?
+    """
     how = reading(columns, blank)
+    fitting = {
+        "models": models,
+        "normalise": normalise,
+        "ior": ior,
+        "dask": dask,
+        "metric": metric,
+        "energy": energy or None,
+        "separate": separate or None,
+    }
+    unused = [name for name, value in fitting.items() if value is not None]
+    _one_way(change=change, laboratories=laboratories, unused=unused, shared=bool(shared))
     if change:
-        fitting = {
-            "models": models,
-            "normalise": normalise,
-            "ior": ior,
-            "dask": dask,
-            "metric": metric,
-            "u-rel": u_rel,
-            "energy": energy or None,
-            "separate": separate or None,
-        }
-        unused = [name for name, value in fitting.items() if value is not None]
-        page = _change(measurements, out, wavelength_nm, unused, how)
+        page = _change(measurements, out, wavelength_nm, u_rel, how)
+    elif laboratories:
+        page = _laboratories(measurements, out, shared or [], wavelength_nm, u_rel, how)
     else:
         page = _report(
             measurements,
@@ -428,19 +440,51 @@ def _report(
     )
 
 
-def _change(specs: list[str], out: Path, wavelength_nm: float | None, unused: list[str], how: Reading) -> Path:
+def _one_way(*, change: bool, laboratories: bool, unused: list[str], shared: bool) -> None:
+    """`ConfigError` where options of one kind of comparison meet another."""
+    from gonio.errors import ConfigError
+
+    if change and laboratories:
+        raise ConfigError("--change compares two things, --laboratories several measurements of one: name one of them")
+    if shared and not laboratories:
+        raise ConfigError("--shared belongs to --laboratories: leave it out")
+    if unused and (change or laboratories):
+        which = "--change" if change else "--laboratories"
+        raise ConfigError(
+            f"--{unused[0]} has no part in {which}, which fits no model and divides by nothing; leave it out"
+        )
+
+
+def _change(specs: list[str], out: Path, wavelength_nm: float | None, u_rel: float | None, how: Reading) -> Path:
     from gonio.acquisition.run import command_line
     from gonio.cli import console
     from gonio.errors import ConfigError
+    from gonio_analysis.fitting.observations import check_u_rel
     from gonio_analysis.report import change
 
     if len(specs) != 2:
         raise ConfigError(f"--change compares two, A and B; {len(specs)} are named")
-    if unused:
-        raise ConfigError(
-            f"--{unused[0]} has no part in --change, which fits no model and divides by nothing; leave it out"
-        )
-    return change.make(specs, out, wavelength_nm=wavelength_nm, how=how, command=command_line(), progress=console.note)
+    check_u_rel(u_rel)
+    return change.make(
+        specs, out, wavelength_nm=wavelength_nm, u_rel=u_rel, how=how, command=command_line(), progress=console.note
+    )
+
+
+def _laboratories(
+    specs: list[str], out: Path, shared: list[str], wavelength_nm: float | None, u_rel: float | None, how: Reading
+) -> Path:
+    from gonio.acquisition.run import command_line
+    from gonio.cli import console
+    from gonio_analysis.fitting.observations import check_u_rel
+    from gonio_analysis.report import laboratories
+
+    check_u_rel(u_rel)
+    pairs = [one.partition("=") for one in shared]
+    whose = _once("--shared", [(cause, who.split(",") if equals else None) for cause, equals, who in pairs])
+    return laboratories.make(
+        specs, out, shared=whose, u_rel=u_rel, wavelength_nm=wavelength_nm, how=how, command=command_line(),
+        progress=console.note,
+    )  # fmt: skip
 
 
 def _print_appearance(found: Appearance) -> None:

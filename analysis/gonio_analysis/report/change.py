@@ -74,6 +74,7 @@ def make(
     out: str | Path,
     *,
     wavelength_nm: float | None = None,
+    u_rel: float | None = None,
     how: Reading | None = None,
     command: str = "",
     progress: Callable[[str], None] = lambda text: None,
@@ -88,6 +89,8 @@ def make(
         Folder of the report; an earlier report there is replaced.
     wavelength_nm
         The nearest common wavelength is drawn (all are judged); for two models, the one they are evaluated at.
+    u_rel
+        Relative standard uncertainty to assume of tables that state none.
     how
         Columns and blank of the tables, where they need any.
     command, progress
@@ -99,7 +102,7 @@ def make(
         Of `index.html`.
     """
     with files.staged(out) as stage, figure_workers(FIGURES) as workers:
-        a, b = (side(spec, how) for spec in specs)
+        a, b = (side(spec, how, u_rel) for spec in specs)
         if a.name == b.name:
             a, b = replace(a, name=f"{a.name} (A)"), replace(b, name=f"{b.name} (B)")
         progress(f"comparing {b.title} with {a.title}")

@@ -150,7 +150,7 @@ def _change_maps(c: Change, at: Observations, where: str) -> list[Drawing]:
             caption = f"Map of the plane of incidence{where}: {what}{rings}.{without}{_made(c)}"
             caption += thinning.words(kept.size, flat.size)
             on = partial(
-                _on_plane, angle=angle[kept], parameter=np.radians(tilts[kept]), value=value[flat][kept],
+                on_plane, angle=angle[kept], parameter=np.radians(tilts[kept]), value=value[flat][kept],
                 marked=marked[flat][kept], label=label, top=top, high=high,
             )  # fmt: skip
             out.append(Drawing("map-plane", "map", "", caption, caption, (5.6, high), on))
@@ -169,13 +169,13 @@ def _change_maps(c: Change, at: Observations, where: str) -> list[Drawing]:
         caption += thinning.words(kept.size, g.size)
         h = g[kept]
         on = partial(
-            _on_disc, theta_r=d[h].theta_r, dphi=d[h].dphi, value=value[h], marked=marked[h], label=label, top=top
+            on_disc, theta_r=d[h].theta_r, dphi=d[h].dphi, value=value[h], marked=marked[h], label=label, top=top
         )
         out.append(Drawing(f"map-{k + 1}", "map", "", caption, caption, (4.6, 4.0), on))
     return out
 
 
-def _on_plane(
+def on_plane(
     figure: Any, *, angle: Floats, parameter: Floats, value: Floats, marked: maps.Marks, label: str, top: float,
     high: float,
 ) -> None:  # fmt: skip
@@ -185,7 +185,7 @@ def _on_plane(
     ax.set_xlabel("θr: retro side negative, mirror side positive")
 
 
-def _on_disc(
+def on_disc(
     figure: Any, *, theta_r: Floats, dphi: Floats, value: Floats, marked: maps.Marks, label: str, top: float
 ) -> None:
     ax = figure.add_axes((0.02, 0.04, 0.84, 0.94))
