@@ -14,7 +14,6 @@ from scipy.special import chdtrc
 
 from gonio.cli.pace import Pace, Say, silent
 from gonio.errors import ConfigError, DataError
-from gonio.geometry import Directions
 from gonio.typing import Floats
 from gonio_analysis.changes.consensus import (
     METHODS,
@@ -26,7 +25,7 @@ from gonio_analysis.changes.consensus import (
     equivalence,
 )
 from gonio_analysis.changes.point_by_point import Side, laid_on, require_alike
-from gonio_analysis.changes.resampling import Carried, carry
+from gonio_analysis.changes.resampling import Carried, carry, slope_in_plane, turned_in_plane
 from gonio_analysis.curves.in_plane import Rows
 from gonio_analysis.fitting.observations import Observations, describe_left_out
 from gonio_analysis.fitting.value_covariance import Covariance
@@ -38,8 +37,6 @@ LEVEL = 0.01
 """Probability that somebody is accused where all are honest."""
 TESTS = 3
 """Of scales, of zeros and of scatters: they share `LEVEL`."""
-TURN = float(np.radians(0.25))
-"""By which directions are turned for the slope along the plane of incidence [rad]."""
 UNDETERMINED = float(np.radians(1.0))
 """A zero that is known no better than this [rad] says nothing."""
 ROUNDS, AGAIN = 100, 5
@@ -373,7 +370,7 @@ def _carried(at: Observations, side: Side, turn: float, say: Say = silent) -> Ca
     data = side.data
     table = side.table
     if turn:
-        directions, above = _turned(data.directions, -turn)
+        directions, above = turned_in_plane(data.directions, -turn)
         kept = np.flatnonzero(above)
         data = replace(data.take(kept), directions=directions[kept], rows=np.arange(kept.size))
         table = table.iloc[side.data.rows[kept]]
@@ -394,21 +391,6 @@ def _turned_back(at: Observations, side: Side, turn: float) -> tuple[Rows, _Foun
 
 def _some(one: _Found, rows: Rows) -> _Found:
     return _Found(one.value[rows], one.covariance.take(rows), one.interpolated)
-
-
-def _turned(directions: Directions, by: float) -> tuple[Directions, Any]:
-    """Receivers turned in the plane of incidence, toward the mirror direction, by an angle [rad]; which are above the
-    surface."""
-    source, receiver = directions.vectors
-    across = np.column_stack([-np.cos(directions.phi_i), -np.sin(directions.phi_i)])
-    along = np.sum(receiver[:, :2] * across, axis=1)
-    high = receiver[:, 2]
-    moved = receiver.copy()
-    moved[:, :2] += ((np.cos(by) - 1.0) * along + np.sin(by) * high)[:, None] * across
-    moved[:, 2] = np.cos(by) * high - np.sin(by) * along
-    above = moved[:, 2] > 0.0
-    moved[~above] = receiver[~above]
-    return Directions.from_vectors(source, moved), above
 
 
 # ---- scales, zeros and scatters ----
@@ -437,7 +419,7 @@ def _solved(at: Observations, found: Sequence[_Found], keys: Sequence[Sequence[A
             if np.all(np.abs(scales / before - 1.0) < SETTLED):
                 break
         if again == 0:
-            slope = _slope(replace(at, brdf=shape))
+            slope = slope_in_plane(replace(at, brdf=shape))
     v_scales, v_zeros = np.zeros((k, k)), np.zeros((k, k))
     for a in range(k):
         for b in range(k):
@@ -533,32 +515,6 @@ def _scatters(
         of_all = squares / max(n - (2.0 if with_slope else 1.0), 1.0)
         scatter[i], p[i] = np.sqrt(of_all), float(chdtrc(freedom, freedom * of_all))
     return scatter, p
-
-
-def _slope(shape: Observations) -> Floats:
-    """Change of the shape's values with the receiver's angle in the plane of incidence [1/(sr rad)]."""
-    alone = replace(shape, covariance=None, rows=np.arange(len(shape)), u_angles=np.zeros(0))
-    table = _table_of(alone)
-    ends = []
-    for by in (TURN, -TURN):
-        directions, above = _turned(alone.directions, by)
-        kept = np.flatnonzero(above)
-        carried = carry(replace(alone.take(kept), directions=directions[kept]), alone, table)
-        values = np.full(len(shape), np.nan)
-        values[kept[carried.rows]] = carried.value
-        ends.append(values)
-    ahead, behind = (ends[0] - shape.brdf) / TURN, (shape.brdf - ends[1]) / TURN
-    both = np.where(np.isnan(ahead), behind, np.where(np.isnan(behind), ahead, 0.5 * (ahead + behind)))
-    return np.nan_to_num(both)
-
-
-def _table_of(alone: Observations) -> pd.DataFrame:
-    """A table without holes, as `carry` asks for one."""
-    import pandas as pd
-
-    angles = [np.degrees(x) for x in alone.directions.angles]
-    names = ("theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg")
-    return pd.DataFrame({**dict(zip(names, angles, strict=True)), "wavelength_nm": alone.wavelength_nm})
 
 
 def _zeros(solved: _Solution, turned: Floats) -> tuple[Floats, Any]:

@@ -28,8 +28,8 @@ from gonio.geometry import SAME_ANGLE, Directions
 from gonio.measurement import is_simulated
 from gonio.models.corrected import Corrected, folded
 from gonio.typing import Floats
-from gonio_analysis.changes.resampling import Carried, carry, common_wavelengths
-from gonio_analysis.changes.verdict import Verdict, judge
+from gonio_analysis.changes.resampling import Carried, carry, common_wavelengths, slope_in_plane
+from gonio_analysis.changes.verdict import Verdict, Within, judge, within
 from gonio_analysis.fitting.forward import apparent
 from gonio_analysis.fitting.metrics import metrics
 from gonio_analysis.fitting.objective import scaled_to
@@ -100,6 +100,7 @@ class Change:
     """Of B - A; None where neither side states an uncertainty."""
     metrics: dict[str, float | None]
     verdict: Verdict | None
+    within: Within
     missing: dict[str, int] = field(default_factory=dict)
     """Why values of A have no counterpart."""
     notes: Sequence[str] = ()
@@ -436,9 +437,10 @@ def _judged(
         of.b, of.a, np.cos(at.directions.theta_i), None if covariance is None else covariance.total, white
     )
     verdict = None if covariance is None else judge(of.a, of.b, covariance)
+    apart = within(of.a, of.b, covariance, slope_in_plane(replace(at, brdf=0.5 * (of.a + of.b))))
     told = tuple(dict.fromkeys(notes))
     return Change(
-        a, b, at, of.a, of.b, of.u_a, of.u_b, of.error, of.onto, covariance, numbers, verdict, missing, told
+        a, b, at, of.a, of.b, of.u_a, of.u_b, of.error, of.onto, covariance, numbers, verdict, apart, missing, told
     )  # fmt: skip
 
 

@@ -18,7 +18,7 @@ The error of an interpolation between x_k with weights w_k is stated as the larg
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -35,6 +35,9 @@ if TYPE_CHECKING:
 
 FARTHEST = float(np.radians(15.0))
 """Nothing is interpolated between directions farther apart than this [rad]."""
+
+TURN = float(np.radians(0.25))
+"""By which directions are turned for the slope along the plane of incidence [rad]."""
 
 ON_EDGE = 1e-12
 """A point so little outside a triangle, as a share of its height, lies on its edge."""
@@ -127,6 +130,47 @@ def carry(a: Observations, b: Observations, b_table: pd.DataFrame, say: Say = si
                 common[rows] = (w[:, :, None] * b.covariance.common[near]).sum(axis=1)
     rows = np.flatnonzero(np.isfinite(value))
     return Carried(rows, value[rows], random[rows], common[rows], error[rows], {r: c for r, c in missing.items() if c})
+
+
+def turned_in_plane(directions: Directions, by: float) -> tuple[Directions, Any]:
+    """Receivers turned in the plane of incidence, toward the mirror direction, by an angle [rad]; which are above the
+    surface."""
+    source, receiver = directions.vectors
+    across = np.column_stack([-np.cos(directions.phi_i), -np.sin(directions.phi_i)])
+    along = np.sum(receiver[:, :2] * across, axis=1)
+    high = receiver[:, 2]
+    moved = receiver.copy()
+    moved[:, :2] += ((np.cos(by) - 1.0) * along + np.sin(by) * high)[:, None] * across
+    moved[:, 2] = np.cos(by) * high - np.sin(by) * along
+    above = moved[:, 2] > 0.0
+    moved[~above] = receiver[~above]
+    return Directions.from_vectors(source, moved), above
+
+
+def slope_in_plane(shape: Observations) -> Floats:
+    """Change of the shape's values with the receiver's angle in the plane of incidence [1/(sr rad)]."""
+    alone = replace(shape, covariance=None, rows=np.arange(len(shape)), u_angles=np.zeros(0))
+    table = _table_of(alone)
+    ends = []
+    for by in (TURN, -TURN):
+        directions, above = turned_in_plane(alone.directions, by)
+        kept = np.flatnonzero(above)
+        carried = carry(replace(alone.take(kept), directions=directions[kept]), alone, table)
+        values = np.full(len(shape), np.nan)
+        values[kept[carried.rows]] = carried.value
+        ends.append(values)
+    ahead, behind = (ends[0] - shape.brdf) / TURN, (shape.brdf - ends[1]) / TURN
+    both = np.where(np.isnan(ahead), behind, np.where(np.isnan(behind), ahead, 0.5 * (ahead + behind)))
+    return np.nan_to_num(both)
+
+
+def _table_of(alone: Observations) -> pd.DataFrame:
+    """A table without holes, as `carry` asks for one."""
+    import pandas as pd
+
+    angles = [np.degrees(x) for x in alone.directions.angles]
+    names = ("theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg")
+    return pd.DataFrame({**dict(zip(names, angles, strict=True)), "wavelength_nm": alone.wavelength_nm})
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -11,14 +10,13 @@ import numpy.typing as npt
 from gonio.typing import Floats
 from gonio_analysis.fitting.value_covariance import Covariance
 
-if TYPE_CHECKING:
-    pass
-
 LEVEL = 0.01
 """Probability that the verdict is "changed" where nothing changed."""
 FALSE_DISCOVERIES = 0.05
 """Share of the marked values that are marked by chance."""
 BEYOND = 2.0
+CONDITION = 1e4
+"""Of a common factor and a zero: above it the values do not tell one from the other."""
 
 
 @dataclass(frozen=True)
@@ -100,3 +98,77 @@ def judge(value_a: Floats, value_b: Floats, covariance: Covariance) -> Verdict:
     )
     # one verdict: where nothing says that anything changed, no single value has
     return found if found.changed else replace(found, marked=np.zeros(n, dtype=bool))
+
+
+@dataclass(frozen=True)
+class Within:
+    """By how much two differ beyond what they state, as a relative standard deviation of the differences."""
+
+    as_they_are: float
+    with_scale: float
+    """With a common factor free."""
+    scale: float
+    """That factor of B over A."""
+    with_zero: float | None = None
+    """With a zero of the angle free too; None where the values do not show one."""
+    zero: float | None = None
+    """By how much B's angle reads larger than A's, in the plane of incidence [rad]."""
+
+
+def within(value_a: Floats, value_b: Floats, covariance: Covariance | None, slope: Floats | None) -> Within:
+    """Within what two agree: how large an independent relative uncertainty would have to be, and with what set free.
+
+    Parameters
+    ----------
+    value_a, value_b : (n,) arrays [1/sr]
+    covariance
+        Of the difference; None where nothing is stated.
+    slope : (n,) array [1/(sr rad)]
+        Change of the values with the receiver's angle; None where there is none.
+    """
+    mean = 0.5 * np.abs(value_a + value_b)
+    difference = value_b - value_a
+    columns = [0.5 * (value_a + value_b)]
+    as_they_are, _ = _excess(difference, mean, covariance, np.zeros((mean.size, 0)))
+    with_scale, found = _excess(difference, mean, covariance, np.column_stack(columns))
+    out = Within(as_they_are, with_scale, 1.0 + found[0])
+    if slope is None or mean.size < 4 or not slope.any():
+        return out
+    both = np.column_stack([*columns, -slope])
+    size = np.linalg.norm(both / np.maximum(mean, 1e-300)[:, None], axis=0)
+    if np.linalg.cond(both / np.maximum(mean, 1e-300)[:, None] / size) > CONDITION:
+        return out
+    with_zero, found = _excess(difference, mean, covariance, both)
+    return replace(out, with_zero=with_zero, zero=found[1])
+
+
+def _excess(
+    difference: Floats, mean: Floats, covariance: Covariance | None, columns: Floats
+) -> tuple[float, tuple[float, ...]]:
+    """The relative uncertainty at which chi-square is its expectation, and what the columns are found to be.
+
+    The smallest of values count as a hundredth of the median: relative to 0 everything differs.
+    """
+    from scipy.optimize import brentq
+
+    level = np.maximum(mean, 0.01 * float(np.median(mean)) + 1e-300)
+    freedom = difference.size - columns.shape[1]
+
+    def fitted(x: float) -> tuple[float, tuple[float, ...]]:
+        random, common, causes = x * level, np.zeros((level.size, 0)), tuple[str, ...]()
+        if covariance is not None:
+            random, common, causes = np.hypot(covariance.random, random), covariance.common, covariance.causes
+        known = Covariance(random, common, causes)
+        target, white = known.whiten(difference), known.whiten(columns)
+        found = np.linalg.lstsq(white, target, rcond=None)[0]
+        rest = target - white @ found
+        return float(rest @ rest), tuple(float(v) for v in found)
+
+    top = float(np.abs(difference / level).max())
+    least = 1e-9 if covariance is None else 0.0
+    if freedom < 1 or top == 0.0:
+        return 0.0, (0.0,) * columns.shape[1]
+    if fitted(max(least, 1e-12 * top))[0] <= freedom:
+        return 0.0, fitted(max(least, 1e-12 * top))[1]
+    x = float(brentq(lambda x: fitted(x)[0] - freedom, max(least, 1e-12 * top), 2.0 * top, rtol=1e-6))
+    return x, fitted(x)[1]

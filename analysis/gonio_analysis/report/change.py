@@ -42,6 +42,7 @@ from gonio_analysis.report.change_records import (
     MeasuredSide,
     ModelSide,
     VerdictSummary,
+    WithinSummary,
 )
 from gonio_analysis.report.comparison import stamp
 from gonio_analysis.report.drawing import FigureWorkers, figure_workers
@@ -54,6 +55,8 @@ from gonio_analysis.selection.run_record import run_facts
 
 FIGURES = 6
 """That a comparison has, about."""
+CLOSER = 0.9
+"""A scale or a zero is worth words where what it leaves is less than this share."""
 SPIKE = 30.0
 """A largest value so many times the median hides all others in a polar plot: a logarithmic one comes first."""
 COLUMNS = (
@@ -196,6 +199,8 @@ def summary(c: Change, command: str, runs: Sequence[RunFacts | None]) -> ChangeS
         median_interpolation_error_rel=_median_error(c),
         without_counterpart=c.missing,
         verdict=verdict,
+        identical=c.identical,
+        agree_within=_within(c),
         conclusion=_conclusion(c),
         metrics={k: ChangeMetric(DESCRIPTIONS[k][0], finite(c.metrics[k])) for k in DESCRIPTIONS},
         wavelengths=waves,
@@ -228,8 +233,10 @@ def _conclusion(c: Change) -> str:
     if c.identical:
         return f"The two are identical: each of the {n} values of B is that of A."
     typical = f"They differ typically by {_words(c.metrics['log_ratio'])}"
+    stated = c.within.as_they_are > 0.0 and v is not None
+    agreement = f"{'Beyond what they state they' if stated else 'They'} agree {_agreement(_within(c))}"
     if v is None:
-        return f"{typical} over {n} values. Without stated uncertainties nothing says whether that means anything."
+        return f"{agreement}, over {n} values. {typical}. No uncertainty is stated: --u-rel assumes one."
     same = "the sample changed" if c.a.kind == c.b.kind else "the two disagree"
     head = f"{same[:1].upper()}{same[1:]}, by {' and '.join(v.found_by)}" if v.changed else f"No sign that {same}"
     chance = f"{v.beyond} of {n} values lie beyond 2 standard deviations, where {v.expected:.1f} are expected by chance"
@@ -244,7 +251,29 @@ def _conclusion(c: Change) -> str:
     )
     test = f"chi-square is {v.chi_square:.4g} for {n} values (p {_p(v.p_value)})"
     scale = f"The common factor of B over A is {with_u(1 + v.scale, v.u_scale)} (p {_p(v.p_scale)})."
-    return f"{head}: {test}; {chance}{kept}. {scale} {typical}."
+    return f"{head}: {test}; {chance}{kept}. {scale} {typical}. {agreement}."
+
+
+def _within(c: Change) -> WithinSummary:
+    w = c.within
+    zero_deg = None if w.zero is None else float(np.degrees(w.zero))
+    return WithinSummary(w.as_they_are, w.with_scale, w.scale, w.with_zero, zero_deg)
+
+
+def _agreement(w: WithinSummary) -> str:
+    """In words: within what relative standard deviation, beyond what is stated, and with what set free."""
+    if w.as_they_are == 0.0:
+        return "within what they state"
+
+    def so(x: float) -> str:
+        return f"within {percent(x)}" if x > 0.0 else "as they state"
+
+    parts = [so(w.as_they_are)]
+    if w.with_scale < CLOSER * w.as_they_are:
+        parts.append(f"{so(w.with_scale)} where B is divided by {w.scale:.4g}")
+    if w.with_zero is not None and w.zero_deg is not None and w.with_zero < CLOSER * w.with_scale:
+        parts.append(f"{so(w.with_zero)} where B's angle is taken back by {w.zero_deg:.2g}° too")
+    return "; ".join(parts)
 
 
 def _p(p: float) -> str:

@@ -78,6 +78,17 @@ class ChangeAtWavelength:
 
 
 @dataclass(frozen=True)
+class WithinSummary:
+    """Within what the two agree, relative, as `gonio_analysis.changes.verdict.Within`."""
+
+    as_they_are: float
+    with_scale: float
+    scale: float
+    with_zero: float | None
+    zero_deg: float | None
+
+
+@dataclass(frozen=True)
 class ChangeSummary:
     """Two things compared point by point."""
 
@@ -93,6 +104,8 @@ class ChangeSummary:
     median_interpolation_error_rel: float | None
     without_counterpart: Mapping[str, int]
     verdict: VerdictSummary | None
+    identical: bool
+    agree_within: WithinSummary
     conclusion: str
     metrics: dict[str, ChangeMetric]
     wavelengths: list[ChangeAtWavelength]

@@ -198,6 +198,34 @@ def test_identical_inputs_are_called_identical(tmp_path: Path) -> None:
     assert change(side(frame), side(frame))._conclusion == "identical"
 
 
+def test_what_agrees_with_a_scale_and_a_zero_free_says_so() -> None:
+    a, b = measure(GLOSS, noise=0.0, floor=1e-9), measure(GLOSS, noise=0.0, floor=1e-9)
+    silent = ["u_brdf", "u_random"]
+    turned = 0.2
+    signed = np.where(b["phi_r_deg"] == 180.0, b["theta_r_deg"], -b["theta_r_deg"])
+    moved = signed + turned
+    b = b.assign(theta_r_deg=np.abs(moved), phi_r_deg=np.where(moved >= 0.0, 180.0, 0.0), brdf=1.03 * b["brdf"])
+    for frame in (a, b):
+        frame[silent] = np.nan
+    found = change(side(a, "a"), side(b, "b")).within
+    assert found.with_zero is not None
+    assert found.zero is not None
+    assert found.with_zero < 0.3 * found.with_scale < 0.9 * found.as_they_are
+    # a lobe ten degrees wide in steps of 5: the slope between neighbours is known to some percent
+    assert np.degrees(found.zero) == pytest.approx(turned, rel=0.15)
+    scaled = change(side(a, "a"), side(a.assign(brdf=0.98 * a["brdf"]), "b")).within
+    assert scaled.scale == pytest.approx(0.98, rel=3e-4)  # of the mean of both: to the square of a hundredth
+    assert scaled.with_scale < 1e-3
+    assert scaled.as_they_are == pytest.approx(0.0202, rel=1e-3)
+
+
+def test_nothing_is_left_beyond_what_is_stated() -> None:
+    a, b = measure(GLOSS, seed=1), measure(GLOSS, seed=2)
+    assert change(side(a), side(b)).within.as_they_are < 3e-3  # of noise of 1 %: chi-square's own chance
+    louder = change(side(a), side(b.assign(brdf=b["brdf"] * np.random.default_rng(3).normal(1.0, 0.05, len(b))))).within
+    assert louder.as_they_are == pytest.approx(0.05, rel=0.25)  # of 99 values
+
+
 def test_one_changed_value_is_found_under_a_change_of_scale() -> None:
     a, b = measure(GLOSS, noise=0.003, reference=0.01, seed=3), measure(GLOSS, noise=0.003, reference=0.01, seed=4)
     spot = 40
