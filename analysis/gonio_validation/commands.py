@@ -44,6 +44,25 @@ def figures(
     print(make(name, out, command=command_line(), progress=console.note))
 
 
+def verify(
+    out: Annotated[Path | None, typer.Option(help="Folder of a page to sign.", show_default=False)] = None,
+) -> None:
+    """Check that this installation computes what it should. Exit code 1 where a part fails."""
+    import tempfile
+
+    from gonio.acquisition.run import command_line
+    from gonio.cli import console
+    from gonio_validation import verify as of_all
+
+    with tempfile.TemporaryDirectory(prefix="gonio-verify-") as folder:
+        found = of_all.verify(Path(folder), command_line(), console.note)
+    console.note(found.conclusion)
+    if out is not None:
+        print(of_all.make(out, found))
+    if not found.passed:
+        raise typer.Exit(1)
+
+
 @bench.callback()
 def _bench() -> None:
     """Measure the workbench itself."""

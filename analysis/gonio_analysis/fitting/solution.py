@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Self
@@ -377,18 +378,25 @@ def derived(problem: Problem, vector: Floats, spread: Floats) -> dict[str, Estim
     if problem.each:
         return {}
     base = problem.family.derived(problem.values(vector))
-    gradients: dict[str, list[float]] = {n: [] for n in base}
-    for k in range(vector.size):
-        up, down = vector.copy(), vector.copy()
-        up[k] += STEP
-        down[k] -= STEP
-        high, low = (problem.family.derived(problem.values(v)) for v in (up, down))
-        for n in base:
-            gradients[n].append((high[n] - low[n]) / (2 * STEP))
+
+    def values(v: Floats) -> Floats:
+        return np.array(list(problem.family.derived(problem.values(v)).values()))
+
+    slopes = slopes_of(values, vector, np.full(vector.size, STEP))
     out = {}
-    for n, value in base.items():
-        g = np.array(gradients[n])
+    for (n, value), g in zip(base.items(), slopes, strict=True):
         used = g != 0
         variance = g[used] @ spread[np.ix_(used, used)] @ g[used] if used.any() else 0.0
         out[n] = Estimate(value, math.sqrt(max(float(variance), 0.0)), not used.any())
     return out
+
+
+def slopes_of(values: Callable[[Floats], Floats], at: Floats, steps: Floats) -> Floats:
+    """What changes of each input do to each of several quantities, (quantities, inputs), by central differences."""
+    columns = []
+    for k, step in enumerate(steps):
+        up, down = at.copy(), at.copy()
+        up[k] += step
+        down[k] -= step
+        columns.append((values(up) - values(down)) / (2.0 * step))
+    return np.array(columns).T

@@ -1,0 +1,146 @@
+"""`gonio verify`: whether this installation computes what it should. docs/verification.md says what is checked.
+
+The digits that results are held against were computed or published by others. Each part says what it found, and fails
+by itself: an error in one is that part's result, and the others are still looked at.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from gonio_analysis.report import files, pdf
+from gonio_analysis.report.blocks import Block, Footer, Group, Heading, Page, Paragraph, code, facts, lead, table
+from gonio_analysis.report.comparison import stamp
+from gonio_analysis.result_records import as_json
+
+from gonio.errors import GonioError
+from gonio_validation.verify import arithmetic, digits, installation, line
+from gonio_validation.verify.finding import Finding
+
+LIMITS = (
+    "Simulated frames stand for a camera: no real detector, lamp or arm is looked at. A rig is signed off by measuring"
+    " its own white (docs/sign_off.md).",
+    "The digits of He-Torrance are those of the 1991 equations with the errata of docs/equations.md; that a real"
+    " surface obeys them is not claimed.",
+    "Files that are installed for editing have no checksums to be held against; their own are listed.",
+)
+"""What a verdict does not say."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """One part of the verification."""
+
+    name: str
+    what: str
+    look: Callable[[Path], list[Finding]]
+    """Takes a folder of its own to write in."""
+
+
+PARTS = (
+    Part("installation", "versions, and files as they were released", installation.look),
+    Part(
+        "models", "digits of the papers' equations that others computed, kernels against plain formulas", digits.models
+    ),
+    Part("colour", "white points and sums of the observer's tables, as CIE publishes them", digits.colour),
+    Part("uncertainty", "GUM H.1 and H.2, NIST's reference datasets, consensus values", arithmetic.look),
+    Part("formats", "a table written and read back in each format", line.formats),
+    Part("measurement", "a sample that the simulated rig measures blindly, from frames to parameters", line.measured),
+)
+
+
+@dataclass(frozen=True)
+class PartResult:
+    """What a part found."""
+
+    name: str
+    what: str
+    passed: bool
+    seconds: float
+    findings: list[Finding]
+
+
+@dataclass(frozen=True)
+class Verification:
+    """What `gonio verify` found."""
+
+    title: str
+    created: str
+    command: str
+    versions: dict[str, str]
+    passed: bool
+    conclusion: str
+    parts: list[PartResult]
+    limits: tuple[str, ...] = LIMITS
+
+
+def verify(folder: Path, command: str = "", say: Callable[[str], None] = lambda text: None) -> Verification:
+    """Look at every part.
+
+    Parameters
+    ----------
+    folder
+        Where parts may write; it exists.
+    command
+        The command line, for the record.
+    say
+        Called with a line after each part.
+    """
+    results = []
+    for part in PARTS:
+        began = time.perf_counter()
+        (own := folder / part.name).mkdir()
+        try:
+            found = part.look(own)
+        except (GonioError, ArithmeticError, LookupError, OSError, TypeError, ValueError, AttributeError) as error:
+            # a broken installation fails in ways that nobody foresees: each is that part's result
+            found = [Finding("it ends", False, f"{type(error).__name__}: {error}", "no error")]
+        passed = all(one.passed for one in found)
+        results.append(PartResult(part.name, part.what, passed, time.perf_counter() - began, found))
+        bad = [one for one in found if not one.passed]
+        head = f"{part.name}: {'passed' if passed else 'FAILED'}, {len(found) - len(bad)} of {len(found)} checks"
+        say(head + "".join(f"\n  {one.name}: {one.found}, where {one.expected} is right" for one in bad[:5]))
+    failed = [one.name for one in results if not one.passed]
+    count = sum(len(one.findings) for one in results)
+    conclusion = (
+        f"This installation fails in: {', '.join(failed)}. Do not measure with it: install gonio anew."
+        if failed
+        else f"All {count} checks of {len(results)} parts passed: this installation computes what it should."
+    )
+    made = stamp(command)
+    return Verification("Verification of gonio", passed=not failed, conclusion=conclusion, parts=results, **made)
+
+
+def make(out: Path, result: Verification) -> Path:
+    """The page and `summary.json` of a verification; the path of `index.html`."""
+    with files.staged(out) as stage:
+        page = _page(result)
+        files.write_page(stage.work, page, as_json(result), ())
+        pdf.write(stage.work / "report.pdf", [page])
+    return out / "index.html"
+
+
+def _page(v: Verification) -> Page:
+    sub = f"Validation of the software, {v.created[:10]}, gonio {v.versions['gonio']}."
+    rows = [[p.name, p.what, f"{sum(f.passed for f in p.findings)} of {len(p.findings)}",
+             "passed" if p.passed else "FAILED", f"{p.seconds:.1f} s"] for p in v.parts]  # fmt: skip
+    body: list[Block] = [
+        Group("header", (Heading(1, v.title), Paragraph(sub, "sub"))),
+        lead(v.conclusion),
+        table("", ["part", "what is checked", "checks", "verdict", "time"], rows, right=(4,)),
+    ]
+    for part in v.parts:
+        shown = [[f.name, f.found, f.expected, f.tolerance, "passed" if f.passed else "FAILED"] for f in part.findings]
+        header = ["check", "found", "right", "tolerance", ""]
+        body += [Heading(3, part.name.capitalize()), table("", header, shown)]
+    body += [Heading(3, "What this does not say"), *(Paragraph(text) for text in v.limits)]
+    blank = "_" * 40
+    signed = [("verified by", blank), ("date", blank), ("signature", blank), ("instrument, computer", blank)]
+    body += [Heading(3, "Signed off"), facts(signed)]
+    made = [("command", v.command or "–"), ("made", v.created)]
+    made.append(("versions", ", ".join(f"{k} {n}" for k, n in v.versions.items())))
+    footer = Footer(("Every number on this page is in ", code("summary.json"), "."))
+    return Page(v.title, (*body, Heading(2, "Provenance"), facts(made), footer))
