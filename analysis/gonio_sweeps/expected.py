@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,10 +14,10 @@ from gonio.acquisition.records import StepRecord
 from gonio.acquisition.run import Run
 from gonio.acquisition.schedule import reference_pose
 from gonio.errors import ConfigError
+from gonio.reduction import white_reference
+from gonio.reduction.white_reference import Level
 from gonio.rig import Pose, Step, sensor_noise
 from gonio.rig.description import RigDescription
-from gonio.rig.imaging import pixel_on_sample_mm
-from gonio.rig.kinematics import view
 from gonio.typing import Floats
 
 METERING = 1.25
@@ -41,7 +41,7 @@ class Expected:
 
     def __init__(self, durations: Durations, poses: Sequence[Pose]) -> None:
         self._durations, self.poses = durations, poses
-        self._pixels = [_pixels(durations.description, pose) for pose in poses]
+        self._pixels = [exposure.expected_pixels(durations.description, pose) for pose in poses]
 
     def visits(self, brdf: Floats) -> ExpectedVisits:
         """Where the sample has a BRDF [1/sr], one value a pose.
@@ -51,32 +51,48 @@ class Expected:
         factor = np.maximum(math.pi * brdf, NOTHING).tolist()
         seconds = [self._durations.frames_s(Step(0, "point", 0, p), f) for p, f in zip(self.poses, factor, strict=True)]
         each = zip(self.poses, self._pixels, factor, strict=True)
-        weights = [_weight(self._durations.description, pose, pixels, f) for pose, pixels, f in each]
+        description = self._durations.description
+        weights = [_weight(description, p, pixels, f, description.acquisition.frames) for p, pixels, f in each]
         return ExpectedVisits(np.where(brdf > 0, 1.0 / np.sqrt(weights), np.inf), np.array(seconds))
 
 
-def _weight(description: RigDescription, pose: Pose, pixels: float, reflectance: float) -> float:
+def level(durations: Durations, steps: Sequence[Step], brdf: Mapping[int, float]) -> tuple[Level, dict[int, float]]:
+    """What the visits to the reference among steps will tell of the lamp, a steady one; and when each point comes [s].
+
+    `brdf` are the expected values [1/sr] by point.
+    """
+    description, here, now = durations.description, Pose(), 0.0
+    visits, variances, times = list[float](), list[float](), dict[int, float]()
+    for step in steps:
+        factor = max(math.pi * brdf[step.point], NOTHING) if step.point is not None else None
+        took = durations.step_s(here, step, factor)
+        if step.point is not None:
+            times[step.point] = now + took
+        elif step.kind == "reference":
+            pixels = exposure.expected_pixels(description, step.pose)
+            visits.append(now + took)
+            variances.append(1.0 / _weight(description, step.pose, pixels, 1.0, description.reference.frames))
+        now, here = now + took, here if step.kind == "dark" else step.pose
+    fitted = white_reference.fit(
+        np.array(visits), np.ones(len(visits)), np.array(variances), np.array([*times.values()])
+    )
+    return fitted, times
+
+
+def _weight(description: RigDescription, pose: Pose, pixels: float, reflectance: float, frames: int) -> float:
     """1 / (relative variance) of the mean over the region of interest, from all frames of a visit."""
     camera, acquisition = description.camera, description.acquisition
     if acquisition.u_rel_target is not None:
         exposures = exposure.expected_bracket(description, pose, reflectance)
     else:
         single = exposure.expected_exposure_s(description, pose, reflectance)
-        exposures = (*(single,) * acquisition.frames, single / exposure.SHORTER)
+        exposures = (*(single,) * frames, single / exposure.SHORTER)
     rate = camera.responsivity_e_per_s * reflectance * exposure.cosine_of_incidence(pose)
     out = 0.0
     for t in exposures:
         noise = float(sensor_noise.variance(camera, (rate + camera.dark_current_e_per_s) * t))
         out += 1.0 / max(noise / (pixels * (rate * t) ** 2) + description.lamp.frame_noise**2, 1e-18)
     return out
-
-
-def _pixels(description: RigDescription, pose: Pose) -> float:
-    """How many pixels the region of interest has, about."""
-    seen = view(description, pose)
-    slant = abs(float(seen.camera_mm[2])) / math.sqrt(sum(float(x) ** 2 for x in seen.camera_mm))
-    area = math.pi * description.acquisition.roi_radius_mm**2 / pixel_on_sample_mm(description, seen) ** 2
-    return max(area * slant, 1.0)
 
 
 def batch_s(durations: Durations, poses: Sequence[Pose], seconds: Sequence[float], here: Pose) -> float:

@@ -15,6 +15,7 @@ import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from gonio_analysis.fitting.forward import apparent
@@ -22,11 +23,12 @@ from gonio_analysis.fitting.observations import Observations
 from gonio_analysis.fitting.problem import Problem
 from gonio_analysis.fitting.search import derivatives
 
-from gonio.geometry import Directions
+from gonio.geometry import Directions, solid_angle_of_cone
 from gonio.reduction.angle_errors import CAUSES, angle_axes, zero_uncertainties
 from gonio.rig import Pose, kinematics
 from gonio.rig.description import RigDescription
 from gonio.typing import Floats
+from gonio_sweeps.candidates import read
 
 MOST = 0.5 * math.pi - 1e-6
 """Polar angles [rad] are held below this where an axis is moved in thought."""
@@ -90,12 +92,16 @@ class Sights:
         return replace(self.at, directions=inside), np.cos(theta_i) / np.cos(self.at.directions.theta_i)
 
     def rows(self, problem: Problem, vector: Floats) -> Rows:
-        """What a model at a point of the search scale has there.
+        """What a model at a point of the search scale has there."""
+        found = self.of_model(problem.model(vector))
+        return replace(found, parameters=derivatives(problem, self.at, vector, quick=True))
+
+    def of_model(self, model: Any) -> Rows:
+        """What a model has there, without parameters.
 
         A value stands for the angles that were read, cos(theta_i) of the truth over that of the reading
         (docs/radiometry.md, "The budget").
         """
-        model = problem.model(vector)
         here = apparent(model, self.at, quick=True)
         landing, even, of_angles = np.zeros(len(self.at)), np.zeros(len(self.at)), {}
         odds = []
@@ -111,8 +117,29 @@ class Sights:
         for there, ratio, slopes in self._extreme:
             straight = sum((odds[which] * factor for which, factor in slopes), here)
             most = np.maximum(most, np.abs(apparent(model, there, quick=True) * ratio - straight))
-        parameters = derivatives(problem, self.at, vector, quick=True)
-        return Rows(here, parameters, of_angles | {EVEN: even}, np.hypot(np.sqrt(landing), most))
+        none = np.zeros((len(self.at), 0))
+        return Rows(here, none, of_angles | {EVEN: even}, np.hypot(np.sqrt(landing), most))
+
+
+def sights_ahead(description: RigDescription, poses: Sequence[Pose], wavelength_nm: float) -> Sights:
+    """Where poses lead that nobody has taken yet, as encoders will show them."""
+    shown = read(description, poses)
+    directions = Directions.stack([kinematics.directions(description, pose) for pose in shown])
+    return sights_at(description, shown, directions, wavelength_nm)
+
+
+def sights_at(
+    description: RigDescription, poses: Sequence[Pose], directions: Directions, wavelength_nm: float
+) -> Sights:
+    """Where poses lead, in directions that are known."""
+    none = np.zeros(len(poses))
+    cones = (description.lamp.half_angle_deg, description.camera.lens_half_angle_deg)
+    source, receiver = (float(solid_angle_of_cone(math.radians(half))) for half in cones)
+    at = Observations(
+        directions=directions, wavelength_nm=none + wavelength_nm, brdf=none, covariance=None,
+        rows=np.arange(none.size), source_solid_angle_sr=source, receiver_solid_angle_sr=receiver,
+    )  # fmt: skip
+    return Sights(at, poses, description)
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from gonio_analysis.fitting.forward import apparent
 from gonio_analysis.fitting.observations import DEFAULT_WAVELENGTH_NM
-from gonio_analysis.fitting.value_covariance import Covariance
 
 from gonio.acquisition.duration import Durations
 from gonio.acquisition.plan import Plan, Point
@@ -28,14 +27,13 @@ from gonio.acquisition.schedule import reference_pose
 from gonio.config import parse
 from gonio.documents import JsonObject
 from gonio.errors import ConfigError
-from gonio.geometry import Directions
 from gonio.reduction import brdf as reduction
-from gonio.rig import Pose, kinematics
+from gonio.rig import Pose
 from gonio.rig.bands import Band
 from gonio.rig.description import RigDescription
 from gonio.typing import Floats
 from gonio_sweeps import covering, expected, fisher
-from gonio_sweeps.candidates import candidates, from_nearest, nearby, places, read, snake, spread
+from gonio_sweeps.candidates import candidates, from_nearest, nearby, places, snake, spread
 from gonio_sweeps.model_fit import MANY, SEARCHES, Known, ModelFit, ParameterSettings, short
 from gonio_sweeps.online import GrowingValues, Online
 
@@ -376,12 +374,7 @@ class Parameters:
     @cached_property
     def _ahead(self) -> fisher.Sights:
         """The candidates, as the forward model takes them."""
-        none, poses = np.zeros(len(self.candidates)), read(self._description, self.candidates.poses)
-        rows = none.astype(np.intp)
-        directions = Directions.stack([kinematics.directions(self._description, pose) for pose in poses])
-        values = GrowingValues(rows, directions, poses, none, none, {}, none)
-        observed = self._fits.observed(values, Covariance(none + 1.0, np.zeros((none.size, 0))))
-        return fisher.Sights(observed, poses, self._description)
+        return fisher.sights_ahead(self._description, self.candidates.poses, self._band.centre_nm)
 
     def _samples(self, known: Known) -> list[tuple[Floats, float]]:
         """Parameters that the values allow, with weights: the solutions, and draws around the best one."""

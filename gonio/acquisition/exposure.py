@@ -273,14 +273,19 @@ def bracket(description: RigDescription, metered: Metered, used: Used, least: in
 
 def expected_bracket(description: RigDescription, pose: Pose, albedo: float) -> tuple[float, ...]:
     """What `bracket` leads to for a matt surface at a pose, by the rig file alone."""
-    seen = view(description, pose)
-    side = pixel_on_sample_mm(description, seen)
-    slant = abs(float(seen.camera_mm[2])) / math.sqrt(sum(float(x) ** 2 for x in seen.camera_mm))
-    count = max(int(math.pi * description.acquisition.roi_radius_mm**2 / (slant * side**2)), 1)
+    count = expected_pixels(description, pose)
     rate = description.camera.responsivity_e_per_s * albedo * cosine_of_incidence(pose)
     planned = _Planned(description, np.array([rate]), np.array([rate]), count)
     exposures = planned.exposures(expected_exposure_s(description, pose, albedo), FEWEST)
     return (*exposures, shorter(description, max(exposures)))
+
+
+def expected_pixels(description: RigDescription, pose: Pose) -> int:
+    """How many pixels the region of interest has at a pose, about: 1 at least."""
+    seen = view(description, pose)
+    side = pixel_on_sample_mm(description, seen)
+    slant = abs(float(seen.camera_mm[2])) / math.sqrt(sum(float(x) ** 2 for x in seen.camera_mm))
+    return max(int(math.pi * description.acquisition.roi_radius_mm**2 / (slant * side**2)), 1)
 
 
 class _Planned:

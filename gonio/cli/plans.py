@@ -13,6 +13,7 @@ import typer
 from gonio.errors import ConfigError
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
     from rich.table import Table
 
     from gonio.acquisition.measure import Prepared, RigChoice
@@ -56,6 +57,14 @@ def show(
         int | None,
         typer.Option(help="Of the picture: number of the step; by default the most crowded one.", show_default=False),
     ] = None,
+    separate: Annotated[
+        tuple[Path, Path] | None,
+        typer.Option(
+            metavar="A.toml B.toml",
+            help="How well the plan tells two samples apart, and by which points; --picture maps it.",
+            show_default=False,
+        ),
+    ] = None,
 ) -> None:
     """Show the points of a plan. With a rig also what it cannot reach and why, and how long it takes."""
     from gonio.acquisition.measure import assessed, find_rig
@@ -70,18 +79,47 @@ def show(
     loaded, chosen = load_plan(plan), find_rig(rig) if rig is not None else None
     if picture is not None and picture.suffix.lower() not in PICTURES:
         raise ConfigError(f"--picture {picture}: a picture ends in {' or '.join(PICTURES)}")
+    if separate is not None and (chosen is None or step is not None):
+        raise ConfigError("--separate: what a plan tells depends on the rig; name one with --rig, and leave --step out")
     seen = assessed(loaded, chosen) if chosen is not None else None
+    if separate is not None and seen is not None:
+        _separate(seen, separate, picture)
+        return
     describe(loaded, seen, left_out=left_out)
     if picture is not None and seen is not None:
         _draw(seen, picture, step)
 
 
-def _draw(seen: Prepared, file: Path, step: int | None) -> None:
-    from gonio.acquisition import plan_picture
+def _separate(seen: Prepared, samples: tuple[Path, Path], picture: Path | None) -> None:
+    from gonio import plugins
+    from gonio.acquisition.measure import load_sample
     from gonio.cli import console
 
+    a, b = (load_sample(path) for path in samples)
+    plugin = plugins.load("gonio.choosers", "models")
+    found = plugin.separation(seen, a, b)
+    said, rows = plugin.about(found)
+    table = console.table(
+        "theta_i_deg", "theta_r_deg", "dphi_deg", f"{a.name} / sr^-1", f"{b.name} / sr^-1", "chi-square of a visit",
+        "five sigma after", title="points that tell most for their time",
+    )  # fmt: skip
+    for row in rows:
+        table.add_row(*row)
+    console.show(table, *said)
+    if picture is not None:
+        _saved(plugin.draw(found), picture)
+
+
+def _draw(seen: Prepared, file: Path, step: int | None) -> None:
+    from gonio.acquisition import plan_picture
+
     plan, rig, points, _ = seen
-    figure = plan_picture.draw(plan, points, rig.schedule(plan, points), rig.description, step)
+    _saved(plan_picture.draw(plan, points, rig.schedule(plan, points), rig.description, step), file)
+
+
+def _saved(figure: Figure, file: Path) -> None:
+    from gonio.cli import console
+
     try:
         figure.savefig(file, dpi=150)
     except OSError as error:

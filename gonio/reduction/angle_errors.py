@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -106,6 +107,31 @@ def add(measured: MeasuredBand, values: Values, curves: Curves) -> None:
     values.coarse = (unresolved > others + region**2) & (values.lobes.u_slope > values.lobes.u_slope_theta_i)
     of_readings = sum(variances[name] for name in ("encoder", "zeros_even", "spike_blur", "coarse_steps")) - u_slopes
     values.of_readings = {"geometry_slopes": np.sqrt(u_slopes), "u_angles": np.sqrt(np.maximum(of_readings, 0.0))}
+
+
+def coarse_steps(
+    description: RigDescription, poses: Sequence[Pose], goals: Directions, brdf: Floats, u: Floats
+) -> Floats:
+    """Standard uncertainties [1/sr] that a plan's steps will leave where they are coarser than a lobe is wide.
+
+    Parameters
+    ----------
+    description, poses, goals
+        Where the points of the plan are, and the directions that were asked for.
+    brdf, u : (n,) arrays [1/sr]
+        The values that are expected there, and their independent standard uncertainties.
+    """
+    behind = bool(len(goals)) and is_behind(goals[0])
+    read = Directions.stack([turned_over(kinematics.directions(description, pose), behind) for pose in poses])
+    cones = math.radians(description.lamp.half_angle_deg), math.radians(description.camera.lens_half_angle_deg)
+    none = [spike_overlap.OverlapFraction()] * len(poses)
+    under = filling(description) == "under"
+    curves, variance = Curves(turned_over(goals, behind), read, brdf, u, cones, none, under), np.zeros(len(poses))
+    for axis, error in (*encoder_steps(description).items(), *zero_uncertainties(description).items()):
+        if error > 0 and (axis != "spin" or curves.directed):
+            moved = [_moved(description, pose, axis, error) for pose in poses]
+            variance += np.array([curves.slope_uncertainty(k, there) for k, there in enumerate(moved)]) ** 2
+    return np.sqrt(variance)
 
 
 def change_of_cosine(description: RigDescription, visit: Reduced, axis: str, u: float) -> float:

@@ -167,14 +167,15 @@ def test_where_no_point_tells_more_of_the_parameters_the_rest_of_the_budget_cove
 
 def test_half_of_the_points_cover_where_the_target_is_out_of_reach(tmp_path: Path) -> None:
     bench = ManualRig(models.OrenNayar(albedo=0.5, sigma_deg=25.0), 8)
-    covers = {}
+    covers, sizes = {}, {}
     for sigma in (0.1, 1e-6):
         made = sampler(tmp_path, MATTE.format(albedo=0.05, sigma=sigma))
         bench.measure(() if bench.brdf else tuple(made.first([])))
         choice = made.choose(bench.values, spent_s=60.0, modes=[], reduced=nobody)
-        covers[sigma] = choice.why["cover"] / len(choice.points)
-    assert covers[0.1] <= 0.3
-    assert covers[1e-6] == pytest.approx(0.5, abs=0.05)
+        covers[sigma], sizes[sigma] = choice.why["cover"], len(choice.points)
+    # a quarter and a half of the points that were wanted; some points that would tell little more are left out then
+    assert covers[0.1] <= 0.25 * sizes[0.1] + 1
+    assert covers[1e-6] == pytest.approx(0.5 * sizes[1e-6], abs=1)
 
 
 def test_points_in_few_places_do_not_mislead_the_search(tmp_path: Path) -> None:
