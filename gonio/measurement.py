@@ -38,9 +38,8 @@ from gonio import formats
 from gonio.disk import is_stream, only_file
 from gonio.errors import ConfigError, DataError
 from gonio.formats import native, own_columns, rt300s
-from gonio.formats.native import check, check_columns, meta_path
+from gonio.formats.native import check, check_columns, meta_path, uncertainty
 from gonio.formats.reader import ANGLES, COLUMNS, MAX_BYTES, MUELLER, U_ANGLES, U_MUELLER, Format, reflection_only
-from gonio.typing import Floats
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -383,27 +382,6 @@ def split(spec: str | Path) -> tuple[str, str | None]:
             if Path(text[:colon]).exists():
                 return text[:colon], text[colon + 1 :]
     return text, None
-
-
-def uncertainty(frame: pd.DataFrame) -> tuple[Floats, Floats, list[str]]:
-    """The covariance of a table's values in factors: C = diag(u_random^2) + S S^T.
-
-    Returns
-    -------
-    u_random : (n,) array [1/sr]
-        Independent part. Where a file states only a combined uncertainty it counts as independent; NaN where none is
-        stated.
-    S : (n, k) array [1/sr]
-        One signed column a common cause.
-    causes : list of str
-        The names of the k causes, without `s_`.
-    """
-    columns = [name for name in frame.columns if name.startswith("s_")]
-    common = frame[columns].to_numpy(np.float64) if columns else np.zeros((len(frame), 0))
-    independent = frame["u_random"].to_numpy(np.float64)
-    combined = frame["u_brdf"].to_numpy(np.float64)
-    rest = np.sqrt(np.maximum(combined**2 - (common**2).sum(axis=1), 0.0))
-    return np.where(np.isnan(independent), rest, independent), common, [name.removeprefix("s_") for name in columns]
 
 
 def _choose(frame: pd.DataFrame, sample: str, path: Path) -> pd.DataFrame:

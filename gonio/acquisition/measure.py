@@ -18,7 +18,7 @@ from gonio.config import load, parse
 from gonio.errors import ConfigError, DeviceError, GonioError, Interrupted
 from gonio.rig import kinematics, regions
 from gonio.rig.calibrated import with_calibrations
-from gonio.rig.description import RigDescription, SampleDescription
+from gonio.rig.description import Reference, RigDescription, SampleDescription
 from gonio.rig.motion_planning import Blocked, route
 
 if TYPE_CHECKING:
@@ -87,6 +87,30 @@ class RigChoice:
             raise
 
 
+def _certified(reference: Reference, rig_file: Path) -> Reference:
+    """The reference with what its certificate says."""
+    from gonio.formats.certificate import reflectance
+
+    given = {"albedo", "u_rel", "spectrum", "table"} & reference.model_fields_set
+    if given:
+        raise ConfigError(
+            f"{rig_file}: reference.certificate and reference.{min(given)} both say how bright the reference is; "
+            "leave one out"
+        )
+    assert reference.certificate is not None
+    path = (rig_file.parent / reference.certificate).absolute()
+    known = reflectance(path, reference.certificate_quantity)
+    u_rel = [u / value for u, value in zip(known.u, known.values, strict=True)]
+    return reference.model_copy(
+        update={
+            "certificate": str(path),
+            "albedo": known.values[len(known.values) // 2],
+            "u_rel": max(u_rel),
+            "spectrum": tuple(zip(known.wavelengths_nm, known.values, u_rel, strict=True)) if u_rel[1:] else (),
+        }
+    )
+
+
 def find_rig(name: str, *, without: str = "") -> RigChoice:
     """A rig by the name of its entry point, or by the path of a rig file whose key `rig` names the entry point.
 
@@ -109,6 +133,8 @@ def find_rig(name: str, *, without: str = "") -> RigChoice:
         if table is not None:
             reference = description.reference.model_copy(update={"table": str((path.parent / table).absolute())})
             description = description.model_copy(update={"reference": reference})
+        if description.reference.certificate is not None:
+            description = description.model_copy(update={"reference": _certified(description.reference, path)})
         if description.camera.maps is not None:
             camera = description.camera.model_copy(
                 update={"maps": str((path.parent / description.camera.maps).absolute())}
@@ -261,7 +287,8 @@ def prepared(
     """
     from gonio.acquisition.sampling import sampler_of
 
-    plan.bands(rig.description)
+    for band in plan.bands(rig.description):
+        rig.description.reference.at(band.centre_nm)
     if plan.reference_every is not None:
         reference = rig.description.reference.model_copy(update={"every": plan.reference_every})
         rig = replace(rig, description=rig.description.model_copy(update={"reference": reference}))

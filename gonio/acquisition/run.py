@@ -72,9 +72,9 @@ _STEP_LINE = re.compile(rb'\{"n":\d+,"event":"step"')
 CHOSEN = "chosen.json"
 """A copy of the journal's events "chosen", for `gonio run repair`."""
 TABLE = ("brdf.csv", "brdf.meta.json")
-AS_BEGUN = {"run.toml", "reference.csv", "reference.meta.json", "camera_maps.npz"}
+AS_BEGUN = {"run.toml", "reference.csv", "reference.meta.json", "certificate.xml", "camera_maps.npz"}
 """What says how the frames of a run were taken, beside its plan."""
-BESIDE_TABLE = ("budget.csv", "monte_carlo.csv")
+BESIDE_TABLE = ("budget.csv", "monte_carlo.csv", "monte_carlo.npz")
 """What a reduction writes beside its table."""
 RESTORE = "restore it, or move it away: `gonio measure ... --resume` writes it again"
 RECORDED = ("gonio", "numpy", "scipy", "numba", "pandas", "rawpy")
@@ -424,7 +424,7 @@ class Run:
         require_own(self.path, (*TABLE, *BESIDE_TABLE))
         check_writable(self.path)
 
-    def write_table(self, table: pd.DataFrame, beside: Mapping[str, pd.DataFrame] | None = None) -> Path:
+    def write_table(self, table: pd.DataFrame, beside: Mapping[str, pd.DataFrame | bytes] | None = None) -> Path:
         """Write the measurement table of the run, brdf.csv; one that is there is replaced only if it was written so.
 
         Parameters
@@ -432,8 +432,8 @@ class Run:
         table
             The measurement table.
         beside
-            Other tables, by their names among `BESIDE_TABLE`. Earlier ones that are not among them are removed: they
-            would speak of other values.
+            Other tables, or whole files, by their names among `BESIDE_TABLE`. Earlier ones that are not among them are
+            removed: they would speak of other values.
 
         Raises
         ------
@@ -451,7 +451,10 @@ class Run:
                     measurement.write(table, Path(work) / TABLE[0])
                 except ConfigError as error:
                     raise ConfigError(str(error).replace(work, str(self.path))) from None
-                tables = {name: frame.to_csv(index=False).encode() for name, frame in (beside or {}).items()}
+                tables = {
+                    name: held if isinstance(held, bytes) else held.to_csv(index=False).encode()
+                    for name, held in (beside or {}).items()
+                }
                 write_own(self.path, {name: (Path(work) / name).read_bytes() for name in TABLE} | tables)
             own = read_manifest(self.path)
             for name in BESIDE_TABLE:

@@ -25,6 +25,7 @@ from gonio.rig.laboratory import Laboratory, merged
 FORMAT = 1
 NAMED_FILES = {
     ("reference", "table"): ("reference.csv", "the table of the white reference"),
+    ("reference", "certificate"): ("certificate.xml", "the certificate of the white reference"),
     ("camera", "maps"): ("camera_maps.npz", "the maps of the camera's pixels"),
 }
 """Files that a rig file may name: table and key, and what the run's copy is called."""

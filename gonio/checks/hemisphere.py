@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from gonio.checks.values import CheckedValues, Incidence, incidences
 from gonio.geometry import SAME_AZIMUTH
+from gonio.typing import Floats
 
 COVERED = 0.85
 """Share of the hemisphere's projection that the measured directions have to surround."""
@@ -33,6 +34,8 @@ class Hemispherical:
     """Standard uncertainty from that of the values, with their whole covariance; None where they state none."""
     u_independent: float | None = None
     """The same, were every value's whole uncertainty independent of the others'."""
+    weights: Floats = field(default_factory=lambda: np.zeros(0), repr=False, compare=False)
+    """(n,) how much of each value is in it, where the values state uncertainties."""
 
     @property
     def u(self) -> float:
@@ -86,14 +89,14 @@ def _integrated(data: CheckedValues, at: Incidence) -> Hemispherical:
     rim = np.unique(mesh.convex_hull)
     outside = max(math.pi * (1.0 - covered), 0.0) * float(np.median(f[rim]))
     total, sampling = inside + outside, math.hypot(0.5 * (inside - logarithmic), outside)
-    of_values, independent = None, None
+    of_values, independent, each = None, None, np.zeros(0)
     if data.random is not None and data.common is not None:
         each = np.zeros(len(data))
         np.add.at(each, rows, weight)
         np.add.at(each, rows[rim], math.pi * max(1.0 - covered, 0.0) / rim.size)  # as a cause that scales all has it
         of_values = math.hypot(float(np.linalg.norm(each * data.random)), float(np.linalg.norm(each @ data.common)))
         independent = float(np.linalg.norm(each * data.u))
-    found = Hemispherical(theta_deg, total, mirrored, sampling, of_values, independent)
+    found = Hemispherical(theta_deg, total, mirrored, sampling, of_values, independent, each)
     if found.u > ROUGH * abs(total):
         return Hemispherical(theta_deg, None, f"too few directions: {total:.2g} would be uncertain by {found.u:.2g}")
     return found

@@ -5,9 +5,12 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 def measure(
@@ -72,7 +75,10 @@ def reduce(
     monte_carlo: Annotated[
         int | None,
         typer.Option(
-            metavar="N", min=100, help="Check the uncertainties by N draws: RUN/monte_carlo.csv.", show_default=False
+            metavar="N",
+            min=100,
+            help="Check uncertainties by N draws: RUN/monte_carlo.csv, .npz.",
+            show_default=False,
         ),
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the draws.")] = 0,
@@ -86,13 +92,18 @@ def reduce(
     opened.check_table()
     with console.counter("reducing", lines=True) as progress:
         found = brdf.reduce_in_parts(opened, progress=progress)
-    table, beside, verdict = found.table, {"budget.csv": found.budget}, ""
+    table, verdict = found.table, ""
+    beside: dict[str, pd.DataFrame | bytes] = {"budget.csv": found.budget}
     if monte_carlo is not None:
         from gonio.reduction import monte_carlo as drawing
 
         with console.counter("drawing", lines=True) as progress:
             drawn = drawing.check(opened, found, monte_carlo, seed, progress)
         beside["monte_carlo.csv"], verdict = drawn.values, drawn.verdict
+        if drawn.every.size:
+            beside["monte_carlo.npz"] = drawn.archive()
+        else:
+            verdict += f"; more than {drawing.KEPT:.0e} numbers: the draws are not kept"
         table.attrs["provenance"]["monte_carlo"] = {"draws": monte_carlo, "seed": seed, "verdict": verdict}
     path = opened.write_table(table, beside)
     for note in table.attrs["notes"]:  # what the values rest on

@@ -19,6 +19,7 @@ _MODULES = (
     "nist_mueller",
     "mwir_inplane",
     "reflectance_factor",
+    "gtc",
     "bird_json",
     "alta",
     "klems_xml",
@@ -105,7 +106,7 @@ def of_name(path: Path) -> Format:
     """
     writable = [f for f in all_formats().values() if f.write is not None]
     for f in writable:
-        if path.suffix.lower() in f.endings:
+        if path.name.lower().endswith(f.endings):
             return f
     endings = ", ".join(dict.fromkeys(ending for f in writable for ending in f.endings))
     raise ConfigError(f'{path}: no format is written with the ending "{path.suffix}"; there are {endings}')

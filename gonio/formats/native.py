@@ -377,3 +377,24 @@ FORMAT = Format(
     write=write,
     carries=frozenset({"uncertainty", "flag", "solid angle", "transmission", "mueller"}),
 )
+
+
+def uncertainty(frame: pd.DataFrame) -> tuple[Floats, Floats, list[str]]:
+    """The covariance of a table's values in factors: C = diag(u_random^2) + S S^T.
+
+    Returns
+    -------
+    u_random : (n,) array [1/sr]
+        Independent part. Where a file states only a combined uncertainty it counts as independent; NaN where none is
+        stated.
+    S : (n, k) array [1/sr]
+        One signed column a common cause.
+    causes : list of str
+        The names of the k causes, without `s_`.
+    """
+    columns = [name for name in frame.columns if name.startswith("s_")]
+    common = frame[columns].to_numpy(np.float64) if columns else np.zeros((len(frame), 0))
+    independent = frame["u_random"].to_numpy(np.float64)
+    combined = frame["u_brdf"].to_numpy(np.float64)
+    rest = np.sqrt(np.maximum(combined**2 - (common**2).sum(axis=1), 0.0))
+    return np.where(np.isnan(independent), rest, independent), common, [name.removeprefix("s_") for name in columns]

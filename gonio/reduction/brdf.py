@@ -230,7 +230,7 @@ def level(run: Run, wanted_s: Floats, visits: list[Reduced], band: Band) -> tupl
             f"{run.path}: no usable visit to the white reference in band {band.name}; see its frames: where they are "
             "full, lower acquisition.exposure_target, and calibrate the camera"
         )
-    rates, u_rel = np.array([visit.rate for visit in visits]), reference.u_rel
+    rates, (albedo, u_rel) = np.array([visit.rate for visit in visits]), reference.at(band.centre_nm)
     if rates.min() <= 0:
         raise DataError(f"{run.path}: a visit to the white reference in band {band.name} saw no light; see its frames")
     if reference.how == "beam":
@@ -244,8 +244,8 @@ def level(run: Run, wanted_s: Floats, visits: list[Reduced], band: Band) -> tupl
         table.attrs.setdefault("source_file", reference.table)
         known = np.array([brdf_of_reference(table, visit.directions, band.centre_nm) for visit in visits])
         u_rel = math.hypot(u_rel, u_of_reference(table, visits[0].directions, band.centre_nm) / float(known[0]))
-    elif reference.albedo:
-        known = np.full(len(visits), reference.albedo / math.pi)
+    elif albedo:
+        known = np.full(len(visits), albedo / math.pi)
     else:
         raise ConfigError(
             f"{run.path / 'run.toml'}: the rig has neither reference.albedo (above 0) nor reference.table: "

@@ -7,6 +7,7 @@ columns is drawn, except those that `Check.as_columns` names. docs/budget.md say
 
 from __future__ import annotations
 
+import io
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -37,6 +38,8 @@ FEWEST = 100
 """With fewer draws the ends of a 95 % interval are not told."""
 COVERAGE = 1.959964
 """Standard deviations of a normal number's 95 % interval."""
+KEPT = 2.5e7
+"""Numbers of all draws that are kept: 200 MB."""
 AT_ONCE = 50
 """Draws that are computed together."""
 STEP = 1e-4
@@ -59,8 +62,17 @@ class Check:
     `departs`, the larger distance of an end from brdf -+ 1.96 u_brdf; `agrees` ("yes", "no", "undecided" by so many
     draws, "" where there is no value)."""
     draws: int
+    every: Floats
+    """(draws, values) all draws [1/sr], NaN where there is no value; empty where they are more than `KEPT` numbers."""
     as_columns: list[str]
     """Causes that were drawn as columns of the table, linearly: how they enter the values is not known here."""
+
+    def archive(self) -> bytes:
+        """All draws as an npz file: `brdf` (draws, values), and the angles and wavelengths of the values."""
+        buffer = io.BytesIO()
+        columns = {name: self.values[name].to_numpy(float) for name in (*ANGLES, "wavelength_nm")}
+        np.savez_compressed(buffer, brdf=self.every, **columns)  # type: ignore[arg-type]
+        return buffer.getvalue()
 
     @property
     def verdict(self) -> str:
@@ -100,6 +112,7 @@ def check(
         raise ValueError(f"a 95 % interval needs at least {FEWEST} draws, not {draws}")
     table, bands = reduction.table, reduction.bands
     found = np.full((5, len(table)), math.nan)
+    kept = np.full((draws, len(table)) if draws * len(table) <= KEPT else (0, 0), math.nan)
     more = [name for name in table.columns if name.startswith("s_") and name not in FORMULA]
     for k, band in enumerate(bands):
         rows = band.rows * len(bands) + k
@@ -114,6 +127,8 @@ def check(
             if progress is not None:
                 progress(k * draws + min(start + AT_ONCE, draws), len(bands) * draws)
         every = np.concatenate(drawn)
+        if kept.size:
+            kept[:, rows] = every
         found[:, rows] = [
             every.mean(axis=0),
             every.std(axis=0, ddof=1),
@@ -134,7 +149,9 @@ def check(
     )
     out["agrees"] = pd.Series(np.where(good, agrees, "").tolist(), dtype=str)
     out.attrs = {}
-    return Check(out, draws, [name for name in more if name not in LAMP])
+    if kept.size:
+        kept[:, ~good] = math.nan
+    return Check(out, draws, kept, [name for name in more if name not in LAMP])
 
 
 class _Inputs:

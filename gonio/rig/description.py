@@ -13,10 +13,12 @@ from __future__ import annotations
 import math
 from typing import Annotated, Literal
 
+import numpy as np
 from pydantic import Field, model_validator
 
 from gonio.config import Strict, numbers_in
 from gonio.documents import TomlTable
+from gonio.errors import ConfigError
 from gonio.rig.bands import Bands
 from gonio.rig.calibration_use import CalibrationUse, ParameterUncertainty
 from gonio.rig.health import Reading
@@ -258,6 +260,12 @@ class Reference(Strict):
     table: str | None = None
     """A measurement table of the reference's BRDF, instead of a Lambertian albedo; a path beside the rig file."""
     u_rel: NonNegative = 0.0
+    certificate: str | None = None
+    """A digital calibration certificate (DCC, XML) that says both, instead of them; a path beside the rig file."""
+    certificate_quantity: str | None = None
+    """Which of the certificate's quantities is meant, by a part of its name or its id; where there are several."""
+    spectrum: tuple[tuple[Positive, Fraction, NonNegative], ...] = ()
+    """[nm, albedo, relative standard uncertainty] where a certificate has several wavelengths; linear in between."""
     error: Literal["drawn", "none"] = "none"
     """Simulation: draw the reference's true error from the seed, or have none."""
     scale: Positive = 1.0
@@ -281,6 +289,25 @@ class Reference(Strict):
                 "which the camera looks into the lamp (1 without a filter)"
             )
         return self
+
+    def at(self, wavelength_nm: float) -> tuple[float | None, float]:
+        """The albedo at a wavelength [nm], where it is known, and the relative standard uncertainty.
+
+        Raises
+        ------
+        ConfigError
+            The certificate does not reach there.
+        """
+        if not self.spectrum:
+            return self.albedo, self.u_rel
+        first, last = self.spectrum[0][0], self.spectrum[-1][0]
+        if not first <= wavelength_nm <= last:
+            raise ConfigError(
+                f"{self.certificate or 'reference.spectrum'}: certifies {first:g} to {last:g} nm, and a band lies at "
+                f"{wavelength_nm:g} nm; leave that band out, or give a certificate that has it"
+            )
+        waves, albedo, u_rel = np.array(self.spectrum).T
+        return float(np.interp(wavelength_nm, waves, albedo)), float(np.interp(wavelength_nm, waves, u_rel))
 
 
 class Acquisition(Strict):

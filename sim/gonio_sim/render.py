@@ -217,7 +217,7 @@ class Renderer:
         """The white reference: its certificate times its true error; a table is read at the centre of the frame."""
         reference = self._world.truth.reference
         if reference.table is None:
-            certified = (reference.albedo or 0.0) / math.pi
+            certified = (reference.at(band.centre_nm)[0] or 0.0) / math.pi
         else:
             from gonio.reduction.reference_table import brdf_of_reference
 

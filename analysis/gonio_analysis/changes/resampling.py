@@ -27,14 +27,11 @@ import numpy.typing as npt
 from gonio.cli.pace import Pace, Say, silent
 from gonio.geometry import SAME_ANGLE, SAME_DIRECTION, Directions
 from gonio.typing import Floats
-from gonio_analysis.curves.in_plane import Rows, groups
+from gonio_analysis.curves.in_plane import FARTHEST, Rows, groups
 from gonio_analysis.fitting.observations import SAME_BAND_NM, Observations
 
 if TYPE_CHECKING:
     import pandas as pd
-
-FARTHEST = float(np.radians(15.0))
-"""Nothing is interpolated between directions farther apart than this [rad]."""
 
 TURN = float(np.radians(0.25))
 """By which directions are turned for the slope along the plane of incidence [rad]."""

@@ -13,7 +13,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from gonio.cli.options import Blank, Columns, reading, remember
-from gonio_analysis.commands.arguments import read_bound, read_fixed, read_ior, read_prior
+from gonio_analysis.commands.arguments import (
+    given_constants,
+    read_bound,
+    read_fixed,
+    read_ior,
+    read_prior,
+    with_u_ior,
+)
 
 if TYPE_CHECKING:
     from gonio.measurement import Reading
@@ -27,6 +34,7 @@ MODELS_HELP = "Models to fit, with commas between (sums as oren-nayar+phong), or
 IOR_HELP = "Optical constants: a material (Al) or n + ik (0.77+6.08j); without them a real n is fitted."
 METRIC_HELP = "What fits make small: log, weighted, ngan, cube-root or relative; otherwise weighted, or log without u."
 U_REL_HELP = "Relative uncertainty to ASSUME where the table states none (0.03)."
+U_IOR_HELP = "Relative uncertainty of n and k (0.02), or that between the sources of a material: sources."
 ENERGY_HELP = "Fit with the bound rho_dh <= 1 at the table's incidences."
 SHARED_HELP = "With --laboratories: a cause that is the same in all, or in those named, as reference=A,B; once each."
 SEPARATE_HELP = "Fit each wavelength alone: no geometry is shared."
@@ -104,6 +112,7 @@ def fit(
     wavelength_nm: Annotated[float | None, typer.Option(help=WAVELENGTH_HELP, show_default=False)] = None,
     metric: Annotated[str | None, typer.Option(help=METRIC_HELP, show_default=False)] = None,
     u_rel: Annotated[float | None, typer.Option(help=U_REL_HELP, show_default=False)] = None,
+    u_ior: Annotated[str | None, typer.Option(metavar="U|sources", help=U_IOR_HELP, show_default=False)] = None,
     energy: Annotated[bool, typer.Option("--energy", help=ENERGY_HELP)] = False,
     joint: Annotated[bool, typer.Option("--joint", help="Fit all wavelengths together.")] = False,
     each: Annotated[
@@ -164,6 +173,8 @@ def fit(
     if residual:
         saving.check_residual(save, asked)
     several = dict(zip(_short(tables), (data for _, data, _ in read), strict=True))
+    if u_ior is not None:
+        asked = with_u_ior(asked, u_ior, together(several).nearest(wavelength_nm)[1])
     result, *others = fit_table(together(several), asked, name=" + ".join(tables), say=console.note)
     walked = {}
     if intervals:
@@ -199,7 +210,7 @@ def fit(
         if residual:
             console.note(after_misfit(result))
         if rho_dh:
-            console.note(reflectances(result.name, rho_dh))
+            console.note(reflectances(result.name, rho_dh, given=given_constants(result)))
 
 
 def _observed(table: str, u_rel: float | None, how: Reading) -> tuple[str, Observations, bool]:

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from gonio.models.declaration import Ior
+    from gonio_analysis.fitting.fit import FitResult
+    from gonio_analysis.fitting.problem import FitRequest
 
 
 def read_ior(text: str | None) -> Ior:
@@ -30,6 +32,51 @@ def read_ior(text: str | None) -> Ior:
     if not (0 < value.real < 1e4 and 0 <= value.imag < 1e4):
         raise ConfigError(f"--ior {text}: n is above 0 and k at least 0 (n + ik absorbs with k > 0)")
     return value
+
+
+def with_u_ior(asked: FitRequest, text: str, wavelength_nm: float) -> FitRequest:
+    """The fit with optical constants that are known no better than --u-ior says: they move, and priors hold them.
+
+    Raises
+    ------
+    ConfigError
+        There are no constants, or it is neither a number between 0 and 1 nor "sources".
+    """
+    from dataclasses import replace
+
+    from gonio import materials
+    from gonio.errors import ConfigError
+
+    ior = asked.ior
+    if not isinstance(ior, str | complex) or asked.each is not None:
+        raise ConfigError(f"--u-ior {text}: goes with --ior NAME or n+kj, and with one wavelength (no --joint)")
+    index = complex(materials.ior(ior)(wavelength_nm)) if isinstance(ior, str) else ior
+    if text == "sources":
+        if not isinstance(ior, str):
+            raise ConfigError("--u-ior sources: goes with a material's name; give a relative uncertainty, as 0.02")
+        u_n, u_k = materials.spread(ior, wavelength_nm)
+    else:
+        try:
+            relative = float(text)
+        except ValueError:
+            relative = math.nan
+        if not 0.0 < relative < 1.0:
+            raise ConfigError(f"--u-ior {text}: a relative standard uncertainty between 0 and 1, or: sources")
+        u_n, u_k = relative * index.real, relative * index.imag
+    moved = {"ior": (index.real, u_n), **({"k": (index.imag, u_k)} if index.imag > 0 and u_k > 0 else {})}
+    twice = set(moved) & {*(asked.fix or {}), *asked.free, *(asked.priors or {})}
+    if twice:
+        raise ConfigError(f"--u-ior {text}: {min(twice)} is given to --fix, --free or --prior as well; leave one out")
+    fix = asked.fix if "k" in moved else {**(asked.fix or {}), "k": index.imag}
+    return replace(
+        asked, ior=index, fix=fix, free=(*asked.free, *moved), priors={**(asked.priors or {}), **moved}, separate=True
+    )
+
+
+def given_constants(result: FitResult) -> str:
+    """What a result takes as exact, in words: optical constants that were not fitted."""
+    problem = result.problem
+    return "n, k" if problem.ior is not None and "ior" not in problem.free else ""
 
 
 def read_fixed(text: str) -> tuple[str, float | str]:

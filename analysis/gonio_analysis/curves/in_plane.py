@@ -26,6 +26,8 @@ Rows = npt.NDArray[np.intp]
 Scanned = Literal["theta_r", "theta_i"]
 Normalise = Literal["mirror", "max", "model"]
 
+FARTHEST = float(np.radians(15.0))
+"""Nothing is interpolated between directions farther apart than this [rad]."""
 MOST_CURVES = 6
 DARK_MIRROR = 2.5
 """A curve that reaches so many times its mirror value is not divided by it if it peaks on the retro side, or if that

@@ -16,8 +16,7 @@ import numpy.typing as npt
 
 from gonio import geometry
 from gonio.typing import Floats
-from gonio_analysis.changes.resampling import FARTHEST
-from gonio_analysis.curves.in_plane import Rows
+from gonio_analysis.curves.in_plane import FARTHEST, Rows
 from gonio_analysis.curves.line import Line
 from gonio_analysis.fitting.observations import Observations
 from gonio_analysis.plots.in_plane import angle_axis, log_axis, style

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Iterable, Mapping, Sequence
 
 from gonio_analysis.report import html, provenance, sample, transmission
 from gonio_analysis.report.blocks import (
@@ -23,12 +24,16 @@ from gonio_analysis.report.blocks import (
     table,
 )
 from gonio_analysis.report.drawings import Figure
-from gonio_analysis.report.facts import Summary
-from gonio_analysis.report.text import difference, number, slug
+from gonio_analysis.report.facts import DatasetSummary, Summary
+from gonio_analysis.report.text import difference, number, slug, with_u
 from gonio_analysis.report.viewer import View
 
 MOST_BYTES = 4_500_000
 """Of one page: what a mail takes and a browser shows at once."""
+TOLD_APART = 3.0
+"""Standard uncertainties by which parameters of two samples differ for a headline to name them."""
+MOST_APART = 3
+"""Parameters that it names."""
 FOOTER = Footer(
     (
         *("Every number on this page is in ", code("summary.json"), "; the curves are in ", code("tables/")),
@@ -131,13 +136,72 @@ def _overview(s: Summary, place: Mapping[str, str]) -> list[Block]:
     return [
         Heading(2, "All samples"),
         table(
-            "Every model on every sample.",
+            "The nearest model of each sample, and by how much it differs typically: rms of ln(model / measured).",
+            ["sample", "best model", "typical difference", "verdict"],
+            [_headline(d, place) for d in s.datasets],
+            right=(2,),
+            most=(MOST_ROWS, "metrics.csv"),
+        ),
+        *[Paragraph(text) for text in distinguished(s)],
+        table(
+            "Every model on every sample. Parameters of a geometry that several wavelengths share say so.",
             ["sample", "model", "reduced χ²", "typical difference", "fitted parameters"],
             rows,
             right=(2, 3),
             most=(MOST_ROWS, "metrics.csv and parameters.csv"),
         ),
     ]
+
+
+def _headline(d: DatasetSummary, place: Mapping[str, str]) -> list[Text]:
+    """One sample in one line."""
+    link = Span(d.title, href=place.get(d.slug, f"#{d.slug}"))
+    if d.best is None:
+        return [link, "–", "–", "no model was fitted"]
+    f = d.models[d.best]
+    said = f.fit.verdict.partition("; it ")[0] if f.fit.reduced_chi_square is not None else "no uncertainty is stated"
+    return [link, strong(d.best), difference(f.metrics["log_ratio"]), said]
+
+
+def distinguished(s: Summary) -> list[str]:
+    """What tells the samples apart, in sentences: parameters of one model that all of them have, and brightness."""
+    out = []
+    shared = [name for name in s.models if all(name in d.models for d in s.datasets)]
+    if shared:
+        best = [d.best for d in s.datasets]
+        model = max(shared, key=best.count)
+        far = _apart(s, model)
+        if far:
+            out.append(f"By {model} they differ in {'; '.join(far)}.")
+        elif far is not None:
+            out.append(f"By {model} no parameter differs by more than {TOLD_APART:g} standard uncertainties.")
+    level = sorted((d.brdf_max, d.title) for d in s.datasets)
+    if len({wave for d in s.datasets for wave in [d.wavelength_nm]}) == 1 and level[0][0] > 0:
+        times = level[-1][0] / level[0][0]
+        out.append(
+            f"The brightest value of {level[-1][1]} is {number(times)} times that of {level[0][1]}"
+            f" ({number(level[-1][0])} and {number(level[0][0])} sr⁻¹)."
+        )
+    return out
+
+
+def _apart(s: Summary, model: str) -> list[str] | None:
+    """The parameters of a model that differ most for their uncertainties, in words; None where none was fitted."""
+    found = []
+    fits = [(d, d.models[model].fit.parameters) for d in s.datasets]
+    free = [name for name in fits[0][1] if all(name in p and not p[name].fixed for _, p in fits)]
+    for name in free:
+        ends = sorted(fits, key=lambda one: one[1][name].value)
+        (low, a), (high, b) = (ends[0], ends[-1])
+        u = math.hypot(a[name].u or 0.0, b[name].u or 0.0)
+        if u > 0.0 and math.isfinite(u) and (far := (b[name].value - a[name].value) / u) > TOLD_APART:
+            said = (with_u(p[name].value, p[name].u) for p in (a, b))
+            found.append((far, "{}: {} ({}) to {} ({})".format(name, *_pairwise(said, (low.title, high.title)))))
+    return [text for _, text in sorted(found, reverse=True)[:MOST_APART]] if free else None
+
+
+def _pairwise(values: Iterable[str], names: Iterable[str]) -> list[str]:
+    return [text for pair in zip(values, names, strict=True) for text in pair]
 
 
 def _conventions(s: Summary) -> Group:

@@ -356,7 +356,9 @@ def _metrics(s: Summary, d: DatasetSummary) -> list[Block]:
 def fitted_words(d: DatasetSummary, model: str, f: Fitted) -> str:
     """The fitted parameters of a model, with their uncertainties."""
     parts = [f"{n} = {_value(d, model, n, p)}" for n, p in f.fit.parameters.items() if not p.fixed]
-    return ", ".join(parts)
+    together = f.fit.shared
+    said = "" if together is None else f"; geometry shared by {len(together.wavelengths_nm)} wavelengths"
+    return ", ".join(parts) + said
 
 
 def _cone(solid_angle_sr: float | None) -> str:

@@ -104,12 +104,16 @@ def too_bright(found: Mapping[str, Sequence[Reflectance]], best: str) -> str:
     return f"Against the conservation of energy {', '.join(said)} {verb}; --energy fits within the bound."
 
 
-def reflectances(model: str, found: Sequence[Reflectance]) -> str:
-    """rho_dh of one model as a line, with a word on what is above 1; "" where there is none."""
+def reflectances(model: str, found: Sequence[Reflectance], given: str = "") -> str:
+    """rho_dh of one model as a line, with a word on what is above 1; "" where there is none.
+
+    `given` is what its uncertainty takes as exact.
+    """
     if not found:
         return ""
     line = ", ".join(f"{with_u(r.rho_dh, r.u)} at {angle(r.theta_i_deg)}" for r in found)
-    return f"rho_dh, by angle of incidence: {line}. {too_bright({model: found}, model)}".rstrip()
+    exact = f" (given {given})" if given else ""
+    return f"rho_dh, by angle of incidence{exact}: {line}. {too_bright({model: found}, model)}".rstrip()
 
 
 def direction_of_its_own(found: Sequence[Pairs], tried: Iterable[str] = ()) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from dataclasses import replace
 from typing import cast
 
@@ -67,7 +68,11 @@ def test_draws_do_not_rest_on_the_columns(tilted: tuple[MadeRun, Reduction]) -> 
 
 def test_the_certificate_alone_gives_its_normal_distribution(tmp_path_factory: pytest.TempPathFactory) -> None:
     run, reduction = reduced(tmp_path_factory, describe(reference={"u_rel": 0.02, "frames": 4}))
-    found = monte_carlo.check(cast(Run, run), reduction, 4000, seed=1).values
+    checked = monte_carlo.check(cast(Run, run), reduction, 4000, seed=1)
+    found = checked.values
+    with np.load(io.BytesIO(checked.archive())) as kept:
+        assert kept["brdf"].shape == (4000, len(found))
+        assert np.nanstd(kept["brdf"], axis=0, ddof=1) == pytest.approx(found["mc_u"].to_numpy(), nan_ok=True)
     # 2 % of each value, and rounding to whole DN that is below 0.1 %; 4000 draws know it to 1.1 %: four of these
     np.testing.assert_allclose(found["mc_u"], 0.02 * found["brdf"], rtol=0.05)
     np.testing.assert_allclose(found["mc_high"] - found["mc_low"], 2 * 1.96 * 0.02 * found["brdf"], rtol=0.08)

@@ -1,0 +1,66 @@
+"""`gonio repeats`."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from gonio.cli.options import Blank, Columns, reading, remember
+
+
+def repeats(
+    mounts: Annotated[
+        list[str],
+        typer.Argument(metavar="A B [...]", help="Tables of one sample, one a mount.", show_default=False),
+    ],
+    add_to: Annotated[
+        str | None,
+        typer.Option(metavar="TABLE", help="Put what they show into the budget of this table.", show_default=False),
+    ] = None,
+    out: Annotated[Path | None, typer.Option(help="With --add-to: the table to write.", show_default=False)] = None,
+    wavelength_nm: Annotated[
+        float | None, typer.Option(help="Of tables with several wavelengths.", show_default=False)
+    ] = None,
+    picture: Annotated[
+        Path | None, typer.Option(help="Draw the deviations: a .png, .svg or .pdf.", show_default=False)
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
+    columns: Columns = None,
+    blank: Blank = None,
+) -> None:
+    """What an instrument repeats to when a sample is mounted again: scale, zero of the angle, and the rest."""
+    from gonio import measurement
+    from gonio.cli import console
+    from gonio.errors import ConfigError
+    from gonio_analysis.changes import remounts
+
+    if len(set(mounts)) < 2:
+        raise ConfigError("gonio repeats: two tables are needed at least, each named once")
+    if (add_to is None) != (out is None):
+        raise ConfigError("--add-to and --out go together: the table that is read, and the one that is written")
+    how = reading(columns, blank)
+    tables = {}
+    for one in dict.fromkeys(mounts):
+        path, sample = measurement.split(one)
+        name = Path(path).stem if Path(path).stem not in tables else one
+        tables[name] = measurement.read(path, sample=sample, columns=how.columns, blank=how.blank)
+    found = remounts.remounts(tables, wavelength_nm)
+    if as_json:
+        print(json.dumps(found.to_json(), indent=1))
+    else:
+        console.show(*found.lines())
+    if picture is not None:
+        try:
+            remounts.draw(found).savefig(picture, dpi=150)
+        except (OSError, ValueError) as error:
+            raise ConfigError(f"--picture {picture}: cannot be written: {error}") from None
+    if add_to is not None and out is not None:
+        path, sample = measurement.split(add_to)
+        table = measurement.read(path, sample=sample, columns=how.columns, blank=how.blank)
+        for remark in measurement.write(remounts.with_remount(table, found), out):
+            console.note(remark)
+        console.note(f"{out}: written, with the scatter of {len(tables)} mounts in its budget")
+    remember(mounts, how)
