@@ -7,6 +7,7 @@ from typing import Any
 
 from gonio.errors import ArgumentError
 from gonio.models import fresnel, htsg
+from gonio.models.abg import ABg
 from gonio.models.anisotropic import AnisotropicFacets
 from gonio.models.arrays import ArrayModel
 from gonio.models.blinn import Blinn, Phong
@@ -14,15 +15,25 @@ from gonio.models.cook_torrance import CookTorrance
 from gonio.models.corrected import Corrected, Correction
 from gonio.models.diffuse_transmitter import DiffuseTransmitter
 from gonio.models.engine import Geometry, geometry
+from gonio.models.eon import EON
+from gonio.models.ggx import GGX
+from gonio.models.ggx_multiscatter import GGXMultiscatter
+from gonio.models.hapke import Hapke
 from gonio.models.he_torrance import HeTorrance
+from gonio.models.k_correlation import KCorrelation
 from gonio.models.lambert import Lambert
 from gonio.models.model import Model, build_model
 from gonio.models.oren_nayar import OrenNayar
 from gonio.models.parameters import Fitted
 from gonio.models.retroreflecting import Retroreflecting
+from gonio.models.rpv import RPV
 from gonio.models.sum import Sum
 
 __all__ = [
+    "EON",
+    "GGX",
+    "RPV",
+    "ABg",
     "AnisotropicFacets",
     "ArrayModel",
     "Blinn",
@@ -31,8 +42,11 @@ __all__ = [
     "Correction",
     "DiffuseTransmitter",
     "Fitted",
+    "GGXMultiscatter",
     "Geometry",
+    "Hapke",
     "HeTorrance",
+    "KCorrelation",
     "Lambert",
     "Model",
     "OrenNayar",

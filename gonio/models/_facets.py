@@ -102,6 +102,13 @@ def by_sxy2(lx, ly, lz, vx, vy, vz):  # type: ignore[no-untyped-def]
 
 
 @device
+def by_cosines(lx, ly, lz, vx, vy, vz):  # type: ignore[no-untyped-def]
+    """|s_xy|^2, |s|^2, N.L and N.V."""
+    sxy2, _, s2, _, lz, vz = facet(lx, ly, lz, vx, vy, vz)
+    return sxy2, s2, lz, vz
+
+
+@device
 def groove_over_viewer(lz, vz, sz, s2):  # type: ignore[no-untyped-def]
     """Numerator and denominator of Blinn's G/(N.E), by his branches: no division by a cosine that G takes out."""
     masked = vz < lz  # Ga = 1, Gb = 2 N.H N.E/(E.H) where masked, Gc = 2 N.H N.L/(E.H) where shadowed

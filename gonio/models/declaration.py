@@ -104,6 +104,28 @@ def plain(name: str, rows: Mapping[str, Fitted], needs_wavelength: bool) -> Decl
     return Declaration(name, rows, free, fixed, lambda v: dict(v), starts, needs_wavelength)
 
 
+def optical(
+    name: str,
+    rows: Mapping[str, Fitted],
+    ior: Ior,
+    starts: Callable[[Levels], list[Values]],
+    *,
+    only_freed: tuple[str, ...] = (),
+    needs_wavelength: bool = False,
+    flat: Callable[[Values], Values] = lambda values: {},
+) -> Declaration:
+    """Of a model whose parameters are its constructor's arguments, and which has optical constants besides.
+
+    `only_freed` names rows that the constructor does without: they are fitted where the user frees them.
+    """
+    fixed, free, needs = with_optical_constants(ior, (*(n for n in rows if n not in only_freed), "ior"))
+
+    def arguments(values: Values) -> Arguments:
+        return {**{n: x for n, x in values.items() if n in rows}, "ior": optical_argument(values, ior)}
+
+    return Declaration(name, {**rows, **OPTICAL}, free, fixed, arguments, starts, needs or needs_wavelength, flat=flat)
+
+
 def _starts(row: Fitted, levels: Levels) -> list[float]:
     if row.starts == "diffuse":
         return [levels.diffuse]

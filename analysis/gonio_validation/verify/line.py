@@ -11,6 +11,7 @@ from gonio import measurement
 from gonio.errors import GonioError
 from gonio.formats.reader import table
 from gonio.geometry import Directions
+from gonio.shown import with_u
 from gonio_validation.verify.finding import Finding, most
 
 FORMATS = ("gonio", "astm", "reflectance-factor", "bird", "alta", "xlsx", "nexus", "parquet")
@@ -95,7 +96,7 @@ def measured(folder: Path) -> list[Finding]:
     out = [Finding("points measured", bool(good.mean() > 0.9), f"{int(good.sum())} of {len(frame)}", "nine of ten")]
     for name, value in true.items():
         e = result.parameters[name]
-        called = f"{name}: {e.value:.4g} ± {e.u:.2g}, truth {value:.4g}"
+        called = f"{name}: {with_u(e.value, e.u)}, truth {value:.4g}"
         off = abs(e.value - value) / (e.u or 1e-300)
         out.append(most(called, off, FARTHEST, "standard uncertainties from the truth"))
     p = result.p_value

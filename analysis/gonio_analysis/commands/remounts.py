@@ -1,4 +1,4 @@
-"""`gonio repeats`."""
+"""`gonio remounts`."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import typer
 from gonio.cli.options import Blank, Columns, reading, remember
 
 
-def repeats(
+def remounts(
     mounts: Annotated[
         list[str],
         typer.Argument(metavar="A B [...]", help="Tables of one sample, one a mount.", show_default=False),
@@ -35,10 +35,10 @@ def repeats(
     from gonio import measurement
     from gonio.cli import console
     from gonio.errors import ConfigError
-    from gonio_analysis.changes import remounts
+    from gonio_analysis.changes import remounts as scatter
 
     if len(set(mounts)) < 2:
-        raise ConfigError("gonio repeats: two tables are needed at least, each named once")
+        raise ConfigError("gonio remounts: two tables are needed at least, each named once")
     if (add_to is None) != (out is None):
         raise ConfigError("--add-to and --out go together: the table that is read, and the one that is written")
     how = reading(columns, blank)
@@ -47,20 +47,20 @@ def repeats(
         path, sample = measurement.split(one)
         name = Path(path).stem if Path(path).stem not in tables else one
         tables[name] = measurement.read(path, sample=sample, columns=how.columns, blank=how.blank)
-    found = remounts.remounts(tables, wavelength_nm)
+    found = scatter.remounts(tables, wavelength_nm)
     if as_json:
         print(json.dumps(found.to_json(), indent=1))
     else:
         console.show(*found.lines())
     if picture is not None:
         try:
-            remounts.draw(found).savefig(picture, dpi=150)
+            scatter.draw(found).savefig(picture, dpi=150)
         except (OSError, ValueError) as error:
             raise ConfigError(f"--picture {picture}: cannot be written: {error}") from None
     if add_to is not None and out is not None:
         path, sample = measurement.split(add_to)
         table = measurement.read(path, sample=sample, columns=how.columns, blank=how.blank)
-        for remark in measurement.write(remounts.with_remount(table, found), out):
+        for remark in measurement.write(scatter.with_remount(table, found), out):
             console.note(remark)
         console.note(f"{out}: written, with the scatter of {len(tables)} mounts in its budget")
     remember(mounts, how)

@@ -1,0 +1,108 @@
+"""Energy-preserving Oren-Nayar [Portsmouth2025]: Fujii's form, and the light that meets several facets."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import pi, sqrt
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+
+from gonio.models._compile import device, of_columns
+from gonio.models._math import atan_over
+from gonio.models.engine import Constants, Kernel
+from gonio.models.model import Model, store
+from gonio.models.parameters import Fitted, number
+
+if TYPE_CHECKING:
+    from gonio.typing import Floats
+
+GRAZING = 1e-150
+"""The cosine that stands for that of an exactly grazing direction: the limit along equal polar angles."""
+FULL = 0.5 - 2.0 / (3.0 * pi)
+MEAN = 2.0 / 3.0 - 28.0 / (15.0 * pi)
+
+
+@device
+def albedo_rise(mu):  # type: ignore[no-untyped-def]
+    """G(mu)/pi of the exact albedo E = A (1 + r G/pi): (s (theta - s mu) + (2/3) (s/mu (1 - s^3) - s)) / pi."""
+    t2 = (1.0 - mu) / (1.0 + mu)
+    half = sqrt(t2)  # tan(theta/2)
+    theta, s = 2.0 * half * atan_over(t2), half * (1.0 + mu)
+    shade = s * mu * (1.0 + s + s * s) / (1.0 + s)  # s/mu (1 - s^3) without its quotient
+    return (s * (theta - s * mu) + (2.0 / 3.0) * (shade - s)) * (1.0 / pi)
+
+
+@device
+def angular_terms(lx, ly, lz, vx, vy, vz):  # type: ignore[no-untyped-def]
+    """s/t of Fujii's form, and the albedo's rise for both directions."""
+    s = lx * vx + ly * vy
+    widest = max(max(lz, vz), GRAZING)
+    return (s / widest if s > 0.0 else s), albedo_rise(min(lz, 1.0)), albedo_rise(min(vz, 1.0))
+
+
+@of_columns(angular_terms, 3)
+def eon(ratio, rise_l, rise_v, p):  # type: ignore[no-untyped-def]
+    """Single and multiple scattering."""
+    single, r, several = p
+    value = single * (1.0 + r * ratio) + several * (FULL - rise_l) * (FULL - rise_v)
+    return value if value < 1e60 else math.inf
+
+
+@dataclass(frozen=True, repr=False)
+class EON(Model):
+    """Rough diffuse reflectance that loses no light: brdf = f_ss + f_ms [1/sr].
+
+    f_ss = rho/pi A (1 + r s/t), A = 1/(1 + (1/2 - 2/(3 pi)) r), s = L.V - N.L N.V, t = max(N.L, N.V) where s > 0 and 1
+    elsewhere. f_ms takes what f_ss loses, coloured by the number of its reflections, with the exact albedo of f_ss. At
+    rho = 1 everything is reflected from every direction. Reciprocal. r = 0 is Lambert.
+
+    Parameters
+    ----------
+    rho
+        Albedo of a single reflection, in [0, 1].
+    r
+        Roughness, in [0, 1]: about the rms slope of Oren and Nayar up to pi/4.
+
+    Raises
+    ------
+    ArgumentError
+        A parameter is outside its range; the message names it.
+    """
+
+    rho: float = 0.5
+    r: float = 0.5
+    name: ClassVar[str] = "eon"
+    rank: ClassVar[int] = 2
+    fitted: ClassVar[Mapping[str, Fitted]] = {
+        "rho": Fitted(1e-6, 1.0, starts="diffuse"),
+        "r": Fitted(0.0, 1.0, starts=(0.1, 0.5, 0.9), geometry=True),
+    }
+
+    def __post_init__(self) -> None:
+        store(self, rho=number("rho", self.rho, 0.0, 1.0), r=number("r", self.r, 0.0, 1.0))
+
+    @property
+    def convention(self) -> str:
+        return "Energy-preserving Oren-Nayar (Portsmouth et al. 2025), exact albedo; rho is that of one reflection."
+
+    @property
+    def _several(self) -> float:
+        """rho_ms of the paper: the albedo of the light between facets."""
+        mean = (1.0 + self.r * MEAN) / (1.0 + self.r * FULL)
+        return self.rho**2 * mean / (1.0 - self.rho * (1.0 - mean))
+
+    def _evaluation(self, wavelength_nm: float) -> tuple[Kernel, Constants]:
+        a = 1.0 / (1.0 + FULL * self.r)
+        return eon, (self.rho * a / pi, self.r, self._several / pi * a * self.r / (FULL - MEAN))
+
+    def _hemispherical(
+        self, theta: Floats, phi: Floats, wavelength_nm: float, viewer: bool, tolerance: float
+    ) -> Floats:
+        """In closed form, the same for both sides, as the model is reciprocal."""
+        s, mu = np.sin(theta), np.cos(theta)
+        rise = (s * (theta - s * mu) + (2.0 / 3.0) * (s * mu * (1.0 + s + s * s) / (1.0 + s) - s)) / pi
+        e = (1.0 + self.r * rise) / (1.0 + FULL * self.r)
+        return np.asarray(self.rho * e + self._several * (1.0 - e))

@@ -1,0 +1,113 @@
+"""Hapke's reflectance of particulate surfaces, with macroscopic roughness [Hapke1984, Hapke2002]."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+
+from gonio.models.arrays import ArrayModel
+from gonio.models.model import store
+from gonio.models.parameters import Fitted, choice, number, positive
+
+if TYPE_CHECKING:
+    from gonio.typing import Floats
+
+GRAZING = 1e-12
+
+
+@dataclass(frozen=True, repr=False)
+class Hapke(ArrayModel):
+    """Single scattering with its opposition effect and isotropic multiple scattering: brdf = r / mu_0 [1/sr].
+
+    r = w/(4 pi) mu_0/(mu_0 + mu) ((1 + B(g)) P(g) + H(mu_0) H(mu) - 1) S, with B = b0 / (1 + tan(g/2)/h) and P = 1 + b
+    cos(g); g is the angle between source and detector. Roughness changes mu_0 and mu into effective cosines and
+    multiplies by the shadowing S (Hapke 1984). Reciprocal. Bound in energy for b0 = 0; b0 > 0 adds to it near grazing.
+
+    Parameters
+    ----------
+    w
+        Single-scattering albedo, in [0, 1].
+    h
+        Angular width of the opposition effect, above 0.
+    b0
+        Its size, in [0, 1].
+    b
+        First Legendre coefficient of the phase function, in [-1, 1]; above 0 light goes back.
+    theta_bar_deg
+        Mean slope of the macroscopic roughness [deg], in [0, 60].
+    h_function
+        "1981": (1 + 2x)/(1 + 2x sqrt(1 - w)); "2002": Hapke's better approximation.
+
+    Raises
+    ------
+    ArgumentError
+        A parameter is outside its range; the message names it.
+    """
+
+    w: float = 0.6
+    h: float = 0.06
+    b0: float = 1.0
+    b: float = 0.5
+    theta_bar_deg: float = 0.0
+    h_function: str = "1981"
+    name: ClassVar[str] = "hapke"
+    rank: ClassVar[int] = 9
+    fitted: ClassVar[Mapping[str, Fitted]] = {
+        "w": Fitted(1e-3, 1.0, starts=(0.2, 0.6, 0.95)),
+        "h": Fitted(1e-3, 2.0, "log", starts=(0.03, 0.3)),
+        "b0": Fitted(0.0, 1.0, starts=(0.5,)),
+        "b": Fitted(-1.0, 1.0, starts=(-0.3, 0.3)),
+        "theta_bar_deg": Fitted(0.0, 60.0, "linear", "deg", starts=(5.0, 25.0)),
+    }
+
+    def __post_init__(self) -> None:
+        unit = {n: number(n, getattr(self, n), low, 1.0) for n, low in (("w", 0.0), ("b0", 0.0), ("b", -1.0))}
+        theta = number("theta_bar_deg", self.theta_bar_deg, 0.0, 60.0, unit="deg")
+        form = choice("h_function", self.h_function, ("1981", "2002"))
+        store(self, **unit, h=positive("h", self.h), theta_bar_deg=theta, h_function=form)
+
+    @property
+    def convention(self) -> str:
+        return f"Hapke's r/mu_0 with H of {self.h_function}, P = 1 + b cos g, and roughness by Hapke 1984."
+
+    def evaluate(self, omega_i: Floats, omega_r: Floats, wavelength_nm: float) -> Floats:
+        cos_i, cos_r = (np.maximum(x[:, 2], GRAZING) for x in (omega_i, omega_r))
+        cosine = np.clip(np.sum(omega_i * omega_r, axis=1), -1.0, 1.0)
+        half = np.sqrt((1.0 - cosine) / np.maximum(1.0 + cosine, 1e-30))  # tan(g/2)
+        mu_i, mu_r, shade = self._rough(cos_i, cos_r, omega_i, omega_r)
+        surge = 1.0 + self.b0 / (1.0 + half / self.h)
+        braces = surge * (1.0 + self.b * cosine) + self._h(mu_i) * self._h(mu_r) - 1.0
+        return np.asarray(self.w / (4.0 * math.pi) * mu_i * mu_r / (mu_i + mu_r) * braces * shade)
+
+    def _h(self, x: Floats) -> Floats:
+        gamma = math.sqrt(1.0 - self.w)
+        if self.h_function == "1981":
+            return (1.0 + 2.0 * x) / (1.0 + 2.0 * x * gamma)
+        r0 = (1.0 - gamma) / (1.0 + gamma)
+        return np.asarray(1.0 / (1.0 - self.w * x * (r0 + 0.5 * (1.0 - 2.0 * r0 * x) * np.log1p(1.0 / x))))
+
+    def _rough(self, ci: Floats, cr: Floats, omega_i: Floats, omega_r: Floats) -> tuple[Floats, Floats, Floats]:
+        """Effective cosines, and S/(mu_0 mu_e), which exchanging both directions leaves as it is (eqs. 46 to 50)."""
+        tan = math.tan(math.radians(self.theta_bar_deg))
+        if tan < 1e-9:
+            return ci, cr, 1.0 / (ci * cr)
+        chi = 1.0 / math.sqrt(1.0 + math.pi * tan * tan)
+        flat = np.maximum(np.hypot(*omega_i[:, :2].T) * np.hypot(*omega_r[:, :2].T), 1e-300)
+        psi = np.arccos(np.clip(np.sum(omega_i[:, :2] * omega_r[:, :2], axis=1) / flat, -1.0, 1.0))
+        source = ci >= cr  # which of both has the smaller angle
+        c1, c2 = np.where(source, ci, cr), np.where(source, cr, ci)
+        s1, s2 = np.sqrt(1.0 - c1 * c1), np.sqrt(1.0 - c2 * c2)
+        cot1, cot2 = (c / np.maximum(s, 1e-30) / tan for c, s in ((c1, s1), (c2, s2)))
+        a1, a2 = np.exp(-2.0 / math.pi * cot1), np.exp(-2.0 / math.pi * cot2)  # E_1
+        b1, b2 = np.exp(-(cot1**2) / math.pi), np.exp(-(cot2**2) / math.pi)  # E_2
+        turn, down = np.sin(0.5 * psi) ** 2, 2.0 - a2 - psi / math.pi * a1
+        m1 = chi * (c1 + s1 * tan * (np.cos(psi) * b2 + turn * b1) / down)
+        m2 = chi * (c2 + s2 * tan * (b2 - turn * b1) / down)
+        n1, n2 = (chi * (c + s * tan * b / (2.0 - a)) for c, s, a, b in ((c1, s1, a1, b1), (c2, s2, a2, b2)))
+        f = np.exp(-2.0 * np.tan(0.5 * np.minimum(psi, math.pi - 1e-9)))
+        shade = chi / (n1 * n2 * (1.0 - f + f * chi * c1 / n1))
+        return np.where(source, m1, m2), np.where(source, m2, m1), shade

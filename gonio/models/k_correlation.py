@@ -1,0 +1,120 @@
+"""Scatter of nearly smooth surfaces: the vector perturbation theory with an ABC spectrum [Church1979, Stover2012]."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+
+from gonio.models.arrays import ArrayModel
+from gonio.models.declaration import Declaration, Ior, Levels, Values, optical, plain
+from gonio.models.fresnel import reflectance
+from gonio.models.model import over_thetas, store
+from gonio.models.parameters import Fitted, checked_index, index_at, number, positive
+
+if TYPE_CHECKING:
+    from gonio.typing import Floats
+
+
+@dataclass(frozen=True, repr=False)
+class KCorrelation(ArrayModel):
+    """First-order scatter of a polished surface [1/sr]: (16 pi^2/lambda^4) cos_i cos_r Q S, beside its specular beam.
+
+    S = sigma^2 (c - 1) B^2/(2 pi) / (1 + (B f)^2)^((c + 1)/2) [um^4] of the spatial frequency f, of integral sigma^2.
+    Right where 4 pi sigma cos(theta)/lambda is far below 1; scales with the wavelength by itself. Reciprocal. Energy is
+    right to first order: the beam keeps R exp(-(4 pi sigma_rel cos/lambda)^2).
+
+    Parameters
+    ----------
+    sigma_um
+        rms roughness over all spatial frequencies [um], above 0.
+    b_um
+        B: 2 pi times the length beyond which the surface is white [um], above 0.
+    c
+        Slope of the spectrum at high frequencies, above 1 and at most 10.
+    ior
+        Index n + ik, [n, k], a material's name, or a function of wavelength_nm.
+
+    Raises
+    ------
+    ArgumentError
+        A parameter is outside its range; the message names it.
+    """
+
+    sigma_um: float = 0.005
+    b_um: float = 50.0
+    c: float = 2.0
+    ior: Any = "Al"
+    name: ClassVar[str] = "k-correlation"
+    rank: ClassVar[int] = 9
+    needs_wavelength: ClassVar[bool] = True
+    has_ior: ClassVar[bool] = True
+    fitted: ClassVar[Mapping[str, Fitted]] = {
+        "sigma_um": Fitted(1e-5, 1.0, "log", "um", starts=(0.002, 0.02, 0.1), geometry=True),
+        "b_um": Fitted(0.01, 1e4, "log", "um", starts=(1.0, 10.0, 200.0), geometry=True),
+        "c": Fitted(1.01, 10.0, starts=(1.5, 2.5), geometry=True),
+    }
+
+    @classmethod
+    def declaration(cls, ior: Ior = None, slopes: int = 1) -> Declaration:
+        """See `Model.declaration`."""
+
+        def starts(levels: Levels) -> list[Values]:
+            shape = plain(cls.name, cls.fitted, True).starts(levels)
+            return [{**values, "ior": n} for values in shape for n in (1.5, 20.0)]
+
+        return optical(cls.name, cls.fitted, ior, starts, needs_wavelength=True)
+
+    def __post_init__(self) -> None:
+        store(self, sigma_um=positive("sigma_um", self.sigma_um, "um"), b_um=positive("b_um", self.b_um, "um"))
+        store(self, c=number("c", self.c, 1.0 + 1e-6, 10.0), ior=checked_index(self.ior))
+
+    @property
+    def convention(self) -> str:
+        return "ABC spectrum through the smooth-surface vector theory; sigma over all spatial frequencies, c > 1."
+
+    def sigma_rel_um(self, wavelength_nm: float) -> float:
+        """rms roughness [um] of the spatial frequencies up to 1/wavelength: what scatters at normal incidence."""
+        edge = (self.b_um * 1e3 / wavelength_nm) ** 2
+        return self.sigma_um * math.sqrt(-math.expm1(0.5 * (1.0 - self.c) * math.log1p(edge)))
+
+    def tis(self, wavelength_nm: float) -> float:
+        """Total integrated scatter at normal incidence over all that is reflected: (4 pi sigma_rel/lambda)^2."""
+        return (4.0 * math.pi * self.sigma_rel_um(wavelength_nm) * 1e3 / wavelength_nm) ** 2
+
+    def evaluate(self, omega_i: Floats, omega_r: Floats, wavelength_nm: float) -> Floats:
+        factors = self.polarised(omega_i, omega_r, wavelength_nm)
+        return np.asarray(0.5 * factors.sum(axis=0))
+
+    def polarised(self, omega_i: Floats, omega_r: Floats, wavelength_nm: float) -> Floats:
+        """BRDF [1/sr] of ss, sp, ps and pp (4, n): the first letter is that of the source."""
+        um = 1e-3 * wavelength_nm
+        epsilon = index_at(self.ior, wavelength_nm) ** 2
+        ci, cr = omega_i[:, 2], omega_r[:, 2]
+        si, sr = (np.hypot(x[:, 0], x[:, 1]) for x in (omega_i, omega_r))
+        flat = np.maximum(si * sr, 1e-300)
+        beyond = (si < 1e-12) | (sr < 1e-12)  # at the normal any azimuth is the plane's
+        cos_p = np.where(beyond, 1.0, -np.sum(omega_i[:, :2] * omega_r[:, :2], axis=1) / flat)
+        sin_p = np.where(beyond, 0.0, (omega_i[:, 0] * omega_r[:, 1] - omega_i[:, 1] * omega_r[:, 0]) / flat)
+        root_i, root_r = np.sqrt(epsilon - si * si + 0j), np.sqrt(epsilon - sr * sr + 0j)
+        s_i, s_r, p_i, p_r = ci + root_i, cr + root_r, epsilon * ci + root_i, epsilon * cr + root_r
+        q = np.stack([
+            cos_p / (s_i * s_r), sin_p * root_r / (s_i * p_r), sin_p * root_i / (p_i * s_r),
+            (root_i * root_r * cos_p - epsilon * si * sr) / (p_i * p_r),
+        ])  # fmt: skip
+        f2 = np.sum((omega_i[:, :2] + omega_r[:, :2]) ** 2, axis=1) / um**2
+        spectrum = self.sigma_um**2 * (self.c - 1.0) * self.b_um**2 / (2.0 * math.pi)
+        spectrum = spectrum * (1.0 + self.b_um**2 * f2) ** (-0.5 * (self.c + 1.0))
+        return np.asarray(16.0 * math.pi**2 / um**4 * ci * cr * spectrum * np.abs((epsilon - 1.0) * q) ** 2)
+
+    def specular_reflectivity(self, theta_i: Any, *, wavelength_nm: Any = 550.0, out: Any = None) -> Any:
+        def beam(theta: Floats, wave: float) -> Floats:
+            g = (4.0 * math.pi * self.sigma_rel_um(wave) * 1e3 / wave * np.cos(theta)) ** 2
+            return np.asarray(reflectance(np.cos(theta), index_at(self.ior, wave)) * np.exp(-g))
+
+        from gonio.models import engine
+
+        return engine.delivered(out, over_thetas(beam, theta_i, wavelength_nm))

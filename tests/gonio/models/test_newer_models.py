@@ -1,0 +1,181 @@
+"""GGX, EON, ABg, K-correlation, Hapke and RPV: others' digits, energy, reciprocity, edges, and that fits find them."""
+
+from __future__ import annotations
+
+import json
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from gonio_analysis.fitting.fit import fit
+
+from gonio import materials, models
+from gonio.errors import ArgumentError
+from gonio.models import build, fresnel
+from tests.gonio_analysis.synthetic import measure
+from tests.places import REFERENCE
+
+PUBLIC = json.loads((REFERENCE / "newer_models_public.json").read_text(encoding="utf-8"))
+ALL: list[Any] = [
+    models.GGX(0.2, 1.5 + 3j),
+    models.GGX(0.2, 1.5, 0.1, alpha_y=0.5),
+    models.GGXMultiscatter(0.4, 1.5),
+    models.EON(0.7, 0.6),
+    models.ABg(1e-3, 1e-4, 2.0),
+    models.Hapke(0.6, 0.06, 1.0),
+    models.Hapke(0.8, 0.1, 0.5, 0.3, 25.0, "2002"),
+    models.RPV(0.1, -0.5, 0.5),
+    models.KCorrelation(0.003, 20.0, 1.8, "Al"),
+]
+NAMES = [f"{k} {m.name}" for k, m in enumerate(ALL)]
+GRAZING = np.radians([0.0, 10.0, 45.0, 80.0, 89.0, 89.99])
+
+
+def of_case(name: str, p: dict[str, float]) -> Any:
+    return build(name, {"alpha": p["alpha"], "ior": complex(p["n"], p["k"])} if name == "ggx" else p)
+
+
+@pytest.mark.parametrize("name", ["eon", "ggx", "abg"])
+def test_public_digits(name: str) -> None:
+    """Computed by others to 25 digits; a formula of some tens of operations keeps 1e-12."""
+    for case in PUBLIC[name]:
+        at = (case["theta_i_deg"], 0.0, case["theta_r_deg"], case["dphi_deg"])
+        value = of_case(name, case["parameters"]).brdf(*np.radians(at))
+        assert value == pytest.approx(float(case["brdf"]), rel=1e-12), case
+
+
+def test_the_digits_of_vlidort_s_kernels() -> None:
+    """VLIDORT's table is pi brdf times 0.99, its azimuth 180 degrees from ours; printed to 8 digits."""
+    for model, digits in (
+        (models.RPV(0.1, -0.5, 0.5), (0.22766692, 0.29628877, 0.48588198)),
+        (models.Hapke(0.6, 0.06, 1.0), (0.18424879, 0.19048329, 0.20382905)),
+    ):
+        found = [0.99 * math.pi * model.brdf(*np.radians([35.0, 0.0, 10.0, 180.0 - d])) for d in (0.0, 79.0, 180.0)]
+        assert found == pytest.approx(digits, abs=6e-9)
+
+
+@pytest.mark.parametrize("model", ALL, ids=NAMES)
+def test_exchanging_both_directions_changes_nothing(model: Any) -> None:
+    rng = np.random.default_rng(1)
+    i, r = np.arccos(rng.uniform(0.0, 1.0, (2, 4000)))
+    a, b = rng.uniform(0.0, 2.0 * math.pi, (2, 4000))
+    there, back = model.brdf(i, a, r, b), model.brdf(r, b, i, a)
+    assert np.all(np.isfinite(there))
+    assert np.all(there >= 0.0)
+    assert back == pytest.approx(there, rel=1e-10)  # rounding of vectors near grazing
+
+
+@pytest.mark.parametrize("rho", [1.0, 0.9])
+@pytest.mark.parametrize("r", [0.0, 1e-9, 0.4, 1.0])
+def test_eon_loses_no_light(rho: float, r: float) -> None:
+    model = models.EON(rho, r)
+    closed = model.directional_hemispherical(GRAZING)
+    if rho == 1.0:
+        assert closed == pytest.approx(1.0, abs=1e-14)
+    summed = models.Model._hemispherical(model, GRAZING, np.zeros(6), 550.0, False, 1e-7)
+    assert summed == pytest.approx(closed, rel=1e-6)  # the rule's tolerance, ten times
+
+
+@pytest.mark.parametrize("alpha", [1e-3, 0.01, 0.05, 0.3, 0.7, 1.0])
+def test_a_mirror_s_facets_lose_no_light_between_them(alpha: float) -> None:
+    """n = 1e-3, k = 1e4 reflects all but 4e-7. The stated error of the energy is 1e-3."""
+    model = models.GGXMultiscatter(alpha, complex(1e-3, 1e4))
+    assert model.directional_hemispherical(GRAZING, tolerance=1e-5) == pytest.approx(1.0, abs=1e-3)
+
+
+def test_single_facets_lose_what_others_found() -> None:
+    """The furnace of single GGX at 60 degrees: .86, .66 and .45 for roughness .5, .75 and 1, whose square is alpha."""
+    found = [
+        float(models.GGX(x * x, complex(1e-3, 1e4)).directional_hemispherical(math.pi / 3, tolerance=1e-5))
+        for x in (0.5, 0.75, 1.0)
+    ]
+    assert found == pytest.approx([0.86, 0.66, 0.45], abs=0.006)  # two digits are known
+
+
+def test_facets_of_one_width_are_isotropic() -> None:
+    at = np.radians([40.0, 10.0, 55.0, 150.0])
+    assert models.GGX(0.3, 1.5, alpha_y=0.3 * (1 + 1e-12)).brdf(*at) == pytest.approx(models.GGX(0.3, 1.5).brdf(*at))
+    turned = models.GGX(0.3, 1.5, alpha_y=0.1).brdf(at[0], at[1] + math.pi / 2, at[2], at[3] + math.pi / 2)
+    assert models.GGX(0.1, 1.5, alpha_y=0.3).brdf(*at) == pytest.approx(turned)
+
+
+@pytest.mark.parametrize(
+    "model",
+    [models.GGX(1e-3, "Al"), models.GGXMultiscatter(1e-3, "Al"), models.EON(1.0, 1.0), models.ABg(1.0, 1e-9, 0.0)],
+    ids=lambda m: m.name,
+)
+def test_edges_have_values(model: Any) -> None:
+    theta = np.append(GRAZING, math.pi / 2)
+    i, r = (x.ravel() for x in np.meshgrid(theta, theta))
+    for phi in (0.0, 0.5 * math.pi, math.pi):
+        values = model.brdf(i, 0.0, r, phi)
+        assert not np.isnan(values).any()
+        assert np.all(values >= 0.0)
+
+
+def test_scattered_light_is_what_tis_says() -> None:
+    """At normal incidence, to first order in (4 pi sigma/lambda)^2 = 0.0016, and to the cosines that TIS leaves out."""
+    model = models.KCorrelation(0.002, 60.0, 1.8, "Al")
+    scattered = float(model.directional_hemispherical(0.0, spike=False, wavelength_nm=633.0, tolerance=1e-5))
+    mirror = float(fresnel.reflectance(1.0, complex(materials.ior("Al")(633.0))))
+    assert scattered / mirror == pytest.approx(model.tis(633.0), rel=0.01)
+    beam = float(model.specular_reflectivity(0.0, wavelength_nm=633.0))
+    assert beam + scattered == pytest.approx(mirror, rel=1e-4)
+
+
+def test_scatter_scales_with_the_wavelength() -> None:
+    """Of a perfect conductor in the plateau of the spectrum: as 1/lambda^4."""
+    model = models.KCorrelation(0.001, 0.05, 2.0, complex(1e-3, 1e4))
+    at = np.radians([5.0, 0.0, 20.0, 180.0])
+    ratio = model.brdf(*at, wavelength_nm=500.0) / model.brdf(*at, wavelength_nm=1000.0)
+    assert ratio == pytest.approx(16.0, rel=0.005)  # B f is 0.03: a spectrum white to (B f)^2
+
+
+def test_roughness_of_zero_is_smooth_and_more_shadows() -> None:
+    at = np.radians([50.0, 0.0, 60.0, 120.0])
+    smooth = models.Hapke(0.7, theta_bar_deg=0.0).brdf(*at)
+    assert models.Hapke(0.7, theta_bar_deg=1e-4).brdf(*at) == pytest.approx(smooth, rel=1e-4)
+    assert models.Hapke(0.7, theta_bar_deg=25.0).brdf(*at) < 0.9 * smooth
+
+
+@pytest.mark.parametrize(
+    ("name", "parameters", "ior"),
+    [
+        ("ggx", {"alpha": 0.25, "ior": 1.5, "diffuse_albedo": 0.1}, 1.5),
+        ("ggx-multiscatter", {"alpha": 0.4, "ior": 1.5, "diffuse_albedo": 0.1}, 1.5),
+        ("eon", {"rho": 0.6, "r": 0.7}, None),
+        ("abg", {"A": 0.01, "B": 0.002, "g": 1.8}, None),
+        ("k-correlation", {"sigma_um": 0.01, "b_um": 5.0, "c": 2.2, "ior": "Al"}, "Al"),
+        ("hapke", {"w": 0.7, "h": 0.2, "b0": 0.6, "b": 0.3, "theta_bar_deg": 15.0}, None),
+        ("rpv", {"rho_0": 0.2, "theta_g": -0.2, "k": 0.8}, None),
+    ],
+)
+def test_a_fit_finds_what_made_the_values(name: str, parameters: dict[str, Any], ior: Any) -> None:
+    found = fit(measure(build(name, parameters), noise=0.002, floor=1e-7), name, ior=ior)
+    for key, value in parameters.items():
+        if key == "ior":
+            continue
+        e = found.parameters[key]
+        assert e.u is not None
+        assert abs(e.value - value) <= 4.5 * e.u, key  # one of 16 beyond 4.5 standard errors: 1e-4
+
+
+@pytest.mark.parametrize(
+    ("kind", "parameters", "said"),
+    [
+        (models.GGX, {"alpha": 0.0}, "alpha"),
+        (models.GGX, {"alpha_y": 2.0}, "alpha_y"),
+        (models.GGXMultiscatter, {"alpha": 1e-4}, "at least 0.001"),
+        (models.GGXMultiscatter, {"alpha_y": 0.2}, "alpha_y"),
+        (models.EON, {"r": 1.1}, "r = 1.1"),
+        (models.ABg, {"B": 0.0}, "B = 0"),
+        (models.Hapke, {"theta_bar_deg": 80.0}, "theta_bar_deg"),
+        (models.Hapke, {"h_function": "2003"}, "h_function"),
+        (models.RPV, {"theta_g": 1.0}, "theta_g"),
+        (models.KCorrelation, {"c": 1.0}, "c = 1"),
+    ],
+)
+def test_what_is_out_of_range_is_named(kind: Any, parameters: dict[str, Any], said: str) -> None:
+    with pytest.raises(ArgumentError, match=said):
+        kind(**parameters)
