@@ -224,6 +224,8 @@ def write_model(model: Model, path: str | Path, *, name: str, format: str | None
     DataError
         The model depends on the sample's azimuth, or a value is not finite.
     """
+    from gonio.models import examine
+
     path = Path(path)
     chosen = formats.named(format) if format else formats.of_name(path)
     if chosen.write_model is None:
@@ -234,14 +236,17 @@ def write_model(model: Model, path: str | Path, *, name: str, format: str | None
     if not np.allclose(values, values[0], rtol=1e-6, atol=0):
         raise DataError(f"{path}: the model depends on the sample's azimuth; {chosen.title} is written isotropic only")
     chosen.write_model(model, name, path)
+    too_bright = examine(model).too_bright
+    remarks = [f"{too_bright}: a renderer that follows light may never end with it"] if too_bright else []
     if _goes_back(model):
         return [
+            *remarks,
             "the lobe about the direction of incidence is sampled at the file's directions, which lie close about the "
-            "mirror direction: a narrow one is blurred or lost"
+            "mirror direction: a narrow one is blurred or lost",
         ]
     if model.has_spike:
-        return ["the specular spike has no width and is not in the file: only the lobe and the diffuse part are"]
-    return []
+        remarks.append("the specular spike has no width and is not in the file: only the lobe and the diffuse part are")
+    return remarks
 
 
 def is_simulated(frame: pd.DataFrame) -> bool:

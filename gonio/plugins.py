@@ -7,6 +7,8 @@ import difflib
 import functools
 import sys
 from importlib.metadata import EntryPoint, entry_points
+from importlib.util import module_from_spec, spec_from_file_location
+from pathlib import Path
 from typing import Any, Literal
 
 from gonio.errors import ConfigError, GonioError
@@ -85,6 +87,8 @@ def load(group: Group, name: str) -> Any:
     """
     points = available(group)
     kind = kind_of(group)
+    if in_file(name):
+        return _of_file(kind, name)
     if name not in points:
         near = difflib.get_close_matches(name, points, n=1)
         hint = f'did you mean "{near[0]}"?' if near else f"installed: {', '.join(points) or 'none'}"
@@ -93,6 +97,36 @@ def load(group: Group, name: str) -> Any:
         return imported(points[name])
     except Broken as error:
         raise ConfigError(f'the {kind} "{name}" ({points[name].value}) cannot be loaded: {error}') from error
+
+
+def in_file(name: str) -> bool:
+    """Whether a name is that of a class in a Python file, as "./mine.py:Ward"."""
+    return ".py:" in name
+
+
+@functools.lru_cache(maxsize=32)
+def _of_file(kind: str, name: str) -> Any:
+    """A class in a file that is no package: the file is run once."""
+    path, _, wanted = name.rpartition(":")
+    file = Path(path)
+    if not file.is_file():
+        raise ConfigError(f"{path}: there is no such file, in which the {kind} {wanted} would be")
+    spec = spec_from_file_location(f"_gonio_file_{file.stem}", file)
+    assert spec is not None
+    assert spec.loader is not None
+    module = module_from_spec(spec)
+    sys.modules[spec.name] = module  # dataclasses look their module up
+    try:
+        with contextlib.redirect_stdout(sys.stderr):
+            spec.loader.exec_module(module)
+    except (KeyboardInterrupt, MemoryError, GonioError):
+        raise
+    except BaseException as error:
+        raise ConfigError(f"{path}: cannot be run: {' '.join(f'{type(error).__name__}: {error}'.split())}") from error
+    if not isinstance(getattr(module, wanted, None), type):
+        classes = [n for n, v in vars(module).items() if isinstance(v, type) and v.__module__ == spec.name]
+        raise ConfigError(f'{path}: has no class "{wanted}"; it has: {", ".join(classes) or "none"}')
+    return getattr(module, wanted)
 
 
 class Broken(Exception):

@@ -16,6 +16,7 @@ from gonio.models.corrected import Corrected, Correction
 from gonio.models.diffuse_transmitter import DiffuseTransmitter
 from gonio.models.engine import Geometry, geometry
 from gonio.models.eon import EON
+from gonio.models.examine import examine
 from gonio.models.ggx import GGX
 from gonio.models.ggx_multiscatter import GGXMultiscatter
 from gonio.models.hapke import Hapke
@@ -54,6 +55,7 @@ __all__ = [
     "Retroreflecting",
     "Sum",
     "build",
+    "examine",
     "fresnel",
     "geometry",
     "htsg",

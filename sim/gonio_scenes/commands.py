@@ -29,9 +29,11 @@ def render(
     from gonio.cli import console
     from gonio_scenes import picture
     from gonio_scenes.render import render as rendered
-    from gonio_scenes.scene import read
+    from gonio_scenes.scene import read, too_bright
 
     described = read(scene, tolerance=tolerance)
+    for told in dict.fromkeys(too_bright(described)):
+        console.note(f"{told}: light in the picture is not conserved")
     if to is not None:
         _write(described, out, to, exr)
         return

@@ -14,6 +14,7 @@ from pydantic import Field, model_validator
 from gonio.acquisition.measure import find_rig
 from gonio.config import Strict, load
 from gonio.errors import ConfigError, DataError
+from gonio.models import examine
 from gonio.rig.description import RigDescription
 from gonio.rig.ranges import NonNegative, Positive
 from gonio.typing import Floats
@@ -170,6 +171,13 @@ class Scene:
     source: Path
     """The scene file, as messages name it."""
     tables: SceneFile = field(repr=False)
+
+
+def too_bright(scene: Scene) -> list[str]:
+    """Materials that reflect more than they receive, a sentence each, at the first and the last wavelength."""
+    waves = {0, len(scene.wavelength_nm) - 1}
+    found = [examine(one.at(k), float(scene.wavelength_nm[k])) for one in scene.material for k in sorted(waves)]
+    return [one.too_bright for one in found if one.too_bright]
 
 
 def read(path: str | Path, *, tolerance: float | None = None) -> Scene:

@@ -54,9 +54,14 @@ def of_model(model: Model, *, name: str, source: str = "", wavelength_nm: float 
     incidences = [math.radians(t) for t in MODEL_INCIDENCES_DEG]
     numbers = _of_model(model, wavelength)
     notes = ["The sample's parameters are taken as exact: no uncertainty is stated.", *_colourless(numbers)]
-    if model.depends_on_azimuth:
-        notes.append(AZIMUTH)
+    notes += _of_the_model(model, wavelength)
     return _assembled(numbers, lambda _: None, name, source, "model", wavelength, incidences, notes)
+
+
+def _of_the_model(model: Model, wavelength_nm: float) -> list[str]:
+    """What is said of the model itself: that it reflects more than it receives, that the azimuth counts."""
+    too_bright = models.examine(model, wavelength_nm).too_bright
+    return [f"{too_bright}."] * bool(too_bright) + [AZIMUTH] * model.depends_on_azimuth
 
 
 def of_sample(sample: SampleDescription, *, source: str = "", wavelength_nm: float | None = None) -> Appearance:
@@ -90,8 +95,7 @@ def of_sample(sample: SampleDescription, *, source: str = "", wavelength_nm: flo
     elif known is not None and known.misfit:
         _with_tau(numbers, known.misfit)
         notes.append(f"The model is off by {100 * known.misfit:.2g} % (its misfit): every value may be.")
-    if model.depends_on_azimuth:
-        notes.append(AZIMUTH)
+    notes += _of_the_model(model, wavelength)
     incidences = [math.radians(t) for t in MODEL_INCIDENCES_DEG]
     return _assembled(numbers, _length, sample.name, source, "model", wavelength, incidences, notes)
 
@@ -152,7 +156,7 @@ def of_fit(fit: FitResult, *, name: str, source: str = "", residual: bool = Fals
         inside = bool(np.all((point >= lower) & (point <= upper)))
         return fit.problem.model(point) if inside else None
 
-    notes = list(fit.notes)
+    notes = [*fit.notes, *_of_the_model(fit.model, wavelength)]
     _propagate(numbers, moved, fit.vector, fit.spread, wavelength, notes)
     if fit.misfit is not None:
         notes += _with_misfit(numbers, fit.model, fit.misfit.correction, wavelength, corrected=residual)

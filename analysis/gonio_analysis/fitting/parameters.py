@@ -69,7 +69,7 @@ def family(name: str, *, slopes: int = 1, ior: Ior = None) -> Declaration:
     ConfigError
         No such model can be fitted, or an option does not belong to it.
     """
-    if "+" not in name and name not in plugins.available("gonio.models"):
+    if "+" not in name and not _there(name):
         near = difflib.get_close_matches(name, known(), n=1)
         hint = f'did you mean "{near[0]}"?' if near else f"known: {', '.join(known())}"
         raise ConfigError(f'there is no model named "{name}" to fit; {hint}')
@@ -93,7 +93,11 @@ def sums() -> tuple[str, ...]:
 
 def needs_ior(name: str) -> bool:
     """Whether optical constants mean something to this model."""
-    return any(part in plugins.available("gonio.models") and kind(part).has_ior for part in parts(name))
+    return any(_there(part) and kind(part).has_ior for part in parts(name))
+
+
+def _there(name: str) -> bool:
+    return plugins.in_file(name) or name in plugins.available("gonio.models")
 
 
 def tells_index(name: str) -> bool:

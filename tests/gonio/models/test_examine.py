@@ -1,0 +1,77 @@
+"""Energy and reciprocity in one line, and where it is said; models in a file that is no package."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from gonio_analysis.appearance.of_models import of_model
+
+from gonio import measurement, models
+from gonio.errors import ConfigError
+from gonio.models import build, examine
+from tests.command_line import gonio
+from tests.gonio_analysis.synthetic import measure
+
+BRIGHT = models.CookTorrance(s=1.0, m=0.2, ior="Al")
+"""The paper's normalisation: four times what falls in, less what grooves and Fresnel take."""
+WARD = (Path(__file__).parents[3] / "docs" / "writing_a_model.md").read_text(encoding="utf-8")
+
+
+def ward(folder: Path) -> str:
+    """The class of the page, in a file."""
+    text = WARD.partition("```python\n")[2].partition("```")[0]
+    (folder / "mine.py").write_text(text, encoding="utf-8")
+    return "./mine.py:Ward"
+
+
+def test_a_model_that_reflects_too_much_is_named_with_number_and_angle() -> None:
+    found = examine(BRIGHT)
+    assert found.reflected > 3.0
+    assert found.too_bright.startswith("cook-torrance reflects 3.")
+    assert "deg of incidence" in found.too_bright
+    assert "reciprocal; reflects 3." in str(found)
+    kept = examine(models.CookTorrance(s=1.0, m=0.2, ior="Al", convention="normalised"))
+    assert kept.too_bright == ""
+    assert "reflects at most 0.9" in str(kept)
+
+
+def test_phong_is_not_reciprocal() -> None:
+    assert "not reciprocal" in str(examine(models.Phong()))
+
+
+@pytest.mark.parametrize("ending", ["klems.xml", "rgl.bsdf", "merl.binary"])
+def test_every_file_of_a_renderer_says_it(tmp_path: Path, ending: str) -> None:
+    name, _, suffix = ending.partition(".")
+    said = measurement.write_model(BRIGHT, tmp_path / f"bright.{suffix}", name="bright", format=name)
+    assert any("cook-torrance reflects 3." in text for text in said)
+    said = measurement.write_model(models.EON(), tmp_path / f"eon.{suffix}", name="eon", format=name)
+    assert not any("reflects" in text for text in said)
+
+
+def test_appearance_says_it() -> None:
+    assert any("cook-torrance reflects 3." in note for note in of_model(BRIGHT, name="bright").notes)
+    assert not any("reflects" in note for note in of_model(models.EON(), name="dull").notes)
+
+
+def test_a_class_in_a_file_is_fitted_saved_and_used(tmp_path: Path) -> None:
+    name = ward(tmp_path)
+    made = build("ggx", {"alpha": 0.2, "ior": 1.5, "diffuse_albedo": 0.2})
+    measurement.write(measure(made), tmp_path / "t.csv")
+    done = gonio(tmp_path, "fit", "t.csv", "--model", name, "--save", "ward.toml")
+    assert done.returncode == 0, done.stderr
+    assert "rho_d" in done.stdout + done.stderr
+    again = gonio(tmp_path, "appearance", "ward.toml")
+    assert again.returncode == 0, again.stderr
+
+
+def test_what_is_wrong_with_a_file_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    ward(tmp_path)
+    with pytest.raises(ConfigError, match=r'has no class "Wrad"; it has: Ward'):
+        build("./mine.py:Wrad", {})
+    with pytest.raises(ConfigError, match="there is no such file"):
+        build("./other.py:Ward", {})
+    (tmp_path / "broken.py").write_text("1 / 0")
+    with pytest.raises(ConfigError, match="ZeroDivisionError"):
+        build("./broken.py:Ward", {})
