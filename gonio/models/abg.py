@@ -56,7 +56,7 @@ class ABg(Model):
     B: float = 1e-3
     g: float = 1.5
     name: ClassVar[str] = "abg"
-    rank: ClassVar[int] = 3
+    rank: ClassVar[int] = 12
     fitted: ClassVar[Mapping[str, Fitted]] = {
         "A": Fitted(1e-12, 1e4, "log", starts=(1e-4, 1e-2, 0.3)),
         "B": Fitted(1e-12, 1e3, "log", starts=(1e-5, 1e-3, 0.1)),

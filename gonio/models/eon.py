@@ -75,7 +75,7 @@ class EON(Model):
     rho: float = 0.5
     r: float = 0.5
     name: ClassVar[str] = "eon"
-    rank: ClassVar[int] = 2
+    rank: ClassVar[int] = 11
     fitted: ClassVar[Mapping[str, Fitted]] = {
         "rho": Fitted(1e-6, 1.0, starts="diffuse"),
         "r": Fitted(0.0, 1.0, starts=(0.1, 0.5, 0.9), geometry=True),

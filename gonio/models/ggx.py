@@ -77,7 +77,7 @@ class GGX(Model):
     diffuse_albedo: float = 0.0
     alpha_y: float | None = None
     name: ClassVar[str] = "ggx"
-    rank: ClassVar[int] = 6
+    rank: ClassVar[int] = 13
     has_ior: ClassVar[bool] = True
 
     @classmethod

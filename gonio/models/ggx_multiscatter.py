@@ -50,7 +50,7 @@ class GGXMultiscatter(GGX):
     """
 
     name: ClassVar[str] = "ggx-multiscatter"
-    rank: ClassVar[int] = 7
+    rank: ClassVar[int] = 14
 
     def __post_init__(self) -> None:
         from gonio.errors import ArgumentError

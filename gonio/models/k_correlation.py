@@ -49,7 +49,7 @@ class KCorrelation(ArrayModel):
     c: float = 2.0
     ior: Any = "Al"
     name: ClassVar[str] = "k-correlation"
-    rank: ClassVar[int] = 9
+    rank: ClassVar[int] = 15
     needs_wavelength: ClassVar[bool] = True
     has_ior: ClassVar[bool] = True
     fitted: ClassVar[Mapping[str, Fitted]] = {

@@ -46,7 +46,7 @@ class RPV(ArrayModel):
     theta_g: float = -0.1
     k: float = 0.8
     name: ClassVar[str] = "rpv"
-    rank: ClassVar[int] = 9
+    rank: ClassVar[int] = 16
     fitted: ClassVar[Mapping[str, Fitted]] = {
         "rho_0": Fitted(1e-4, 1.0, "log", starts=(0.02, 0.1, 0.4)),
         "theta_g": Fitted(-0.95, 0.95, starts=(-0.3, 0.0, 0.3)),

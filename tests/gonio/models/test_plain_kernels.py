@@ -31,11 +31,15 @@ from gonio.models import (
 )
 from gonio.models import _groove_integral as groove_kernels
 from gonio.models import _htsg_kernels as htsg_kernels
+from gonio.models import abg as abg_kernels
 from gonio.models import blinn as blinn_kernels
+from gonio.models import eon as eon_kernels
+from gonio.models import ggx as ggx_kernels
+from gonio.models import ggx_multiscatter as ggx_multiscatter_kernels
 from gonio.models.plain import anisotropic, blinn, cook_torrance, he_torrance, oren_nayar, retroreflecting
 from gonio.models.plain import fresnel as plain_fresnel
 from gonio.models.plain.vectors import direction, dot
-from tests.gonio.models import test_plain_blinn, test_plain_he_torrance, test_plain_oren_nayar
+from tests.gonio.models import test_newer_models, test_plain_blinn, test_plain_he_torrance, test_plain_oren_nayar
 from tests.gonio.models.agreement import EPS, PI, Angles, agree, facet_loss, lobe_loss, pairs
 
 METAL, GLASS = 0.77 + 6.08j, 1.5
@@ -222,11 +226,16 @@ ELSEWHERE = {
     groove_kernels.gaussian_grooves: test_plain_oren_nayar.test_oren_nayar_grooves_in_every_direction,
     groove_kernels.isotropic_grooves: test_plain_oren_nayar.test_oren_nayar_grooves_in_every_direction,
     htsg_kernels.spike_reflectivity: test_plain_he_torrance.test_he_torrance_lobe_and_spike,
+    abg_kernels.abg: test_newer_models.test_public_digits,
+    eon_kernels.eon: test_newer_models.test_public_digits,
+    ggx_kernels.isotropic: test_newer_models.test_public_digits,
+    ggx_kernels.anisotropic: test_newer_models.test_facets_of_one_width_are_isotropic,
+    ggx_multiscatter_kernels.multiscatter: test_newer_models.test_a_mirror_s_facets_lose_no_light_between_them,
     models.htsg._shadowing: test_plain_he_torrance.test_he_torrance_parts,
     models.htsg._effective_roughness: test_plain_he_torrance.test_he_torrance_parts,
     models.htsg._log_series: test_plain_he_torrance.test_he_torrance_parts,
 }
-"""Kernels that are no model's BRDF, or whose plain form takes a quadrature: the test that holds each."""
+"""Kernels that are no model's BRDF, whose plain form takes a quadrature, or that others' digits hold: the tests."""
 
 
 def ways(model: Model, at: Angles, every: bool) -> Iterator[tuple[str, Any]]:
