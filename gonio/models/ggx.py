@@ -23,9 +23,9 @@ WIDTH = Fitted(1e-3, 1.0, "log", geometry=True)
 
 
 @device
-def lobe(slope2, sz, s2, lz, vz, lt2, vt2, p):  # type: ignore[no-untyped-def]
+def lobe(slope2, sz, s2, lz, vz, lt2, vt2, own):  # type: ignore[no-untyped-def]
     """D G F/(4 N.L N.V) and the base; D's |s|^4/(pi a_x a_y (slope2 + s_z^2)^2), and lt2, vt2 of Smith's Lambda."""
-    diffuse, scale, contrast, real, imag = p[0], p[1], p[2], p[3], p[4]
+    diffuse, scale, contrast, real, imag = own[0], own[1], own[2], own[3], own[4]
     root = slope2 + sz * sz
     f_up, f_down = fresnel(0.25 * s2, contrast, real, imag)
     smith = vz * sqrt(lz * lz + lt2) + lz * sqrt(vz * vz + vt2)

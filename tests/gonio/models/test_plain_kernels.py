@@ -220,7 +220,7 @@ IN_EVERY_LOOP = (
 )
 """Of both azimuths, of three, four and two columns, and of directions; He and Torrance's have loops of their own."""
 
-ELSEWHERE = {
+ELSEWHERE: dict[Any, Callable[..., None]] = {
     **dict.fromkeys(blinn_kernels._HIGHLIGHTS.values(), test_plain_blinn.test_blinn),
     blinn_kernels.phong_highlight: test_plain_blinn.test_phong,
     groove_kernels.gaussian_grooves: test_plain_oren_nayar.test_oren_nayar_grooves_in_every_direction,
