@@ -18,7 +18,7 @@ from gonio.errors import ConfigError
 
 _RATIOS = {"\\one": 1.0, "1": 1.0, "": 1.0, "\\percent": 0.01, "%": 0.01}
 _LENGTHS = {"\\nano\\metre": 1.0, "\\nano\\meter": 1.0, "\\micro\\metre": 1e3, "\\metre": 1e9, "\\milli\\metre": 1e6}
-_MEANT = re.compile("reflectan|albedo|remission|radiance.?factor|reflexionsgrad", re.IGNORECASE)
+_MEANT = re.compile("reflectan|albedo|remission|radiance.?factor|reflexionsgrad|strahldichtefaktor", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,8 @@ def reflectance(path: Path, wanted: str | None = None) -> Reflectance:
         waves = next((w for _, q in quantities if (w := _values(q, _LENGTHS, path)) and len(w[0]) > 1), None)
         for name, quantity in quantities:
             label = f"{_name(result)}: {name}".strip(": ")
-            meant = wanted.lower() in label.lower() or wanted == quantity.get("id") if wanted else _MEANT.search(label)
+            kind = f"{label} {quantity.get('refType') or ''}"
+            meant = wanted.lower() in kind.lower() or wanted == quantity.get("id") if wanted else _MEANT.search(kind)
             if meant and (known := _values(quantity, _RATIOS, path)) is not None:
                 found[label] = _reflectance(label, known, waves[0] if waves else (), path)
     if len(found) == 1:

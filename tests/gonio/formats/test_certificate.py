@@ -93,6 +93,12 @@ def test_a_run_is_reduced_with_what_the_certificate_says_of_its_wavelength(tmp_p
     assert not (tmp_path / "other").exists()
 
 
+def test_the_kind_of_a_quantity_counts_as_its_name(tmp_path: Path) -> None:
+    path = dcc(tmp_path, ("Messwert", NEW.format(value=0.97, unit="\\one", u=0.01)))
+    path.write_text(path.read_text().replace('id="q0"', 'id="q0" refType="optics_diffuseReflectance"'))
+    assert list(reflectance(path).values) == pytest.approx([0.97])
+
+
 def test_what_is_ambiguous_or_wrong_is_named(tmp_path: Path) -> None:
     one = NEW.format(value=0.985, unit="\\one", u=0.008)
     path = dcc(tmp_path, ("Reflectance 8/d", one), ("Reflectance 0/45", one))
