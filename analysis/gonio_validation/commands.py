@@ -165,3 +165,25 @@ def _counted(what: str) -> Iterator[Callable[[int, int], None]]:
                 lines[0].step(done)
 
         yield said
+
+
+@bench.command()
+def materials(
+    sources: Annotated[
+        list[str], typer.Argument(metavar="FILE|FOLDER ...", help="Measurements of materials.", show_default=False)
+    ],
+    out: Annotated[Path, typer.Option(help="Folder of the page and of the records.", show_default=False)],
+    models: Annotated[str, typer.Option(metavar="A,B", help="Models; all without it.", show_default=False)] = "",
+    jobs: Annotated[int | None, typer.Option(help="Processes. [default: one a processor]", show_default=False)] = None,
+) -> None:
+    """Every model on every measured material, by the error of values left out. Prints the page's path.
+
+    A command that was cut short goes on where it stood.
+    """
+    from gonio.acquisition.run import command_line
+    from gonio_validation.bench.materials import make
+
+    asked = [name.strip() for name in models.split(",") if name.strip()]
+    with _counted("materials") as step:
+        made = make(sources, out, models=asked, jobs=jobs, command=command_line(), step=step)
+    print(made)
