@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from math import pi, sqrt
@@ -325,6 +325,12 @@ class CookTorrance(Model):
             )
             + "; m is the total rms slope."
         )
+
+    @property
+    def parameter_notes(self) -> Mapping[str, str]:
+        if self.normalisation == "paper":
+            return {"s": "share of R_s as printed, 4 times the energy-true form"}
+        return {"s": "share of the energy-true R_s, a quarter of the print"}
 
     def _weighted(self, wavelength_nm: float, diffuse: float, scale: float) -> tuple[Kernel, Constants]:
         scale /= pi * (4.0 if self.normalisation == "normalised" else 1.0)

@@ -82,6 +82,11 @@ class Model(ABC):
     def convention(self) -> str:
         """One sentence for reports: the paper, the form, the normalisation, and what departs from the print."""
 
+    @property
+    def parameter_notes(self) -> Mapping[str, str]:
+        """By parameter what a reader has to know beside its value, as which normalisation it goes with."""
+        return {}
+
     def _evaluation(self, wavelength_nm: float) -> tuple[Kernel, Constants]:
         """The kernel and its constants at one wavelength.
 

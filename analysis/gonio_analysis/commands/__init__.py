@@ -528,7 +528,9 @@ def _print(result: FitResult, sample: str, walked: dict[str, Interval]) -> None:
         shown = own if alone else with_u(e.value, 0.0 if e.fixed else e.u)
         value = quantity(shown, e.unit) + (f" ({e.material})" if e.material else "")
         between = [ends] if walked else []
-        rows.add_row(name, value, *between, kind + (f", at its {e.at_bound} bound" if e.at_bound else ""))
+        kind += f", at its {e.at_bound} bound" if e.at_bound else ""
+        told = result.model.parameter_notes.get(name)
+        rows.add_row(name, value, *between, f"{kind}; {told}" if told else kind)
     console.show(rows, of_fit(result))
     for text in result.notes:
         console.note(text)

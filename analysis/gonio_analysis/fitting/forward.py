@@ -31,6 +31,12 @@ class ByWavelength:
         return str(next(iter(self.models.values())).convention)
 
     @property
+    def parameter_notes(self) -> Mapping[str, str]:
+        """Those of the models."""
+        notes: Mapping[str, str] = next(iter(self.models.values())).parameter_notes
+        return notes
+
+    @property
     def depends_on_azimuth(self) -> bool:
         """Whether theirs do."""
         return any(model.depends_on_azimuth for model in self.models.values())

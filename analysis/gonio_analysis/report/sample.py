@@ -277,10 +277,11 @@ def _polar_words(s: Summary, d: DatasetSummary) -> Paragraph:
 def _parameters(d: DatasetSummary) -> list[Block]:
     rows: list[Sequence[Text]] = []
     for name, f in d.models.items():
-        label = name
+        label, told = name, f.fit.model.parameter_notes
         for p, e in [*f.fit.parameters.items(), *f.fit.derived.items()]:
             kind = "derived" if p in f.fit.derived else "fixed" if e.fixed else "fitted"
             kind += f", at its {e.at_bound} bound" if e.at_bound else ""
+            kind += f"; {told[p]}" if p in told else ""
             value = _value(d, name, p, e)
             value += f" ({e.material})" if e.material else ""
             rows.append((label, code(p), value, kind, _strongest(f, p)))
