@@ -15,6 +15,7 @@ from gonio.errors import ArgumentError
 from gonio.geometry import Directions
 from gonio.models import Corrected
 from gonio.models.corrected import folded
+from gonio.models.declaration import OPTICAL
 from gonio.typing import Floats
 from gonio_analysis.fitting.forward import NO_WAVELENGTH_NM, ByWavelength, apparent
 from gonio_analysis.fitting.misfit import Misfit, highest_tau
@@ -368,7 +369,7 @@ def estimates(problem: Problem, vector: Floats, spread: Floats, wavelength_nm: f
             out[n] = Estimate(values[n], error, n not in u, p.unit, edge.get(n, ""))
         if found:
             continue
-        if isinstance(problem.ior, str) and index is not None:
+        if isinstance(problem.ior, str) and index is not None and name in OPTICAL:
             out[name] = Estimate(index.real if name == "ior" else index.imag, 0.0, True, p.unit, material=problem.ior)
     return out
 

@@ -7,6 +7,7 @@ import math
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 from gonio_analysis.fitting.fit import fit
 
@@ -159,6 +160,21 @@ def test_a_fit_finds_what_made_the_values(name: str, parameters: dict[str, Any],
         e = found.parameters[key]
         assert e.u is not None
         assert abs(e.value - value) <= 4.5 * e.u, key  # one of 16 beyond 4.5 standard errors: 1e-4
+
+
+def test_a_grain_is_fitted_where_it_is_freed() -> None:
+    one = measure(build("ggx", {"alpha": 0.2, "alpha_y": 0.5, "ior": 1.5}), noise=0.002, floor=1e-7)
+    turned = one.assign(phi_i_deg=90.0, phi_r_deg=(one["phi_r_deg"] + 90.0) % 360.0)
+    across = models.GGX(0.2, 1.5, alpha_y=0.5)
+    angles = [np.radians(turned[name].to_numpy()) for name in ("theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg")]
+    both = pd.concat([one, turned.assign(brdf=across.brdf(*angles))], ignore_index=True)
+    both.attrs = one.attrs
+    found = fit(both, "ggx", ior=1.5, free=("alpha_y",)).parameters
+    assert found["alpha"].value == pytest.approx(0.2, rel=0.01)  # 2e-3 of noise
+    assert found["alpha_y"].value == pytest.approx(0.5, rel=0.01)
+    plain = fit(measure(build("ggx", {"alpha": 0.2, "ior": "Al"})), "ggx", ior="Al").parameters
+    assert "alpha_y" not in plain
+    assert plain["k"].material == "Al"
 
 
 @pytest.mark.parametrize(
