@@ -44,6 +44,7 @@ class Examination:
     def __str__(self) -> str:
         exchanged = "reciprocal" if self.reciprocity < 1e-9 else f"not reciprocal (by up to {self.reciprocity:.2g})"
         share = f"reflects at most {self.reflected:.3g} of what it receives (at {self.at_deg:g} deg)"
+        share = share if math.isfinite(self.reflected) else "what it reflects could not be added up"
         light = self.too_bright.removeprefix(f"{self.name} ") or share
         counted = ((self.negative, "negative"), (self.undefined, "NaN"))
         wrong = [f"{n} of {DRAWN} values are {what}" for n, what in counted if n]
