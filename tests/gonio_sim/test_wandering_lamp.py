@@ -7,7 +7,7 @@ import pytest
 from gonio_sim.world import World
 
 from gonio.rig.description import RigDescription
-from tools.spike_campaign import rig
+from tests.gonio.reduction.drawn_runs import rig
 
 
 def description(wander: float) -> RigDescription:

@@ -1,4 +1,4 @@
-"""The reference values of `reference.json`, which tools/bench_reference.py writes, and samples made of them."""
+"""The reference values of `reference.json` (written by tests/reference/bench_reference.py), and samples of them."""
 
 from __future__ import annotations
 

@@ -21,9 +21,9 @@ from gonio.reduction.brdf import Reduction, reduce_in_parts
 from gonio.reduction.values import MeasuredBand, Values
 from gonio.rig.description import ArmAxis, Arms, SampleDescription
 from gonio.rig.light_and_camera import Lamp
+from tests.gonio.reduction.drawn_runs import pulls, rig
 from tests.gonio.reduction.made_run import Maker, describe, in_plane
 from tests.gonio.reduction.test_brdf import NOISY, POINTS, flicker, glossy
-from tools.spike_campaign import pulls, rig
 
 
 @pytest.fixture(scope="module")

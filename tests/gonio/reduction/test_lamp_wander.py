@@ -9,7 +9,24 @@ import pytest
 
 from gonio.reduction import white_reference
 from gonio.reduction.lamp_wander import BLOCK
-from tools.lamp_campaign import NOISE, lamp
+from gonio.typing import Floats
+
+NOISE = 5e-4
+EVERY_S = 300.0
+
+
+def lamp(rng: np.random.Generator, kind: str, size: float, count: int) -> tuple[Floats, Floats, Floats, Floats]:
+    """Times and values of visits, times between them, and the true level there."""
+    visits = EVERY_S * np.arange(count)
+    at = EVERY_S * np.arange(0.5 / 6, count - 1, 1.0 / 6)
+    every = np.sort(np.concatenate([visits, at]))
+    level = 1.0 + size * every / EVERY_S
+    if kind == "walk":
+        level = 1.0 + np.cumsum(size * np.sqrt(np.diff(every, prepend=0.0) / EVERY_S) * rng.standard_normal(every.size))
+    if kind == "warm":
+        level = 1.0 - size * np.exp(-every / 400.0)
+    seen = np.interp(visits, every, level) * (1.0 + NOISE * rng.standard_normal(count))
+    return visits, seen, at, np.interp(at, every, level)
 
 
 def drawn(kind: str, size: float, visits: int, count: int, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -15,8 +15,7 @@ from gonio.acquisition.plan import Plan, Point
 from gonio.acquisition.run import Run
 from gonio.reduction import brdf
 from gonio.rig.description import SampleDescription
-from tools.angle_campaign import chi_square, measured, truth
-from tools.spike_campaign import rig
+from tests.gonio.reduction.drawn_runs import chi_square, measured, rig, truth
 
 
 @pytest.mark.slow

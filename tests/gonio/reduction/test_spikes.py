@@ -17,7 +17,7 @@ from gonio.reduction import brdf
 from gonio.reduction.angle_sensitivity import Curves
 from gonio.reduction.spike_overlap import OverlapFraction, blurred_overlap, overlap
 from gonio.rig.description import SampleDescription
-from tools.spike_campaign import measured, pulls, rig
+from tests.gonio.reduction.drawn_runs import measured_around_spikes, pulls, rig
 
 HALF = math.radians(0.5)
 stack = Directions.stack
@@ -92,7 +92,7 @@ def test_drawn_plans_around_spikes(tmp_path: Path) -> None:
     """One plan of each kind of the campaign, every other one on the rig with an azimuth axis."""
     found = []
     for number in (1, 3, 4, 5, 8, 9):
-        table, what, _ = measured(tmp_path, 11, number, most=14)
+        table, what, _ = measured_around_spikes(tmp_path, 11, number, most=14)
         z = pulls(table, what)
         found.append(z[np.isfinite(z)])
     z = np.concatenate(found)

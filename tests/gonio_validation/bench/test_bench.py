@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import importlib.util
 import json
 import math
 import re
@@ -11,7 +10,6 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
-from types import ModuleType
 
 import mpmath as mp
 import numpy as np
@@ -35,7 +33,7 @@ from typer.testing import CliRunner
 
 from gonio.errors import DataError
 from gonio.models import engine
-from tests.places import ROOT
+from tests.reference import bench_reference as made
 
 ONES = np.ones(4)
 
@@ -89,17 +87,7 @@ def test_every_hard_case_holds() -> None:
     assert len({c.case for c in found}) == len(found) > 50
 
 
-def tool() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("bench_reference", ROOT / "tools" / "bench_reference.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
 def test_reference_values_are_those_of_the_tool() -> None:
-    made = tool()
     assert made.OUT.samefile(Path(evaluators.__file__).with_name("reference.json"))
     with mp.workdps(60):
         groups = [g for g in reference().he_torrance if g.parameters["sigma0_um"] < 0.2]  # few terms

@@ -1,6 +1,6 @@
 """Write the reference values of `gonio bench models`: the papers' formulas in 60 digits, at stated inputs.
 
-    python tools/bench_reference.py
+    python -m tests.reference.bench_reference
 
 Directions are taken as the exact values of their doubles, brought to unit length in 60 digits. Closed forms are those
 of tests/gonio/models/oracles.py; He-Torrance's series is summed term by term here, from its largest term to both
@@ -13,19 +13,14 @@ from __future__ import annotations
 import itertools
 import json
 import math
-import sys
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import mpmath as mp
 
 from gonio.documents import JsonObject
-
-ROOT = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(ROOT))
-
-from tests.gonio.models import oracles  # noqa: E402
+from tests.gonio.models import oracles
+from tests.places import ROOT
 
 OUT = ROOT / "analysis" / "gonio_validation" / "bench" / "reference.json"
 PI = math.pi
@@ -362,7 +357,7 @@ def small() -> JsonObject:
 def main() -> None:
     mp.mp.dps = 60
     made = {
-        "made_by": "tools/bench_reference.py",
+        "made_by": "tests/reference/bench_reference.py",
         "with": f"mpmath {mp.__version__}, {mp.mp.dps} digits; values rounded to doubles",
         "grid": GRID,
         "condition": "sum of |d ln f / d ln x| over the components of both vectors (He-Torrance: and σ0, τ)",

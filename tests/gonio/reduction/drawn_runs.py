@@ -1,39 +1,107 @@
-"""Do stated uncertainties hold on any plan? Scattered directions, few points, curves, on samples from matte to glossy.
-
-    python tools/angle_campaign.py --seed 1 --count 56 --out DIR [--without-steps]
-
-Campaign k of a seed draws a sample, a plan and a rig: the plan is `PLANS[k % 7]`, the sample is drawn from `SAMPLES`,
-the rig is "sim", "sim-metrology", or "sim" with an azimuth axis. It is measured and reduced. Compared are the table's
-values with the sample through the instrument's cones at the directions that the table states, with the covariance
-diag(u_random^2) + sum s s^T: chi-square over the number of values, its probability, and the largest pull. Campaigns are
-judged together by their mean chi-square, and by how many have a probability below 1 and 5 %.
-
-A folder that holds measured runs already is not measured again: only the reduction is made anew. `--without-steps`
-leaves the part `coarse_steps` of the budget out: what it adds is seen so.
-"""
+"""Runs that are drawn at random and measured on the simulated rig: plans around spikes, and plans of all kinds."""
 
 from __future__ import annotations
 
-import argparse
 import math
+import tomllib
+from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.special import chdtrc
 
 from gonio import instrument, models
-from gonio.acquisition.measure import carry_out
+from gonio.acquisition.measure import RigChoice, carry_out
 from gonio.acquisition.plan import Plan, Point
 from gonio.acquisition.run import Run
+from gonio.config import parse
 from gonio.geometry import Directions
 from gonio.reduction import brdf
-from gonio.rig.description import SampleDescription
+from gonio.rig.description import RigDescription, SampleDescription
 from gonio.typing import Floats
-from tools.spike_campaign import METALS, rig
 
 if TYPE_CHECKING:
     import pandas as pd
+
+METALS = ([0.77, 6.08], [0.26, 2.55], [2.9, 3.05], [1.5, 0.0])
+SPIKE_PLANS = ("curve", "zoom", "mixed", "out of plane", "both", "few")
+MOST = 90
+"""Points of a plan."""
+
+
+def rig(azimuth: bool = False, name: str = "sim") -> RigChoice:
+    """A shipped rig with a sensor just large enough; with a camera arm on an azimuth axis instead of a tilt."""
+    from gonio_sim.rig import SimulatedRigPlugin
+
+    table = tomllib.loads((files("gonio_sim") / "rigs" / f"{name}.toml").read_text(encoding="utf-8"))
+    table["camera"] |= {"width": 48, "height": 48}
+    table["holder"]["sample_diameter_mm"] = 3.0
+    if azimuth:
+        table["holder"]["axes"] = ["spin"]
+        table["arms"]["azimuth"] = {
+            "limits_deg": [-180.0, 180.0], "encoder_step_deg": 0.088, "backlash_deg": 0.1, "zero_u_deg": 0.02,
+        }  # fmt: skip
+    return RigChoice(SimulatedRigPlugin(name), parse(RigDescription, table, f"{name}.toml"), name)
+
+
+def spiked_sample(rng: np.random.Generator) -> SampleDescription:
+    """A sample whose spike may stand high above its lobe, or drown in it."""
+    sigma0 = float(rng.uniform(0.05, 0.4))
+    return SampleDescription(
+        name="spiked",
+        model="he-torrance",
+        parameters={
+            "sigma0_um": round(sigma0, 3),
+            "tau_um": round(sigma0 * float(rng.uniform(5.0, 16.0)) + 0.5, 3),
+            "ior": METALS[int(rng.integers(len(METALS)))],
+            "diffuse_albedo": round(float(rng.choice([0.0, 0.1, 0.3])), 1),
+        },
+    )
+
+
+def plan_around_spikes(rng: np.random.Generator, kind: str, most: int = MOST) -> Plan:
+    """Points around the mirror directions of one to three angles of incidence."""
+    incidences = np.round(np.sort(rng.uniform(30.0, 80.0, int(rng.integers(1, 4)))), int(rng.integers(0, 2)))
+    out: list[tuple[float, float, float]] = []
+    for theta_i in incidences:
+        share = most // len(incidences)
+        step = float(np.round(math.exp(rng.uniform(math.log(0.1), math.log(5.0))), 2))
+        start = float(rng.choice([0.0, round(float(rng.uniform(0.0, step)), 2)]))
+        if kind == "zoom":
+            step = float(np.round(rng.uniform(0.1, 0.6), 1))
+        if kind in ("curve", "zoom", "mixed", "both"):
+            half = min(share // (2 if kind in ("curve", "zoom") else 4), math.floor(90.0 / step))
+            out += [(theta_i, theta_i + start + k * step, 180.0) for k in range(-half, half + 1)]
+        if kind == "mixed":
+            fine = float(np.round(rng.uniform(0.1, 1.0), 1))
+            out += [(theta_i, theta_i + k * fine, 180.0) for k in range(-share // 6, share // 6 + 1)]
+        if kind in ("out of plane", "both"):
+            turns = step / math.sin(math.radians(theta_i)) * np.arange(-2, 3) + float(rng.choice([0.0, step / 2]))
+            out += [(theta_i, theta_i + start + k * step, 180.0 + turn) for k in range(-2, 3) for turn in turns]
+        if kind == "few":
+            apart = rng.uniform(-1.3, 1.3, (int(rng.integers(1, 5)), 2))
+            out += [(theta_i, theta_i + x, 180.0 + y / math.sin(math.radians(theta_i))) for x, y in apart]
+    points = []
+    for theta_i, theta_r, dphi in out:
+        turn = dphi if theta_r >= 0 else dphi + 180.0
+        if abs(theta_r) <= 86.0:
+            points.append(Point(float(theta_i), 0.0, round(abs(float(theta_r)), 6), round(float(turn) % 360.0, 6)))
+    return Plan(kind, (500.0,), tuple(dict.fromkeys(points)), 0, "campaign")
+
+
+def measured_around_spikes(
+    folder: Path, seed: int, number: int, most: int = MOST
+) -> tuple[pd.DataFrame, SampleDescription, Plan]:
+    """The table of one plan, measured unless its run is there, and reduced."""
+    rng = np.random.default_rng([seed, number])
+    what, chosen = spiked_sample(rng), plan_around_spikes(rng, SPIKE_PLANS[number % len(SPIKE_PLANS)], most)
+    out = folder / f"{seed}-{number}"
+    if not (out / "run.toml").exists():
+        carry_out(
+            chosen, rig(bool((number // len(SPIKE_PLANS)) % 2)), out, sample=what, seed=1000 * seed + number, yes=True
+        )
+    return brdf.reduce(Run.open(out)), what, chosen
+
 
 PLANS = ("scattered", "around the mirror", "few", "incidences", "curves", "one curve", "mixed")
 SAMPLES = ("he-torrance", "he-torrance", "cook-torrance", "cook-torrance", "blinn", "oren-nayar", "lambert")
@@ -141,52 +209,13 @@ def truth(table: pd.DataFrame, what: SampleDescription) -> Floats:
     ))  # fmt: skip
 
 
-def chi_square(table: pd.DataFrame, off: Floats, less: Floats | float = 0.0) -> float:
-    """Of departures from the truth, with the table's covariance; `less` is taken from the squares of `u_random`."""
+def chi_square(table: pd.DataFrame, off: Floats) -> float:
+    """Of departures from the truth, with the table's covariance."""
     common = table[[name for name in table if name.startswith("s_")]].to_numpy(dtype=float)
-    random = table["u_random"].to_numpy(dtype=float) ** 2 - less
+    random = table["u_random"].to_numpy(dtype=float) ** 2
     return float(off @ np.linalg.solve(np.diag(random) + common @ common.T, off))
 
 
-def main() -> None:
-    """Measure, reduce, and print a line for each campaign."""
-    arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    arguments.add_argument("--seed", type=int, default=1)
-    arguments.add_argument("--first", type=int, default=0)
-    arguments.add_argument("--count", type=int, default=28)
-    arguments.add_argument("--model", help="one family instead of drawn ones; anisotropic is not drawn")
-    arguments.add_argument("--without-steps", action="store_true")
-    arguments.add_argument("--out", type=Path, required=True)
-    options = arguments.parse_args()
-    found: dict[str, list[tuple[float, int]]] = {}
-    for number in range(options.first, options.first + options.count):
-        parts, (what, chosen, which) = measured(options.out, options.seed, number, options.model)
-        good = (parts.table["flag"] == "").to_numpy()
-        table, budget = parts.table[good], parts.budget[good]
-        off = table["brdf"].to_numpy() - truth(table, what)
-        chi = chi_square(table, off, options.without_steps * budget["coarse_steps"].to_numpy() ** 2)
-        pulls = off / table["u_brdf"].to_numpy()
-        worst = int(np.argmax(abs(pulls)))
-        found.setdefault(chosen.name, []).append((chi, off.size))
-        row = table.iloc[worst]
-        print(
-            f"{number:3d} {chosen.name:17s} {what.model:13s} {which[0]:13s} {'azimuth' if which[1] else 'tilt':7s} "
-            f"{off.size:3d} rows, chi-square/n {chi / off.size:5.2f}, p {chdtrc(off.size, chi):.1e}, largest "
-            f"{pulls[worst]:6.2f} at {row['theta_i_deg']:.2f} {row['theta_r_deg']:.2f} "
-            f"{(row['phi_r_deg'] - row['phi_i_deg']) % 360:.1f}: {row['brdf']:.4g} +- {row['u_brdf']:.2g}; "
-            f"median u {100 * np.median(table['u_brdf'] / abs(table['brdf'])):.2f} %",
-            flush=True,
-        )
-    found["all"] = [one for some in found.values() for one in some]
-    for name, some in found.items():
-        chi, count = np.array(some, dtype=float).T
-        mean, p = chi / count, chdtrc(count, chi)
-        print(
-            f"{name:17s} {len(some):3d} campaigns: chi-square/n {mean.mean():.3f} +- "
-            f"{mean.std(ddof=min(1, len(some) - 1)) / math.sqrt(len(some)):.3f}, median {np.median(mean):.2f}; "
-            f"below 1 %: {np.sum(p < 0.01)}, below 5 %: {np.sum(p < 0.05)}, above 95 %: {np.sum(p > 0.95)}"
-        )
-
-
-if __name__ == "__main__":
-    main()
+def pulls(table: pd.DataFrame, what: SampleDescription) -> Floats:
+    """(brdf - truth) / u_brdf of every row; NaN where a flag says why it is not to be used."""
+    return np.where(table["flag"] == "", (table["brdf"] - truth(table, what)) / table["u_brdf"], np.nan)

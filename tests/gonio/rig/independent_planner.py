@@ -1,7 +1,5 @@
 """Is anything hit on a way that was planned, and is what was refused refused for a true reason? Random rigs and plans.
 
-    python tools/planner_campaign.py --count 10000 --seed 1
-
 Each draw is a rig (arms, tilt or azimuth, limits, sides of approach, errors of alignment, bodies, a cable) and some
 directions. What looks at the result shares nothing with the planner but the rig file: its own rotations, distances by
 projecting to and fro, and moves whose axes go each at a speed of its own, from places beside those that were meant.
@@ -9,7 +7,6 @@ projecting to and fro, and moves whose axes go each at a speed of its own, from 
 
 from __future__ import annotations
 
-import argparse
 import math
 import re
 from collections import Counter
@@ -299,9 +296,6 @@ def motion(
     return {name: np.interp(grid, *track) for name, track in tracks.items()}, replace(goal, **landed)
 
 
-# ---- the campaign ----
-
-
 def examine(rng: np.random.Generator, found: Found, points: int = 5, samples: int = SAMPLES) -> None:
     """One rig with some directions."""
     rig = some_rig(rng)
@@ -374,28 +368,3 @@ def _judge_refusal(rig: RigDescription, d: Directions, why: Unreachable, found: 
         left = spare(rig, read, bodies)
         if left > STATED_MM + rounding:
             found.wrong.append(f"{left:.2f} mm to spare: {part}")
-
-
-def main() -> None:
-    """Run the campaign, and say what came out."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--count", type=int, default=200, help="rigs to draw")
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--samples", type=int, default=SAMPLES, help="moments of a move that are looked at")
-    asked = parser.parse_args()
-    found = Found()
-    for number in range(asked.count):
-        examine(np.random.default_rng([asked.seed, number]), found, samples=asked.samples)
-    print(f"{asked.count} rigs: {found.accepted} points accepted, {found.refused.total()} refused, {found.moves} moves")
-    print(
-        f"worst inverse {found.worst_inverse:.1e} rad; {found.closed} beside directions that errors of alignment close"
-    )
-    print(f"smallest gap on any way: {found.smallest_spare_mm:.3f} mm beyond the clearance")
-    for cause, count in found.refused.most_common(12):
-        print(f"{count:6d} {cause}")
-    print(f"{len(found.wrong)} wrong", *found.wrong[:10], sep="\n  ")
-    raise SystemExit(bool(found.wrong))
-
-
-if __name__ == "__main__":
-    main()
