@@ -227,11 +227,15 @@ def htsg() -> list[Any]:
 
 
 def cook(p: JsonObject) -> Any:
-    return lambda *a: oracles.cook_torrance(*a, p["slopes"], complex(p["n"], p["k"]), "beckmann")
+    return lambda i, p_i, r, p_r: oracles.cook_torrance(
+        i, p_i, r, p_r, p["slopes"], complex(p["n"], p["k"]), "beckmann"
+    )
 
 
 def blinn(p: JsonObject) -> Any:
-    return lambda *a: oracles.blinn(*a, p["c"], p["ior"], p["distribution"], mp.mpf(p["k_d"]), mp.mpf(p["k_s"]))
+    return lambda i, p_i, r, p_r: oracles.blinn(
+        i, p_i, r, p_r, p["c"], p["ior"], p["distribution"], mp.mpf(p["k_d"]), mp.mpf(p["k_s"])
+    )
 
 
 def phong(p: JsonObject) -> Any:
@@ -243,7 +247,7 @@ def phong(p: JsonObject) -> Any:
 
 
 def oren(p: JsonObject) -> Any:
-    return lambda *a: oracles.oren_nayar(*a, p["albedo"], mp.mpf(p["sigma_deg"]) * mp.pi / 180)
+    return lambda i, p_i, r, p_r: oracles.oren_nayar(i, p_i, r, p_r, p["albedo"], mp.mpf(p["sigma_deg"]) * mp.pi / 180)
 
 
 def closed() -> dict[str, list[Any]]:

@@ -211,7 +211,7 @@ def truth(table: pd.DataFrame, what: SampleDescription) -> Floats:
 
 def chi_square(table: pd.DataFrame, off: Floats) -> float:
     """Of departures from the truth, with the table's covariance."""
-    common = table[[name for name in table if name.startswith("s_")]].to_numpy(dtype=float)
+    common = table[[name for name in table.columns if name.startswith("s_")]].to_numpy(dtype=float)
     random = table["u_random"].to_numpy(dtype=float) ** 2
     return float(off @ np.linalg.solve(np.diag(random) + common @ common.T, off))
 

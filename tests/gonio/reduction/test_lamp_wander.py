@@ -17,15 +17,15 @@ EVERY_S = 300.0
 
 def lamp(rng: np.random.Generator, kind: str, size: float, count: int) -> tuple[Floats, Floats, Floats, Floats]:
     """Times and values of visits, times between them, and the true level there."""
-    visits = EVERY_S * np.arange(count)
+    visits = EVERY_S * np.arange(float(count))
     at = EVERY_S * np.arange(0.5 / 6, count - 1, 1.0 / 6)
     every = np.sort(np.concatenate([visits, at]))
-    level = 1.0 + size * every / EVERY_S
+    level = np.asarray(1.0 + size * every / EVERY_S)
     if kind == "walk":
         level = 1.0 + np.cumsum(size * np.sqrt(np.diff(every, prepend=0.0) / EVERY_S) * rng.standard_normal(every.size))
     if kind == "warm":
         level = 1.0 - size * np.exp(-every / 400.0)
-    seen = np.interp(visits, every, level) * (1.0 + NOISE * rng.standard_normal(count))
+    seen = np.asarray(np.interp(visits, every, level) * (1.0 + NOISE * rng.standard_normal(count)))
     return visits, seen, at, np.interp(at, every, level)
 
 
