@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
-from typing import Generic, NoReturn, Protocol, TypeVar
+from typing import Generic, NoReturn, TypeVar
 
 from gonio.errors import ConfigError, DeviceError
 from gonio.rig import Pose, motion_planning
-from gonio.rig.description import RigDescription
+from gonio.rig.description import Axis, RigDescription
+
+log = logging.getLogger("gonio.devices")
 
 AXES = tuple(field.name for field in fields(Pose))
 ROUNDING_DEG = 1e-6
+STOPS_DEG = 2.0
+"""What the reading of an axis that leans against a hard stop may lie beyond it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,13 +32,63 @@ class ArmsReading:
     """Of several readings, the largest less the smallest [rad]."""
 
 
-class AnyJoint(Protocol):
+@dataclass
+class AnyJoint(ABC):
     """An axis and what turns it."""
 
+    name: str
+    axis: Axis
+    limits_deg: tuple[float, float]
+    approach_deg: float
+    """From how far below its goal it arrives; negative: from above."""
+    hard_stops_deg: tuple[float, float] | None
+    stood_at: float | None = field(default=None, kw_only=True)
+    """What was read where it landed; None where it may have been moved since."""
+
     @property
-    def limits_deg(self) -> tuple[float, float]: ...
+    @abstractmethod
+    def key(self) -> str:
+        """The table of the rig file that describes it."""
+
     @property
-    def park_deg(self) -> float | None: ...
+    @abstractmethod
+    def park_deg(self) -> float | None:
+        """Where it rests, if the rig file says so."""
+
+    @abstractmethod
+    def run_up_deg(self, goal_deg: float) -> float:
+        """How long the last part of its way to a goal is, inside its limits [deg]."""
+
+    @property
+    def offset_deg(self) -> float:
+        """What the encoder reads at the true zero, as far as it is known [deg]."""
+        return self.axis.zero_offset_deg if self.axis.zero_offset_known else 0.0
+
+    def warn_of_backlash(self, goal_deg: float, rounding_deg: float = 0.0) -> None:
+        """Say so where a limit leaves no way that takes up the axis's backlash."""
+        way = self.run_up_deg(goal_deg)
+        if way < min(self.axis.backlash_deg, abs(self.approach_deg)) - rounding_deg:
+            log.warning(
+                "axis %s at %g deg, %.2f deg from its limit: its backlash of %g deg is not taken up there, and it may "
+                "stand that far off what it reads", self.name, goal_deg, way, self.axis.backlash_deg,
+            )  # fmt: skip
+
+    def require_between_stops(self, at_deg: float, zeros: str) -> None:
+        """Raise `DeviceError` where it reads an angle beyond what stops it: then its zero is wrong, and its limits."""
+        lower, upper = self.hard_stops_deg or (-math.inf, math.inf)
+        if not lower - STOPS_DEG <= at_deg <= upper + STOPS_DEG:
+            raise DeviceError(
+                f"axis {self.name} reads {at_deg:.2f} deg, beyond its hard stops at {lower:g} and {upper:g} deg: its "
+                f"zero is wrong (zero_offset_deg of the axis, or {self.key}.{zeros})"
+            )
+
+
+def axis_of(
+    description: RigDescription, name: str
+) -> tuple[str, Axis, tuple[float, float], float, tuple[float, float] | None]:
+    """What a joint begins with: name, axis, limits, side of approach and hard stops, as the rig file has them."""
+    limits, stops = description.limits_deg()[name], description.hard_stops_deg()[name]
+    return name, description.axes()[name], limits, description.approach_deg()[name], stops
 
 
 J = TypeVar("J", bound=AnyJoint)
@@ -45,7 +100,9 @@ class Arms(ABC, Generic[J]):
     unparked = "not parked"
     """What is said of axes that are absent."""
 
-    def __init__(self, description: RigDescription, every: dict[str, J]) -> None:
+    def __init__(self, description: RigDescription, every: dict[str, J], table: str) -> None:
+        park = {n: joint.park_deg for n, joint in every.items() if n in AXES and joint.park_deg is not None}
+        motion_planning.require_parking(description, park, table + ".axes.{}.park_deg")
         self._description = description
         self.every = every
         """All axes of the rig file, `absent` ones too, and the changer."""
@@ -94,9 +151,9 @@ class Arms(ABC, Generic[J]):
 
     def jog(self, goals: Mapping[str, float]) -> dict[str, float]:
         """Drive some axes [rad], and leave the others where they are; the readback of those [rad]; errors of `move`."""
-        return self._jog(goals)
+        return self._jog(goals, parking=False)
 
-    def _jog(self, goals: Mapping[str, float], *, parking: bool = False) -> dict[str, float]:
+    def _jog(self, goals: Mapping[str, float], *, parking: bool) -> dict[str, float]:
         for name in goals:
             if name in self.absent:
                 raise DeviceError(f"axis {name} cannot be moved: {self.absent[name]}")
@@ -162,12 +219,9 @@ class Arms(ABC, Generic[J]):
         try:
             self.allowed()
             return self._drive(goals, parking=parking)
-        except DeviceError:
+        except BaseException as error:
             self.stop()
-            self.faulted = True
-            raise
-        except BaseException:
-            self.stop()
+            self.faulted = isinstance(error, DeviceError)
             raise
 
     def _fail(self, message: str) -> NoReturn:

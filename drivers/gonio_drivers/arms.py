@@ -17,20 +17,29 @@ from collections.abc import Mapping
 from types import TracebackType
 from typing import Self
 
+from dynamixel_sdk import INST_PING
+
 from gonio.errors import ConfigError, DeviceError, Disturbed
-from gonio.rig import Pose, Target, clock, motion_planning
+from gonio.rig import Pose, Target, clock
 from gonio.rig.description import RigDescription
-from gonio_drivers import joint_reports, joint_settings, presence, settings, signals, watchdog
+from gonio_drivers import dynamixel, joints, preparation, settings, signals, watchdog
 from gonio_drivers.any_arms import AXES, Arms, ArmsReading
 from gonio_drivers.arrival import LARGEST_CORRECTION_DEG, STILL_COUNTS
 from gonio_drivers.dynamixel import Bus
 from gonio_drivers.joints import Joint
 from gonio_drivers.motion import Motion
+from gonio_drivers.sdk import Packets
 
 log = logging.getLogger("gonio.devices")
 
 LOOKS, SECOND_LOOKS = 5, 9
 """Readings whose mean tells where an axis stands, and whether it has left the place where it landed."""
+SECOND_S = 0.02
+"""The answer of a second servo follows the first one within this time, behind an adapter's latency of 16 ms."""
+PINGS = 3
+"""Late answers look like those of a second servo, but not so often one after the other."""
+LONGER = 4
+"""How many times longer each ping is listened to than the one before: an answer may be late, or this computer busy."""
 
 
 class ServoArms(Arms[Joint]):
@@ -54,19 +63,15 @@ class ServoArms(Arms[Joint]):
         self._servos = servos
         self.bus = Bus(servos.port, servos.baud)
         every = {
-            name: joint_settings.joint(self.bus, description, name, servos.axes[name])  # type: ignore[index]
+            name: preparation.joint_of(self.bus, description, name, servos.axes[name])  # type: ignore[index]
             for name in description.axes()
         }
         if servos.changer is not None:
-            every["changer"] = joint_settings.changer_joint(
-                self.bus, servos.changer, description.acquisition.approach_deg
-            )
-        super().__init__(description, every)
+            every["changer"] = preparation.changer_joint(self.bus, servos.changer, description.acquisition.approach_deg)
+        super().__init__(description, every, "devices.servos")
         self.joints.update(every)
         for joint in every.values():
-            joint.check_acceleration(servos.acceleration_deg_per_s2)
-        park: dict[str, float] = {n: axis.park_deg for n, axis in servos.axes.items() if axis.park_deg is not None}
-        motion_planning.require_parking(description, park, "devices.servos.axes.{}.park_deg")
+            preparation.check_acceleration(joint, servos.acceleration_deg_per_s2)
         self._motion = Motion(self.bus, self.joints, servos, lambda: self.allowed())
         self.holds = servos.on_exit == "hold"
         self.deaf = False
@@ -79,13 +84,13 @@ class ServoArms(Arms[Joint]):
         try:
             self.joints.clear()
             self.joints.update(self.every)
-            self.absent = presence.leave_out(self.bus, self.joints) if self.partial else {}
+            self.absent = _leave_out(self.bus, self.joints) if self.partial else {}
             for joint in self.joints.values() if not self.partial else ():
                 joint.identify()
-                presence.require_alone(joint)
+                require_alone(joint)
             for name, joint in list(self.joints.items()):
                 try:
-                    joint.prepare(self._servos.acceleration_deg_per_s2)
+                    preparation.prepare(joint, self._servos.acceleration_deg_per_s2)
                 except DeviceError as failure:
                     if not self.partial or len(self.joints) == 1:
                         raise
@@ -128,7 +133,7 @@ class ServoArms(Arms[Joint]):
         for name, count in read.counts.items():
             self.joints[name].stood_at = count
         for name, goal in goals.items() if not parking else ():
-            self.joints[name].warn_of_play(goal)
+            self.joints[name].warn_of_backlash(goal, 0.5 / abs(self.joints[name].counts_per_deg))
         return read.pose
 
     def read(self) -> Pose:
@@ -204,7 +209,7 @@ class ServoArms(Arms[Joint]):
         DeviceError
             It is far from its place, or its servo is unwell; every axis has been stopped.
         """
-        reports = joint_reports.reports(self.bus, self.joints.values())
+        reports = joints.reports(self.bus, self.joints.values())
         for name, report in reports.items():
             try:
                 self.joints[name].keep_profile(report.profile)
@@ -225,7 +230,7 @@ class ServoArms(Arms[Joint]):
                 self._fail(f"{disturbed}; all axes are stopped")
             joint.landed_at = joint.stood_at = None
         try:
-            joint_reports.require_torque(self.bus, self.joints.values())
+            joints.require_torque(self.bus, self.joints.values())
         except DeviceError as failure:
             self._fail(str(failure))
         if disturbed:
@@ -241,7 +246,7 @@ class ServoArms(Arms[Joint]):
     def _readback(self, looks: int = 1) -> ArmsReading:
         """Where the axes stand: the mean of several readings."""
         before = clock.monotonic()
-        seen = [joint_reports.reports(self.bus, self.joints.values()) for _ in range(looks)]
+        seen = [joints.reports(self.bus, self.joints.values()) for _ in range(looks)]
         after = clock.monotonic()
         places = {name: [reports[name].position for reports in seen] for name in seen[0]}
         counts = {name: statistics.fmean(place) for name, place in places.items()}
@@ -249,3 +254,55 @@ class ServoArms(Arms[Joint]):
         spread = {n: math.radians(self.joints[n].distance_deg(max(places[n]), min(places[n]))) for n in axes}
         self.last = ArmsReading(Pose(**axes), (before + after) / 2, counts, Pose(**spread))
         return self.last
+
+
+def require_alone(joint: Joint) -> None:
+    """Raise `DeviceError` where two servos answer to a joint's id: both would obey what is meant for one.
+
+    Two whole answers to one ping tell that, and one tells that it is alone. Silence tells nothing: it is asked again,
+    and where no answer is heard at all, this raises `BusError`. Where answers damage each other, no transaction
+    succeeds anyway.
+    """
+    most = 0
+    for look in range(PINGS):
+        heard = joint.bus.overhear(joint.id, INST_PING, listen_s=SECOND_S * LONGER**look)
+        answers = sum(packet[4] == joint.id for packet in Packets().whole(heard))
+        if answers == 1:
+            return
+        most = max(most, answers)
+    if most == 0:
+        raise dynamixel.BusError(
+            f"servo id {joint.id} on {joint.bus.port}: no whole answer to {PINGS} pings, so nobody knows whether one "
+            "servo has this id or two; check its cable and supply"
+        )
+    raise DeviceError(
+        f"{joint.key}.id = {joint.id}: two servos answer to this id on {joint.bus.port}; connect one at a time, and "
+        "give each its own (gonio rig ids --set-id)"
+    )
+
+
+def _leave_out(bus: Bus, there: dict[str, Joint]) -> dict[str, DeviceError]:
+    """Take those joints out of `there` whose servos do not answer, are of another model, or not alone with
+    their id; why, by axis.
+
+    Raises
+    ------
+    DeviceError
+        None of them answers; the message says what is found instead.
+    """
+    absent: dict[str, DeviceError] = {}
+    for name, joint in there.items():
+        try:
+            joint.identify_model()
+            require_alone(joint)
+        except dynamixel.BusError as failure:
+            if not absent and joint is next(iter(there.values())) and not bus.discover(rounds=1):
+                joint.identify()  # nobody is there: a longer search, and a better message
+            absent[name] = DeviceError(f"{joint.key}.id = {joint.id}: {failure}{bus.elsewhere(joint.id)}")
+        except DeviceError as failure:
+            absent[name] = failure
+    if len(absent) == len(there):
+        raise DeviceError("no servo of the rig file can be used: " + "; ".join(map(str, absent.values())))
+    for name in absent:
+        del there[name]
+    return absent

@@ -13,8 +13,7 @@ import statistics
 from dataclasses import dataclass, field
 from typing import Literal
 
-from gonio_drivers.joint_reports import Report
-from gonio_drivers.joints import Joint
+from gonio_drivers.joints import Joint, Report
 
 Verdict = Literal["on its way", "landed", "short", "stuck"]
 

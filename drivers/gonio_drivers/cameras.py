@@ -58,9 +58,7 @@ class Unbuilt:
     def __enter__(self) -> Self:
         raise self._error
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """It was never open."""
 
     def capture(self, exposure_s: float) -> Frame:
@@ -84,6 +82,6 @@ def uvc(description: RigDescription, table: TomlTable) -> OpenableCamera:
 
 def sequence(description: RigDescription, table: TomlTable) -> OpenableCamera:
     """Images from a folder."""
-    from gonio_drivers.sequence_camera import SequenceCamera
+    from gonio_drivers.folder_camera import SequenceCamera
 
     return SequenceCamera(description, parse(settings.SequenceCamera, table, SOURCE))

@@ -8,13 +8,13 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from gonio.rig import Pose, clock
-from gonio_drivers.stage_arms import StageArms
+from gonio_drivers.stages import StageArms
 
 if TYPE_CHECKING:
+    from gonio_drivers.any_arms import AnyJoint
     from gonio_drivers.arms import ServoArms
     from gonio_drivers.joints import Joint
     from gonio_drivers.light import SerialLight
-    from gonio_drivers.stages import Joint as StageJoint
 
 Row = tuple[str, str, bool]
 
@@ -113,7 +113,7 @@ def _axes(here: Pose, arms: ServoArms | StageArms) -> list[str]:
     return [name for name in arms.joints if hasattr(here, name)]
 
 
-def _aside(angle: float, joint: Joint | StageJoint) -> float:
+def _aside(angle: float, joint: AnyJoint) -> float:
     """A little away from an angle, toward the middle of the axis's range [rad]."""
     middle = sum(joint.limits_deg) / 2
     at = math.degrees(angle)

@@ -12,12 +12,12 @@ import serial
 
 from gonio.errors import DeviceError
 from gonio.rig import FoundServo
-from gonio_drivers import control_table, joints, ports
+from gonio_drivers import control_table, ports
 from gonio_drivers.dialect import DIALECTS, Dialect, dialect
 from gonio_drivers.dynamixel import Bus
+from gonio_drivers.joints import COUNTS, POSITION_MODE, Servo
 from gonio_drivers.patience import Patience
 
-POSITION_MODE = 3
 WIGGLE_COUNTS = 34
 """3 degrees: enough to see, and too little to hit anything."""
 SLOW = 25
@@ -38,11 +38,8 @@ def lamp_on(port: str) -> tuple[str, str] | None:
     """
     for name in DIALECTS:
         spoken = dialect(name)
-        try:
-            with ports.opened(port, int(spoken.baud), LISTEN_S) as line:
-                answer = _name(line, spoken)
-        except (*ports.FAILURES, ValueError) as error:
-            raise ports.unopened(port, error, "port") from None
+        with ports.in_use(port, "port"), ports.opened(port, int(spoken.baud), LISTEN_S, "port") as line:
+            answer = _name(line, spoken)
         if answer is not None:
             return name, answer
     return None
@@ -73,15 +70,12 @@ def _name(line: serial.Serial, spoken: Dialect) -> str | None:
 
 def is_release(port: str) -> bool:
     """Whether a release box answers a line that it does not know, and so makes no exposure."""
-    try:
-        with ports.opened(port, RELEASE_BAUD, LISTEN_S) as line:
-            for _ in range(2):
-                line.reset_input_buffer()
-                line.write(b"\n?\n")
-                if b"ERR" in line.read_until(b"\n") + line.read_until(b"\n"):
-                    return True
-    except (*ports.FAILURES, ValueError) as error:
-        raise ports.unopened(port, error, "port") from None
+    with ports.in_use(port, "port"), ports.opened(port, RELEASE_BAUD, LISTEN_S, "port") as line:
+        for _ in range(2):
+            line.reset_input_buffer()
+            line.write(b"\n?\n")
+            if b"ERR" in line.read_until(b"\n") + line.read_until(b"\n"):
+                return True
     return False
 
 
@@ -93,20 +87,14 @@ def count_of(servo: FoundServo) -> int:
     DeviceError
         It counts the other way round: what it will read once it does not is not known.
     """
-    table = control_table.of_model(servo.model)
     with Bus(servo.port, servo.baud) as bus:
-
-        def get(name: str) -> int:
-            item = table[name]
-            return item.decode(bus.read(servo.id, item.address, item.size), item.address)
-
-        count = joints.shaft_count(get)
+        count = Servo(bus, servo.id, control_table.of_model(servo.model)).undisplaced_count()
     if count is None:
         raise DeviceError(
             f"servo id {servo.id} is in reverse mode (Drive Mode, bit 0), which no rig uses: reset it with the "
             "Dynamixel Wizard"
         )
-    return count % joints.COUNTS
+    return count % COUNTS
 
 
 def wiggle(servo: FoundServo) -> None:
@@ -117,16 +105,9 @@ def wiggle(servo: FoundServo) -> None:
     DeviceError
         It does not answer, or does not move; its torque is off then.
     """
-    table = control_table.of_model(servo.model)
     with Bus(servo.port, servo.baud) as bus:
-
-        def get(name: str) -> int:
-            item = table[name]
-            return item.decode(bus.read(servo.id, item.address, item.size), item.address)
-
-        def put(name: str, value: int) -> None:
-            bus.write(servo.id, table[name].address, table[name].encode(value))
-
+        wiggled = Servo(bus, servo.id, control_table.of_model(servo.model))
+        get, put = wiggled.get, wiggled.write
         held = get("Torque Enable")
         if get("Operating Mode") != POSITION_MODE:
             put("Torque Enable", 0)

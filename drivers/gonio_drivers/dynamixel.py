@@ -22,18 +22,10 @@ import contextlib
 import logging
 import math
 import threading
-from collections.abc import Callable, Iterable, Mapping
-from types import TracebackType
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Self
 
-from dynamixel_sdk import (
-    COMM_RX_CORRUPT,
-    COMM_RX_TIMEOUT,
-    COMM_SUCCESS,
-    INST_PING,
-    INST_READ,
-    INST_WRITE,
-)
+from dynamixel_sdk import COMM_RX_CORRUPT, COMM_RX_TIMEOUT, COMM_SUCCESS, INST_PING, INST_READ, INST_WRITE
 
 from gonio.errors import ConfigError, DeviceError
 from gonio.rig import clock
@@ -62,6 +54,7 @@ ERRORS = {
     6: "the value is beyond a limit that is set in the servo",
     7: "the address cannot be read or written now (EEPROM is locked while torque is on)",
 }
+UNHEARD = {COMM_RX_TIMEOUT: "no answer", COMM_RX_CORRUPT: "a damaged answer"}
 HARDWARE_ERRORS = {
     0: "input voltage out of range",
     2: "overheated",
@@ -108,7 +101,7 @@ class Bus:
         """Sync reads in a row that nobody has answered."""
         self.noisy = 0
         """Answers with bytes beside them that belong to none."""
-        self._port = ExclusivePort(port)
+        self._port = ExclusivePort(port, f"{key}.port")
         self._packets = Packets()
         self._lock = threading.RLock()
 
@@ -116,43 +109,45 @@ class Bus:
         self.set_baud(self.baud)
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
-
-    def set_baud(self, baud: int) -> None:
-        """Open the port at a line speed; the lock is taken anew."""
-        ports.require_free(self.port, f"{self.key}.port")
-        try:
-            if not self._port.setBaudRate(baud):
-                known = ", ".join(map(str, BAUD_RATES))
-                raise ConfigError(f"{self.key}.baud = {baud}: the SDK has no such line speed; it has {known}")
-        except ports.FAILURES as error:
-            raise ports.unopened(self.port, error, f"{self.key}.port") from None
-
-    def close(self) -> None:
+    def __exit__(self, *_: object) -> None:
         """Close the port, and free it whatever was going on."""
         if self._port.is_open:
             self._port.closePort()
         self._port.is_using = False
 
+    def set_baud(self, baud: int) -> None:
+        """Open the port at a line speed; the lock is taken anew."""
+        ports.require_free(self.port, f"{self.key}.port")
+        if not self._port.setBaudRate(baud):
+            known = ", ".join(map(str, BAUD_RATES))
+            raise ConfigError(f"{self.key}.baud = {baud}: the SDK has no such line speed; it has {known}")
+
+    @contextlib.contextmanager
+    def _line(self) -> Iterator[None]:
+        """The line belongs to this thread, and is free before and after, whatever was interrupted."""
+        with self._lock, ports.in_use(self.port, f"{self.key}.port"):
+            if not self._port.is_open:
+                raise DeviceError(f"the servo bus on {self.port} is not open: enter the rig first")
+            self._port.is_using = False
+            try:
+                yield
+            finally:
+                self._port.is_using = False
+
     # ---- one servo ----
 
     def ping(self, identity: int) -> tuple[int, int]:
         """Model number and firmware version of a servo."""
-        data = self._repeat(identity, lambda: self._transact(identity, INST_PING, b"", 3))
+        data = self._repeat(identity, INST_PING, b"", 3)
         return int.from_bytes(data[:2], "little"), data[2]
 
     def read(self, identity: int, address: int, size: int) -> bytes:
         """`size` bytes of a servo's control table."""
-        request = address.to_bytes(2, "little") + size.to_bytes(2, "little")
-        return self._repeat(identity, lambda: self._transact(identity, INST_READ, request, size))
+        return self._repeat(identity, INST_READ, address.to_bytes(2, "little") + size.to_bytes(2, "little"), size)
 
     def write(self, identity: int, address: int, data: bytes) -> None:
         """Change a servo's control table."""
-        request = address.to_bytes(2, "little") + data
-        self._repeat(identity, lambda: self._transact(identity, INST_WRITE, request, 0))
+        self._repeat(identity, INST_WRITE, address.to_bytes(2, "little") + data, 0)
 
     def overhear(self, identity: int, instruction: int, parameters: bytes = b"", *, listen_s: float) -> bytes:
         """Everything that comes over the line after one request, whoever sends it, until nothing came for `listen_s`.
@@ -161,28 +156,20 @@ class Bus:
         time is over is heard, however long it was held up meanwhile. A line that never falls silent is listened to
         for `BABBLE_S` more at most.
         """
-        length = len(parameters) + 3
-        request = [0, 0, 0, 0, identity, length & 0xFF, length >> 8, instruction, *parameters, 0, 0]
-        heard = b""
-        end = math.inf
-        with self._lock:
-            try:
-                self._calm(0.0)
-                self._packets.txPacket(self._port, request)
-                self._port.setPacketTimeoutMillis(1e3 * listen_s)
-                while len(heard) <= LONGEST:
-                    # before the look: what has come by then is heard
-                    over = self._port.isPacketTimeout() or clock.monotonic() > end
-                    if more := self._port.readPort(1024):
-                        end = min(end, clock.monotonic() + listen_s + BABBLE_S)
-                        heard += more
-                        self._port.setPacketTimeoutMillis(1e3 * listen_s)
-                    elif over:
-                        break
-            except ports.FAILURES as error:
-                raise ports.lost(self.port, error, f"{self.key}.port") from None
-            finally:
-                self._port.is_using = False
+        heard, end = b"", math.inf
+        with self._line():
+            self._calm(0.0)
+            self._packets.txPacket(self._port, _request(identity, instruction, parameters))
+            self._port.setPacketTimeoutMillis(1e3 * listen_s)
+            while len(heard) <= LONGEST:
+                # before the look: what has come by then is heard
+                over = self._port.isPacketTimeout() or clock.monotonic() > end
+                if more := self._port.readPort(1024):
+                    end = min(end, clock.monotonic() + listen_s + BABBLE_S)
+                    heard += more
+                    self._port.setPacketTimeoutMillis(1e3 * listen_s)
+                elif over:
+                    break
         return heard
 
     def elsewhere(self, identity: int) -> str:
@@ -190,23 +177,20 @@ class Bus:
 
         Each speed is asked once, which takes a tenth of a second where nobody answers.
         """
-        found = None
         with self._lock:
             try:
                 for baud in speeds(self.port):
-                    if baud != self.baud and found is None:
+                    if baud != self.baud:
                         self.set_baud(baud)
                         with contextlib.suppress(BusError):
                             self._transact(identity, INST_PING, b"", 3)
-                            found = baud
+                            return (
+                                f"; one with this id answers at {baud} baud, and {self.key}.baud = {self.baud}: gonio "
+                                f"rig ids --set-baud {identity} {self.baud} gives it that speed"
+                            )
             finally:
                 self.set_baud(self.baud)
-        if found is None:
-            return ""
-        return (
-            f"; one with this id answers at {found} baud, and {self.key}.baud = {self.baud}: gonio rig ids --set-baud "
-            f"{identity} {self.baud} gives it that speed"
-        )
+        return ""
 
     # ---- several servos ----
 
@@ -216,16 +200,11 @@ class Bus:
         It is asked `rounds` times, 0.8 s each: what is damaged or lost in one is heard in another.
         """
         found: dict[int, tuple[int, int]] = {}
-        with self._lock:
-            for _ in range(rounds):
-                try:
-                    self._calm(0.0)
-                    heard, _ = self._packets.broadcastPing(self._port)  # empty, or damaged where replies collided
-                except ports.FAILURES as error:
-                    raise ports.lost(self.port, error, f"{self.key}.port") from None
-                finally:
-                    self._port.is_using = False
-                found |= {identity: (entry[0], entry[1]) for identity, entry in heard.items()}
+        for _ in range(rounds):
+            with self._line():
+                self._calm(0.0)
+                heard, _ = self._packets.broadcastPing(self._port)  # empty, or damaged where replies collided
+            found |= {identity: (entry[0], entry[1]) for identity, entry in heard.items()}
         return dict(sorted(found.items()))
 
     def read_all(self, ids: Iterable[int], address: int, size: int) -> dict[int, bytes]:
@@ -234,12 +213,7 @@ class Bus:
         with self._lock:
             if self.unheard >= ENOUGH:
                 return {identity: self.read(identity, address, size) for identity in wanted}
-            try:
-                blocks = self._sync_read(wanted, address, size)
-            except ports.FAILURES as error:
-                raise ports.lost(self.port, error, f"{self.key}.port") from None
-            finally:
-                self._port.is_using = False
+            blocks = self._sync_read(wanted, address, size)
             missing = [identity for identity in wanted if identity not in blocks]
             if missing:
                 self._calm(QUIET_S)
@@ -258,44 +232,26 @@ class Bus:
 
         It may follow a request that was interrupted, whose answer must not be taken for this one's.
         """
-        with self._lock:
-            try:
-                self._calm(0.0)
-                return self._sync_read(list(ids), address, size)
-            except ports.FAILURES as error:
-                raise ports.lost(self.port, error, f"{self.key}.port") from None
-            finally:
-                self._port.is_using = False
+        with self._line():
+            self._calm(0.0)
+            return self._sync_read(list(ids), address, size)
 
     def write_all(self, address: int, data: Mapping[int, bytes]) -> None:
         """Change several servos at once, by one sync write; no servo answers it: read back what matters."""
-        sizes = {len(d) for d in data.values()}
-        if len(sizes) != 1:
+        if len(sizes := {len(d) for d in data.values()}) != 1:
             raise ValueError("a sync write takes the same number of bytes for every servo")
-        (size,) = sizes
-        parameters = b"".join(bytes([identity]) + d for identity, d in data.items())
-        self._require_open()
-        with self._lock:
-            try:
-                self._port.is_using = False
-                self._packets.syncWriteTxOnly(self._port, address, size, list(parameters), len(parameters))
-            except ports.FAILURES as error:
-                raise ports.lost(self.port, error, f"{self.key}.port") from None
-            finally:
-                self._port.is_using = False
+        parameters = list(b"".join(bytes([identity]) + d for identity, d in data.items()))
+        with self._line():
+            self._packets.syncWriteTxOnly(self._port, address, *sizes, parameters, len(parameters))
 
     # ---- transactions ----
 
-    def _require_open(self) -> None:
-        if not self._port.is_open:
-            raise DeviceError(f"the servo bus on {self.port} is not open: enter the rig first")
-
-    def _repeat(self, identity: int, ask: Callable[[], bytes]) -> bytes:
+    def _repeat(self, identity: int, instruction: int, parameters: bytes, expected: int) -> bytes:
         """Ask until there is a good answer; before a repetition the line falls silent and the servo answers a ping."""
         with self._lock:
             for attempt in range(TRIES):
                 try:
-                    answer = ask()
+                    answer = self._transact(identity, instruction, parameters, expected)
                 except BusError as failure:
                     last = failure
                     self._calm(QUIET_S)
@@ -309,18 +265,11 @@ class Bus:
 
     def _transact(self, identity: int, instruction: int, parameters: bytes, expected: int) -> bytes:
         """One request and its reply; `expected` is the number of data bytes in a good reply."""
-        self._require_open()
-        length = len(parameters) + 3
-        request = [0, 0, 0, 0, identity, length & 0xFF, length >> 8, instruction, *parameters, 0, 0]
-        try:
-            self._port.is_using = False
-            reply, result, _ = self._packets.txRxPacket(self._port, request)
-        except ports.FAILURES as error:
-            raise ports.lost(self.port, error, f"{self.key}.port") from None
-        finally:
-            self._port.is_using = False
+        with self._line():
+            reply, result, _ = self._packets.txRxPacket(self._port, _request(identity, instruction, parameters))
         if result != COMM_SUCCESS:
-            raise BusError(f"servo id {identity} on {self.port} at {self.baud} baud: {_comm(result)}")
+            said = UNHEARD.get(result, f"the SDK reports {result}")
+            raise BusError(f"servo id {identity} on {self.port} at {self.baud} baud: {said}")
         self._tell_noise(self._port.received - len(reply))
         return self._data(identity, reply, expected)
 
@@ -343,22 +292,21 @@ class Bus:
         return data
 
     def _sync_read(self, ids: list[int], address: int, size: int) -> dict[int, bytes]:
-        self._require_open()
-        self._port.is_using = False
-        result = self._packets.syncReadTx(self._port, address, size, ids, len(ids), False)
         blocks: dict[int, bytes] = {}
         answered = 0
-        while result == COMM_SUCCESS and len(blocks) < len(ids):
-            reply, result = self._packets.rxPacket(self._port, False)
-            answered += len(reply)
-            if result == COMM_SUCCESS and reply[4] in ids:
-                if any(ids.index(known) >= ids.index(reply[4]) for known in blocks):
-                    self.unheard = 0
-                    return {}  # servos answer in turn: one of these is the answer to something older
-                try:
-                    blocks[reply[4]] = self._data(reply[4], reply, size)
-                except BusError:
-                    return blocks  # the caller reads the rest one by one
+        with self._line():
+            result = self._packets.syncReadTx(self._port, address, size, ids, len(ids), False)
+            while result == COMM_SUCCESS and len(blocks) < len(ids):
+                reply, result = self._packets.rxPacket(self._port, False)
+                answered += len(reply)
+                if result == COMM_SUCCESS and reply[4] in ids:
+                    if any(ids.index(known) >= ids.index(reply[4]) for known in blocks):
+                        self.unheard = 0
+                        return {}  # servos answer in turn: one of these is the answer to something older
+                    try:
+                        blocks[reply[4]] = self._data(reply[4], reply, size)
+                    except BusError:
+                        return blocks  # the caller reads the rest one by one
         if result == COMM_SUCCESS:
             self._tell_noise(self._port.received - answered)
         return blocks
@@ -375,9 +323,7 @@ class Bus:
 
     def _calm(self, quiet_s: float) -> None:
         """Let late replies come, and drop them."""
-        self._require_open()
-        self._port.is_using = False
-        try:
+        with self._line():
             clock.sleep(quiet_s)
             for _ in range(int(BABBLE_S / WAIT_S)):  # looks, and no clock: this computer may be held up between two
                 if not self._port.readPort(1024):
@@ -389,8 +335,6 @@ class Bus:
                     f"the servos' port, and {self.baud} their line speed?"
                 )
             self._port.clearPort()
-        except ports.FAILURES as error:
-            raise ports.lost(self.port, error, f"{self.key}.port") from None
 
     def _confirm(self, identity: int) -> None:
         """A ping whose own reply comes back: nothing older is on its way. Its failure is left to the next attempt."""
@@ -400,9 +344,10 @@ class Bus:
             self._calm(QUIET_S)
 
 
-def _comm(result: int) -> str:
-    known = {COMM_RX_TIMEOUT: "no answer", COMM_RX_CORRUPT: "a damaged answer"}
-    return known.get(result, f"the SDK reports {result}")
+def _request(identity: int, instruction: int, parameters: bytes) -> list[int]:
+    """An instruction packet; the SDK fills in its header and its checksum."""
+    length = len(parameters) + 3
+    return [0, 0, 0, 0, identity, length & 0xFF, length >> 8, instruction, *parameters, 0, 0]
 
 
 def hardware_error(byte: int) -> str:

@@ -1,4 +1,6 @@
-"""A tethered camera: a program or a release makes it expose, and RAW files appear in a folder.
+"""Frames from files: a tethered camera, whose RAW files appear in a folder, and the replay of an image sequence.
+
+A program or a release makes the tethered camera expose.
 
 The file says what was exposed: exposure and levels come from it, and an exposure that differs from what was asked is
 not used. Files are matched to exposures by count and order. A file that is late is waited for before the next exposure,
@@ -16,11 +18,12 @@ import stat
 import subprocess
 import time
 from collections import deque
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from types import TracebackType
 from typing import Self
 
+import numpy as np
 import serial
 
 from gonio import platform
@@ -35,6 +38,7 @@ from gonio_drivers.patience import Patience
 log = logging.getLogger("gonio.devices")
 
 POLL_S = 0.01
+PORT_KEY = "devices.camera.trigger.port"
 RELEASE_S = 2.0
 """A release box answers within this time."""
 WHOLE_S = 1.0
@@ -45,6 +49,10 @@ CROWDED = 2
 REMEMBERED = 64
 """Frames that a run may still have to copy are far fewer."""
 TAKEN = "taken"
+RAW = (".dng", ".cr2", ".nef", ".arw")
+IMAGES = (".png", ".tif", ".tiff")
+EXPOSURE_TOLERANCE = 1e-3
+"""Of the RAW files of a sequence."""
 
 
 class FolderCamera:
@@ -74,23 +82,15 @@ class FolderCamera:
         """Exposures in a row before which there were more files than had been asked for."""
 
     def __enter__(self) -> Self:
-        if not self._folder.is_dir():
-            raise ConfigError(
-                f'devices.camera.folder = "{self._folder}": there is no such folder; make it, or correct the key'
-            )
+        _require_folder(self._folder)
         trigger = self._camera.trigger
         if trigger.how == "serial":
-            ports.require_free(trigger.port, "devices.camera.trigger.port")
-            try:
-                self._release = ports.opened(trigger.port, int(trigger.baud), RELEASE_S)
-            except (*ports.FAILURES, ValueError) as error:
-                raise ports.unopened(trigger.port, error, "devices.camera.trigger.port") from None
+            ports.require_free(trigger.port, PORT_KEY)
+            self._release = ports.opened(trigger.port, int(trigger.baud), RELEASE_S, PORT_KEY)
         self._seen = set(self._files().items())
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         if self._release is not None:
             self._release.close()
             self._release = None
@@ -107,13 +107,12 @@ class FolderCamera:
             No usable file came, after several attempts.
         """
         self._description.require_exposure(exposure_s)
-        last: DeviceError | DataError | None = None
         for attempt in range(TRIES):
             self._await_stragglers(exposure_s)
             try:
                 self._trigger(exposure_s)
                 frame = self._frame(exposure_s)
-            except (NoFile, BadFile, DataError) as failure:
+            except UselessFile as failure:
                 log.warning("camera: %s; exposed again", failure)
                 last = failure
                 continue
@@ -151,12 +150,10 @@ class FolderCamera:
         """Ask the release box for an exposure; it answers OK when the shutter opens."""
         assert self._release is not None
         port = self._camera.trigger.port
-        try:
+        with ports.in_use(port, PORT_KEY):
             self._release.reset_input_buffer()
             self._release.write(f"EXPOSE {exposure_s:.9g}\n".encode())
             line = self._release.readline()
-        except ports.FAILURES as error:
-            raise ports.lost(port, error, "devices.camera.trigger.port") from None
         reply = line.decode("ascii", "replace").strip() if line.endswith(b"\n") else ""  # half an OK may be one
         if reply != "OK":
             self._owed -= 1 if reply else 0
@@ -165,11 +162,11 @@ class FolderCamera:
     def _frame(self, exposure_s: float) -> Frame:
         path, frame = self._take(exposure_s + self._camera.timeout_s)
         if isinstance(frame, DataError):
-            raise BadFile(str(frame))
+            raise UselessFile(str(frame))
         require_raw(self._description, frame, str(path))
         deviation = frame.exposure_s / exposure_s - 1
         if abs(deviation) > self._camera.exposure_tolerance:
-            raise BadFile(f"{path}: was exposed {frame.exposure_s:g} s, and {exposure_s:g} s were asked")
+            raise UselessFile(f"{path}: was exposed {frame.exposure_s:g} s, and {exposure_s:g} s were asked")
         return replace(frame, file=path)
 
     def _take(self, timeout_s: float) -> tuple[Path, Frame | DataError]:
@@ -289,9 +286,75 @@ def _read(path: Path, data: bytes) -> Frame | DataError:
     return frame
 
 
-class NoFile(DeviceError):
+class UselessFile(DeviceError):
+    """A file came that is not what was asked, or none."""
+
+
+class NoFile(UselessFile):
     """No file came."""
 
 
-class BadFile(DeviceError):
-    """A file came that is not what was asked."""
+def _require_folder(folder: Path) -> None:
+    if not folder.is_dir():
+        raise ConfigError(f'devices.camera.folder = "{folder}": there is no such folder; make it, or correct the key')
+
+
+class SequenceCamera:
+    """An image sequence, as a `CameraDevice`.
+
+    RAW files say their own exposure, and must have the one that is asked for. PNG and TIFF images (8 or 16 bit, grey)
+    are taken for linear levels at the exposure that is asked for, with the levels of the rig file.
+    """
+
+    def __init__(self, description: RigDescription, camera: settings.SequenceCamera) -> None:
+        self._folder = Path(camera.folder).expanduser()
+        self._description = description.camera
+        self._left: Iterator[Path] = iter(())
+
+    def __enter__(self) -> Self:
+        _require_folder(self._folder)
+        paths = sorted(p for p in self._folder.iterdir() if p.suffix.lower() in RAW + IMAGES)
+        if not paths:
+            raise ConfigError(f'devices.camera.folder = "{self._folder}": holds no frames ({", ".join(RAW + IMAGES)})')
+        self._left = iter(paths)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._left = iter(())
+
+    def capture(self, exposure_s: float) -> Frame:
+        """The next frame.
+
+        Raises
+        ------
+        ConfigError
+            The exposure is outside the limits of the rig file.
+        DeviceError
+            The sequence has ended, or the next frame has another size, pattern or bits, or was exposed otherwise.
+        DataError
+            The next file is damaged.
+        """
+        camera = self._description
+        camera.require_exposure(exposure_s)
+        path = next(self._left, None)
+        if path is None:
+            raise DeviceError(f"{self._folder}: the image sequence has ended")
+        frame = read_raw(path) if path.suffix.lower() in RAW else self._image(path, exposure_s)
+        require_raw(camera, frame, str(path))
+        if abs(frame.exposure_s / exposure_s - 1) > EXPOSURE_TOLERANCE:
+            raise DeviceError(f"{path}: was exposed {frame.exposure_s:g} s, and {exposure_s:g} s were asked")
+        return frame
+
+    def _image(self, path: Path, exposure_s: float) -> Frame:
+        import cv2
+
+        image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+        if image is None:
+            raise DataError(f"{path}: is no image that OpenCV reads")
+        if image.ndim != 2 or image.dtype not in (np.uint8, np.uint16):
+            raise DataError(f"{path}: has shape {image.shape} of {image.dtype}; a linear frame is grey, 8 or 16 bit")
+        camera = self._description
+        if image.dtype == np.uint8 and camera.bits > 8:
+            raise DeviceError(f"{path}: the image has 8 bits; the rig file says camera.bits = {camera.bits}")
+        levels = camera.black_level_dn, camera.white_level_dn
+        return Frame(image.astype(np.uint16), exposure_s, *levels, camera.pattern, time_s=clock.monotonic())

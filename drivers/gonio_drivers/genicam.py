@@ -10,7 +10,6 @@ from __future__ import annotations
 import contextlib
 import os
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
@@ -94,16 +93,14 @@ class GenICamCamera:
             self._camera = self._harvester.create(self._chosen())
             self._set_up()
         except self._failures as error:
-            self.__exit__(None, None, None)
+            self.__exit__()
             raise DeviceError(f"the {self._who} does not open: {error}") from None
         except BaseException:
-            self.__exit__(None, None, None)
+            self.__exit__()
             raise
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         camera, self._camera = self._camera, None
         harvester, self._harvester = self._harvester, None
         with contextlib.suppress(*self._failures):

@@ -11,13 +11,9 @@ Firmware can be told to restore its RAM at the start (Startup Configuration, bit
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Protocol
-
 from gonio.errors import ConfigError, DeviceError
 from gonio_drivers import dynamixel, settings, watchdog
-from gonio_drivers.control_table import Item
-from gonio_drivers.dynamixel import Bus
+from gonio_drivers.joints import Joint
 
 FIRST, ENTRIES = 17, 4
 """Indirect Address 17 to 20: the last that every model of the X series has."""
@@ -27,43 +23,6 @@ DIGIT = 64
 SIGN = LOWEST + 37
 STARTUP, RESTORES_RAM = 60, 0x02
 """The item Startup Configuration, which the SDK's tables lack."""
-
-
-class Joint(Protocol):
-    """An axis whose servo may count turns."""
-
-    @property
-    def id(self) -> int:
-        """Of its servo, on its bus."""
-
-    @property
-    def key(self) -> str:
-        """Its table in the rig file."""
-
-    @property
-    def name(self) -> str:
-        """Of the axis."""
-
-    @property
-    def bus(self) -> Bus:
-        """What the servo is reached by."""
-
-    @property
-    def servo(self) -> settings.ServoAxis:
-        """How the servo is built in."""
-
-    @property
-    def table(self) -> Mapping[str, Item]:
-        """Its control table."""
-
-    @property
-    def hard_stops_deg(self) -> tuple[float, float] | None:
-        """Where the axis meets metal."""
-
-    turns: int
-
-    def get(self, name: str) -> int:
-        """The value of an item of the table, now."""
 
 
 def check(joint: Joint, homing: settings.Homing) -> None:

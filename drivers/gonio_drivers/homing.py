@@ -18,8 +18,8 @@ import serial
 
 from gonio.errors import ConfigError, DeviceError
 from gonio.rig import Homed, clock
-from gonio_drivers import home_mark, joint_reports, settings, watchdog
-from gonio_drivers.joints import ACCELERATION_UNIT_DEG_S2, COUNTS, VELOCITY_UNIT_DEG_S, Joint
+from gonio_drivers import home_mark, joints, preparation, settings, watchdog
+from gonio_drivers.joints import COUNTS, Joint
 from gonio_drivers.patience import Patience
 
 POLL_S = 0.01
@@ -42,7 +42,6 @@ class Search:
     joint: Joint
     homing: settings.Homing
     closed: Callable[[], bool]
-    speed_deg_s: float
     allowed: Callable[[], None]
     """Raises where nothing may move."""
     _goal: int = 0
@@ -122,7 +121,7 @@ class Search:
         self._goal = max(joint.count_limits[0], min(joint.count_limits[1], goal))
         joint.write("Goal Position", self._goal)
         still, looked = _Still(), Patience()
-        while looked() < 1.5 * travel / self.speed_deg_s + 5.0:
+        while looked() < 1.5 * travel / joint.speed_deg_per_s + 5.0:
             clock.sleep(POLL_S)
             self.allowed()
             here = self._look()
@@ -143,18 +142,13 @@ class Search:
 
     def _sent_on(self, still: _Still) -> bool:
         """Whether the servo had stopped by its bus watchdog, because this program was held up; it goes on."""
-        joint = self.joint
-        if not joint.has_watchdog or joint.get(watchdog.ITEM) != watchdog.RUN_OUT:
-            return False
-        joint.write(watchdog.ITEM, watchdog.OFF)
-        joint.send_profile()  # before the goal: running out has set it to 0
-        joint.write("Goal Position", self._goal)
-        joint.write(watchdog.ITEM, watchdog.UNITS)
-        still.again()
-        return True
+        late = watchdog.send_on(self.joint, self._goal)
+        if late:
+            still.again()
+        return late
 
     def _look(self) -> int:
-        return joint_reports.reports(self.joint.bus, [self.joint])[self.joint.name].position
+        return joints.reports(self.joint.bus, [self.joint])[self.joint.name].position
 
     def _halt(self) -> None:
         """Stay here."""
@@ -201,21 +195,18 @@ def home(joint: Joint, say: Callable[[str], None], allowed: Callable[[], None]) 
         )
     allowed()
     joint.identify()
-    joint.prepare(ACCELERATION_DEG_S2, homed=False)
-    usual = joint.profile
-    gear = joint.servo.gear_ratio
-    speed = max(1, int(min(homing.speed_deg_per_s, joint.speed_deg_per_s) * gear / VELOCITY_UNIT_DEG_S))
-    rise = max(1, int(ACCELERATION_DEG_S2 * gear / ACCELERATION_UNIT_DEG_S2))
+    preparation.prepare(joint, ACCELERATION_DEG_S2, homed=False)
+    usual = joint.profile, joint.speed_deg_per_s
     with _switch(joint, homing) as closed:
-        joint.profile = joint.table["Profile Acceleration"].encode(rise) + joint.table["Profile Velocity"].encode(speed)
+        preparation.set_profile(joint, min(homing.speed_deg_per_s, joint.speed_deg_per_s), ACCELERATION_DEG_S2)
         joint.send_profile()
         if homing.current is not None and homing.how == "stall":
             joint.write("Goal Current", min(homing.current, joint.full_current))
         say(f"axis {joint.name}: looking for its {'stop' if homing.how == 'stall' else 'switch'}")
         try:
-            return Search(joint, homing, closed, speed * VELOCITY_UNIT_DEG_S / gear, allowed).run()
+            return Search(joint, homing, closed, allowed).run()
         finally:
-            joint.profile = usual
+            joint.profile, joint.speed_deg_per_s = usual
             joint.send_profile()
             if homing.how == "stall":
                 joint.write("Goal Current", joint.full_current)

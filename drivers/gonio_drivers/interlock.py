@@ -122,7 +122,7 @@ class ServoPort:
         joint.also[f"External Port Mode {number}"] = PULL_DOWN
 
     def open(self) -> None:
-        """The port must be an input with a pull-down, as `Joint.prepare` makes it."""
+        """The port must be an input with a pull-down, as `preparation.prepare` makes it."""
         if self._joint.get(f"External Port Mode {self._number}") != PULL_DOWN:
             raise DeviceError(
                 f"{KEY}: {self.name} is no input with a pull-down yet; a command that opens the arms makes it one, "

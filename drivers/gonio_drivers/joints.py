@@ -1,41 +1,39 @@
-"""One axis of a goniometer and the Dynamixel servo that turns it: angles and counts, identity, preparation, health.
+"""One axis of a goniometer and the Dynamixel servo that turns it: angles and counts, identity, reports, health.
 
-A servo is brought into Position mode with its own offset off, gets a profile velocity and acceleration and, where the
-rig file has one, a current limit; its goal is set to where it stands before its torque comes on, so that nothing turns.
+`gonio_drivers.preparation` makes joints from a rig file, and brings their servos into the state that moves rely on.
 """
 
 from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 from gonio.errors import ConfigError, DeviceError
-from gonio.rig.description import Axis
-from gonio_drivers import control_table, dynamixel, home_mark, settings, watchdog
+from gonio_drivers import control_table, dynamixel, settings
+from gonio_drivers.any_arms import AnyJoint
 from gonio_drivers.control_table import Item
 from gonio_drivers.dynamixel import Bus
 
 log = logging.getLogger("gonio.devices")
 
 COUNTS = 4096
-VELOCITY_UNIT_DEG_S = 0.229 * 6
-ACCELERATION_UNIT_DEG_S2 = 214.577 * 360 / 3600
 POSITION_MODE, EXTENDED_MODE, EXTENDED_CURRENT_MODE = 3, 4, 5
 REVERSE = 0x01
 """Bit of the Drive Mode."""
 VALID_OFFSET = 1024
-LARGEST_PROFILE = 32_767
-"""Of the items Profile Acceleration and Profile Velocity."""
-MOST_TURNS = 256
-SHADOW, LAST_ID, NO_ID = "Secondary(Shadow) ID", 252, 255
 PROFILE_ONGOING = 0x02
 """Bit of the Moving Status."""
-HELD_DEG = 2.0
-"""A servo that holds stands this close to its goal, corrections for friction included."""
 HOT_MARGIN_C = 3
 """Stop this far below the temperature at which the servo would let go by itself."""
+REPORTED = frozenset(
+    {
+        "Goal Position", "Moving", "Moving Status", "Present Current", "Present Load", "Present Position",
+        "Present Input Voltage", "Present Temperature",
+    }
+)  # fmt: skip
+"""Items that a report needs; all lie in one block from Profile Acceleration to Present Temperature."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,28 +43,64 @@ class Health:
     temperature_c: int
     voltage_v: float
     current: int
-    hardware_error: str = ""
 
 
 @dataclass(slots=True)
-class Joint:
-    """One axis and its servo."""
+class Report:
+    """One reading of a joint."""
+
+    position: int
+    moving: bool
+    """Faster than the servo's threshold, 14 deg/s as it comes."""
+    under_way: bool
+    """Its profile has not ended, however slow it is."""
+    goal: int
+    profile: bytes
+    current: int
+
+
+@dataclass
+class Servo:
+    """A servo on a bus, by the items of its control table."""
 
     bus: Bus
-    name: str
-    servo: settings.ServoAxis
-    axis: Axis
-    limits_deg: tuple[float, float]
+    id: int
     table: dict[str, Item]
-    approach_deg: float = 1.0
-    """From how far below its goal it arrives; negative: from above."""
-    hard_stops_deg: tuple[float, float] | None = None
+
+    def get(self, name: str) -> int:
+        """The value of an item of the control table, now."""
+        item = self.table[name]
+        return item.decode(self.bus.read(self.id, item.address, item.size), item.address)
+
+    def write(self, name: str, value: int) -> None:
+        """Change an item."""
+        item = self.table[name]
+        self.bus.write(self.id, item.address, item.encode(value))
+
+    def undisplaced_count(self) -> int | None:
+        """What it reads, less its own offset [counts]; None where it counts the other way round.
+
+        ROBOTIS e-Manual, "Homing Offset(20)": the offset is added to the position; in Position mode one beyond a
+        quarter of a turn counts as none.
+        """
+        if self.get("Drive Mode") & REVERSE:
+            return None
+        offset, position = self.get("Homing Offset"), self.get("Present Position")
+        ignored = self.get("Operating Mode") == POSITION_MODE and abs(offset) > VALID_OFFSET
+        return position if ignored else position - offset
+
+
+@dataclass(kw_only=True)
+class Joint(Servo, AnyJoint):
+    """One axis and its servo."""
+
+    servo: settings.ServoAxis
     max_temperature_c: int = 80
     voltage_limits_v: tuple[float, float] = (3.5, 30.0)
     count_limits: tuple[int, int] = (0, COUNTS - 1)
     full_current: int = 0
     profile: bytes = b""
-    """Profile Acceleration and Profile Velocity, as they lie in the servo; empty before `prepare`."""
+    """Profile Acceleration and Profile Velocity, as they lie in the servo; empty before it is prepared."""
     speed_deg_per_s: float = 0.0
     """Of the axis, with that profile."""
     has_watchdog: bool = True
@@ -75,19 +109,12 @@ class Joint:
     health: Health | None = None
     strained: list[Health] = field(default_factory=list)
     """The reports of the highest current and of the lowest voltage since somebody emptied this list."""
-    stood_at: float | None = None
-    """Count that was read where it landed; the mean of several, since encoders flicker."""
     also: dict[str, int] = field(default_factory=dict)
-    """What `prepare` sets beside the rest, by item."""
+    """What its preparation sets beside the rest, by item."""
     turns: int = 0
     """Whole turns of the servo between `zero_count` and the count that is 0 deg; of an axis that has been homed."""
     landed_at: float | None = None
     """Goal [counts] that the axis stands at, reached by its approach; None where it may have been moved since."""
-
-    @property
-    def id(self) -> int:
-        """The servo's id on its bus."""
-        return self.servo.id
 
     @property
     def key(self) -> str:
@@ -116,11 +143,6 @@ class Joint:
             return POSITION_MODE
         return EXTENDED_CURRENT_MODE if self.servo.homing.how == "stall" else EXTENDED_MODE
 
-    @property
-    def offset_deg(self) -> float:
-        """What the encoder reads at the true zero, as far as it is known [degrees]."""
-        return self.axis.zero_offset_deg if self.axis.zero_offset_known else 0.0
-
     def to_count(self, angle_deg: float) -> float:
         """Count of the servo for an angle of the axis."""
         return self.zero_count + (angle_deg + self.offset_deg) * self.counts_per_deg
@@ -139,14 +161,10 @@ class Joint:
         """Where the last part of the way to a goal begins; never beyond a limit [counts]."""
         return self.inside(goal - self.approach_deg * self.counts_per_deg)
 
-    def warn_of_play(self, goal_deg: float) -> None:
-        """Say so where a limit leaves no way that takes up the axis's backlash."""
-        way = self.distance_deg(self.approach_start(self.to_count(goal_deg)), self.to_count(goal_deg))
-        if way < min(self.axis.backlash_deg, abs(self.approach_deg)) - 0.5 / abs(self.counts_per_deg):
-            log.warning(
-                "axis %s at %g deg, %.2f deg from its limit: its backlash of %g deg is not taken up there, and it may "
-                "stand that far off what it reads", self.name, goal_deg, way, self.axis.backlash_deg,
-            )  # fmt: skip
+    def run_up_deg(self, goal_deg: float) -> float:
+        """How long the last part of its way to a goal is, inside its limits [deg]."""
+        goal = self.to_count(goal_deg)
+        return self.distance_deg(self.approach_start(goal), goal)
 
     def distance_deg(self, goal: float, position: float) -> float:
         """How far apart two counts of the servo are, as an angle of the axis [deg]."""
@@ -185,99 +203,15 @@ class Joint:
             return f"{said}, but at {baud} baud: {_listed(found)}; set devices.servos.baud to that speed"
         return f"{said}, nor does any servo at another speed; is the servo power on, and the cable in?"
 
-    def _set_mode(self) -> None:
-        """Write what of mode, offset and limits the servo has otherwise, with its torque off."""
-        wanted = {"Operating Mode": self.mode, "Drive Mode": 0, "Homing Offset": 0} | self.also
-        if self.servo.current_limit is not None:
-            wanted["Current Limit"] = self.servo.current_limit
-        if self.get(SHADOW) <= LAST_ID:  # it would obey what is meant for another servo
-            wanted[SHADOW] = NO_ID
-        wrong = {name: value for name, value in wanted.items() if self.get(name) != value}
-        if wrong:
-            changes = ", ".join(f"{name} = {value}" for name, value in wrong.items())
-            log.warning("axis %s: setting %s in the servo", self.name, changes)
-            self.write("Torque Enable", 0)
-            for name, value in wrong.items():
-                self.write(name, value)
-
-    def _set_profile(self, acceleration_deg_per_s2: float) -> None:
-        """Speed and acceleration in the servo's units, as near as it allows."""
-        gear = self.servo.gear_ratio
-        wish = int(self.axis.speed_deg_per_s * gear / VELOCITY_UNIT_DEG_S)
-        speed = max(1, min(wish, self.get("Velocity Limit") or wish))
-        self.speed_deg_per_s = speed * VELOCITY_UNIT_DEG_S / gear
-        acceleration = max(1, int(acceleration_deg_per_s2 * gear / ACCELERATION_UNIT_DEG_S2))
-        self.profile = self.table["Profile Acceleration"].encode(acceleration)
-        self.profile += self.table["Profile Velocity"].encode(speed)
-
-    def prepare(self, acceleration_deg_per_s2: float, *, homed: bool = True) -> None:
-        """Bring the servo into the state that moves rely on; it does not turn meanwhile.
-
-        Raises `DeviceError` for an axis that has to be homed first, unless `homed` is False: it is about to be.
-        """
-        level = self.table["Status Return Level"]
-        self.bus.write_all(level.address, {self.id: b"\x02"})  # before any question: it may answer nothing but pings
-        self.held = self.get("Torque Enable") == 1
-        self.complain()
-        if self.servo.homing is not None and (self.get("Operating Mode") != self.mode or not homed):
-            home_mark.wipe(self)
-        if homed:
-            home_mark.recall(self)
-        self._set_mode()
-        # a largest value of zero was never set, and the factory's holds
-        self.max_temperature_c = self.get("Temperature Limit") or self.max_temperature_c
-        if highest_dv := self.get("Max Voltage Limit"):
-            self.voltage_limits_v = self.get("Min Voltage Limit") / 10, highest_dv / 10
-        if self.servo.homing is None:
-            self.count_limits = self.get("Min Position Limit"), self.get("Max Position Limit") or COUNTS - 1
-        self.full_current = self.get("Current Limit") if "Current Limit" in self.table else 1000
-        if self.mode == EXTENDED_CURRENT_MODE:  # a homing that was cut off leaves little
-            self.write("Goal Current", self.full_current)
-        self.check_reach()
-        self._set_profile(acceleration_deg_per_s2)
-        self.send_profile()  # before the watchdog is cleared, and after it, since running out sets the profile to 0
-        released = self._clear_watchdog()
-        self.send_profile()
-        self._require_profile()
-        position = self.position_at_torque_on()
-        if not self.count_limits[0] <= position <= self.count_limits[1]:
-            raise DeviceError(
-                f"axis {self.name} stands at count {position}, outside the servo's limits, {self.count_limits[0]} "
-                f"to {self.count_limits[1]}; turn it by hand to where it may stand, then try again"
-            )
-        if homed:
-            self._require_between_stops(position)
-        if released or not self._holds(position):
-            self.write("Goal Position", position)  # goal = present, so that torque moves nothing
-        self.write("Torque Enable", 1)
-        if self.get("Torque Enable") != 1:
-            raise DeviceError(f"axis {self.name}: servo id {self.id} does not take its torque")
-        if self.distance_deg(now := self.get("Present Position"), position) > HELD_DEG:
-            self.write("Torque Enable", 0)
-            raise DeviceError(
-                f"axis {self.name}: servo id {self.id} stood at count {position}, and reads {now} with its torque on; "
-                "turn it by hand to where it may stand, then try again"
-            )
-
-    def position_at_torque_on(self) -> int:
-        """Where the servo stands [counts]: without torque it counts turns on, and comes back within one with it.
-
-        ROBOTIS e-Manual, "Present Position(132)": continuous while torque is off, in whatever mode; an absolute
-        position within one turn once torque comes on in Position mode.
-        """
-        position = self.get("Present Position")
-        turns_count = self.get("Operating Mode") == POSITION_MODE and self.get("Torque Enable") != 1
-        return position % COUNTS if turns_count else position
-
     def falsified(self) -> dict[str, int]:
-        """Settings in the servo that change what it reads, and that `prepare` resets, by item."""
+        """Settings in the servo that change what it reads, and that its preparation resets, by item."""
         found = {name: self.get(name) for name in ("Homing Offset", "Drive Mode", "Operating Mode")}
         usual = {"Homing Offset": 0, "Drive Mode": found["Drive Mode"] & ~REVERSE, "Operating Mode": self.mode}
         return {name: value for name, value in found.items() if value != usual[name]}
 
     def shaft_count(self) -> int | None:
         """Where the servo would read that it stands, were it prepared [counts]; None where that is not known."""
-        position = shaft_count(self.get)
+        position = self.undisplaced_count()
         turns_count = self.get("Operating Mode") != POSITION_MODE or self.get("Torque Enable") != 1
         return position % COUNTS if position is not None and turns_count and self.servo.homing is None else position
 
@@ -298,14 +232,14 @@ class Joint:
             )
         log.warning("axis %s: servo id %d had lost its profile; given again", self.name, self.id)
         self.send_profile()
-        self._require_profile()
+        self.require_profile()
 
     def send_profile(self) -> None:
         """Give the servo its acceleration and velocity."""
         for name, value in self._profile(self.profile).items():
             self.write(name, value)
 
-    def _require_profile(self) -> None:
+    def require_profile(self) -> None:
         """A servo without its profile would turn as fast as it can."""
         kept = self.bus.read(self.id, self.table["Profile Acceleration"].address, len(self.profile))
         if kept != self.profile:
@@ -317,59 +251,6 @@ class Joint:
     def _profile(self, block: bytes) -> dict[str, int]:
         start = self.table["Profile Acceleration"].address
         return {n: self.table[n].decode(block, start) for n in ("Profile Acceleration", "Profile Velocity")}
-
-    def _holds(self, position: int) -> bool:
-        """Whether the servo stands and holds: a load keeps it off its goal, and a new goal there would let it sag."""
-        if self.get("Torque Enable") != 1 or self.get("Moving") or self.get("Moving Status") & PROFILE_ONGOING:
-            return False
-        return self.distance_deg(self.get("Goal Position"), position) <= HELD_DEG
-
-    def _clear_watchdog(self) -> bool:
-        """One that has run out bars every goal, and tells of a program that died; old firmware has none.
-
-        True where it had run out.
-        """
-        found = watchdog.OFF
-        try:
-            found = self.get(watchdog.ITEM)
-            self.write(watchdog.ITEM, watchdog.OFF)
-            self.write(watchdog.ITEM, watchdog.UNITS)
-            self.has_watchdog = self.get(watchdog.ITEM) in (watchdog.UNITS, watchdog.RUN_OUT)
-            self.write(watchdog.ITEM, watchdog.OFF)
-        except (dynamixel.Refusal, dynamixel.BusError):  # one that has gone silent altogether shows at the next step
-            self.has_watchdog = False
-        if not self.has_watchdog:
-            log.warning(
-                "axis %s: servo id %d has no bus watchdog (its firmware is older than 38): it would finish its way if "
-                "this program died in the middle of a move", self.name, self.id,
-            )  # fmt: skip
-        if found == watchdog.RUN_OUT:
-            log.warning(
-                "axis %s: servo id %d had stopped by itself, because a program died or its cable was pulled in the "
-                "middle of a move; released", self.name, self.id,
-            )  # fmt: skip
-        return found == watchdog.RUN_OUT
-
-    def _require_between_stops(self, position: float) -> None:
-        """An axis cannot stand beyond what stops it: then its zero is wrong, and its limits with it."""
-        if self.hard_stops_deg is None:
-            return
-        at, (lower, upper) = self.to_deg(position), self.hard_stops_deg
-        if not lower - HELD_DEG <= at <= upper + HELD_DEG:
-            raise DeviceError(
-                f"axis {self.name} reads {at:.2f} deg, beyond its hard stops at {lower:g} and {upper:g} deg: its zero "
-                f"is wrong (zero_offset_deg of the axis, or {self.key}.zero_count, direction or gear_ratio)"
-            )
-
-    def check_acceleration(self, acceleration_deg_per_s2: float) -> None:
-        """The servo must have a Profile Acceleration for it."""
-        unit = ACCELERATION_UNIT_DEG_S2 / self.servo.gear_ratio
-        if not unit * (1 - 1e-9) <= acceleration_deg_per_s2 <= LARGEST_PROFILE * unit:
-            raise ConfigError(
-                f"devices.servos.acceleration_deg_per_s2 = {acceleration_deg_per_s2:g}: the servo of axis {self.name} "
-                f"gives it {unit:.4g} to {LARGEST_PROFILE * unit:.4g} deg/s^2 ({self.key}.gear_ratio = "
-                f"{self.servo.gear_ratio:g})"
-            )
 
     def check_reach(self) -> None:
         """The axis's limits must lie within the servo's limits."""
@@ -411,30 +292,63 @@ class Joint:
                 "then run gonio rig reboot, or switch the servo power off and on"
             )
 
-    def get(self, name: str) -> int:
-        """The value of an item of the control table, now."""
-        item = self.table[name]
-        return item.decode(self.bus.read(self.id, item.address, item.size), item.address)
-
     def write(self, name: str, value: int) -> None:
         """Change an item; a refusal names axis, item and value."""
-        item = self.table[name]
         try:
-            self.bus.write(self.id, item.address, item.encode(value))
+            super().write(name, value)
         except dynamixel.Refusal as refusal:
             raise dynamixel.Refusal(f"axis {self.name}, {name} = {value}: {refusal}", refusal.error) from None
 
 
-def shaft_count(get: Callable[[str], int]) -> int | None:
-    """What a servo reads, less its own offset [counts]; None where it counts the other way round.
+def span(table: Mapping[str, Item]) -> tuple[int, int]:
+    """Address and size of the block that a report reads."""
+    first, last = table["Profile Acceleration"], table["Present Temperature"]
+    return first.address, last.address + last.size - first.address
 
-    ROBOTIS e-Manual, "Homing Offset(20)": the offset is added to the position; in Position mode one beyond a quarter of
-    a turn counts as none.
+
+def reports(bus: Bus, joints: Iterable[Joint]) -> dict[str, Report]:
+    """What every servo says now, by the name of its axis, with its health checked; one block a servo.
+
+    Raises
+    ------
+    DeviceError
+        A servo does not answer, or is unwell.
     """
-    if get("Drive Mode") & REVERSE:
-        return None
-    offset, position = get("Homing Offset"), get("Present Position")
-    return position if get("Operating Mode") == POSITION_MODE and abs(offset) > VALID_OFFSET else position - offset
+    by_id = {joint.id: joint for joint in joints}
+    groups: dict[tuple[int, int], list[int]] = {}
+    for joint in by_id.values():
+        groups.setdefault(span(joint.table), []).append(joint.id)
+    blocks: dict[int, bytes] = {}
+    for (address, size), ids in groups.items():
+        blocks |= bus.read_all(ids, address, size)
+    out = {}
+    for identity, block in blocks.items():
+        joint = by_id[identity]
+        start = span(joint.table)[0]
+        value = {n: joint.table[n].decode(block, start) for n in joint.table if n in REPORTED}
+        current = value.get("Present Current", value.get("Present Load", 0))
+        joint.health = Health(value["Present Temperature"], value["Present Input Voltage"] / 10, current)
+        seen = (*joint.strained, joint.health)
+        joint.strained[:] = max(seen, key=lambda h: abs(h.current)), min(seen, key=lambda h: h.voltage_v)
+        out[joint.name] = Report(
+            position=value["Present Position"], moving=bool(value["Moving"]),
+            under_way=bool(value["Moving Status"] & PROFILE_ONGOING), goal=value["Goal Position"],
+            profile=block[: len(joint.profile)], current=current,
+        )  # fmt: skip
+        joint.check_health()
+    return out
+
+
+def require_torque(bus: Bus, joints: Iterable[Joint]) -> None:
+    """Raise `DeviceError` where a servo has an error in its hardware-error byte, or holds nothing any more."""
+    by_id = {joint.id: joint for joint in joints}
+    table = next(iter(by_id.values())).table  # these items have the same addresses in every model of the X series
+    torque, error = table["Torque Enable"], table["Hardware Error Status"]
+    blocks = bus.read_all(by_id, torque.address, error.address + error.size - torque.address)
+    for identity, joint in by_id.items():
+        joint.complain(error.decode(blocks[identity], torque.address))
+        if torque.decode(blocks[identity], torque.address) != 1:
+            raise DeviceError(f"axis {joint.name}: servo id {identity} has let go of its torque; all axes are stopped")
 
 
 def _listed(found: Mapping[int, tuple[int, int]]) -> str:

@@ -13,7 +13,6 @@ import struct
 import time
 import warnings
 from collections.abc import Callable
-from types import TracebackType
 from typing import Any, Self, TypeVar
 
 from gonio.config import parse
@@ -107,9 +106,7 @@ class KinesisStage:
             "and is this its port?"
         )
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._close()
 
     def prepare(self, speed_deg_per_s: float, acceleration_deg_per_s2: float) -> None:

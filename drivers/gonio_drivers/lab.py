@@ -29,7 +29,7 @@ from gonio_drivers.dynamixel import Bus
 from gonio_drivers.light import LampReset, SerialLight
 from gonio_drivers.service import ServoService
 from gonio_drivers.settings import Devices
-from gonio_drivers.stage_arms import StageArms
+from gonio_drivers.stages import StageArms
 
 log = logging.getLogger("gonio.devices")
 

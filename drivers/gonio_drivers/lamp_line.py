@@ -20,6 +20,7 @@ from gonio_drivers.dialect import Dialect
 
 log = logging.getLogger("gonio.devices")
 
+KEY = "devices.light.port"
 TRIES = 3
 LATENESS = 2.0
 """How much longer than its timeout a missing reply is awaited, so that it is not taken for the next one's."""
@@ -64,10 +65,7 @@ class LampLine:
 
     def open(self, baud: int) -> None:
         """Open the port, for this process alone."""
-        try:
-            self._port = ports.opened(self._name, baud, self._dialect.timeout_s)
-        except (*ports.FAILURES, ValueError) as error:
-            raise ports.unopened(self._name, error, "devices.light.port") from None
+        self._port = ports.opened(self._name, baud, self._dialect.timeout_s, KEY)
 
     def close(self) -> None:
         """Close the port, if it is open."""
@@ -136,13 +134,11 @@ class LampLine:
         """Write a command; what came before it is dropped."""
         if self._port is None:
             raise DeviceError(f"the lamp on {self._name} is not open: enter the rig first")
-        try:
-            self._sent.append(command.strip())
-            self._lines.clear()
+        self._sent.append(command.strip())
+        self._lines.clear()
+        with ports.in_use(self._name, KEY):
             self._port.reset_input_buffer()
             self._port.write((command + self._dialect.send_ending).encode())
-        except ports.FAILURES as error:
-            raise ports.lost(self._name, error, "devices.light.port") from None
 
     def shout(self, orders: Sequence[bytes]) -> None:
         """Write whole orders at once, from whatever thread; what is answered to them nobody awaits. Never raises."""
@@ -180,7 +176,7 @@ class LampLine:
         """One line without its ending and without a prompt; empty where no whole one comes in time."""
         assert self._port is not None
         end = clock.monotonic() + self._timeout_s()
-        try:
+        with ports.in_use(self._name, KEY):
             while not self._lines:
                 raw = self._port.read_until(self._ending)
                 if raw and not raw.endswith(self._ending):  # this computer, or the adapter, was held up in mid-line
@@ -197,8 +193,6 @@ class LampLine:
                     )  # fmt: skip
                 if clock.monotonic() > end:
                     break
-        except ports.FAILURES as error:
-            raise ports.lost(self._name, error, "devices.light.port") from None
         return self._lines.popleft() if self._lines else ""
 
     def _without_prompt(self, text: str) -> str:
@@ -212,7 +206,7 @@ class LampLine:
         if self._port is None:
             return
         timeout_s = self._port.timeout
-        try:
+        with ports.in_use(self._name, KEY):
             if missing and not self._silent:  # of one that says nothing at all no more is awaited
                 begun = clock.monotonic()
                 self._port.timeout = LATENESS * timeout_s
@@ -230,8 +224,6 @@ class LampLine:
             clock.sleep(0.05)
             self._lines.clear()
             self._port.reset_input_buffer()
-        except ports.FAILURES as error:
-            raise ports.lost(self._name, error, "devices.light.port") from None
 
     def drain_errors(self) -> None:
         """Ask for what lies in the error queue until it is empty."""

@@ -11,7 +11,6 @@ import contextlib
 import logging
 import re
 from collections.abc import Callable, Iterator
-from types import TracebackType
 from typing import Self
 
 from gonio.errors import ConfigError, DeviceError, Disturbed, GonioError, Interrupted
@@ -94,9 +93,7 @@ class SerialLight:
             raise
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         dark = False
         try:
             self.off()

@@ -11,11 +11,10 @@ from collections.abc import Callable, Mapping
 
 from gonio.errors import DeviceError
 from gonio.rig import clock
-from gonio_drivers import joint_reports, settings, watchdog
+from gonio_drivers import joints, settings, watchdog
 from gonio_drivers.arrival import SMALLEST_COUNTS, Landing
 from gonio_drivers.dynamixel import Bus
-from gonio_drivers.joint_reports import Report
-from gonio_drivers.joints import Joint
+from gonio_drivers.joints import Joint, Report
 from gonio_drivers.patience import Patience
 
 log = logging.getLogger("gonio.devices")
@@ -35,7 +34,7 @@ class Motion:
 
     Parameters
     ----------
-    bus, joints
+    bus, there
         The servos, by the names of their axes.
     servos
         Tolerance, settle time, acceleration.
@@ -49,14 +48,14 @@ class Motion:
     """
 
     def __init__(
-        self, bus: Bus, joints: Mapping[str, Joint], servos: settings.Servos, allowed: Callable[[], None]
+        self, bus: Bus, there: Mapping[str, Joint], servos: settings.Servos, allowed: Callable[[], None]
     ) -> None:
-        self._bus, self._joints, self._servos, self._allowed = bus, joints, servos, allowed
+        self._bus, self._joints, self._servos, self._allowed = bus, there, servos, allowed
 
     def approach(self, goals: Mapping[str, float]) -> None:
         """To a point before each goal, where that is needed, and from there to the goals; never beyond a limit."""
         finals = {name: self._joints[name].to_count(angle) for name, angle in goals.items()}
-        reports = joint_reports.reports(self._bus, self._joints.values())
+        reports = joints.reports(self._bus, self._joints.values())
         for name, report in reports.items():
             self._joints[name].keep_profile(report.profile)
         starts: dict[str, float] = {}
@@ -93,14 +92,14 @@ class Motion:
     def _land(self, goals: Mapping[str, float], *, exact: bool) -> None:
         """Drive to counts, all axes at once, until every one has landed (`exact`) or come to rest close by."""
         looked = Patience()
-        before = joint_reports.reports(self._bus, self._joints.values())
+        before = joints.reports(self._bus, self._joints.values())
         landings = {name: self._landing(name, goal, exact=exact) for name, goal in goals.items()}
         self.send({name: landing.sent for name, landing in landings.items()})
         allowed = max(self.duration_s(name, before[name].position, goal) for name, goal in goals.items())
         while not all(landing.done for landing in landings.values()):
             clock.sleep(POLL_S)
             self._allowed()
-            reports = joint_reports.reports(self._bus, self._joints.values())
+            reports = joints.reports(self._bus, self._joints.values())
             now = looked()
             for name, landing in landings.items():
                 if not landing.done:
@@ -108,7 +107,7 @@ class Motion:
             if now > 2 * allowed + GRACE_S:
                 late = ", ".join(self._state(n, x, reports[n]) for n, x in landings.items() if not x.done)
                 raise DeviceError(f"no landing within {now:.1f} s: {late}; all axes are stopped")
-        joint_reports.require_torque(self._bus, self._joints.values())  # those that were not named are said to hold too
+        joints.require_torque(self._bus, self._joints.values())  # those that were not named are said to hold too
 
     def _landing(self, name: str, goal: float, *, exact: bool) -> Landing:
         joint, servos = self._joints[name], self._servos
@@ -120,7 +119,7 @@ class Motion:
     def _watch(self, joint: Joint, landing: Landing, report: Report, now: float, *, exact: bool) -> None:
         """One look at an axis on its way: has it landed, does it need a correction, is it stuck?"""
         changed = report.profile != joint.profile or report.goal != landing.sent
-        if changed and self._release(joint, landing):
+        if changed and self._send_on(joint, landing):
             if not landing.stopped_at(report.position, now):
                 self._require_progress(joint, landing)
                 return
@@ -135,24 +134,22 @@ class Motion:
             landing.done = True
         elif verdict == "short":
             self._correct(joint, landing, now, exact=exact)
-        elif verdict == "stuck" and self._release(joint, landing):
+        elif verdict == "stuck" and self._send_on(joint, landing):
             landing.begin(now)
         elif verdict == "stuck":
-            joint_reports.require_torque(self._bus, [joint])
+            joints.require_torque(self._bus, [joint])
             raise DeviceError(f"{self._state(joint.name, landing, report)}: it is stuck; all axes are stopped")
 
-    def _release(self, joint: Joint, landing: Landing) -> bool:
+    @staticmethod
+    def _send_on(joint: Joint, landing: Landing) -> bool:
         """Whether the servo had stopped by its bus watchdog, because this program was held up; it is sent on."""
-        if not joint.has_watchdog or joint.get(watchdog.ITEM) != watchdog.RUN_OUT:
-            return False
-        log.warning(
-            "axis %s: nothing came over the bus for %g s, and the servo stopped; sent on", joint.name, watchdog.PERIOD_S
-        )
-        joint.write(watchdog.ITEM, watchdog.OFF)
-        joint.send_profile()
-        joint.write("Goal Position", landing.sent)
-        joint.write(watchdog.ITEM, watchdog.UNITS)
-        return True
+        late = watchdog.send_on(joint, landing.sent)
+        if late:
+            log.warning(
+                "axis %s: nothing came over the bus for %g s, and the servo stopped; sent on",
+                joint.name, watchdog.PERIOD_S,
+            )  # fmt: skip
+        return late
 
     @staticmethod
     def _require_progress(joint: Joint, landing: Landing) -> None:

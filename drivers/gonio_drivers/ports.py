@@ -6,8 +6,10 @@ A port is what pyserial opens: `COM3`, `/dev/ttyUSB0`, `socket://host:port` (a r
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import serial
@@ -55,10 +57,19 @@ def require_free(port: str, key: str) -> None:
         raise DeviceError(f'{key} = "{port}": the port is taken{holder}; end what holds it, then try again')
 
 
-def opened(port: str, baud: int, timeout_s: float) -> serial.Serial:
-    """A port that nobody else may open; a read from it ends after `timeout_s`."""
+def opened(port: str, baud: int, timeout_s: float, key: str) -> serial.Serial:
+    """A port that nobody else may open; a read from it ends after `timeout_s`.
+
+    Raises
+    ------
+    DeviceError
+        It does not open; `key` is where the port was written.
+    """
     patience = None if port.startswith("rfc2217:") else CLOGGED_S  # pyserial knows no such time there
-    return serial.serial_for_url(port, baud, timeout=timeout_s, write_timeout=patience, exclusive=True)
+    try:
+        return serial.serial_for_url(port, baud, timeout=timeout_s, write_timeout=patience, exclusive=True)
+    except (*FAILURES, ValueError) as error:
+        raise unopened(port, error, key) from None
 
 
 def is_url(port: str) -> bool:
@@ -74,6 +85,15 @@ def lost(port: str, error: Exception, key: str) -> DeviceError:
             f'{key} = "{port}": the server has closed the connection ({said}); does another program use it?'
         )
     return DeviceError(f'{key} = "{port}": the port went away while in use ({said}); check cable and power')
+
+
+@contextlib.contextmanager
+def in_use(port: str, key: str) -> Iterator[None]:
+    """While a port is used, its failures become `DeviceError`."""
+    try:
+        yield
+    except FAILURES as error:
+        raise lost(port, error, key) from None
 
 
 def present() -> list[str]:

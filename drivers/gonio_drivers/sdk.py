@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 from dynamixel_sdk import PortHandler, Protocol2PacketHandler
 
 from gonio_drivers import ports
@@ -30,15 +32,15 @@ class ExclusivePort(PortHandler):  # type: ignore[misc]
         """Open the port (again) at a line speed, with the lock taken again."""
         if self.is_open:
             self.closePort()
-        self.ser = ports.opened(self.port_name, cflag_baud, WAIT_S)
+        self.ser = ports.opened(self.port_name, cflag_baud, WAIT_S, self._key)
         self.is_open = True
         self.ser.reset_input_buffer()
         self.tx_time_per_byte = 1000.0 / cflag_baud * 10.0
         return True
 
-    def __init__(self, port_name: str) -> None:
+    def __init__(self, port_name: str, key: str) -> None:
         super().__init__(port_name)
-        self._waited = Patience(LATE_S)
+        self._key, self._waited = key, Patience(LATE_S)
 
     def getCurrentTime(self) -> float:
         """Milliseconds of looking: the SDK's own clock jumps with the time of day, and calls being held up silence."""
@@ -76,6 +78,18 @@ class Packets(Protocol2PacketHandler):  # type: ignore[misc]
         body = bytes(packet[BEFORE:-2]).replace(HEADER, STUFFED)
         packet[:] = [*_head(packet, len(body)), *body, 0, 0]
         return packet
+
+    def whole(self, data: bytes) -> Iterator[bytes]:
+        """The whole and undamaged status packets in what was heard."""
+        at = data.find(HEADER)
+        while at >= 0:
+            end = at + 7 + (data[at + 5] | data[at + 6] << 8) if at + 7 <= len(data) else len(data) + 1
+            packet = data[at:end]
+            good = len(packet) >= 11 and end <= len(data) and packet[7] == 0x55
+            good = good and self.updateCRC(0, list(packet), len(packet) - 2) == packet[-2] | packet[-1] << 8
+            if good:
+                yield packet
+            at = data.find(HEADER, end if good else at + 1)
 
     def removeStuffing(self, packet: list[int]) -> list[int]:
         """A status packet without stuffing, filled up to the length that it had."""

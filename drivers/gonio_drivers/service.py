@@ -16,9 +16,10 @@ from gonio.config import parse
 from gonio.errors import ConfigError, DeviceError, GonioError
 from gonio.rig import FoundServo, Homed
 from gonio.rig.description import RigDescription
-from gonio_drivers import control_table, dynamixel, homing, interlock, joint_settings, joints, ports, presence, settings
+from gonio_drivers import control_table, dynamixel, homing, interlock, joints, ports, preparation, settings
 from gonio_drivers.dynamixel import Bus
 from gonio_drivers.patience import Patience
+from gonio_drivers.sdk import Packets
 
 BROADCAST = 254
 LAST_ID = 252
@@ -115,7 +116,7 @@ class ServoService:
         servos = _servos(description)
         out: dict[str, Homed | str] = {}
         with Bus(servos.port, servos.baud) as bus:
-            there = {str(n): joint_settings.joint(bus, description, n, servo) for n, servo in servos.axes.items()}
+            there = {str(n): preparation.joint_of(bus, description, n, servo) for n, servo in servos.axes.items()}
             for name in axes:
                 if name not in there:
                     raise ConfigError(f"the rig has no servo of an axis {name}; it has {', '.join(there)}")
@@ -162,13 +163,13 @@ def _at(bus: Bus) -> list[FoundServo]:
         heard = bus.overhear(BROADCAST, INST_PING, listen_s=EVERYBODY_S)
         if not heard:
             break
-        packets = list(presence.packets(heard))
+        packets = list(Packets().whole(heard))
         said |= {packet[4]: packet for packet in packets}
         stray = sum(map(len, packets)) < len(heard)
     # damaged in the last round too: ids that two have damage each other's answers, and may never be heard whole
     for identity in range(LAST_ID + 1) if stray else ():
         if identity not in said and (heard := bus.overhear(identity, INST_PING, listen_s=ONE_S / 2)):
-            said[identity] = next(presence.packets(heard), b"")
+            said[identity] = next(Packets().whole(heard), b"")
     out = []
     for identity, packet in sorted(said.items()):
         model = _model(packet[9] | packet[10] << 8) if len(packet) >= 14 else "not understood"
@@ -184,7 +185,7 @@ def _alone(bus: Bus, identity: int) -> bool:
     clean, damaged = 0, False
     for _ in range(LOOKS):
         heard = bus.overhear(identity, INST_READ, request, listen_s=ONE_S)
-        packets = [packet for packet in presence.packets(heard) if packet[4] == identity]
+        packets = [packet for packet in Packets().whole(heard) if packet[4] == identity]
         if len(packets) > 1:
             return False
         if packets and len(packets[0]) == len(heard):
@@ -224,7 +225,7 @@ def _require_moved(bus: Bus, old: int, new: int) -> None:
 def _write(bus: Bus, identity: int, address: int, value: int) -> None:
     """One byte, written once: the answer may come under the new id, or at the new speed, or not at all."""
     heard = bus.overhear(identity, INST_WRITE, address.to_bytes(2, "little") + bytes([value]), listen_s=ONE_S)
-    for packet in presence.packets(heard):
+    for packet in Packets().whole(heard):
         if packet[4] == identity and (error := packet[8] & 0x7F):
             what = dynamixel.ERRORS.get(error, f"error number {error}")
             raise DeviceError(f"servo id {identity} on {bus.port} refuses {value} at address {address}: {what}")

@@ -11,12 +11,12 @@ import statistics
 
 from gonio.errors import GonioError
 from gonio.rig import Health, Reading
-from gonio_drivers import control_table, dynamixel, home_mark, joint_reports, joints
+from gonio_drivers import control_table, dynamixel, home_mark, joints
 from gonio_drivers.arms import ServoArms
 from gonio_drivers.cameras import OpenableCamera
 from gonio_drivers.joints import Joint
 from gonio_drivers.light import SerialLight
-from gonio_drivers.stage_arms import StageArms
+from gonio_drivers.stages import StageArms
 
 LOOKS = 5
 """Readings that an angle is the mean of: encoders flicker by a count."""
@@ -35,7 +35,7 @@ def of_open_arms(arms: ServoArms | StageArms) -> Health:
     """
     if isinstance(arms, StageArms):
         return arms.health()
-    reports = joint_reports.reports(arms.bus, arms.joints.values())
+    reports = joints.reports(arms.bus, arms.joints.values())
     found: list[Reading] = []
     for name, report in reports.items():
         joint = arms.joints[name]
@@ -96,9 +96,9 @@ def _asked(joint: Joint) -> list[Reading]:
     joint.identify_model()
     home_mark.recall(joint)
     table, name = joint.table, joint.name
-    address, size = joint_reports.span(table)
+    address, size = joints.span(table)
     block = joint.bus.read(joint.id, address, size)
-    value = {n: table[n].decode(block, address) for n in joint_reports.REPORTED if n in table}
+    value = {n: table[n].decode(block, address) for n in joints.REPORTED if n in table}
     highest, lowest = joint.get("Max Voltage Limit") / 10, joint.get("Min Voltage Limit") / 10
     moving = bool(value["Moving"]) or bool(value["Moving Status"] & joints.PROFILE_ONGOING)
     falsified = joint.falsified()

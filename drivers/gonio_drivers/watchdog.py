@@ -10,11 +10,13 @@ driver keeps homing offsets at 0, and gives a goal of its own wherever it clears
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from typing import Protocol, TypeVar
+import logging
+from collections.abc import Iterable, Sequence
 
-from gonio_drivers.control_table import Item
-from gonio_drivers.dynamixel import Bus
+from gonio_drivers import dynamixel
+from gonio_drivers.joints import Joint
+
+log = logging.getLogger("gonio.devices")
 
 UNITS = 25
 PERIOD_S = UNITS * 0.020
@@ -24,71 +26,83 @@ OFF = 0
 ITEM = "Bus Watchdog"
 
 
-class Servo(Protocol):
-    """A servo that may have a watchdog."""
-
-    @property
-    def id(self) -> int:
-        """On its bus."""
-
-    @property
-    def bus(self) -> Bus:
-        """What it is reached by."""
-
-    @property
-    def table(self) -> Mapping[str, Item]:
-        """Its control table."""
-
-    @property
-    def has_watchdog(self) -> bool:
-        """False with a firmware older than 38."""
-
-    def write(self, name: str, value: int) -> None:
-        """Change an item of the table."""
-
-
-S = TypeVar("S", bound=Servo)
-
-
-def arm(servos: Iterable[Servo]) -> None:
+def arm(joints: Iterable[Joint]) -> None:
     """From now on these servos stop where the bus falls silent."""
-    watched = [servo for servo in servos if servo.has_watchdog]
-    _write(watched, OFF)  # one that has run out takes nothing else
-    _write(watched, UNITS)
+    disarm(joints)  # one that has run out takes nothing else
+    _write(_watched(joints), UNITS)
 
 
-def call_off(servos: Iterable[S]) -> list[S]:
-    """Disarm, and see that it is so; those servos whose watchdog had run out.
+def call_off(joints: Iterable[Joint]) -> list[Joint]:
+    """Disarm, and see that it is so; those whose watchdog had run out.
 
     Raises
     ------
     DeviceError
         A servo does not answer.
     """
-    watched = [servo for servo in servos if servo.has_watchdog]
+    watched = _watched(joints)
     before = _read(watched)
-    _write(watched, OFF)
+    disarm(watched)
     after = _read(watched)
-    for servo in watched:
-        if after[servo.id] != OFF:
-            servo.write(ITEM, OFF)
-    return [servo for servo in watched if before[servo.id] == RUN_OUT]
+    for joint in watched:
+        if after[joint.id] != OFF:
+            joint.write(ITEM, OFF)
+    return [joint for joint in watched if before[joint.id] == RUN_OUT]
 
 
-def disarm(servos: Iterable[Servo]) -> None:
+def disarm(joints: Iterable[Joint]) -> None:
     """Disarm without waiting for anybody, in an emergency; goals can be given after it."""
-    _write([servo for servo in servos if servo.has_watchdog], OFF)
+    _write(_watched(joints), OFF)
 
 
-def _write(servos: Sequence[Servo], value: int) -> None:
-    if servos:
-        item = servos[0].table[ITEM]  # at the same address in every model of the X series
-        servos[0].bus.write_all(item.address, {servo.id: item.encode(value) for servo in servos})
+def send_on(joint: Joint, goal: int) -> bool:
+    """Whether the servo had stopped by its watchdog, because this program was held up; it is sent on to its goal."""
+    if not joint.has_watchdog or joint.get(ITEM) != RUN_OUT:
+        return False
+    joint.write(ITEM, OFF)
+    joint.send_profile()  # before the goal: running out has set it to 0
+    joint.write("Goal Position", goal)
+    joint.write(ITEM, UNITS)
+    return True
 
 
-def _read(servos: Sequence[Servo]) -> dict[int, int]:
-    if not servos:
+def clear(joint: Joint) -> bool:
+    """Whether it had run out: then it bars every goal, and tells of a program that died. Old firmware has none."""
+    found = OFF
+    try:
+        found = joint.get(ITEM)
+        joint.write(ITEM, OFF)
+        joint.write(ITEM, UNITS)
+        joint.has_watchdog = joint.get(ITEM) in (UNITS, RUN_OUT)
+        joint.write(ITEM, OFF)
+    except (dynamixel.Refusal, dynamixel.BusError):  # one that has gone silent altogether shows at the next step
+        joint.has_watchdog = False
+    if not joint.has_watchdog:
+        log.warning(
+            "axis %s: servo id %d has no bus watchdog (its firmware is older than 38): it would finish its way if "
+            "this program died in the middle of a move", joint.name, joint.id,
+        )  # fmt: skip
+    if found == RUN_OUT:
+        log.warning(
+            "axis %s: servo id %d had stopped by itself, because a program died or its cable was pulled in the "
+            "middle of a move; released", joint.name, joint.id,
+        )  # fmt: skip
+    return found == RUN_OUT
+
+
+def _watched(joints: Iterable[Joint]) -> list[Joint]:
+    return [joint for joint in joints if joint.has_watchdog]
+
+
+def _write(joints: Sequence[Joint], value: int) -> None:
+    if joints:
+        item = joints[0].table[ITEM]  # at the same address in every model of the X series
+        joints[0].bus.write_all(item.address, {joint.id: item.encode(value) for joint in joints})
+
+
+def _read(joints: Sequence[Joint]) -> dict[int, int]:
+    if not joints:
         return {}
-    item = servos[0].table[ITEM]
-    blocks = servos[0].bus.read_all([servo.id for servo in servos], item.address, item.size)
+    item = joints[0].table[ITEM]
+    blocks = joints[0].bus.read_all([joint.id for joint in joints], item.address, item.size)
     return {identity: item.decode(block, item.address) for identity, block in blocks.items()}

@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 import serial
-from gonio_drivers import control_table, dynamixel, patience, ports, presence, sdk
+from gonio_drivers import control_table, dynamixel, patience, ports, sdk
 from gonio_drivers.dynamixel import Bus
 from gonio_sim.wire import protocol2 as p2
 
@@ -154,7 +154,7 @@ def test_what_lies_on_a_computer_that_was_held_up_is_heard(line: Line, monkeypat
     monkeypatch.setattr(sdk.ExclusivePort, "readPort", held_up)
     with Bus(line.port, BAUD) as bus:
         heard = bus.overhear(2, p2.PING, listen_s=0.02)
-    assert len(list(presence.packets(heard))) == 1
+    assert len(list(sdk.Packets().whole(heard))) == 1
 
 
 def test_a_line_that_babbles_is_not_overheard_for_ever(line: Line, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -276,7 +276,7 @@ def test_a_server_that_hangs_up_is_named() -> None:
 def test_a_line_that_takes_no_more_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ports, "CLOGGED_S", 0.05)
     master, slave = pty.openpty()
-    with ports.opened(os.ttyname(slave), BAUD, 0.1) as line, pytest.raises(serial.SerialTimeoutException):
+    with ports.opened(os.ttyname(slave), BAUD, 0.1, "port") as line, pytest.raises(serial.SerialTimeoutException):
         line.write(bytes(1_000_000))
     for descriptor in (slave, master):
         os.close(descriptor)

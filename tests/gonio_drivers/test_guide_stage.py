@@ -12,8 +12,8 @@ from importlib.metadata import EntryPoint
 from pathlib import Path
 
 import pytest
-from gonio_drivers import settings, stage_arms
-from gonio_drivers.stage_arms import StageArms
+from gonio_drivers import settings, stages
+from gonio_drivers.stages import StageArms
 from gonio_sim.wire import motion
 from gonio_sim.wire.peer import SerialPeer, scaled_clock
 
@@ -168,7 +168,7 @@ def test_errors_and_refusals_stop_every_axis(
         with pytest.raises(DeviceError, match=r"axis camera: Newport controller on .* reports: error 0020"):
             arms.move(Pose())
     newport(peers, "camera").errors = "0000"
-    monkeypatch.setattr(stage_arms, "IDLE_S", 0.05)
+    monkeypatch.setattr(stages, "IDLE_S", 0.05)
     with arms:
         newport(peers, "light").referenced = False  # a power dip
         with pytest.raises(DeviceError, match=r"axis light: .* has not found its home since it was switched on"):

@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from gonio_drivers import stage_arms
+from gonio_drivers import stages
 from gonio_drivers.lab import LAB, LabRig
-from gonio_drivers.stage_arms import StageArms
+from gonio_drivers.stages import StageArms
 from gonio_sim.wire import kinesis
 from gonio_sim.wire.kinesis import COUNTS_PER_DEG
 from gonio_sim.wire.twins import Twins, rig_file
@@ -174,7 +174,7 @@ def test_a_stage_without_home_is_refused_unless_it_may_look_for_it(twins: Twins,
 
 
 def test_a_stage_that_does_not_turn_stops_all_axes(twins: Twins, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(stage_arms, "IDLE_S", 0.05)
+    monkeypatch.setattr(stages, "IDLE_S", 0.05)
     with arms_of(twins) as arms:
         twins.stages["camera"].stalled = True
         with pytest.raises(DeviceError, match=r"axis camera stands at 40.00 deg, \+\d\d.\d\d deg from its goal"):
@@ -185,7 +185,7 @@ def test_a_stage_that_does_not_turn_stops_all_axes(twins: Twins, monkeypatch: py
 
 
 def test_a_command_that_was_lost_is_given_again(twins: Twins, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(stage_arms, "IDLE_S", 0.05)
+    monkeypatch.setattr(stages, "IDLE_S", 0.05)
     stage = twins.stages["light"]
     turn = stage._turn
     lost: list[float] = []

@@ -257,14 +257,11 @@ def virtual_time(monkeypatch: pytest.MonkeyPatch) -> Iterator[VirtualClock]:
 
     by_terminal = ports.opened
 
-    def opened(port: str, baud: int, timeout_s: float) -> Any:
-        return VirtualPort(lines[port], baud, timeout_s) if port in lines else by_terminal(port, baud, timeout_s)
+    def opened(port: str, baud: int, timeout_s: float, key: str) -> Any:
+        return VirtualPort(lines[port], baud, timeout_s) if port in lines else by_terminal(port, baud, timeout_s, key)
 
-    for name, value in (
-        ("opened", opened),
-        ("require_free", lambda port, key: None),
-    ):
-        monkeypatch.setattr(ports, name, value)
+    monkeypatch.setattr(ports, "opened", opened)
+    monkeypatch.setattr(ports, "require_free", lambda port, key: None)
     monkeypatch.setattr(platform, "holders_of", lambda port: [])
     for name, method in (("__enter__", enter), ("__exit__", leave)):
         monkeypatch.setattr(SerialPeer, name, method)
