@@ -1,7 +1,5 @@
 """TOML into checked, frozen models, with messages that name the file, the key, the value and the remedy; and back."""
 
-from __future__ import annotations
-
 import difflib
 import re
 import tomllib

@@ -1,7 +1,5 @@
 """Files that are whole or not there, and files that are our own: what may be replaced, and what may not."""
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import hashlib

@@ -4,8 +4,6 @@ A message says what was asked (with its unit), what is allowed, where it came fr
 and what to do. Each class carries the exit code that the command line ends with.
 """
 
-from __future__ import annotations
-
 from typing import Literal
 
 

@@ -9,16 +9,12 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from gonio.errors import ArgumentError
-from gonio.typing import Floats
-
-if TYPE_CHECKING:
-    import pandas as pd
+from gonio.typing import ArrayLike, Bools, DataFrame, Floats
 
 TWO_PI = 2.0 * np.pi
 ANGLES = ("theta_i", "phi_i", "theta_r", "phi_r")
@@ -59,7 +55,7 @@ AROUND_MIRROR = float(np.radians(12.0))
 """A value lies around the mirror direction: where the peaks of all but the roughest surfaces are."""
 
 
-def direction(theta: npt.ArrayLike, phi: npt.ArrayLike) -> Floats:
+def direction(theta: ArrayLike, phi: ArrayLike) -> Floats:
     """Unit vectors, shape (..., 3), of the directions at polar angle `theta` and azimuth `phi` [rad]."""
     theta, phi = np.asarray(theta, dtype=np.float64), np.asarray(phi, dtype=np.float64)
     sine = np.sin(theta)
@@ -68,7 +64,7 @@ def direction(theta: npt.ArrayLike, phi: npt.ArrayLike) -> Floats:
     return out
 
 
-def angles(omega: npt.ArrayLike) -> tuple[Floats, Floats]:
+def angles(omega: ArrayLike) -> tuple[Floats, Floats]:
     """Polar angle in [0, pi] and azimuth in [0, 2 pi) [rad] of vectors of any length, shape (..., 3).
 
     The azimuth of the normal itself is 0. Both angles are accurate to a few units in the last place everywhere (atan2
@@ -79,14 +75,14 @@ def angles(omega: npt.ArrayLike) -> tuple[Floats, Floats]:
     return np.arctan2(np.hypot(x, y), z), wrap(np.arctan2(y, x))
 
 
-def wrap(phi: npt.ArrayLike) -> Floats:
+def wrap(phi: ArrayLike) -> Floats:
     """An azimuth [rad] brought to [0, 2 pi)."""
     out = np.mod(np.asarray(phi, dtype=np.float64), TWO_PI)
     # the remainder of a tiny negative angle rounds to 2 pi itself
     return np.where(out >= TWO_PI, 0.0, out)
 
 
-def in_plane_angle(theta_r: npt.ArrayLike, dphi: npt.ArrayLike) -> Floats:
+def in_plane_angle(theta_r: ArrayLike, dphi: ArrayLike) -> Floats:
     """Signed viewing angle [rad] in the plane of incidence: positive on the mirror side, negative on the retro side.
 
     Parameters
@@ -101,13 +97,13 @@ def in_plane_angle(theta_r: npt.ArrayLike, dphi: npt.ArrayLike) -> Floats:
     return side * np.asarray(theta_r, dtype=np.float64) + 0.0  # + 0.0: the normal has no side, and no -0
 
 
-def unsigned(signed: npt.ArrayLike) -> tuple[Floats, Floats]:
+def unsigned(signed: ArrayLike) -> tuple[Floats, Floats]:
     """theta_r and dphi [rad] of signed viewing angles: `in_plane_angle` undone. The normal has the mirror's dphi."""
     signed = np.asarray(signed, dtype=np.float64)
     return np.abs(signed), np.where(signed < 0.0, 0.0, np.pi)
 
 
-def solid_angle_of_cone(half_angle: npt.ArrayLike) -> Floats:
+def solid_angle_of_cone(half_angle: ArrayLike) -> Floats:
     """Solid angle [sr] of a circular cone of half-angle `half_angle` [rad, 0 to pi].
 
     2 pi (1 - cos) written as 4 pi sin^2(half_angle / 2), which loses no digits for a narrow cone.
@@ -123,7 +119,7 @@ def solid_angle_of_cone(half_angle: npt.ArrayLike) -> Floats:
     return np.asarray(4.0 * np.pi * np.sin(half / 2.0) ** 2)
 
 
-def half_angle_of_cone(solid_angle_sr: npt.ArrayLike) -> Floats:
+def half_angle_of_cone(solid_angle_sr: ArrayLike) -> Floats:
     """Half-angle [rad] of the circular cone of a solid angle [sr, 0 to 4 pi].
 
     Raises
@@ -137,7 +133,7 @@ def half_angle_of_cone(solid_angle_sr: npt.ArrayLike) -> Floats:
     return np.asarray(2.0 * np.arcsin(np.sqrt(omega / (4.0 * np.pi))))
 
 
-def overlap_of_discs(apart: npt.ArrayLike, a: float, b: float) -> Floats:
+def overlap_of_discs(apart: ArrayLike, a: float, b: float) -> Floats:
     """Area that two discs in a plane share, over that of the smaller one; their radii and distance in one unit.
 
     A disc without extent is a point: it is inside the other, to its edge, or it is not.
@@ -154,7 +150,7 @@ def overlap_of_discs(apart: npt.ArrayLike, a: float, b: float) -> Floats:
     return np.where(apart < large + small, part, 0.0)
 
 
-def mirrored(omega: npt.ArrayLike) -> Floats:
+def mirrored(omega: ArrayLike) -> Floats:
     """The mirror directions of vectors, shape (..., 3)."""
     return np.asarray(omega, dtype=np.float64) * (-1.0, -1.0, 1.0)
 
@@ -182,26 +178,22 @@ class Directions:
     theta_r: Floats
     phi_r: Floats
 
-    def __init__(
-        self, theta_i: npt.ArrayLike, phi_i: npt.ArrayLike, theta_r: npt.ArrayLike, phi_r: npt.ArrayLike
-    ) -> None:
+    def __init__(self, theta_i: ArrayLike, phi_i: ArrayLike, theta_r: ArrayLike, phi_r: ArrayLike) -> None:
         for name, value in zip(ANGLES, (theta_i, phi_i, theta_r, phi_r), strict=True):
             object.__setattr__(self, name, np.asarray(value, dtype=np.float64))
 
     @classmethod
-    def from_degrees(
-        cls, theta_i: npt.ArrayLike, phi_i: npt.ArrayLike, theta_r: npt.ArrayLike, phi_r: npt.ArrayLike
-    ) -> Directions:
+    def from_degrees(cls, theta_i: ArrayLike, phi_i: ArrayLike, theta_r: ArrayLike, phi_r: ArrayLike) -> Directions:
         """The directions of four angles in degrees."""
         return cls(*(np.radians(np.asarray(a, dtype=np.float64)) for a in (theta_i, phi_i, theta_r, phi_r)))
 
     @classmethod
-    def from_table(cls, table: pd.DataFrame) -> Directions:
+    def from_table(cls, table: DataFrame) -> Directions:
         """The directions of a measurement table or of a plan: its four columns of angles in degrees."""
         return cls.from_degrees(*(table[f"{name}_deg"].to_numpy(np.float64) for name in ANGLES))
 
     @classmethod
-    def from_vectors(cls, omega_i: npt.ArrayLike, omega_r: npt.ArrayLike) -> Directions:
+    def from_vectors(cls, omega_i: ArrayLike, omega_r: ArrayLike) -> Directions:
         """The directions of vectors of any length that leave the surface, shape (..., 3)."""
         return cls(*angles(omega_i), *angles(omega_r))
 
@@ -235,7 +227,7 @@ class Directions:
     def __iter__(self) -> Iterator[Directions]:
         return (self[k] for k in range(len(self)))
 
-    def seen_from(self, phi_i: npt.ArrayLike) -> Directions:
+    def seen_from(self, phi_i: ArrayLike) -> Directions:
         """The same detectors with another azimuth of the source: at normal incidence its own means nothing."""
         return Directions(self.theta_i, phi_i, self.theta_r, self.phi_r)
 
@@ -274,7 +266,7 @@ class Directions:
         return np.asarray(np.arctan2(y, np.hypot(x, z)))
 
     @property
-    def in_plane(self) -> npt.NDArray[np.bool_]:
+    def in_plane(self) -> Bools:
         """Whether the detector is in the plane of incidence, within `IN_PLANE`."""
         return np.asarray(np.abs(self.out_of_plane) <= IN_PLANE)
 

@@ -24,8 +24,6 @@ stainless       Karlsson 1982           austenitic, near AISI 316; 200-2500 nm
 Another source of the same material is named after a slash: `ior("Al/McPeak")`, `ior("PMMA/Zhang-Tomson")`.
 """
 
-from __future__ import annotations
-
 import difflib
 import re
 from dataclasses import dataclass
@@ -38,6 +36,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gonio.errors import ArgumentError, ConfigError, DataError, refuse_masked
+from gonio.typing import ArrayLike, Floats
 
 _PMMA = "organic/(C5H8O2)n - poly(methyl methacrylate)/nk"
 _PC = "organic/(C16H14O3)n - polycarbonate/nk"
@@ -71,12 +70,12 @@ class Curve:
 
     lower_um: float
     upper_um: float
-    wavelengths_um: npt.NDArray[np.float64] | None = None
-    values: npt.NDArray[np.float64] | None = None
+    wavelengths_um: Floats | None = None
+    values: Floats | None = None
     formula: int = 0
     coefficients: tuple[float, ...] = ()
 
-    def __call__(self, um: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    def __call__(self, um: Floats) -> Floats:
         if self.wavelengths_um is not None and self.values is not None:
             return np.asarray(np.interp(um, self.wavelengths_um, self.values))
         return _dispersion(self.formula, self.coefficients, um)
@@ -94,7 +93,7 @@ class Material:
     k: Curve | None
     """None where the source gives no absorption, which is then zero."""
 
-    def __call__(self, wavelength_nm: npt.ArrayLike) -> npt.NDArray[np.complex128]:
+    def __call__(self, wavelength_nm: ArrayLike) -> npt.NDArray[np.complex128]:
         """Complex index n + ik of the wavelengths' shape, k >= 0 where light is absorbed.
 
         Raises
@@ -240,7 +239,7 @@ def _plain_text(html: Any) -> str:
     return re.sub(r"\s+", " ", re.sub(r"<[^>]+>", "", str(html))).strip()
 
 
-def _dispersion(formula: int, coefficients: tuple[float, ...], um: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+def _dispersion(formula: int, coefficients: tuple[float, ...], um: Floats) -> Floats:
     """n by a dispersion formula of the database (refractiveindex.info, "Dispersion formulas", numbers 1 to 6)."""
     c = (*coefficients, *([0.0] * 17))[:17]
     squared = um**2

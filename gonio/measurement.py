@@ -40,10 +40,9 @@ from gonio.errors import ConfigError, DataError
 from gonio.formats import native, own_columns, rt300s
 from gonio.formats.native import check, check_columns, meta_path, uncertainty
 from gonio.formats.reader import ANGLES, COLUMNS, MAX_BYTES, MUELLER, U_ANGLES, U_MUELLER, Format, reflection_only
+from gonio.typing import DataFrame
 
 if TYPE_CHECKING:
-    import pandas as pd
-
     from gonio.models import Model
 
 __all__ = [
@@ -59,7 +58,7 @@ def read(
     sample: str | None = None,
     columns: Mapping[str, str] | None = None,
     blank: Path | None = None,
-) -> pd.DataFrame:
+) -> DataFrame:
     """The measurement table in a file of any supported format, or in a RUN folder (its `brdf.csv`).
 
     Parameters
@@ -99,7 +98,7 @@ def parse(
     format: str | None = None,
     columns: Mapping[str, str] | None = None,
     blank: Path | None = None,
-) -> pd.DataFrame:
+) -> DataFrame:
     """The table in the bytes of a file, as `read` gives it, with the same errors; `path` names the file in messages."""
     where, stored = "columns", columns
     if columns is None and (stored := own_columns.beside(path)) is not None:
@@ -130,7 +129,7 @@ def parse(
     return frame
 
 
-def write(frame: pd.DataFrame, path: str | Path, *, format: str | None = None) -> list[str]:
+def write(frame: DataFrame, path: str | Path, *, format: str | None = None) -> list[str]:
     """Write a table: all of it or nothing.
 
     Parameters
@@ -175,7 +174,7 @@ def write(frame: pd.DataFrame, path: str | Path, *, format: str | None = None) -
     return _left_out(frame, path, chosen)
 
 
-def _left_out(frame: pd.DataFrame, path: Path, chosen: Format) -> list[str]:
+def _left_out(frame: DataFrame, path: Path, chosen: Format) -> list[str]:
     """What a format has no room for, a sentence each."""
     lost = chosen.remarks(frame) if chosen.remarks is not None else []
     if chosen is native.FORMAT and is_stream(path):
@@ -249,7 +248,7 @@ def write_model(model: Model, path: str | Path, *, name: str, format: str | None
     return remarks
 
 
-def is_simulated(frame: pd.DataFrame) -> bool:
+def is_simulated(frame: DataFrame) -> bool:
     """Whether a simulation made the values: its provenance says so, which copies and conversions keep."""
     provenance = frame.attrs.get("provenance")
     return isinstance(provenance, Mapping) and provenance.get("simulated") is True
@@ -262,7 +261,7 @@ def _goes_back(model: Model) -> bool:
     return isinstance(model, Retroreflecting) or (isinstance(model, Sum) and any(_goes_back(m) for m, _ in model.terms))
 
 
-def samples(frame: pd.DataFrame) -> dict[str, pd.DataFrame]:
+def samples(frame: DataFrame) -> dict[str, DataFrame]:
     """The samples of a table by name, in the order of the file."""
     if "sample" not in frame.columns:
         source = frame.attrs.get("source_file")
@@ -281,7 +280,7 @@ class Reading:
     """The blank of RT-300S workbooks."""
 
 
-def tables(spec: str | Path, how: Reading | None = None) -> dict[str, pd.DataFrame]:
+def tables(spec: str | Path, how: Reading | None = None) -> dict[str, DataFrame]:
     """The tables that `FILE`, `RUN` or `FILE:SAMPLE` on a command line names, by sample, as `unpolarised` leaves them.
 
     Raises
@@ -296,7 +295,7 @@ def tables(spec: str | Path, how: Reading | None = None) -> dict[str, pd.DataFra
     return {name: unpolarised(table) for name, table in found.items()}
 
 
-def unpolarised(frame: pd.DataFrame) -> pd.DataFrame:
+def unpolarised(frame: DataFrame) -> DataFrame:
     """The table of one sample with what unpolarised light would show, where every state of polarisation was measured.
 
     Values for incident s and p of one direction and wavelength become their mean; ss, sp, ps and pp half their sum.
@@ -340,7 +339,7 @@ def unpolarised(frame: pd.DataFrame) -> pd.DataFrame:
     return out
 
 
-def reflection(frame: pd.DataFrame) -> pd.DataFrame:
+def reflection(frame: DataFrame) -> DataFrame:
     """The rows of reflection; a note says how many of transmission are left out."""
     if "side" not in frame.columns:
         return frame
@@ -350,14 +349,14 @@ def reflection(frame: pd.DataFrame) -> pd.DataFrame:
     return kept
 
 
-def transmission(frame: pd.DataFrame) -> pd.DataFrame | None:
+def transmission(frame: DataFrame) -> DataFrame | None:
     """The rows of transmission; None where there are none."""
     if "side" not in frame.columns or not (frame["side"] == "transmission").any():
         return None
     return _of_side(frame, "transmission")[0].assign(side="transmission")
 
 
-def turned_over(frame: pd.DataFrame) -> pd.DataFrame:
+def turned_over(frame: DataFrame) -> DataFrame:
     """Transmission as if it were reflection: directions toward the detector mirrored at the sample's plane.
 
     theta_r becomes 180 - theta_r, the angle from the normal of the back, so that whatever integrates, interpolates or
@@ -371,7 +370,7 @@ def turned_over(frame: pd.DataFrame) -> pd.DataFrame:
     return out
 
 
-def _of_side(frame: pd.DataFrame, side: str) -> tuple[pd.DataFrame, int]:
+def _of_side(frame: DataFrame, side: str) -> tuple[DataFrame, int]:
     """The rows of one side without the column, and how many others there are."""
     here = frame["side"] == side
     out = frame[here].drop(columns="side").reset_index(drop=True)
@@ -389,7 +388,7 @@ def split(spec: str | Path) -> tuple[str, str | None]:
     return text, None
 
 
-def _choose(frame: pd.DataFrame, sample: str, path: Path) -> pd.DataFrame:
+def _choose(frame: DataFrame, sample: str, path: Path) -> DataFrame:
     if "sample" not in frame.columns:
         if sample == frame.attrs.get("sample"):
             return frame

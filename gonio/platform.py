@@ -18,8 +18,6 @@ who has a port open       /proc                           nobody is named; the s
 ========================  ==============================  =====================================================
 """
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import hashlib

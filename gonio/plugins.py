@@ -1,7 +1,5 @@
 """Entry points: rigs, cameras, models, commands and exports of runs, ours and others' alike."""
 
-from __future__ import annotations
-
 import contextlib
 import difflib
 import functools

@@ -1,7 +1,5 @@
 """Numbers in words, with their uncertainties, and how results show themselves at a prompt and in a notebook."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from html import escape

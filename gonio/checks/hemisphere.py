@@ -1,7 +1,5 @@
 """Directional-hemispherical reflectance of measured values, integrated where their sampling allows."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 

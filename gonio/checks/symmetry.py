@@ -4,17 +4,14 @@ Pairs of values that a reciprocal, symmetric, isotropic sample would give alike,
 compared as logarithms of their ratio.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from gonio.checks.values import CheckedValues, Rows, incidences
 from gonio.geometry import SAME_ANGLE, SAME_AZIMUTH, SAME_DIRECTION, Directions, wrap
-from gonio.typing import Floats
+from gonio.typing import Bools, Floats
 
 NEAR = float(np.radians(0.1))
 """Two directions count as one: readbacks scatter by hundredths of a degree."""
@@ -175,7 +172,7 @@ def _pairs(here: Floats, there: Floats) -> Rows:
     return np.asarray(np.unique(both[both[:, 0] != both[:, 1]], axis=0))
 
 
-def _across(turned: Floats, azimuths: Floats, use: npt.NDArray[np.bool_]) -> Rows:
+def _across(turned: Floats, azimuths: Floats, use: Bools) -> Rows:
     """Pairs of equal turned directions between each azimuth of incidence and the next."""
     from scipy.spatial import cKDTree
 

@@ -5,18 +5,13 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
 from gonio.geometry import SAME_ANGLE, SAME_AZIMUTH, Directions, wrap
-from gonio.typing import Floats
+from gonio.typing import Bools, DataFrame, Floats, Ints
 
-if TYPE_CHECKING:
-    import pandas as pd
-
-Rows = npt.NDArray[np.intp]
+Rows = Ints
 
 
 @dataclass(frozen=True)
@@ -45,7 +40,7 @@ class CheckedValues:
     def _common(self) -> Floats:
         return np.zeros((len(self), 0)) if self.common is None else self.common
 
-    def take(self, rows: Rows | npt.NDArray[np.bool_]) -> CheckedValues:
+    def take(self, rows: Rows | Bools) -> CheckedValues:
         """Some of them."""
         random, common = (None if a is None else a[rows] for a in (self.random, self.common))
         return CheckedValues(self.directions[rows], self.brdf[rows], random, common)
@@ -68,7 +63,7 @@ class CheckedValues:
         return max(float(scaled @ scaled - along @ np.linalg.solve(inner, along)), 0.0)
 
 
-def values_of(frame: pd.DataFrame) -> dict[float, CheckedValues]:
+def values_of(frame: DataFrame) -> dict[float, CheckedValues]:
     """The usable values of reflection of a measurement table, by wavelength [nm]; NaN stands for a broad band."""
     use = (frame["flag"].fillna("") == "") & frame["brdf"].notna()
     if "side" in frame.columns:

@@ -3,8 +3,6 @@
 To add one: write `formats/mine.py` with a `FORMAT`, and name it in `_MODULES`.
 """
 
-from __future__ import annotations
-
 import difflib
 from functools import cache
 from importlib import import_module

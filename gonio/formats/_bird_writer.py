@@ -1,14 +1,12 @@
 """Writes BiRD JSON."""
 
-from __future__ import annotations
-
 import json
 import math
 import uuid
 from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypedDict
+from typing import Any, TypedDict
 
 import numpy as np
 
@@ -17,9 +15,7 @@ from gonio.documents import JsonObject
 from gonio.errors import DataError
 from gonio.formats.reader import ANGLES, write_bytes
 from gonio.formats.stated import Need, get, laboratory_of, require
-
-if TYPE_CHECKING:
-    import pandas as pd
+from gonio.typing import DataFrame
 
 _SCHEMA = "https://raw.githubusercontent.com/BiRD-project/BiRD_view/master/BRDF_JSON_schema/brdf_json_schema_v1.0.json"
 _STATES = {"uu": "unpolarised", "su": "s", "pu": "p"} | {pair: pair for pair in ("ss", "sp", "ps", "pp")}
@@ -35,7 +31,7 @@ class _Variable(TypedDict, total=False):
     values: object
 
 
-def write(frame: pd.DataFrame, path: Path) -> None:
+def write(frame: DataFrame, path: Path) -> None:
     """Everything that the table holds; metadata that the schema demands and nobody knows are "unknown"."""
     for column in ("theta_i_deg", "theta_r_deg"):
         if (frame[column] >= 90).any():
@@ -86,7 +82,7 @@ def write(frame: pd.DataFrame, path: Path) -> None:
     write_bytes(path, text.encode() + b"\n")
 
 
-def _metadata(frame: pd.DataFrame, path: Path) -> JsonObject:
+def _metadata(frame: DataFrame, path: Path) -> JsonObject:
     attrs = frame.attrs
     provenance = attrs.get("provenance") or {}
     attributes = {key: value for key, value in attrs.items() if key not in ("provenance", "source_file")}
@@ -113,7 +109,7 @@ def _is_simulated(provenance: Mapping[str, Any]) -> bool:
     return told if isinstance(told, bool) else str(provenance.get("rig", "")).startswith("sim")
 
 
-def _unstated(frame: pd.DataFrame) -> JsonObject:
+def _unstated(frame: DataFrame) -> JsonObject:
     """What the schema requires, of a table of which nobody has said whose it is."""
     attrs, unknown = frame.attrs, "unknown"
     provenance = attrs.get("provenance") or {}
@@ -151,7 +147,7 @@ _NEEDED_OF_A_MEASUREMENT: tuple[Need, ...] = (
 )  # fmt: skip
 
 
-def _stated(frame: pd.DataFrame, stated: JsonObject, path: Path) -> JsonObject:
+def _stated(frame: DataFrame, stated: JsonObject, path: Path) -> JsonObject:
     """The same from `[laboratory]`; `ConfigError` names every key that is missing."""
     attrs = frame.attrs
     provenance = attrs["provenance"]
@@ -213,7 +209,7 @@ def _mm(value: float) -> JsonObject:
     return {"value": value, "unit": "mm"}
 
 
-def _instrumentation(frame: pd.DataFrame, stated: JsonObject) -> JsonObject:
+def _instrumentation(frame: DataFrame, stated: JsonObject) -> JsonObject:
     attrs, instrument = frame.attrs, stated["instrument"]
     lit, seen = (
         {"min_value": instrument[key][0], "max_value": instrument[key][1], "unit": "nm"}

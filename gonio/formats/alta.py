@@ -11,28 +11,22 @@ quantity: INV_STERADIAN is the BRDF; INV_STERADIAN_COSINE_FACTOR is the BRDF tim
 ALTA names no wavelength, no uncertainty and no solid angle; files that we write say theirs in `#WAVELENGTH_NM`.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from gonio.errors import DataError
 from gonio.formats.reader import Format, fold, plain_degrees, single, table, wide, write_bytes
 from gonio.formats.text import Text, estimate, integer, number, numbers
-from gonio.typing import Floats
-
-if TYPE_CHECKING:
-    import pandas as pd
+from gonio.typing import DataFrame, Floats
 
 _COORDINATES = {"ISOTROPIC_TL_TV_PROJ_DPHI": 3, "ISOTROPIC_TV_TL_DPHI": 3, "SPHERICAL_TL_PL_TV_PV": 4}
 _QUANTITIES = ("INV_STERADIAN", "INV_STERADIAN_COSINE_FACTOR")
 
 
-def read(data: bytes, path: Path) -> pd.DataFrame:
+def read(data: bytes, path: Path) -> DataFrame:
     """The measurement table in ALTA text; `DataError` says what is wrong with the file, and where."""
     text = Text(data, path)
     keywords: dict[str, str] = {}
@@ -123,7 +117,7 @@ def _directions(kind: str, rows: Floats) -> tuple[Floats, Floats, Floats, Floats
     return theta_i, phi_i, theta_r, phi_r
 
 
-def write(frame: pd.DataFrame, path: Path) -> None:
+def write(frame: DataFrame, path: Path) -> None:
     """Full directions (SPHERICAL_TL_PL_TV_PV) and the BRDF without a cosine; flagged rows are left out."""
     single(frame, path, "ALTA text")
     usable = frame[frame["flag"] == ""]

@@ -7,12 +7,9 @@ exactly zero is what the instrument wrote where the signal fell below its dark l
 a missing value. Small values, and negative ones, are data.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,16 +17,14 @@ from gonio.errors import DataError
 from gonio.formats import stated
 from gonio.formats.reader import Format, fold, plain_degrees, table, wide, write_bytes
 from gonio.formats.text import Text, estimate, integer, numbers
-
-if TYPE_CHECKING:
-    import pandas as pd
+from gonio.typing import DataFrame
 
 _ANGLES = ["theta_i", "phi_i", "theta_s", "phi_s"]
 _ALIASES = {"theta_r": "theta_s", "phi_r": "phi_s"}
 _WAVELENGTH = re.compile(r"(\d+(?:\.\d+)?(?:[eE][+-]?\d+)?)\s*(nm|um|\u00b5m|\u03bcm)", re.IGNORECASE)
 
 
-def read(data: bytes, path: Path) -> pd.DataFrame:
+def read(data: bytes, path: Path) -> DataFrame:
     """The measurement table in ASTM E1392 text; `DataError` says what is wrong with the file, and where."""
     text = Text(data, path)
     keywords, first = _header(text)
@@ -115,7 +110,7 @@ HEADER = {
 REQUIRED = ("LAB_NAME", "LAB_OPERATOR", "SAMPLE_NAME", "MEAS_DATE")
 
 
-def _known(frame: pd.DataFrame) -> dict[str, str]:
+def _known(frame: DataFrame) -> dict[str, str]:
     """Keywords of the header: those of the file that was read, and what the laboratory has stated."""
     known = {key: value for key, value in frame.attrs.get("provenance", {}).items() if _is_keyword(key, value)}
     laboratory = stated.laboratory_of(frame) or {}
@@ -127,7 +122,7 @@ def _known(frame: pd.DataFrame) -> dict[str, str]:
     return known
 
 
-def remarks(frame: pd.DataFrame) -> list[str]:
+def remarks(frame: DataFrame) -> list[str]:
     """Of a run: which keywords of the header nobody has stated."""
     if "reduced_by" not in frame.attrs.get("provenance", {}):
         return []
@@ -135,7 +130,7 @@ def remarks(frame: pd.DataFrame) -> list[str]:
     return [f"the header lacks what nobody has stated: {', '.join(lacking)}"] if lacking else []
 
 
-def write(frame: pd.DataFrame, path: Path) -> None:
+def write(frame: DataFrame, path: Path) -> None:
     """Angles in radians and values, all digits; a flagged row becomes a zero, which reads as "clamped"."""
     angles, wavelengths, values = wide(frame, path, "ASTM E1392")
     known = _known(frame)

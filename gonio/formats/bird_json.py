@@ -8,13 +8,11 @@ it is read as a standard uncertainty. What it has no variable for (flags, `u_ran
 is written as ad-hoc variables of the same names, which other readers pass over and this one restores.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
 import numpy as np
 
@@ -24,16 +22,13 @@ from gonio.formats._bird_writer import _STATES, _Variable, write
 from gonio.formats.native import checked_attributes
 from gonio.formats.reader import Format, fold, table
 from gonio.formats.stated import laboratory_of
-from gonio.typing import Floats
-
-if TYPE_CHECKING:
-    import pandas as pd
+from gonio.typing import DataFrame, Floats
 
 _STOKES = {(1.0, 1.0, 0.0, 0.0): "s", (1.0, -1.0, 0.0, 0.0): "p", (1.0, 0.0, 0.0, 0.0): "u"}
 _OURS = re.compile(r"brdf|u_brdf|u_random|flag|sample|s_\w{1,60}")
 
 
-def read(data: bytes, path: Path) -> pd.DataFrame:
+def read(data: bytes, path: Path) -> DataFrame:
     """The measurement table in BiRD JSON; `DataError` says what is wrong with the file, and where."""
     content = _load(data, path)
     section = content.get("data")
@@ -245,7 +240,7 @@ def _short(value: Any) -> str:
     return text if len(text) <= 40 else text[:37] + "..."
 
 
-def remarks(frame: pd.DataFrame) -> list[str]:
+def remarks(frame: DataFrame) -> list[str]:
     """What stands as "unknown" in the file of a run of ours, and how to state it."""
     provenance = frame.attrs.get("provenance") or {}
     if "reduced_by" not in provenance or "bird" in provenance or laboratory_of(frame) is not None:

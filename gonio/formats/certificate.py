@@ -5,8 +5,6 @@ A DCC is XML. Its quantities stand in `dcc:quantity`, named, with an `si:real` (
 their names without the namespace's version.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 import re

@@ -1,7 +1,5 @@
 """What to rename where the columns of a table made by hand are nearly those of the measurement table."""
 
-from __future__ import annotations
-
 import difflib
 import itertools
 import re

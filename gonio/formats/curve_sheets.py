@@ -9,12 +9,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gonio.errors import DataError
-from gonio.typing import Floats
+from gonio.typing import DataFrame, Floats
 
 if TYPE_CHECKING:
     from pathlib import Path
-
-    import pandas as pd
 
 MOST = 500
 """Curves in one file: beyond, a table of all values is what a reader wants."""
@@ -26,13 +24,13 @@ class CurveRows:
 
     name: str
     """Of the table, as in "550 nm, 45 deg"; each once."""
-    rows: pd.DataFrame
+    rows: DataFrame
     """In the order of `signed_deg`."""
     signed_deg: Floats
     """Viewing angle in the plane [deg]: positive on the side of the mirror direction."""
 
 
-def curves(frame: pd.DataFrame, path: Path) -> Iterator[CurveRows]:
+def curves(frame: DataFrame, path: Path) -> Iterator[CurveRows]:
     """The curves of a table; `DataError` where there are more than `MOST`."""
     import pandas as pd
 

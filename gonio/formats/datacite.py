@@ -3,25 +3,20 @@
 It is what a repository asks for when data get a DOI. Without `laboratory.doi` the record has none yet.
 """
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from gonio.documents import JsonObject
 from gonio.errors import ConfigError
 from gonio.formats.reader import write_bytes
 from gonio.formats.stated import Need, get, laboratory_of, require
-
-if TYPE_CHECKING:
-    import pandas as pd
+from gonio.typing import DataFrame
 
 _SCHEMA = "http://datacite.org/schema/kernel-4"
 _NEEDED: tuple[Need, ...] = ("creators", "publication_year", ("publisher", "organisation"))
 
 
-def record(frame: pd.DataFrame, path: Path) -> JsonObject:
+def record(frame: DataFrame, path: Path) -> JsonObject:
     """The record of a table; `path` is for messages.
 
     Raises
@@ -76,7 +71,7 @@ def encode(content: JsonObject) -> bytes:
     return json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False).encode() + b"\n"
 
 
-def write(frame: pd.DataFrame, path: Path) -> list[str]:
+def write(frame: DataFrame, path: Path) -> list[str]:
     """Write the record of a table.
 
     Returns

@@ -7,10 +7,8 @@ values, and tagged "rho_dh_<theta_i>". Degrees of freedom count as infinite. A f
 one without an uncertainty. `GTC.persistence.load_json` opens the file.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -20,15 +18,13 @@ from gonio.errors import ConfigError, DataError
 from gonio.formats.native import uncertainty
 from gonio.formats.reader import Format, write_bytes
 from gonio.geometry import Directions
-
-if TYPE_CHECKING:
-    import pandas as pd
+from gonio.typing import DataFrame
 
 MOST = 20_000
 """Values of one archive: each is some hundred bytes for every cause."""
 
 
-def write(frame: pd.DataFrame, path: Path) -> None:
+def write(frame: DataFrame, path: Path) -> None:
     """The table's usable values as uncertain numbers, and rho_dh where they surround the hemisphere."""
     try:
         import GTC  # type: ignore[import-untyped]
@@ -55,19 +51,19 @@ def write(frame: pd.DataFrame, path: Path) -> None:
     write_bytes(path, persistence.dumps_json(archive).encode())
 
 
-def _usable(frame: pd.DataFrame) -> Any:
+def _usable(frame: DataFrame) -> Any:
     side = frame["side"].fillna("reflection") if "side" in frame.columns else "reflection"
     return ((frame["flag"].fillna("") == "") & frame["brdf"].notna() & (side == "reflection")).to_numpy()
 
 
-def _labels(frame: pd.DataFrame) -> list[str]:
+def _labels(frame: DataFrame) -> list[str]:
     columns = ("theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg", "wavelength_nm")
     texts = zip(*(frame[name] for name in columns), strict=True)
     return [f"BRDF 1/sr at {i:g}, {a:g}; {r:g}, {b:g} deg; {nm:g} nm" for i, a, r, b, nm in texts]
 
 
 def _reflectances(
-    frame: pd.DataFrame, rows: Any, random: Any, common: Any, values: dict[int, Any]
+    frame: DataFrame, rows: Any, random: Any, common: Any, values: dict[int, Any]
 ) -> list[tuple[str, Any]]:
     """rho_dh by tags, as sums of uncertain numbers; by wavelength and angle of incidence."""
     out = []
@@ -86,7 +82,7 @@ def _reflectances(
     return out
 
 
-def _refused(data: bytes, path: Path) -> pd.DataFrame:
+def _refused(data: bytes, path: Path) -> DataFrame:
     raise DataError(f"{path}: GTC archives are written, not read: they do not keep what was measured where")
 
 

@@ -28,11 +28,9 @@ import numpy as np
 from gonio.errors import DataError
 from gonio.formats.reader import ANGLES, SIDES, Format, table, wrap_deg, write_bytes
 from gonio.formats.text import integer, number
-from gonio.typing import Floats
+from gonio.typing import DataFrame, Floats
 
 if TYPE_CHECKING:
-    import pandas as pd
-
     from gonio.models import Model
 
 _BANDS = {"Visible": (380.0, 780.0), "Solar": (300.0, 2500.0)}
@@ -64,7 +62,7 @@ def _rings(rings: Iterator[tuple[float, int]]) -> Basis:
     return Basis(np.concatenate([t for t, _ in parts]), np.concatenate([p for _, p in parts]))
 
 
-def read(data: bytes, path: Path) -> pd.DataFrame:
+def read(data: bytes, path: Path) -> DataFrame:
     """The measurement table in WINDOW's XML; `DataError` says what is wrong with the file, and where."""
     layer = _layer(data, path)
     definition = _child(layer, "DataDefinition", path)
@@ -192,7 +190,7 @@ def _text(element: ElementTree.Element, name: str, path: Path) -> str:
     return (_child(element, name, path).text or "").strip()
 
 
-def write(frame: pd.DataFrame, path: Path) -> None:
+def write(frame: DataFrame, path: Path) -> None:
     """A table whose directions are the 145 x 145 pairs of the full Klems basis, for each sample once.
 
     The side and the band are read from the sample's name ("<product> front Visible"), as this reader makes them; a
@@ -252,7 +250,7 @@ def write_model(model: Model, name: str, path: Path) -> None:
 
 def averaged(
     brdf: Callable[[Floats, Floats, Floats, Floats], Floats], name: str, *, samples: int = _SAMPLES
-) -> pd.DataFrame:
+) -> DataFrame:
     """A BRDF of four angles [rad] averaged over pairs of patches of the full basis, as its front in the visible.
 
     Averages are over `samples` by `samples` directions of equal projected solid angle in each patch.

@@ -20,11 +20,9 @@ import numpy as np
 
 from gonio.errors import DataError
 from gonio.formats.reader import ANGLES, RGB_NM, Format, table, wrap_deg, write_bytes
-from gonio.typing import Floats
+from gonio.typing import DataFrame, Floats
 
 if TYPE_CHECKING:
-    import pandas as pd
-
     from gonio.models import Model
 
 _SHAPE = (90, 90, 180)
@@ -33,7 +31,7 @@ _CELLS = math.prod(_SHAPE)
 _COLOURS = {"red": 1 / 1500, "green": 1.15 / 1500, "blue": 1.66 / 1500}
 
 
-def read(data: bytes, path: Path) -> pd.DataFrame:
+def read(data: bytes, path: Path) -> DataFrame:
     """The measurement table in a MERL file; `DataError` says what is wrong with the file, and where."""
     if data[:12] != _HEADER:
         shape = struct.unpack_from("<3i", data) if len(data) >= 12 else "cut"
@@ -103,7 +101,7 @@ def _polar(v: Floats) -> tuple[Floats, Floats]:
     return np.rad2deg(np.arctan2(np.hypot(v[0], v[1]), v[2])), np.rad2deg(np.arctan2(v[1], v[0]))
 
 
-def write(frame: pd.DataFrame, path: Path) -> None:
+def write(frame: DataFrame, path: Path) -> None:
     """A table that holds every cell of the three colours, in this reader's order; -1 where one is flagged."""
     cell, angles = _directions()
     names = frame["sample"].unique().tolist() if "sample" in frame.columns else []

@@ -2,6 +2,7 @@
 
 Columns: `sample_de`, `sample_en` (one of them is enough), `theta_o_deg` (receiver) and `theta_i_deg` (source), which
 lie in one plane on opposite sides of the normal, and the reflected radiance `L_reflected_W_m-2_sr-1` in the band
+from gonio.typing import DataFrame
 from 2 to 5.7 um. With the source's radiance L_s in that band and its disc of 5 mm radius at 315 mm distance
 
     brdf = L / (L_s cos(theta_i) w_s),    L_s = 3463.986 W m^-2 sr^-1,    w_s = pi (5/315)^2 sr
@@ -10,20 +11,15 @@ The band is broad, so `wavelength_nm` is NaN and `attrs["bands"]` has its limits
 narrower than itself (its solid angle is in the attributes); the receiver's is not stated, nor are uncertainties.
 """
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from gonio.errors import DataError
 from gonio.formats.reader import Format, fold, table
 from gonio.formats.text import column_names, csv_table
-
-if TYPE_CHECKING:
-    import pandas as pd
+from gonio.typing import DataFrame
 
 SOURCE_RADIANCE = 3463.986
 """Radiance of the source in its band [W m^-2 sr^-1]."""
@@ -32,7 +28,7 @@ BAND = {"name": "2-5.7 um", "lower_nm": 2000.0, "upper_nm": 5700.0}
 _RADIANCE = "L_reflected_W_m-2_sr-1"
 
 
-def read(data: bytes, path: Path) -> pd.DataFrame:
+def read(data: bytes, path: Path) -> DataFrame:
     """The measurement table in an infrared in-plane CSV; `DataError` says what is wrong with the file, and where."""
     cells = csv_table(data, path, ["theta_o_deg", "theta_i_deg", _RADIANCE])
     column = next((name for name in ("sample_en", "sample_de") if name in cells.header), None)

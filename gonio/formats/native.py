@@ -3,8 +3,6 @@
 A table made by hand may leave out what it does not know: the four angles and `brdf` are enough.
 """
 
-from __future__ import annotations
-
 import csv
 import io
 import itertools
@@ -15,7 +13,7 @@ import re
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -38,10 +36,7 @@ from gonio.formats.reader import (
     write_bytes,
 )
 from gonio.formats.text import cell_of, column_names, decode, number, plain_word, separator
-from gonio.typing import Floats
-
-if TYPE_CHECKING:
-    import pandas as pd
+from gonio.typing import DataFrame, Floats, Series
 
 _WORDS = ("polarisation", "side", "sample", "flag")
 _TEXTS = ("sample", "flag")
@@ -68,7 +63,7 @@ def meta_path(path: str | Path) -> Path:
     return Path(path).with_suffix(".meta.json")
 
 
-def read(data: bytes, path: Path, stored: Any = None) -> pd.DataFrame:
+def read(data: bytes, path: Path, stored: Any = None) -> DataFrame:
     """The table, its numbers to the last bit, and its attributes: `stored`, or those that lie beside the file."""
     text = decode(data, path)
     frame = _read_at_once(text)
@@ -82,7 +77,7 @@ def read(data: bytes, path: Path, stored: Any = None) -> pd.DataFrame:
     )
 
 
-def taken(frame: pd.DataFrame, stored: Any, path: Path) -> pd.DataFrame:
+def taken(frame: DataFrame, stored: Any, path: Path) -> DataFrame:
     """The table of columns and attributes that another file format has kept; `DataError` where they are none."""
     check_columns(list(frame.columns), str(path), needed=NEEDED)
     for name in frame.columns:
@@ -92,7 +87,7 @@ def taken(frame: pd.DataFrame, stored: Any, path: Path) -> pd.DataFrame:
     return _completed(frame, attrs, path)
 
 
-def _completed(frame: pd.DataFrame, attrs: Attributes, path: Path) -> pd.DataFrame:
+def _completed(frame: DataFrame, attrs: Attributes, path: Path) -> DataFrame:
     """The table with the columns that a file may lack, and its attributes; `DataError` where a value is not allowed."""
     absent = [name for name in _DEFAULTS if name not in frame.columns]
     if absent:
@@ -109,7 +104,7 @@ def _completed(frame: pd.DataFrame, attrs: Attributes, path: Path) -> pd.DataFra
     return frame
 
 
-def _read_at_once(text: str) -> pd.DataFrame | None:
+def _read_at_once(text: str) -> DataFrame | None:
     """The columns of a file without quotes, blank lines and other surprises, quickly; None for any other file."""
     import pandas as pd
 
@@ -126,7 +121,7 @@ def _read_at_once(text: str) -> pd.DataFrame | None:
         empty: Any = {name: ["", "nan", "NaN"] for name in header if name not in words}
         # exact by default since pandas 3.1, which asks not to say so
         exact: Any = {"float_precision": "round_trip"} if pd.__version__ < "3.1" else {}
-        frame: pd.DataFrame = pd.read_csv(
+        frame: DataFrame = pd.read_csv(
             io.StringIO(text),
             dtype=kinds,
             index_col=False,
@@ -143,7 +138,7 @@ def _read_at_once(text: str) -> pd.DataFrame | None:
     return frame
 
 
-def _read_line_by_line(text: str, path: Path) -> pd.DataFrame:
+def _read_line_by_line(text: str, path: Path) -> DataFrame:
     """The columns of any file, as text and numbers; messages name line and column."""
     import pandas as pd
 
@@ -173,7 +168,7 @@ def _read_line_by_line(text: str, path: Path) -> pd.DataFrame:
     return pd.DataFrame({name: np.concatenate(part) for name, part in zip(header, parts, strict=True)})
 
 
-def write(frame: pd.DataFrame, path: Path) -> None:
+def write(frame: DataFrame, path: Path) -> None:
     """The table, its numbers to the last bit, and its attributes beside it."""
     check_columns(list(frame.columns), str(path))
     check(frame, lambda row: f"{path}, row {row + 1}")
@@ -222,7 +217,7 @@ def check_columns(header: list[str], where: str, *, needed: tuple[str, ...] = CO
             raise DataError(f"{where}: columns {what}: {shown}{hints}; {known}")
 
 
-def check(frame: pd.DataFrame, where: Any) -> None:
+def check(frame: DataFrame, where: Any) -> None:
     """`DataError` naming row and column of the first value that is not allowed; `where(row)` says where a row lies."""
     flagged = frame["flag"].to_numpy() != ""
     if len(frame) == 0:
@@ -272,7 +267,7 @@ def check(frame: pd.DataFrame, where: Any) -> None:
             demand(_one_of(frame[column], lambda word: isinstance(word, str)), column, "text is needed")
 
 
-def _check_angles(frame: pd.DataFrame, demand: Callable[[Any, str, str], None]) -> None:
+def _check_angles(frame: DataFrame, demand: Callable[[Any, str, str], None]) -> None:
     if "side" in frame.columns:
         demand(_one_of(frame["side"], lambda word: word in SIDES), "side", f"one of {', '.join(SIDES)}")
         through = frame["side"].to_numpy() == "transmission"
@@ -298,13 +293,13 @@ def _check_angles(frame: pd.DataFrame, demand: Callable[[Any, str, str], None]) 
         demand((phi >= 0) & (phi < 360), column, "azimuths lie in [0, 360) degrees")
 
 
-def _per_word(words: pd.Series[Any], change: Callable[[str], str]) -> pd.Series[Any]:
+def _per_word(words: Series, change: Callable[[str], str]) -> Series:
     """The words, changed; each different word is looked at once."""
     changed = {word: change(word) for word in words.unique()}
     return words.map(changed) if any(old != new for old, new in changed.items()) else words
 
 
-def _one_of(words: pd.Series[Any], allowed: Callable[[Any], bool]) -> Any:
+def _one_of(words: Series, allowed: Callable[[Any], bool]) -> Any:
     """Which rows have an allowed word; each different word is looked at once."""
     bad = [word for word in words.unique() if not allowed(word)]
     return ~words.isin(bad) if bad else np.ones(len(words), dtype=bool)
@@ -379,7 +374,7 @@ FORMAT = Format(
 )
 
 
-def uncertainty(frame: pd.DataFrame) -> tuple[Floats, Floats, list[str]]:
+def uncertainty(frame: DataFrame) -> tuple[Floats, Floats, list[str]]:
     """The covariance of a table's values in factors: C = diag(u_random^2) + S S^T.
 
     Returns

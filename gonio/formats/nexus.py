@@ -4,12 +4,10 @@ There is no NeXus definition of a BRDF. So the file is an `NXentry` of the base 
 NeXpy draw: `NXdata` with `signal`, `axes` and `_errors`, `NXsample`, `NXprocess`. It reads back to the last bit.
 """
 
-from __future__ import annotations
-
 import io
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -18,9 +16,7 @@ from gonio.errors import ConfigError, DataError
 from gonio.formats import native
 from gonio.formats.curve_sheets import MOST, curves
 from gonio.formats.reader import Format, write_bytes
-
-if TYPE_CHECKING:
-    import pandas as pd
+from gonio.typing import DataFrame
 
 MAGIC = b"\x89HDF\r\n\x1a\n"
 TABLE = "entry/table"
@@ -62,7 +58,7 @@ def _column(group: Any, name: str, values: Any, units: str | None, words: Any) -
         dataset.attrs["units"] = units
 
 
-def write(frame: pd.DataFrame, path: Path) -> None:
+def write(frame: DataFrame, path: Path) -> None:
     """The table, its attributes, and its curves where there are not too many."""
     h5py = _library()
     words = h5py.string_dtype("utf-8")
@@ -102,7 +98,7 @@ def write(frame: pd.DataFrame, path: Path) -> None:
     write_bytes(path, buffer.getvalue())
 
 
-def remarks(frame: pd.DataFrame) -> list[str]:
+def remarks(frame: DataFrame) -> list[str]:
     """That there are too many curves for groups of their own."""
     try:
         list(curves(frame, Path("table")))
@@ -111,7 +107,7 @@ def remarks(frame: pd.DataFrame) -> list[str]:
     return []
 
 
-def read(data: bytes, path: Path) -> pd.DataFrame:
+def read(data: bytes, path: Path) -> DataFrame:
     """A table that `write` has written."""
     import pandas as pd
 

@@ -11,23 +11,17 @@ R the rotation of (Q, U) by 2 psi; and s, p and the ray are right-handed there, 
 change their signs. Table columns m01 to m33 have the project's own frame (docs/conventions.md).
 """
 
-from __future__ import annotations
-
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from gonio.errors import DataError
 from gonio.formats.reader import MUELLER, Format, fold, table
 from gonio.formats.text import column_names, csv_table
-from gonio.typing import Floats
-
-if TYPE_CHECKING:
-    import pandas as pd
+from gonio.typing import DataFrame, Floats
 
 
-def read(data: bytes, path: Path) -> pd.DataFrame:
+def read(data: bytes, path: Path) -> DataFrame:
     """The measurement table in one of NIST's Mueller CSVs; `DataError` says what is wrong with the file, and where."""
     names = column_names(data[:4096])
     value = "fr11" if "fr11" in names else "f_r11"

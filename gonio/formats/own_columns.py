@@ -4,8 +4,6 @@ The pairs stand on the command line (`--columns theta_i=ti:rad,brdf=R:factor`) o
 table (`theta_i = "ti:rad"`). The table is a CSV or an Excel workbook.
 """
 
-from __future__ import annotations
-
 import csv
 import io
 import math

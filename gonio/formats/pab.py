@@ -16,20 +16,15 @@ azimuths run the other way. Several files joined into one are read as one table:
 direction of incidence. What the headers say, and how DSF is meant, is as Radiance's pabopto2bsdf reads these files.
 """
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from gonio.errors import DataError
 from gonio.formats.reader import Format, fold, table
 from gonio.formats.text import Text, number, numbers
-
-if TYPE_CHECKING:
-    import pandas as pd
+from gonio.typing import DataFrame
 
 _FORMAT = re.compile(r"format:\s*theta\s+phi\s+(\S+)", re.IGNORECASE)
 _CHANNELS = {"": ("value",), "cie-y": ("Y",), "cie-xyz": ("X", "Y", "Z")}
@@ -80,7 +75,7 @@ class _Header:
         return self.theta_i, self.phi_i
 
 
-def read(data: bytes, path: Path) -> pd.DataFrame:
+def read(data: bytes, path: Path) -> DataFrame:
     """The measurement table in a file of Mountain's; `DataError` says what is wrong with it, and in which line."""
     text = Text(data, path)
     rows, colorimetry, name = _rows(text)

@@ -3,20 +3,15 @@
 Attributes of the table lie in the metadata, as pandas keeps them.
 """
 
-from __future__ import annotations
-
 import io
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from gonio.errors import ConfigError, DataError
 from gonio.formats import native
 from gonio.formats.reader import Format, write_bytes
-
-if TYPE_CHECKING:
-    import pandas as pd
+from gonio.typing import DataFrame
 
 MAGIC = b"PAR1"
 
@@ -28,7 +23,7 @@ def _require_library() -> None:
         raise ConfigError("Parquet files need the package pyarrow: pip install gonio[parquet]") from None
 
 
-def write(frame: pd.DataFrame, path: Path) -> None:
+def write(frame: DataFrame, path: Path) -> None:
     """The table and its attributes."""
     _require_library()
     plain = frame.copy(deep=False)
@@ -38,7 +33,7 @@ def write(frame: pd.DataFrame, path: Path) -> None:
     write_bytes(path, buffer.getvalue())
 
 
-def read(data: bytes, path: Path) -> pd.DataFrame:
+def read(data: bytes, path: Path) -> DataFrame:
     """A table of the measurement table's columns."""
     import pandas as pd
 

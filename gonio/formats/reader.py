@@ -14,14 +14,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NotRequired, TypedDict, cast
 
 import numpy as np
-import numpy.typing as npt
 
 from gonio.disk import write_whole
 from gonio.errors import ConfigError, DataError, refuse_masked
-from gonio.typing import Floats
+from gonio.typing import Array, ArrayLike, DataFrame, Floats
 
 if TYPE_CHECKING:
-    import pandas as pd
     from pydantic import JsonValue
 
     from gonio.models import Model
@@ -57,10 +55,10 @@ class Format:
     endings: tuple[str, ...]
     sniff: Callable[[bytes], bool]
     """Whether the first 64 KiB of a file look like this format."""
-    read: Callable[[bytes, Path], pd.DataFrame]
+    read: Callable[[bytes, Path], DataFrame]
     """The table in a file's bytes; the path is for messages and for what lies beside the file."""
-    write: Callable[[pd.DataFrame, Path], None] | None = None
-    remarks: Callable[[pd.DataFrame], list[str]] | None = None
+    write: Callable[[DataFrame, Path], None] | None = None
+    remarks: Callable[[DataFrame], list[str]] | None = None
     """What a reader of a written file should know, a sentence each."""
     write_model: Callable[[Model, str, Path], None] | None = None
     """Writes an isotropic model, with a name, at the directions of the format: for renderers."""
@@ -72,7 +70,7 @@ class Format:
     """The one flag that reads back, where a flagged value is written as a zero."""
 
 
-def fold(theta_deg: npt.ArrayLike, phi_deg: npt.ArrayLike, *, slack_deg: float = 0.0) -> tuple[Floats, Floats]:
+def fold(theta_deg: ArrayLike, phi_deg: ArrayLike, *, slack_deg: float = 0.0) -> tuple[Floats, Floats]:
     """Directions with a signed polar angle as the table has them: (-theta, phi) is (theta, phi + 180).
 
     A polar angle above 90 degrees by no more than `slack_deg` (the file's rounding) is 90.
@@ -83,7 +81,7 @@ def fold(theta_deg: npt.ArrayLike, phi_deg: npt.ArrayLike, *, slack_deg: float =
     return np.where((theta > 90) & (theta <= 90 + slack_deg), 90.0, theta), phi
 
 
-def plain_degrees(radians: npt.ArrayLike, decimals: int) -> Floats:
+def plain_degrees(radians: ArrayLike, decimals: int) -> Floats:
     """Angles in degrees that a file gives in radians with so many decimals: the shortest that its digits stand for.
 
     0.174533 stands for 10 degrees and not for 10.0000043; the same digits come out when the angle is written again.
@@ -97,7 +95,7 @@ def plain_degrees(radians: npt.ArrayLike, decimals: int) -> Floats:
     return degrees
 
 
-def wrap_deg(phi_deg: npt.ArrayLike) -> Floats:
+def wrap_deg(phi_deg: ArrayLike) -> Floats:
     """Azimuths in [0, 360) degrees."""
     phi = np.asarray(phi_deg, dtype=np.float64)
     wrapped = np.round(np.mod(phi, 360.0), 10)  # so that -22.5 becomes 337.5 and not the float beside it
@@ -107,21 +105,21 @@ def wrap_deg(phi_deg: npt.ArrayLike) -> Floats:
 
 def table(
     *,
-    theta_i_deg: npt.ArrayLike,
-    phi_i_deg: npt.ArrayLike,
-    theta_r_deg: npt.ArrayLike,
-    phi_r_deg: npt.ArrayLike,
-    wavelength_nm: npt.ArrayLike,
-    brdf: npt.ArrayLike,
-    u_brdf: npt.ArrayLike = math.nan,
-    u_random: npt.ArrayLike = math.nan,
+    theta_i_deg: ArrayLike,
+    phi_i_deg: ArrayLike,
+    theta_r_deg: ArrayLike,
+    phi_r_deg: ArrayLike,
+    wavelength_nm: ArrayLike,
+    brdf: ArrayLike,
+    u_brdf: ArrayLike = math.nan,
+    u_random: ArrayLike = math.nan,
     polarisation: str | Sequence[str] = "unpolarised",
-    flag: str | Sequence[str] | npt.NDArray[Any] = "",
-    sample: Sequence[str] | npt.NDArray[Any] | None = None,
-    side: str | Sequence[str] | npt.NDArray[Any] | None = None,
-    mueller: Mapping[str, npt.ArrayLike] | None = None,
+    flag: str | Sequence[str] | Array = "",
+    sample: Sequence[str] | Array | None = None,
+    side: str | Sequence[str] | Array | None = None,
+    mueller: Mapping[str, ArrayLike] | None = None,
     attrs: Mapping[str, Any],
-) -> pd.DataFrame:
+) -> DataFrame:
     """A measurement table, its columns in order; arguments broadcast to one length, attributes get their defaults.
 
     A row whose `brdf` is NaN and that has no flag is flagged "not_measured". `side` is left out where all is
@@ -156,7 +154,7 @@ def table(
     return frame
 
 
-def quantity(frame: pd.DataFrame) -> str:
+def quantity(frame: DataFrame) -> str:
     """What the values of a table are: "brdf", "btdf", or "bsdf" where it has both."""
     if "side" not in frame.columns:
         return "brdf"
@@ -164,7 +162,7 @@ def quantity(frame: pd.DataFrame) -> str:
     return "btdf" if through.all() else "bsdf" if through.any() else "brdf"
 
 
-def flag_holes(frame: pd.DataFrame) -> None:
+def flag_holes(frame: DataFrame) -> None:
     """Flag rows whose `brdf` is NaN and that have no flag as "not_measured", and note how many they are."""
     holes = np.isnan(frame["brdf"].to_numpy(np.float64))
     if holes.any():
@@ -175,7 +173,7 @@ def flag_holes(frame: pd.DataFrame) -> None:
         frame.attrs["notes"] = [*frame.attrs.get("notes", ()), note]
 
 
-def _words(words: str | Sequence[str] | npt.NDArray[Any], count: int) -> npt.NDArray[Any]:
+def _words(words: str | Sequence[str] | Array, count: int) -> Array:
     if not isinstance(words, str):
         return np.asarray(words, dtype=object)
     same = np.empty(count, dtype=object)
@@ -225,7 +223,7 @@ def attributes(**known: Any) -> Attributes:
     return cast(Attributes, {**defaults, **known})
 
 
-def wide(frame: pd.DataFrame, path: Path, format_name: str) -> tuple[Floats, Floats, Floats]:
+def wide(frame: DataFrame, path: Path, format_name: str) -> tuple[Floats, Floats, Floats]:
     """Directions (n, 4), wavelengths (m,) and BRDF (n, m) of a table, for formats that have one row a direction.
 
     Directions keep the order of the table; what is flagged, and what was not measured, is NaN.
@@ -255,7 +253,7 @@ def wide(frame: pd.DataFrame, path: Path, format_name: str) -> tuple[Floats, Flo
     return angles[first[order]], wavelengths, values
 
 
-def single(frame: pd.DataFrame, path: Path, format_name: str) -> None:
+def single(frame: DataFrame, path: Path, format_name: str) -> None:
     """`DataError` unless the table holds one unpolarised sample."""
     if (frame["polarisation"] != "unpolarised").any():
         raise DataError(f"{path}: {format_name} holds unpolarised values only; this table has polarised rows")
@@ -265,7 +263,7 @@ def single(frame: pd.DataFrame, path: Path, format_name: str) -> None:
         )
 
 
-def reflection_only(frame: pd.DataFrame, path: Path, format_name: str) -> None:
+def reflection_only(frame: DataFrame, path: Path, format_name: str) -> None:
     """`DataError` where a table has transmission, and the format has no way to say so."""
     if "side" in frame.columns and (count := int((frame["side"] == "transmission").sum())):
         raise DataError(

@@ -6,27 +6,22 @@ so brdf = R / pi. A value of exactly zero is written where the receiver would st
 "blocked".
 """
 
-from __future__ import annotations
-
 import math
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from gonio.errors import DataError
 from gonio.formats.reader import Format, fold, table, wide, write_bytes
 from gonio.formats.text import column_names, csv_table
-
-if TYPE_CHECKING:
-    import pandas as pd
+from gonio.typing import DataFrame
 
 _WAVELENGTH = re.compile(r"(\d{1,7}(?:\.\d+)?)\s*nm")
 _ANGLES = ["Incident_angle", "Measure_angle"]
 
 
-def read(data: bytes, path: Path) -> pd.DataFrame:
+def read(data: bytes, path: Path) -> DataFrame:
     """The measurement table in a reflectance-factor CSV; `DataError` says what is wrong with the file, and where."""
     cells = csv_table(data, path, _ANGLES)
     columns = [name for name in cells.header if name not in _ANGLES]
@@ -62,7 +57,7 @@ def read(data: bytes, path: Path) -> pd.DataFrame:
     )
 
 
-def write(frame: pd.DataFrame, path: Path) -> None:
+def write(frame: DataFrame, path: Path) -> None:
     """In-plane tables only; what is flagged is written as zero."""
     angles, wavelengths, values = wide(frame, path, "a reflectance-factor table")
     dphi = np.mod(angles[:, 3] - angles[:, 1], 360.0)

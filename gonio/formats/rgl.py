@@ -26,11 +26,9 @@ import numpy.typing as npt
 from gonio import geometry
 from gonio.errors import DataError
 from gonio.formats.reader import RGB_NM, Format, table, write_bytes
-from gonio.typing import Floats
+from gonio.typing import Array, Bools, DataFrame, Floats, Ints
 
 if TYPE_CHECKING:
-    import pandas as pd
-
     from gonio.models import Model
 
 _MAGIC = b"tensor_file\0"
@@ -40,7 +38,7 @@ _NODES, _INCIDENCES = 128, 64
 _SWEEPS = 30
 
 
-def tensors(data: bytes, path: Path) -> dict[str, npt.NDArray[Any]]:
+def tensors(data: bytes, path: Path) -> dict[str, Array]:
     """The arrays of a `tensor_file` by name.
 
     Raises
@@ -51,7 +49,7 @@ def tensors(data: bytes, path: Path) -> dict[str, npt.NDArray[Any]]:
     if data[:12] != _MAGIC or len(data) < 18 or data[12] != 1:
         raise DataError(f"{path}, byte 0: is not a tensor_file of version 1")
     (count,) = struct.unpack_from("<I", data, 14)
-    out: dict[str, npt.NDArray[Any]] = {}
+    out: dict[str, Array] = {}
     at = 18
     for _ in range(count):
         start = at
@@ -112,7 +110,7 @@ class RglMeasured:
             bytes(text.tobytes()).decode("utf-8", "replace").strip("\0 ")[:80] if text is not None else path.stem
         )
 
-    def _take(self, fields: dict[str, npt.NDArray[Any]], name: str, dimensions: int) -> Floats:
+    def _take(self, fields: dict[str, Array], name: str, dimensions: int) -> Floats:
         if name not in fields:
             raise DataError(f"{self.path}: the field {name} is missing")
         found = np.asarray(fields[name], dtype=np.float64)
@@ -132,9 +130,7 @@ class RglMeasured:
         self.vndf = self.vndf / sums[..., np.newaxis, np.newaxis]
         return rows / sums[..., np.newaxis, np.newaxis], marginal / sums[..., np.newaxis]
 
-    def brdf(
-        self, theta_i: Floats, phi_i: Floats, theta_r: Floats, phi_r: Floats
-    ) -> tuple[Floats, npt.NDArray[np.bool_]]:
+    def brdf(self, theta_i: Floats, phi_i: Floats, theta_r: Floats, phi_r: Floats) -> tuple[Floats, Bools]:
         """BRDF (n, channels) [1/sr] at n pairs of directions [rad], and which of them were measured."""
         incident, outgoing = _vector(theta_i, phi_i), _vector(theta_r, phi_r)
         if not self.isotropic:
@@ -168,7 +164,7 @@ class RglMeasured:
                 v[0] *= flip_x
                 v[1] *= flip_y
 
-    def _slices(self, phi: Floats, theta: Floats) -> list[tuple[npt.NDArray[np.intp], npt.NDArray[np.intp], Floats]]:
+    def _slices(self, phi: Floats, theta: Floats) -> list[tuple[Ints, Ints, Floats]]:
         """The up to four incidences of the file around each one asked for, and their weights."""
         out = []
         for p, wp in _around(self.phi_i, phi):
@@ -199,13 +195,13 @@ def _vector(theta: Floats, phi: Floats) -> Floats:
     return np.moveaxis(geometry.direction(theta, phi), -1, 0)
 
 
-def _cell(u: Floats, nodes: int) -> tuple[npt.NDArray[np.intp], Floats]:
+def _cell(u: Floats, nodes: int) -> tuple[Ints, Floats]:
     position = np.clip(u, 0.0, 1.0) * (nodes - 1)
     index = np.minimum(position.astype(np.intp), nodes - 2)
     return index, position - index
 
 
-def _around(axis: Floats, value: Floats) -> list[tuple[npt.NDArray[np.intp], Floats]]:
+def _around(axis: Floats, value: Floats) -> list[tuple[Ints, Floats]]:
     zero = np.zeros(value.size, dtype=np.intp)
     if axis.size == 1:
         return [(zero, np.ones(value.size))]
@@ -236,7 +232,7 @@ def _bilinear(array: Floats, u: Floats, v: Floats, lead: tuple[Any, Any] | None 
     return (1 - y) * low + y * high
 
 
-def read(data: bytes, path: Path) -> pd.DataFrame:
+def read(data: bytes, path: Path) -> DataFrame:
     """The measurement table in an RGL tensor file; `DataError` says what is wrong with the file, and where."""
     measured = RglMeasured(data, path)
     theta = np.arange(0.0, 86.0, 5.0)
@@ -359,7 +355,7 @@ def sliced(
     )
 
 
-def _move_nodes(values: npt.NDArray[Any], theta_i: Floats, first: Floats, second: Floats, wanted: Floats) -> None:
+def _move_nodes(values: Array, theta_i: Floats, first: Floats, second: Floats, wanted: Floats) -> None:
     """Change nodes (incidences, 3, phi, theta) as little as gives `wanted` back: Kaczmarz, all at once."""
     half = first + second
     theta_m = np.arctan2(np.hypot(half[:, 0], half[:, 1]), half[:, 2])
@@ -388,7 +384,7 @@ def _move_nodes(values: npt.NDArray[Any], theta_i: Floats, first: Floats, second
     values[:] = np.moveaxis(flat.reshape(3, values.shape[0], *values.shape[2:]), 0, 1)
 
 
-def _pack(fields: dict[str, npt.NDArray[Any]]) -> bytes:
+def _pack(fields: dict[str, Array]) -> bytes:
     """A `tensor_file` of these arrays, each aligned to 8 bytes."""
     codes = {np.dtype(kind): code for code, kind in _KINDS.items()}
     at = 18 + sum(13 + len(key) + 8 * array.ndim for key, array in fields.items())

@@ -14,13 +14,10 @@ angles. Where a sample repeats directions often enough, their scatter is the unc
 its own repeats or else the same); without repeats it stays unknown.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -29,10 +26,7 @@ from gonio.errors import ConfigError, DataError
 from gonio.formats import workbook
 from gonio.formats.reader import MAX_BYTES, Format, fold, table
 from gonio.formats.workbook_cells import OLD, Sheet, worksheets
-from gonio.typing import Floats
-
-if TYPE_CHECKING:
-    import pandas as pd
+from gonio.typing import DataFrame, Floats
 
 _LABELS = ("Azimuth", "Incidence", "Receive", "RT")
 _LIMITS = (360.0, 89.0, 89.0, math.inf)
@@ -40,7 +34,7 @@ FEWEST_REPEATS = 10
 """Degrees of freedom from which a scatter is stated: it is then known to about a quarter of itself."""
 
 
-def read(data: bytes, path: Path, blank: Path | None = None) -> pd.DataFrame:
+def read(data: bytes, path: Path, blank: Path | None = None) -> DataFrame:
     """The measurement table in an RT-300S workbook; `DataError` says what is wrong with the file, and where.
 
     `blank` is the blank's workbook, which has to have every direction; by default one beside the file.

@@ -1,22 +1,18 @@
 """What a table's provenance states of its laboratory (`[laboratory]` of the run), and what a record still needs."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from gonio.documents import JsonObject
 from gonio.errors import ConfigError
-
-if TYPE_CHECKING:
-    import pandas as pd
+from gonio.typing import DataFrame
 
 Need = str | tuple[str, ...]
 """A key that a record needs; of several keys in a tuple one is enough."""
 
 
-def laboratory_of(frame: pd.DataFrame) -> JsonObject | None:
+def laboratory_of(frame: DataFrame) -> JsonObject | None:
     """The table `[laboratory]` of the run that a table was reduced from; None where it had none."""
     provenance = frame.attrs.get("provenance")
     stated = provenance.get("laboratory") if isinstance(provenance, Mapping) else None

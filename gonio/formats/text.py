@@ -3,8 +3,6 @@
 Everything that is no number where one belongs is a `DataError`.
 """
 
-from __future__ import annotations
-
 import csv
 import io
 import json

@@ -6,15 +6,13 @@ is taken whose header has all the columns that are needed. Numbers come out with
 those that are written have 16 digits.
 """
 
-from __future__ import annotations
-
 import csv
 import io
 import json
 import re
 from collections.abc import Collection, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -22,9 +20,7 @@ from gonio.errors import DataError
 from gonio.formats import native, workbook_cells
 from gonio.formats.curve_sheets import curves
 from gonio.formats.reader import Format, write_bytes
-
-if TYPE_CHECKING:
-    import pandas as pd
+from gonio.typing import DataFrame
 
 ABOUT = "attributes of the table, as JSON"
 MOST_ROWS = 1_048_576
@@ -90,7 +86,7 @@ def _cell(value: float | str) -> str:
     return value if isinstance(value, str) else repr(value)
 
 
-def read(data: bytes, path: Path) -> pd.DataFrame:
+def read(data: bytes, path: Path) -> DataFrame:
     """The measurement table in a workbook whose columns have the table's own names."""
     sheets = workbook_cells.worksheets(data, path)
     text, notes = _table_of(sheets, path, native.NEEDED)
@@ -112,7 +108,7 @@ def _stored(sheets: Sequence[workbook_cells.Sheet]) -> Any:
     return None
 
 
-def write(frame: pd.DataFrame, path: Path) -> None:
+def write(frame: DataFrame, path: Path) -> None:
     """A sheet of the whole table, one a curve, and one of the table's attributes; numbers to 16 digits."""
     from openpyxl import Workbook
 

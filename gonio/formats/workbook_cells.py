@@ -3,8 +3,6 @@
 A damaged or a hostile file ends in a `DataError`, after a time and with a memory that are bounded.
 """
 
-from __future__ import annotations
-
 import io
 import re
 import zipfile

@@ -10,12 +10,9 @@ as the azimuth of incidence. The format states no wavelength (files that we writ
 uncertainty, no solid angle.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -23,10 +20,7 @@ from gonio import geometry
 from gonio.errors import DataError
 from gonio.formats.reader import ANGLES, Format, single, table, wrap_deg, write_bytes
 from gonio.formats.text import Text, integer, number, numbers
-from gonio.typing import Floats
-
-if TYPE_CHECKING:
-    import pandas as pd
+from gonio.typing import DataFrame, Floats
 
 _WORDS = {
     "Source": ("Measured",),
@@ -44,7 +38,7 @@ _LIMITS = {
 _OURS = re.compile(r"#\s*wavelength_nm\s+(\S+)")
 
 
-def read(data: bytes, path: Path) -> pd.DataFrame:
+def read(data: bytes, path: Path) -> DataFrame:
     """The measurement table in a Zemax BSDF file; `DataError` says what is wrong with the file, and where."""
     text = Text(data, path)
     wavelength = math.nan
@@ -162,7 +156,7 @@ def _block(rotation: float, incidence: float, azimuth: Floats, radial: Floats, m
     return np.column_stack(columns)
 
 
-def write(frame: pd.DataFrame, path: Path) -> None:
+def write(frame: DataFrame, path: Path) -> None:
     """A table that is a full grid in these angles, as this reader makes it; what is flagged becomes a zero.
 
     A grid with holes is refused, because every zero would count as a measured darkness.

@@ -1,7 +1,5 @@
 """What errors of the axes, and of a calibrated geometry, do to the values of a band (docs/radiometry.md, section 4)."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import replace

@@ -13,21 +13,18 @@ Lobes change by ratios: the logarithm of f (asinh, which goes through zero) is t
 over finite steps of +-u, since a slope is undefined at the top and at the edge of a spike.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from gonio.geometry import AT_NORMAL, SAME_NOMINAL, Directions
 from gonio.reduction.lobe_surface import Surface
 from gonio.reduction.narrow_lobes import steepest
 from gonio.reduction.spike_overlap import OverlapFraction, overlap
 from gonio.reduction.spikes import Scene, find
-from gonio.typing import Floats
+from gonio.typing import Bools, Floats, Ints
 
 NARROWEST = math.radians(0.2)
 """Points closer than this do not tell a slope: encoder steps and noise would."""
@@ -152,8 +149,8 @@ class Curves:
         brdf: Floats,
         u: Floats,
         size: Floats,
-        near: npt.NDArray[np.bool_],
-        lines: list[npt.NDArray[np.intp]],
+        near: Bools,
+        lines: list[Ints],
     ) -> None:
         """Hold the slopes' uncertainties against the steepest that lobes may be (`gonio.reduction.narrow_lobes`).
 

@@ -30,11 +30,9 @@ from gonio.reduction.threads import in_threads
 from gonio.reduction.values import BandResult, Cause, MeasuredBand, Values, joined, share
 from gonio.rig import calibrated
 from gonio.rig.bands import Band
-from gonio.typing import Floats
+from gonio.typing import DataFrame, Floats
 
 if TYPE_CHECKING:
-    import pandas as pd
-
     from gonio.acquisition.run import Run
 
 
@@ -42,14 +40,14 @@ if TYPE_CHECKING:
 class Reduction:
     """A reduced run."""
 
-    table: pd.DataFrame
+    table: DataFrame
     """See `reduce`."""
-    budget: pd.DataFrame
+    budget: DataFrame
     """The parts of each value's uncertainty (`gonio.reduction.budget.assemble`), rows as in the table."""
     bands: list[BandResult]
 
 
-def reduce(run: Run, *, progress: Callable[[int, int], None] | None = None) -> pd.DataFrame:
+def reduce(run: Run, *, progress: Callable[[int, int], None] | None = None) -> DataFrame:
     """The measurement table of a run; see `reduce_in_parts`."""
     return reduce_in_parts(run, progress=progress).table
 

@@ -1,9 +1,6 @@
 """The uncertainty of each value in its parts, and what no part of it holds (docs/budget.md)."""
 
-from __future__ import annotations
-
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,9 +9,7 @@ from gonio.geometry import SAME_AZIMUTH, half_angle_of_cone
 from gonio.reduction.values import BandResult
 from gonio.rig import kinematics
 from gonio.rig.description import RigDescription
-
-if TYPE_CHECKING:
-    import pandas as pd
+from gonio.typing import DataFrame
 
 COMPONENTS = (
     "noise", "dark", "prnu", "encoder", "zeros_even", "geometry", "beam", "spike_blur", "coarse_steps", "region",
@@ -35,7 +30,7 @@ WANDERS = 3
 """So many visits to the white reference tell something of a lamp that wanders."""
 
 
-def assemble(table: pd.DataFrame, bands: list[BandResult]) -> pd.DataFrame:
+def assemble(table: DataFrame, bands: list[BandResult]) -> DataFrame:
     """The budget of every row of a table.
 
     Parameters
@@ -84,7 +79,7 @@ def assemble(table: pd.DataFrame, bands: list[BandResult]) -> pd.DataFrame:
     return out
 
 
-def left_out(description: RigDescription, table: pd.DataFrame) -> list[dict[str, str]]:
+def left_out(description: RigDescription, table: DataFrame) -> list[dict[str, str]]:
     """Causes of uncertainty that are not in a table's budget, each with the reason; for provenance and reports."""
     out = [
         {"cause": name, "why": why}

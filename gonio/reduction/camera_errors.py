@@ -1,7 +1,5 @@
 """What a calibration leaves open of the camera's linearity and stray light, and what that does to values."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -11,10 +11,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from numbers import Real
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
 from gonio.acquisition.exposure import contradiction, full_scale_dn
 from gonio.acquisition.frame_writer import label_of
@@ -36,12 +35,12 @@ from gonio.rig.dng import pixels_sha256, read_raw
 from gonio.rig.imaging import Channel, pixel_map
 from gonio.rig.regions import Roi, roi, straight_through_weight
 from gonio.rig.sensor_response import PixelMaps, by_coefficients, linear_dn, read_maps, straightened
-from gonio.typing import Floats
+from gonio.typing import Array, Floats
 
 if TYPE_CHECKING:
     from gonio.acquisition.run import Run
 
-Dark = tuple[float, npt.NDArray[Any]]
+Dark = tuple[float, Array]
 """Exposure [s] and mosaic [DN] of a dark frame."""
 
 FULL = 1e-3

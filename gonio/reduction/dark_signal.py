@@ -3,16 +3,12 @@
 The formulas are explained in docs/radiometry.md, sections 1 and 2.
 """
 
-from __future__ import annotations
-
 import math
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from gonio.rig.regions import Roi
-from gonio.typing import Floats
+from gonio.typing import Array, Floats
 
 FEW = 300
 """Patterns are made from the regions of about so many points. They leave out little of the noise of the others."""
@@ -26,7 +22,7 @@ COLUMNS = 3
 class Darks:
     """Each pixel's dark signal as a line over exposure time, for one rectangle of the sensor."""
 
-    def __init__(self, frames: list[tuple[float, npt.NDArray[Any]]], rows: slice, cols: slice, rate: float) -> None:
+    def __init__(self, frames: list[tuple[float, Array]], rows: slice, cols: slice, rate: float) -> None:
         self._corner = rows.start, cols.start
         times = np.array([t for t, _ in frames])
         self._centre, self._count = float(times.mean()), len(frames)

@@ -6,8 +6,6 @@ was read the moved rig shows other directions, and the light falls otherwise, at
 of interest lies around.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace

@@ -7,8 +7,6 @@ reference is fitted again each time, because every visit changes it. `gonio.redu
 errors of the angles do to each value.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

@@ -9,17 +9,14 @@ squares (kriging), the weights their restricted likelihoods: Rasmussen and Willi
 Learning, sections 2.7 and 5.4.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from gonio.typing import Floats
+from gonio.typing import Bools, Floats, Ints
 
 WEAKEST = 0.1
 """Of a walk, in one interval, over the noise of a visit: below it a lamp is as good as steady."""
@@ -64,7 +61,7 @@ class LampVisits:
     times_s: Floats
     values: Floats
     variances: Floats
-    session: npt.NDArray[np.intp]
+    session: Ints
     """Of each visit; the lamp was dark between two of them."""
 
 
@@ -140,7 +137,7 @@ class _Single(NamedTuple):
         return np.asarray(np.clip((times - self.begin) / (self.end - self.begin), 0.0, 1.0))
 
 
-def _singles(t: Floats, y: Floats, together: npt.NDArray[np.bool_]) -> list[_Single]:
+def _singles(t: Floats, y: Floats, together: Bools) -> list[_Single]:
     """The likeliest jump, and the visit that is likeliest to be off."""
     length, none = np.diff(t), np.zeros(t.size)
     slopes = np.diff(y) / length

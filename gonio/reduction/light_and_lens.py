@@ -4,8 +4,6 @@ Derived in docs/calibrate_light.md. None of these effects is corrected here (the
 `gonio.rig.imaging`): each is a signed column, the change of the BRDF for one standard deviation of its cause.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

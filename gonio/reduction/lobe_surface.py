@@ -12,18 +12,15 @@ the values by their likelihood. Slopes are averages over what that allows, and t
 points on a lobe tell it closely; with few points what is stated goes over into how steep lobes usually are.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
-import numpy.typing as npt
 from scipy.linalg import LinAlgError, cho_factor, cho_solve, solve_triangular
 from scipy.optimize import minimize
 from scipy.spatial import cKDTree
 from scipy.special import ndtri
 
-from gonio.typing import Floats
+from gonio.typing import Floats, Ints
 
 USUAL = np.log([1.0, 0.3, 0.7, 0.35, 0.8, 0.8, 5e-4, 0.3])
 """Where the logarithms of sizes and lengths lie before anything is measured: of p, q and r [standard deviations of
@@ -221,7 +218,7 @@ class Surface:
         if not self._few:
             self._common, self._tree = self._spread(APART), cKDTree(self._scaled(self._at))
 
-    def _spread(self, count: int) -> npt.NDArray[np.intp]:
+    def _spread(self, count: int) -> Ints:
         """Points of which one half is far apart, and the other as dense as all are."""
         order = np.argsort(self._at[:, 0], kind="stable")
         out = order[np.linspace(0, order.size - 1, count // 2).astype(int)].tolist()
@@ -303,7 +300,7 @@ class Surface:
             curvature[some] = self._curvatures(places[some], used)
         return slope, covariance, curvature
 
-    def _blocks(self, at: Floats) -> list[tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]]:
+    def _blocks(self, at: Floats) -> list[tuple[Ints, Ints]]:
         """Places that are computed together, and the points that tell their slopes."""
         everything = np.arange(self._log.size)
         if self._few:
@@ -320,7 +317,7 @@ class Surface:
             out.append((block, np.union1d(near, self._common)))
         return out
 
-    def _factor(self, used: npt.NDArray[np.intp], logs: Floats) -> Floats:
+    def _factor(self, used: Ints, logs: Floats) -> Floats:
         """Cholesky's factor of the covariance of some values."""
         among = _Covariance(self._at[used, None], self._at[used]).of(logs)
         return np.asarray(
@@ -329,7 +326,7 @@ class Surface:
             )[0]
         )
 
-    def _of_coordinates(self, at: Floats, used: npt.NDArray[np.intp]) -> tuple[Floats, Floats]:
+    def _of_coordinates(self, at: Floats, used: Ints) -> tuple[Floats, Floats]:
         """Derivatives of ln f by coordinates (n, c), and their covariances."""
         toward = _Covariance(at[:, None], self._at[used])
         means, covariances = [], []
@@ -348,7 +345,7 @@ class Surface:
         covariance = np.einsum("s,sncd->ncd", self._weights, np.array(covariances))
         return mean, covariance + np.einsum("s,snc,snd->ncd", self._weights, off, off)
 
-    def _curvatures(self, places: Floats, used: npt.NDArray[np.intp]) -> Floats:
+    def _curvatures(self, places: Floats, used: Ints) -> Floats:
         """Second derivatives of ln f along x and y, of the most probable set."""
         moves = np.concatenate([BEND * np.eye(4)[:2], -BEND * np.eye(4)[:2], np.zeros((1, 4))])
         solved = cho_solve((self._factor(used, self._sets[0]), True), self._log[used])

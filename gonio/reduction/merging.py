@@ -4,8 +4,6 @@ The model, the choice of the weights, and what is left out without a bias, are e
 of many frames".
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
@@ -15,9 +13,9 @@ import numpy.typing as npt
 from gonio.rig import sensor_noise
 from gonio.rig.description import RigDescription
 from gonio.rig.light_and_camera import Camera
-from gonio.typing import Floats
+from gonio.typing import Bools, Floats
 
-Mask = npt.NDArray[np.bool_]
+Mask = Bools
 
 SATURATED = 0.98
 """Raw levels above this are full pixels (`gonio.acquisition.exposure.SATURATED`)."""

@@ -26,11 +26,9 @@ from gonio.reduction.values import BandResult
 from gonio.rig import Pose, kinematics
 from gonio.rig.beam_size import filling
 from gonio.rig.description import RigDescription
-from gonio.typing import Floats
+from gonio.typing import DataFrame, Floats
 
 if TYPE_CHECKING:
-    import pandas as pd
-
     from gonio.acquisition.run import Run
     from gonio.reduction.brdf import Reduction
 
@@ -56,7 +54,7 @@ COMPUTED = (
 class Check:
     """What the draws say."""
 
-    values: pd.DataFrame
+    values: DataFrame
     """Rows as in the table: angles, `wavelength_nm`, `brdf`, `u_brdf`; `mc_mean`, `mc_u`, `mc_low`, `mc_high`, the
     ends of the 95 % interval with equal tails [1/sr]; `delta`, the numerical tolerance of `u_brdf` with one digit;
     `departs`, the larger distance of an end from brdf -+ 1.96 u_brdf; `agrees` ("yes", "no", "undecided" by so many

@@ -7,8 +7,6 @@ one nearer to the mirror direction. Where there is none, the lobe could be as na
 as it reflects no more light than there is (docs/radiometry.md, "Narrow lobes and coarse steps").
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Sequence
 

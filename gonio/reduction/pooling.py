@@ -1,13 +1,9 @@
 """The frames of a point as one rate, with its variance."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
 from gonio.reduction import merging
 from gonio.reduction.dark_signal import Darks
@@ -15,10 +11,7 @@ from gonio.rig import Target, sensor_noise
 from gonio.rig.description import RigDescription
 from gonio.rig.regions import Roi
 from gonio.rig.sensor_noise import rounding_of_mean
-from gonio.typing import Floats
-
-if TYPE_CHECKING:
-    pass
+from gonio.typing import Bools, Floats
 
 USABLE = 0.95
 """A frame whose brightest used pixel lies above this fraction of full scale is not used at all: dropping single pixels,
@@ -162,7 +155,7 @@ def pool_pixels(description: RigDescription, region: Region, shots: list[Shot], 
     )
 
 
-def _hot(rate: Floats, longest_s: float, dark_s: float, full: float) -> npt.NDArray[np.bool_]:
+def _hot(rate: Floats, longest_s: float, dark_s: float, full: float) -> Bools:
     """Pixels with so many more dark electrons a second than others that they are not to be used.
 
     Their charge would be too large a part of full scale in the longest frame; or it filled the longer dark frames,

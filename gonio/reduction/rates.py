@@ -1,16 +1,10 @@
 """What a step's frames come to in a band: a rate, or why there is none."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from gonio.geometry import Directions
 from gonio.rig import Pose
 from gonio.typing import Floats
-
-if TYPE_CHECKING:
-    pass
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,23 +4,18 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
 from gonio.errors import DataError
 from gonio.geometry import SAME_ANGLE, TWO_PI, Directions
-from gonio.typing import Floats
-
-if TYPE_CHECKING:
-    import pandas as pd
+from gonio.typing import ArrayLike, Bools, DataFrame, Floats
 
 SAME_CURVE = 1e-6
 """Rows whose angles of incidence differ by less [rad] belong to one curve."""
 
 
-def brdf_of_reference(table: pd.DataFrame, directions: Directions, wavelength_nm: float) -> float:
+def brdf_of_reference(table: DataFrame, directions: Directions, wavelength_nm: float) -> float:
     """BRDF [1/sr] of a reference in one visit's geometry, from a table of its BRDF.
 
     Linear in the signed angle of reflection on the curve of the table that has the visit's angle of incidence
@@ -37,7 +32,7 @@ def brdf_of_reference(table: pd.DataFrame, directions: Directions, wavelength_nm
     )
 
 
-def u_of_reference(table: pd.DataFrame, directions: Directions, wavelength_nm: float) -> float:
+def u_of_reference(table: DataFrame, directions: Directions, wavelength_nm: float) -> float:
     """Standard uncertainty [1/sr] of `brdf_of_reference`: the table's own, and that of the interpolation.
 
     The table's is `u_brdf`, or what its `u_random` and `s_` columns make together; it is interpolated like the value,
@@ -65,7 +60,7 @@ def u_of_reference(table: pd.DataFrame, directions: Directions, wavelength_nm: f
     return math.hypot(own, bent - line)
 
 
-def stated(table: pd.DataFrame) -> tuple[float, float] | None:
+def stated(table: DataFrame) -> tuple[float, float] | None:
     """Smallest and largest relative standard uncertainty that a table of a reference states; None where it has none."""
     rows = table[(table["flag"] == "") & (table["brdf"] > 0)]
     u = _uncertainties(rows) / rows["brdf"].to_numpy(dtype=float)
@@ -73,7 +68,7 @@ def stated(table: pd.DataFrame) -> tuple[float, float] | None:
     return (float(known.min()), float(known.max())) if known.size else None
 
 
-def _certificate(table: pd.DataFrame, directions: Directions) -> _Certificate:
+def _certificate(table: DataFrame, directions: Directions) -> _Certificate:
     source = table.attrs.get("source_file") or "the table of the white reference"
     if not _in_plane(directions):
         raise DataError(f"{source}: holds curves in the plane of incidence; the visit to the reference lies out of it")
@@ -99,7 +94,7 @@ class _Certificate:
     """Interpolate by parabolas instead of by straight lines."""
 
     @classmethod
-    def of(cls, rows: pd.DataFrame, source: str) -> _Certificate:
+    def of(cls, rows: DataFrame, source: str) -> _Certificate:
         """The rows of a table that count."""
         directions = Directions.from_table(rows)
         here = _in_plane(directions)
@@ -133,7 +128,7 @@ class _Certificate:
         place = f"theta_r = {math.degrees(signed_theta_r):g} deg at theta_i = {math.degrees(incidence):g} deg"
         return self._interpolated(signed_theta_r, self.signed_theta_r[on], self.brdf[on], place)
 
-    def _interpolated(self, x: float, at: Floats, values: npt.ArrayLike, place: str) -> float:
+    def _interpolated(self, x: float, at: Floats, values: ArrayLike, place: str) -> float:
         """Linear between the values at `at`; up to `SAME_ANGLE` beyond the ends, the value there."""
         order = np.argsort(at)
         at, values = at[order], np.asarray(values)[order]
@@ -169,7 +164,7 @@ def _parabola(x: float, at: Floats, values: Floats) -> float:
     return float(line + curvature * (x - low) * (x - high))
 
 
-def _uncertainties(rows: pd.DataFrame) -> Floats:
+def _uncertainties(rows: DataFrame) -> Floats:
     """`u_brdf` of each row; where it is not stated, of `u_random` and the common causes together."""
     stated: Floats = np.full(len(rows), math.nan)
     if "u_brdf" in rows:
@@ -189,7 +184,7 @@ def _around(x: float, known: Floats) -> Floats:
     return np.asarray(known[np.unique(np.clip([above - 1, above], 0, known.size - 1))])
 
 
-def _in_plane(d: Directions) -> npt.NDArray[np.bool_]:
+def _in_plane(d: Directions) -> Bools:
     """Whether directions lie in the plane of incidence; every plane holds the normal."""
     turn = np.minimum(d.dphi, TWO_PI - d.dphi)
     at_normal = (d.theta_i < SAME_ANGLE) | (d.theta_r < SAME_ANGLE)

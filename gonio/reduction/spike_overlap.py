@@ -4,17 +4,14 @@ The overlap is a part of the spike's amplitude. It is averaged over the patch th
 the angles make of the directions.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from statistics import NormalDist
 
 import numpy as np
-import numpy.typing as npt
 
 from gonio.geometry import Directions, mirrored
-from gonio.typing import Floats
+from gonio.typing import ArrayLike, Floats
 
 QUANTILES = np.array([NormalDist().inv_cdf((k + 0.5) / 41) for k in range(41)])
 QUANTILES /= QUANTILES.std()
@@ -23,7 +20,7 @@ FAR = 4.0
 """Standard deviations of the angles' errors beyond which a point sees nothing of a spike."""
 
 
-def overlap(offset: npt.ArrayLike, half_angle_1: float, half_angle_2: float) -> Floats:
+def overlap(offset: ArrayLike, half_angle_1: float, half_angle_2: float) -> Floats:
     """Common solid angle of two caps whose axes are `offset` apart, over that of the smaller one.
 
     All angles in radians. Two caps without extent, or one, overlap fully inside the other and not at all outside.

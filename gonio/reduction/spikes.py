@@ -6,20 +6,17 @@ below. Where these points do not tell, neighbouring angles of incidence do; wher
 only bounded, and the bound is an uncertainty.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from gonio.geometry import SAME_SPIKE, solid_angle_of_cone
 from gonio.reduction.spike_overlap import FAR, OverlapFraction
-from gonio.typing import Floats
+from gonio.typing import Bools, Floats, Ints
 
-Places = npt.NDArray[np.intp]
+Places = Ints
 
 STANDS_OUT = 0.05
 """A spike is given back what it lacks where it exceeds its lobe by more than this part and three standard errors."""
@@ -54,7 +51,7 @@ class Scene:
     """Detector from the mirror direction in the plane of incidence, theta_r - theta_i, signed [rad]."""
     aside: Floats
     """Detector from the plane of incidence [rad]."""
-    in_plane: npt.NDArray[np.bool_]
+    in_plane: Bools
     middle: Floats
     """Where a spike reflects: (theta_i + theta_r) / 2 [rad]."""
     brdf: Floats
@@ -97,7 +94,7 @@ class Spikes:
     """Its standard uncertainty [1/sr]; a bound, where nothing tells the amplitude."""
     lobe: Floats
     """The value without the spike [1/sr]."""
-    told: npt.NDArray[np.bool_]
+    told: Bools
     """False where a point may see a spike whose amplitude nothing tells."""
     correction: Floats
     """What the value lacks on average [1/sr]: errors of the angles lead down from the top of a spike."""
@@ -125,7 +122,7 @@ class _Fit:
     stands_out: bool
 
 
-def _fits(scene: Scene, groups: Sequence[Places], near: npt.NDArray[np.bool_]) -> list[_Fit | None]:
+def _fits(scene: Scene, groups: Sequence[Places], near: Bools) -> list[_Fit | None]:
     """A fit of each group that may see a spike; with groups at nearly the same angle, where one alone does not tell."""
     centres = [float(np.mean(scene.theta_i[group])) for group in groups]
     fits: list[_Fit | None] = []
@@ -195,7 +192,7 @@ def find(scene: Scene, groups: Sequence[Places]) -> Spikes:
     return out
 
 
-def _fit(scene: Scene, group: Places, near: npt.NDArray[np.bool_], own: Places | None = None) -> _Fit:
+def _fit(scene: Scene, group: Places, near: Bools, own: Places | None = None) -> _Fit:
     """Lobe and spike of a group of points; `lobe` is that of the points of `own`, all by default."""
     k = group[near[group]]
     values, share, variance = scene.brdf[k], scene.mean[k], scene.variance[k]
@@ -264,7 +261,7 @@ def _largest(share: Floats, variance: Floats, values: Floats) -> float:
     return max(float(np.min(values[seen] / surely[seen])), 0.0) if seen.any() else math.inf
 
 
-def _lobe_below(scene: Scene, group: Places, near: npt.NDArray[np.bool_]) -> tuple[Floats, float]:
+def _lobe_below(scene: Scene, group: Places, near: Bools) -> tuple[Floats, float]:
     """Lobe under the points of a group that may see the spike, and its relative standard uncertainty."""
     k, free = group[near[group]], group[~near[group] & (scene.brdf[group] > 0.0)]
     x = scene.across[k]

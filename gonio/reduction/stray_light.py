@@ -5,23 +5,19 @@ r = m - S m + S S m - ...; two terms leave the cube of the fraction. Frames are 
 is smooth, and the memory stays that of a small picture. Each colour of a mosaic is a picture of its own.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from gonio.rig.imaging import Channel
 from gonio.rig.light_and_camera import Camera
-from gonio.typing import Floats
+from gonio.typing import Array, Floats, Ints
 
 TO_HALO = 4.0
 """Bins in the halo's standard deviation, at least: a Gaussian is then blurred by its bins by less than 0.3 %."""
 
 
-def planes(camera: Camera, values: npt.NDArray[Any], channel: Channel) -> Floats:
+def planes(camera: Camera, values: Array, channel: Channel) -> Floats:
     """The pixels of a channel as one picture: the frame itself, or every second row and column of a mosaic."""
     if channel == "mono" or camera.pattern == "mono":
         return np.asarray(values)
@@ -48,7 +44,7 @@ class Spread:
     """Height and width of a bin in pixels of the frame."""
     camera: Camera
 
-    def at(self, rows: npt.NDArray[np.intp], cols: npt.NDArray[np.intp]) -> tuple[Floats, Floats]:
+    def at(self, rows: Ints, cols: Ints) -> tuple[Floats, Floats]:
         """What spread light adds at pixels [DN], and its derivatives by the two fractions, shape (2, n)."""
         by = np.zeros((2, rows.size))
         by[0] = self.uniform
@@ -60,7 +56,7 @@ class Spread:
         return self.camera.stray_light * by[0] + self.camera.stray_halo * by[1], by
 
 
-def spread(camera: Camera, values: npt.NDArray[Any], dark_dn: float, channel: Channel) -> Spread:
+def spread(camera: Camera, values: Array, dark_dn: float, channel: Channel) -> Spread:
     """What one frame spreads.
 
     Parameters
@@ -92,6 +88,6 @@ def spread(camera: Camera, values: npt.NDArray[Any], dark_dn: float, channel: Ch
     return Spread(float(scene.mean()), np.asarray(gaussian_filter(scene, sigma, mode="constant")), bin_px, camera)
 
 
-def mean_of_channel(camera: Camera, values: npt.NDArray[Any], channel: Channel) -> float:
+def mean_of_channel(camera: Camera, values: Array, channel: Channel) -> float:
     """Mean over the pixels of a channel of a whole frame [DN]."""
     return float(planes(camera, values, channel).mean(dtype=np.float64))

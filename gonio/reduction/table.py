@@ -25,11 +25,9 @@ from gonio.reduction.values import BandResult
 from gonio.rig import kinematics
 from gonio.rig.beam_size import filling
 from gonio.rig.description import RigDescription
-from gonio.typing import Floats
+from gonio.typing import DataFrame, Floats
 
 if TYPE_CHECKING:
-    import pandas as pd
-
     from gonio.acquisition.run import Run
 
 
@@ -48,7 +46,7 @@ GEOMETRY = tuple(f"s_geometry_{k + 1}" for k in range(4))
 LAMP = tuple(f"s_lamp_wander_{k + 1}" for k in range(4))
 
 
-def assemble(run: Run, results: list[BandResult], notes: list[str], clipped: float) -> pd.DataFrame:
+def assemble(run: Run, results: list[BandResult], notes: list[str], clipped: float) -> DataFrame:
     """One row for every point of the plan and every band, and the attributes.
 
     `clipped` is the part of the used pixels that read 0 DN in the dark frames.
@@ -97,7 +95,7 @@ def assemble(run: Run, results: list[BandResult], notes: list[str], clipped: flo
     return frame
 
 
-def _rows(run: Run, results: list[BandResult], *, of_angles: bool) -> tuple[pd.DataFrame, npt.NDArray[np.object_]]:
+def _rows(run: Run, results: list[BandResult], *, of_angles: bool) -> tuple[DataFrame, npt.NDArray[np.object_]]:
     """Angles, numbers and flags of every point of the plan and every band; and the flags, shape (points, bands)."""
     import pandas as pd
 
@@ -131,7 +129,7 @@ def _rows(run: Run, results: list[BandResult], *, of_angles: bool) -> tuple[pd.D
 
 
 def _checks(
-    run: Run, frame: pd.DataFrame, results: list[BandResult], flags: npt.NDArray[np.object_], clipped: float
+    run: Run, frame: DataFrame, results: list[BandResult], flags: npt.NDArray[np.object_], clipped: float
 ) -> list[Check]:
     """What is judged of frames, visits, points and values."""
     reachable = [not flag for flag in run.plan["flag"]]

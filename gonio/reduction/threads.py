@@ -1,13 +1,8 @@
 """Work in a few threads, in order."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from typing import TYPE_CHECKING, TypeVar
-
-if TYPE_CHECKING:
-    pass
+from typing import TypeVar
 
 In = TypeVar("In")
 Out = TypeVar("Out")

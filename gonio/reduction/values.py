@@ -4,14 +4,11 @@ A cause is a function that takes a measured band and its values, and adds what i
 of each value's own, to `common` a signed change that values share. `u_random` and `u_brdf` follow from these.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from gonio.documents import JsonObject
 from gonio.reduction import white_reference
@@ -21,7 +18,7 @@ from gonio.reduction.dark_signal import strongest
 from gonio.reduction.rates import Reduced
 from gonio.rig.bands import Band
 from gonio.rig.description import RigDescription
-from gonio.typing import Floats
+from gonio.typing import Bools, Floats, Ints
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,9 +58,9 @@ class Values:
     brdf: Floats
     lobes: Lobes
     """How the values follow the angles."""
-    bounded: npt.NDArray[np.bool_]
+    bounded: Bools
     """Whether a value may see a spike of which only a bound is known."""
-    coarse: npt.NDArray[np.bool_]
+    coarse: Bools
     """Whether the plan's steps leave a slope open by more than everything else."""
     own: dict[str, Floats] = field(default_factory=dict)
     """Standard uncertainties [1/sr] of each value's own, by the parts of `u_random`."""
@@ -125,7 +122,7 @@ class BandResult:
     """How the frames were merged pixel by pixel; empty where whole frames were."""
 
     @property
-    def rows(self) -> npt.NDArray[np.intp]:
+    def rows(self) -> Ints:
         """The rows of the plan that have a value."""
         return np.array([point.point for point in self.points], dtype=np.intp)
 
@@ -135,7 +132,7 @@ class BandResult:
         return len(self.seen)
 
 
-def joined(parts: Sequence[Any], rows: Sequence[npt.NDArray[np.intp]]) -> Any:
+def joined(parts: Sequence[Any], rows: Sequence[Ints]) -> Any:
     """Values, or a part of them, of which each has some rows, as one."""
     first = parts[0]
     if is_dataclass(first):

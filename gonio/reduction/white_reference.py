@@ -1,16 +1,13 @@
 """What the visits to the white reference say: the signal per unit BRDF at any time in between."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from gonio.reduction import lamp_wander
-from gonio.typing import Floats
+from gonio.typing import Bools, Floats
 
 REJECTED = 0.01
 """A straight line whose chi-square is rarer than this does not describe the visits."""
@@ -186,9 +183,7 @@ def _constant(times_s: Floats, values: Floats, variances: Floats, unknown: str) 
     return Level(float(time[0]), level, u_level, 0.0, 0.0, True, 0.0, time, mean, variance, unknown, scatter)
 
 
-def _means(
-    times_s: Floats, values: Floats, variances: Floats, first: npt.NDArray[np.bool_]
-) -> tuple[Floats, Floats, Floats]:
+def _means(times_s: Floats, values: Floats, variances: Floats, first: Bools) -> tuple[Floats, Floats, Floats]:
     """Weighted means of groups of visits that follow each other; `first` marks where a group begins.
 
     Where the visits of a group differ by more than their noise, the variance of their mean is that of their scatter.

@@ -1,7 +1,5 @@
 """A small goniometer made of numpy: what the core's own tests measure with."""
 
-from __future__ import annotations
-
 import itertools
 import math
 import signal

@@ -1,7 +1,5 @@
 """Machine code on disk: what was cut, garbled, exchanged or outdated is compiled again, and never run."""
 
-from __future__ import annotations
-
 import functools
 import os
 import shutil

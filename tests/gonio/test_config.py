@@ -1,7 +1,5 @@
 """Configuration: what a user mistypes is named with its file, key, value and remedy."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated, Any, Literal
 

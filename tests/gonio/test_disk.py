@@ -1,7 +1,5 @@
 """Only files that the program wrote are replaced: everything else is refused, by name, and stays as it is."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 from collections.abc import Callable

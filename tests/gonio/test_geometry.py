@@ -1,7 +1,5 @@
 """Directions and cones against closed forms and mpmath."""
 
-from __future__ import annotations
-
 import math
 
 import mpmath

@@ -1,7 +1,5 @@
 """Refractive indices by name against the database's own files and its own package."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 

@@ -1,7 +1,5 @@
 """The measurement table: exact round trips, atomic writes, and messages that name file, line and column."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import sys

@@ -1,7 +1,5 @@
 """What differs between systems: each promise where a name is there, and where it has been taken away."""
 
-from __future__ import annotations
-
 import ast
 import errno
 import ntpath

@@ -1,7 +1,5 @@
 """Numbers in words: their digits follow from the uncertainty, wherever they are said."""
 
-from __future__ import annotations
-
 import math
 import re
 from pathlib import Path

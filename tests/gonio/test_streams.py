@@ -1,7 +1,5 @@
 """What is no file is written to and stays what it is; a folder is refused."""
 
-from __future__ import annotations
-
 import os
 import stat
 import threading

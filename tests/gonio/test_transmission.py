@@ -1,7 +1,5 @@
 """Transmission in the measurement table: stated in each row, kept apart from reflection, refused where not said."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Verdicts: true runs are ok about as often as the limits say, and what is wrong is found; covariance is counted."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Shared by the tests of file formats: where measured data lies, small tables, and files damaged on purpose."""
 
-from __future__ import annotations
-
 import os
 import random
 from collections.abc import Callable, Iterator

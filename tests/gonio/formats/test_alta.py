@@ -1,7 +1,5 @@
 """ALTA text: coordinates in radians, the cosine taken out, directions kept when written."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """BiRD universal BRDF JSON: units, polarisation, uncertainties, and files that the project's own schemas accept."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Callable

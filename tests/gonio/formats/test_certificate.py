@@ -1,7 +1,5 @@
 """Reflectances in digital calibration certificates: D-SI of both generations, what is ambiguous, what is wrong."""
 
-from __future__ import annotations
-
 import math
 import re
 from pathlib import Path

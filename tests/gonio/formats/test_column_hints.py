@@ -1,7 +1,5 @@
 """Columns that are nearly right: the message says what to rename, and a table renamed so is read."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """Tables in NeXus, Parquet and workbooks: what comes back, what others see in them, and what damaged ones say."""
 
-from __future__ import annotations
-
 import json
 import sys
 from pathlib import Path

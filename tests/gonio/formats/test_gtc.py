@@ -1,7 +1,5 @@
 """GTC archives: opened by GTC itself, which computes what the values have in common."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Klems matrices: which element is which pair of directions, and both sides of a window."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

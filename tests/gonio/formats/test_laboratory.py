@@ -1,7 +1,5 @@
 """What a run states of its laboratory, from plan and rig file into the table, BiRD JSON and a DataCite record."""
 
-from __future__ import annotations
-
 import importlib.util
 import json
 import tomllib

@@ -1,7 +1,5 @@
 """MERL's cubes: one value in one cell has to come out at that cell's pair of directions."""
 
-from __future__ import annotations
-
 import math
 import struct
 import subprocess

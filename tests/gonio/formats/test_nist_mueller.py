@@ -1,7 +1,5 @@
 """NIST's Mueller matrices: turned from the sample's x and y to s and p, and kept in the table."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

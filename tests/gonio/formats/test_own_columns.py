@@ -1,7 +1,5 @@
 """Tables under their makers' own column names and units."""
 
-from __future__ import annotations
-
 import io
 import json
 import math

@@ -1,7 +1,5 @@
 """Text files of pab's gonio-photometers, one incidence or several."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Models as renderers' files: Mitsuba's tensor file, Klems XML for Radiance, MERL; and Mitsuba's own reading of one."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """RGL's adaptive files: the container, and the formula against densities whose distribution is known."""
 
-from __future__ import annotations
-
 import math
 import struct
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """RT-300S workbooks: the Excel 97 file written here record by record, the laboratory's evaluation, its blank."""
 
-from __future__ import annotations
-
 import math
 import struct
 from collections.abc import Callable, Sequence

@@ -1,7 +1,5 @@
 """ASTM E1392, NIST's Mueller CSV, the infrared in-plane CSV, reflectance factors, and our own table as a format."""
 
-from __future__ import annotations
-
 import gzip
 import math
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """A small workbook of very many cells takes no more memory than stated, and is refused by name."""
 
-from __future__ import annotations
-
 import io
 import subprocess
 import sys

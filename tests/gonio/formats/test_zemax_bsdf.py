@@ -1,7 +1,5 @@
 """Zemax's tabular BSDF: angles about the mirror direction, turned into directions of the sample."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

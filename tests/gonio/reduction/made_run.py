@@ -1,7 +1,5 @@
 """A run made by hand: frames from the measurement equation, written out independently of the simulated rig."""
 
-from __future__ import annotations
-
 import hashlib
 import math
 from collections.abc import Callable
@@ -22,6 +20,7 @@ from gonio.rig.dng import write_dng
 from gonio.rig.inverse_kinematics import reach
 from gonio.rig.kinematics import directions
 from gonio.rig.light_and_camera import Camera, Lamp
+from gonio.typing import Floats
 
 ANGLES = ("theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg")
 BAND = Band(name="550 nm", centre_nm=550.0, fwhm_nm=10.0)
@@ -132,7 +131,7 @@ class Maker:
         self.time_s += exposure_s + 1.0
         return record
 
-    def rate(self, pose: Pose, kind: str) -> npt.NDArray[np.float64]:
+    def rate(self, pose: Pose, kind: str) -> Floats:
         """Electrons a second of each pixel; rays and angles written out one vector at a time."""
         d, geometry, camera = directions(self.description, pose), self.description.geometry, self.description.camera
         value = float(self.description.reference.albedo or 0.0) / math.pi if kind == "reference" else self.brdf(d)
@@ -149,7 +148,7 @@ class Maker:
         geometry_factor = to_source[..., 2] / distance * (geometry.light_distance_mm / distance) ** 2
         return camera.responsivity_e_per_s * math.pi * value * geometry_factor
 
-    def spots(self, eye: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    def spots(self, eye: Floats) -> Floats:
         """In plane: the image's rows run along y, and its columns across it."""
         camera = self.description.camera
         focus = 1.0 / (1.0 / camera.focal_length_mm - 1.0 / self.description.geometry.camera_distance_mm)
@@ -162,7 +161,7 @@ class Maker:
         ray = axis + u[..., None] * columns + v[..., None] * rows
         return eye + ray * (-eye[2] / ray[..., 2])[..., None]
 
-    def sensor(self, electrons: npt.NDArray[np.float64]) -> npt.NDArray[np.uint16]:
+    def sensor(self, electrons: Floats) -> npt.NDArray[np.uint16]:
         camera = self.description.camera
         if self.rng is not None:
             if camera.photon_noise:

@@ -1,7 +1,5 @@
 """Angle effects against functions whose derivatives are known."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

@@ -1,7 +1,5 @@
 """The reduction on runs made by hand: exact without noise, honest with it."""
 
-from __future__ import annotations
-
 import functools
 import math
 from dataclasses import replace
@@ -26,6 +24,7 @@ from gonio.rig.bands import Band
 from gonio.rig.description import ArmAxis, Arms
 from gonio.rig.dng import read_raw
 from gonio.rig.light_and_camera import Lamp
+from gonio.typing import Floats
 from tests.gonio.reduction.made_run import MadeRun, Maker, describe, in_plane
 
 POINTS = [in_plane(i, r) for i in (10.0, 45.0, 70.0) for r in (-60.0, -30.0, 0.0, 25.0, 50.0, 80.0)]
@@ -41,7 +40,7 @@ def glossy(d: Directions) -> float:
     return float(0.1 + 0.4 * math.exp(-((offset / 0.5) ** 2)))
 
 
-def truth(table: pd.DataFrame, brdf: Any) -> npt.NDArray[np.float64]:
+def truth(table: pd.DataFrame, brdf: Any) -> Floats:
     return np.array([brdf(Directions(*np.radians(row))) for row in table[list(ANGLES)].to_numpy()])
 
 
@@ -50,9 +49,9 @@ class Exact(Maker):
 
     def __init__(self, *args: Any, **more: Any) -> None:
         super().__init__(*args, **more)
-        self.kept: list[npt.NDArray[np.float64]] = []
+        self.kept: list[Floats] = []
 
-    def sensor(self, electrons: npt.NDArray[np.float64]) -> npt.NDArray[np.uint16]:
+    def sensor(self, electrons: Floats) -> npt.NDArray[np.uint16]:
         camera = self.description.camera
         self.kept.append(electrons / camera.electrons_per_dn + camera.black_level_dn)
         return np.full(electrons.shape, len(self.kept) - 1, np.uint16)  # its number stands in the file
@@ -128,7 +127,7 @@ NOISY = {
 }  # fmt: skip
 
 
-def pulls(table: pd.DataFrame, brdf: Any) -> npt.NDArray[np.float64]:
+def pulls(table: pd.DataFrame, brdf: Any) -> Floats:
     return (table["brdf"].to_numpy() - truth(table, brdf)) / table["u_brdf"].to_numpy()
 
 
@@ -294,7 +293,7 @@ def test_only_the_channel_of_the_band_counts(tmp_path: Path) -> None:
     description = description.model_copy(update={"bands": description.bands.model_copy(update={"list": (green,)})})
 
     class Coloured(Maker):
-        def sensor(self, electrons: npt.NDArray[np.float64]) -> npt.NDArray[np.uint16]:
+        def sensor(self, electrons: Floats) -> npt.NDArray[np.uint16]:
             mosaic = super().sensor(electrons)
             mosaic[0::2, 1::2] = 65535  # blue, and red: of no use
             mosaic[1::2, 0::2] = 17

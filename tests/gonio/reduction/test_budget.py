@@ -1,7 +1,5 @@
 """The parts of an uncertainty: they add up, they are what they are named after, and what is missing is told."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import cast

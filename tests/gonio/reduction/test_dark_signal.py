@@ -1,7 +1,5 @@
 """What the noise of dark frames has in common at points whose regions of interest are foreshortened differently."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The reduction, and the geometry that it shares with the simulated camera, against frames that share none of it."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any, Literal

@@ -1,7 +1,5 @@
 """A lamp that walks at random between the visits to the white reference, and lamps that do not."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Curvature of a spectrum, from which a band's width gets its effect."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from gonio.reduction.light_and_lens import _curvatures

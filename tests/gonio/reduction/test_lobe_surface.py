@@ -1,7 +1,5 @@
 """Slopes of a lobe from scattered points: against functions whose slopes are known, with the uncertainty stated."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

@@ -1,18 +1,16 @@
 """Merging pixel by pixel against frames of exact statistics: no bias, honest uncertainties, no hits, no full pixels."""
 
-from __future__ import annotations
-
 import datetime
 import math
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from gonio.reduction import merging
 from gonio.rig.calibration_use import Calibrated, CalibrationUse
 from gonio.rig.description import RigDescription
+from gonio.typing import Floats
 from tests.gonio.reduction.made_run import describe
 
 SHAPE = (16, 16)
@@ -31,7 +29,7 @@ def rig(lamp: float = 0.0, **camera: Any) -> RigDescription:
 
 def frames(
     description: RigDescription,
-    rate: npt.NDArray[np.float64] | float,
+    rate: Floats | float,
     exposures_s: list[float],
     rng: np.random.Generator,
     hits: int = 0,

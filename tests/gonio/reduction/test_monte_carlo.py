@@ -1,7 +1,5 @@
 """Draws of the inputs against the linear budget, and against what is known without either."""
 
-from __future__ import annotations
-
 import io
 from dataclasses import replace
 from typing import cast

@@ -1,7 +1,5 @@
 """The steepest slope between points: never below the truth of a sum of Gaussians, and near it where steps resolve."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """The BRDF of a white reference from its table: linear between rows, an error beyond them."""
 
-from __future__ import annotations
-
 import math
 
 import pandas as pd

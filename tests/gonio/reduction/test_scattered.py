@@ -1,7 +1,5 @@
 """Plans of scattered directions on the simulated rig: do values and truth agree within what the tables state?"""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Specular spikes on the simulated rig: zooms, points out of the plane, edges, and what nothing tells."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

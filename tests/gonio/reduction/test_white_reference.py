@@ -1,7 +1,5 @@
 """The white reference: its level over time, and its BRDF from a table."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
