@@ -149,8 +149,7 @@ def ior(name: str) -> Material:
     known = _pages(folder)
     if (page or default) not in known:
         raise ArgumentError(f'ior: {material} has no source "{page}"; the database has: {", ".join(known)}')
-    path = known[page or default]
-    n, k, reference = _read(path)
+    n, k, reference = _read(known[page or default])
     lower = max(n.lower_um, k.lower_um) if k else n.lower_um
     upper = min(n.upper_um, k.upper_um) if k else n.upper_um
     return Material(name, f"{page or default}: {reference}", (lower * 1000.0, upper * 1000.0), n, k)

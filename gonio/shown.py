@@ -22,8 +22,7 @@ def number(value: float | None, digits: int = 3) -> str:
     if value == 0:
         return "0"
     if 1e-4 <= abs(value) < 10**6:
-        decimals = max(0, digits - 1 - math.floor(math.log10(abs(value))))
-        return _plain(value, decimals)
+        return _plain(value, max(0, digits - 1 - math.floor(math.log10(abs(value)))))
     mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
     return _minus(f"{mantissa} × 10{_superscript(int(exponent))}")
 

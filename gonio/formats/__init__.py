@@ -38,8 +38,7 @@ SNIFFED_BYTES = 65536
 @cache
 def all_formats() -> dict[str, Format]:
     """Every format by name."""
-    formats = [import_module(f"gonio.formats.{name}").FORMAT for name in _MODULES]
-    return {f.name: f for f in formats}
+    return {f.name: f for f in [import_module(f"gonio.formats.{name}").FORMAT for name in _MODULES]}
 
 
 def names(*, written: bool = False) -> list[str]:

@@ -150,8 +150,7 @@ _NEEDED_OF_A_MEASUREMENT: tuple[Need, ...] = (
 def _stated(frame: DataFrame, stated: JsonObject, path: Path) -> JsonObject:
     """The same from `[laboratory]`; `ConfigError` names every key that is missing."""
     attrs = frame.attrs
-    provenance = attrs["provenance"]
-    simulated = _is_simulated(provenance)
+    simulated = _is_simulated(attrs["provenance"])
     named = attrs.get("sample")
     needed: list[Need] = [
         *_NEEDED,

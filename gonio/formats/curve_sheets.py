@@ -36,9 +36,8 @@ def curves(frame: DataFrame, path: Path) -> Iterator[CurveRows]:
 
     theta_r, phi_i = (frame[name].to_numpy(np.float64) for name in ("theta_r_deg", "phi_i_deg"))
     dphi = np.round(np.mod(frame["phi_r_deg"].to_numpy(np.float64) - phi_i, 360.0), 6)
-    words = {name: frame[name].to_numpy() if name in frame.columns else "" for name in ("sample", "side")}
     keys = pd.DataFrame(
-        words
+        {name: frame[name].to_numpy() if name in frame.columns else "" for name in ("sample", "side")}
         | {
             "polarisation": frame["polarisation"].to_numpy(),
             "nm": frame["wavelength_nm"].to_numpy(np.float64),

@@ -32,8 +32,7 @@ def write(frame: DataFrame, path: Path) -> None:
     except ImportError:
         raise ConfigError("GTC archives need the package GTC: pip install gonio[gtc]") from None
     random, common, causes = uncertainty(frame)
-    usable = _usable(frame) & np.isfinite(random) & np.isfinite(common).all(axis=1)
-    rows = np.flatnonzero(usable)
+    rows = np.flatnonzero(_usable(frame) & np.isfinite(random) & np.isfinite(common).all(axis=1))
     if not rows.size:
         raise DataError(f"{path}: no value has an uncertainty and no flag; an archive would be empty")
     if rows.size > MOST:

@@ -244,8 +244,7 @@ def write(frame: DataFrame, path: Path) -> None:
 
 def write_model(model: Model, name: str, path: Path) -> None:
     """A model at 550 nm, as `averaged`."""
-    frame = averaged(model.brdf, name)
-    write(frame, path)
+    write(averaged(model.brdf, name), path)
 
 
 def averaged(

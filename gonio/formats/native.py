@@ -390,6 +390,5 @@ def uncertainty(frame: DataFrame) -> tuple[Floats, Floats, list[str]]:
     columns = [name for name in frame.columns if name.startswith("s_")]
     common = frame[columns].to_numpy(np.float64) if columns else np.zeros((len(frame), 0))
     independent = frame["u_random"].to_numpy(np.float64)
-    combined = frame["u_brdf"].to_numpy(np.float64)
-    rest = np.sqrt(np.maximum(combined**2 - (common**2).sum(axis=1), 0.0))
+    rest = np.sqrt(np.maximum(frame["u_brdf"].to_numpy(np.float64) ** 2 - (common**2).sum(axis=1), 0.0))
     return np.where(np.isnan(independent), rest, independent), common, [name.removeprefix("s_") for name in columns]

@@ -77,8 +77,7 @@ class _Header:
 
 def read(data: bytes, path: Path) -> DataFrame:
     """The measurement table in a file of Mountain's; `DataError` says what is wrong with it, and in which line."""
-    text = Text(data, path)
-    rows, colorimetry, name = _rows(text)
+    rows, colorimetry, name = _rows(Text(data, path))
     if not rows:
         raise DataError(f"{path}: holds a header and no values")
     theta_i, phi_i, theta_r, phi_r, value, dsf = np.array(rows).T

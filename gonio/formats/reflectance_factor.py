@@ -62,8 +62,7 @@ def write(frame: DataFrame, path: Path) -> None:
     angles, wavelengths, values = wide(frame, path, "a reflectance-factor table")
     dphi = np.mod(angles[:, 3] - angles[:, 1], 360.0)
     mirror, retro = np.abs(dphi - 180) < 1e-6, np.minimum(dphi, 360 - dphi) < 1e-6
-    at_normal = (angles[:, 2] == 0) | (angles[:, 0] == 0)
-    for row in np.flatnonzero(~(mirror | retro | at_normal))[:1]:
+    for row in np.flatnonzero(~(mirror | retro | ((angles[:, 2] == 0) | (angles[:, 0] == 0))))[:1]:
         raise DataError(
             f"{path}: a reflectance-factor table holds one plane, and phi_r - phi_i = {dphi[row]:g} degrees"
         )

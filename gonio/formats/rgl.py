@@ -228,8 +228,7 @@ def _bilinear(array: Floats, u: Floats, v: Floats, lead: tuple[Any, Any] | None 
     if lead is not None:
         x, y = x[:, np.newaxis], y[:, np.newaxis]
     low = (1 - x) * at(row, column) + x * at(row, column + 1)
-    high = (1 - x) * at(row + 1, column) + x * at(row + 1, column + 1)
-    return (1 - y) * low + y * high
+    return (1 - y) * low + y * ((1 - x) * at(row + 1, column) + x * at(row + 1, column + 1))
 
 
 def read(data: bytes, path: Path) -> DataFrame:
@@ -377,8 +376,7 @@ def _move_nodes(values: Array, theta_i: Floats, first: Floats, second: Floats, w
     np.add.at(count, index, weight)
     share = weight / (weight**2).sum(axis=0) / np.maximum(count[index], 1.0)
     for _ in range(_SWEEPS):
-        off = goal - (flat[:, index] * weight).sum(axis=1)
-        for channel, step in zip(flat, off, strict=True):
+        for channel, step in zip(flat, goal - (flat[:, index] * weight).sum(axis=1), strict=True):
             np.add.at(channel, index, share * step)
         np.maximum(flat, 0.0, out=flat)
     values[:] = np.moveaxis(flat.reshape(3, values.shape[0], *values.shape[2:]), 0, 1)

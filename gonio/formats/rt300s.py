@@ -77,8 +77,7 @@ def read(data: bytes, path: Path, blank: Path | None = None) -> DataFrame:
     azimuth, incidence, receive = rows[:, :3].T
     theta_i, phi_i = fold(incidence, 0.0)
     theta_r, phi_r = fold(receive, 90.0 - azimuth)
-    from_retro = np.minimum(phi_r, 360.0 - phi_r)
-    blocked = (from_retro <= 30.0) & (np.abs(theta_r - theta_i) <= 10.0)
+    blocked = (np.minimum(phi_r, 360.0 - phi_r) <= 30.0) & (np.abs(theta_r - theta_i) <= 10.0)
     return table(
         theta_i_deg=theta_i,
         phi_i_deg=phi_i,

@@ -197,8 +197,7 @@ def write(frame: DataFrame, path: Path) -> None:
     for a, incidence in enumerate(axes[1].tolist()):
         m, i, s = _frame(incidence)
         al, ro = np.meshgrid(np.deg2rad(axes[2]), np.deg2rad(axes[3]), indexing="ij")
-        z = np.cos(ro) * m[2] + np.sin(ro) * (np.cos(al) * i[2] + np.sin(al) * s[2])
-        below = z < 1e-9
+        below = (np.cos(ro) * m[2] + np.sin(ro) * (np.cos(al) * i[2] + np.sin(al) * s[2])) < 1e-9
         holes += int(np.isnan(grid[:, a][:, ~below]).sum())
         grid[:, a][:, below] = np.nan_to_num(grid[:, a][:, below])
     if holes:

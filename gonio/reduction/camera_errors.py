@@ -31,8 +31,7 @@ def _causes(description: RigDescription) -> dict[str, Floats]:
     out: dict[str, Floats] = {}
     for cause in dict.fromkeys(parameters.values()):
         names = [name for name, of in parameters.items() if of == cause]
-        covariance = covariance_of(description, names)
-        values, vectors = np.linalg.eigh(covariance)
+        values, vectors = np.linalg.eigh(covariance_of(description, names))
         held = [k for k in range(len(names))[::-1] if values[k] > 1e-12 * max(values[-1], 1e-300)]
         for number, k in enumerate(held):
             direction = np.zeros(len(parameters))

@@ -113,8 +113,7 @@ def merge(description: RigDescription, stack: Stack) -> Merged | None:
     data, and unbiased.
     """
     camera, lamp = description.camera, description.lamp.frame_noise
-    t = stack.exposures_s[:, None]
-    rates = stack.electrons / t
+    rates = stack.electrons / stack.exposures_s[:, None]
     bright = _levels_around(stack) >= _usable(camera)
     used = ~bright & (stack.levels < SATURATED) & ~stack.hot
     # a full pixel among others that are not is out of order, or was hit
@@ -153,8 +152,7 @@ class _Fit:
         self.weights = np.where(used, t**2 / self.charge_variance, 0.0)
         self.total = self.weights.sum(axis=0)
         self.alive = self.total > 0
-        safe = np.where(self.alive, self.total, 1.0)
-        self._parts = self.weights / safe
+        self._parts = self.weights / np.where(self.alive, self.total, 1.0)
         self.mean = (self._parts * rates).sum(axis=0)
         self.levels, self._inverse = self._frame_levels()
 
@@ -185,8 +183,7 @@ class _Fit:
         t = self._stack.exposures_s[:, None]
         more = t * (self._rates - others * (1.0 + self.levels[:, None]))
         brighter = self._shot(np.maximum(others - self.expected, 0.0) * t)
-        variance = self.charge_variance + brighter + t**2 / safe
-        return np.asarray(known & (more > bound(variance, limit)))
+        return np.asarray(known & (more > bound(self.charge_variance + brighter + t**2 / safe, limit)))
 
     def merged(self, hits: int, saturated: float) -> Merged:
         stack, p = self._stack, self.expected

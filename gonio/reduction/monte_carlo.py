@@ -220,8 +220,7 @@ class _Inputs:
         rate = rate + rng.standard_normal((count, self._dark.shape[1])) @ self._dark.T
         value = rate / level * self._gains(rng, count) * (1.0 + self._u_rel * rng.standard_normal((count, 1)))
         errors = zeros[:, None, :] + self._readings(rng, (count, points, axes))
-        moved = np.einsum("dpa,pax->dpx", errors, self._turns)
-        value = value - self._changes(rng, moved)
+        value = value - self._changes(rng, np.einsum("dpa,pax->dpx", errors, self._turns))
         # what no input quantity stands for, by its standard uncertainty
         rest = [own["region"], own["visits"], np.where(self._lobes.spike > 0, 0.0, own["spike_blur"])]
         others = own["geometry"], self._geometry_slopes, *(own[name] for name in own if name not in COMPUTED)

@@ -53,8 +53,7 @@ def over_patch(d: Directions, radius_mm: float, light_mm: float, camera_mm: floa
     x = np.stack([radius * np.cos(turn), radius * np.sin(turn), np.zeros(24)], axis=1)
     source, detector = d.vectors
     to_source = -(x - (x @ source)[:, None] * source) / light_mm
-    to_detector = -(x - (x @ detector)[:, None] * detector) / camera_mm
-    return to_detector - mirrored(to_source)
+    return (-(x - (x @ detector)[:, None] * detector) / camera_mm) - mirrored(to_source)
 
 
 @dataclass(frozen=True, slots=True)

@@ -166,8 +166,7 @@ def find(scene: Scene, groups: Sequence[Places]) -> Spikes:
             if fit.u_lobe < 1.0:  # the lobe is known; slopes to the neighbours are not the flanks of what stands on it
                 out.lobe[k] = np.minimum(out.lobe[k], fit.lobe)
                 u_above = np.hypot(scene.u[k], max(fit.u_lobe, SHAPE) * fit.lobe)
-                above = np.maximum(scene.brdf[k] - fit.lobe, 0.0) + 2.0 * u_above
-                inside = np.minimum(inside, above)
+                inside = np.minimum(inside, np.maximum(scene.brdf[k] - fit.lobe, 0.0) + 2.0 * u_above)
             spread = fit.most * np.sqrt(variance[k] + (at_read[k] - mean[k]) ** 2)
             # a value holds no more of the spike than stands above the lobe, and lacks no more than is seen as read
             out.variance[k] = np.minimum(spread, np.maximum(inside, fit.most * at_read[k])) ** 2
@@ -208,8 +207,7 @@ def _fit(scene: Scene, group: Places, near: Bools, own: Places | None = None) ->
     design = np.stack([lobe, share, share * t], axis=1)
     prior = np.array([1.0 / u_lobe**2, 0.0, 0.0])
     for _ in range(12):
-        slope = STEEPEST * max(amplitude, 1e-9 * most)
-        prior[2] = 1.0 / slope**2
+        prior[2] = 1.0 / (STEEPEST * max(amplitude, 1e-9 * most)) ** 2
         weight = 1.0 / (scene.u[k] ** 2 + amplitude**2 * blur + (shape * lobe) ** 2)
         normal = design.T @ (design * weight[:, None]) + np.diag(prior)
         size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
@@ -292,8 +290,7 @@ def _lobe_below(scene: Scene, group: Places, near: Bools) -> tuple[Floats, float
         return np.exp(straight), max(part * float(abs(logs[left[0]] - logs[right[0]])), noise, 0.05, open_)
     apart = np.hypot(scene.across[free], scene.aside[free])
     if apart.size and apart.min() < BESIDE:
-        nearest = free[np.argsort(apart)[:4]]
-        logs = np.log(scene.brdf[nearest])
+        logs = np.log(scene.brdf[free[np.argsort(apart)[:4]]])
         return np.full(k.size, math.exp(float(np.mean(logs)))), max(COARSE, float(np.ptp(logs)))
     return np.full(k.size, max(float(np.min(scene.brdf[k])), 1e-12)), 10.0
 
