@@ -56,6 +56,14 @@ class Named:
         return {key: {"value": value, "timestamp": now} for key, value in values.items()}
 
 
+class Plotted(Named):
+    """A device of which Bluesky plots something: what has its name, or `field`."""
+
+    def __init__(self, name: str, field: str = "") -> None:
+        super().__init__(name)
+        self.hints: JsonObject = {"fields": [field or name]}
+
+
 def number(source: str, units: str = "", **more: Any) -> JsonObject:
     """The data key of a number."""
     return {"source": source, "dtype": "number", "dtype_numpy": "<f8", "shape": [], "units": units, **more}
@@ -123,7 +131,7 @@ class Brake:
             self._lamp.set(band).wait()
 
 
-class Axis(Named):
+class Axis(Plotted):
     """One axis of a rig, in degrees: movable, readable, locatable, stoppable, pausable, checkable."""
 
     def __init__(self, owner: Owner, rig: ManualRig, brake: Brake, name: str) -> None:
@@ -132,11 +140,6 @@ class Axis(Named):
         self._setpoint: float | None = None
         self._stopped: bool | None = None
         """Whether it was stopped during this move, and then whether the plan wanted that."""
-
-    @property
-    def hints(self) -> JsonObject:
-        """What is plotted of it."""
-        return {"fields": [self.name]}
 
     def check_value(self, value: float) -> None:
         """Raise `ConfigError` where a goal [deg] is outside the axis's limits; nothing moves."""
@@ -177,7 +180,7 @@ class Axis(Named):
 
     def locate(self) -> dict[str, float]:
         """Where it was sent, and what its encoder reads [deg]."""
-        there = self._degrees()
+        there = math.degrees(getattr(self._owner.ask(self._rig.arms.read), self._axis))
         return {"setpoint": there if self._setpoint is None else self._setpoint, "readback": there}
 
     def read(self) -> dict[str, Reading]:
@@ -188,15 +191,9 @@ class Axis(Named):
     def describe(self) -> JsonObject:
         """The data keys of `read`."""
         lower, upper = self._rig.description.limits_deg()[self._axis]
-        limits = {"limits": {"control": {"low": lower, "high": upper}}}
-        source = f"arms.{self._axis}"
-        return {
-            self.name: number(source, "deg", **limits),
-            f"{self.name}_setpoint": number(source, "deg", **limits),
-        }
-
-    def _degrees(self) -> float:
-        return math.degrees(getattr(self._owner.ask(self._rig.arms.read), self._axis))
+        limits = {"control": {"low": lower, "high": upper}}
+        names = (self.name, f"{self.name}_setpoint")
+        return {name: number(f"arms.{self._axis}", "deg", limits=limits) for name in names}
 
 
 class Lamp(Named):
@@ -285,21 +282,16 @@ NUMBERS = {
 """What is read of a frame. The patch is what a measurement of the sample would use; NaN where it is out of sight."""
 
 
-class Camera(Named):
+class Camera(Plotted):
     """The camera: a frame at a trigger, of which numbers are read. With a folder the frame itself is kept, as DNG."""
 
     def __init__(self, owner: Owner, rig: ManualRig, folder: Path | None) -> None:
-        super().__init__("camera")
+        super().__init__("camera", "camera_patch_mean_dn")
         self._owner, self._rig, self._folder = owner, rig, folder
         self.exposure_s: Setting[float | None] = Setting("camera_exposure_s", None, "s", self._exposure)
         """How long to expose [s]; None: what a matt white surface would need with the lamp on."""
         self._numbers: dict[str, float] | None = None
         self._file, self._taken = "", 0
-
-    @property
-    def hints(self) -> JsonObject:
-        """What is plotted of it."""
-        return {"fields": [f"{self.name}_patch_mean_dn"]}
 
     def _exposure(self, value: float | None) -> None:
         if value is not None:
@@ -313,8 +305,7 @@ class Camera(Named):
             while self._folder is not None and (file is None or file.exists()):
                 self._taken += 1
                 file = self._folder / f"{self._taken:06d}.dng"
-            shot = self._rig.snap(file, exposure_s=self.exposure_s.value)
-            self._numbers = shot.numbers()
+            self._numbers = self._rig.snap(file, exposure_s=self.exposure_s.value).numbers()
             self._file = str(file) if file is not None else ""
 
         return self._owner.begin(take, lambda error: error)

@@ -16,13 +16,18 @@ document is checked against its models. docs/interchange.md says what each key h
 
 from __future__ import annotations
 
+import datetime
 import hashlib
 import json
 import math
 import os
+import re
 import uuid
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
+from itertools import islice
+from operator import itemgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -34,7 +39,6 @@ from gonio.acquisition.run import TABLE, Run
 from gonio.disk import is_own, read_file, read_manifest
 from gonio.documents import JsonObject
 from gonio.rig.dng import read_raw
-from gonio_bluesky.event_values import _array, _finite, _flat, _integer, _key_of, _named, _number, _seconds, _text
 
 if TYPE_CHECKING:
     import numpy as np
@@ -42,6 +46,9 @@ if TYPE_CHECKING:
 
 Document = tuple[str, JsonObject]
 """Its kind (start, descriptor, event, ...), and what it holds."""
+
+Column = tuple[JsonObject, Callable[[Event], Any]]
+"""A data key, and how its value is found in a line of the journal."""
 
 SPEC = "GONIO_FRAMES"
 """What `resource` documents call the folder of frames; `Frames` reads it."""
@@ -105,8 +112,8 @@ class _Stream:
 class _Known:
     """What a first look at the journal tells."""
 
-    counting: set[int] = field(default_factory=set)
-    """Numbers of the lines of steps that count: those that were not lost, or taken again."""
+    counting: dict[int, int] = field(default_factory=dict)
+    """By step that counts (not those that were lost, or taken again), the number of its line."""
     numbers: list[str] = field(default_factory=list)
     """What is read of the rig's health in numbers, as `device quantity`."""
     words: list[str] = field(default_factory=list)
@@ -133,6 +140,7 @@ class _Documents:
         identity = json.dumps([run.key, self._settings.run.created, first.get("wall"), first.get("crc")])
         self._run_uid = uuid.uuid5(SPACE, identity)
         self._streams: dict[str, _Stream] = {}
+        self._columns: dict[str, dict[str, Column]] = {}
         self._angles = run.points.angles_deg
         folder = run.path / "frames"
         self._there = frozenset(os.listdir(folder)) if folder.is_dir() else frozenset()
@@ -143,14 +151,10 @@ class _Documents:
         yield "start", self._start()
         yield from self._baseline()
         yield "resource", self._resource()
-        page: list[Event] = []
-        for event in self._events:
-            if event["event"] != "step" or event["n"] in self._known.counting:
-                page.append(event)
-            if len(page) == PAGE:
-                yield from self._page(page)
-                page = []
-        yield from self._page(page)
+        counting = set(self._known.counting.values())
+        told = (event for event in self._events if event["event"] != "step" or event["n"] in counting)
+        while page := list(islice(told, PAGE)):
+            yield from self._page(page)
         yield from self._reduced()
         if self._missing:
             more = f" and {len(self._missing) - 1} more" if len(self._missing) > 1 else ""
@@ -161,26 +165,21 @@ class _Documents:
         yield "stop", self._stop()
 
     def _look(self) -> _Known:
-        known, lines = _Known(), dict[int, int]()
-        numbers: dict[str, None] = {}
-        words: dict[str, None] = {}
+        known = _Known(first=next(iter(self._events), {}))
         for event in self._events:
             kind = event["event"]
-            if not known.first:
-                known.first = event
             if kind == "step":
-                lines[event["step"]] = event["n"]
-                for device, quantity, value, unit in event.get("health", ()):
-                    (words if isinstance(value, str) else numbers)[f"{device} {quantity}"] = None
-                    known.units[f"{device} {quantity}"] = unit
-            elif kind == "lost":
-                for number in event["steps"]:
-                    lines.pop(int(number), None)
+                known.counting[event["step"]] = event["n"]
+                known.units |= {f"{device} {quantity}": unit for device, quantity, _, unit in event.get("health", ())}
+                for name, value in _health(event).items():
+                    listed = known.words if isinstance(value, str) else known.numbers
+                    if name not in listed:
+                        listed.append(name)
+            for number in event["steps"] if kind == "lost" else ():
+                known.counting.pop(int(number), None)
             if kind in ("session", "end", "interrupted", "device_error", "lost"):
                 known.ended, known.message = kind, event.get("message", "")
             known.last_time = max(known.last_time, _seconds(event.get("wall", "")))
-        known.counting = set(lines.values())
-        known.numbers, known.words = list(numbers), list(words)
         return known
 
     def _uid(self, *parts: object) -> str:
@@ -319,69 +318,64 @@ class _Documents:
 
     def _step(self, event: Event) -> Iterator[Document]:
         name = STREAMS[event["kind"]]
-        if name not in self._streams:
-            yield "descriptor", self._descriptor(name, self._step_keys(name), self._step_configuration(), "goniometer")
-        frames, levels = event["frames"], event.get("level_per_s") or {}
-        data: JsonObject = {"step": event["step"]}
-        if name == "primary":
-            data["point"] = event["point"]
-            data |= dict(zip(ANGLES, map(float, self._angles[event["point"]]), strict=True))
-        data |= {
-            **{f"{axis}_deg": math.degrees(event["pose"].get(axis, 0.0)) for axis in self._axes},
-            "goal_deg": self._pose(event["goal"]),
-            "time_s": event["time_s"],
-            "flag": event["flag"],
-        }
-        if name != "dark":
-            data["pose_after_deg"] = self._pose(event.get("pose_after"))
-            longest = {f["band"]: f["exposure_s"] for f in sorted(frames, key=lambda f: float(f["exposure_s"]))}
-            data["exposure_s"] = [longest.get(band) for band in self._bands]
-            data["level_per_s"] = [levels.get(band) for band in self._bands]
-        read = {f"{device} {quantity}": value for device, quantity, value, _ in event.get("health", ())}
-        if self._known.numbers:
-            data["health"] = [read.get(name) for name in self._known.numbers]
-        if self._known.words:
-            data["health_words"] = json.dumps({name: read[name] for name in self._known.words if name in read})
-        data["frames"] = f"{self._uid('frames')}/{event['n']}"
+        if name not in self._columns:
+            self._columns[name] = columns = self._columns_of(name)
+            known, configuration = self._known, {"axes": self._axes, "bands": self._bands}
+            if known.numbers:
+                configuration |= {"health": known.numbers, "health_units": [known.units[n] for n in known.numbers]}
+            keys = {key: column[0] for key, column in columns.items()}
+            yield "descriptor", self._descriptor(name, keys, configuration, "goniometer")
+        data = {key: value(event) for key, (_, value) in self._columns[name].items()}
         yield self._event(name, event["n"], _seconds(event.get("wall", "")), data)
+
+    def _columns_of(self, name: str) -> dict[str, Column]:
+        """What an event of a step holds: each data key, and how its value is found in a line of the journal."""
+        known, camera = self._known, self._run.description.camera
+        out: dict[str, Column] = {"step": (_integer("journal"), itemgetter("step"))}
+        if name == "primary":
+            out["point"] = _integer("plan"), itemgetter("point")
+            for k, angle in enumerate(ANGLES):
+                out[angle] = _number("plan", "deg"), partial(self._angle_deg, k)
+        for axis in self._axes:
+            out[f"{axis}_deg"] = _number("journal", "deg"), partial(_axis_deg, axis)
+        pose, bands = _array("journal", len(self._axes), "deg", "axis"), len(self._bands)
+        out["goal_deg"] = pose, lambda e: self._pose(e["goal"])
+        out["time_s"] = _number("journal", "s"), itemgetter("time_s")
+        out["flag"] = _text("journal"), itemgetter("flag")
+        if name != "dark":
+            out["pose_after_deg"] = pose, lambda e: self._pose(e.get("pose_after"))
+            out["exposure_s"] = _array("journal", bands, "s", "band"), self._longest
+            out["level_per_s"] = _array("journal", bands, "1/s", "band"), self._levels
+        if known.numbers:
+            health = _array("journal", len(known.numbers), "", "reading")
+            out["health"] = health, lambda e: [_health(e).get(name) for name in known.numbers]
+        if known.words:
+            out["health_words"] = _text("journal"), self._words
+        frames: JsonObject = {
+            "source": "camera", "dtype": "array", "dtype_numpy": "<u2", "shape": [None, camera.height, camera.width],
+            "dims": ["frame", "row", "column"], "units": "DN", "external": "FILESTORE:",
+        }  # fmt: skip
+        out["frames"] = frames, lambda e: f"{self._uid('frames')}/{e['n']}"
+        return out
+
+    def _words(self, event: Event) -> str:
+        read = _health(event)
+        return json.dumps({name: read[name] for name in self._known.words if name in read})
+
+    def _levels(self, event: Event) -> list[float | None]:
+        levels = event.get("level_per_s") or {}
+        return [levels.get(band) for band in self._bands]
+
+    def _angle_deg(self, k: int, event: Event) -> float:
+        return float(self._angles[event["point"]][k])
+
+    def _longest(self, event: Event) -> list[float | None]:
+        """The longest exposure in each band."""
+        longest = {f["band"]: f["exposure_s"] for f in sorted(event["frames"], key=lambda f: float(f["exposure_s"]))}
+        return [longest.get(band) for band in self._bands]
 
     def _pose(self, pose: Mapping[str, float] | None) -> list[float | None]:
         return [None if pose is None else math.degrees(pose.get(axis, 0.0)) for axis in self._axes]
-
-    def _step_keys(self, name: str) -> dict[str, JsonObject]:
-        axes, bands = len(self._axes), len(self._bands)
-        camera = self._run.description.camera
-        keys = {"step": _integer("journal")}
-        if name == "primary":
-            keys |= {"point": _integer("plan")} | {angle: _number("plan", "deg") for angle in ANGLES}
-        keys |= {f"{axis}_deg": _number("journal", "deg") for axis in self._axes}
-        keys |= {"goal_deg": _array("journal", axes, "deg", "axis")}
-        keys |= {"time_s": _number("journal", "s"), "flag": _text("journal")}
-        if name != "dark":
-            keys["pose_after_deg"] = _array("journal", axes, "deg", "axis")
-            keys["exposure_s"] = _array("journal", bands, "s", "band")
-            keys["level_per_s"] = _array("journal", bands, "1/s", "band")
-        if self._known.numbers:
-            keys["health"] = _array("journal", len(self._known.numbers), "", "reading")
-        if self._known.words:
-            keys["health_words"] = _text("journal")
-        keys["frames"] = {
-            "source": "camera",
-            "dtype": "array",
-            "dtype_numpy": "<u2",
-            "shape": [None, camera.height, camera.width],
-            "dims": ["frame", "row", "column"],
-            "units": "DN",
-            "external": "FILESTORE:",
-        }
-        return keys
-
-    def _step_configuration(self) -> JsonObject:
-        known = self._known
-        out: JsonObject = {"axes": self._axes, "bands": self._bands}
-        if known.numbers:
-            out |= {"health": known.numbers, "health_units": [known.units[name] for name in known.numbers]}
-        return out
 
     def _happened(self, event: Event) -> Iterator[Document]:
         if "journal" not in self._streams:
@@ -415,7 +409,79 @@ class _Documents:
             "quantity": str(frame.attrs.get("quantity", "brdf")),
         }
         yield "descriptor", self._descriptor("reduced", keys, configuration, "reduction")
-        columns = {name: [_finite(value) for value in frame[name].tolist()] for name in frame.columns}
+        columns = {name: list(map(_finite, frame[name].tolist())) for name in frame.columns}
         for row in range(len(frame)):
             data = {name: values[row] for name, values in columns.items()}
             yield self._event("reduced", row, self._known.last_time, data)
+
+
+def _axis_deg(axis: str, event: Event) -> float:
+    return math.degrees(event["pose"].get(axis, 0.0))
+
+
+def _health(event: Event) -> dict[str, float | str]:
+    """What a step's line holds of the rig's health, as `device quantity`."""
+    return {f"{device} {quantity}": value for device, quantity, value, _ in event.get("health", ())}
+
+
+def _seconds(wall: str) -> float:
+    """Seconds since 1970 of a time of day (UTC) as run.toml and journal hold it; 0 where they do not."""
+    return datetime.datetime.fromisoformat(wall).timestamp() if wall else 0.0
+
+
+def _finite(value: Any) -> Any:
+    """A value as JSON has it: null for a number that is not known."""
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _number(source: str, units: str = "") -> JsonObject:
+    return {"source": source, "dtype": "number", "dtype_numpy": "<f8", "shape": [], "units": units}
+
+
+def _integer(source: str) -> JsonObject:
+    return {"source": source, "dtype": "integer", "dtype_numpy": "<i8", "shape": []}
+
+
+def _text(source: str) -> JsonObject:
+    return {"source": source, "dtype": "string", "shape": []}
+
+
+def _array(source: str, length: int, units: str, dim: str) -> JsonObject:
+    out = {"source": source, "dtype": "array", "dtype_numpy": "<f8", "shape": [length], "dims": [dim]}
+    return out | ({"units": units} if units else {})
+
+
+def _key_of(value: Any, source: str) -> JsonObject:
+    """The data key of a value of the configuration."""
+    if isinstance(value, bool):
+        return {"source": source, "dtype": "boolean", "shape": []}
+    if isinstance(value, int):
+        return _integer(source)
+    if isinstance(value, float):
+        return _number(source)
+    if isinstance(value, list):
+        text = any(isinstance(one, str) for one in value)
+        return _array(source, len(value), "", "entry") | ({"dtype_numpy": "<U64"} if text else {})
+    return _text(source)
+
+
+_NOT_IN_NAMES = re.compile(r"[^\w-]+")
+
+
+def _named(value: Any) -> Any:
+    """Nested tables with names that the event model takes: no dots and no slashes."""
+    if isinstance(value, dict):
+        return {_NOT_IN_NAMES.sub("_", str(key)): _named(inner) for key, inner in value.items()}
+    return [_named(inner) for inner in value] if isinstance(value, list) else value
+
+
+def _flat(tables: Mapping[str, Any], where: str = "") -> Iterator[tuple[str, Any]]:
+    """Nested tables as one, by names such as `geometry_light_distance_mm`."""
+    for key, value in tables.items():
+        name = _NOT_IN_NAMES.sub("_", f"{where}_{key}" if where else key)
+        if isinstance(value, dict):
+            yield from _flat(value, name)
+        else:
+            numbers = isinstance(value, list) and all(type(one) in (int, float) for one in value)
+            words = isinstance(value, list) and not numbers
+            yield name, json.dumps(value, ensure_ascii=False) if words else value

@@ -9,16 +9,13 @@ import os
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, cast
+from typing import IO, cast
 
 from gonio import platform
 from gonio.acquisition.run import Run
 from gonio.disk import require_name
 from gonio.documents import JsonObject
 from gonio.errors import ConfigError, DataError
-
-if TYPE_CHECKING:
-    pass
 from gonio_bluesky.event_documents import Document, documents
 
 

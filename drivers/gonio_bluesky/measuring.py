@@ -16,10 +16,10 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, Self, cast
 
 from gonio.acquisition import measure
 from gonio.acquisition.measure import RigChoice, find_rig, load_sample
@@ -29,7 +29,7 @@ from gonio.acquisition.run_folder import begun
 from gonio.documents import JsonObject
 from gonio.errors import ArgumentError, ConfigError, Interrupted
 from gonio.rig import Frame, Pose, Step
-from gonio_bluesky.devices import Named, Reading, number
+from gonio_bluesky.devices import Plotted, Reading, number
 from gonio_bluesky.status import Status
 
 if TYPE_CHECKING:
@@ -41,18 +41,13 @@ DIGITS = 7
 """Angles [deg] that agree in so many decimals are one, as in a plan (`gonio.acquisition.plan.SAME_DEG`)."""
 
 
-class Direction(Named):
+class Direction(Plotted):
     """One of the four angles of a point [deg]: movable, readable, locatable, stoppable; used at the next trigger."""
 
     def __init__(self, measurement: Measurement, name: str) -> None:
         super().__init__(name)
         self._measurement = measurement
         self.value = 0.0
-
-    @property
-    def hints(self) -> JsonObject:
-        """What is plotted of it."""
-        return {"fields": [self.name]}
 
     def check_value(self, value: float) -> None:
         """Raise `ConfigError` where no direction has such an angle [deg]."""
@@ -84,17 +79,12 @@ class Direction(Named):
         return {self.name: number("plan", "deg")}
 
 
-class StepCamera(Named):
+class StepCamera(Plotted):
     """Triggering it takes the whole step of the point that the directions name."""
 
     def __init__(self, measurement: Measurement) -> None:
-        super().__init__("camera")
+        super().__init__("camera", "camera_level_per_s")
         self._measurement = measurement
-
-    @property
-    def hints(self) -> JsonObject:
-        """What is plotted of it."""
-        return {"fields": [f"{self.name}_level_per_s"]}
 
     def trigger(self) -> Status:
         """Take the step; the status is done when its frames have been taken.
@@ -110,12 +100,12 @@ class StepCamera(Named):
     def describe(self) -> JsonObject:
         """The data keys of `read`."""
         units = {"exposure_s": "s", "level_per_s": "1/s", "time_s": "s"}
-        out: JsonObject = {}
-        for key in self._measurement.last:
-            whole = key in ("step", "point")
-            key_of = number("engine", units.get(key, "deg" if key.endswith("_deg") else ""))
-            out[f"{self.name}_{key}"] = key_of | ({"dtype": "integer", "dtype_numpy": "<i8"} if whole else {})
-        return out
+        whole = {"dtype": "integer", "dtype_numpy": "<i8"}
+        keys: JsonObject = {
+            key: number("engine", units.get(key, "deg" if key.endswith("_deg") else ""))
+            for key in self._measurement.last
+        }
+        return {f"{self.name}_{key}": of | (whole if key in ("step", "point") else {}) for key, of in keys.items()}
 
 
 class Measurement:
@@ -206,24 +196,18 @@ class Measurement:
 
     def _note(self, row: int | None) -> None:
         seen = self._gate.seen if row is not None and row == self._gate.row else _Seen()
-        axes = self._choice.description.axes()
-        pose = seen.pose
-        self.last = {
-            "point": -1 if row is None else row,
-            "step": seen.step,
-            "exposure_s": seen.exposure_s,
-            "level_per_s": seen.level_per_s,
-            "time_s": seen.time_s,
-        } | {f"{name}_deg": math.nan if pose is None else math.degrees(getattr(pose, name)) for name in axes}
+        read = ("step", "exposure_s", "level_per_s", "time_s")
+        self.last = {"point": -1 if row is None else row} | {name: getattr(seen, name) for name in read}
+        for name in self._choice.description.axes():
+            self.last[f"{name}_deg"] = math.nan if seen.pose is None else math.degrees(getattr(seen.pose, name))
 
     # ---- the engine, in a thread of its own ----
 
     def __enter__(self) -> Self:
         if self._given["resume"] and begun(self._out):
-            run = Run.open(self._out)
-            self._done = {step.point for step in run.steps() if step.point is not None}
-        choice = replace(self._choice, plugin=_Gated(self._choice.plugin, self._gate))
-        self._thread = threading.Thread(target=self._measure, args=(choice,), name="gonio-bluesky-engine")
+            self._done = {step.point for step in Run.open(self._out).steps() if step.point is not None}
+        choice = (replace(self._choice, plugin=_Gated(self._choice.plugin, self._gate)),)
+        self._thread = threading.Thread(target=self._measure, args=choice, name="gonio-bluesky-engine")
         self._thread.start()
         try:
             self._gate.wait_until_open()
@@ -233,12 +217,11 @@ class Measurement:
         return self
 
     def _measure(self, choice: RigChoice) -> None:
-        error: BaseException | None = None
         try:
             measure.carry_out(self._plan, choice, self._out, command=command_line(), **self._given)
-        except BaseException as raised:  # whoever waits is told
-            error = raised
-        self._gate.left(error)
+            self._gate.left(None)
+        except BaseException as error:  # whoever waits is told
+            self._gate.left(error)
 
     def _close(self, *, whole: bool) -> None:
         self._gate.end(whole=whole)
@@ -254,13 +237,15 @@ class Measurement:
             raise failed
 
 
+@dataclass
 class _Seen:
     """What has been seen of a step while it was taken."""
 
-    def __init__(self, step: int = -1) -> None:
-        self.step = step
-        self.pose: Pose | None = None
-        self.exposure_s = self.level_per_s = self.time_s = math.nan
+    step: int = -1
+    pose: Pose | None = None
+    exposure_s: float = math.nan
+    level_per_s: float = math.nan
+    time_s: float = math.nan
 
 
 class _Gate:
@@ -290,8 +275,7 @@ class _Gate:
     def want(self, row: int, told: Any) -> None:
         with self._changed:
             if self._over:
-                error = self.error or Interrupted("the measurement has ended")
-                told(error)
+                told(self.error or Interrupted("the measurement has ended"))
                 return
             self.row, self._told, self._begun, self.seen = row, told, False, _Seen()
             self._changed.notify_all()
@@ -343,29 +327,36 @@ class _Gated:
 
     def open(self, description: RigDescription, *, sample: SampleDescription | None, seed: int, confirm: bool) -> Rig:
         """The rig, built."""
-        return _GatedRig(self._plugin.open(description, sample=sample, seed=seed, confirm=confirm), self._gate)
+        rig = self._plugin.open(description, sample=sample, seed=seed, confirm=confirm)
+        return cast("Rig", _GatedRig(rig, self._gate))
 
 
 class _Watched:
-    """A device whose results are noted; all else is its own."""
+    """A device, or a rig, of which some things are others; all else is its own."""
 
-    def __init__(self, device: Any, gate: _Gate) -> None:
-        self._device, self._gate = device, gate
+    def __init__(self, device: Any, **instead: Any) -> None:
+        self._device = device
+        vars(self).update(instead)
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._device, name)
 
 
-class _WatchedArms(_Watched):
-    def move(self, goal: Pose) -> Pose:
-        pose: Pose = self._device.move(goal)
+class _GatedRig(_Watched):
+    """A rig that waits at a gate before every step, and what is seen of whose arms and camera is noted there."""
+
+    def __init__(self, rig: Rig, gate: _Gate) -> None:
+        arms, camera = _Watched(rig.arms, move=self._move), _Watched(rig.camera, capture=self._capture)
+        super().__init__(rig, arms=arms, camera=camera)
+        self._gate = gate
+
+    def _move(self, goal: Pose) -> Pose:
+        pose: Pose = self._device.arms.move(goal)
         self._gate.seen.pose = pose
         return pose
 
-
-class _WatchedCamera(_Watched):
-    def capture(self, exposure_s: float) -> Frame:
-        frame: Frame = self._device.capture(exposure_s)
+    def _capture(self, exposure_s: float) -> Frame:
+        frame: Frame = self._device.camera.capture(exposure_s)
         seen = self._gate.seen
         if math.isnan(seen.time_s):
             seen.time_s = frame.time_s
@@ -373,51 +364,17 @@ class _WatchedCamera(_Watched):
         seen.exposure_s, seen.level_per_s = frame.exposure_s, top / frame.exposure_s
         return frame
 
-
-class _GatedRig:
-    """A rig that waits at a gate before every step."""
-
-    def __init__(self, rig: Rig, gate: _Gate) -> None:
-        self._rig, self._gate = rig, gate
-        self.arms: Any = _WatchedArms(rig.arms, gate)
-        self.camera: Any = _WatchedCamera(rig.camera, gate)
-
-    def __getattr__(self, name: str) -> Any:
-        if name.startswith("__") or name == "_rig":
-            raise AttributeError(name)
-        return getattr(self._rig, name)
-
-    @property
-    def description(self) -> RigDescription:
-        return self._rig.description
-
-    @property
-    def light(self) -> Any:
-        return self._rig.light
-
-    @property
-    def repeatable(self) -> bool:
-        return self._rig.repeatable
-
     def begin(self, step: Step) -> None:
         self._gate.pass_by(step)
-        self._rig.begin(step)
-
-    def present(self, target: Any) -> None:
-        self._rig.present(target)
-
-    def time_s(self) -> float:
-        return self._rig.time_s()
+        self._device.begin(step)
 
     def __enter__(self) -> Self:
-        self._rig.__enter__()
+        self._device.__enter__()
         self._gate.entered()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._rig.__exit__(kind, error, trace)
+    def __exit__(self, *how: Any) -> None:
+        self._device.__exit__(*how)
 
 
 def measurement(
@@ -480,8 +437,6 @@ def points_plan(name: str, wavelength_nm: Sequence[float], points: Sequence[Sequ
 
 def _key(point: Point) -> tuple[float, ...]:
     """Equal for points with the same directions; along the normal there is no azimuth."""
-    out: list[float] = []
-    for theta, phi in ((point.theta_i_deg, point.phi_i_deg), (point.theta_r_deg, point.phi_r_deg)):
-        polar = round(theta, DIGITS)
-        out += [polar, round(phi, DIGITS) % 360.0 if polar else 0.0]
-    return tuple(out)
+    theta_i, theta_r = round(point.theta_i_deg, DIGITS), round(point.theta_r_deg, DIGITS)
+    phi_i, phi_r = (round(phi, DIGITS) % 360.0 for phi in (point.phi_i_deg, point.phi_r_deg))
+    return theta_i, phi_i if theta_i else 0.0, theta_r, phi_r if theta_r else 0.0

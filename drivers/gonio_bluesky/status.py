@@ -69,12 +69,12 @@ class Owner:
         status = Status()
 
         def work() -> None:
-            error: BaseException | None = None
             try:
                 do()
-            except BaseException as raised:  # whoever waits is told, whatever it is
-                error = raised
-            status.finish(done(error))
+            except BaseException as error:  # whoever waits is told, whatever it is
+                status.finish(done(error))
+            else:
+                status.finish(done(None))
 
         self._pool.submit(work)
         return status

@@ -22,8 +22,8 @@ import contextlib
 import logging
 import math
 import threading
-from collections.abc import Iterable, Iterator, Mapping
-from typing import Self
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from typing import Self, TypeVar
 
 from dynamixel_sdk import COMM_RX_CORRUPT, COMM_RX_TIMEOUT, COMM_SUCCESS, INST_PING, INST_READ, INST_WRITE
 
@@ -33,6 +33,8 @@ from gonio_drivers import ports
 from gonio_drivers.sdk import WAIT_S, ExclusivePort, Packets
 
 log = logging.getLogger("gonio.devices")
+
+Answer = TypeVar("Answer")
 
 ALERT = 0x80
 QUIET_S = 0.060
@@ -104,16 +106,22 @@ class Bus:
         self._port = ExclusivePort(port, f"{key}.port")
         self._packets = Packets()
         self._lock = threading.RLock()
+        self._users = 0
 
     def __enter__(self) -> Self:
-        self.set_baud(self.baud)
+        """Open the port, unless it is open: it is closed when the last who has entered it leaves."""
+        if self._users == 0:
+            self.set_baud(self.baud)
+        self._users += 1
         return self
 
     def __exit__(self, *_: object) -> None:
         """Close the port, and free it whatever was going on."""
-        if self._port.is_open:
-            self._port.closePort()
-        self._port.is_using = False
+        self._users -= 1
+        if self._users == 0:
+            if self._port.is_open:
+                self._port.closePort()
+            self._port.is_using = False
 
     def set_baud(self, baud: int) -> None:
         """Open the port at a line speed; the lock is taken anew."""
@@ -177,20 +185,27 @@ class Bus:
 
         Each speed is asked once, which takes a tenth of a second where nobody answers.
         """
+        found = self._at_another_speed(lambda: self._transact(identity, INST_PING, b"", 3))
+        if found is None:
+            return ""
+        return (
+            f"; one with this id answers at {found[0]} baud, and {self.key}.baud = {self.baud}: gonio rig ids "
+            f"--set-baud {identity} {self.baud} gives it that speed"
+        )
+
+    def _at_another_speed(self, ask: Callable[[], Answer]) -> tuple[int, Answer] | None:
+        """The first other line speed at which anything is answered, and what; the bus has its own again then."""
         with self._lock:
             try:
                 for baud in speeds(self.port):
                     if baud != self.baud:
                         self.set_baud(baud)
                         with contextlib.suppress(BusError):
-                            self._transact(identity, INST_PING, b"", 3)
-                            return (
-                                f"; one with this id answers at {baud} baud, and {self.key}.baud = {self.baud}: gonio "
-                                f"rig ids --set-baud {identity} {self.baud} gives it that speed"
-                            )
+                            if answer := ask():
+                                return baud, answer
             finally:
                 self.set_baud(self.baud)
-        return ""
+        return None
 
     # ---- several servos ----
 
@@ -206,6 +221,13 @@ class Bus:
                 heard, _ = self._packets.broadcastPing(self._port)  # empty, or damaged where replies collided
             found |= {identity: (entry[0], entry[1]) for identity, entry in heard.items()}
         return dict(sorted(found.items()))
+
+    def scan(self) -> tuple[int, dict[int, tuple[int, int]]] | None:
+        """The first other line speed at which servos answer a broadcast ping, and those servos, as of `discover`.
+
+        Takes about a second a speed; factory settings (57600 baud) come first.
+        """
+        return self._at_another_speed(lambda: self.discover(rounds=1))
 
     def read_all(self, ids: Iterable[int], address: int, size: int) -> dict[int, bytes]:
         """The same block of several servos, by one sync read; those that fail in it are read one by one."""
@@ -358,17 +380,3 @@ def hardware_error(byte: int) -> str:
 def speeds(port: str) -> tuple[int, ...]:
     """The line speeds at which servos may be sought on a port; a raw server has its own, and any stands for that."""
     return BAUD_RATES[:1] if port.startswith("socket:") else BAUD_RATES
-
-
-def scan(port: str, *, without: int, key: str = "devices.servos") -> tuple[int, dict[int, tuple[int, int]]] | None:
-    """The first line speed, other than `without`, at which servos answer a broadcast ping, and those servos.
-
-    Takes about a second a speed; factory settings (57600 baud) come first.
-    """
-    for baud in speeds(port):
-        if baud != without:
-            with Bus(port, baud, key=key) as bus:
-                servos = bus.discover(rounds=1)
-            if servos:
-                return baud, servos
-    return None

@@ -123,7 +123,14 @@ class ServoPort:
 
     def open(self) -> None:
         """The port must be an input with a pull-down, as `preparation.prepare` makes it."""
-        if self._joint.get(f"External Port Mode {self._number}") != PULL_DOWN:
+        self._joint.bus.__enter__()
+        try:
+            mode = self._joint.get(f"External Port Mode {self._number}")
+        except BaseException:
+            self.close()
+            raise
+        if mode != PULL_DOWN:
+            self.close()
             raise DeviceError(
                 f"{KEY}: {self.name} is no input with a pull-down yet; a command that opens the arms makes it one, "
                 "such as gonio rig check --no-move"
@@ -140,7 +147,8 @@ class ServoPort:
         return self._joint.get(f"External Port Data {self._number}") == 1
 
     def close(self) -> None:
-        """Nothing: the bus belongs to the arms."""
+        """The bus stays open for the arms, if they are."""
+        self._joint.bus.__exit__()
 
 
 @dataclass(frozen=True, slots=True)

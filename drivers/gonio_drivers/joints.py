@@ -195,10 +195,7 @@ class Joint(Servo, AnyJoint):
         if here:
             there = self.bus.elsewhere(self.id) or "; correct the id, or give it to a servo (gonio rig ids --set-id)"
             return f"{said}; found there: {_listed(here)}{there}"
-        self.bus.__exit__(None, None, None)
-        elsewhere = dynamixel.scan(self.bus.port, without=self.bus.baud)
-        self.bus.__enter__()
-        if elsewhere is not None:
+        if (elsewhere := self.bus.scan()) is not None:
             baud, found = elsewhere
             return f"{said}, but at {baud} baud: {_listed(found)}; set devices.servos.baud to that speed"
         return f"{said}, nor does any servo at another speed; is the servo power on, and the cable in?"

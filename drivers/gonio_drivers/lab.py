@@ -25,7 +25,6 @@ from gonio.rig.regions import require_frame
 from gonio.rig.whereabouts import axes_stand
 from gonio_drivers import cameras, diagnosis, discovery, interlock, signals, survey
 from gonio_drivers.arms import ServoArms
-from gonio_drivers.dynamixel import Bus
 from gonio_drivers.light import LampReset, SerialLight
 from gonio_drivers.service import ServoService
 from gonio_drivers.settings import Devices
@@ -238,15 +237,8 @@ class LabRig:
             elif name == "camera":
                 health += survey.of_camera(self._camera, self._camera_driver)
         if self.interlock is not None and not devices:
-            health += self._survey_interlock(self.interlock)
+            health += self.interlock.survey()
         return health
-
-    def _survey_interlock(self, watched: interlock.Interlock) -> Health:
-        try:
-            with self._bus() if watched.on_the_bus else contextlib.nullcontext():
-                return watched.survey()
-        except DeviceError as failure:  # the bus itself
-            return Health((), {interlock.NAME: str(failure)})
 
     def diagnose(self, *, move: bool) -> list[tuple[str, str, bool]]:
         """What `gonio rig check` reports of the devices: what, what was found, whether that is good."""
@@ -260,39 +252,30 @@ class LabRig:
             self.camera.signals = stack.enter_context(signals.heard())
             for name, device in (("light", self.light), ("arms", self.arms), ("camera", self._camera)):
                 if name == "arms":
-                    self._guard_by_serial_line(stack)
+                    self._guard(stack, before_arms=True)
                 if name in self._opened:
                     stack.enter_context(device)
                 if name == "arms":
-                    self._guard_by_servo(stack)
+                    self._guard(stack, before_arms=False)
             self._stack = stack.pop_all()
         self.arms.as_found = self._as_found
         return self
 
-    def _guard_by_serial_line(self, stack: contextlib.ExitStack) -> None:
-        """Before any torque comes on. Without arms, to darken a lamp is allowed whatever the contact says."""
-        if self.interlock is None or self._opened <= {"camera"}:
-            return
-        if not self.interlock.on_the_bus:
-            stack.enter_context(self.interlock)
-        if "arms" in self._opened:
-            self.interlock.latch.require()
-            if not self.interlock.on_the_bus:
-                self.interlock.require()
+    def _guard(self, stack: contextlib.ExitStack, *, before_arms: bool) -> None:
+        """A serial line is watched before any torque comes on, a servo's port once its servo is an input.
 
-    def _bus(self) -> Bus:
-        assert isinstance(self.arms, ServoArms)  # as `Devices` has it: a contact on the bus belongs to a servo
-        return self.arms.bus
-
-    def _guard_by_servo(self, stack: contextlib.ExitStack) -> None:
-        """The bus must be open; nothing has moved yet."""
-        if self.interlock is None or self._opened <= {"camera"} or not self.interlock.on_the_bus:
+        Without arms, to darken a lamp is allowed whatever the contact says.
+        """
+        watched = self.interlock
+        if watched is None or self._opened <= {"camera"}:
             return
-        if "arms" not in self._opened:
-            stack.enter_context(self._bus())
-        stack.enter_context(self.interlock)
-        if "arms" in self._opened:
-            self.interlock.require()
+        its_turn = watched.on_the_bus != before_arms
+        if its_turn:
+            stack.enter_context(watched)
+        if "arms" in self._opened and before_arms:
+            watched.latch.require()
+        if "arms" in self._opened and its_turn:
+            watched.require()
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
@@ -379,8 +362,7 @@ class LabPlugin(ServoService):
         rig = LabRig(description, _devices(description), confirm=False)
         if rig.interlock is None:
             raise ConfigError("devices.interlock is missing: the rig has no interlock that could have stopped it")
-        with rig._bus() if rig.interlock.on_the_bus else contextlib.nullcontext():
-            return rig.interlock.acknowledge()
+        return rig.interlock.acknowledge()
 
 
 def _devices(description: RigDescription) -> Devices:

@@ -241,19 +241,16 @@ class Devices(Strict):
     holder: ServedHolder | None = None
 
     @model_validator(mode="after")
-    def _one_kind_of_arms(self) -> Devices:
+    def _belong_together(self) -> Devices:
         if (self.servos is None) == (self.stages is None):
             raise ValueError("a rig needs arms: give one of the tables devices.servos and devices.stages")
-        return self
-
-    @model_validator(mode="after")
-    def _one_device_a_port(self) -> Devices:
-        ports = {"light.port": self.light.port}
-        if self.servos is not None:
-            ports = {"servos.port": self.servos.port} | ports
-        if self.stages is not None:
-            tables = self.stages.axes.items()
-            ports = {f"stages.axes.{n}.port": t["port"] for n, t in tables if isinstance(t.get("port"), str)} | ports
+        if self.interlock is not None and self.interlock.axis is not None and self.servos is None:
+            raise ValueError("interlock.axis names a servo, and the rig has stages; give interlock.port")
+        ports = {"servos.port": self.servos.port} if self.servos is not None else {}
+        for name, table in self.stages.axes.items() if self.stages is not None else ():
+            if isinstance(port := table.get("port"), str):
+                ports[f"stages.axes.{name}.port"] = port
+        ports["light.port"] = self.light.port
         if self.interlock is not None and self.interlock.port:
             ports["interlock.port"] = self.interlock.port
         seen: dict[Path, str] = {}
@@ -263,37 +260,21 @@ class Devices(Strict):
                 raise ValueError(f'{other} and {key} are the same port, "{port}"')
         return self
 
-    @model_validator(mode="after")
-    def _a_servo_has_the_contact(self) -> Devices:
-        if self.interlock is not None and self.interlock.axis is not None and self.servos is None:
-            raise ValueError("interlock.axis names a servo, and the rig has stages; give interlock.port")
-        return self
 
-
-def check_axes(servos: Servos, description: RigDescription) -> None:
-    """Raise `ConfigError` where servos and axes of the rig do not belong together."""
-    known = description.axes()
+def check_axes(arms: Servos | Stages, description: RigDescription) -> None:
+    """Raise `ConfigError` where servos, or stages, and axes of the rig do not belong together."""
+    known, how = description.axes(), description.reference.how
+    table, what = ("devices.servos", "servo") if isinstance(arms, Servos) else ("devices.stages", "stage")
     for name in known:
-        if name not in servos.axes:
-            raise ConfigError(f"devices.servos.axes.{name} is missing: the rig has this axis, and no servo turns it")
-    if (description.reference.how == "axis") != (servos.changer is not None):
+        if name not in arms.axes:
+            raise ConfigError(f"{table}.axes.{name} is missing: the rig has this axis, and no {what} turns it")
+    if isinstance(arms, Servos) and (how == "axis") != (arms.changer is not None):
         raise ConfigError(
-            f'reference.how = "{description.reference.how}": "axis" needs a table devices.servos.changer, and no other '
-            "way of reaching the reference has one"
+            f'reference.how = "{how}": "axis" needs a table devices.servos.changer, and no other way of reaching the '
+            "reference has one"
         )
-    for name in servos.axes:
+    for name in arms.axes:
         if name not in known:
-            raise ConfigError(f"devices.servos.axes.{name}: the rig has no axis {name}; it has {', '.join(known)}")
-
-
-def check_stages(stages: Stages, description: RigDescription) -> None:
-    """Raise `ConfigError` where stages and axes of the rig do not belong together."""
-    known = description.axes()
-    for name in known:
-        if name not in stages.axes:
-            raise ConfigError(f"devices.stages.axes.{name} is missing: the rig has this axis, and no stage turns it")
-    for name in stages.axes:
-        if name not in known:
-            raise ConfigError(f"devices.stages.axes.{name}: the rig has no axis {name}; it has {', '.join(known)}")
-    if description.reference.how == "axis":
+            raise ConfigError(f"{table}.axes.{name}: the rig has no axis {name}; it has {', '.join(known)}")
+    if isinstance(arms, Stages) and how == "axis":
         raise ConfigError('reference.how = "axis" needs a changer, which devices.stages does not have; take "swap"')

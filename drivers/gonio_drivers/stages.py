@@ -212,7 +212,7 @@ class StageArms(Arms[Joint]):
     unparked = "not parked, and where it stands is not known"
 
     def __init__(self, description: RigDescription, table: settings.Stages) -> None:
-        settings.check_stages(table, description)
+        settings.check_axes(table, description)
         self._settings = table
         every: dict[str, Joint] = {}
         for name in description.axes():
