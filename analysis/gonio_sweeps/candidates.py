@@ -8,7 +8,6 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import ValidationError
 
 from gonio.acquisition.plan import Plan, Point, assess, canonical, count_reasons
@@ -64,18 +63,16 @@ def candidates(plan: Plan, description: RigDescription, given: TomlTable) -> Can
     in_plane |= {name: given[name] for name in in_plane if given.get(name) is not None}
     try:
         sweep = Sweep.model_validate(in_plane)
-        beyond = None
-        if given.get("dphi_deg") is not None:
-            beyond = Sweep.model_validate(in_plane | {"dphi_deg": given["dphi_deg"]})
+        azimuths = given.get("dphi_deg")
+        beyond = sweep if azimuths is None else Sweep.model_validate(in_plane | {"dphi_deg": azimuths})
     except ValidationError as error:
         item = error.errors()[0]
         key = ".".join(str(part) for part in item["loc"])
         said = str(item["msg"]).removeprefix("Value error, ")
         raise ConfigError(f"{where} {key + ': ' if key else ''}{said}") from None
     points = [canonical(i, 0.0, r, 180.0) for i in sweep.theta_i_deg for r in sweep.theta_r_deg]
-    if beyond is not None:
-        azimuths = [d for d in beyond.dphi_deg or () if d % 180.0]
-        points += [canonical(i, 0.0, r, d) for i in beyond.theta_i_deg for d in azimuths for r in beyond.theta_r_deg]
+    outside = [d for d in beyond.dphi_deg or () if d % 180.0]
+    points += [canonical(i, 0.0, r, d) for i in beyond.theta_i_deg for d in outside for r in beyond.theta_r_deg]
     found = assess(replace(plan, points=tuple(dict.fromkeys(points)), adaptive=None), description)
     reached = [(one.point, one.pose) for one in found if one.pose is not None]
     out = tuple(f"{count} {flag}: {cause}" for (flag, cause), count in count_reasons(found))
@@ -84,18 +81,22 @@ def candidates(plan: Plan, description: RigDescription, given: TomlTable) -> Can
     return Candidates(tuple(p for p, _ in reached), tuple(pose for _, pose in reached), out)
 
 
+def half_angles(description: RigDescription) -> tuple[float, float]:
+    """Of the cones of lamp and lens [rad]."""
+    return math.radians(description.lamp.half_angle_deg), math.radians(description.camera.lens_half_angle_deg)
+
+
 def read(description: RigDescription, poses: Sequence[Pose]) -> tuple[Pose, ...]:
     """What the encoders will show at poses: whole steps, the nearest to the goals."""
-    out = []
-    for pose in poses:
-        shown = {}
-        for name, axis in description.axes().items():
-            step, offset = math.radians(axis.encoder_step_deg), math.radians(axis.zero_offset_deg)
-            known = offset if axis.zero_offset_known else 0.0
-            if step > 0.0:
-                shown[name] = round((getattr(pose, name) + known) / step) * step - known
-        out.append(replace(pose, **shown))
-    return tuple(out)
+    axes = {
+        name: (math.radians(axis.encoder_step_deg), math.radians(axis.zero_offset_deg) * axis.zero_offset_known)
+        for name, axis in description.axes().items()
+        if axis.encoder_step_deg > 0.0
+    }
+    return tuple(
+        replace(pose, **{n: round((getattr(pose, n) + at) / step) * step - at for n, (step, at) in axes.items()})
+        for pose in poses
+    )
 
 
 def places(directions: Directions) -> Floats:
@@ -114,13 +115,6 @@ def places(directions: Directions) -> Floats:
     return np.stack([signed * scale, across * scale, incidence], axis=-1)
 
 
-def from_nearest(at: Floats, among: Floats) -> Floats:
-    """Distance of each place (n, 3) from the nearest of others (m, 3); infinite where there are none."""
-    from scipy.spatial import cKDTree
-
-    return np.asarray(cKDTree(among).query(at)[0]) if len(among) else np.full(len(at), np.inf)
-
-
 def nearby(at: Floats, among: Floats, brdf: Floats, u: Floats) -> Floats:
     """About the BRDF [1/sr] at places (n, 3): the geometric mean of the three values nearest to each, the nearer more.
 
@@ -135,17 +129,25 @@ def nearby(at: Floats, among: Floats, brdf: Floats, u: Floats) -> Floats:
     return np.asarray(np.exp((weights * logarithm).sum(axis=1) / weights.sum(axis=1)))
 
 
-def spread(at: Floats, count: int, begin: npt.NDArray[np.intp], cost: Floats | None = None) -> list[int]:
+def spread(
+    at: Floats, count: int, begin: Sequence[int], among: Floats | None = None, cost: Floats | None = None
+) -> list[int]:
     """Places (n, 3) that cover the others: first `begin`, then the one that is farthest from those chosen, in turn
     [Johnson1990].
 
-    With a `cost` (n,) the square of the distance over it counts. Of equals the first one is taken.
+    Other places `among` (m, 3) count as chosen. With a `cost` (n,) the square of the distance over it counts. Of equals
+    the first one is taken, and none that lies on another.
     """
-    chosen = [int(k) for k in begin[:count]]
-    distance = from_nearest(at, at[chosen])
+    from scipy.spatial import cKDTree
+
+    chosen = list(begin[:count])
+    there = at[chosen] if among is None else np.concatenate([among, at[chosen]])
+    distance = np.asarray(cKDTree(there).query(at)[0]) if len(there) else np.full(len(at), np.inf)
     while len(chosen) < min(count, len(at)):
         score = np.minimum(distance, 1e3) ** 2 / (1.0 if cost is None else cost)
         k = int(np.argmax(np.round(score, 12)))
+        if score[k] <= 1e-12:
+            break
         chosen.append(k)
         distance = np.minimum(distance, np.linalg.norm(at - at[k], axis=1))
     return chosen
@@ -153,12 +155,11 @@ def spread(at: Floats, count: int, begin: npt.NDArray[np.intp], cost: Floats | N
 
 def snake(points: list[Point]) -> list[int]:
     """An order that saves travel: by incidence and azimuth, to and fro over the angle of reflection."""
-
-    out: list[int] = []
-    for number, of in enumerate(sorted({_curve(p) for p in points})):
-        here = [k for k, p in enumerate(points) if _curve(p) == of]
-        out += sorted(here, key=lambda k: signed_deg(points[k]), reverse=bool(number % 2))
-    return out
+    return [
+        k
+        for number, line in enumerate(curves(points))
+        for k in sorted(line, key=lambda k: signed_deg(points[k]), reverse=bool(number % 2))
+    ]
 
 
 def _curve(p: Point) -> tuple[float, float]:

@@ -15,24 +15,22 @@ from typing import Any
 import numpy as np
 from pydantic import field_validator
 
-from gonio.acquisition.duration import Durations
 from gonio.acquisition.plan import Plan, Point
 from gonio.acquisition.run import Run
 from gonio.acquisition.sampling import Choice
-from gonio.acquisition.schedule import reference_pose
-from gonio.config import Strict, parse
+from gonio.config import Strict
 from gonio.documents import JsonObject
 from gonio.errors import ConfigError
 from gonio.reduction.angle_errors import angle_axes, zero_uncertainties
-from gonio.rig import Pose
 from gonio.rig.description import RigDescription
 from gonio.rig.ranges import Positive
 from gonio.typing import Floats
 from gonio_sweeps import curve_choice, expected
-from gonio_sweeps.candidates import Candidates, candidates, places, snake, spread
+from gonio_sweeps.candidates import Candidates, candidates, curves, half_angles, signed_deg, spread
 from gonio_sweeps.curve_choice import Grid
 from gonio_sweeps.online import GrowingValues, Online
 from gonio_sweeps.posterior import FEWEST, AngleErrors, Posterior
+from gonio_sweeps.sampler import BudgetSampler, short
 
 FIRST, FURTHER = 12, 7
 """Points of the first covering: of one angle of incidence, and of each further one, in a plane."""
@@ -91,15 +89,7 @@ class Decided:
     met: bool = False
 
 
-class CurvePlugin:
-    """What the entry point names."""
-
-    def open(self, plan: Plan, description: RigDescription) -> Curve:
-        """The sampler of a plan on a rig; see `gonio.acquisition.sampling.SamplerPlugin`."""
-        return Curve(plan, description)
-
-
-class Curve:
+class Curve(BudgetSampler[CurveSettings]):
     """Chooses points that tell the curves of a plan.
 
     Raises
@@ -108,28 +98,23 @@ class Curve:
         A key of `[adaptive]` is wrong.
     """
 
+    keys = CurveSettings
+
     def __init__(self, plan: Plan, description: RigDescription) -> None:
-        assert plan.adaptive is not None
-        where = f"{plan.source}: [adaptive]"
-        self._settings = parse(CurveSettings, plan.adaptive.own, where)
-        self._description = description
-        self._budget_s = 3600.0 * plan.adaptive.budget_h
-        self._bands = plan.bands(description)
+        super().__init__(plan, description)
         self.candidates = _with_mirror(plan, description, self._settings.model_dump())
         if len(self.candidates) > MOST_CANDIDATES:
             raise ConfigError(
-                f"{where} theta_i_deg, theta_r_deg and dphi_deg make {len(self.candidates)} candidates; "
+                f"{self._where} theta_i_deg, theta_r_deg and dphi_deg make {len(self.candidates)} candidates; "
                 f"at most {MOST_CANDIDATES}: take larger steps"
             )
-        self.durations = Durations(description, self._bands)
         self._online = [Online(band) for band in self._bands]
         self._directions = self.candidates.directions
-        self._expected = expected.Expected(self.durations, self.candidates.poses)
         self._grid = Grid.of(self._directions, _weights(self.candidates.points))
         self._errors = _angle_errors(description)
-        self._cones = _cones(description)
-        self._first = self._covering()
-        self._check_budget(where)
+        self._cones = half_angles(description)
+        self.first_rows = self._covering()
+        self._require_budget()
 
     def about(self) -> list[str]:
         """What it will do, a line each."""
@@ -147,16 +132,12 @@ class Curve:
     # ---- what is measured first ----
 
     def _covering(self) -> list[int]:
-        at = places(self._directions)
         incidences = len({(p.theta_i_deg, p.phi_i_deg) for p in self.candidates.points})
-        count = FIRST + FURTHER * (incidences - 1)
-        if self._settings.dphi_deg is not None:
-            count *= 2
+        count = (FIRST + FURTHER * (incidences - 1)) * (1 if self._settings.dphi_deg is None else 2)
         if self._settings.most_points is not None:
             count = min(count, max(FIRST, self._settings.most_points // 2))
-        begin = np.array(self._at_mirror())
-        chosen = spread(at, min(count, len(at)), begin)
-        return [chosen[k] for k in snake([self.candidates.points[k] for k in chosen])]
+        count = min(count, len(self.candidates))
+        return self._ordered(spread(self._places, count, self._at_mirror()))
 
     def _at_mirror(self) -> list[int]:
         """Of each angle of incidence the candidate nearest to the mirror direction, and one on either side of it."""
@@ -169,14 +150,6 @@ class Curve:
                 if own.size and (not goal or away.min() < 0.5 * flank):
                     out.append(int(own[np.argmin(np.round(away, 9))]))
         return list(dict.fromkeys(out))
-
-    def _check_budget(self, where: str) -> None:
-        poses = [self.candidates.poses[k] for k in self._first]
-        expected.require_budget(where, self._budget_s, self.durations, poses)
-
-    def first(self, planned: Sequence[Point]) -> Sequence[Point]:
-        """A covering of the candidates; nothing where the plan has as many points of its own."""
-        return [] if len(planned) >= len(self._first) else [self.candidates.points[k] for k in self._first]
 
     # ---- what is measured next ----
 
@@ -222,44 +195,34 @@ class Curve:
             return Decided([], why, f"enough: only {n} points could be used; a curve needs {FEWEST}")
         starts = before if before is not None and len(before) == len(usable) else [None] * len(usable)
         known = [self.known(v, p) for v, p in zip(usable, starts, strict=True)]
-        goal = self._settings.u_rel or DEFAULT_GOAL
-        count = min(max(round(GROWTH * n), SMALLEST), LARGEST)
-        if self._settings.most_points is not None:
-            count = min(count, self._settings.most_points - n)
+        count, most = min(max(round(GROWTH * n), SMALLEST), LARGEST), self._settings.most_points
         seen = [self._expected.visits(p.at(self._directions)[0]) for p in known]
         seconds = np.mean([s.seconds for s in seen], axis=0)
-        cost = np.ones(len(seconds))
-        if self._settings.most_points is None:
-            # most ways are those between neighbours
-            cost = seconds + 0.2 * self.durations.moves_s(reference_pose(self._description), self.candidates.poses)
-        noise = [s.u_rel for s in seen]
+        cost = seconds + self._ways_s
+        if most is not None:
+            count, cost = min(count, most - n), np.ones(len(seconds))
         picked, u_rel, covers = curve_choice.batch(
-            known, noise, self._grid, goal, cost, max(count, 0), n, self._settings.floor
-        )
+            known, [s.u_rel for s in seen], self._grid, self._settings.u_rel or DEFAULT_GOAL, cost, max(count, 0), n,
+            self._settings.floor,
+        )  # fmt: skip
         worst = max(float(u.max()) for u in u_rel)
         where = self.candidates.points[int(np.argmax(np.max(u_rel, axis=0)))]
         misfit = max(p.misfit for p in known)
-        why |= {"u_rel": _short(worst), "median_u_rel": _short(float(np.median(u_rel))), "misfit": _short(misfit)}
+        why |= {"u_rel": short(worst), "median_u_rel": short(float(np.median(u_rel))), "misfit": short(misfit)}
         why["kernel"] = [[round(float(x), 4) for x in p.parameters] for p in known]
         said = f"curve known to {100 * worst:.2g} % at worst (theta_i = {where.theta_i_deg:g}, {_place(where)})"
         if self._settings.u_rel is not None and worst <= self._settings.u_rel:
             return Decided([], why, f"enough: {said}", met=True)
         if count <= 0:
             return Decided([], why, f"enough: {said}; all {n} points are taken")
-        here = reference_pose(self._description)
-        while picked and self._batch_s(picked, seconds, here) > left_s:
+        while picked and self._batch_s(picked, seconds) > left_s:
             picked = picked[:-1]
         if not picked:
             return Decided([], why, f"enough: the budget is spent; {said}")
-        ordered = [picked[k] for k in snake([self.candidates.points[k] for k in picked])]
-        why |= {"cover": sum(k in covers for k in ordered), "batch_s": round(self._batch_s(ordered, seconds, here), 1)}
+        ordered = self._ordered(picked)
+        why |= {"cover": sum(k in covers for k in ordered), "batch_s": round(self._batch_s(ordered, seconds), 1)}
         minutes = f"{spent_s / 60:.3g} of {self._budget_s / 60:.3g} min"
         return Decided(ordered, why, f"{said}; {len(ordered)} points next; {minutes}")
-
-    def _batch_s(self, batch: list[int], seconds: Floats, here: Pose) -> float:
-        order = [batch[k] for k in snake([self.candidates.points[k] for k in batch])]
-        poses = [self.candidates.poses[k] for k in order]
-        return expected.batch_s(self.durations, poses, [float(seconds[k]) for k in order], here)
 
 
 def _with_mirror(plan: Plan, description: RigDescription, given: JsonObject) -> Candidates:
@@ -267,50 +230,32 @@ def _with_mirror(plan: Plan, description: RigDescription, given: JsonObject) -> 
     found = candidates(plan, description, given)
     if isinstance(given["theta_r_deg"], list):
         return found
-    points, poses = list(found.points), list(found.poses)
-    have = set(points)
+    reached = dict(zip(found.points, found.poses, strict=True))
+    reach = math.degrees(sum(half_angles(description)))
+    offsets = (0.0, *(part * reach for part in IN_CONES), *(d for d in NEAR_MIRROR_DEG if d > 1.5 * reach))
     for theta_i in sorted({p.theta_i_deg for p in found.points}):
-        own = [p for p in found.points if p.theta_i_deg == theta_i]
-        largest = max(p.theta_r_deg for p in own)
-        reach = math.degrees(sum(_cones(description)))
-        offsets = (0.0, *(part * reach for part in IN_CONES), *(d for d in NEAR_MIRROR_DEG if d > 1.5 * reach))
-        near = [theta_i + s * d for d in offsets for s in (1, -1) if abs(theta_i + s * d) <= largest]
-        more = candidates(plan, description, {"theta_i_deg": [theta_i], "theta_r_deg": sorted(set(near))})
-        for point, pose in zip(more.points, more.poses, strict=True):
-            if point not in have:
-                points.append(point)
-                poses.append(pose)
-                have.add(point)
-    return Candidates(tuple(points), tuple(poses), found.left_out)
+        largest = max(p.theta_r_deg for p in found.points if p.theta_i_deg == theta_i)
+        near = {theta_i + s * d for d in offsets for s in (1, -1) if abs(theta_i + s * d) <= largest}
+        more = candidates(plan, description, {"theta_i_deg": [theta_i], "theta_r_deg": sorted(near)})
+        reached |= {p: pose for p, pose in zip(more.points, more.poses, strict=True) if p not in reached}
+    return Candidates(tuple(reached), tuple(reached.values()), found.left_out)
 
 
 def _weights(points: Sequence[Point]) -> Floats:
     """What each point stands for: half the way to its neighbours on either side [deg]; out of the plane times sine."""
     out = np.ones(len(points))
-    beyond = any((p.phi_r_deg - p.phi_i_deg) % 180.0 for p in points)
-    curves: dict[tuple[float, float, float], list[int]] = {}
-    for k, p in enumerate(points):
-        dphi = (p.phi_r_deg - p.phi_i_deg) % 360.0
-        curves.setdefault((p.theta_i_deg, p.phi_i_deg, dphi % 180.0), []).append(k)
-    for rows in curves.values():
-        at = np.array([_signed(points[k]) for k in rows])
-        order = np.argsort(at, kind="stable")
-        if order.size > 1:
-            step = np.gradient(at[order])
-            out[np.array(rows)[order]] = np.abs(step)
-    if beyond:
+    for line in curves(points):
+        if len(line) > 1:
+            out[line] = np.abs(np.gradient([signed_deg(points[k]) for k in line]))
+    if any((p.phi_r_deg - p.phi_i_deg) % 180.0 for p in points):
         out *= np.sin(np.radians([max(p.theta_r_deg, 1.0) for p in points]))
     return out
-
-
-def _signed(p: Point) -> float:
-    return p.theta_r_deg if 90.0 < (p.phi_r_deg - p.phi_i_deg) % 360.0 <= 270.0 else -p.theta_r_deg
 
 
 def _place(p: Point) -> str:
     dphi = (p.phi_r_deg - p.phi_i_deg) % 360.0
     if dphi % 180.0 == 0.0:
-        return f"theta_r = {_signed(p):g} deg"
+        return f"theta_r = {signed_deg(p):g} deg"
     return f"theta_r = {p.theta_r_deg:g}, dphi = {dphi:g} deg"
 
 
@@ -322,14 +267,4 @@ def _angle_errors(description: RigDescription) -> AngleErrors:
     return AngleErrors(math.radians(read), max(zeros.values(), default=0.0))
 
 
-def _cones(description: RigDescription) -> tuple[float, float]:
-    """Half angles of lamp and lens [rad]."""
-    return math.radians(description.lamp.half_angle_deg), math.radians(description.camera.lens_half_angle_deg)
-
-
-def _short(value: float) -> float | None:
-    """Three digits, for the journal."""
-    return float(f"{value:.3g}") if math.isfinite(value) else None
-
-
-SAMPLER = CurvePlugin()
+SAMPLER = Curve

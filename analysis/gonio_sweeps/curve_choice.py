@@ -10,6 +10,7 @@ import numpy as np
 from gonio.geometry import Directions
 from gonio.typing import Floats
 from gonio_sweeps.posterior import Posterior
+from gonio_sweeps.sampler import highest
 
 COVERING = 5
 """Every so many chosen points one goes where the curve is measured least, whatever the process expects there."""
@@ -89,22 +90,19 @@ def batch(
     """
     states = [_State.of(p, u, grid, goal, floor) for p, u in zip(known, noise, strict=True)]
     u_rel = [s.u_rel for s in states]
-    chosen: list[int] = []
-    covers: list[int] = []
+    chosen, covers = list[int](), list[int]()
     far = grid.uncovered(known[0].directions)
     slope = np.max([p.steepness(grid.directions, floor) for p in known], axis=0)
     for k in range(count):
         turn = (done + k) % COVERING
-        if turn == COVERING - 1 and far.max() > 0:
-            best = int(np.argmax(np.round(far, 9)))
-            covers.append(best)
-        elif turn in STEEP_TURNS and (far * slope).max() > STEEP:
-            # whatever the process expects there: a flank is easily taken for that of another incidence
-            best = int(np.argmax(np.round(far * slope, 9)))
+        # whatever the process expects in a steep gap: a flank is easily taken for that of another incidence
+        steep = turn in STEEP_TURNS and (far * slope).max() > STEEP
+        if steep or (turn == COVERING - 1 and far.max() > 0):
+            best = int(np.argmax(np.round(far * slope if steep else far, 9)))
             covers.append(best)
         else:
             score = np.sum([s.gain(grid.weight) for s in states], axis=0) / cost
-            best = int(np.argmax(np.round(score / max(float(score.max()), 1e-300), 9)))
+            best = highest(score)
         chosen.append(best)
         for s in states:
             s.take(best)

@@ -12,30 +12,24 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 from gonio_analysis.fitting.forward import apparent
-from gonio_analysis.fitting.observations import DEFAULT_WAVELENGTH_NM
 
-from gonio.acquisition.duration import Durations
-from gonio.acquisition.plan import Plan, Point
+from gonio.acquisition.plan import Plan
 from gonio.acquisition.run import Run
 from gonio.acquisition.sampling import Choice
-from gonio.acquisition.schedule import reference_pose
-from gonio.config import parse
 from gonio.documents import JsonObject
 from gonio.errors import ConfigError
 from gonio.reduction import brdf as reduction
-from gonio.rig import Pose
-from gonio.rig.bands import Band
 from gonio.rig.description import RigDescription
 from gonio.typing import Floats
 from gonio_sweeps import covering, expected, fisher
-from gonio_sweeps.candidates import candidates, from_nearest, nearby, places, snake, spread
-from gonio_sweeps.model_fit import MANY, SEARCHES, Known, ModelFit, ParameterSettings, short
+from gonio_sweeps.candidates import candidates, nearby, places, spread
+from gonio_sweeps.model_fit import MANY, SEARCHES, Known, ModelFit, ParameterSettings
 from gonio_sweeps.online import GrowingValues, Online
+from gonio_sweeps.sampler import BudgetSampler, highest, short
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -82,15 +76,7 @@ LEAST_GAIN = 2e-4
 """Where no point lowers the logarithm of the uncertainties by more, none adds anything."""
 
 
-class ParameterPlugin:
-    """What the entry point names."""
-
-    def open(self, plan: Plan, description: RigDescription) -> Parameters:
-        """The sampler of a plan on a rig; see `gonio.acquisition.sampling.SamplerPlugin`."""
-        return Parameters(plan, description)
-
-
-class Parameters:
+class Parameters(BudgetSampler[ParameterSettings]):
     """Chooses points that tell the parameters of a model.
 
     Raises
@@ -99,63 +85,37 @@ class Parameters:
         A key of `[adaptive]` is wrong.
     """
 
+    keys = ParameterSettings
+
     def __init__(self, plan: Plan, description: RigDescription) -> None:
-        assert plan.adaptive is not None
-        where = f"{plan.source}: [adaptive]"
-        self._settings = parse(ParameterSettings, plan.adaptive.own, where)
-        self._description = description
-        self._budget_s = 3600.0 * plan.adaptive.budget_h
-        self._bands = plan.bands(description)
-        self._band = self._fitted_band(where)
+        super().__init__(plan, description)
+        s, where = self._settings, self._where
+        self._band = self._band_at(s.wavelength_nm)
         try:
-            self._fits = ModelFit(self._settings, description, self._band.centre_nm)
+            self._fits = ModelFit(s, description, self._band.centre_nm)
         except ConfigError as error:
             raise ConfigError(f"{where} {str(error).removeprefix('--')}") from None
-        for key, given in (("u", self._settings.u), ("u_rel", self._settings.u_rel)):
-            for name in given:
-                if name not in self._fits.problem.free:
-                    raise ConfigError(
-                        f"{where} {key}: {name} of {self._settings.model} is not fitted; "
-                        f"fitted are {', '.join(self._fits.problem.free)}"
-                    )
-        twice = sorted(self._settings.u.keys() & self._settings.u_rel.keys())
-        if twice:
+        free = self._fits.problem.free
+        for key, name in (*(("u", n) for n in s.u), *(("u_rel", n) for n in s.u_rel)):
+            if name not in free:
+                raise ConfigError(f"{where} {key}: {name} of {s.model} is not fitted; fitted are {', '.join(free)}")
+        if twice := sorted(s.u.keys() & s.u_rel.keys()):
             raise ConfigError(f"{where} {twice[0]} has a target in u and one in u_rel; keep one of them")
-        self.candidates = candidates(plan, description, self._settings.model_dump())
-        self._durations = Durations(description, self._bands)
+        self.candidates = candidates(plan, description, s.model_dump())
         self._online = Online(self._band)
-        self._places = places(self.candidates.directions)
-        self._first = self._covering()
-        self._check_budget(where)
-
-    def _fitted_band(self, where: str) -> Band:
-        wanted = self._settings.wavelength_nm
-        if wanted is not None:
-            for band in self._bands:
-                if abs(band.centre_nm - wanted) <= max(0.5 * band.fwhm_nm, 1e-6):
-                    return band
-            known = ", ".join(f"{band.centre_nm:g}" for band in self._bands)
-            raise ConfigError(f"{where} wavelength_nm = {wanted:g}: the plan's bands lie at {known} nm")
-        return min(self._bands, key=lambda band: abs(band.centre_nm - DEFAULT_WAVELENGTH_NM))
-
-    def _check_budget(self, where: str) -> None:
-        """The budget holds what is measured before anything is known."""
-        poses = [self.candidates.poses[k] for k in self._first]
-        expected.require_budget(where, self._budget_s, self._durations, poses)
+        self.first_rows = self._covering()
+        self._require_budget()
 
     def about(self) -> list[str]:
         """What it will do, a line each."""
-        s, free = self._settings, self._fits.problem.free
-        wanted = [f"{name} to {100 * u:.3g} %" for name, u in s.u_rel.items()] + [
-            f"{n} to {u:.3g}" for n, u in s.u.items()
-        ]
-        target = ", ".join(wanted) or "as well as the budget allows"
+        s, left_out = self._settings, self.candidates.left_out
+        wanted = [f"{n} to {100 * u:.3g} %" for n, u in s.u_rel.items()] + [f"{n} to {u:.3g}" for n, u in s.u.items()]
         return [
-            f"model: {s.model} at {self._band.centre_nm:g} nm; fitted: {', '.join(free)}",
-            f"target (standard uncertainty): {target}",
+            f"model: {s.model} at {self._band.centre_nm:g} nm; fitted: {', '.join(self._fits.problem.free)}",
+            f"target (standard uncertainty): {', '.join(wanted) or 'as well as the budget allows'}",
             f"budget: {self._budget_s / 3600.0:g} h of rig time for the whole run",
             f"candidates: {len(self.candidates)} points that the rig can reach"
-            + (f" ({'; '.join(self.candidates.left_out)})" if self.candidates.left_out else ""),
+            + (f" ({'; '.join(left_out)})" if left_out else ""),
             f"batches of {SMALLEST} to {LARGEST} points; {100 * COVERING:g} % of them cover, and every second batch "
             "once the model is found wrong",
         ]
@@ -164,19 +124,11 @@ class Parameters:
 
     def _covering(self) -> list[int]:
         """The candidates of the first covering, in the order in which they are measured."""
-        directions = self.candidates.directions
-        offset = np.degrees(np.asarray(directions.mirror_offset))
+        offset = np.degrees(np.asarray(self.candidates.directions.mirror_offset))
         near = np.flatnonzero(offset <= max(AROUND_MIRROR_DEG, float(offset.min())))
         count = min(max(FIRST * len(self._fits.problem.free), FEWEST), MOST)
-        middle = near[np.argsort(offset[near], kind="stable")[:1]]
-        begin = np.flatnonzero(np.isin(near, middle))
-        chosen = near[spread(self._places[near], count, begin)]
-        points = [self.candidates.points[k] for k in chosen]
-        return [int(chosen[k]) for k in snake(points)]
-
-    def first(self, planned: Sequence[Point]) -> Sequence[Point]:
-        """A covering of the candidates; nothing where the plan has as many points of its own."""
-        return [] if len(planned) >= len(self._first) else [self.candidates.points[k] for k in self._first]
+        chosen = near[spread(self._places[near], count, [int(np.argmin(offset[near]))])]
+        return self._ordered(chosen.tolist())
 
     # ---- what is measured next ----
 
@@ -184,7 +136,7 @@ class Parameters:
         """See `gonio.acquisition.sampling.Sampler`."""
         return self.choose(
             self._online.values(run),
-            spent_s=expected.spent_s(self._durations, run),
+            spent_s=expected.spent_s(self.durations, run),
             modes=[str(batch.why.get("mode")) for batch in run.batches],
             reduced=lambda: reduction.reduce(run),
         )
@@ -252,11 +204,9 @@ class Parameters:
             said.insert(0, "the budget is spent" if why.get("cut") else "no point adds anything")
             at_fault = f" ({self._settings.model} does not describe the sample)" if wrong else ""
             return Choice((), why, f"enough{at_fault}: " + "; ".join(said))
-        points = [self.candidates.points[k] for k in picked]
-        ordered = tuple(points[k] for k in snake(points))
-        said.append(f"{len(ordered)} points next, {why['cover']} of them to cover")
+        said.append(f"{len(picked)} points next, {why['cover']} of them to cover")
         said.append(f"{spent_s / 60:.3g} of {self._budget_s / 60:.3g} min")
-        return Choice(ordered, why, "; ".join(said))
+        return Choice(tuple(self.candidates.points[k] for k in self._ordered(picked)), why, "; ".join(said))
 
     def fitted(self, values: GrowingValues, searches: int = SEARCHES) -> Known | None:
         """See `gonio_sweeps.model_fit.ModelFit.fitted`."""
@@ -269,81 +219,55 @@ class Parameters:
 
         The first of these batches is small: how dark the sample is where nothing was measured nobody knows before.
         """
-        seen, here = self._seen(values, None), reference_pose(self._description)
-        points = self.candidates.points
+        points, seen = self.candidates.points, self._seen(values, None)
         known = covering.Curves.of(
             points, self._places, places(values.directions), values.brdf, values.u_noise, seen.u_rel
         )
         open_to = np.flatnonzero(seen.seconds < DEAREST * max(left_s, 0.0)).tolist()
-        numbers: JsonObject = {"gain": None}
 
-        def fits(share: float, most: int) -> Callable[[list[int]], bool]:
-            return lambda batch: len(batch) <= most and self._batch_s(batch, seen, here) <= share * left_s
+        def fits(share: float, most: int = len(points)) -> Callable[[list[int]], bool]:
+            return lambda batch: len(batch) <= most and self._batch_s(batch, seen.seconds) <= share * left_s
 
-        batch: list[int] = []
-        finer = True
-        if stage == 0:
-            batch, finer = covering.evenly(known, open_to, fits(DEAREST, 3 * LARGEST))
-        elif stage == 1:
-            batch, finer = covering.evenly(known, open_to, fits(covering.EVENLY, len(points)))
+        batch, finer = list[int](), True
+        if stage < 2:
+            evenly = fits(DEAREST, 3 * LARGEST) if stage == 0 else fits(covering.EVENLY)
+            batch, finer = covering.evenly(known, open_to, evenly)
         if not batch:
-            cost = seen.seconds + 0.2 * self._durations.moves_s(here, self.candidates.poses)
-            batch = covering.by_errors(known, open_to, cost, fits(HALF if stage < LAST else LATER, len(points)))
-        if (finer and not batch) or len(open_to) < len(points):
-            numbers["cut"] = True
-        numbers["cover"] = len(batch)
-        if batch:
-            numbers["batch_s"] = round(self._batch_s(batch, seen, here), 1)
-        return batch, numbers
+            cost = seen.seconds + self._ways_s
+            batch = covering.by_errors(known, open_to, cost, fits(HALF if stage < LAST else LATER))
+        cut = (finer and not batch) or len(open_to) < len(points)
+        return batch, self._numbers(batch, seen, math.nan, len(batch), cut=cut)
+
+    def _numbers(
+        self, batch: list[int], seen: expected.ExpectedVisits, gain: float, cover: int, *, cut: bool
+    ) -> JsonObject:
+        """What the journal keeps of a batch."""
+        numbers: JsonObject = {"gain": short(gain)} | ({"cut": True} if cut else {}) | {"cover": cover}
+        return numbers | ({"batch_s": round(self._batch_s(batch, seen.seconds), 1)} if batch else {})
 
     def _pick(self, values: GrowingValues, known: Known | None, left_s: float) -> tuple[list[int], JsonObject]:
         """The candidates of a batch, in the order of their choice, and numbers for the journal."""
         count = LARGEST if known is None else min(max(round(GROWTH * len(values)), SMALLEST), LARGEST)
         seen = self._seen(values, known)
-        here = reference_pose(self._description)
-        way = self._durations.moves_s(here, self.candidates.poses)
-        cost = seen.seconds + EVERY_S + 0.2 * way  # most ways are those between neighbours
+        cost = seen.seconds + EVERY_S + self._ways_s
         affordable = cost < DEAREST * max(left_s, 0.0)
+        open_to = np.where(affordable, cost, np.inf)
         part = 1.0 if known is None else OUT_OF_REACH if self._out_of_reach(values, known, left_s, cost) else COVERING
         share = round(part * count)
-        cover = self._uncovered(values, share, np.where(affordable, cost, np.inf))
-        picked: list[int] = []
-        gain = math.nan
+        cover = spread(self._places, share, [], places(values.directions), open_to)
+        picked, gain = list[int](), math.nan
         if known is not None:
-            open_to = np.where(affordable, cost, np.inf)
             apart = self._telling_apart(known, (count - share) // 2, open_to)
             rest = count - share - len(apart)
             picked, gain, enough = self._informative(values, known, [*apart, *cover], rest, open_to)
             picked += apart
             cover = cover if picked or enough else []
-        batch = [*picked, *cover]
-        numbers: JsonObject = {"gain": None if math.isnan(gain) else short(gain)}
-        if not affordable.any():
-            numbers["cut"] = True
-        while batch and self._batch_s(batch, seen, here) > left_s:
-            numbers["cut"] = True
+        cut = not affordable.any()
+        while (batch := [*picked, *cover]) and self._batch_s(batch, seen.seconds) > left_s:
+            cut = True
             # the last of each kind in turn, so that a short batch is like a long one
             (cover if len(cover) > share / max(count, 1) * len(batch) or not picked else picked).pop()
-            batch = [*picked, *cover]
-        numbers["cover"] = len(cover)
-        if batch:
-            numbers["batch_s"] = round(self._batch_s(batch, seen, here), 1)
-        return batch, numbers
-
-    def _uncovered(self, values: GrowingValues, count: int, cost: Floats) -> list[int]:
-        """So many candidates that are farthest from what was measured and from each other, for their time."""
-        distance = np.full(len(cost), 1e3)
-        if len(values):
-            distance = np.minimum(from_nearest(self._places, places(values.directions)), 1e3)
-        out: list[int] = []
-        for _ in range(count):
-            score = distance**2 / cost
-            k = int(np.argmax(np.round(score, 12)))
-            if score[k] <= 1e-12:
-                break
-            out.append(k)
-            distance = np.minimum(distance, np.linalg.norm(self._places - self._places[k], axis=1))
-        return out
+        return batch, self._numbers(batch, seen, gain, len(cover), cut=cut)
 
     def _out_of_reach(self, values: GrowingValues, known: Known, left_s: float, cost: Floats) -> bool:
         """Whether the targets would take more points than there is time for; what is known grows as their number."""
@@ -351,11 +275,6 @@ class Parameters:
         if not np.isfinite(ratios).any():
             return False
         return len(values) * (float(np.nanmax(ratios)) ** 2 - 1.0) > left_s / float(np.quantile(cost, CHEAP))
-
-    def _batch_s(self, batch: list[int], seen: expected.ExpectedVisits, here: Pose) -> float:
-        order = [batch[k] for k in snake([self.candidates.points[k] for k in batch])]
-        poses = [self.candidates.poses[k] for k in order]
-        return expected.batch_s(self._durations, poses, [float(seen.seconds[k]) for k in order], here)
 
     def _seen(self, values: GrowingValues, known: Known | None) -> expected.ExpectedVisits:
         """What visits to the candidates come to: by the fit, or by values nearby where no model is to be trusted."""
@@ -366,15 +285,6 @@ class Parameters:
         if not len(values):
             return self._expected.visits(np.full(len(self.candidates), 0.5 / math.pi))
         return self._expected.visits(nearby(self._places, places(values.directions), values.brdf, values.u_noise))
-
-    @cached_property
-    def _expected(self) -> expected.Expected:
-        return expected.Expected(self._durations, self.candidates.poses)
-
-    @cached_property
-    def _ahead(self) -> fisher.Sights:
-        """The candidates, as the forward model takes them."""
-        return fisher.sights_ahead(self._description, self.candidates.poses, self._band.centre_nm)
 
     def _samples(self, known: Known) -> list[tuple[Floats, float]]:
         """Parameters that the values allow, with weights: the solutions, and draws around the best one."""
@@ -403,11 +313,8 @@ class Parameters:
         landing = self._ahead.rows(self._fits.problem, known.modes[0][0]).u_landing
         u = np.hypot(np.where(np.isfinite(seen.u_rel), seen.u_rel * predicted[0], 1e3), landing)
         score = sum(((other - predicted[0]) / u) ** 2 for other in predicted[1:]) / cost
-        out: list[int] = []
-        for k in np.argsort(-score, kind="stable"):
-            if score[k] > 0.0 and len(out) < count:
-                out += [int(k)] * min(REPEATS, count - len(out))
-        return out
+        best = [int(k) for k in np.argsort(-score, kind="stable") if score[k] > 0.0]
+        return [k for k in best for _ in range(REPEATS)][:count]
 
     def _informative(
         self, values: GrowingValues, known: Known, taken: list[int], count: int, cost: Floats
@@ -451,7 +358,7 @@ class Parameters:
             for c, design, u, target, part in zip(covariances, designs, errors, weights, share, strict=True):
                 gains += part * fisher.gains(c, free, design, u, _weights(c, free, target))
             score = np.where(times < (1 if known.tau else REPEATS), gains / cost, -1.0)  # a misfit is the same again
-            k = int(np.argmax(np.round(score / max(float(score.max()), 1e-300), 9)))
+            k = highest(score)
             if gains[np.isfinite(cost)].max(initial=0.0) < LEAST_GAIN:
                 break
             picked.append(k)
@@ -478,4 +385,4 @@ def _weights(covariance: Floats, count: int, targets: Floats | None) -> Floats |
     return np.where(stated, (ratios / max(float(ratios.max()), 1e-300)) ** 2 / np.where(stated, targets, 1.0) ** 2, 0.0)
 
 
-SAMPLER = ParameterPlugin()
+SAMPLER = Parameters

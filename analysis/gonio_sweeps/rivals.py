@@ -11,24 +11,21 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
-from gonio_analysis.fitting.observations import DEFAULT_WAVELENGTH_NM
 from gonio_analysis.fitting.problem import Problem
 from gonio_analysis.fitting.value_covariance import Covariance
 from pydantic import Field, field_validator
 
 from gonio import models
-from gonio.acquisition.duration import Durations
 from gonio.acquisition.measure import load_sample
-from gonio.acquisition.plan import Plan, Point
+from gonio.acquisition.plan import Plan
 from gonio.acquisition.run import Run
 from gonio.acquisition.sampling import Choice
-from gonio.acquisition.schedule import reference_pose
-from gonio.config import Strict, parse
+from gonio.config import Strict
 from gonio.documents import JsonObject
 from gonio.errors import ConfigError
 from gonio.rig.description import RigDescription, SampleDescription
@@ -36,13 +33,11 @@ from gonio.rig.ranges import Positive
 from gonio.typing import Floats
 from gonio_sweeps import expected, fisher
 from gonio_sweeps import separation as separations
-from gonio_sweeps.candidates import candidates, places, snake, spread
+from gonio_sweeps.candidates import candidates, spread
 from gonio_sweeps.model_fit import ModelFit, ParameterSettings
 from gonio_sweeps.online import GrowingValues, Online
-from gonio_sweeps.separation import SIGMAS, Gathered, Separation
-
-if TYPE_CHECKING:
-    from gonio.acquisition.measure import Prepared
+from gonio_sweeps.sampler import BudgetSampler, highest
+from gonio_sweeps.separation import SIGMAS, Gathered
 
 FIRST = 8
 """Points of a first covering where parameters have to be fitted; nothing is known before."""
@@ -118,22 +113,7 @@ class Stand:
         return np.asarray(upper - lower)
 
 
-class RivalPlugin:
-    """What the entry point names."""
-
-    def open(self, plan: Plan, description: RigDescription) -> Rivals:
-        """The sampler of a plan on a rig; see `gonio.acquisition.sampling.SamplerPlugin`."""
-        return Rivals(plan, description)
-
-    def separation(self, prepared: Prepared, a: SampleDescription, b: SampleDescription) -> Separation:
-        """See `gonio_sweeps.separation.separation`: for `gonio plan show --separate`."""
-        return separations.separation(prepared, a, b)
-
-    about = staticmethod(separations.about)
-    draw = staticmethod(separations.draw)
-
-
-class Rivals:
+class Rivals(BudgetSampler[RivalSettings]):
     """Chooses points that tell rivals apart.
 
     Raises
@@ -142,32 +122,24 @@ class Rivals:
         A key of `[adaptive]` is wrong.
     """
 
+    keys = RivalSettings
+
     def __init__(self, plan: Plan, description: RigDescription) -> None:
-        assert plan.adaptive is not None
-        where = f"{plan.source}: [adaptive]"
-        s = self._settings = parse(RivalSettings, plan.adaptive.own, where)
-        self._description = description
-        self._budget_s = 3600.0 * plan.adaptive.budget_h
-        bands = plan.bands(description)
-        goal = s.wavelength_nm or DEFAULT_WAVELENGTH_NM
-        self._band = min(bands, key=lambda band: abs(band.centre_nm - goal))
-        if s.wavelength_nm is not None and abs(self._band.centre_nm - goal) > max(0.5 * self._band.fwhm_nm, 1e-6):
-            known = ", ".join(f"{band.centre_nm:g}" for band in bands)
-            raise ConfigError(f"{where} wavelength_nm = {goal:g}: the plan's bands lie at {known} nm")
-        self._rivals = [self._rival(name, Path(plan.source).parent, where) for name in s.models]
+        super().__init__(plan, description)
+        s = self._settings
+        self._band = self._band_at(s.wavelength_nm)
+        self._rivals = [self._rival(name, Path(plan.source).parent) for name in s.models]
         self.candidates = candidates(plan, description, s.model_dump())
-        self._durations = Durations(description, bands)
         self._online = Online(self._band)
         if all(one.sample is not None for one in self._rivals):
-            self._first = self._pick([self._stand(one, None, None) for one in self._rivals], None, math.inf)[0]
+            self.first_rows = self._pick([self._stand(one, None, None) for one in self._rivals], None, math.inf)[0]
         else:
-            at = places(self.candidates.directions)
-            offset = np.asarray(self.candidates.directions.mirror_offset)
-            self._first = spread(at, FIRST, np.array([int(np.argmin(offset))]))
-        poses = [self.candidates.poses[k] for k in self._first]
-        expected.require_budget(where, self._budget_s, self._durations, poses)
+            middle = int(np.argmin(np.asarray(self.candidates.directions.mirror_offset)))
+            self.first_rows = spread(self._places, FIRST, [middle])
+        self._require_budget()
+        self.first_rows = self._ordered(self.first_rows)
 
-    def _rival(self, name: str, folder: Path, where: str) -> Rival:
+    def _rival(self, name: str, folder: Path) -> Rival:
         if name.endswith(".toml"):
             sample = load_sample(folder / name)
             return Rival(sample.name, None, sample)
@@ -175,7 +147,7 @@ class Rivals:
         try:
             return Rival(name, ModelFit(settings, self._description, self._band.centre_nm), None)
         except ConfigError as error:
-            raise ConfigError(f"{where} models: {str(error).removeprefix('--')}") from None
+            raise ConfigError(f"{self._where} models: {str(error).removeprefix('--')}") from None
 
     def about(self) -> list[str]:
         """What it will do, a line each."""
@@ -187,15 +159,9 @@ class Rivals:
             f"candidates: {len(self.candidates)} points that the rig can reach",
         ]
 
-    def first(self, planned: Sequence[Point]) -> Sequence[Point]:
-        """Points that tell samples apart; a covering where parameters have to be fitted first."""
-        return (
-            [] if len(planned) >= len(self._first) else [self.candidates.points[k] for k in self._ordered(self._first)]
-        )
-
     def next(self, run: Run) -> Choice:
         """See `gonio.acquisition.sampling.Sampler`."""
-        return self.choose(self._online.values(run), expected.spent_s(self._durations, run))
+        return self.choose(self._online.values(run), expected.spent_s(self.durations, run))
 
     def choose(self, values: GrowingValues, spent_s: float) -> Choice:
         """What is measured next, after these values and so much rig time [s]."""
@@ -204,7 +170,7 @@ class Rivals:
         known = sorted((one for one in stands if one is not None), key=lambda one: one.score)
         said = f"{spent_s / 60:.3g} of {self._budget_s / 60:.3g} min"
         if len(known) < len(stands):  # too few values for a fit
-            picked = spread(places(self.candidates.directions), len(values) + BATCH, np.array([0]))[len(values) :]
+            picked = spread(self._places, len(values) + BATCH, [0])[len(values) :]
         else:
             best, second = known[0], known[1]
             margin = second.score - best.score
@@ -216,8 +182,9 @@ class Rivals:
                 return Choice((), why, f"enough: {verdict}{_doubt(best)}", met=True)
             picked, gain = self._pick(known, values, self._budget_s - spent_s)
             why["gain"] = round(gain, 3)
-        here = reference_pose(self._description)
-        while picked and self._batch_s(picked, known[0] if known else None, here) > self._budget_s - spent_s:
+        brdf = known[0].rows(self._ahead).brdf if known else np.full(len(self.candidates), 0.5 / math.pi)
+        seconds = self._expected.visits(brdf).seconds
+        while picked and self._batch_s(picked, seconds) > self._budget_s - spent_s:
             why["cut"] = True
             picked.pop()
         if not picked:
@@ -259,22 +226,13 @@ class Rivals:
 
     # ---- choosing ----
 
-    @cached_property
-    def _ahead(self) -> fisher.Sights:
-        return fisher.sights_ahead(self._description, self.candidates.poses, self._band.centre_nm)
-
-    @cached_property
-    def _expected(self) -> expected.Expected:
-        return expected.Expected(self._durations, self.candidates.poses)
-
     def _pick(self, stands: Sequence[Stand], values: GrowingValues | None, left_s: float) -> tuple[list[int], float]:
         """The candidates of a batch, and by how much they are expected to raise chi-square between the rivals."""
         best = stands[0]
         rows = best.rows(self._ahead)
         seen = self._expected.visits(rows.brdf)
         u = separations.independent(seen, rows)
-        here = reference_pose(self._description)
-        cost = seen.seconds + EVERY_S + 0.2 * self._durations.moves_s(here, self.candidates.poses)
+        cost = seen.seconds + EVERY_S + self._ways_s
         cost = np.where(cost < DEAREST * max(left_s, 0.0), cost, np.inf)
         pairs = []
         for other in stands[1:]:
@@ -293,7 +251,7 @@ class Rivals:
         for _ in range(BATCH):
             gains = sum(weight * known.gains(d, u, columns) for d, columns, weight, known in pairs)
             score = np.where(times < REPEATS, gains / cost, -1.0)
-            k = int(np.argmax(np.round(score / max(float(score.max()), 1e-300), 9)))
+            k = highest(score)
             if not score[k] > 0.0:
                 break
             picked.append(k)
@@ -302,17 +260,6 @@ class Rivals:
             one = slice(k, k + 1)
             pairs = [(d, c, w, known.with_values(d[one], u[one], c[one])) for d, c, w, known in pairs]
         return picked, total
-
-    def _batch_s(self, batch: list[int], best: Stand | None, here: Any) -> float:
-        brdf = np.full(len(self.candidates), 0.5 / math.pi) if best is None else best.rows(self._ahead).brdf
-        seconds = self._expected.visits(brdf).seconds
-        order = self._ordered(batch)
-        poses = [self.candidates.poses[k] for k in order]
-        return expected.batch_s(self._durations, poses, [float(seconds[k]) for k in order], here)
-
-    def _ordered(self, batch: Sequence[int]) -> list[int]:
-        """In an order of short ways."""
-        return [batch[k] for k in snake([self.candidates.points[k] for k in batch])]
 
 
 def _doubt(best: Stand) -> str:
@@ -324,4 +271,7 @@ def _doubt(best: Stand) -> str:
     return f", and does not describe the values itself (chi-square {best.chi_square:.3g} of {best.freedom})"
 
 
-SAMPLER = RivalPlugin()
+SAMPLER = SimpleNamespace(
+    open=Rivals, separation=separations.separation, about=separations.about, draw=separations.draw
+)
+"""What the entry point names; `gonio plan show --separate` asks it for separations."""
