@@ -111,8 +111,7 @@ def places(directions: Directions) -> Floats:
     across = omega[..., 1] * np.cos(phi) - omega[..., 0] * np.sin(phi)
     # signed by the side of the mirror direction; the length is that of the chord
     signed = np.copysign(np.hypot(along, omega[..., 2]), along)
-    incidence = np.degrees(directions.theta_i) / INCIDENCE_DEG
-    return np.stack([signed * scale, across * scale, incidence], axis=-1)
+    return np.stack([signed * scale, across * scale, (np.degrees(directions.theta_i) / INCIDENCE_DEG)], axis=-1)
 
 
 def nearby(at: Floats, among: Floats, brdf: Floats, u: Floats) -> Floats:
@@ -122,8 +121,7 @@ def nearby(at: Floats, among: Floats, brdf: Floats, u: Floats) -> Floats:
     """
     from scipy.spatial import cKDTree
 
-    count = min(3, len(among))
-    distance, which = cKDTree(among).query(at, k=list(range(1, count + 1)))
+    distance, which = cKDTree(among).query(at, k=list(range(1, min(3, len(among)) + 1)))
     weights = 1.0 / np.maximum(distance, 1e-3) ** 2
     logarithm = np.log(np.maximum(brdf, np.maximum(u, 1e-12)))[which]
     return np.asarray(np.exp((weights * logarithm).sum(axis=1) / weights.sum(axis=1)))
@@ -203,8 +201,7 @@ def fill(
         there = sorted(ends | {n for n, k in enumerate(line) if k in measured})
         wanted = ends.copy()
         for a, b in itertools.pairwise(there):
-            parts = math.ceil((along[b] - along[a]) / step_deg - 1e-9)
-            even = np.linspace(along[a], along[b], parts + 1)
+            even = np.linspace(along[a], along[b], math.ceil((along[b] - along[a]) / step_deg - 1e-9) + 1)
             wanted |= {a + int(np.argmin(abs(along[a : b + 1] - x))) for x in even}
         out += [line[n] for n in sorted(wanted) if line[n] not in measured]
     return out

@@ -163,12 +163,11 @@ class Curve(BudgetSampler[CurveSettings]):
 
     def known(self, values: GrowingValues, before: Sequence[float] | None = None) -> Posterior:
         """What the values of one band tell; `before` are the parameters of the kernel that fewer points gave."""
-        common = np.stack(list(values.common.values()), axis=1) if values.common else np.zeros((len(values), 0))
         return Posterior(
             values.directions,
             values.brdf,
             values.u_noise,
-            common,
+            np.stack(list(values.common.values()), axis=1) if values.common else np.zeros((len(values), 0)),
             self._errors,
             None if before is None else np.array(before),
             self._cones,
@@ -263,8 +262,7 @@ def _angle_errors(description: RigDescription) -> AngleErrors:
     """Of the worst axis of the rig: one number for all directions."""
     axes = angle_axes(description)
     read = max(math.hypot(a.encoder_step_deg / math.sqrt(12.0), a.encoder_noise_deg) for a in axes.values())
-    zeros = zero_uncertainties(description)
-    return AngleErrors(math.radians(read), max(zeros.values(), default=0.0))
+    return AngleErrors(math.radians(read), max(zero_uncertainties(description).values(), default=0.0))
 
 
 SAMPLER = Curve

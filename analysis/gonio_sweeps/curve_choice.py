@@ -41,8 +41,7 @@ class Grid:
 
     def uncovered(self, measured: Directions) -> Floats:
         """Distance of every place from the nearest measured direction [rad]."""
-        there = positions(measured)
-        return np.asarray(np.sqrt(((self.position[:, None] - there) ** 2).sum(-1)).min(axis=1))
+        return np.asarray(np.sqrt(((self.position[:, None] - positions(measured)) ** 2).sum(-1)).min(axis=1))
 
 
 def positions(d: Directions) -> Floats:
@@ -101,8 +100,7 @@ def batch(
             best = int(np.argmax(np.round(far * slope if steep else far, 9)))
             covers.append(best)
         else:
-            score = np.sum([s.gain(grid.weight) for s in states], axis=0) / cost
-            best = highest(score)
+            best = highest(np.sum([s.gain(grid.weight) for s in states], axis=0) / cost)
         chosen.append(best)
         for s in states:
             s.take(best)

@@ -134,8 +134,7 @@ class ModelFit:
 
     def fitted(self, values: GrowingValues, searches: int = SEARCHES) -> Known | None:
         """The fit to all values, with what errors of the angles do by the model itself; None where it is impossible."""
-        free = len(self.problem.free)
-        if len(values) <= free + 1:
+        if len(values) <= len(self.problem.free) + 1:
             return None
         names = tuple(values.common)
         common = np.stack([values.common[name] for name in names], axis=1)

@@ -113,8 +113,7 @@ class Posterior:
             )
         causes = [c for c in used.columns if c.startswith("s_")]
         common = np.nan_to_num(used[causes].to_numpy(np.float64))
-        brdf = used["brdf"].to_numpy(np.float64)
-        return cls(Directions.from_table(used), brdf, u, common, cones=cones)
+        return cls(Directions.from_table(used), used["brdf"].to_numpy(np.float64), u, common, cones=cones)
 
     @cached_property
     def link(self) -> Link:
@@ -354,8 +353,7 @@ class Posterior:
         The BRDF is zero or more; an interval may begin below zero.
         """
         at, process = Coordinates.of(directions), self._process
-        mean = process.mean_at(at)
-        lobe = self.link.brdf(mean)
+        lobe = self.link.brdf(process.mean_at(at))
         f, effects = lobe, None
         if self.spike is not None:
             added, _ = self.spike.effects(directions)
@@ -419,8 +417,7 @@ class _Learned:
 def _moved(d: Directions, by: float) -> Directions:
     """Detectors further from the normal, on the far side of it: in the plane of the source's mirror direction."""
     omega_i, omega_r = d.vectors
-    along = direction(d.theta_i + np.pi / 2, d.phi_i + np.pi)
-    return Directions.from_vectors(omega_i, omega_r + by * along)
+    return Directions.from_vectors(omega_i, omega_r + by * direction(d.theta_i + np.pi / 2, d.phi_i + np.pi))
 
 
 def bands(table: pd.DataFrame) -> list[pd.DataFrame]:

@@ -215,8 +215,7 @@ def about(s: Separation, most: int = 10) -> tuple[list[str], list[list[str]]]:
         angles.append(f"{math.degrees(float(d.dphi[k])) % 360.0:.0f}")
         values = [f"{one[k]:.4g}" for one in s.values]
         rows.append([*angles, *values, f"{s.chi_square[k]:.3g}", _duration(float(s.five_sigma_s[k]))])
-    late = s.plan_five_sigma_s > s.plan_s
-    when = f"after {_duration(s.plan_five_sigma_s)}" if late else "within it"
+    when = f"after {_duration(s.plan_five_sigma_s)}" if (s.plan_five_sigma_s > s.plan_s) else "within it"
     head = (
         f"the plan as a whole: expected chi-square between {s.names[0]} and {s.names[1]} {s.apart:.3g} in "
         f"{_duration(s.plan_s)}; five sigma (25) {when}"
@@ -273,6 +272,5 @@ def rival_columns(description: RigDescription, rows: fisher.Rows, ranges: Floats
 
     These are taken times so much that nothing bounds the rival's parameters.
     """
-    scale = rows.brdf * description.reference.u_rel
-    common = np.stack([scale, *rows.of_angles.values()], axis=1)
+    common = np.stack([(rows.brdf * description.reference.u_rel), *rows.of_angles.values()], axis=1)
     return np.concatenate([common, rows.parameters * (WIDE * ranges)], axis=1)

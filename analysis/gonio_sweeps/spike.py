@@ -85,8 +85,7 @@ def suspected(d: Directions, f: Floats, cones: tuple[float, float]) -> Spike | N
     found: list[tuple[float, float]] = []
     left = np.flatnonzero(inside)
     while left.size:
-        first = theta_i[left[0]]
-        group = np.abs(theta_i - first) < SAME
+        group = np.abs(theta_i - theta_i[left[0]]) < SAME
         left = left[~group[left]]
         near, beyond = np.flatnonzero(group & inside), np.flatnonzero(group & ~inside)
         if near.size < 2 or not beyond.size:

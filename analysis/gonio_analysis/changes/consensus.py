@@ -132,8 +132,7 @@ def largest_consistent_subset(values: Floats, covariance: Floats, level: float) 
         if values.size <= EVERY_SUBSET:
             tried = [np.isin(np.arange(values.size), some) for some in combinations(range(values.size), size)]
         else:
-            now = np.flatnonzero(everybody)
-            tried = [everybody & (np.arange(values.size) != k) for k in now]
+            tried = [everybody & (np.arange(values.size) != k) for k in np.flatnonzero(everybody)]
         found = [_p(values[some], covariance[np.ix_(some, some)]) for some in tried]
         best = int(np.argmax(found))
         if found[best] >= level:
@@ -158,8 +157,7 @@ def _checked(values: npt.ArrayLike, u: npt.ArrayLike) -> tuple[Floats, Floats]:
 
 def _mean(x: Floats, v: Floats) -> tuple[float, float, Floats]:
     """The mean by generalised least squares, its variance, and the weights."""
-    inverse = np.linalg.inv(v)
-    weights = inverse.sum(axis=0)
+    weights = np.linalg.inv(v).sum(axis=0)
     total = float(weights.sum())
     return float(weights @ x) / total, 1.0 / total, weights / total
 

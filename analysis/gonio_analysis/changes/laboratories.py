@@ -10,11 +10,12 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.special import chdtrc
 
+from gonio.checks.values import Rows
 from gonio.cli.pace import Pace, Say, silent
 from gonio.errors import ConfigError, DataError
 from gonio.typing import Floats
+from gonio_analysis.changes.common_shape import CommonShape, LaboratoryValues, common_shape, joint
 from gonio_analysis.changes.consensus import (
     METHODS,
     Consensus,
@@ -25,8 +26,7 @@ from gonio_analysis.changes.consensus import (
     equivalence,
 )
 from gonio_analysis.changes.point_by_point import Side, laid_on, require_alike
-from gonio_analysis.changes.resampling import Carried, carry, slope_in_plane, turned_in_plane
-from gonio_analysis.curves.in_plane import Rows
+from gonio_analysis.changes.resampling import Carried, carry, turned_in_plane
 from gonio_analysis.fitting.observations import Observations, describe_left_out
 from gonio_analysis.fitting.value_covariance import Covariance
 
@@ -37,16 +37,10 @@ LEVEL = 0.01
 """Probability that somebody is accused where all are honest."""
 TESTS = 3
 """Of scales, of zeros and of scatters: they share `LEVEL`."""
-UNDETERMINED = float(np.radians(1.0))
-"""A zero that is known no better than this [rad] says nothing."""
-ROUNDS, AGAIN = 100, 5
-"""Rounds of scales, weights and scatters; and how often laboratories that are off are turned back and carried again."""
-SETTLED = 1e-10
-"""Scales that change by less in a round have settled."""
+AGAIN = 5
+"""How often laboratories that are off are turned back and carried again."""
 CLOSE = 0.05
 """A zero has settled when a round changes it by less than this share of its uncertainty."""
-FACTOR = 3.0
-"""A stated uncertainty is carried over to a value at most so many times as large, or as small."""
 OF_CALIBRATIONS = {
     "geometry": ("geometry",),
     "camera": ("linearity", "stray_light"),
@@ -131,29 +125,6 @@ class Comparison:
         return all(x.consistent for x in self.laboratories)
 
 
-@dataclass(frozen=True)
-class _Found:
-    """One laboratory's values in the common directions."""
-
-    value: Floats
-    covariance: Covariance
-    interpolated: int
-
-
-@dataclass(frozen=True)
-class _Solution:
-    """Scales, zeros and scatters about one shape."""
-
-    shape: Floats
-    scales: Floats
-    v_scales: Floats
-    zeros: Floats
-    """[rad], NaN where the shape does not show it."""
-    v_zeros: Floats
-    scatter: Floats
-    p_scatter: Floats
-
-
 def compared(
     sides: Sequence[Side],
     shared: Mapping[str, Sequence[str] | None],
@@ -183,39 +154,87 @@ def compared(
     """
     sides, notes = _ready(sides, wavelength_nm)
     keys, in_words = _keys(sides, shared)
-    base, rows, found = _common(sides, say)
+    base, rows, first = _common(sides, say)
     say(f"comparing: {len(sides)} laboratories in {rows.size} common directions")
-    of_base = sides[base].data
-    assert of_base is not None
-    at = of_base.take(rows)
-    first = found
-    turned = np.zeros(len(sides))
+    at, first, solved, turned = _settled(sides, sides[base].measured.take(rows), first, keys)
+    scales = equivalence(solved.scales, solved.v_scales, LEVEL / TESTS)
+    by = scales.reference.value
+    relative = replace(
+        scales,
+        reference=Consensus(*(part / by for part in scales.reference)),
+        degrees=scales.degrees / by,
+        u=scales.u / by,
+    )
+    alone, by_method, p_alone = list[Equivalence](), dict[Method, list[Consensus]](), list[float]()
+    pace = Pace("comparing: directions", len(at), say)
+    for i in range(len(at)):
+        pace.step(i)
+        x, v = _everywhere(first, keys, i)
+        alone.append(equivalence(x, v, LEVEL))
+        p_alone.append(consistency(x, v)[1])
+        for m in METHODS:
+            by_method.setdefault(m, []).append(consensus(x, v, m))
+    chi_square, p = consistency(solved.scales, solved.v_scales)
+    return Comparison(
+        laboratories=_judged(sides, solved, turned, scales, relative),
+        sides=tuple(sides),
+        at=replace(at, brdf=solved.shape * by),
+        values=np.array([one.value for one in first]),
+        u=np.array([one.covariance.total for one in first]),
+        onto=sides[base].name,
+        interpolated=tuple(one.interpolated for one in first),
+        scales=relative,
+        methods={m: consensus(solved.scales / by, solved.v_scales / by**2, m) for m in METHODS},
+        chi_square=chi_square,
+        p_value=p,
+        alone=tuple(alone),
+        alone_by_method={m: tuple(c) for m, c in by_method.items()},
+        p_alone=np.array(p_alone),
+        shared=in_words,
+        notes=notes,
+    )
+
+
+def _settled(
+    sides: Sequence[Side], at: Observations, first: list[LaboratoryValues], keys: Sequence[Sequence[Any]]
+) -> tuple[Observations, list[LaboratoryValues], CommonShape, Floats]:
+    """Scales, zeros and scatters, with laboratories that are off turned back and carried again until nobody moves.
+
+    What comes out: the common directions, every laboratory's values there as they are, the solution, and by how much
+    each was turned [rad].
+    """
+    found, turned = first, np.zeros(len(sides))
     for _ in range(AGAIN):
-        solved = _solved(at, found, keys)
-        zeros, zeros_consistent = _zeros(solved, turned)
-        wanted = np.where(zeros_consistent, 0.0, zeros)
+        solved = common_shape(at, found, keys)
+        zeros, consistent = _zeros(solved, turned)
+        wanted = np.where(consistent, 0.0, zeros)
         u = np.sqrt(np.diag(solved.v_zeros))
         if np.all(np.abs(wanted - turned) <= CLOSE * np.where(np.isfinite(u), u, 1.0)):
             break
-        again = [_turned_back(at, side, by) for side, by in zip(sides, wanted, strict=True)]
+        again = [_carried(at, side, by)[:2] for side, by in zip(sides, wanted, strict=True)]
         if min(kept.size for kept, _ in again) < len(at):  # what a turned laboratory has no longer goes for all
             some = np.flatnonzero(np.bincount(np.concatenate([kept for kept, _ in again])) == len(sides))
             if some.size < 3:
                 break
-            again = [(some, _some(one, np.searchsorted(kept, some))) for kept, one in again]
-            at, first = at.take(some), [_some(one, some) for one in first]
+            again = [(some, one.take(np.searchsorted(kept, some))) for kept, one in again]
+            at, first = at.take(some), [one.take(some) for one in first]
         turned, found = wanted, [one for _, one in again]
-    scales = equivalence(solved.scales, solved.v_scales, LEVEL / TESTS)
-    by = scales.reference.value
-    relative = _relative(scales, by)
+    return at, first, solved, turned
+
+
+def _judged(
+    sides: Sequence[Side], solved: CommonShape, turned: Floats, scales: Equivalence, relative: Equivalence
+) -> tuple[Laboratory, ...]:
+    """What is said of each laboratory."""
+    zeros, zeros_consistent = _zeros(solved, turned)
     likely = solved.p_scatter >= LEVEL / TESTS / len(sides)
-    u_zeros = np.sqrt(np.diag(solved.v_zeros))
-    laboratories = tuple(
+    u_scales, u_zeros = (np.sqrt(np.diag(v)) for v in (solved.v_scales, solved.v_zeros))
+    return tuple(
         Laboratory(
             name=side.name,
             source=side.source,
-            scale=float(solved.scales[k] / by),
-            u_scale=float(np.sqrt(solved.v_scales[k, k]) / by),
+            scale=float(solved.scales[k] / scales.reference.value),
+            u_scale=float(u_scales[k] / scales.reference.value),
             degree=float(relative.degrees[k]),
             u_degree=float(relative.u[k]),
             scale_consistent=bool(scales.consistent[k]),
@@ -226,35 +245,6 @@ def compared(
             scatter_consistent=bool(likely[k]) or solved.scatter[k] <= 1.0,
         )
         for k, side in enumerate(sides)
-    )
-    every = [_everywhere(first, keys, i) for i in range(len(at))]
-    pace = Pace("comparing: directions", len(every), say)
-    alone, by_method, p_alone = [], dict[Method, list[Consensus]](), np.empty(len(at))
-    for i, (x, v) in enumerate(every):
-        pace.step(i)
-        alone.append(equivalence(x, v, LEVEL))
-        p_alone[i] = consistency(x, v)[1]
-        for m in METHODS:
-            by_method.setdefault(m, []).append(consensus(x, v, m))
-    chi_square, p = consistency(solved.scales, solved.v_scales)
-    methods = {m: consensus(solved.scales / by, solved.v_scales / by**2, m) for m in METHODS}
-    return Comparison(
-        laboratories=laboratories,
-        sides=tuple(sides),
-        at=replace(at, brdf=solved.shape * by),
-        values=np.array([one.value for one in first]),
-        u=np.array([one.covariance.total for one in first]),
-        onto=sides[base].name,
-        interpolated=tuple(one.interpolated for one in first),
-        scales=relative,
-        methods=methods,
-        chi_square=chi_square,
-        p_value=p,
-        alone=tuple(alone),
-        alone_by_method={m: tuple(c) for m, c in by_method.items()},
-        p_alone=p_alone,
-        shared=in_words,
-        notes=notes,
     )
 
 
@@ -278,20 +268,23 @@ def _ready(sides: Sequence[Side], wavelength_nm: float | None) -> tuple[list[Sid
             side = replace(side, data=side.data.nearest(wavelength_nm)[0])
         if out:
             require_alike(out[0], side)
-            assert out[0].data is not None
-            data, table, told = laid_on(out[0].data, side)
+            data, table, told = laid_on(out[0].measured, side)
             notes += [f"{side.name}: {text}" for text in told]
             side = replace(side, data=data, table=table)
         out.append(side)
-    notes += [f"{side.name}: {text}" for side in out if side.data is not None for text in side.data.notes]
-    return out, tuple(notes)
+    return out, (*notes, *(f"{side.name}: {text}" for side in out for text in side.measured.notes))
+
+
+def _covariance(side: Side) -> Covariance:
+    """Of a side that states one."""
+    known = side.measured.covariance
+    assert known is not None
+    return known
 
 
 def _keys(sides: Sequence[Side], shared: Mapping[str, Sequence[str] | None]) -> tuple[list[list[Any]], tuple[str, ...]]:
     """What tells each laboratory's causes apart: causes with one key are one and the same; and the shared in words."""
-    names = [side.name for side in sides]
-    known = [side.data.covariance if side.data is not None else None for side in sides]
-    causes = [c.causes if c is not None else () for c in known]
+    names, causes = [side.name for side in sides], [_covariance(side).causes for side in sides]
     for cause, which in shared.items():
         unknown = [name for name in which or () if name not in names]
         if unknown:
@@ -299,20 +292,20 @@ def _keys(sides: Sequence[Side], shared: Mapping[str, Sequence[str] | None]) -> 
         for k in (k for k, name in enumerate(names) if name in (which or names) and cause not in causes[k]):
             listed = ", ".join(causes[k]) or "none"
             raise ConfigError(f"--shared {cause}: {sides[k].source} states no such cause; it states {listed}")
-    keys = [[(names[k], cause) for cause in causes[k]] for k in range(len(sides))]
-    for k, side in enumerate(sides):
-        same = _same_things(side.table)
-        for c, cause in enumerate(causes[k]):
-            which = shared.get(cause, ())
-            if which is None or names[k] in which:
-                keys[k][c] = ("shared", cause)
-            elif cause in same:
-                keys[k][c] = (same[cause], cause)
+
+    def key(side: Side, cause: str, same: Mapping[str, str]) -> tuple[str, str]:
+        which = shared.get(cause, ())
+        if which is None or side.name in which:
+            return "shared", cause
+        return same.get(cause, side.name), cause
+
+    stems = [_same_things(side.table) for side in sides]
+    keys = [[key(side, c, same) for c in known] for side, known, same in zip(sides, causes, stems, strict=True)]
     words = dict[Any, list[str]]()
     for name, of_one in zip(names, keys, strict=True):
-        for key in of_one:
-            words.setdefault(key, []).append(name)
-    return keys, tuple(f"{key[1]} ({', '.join(who)})" for key, who in words.items() if len(who) > 1)
+        for one in of_one:
+            words.setdefault(one, []).append(name)
+    return keys, tuple(f"{one[1]} ({', '.join(who)})" for one, who in words.items() if len(who) > 1)
 
 
 def _same_things(table: pd.DataFrame | None) -> dict[str, str]:
@@ -330,30 +323,26 @@ def _same_things(table: pd.DataFrame | None) -> dict[str, str]:
     return out
 
 
-def _common(sides: Sequence[Side], say: Say) -> tuple[int, Rows, list[_Found]]:
+def _common(sides: Sequence[Side], say: Say) -> tuple[int, Rows, list[LaboratoryValues]]:
     """In whose directions the most values are shared, which of them, and every laboratory's values there."""
-    best: tuple[tuple[int, float], int, Rows, list[tuple[Rows, _Found]]] | None = None
+    best: tuple[tuple[int, float], int, Rows, list[tuple[Rows, LaboratoryValues]]] | None = None
     least = (np.inf, "", "", "")
     for base, still in enumerate(sides):
-        assert still.data is not None
-        each = list[tuple[Rows, _Found]]()
-        rough = 0.0
+        of_all, rough = still.measured, 0.0
+        each = list[tuple[Rows, LaboratoryValues]]()
         for side in sides:
             if side is still:
-                assert still.data.covariance is not None
-                each.append((np.arange(len(still.data)), _Found(still.data.brdf, still.data.covariance, 0)))
+                each.append((np.arange(len(of_all)), LaboratoryValues(of_all.brdf, _covariance(still), 0)))
                 continue
-            carried = _carried(still.data, side, 0.0, say)
-            each.append((carried.rows, _found(carried, side)))
-            rough += float(np.sum(carried.error / np.maximum(np.abs(carried.value), 1e-300)))
-            if carried.rows.size < least[0]:
-                why = describe_left_out(carried.missing)
-                least = (carried.rows.size, still.source, side.source, why)
-        counts = np.bincount(np.concatenate([rows for rows, _ in each]), minlength=len(still.data))
+            rows, found, carried = _carried(of_all, side, 0.0, say)
+            each.append((rows, found))
+            rough += float(np.sum(carried.relative_error))
+            if rows.size < least[0]:
+                least = (rows.size, still.source, side.source, describe_left_out(carried.missing))
+        counts = np.bincount(np.concatenate([rows for rows, _ in each]), minlength=len(of_all))
         rows = np.flatnonzero(counts == len(sides))
-        rank = (rows.size, -rough)
-        if best is None or rank > best[0]:
-            best = (rank, base, rows, each)
+        if best is None or (rows.size, -rough) > best[0]:
+            best = ((rows.size, -rough), base, rows, each)
     assert best is not None
     _, base, rows, each = best
     if not rows.size:
@@ -361,188 +350,35 @@ def _common(sides: Sequence[Side], say: Say) -> tuple[int, Rows, list[_Found]]:
             f"there is no direction that all {len(sides)} laboratories have; {least[1]} and {least[2]} share the "
             f"fewest: of the values of {least[1]}, {least[3] or 'none is in a direction of all others'}"
         )
-    return base, rows, [_some(one, np.searchsorted(kept, rows)) for kept, one in each]
+    return base, rows, [one.take(np.searchsorted(kept, rows)) for kept, one in each]
 
 
-def _carried(at: Observations, side: Side, turn: float, say: Say = silent) -> Carried:
-    """A laboratory's values in other directions, its angles reading too large by `turn` [rad]."""
-    assert side.data is not None and side.table is not None  # noqa: PT018
-    data = side.data
-    table = side.table
+def _carried(at: Observations, side: Side, turn: float, say: Say = silent) -> tuple[Rows, LaboratoryValues, Carried]:
+    """A laboratory's values in other directions, its angles reading too large by `turn` [rad]; and which these are."""
+    data, table = side.measured, side.whole
     if turn:
         directions, above = turned_in_plane(data.directions, -turn)
         kept = np.flatnonzero(above)
+        table = table.iloc[data.rows[kept]]
         data = replace(data.take(kept), directions=directions[kept], rows=np.arange(kept.size))
-        table = table.iloc[side.data.rows[kept]]
-    return carry(at, data, table, say)
+    found = carry(at, data, table, say)
+    covariance = Covariance(np.hypot(found.random, found.error), found.common, _covariance(side).causes)
+    return found.rows, LaboratoryValues(found.value, covariance, found.interpolated), found
 
 
-def _found(carried: Carried, side: Side) -> _Found:
-    assert side.data is not None and side.data.covariance is not None  # noqa: PT018
-    random = np.hypot(carried.random, carried.error)
-    covariance = Covariance(random, carried.common, side.data.covariance.causes)
-    return _Found(carried.value, covariance, carried.interpolated)
-
-
-def _turned_back(at: Observations, side: Side, turn: float) -> tuple[Rows, _Found]:
-    carried = _carried(at, side, turn)
-    return carried.rows, _found(carried, side)
-
-
-def _some(one: _Found, rows: Rows) -> _Found:
-    return _Found(one.value[rows], one.covariance.take(rows), one.interpolated)
-
-
-# ---- scales, zeros and scatters ----
-
-
-def _solved(at: Observations, found: Sequence[_Found], keys: Sequence[Sequence[Any]]) -> _Solution:
-    """Scales, zeros and scatters of all laboratories about a shape that they make together."""
-    y = np.array([one.value for one in found])
-    k, n = y.shape
-    scales = np.array([_ratio(row, np.median(y, axis=0)) for row in y])
-    shape, scatter = np.mean(y / scales[:, None], axis=0), np.ones(k)
-    slope = np.zeros(n)
-    for again in range(2):
-        for _ in range(ROUNDS):
-            before = scales
-            covariances = [_at_the_shape(one, s * shape) for one, s in zip(found, scales, strict=True)]
-            weights = np.array([s / (f * c.random) for s, f, c in zip(scales, scatter, covariances, strict=True)]) ** 2
-            shape = np.sum(weights * y / scales[:, None], axis=0) / weights.sum(axis=0)
-            fits = [
-                _fitted(values, replace(c, random=c.random * max(f, 1.0)), shape, slope)
-                for values, c, f in zip(y, covariances, scatter, strict=True)
-            ]
-            scales = np.array([fit.scale for fit in fits])
-            off = [v - fit.scale * shape + fit.tilt * slope for v, fit in zip(y, fits, strict=True)]
-            scatter, p_scatter = _scatters(off, covariances, weights / weights.sum(axis=0), bool(slope.any()))
-            if np.all(np.abs(scales / before - 1.0) < SETTLED):
-                break
-        if again == 0:
-            slope = slope_in_plane(replace(at, brdf=shape))
-    v_scales, v_zeros = np.zeros((k, k)), np.zeros((k, k))
-    for a in range(k):
-        for b in range(k):
-            v_scales[a, b], v_zeros[a, b] = _between(fits[a], fits[b], keys[a], keys[b], same=a == b)
-    tilts = np.array([fit.tilt / fit.scale if np.isfinite(fit.variance[1]) else np.nan for fit in fits])
-    v_zeros /= np.outer(scales, scales)
-    return _Solution(shape, scales, v_scales, tilts, v_zeros, scatter, p_scatter)
-
-
-def _ratio(values: Floats, shape: Floats) -> float:
-    """A first guess of a scale; above 0."""
-    used = (values > 0.0) & (shape > 0.0)
-    return float(np.median(values[used] / shape[used])) if used.any() else 1.0
-
-
-def _at_the_shape(one: _Found, expected: Floats) -> Covariance:
-    """The covariance that a laboratory would state of the expected values.
-
-    What it states of measured ones goes with their noise, and would give low values more weight. How uncertainties go
-    with values the table shows.
-    """
-    c, y = one.covariance, one.value
-    used = (y > 0.0) & (expected > 0.0)
-    factor = np.where(used, np.clip(expected / np.where(used, y, 1.0), 1.0 / FACTOR, FACTOR), 1.0)
-    power = 0.0
-    if np.count_nonzero(used) > 2:
-        x, r = np.log(expected[used]), np.log(c.random[used])
-        spread = float(np.var(x))
-        power = float(np.clip(np.mean((x - x.mean()) * (r - r.mean())) / spread, 0.0, 1.0)) if spread > 1e-4 else 1.0
-    scaled = c.scaled(factor)
-    return Covariance(c.random * factor**power, scaled.common, c.causes)
-
-
-@dataclass(frozen=True)
-class _Fit:
-    """A laboratory's values by a shape and its slope."""
-
-    scale: float
-    tilt: float
-    """The scale times the zero [rad]."""
-    variance: Floats
-    """Of both; infinite of a tilt that is undetermined."""
-    of_causes: Floats
-    """(2, causes) what one standard deviation of each cause does to both."""
-
-
-def _fitted(values: Floats, covariance: Covariance, shape: Floats, slope: Floats) -> _Fit:
-    columns = np.column_stack([shape, -slope])
-    causes = covariance.whiten(covariance.common) if covariance.causes else np.zeros((values.size, 0))
-    target = covariance.whiten(values)
-    for used in (2, 1):
-        if used == 2 and (values.size < 4 or not slope.any()):
-            continue
-        white = covariance.whiten(columns[:, :used])
-        size = np.linalg.norm(white, axis=0)
-        if used == 2 and np.linalg.cond(white / size) > 1e6:
-            continue
-        solver = np.linalg.pinv(white)
-        variance = np.sum(solver**2, axis=1)
-        if used == 2 and np.sqrt(variance[1]) > UNDETERMINED * abs(float((solver @ target)[0])):
-            continue
-        found = np.zeros(2)
-        found[:used] = solver @ target
-        of_causes, of_both = np.zeros((2, causes.shape[1])), np.full(2, np.inf)
-        of_causes[:used], of_both[:used] = solver @ causes, variance
-        return _Fit(float(found[0]), float(found[1]), of_both, of_causes)
-    raise AssertionError  # one column alone always goes
-
-
-def _between(a: _Fit, b: _Fit, keys_a: Sequence[Any], keys_b: Sequence[Any], *, same: bool) -> tuple[float, float]:
-    """Covariances of two laboratories' scales, and of their tilts."""
-    if same:
-        return float(a.variance[0]), float(a.variance[1])
-    pairs = [(i, keys_b.index(key)) for i, key in enumerate(keys_a) if key in keys_b]
-    both = [sum(a.of_causes[p, i] * b.of_causes[p, j] for i, j in pairs) for p in (0, 1)]
-    return float(both[0]), float(both[1])
-
-
-def _scatters(
-    off: Sequence[Floats], covariances: Sequence[Covariance], shares: Floats, with_slope: bool
-) -> tuple[Floats, Floats]:
-    """How many times as much each laboratory scatters as it states, and the probability of as much by chance."""
-    k, n = shares.shape
-    scatter, p = np.ones(k), np.ones(k)
-    if k < 3:
-        return scatter, p
-    for i, (residual, c) in enumerate(zip(off, covariances, strict=True)):
-        free = np.maximum(1.0 - shares[i], 1e-6)
-        freedom = float(free.sum()) - (2.0 if with_slope else 1.0) * float(free.mean())
-        if freedom < 1.0:
-            continue
-        squares = Covariance(c.random * np.sqrt(free), c.common, c.causes).chi_square(residual)
-        of_all = squares / max(n - (2.0 if with_slope else 1.0), 1.0)
-        scatter[i], p[i] = np.sqrt(of_all), float(chdtrc(freedom, freedom * of_all))
-    return scatter, p
-
-
-def _zeros(solved: _Solution, turned: Floats) -> tuple[Floats, Any]:
+def _zeros(solved: CommonShape, turned: Floats) -> tuple[Floats, Any]:
     """Each laboratory's zero [rad] from that of the consistent ones, NaN where undetermined; which are consistent."""
-    total, fine = solved.zeros + turned, np.ones(turned.size, dtype=bool)
+    total = solved.zeros + turned
+    out, fine = np.full(turned.size, np.nan), np.ones(turned.size, dtype=bool)
     known = np.flatnonzero(np.isfinite(total))
-    if known.size < 2:
-        return np.full(turned.size, np.nan), fine
-    found = equivalence(total[known], solved.v_zeros[np.ix_(known, known)], LEVEL / TESTS)
-    fine[known] = found.consistent
-    out = np.full(turned.size, np.nan)
-    out[known] = found.degrees
+    if known.size > 1:
+        found = equivalence(total[known], solved.v_zeros[np.ix_(known, known)], LEVEL / TESTS)
+        out[known], fine[known] = found.degrees, found.consistent
     return out, fine
 
 
-def _relative(found: Equivalence, by: float) -> Equivalence:
-    value, u, tau = found.reference
-    reference = Consensus(value / by, u / by, tau / by)
-    return Equivalence(reference, found.method, found.consistent, found.degrees / by, found.u / by)
-
-
-def _everywhere(found: Sequence[_Found], keys: Sequence[Sequence[Any]], i: int) -> tuple[Floats, Floats]:
+def _everywhere(found: Sequence[LaboratoryValues], keys: Sequence[Sequence[Any]], i: int) -> tuple[Floats, Floats]:
     """The laboratories' values in one direction, and their covariance."""
-    x = np.array([one.value[i] for one in found])
-    v = np.diag([one.covariance.total[i] ** 2 for one in found])
-    for a in range(x.size):
-        for b in range(a):
-            pairs = [(p, keys[b].index(key)) for p, key in enumerate(keys[a]) if key in keys[b]]
-            both = sum(found[a].covariance.common[i, p] * found[b].covariance.common[i, q] for p, q in pairs)
-            v[a, b] = v[b, a] = both
-    return x, v
+    effects = [one.covariance.common[i] for one in found]
+    variances = [one.covariance.total[i] ** 2 for one in found]
+    return np.array([one.value[i] for one in found]), joint(effects, variances, keys)

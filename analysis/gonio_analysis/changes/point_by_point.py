@@ -68,6 +68,18 @@ class Side:
         return "measurement" if self.data is not None else "model"
 
     @property
+    def measured(self) -> Observations:
+        """The values of a measurement."""
+        assert self.data is not None
+        return self.data
+
+    @property
+    def whole(self) -> pd.DataFrame:
+        """The table of a measurement."""
+        assert self.table is not None
+        return self.table
+
+    @property
     def simulated(self) -> bool:
         """Whether a simulation made the values of a measurement."""
         return self.table is not None and is_simulated(self.table)
@@ -241,15 +253,15 @@ def change(a: Side, b: Side, *, wavelength_nm: float | None = None, say: Say = s
         covariance = replace(covariance, random=np.hypot(covariance.random, off))
     elif off.any() and a.data is None and b.data is None:
         covariance = Covariance(off, np.zeros((len(at), 0)), ())
-    notes += [f"{x.name} is a model that is off: its misfit is in the uncertainty, each value's for itself."
-              for x, u in zip((a, b), of_models, strict=True) if u is not None]  # fmt: skip
-    none = np.full(len(at), np.nan)
-    u_a, u_b = (
-        x.data.u if x.data is not None else none if u is None else u for x, u in zip((a, b), of_models, strict=True)
-    )
+    none, stated = np.full(len(at), np.nan), dict[str, tuple[Floats, Floats]]()
+    for key, x, value, u in zip("AB", (a, b), values, of_models, strict=True):
+        stated[key] = value, x.data.u if x.data is not None else none if u is None else u
+        if u is not None:
+            notes.append(f"{x.name} is a model that is off: its misfit is in the uncertainty, each value's for itself.")
     onto = "B" if a.data is None and b.data is not None else "A"
-    of = _Values(values[0], values[1], u_a, u_b, np.zeros(len(at)), onto)
-    return _judged(a, b, at, of, covariance, {}, [*at.notes, *notes])
+    return _judged(
+        a, b, at, onto, stated, covariance, [*at.notes, *notes], error=np.zeros(len(at)), missing={}
+    )  # fmt: skip
 
 
 def _off(x: Side, at: Observations, value: Floats) -> Floats | None:
@@ -308,48 +320,43 @@ def _at_one(a: Side, b: Side, wavelength_nm: float | None) -> tuple[Side, Side, 
 
 def _measurements(a: Side, b: Side, say: Say) -> Change:
     """The values of one side against those of the other, carried to its directions."""
-    assert a.data is not None and a.table is not None  # noqa: PT018
-    data, table, turned = laid_on(a.data, b)
-    forth, back = carry(a.data, data, table, say), carry(data, a.data, a.table, say)
-    onto = _still(forth, back, len(a.data), len(data))
-    carried = forth if onto == "A" else back
+    data, table, turned = laid_on(a.measured, b)
+    both = {"A": (a.name, a.measured), "B": (b.name, data)}
+    forth, back = carry(a.measured, data, table, say), carry(data, a.measured, a.whole, say)
+    onto = _still(forth, back, len(a.measured), len(data))
+    carried, other = (forth, "B") if onto == "A" else (back, "A")
     if not carried.rows.size:
         why = describe_left_out(carried.missing)
         raise DataError(f"{a.source} and {b.source} share no direction: of the values of {a.source}, {why}")
-    still, moved = (a.data, data) if onto == "A" else (data, a.data)
-    names = (a.name, b.name) if onto == "A" else (b.name, a.name)
-    at = still.take(carried.rows)
+    (still, at), (moved, far) = both[onto], both[other]
+    at = at.take(carried.rows)
     notes = [
         *turned,
-        *_unstated({a.name: a.data, b.name: data}, at, moved),
-        *_cones(a.data, data),
-        *_interpolated(carried, len(at), *names),
+        *_unstated({a.name: a.measured, b.name: data}, at, far),
+        *_cones(a.measured, data),
+        *_interpolated(carried, len(at), still, moved),
     ]
     u_carried = np.full(len(at), np.nan)
-    if moved.covariance is not None:
+    if far.covariance is not None:
         u_carried = np.sqrt(carried.random**2 + (carried.common**2).sum(axis=1) + carried.error**2)
-    if onto == "A":
-        values = _Values(at.brdf, carried.value, at.u, u_carried, carried.error, onto)
-    else:
-        values = _Values(carried.value, at.brdf, u_carried, at.u, carried.error, onto)
-    covariance = _of_difference(at, carried, moved, (onto, "B" if onto == "A" else "A"))
-    return _judged(a, b, at, values, covariance, carried.missing, notes)
+    values = {onto: (at.brdf, at.u), other: (carried.value, u_carried)}
+    covariance = _of_difference(at, carried, far, (onto, other))
+    return _judged(a, b, at, onto, values, covariance, notes, error=carried.error, missing=carried.missing)
 
 
 def laid_on(a: Observations, b: Side) -> tuple[Observations, pd.DataFrame, list[str]]:
     """B's values and table with its plane of incidence turned onto A's, and a note where that was needed."""
-    assert b.data is not None and b.table is not None  # noqa: PT018
-    turn = _turn(a, b.data)
+    data, table = b.measured, b.whole
+    turn = _turn(a, data)
     if not turn:
-        return b.data, b.table, []
-    turn_deg = np.degrees(turn)
-    table = b.table.assign(phi_i_deg=b.table["phi_i_deg"] + turn_deg, phi_r_deg=b.table["phi_r_deg"] + turn_deg)
+        return data, table, []
+    table = table.assign(**{key: table[key] + np.degrees(turn) for key in ("phi_i_deg", "phi_r_deg")})
     off = np.degrees(min(turn, 2 * np.pi - turn))
     note = (
         f"The planes of incidence differ by {off:.3g}° in azimuth; they are laid on each other, as if the sample"
         " had no grain."
     )
-    return replace(b.data, directions=b.data.directions.turned(turn)), table, [note]
+    return replace(data, directions=data.directions.turned(turn)), table, [note]
 
 
 def _unstated(sides: Mapping[str, Observations], at: Observations, moved: Observations) -> list[str]:
@@ -369,8 +376,7 @@ def _cones(a: Observations, b: Observations) -> list[str]:
 def _interpolated(carried: Carried, count: int, still: str, moved: str) -> list[str]:
     if not carried.interpolated:
         return []
-    between = carried.error > 0
-    share = carried.error[between] / np.maximum(np.abs(carried.value[between]), 1e-300)
+    share = carried.relative_error[carried.error > 0]
     return [
         f"{carried.interpolated} of {count} values of {moved} are interpolated between measured"
         f" neighbours, in the directions of {still}; the error of that is stated for each (median"
@@ -408,48 +414,49 @@ def _still(forth: Carried, back: Carried, of_a: int, of_b: int) -> str:
 
 def _roughness(carried: Carried) -> float:
     """Mean relative error of the interpolation; infinite where nothing was carried."""
-    if not carried.rows.size:
-        return np.inf
-    return float(np.mean(carried.error / np.maximum(np.abs(carried.value), 1e-300)))
-
-
-@dataclass(frozen=True)
-class _Values:
-    a: Floats
-    b: Floats
-    u_a: Floats
-    u_b: Floats
-    error: Floats
-    onto: str
+    return float(np.mean(carried.relative_error)) if carried.rows.size else np.inf
 
 
 def _judged(
     a: Side,
     b: Side,
     at: Observations,
-    of: _Values,
+    onto: str,
+    values: Mapping[str, tuple[Floats, Floats]],
     covariance: Covariance | None,
-    missing: dict[str, int],
     notes: Sequence[str],
+    *,
+    error: Floats,
+    missing: Mapping[str, int],
 ) -> Change:
-    white = None if covariance is None else covariance.whiten(of.b - of.a)
-    numbers = metrics(
-        of.b, of.a, np.cos(at.directions.theta_i), None if covariance is None else covariance.total, white
-    )
-    verdict = None if covariance is None else judge(of.a, of.b, covariance)
-    apart = within(of.a, of.b, covariance, slope_in_plane(replace(at, brdf=0.5 * (of.a + of.b))))
-    told = tuple(dict.fromkeys(notes))
+    """A comparison, of the values of "A" and "B" with their standard uncertainties [1/sr]."""
+    (value_a, u_a), (value_b, u_b) = values["A"], values["B"]
+    white = None if covariance is None else covariance.whiten(value_b - value_a)
+    total = None if covariance is None else covariance.total
     return Change(
-        a, b, at, of.a, of.b, of.u_a, of.u_b, of.error, of.onto, covariance, numbers, verdict, apart, missing, told
-    )  # fmt: skip
+        a=a,
+        b=b,
+        at=at,
+        value_a=value_a,
+        value_b=value_b,
+        u_a=u_a,
+        u_b=u_b,
+        error=error,
+        onto=onto,
+        covariance=covariance,
+        metrics=metrics(value_b, value_a, np.cos(at.directions.theta_i), total, white),
+        verdict=None if covariance is None else judge(value_a, value_b, covariance),
+        within=within(value_a, value_b, covariance, slope_in_plane(replace(at, brdf=0.5 * (value_a + value_b)))),
+        missing=dict(missing),
+        notes=tuple(dict.fromkeys(notes)),
+    )
 
 
 def _turn(a: Observations, b: Observations) -> float:
     """Azimuth [rad] that lays B's only plane of incidence on A's; 0 where either has several, or they agree."""
     means = []
     for x in (a, b):
-        tilted = x.directions[x.directions.theta_i > SAME_ANGLE]
-        arrow = np.exp(1j * tilted.phi_i)
+        arrow = np.exp(1j * x.directions[x.directions.theta_i > SAME_ANGLE].phi_i)
         if not arrow.size or np.abs(arrow - arrow[0]).max() > SAME_ANGLE:
             return 0.0
         means.append(float(np.angle(arrow.mean())))

@@ -139,8 +139,7 @@ def remounts(tables: Mapping[str, pd.DataFrame], wavelength_nm: float | None = N
     slope = slope_in_plane(shape)[bright] / mean[bright]
     y = values[:, bright] / mean[bright] - 1.0
     scales, zeros, left = (np.array(x) for x in zip(*(_regressed(each, slope) for each in y), strict=True))
-    many = math.sqrt(len(sides) / (len(sides) - 1))
-    independent = many * TO_SIGMA * float(np.median(np.abs(left)))
+    independent = math.sqrt(len(sides) / (len(sides) - 1)) * TO_SIGMA * float(np.median(np.abs(left)))
     steep = float(np.linalg.norm(slope - slope.mean()))
     u_zero = independent / steep if steep > 0.0 else math.inf
     pairs = [np.abs(a - b) for k, a in enumerate(y) for b in y[k + 1 :]]

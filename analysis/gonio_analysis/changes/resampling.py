@@ -62,6 +62,11 @@ class Carried:
         """How many values are not from the same direction."""
         return int(np.count_nonzero(self.error))
 
+    @property
+    def relative_error(self) -> Floats:
+        """(n,) `error` over the values."""
+        return self.error / np.maximum(np.abs(self.value), 1e-300)
+
 
 def common_wavelengths(a: Observations, b: Observations, within_nm: float = 0.5) -> list[tuple[float, float]]:
     """Wavelengths [nm] of A with the nearest one of B, where they agree; (NaN, NaN) for two broad bands."""

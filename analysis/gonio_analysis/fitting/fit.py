@@ -27,9 +27,8 @@ from gonio.errors import ArgumentError, ConfigError, DataError
 from gonio.models.declaration import Declaration, Values
 from gonio.typing import Floats
 from gonio_analysis.fitting.angle_zeros import by_model
-from gonio_analysis.fitting.forward import NO_WAVELENGTH_NM, apparent, pointlike
+from gonio_analysis.fitting.forward import apparent, known_wavelength, pointlike, rho_angles
 from gonio_analysis.fitting.identifiability import tied
-from gonio_analysis.fitting.incidences import angles
 from gonio_analysis.fitting.misfit import SMALLEST, block_spread, estimated_tau, misfit
 from gonio_analysis.fitting.objective import Objective, objective, on_log_scale, scaled_to, with_misfit
 from gonio_analysis.fitting.observations import DEFAULT_WAVELENGTH_NM, Observations, observations
@@ -90,20 +89,18 @@ class FitResult(Solution):
 
     def _again(self, start: list[Values]) -> FitResult:
         """The same fit, begun at other values."""
-        asked = self.problem.asked
-        assert asked is not None  # every problem of a fit was posed
-        return fit(self.data, replace(asked, start=start))
-
-
-def _require_one_way(asked: FitRequest) -> None:
-    if asked.each is not None and asked.wavelength_nm is not None:
-        nm = f"{asked.wavelength_nm:g}"
-        raise ConfigError(f"--wavelength-nm {nm}: all wavelengths are fitted together; leave it out")
-    if asked.each is not None and asked.energy:
-        raise ConfigError("--energy: the bound holds a fit at one wavelength; leave out --joint")
+        return fit(self.data, replace(self.problem.asked, start=start))
 
 
 def _require_enough(data: Observations, names: Sequence[str], wavelength: float, name: str) -> None:
+    """Refuse too few values; and tables without one at the wavelength of the fit, for they would be left out unsaid."""
+    for k, part in enumerate(data.parts):
+        if not (data.part == k).any():
+            at = "in a broad band" if math.isnan(wavelength) else f"at {wavelength:g} nm"
+            raise DataError(
+                f"{part.name}: has no value {at}, where the tables are fitted together; choose another with "
+                "--wavelength-nm, or fit all wavelengths with --joint"
+            )
     if len(data) <= len(names):
         at = "" if math.isnan(wavelength) else f" at {wavelength:g} nm"
         raise DataError(
@@ -113,13 +110,11 @@ def _require_enough(data: Observations, names: Sequence[str], wavelength: float,
 
 
 def _minimised(
-    problem: Problem, data: Observations, asked: FitRequest, start: Sequence[Values] | None, say: Say
+    problem: Problem, data: Observations, start: Sequence[Values] | None, say: Say
 ) -> tuple[Observations, Objective, Floats, Floats]:
     """The values with scales by a model near the least, what is made small, the least, and the Jacobian there."""
-    if start is None:
-        vector = search(problem, data, asked.loss, asked.searches, asked.metric, say)
-    else:
-        vector = search_from(problem.softer(BOUND_FIRST), data, start, asked.loss, asked.metric, say)
+    soft, asked = problem.softer(BOUND_FIRST), problem.asked
+    vector = search(problem, data, say) if start is None else search_from(soft, data, start, say)
     found = apparent(problem.model(vector), data, quick=True)
     data = by_model(data, problem.model(vector), found)
     goal = replace(scaled_to(data, found, asked.metric), loss=asked.loss)
@@ -159,7 +154,11 @@ def fit(
     """
     began = time.perf_counter()
     asked = FitRequest(model, **options) if isinstance(model, str) else replace(model, **options)
-    _require_one_way(asked)
+    if asked.each is not None and asked.wavelength_nm is not None:
+        nm = f"{asked.wavelength_nm:g}"
+        raise ConfigError(f"--wavelength-nm {nm}: all wavelengths are fitted together; leave it out")
+    if asked.each is not None and asked.energy:
+        raise ConfigError("--energy: the bound holds a fit at one wavelength; leave out --joint")
     problem, start = pose(asked), asked.start
     data = table if isinstance(table, Observations) else observations(table, name, asked.u_rel)
     if asked.each is not None:
@@ -169,18 +168,17 @@ def fit(
         start = [{n: first.problem.values(first.vector)[n.partition("@")[0]] for n in problem.free}]
     else:
         data, wavelength, notes = _one_wavelength(data, asked.wavelength_nm, problem.family, name)
-    _require_parts(data, wavelength)
     _require_enough(data, problem.free, wavelength, name)
     notes += problem.notes
     if asked.energy:
         free = fit(data, replace(asked, energy=False), name=name, say=say)
         problem, start, said = _bounded(problem, free, start)
         notes += said
-    data, goal, vector, jacobian = _minimised(problem, data, asked, start, say)
+    data, goal, vector, jacobian = _minimised(problem, data, start, say)
     result = _result(problem, data, goal, vector, jacobian, wavelength)
     if asked.metric is None and asked.loss == "linear":
         if result.rejected:
-            result = _nearest(result, asked.searches, say)
+            result = _nearest(result, say)
         elif data.covariance is None:
             result = known_by_blocks(result)
     elif not goal.whitened:
@@ -193,37 +191,45 @@ def _result(
     problem: Problem, data: Observations, goal: Objective, vector: Floats, jacobian: Floats, wavelength_nm: float
 ) -> FitResult:
     """What a solution comes to; its standard errors are those of a true model."""
+    found = at_solution(problem, data, goal, vector, wavelength_nm)
+    spread, condition = covariance(jacobian)
+    if not goal.whitened:
+        total = float(found.whitened @ found.whitened)
+        spread = spread * max(total / (len(data) - len(problem.free)), ROUNDING)
+    return replace(found, condition=condition).known_to(spread)
+
+
+def at_solution(
+    problem: Problem, data: Observations, goal: Objective, vector: Floats, wavelength_nm: float
+) -> FitResult:
+    """A model at a point of the search, before anything is known of its errors."""
     built = problem.model(vector)
     predicted = apparent(built, data)
     white = goal.residual(predicted)
-    total = float(white @ white)
-    spread, condition = covariance(jacobian)
-    if not goal.whitened:
-        spread = spread * max(total / (len(data) - len(problem.free)), ROUNDING)
-    assert problem.asked is not None
+    unknown = np.zeros((vector.size, vector.size))
     return FitResult(
         name=problem.asked.model,
         model=built,
         parameters={},
         free=problem.free,
-        covariance=spread,
+        covariance=unknown,
         derived={},
         data=data,
         predicted=predicted,
         whitened=white,
         weighting=goal.words,
-        chi_square=total if goal.whitened else None,
+        chi_square=float(white @ white) if goal.whitened else None,
         wavelength_nm=wavelength_nm,
-        condition=condition,
+        condition=math.nan,
         wall_s=0.0,
         problem=problem,
         vector=vector,
-        spread=spread,
+        spread=unknown,
         goal=goal,
-    ).known_to(spread)
+    )
 
 
-def _nearest(rejected: FitResult, searches: int, say: Say) -> FitResult:
+def _nearest(rejected: FitResult, say: Say) -> FitResult:
     """The nearest model, where the data reject every one: with a misfit that makes the residuals most probable.
 
     The search begins anew without the stated uncertainties, for a fit that trusts them may lie in a valley that only
@@ -233,7 +239,7 @@ def _nearest(rejected: FitResult, searches: int, say: Say) -> FitResult:
     unstated = replace(data, covariance=None, u_rel_assumed=None)
     begin = [rejected.vector]
     if not problem.waves:  # a fit of several wavelengths began where one alone ended
-        begin.insert(0, search(problem, unstated, searches=searches, say=say))
+        begin.insert(0, search(problem, unstated, say))
     found = [refine(problem, unstated, objective(unstated), start, quick=True) for start in begin]
     vector = min(found, key=lambda f: f[1])[0]
     residual, columns, stated = residuals_on_log_scale(problem, data, vector)
@@ -288,6 +294,14 @@ def known_by_blocks(result: FitResult) -> FitResult:
         goal = with_misfit(data, tau, result.predicted)
     weights = goal.weights
     assert weights is not None
+
+    def without(kept: npt.NDArray[np.bool_], start: Floats) -> Floats:
+        """From the solution to that of the values kept, by the parameters that move."""
+        begin = vector.copy()
+        begin[moving] += start
+        near = Near(replace(result, goal=goal), np.flatnonzero(kept))
+        return np.asarray((near.refit(np.clip(begin, lower, upper), moving, limit=AGAIN)[0] - vector)[moving])
+
     plain = replace(goal, weights=None)
     columns = plain.jacobian(result.predicted, derivatives(problem, data, vector))
     lower, upper = problem.bounds
@@ -300,7 +314,7 @@ def known_by_blocks(result: FitResult) -> FitResult:
         np.concatenate([(columns.T / weights.random).T, pulls]),
         np.concatenate([weights.apart(plain.residual(result.predicted)), problem.pulls(vector)]),
         data.directions,
-        _Without(result, goal, moving).step,
+        without,
     )
     # few blocks may agree by chance: nothing is better known than with a misfit that is independent everywhere
     least = np.sqrt(np.maximum(np.diag(formal) / np.maximum(np.diag(by_blocks), 1e-300), 1.0))
@@ -321,49 +335,38 @@ def known_by_blocks(result: FitResult) -> FitResult:
     ).known_to(spread)
 
 
-@dataclass(frozen=True)
-class _Without:
-    """Solutions of a fit without some of its values."""
-
-    result: FitResult
-    goal: Objective
-    moving: npt.NDArray[np.intp]
-
-    def step(self, kept: npt.NDArray[np.bool_], start: Floats) -> Floats:
-        """From the whole solution to that without them, by the parameters that move."""
-        near = Near(replace(self.result, goal=self.goal), np.flatnonzero(kept))
-        lower, upper = self.result.problem.bounds
-        begin = self.result.vector.copy()
-        begin[self.moving] += start
-        vector, _ = near.refit(np.clip(begin, lower, upper), self.moving, limit=AGAIN)
-        return np.asarray((vector - self.result.vector)[self.moving])
-
-
-def _require_parts(data: Observations, wavelength_nm: float) -> None:
-    """Refuse tables without a value at the wavelength of the fit, which would be left out in silence."""
-    for k, part in enumerate(data.parts):
-        if not (data.part == k).any():
-            at = "in a broad band" if math.isnan(wavelength_nm) else f"at {wavelength_nm:g} nm"
-            raise DataError(
-                f"{part.name}: has no value {at}, where the tables are fitted together; choose another with "
-                "--wavelength-nm, or fit all wavelengths with --joint"
-            )
-
-
 def remarks(result: FitResult) -> list[str]:
-    """What a fit says of each of several tables, and of what its data cannot tell."""
-    return _by_part(result) + _identifiability(result)
-
-
-def _by_part(result: FitResult) -> list[str]:
-    """How well each of several tables is described."""
-    if result.chi_square is None:
-        return []
-    out = []
-    for k, part in enumerate(result.data.parts):
+    """How well each of several tables is described, and what the data cannot tell, in words."""
+    notes = []
+    for k, part in enumerate(() if result.chi_square is None else result.data.parts):
         white = result.whitened[: len(result.data)][result.data.part == k]
-        out.append(f"{part.name}: chi-square {float(white @ white):.4g} of {white.size} values.")
-    return out
+        notes.append(f"{part.name}: chi-square {float(white @ white):.4g} of {white.size} values.")
+    ends = dict(zip(("lower", "upper"), map(result.problem.values, result.problem.bounds), strict=True))
+    for n, e in result.parameters.items():
+        if e.at_bound:
+            notes.append(
+                f"{n} ended on its {e.at_bound} bound ({ends[e.at_bound][n]:g})"
+                + (": its standard error is formal." if e.u is not None else ", where the data do not determine it.")
+                + (" The model is not true, and there it comes nearest." if result.misfit is not None else "")
+            )
+        elif not e.fixed and e.u is None:
+            notes.append(f"{n} is not determined by these data.")
+    values = np.array([result.parameters[n].value for n in result.free])
+    pairs = tied(result.free, values, result.covariance)
+    notes += pairs
+    if result.rejected and result.misfit is not None:
+        notes.append(
+            "The data reject this model. Its parameters are those of the nearest one over the measured directions, and"
+            " their errors say how much they hang on which directions these are."
+        )
+    elif result.rejected and result.shared is None:
+        notes.append(
+            "The data reject this model, and the metric or loss that was chosen knows no misfit: the standard errors"
+            " are those of a true model, and too small."
+        )
+    if not pairs and result.condition > 1e3:
+        notes.append(f"The parameters are poorly determined together (condition number {result.condition:.2g}).")
+    return notes
 
 
 def _bounded(
@@ -373,8 +376,8 @@ def _bounded(
 
     The bound is as tight as the data pull: what is left above it is far below their uncertainty.
     """
-    wave = NO_WAVELENGTH_NM if math.isnan(free.wavelength_nm) else free.wavelength_nm
-    bound = Bound(tuple(angles(free.data)), float(free.data.directions.phi_i[0]), wave, 1.0)
+    phi_i = float(free.data.directions.phi_i[0])
+    bound = Bound(tuple(rho_angles(free.data)), phi_i, known_wavelength(free.wavelength_nm), 1.0)
     highest = float(bound.rho_dh(free.model).max())
     known = free.problem.values(free.vector)
     if highest <= 1.0:
@@ -425,40 +428,8 @@ def _one_wavelength(
                 f"{name} has no single wavelength, and {family.name} needs one: give it with --wavelength-nm"
             )
         return chosen, wavelength, []
-    filled = replace(chosen, wavelength_nm=np.full(len(chosen), float(wavelength_nm)))
     return (
-        filled,
+        replace(chosen, wavelength_nm=np.full(len(chosen), float(wavelength_nm))),
         float(wavelength_nm),
         [f"The table has no single wavelength; the model is evaluated at {wavelength_nm:g} nm."],
     )
-
-
-def _identifiability(result: FitResult) -> list[str]:
-    """What these data cannot tell, in words."""
-    notes = []
-    ends = dict(zip(("lower", "upper"), map(result.problem.values, result.problem.bounds), strict=True))
-    for n, e in result.parameters.items():
-        if e.at_bound:
-            notes.append(
-                f"{n} ended on its {e.at_bound} bound ({ends[e.at_bound][n]:g})"
-                + (": its standard error is formal." if e.u is not None else ", where the data do not determine it.")
-                + (" The model is not true, and there it comes nearest." if result.misfit is not None else "")
-            )
-        elif not e.fixed and e.u is None:
-            notes.append(f"{n} is not determined by these data.")
-    values = np.array([result.parameters[n].value for n in result.free])
-    pairs = tied(result.free, values, result.covariance)
-    notes += pairs
-    if result.rejected and result.misfit is not None:
-        notes.append(
-            "The data reject this model. Its parameters are those of the nearest one over the measured directions, and"
-            " their errors say how much they hang on which directions these are."
-        )
-    elif result.rejected and result.shared is None:
-        notes.append(
-            "The data reject this model, and the metric or loss that was chosen knows no misfit: the standard errors"
-            " are those of a true model, and too small."
-        )
-    if not pairs and result.condition > 1e3:
-        notes.append(f"The parameters are poorly determined together (condition number {result.condition:.2g}).")
-    return notes

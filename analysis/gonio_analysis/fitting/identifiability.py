@@ -69,5 +69,4 @@ def _combination(names: tuple[str, str], values: tuple[float, float], u: tuple[f
     value = values[0] ** p * abs(values[1]) ** q
     exponent = "" if abs(q) == 1.0 else f"^{abs(q):.3g}"
     sign = "/" if q < 0 else " "
-    error = spread * abs(value)
-    return f"{names[0]}{sign}{names[1]}{exponent} = {with_u(value, error)}"
+    return f"{names[0]}{sign}{names[1]}{exponent} = {with_u(value, spread * abs(value))}"

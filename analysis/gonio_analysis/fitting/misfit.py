@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from gonio.checks.values import Rows
 from gonio.geometry import Directions
 from gonio.models.corrected import Correction, folded
 from gonio.models.gaussian_process import OF_CURVES, Coordinates, Prior, Process, Training, objective
@@ -51,7 +52,6 @@ IMPOSSIBLE = 1e30
 FARTHEST = 100.0
 """Of ln tau an end of its interval: there nothing is known of it."""
 K95 = 1.959964
-Rows = npt.NDArray[np.intp]
 
 
 def estimated_tau(z: Floats, jacobian: Floats, stated: Covariance | None) -> float:
@@ -89,14 +89,12 @@ def highest_tau(z: Floats, jacobian: Floats, stated: Covariance) -> float:
 
 def _unlikely(z: Floats, jacobian: Floats, stated: Covariance) -> Callable[[float], float]:
     """-2 ln of the restricted likelihood, of ln tau."""
-    seen = np.linalg.norm(jacobian, axis=0) > 0
-    basis = np.linalg.qr(jacobian[:, seen])[0]
+    basis = np.linalg.qr(jacobian[:, np.linalg.norm(jacobian, axis=0) > 0])[0]
 
     def unlikely(log_tau: float) -> float:
         whole = replace(stated, random=np.hypot(stated.random, math.exp(log_tau)))
         white, columns = whole.whiten(z), whole.whiten(basis)
-        inner = float(np.linalg.slogdet(columns.T @ columns)[1])
-        value = float(white @ white) + whole.log_determinant + inner
+        value = float(white @ white) + whole.log_determinant + float(np.linalg.slogdet(columns.T @ columns)[1])
         return value if math.isfinite(value) else IMPOSSIBLE
 
     return unlikely
@@ -247,10 +245,10 @@ def misfit(model: Any, data: Observations, goal: Objective, predicted: Floats, f
     z = goal.scaled(data.brdf) - goal.scaled(predicted)
     stated = on_log_scale(data, goal.small, predicted)
     where = folded(data.directions, model)
-    u = np.full(len(data), ROUGH * goal.tau) if stated is None else np.hypot(stated.random, ROUGH * goal.tau)
+    noise = np.zeros(len(data)) if stated is None else stated.random
+    u = np.hypot(noise, ROUGH * goal.tau)
     common = np.zeros((len(data), 1)) if stated is None or not stated.causes else stated.common
-    noise = np.zeros(len(data)) if stated is None else stated.random**2
-    _, u_square = jackknife(z**2 - noise, data.directions)
+    _, u_square = jackknife(z**2 - noise**2, data.directions)
     # few blocks may agree by chance: nothing is better known than with as many independent residuals
     u_log = max(0.5 * u_square / goal.tau**2, math.sqrt(0.5 / freedom))
     spike = goal.tau if sees_spike(model, data) else 1.0  # a spike that no value has light of is a guess
@@ -272,8 +270,4 @@ def _prior(tau: float) -> Prior:
 
 def _evenly(n: int, most: int) -> npt.NDArray[np.bool_]:
     """Which of n values are kept: a mask."""
-    kept = np.ones(n, dtype=bool)
-    if n > most:
-        kept[:] = False
-        kept[np.random.default_rng(0).permutation(n)[:most]] = True
-    return kept
+    return np.ones(n, dtype=bool) if n <= most else np.random.default_rng(0).permutation(n).argsort() < most

@@ -15,6 +15,7 @@ from gonio.errors import ConfigError, DataError
 from gonio.geometry import AT_HORIZON, Directions
 from gonio.typing import Floats
 from gonio_analysis.fitting.value_covariance import Covariance, independent
+from gonio_analysis.result_records import CauseSummary
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -117,6 +118,19 @@ class Observations:
             return CheckedValues(self.directions, self.brdf)
         return CheckedValues(self.directions, self.brdf, known.random, known.common)
 
+    def budget(self) -> list[CauseSummary]:
+        """Uncertainty by cause: median and 95th percentile of |u / value|, the combined one first.
+
+        Values within 3 u of zero are left out: relative to them nothing means anything. Empty where nothing is stated.
+        """
+        known, use = self.covariance, np.abs(self.brdf) > 3 * self.u
+        if known is None or not use.any():
+            return []
+        parts = {"combined": known.total, "random (independent)": known.random}
+        parts |= {cause.replace("_", " "): np.abs(known.common[:, k]) for k, cause in enumerate(known.causes)}
+        relative = {label: u[use] / np.abs(self.brdf[use]) for label, u in parts.items()}
+        return [CauseSummary(label, float(np.median(p)), float(np.quantile(p, 0.95))) for label, p in relative.items()]
+
     @cached_property
     def cones(self) -> list[Prepared]:
         """The values of each wavelength and instrument, and their directions, prepared for the forward model."""
@@ -126,22 +140,13 @@ class Observations:
         own = Part("", self.source_solid_angle_sr, self.receiver_solid_angle_sr)
         for number, part in enumerate(self.parts or (own,)):
             of_part = self.part == number if self.parts else np.ones(len(self), dtype=bool)
-            for wavelength in self.wavelengths:
-                rows = of_part & (
-                    np.isnan(self.wavelength_nm) if np.isnan(wavelength) else self.wavelength_nm == wavelength
-                )
-                if not rows.any():
-                    continue
+            for wave in self.wavelengths:
+                rows = of_part & (np.isnan(self.wavelength_nm) if np.isnan(wave) else self.wavelength_nm == wave)
                 here = slice(None) if rows.all() else rows
-                cones = Cones(
-                    *self.directions[here].angles,
-                    source_solid_angle_sr=part.source_solid_angle_sr,
-                    receiver_solid_angle_sr=part.receiver_solid_angle_sr,
-                    spike="exact",
-                    tolerance=LOBE_TOLERANCE,
-                )
-                pointlike = part.source_solid_angle_sr == part.receiver_solid_angle_sr == 0.0
-                out.append(Prepared(wavelength, here, cones, pointlike))
+                if rows.any():
+                    angles = (part.source_solid_angle_sr, part.receiver_solid_angle_sr)
+                    cones = Cones(*self.directions[here].angles, *angles, spike="exact", tolerance=LOBE_TOLERANCE)
+                    out.append(Prepared(wave, here, cones, angles == (0.0, 0.0)))
         return out
 
     def __getstate__(self) -> dict[str, Any]:
@@ -149,11 +154,9 @@ class Observations:
 
     def take(self, rows: npt.NDArray[np.bool_] | npt.NDArray[np.intp]) -> Observations:
         """Some of the values."""
-        arrays = ("directions", "wavelength_nm", "brdf", "rows")
-        covariance = self.covariance.take(rows) if self.covariance is not None else None
         some = [name for name in ("part", "u_angles") if getattr(self, name).size]
-        taken = {name: getattr(self, name)[rows] for name in (*arrays, *some)}
-        return replace(self, covariance=covariance, **taken)
+        taken = {name: getattr(self, name)[rows] for name in ("directions", "wavelength_nm", "brdf", "rows", *some)}
+        return replace(self, covariance=self.covariance and self.covariance.take(rows), **taken)
 
     def at(self, wavelength_nm: float) -> Observations:
         """The values at one of `wavelengths` (NaN: the broad band)."""
@@ -221,15 +224,11 @@ def observations(table: pd.DataFrame, name: str = "the table", u_rel: float | No
     ConfigError
         `u_rel` is no such number.
     """
-    from gonio import measurement
-
     check_u_rel(u_rel)
-
     directions = Directions.from_table(table)
-    brdf = table["brdf"].to_numpy(np.float64)
+    brdf, wavelength = (table[name].to_numpy(np.float64) for name in ("brdf", "wavelength_nm"))
     why = _why_left_out(table, directions, brdf)
-    random, common, causes = measurement.uncertainty(table)
-    common = np.where(np.isfinite(common), common, 0.0)
+    random, common, causes = _uncertainties(table)
     total = np.sqrt(random**2 + (common**2).sum(axis=1))
     with np.errstate(invalid="ignore"):
         size = np.maximum(np.abs(brdf), np.median(np.abs(brdf[why == ""])) if (why == "").any() else 0.0)
@@ -240,15 +239,13 @@ def observations(table: pd.DataFrame, name: str = "the table", u_rel: float | No
         why[lacking] = "without an uncertainty"
         notes.append(_lacking(np.flatnonzero(lacking)))
     keep = np.flatnonzero(why == "")
-    wavelength = table["wavelength_nm"].to_numpy(np.float64)
     omitted = {str(reason): wavelength[why == reason] for reason in sorted(set(why) - {""})}
     if not keep.size:
         raise _none_left(name, len(table), omitted)
     covariance, assumed = None, None
     if stated[keep].any():
-        # A value whose independent part is 0 (an ideal rig) would have infinite weight.
-        floor = 1e-6 * total[keep]
-        covariance = Covariance(np.maximum(random[keep], floor), common[keep], tuple(causes))
+        # a value whose independent part is 0 (an ideal rig) would have infinite weight
+        covariance = Covariance(np.maximum(random[keep], 1e-6 * total[keep]), common[keep], causes)
         if u_rel is not None:
             notes.append(f"The table states its own uncertainties; the assumed {100 * u_rel:g} % is not used.")
     elif u_rel is not None:
@@ -275,11 +272,17 @@ def observations(table: pd.DataFrame, name: str = "the table", u_rel: float | No
         receiver_solid_angle_sr=cones["receiver"] or 0.0,
         omitted=omitted,
         notes=tuple(notes),
-        zeros_rad=_angles(table, "zeros_rad"),
-        readings_rad=_angles(table, "readings_rad"),
-        u_angles=_of_angles(table, keep),
         u_rel_assumed=assumed,
+        **_of_angles(table, keep),
     )
+
+
+def _uncertainties(table: pd.DataFrame) -> tuple[Floats, Floats, tuple[str, ...]]:
+    """What a table states: the independent part (n,), NaN where there is none, common causes (n, k), their names."""
+    from gonio import measurement
+
+    random, common, causes = measurement.uncertainty(table)
+    return random, np.where(np.isfinite(common), common, 0.0), tuple(causes)
 
 
 def _lacking(rows: npt.NDArray[np.intp]) -> str:
@@ -292,20 +295,19 @@ def _lacking(rows: npt.NDArray[np.intp]) -> str:
     )
 
 
-def _angles(table: pd.DataFrame, key: str) -> dict[str, float]:
-    """Uncertainties of angles that the provenance names; nothing where it holds something else."""
+def _of_angles(table: pd.DataFrame, keep: npt.NDArray[np.intp]) -> dict[str, Any]:
+    """What a table says of its angles: `zeros_rad` and `readings_rad` of its provenance, and `u_angles` of some rows.
+
+    Nothing where it holds something else, and no `u_angles` where a row lacks them.
+    """
     provenance = table.attrs.get("provenance")
-    stated = provenance.get(key) if isinstance(provenance, Mapping) else None
-    known = stated.items() if isinstance(stated, Mapping) else ()
-    return {str(name): float(u) for name, u in known if isinstance(u, float | int) and 0.0 < u < 0.1}
-
-
-def _of_angles(table: pd.DataFrame, keep: npt.NDArray[np.intp]) -> Floats:
-    """The column `u_angles` of some rows; nothing where a table has none, or a row lacks it."""
-    if "u_angles" not in table.columns:
-        return np.zeros(0)
-    u = table["u_angles"].to_numpy(np.float64)[keep]
-    return u if np.isfinite(u).all() else np.zeros(0)
+    out: dict[str, Any] = {}
+    for key in ("zeros_rad", "readings_rad"):
+        stated = provenance.get(key) if isinstance(provenance, Mapping) else None
+        known = stated.items() if isinstance(stated, Mapping) else ()
+        out[key] = {str(name): float(u) for name, u in known if isinstance(u, float | int) and 0.0 < u < 0.1}
+    u = table["u_angles"].to_numpy(np.float64)[keep] if "u_angles" in table.columns else np.zeros(0)
+    return out | {"u_angles": u if np.isfinite(u).all() else np.zeros(0)}
 
 
 def together(several: Mapping[str, Observations]) -> Observations:
@@ -328,25 +330,16 @@ def together(several: Mapping[str, Observations]) -> Observations:
             "other; fit them one by one, or give the first one a column u_brdf"
         )
     each = list(several.values())
-    ends = np.cumsum([len(one) for one in each])
-    covariance = None
-    if stated:
-        blocks = [one.covariance for one in each if one.covariance is not None]
-        common = np.zeros((int(ends[-1]), sum(len(block.causes) for block in blocks)))
-        causes: list[str] = []
-        for name, block, end in zip(several, blocks, ends, strict=True):
-            rows = slice(end - block.random.size, end)
-            common[rows, len(causes) : len(causes) + len(block.causes)] = block.common
-            causes += [f"{cause}@{name}" for cause in block.causes]
-        covariance = Covariance(np.concatenate([block.random for block in blocks]), common, tuple(causes))
+    cones = np.array([(one.source_solid_angle_sr, one.receiver_solid_angle_sr) for one in each])
+    source, receiver = np.where((cones == cones[0]).all(axis=0), cones[0], np.nan).tolist()
     return Observations(
         directions=Directions(*np.concatenate([np.stack(one.directions.angles) for one in each], axis=1)),
         wavelength_nm=np.concatenate([one.wavelength_nm for one in each]),
         brdf=np.concatenate([one.brdf for one in each]),
-        covariance=covariance,
+        covariance=_own_causes({name: one.covariance for name, one in several.items() if one.covariance is not None}),
         rows=np.concatenate([one.rows for one in each]),
-        source_solid_angle_sr=_shared([one.source_solid_angle_sr for one in each]),
-        receiver_solid_angle_sr=_shared([one.receiver_solid_angle_sr for one in each]),
+        source_solid_angle_sr=source,
+        receiver_solid_angle_sr=receiver,
         omitted={
             f"{reason} in {name}": waves for name, one in several.items() for reason, waves in one.omitted.items()
         },
@@ -357,6 +350,17 @@ def together(several: Mapping[str, Observations]) -> Observations:
         part=np.repeat(np.arange(len(each)), [len(one) for one in each]),
         u_rel_assumed=next((one.u_rel_assumed for one in each if one.u_rel_assumed is not None), None),
     )
+
+
+def _own_causes(stated: Mapping[str, Covariance]) -> Covariance | None:
+    """The covariance of the values of several tables, whose causes are each table's own; None of no table."""
+    from scipy.linalg import block_diag
+
+    if not stated:
+        return None
+    causes = tuple(f"{cause}@{name}" for name, one in stated.items() for cause in one.causes)
+    common = np.asarray(block_diag(*(one.common for one in stated.values())))
+    return Covariance(np.concatenate([one.random for one in stated.values()]), common, causes)
 
 
 def of_reader(table: pd.DataFrame) -> list[str]:
@@ -379,10 +383,6 @@ def said_once(several: Mapping[str, Sequence[str]]) -> list[str]:
     ]
 
 
-def _shared(values: Sequence[float]) -> float:
-    return values[0] if len(set(values)) == 1 else float("nan")
-
-
 def check_u_rel(u_rel: float | None) -> None:
     """Raise `ConfigError` for an assumed relative uncertainty that is none."""
     if u_rel is not None and not 0 < u_rel < 1:
@@ -391,13 +391,9 @@ def check_u_rel(u_rel: float | None) -> None:
 
 def _assumed(brdf: Floats, wavelength_nm: Floats, u_rel: float) -> Floats:
     """u_rel times each value; those far below the median of their wavelength count as a tenth of it."""
-    out = np.empty(brdf.size)
     _, group = np.unique(wavelength_nm, return_inverse=True)
-    for k in range(int(group.max()) + 1):
-        here = brdf[group == k]
-        small = max(LINEAR_BELOW * float(np.median(np.abs(here))), 1e-300)
-        out[group == k] = u_rel * np.hypot(here, 2 * small)
-    return out
+    medians = np.array([np.median(np.abs(brdf[group == k])) for k in range(int(group.max()) + 1)])
+    return np.asarray(u_rel * np.hypot(brdf, 2 * np.maximum(LINEAR_BELOW * medians, 1e-300)[group]))
 
 
 def describe_left_out(left_out: Mapping[str, int]) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import math
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -31,25 +32,20 @@ def known(role: str = "") -> tuple[str, ...]:
     """Names of the models that can be loaded, by their rank; of those that play a role in sums, where one is asked."""
     found = {}
     for name in plugins.available("gonio.models"):
-        try:
+        with suppress(ConfigError):
             found[name] = kind(name)
-        except ConfigError:
-            continue
     every = sorted(found, key=lambda name: (found[name].rank, name))
     return tuple(name for name in every if not role or role in found[name].in_sums.split())
 
 
 def declared() -> tuple[str, ...]:
     """Those of them that say what of them is fitted."""
-    return tuple(name for name in known() if _declares(name))
-
-
-def _declares(name: str) -> bool:
-    try:
-        kind(name).declaration()
-    except ConfigError:
-        return False
-    return True
+    out = []
+    for name in known():
+        with suppress(ConfigError):
+            kind(name).declaration()
+            out.append(name)
+    return tuple(out)
 
 
 def family(name: str, *, slopes: int = 1, ior: Ior = None) -> Declaration:

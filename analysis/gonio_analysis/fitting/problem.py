@@ -15,7 +15,7 @@ from gonio.models.declaration import METALLIC_N, Declaration, Ior, Values
 from gonio.models.parameters import Fitted
 from gonio.typing import Floats
 from gonio_analysis.fitting import parameters
-from gonio_analysis.fitting.forward import ByWavelength
+from gonio_analysis.fitting.forward import ByWavelength, rho_dh
 from gonio_analysis.fitting.objective import LOSSES, METRICS
 from gonio_analysis.fitting.observations import check_u_rel
 
@@ -100,11 +100,7 @@ class Bound:
 
     def rho_dh(self, model: Any) -> Floats:
         """Of a model, at each angle of incidence."""
-        return np.asarray(
-            model.directional_hemispherical(
-                np.array(self.theta_i), phi_i=self.phi_i, wavelength_nm=self.wavelength_nm, tolerance=1e-5
-            )
-        )
+        return rho_dh(model, np.array(self.theta_i), self.phi_i, self.wavelength_nm, 1e-5)
 
 
 @dataclass(frozen=True)
@@ -119,15 +115,14 @@ class Problem:
     words: dict[str, str]
     ior: Ior
     notes: list[str]
+    asked: FitRequest
+    """What it was made from."""
     priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     """Parameter -> what is known of it beforehand: value and standard uncertainty."""
     waves: tuple[float, ...] = ()
     """Wavelengths [nm] that are fitted together; none for a fit at one."""
     each: tuple[str, ...] = ()
     """Parameters with a value of their own at each of `waves`: "albedo" is then fitted as "albedo@450", ..."""
-
-    asked: FitRequest | None = None
-    """What it was made from."""
     bound: Bound | None = None
     """Where the model may not reflect more than it receives."""
 
@@ -140,9 +135,9 @@ class Problem:
         return self.family.parameter(name.partition("@")[0])
 
     @cached_property
-    def _moving(self) -> list[Fitted]:
-        """The parameters of `free`."""
-        return [self.parameter(n) for n in self.free]
+    def _moving(self) -> list[tuple[str, Fitted]]:
+        """The parameters of `free`, by name."""
+        return [(n, self.parameter(n)) for n in self.free]
 
     def at(self, values: Values, wavelength_nm: float) -> Values:
         """The values that hold at one of `waves`."""
@@ -196,27 +191,42 @@ class Problem:
     @property
     def bounds(self) -> tuple[Floats, Floats]:
         """Lower and upper bounds on the search scale."""
-        rows = [self.parameter(n) for n in self.free]
-        lower = [math.log(p.lower) if p.scale == "log" else p.lower for p in rows]
-        upper = [math.log(p.upper) if p.scale == "log" else p.upper for p in rows]
-        return np.array(lower), np.array(upper)
+        ends = [(_searched(p, p.lower), _searched(p, p.upper)) for _, p in self._moving]
+        return np.array([low for low, _ in ends]), np.array([high for _, high in ends])
 
     def values(self, vector: Floats) -> Values:
         """All parameters by name, for a point of the search."""
-        out = dict(self.fixed)
-        for n, p, x in zip(self.free, self._moving, vector.tolist(), strict=True):
-            out[n] = p.inside(math.exp(x) if p.scale == "log" else x)
-        return out
+        moving = zip(self._moving, vector.tolist(), strict=True)
+        return self.fixed | {n: p.inside(math.exp(x) if p.scale == "log" else x) for (n, p), x in moving}
 
     def vector(self, values: Values) -> Floats:
         """The point of the search that has these values, brought inside the bounds."""
-        rows = [(self.parameter(n), values[n]) for n in self.free]
-        return np.array([math.log(p.inside(v)) if p.scale == "log" else p.inside(v) for p, v in rows])
+        return np.array([_searched(p, p.inside(values[n])) for n, p in self._moving])
 
     def slope(self, vector: Floats) -> Floats:
         """d(value)/d(search scale) of the free parameters."""
         values = self.values(vector)
-        return np.array([values[n] if self.parameter(n).scale == "log" else 1.0 for n in self.free])
+        return np.array([values[n] if p.scale == "log" else 1.0 for n, p in self._moving])
+
+    def slopes(self, of: Callable[[Floats], Floats], vector: Floats, step: float) -> Floats:
+        """d(quantities)/d(search scale), (p, quantities), by central differences that stay inside the bounds.
+
+        Parameters
+        ----------
+        of
+            The quantities at a point of the search.
+        vector
+            Where.
+        step
+            Of the differences; 0 is the slope by a parameter that cannot move.
+        """
+        lower, upper = self.bounds
+        rows = []
+        for k in range(vector.size):
+            up, down = vector.copy(), vector.copy()
+            up[k], down[k] = min(vector[k] + step, upper[k]), max(vector[k] - step, lower[k])
+            rows.append((of(up) - of(down)) / max(up[k] - down[k], 1e-300))
+        return np.array(rows)
 
     def known_slopes(self, vector: Floats) -> Values:
         """d(model)/d(search scale) [1/sr] of the parameters for which it is the same in every direction."""
@@ -228,10 +238,17 @@ class Problem:
     def model(self, vector: Floats) -> Any:
         """The model at a point of the search."""
         values = self.values(vector)
-        if not self.waves:
-            return self.make({**self.family.arguments(values), **self.words})
-        several = {w: self.make({**self.family.arguments(self.at(values, w)), **self.words}) for w in self.waves}
-        return ByWavelength(several)
+        if self.waves:
+            return ByWavelength({w: self._made(self.at(values, w)) for w in self.waves})
+        return self._made(values)
+
+    def _made(self, values: Values) -> Any:
+        return self.make({**self.family.arguments(values), **self.words})
+
+
+def _searched(p: Fitted, value: float) -> float:
+    """A value on the search scale."""
+    return math.log(value) if p.scale == "log" else value
 
 
 def pose(asked: FitRequest) -> Problem:
@@ -282,8 +299,8 @@ def pose(asked: FitRequest) -> Problem:
         words,
         ior,
         notes,
+        replace(asked, start=None),
         _checked_priors(asked.priors or {}, model, moving),
-        asked=replace(asked, start=None),
     )
 
 
@@ -306,8 +323,9 @@ def together(problem: Problem, waves: Sequence[float], each: Sequence[str]) -> P
         if n in problem.priors:
             raise ConfigError(f"--each {n}: a prior of {n} would hold at every wavelength; give one or the other")
     shared = tuple(n for n in problem.free if n not in each)
-    own = tuple(f"{n}@{w:g}" for n in problem.free if n in each for w in waves)
-    return replace(problem, free=shared + own, waves=tuple(waves), each=tuple(n for n in problem.free if n in each))
+    apart = tuple(n for n in problem.free if n in each)
+    own = tuple(f"{n}@{w:g}" for n in apart for w in waves)
+    return replace(problem, free=shared + own, waves=tuple(waves), each=apart)
 
 
 def _bounded(family: Declaration, bounds: Mapping[str, tuple[float, float]], moving: Sequence[str]) -> Declaration:

@@ -105,16 +105,13 @@ def _uncertainty(result: FitResult) -> TomlTable | None:
     """
     if not (result.vector.size and np.all(np.isfinite(result.spread))):
         return None
-    lower, upper = result.problem.bounds
     best = numbers_in(_parameters(result, result.vector))
-    slope = np.zeros((len(best), result.vector.size))
-    for k in range(result.vector.size):
-        ends = [result.vector.copy(), result.vector.copy()]
-        for end, sign in zip(ends, (1.0, -1.0), strict=True):
-            end[k] = np.clip(end[k] + sign * STEP, lower[k], upper[k])
-        ahead, behind = (numbers_in(_parameters(result, end)) for end in ends)
-        if ends[0][k] > ends[1][k]:
-            slope[:, k] = [(ahead[name] - behind[name]) / (ends[0][k] - ends[1][k]) for name in best]
+
+    def arguments(vector: Floats) -> Floats:
+        moved = numbers_in(_parameters(result, vector))
+        return np.array([moved[name] for name in best])
+
+    slope = result.problem.slopes(arguments, result.vector, STEP).T
     covariance = slope @ result.spread @ slope.T
     u = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     moving = np.flatnonzero(u > 0.0)

@@ -7,13 +7,14 @@ Parameters move on their natural scale (logarithmic for lengths, widths and indi
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from itertools import count
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from gonio.checks.values import Rows
 from gonio.cli.pace import Pace, Say, silent
 from gonio.models.declaration import Values
 from gonio.typing import Floats
@@ -21,7 +22,7 @@ from gonio_analysis.fitting import parameters
 from gonio_analysis.fitting.forward import apparent, averaging, pointlike
 from gonio_analysis.fitting.objective import Objective, alone, softened
 from gonio_analysis.fitting.observations import Observations
-from gonio_analysis.fitting.problem import STARTS, Problem
+from gonio_analysis.fitting.problem import Problem
 
 if TYPE_CHECKING:
     from gonio.instrument import Rules
@@ -42,75 +43,69 @@ STEP = 1e-4
 """Central differences, on the search scale: an error of 1e-8 relative, far above the rounding of the models."""
 SMALL_STEP = 1e-6
 """One-sided differences, on the search scale: good to about 1e-6, which is enough for the way to the solution."""
+LONGEST = 0.1
+"""Of the last step, on the search scale."""
 
 
-def search_from(
-    problem: Problem,
-    data: Observations,
-    starts: Sequence[Values],
-    loss: str = "linear",
-    metric: str | None = None,
-    say: Say = silent,
-) -> Floats:
+def search_from(problem: Problem, data: Observations, starts: Sequence[Values], say: Say = silent) -> Floats:
     """The best point of searches with the quick forward model that begin at solutions of relatives.
 
     As in `search` only the independent part of the covariance counts.
     """
-    found = [approach(problem, data, problem.vector(start), loss, metric, say) for start in starts]
+    found = [approach(problem, data, problem.vector(start), say) for start in starts]
     return min(found, key=lambda f: f[1])[0]
 
 
-def search(
-    problem: Problem,
-    data: Observations,
-    loss: str = "linear",
-    searches: int = STARTS,
-    metric: str | None = None,
-    say: Say = silent,
-) -> Floats:
+def search(problem: Problem, data: Observations, say: Say = silent) -> Floats:
     """The best point of several searches with the quick forward model, the first part of each with softened weights.
 
     Only the independent part of the covariance counts here: common causes need a model to be scaled by.
     """
-    rows = np.arange(len(data))
-    few = data if len(data) <= GRID_POINTS else data.take(rows[:: -(-len(data) // GRID_POINTS)])
+    asked = problem.asked
+    few = data if len(data) <= GRID_POINTS else data.take(np.arange(len(data))[:: -(-len(data) // GRID_POINTS)])
     soft = softened(few, COARSE_U)
-    known = {n: v for n, v in problem.family.fixed.items() if n in problem.free and v}
+    starts = _starts(problem, data)
     candidates: list[tuple[float, Floats]] = []
+    pace = Pace("fitting: starts tried", len(starts), say)
+    for k, vector in enumerate(starts):
+        pace.step(k)
+        residual = soft.residual(apparent(problem.model(vector), few, quick=True))
+        # large residuals count by their logarithm: a lobe in the right place must win over one that is merely low
+        candidates.append((float(np.log1p(np.minimum(residual**2, 1e12)).sum()), vector))
+    coarse = _coarse(problem, few, soft, candidates)
+    others = [vector for vector, _ in coarse[1:] if np.abs(vector - coarse[0][0]).max() > 0.05]
+    begin = [coarse[0][0], *others[: max(asked.searches // 4, 1)]]
+    if asked.metric in HIGHEST:  # its valley may be another one than that of the logarithms
+        brightest = _with_brightest(few, data)
+        goal = alone(brightest, asked.metric)
+        costs = [goal.residual(apparent(problem.model(v), brightest, quick=True)) ** 2 for v in starts]
+        by_metric = [(float(cost.sum()), v) for cost, v in zip(costs, starts, strict=True)]
+        begin.append(_coarse(problem, brightest, goal, by_metric)[0][0])
+    found = min((approach(problem, data, vector, say) for vector in begin), key=lambda f: f[1])
+    if inside := _inside(problem, found[0], starts):
+        goal = replace(alone(few, asked.metric), loss=asked.loss)
+        short = [refine(problem, few, goal, vector, quick=True, limit=SHORT) for vector in inside]
+        again = approach(problem, data, min(short, key=lambda f: f[1])[0], say)
+        found = min(found, again, key=lambda f: f[1])
+    return found[0]
+
+
+def _starts(problem: Problem, data: Observations) -> list[Floats]:
+    """The coarse grid; over n and k, too, where nothing is known of them."""
+    known = {n: v for n, v in problem.family.fixed.items() if n in problem.free and v}
     starts = problem.family.starts(parameters.levels(data))
     if "k" in problem.free and not known:
         shapes = {tuple((n, x) for n, x in start.items() if n != "ior"): None for start in starts}
         starts = [{**dict(shape), "ior": n, "k": k} for shape in shapes for n, k in parameters.INDICES]
-    pace = Pace("fitting: starts tried", len(starts), say)
-    for k, start in enumerate(starts):
-        pace.step(k)
-        vector = problem.vector({"k": 1.0, **start, **known})
-        residual = soft.residual(apparent(problem.model(vector), few, quick=True))
-        # large residuals count by their logarithm: a lobe in the right place must win over one that is merely low
-        candidates.append((float(np.log1p(np.minimum(residual**2, 1e12)).sum()), vector))
-    candidates.sort(key=lambda c: c[0])
-    coarse = [refine(problem, few, soft, vector, quick=True, limit=25) for _, vector in candidates[:searches]]
-    coarse.sort(key=lambda c: c[1])
-    others = [c for c in coarse[1:] if np.abs(c[0] - coarse[0][0]).max() > 0.05]
-    chosen = [coarse[0], *others[: max(searches // 4, 1)]]
-    begin = [vector for vector, _ in chosen]
-    if metric in HIGHEST:  # its valley may be another one than that of the logarithms
-        brightest = _with_brightest(few, data)
-        goal = alone(brightest, metric)
-        by_metric = [
-            (float((goal.residual(apparent(problem.model(v), brightest, quick=True)) ** 2).sum()), v)
-            for _, v in candidates
-        ]
-        by_metric.sort(key=lambda c: c[0])
-        near = [refine(problem, brightest, goal, v, quick=True, limit=25) for _, v in by_metric[:searches]]
-        begin += [min(near, key=lambda c: c[1])[0]]
-    found = min((approach(problem, data, vector, loss, metric, say) for vector in begin), key=lambda f: f[1])
-    if inside := _inside(problem, found[0], [vector for _, vector in candidates]):
-        goal = replace(alone(few, metric), loss=loss)
-        short = [refine(problem, few, goal, vector, quick=True, limit=SHORT) for vector in inside]
-        again = approach(problem, data, min(short, key=lambda f: f[1])[0], loss, metric, say)
-        found = min(found, again, key=lambda f: f[1])
-    return found[0]
+    return [problem.vector({"k": 1.0, **start, **known}) for start in starts]
+
+
+def _coarse(
+    problem: Problem, data: Observations, goal: Objective, starts: Sequence[tuple[float, Floats]]
+) -> list[tuple[Floats, float]]:
+    """Short searches from the starts that cost least, the best one first."""
+    nearest = sorted(starts, key=lambda c: c[0])[: problem.asked.searches]
+    return sorted((refine(problem, data, goal, v, quick=True, limit=25) for _, v in nearest), key=lambda f: f[1])
 
 
 def _inside(problem: Problem, found: Floats, starts: Sequence[Floats]) -> list[Floats]:
@@ -136,19 +131,12 @@ def _inside(problem: Problem, found: Floats, starts: Sequence[Floats]) -> list[F
 def _with_brightest(few: Observations, data: Observations) -> Observations:
     """A few values, and as many of the highest ones, which govern some metrics."""
     highest = np.sort(np.argsort(data.brdf)[-GRID_POINTS:])
-    rows = np.union1d(np.flatnonzero(np.isin(data.rows, few.rows)), highest)
-    return data.take(rows)
+    return data.take(np.union1d(np.flatnonzero(np.isin(data.rows, few.rows)), highest))
 
 
-def approach(
-    problem: Problem,
-    data: Observations,
-    start: Floats,
-    loss: str = "linear",
-    metric: str | None = None,
-    say: Say = silent,
-) -> tuple[Floats, float]:
+def approach(problem: Problem, data: Observations, start: Floats, say: Say = silent) -> tuple[Floats, float]:
     """As `refine`, with the quick forward model and the independent part of the covariance; first on `MOST` values."""
+    metric, loss = problem.asked.metric, problem.asked.loss
     if len(data) > MOST:
         few = data.take(np.sort(np.random.default_rng(0).choice(len(data), MOST, replace=False)))
         few = _with_brightest(few, data) if metric in HIGHEST else few
@@ -165,47 +153,82 @@ def refine(
     quick: bool = False,
     limit: int = 60,
     say: Say = silent,
+    free: Rows | None = None,
+    ratio: Floats | None = None,
 ) -> tuple[Floats, float]:
     """Trust-region least squares from one start; the point and half its sum of squares.
 
     Derivatives are one-sided ones of the quick forward model, scaled to the full one; `settle` takes the last step with
     those of the full one. Averages over the cones are taken as was found good at the start.
-    """
-    from scipy.optimize import least_squares
 
+    With `ratio` (n,) the model is the quick one times that, and found to 1e-6; `free` parameters alone move then.
+    """
     lower, upper = problem.bounds
-    margin = 1e-9 * (upper - lower)
     latest = np.empty(len(data))
     pace, steps = Pace("fitting: trial points", limit, say, at_most=True), count()
     rules = None if quick else averaging(problem.model(start), data)
     quick = quick or pointlike(data)
+    moving = np.arange(start.size) if free is None else free
+    scale = np.ones(1) if ratio is None else ratio
 
-    def residual(x: Floats) -> Floats:
+    def whole(part: Floats) -> Floats:
+        x = start.copy()
+        x[moving] = part
+        return x
+
+    def residual(part: Floats) -> Floats:
         pace.step(next(steps))
+        x = whole(part)
         latest[:] = apparent(problem.model(x), data, quick=quick, rules=rules)
-        return np.concatenate([goal.residual(latest), problem.pulls(x)])
+        return np.concatenate([goal.residual(latest * scale), problem.pulls(x)])
 
-    def jacobian(x: Floats) -> Floats:
+    def jacobian(part: Floats) -> Floats:
+        x = whole(part)
         near = latest if quick else apparent(problem.model(x), data, quick=True)
-        columns = one_sided(problem, data, x, near)
-        if not quick:
-            with np.errstate(divide="ignore", invalid="ignore"):
-                columns = columns * np.nan_to_num(np.clip(latest / near, 0.2, 5.0), nan=1.0)[:, None]
-        return np.concatenate([goal.jacobian(latest, columns), problem.pull_slopes(x)])
+        columns = derivatives(problem, data, x, here=near, only=free)
+        if ratio is not None or not quick:
+            columns = columns * (to_full(latest, near) if ratio is None else ratio)[:, None]
+        return np.concatenate([goal.jacobian(latest * scale, columns), problem.pull_slopes(x)[:, moving]])
 
-    result = least_squares(
+    accuracy = (1e-9, 1e-10 if quick else 1e-8, 1e-12) if ratio is None else (1e-6, 1e-6, 1e-10)
+    bounds = (lower[moving], upper[moving])
+    found = least(residual, jacobian, start[moving], bounds, accuracy, limit=limit, loss=goal.loss)
+    return whole(found.x), float(found.cost)
+
+
+def least(
+    residual: Callable[[Floats], Floats],
+    jacobian: Callable[[Floats], Floats],
+    start: Floats,
+    bounds: tuple[Floats, Floats],
+    accuracy: tuple[float, float, float],
+    *,
+    limit: int,
+    loss: str = "linear",
+) -> Any:
+    """`scipy.optimize.least_squares` from a start that is brought inside the bounds; `accuracy` is xtol, ftol, gtol."""
+    from scipy.optimize import least_squares
+
+    lower, upper = bounds
+    margin = np.where(np.isfinite(upper - lower), 1e-9 * (upper - lower), 0.0)
+    return least_squares(
         residual,
         np.clip(start, lower + margin, upper - margin),
         jac=jacobian,
-        bounds=(lower, upper),
+        bounds=bounds,
         x_scale="jac",
-        loss=goal.loss,
-        xtol=1e-9,
-        ftol=1e-10 if quick else 1e-8,
-        gtol=1e-12,
+        loss=loss,
+        xtol=accuracy[0],
+        ftol=accuracy[1],
+        gtol=accuracy[2],
         max_nfev=limit,
     )
-    return np.asarray(result.x), float(result.cost)
+
+
+def to_full(full: Floats, quick: Floats) -> Floats:
+    """What derivatives of the quick model are multiplied by to be those of the full one: the ratio of the two."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.nan_to_num(np.clip(full / quick, 0.2, 5.0), nan=1.0)
 
 
 def settle(problem: Problem, data: Observations, goal: Objective, vector: Floats) -> tuple[Floats, Floats]:
@@ -213,7 +236,6 @@ def settle(problem: Problem, data: Observations, goal: Objective, vector: Floats
 
     A parameter that stays at a bound is put onto it.
     """
-    lower, upper = problem.bounds
     rules = averaging(problem.model(vector), data)
     predicted = apparent(problem.model(vector), data, rules=rules)
     residual = np.concatenate([goal.residual(predicted), problem.pulls(vector)])
@@ -221,18 +243,27 @@ def settle(problem: Problem, data: Observations, goal: Objective, vector: Floats
     jacobian = goal.jacobian(predicted, derivatives(problem, data, vector, rules=rules))
     jacobian = np.concatenate([jacobian, problem.pull_slopes(vector)]) * robust[:, None]
     residual = residual * robust
+    moved = last_step(vector, residual, jacobian, *problem.bounds)
+    after = goal.residual(apparent(problem.model(moved), data, rules=rules))
+    after = np.concatenate([after, problem.pulls(moved)]) * robust
+    # a bound that is put on exactly may cost the last digits of the sum
+    return (moved, jacobian) if after @ after <= (residual @ residual) * (1 + 1e-9) else (vector, jacobian)
+
+
+def last_step(vector: Floats, residual: Floats, jacobian: Floats, lower: Floats, upper: Floats) -> Floats:
+    """Where the Gauss-Newton step of the parameters that stand at no bound ends; one that comes to a bound stays on it.
+
+    Parameters with infinite bounds may go any way.
+    """
     margin = 1e-6 * np.minimum(upper - lower, 1.0)
     inside = (vector > lower + margin) & (vector < upper - margin)
     step = np.zeros(vector.size)
     if inside.any():
         size = np.maximum(np.linalg.norm(jacobian[:, inside], axis=0), 1e-300)
         step[inside] = np.linalg.lstsq(jacobian[:, inside] / size, -residual, rcond=1e-10)[0] / size
-    moved = np.clip(vector + np.clip(step, -0.1, 0.1), lower, upper)
-    moved = np.where(moved <= lower + margin, lower, np.where(moved >= upper - margin, upper, moved))
-    after = goal.residual(apparent(problem.model(moved), data, rules=rules))
-    after = np.concatenate([after, problem.pulls(moved)]) * robust
-    # a bound that is put on exactly may cost the last digits of the sum
-    return (moved, jacobian) if after @ after <= (residual @ residual) * (1 + 1e-9) else (vector, jacobian)
+    longest = np.where(np.isfinite(upper - lower), LONGEST, np.inf)
+    moved = np.clip(vector + np.clip(step, -longest, longest), lower, upper)
+    return np.where(moved <= lower + margin, lower, np.where(moved >= upper - margin, upper, moved))
 
 
 def derivatives(
@@ -243,10 +274,12 @@ def derivatives(
     quick: bool = False,
     rules: list[Rules | None] | None = None,
     only: Iterable[int] | None = None,
+    here: Floats | None = None,
 ) -> Floats:
     """d(model)/d(search scale), (n, p); `only` names the columns, `quick` and `rules` are those of `apparent`.
 
-    Exact for the level of a Lambertian part, else by central differences (one-sided at a bound).
+    Exact for the level of a Lambertian part, else by central differences (one-sided at a bound). From the values `here`
+    of the quick model they are one-sided ones of that, by one more evaluation a parameter.
     """
     lower, upper = problem.bounds
     known = problem.known_slopes(vector)
@@ -256,36 +289,17 @@ def derivatives(
         columns[k] = known[problem.free[k]]
     for together in problem.moved_together(k for k in asked if problem.free[k] not in known):
         up, down = vector.copy(), vector.copy()
-        up[together] = np.minimum(vector[together] + STEP, upper[together])
-        down[together] = np.maximum(vector[together] - STEP, lower[together])
-        high, low = (apparent(problem.model(x), data, quick=quick, rules=rules) for x in (up, down))
-        for k in together:
-            columns[k] = _own(problem, data, k, (high - low) / (up[k] - down[k]))
-    return columns[asked].T
-
-
-def _own(problem: Problem, data: Observations, k: int, column: Floats) -> Floats:
-    """A derivative where the parameter counts: at its own wavelength, or everywhere."""
-    wave = problem.own_wavelength(k)
-    return column if wave is None else np.where(data.wavelength_nm == wave, column, 0.0)
-
-
-def one_sided(
-    problem: Problem, data: Observations, vector: Floats, here: Floats, *, only: Iterable[int] | None = None
-) -> Floats:
-    """As `derivatives` of the quick model, from its values `here` and one more evaluation a parameter."""
-    _, upper = problem.bounds
-    known = problem.known_slopes(vector)
-    columns = np.empty((vector.size, len(data)))
-    asked = list(range(vector.size) if only is None else only)
-    for k in (k for k in asked if problem.free[k] in known):
-        columns[k] = known[problem.free[k]]
-    for together in problem.moved_together(k for k in asked if problem.free[k] not in known):
-        moved = vector.copy()
-        moved[together] += np.where(vector[together] + SMALL_STEP <= upper[together], SMALL_STEP, -SMALL_STEP)
-        rise = apparent(problem.model(moved), data, quick=True) - here
-        for k in together:
-            columns[k] = _own(problem, data, k, rise / (moved[k] - vector[k]))
+        if here is None:
+            up[together] = np.minimum(vector[together] + STEP, upper[together])
+            down[together] = np.maximum(vector[together] - STEP, lower[together])
+            high, low = (apparent(problem.model(x), data, quick=quick, rules=rules) for x in (up, down))
+            rise = high - low
+        else:
+            up[together] += np.where(vector[together] + SMALL_STEP <= upper[together], SMALL_STEP, -SMALL_STEP)
+            rise = apparent(problem.model(up), data, quick=True) - here
+        for k in together:  # a parameter of one wavelength changes the values at that alone
+            wave, column = problem.own_wavelength(k), rise / (up[k] - down[k])
+            columns[k] = column if wave is None else np.where(data.wavelength_nm == wave, column, 0.0)
     return columns[asked].T
 
 

@@ -3,26 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
+from gonio.checks.values import Rows
 from gonio.typing import Floats
 from gonio_analysis.fitting.fit import FitResult
 from gonio_analysis.fitting.forward import apparent, averaging, pointlike
 from gonio_analysis.fitting.objective import Objective, alone, scaled_to, with_misfit
 from gonio_analysis.fitting.observations import Observations
 from gonio_analysis.fitting.problem import Problem
-from gonio_analysis.fitting.search import derivatives, one_sided
+from gonio_analysis.fitting.search import derivatives, last_step, least, to_full
 from gonio_analysis.fitting.value_covariance import independent
 
 if TYPE_CHECKING:
     from gonio.instrument import Rules
 
 TRIALS = 60
-Rows = npt.NDArray[np.intp]
 Evaluated = tuple[Floats, Floats]
 """Residuals (m,) and their derivatives (m, p)."""
 
@@ -60,10 +60,9 @@ class _Block:
             columns = derivatives(self.problem, self.data, x, rules=self.rules)
         else:
             near = predicted if quick else apparent(self.problem.model(x), self.data, quick=True)
-            columns = one_sided(self.problem, self.data, x, near)
+            columns = derivatives(self.problem, self.data, x, here=near)
             if not quick:
-                with np.errstate(divide="ignore", invalid="ignore"):
-                    columns = columns * np.nan_to_num(np.clip(predicted / near, 0.2, 5.0), nan=1.0)[:, None]
+                columns = columns * to_full(predicted, near)[:, None]
         residual = self.goal.residual(predicted) + self.common @ causes
         rows = np.column_stack([self.goal.jacobian(predicted, columns), self.common, residual])
         if rows.shape[0] > rows.shape[1]:
@@ -90,19 +89,14 @@ class _Task:
         self._shared = [k for k, n in enumerate(free) if n in common]
         self._own = [k for k, n in enumerate(free) if n not in common]
         self.blocks: list[_Block] = []
-        asked = problem.asked
-        assert asked is not None
         for number, (wave, data) in enumerate(taken.items()):
             index = np.zeros(len(free), dtype=np.intp)
             index[self._shared] = np.arange(len(self._shared))
             index[self._own] = len(self._shared) + number * len(self._own) + np.arange(len(self._own))
-            none = np.zeros((len(data), 0))
-            goal = alone(data, asked.metric)
-            if taus is not None:
-                goal = with_misfit(data, taus[number], data.brdf)
-                assert goal.weights is not None
+            goal = alone(data, problem.asked.metric) if taus is None else with_misfit(data, taus[number], data.brdf)
+            if goal.weights is not None:
                 goal = replace(goal, weights=independent(goal.weights.random))
-            self.blocks.append(_Block(wave, problem, data, goal, index, none))
+            self.blocks.append(_Block(wave, problem, data, goal, index, np.zeros((len(data), 0))))
         self._size = len(self._shared) + len(self._own) * len(self.blocks)
         lower, upper = problem.bounds
         self._lower, self._upper = np.empty(self._size), np.empty(self._size)
@@ -118,8 +112,7 @@ class _Task:
 
     def through_cones(self, vector: Floats) -> _Task:
         """The same with averages over the cones, and with the common causes, scaled to the model at `vector`."""
-        out = _Task.__new__(_Task)
-        out.__dict__.update(self.__dict__)
+        out = copy(self)
         names = list(dict.fromkeys(c for b in self.blocks for c in _causes(b.data) if b.goal.weights is not None))
         out._causes = len(names)
         out.blocks = []
@@ -131,22 +124,19 @@ class _Task:
                 assert goal.weights is not None
                 columns = [names.index(c) for c in goal.weights.causes]
                 common[:, columns] = goal.weights.common / goal.weights.random[:, None]
-            rules = averaging(b.problem.model(x), b.data)
-            out.blocks.append(replace(b, common=common, rules=rules))
+            out.blocks.append(replace(b, common=common, rules=averaging(b.problem.model(x), b.data)))
         return out
 
     def begin(self, start: FitResult) -> tuple[Floats, float]:
         """Every wavelength's own parameters with the geometry of a fit, from its wavelength outward; and the sum."""
-        near = dict.fromkeys((b.wavelength_nm for b in self.blocks), start.vector)
+        done: dict[float, Floats] = {}
         out, total = np.empty(self._size), 0.0
-        order = sorted(self.blocks, key=lambda b: abs(b.wavelength_nm - start.wavelength_nm))
-        done: list[float] = []
-        for b in order:
-            x = near[min(done, key=lambda w: abs(w - b.wavelength_nm))].copy() if done else start.vector.copy()
+        for b in sorted(self.blocks, key=lambda b: abs(b.wavelength_nm - start.wavelength_nm)):
+            nearest = min(done, key=lambda w: abs(w - b.wavelength_nm), default=None)
+            x = (start.vector if nearest is None else done[nearest]).copy()
             if self._own:
                 x[self._own] = self._own_only(b, x)
-            near[b.wavelength_nm] = x
-            done.append(b.wavelength_nm)
+            done[b.wavelength_nm] = x
             residual = b.goal.residual(b.predicted(x, quick=True))
             total += float(residual @ residual)
             out[b.index] = x
@@ -173,16 +163,18 @@ class _Task:
             count += 1
             return self._evaluate(x, quick=quick)
 
-        open_ends = np.full(self._causes, np.inf)
-        lower, upper = np.append(self._lower, -open_ends), np.append(self._upper, open_ends)
-        start = np.append(vector, np.zeros(self._causes))
-        found = _least(evaluate, start, lower, upper, limit=TRIALS)
-        self._found = found
-        return found[: self._size]
+        self._found = _least(evaluate, np.append(vector, np.zeros(self._causes)), *self._bounds, limit=TRIALS)
+        return self._found[: self._size]
+
+    @property
+    def _bounds(self) -> tuple[Floats, Floats]:
+        """Of all parameters, and of the causes, which may be anything."""
+        anything = np.full(self._causes, np.inf)
+        return np.append(self._lower, -anything), np.append(self._upper, anything)
 
     def _evaluate(self, x: Floats, *, quick: bool, full: bool = False) -> Evaluated:
         values, causes = x[: self._size], x[self._size :]
-        residuals, jacobians = [], []
+        residuals, jacobians = list[Floats](), list[Floats]()
         at_causes = np.arange(self._size, x.size)
         for number, b in enumerate(self.blocks):
             f, j = b.evaluate(values[b.index], causes, quick=quick, full=full)
@@ -200,10 +192,7 @@ class _Task:
 
     def _pulls(self, b: _Block, x: Floats, *, first: bool) -> Evaluated:
         """Priors: those of shared parameters count once."""
-        names = list(b.problem.priors)
-        if not names:
-            return np.zeros(0), np.zeros((0, x.size))
-        kept = [k for k, n in enumerate(names) if first or not b.problem.parameter(n).geometry]
+        kept = [k for k, n in enumerate(b.problem.priors) if first or not b.problem.parameter(n).geometry]
         return b.problem.pulls(x)[kept], b.problem.pull_slopes(x)[kept]
 
     def settle(self, vector: Floats) -> tuple[Floats, Floats, float]:
@@ -211,17 +200,7 @@ class _Task:
         quick = self.simple and self._causes == 0
         here = np.append(vector, self._found[self._size :])
         residual, jacobian = self._evaluate(here, quick=quick, full=True)
-        margin = np.append(1e-6 * np.minimum(self._upper - self._lower, 1.0), np.zeros(self._causes))
-        low = np.append(self._lower, np.full(self._causes, -np.inf))
-        high = np.append(self._upper, np.full(self._causes, np.inf))
-        inside = (here > low + margin) & (here < high - margin)
-        step = np.zeros(here.size)
-        if inside.any():
-            size = np.maximum(np.linalg.norm(jacobian[:, inside], axis=0), 1e-300)
-            step[inside] = np.linalg.lstsq(jacobian[:, inside] / size, -residual, rcond=1e-10)[0] / size
-        step[: self._size] = np.clip(step[: self._size], -0.1, 0.1)
-        moved = np.clip(here + step, low, high)
-        moved = np.where(moved <= low + margin, low, np.where(moved >= high - margin, high, moved))
+        moved = last_step(here, residual, jacobian, *self._bounds)
         before, after = self._total(here), self._total(moved)
         best, total = (moved, after) if after <= before * (1 + 1e-9) else (here, before)
         return best[: self._size], jacobian, total
@@ -244,8 +223,6 @@ def _least(
     evaluate: Callable[[Floats], Evaluated], start: Floats, lower: Floats, upper: Floats, *, limit: int
 ) -> Floats:
     """Trust-region least squares; residuals and derivatives come together, for both are turned alike."""
-    from scipy.optimize import least_squares
-
     known: dict[bytes, Evaluated] = {}
 
     def at(x: Floats) -> Evaluated:
@@ -256,16 +233,6 @@ def _least(
             known[key] = evaluate(x)
         return known[key]
 
-    margin = np.where(np.isfinite(upper - lower), 1e-9 * (upper - lower), 0.0)
-    found = least_squares(
-        lambda x: at(x)[0],
-        np.clip(start, lower + margin, upper - margin),
-        jac=lambda x: at(x)[1],
-        bounds=(lower, upper),
-        x_scale="jac",
-        xtol=1e-8,
-        ftol=1e-8,
-        gtol=1e-12,
-        max_nfev=limit,
-    )
+    accuracy = (1e-8, 1e-8, 1e-12)
+    found = least(lambda x: at(x)[0], lambda x: at(x)[1], start, (lower, upper), accuracy, limit=limit)
     return np.asarray(found.x)

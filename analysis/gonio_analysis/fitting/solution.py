@@ -17,12 +17,12 @@ from gonio.models import Corrected
 from gonio.models.corrected import folded
 from gonio.models.declaration import OPTICAL
 from gonio.typing import Floats
-from gonio_analysis.fitting.forward import NO_WAVELENGTH_NM, ByWavelength, apparent
+from gonio_analysis.fitting.forward import ByWavelength, apparent, known_wavelength
 from gonio_analysis.fitting.misfit import Misfit, highest_tau
 from gonio_analysis.fitting.objective import Objective, on_log_scale, smallest
 from gonio_analysis.fitting.observations import Observations
 from gonio_analysis.fitting.problem import Problem
-from gonio_analysis.fitting.search import STEP, one_sided
+from gonio_analysis.fitting.search import STEP, derivatives
 from gonio_analysis.fitting.value_covariance import Covariance
 from gonio_analysis.result_records import MisfitSummary, SharedGeometry, as_json
 
@@ -110,11 +110,8 @@ class Solution:
     @property
     def reduced_chi_square(self) -> float | None:
         """Chi-square a degree of freedom; None without uncertainties, or with no more values than parameters."""
-        return (
-            None
-            if self.chi_square is None or self.degrees_of_freedom < 1
-            else self.chi_square / self.degrees_of_freedom
-        )
+        freedom = self.degrees_of_freedom
+        return None if self.chi_square is None or freedom < 1 else self.chi_square / freedom
 
     @cached_property
     def p_value(self) -> float | None:
@@ -132,7 +129,6 @@ class Solution:
         if known is not None:
             return MisfitSummary(known.tau, known.tau * known.u_log, known.interval)
         data, asked = self.data, self.problem.asked
-        assert asked is not None
         own_way = asked.metric is not None or asked.loss != "linear"
         if data.covariance is None or own_way or self.rejected or self.problem.each:
             return None
@@ -171,7 +167,7 @@ class Solution:
         """
         if isinstance(self.model, ByWavelength):
             raise ArgumentError("predict: of several wavelengths that are fitted together, fit one at a time")
-        wave = NO_WAVELENGTH_NM if math.isnan(self.wavelength_nm) else self.wavelength_nm
+        wave = known_wavelength(self.wavelength_nm)
         model = np.asarray(self.model.brdf(*at.angles, wavelength_nm=wave))
         own = np.linalg.norm(self._parameter_root(at, wave), axis=1)
         if self.misfit is None:
@@ -198,15 +194,11 @@ class Solution:
 
     def _parameter_root(self, at: Directions, wave: float) -> Floats:
         """root @ root.T is the covariance of the model's values (n, p) [1/sr] from its parameters."""
-        lower, upper = self.problem.bounds
-        columns = []
-        for k in range(self.vector.size):
-            ends = [self.vector.copy(), self.vector.copy()]
-            for end, sign in zip(ends, (1.0, -1.0), strict=True):
-                end[k] = np.clip(end[k] + sign * STEP, lower[k], upper[k])
-            high, low = (self.problem.model(end).brdf(*at.angles, wavelength_nm=wave) for end in ends)
-            columns.append((high - low) / (ends[0][k] - ends[1][k]))
-        slopes = np.array(columns)
+
+        def values(vector: Floats) -> Floats:
+            return np.asarray(self.problem.model(vector).brdf(*at.angles, wavelength_nm=wave))
+
+        slopes = self.problem.slopes(values, self.vector, STEP)
         felt = np.abs(slopes).max(axis=1) > 0  # a parameter that the values do not feel may be without an uncertainty
         sizes, axes = np.linalg.eigh(self.bounded_spread[np.ix_(felt, felt)])
         return np.asarray(slopes[felt].T @ (axes * np.sqrt(np.maximum(sizes, 0.0))))
@@ -341,36 +333,31 @@ def residuals_on_log_scale(
     predicted, near = (apparent(problem.model(vector), data, quick=quick) for quick in (False, True))
     lower, upper = problem.bounds
     inside = np.flatnonzero((vector > lower) & (vector < upper))
-    columns = plain.jacobian(near, one_sided(problem, data, vector, near, only=inside))
+    columns = plain.jacobian(near, derivatives(problem, data, vector, here=near, only=inside))
     return plain.residual(predicted), columns, on_log_scale(data, plain.small, predicted)
 
 
 def estimates(problem: Problem, vector: Floats, spread: Floats, wavelength_nm: float) -> dict[str, Estimate]:
     """Every parameter at a point of the search scale, with its standard error from `spread` there."""
+    values, slope, error = problem.values(vector), problem.slope(vector), np.sqrt(np.diag(spread))
+    lower, upper = problem.bounds
+    close = 1e-2 * np.minimum(error, 1.0) + 1e-7
+    moved: dict[str, tuple[float | None, str]] = {}
+    for k, n in enumerate(problem.free):
+        at_bound = "lower" if vector[k] - lower[k] <= close[k] else "upper" if upper[k] - vector[k] <= close[k] else ""
+        moved[n] = (None if error[k] > upper[k] - lower[k] else float(error[k] * slope[k])), at_bound
     index = None
     if isinstance(problem.ior, str) and math.isfinite(wavelength_nm):
         index = complex(materials.ior(problem.ior)(wavelength_nm))
-    values, slope = problem.values(vector), problem.slope(vector)
-    u = dict(zip(problem.free, np.sqrt(np.diag(spread)) * slope, strict=True))
-    lower, upper = problem.bounds
-    wide = {n for n, e, span in zip(problem.free, np.sqrt(np.diag(spread)), upper - lower, strict=True) if e > span}
-    close = 1e-2 * np.minimum(np.sqrt(np.diag(spread)), 1.0) + 1e-7
-    edge = {
-        n: "lower" if x - low <= c else "upper" if high - x <= c else ""
-        for n, x, low, high, c in zip(problem.free, vector, lower, upper, close, strict=True)
-    }
     out = {}
     for name, p in problem.family.parameters.items():
         found = [n for n in values if n.partition("@")[0] == name]
         for n in found:
-            error: float | None = float(u[n]) if n in u else 0.0
-            if n in wide:
-                error = None
-            out[n] = Estimate(values[n], error, n not in u, p.unit, edge.get(n, ""))
-        if found:
-            continue
-        if isinstance(problem.ior, str) and index is not None and name in OPTICAL:
-            out[name] = Estimate(index.real if name == "ior" else index.imag, 0.0, True, p.unit, material=problem.ior)
+            u, at_bound = moved.get(n, (0.0, ""))
+            out[n] = Estimate(values[n], u, n not in moved, p.unit, at_bound)
+        if not found and index is not None and name in OPTICAL:
+            value = index.real if name == "ior" else index.imag
+            out[name] = Estimate(value, 0.0, True, p.unit, material=str(problem.ior))
     return out
 
 

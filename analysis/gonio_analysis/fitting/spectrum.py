@@ -14,7 +14,8 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -23,14 +24,14 @@ import numpy as np
 from gonio.cli.pace import Pace, Say, silent
 from gonio.errors import DataError
 from gonio.typing import Floats
-from gonio_analysis.fitting.fit import FitResult, fit, known_by_blocks, remarks
+from gonio_analysis.fitting.fit import FitResult, at_solution, fit, known_by_blocks, remarks
 from gonio_analysis.fitting.forward import apparent
 from gonio_analysis.fitting.misfit import estimated_tau
 from gonio_analysis.fitting.observations import Observations, observations
 from gonio_analysis.fitting.problem import FitRequest, Problem, pose
 from gonio_analysis.fitting.search import covariance
-from gonio_analysis.fitting.shared_geometry import TRIALS, _Block, _Task
-from gonio_analysis.fitting.solution import ROUNDING, SIGNIFICANCE, derived, estimates, residuals_on_log_scale
+from gonio_analysis.fitting.shared_geometry import TRIALS, _Task
+from gonio_analysis.fitting.solution import ROUNDING, SIGNIFICANCE, residuals_on_log_scale
 from gonio_analysis.result_records import SharedGeometry
 
 if TYPE_CHECKING:
@@ -103,46 +104,26 @@ def fit_shared(
         One a wavelength that has more values than it has parameters of its own. `shared` says what was fitted together.
     """
     began = time.perf_counter()
-    asked = first.problem.asked
-    assert asked is not None
-    asked = replace(asked, start=None, wavelength_nm=None)
     problem = first.problem
     common = geometry(problem)
-    own = tuple(n for n in problem.free if n not in common)
+    own = len(problem.free) - len(common)
     whole = {w: data.at(w) for w in _picked(data, first.wavelength_nm)}
-    whole = {w: one for w, one in whole.items() if len(one) > len(own) + 1}
+    whole = {w: one for w, one in whole.items() if len(one) > own + 1}
     if len(whole) < 2:
         return [first]
     every = -(-sum(len(one) for one in whole.values()) // MOST_VALUES)
     taken = {w: one.take(np.arange(0, len(one), every)) if every > 1 else one for w, one in whole.items()}
     task = _Task(problem, common, taken)
-    starts: list[FitResult | None] = [first]
-    if problem.family.needs_wavelength:  # one wavelength alone may prefer a valley that the others refute
-        starts += [_alone(taken[w], asked, name) for w in (min(taken), max(taken)) if w != first.wavelength_nm]
-    pace = Pace(
-        f"{name}: {label or first.name}, {len(whole)} wavelengths together, trial points", TRIALS, say, at_most=True
-    )
-    vector = min((task.begin(s) for s in starts if s is not None), key=lambda found: found[1])[0]
-    vector = task.solve(vector, quick=True, step=pace.step)
-    if not task.simple:
-        task = task.through_cones(vector)
-        vector = task.solve(vector, quick=False, step=pace.step)
+    words = f"{name}: {label or first.name}, {len(whole)} wavelengths together, trial points"
+    pace = Pace(words, TRIALS, say, at_most=True)
+    begun = (task.begin(s) for s in [first, *_elsewhere(first, taken, name)])
+    task, vector = _solved(task, min(begun, key=lambda found: found[1])[0], pace.step)
     vector, jacobian, total = task.settle(vector)
+    shared, whitened = _facts(task, list(taken), common, total)
     spread, condition = covariance(jacobian)
-    values = sum(len(one) for one in taken.values())
-    free = len(common) + len(own) * len(taken)
-    whitened = task.blocks[0].goal.whitened
     if not whitened:
-        spread = spread * max(total / max(values - free, 1), ROUNDING)
-    shared = SharedGeometry(
-        wavelengths_nm=list(taken),
-        parameters=list(common),
-        n_points=values,
-        n_free=free,
-        chi_square=total if whitened else None,
-        reduced_chi_square=total / (values - free) if whitened and values > free else None,
-    )
-    nearest = asked.metric is None and (not whitened or _rejected(shared))
+        spread = spread * max(total / max(shared.n_points - shared.n_free, 1), ROUNDING)
+    nearest = problem.asked.metric is None and (not whitened or _rejected(shared))
     known: dict[float, float] = {}
     if nearest and whitened:
         for block in task.blocks:
@@ -151,12 +132,51 @@ def fit_shared(
         task, vector = _nearest(first, common, taken, pace.step)
         vector, jacobian, _ = task.settle(vector)
         spread, condition = covariance(jacobian)
-    wall = time.perf_counter() - began
-    fits = [
-        _slice(first, block, whole[block.wavelength_nm], vector, spread, condition, shared, wall, known)
-        for block in task.blocks
-    ]
+    fits = []
+    for block in task.blocks:
+        x, of_one = vector[block.index], whole[block.wavelength_nm]
+        goal = block.scaled(of_one, apparent(problem.model(x), of_one, quick=True))
+        found = at_solution(problem, of_one, goal, x, block.wavelength_nm)
+        found = replace(found, condition=condition, shared=shared, wall_s=time.perf_counter() - began)
+        if goal.whitened:  # by the stated uncertainties, where the block has a misfit
+            found = replace(found, chi_square=known.get(block.wavelength_nm, found.chi_square))
+        fits.append(found.known_to(spread[np.ix_(block.index, block.index)]))
     return [_told(first, result) for result in (_known_by_blocks(fits) if nearest else fits)]
+
+
+def _elsewhere(first: FitResult, taken: Mapping[float, Observations], name: str) -> list[FitResult]:
+    """Fits of other wavelengths alone to begin at: one wavelength may prefer a valley that the others refute."""
+    asked, out = replace(first.problem.asked, wavelength_nm=None), []
+    for wave in (min(taken), max(taken)) if first.problem.family.needs_wavelength else ():
+        if wave != first.wavelength_nm:
+            with suppress(DataError):  # too few values at this wavelength alone
+                out.append(fit(taken[wave], asked, name=name))
+    return out
+
+
+def _solved(task: _Task, start: Floats, step: Callable[[int], None]) -> tuple[_Task, Floats]:
+    """The best point, by the quick model and then through the cones and with common causes; and the task it is of."""
+    vector = task.solve(start, quick=True, step=step)
+    if task.simple:
+        return task, vector
+    task = task.through_cones(vector)
+    return task, task.solve(vector, quick=False, step=step)
+
+
+def _facts(task: _Task, waves: list[float], common: Sequence[str], total: float) -> tuple[SharedGeometry, bool]:
+    """What was fitted together, and whether the sum of squares `total` is a chi-square."""
+    values = sum(len(block.data) for block in task.blocks)
+    free = len(common) + (len(task.problem.free) - len(common)) * len(waves)
+    whitened = task.blocks[0].goal.whitened
+    shared = SharedGeometry(
+        wavelengths_nm=waves,
+        parameters=list(common),
+        n_points=values,
+        n_free=free,
+        chi_square=total if whitened else None,
+        reduced_chi_square=total / (values - free) if whitened and values > free else None,
+    )
+    return shared, whitened
 
 
 def _rejected(shared: SharedGeometry) -> bool:
@@ -177,12 +197,7 @@ def _nearest(
     taus = [
         estimated_tau(*residuals_on_log_scale(b.problem, taken[b.wavelength_nm], vector[b.index])) for b in task.blocks
     ]
-    task = _Task(first.problem, common, taken, taus)
-    vector = task.solve(vector, quick=True, step=step)
-    if not task.simple:
-        task = task.through_cones(vector)
-        vector = task.solve(vector, quick=False, step=step)
-    return task, vector
+    return _solved(_Task(first.problem, common, taken, taus), vector, step)
 
 
 def _known_by_blocks(fits: Sequence[FitResult]) -> list[FitResult]:
@@ -209,55 +224,6 @@ def _picked(data: Observations, keep: float) -> list[float]:
     return sorted(even | {keep})
 
 
-def _alone(data: Observations, asked: FitRequest, name: str) -> FitResult | None:
-    try:
-        return fit(data, asked, name=name)
-    except DataError:
-        return None  # too few values at this wavelength alone
-
-
-def _slice(
-    first: FitResult,
-    block: _Block,
-    data: Observations,
-    vector: Floats,
-    spread: Floats,
-    condition: float,
-    shared: SharedGeometry,
-    wall_s: float,
-    known: Mapping[float, float],
-) -> FitResult:
-    """The fit at one wavelength; `known` are chi-squares by the stated uncertainties, where `block` has a misfit."""
-    problem, x = block.problem, vector[block.index]
-    own = spread[np.ix_(block.index, block.index)]
-    model = problem.model(x)
-    goal = block.scaled(data, apparent(model, data, quick=True))
-    predicted = apparent(model, data)
-    white = goal.residual(predicted)
-    slope = problem.slope(x)
-    return FitResult(
-        name=first.name,
-        model=model,
-        parameters=estimates(problem, x, own, block.wavelength_nm),
-        free=problem.free,
-        covariance=own * np.outer(slope, slope),
-        derived=derived(problem, x, own),
-        data=data,
-        predicted=predicted,
-        whitened=white,
-        weighting=goal.words,
-        chi_square=known.get(block.wavelength_nm, float(white @ white)) if goal.whitened else None,
-        wavelength_nm=block.wavelength_nm,
-        condition=condition,
-        wall_s=wall_s,
-        problem=problem,
-        vector=x,
-        spread=own,
-        goal=goal,
-        shared=shared,
-    )
-
-
 def _told(first: FitResult, result: FitResult) -> FitResult:
     """A fit at one wavelength, with notes."""
     said = [_words(result), *result.problem.notes]
@@ -282,44 +248,32 @@ def _words(result: FitResult) -> str:
     over = "" if chi is None else f" Over all of them reduced chi-square is {chi:.4g}."
     return (
         f"{len(waves)} wavelengths from {waves[0]:g} to {waves[-1]:g} nm are fitted together:"
-        f" {_listed(shared.parameters)} {'is' if len(shared.parameters) == 1 else 'are'} the same at all,"
-        f" {_listed(own) or 'nothing'} at each its own; {result.wavelength_nm:g} nm is shown.{over}"
+        f" {', '.join(shared.parameters)} {'is' if len(shared.parameters) == 1 else 'are'} the same at all,"
+        f" {', '.join(own) or 'nothing'} at each its own; {result.wavelength_nm:g} nm is shown.{over}"
         " --separate fits each wavelength alone."
     )
 
 
 def _tension(first: FitResult, result: FitResult) -> list[str]:
     """Whether the values at one wavelength ask for another geometry than the shared one."""
-    shared = result.shared
-    assert shared is not None
-    n = len(result.data)
-    if result.misfit is not None or first.misfit is not None:
-        return _tension_of_misfits(first, result, shared.parameters)
-    alone_, here = (float(r.whitened @ r.whitened) for r in (first, result))
-    gain = here - alone_ if result.goal.whitened else n * math.log(max(here, 1e-300) / max(alone_, 1e-300))
-    if gain - 2 * len(shared.parameters) <= DISFAVOURED:
-        return []
+    assert result.shared is not None
+    here, own, names = result.misfit, first.misfit, result.shared.parameters
     apart = ", ".join(
-        f"{n} = {first.parameters[n].value:.3g} (shared: {result.parameters[n].value:.3g})" for n in shared.parameters
+        f"{n} = {first.parameters[n].value:.3g} (shared: {result.parameters[n].value:.3g})" for n in names
     )
+    said = f"{result.wavelength_nm:g} nm alone asks for another geometry: {apart} describes it better"
+    if here is not None or own is not None:  # of models that are not true: whether the misfit lies beyond its interval
+        if here is None or (own is not None and here.tau <= own.interval[1]):
+            return []
+        to = "" if own is None else f", to {100 * own.tau:.2g} % and not {100 * here.tau:.2g} %"
+        return [f"{said}{to}."]
+    of_one, of_all = (float(r.whitened @ r.whitened) for r in (first, result))
+    ratio = max(of_all, 1e-300) / max(of_one, 1e-300)
+    gain = of_all - of_one if result.goal.whitened else len(result.data) * math.log(ratio)
+    gain -= 2 * len(names)
+    if gain <= DISFAVOURED:
+        return []
     return [
-        f"{result.wavelength_nm:g} nm alone asks for another geometry: {apart} describes it better by"
-        f" {gain - 2 * len(shared.parameters):.3g} in AIC. Either the model is not right at every wavelength, or its"
-        " parameters are not the surface's."
+        f"{said} by {gain:.3g} in AIC. Either the model is not right at every wavelength, or its parameters are not the"
+        " surface's."
     ]
-
-
-def _tension_of_misfits(first: FitResult, result: FitResult, shared: Sequence[str]) -> list[str]:
-    """The same of models that are not true: whether the misfit is larger, beyond its interval."""
-    here, alone_ = result.misfit, first.misfit
-    if here is None or (alone_ is not None and here.tau <= alone_.interval[1]):
-        return []
-    to = "" if alone_ is None else f", to {100 * alone_.tau:.2g} % and not {100 * here.tau:.2g} %"
-    apart = ", ".join(
-        f"{n} = {first.parameters[n].value:.3g} (shared: {result.parameters[n].value:.3g})" for n in shared
-    )
-    return [f"{result.wavelength_nm:g} nm alone asks for another geometry: {apart} describes it better{to}."]
-
-
-def _listed(names: Iterable[str]) -> str:
-    return ", ".join(names)

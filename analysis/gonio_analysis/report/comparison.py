@@ -14,7 +14,6 @@ import numpy as np
 from gonio import shown
 from gonio.geometry import AT_MIRROR, IN_PLANE
 from gonio_analysis.appearance.quantities import of_table
-from gonio_analysis.fitting.budget import budget
 from gonio_analysis.fitting.fit import FitResult
 from gonio_analysis.fitting.metrics import BELOW, DESCRIPTIONS
 from gonio_analysis.fitting.observations import describe_left_out
@@ -119,7 +118,7 @@ def _dataset(d: Dataset, slug: str) -> DatasetSummary:
         brdf_min=float(d.data.brdf.min()),
         brdf_max=float(d.data.brdf.max()),
         median_u_rel=_median_u_rel(d) if known else None,
-        budget=budget(d.data) if stated else [],
+        budget=d.data.budget() if stated else [],
         curves_known=d.curves_known,
         scanned=d.curves[0].scanned if d.curves else None,
         out_of_plane_deg=math.degrees(max((c.out_of_plane for c in d.curves), default=0.0)),

@@ -297,8 +297,7 @@ def _starts(candidate: Candidate, fits: Mapping[Candidate, FitResult]) -> list[l
     terms = parameters.parts(candidate.model)
     if len(terms) == 1 or candidate.model == "lambert+he-torrance" or parameters.kind(terms[0]).hides_index:
         return [None]
-    base = "lambert+he-torrance" if terms[1] == "he-torrance" else terms[1]
-    simpler = fits.get(Candidate(base))
+    simpler = fits.get(Candidate("lambert+he-torrance" if terms[1] == "he-torrance" else terms[1]))
     if simpler is None:
         return [None]
     known = _values(simpler)

@@ -269,7 +269,6 @@ def examine(
     jobs = [partial(_drawn_model, j, data, known, name, separate, shown, normalise) for j in drawn]
     done = share(jobs, f"{name}: curves of models", progress)
     fitted = {j.candidate.label: one for j, one in zip(drawn, done, strict=True)}
-    skipped = {} if every else choice.left_out
     return Dataset(
         name,
         source,
@@ -280,7 +279,7 @@ def examine(
         shown,
         len(found),
         fitted,
-        skipped,
+        {} if every else choice.left_out,
         choice,
         run,
         energy.of_table(at),
@@ -363,7 +362,6 @@ def _over_wavelengths(
 ) -> tuple[FitResult, list[FitResult]]:
     """The fit at the wavelength of the report, and those at all: of one geometry, or each alone."""
     asked = judged.fit.problem.asked
-    assert asked is not None
     if shares(replace(asked, separate=separate), data) and not math.isnan(judged.fit.wavelength_nm):
         fits = fit_shared(data, judged.fit, name=name, label=judged.candidate.label, say=progress)
         own = next((f for f in fits if f.wavelength_nm == judged.fit.wavelength_nm), None)
@@ -382,7 +380,6 @@ def _series(
     """
     result = judged.fit
     request = result.problem.asked
-    assert request is not None
     waves = [w for w in known if not math.isnan(w)]
     if not 1 < len(waves) <= MOST_WAVELENGTHS:
         return []

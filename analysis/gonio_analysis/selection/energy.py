@@ -11,8 +11,7 @@ from gonio.checks import hemisphere
 from gonio.models.corrected import UNMEASURED, folded, reflected
 from gonio.typing import Floats
 from gonio_analysis.fitting.fit import FitResult
-from gonio_analysis.fitting.forward import NO_WAVELENGTH_NM, ByWavelength
-from gonio_analysis.fitting.incidences import angles
+from gonio_analysis.fitting.forward import ByWavelength, known_wavelength, rho_angles, rho_dh
 from gonio_analysis.fitting.observations import Observations
 from gonio_analysis.result_records import Reflectance
 
@@ -29,7 +28,7 @@ def too_much(found: Sequence[Reflectance]) -> bool:
 
 
 def of_model(result: FitResult) -> list[Reflectance]:
-    """rho_dh of a fitted model at `angles`, with its standard uncertainty.
+    """rho_dh of a fitted model at `rho_angles`, with its standard uncertainty.
 
     Of a model that is not rejected that is the fit's covariance. Of one with a misfit (docs/misfit.md) it is what the
     misfit adds up to over the hemisphere: what the residuals say of it, and what they leave open. The parameters count
@@ -38,29 +37,22 @@ def of_model(result: FitResult) -> list[Reflectance]:
     """
     if isinstance(result.model, ByWavelength):
         return []
-    theta = np.array(angles(result.data))
+    theta = np.array(rho_angles(result.data))
     phi = float(result.data.directions.phi_i[0])
-    wave = NO_WAVELENGTH_NM if math.isnan(result.wavelength_nm) else result.wavelength_nm
-    value = _rho(result.model, theta, phi, wave)
-    lower, upper = result.problem.bounds
-    slopes = []
-    for k in range(result.vector.size):
-        up, down = result.vector.copy(), result.vector.copy()
-        up[k], down[k] = min(up[k] + STEP, upper[k]), max(down[k] - STEP, lower[k])
-        high, low = (_rho(result.problem.model(x), theta, phi, wave) for x in (up, down))
-        slopes.append((high - low) / (up[k] - down[k]))
-    jacobian = np.array(slopes)
+    wave = known_wavelength(result.wavelength_nm)
+
+    def rho(vector: Floats) -> Floats:
+        return rho_dh(result.problem.model(vector), theta, phi, wave, TOLERANCE)
+
+    value = rho_dh(result.model, theta, phi, wave, TOLERANCE)
+    jacobian = result.problem.slopes(rho, result.vector, STEP)
     felt = np.abs(jacobian).max(axis=1) > 1e-9
     spread = (result.spread if result.misfit is None else result.bounded_spread)[np.ix_(felt, felt)]
-    variance = np.einsum("ki,kl,li->i", jacobian[felt], spread, jacobian[felt])
-    u = np.sqrt(np.maximum(variance, 0.0))
+    u = np.sqrt(np.maximum(np.einsum("ki,kl,li->i", jacobian[felt], spread, jacobian[felt]), 0.0))
+    found = [(t, float(r), float(e)) for t, r, e in zip(theta, value, u, strict=True)]
     if result.misfit is not None:
-        found = zip(theta, value, u, strict=True)
-        return [_with_misfit(result, t, phi, wave, float(r), float(e)) for t, r, e in found]
-    return [
-        Reflectance(math.degrees(t), float(r), float(e) if math.isfinite(e) else None, "")
-        for t, r, e in zip(theta, value, u, strict=True)
-    ]
+        return [_with_misfit(result, t, phi, wave, r, e) for t, r, e in found]
+    return [Reflectance(math.degrees(t), r, e if math.isfinite(e) else None, "") for t, r, e in found]
 
 
 def _with_misfit(
@@ -100,11 +92,12 @@ def combined(parts: Sequence[tuple[float, Sequence[Reflectance]]]) -> list[Refle
     list of Reflectance
         The weighted means. Their variances are those of the models and that among them. Empty where no model has any.
     """
+    weights, several = [w for w, found in parts if found], [found for _, found in parts if found]
     out = []
-    for ones in zip(*(found for _, found in parts if found), strict=True):
+    for ones in zip(*several, strict=True):
         known = [
-            (weight, r.with_misfit, r.u_with_misfit)
-            for (weight, _), r in zip([p for p in parts if p[1]], ones, strict=True)
+            (w, r.with_misfit, r.u_with_misfit)
+            for w, r in zip(weights, ones, strict=True)
             if r.with_misfit is not None and r.u_with_misfit is not None
         ]
         if known:
@@ -114,12 +107,6 @@ def combined(parts: Sequence[tuple[float, Sequence[Reflectance]]]) -> list[Refle
             spread = math.sqrt(float(weight @ (u**2 + (value - mean) ** 2)))
             out.append(Reflectance(ones[0].theta_i_deg, mean, spread, ""))
     return out
-
-
-def _rho(model: object, theta: Floats, phi: float, wave: float) -> Floats:
-    return np.asarray(
-        model.directional_hemispherical(theta, phi_i=phi, wavelength_nm=wave, tolerance=TOLERANCE)  # type: ignore[attr-defined]
-    )
 
 
 def of_table(data: Observations) -> list[Reflectance]:

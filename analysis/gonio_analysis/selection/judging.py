@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from gonio.checks.values import Rows
 from gonio.cli.pace import Say, silent
 from gonio.geometry import Directions
 from gonio.models.declaration import Ior
@@ -19,7 +20,7 @@ from gonio_analysis.fitting.misfit import groupings
 from gonio_analysis.fitting.objective import smallest
 from gonio_analysis.fitting.problem import FitRequest
 from gonio_analysis.fitting.solution import SIGNIFICANCE
-from gonio_analysis.fitting.surrogate import Near, Rows
+from gonio_analysis.fitting.surrogate import Near
 from gonio_analysis.selection.misfit_regions import Region, farthest
 
 TOLD_APART = 2.0

@@ -9,11 +9,11 @@ from itertools import pairwise
 import numpy as np
 
 from gonio import shown
+from gonio.checks.values import Rows
 from gonio.geometry import AROUND_MIRROR, SAME_INCIDENCE, Directions
 from gonio.typing import Floats
 from gonio_analysis.fitting.fit import FitResult
 from gonio_analysis.fitting.observations import Observations
-from gonio_analysis.fitting.surrogate import Rows
 
 FOLDS = 5
 RANGE = float(np.radians(15.0))

@@ -37,8 +37,7 @@ def run_sessions(run: Run) -> list[SessionSummary]:
     """The sessions in which a run took steps, in order; levels of the reference where the run has been reduced."""
     found, visits_s = _sessions(run)
     times_s = [time_s for time_s, _ in visits_s]
-    told = account(run.path)
-    for band in told:
+    for band in account(run.path):
         for time_s, signal in zip(band["times_s"], band["signals"], strict=True):
             visit = bisect_right(times_s, time_s) - 1  # the visit that had begun last
             if visit >= 0:

@@ -9,7 +9,7 @@ import pytest
 from gonio_analysis.fitting.forward import apparent, averaging
 from gonio_analysis.fitting.observations import observations
 from gonio_analysis.fitting.problem import FitRequest, pose
-from gonio_analysis.fitting.search import STEP, derivatives, one_sided
+from gonio_analysis.fitting.search import STEP, derivatives
 
 from gonio.instrument import LOBE_TOLERANCE
 from gonio.models import build
@@ -33,7 +33,7 @@ def test_against_central_differences(name: str) -> None:
     vector = problem.vector({**problem.fixed, **AT[name]})
     rules = averaging(problem.model(vector), data)
     full, quick = derivatives(problem, data, vector, rules=rules), derivatives(problem, data, vector, quick=True)
-    rough = one_sided(problem, data, vector, apparent(problem.model(vector), data, quick=True))
+    rough = derivatives(problem, data, vector, here=apparent(problem.model(vector), data, quick=True))
     for k in range(vector.size):
         for column, rule, is_quick in ((full, rules, False), (quick, None, True)):
             # an independent order: five points instead of two, with a step ten times as large

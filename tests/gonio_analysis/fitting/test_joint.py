@@ -88,7 +88,7 @@ def test_values_at_each_wavelength_cost_no_evaluation_of_their_own(
     monkeypatch.setattr(search, "apparent", counted)
     columns = search.derivatives(problem, data, vector)
     assert len(calls) == 4  # two central differences: of sigma, and of the albedos of all wavelengths
-    quick = search.one_sided(problem, data, vector, apparent(problem.model(vector), data, quick=True))
+    quick = search.derivatives(problem, data, vector, here=apparent(problem.model(vector), data, quick=True))
     assert len(calls) == 6
     for k in range(vector.size):
         up, down = vector.copy(), vector.copy()
