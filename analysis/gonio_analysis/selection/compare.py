@@ -6,9 +6,9 @@ Everything that a report shows is computed here; `gonio_analysis.report` only dr
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cached_property, partial
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
@@ -150,26 +150,57 @@ class Dataset:
     """At the wavelength of the report."""
     wavelengths: list[float]
     wavelength_nm: float
-    curves: list[Curve]
-    """The in-plane curves that are drawn."""
-    curves_known: int
-    """How many in-plane curves the data have."""
+    every_curve: list[Curve]
+    """In plane, drawn or not."""
     fitted: dict[str, Fitted]
     skipped: dict[str, str]
     """Model -> why it was not fitted."""
     choice: Choice
     """Which model the data ask for."""
-    run: RunFacts | None = None
+    transmitted: Transmitted | None
+    run: RunFacts | None
     """What the run's own record says, for a table that a run made."""
-    rho_dh: list[Reflectance] = field(default_factory=list)
-    """Of the measurement itself."""
-    rho_dh_combined: list[Reflectance] = field(default_factory=list)
-    """Of the models that cannot be told from the nearest one."""
-    symmetries: list[Pairs] = field(default_factory=list)
-    without_mirror: list[tuple[float, str]] = field(default_factory=list)
-    """Angle [rad] and label of every in-plane curve whose mirror direction was not measured, drawn or not."""
-    transmitted: Transmitted | None = None
-    polarisation: Polarisation | None = None
+
+    @cached_property
+    def curves(self) -> list[Curve]:
+        """The in-plane curves that are drawn."""
+        return selection(self.every_curve)
+
+    @property
+    def curves_known(self) -> int:
+        """How many in-plane curves the data have."""
+        return len(self.every_curve)
+
+    @property
+    def without_mirror(self) -> list[tuple[float, str]]:
+        """Angle [rad] and label of every in-plane curve whose mirror direction was not measured, drawn or not."""
+        labelled = zip(self.every_curve, labels(self.every_curve), strict=True)
+        return [(c.parameter, label) for c, label in labelled if c.mirror is None]
+
+    @cached_property
+    def rho_dh(self) -> list[Reflectance]:
+        """Of the measurement itself."""
+        return energy.of_table(self.data)
+
+    @cached_property
+    def rho_dh_combined(self) -> list[Reflectance]:
+        """Of the models that cannot be told from the nearest one, shown or not."""
+        near = [(self.choice.near.get(j.candidate.label), j) for j in self.choice.judged]
+        shown = {label: one.rho_dh for label, one in self.fitted.items()}
+        return energy.combined(
+            [(w, shown.get(j.candidate.label) or energy.of_model(j.fit)) for w, j in near if w is not None]
+        )
+
+    @cached_property
+    def symmetries(self) -> list[Pairs]:
+        """What pairs of directions say of the sample, and of its alignment."""
+        return symmetries(self.data.checked)
+
+    @cached_property
+    def polarisation(self) -> Polarisation | None:
+        """The Mueller matrices that the table holds."""
+        fits = {label: one.fit for label, one in self.fitted.items()}
+        return polarisation(self.table, self.data, self.curves, fits)
 
     @property
     def simulated(self) -> bool:
@@ -217,85 +248,42 @@ def examine(
 
     Parameters
     ----------
-    table
-        A measurement table of one sample.
-    models
-        Names on the command line, or "all": see `gonio_analysis.selection.choice.candidates`.
+    table, models
+        Of one sample; names on the command line, or "all": see `gonio_analysis.selection.choice.candidates`.
     normalise
         What polar curves are divided by; see `gonio_analysis.curves.in_plane.norm`.
-    ior
-        Optical constants n + ik or a material, for the models that have any.
+    ior, metric, u_rel, bound_energy
+        As in `FitRequest`: optical constants, what fits make small, the uncertainty to assume, `energy`.
     wavelength_nm
         The nearest wavelength of the table is reported (550 nm if none is given); in a broad band, the effective
         wavelength of the models that need one, which are left out without it.
-    metric, u_rel, bound_energy
-        What fits make small, the relative uncertainty to assume where none is stated, and whether rho_dh is bound to 1:
-        see `FitRequest`.
     separate
-        Fit each wavelength alone. Otherwise the models that are shown share the geometry of the surface among all
-        wavelengths (`gonio_analysis.fitting.spectrum`); the choice among models is made at the one that is reported.
-    progress
-        Called with a line before each fit.
-    share
-        Who does what is independent of each other; this process alone by default, and of more than `MOST_SENT` values.
+        Fit each wavelength alone. Otherwise models that are shown share the geometry of the surface among wavelengths
+        (`gonio_analysis.fitting.spectrum`); the choice among models is made at the one that is reported.
+    progress, share
+        Called with a line before each fit; who does what is independent, of at most `MOST_SENT` values.
 
     Raises
     ------
     DataError
         No usable value, or too few for every one of the models.
     """
-    through = transmitted(table, name, wavelength_nm, u_rel)
-    data = observations(table, name, u_rel)
-    known = data.wavelengths
+    through, data = transmitted(table, name, wavelength_nm, u_rel), observations(table, name, u_rel)
+    every, share = "all" in models, share if len(data) <= MOST_SENT else parallel.here
+    choice = choose(
+        data, candidates(models, ior), ior=ior, wavelength_nm=wavelength_nm, metric=metric, energy=bound_energy,
+        name=name, all_of_them=not every, progress=progress, share=share,
+    )  # fmt: skip
     at, wavelength = data.nearest(wavelength_nm)
     found = curves(at)
-    shown = selection(found)
-    every = "all" in models
-    if len(data) > MOST_SENT:
-        share = parallel.here
-    choice = choose(
-        data,
-        candidates(models, ior),
-        ior=ior,
-        wavelength_nm=wavelength_nm,
-        metric=metric,
-        energy=bound_energy,
-        name=name,
-        all_of_them=not every,
-        progress=progress,
-        share=share,
-    )
     drawn = [j for j in choice.judged if not every or choice.shows(j)]
-    jobs = [partial(_drawn_model, j, data, known, name, separate, shown, normalise) for j in drawn]
+    jobs = [partial(_drawn_model, j, data, name, separate, selection(found), normalise) for j in drawn]
     done = share(jobs, f"{name}: curves of models", progress)
     fitted = {j.candidate.label: one for j, one in zip(drawn, done, strict=True)}
+    skipped = {} if every else choice.left_out
     return Dataset(
-        name,
-        source,
-        table,
-        at,
-        known,
-        wavelength,
-        shown,
-        len(found),
-        fitted,
-        {} if every else choice.left_out,
-        choice,
-        run,
-        energy.of_table(at),
-        _combined(choice, fitted),
-        symmetries(at.checked),
-        [(c.parameter, label) for c, label in zip(found, labels(found), strict=True) if c.mirror is None],
-        through,
-        polarisation(table, at, shown, {label: one.fit for label, one in fitted.items()}),
-    )
-
-
-def _combined(choice: Choice, fitted: Mapping[str, Fitted]) -> list[Reflectance]:
-    """rho_dh over the models that cannot be told apart, shown or not."""
-    near = [(choice.near[j.candidate.label], j) for j in choice.judged if j.candidate.label in choice.near]
-    shown = {label: one.rho_dh for label, one in fitted.items()}
-    return energy.combined([(w, shown.get(j.candidate.label) or energy.of_model(j.fit)) for w, j in near])
+        name, source, table, at, data.wavelengths, wavelength, found, fitted, skipped, choice, through, run
+    )  # fmt: skip
 
 
 def check_models(models: Sequence[str]) -> None:
@@ -311,16 +299,20 @@ def check_models(models: Sequence[str]) -> None:
 def _drawn_model(
     judged: Judged,
     data: Observations,
-    known: list[float],
     name: str,
     separate: bool,
     shown: list[Curve],
     normalise: Normalise,
     progress: Say,
 ) -> Fitted:
-    """A model that is shown, at every wavelength and with its curves."""
-    result, series = _over_wavelengths(judged, data, known, name, separate, progress)
-    return _fitted(result, shown, normalise, series)
+    """A model that is shown, at every wavelength (of one geometry, or each alone) and with its curves."""
+    result = judged.fit
+    if shares(replace(result.problem.asked, separate=separate), data) and not math.isnan(result.wavelength_nm):
+        fits = fit_shared(data, result, name=name, label=judged.candidate.label, say=progress)
+        if own := [f for f in fits if f.wavelength_nm == result.wavelength_nm]:
+            series = fits if len(fits) > 1 and len(data.wavelengths) <= MOST_WAVELENGTHS else []
+            return _fitted(own[0], shown, normalise, series)
+    return _fitted(result, shown, normalise, _series(judged, data, name, progress))
 
 
 def _fitted(result: FitResult, shown: list[Curve], normalise: Normalise, series: list[FitResult]) -> Fitted:
@@ -352,27 +344,7 @@ def _fitted(result: FitResult, shown: list[Curve], normalise: Normalise, series:
     return Fitted(result, numbers, drawn, series, farthest(result), energy.of_model(result))
 
 
-def _over_wavelengths(
-    judged: Judged,
-    data: Observations,
-    known: list[float],
-    name: str,
-    separate: bool,
-    progress: Callable[[str], None],
-) -> tuple[FitResult, list[FitResult]]:
-    """The fit at the wavelength of the report, and those at all: of one geometry, or each alone."""
-    asked = judged.fit.problem.asked
-    if shares(replace(asked, separate=separate), data) and not math.isnan(judged.fit.wavelength_nm):
-        fits = fit_shared(data, judged.fit, name=name, label=judged.candidate.label, say=progress)
-        own = next((f for f in fits if f.wavelength_nm == judged.fit.wavelength_nm), None)
-        if own is not None:
-            return own, fits if len(fits) > 1 and len(known) <= MOST_WAVELENGTHS else []
-    return judged.fit, _series(judged, data, known, name, progress)
-
-
-def _series(
-    judged: Judged, data: Observations, known: list[float], name: str, progress: Callable[[str], None]
-) -> list[FitResult]:
+def _series(judged: Judged, data: Observations, name: str, progress: Say) -> list[FitResult]:
     """The same fit at every wavelength, each started from its neighbour's solution.
 
     Where that ends in another valley (`jump`) a search of its own and the neighbours on either side are tried. A
@@ -380,7 +352,7 @@ def _series(
     """
     result = judged.fit
     request = result.problem.asked
-    waves = [w for w in known if not math.isnan(w)]
+    waves = [w for w in data.wavelengths if not math.isnan(w)]
     if not 1 < len(waves) <= MOST_WAVELENGTHS:
         return []
     middle = waves.index(result.wavelength_nm)

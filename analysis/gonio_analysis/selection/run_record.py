@@ -1,22 +1,43 @@
-"""What a run's own record says of how its table was made."""
+"""What a run's own record says of how its table was made: health, pauses, sessions, and the reduction's budget.
+
+A run that is gone on with has several sessions, over hours or days, with the reference as the thread.
+"""
 
 from __future__ import annotations
 
 import json
+import math
 import re
-from dataclasses import replace
+from bisect import bisect_right
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from statistics import fmean, stdev
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from gonio.documents import JsonObject
 from gonio.errors import GonioError
+from gonio.geometry import Directions
 from gonio.shown import number
-from gonio_analysis.result_records import HealthSummary, PauseSummary, RunFacts, SampleFacts
-from gonio_analysis.selection.run_budget import run_budget
-from gonio_analysis.selection.run_sessions import account, run_sessions
+from gonio.typing import Floats
+from gonio_analysis.result_records import (
+    BudgetCurve,
+    BudgetFacts,
+    BudgetPart,
+    HealthSummary,
+    PauseSummary,
+    ReferenceLevel,
+    RunFacts,
+    SampleFacts,
+    SessionSummary,
+    finite,
+)
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from gonio.acquisition.run import Run
     from gonio.rig.description import Reference
 
@@ -32,6 +53,17 @@ PAUSE = re.compile(rb'\{"n":\d+,"event":"(suspended|continued)"')
 """How the lines of a journal begin that tell of a pause; a long run's others are not parsed for it."""
 SETTINGS = ("level",)
 """Quantities that say what was asked for, and nothing of health."""
+KIND = re.compile(rb'\{"n":\d+,"event":"(\w+)"(?:,"step":\d+,"kind":"(\w+)")?')
+"""How the lines of a journal begin."""
+ENDINGS = {"end": "all was measured", "interrupted": "was interrupted", "device_error": "a device failed"}
+UNKNOWN = "no word of an end"
+"""Of a session whose process was killed, or that goes on now."""
+LARGEST = 5
+"""Causes whose shares are drawn."""
+MOST_POINTS = 120
+"""Of one curve."""
+INFORMATION = ("nu_eff", "coarse", "cone_difference", "flag")
+"""Columns behind the parts that are no parts."""
 
 
 def run_facts(path: Path) -> RunFacts | None:
@@ -148,3 +180,161 @@ def _summary(
         float(value[low]), float(time_h[low]), float(np.median(value)), float(value[high]), float(time_h[high]),
         [round(float(t), 6) for t in time_h[kept]], [float(f"{v:.6g}") for v in value[kept]],
     )  # fmt: skip
+
+
+# ---- sessions ----
+
+
+@dataclass
+class _Session:
+    began: str
+    ended: str
+    steps: int = 0
+    ending: str = UNKNOWN
+    levels: dict[str, list[float]] = field(default_factory=dict)
+    """Signals of the visits to the reference, by band."""
+
+
+def run_sessions(run: Run) -> list[SessionSummary]:
+    """The sessions in which a run took steps, in order; levels of the reference where the run has been reduced."""
+    found, visits_s = _sessions(run)
+    times_s = [time_s for time_s, _ in visits_s]
+    for band in account(run.path):
+        for time_s, signal in zip(band["times_s"], band["signals"], strict=True):
+            visit = bisect_right(times_s, time_s) - 1  # the visit that had begun last
+            if visit >= 0:
+                visits_s[visit][1].levels.setdefault(band["band"], []).append(signal)
+    first: dict[str, float] = {}
+    out = []
+    for session in found:
+        levels = []
+        for name, signals in session.levels.items():
+            level = fmean(signals)
+            relative = level / first.setdefault(name, level)
+            scatter = stdev(signals) / first[name] if len(signals) > 1 else None
+            levels.append(ReferenceLevel(name, len(signals), relative, scatter))
+        if session.steps:
+            out.append(SessionSummary(session.began, session.ended, session.steps, session.ending, levels))
+    return out
+
+
+def _sessions(run: Run) -> tuple[list[_Session], list[tuple[float, _Session]]]:
+    """Every session, and the visits to the reference: when each began [s, rig's clock], and in which session."""
+    found: list[_Session] = []
+    visits: list[tuple[float, _Session]] = []
+    last = b""
+    events = run.events()
+    for line in events.lines(range(len(events))):
+        match = KIND.match(line)
+        kind = match[1].decode() if match else ""
+        if kind == "session":
+            if found:
+                found[-1].ended = json.loads(last)["wall"]
+            wall = json.loads(line)["wall"]
+            found.append(_Session(wall, wall))
+        elif found and match and kind == "step":
+            found[-1].steps += 1
+            if match[2] == b"reference":
+                visits.append((float(json.loads(line)["time_s"]), found[-1]))
+        elif found and kind in ENDINGS:
+            found[-1].ending = ENDINGS[kind]
+        last = line
+    if found:
+        found[-1].ended = json.loads(last)["wall"]
+    return found, sorted(visits, key=lambda visit: visit[0])
+
+
+def account(folder: Path) -> list[JsonObject]:
+    """What the visits to the reference said, a band each, as the reduction has left it; nothing before it."""
+    with suppress(OSError, ValueError):
+        visits = _provenance(folder).get("reference") or []
+        return [band for band in visits if isinstance(band, dict) and "times_s" in band]
+    return []
+
+
+def _provenance(folder: Path) -> JsonObject:
+    """What the reduction says beside its table; raises `OSError` or `ValueError` where it has left none."""
+    meta: JsonObject = json.loads((folder / "brdf.meta.json").read_text(encoding="utf-8"))
+    return meta.get("provenance") or {}
+
+
+# ---- the budget that a reduction wrote beside its table ----
+
+
+def run_budget(folder: Path) -> list[BudgetFacts]:
+    """The budget of a run, one a wavelength; none where the run has no budget of its table as it stands."""
+    import pandas as pd
+
+    try:
+        parts = pd.read_csv(folder / "budget.csv", keep_default_na=True)
+        stated = pd.read_csv(folder / "brdf.csv", usecols=["u_brdf"])["u_brdf"]
+        provenance = _provenance(folder)
+    except (OSError, ValueError):
+        return []
+    if "u_brdf" not in parts or not np.array_equal(parts["u_brdf"], stated, equal_nan=True):
+        return []  # of another table
+    left_out = {row["cause"]: row["why"] for row in provenance.get("not_in_budget") or []}
+    verdict = (provenance.get("monte_carlo") or {}).get("verdict")
+    columns = [str(name) for name in parts.columns]
+    names = [name for name in columns[columns.index("u_brdf") + 1 :] if name not in INFORMATION]
+    out = []
+    for wavelength in parts["wavelength_nm"].unique().tolist():
+        here = parts["wavelength_nm"].isna() if math.isnan(wavelength) else parts["wavelength_nm"] == wavelength
+        used = parts[here & (parts["brdf"].abs() > 3.0 * parts["u_brdf"])]
+        if len(used):
+            out.append(_budget(finite(wavelength), used, names, left_out, verdict))
+    return out
+
+
+def _budget(
+    wavelength_nm: float | None, rows: pd.DataFrame, names: list[str], left_out: dict[str, str], verdict: str | None
+) -> BudgetFacts:
+    size, u = rows["brdf"].abs().to_numpy(), rows["u_brdf"].to_numpy()
+    values = np.nan_to_num(rows[names].to_numpy(dtype=float))
+    shares = values**2 / (u**2)[:, None]
+    relative = abs(values) / size[:, None]
+    parts = [
+        BudgetPart(
+            name.removeprefix("s_").replace("_", " "),
+            name.startswith("s_"),
+            float(np.median(relative[:, k])),
+            float(relative[:, k].max()),
+            float(shares[:, k].mean()),
+        )
+        for k, name in enumerate(names)
+    ]
+    order = sorted(range(len(parts)), key=lambda k: -parts[k].share)
+    drawn = [k for k in order[:LARGEST] if parts[k].share > 0]
+    apart = np.sqrt(np.maximum(u**2 - (rows["s_reference"].to_numpy() if "s_reference" in rows else 0.0) ** 2, 0.0))
+    freedom = float(rows["nu_eff"].min())
+    return BudgetFacts(
+        wavelength_nm=wavelength_nm,
+        values=len(rows),
+        median=float(np.median(u / size)),
+        highest=float(np.max(u / size)),
+        median_apart=float(np.median(apart / size)),
+        highest_apart=float(np.max(apart / size)),
+        parts=[parts[k] for k in order],
+        largest=[parts[k].cause for k in drawn],
+        curves=_curves(rows, shares[:, drawn]),
+        nu_eff=freedom if math.isfinite(freedom) else None,
+        coarse=int(rows["coarse"].astype(bool).sum()),
+        left_out=left_out,
+        monte_carlo=verdict,
+    )
+
+
+def _curves(rows: pd.DataFrame, shares: Floats) -> list[BudgetCurve]:
+    """Curves in the plane of incidence, of at least two values."""
+    at = Directions.from_table(rows)
+    theta_i, signed = np.round(np.degrees(at.theta_i)), np.degrees(at.signed)
+    out = []
+    # encoders read the same nominal angle within a step
+    for nominal in np.unique(theta_i):
+        k = np.flatnonzero(at.in_plane & (theta_i == nominal))
+        k = k[np.argsort(signed[k])]
+        if k.size >= 2:
+            k = k[np.unique(np.linspace(0, k.size - 1, min(k.size, MOST_POINTS)).round().astype(int))]
+            rounded = [[float(f"{x:.4g}") for x in column] for column in shares[k].T]
+            out.append(BudgetCurve(float(nominal), [round(float(x), 4) for x in signed[k]], rounded))
+    return out

@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 from gonio_analysis.report import budget
 from gonio_analysis.report.drawings import Figure
-from gonio_analysis.selection.run_budget import run_budget
+from gonio_analysis.selection.run_record import run_budget
 
 
 def write(folder: Path, **more: object) -> pd.DataFrame:
