@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import pandas as pd
@@ -12,6 +12,8 @@ from gonio_analysis.fitting.value_covariance import Covariance
 from gonio.formats.reader import table
 from gonio.geometry import Directions
 from gonio.typing import Floats
+
+T = TypeVar("T")
 
 
 def dense(covariance: Covariance) -> Floats:
@@ -67,7 +69,7 @@ def measure(
     return frame
 
 
-def known(value: float | None) -> float:
+def known(value: T | None) -> T:
     """A value that has to be there."""
     assert value is not None
     return value

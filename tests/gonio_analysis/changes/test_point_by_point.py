@@ -26,7 +26,7 @@ from gonio import measurement
 from gonio.errors import ConfigError, DataError
 from gonio.formats.reader import table
 from gonio.models import build
-from tests.gonio_analysis.synthetic import dense, measure
+from tests.gonio_analysis.synthetic import dense, known, measure
 
 GLOSS = build("phong", {"k_d": 0.3, "k_s": 0.5, "exponent": 30})
 SAMPLE = 'name = "gloss"\nmodel = "phong"\n[parameters]\nk_d = 0.3\nk_s = 0.5\nexponent = 30\n'
@@ -171,13 +171,11 @@ def test_a_change_of_scale_is_found_by_its_own_test(sigma: float, least: int, mo
 def test_each_test_is_named_where_it_finds_something(tmp_path: Path) -> None:
     a = measure(GLOSS, noise=0.003, reference=0.002, seed=3)
     other, spot = measure(GLOSS, noise=0.003, reference=0.002, seed=4), measure(GLOSS, noise=0.003, seed=4)
-    same = change(side(a), side(other)).verdict
-    assert same is not None
+    same = known(change(side(a), side(other)).verdict)
     other["brdf"] *= (1.0 + 4.0 * same.u_scale) / (1.0 + same.scale)
     spot["brdf"] = spot["brdf"].where(spot.index != 40, 1.025 * spot["brdf"])  # six of 0.42 %
     for frame, name in ((other, "the common factor"), (spot, "the largest single value")):
-        found = change(side(a), side(frame)).verdict
-        assert found is not None
+        found = known(change(side(a), side(frame)).verdict)
         assert name in found.found_by, found.tests
     measurement.write(a, tmp_path / "a.csv")
     measurement.write(other, tmp_path / "b.csv")
@@ -208,11 +206,9 @@ def test_what_agrees_with_a_scale_and_a_zero_free_says_so() -> None:
     for frame in (a, b):
         frame[silent] = np.nan
     found = change(side(a, "a"), side(b, "b")).within
-    assert found.with_zero is not None
-    assert found.zero is not None
-    assert found.with_zero < 0.3 * found.with_scale < 0.9 * found.as_they_are
+    assert known(found.with_zero) < 0.3 * found.with_scale < 0.9 * found.as_they_are
     # a lobe ten degrees wide in steps of 5: the slope between neighbours is known to some percent
-    assert np.degrees(found.zero) == pytest.approx(turned, rel=0.15)
+    assert np.degrees(known(found.zero)) == pytest.approx(turned, rel=0.15)
     scaled = change(side(a, "a"), side(a.assign(brdf=0.98 * a["brdf"]), "b")).within
     assert scaled.scale == pytest.approx(0.98, rel=3e-4)  # of the mean of both: to the square of a hundredth
     assert scaled.with_scale < 1e-3
@@ -230,12 +226,11 @@ def test_one_changed_value_is_found_under_a_change_of_scale() -> None:
     a, b = measure(GLOSS, noise=0.003, reference=0.01, seed=3), measure(GLOSS, noise=0.003, reference=0.01, seed=4)
     spot = 40
     b["brdf"] = b["brdf"].where(b.index != spot, 1.05 * b["brdf"])
-    found = change(side(a), side(b))
-    assert found.verdict is not None
-    assert found.verdict.changed
-    assert list(np.flatnonzero(found.verdict.marked)) == [spot]
-    assert abs(found.verdict.scale) < 4 * found.verdict.u_scale  # 4 standard deviations: one seed in 16 000
-    assert found.verdict.u_scale == pytest.approx(np.hypot(0.01, 0.01), rel=0.05)  # the noise adds little
+    verdict = known(change(side(a), side(b)).verdict)
+    assert verdict.changed
+    assert list(np.flatnonzero(verdict.marked)) == [spot]
+    assert abs(verdict.scale) < 4 * verdict.u_scale  # 4 standard deviations: one seed in 16 000
+    assert verdict.u_scale == pytest.approx(np.hypot(0.01, 0.01), rel=0.05)  # the noise adds little
 
 
 def test_a_coarse_table_agrees_with_a_fine_one_of_the_same_sample() -> None:
@@ -258,15 +253,13 @@ def test_a_coarse_table_agrees_with_a_fine_one_of_the_same_sample() -> None:
             ((between, coarse), "B"),
         ):
             found = against(shiny, *views, seed)
-            assert found.verdict is not None
             assert found.onto == onto
-            assert not found.verdict.changed
+            assert not known(found.verdict).changed
     # in common directions nothing is interpolated, and a lobe 3 % narrower is seen from either side
     for views in (coarse, fine), (fine, coarse):
         found = against(other, *views, 0)
-        assert found.verdict is not None
         assert not found.error.any()
-        assert found.verdict.changed
+        assert known(found.verdict).changed
 
 
 def test_every_direction_of_a_certificate_counts() -> None:
@@ -331,8 +324,7 @@ def test_models_compare_with_files_and_with_each_other() -> None:
     data = side(measure(GLOSS, noise=0.01))
 
     def changed(found: Change) -> bool:
-        assert found.verdict is not None
-        return found.verdict.changed
+        return known(found.verdict).changed
 
     assert not changed(change(data, same))
     assert changed(change(data, other))

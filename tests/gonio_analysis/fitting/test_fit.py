@@ -114,21 +114,6 @@ def test_jacobian_where_the_model_is_linear_in_the_parameter() -> None:
     )  # central differences: (1e-4)^2 (p ln H)^2 / 6
 
 
-def test_flagged_polarised_and_missing_rows_are_left_out() -> None:
-    table = measure(MATTE, noise=0.01)
-    table.loc[0:4, "flag"] = "blocked"
-    table.loc[0:4, "brdf"] = 100.0
-    table.loc[5:6, "brdf"] = np.nan
-    table.loc[7, "polarisation"] = "ss"
-    table.loc[7, "brdf"] = 100.0
-    table.loc[8, ["u_brdf", "u_random"]] = np.nan
-    r = fit(table, "lambert")
-    assert r.data.left_out == {"flagged blocked": 5, "polarised": 1, "without a value": 2, "without an uncertainty": 1}
-    assert len(r.data) == len(table) - 9
-    # five standard errors
-    assert r.parameters["albedo"].value == pytest.approx(0.5, rel=0.005)
-
-
 def test_without_uncertainties_there_is_no_chi_square() -> None:
     table = measure(PAINT, noise=0.01)
     table[["u_brdf", "u_random"]] = np.nan
@@ -138,8 +123,7 @@ def test_without_uncertainties_there_is_no_chi_square() -> None:
     assert r.verdict.startswith("no verdict")
     assert r.weighting.startswith("logarithmic")
     assert any("no uncertainties" in note for note in r.notes)
-    assert r.misfit is not None
-    low, high = r.misfit.interval
+    low, high = known(r.misfit).interval
     assert low < 0.01 < high  # the noise that was drawn is all that there is
     assert r.parameters["m"].value == pytest.approx(0.25, rel=0.04)  # five standard errors
     assert 0 < known(r.parameters["m"].u) < 0.05
@@ -209,11 +193,13 @@ def test_nearest_wavelength_is_fitted_and_said() -> None:
     assert any("650 nm" in note for note in r.notes)
 
 
-def test_very_rough_metal_tells_only_the_slope() -> None:
+def test_very_rough_metal_tells_only_the_slope_and_says_so() -> None:
     rough = build("he-torrance", {"sigma0_um": 8.0, "tau_um": 40.0, "ior": 0.77 + 6.08j})
     r = fit(measure(rough, noise=0.01), "he-torrance", ior=0.77 + 6.08j)
     assert r.derived["slope_m"].value == pytest.approx(0.4, rel=0.002)  # five standard errors
-    assert any("told apart" in note or "bound" in note for note in r.notes)
+    notes = " ".join(r.notes)
+    assert "sigma0_um and tau_um can hardly be told apart" in notes
+    assert "what they determine is sigma0_um/tau_um = 0.2" in notes
 
 
 def test_a_parameter_on_its_bound_is_said() -> None:
@@ -260,13 +246,6 @@ def test_too_few_values() -> None:
         fit(measure(MATTE).head(3), "cook-torrance")
 
 
-def test_no_usable_row() -> None:
-    table = measure(MATTE)
-    table["flag"] = "saturated"
-    with pytest.raises(DataError, match="99 flagged saturated"):
-        fit(table, "lambert")
-
-
 def test_a_prior_counts_like_one_more_measurement() -> None:
     table = measure(MATTE, noise=0.02, floor=0.0)
     free = fit(table, "lambert").parameters["albedo"]
@@ -293,10 +272,3 @@ def test_outliers_pull_a_robust_fit_less(loss: str) -> None:
     # huber and soft_l1 let an outlier pull like 1 standard deviation: 10 of them move the mean by some 0.1 %
     assert robust.parameters["albedo"].value == pytest.approx(0.5, rel=0.004)
     assert loss in robust.weighting
-
-
-def test_tied_parameters_are_named_with_what_is_determined() -> None:
-    rough = build("he-torrance", {"sigma0_um": 8.0, "tau_um": 40.0, "ior": 0.77 + 6.08j})
-    notes = " ".join(fit(measure(rough, noise=0.01), "he-torrance", ior=0.77 + 6.08j).notes)
-    assert "sigma0_um and tau_um can hardly be told apart" in notes
-    assert "what they determine is sigma0_um/tau_um = 0.2" in notes

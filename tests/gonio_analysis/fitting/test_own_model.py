@@ -29,8 +29,7 @@ TRUE = {"rho_d": 0.15, "rho_s": 0.3, "a_x": 0.12, "a_y": 0.35}
 
 def block(language: str) -> str:
     """The first fenced block of a language in the guide."""
-    found = re.search(rf"^```{language}\n(.*?)^```", GUIDE.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
-    assert found is not None
+    found = known(re.search(rf"^```{language}\n(.*?)^```", GUIDE.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE))
     return found[1]
 
 
@@ -71,8 +70,7 @@ def test_it_is_fitted_with_intervals(ward: None) -> None:
     for name, value in TRUE.items():
         e = result.parameters[name]
         assert abs(e.value - value) < 4 * known(e.u), name  # 4 parameters: by chance once in 4000
-    assert result.p_value is not None
-    assert result.p_value > 1e-3
+    assert known(result.p_value) > 1e-3
     (low, _), (high, _) = profiles(result, ("a_x",)).intervals["a_x"].ends
     u = known(result.parameters["a_x"].u)
     assert high - low == pytest.approx(2 * 1.96 * u, rel=0.1)  # linear near the solution
@@ -83,9 +81,8 @@ def test_an_anisotropic_sample_is_described_by_it_and_by_no_other(ward: None) ->
     data = observations(measured((0.0, 45.0, 90.0)))
     tried = [c for c in candidates(["all"]) if c.model in ("lambert", "phong", "cook-torrance", "ward")]
     chosen = choose(data, tried, all_of_them=True)
-    assert chosen.named is not None
-    assert chosen.named.candidate.model == "ward"
-    assert all(j.rejected for j in chosen.judged if j is not chosen.named)
+    assert known(chosen.named).candidate.model == "ward"
+    assert all(j.rejected for j in chosen.judged if j is not known(chosen.named))
 
 
 def test_the_command_line_knows_it(ward: None, tmp_path: Path) -> None:

@@ -61,8 +61,7 @@ def test_a_person_can_read_the_file_and_other_commands_take_it(tmp_path: Path) -
     result = fitted(FACETS, "cook-torrance", ior=1.5)
     save(result, tmp_path / "sample.toml", name="paint", source="a table")
     sample = load_sample(tmp_path / "sample.toml")
-    assert sample.uncertainty is not None
-    stated = dict(zip(sample.uncertainty.parameters, sample.uncertainty.u, strict=True))
+    stated = dict(zip(known(sample.uncertainty).parameters, known(sample.uncertainty).u, strict=True))
     assert stated["s"] == pytest.approx(known(result.parameters["s"].u), rel=1e-4)
     assert stated["d"] == pytest.approx(stated["s"], rel=1e-4)  # d = 1 - s
     assert stated["slopes[0][0]"] == pytest.approx(known(result.parameters["m"].u), rel=1e-4)

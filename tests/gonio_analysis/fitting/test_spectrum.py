@@ -57,8 +57,7 @@ def test_blocks_give_what_one_dense_least_squares_gives(cone_sr: float, referenc
             # both searches end where a step is below 1e-8 or the sum below 1e-8: far inside a thousandth of an error
             assert r.parameters[name].value == pytest.approx(other.value, abs=1e-2 * known(other.u))
             assert r.parameters[name].u == pytest.approx(other.u, rel=1e-2)
-    shared = slices[0].shared
-    assert shared is not None
+    shared = known(slices[0].shared)
     assert shared.chi_square == pytest.approx(known(dense.chi_square), rel=1e-6)
     assert shared.parameters == ["sigma0_um", "tau_um"]
     assert (shared.n_points, shared.n_free) == (len(table), 5)

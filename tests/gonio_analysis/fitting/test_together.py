@@ -17,7 +17,7 @@ from gonio_analysis.fitting.observations import observations, together
 from gonio import measurement
 from gonio.errors import ConfigError, DataError
 from gonio.models import Lambert, build
-from tests.gonio_analysis.synthetic import measure
+from tests.gonio_analysis.synthetic import known, measure
 
 
 def flat(value: float, u: float, common: float, count: int = 40) -> pd.DataFrame:
@@ -34,8 +34,7 @@ def test_each_table_has_its_own_scale_error() -> None:
     a, b = flat(0.20, 1e-4, 0.002), flat(0.21, 1e-4, 0.004)
     parts = {name: observations(table, name) for name, table in (("a", a), ("b", b))}
     both = together(parts)
-    assert both.covariance is not None
-    assert both.covariance.causes == ("scale@a", "scale@b")
+    assert known(both.covariance).causes == ("scale@a", "scale@b")
     # by hand: two estimates of variance u^2/n + s^2, weighted by it; the columns are scaled to where the search with
     # the independent parts alone ends, which is the mean, 0.205
     result = fit(both, "lambert")
@@ -43,8 +42,7 @@ def test_each_table_has_its_own_scale_error() -> None:
     variance = [1e-8 / 40 + (0.002 * 0.205 / 0.20) ** 2, 1e-8 / 40 + (0.004 * 0.205 / 0.21) ** 2]
     weights = 1.0 / np.array(variance)
     assert found == pytest.approx(float(weights @ [0.20, 0.21] / weights.sum()), rel=1e-4)
-    u = result.parameters["albedo"].u
-    assert u is not None
+    u = known(result.parameters["albedo"].u)
     assert u / math.pi == pytest.approx(float(weights.sum() ** -0.5), rel=1e-3)
     assert [note for note in result.notes if note.startswith(("a: chi-square", "b: chi-square"))]
 
@@ -82,8 +80,7 @@ def test_an_offset_of_the_sensor_is_not_scaled_with_the_values() -> None:
         table = flat(0.2, 0.02, 0.004, count=60).rename(columns={"s_scale": "s_black_level"})
         table["brdf"] = 0.2 + 0.02 * rng.standard_normal(60) + 0.004 * rng.standard_normal()
         albedo = fit(table, "lambert").parameters["albedo"]
-        assert albedo.u is not None
-        pulls.append((albedo.value - 0.2 * math.pi) / albedo.u)
+        pulls.append((albedo.value - 0.2 * math.pi) / known(albedo.u))
     assert abs(np.mean(pulls)) < 3.0 / math.sqrt(30)
     assert fit(table, "lambert").parameters["albedo"].u == pytest.approx(
         math.pi * math.hypot(0.02 / math.sqrt(60), 0.004), rel=1e-3

@@ -14,6 +14,7 @@ from gonio_analysis.report import verdict
 from gonio_analysis.selection.misfit_regions import Region, farthest
 
 from gonio.formats.reader import table
+from tests.gonio_analysis.synthetic import known
 
 RINGS = np.array([10.0, 20.0, 40.0, 50.0, 60.0])
 
@@ -40,16 +41,14 @@ def misfitting(away_deg: float) -> FitResult:
 @pytest.mark.parametrize(("away_deg", "in_plane"), [(1.4, True), (1.6, False), (4.0, False)])
 def test_in_plane_means_the_same_in_regions_and_in_curves(away_deg: float, in_plane: bool) -> None:
     result = misfitting(away_deg)
-    found = farthest(result)
-    assert found is not None
+    found = known(farthest(result))
     assert ("out of plane" not in found.words) == in_plane
     (curve,) = curves(result.data)
     assert curve.rows.size == (10 if in_plane else 5)
 
 
 def test_the_share_and_the_ratio_of_a_region() -> None:
-    found = farthest(misfitting(4.0))
-    assert found is not None
+    found = known(farthest(misfitting(4.0)))
     assert (found.words, found.values) == ("θi = 30°, out of plane", 5)
     # sums and means of a few products: some roundings
     here, there = 5 * np.log(0.35 / 0.3) ** 2, 5 * np.log(0.305 / 0.3) ** 2
@@ -71,8 +70,7 @@ def test_a_source_that_moves_in_small_steps_has_ranges_and_each_value_its_own_mi
         attrs={"source_solid_angle_sr": 0.0, "receiver_solid_angle_sr": 0.0},
     )
     data = observations(frame)
-    found = farthest(cast(FitResult, SimpleNamespace(data=data, predicted=np.full(theta_i.size, 0.3))))
-    assert found is not None
+    found = known(farthest(cast(FitResult, SimpleNamespace(data=data, predicted=np.full(theta_i.size, 0.3)))))
     assert found.ratio == pytest.approx(0.1, rel=1e-12)
     low, high = (float(x.strip("°")) for x in found.words.removeprefix("θi = ").split(",")[0].split(" to "))
     assert high - low <= 15
@@ -98,8 +96,7 @@ def test_no_value_is_farther_off_than_what_a_headline_says(seed: int) -> None:
     predicted = np.exp(rng.normal(0.0, 0.1, along.size))
     at = int(np.argmax(along))
     predicted[at] = 1e-4
-    found = farthest(cast(FitResult, SimpleNamespace(data=data, predicted=predicted)))
-    assert found is not None
+    found = known(farthest(cast(FitResult, SimpleNamespace(data=data, predicted=predicted))))
     assert found.values == 3
     assert found.words.startswith("θi = 82.5°, ")
     assert found.single_ratio == pytest.approx(1e-4, rel=1e-12)
@@ -109,8 +106,7 @@ def test_no_value_is_farther_off_than_what_a_headline_says(seed: int) -> None:
     assert f"{found.values} values" in words
     # the same of a value out of the plane
     predicted[at], predicted[-1] = 1.0, 300.0
-    found = farthest(cast(FitResult, SimpleNamespace(data=data, predicted=predicted)))
-    assert found is not None
+    found = known(farthest(cast(FitResult, SimpleNamespace(data=data, predicted=predicted))))
     assert found.single_words == "θi = 82.5°, θr = 40°, φr − φi = 60°"
     assert "300 times the measurement" in verdict.where(found)
 
