@@ -22,13 +22,14 @@ from gonio_analysis.fitting.forward import apparent
 from gonio_analysis.fitting.observations import Observations
 from gonio_analysis.fitting.problem import Problem
 from gonio_analysis.fitting.search import derivatives
+from gonio_analysis.fitting.value_covariance import Covariance
 
 from gonio.geometry import Directions, solid_angle_of_cone
 from gonio.reduction.angle_errors import CAUSES, angle_axes, zero_uncertainties
 from gonio.rig import Pose, kinematics
 from gonio.rig.description import RigDescription
 from gonio.typing import Floats
-from gonio_sweeps.candidates import read
+from gonio_sweeps.candidates import half_angles, read
 
 MOST = 0.5 * math.pi - 1e-6
 """Polar angles [rad] are held below this where an axis is moved in thought."""
@@ -133,13 +134,16 @@ def sights_at(
 ) -> Sights:
     """Where poses lead, in directions that are known."""
     none = np.zeros(len(poses))
-    cones = (description.lamp.half_angle_deg, description.camera.lens_half_angle_deg)
-    source, receiver = (float(solid_angle_of_cone(math.radians(half))) for half in cones)
-    at = Observations(
-        directions=directions, wavelength_nm=none + wavelength_nm, brdf=none, covariance=None,
-        rows=np.arange(none.size), source_solid_angle_sr=source, receiver_solid_angle_sr=receiver,
-    )  # fmt: skip
-    return Sights(at, poses, description)
+    return Sights(observed(description, directions, wavelength_nm, none, None), poses, description)
+
+
+def observed(
+    description: RigDescription, at: Directions, wavelength_nm: float, brdf: Floats, covariance: Covariance | None
+) -> Observations:
+    """Values that a rig has in some directions, as fits take them."""
+    source, receiver = (float(solid_angle_of_cone(half)) for half in half_angles(description))
+    waves, rows = np.full(brdf.size, wavelength_nm), np.arange(brdf.size)
+    return Observations(at, waves, brdf, covariance, rows, source, receiver)
 
 
 @dataclass(frozen=True)

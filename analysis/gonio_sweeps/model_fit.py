@@ -21,13 +21,14 @@ from pydantic import Field, field_validator
 from gonio.config import Strict
 from gonio.documents import JsonObject
 from gonio.errors import DataError
-from gonio.geometry import solid_angle_of_cone
+from gonio.models.declaration import Values
 from gonio.rig.description import RigDescription
 from gonio.rig.ranges import Positive
 from gonio.shown import with_u
 from gonio.typing import Floats
 from gonio_sweeps import fisher, lack_of_fit
 from gonio_sweeps.online import GrowingValues
+from gonio_sweeps.sampler import short
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -119,37 +120,24 @@ class ModelFit:
         s = self.settings
         return FitRequest(s.model, ior=s.index, fix=s.fix, free=s.free, slopes=s.slopes)
 
-    def observed(self, values: GrowingValues, covariance: Covariance) -> Observations:
-        """Values with a covariance, as fits take them."""
-        lamp, lens = self._description.lamp.half_angle_deg, self._description.camera.lens_half_angle_deg
-        return Observations(
-            directions=values.directions,
-            wavelength_nm=np.full(len(values), self.wavelength_nm),
-            brdf=values.brdf,
-            covariance=covariance,
-            rows=np.arange(len(values)),
-            source_solid_angle_sr=float(solid_angle_of_cone(math.radians(lamp))),
-            receiver_solid_angle_sr=float(solid_angle_of_cone(math.radians(lens))),
-        )
-
     def fitted(self, values: GrowingValues, searches: int = SEARCHES) -> Known | None:
         """The fit to all values, with what errors of the angles do by the model itself; None where it is impossible."""
         if len(values) <= len(self.problem.free) + 1:
             return None
-        names = tuple(values.common)
+        names, wave = tuple(values.common), self.wavelength_nm
         common = np.stack([values.common[name] for name in names], axis=1)
         u = np.hypot(values.u_noise, 0.003 * np.abs(values.brdf))
-        data = self.observed(values, Covariance(np.maximum(u, 1e-12), common, names))
+        known = Covariance(np.maximum(u, 1e-12), common, names)
+        data = fisher.observed(self._description, values.directions, wave, values.brdf, known)
         try:
             result = fit(data, replace(self._request, searches=searches), name="the values so far")
         except DataError:
             return None
         sights = fisher.Sights(data, values.poses, self._description)
         rows = sights.rows(self.problem, result.vector)
-        u = np.hypot(values.u_noise, rows.u_landing)
-        causes = (*names, *rows.of_angles)
+        u = np.maximum(np.hypot(values.u_noise, rows.u_landing), 1e-12)
         columns = np.concatenate([common, np.stack(list(rows.of_angles.values()), axis=1)], axis=1)
-        data = self.observed(values, Covariance(np.maximum(u, 1e-12), columns, causes))
+        data = replace(data, covariance=Covariance(u, columns, (*names, *rows.of_angles)))
         start = result.problem.values(result.vector)
         result = fit(data, replace(self._request, start=[start]), name="the values so far")
         assert data.covariance is not None
@@ -189,16 +177,16 @@ class ModelFit:
 
     # ---- targets ----
 
+    def wanted(self, values: Values) -> dict[str, float]:
+        """The wanted standard uncertainties of parameters; of those alone for which one is stated."""
+        s = self.settings
+        return {n: u * abs(values[n]) for n, u in s.u_rel.items()} | s.u
+
     def targets(self, problem: Problem, vector: Floats) -> Floats:
-        """The wanted standard uncertainties on the search scale; NaN where none is stated."""
-        values, slope = problem.values(vector), problem.slope(vector)
-        out = np.full(vector.size, math.nan)
-        for k, name in enumerate(problem.free):
-            if name in self.settings.u:
-                out[k] = self.settings.u[name] / max(abs(slope[k]), 1e-300)
-            elif name in self.settings.u_rel:
-                out[k] = self.settings.u_rel[name] * abs(values[name]) / max(abs(slope[k]), 1e-300)
-        return out
+        """The same on the search scale; NaN where none is stated."""
+        wanted = self.wanted(problem.values(vector))
+        slope = np.maximum(np.abs(problem.slope(vector)), 1e-300)
+        return np.array([wanted.get(name, math.nan) for name in problem.free]) / slope
 
     def ratios(self, result: FitResult) -> Floats:
         """Uncertainty over target of every parameter; NaN without a target."""
@@ -210,14 +198,10 @@ class ModelFit:
 
     def progress(self, result: FitResult) -> str:
         """What is known of the parameters, for a person."""
-        out = []
-        for name in result.free:
-            e = result.parameters[name]
-            wanted = self.settings.u.get(name)
-            if wanted is None and name in self.settings.u_rel:
-                wanted = self.settings.u_rel[name] * abs(e.value)
-            out.append(f"{name} = {with_u(e.value, e.u)}" + (f" (wanted {wanted:.2g})" if wanted is not None else ""))
-        return ", ".join(out)
+        wanted = self.wanted({name: e.value for name, e in result.parameters.items()})
+        known = ((n, result.parameters[n]) for n in result.free)
+        asked = {n: f" (wanted {u:.2g})" for n, u in wanted.items()}
+        return ", ".join(f"{n} = {with_u(e.value, e.u)}{asked.get(n, '')}" for n, e in known)
 
     def of_fit(self, known: Known) -> JsonObject:
         """What the journal keeps of a fit."""
@@ -230,8 +214,3 @@ class ModelFit:
             "degrees_of_freedom": test.degrees_of_freedom,
             "p_value": short(test.p_value),
         }
-
-
-def short(value: float | None) -> float | None:
-    """Three digits, for the journal."""
-    return None if value is None or not math.isfinite(value) else float(f"{value:.3g}")

@@ -156,7 +156,7 @@ class Posterior:
         if self.angles is None:
             return _Learned.of(values, learned(values, self.before))
         p = learned(values) if self.before is None else self.before
-        by_detector, by_source, across = self._slopes(Process(values, p, float(np.median(z))), self.directions)
+        by_detector, by_source, across = self._slopes(_process(values, p), self.directions)
         u = np.sqrt(u**2 + self.angles.read**2 * (by_detector**2 + by_source**2 + across**2))
         zeros = self.angles.zero * np.stack([by_detector, by_source, across], axis=-1)
         values = Training(at, z, u, np.concatenate([values.causes, zeros], axis=-1))
@@ -180,7 +180,7 @@ class Posterior:
         for number in range(SEARCHES):
             p = learned(values, p, on=True) if number else p
             for k in range(STEPS):
-                process = Process(values, p, float(np.median(values.z)))
+                process = _process(values, p)
                 ends = process.summands_at(at)
                 if (np.abs(total(*ends) - total(lobe, base)) < SETTLED * values.u).all():
                     break
@@ -253,7 +253,7 @@ class Posterior:
         if start.z.size < FEWEST:
             return None
         p = learned(start)
-        process = Process(start, p, float(np.median(start.z)))
+        process = _process(start, p)
         for last in (False, False, True, True):
             z0 = np.where(beyond, self.link.z(self.brdf), process.mean_at(at))
             gain = self.link.slope(self.link.brdf(z0))
@@ -270,7 +270,7 @@ class Posterior:
             )
             if last:
                 p = learned(values, p)
-            process = Process(values, p, float(np.median(values.z)))
+            process = _process(values, p)
             factor = 1.0 + process.causes[: spike.theta_i.size]
             spike = spike.scaled(np.clip(factor, 0.2, 5.0))
             if (factor < 0.2).any():
@@ -293,7 +293,7 @@ class Posterior:
 
     @cached_property
     def _process(self) -> Process:
-        return Process(self._values, self.parameters, float(np.median(self._values.z)))
+        return _process(self._values, self.parameters)
 
     @cached_property
     def _nearby(self) -> list[tuple[Process, Process]]:
@@ -307,7 +307,7 @@ class Posterior:
         v = self._values
         kept = 0 if self.spike is None else self.spike.base.size
         causes = v.causes[:, :kept] if kept else np.zeros((v.z.size, 1))
-        return Process(Training(v.at, v.z, v.u, causes, v.summed), self.parameters, float(np.median(v.z)))
+        return _process(Training(v.at, v.z, v.u, causes, v.summed), self.parameters)
 
     @cached_property
     def left_out(self) -> Floats:
@@ -412,6 +412,11 @@ class _Learned:
     @classmethod
     def of(cls, values: Training, p: Floats, spike: Spike | None = None, jacobian: float = 0.0) -> _Learned:
         return cls(values, p, objective(p, values, float(np.median(values.z)))[0] + jacobian, spike)
+
+
+def _process(values: Training, p: Floats) -> Process:
+    """With the median as its mean."""
+    return Process(values, p, float(np.median(values.z)))
 
 
 def _moved(d: Directions, by: float) -> Directions:
