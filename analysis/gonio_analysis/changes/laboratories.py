@@ -165,15 +165,7 @@ def compared(
         degrees=scales.degrees / by,
         u=scales.u / by,
     )
-    alone, by_method, p_alone = list[Equivalence](), dict[Method, list[Consensus]](), list[float]()
-    pace = Pace("comparing: directions", len(at), say)
-    for i in range(len(at)):
-        pace.step(i)
-        x, v = _everywhere(first, keys, i)
-        alone.append(equivalence(x, v, LEVEL))
-        p_alone.append(consistency(x, v)[1])
-        for m in METHODS:
-            by_method.setdefault(m, []).append(consensus(x, v, m))
+    alone, by_method, p_alone = _by_directions(first, keys, say)
     chi_square, p = consistency(solved.scales, solved.v_scales)
     return Comparison(
         laboratories=_judged(sides, solved, turned, scales, relative),
@@ -187,9 +179,9 @@ def compared(
         methods={m: consensus(solved.scales / by, solved.v_scales / by**2, m) for m in METHODS},
         chi_square=chi_square,
         p_value=p,
-        alone=tuple(alone),
-        alone_by_method={m: tuple(c) for m, c in by_method.items()},
-        p_alone=np.array(p_alone),
+        alone=alone,
+        alone_by_method=by_method,
+        p_alone=p_alone,
         shared=in_words,
         notes=notes,
     )
@@ -377,8 +369,17 @@ def _zeros(solved: CommonShape, turned: Floats) -> tuple[Floats, Any]:
     return out, fine
 
 
-def _everywhere(found: Sequence[LaboratoryValues], keys: Sequence[Sequence[Any]], i: int) -> tuple[Floats, Floats]:
-    """The laboratories' values in one direction, and their covariance."""
-    effects = [one.covariance.common[i] for one in found]
-    variances = [one.covariance.total[i] ** 2 for one in found]
-    return np.array([one.value[i] for one in found]), joint(effects, variances, keys)
+def _by_directions(
+    found: Sequence[LaboratoryValues], keys: Sequence[Sequence[Any]], say: Say
+) -> tuple[tuple[Equivalence, ...], dict[Method, tuple[Consensus, ...]], Floats]:
+    """`Comparison.alone`, `alone_by_method` and `p_alone`: each direction for itself."""
+    values, pace = np.array([one.value for one in found]).T, Pace("comparing: directions", found[0].value.size, say)
+    alone, by_method, p = list[Equivalence](), list[tuple[Consensus, ...]](), list[float]()
+    for i, x in enumerate(values):
+        pace.step(i)
+        effects = [one.covariance.common[i] for one in found]
+        v = joint(effects, [one.covariance.total[i] ** 2 for one in found], keys)
+        alone.append(equivalence(x, v, LEVEL))
+        by_method.append(tuple(consensus(x, v, m) for m in METHODS))
+        p.append(consistency(x, v)[1])
+    return tuple(alone), dict(zip(METHODS, zip(*by_method, strict=True), strict=True)), np.array(p)

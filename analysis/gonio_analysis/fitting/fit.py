@@ -140,10 +140,8 @@ def fit(
         A measurement table of one sample, or what `observations` made of one.
     model
         What to fit; or the name of a model, with the attributes of `FitRequest` as `options`.
-    name
-        What messages call the table.
-    say
-        Called with a line now and then, where the fit takes long.
+    name, say
+        What messages call the table; and who is told a line now and then.
 
     Raises
     ------
@@ -155,8 +153,7 @@ def fit(
     began = time.perf_counter()
     asked = FitRequest(model, **options) if isinstance(model, str) else replace(model, **options)
     if asked.each is not None and asked.wavelength_nm is not None:
-        nm = f"{asked.wavelength_nm:g}"
-        raise ConfigError(f"--wavelength-nm {nm}: all wavelengths are fitted together; leave it out")
+        raise ConfigError(f"--wavelength-nm {asked.wavelength_nm:g}: all wavelengths are fitted together; leave it out")
     if asked.each is not None and asked.energy:
         raise ConfigError("--energy: the bound holds a fit at one wavelength; leave out --joint")
     problem, start = pose(asked), asked.start

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -25,6 +25,10 @@ if TYPE_CHECKING:
 DEFAULT_WAVELENGTH_NM = 550.0
 SAME_BAND_NM = 1e-6
 UNSTATED = "The table states no uncertainties."
+ASSUMED = (
+    "The table states no uncertainties: a standard uncertainty of {:g} % of each value is ASSUMED (--u-rel),"
+    " independent from value to value. Every chi-square, verdict and error bar rests on it."
+)
 LINEAR_BELOW = 0.05
 """Without uncertainties: the fraction of the median |f| below which differences count as such, not as ratios."""
 TRANSMISSION = "of transmission"
@@ -178,7 +182,11 @@ class Observations:
 
 
 def _why_left_out(table: pd.DataFrame, directions: Directions, brdf: Floats) -> npt.NDArray[np.object_]:
-    """Why each row of a table is not used; "" for those that may be."""
+    """Why each row of a table is not used; "" for those that may be.
+
+    Transmission, which no model here describes; flagged and polarised rows; values that are not finite or are beyond
+    any mirror; directions at or below the horizon.
+    """
     flags = table["flag"].fillna("").astype(str).to_numpy()
     why = np.where(flags == "", "", np.char.add("flagged ", flags.astype(str))).astype(object)
     if "side" in table.columns:
@@ -203,38 +211,27 @@ def _none_left(name: str, rows: int, omitted: Mapping[str, Floats]) -> DataError
 def observations(table: pd.DataFrame, name: str = "the table", u_rel: float | None = None) -> Observations:
     """The usable rows of a measurement table.
 
-    Left out, and counted by reason: transmission (which no model here describes), flagged rows, polarised rows, values
-    that are not finite or are beyond any mirror, directions at or below the horizon, and rows without an uncertainty in
-    a table that states one elsewhere.
+    Left out, and counted by reason, is what cannot be used (`_why_left_out`), and rows without an uncertainty in a
+    table that states one elsewhere.
 
     Parameters
     ----------
-    table
-        A measurement table of one sample (`gonio.measurement`).
-    name
-        What messages call it.
+    table, name
+        A measurement table of one sample (`gonio.measurement`), and what messages call it.
     u_rel
-        Relative standard uncertainty to assume of every value, independent from value to value, where the table states
-        none; above 0 and below 1.
+        Relative standard uncertainty to assume of every value where the table states none; above 0 and below 1.
 
     Raises
     ------
-    DataError
-        Not one row is usable; the message says why.
-    ConfigError
-        `u_rel` is no such number.
+    DataError, ConfigError
+        Not one row is usable; the message says why. `u_rel` is no such number.
     """
     check_u_rel(u_rel)
     directions = Directions.from_table(table)
     brdf, wavelength = (table[name].to_numpy(np.float64) for name in ("brdf", "wavelength_nm"))
     why = _why_left_out(table, directions, brdf)
-    random, common, causes = _uncertainties(table)
-    total = np.sqrt(random**2 + (common**2).sum(axis=1))
-    with np.errstate(invalid="ignore"):
-        size = np.maximum(np.abs(brdf), np.median(np.abs(brdf[why == ""])) if (why == "").any() else 0.0)
-        stated = np.isfinite(total) & (total > RESOLUTION * size)
+    known, stated = _stated(table, brdf, why == "")
     notes = of_reader(table)
-    silent = any("no uncertainties" in note for note in notes)
     if stated[why == ""].any() and (lacking := (why == "") & ~stated).any():
         why[lacking] = "without an uncertainty"
         notes.append(_lacking(np.flatnonzero(lacking)))
@@ -242,25 +239,20 @@ def observations(table: pd.DataFrame, name: str = "the table", u_rel: float | No
     omitted = {str(reason): wavelength[why == reason] for reason in sorted(set(why) - {""})}
     if not keep.size:
         raise _none_left(name, len(table), omitted)
-    covariance, assumed = None, None
+    covariance = None
     if stated[keep].any():
-        # a value whose independent part is 0 (an ideal rig) would have infinite weight
-        covariance = Covariance(np.maximum(random[keep], 1e-6 * total[keep]), common[keep], causes)
+        covariance = known(keep)
         if u_rel is not None:
             notes.append(f"The table states its own uncertainties; the assumed {100 * u_rel:g} % is not used.")
     elif u_rel is not None:
-        assumed = u_rel
         covariance = independent(_assumed(brdf[keep], wavelength[keep], u_rel))
-        notes.append(
-            f"The table states no uncertainties: a standard uncertainty of {100 * u_rel:g} % of each value is ASSUMED"
-            " (--u-rel), independent from value to value. Every chi-square, verdict and error bar rests on it."
-        )
-    elif not silent:
+        notes.append(ASSUMED.format(100 * u_rel))
+    elif not any("no uncertainties" in note for note in notes):
         notes.append(UNSTATED)
     if TRANSMISSION in omitted:
         notes.append(f"{omitted[TRANSMISSION].size} rows are transmission: left out, models here describe reflection.")
-    cones = {which: _solid_angle(table.attrs, which) for which in ("source", "receiver")}
-    if unknown := " and of the ".join(which for which, cone in cones.items() if cone is None):
+    source, receiver = (_solid_angle(table.attrs, which) for which in ("source", "receiver"))
+    if unknown := " and of the ".join(["source"] * (source is None) + ["receiver"] * (receiver is None)):
         notes.append(f"The solid angle of the {unknown} is unknown: models are evaluated for a single direction there.")
     return Observations(
         directions=directions[keep],
@@ -268,21 +260,33 @@ def observations(table: pd.DataFrame, name: str = "the table", u_rel: float | No
         brdf=brdf[keep],
         covariance=covariance,
         rows=keep,
-        source_solid_angle_sr=cones["source"] or 0.0,
-        receiver_solid_angle_sr=cones["receiver"] or 0.0,
+        source_solid_angle_sr=source or 0.0,
+        receiver_solid_angle_sr=receiver or 0.0,
         omitted=omitted,
         notes=tuple(notes),
-        u_rel_assumed=assumed,
+        u_rel_assumed=None if stated[keep].any() else u_rel,
         **_of_angles(table, keep),
     )
 
 
-def _uncertainties(table: pd.DataFrame) -> tuple[Floats, Floats, tuple[str, ...]]:
-    """What a table states: the independent part (n,), NaN where there is none, common causes (n, k), their names."""
+def _stated(
+    table: pd.DataFrame, brdf: Floats, used: npt.NDArray[np.bool_]
+) -> tuple[Callable[[npt.NDArray[np.intp]], Covariance], npt.NDArray[np.bool_]]:
+    """What gives the covariance of some rows of a table, and which rows state an uncertainty that can weigh them."""
     from gonio import measurement
 
     random, common, causes = measurement.uncertainty(table)
-    return random, np.where(np.isfinite(common), common, 0.0), tuple(causes)
+    common = np.where(np.isfinite(common), common, 0.0)
+    total = np.sqrt(random**2 + (common**2).sum(axis=1))
+    with np.errstate(invalid="ignore"):
+        size = np.maximum(np.abs(brdf), np.median(np.abs(brdf[used])) if used.any() else 0.0)
+        stated = np.isfinite(total) & (total > RESOLUTION * size)
+
+    def covariance(rows: npt.NDArray[np.intp]) -> Covariance:
+        # a value whose independent part is 0 (an ideal rig) would have infinite weight
+        return Covariance(np.maximum(random[rows], 1e-6 * total[rows]), common[rows], tuple(causes))
+
+    return covariance, stated
 
 
 def _lacking(rows: npt.NDArray[np.intp]) -> str:

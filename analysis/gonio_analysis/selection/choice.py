@@ -198,25 +198,17 @@ def choose(
 
     Parameters
     ----------
-    data
-        Usable values (`gonio_analysis.fitting.observations`).
+    data, name
+        Usable values (`gonio_analysis.fitting.observations`), and what messages call them.
     tried
         See `candidates`; their order breaks ties between models with as many parameters.
-    ior
-        Optical constants n + ik, or a material, where they are known.
-    wavelength_nm
-        See `gonio_analysis.fitting.fit.fit`.
-    metric, energy
-        What the fits make small, and what models are compared by; whether rho_dh is bound to 1. See `FitRequest`.
-    name
-        What messages call the data.
+    ior, wavelength_nm, metric, energy
+        As in `FitRequest`; models are compared by what fits make small.
     all_of_them
         Fit every candidate; otherwise those are left out that have `BEYOND` more parameters than one that chi-square
         does not reject.
-    progress
-        Called with a line before each fit.
-    share
-        Who works out held-out errors and intervals.
+    progress, share
+        Called with a line before each fit; who works out held-out errors and intervals.
 
     Raises
     ------
