@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from gonio.acquisition.plan import Plan, Point, assess, canonical, count_reasons
-from gonio.acquisition.sweeps import Sweep
+from gonio.acquisition.plan_tables import Sweep
 from gonio.documents import TomlTable
 from gonio.errors import ConfigError
 from gonio.geometry import Directions

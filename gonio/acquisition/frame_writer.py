@@ -9,8 +9,8 @@ will say of the step, so that a journal that was lost can be made again (`gonio.
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
-import json
 import os
 import re
 import threading
@@ -18,11 +18,9 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor, wait
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Protocol
 
-from gonio.acquisition.expected_lines import label_json
 from gonio.acquisition.journal import is_whole, sealed
 from gonio.acquisition.records import FrameFile, FrameLabel, FrameRecord, StepRecord
 from gonio.disk import Staged, read_file
@@ -45,21 +43,6 @@ NAME = re.compile(r"(\d{6,})-\w+-\d{2,}\.\w+(\.json)?", re.ASCII)
 BESIDE = ".json"
 
 
-class Written(Protocol):
-    """A frame that was put: a future of what its file is, or that itself."""
-
-    def result(self) -> FrameFile:
-        """What its file is; raises `DataError` where it could not be written."""
-
-
-@dataclass(slots=True)
-class _AtOnce:
-    file: FrameFile
-
-    def result(self) -> FrameFile:
-        return self.file
-
-
 class Store:
     """Writes frames in a thread of its own, in order, so that the disk and the camera work at the same time."""
 
@@ -79,19 +62,18 @@ class Store:
         self.waited_s = 0.0
         """How long `put` has waited for the disk."""
 
-    def put(self, frame: Frame, name: str, label: Callable[[str], str]) -> Written:
+    def put(self, frame: Frame, name: str, label: Callable[[str], str]) -> Future[FrameFile]:
         """Begin to write a frame; what is returned says what its file is, once that is written (see `commit`).
 
         `label` is called when all frames before this one are there, with the checksum of the frame's pixels.
         """
         path, began = f"{self._folder}{os.sep}{name}", time.monotonic()
-        out: Written
         if self.at_once:
+            out = Future[FrameFile]()
             try:
-                out = _AtOnce(self._write(frame, path, label))
+                out.set_result(self._write(frame, path, label))
             except (DataError, ArgumentError) as error:
-                out = failed = Future[FrameFile]()
-                failed.set_exception(error)
+                out.set_exception(error)
             if len(self._staged) >= MOST_STAGED:
                 self._settling.result()
                 self._settling = self._pool.submit(self._settle)
@@ -192,7 +174,7 @@ class Files:
     pose_time_s: float | None = None
     frames: list[FrameRecord] = field(default_factory=list)
     """What the journal will say of them, but for their files."""
-    written: list[Written] = field(default_factory=list)
+    written: list[Future[FrameFile]] = field(default_factory=list)
     _last: Frame | None = None
     _numbers: Counter[str] = field(default_factory=Counter)
 
@@ -213,28 +195,15 @@ class Files:
         frame, self._last = self._last, None
         if frame is None:
             return
-        last, number, before = self.frames[-1], len(self.frames), list(self.written)
-        step, pose, pose_time_s = self.step, self.pose, self.pose_time_s
-        count = self.count  # now: it may have grown when the label is written
-        goal = step.pose if pose is not None else None
+        step, last, before = self.step, self.frames[-1], list(self.written)
+        told = FrameLabel(  # now: the count may have grown when the label is written
+            run=self.run, step=step.index, kind=step.kind, point=step.point, number=len(self.frames), count=self.count,
+            frame=last, goal=step.pose if self.pose is not None else None, pose=self.pose, pose_time_s=self.pose_time_s,
+        )  # fmt: skip
 
         def label(pixels: str) -> str:
-            files = [done.result() for done in before] if record is not None else []
-            text = FrameLabel(
-                self.run,
-                step.index,
-                step.kind,
-                step.point,
-                number,
-                count,
-                last,
-                goal,
-                pose,
-                pose_time_s,
-                record,
-                pixels,
-            ).text(files)
-            return sealed(text[:-1].encode()).decode().rstrip("\n")
+            whole = None if record is None else record.stored([done.result() for done in before])
+            return sealed(replace(told, record=whole, pixels=pixels).text()[:-1].encode()).decode().rstrip("\n")
 
         self.written.append(self.store.put(frame, last.file, label))
 
@@ -244,13 +213,10 @@ def label_of(path: Path, data: bytes) -> FrameLabel | None:
 
     The label of a camera's own file lies beside it, and counts where the frame is the one that it was written for.
     """
-    text = read_record(data)
-    found = _parsed(text)
+    found = _parsed(read_record(data))
     if found is None:
-        try:
+        with contextlib.suppress(OSError, UnicodeDecodeError):
             found = _parsed(read_file(path.with_name(path.name + BESIDE)).decode())
-        except (OSError, UnicodeDecodeError):
-            return None
     return found if found is not None and found.frame.file == path.name else None
 
 
@@ -262,16 +228,13 @@ def pixels_of(path: Path, data: bytes) -> str:
     DataError
         The file is damaged.
     """
-    own = read_record(data)
-    return pixels_sha256(read_raw(path, data).mosaic) if own else hashlib.sha256(data).hexdigest()
+    return pixels_sha256(read_raw(path, data).mosaic) if read_record(data) else hashlib.sha256(data).hexdigest()
 
 
 def _parsed(text: str) -> FrameLabel | None:
     try:
-        label = label_json(text)
-        if label.get("pixels") is not None and not is_whole(f"{text}\n".encode()):
-            return None
-        return FrameLabel.from_json(json.loads(text))  # with the digits of its numbers, as they stand there
+        label = FrameLabel.parsed(text)
+        return None if label.pixels is not None and not is_whole(f"{text}\n".encode()) else label
     except (ValueError, RecursionError, DataError):
         return None
 

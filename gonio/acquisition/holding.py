@@ -4,19 +4,20 @@ from __future__ import annotations
 
 import time
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from gonio import platform
+from gonio.acquisition import suspending
 from gonio.acquisition.exposure import dark_exposures_s, expected_bracket
 from gonio.acquisition.journal import Event
 from gonio.acquisition.progress import Progress
 from gonio.acquisition.run import Run
 from gonio.acquisition.schedule import EXPECTED_ALBEDO
 from gonio.acquisition.stop import Stop
-from gonio.acquisition.suspending import lasting, naps
+from gonio.acquisition.suspending import Cause, Watch, lasting, naps
 from gonio.errors import DataError, Interrupted, PassingFault
-from gonio.rig import Pose, Step
+from gonio.rig import Pose, Reading, Step
 from gonio.rig.description import RigDescription
 
 LOOK_S = 0.2
@@ -66,10 +67,7 @@ class Holding:
 
     def wanted(self, step: Step) -> bool:
         """Whether there is something to wait for before a step."""
-        return self._stop.pause.requested or free_bytes(self._frames) < self._needed(step)
-
-    def _needed(self, step: Step) -> int:
-        return self._bytes.of(step) + RESERVE
+        return self._stop.pause.requested or free_bytes(self._frames) < self._bytes.of(step)
 
     def before(self, step: Step) -> None:
         """Wait while a person asks for it, and while the disk has no room for a step.
@@ -81,7 +79,7 @@ class Holding:
         DataError
             There was no room for too long.
         """
-        pause, frames, needed = self._stop.pause, self._frames, self._needed(step)
+        pause, frames, needed = self._stop.pause, self._frames, self._bytes.of(step)
         while self.wanted(step):
             if pause.requested:
                 text = f"paused before step {step.index} by {pause.by}"
@@ -122,8 +120,50 @@ class Holding:
         end = time.monotonic() + wait_s
         self._hold(step, event, said, lambda: time.monotonic() >= end)
 
+    def while_broken(
+        self, causes: Sequence[Cause], step: Step, watch: Watch, look: Callable[[], tuple[Sequence[Reading], bool]]
+    ) -> None:
+        """Wait until no rule of `[suspend]` is broken; the journal has what happened.
+
+        Parameters
+        ----------
+        causes, step
+            What is broken, and the step that is taken again afterwards.
+        watch
+            Who judges what is read.
+        look
+            What is read now, and whether the lamp is meant to shine.
+
+        Raises
+        ------
+        Interrupted
+            The user asked to stop.
+        DeviceError
+            A rule is broken for longer than it allows, or a device fails.
+        """
+        begun = time.monotonic()
+        since: dict[str, float] = {}
+        while causes:
+            now, before = time.monotonic(), since
+            since = {cause.rule: since.get(cause.rule, now) for cause in causes}
+            for cause in causes:
+                if cause.rule not in before:
+                    event = {"event": "suspended", "step": step.index, "rule": cause.rule, "message": str(cause)}
+                    self._tell(event)
+                    longest = lasting(watch.longest_s(cause))
+                    self._progress.say(f"waiting, at most {longest}: {cause}; Ctrl-C ends the run, to be resumed")
+            if watch.in_the_dark(causes):
+                self._darken()
+            for _ in naps(suspending.LOOK_S):
+                if self._stop.requested:
+                    raise Interrupted(f"stopped while waiting ({causes[0]}),")
+            watch.require_patience(causes, since)
+            readings, lit = look()
+            causes = watch.broken(readings, lit=lit, waiting=tuple(since))
+        self._go_on(step, begun, "going on after {lasted}; step {step} is taken again")
+
     def _hold(self, step: Step, event: Event, said: str, over: Callable[[], bool]) -> None:
-        self._run.append(event | {"time_s": float(self._time_s())})
+        self._tell(event)
         begun = time.monotonic()
         self._darken()
         self._progress.say(said)
@@ -132,11 +172,16 @@ class Holding:
                 if self._stop.requested:
                     raise Interrupted("stopped while paused,")
                 self._require()
+        self._go_on(step, begun, "going on with step {step} after {lasted}")
+
+    def _go_on(self, step: Step, begun: float, said: str) -> None:
         waited = time.monotonic() - begun
         self._progress.waited(waited)
-        event = {"event": "continued", "step": step.index, "waited_s": round(waited, 1)}
+        self._tell({"event": "continued", "step": step.index, "waited_s": round(waited, 1)})
+        self._progress.say(said.format(step=step.index, lasted=lasting(waited)))
+
+    def _tell(self, event: Event) -> None:
         self._run.append(event | {"time_s": float(self._time_s())})
-        self._progress.say(f"going on with step {step.index} after {lasting(waited)}")
 
 
 def free_bytes(folder: Path) -> int:
@@ -188,5 +233,5 @@ class Bytes:
         return self._of["dark"] + max(steps - 1, 0) * self._of["point"] + RESERVE if steps > 0 else 0
 
     def of(self, step: Step) -> int:
-        """Bytes of a step."""
-        return self._of[step.kind]
+        """Bytes of a step, with those that are left for the end of a run."""
+        return self._of[step.kind] + RESERVE

@@ -12,15 +12,14 @@ from collections.abc import Iterator, Sequence
 
 from gonio import __version__
 from gonio.acquisition.progress import Progress
-from gonio.acquisition.run import Batch, Run
+from gonio.acquisition.run import Run
 from gonio.acquisition.sampling import Sampler, keepable
-from gonio.acquisition.schedule import batch_steps
+from gonio.acquisition.schedule import Batch
 from gonio.acquisition.session import _Numbers, _Session, log
 from gonio.acquisition.stop import Stop
 from gonio.acquisition.suspending import Watch
 from gonio.errors import DeviceError, Interrupted
 from gonio.rig import Rig, Step
-from gonio.rig.description import RigDescription
 
 
 def measure(
@@ -52,7 +51,7 @@ def measure(
     """
     done = set(run.steps().numbers)
     left = [steps[number] for number in range(len(steps)) if number not in done]
-    grown = [step for batch in run.batches for step in _steps_of(batch, rig.description)]
+    grown = run.grown_steps()
     left += [step for step in grown if step.index not in done]
     if not left and (sampler is None or run.enough):
         progress.say(f"{run.path}: every step is done")
@@ -69,15 +68,10 @@ def measure(
         if stop.requested > 1:
             rig.arms.stop()
         taken = run.steps().numbers
-        grown = [step for batch in run.batches for step in _steps_of(batch, rig.description)]
-        every = done.union(taken, (step.index for step in left), (step.index for step in grown))
+        every = done.union(taken, (step.index for step in (*left, *run.grown_steps())))
         where = f"after {len(taken)} of {len(every)} steps" + (" so far" if sampler is not None else "")
         raise Interrupted(f"{error} {where}") from None
     run.append({"event": "end", "steps": len(run.steps())})
-
-
-def _steps_of(batch: Batch, description: RigDescription) -> list[Step]:
-    return batch_steps(description, batch.first_step, batch.first_row, batch.points)
 
 
 def _take_all(
@@ -131,31 +125,24 @@ def _chosen(
         run.append({"event": "enough", "met": bool(choice.met), "message": choice.message, "why": why})
         return []
     batch = Batch(numbers.following, len(run.points.flags), choice.points)
-    steps = _steps_of(batch, rig.description)
-    numbers.reserve(len(steps))
+    steps = batch.steps(rig.description)
+    numbers.following += len(steps)
     run.grow(batch, why)
     progress.more(len(steps))
     return steps
 
 
-class _Remarks(logging.Handler):
-    """What a driver says of its device while a run is measured: a repetition, a recovery."""
-
-    def __init__(self, run: Run, progress: Progress) -> None:
-        super().__init__(logging.WARNING)
-        self._run, self._progress = run, progress
-
-    def emit(self, record: logging.LogRecord) -> None:
-        """Write it into the journal, and tell whoever watches."""
-        message = record.getMessage()
-        self._run.append({"event": "remark", "message": message})
-        self._progress.say(message)
-
-
 @contextlib.contextmanager
 def _remarks(run: Run, progress: Progress) -> Iterator[None]:
-    """Keep in the journal what drivers log on `gonio.devices`."""
-    handler = _Remarks(run, progress)
+    """Keep in the journal what drivers log on `gonio.devices` of their devices: a repetition, a recovery."""
+
+    def emit(record: logging.LogRecord) -> None:
+        message = record.getMessage()
+        run.append({"event": "remark", "message": message})
+        progress.say(message)
+
+    handler = logging.Handler(logging.WARNING)
+    handler.emit = emit  # type: ignore[method-assign]
     log.addHandler(handler)
     try:
         yield

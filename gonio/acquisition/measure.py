@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from gonio import plugins
 from gonio.acquisition.plan import Assessed, Plan, assess, said_beside
 from gonio.acquisition.schedule import going_on, reference_pose, schedule
-from gonio.config import load, parse
+from gonio.config import Table, load, parse
 from gonio.errors import ConfigError, DeviceError, GonioError, Interrupted
 from gonio.rig import kinematics, regions
 from gonio.rig.calibrated import with_calibrations
@@ -22,7 +22,7 @@ from gonio.rig.description import Reference, RigDescription, SampleDescription
 from gonio.rig.motion_planning import Blocked, route
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from gonio.acquisition.progress import Progress
     from gonio.acquisition.resuming import Resumed
@@ -53,9 +53,9 @@ class RigChoice:
         For work `by_hand` a plugin may have a method `open_by_hand(description, confirm=)`, which refuses less.
         """
         try:
-            if by_hand and hasattr(self.plugin, "open_by_hand"):
-                rig: Rig = self.plugin.open_by_hand(self.description, confirm=confirm)
-                return rig
+            opened: Callable[..., Rig] | None = getattr(self.plugin, "open_by_hand", None)
+            if by_hand and opened is not None:
+                return opened(self.description, confirm=confirm)
             return self.plugin.open(self.description, sample=sample, seed=seed, confirm=confirm)
         except ConfigError as error:
             if Path(self.source).is_file():
@@ -82,8 +82,7 @@ class RigChoice:
             yield
         except (ConfigError, DeviceError) as error:
             if Path(self.source).is_file() and str(error).startswith("devices."):
-                kind = ConfigError if isinstance(error, ConfigError) else DeviceError
-                raise kind(f"{self.source}: {error}") from None
+                error.args = (f"{self.source}: {error}",)
             raise
 
 
@@ -111,6 +110,12 @@ def _certified(reference: Reference, rig_file: Path) -> Reference:
     )
 
 
+def _with_path(table: Table, key: str, rig_file: Path) -> Table:
+    """A table of a rig file with the path of a file that a key names beside it, made whole."""
+    name = getattr(table, key)
+    return table if name is None else table.model_copy(update={key: str((rig_file.parent / name).absolute())})
+
+
 def find_rig(name: str, *, without: str = "") -> RigChoice:
     """A rig by the name of its entry point, or by the path of a rig file whose key `rig` names the entry point.
 
@@ -124,24 +129,16 @@ def find_rig(name: str, *, without: str = "") -> RigChoice:
     path = Path(name)
     if path.suffix == ".toml" or len(path.parts) > 1 or path.is_file():
         description = load(RigDescription, path)
-        table = description.reference.table
         if description.reference.scale != 1.0:
             raise ConfigError(
                 f"{path}: reference.scale = {description.reference.scale:g} says what is true of a simulated rig, "
                 "which nobody who measures there knows: write it into the file that `truth` names"
             )
-        if table is not None:
-            reference = description.reference.model_copy(update={"table": str((path.parent / table).absolute())})
-            description = description.model_copy(update={"reference": reference})
-        if description.reference.certificate is not None:
-            description = description.model_copy(update={"reference": _certified(description.reference, path)})
-        if description.camera.maps is not None:
-            camera = description.camera.model_copy(
-                update={"maps": str((path.parent / description.camera.maps).absolute())}
-            )
-            description = description.model_copy(update={"camera": camera})
-        if description.truth is not None:
-            description = description.model_copy(update={"truth": str((path.parent / description.truth).absolute())})
+        reference = _with_path(description.reference, "table", path)
+        if reference.certificate is not None:
+            reference = _certified(reference, path)
+        tables = {"reference": reference, "camera": _with_path(description.camera, "maps", path)}
+        description = _with_path(description.model_copy(update=tables), "truth", path)
         description = with_calibrations(description, path.parent, without=without)
         try:
             return RigChoice(plugins.load("gonio.rigs", description.rig), description, name)
@@ -444,19 +441,16 @@ def _check_frame(rig: RigChoice, steps: list[Step]) -> None:
         extent = regions.patch_extent(description, kinematics.view(description, pose), target)
         if regions.frame_holds(description, extent):
             continue
-        at = kinematics.directions(description, pose)
-        radius = f"[acquisition] roi_radius_mm = {patch:g}"
+        at, (left, right, top, bottom) = kinematics.directions(description, pose), extent
+        radius, remedy = f"[acquisition] roi_radius_mm = {patch:g}", "measure a smaller patch"
+        key = f"{radius} makes the patch of the {'white reference' if target == 'reference' else target} cover"
         if target == "reference" and reference.how == "beside":
             x, y = reference.offset_mm
             key = f"[reference] offset_mm = [{x:g}, {y:g}] puts the patch of the reference ({radius}) on"
-            remedy = "bring the reference nearer to the sample, or let the frame hold more"
-        else:
-            key = f"{radius} makes the patch of the {'white reference' if target == 'reference' else target} cover"
-            remedy = "measure a smaller patch, or let the frame hold more"
-        left, right, top, bottom = extent
+            remedy = "bring the reference nearer to the sample"
         raise ConfigError(
             f"{rig.source}: {key} columns {left:.0f} to {right:.0f} and rows {top:.0f} to {bottom:.0f}, seen at "
             f"theta_i = {math.degrees(at.theta_i):g}, theta_r = {math.degrees(at.theta_r):g} deg; the frame has "
-            f"{camera.width} columns and {camera.height} rows, counted from 0: {remedy} (a shorter [camera] "
-            "focal_length_mm, or a longer [geometry] camera_distance_mm)"
+            f"{camera.width} columns and {camera.height} rows, counted from 0: {remedy}, or let the frame hold "
+            "more (a shorter [camera] focal_length_mm, or a longer [geometry] camera_distance_mm)"
         )

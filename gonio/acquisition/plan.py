@@ -20,9 +20,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import ConfigDict, Field, ValidationInfo, field_validator, model_validator
 
-from gonio.acquisition.grids import HalfVector, Hemisphere
-from gonio.acquisition.sweeps import ANGLES as ANGLES
-from gonio.acquisition.sweeps import MAX_POINTS, PointsFile, Repeated, Sweep
+from gonio.acquisition.plan_tables import ANGLES as ANGLES
+from gonio.acquisition.plan_tables import MAX_POINTS, HalfVector, Hemisphere, PointsFile, Repeated, Sweep
 from gonio.config import Strict, parse, read_toml
 from gonio.disk import only_file
 from gonio.documents import TomlTable
@@ -39,6 +38,8 @@ from gonio.rig.ranges import Positive
 SAME_DEG = 1e-7
 """Points closer than this in every angle [deg] are one point: above rounding, and far below an encoder's step."""
 GRAZING_DEG = 1e-6
+PLAN_COLUMNS = ["point", *ANGLES, "flag", "reason"]
+"""Of a plan.csv."""
 
 
 class Adaptive(Strict):
@@ -200,8 +201,8 @@ def load_plan(path: str | Path) -> Plan:
     file = parse(PlanFile, read_toml(path), path)
     listed = [(table, read_points(path.parent / table.file)) for table in file.points]
     grids: tuple[HalfVector | Hemisphere, ...] = (*file.half_vector, *file.hemisphere)
-    count = sum(sweep.count * sweep.repeats for sweep in file.sweep) + sum(grid.size * grid.repeats for grid in grids)
-    count += sum(len(points) * table.repeats for table, points in listed)
+    count = sum(len(points) * table.repeats for table, points in listed)
+    count += sum(sweep.size * sweep.repeats for sweep in file.sweep) + sum(grid.size * grid.repeats for grid in grids)
     if count > MAX_POINTS:
         raise ConfigError(f"{path}: the plan has {count} points; at most {MAX_POINTS} fit into one run")
     tables: list[tuple[Repeated, list[Point]]] = [
@@ -331,6 +332,16 @@ def assess(plan: Plan, description: RigDescription) -> list[Assessed]:
         except Unreachable as error:
             out.append(Assessed(point, None, error.flag, str(error), error.cause))
     return out
+
+
+def plan_csv(points: Sequence[Assessed]) -> str:
+    """plan.csv: the points of a run, as a table that a person reads."""
+    out = io.StringIO()
+    lines = csv.writer(out, lineterminator="\n")
+    lines.writerow(PLAN_COLUMNS)
+    for row, a in enumerate(points):
+        lines.writerow([row, *(repr(float(getattr(a.point, name))) for name in ANGLES), a.flag, a.reason])
+    return out.getvalue()
 
 
 def count_reasons(points: list[Assessed]) -> list[tuple[tuple[str, str], int]]:

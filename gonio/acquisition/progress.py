@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
@@ -54,11 +53,6 @@ class Progress(Protocol):
         """Something happened."""
 
 
-@contextlib.contextmanager
-def _nothing() -> Iterator[None]:
-    yield
-
-
 class Silent:
     """Nobody watches."""
 
@@ -76,7 +70,7 @@ class Silent:
 
     def paused(self) -> contextlib.AbstractContextManager[None]:
         """Nothing."""
-        return _nothing()
+        return contextlib.nullcontext()
 
     def waited(self, seconds: float) -> None:
         """Nothing."""

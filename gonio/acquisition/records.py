@@ -1,283 +1,68 @@
 """What a journal says of a step and of its frames, and what a frame's own file says: values with a JSON form.
 
-`text` and `from_json` are inverse to each other: keys keep their order and numbers their digits, because a journal's
-lines are checksummed. The text is put together by hand: the same poses stand in the labels of a step's frames and in
-its line, and to encode each of them anew would take as long as the frames themselves.
+Each field of a record declares its key, what may stand there, and how it is written and read. So text and record are
+inverse to each other: keys keep their order and numbers their digits, because a journal's lines are checksummed. A pose
+is encoded once: the same one stands in the labels of a step's frames and in its line.
+
+A line that is whole may still be forged, or come from another version. Numbers have bounds, so that what is read can be
+computed with.
 """
 
 from __future__ import annotations
 
+import datetime
 import json
+import math
+import re
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
-from math import isfinite
+from dataclasses import MISSING, dataclass, field, fields, replace
+from functools import cache
 from operator import attrgetter
-from typing import Any, Literal, Self, TypeVar
+from typing import Annotated, Any, Literal, NamedTuple, NotRequired, Self
+
+from pydantic import AfterValidator, ConfigDict, Field, TypeAdapter, ValidationError, with_config
+from typing_extensions import TypedDict
 
 from gonio.documents import JsonObject
 from gonio.errors import DataError
 from gonio.rig.health import Reading
 from gonio.rig.protocols import Pose
 
-"""An object of JSON."""
 Kind = Literal["dark", "reference", "point"]
-Parsed = TypeVar("Parsed")
+Extra = Literal["allow", "ignore", "forbid"]
 
 LABEL_FORMAT = "gonio-frame-1"
-AXES = tuple(field.name for field in fields(Pose))
+AXES = tuple(each.name for each in fields(Pose))
 _of_axes = attrgetter(*AXES)
 compact = json.JSONEncoder(separators=(",", ":"), allow_nan=False).encode
 """JSON without spaces; raises `ValueError` for numbers that it does not have."""
 
+# ---- what may stand in a line ----
 
-@dataclass(frozen=True, slots=True)
-class FrameFile:
-    """What the file of a frame is, once it is on the disk."""
-
-    sha256: str
-    bytes: int
-
-
-@dataclass(frozen=True, slots=True)
-class FrameRecord:
-    """One frame of a step."""
-
-    file: str
-    """Its name in `frames/`."""
-    band: str
-    """"" for a dark frame."""
-    exposure_s: float
-    time_s: float
-    """Start of the exposure on the rig's clock."""
-    lamp: bool
-    """Whether the lamp was lit."""
-    sha256: str | None = None
-    """None until the file is on the disk."""
-    bytes: int | None = None
-    """Size of the file; None where it is not known."""
-    monitor: float | None = None
-    """Reading of the lamp's monitor during the exposure, in its own unit; None where there is none."""
-
-    def stored(self, file: FrameFile) -> FrameRecord:
-        """This frame, with what its file is."""
-        return FrameRecord(
-            self.file, self.band, self.exposure_s, self.time_s, self.lamp, file.sha256, file.bytes, self.monitor
-        )
-
-    def members(self, file: FrameFile | None = None) -> str:
-        """As it stands in the journal, without braces; `file` is what its file is, where it does not say so itself."""
-        out = (
-            f'"file":{compact(self.file)},"band":{compact(self.band)},"exposure_s":{_number(self.exposure_s)},'
-            f'"time_s":{_number(self.time_s)},"lamp":{"true" if self.lamp else "false"}'
-        )
-        sha256, count = (self.sha256, self.bytes) if file is None else (file.sha256, file.bytes)
-        if sha256 is not None:
-            out += f',"sha256":{compact(sha256)}'
-        if count is not None:
-            out += f',"bytes":{_number(count)}'
-        if self.monitor is not None:
-            out += f',"monitor":{_number(self.monitor)}'
-        return out
-
-    @classmethod
-    def from_json(cls, values: Mapping[str, Any]) -> Self:
-        """Raises `DataError` where something is missing."""
-        return _parsed("frame", lambda: cls._of(values))
-
-    @classmethod
-    def _of(cls, values: Mapping[str, Any]) -> Self:
-        return cls(
-            values["file"],
-            sys.intern(values["band"]),
-            values["exposure_s"],
-            values["time_s"],
-            values["lamp"],
-            values.get("sha256"),
-            values.get("bytes"),
-            values.get("monitor"),
-        )
+_LARGEST = 2**53
+Count = Annotated[int, Field(ge=0, lt=_LARGEST)]
+Seconds = Annotated[float, Field(ge=-1e11, le=1e11)]
+"""Some three thousand years either way: more is no time that a clock tells."""
+Exposure = Annotated[float, Field(gt=0.0, le=1e6)]
+"""Of a frame [s]: `gonio.rig.dng.write_dng` takes no longer one."""
+Angle = Annotated[float, Field(ge=-100.0, le=100.0)]
+"""What an encoder may read [rad]: some turns."""
+Degrees = Annotated[float, Field(ge=-720.0, le=720.0)]
+ThetaI = Annotated[float, Field(ge=0.0, le=90.0)]
+Finite = Annotated[float, Field(ge=-1e15, le=1e15)]
+FileName = Annotated[str, Field(pattern=r"^\d{6,}-\w+-\d{2,}\.\w+$", max_length=200)]
 
 
-@dataclass(frozen=True, slots=True)
-class StepRecord:
-    """A step that was taken whole: where the axes stood, and its frames."""
-
-    step: int
-    """Its number in the schedule."""
-    kind: Kind
-    point: int | None
-    """Row of the plan, for a point."""
-    time_s: float
-    """Of its first frame on the rig's clock."""
-    goal: Pose
-    pose: Pose
-    """What the encoders read before the frames; for a dark, after them."""
-    pose_time_s: float | None
-    """None in runs from before it was kept."""
-    flag: str
-    """"" or why the step counts for nothing: it has no frames, or none that tell of its pose ("unsteady")."""
-    frames: tuple[FrameRecord, ...]
-    pose_after: Pose | None = None
-    """What the encoders read after the frames."""
-    pose_after_time_s: float | None = None
-    level_per_s: Mapping[str, float] | None = None
-    """By band: the brightest used pixel, as a fraction of full scale, for an exposure of one second."""
-    pose_spread: Pose | None = None
-    """Largest less smallest of the readings whose mean `pose` is; None where the rig does not tell."""
-    health: tuple[Reading, ...] = ()
-    """What was read of the rig's devices after the frames, without limits; empty in runs from before it was kept."""
-
-    def text(self, files: Sequence[FrameFile] = ()) -> str:
-        """As it stands in the journal, without the line's number, time and checksum.
-
-        `files` says of its first frames what their files are, where the record does not.
-        """
-        out = [
-            f'{{"event":"step","step":{_number(self.step)},"kind":{compact(self.kind)},"point":{_number(self.point)},'
-            f'"time_s":{_number(self.time_s)},"goal":{_axes(self.goal)},"pose":{_axes(self.pose)}'
-        ]
-        if self.pose_time_s is not None:
-            out.append(f',"pose_time_s":{_number(self.pose_time_s)}')
-        if self.pose_after is not None:
-            out.append(f',"pose_after":{_axes(self.pose_after)},"pose_after_time_s":{_number(self.pose_after_time_s)}')
-        if self.pose_spread is not None:
-            out.append(f',"pose_spread":{_axes(self.pose_spread)}')
-        if self.level_per_s is not None:
-            levels = (f"{compact(band)}:{_number(level)}" for band, level in self.level_per_s.items())
-            out.append(f',"level_per_s":{{{",".join(levels)}}}')
-        if self.health:
-            rows = [[r.device, r.quantity, r.value, r.unit] for r in self.health]
-            out.append(f',"health":{compact(rows)}')
-        known = [*files, *(None for _ in self.frames[len(files) :])]
-        frames = (f"{{{frame.members(file)}}}" for frame, file in zip(self.frames, known, strict=True))
-        out.append(f',"flag":{compact(self.flag)},"frames":[{",".join(frames)}]}}')
-        return "".join(out)
-
-    def to_json(self) -> JsonObject:
-        """`text` as an object."""
-        out: JsonObject = json.loads(self.text())
-        return out
-
-    @classmethod
-    def from_json(cls, values: Mapping[str, Any]) -> Self:
-        """Raises `DataError` where something is missing."""
-        return _parsed("step", lambda: cls._of(values))
-
-    @classmethod
-    def _of(cls, values: Mapping[str, Any]) -> Self:
-        after, spread = values.get("pose_after"), values.get("pose_spread")
-        return cls(
-            values["step"],
-            sys.intern(values["kind"]),  # type: ignore[arg-type]
-            values["point"],
-            values["time_s"],
-            Pose(**values["goal"]),
-            Pose(**values["pose"]),
-            values.get("pose_time_s"),
-            sys.intern(values["flag"]),
-            tuple(map(FrameRecord._of, values["frames"])),
-            None if after is None else Pose(**after),
-            values.get("pose_after_time_s"),
-            values.get("level_per_s"),
-            None if spread is None else Pose(**spread),
-            tuple(
-                Reading(sys.intern(d), sys.intern(q), value, sys.intern(u))
-                for d, q, value, u in values.get("health", ())
-            ),
-        )
+def _shape(keys: Mapping[str, Any], extra: Extra = "ignore") -> Any:
+    """An object of JSON with these keys."""
+    shape = TypedDict("shape", dict(keys))  # type: ignore[misc]  # noqa: UP013
+    return with_config(ConfigDict(strict=True, extra=extra, allow_inf_nan=False))(shape)
 
 
-@dataclass(frozen=True, slots=True)
-class FrameLabel:
-    """What the file of a frame says of itself: which frame it is, of which step of which run."""
+_POSE = _shape(dict.fromkeys(AXES, NotRequired[Angle]) | {"light": Angle, "camera": Angle}, "forbid")
 
-    run: str
-    """`Run.key`."""
-    step: int
-    kind: Kind
-    point: int | None
-    number: int
-    """Of the frame in its step, from 1."""
-    count: int
-    """How many frames the step has; with planned brackets, up to the last one of the bands that were planned so far."""
-    frame: FrameRecord
-    goal: Pose | None
-    """Where the step was to stand, and what the encoders read before its frames; None for a dark."""
-    pose: Pose | None
-    pose_time_s: float | None
-    record: StepRecord | None = None
-    """In the last frame of a step: all that the journal says of it, but for what this file is."""
-    pixels: str | None = None
-    """SHA-256 of the frame's pixels (`gonio.rig.dng.pixels_sha256`), or of all of a camera's own file; None in frames
-    from before it was kept."""
-
-    def otherwise(self, run: str, step: StepRecord, frame: FrameRecord) -> str:
-        """What this label says otherwise than the journal does of a step and its frame; "" where they agree.
-
-        `run` is the key of the run.
-        """
-        bare = replace(frame, sha256=None, bytes=None)
-        told: dict[str, tuple[object, object]] = {
-            name: (getattr(self, name), getattr(step, name)) for name in ("step", "kind", "point")
-        } | {name: (getattr(self.frame, name), getattr(bare, name)) for name in _OF_FRAME}
-        if self.goal is not None:
-            told |= {name: (getattr(self, name), getattr(step, name)) for name in ("goal", "pose", "pose_time_s")}
-        if self.record is not None:
-            whole = replace(step, frames=(*step.frames[:-1], bare))
-            told |= {name: (getattr(self.record, name), getattr(whole, name)) for name in _OF_STEP}
-        if self.run != run:
-            return "says that it belongs to another run"
-        differing = [name for name, (own, other) in told.items() if own != other]
-        return f"says otherwise of {', '.join(differing)} than the journal does" if differing else ""
-
-    def text(self, files: Sequence[FrameFile] = ()) -> str:
-        """As it stands in the frame's file; `files` says what those of the frames before it in its step are."""
-        out = (
-            f'{{"format":"{LABEL_FORMAT}","run":{compact(self.run)},"step":{_number(self.step)},"kind":{compact(self.kind)},'
-            f'"point":{_number(self.point)},"frame":{_number(self.number)},"of":{_number(self.count)},'
-            f"{self.frame.members()}"
-        )
-        if self.pixels is not None:
-            out += f',"pixels":{compact(self.pixels)}'
-        if self.goal is not None and self.pose is not None:
-            time_s = _number(self.pose_time_s)
-            out += f',"goal":{_axes(self.goal)},"pose":{_axes(self.pose)},"pose_time_s":{time_s}'
-        return f"{out}}}" if self.record is None else f'{out},"event":{self.record.text(files)}}}'
-
-    def to_json(self) -> JsonObject:
-        """`text` as an object."""
-        out: JsonObject = json.loads(self.text())
-        return out
-
-    @classmethod
-    def from_json(cls, values: Mapping[str, Any]) -> Self:
-        """Raises `DataError` where something is missing."""
-        return _parsed("frame", lambda: cls._of(values))
-
-    @classmethod
-    def _of(cls, values: Mapping[str, Any]) -> Self:
-        if values["format"] != LABEL_FORMAT:
-            raise ValueError(f'its format is "{values["format"]}"')
-        goal, pose, record = (values.get(name) for name in ("goal", "pose", "event"))
-        return cls(
-            values["run"],
-            values["step"],
-            values["kind"],
-            values["point"],
-            values["frame"],
-            values["of"],
-            FrameRecord._of(values),
-            None if goal is None else Pose(**goal),
-            None if pose is None else Pose(**pose),
-            values.get("pose_time_s"),
-            None if record is None else StepRecord._of(record),
-            values.get("pixels"),
-        )
-
-
-_OF_FRAME = tuple(field.name for field in fields(FrameRecord))
-_OF_STEP = tuple(field.name for field in fields(StepRecord))
+# ---- how it is written ----
 
 _KEPT = 16
 _kept: dict[int, tuple[Pose, str]] = {}
@@ -297,13 +82,378 @@ def _axes(pose: Pose) -> str:
 
 def _number(value: float | None) -> str:
     """JSON of a number, or of none; raises `ValueError` for one that is not finite."""
-    return repr(value) if value.__class__ is float and isfinite(value) else compact(value)
+    kind = value.__class__
+    return repr(value) if kind is int or (kind is float and math.isfinite(value)) else compact(value)  # type: ignore[arg-type]
 
 
-def _parsed(what: str, parse: Callable[[], Parsed]) -> Parsed:
+def _truth(value: bool) -> str:
+    return "true" if value else "false"
+
+
+class _Key(NamedTuple):
+    """A field of a record as a key of JSON."""
+
+    name: str
+    """"" where the object of the field is not nested: its keys stand among those of the record."""
+    prefix: str
+    """What is written before the value."""
+    write: Callable[[Any], str]
+    default: Any
+    """The key is left out where the field has this value; `MISSING` where it is always there."""
+    shape: Any
+    read: Callable[[Any], Any] | None
+
+
+def _key(
+    shape: Any, write: Callable[[Any], str] = compact, read: Callable[[Any], Any] | None = None, name: str | None = None
+) -> dict[str, Any]:
+    """What a field declares: what may stand there, how it is written and read, and its key, if that is not its name."""
+    return {"name": name, "shape": shape, "write": write, "read": read}
+
+
+class _Keys:
+    """The keys of a kind of record, in the order of JSON."""
+
+    def __init__(self, record: Any) -> None:
+        self.all: dict[str, _Key] = {}
+        """By the names of fields."""
+        for each in fields(record):
+            name = each.name if each.metadata["name"] is None else each.metadata["name"]
+            shape, write, read = (each.metadata[what] for what in ("shape", "write", "read"))
+            self.all[each.name] = _Key(name, f'"{name}":' if name else "", write, each.default, shape, read)
+        self.values_of = attrgetter(*self.all)
+        self.writing = [key[1:4] for key in self.all.values()]
+
+    def shapes(self) -> dict[str, Any]:
+        """What may stand at each key of JSON."""
+        out: dict[str, Any] = {}
+        for key in self.all.values():
+            shape: Any = key.shape if key.default is MISSING else NotRequired[key.shape | None]
+            out |= {key.name: shape} if key.name else shape
+        return out
+
+
+_found: dict[Any, _Keys] = {}
+"""The keys of each kind of record."""
+
+
+def _keys(record: Any) -> _Keys:
+    found = _found.get(record)
+    if found is None:
+        found = _found[record] = _Keys(record)
+    return found
+
+
+class _Record:
+    """A frozen dataclass whose fields declare their keys by `_key`, in the order of JSON."""
+
+    __slots__ = ()
+    CALLED = "record"
+
+    def members(self) -> str:
+        """The object of JSON, without braces."""
+        keys = _keys(self.__class__)
+        told = zip(keys.writing, keys.values_of(self), strict=True)
+        return ",".join([prefix + write(value) for (prefix, write, default), value in told if value is not default])
+
+    def text(self) -> str:
+        """As it stands in a journal or in a frame's file."""
+        return f"{{{self.members()}}}"
+
+    def to_json(self) -> JsonObject:
+        """`text` as an object."""
+        out: JsonObject = json.loads(self.text())
+        return out
+
+    @classmethod
+    def from_json(cls, values: Mapping[str, Any]) -> Self:
+        """Raises `DataError` where something is missing."""
+        try:
+            return cls.of(values)
+        except KeyError as error:
+            raise DataError(f"the record of a {cls.CALLED} has no {error.args[0]!r}") from None
+        except (TypeError, ValueError, AttributeError) as error:
+            raise DataError(f"the record of a {cls.CALLED} cannot be understood: {error}") from None
+
+    @classmethod
+    def of(cls, values: Mapping[str, Any]) -> Self:
+        """`from_json`, of values that were looked at."""
+        out = {}
+        for attribute, (name, _, _, default, _, read) in _keys(cls).all.items():
+            required = default is MISSING
+            value = values if not name else values[name] if required else values.get(name)
+            if required or value is not None:
+                out[attribute] = value if read is None else read(value)
+        return cls(**out)
+
+
+def _read_pose(values: Mapping[str, float]) -> Pose:
+    return Pose(**values)
+
+
+def _pose_key() -> dict[str, Any]:
+    return _key(_POSE, _axes, _read_pose)
+
+
+@dataclass(frozen=True, slots=True)
+class FrameFile:
+    """What the file of a frame is, once it is on the disk."""
+
+    sha256: str
+    bytes: int
+
+
+@dataclass(frozen=True, slots=True)
+class FrameRecord(_Record):
+    """One frame of a step."""
+
+    CALLED = "frame"
+
+    file: str = field(metadata=_key(FileName))
+    """Its name in `frames/`."""
+    band: str = field(metadata=_key(str, read=sys.intern))
+    """"" for a dark frame."""
+    exposure_s: float = field(metadata=_key(Exposure, _number))
+    time_s: float = field(metadata=_key(Seconds, _number))
+    """Start of the exposure on the rig's clock."""
+    lamp: bool = field(metadata=_key(bool, _truth))
+    """Whether the lamp was lit."""
+    sha256: str | None = field(default=None, metadata=_key(str))
+    """None until the file is on the disk."""
+    bytes: int | None = field(default=None, metadata=_key(Count, _number))
+    """Size of the file; None where it is not known."""
+    monitor: float | None = field(default=None, metadata=_key(Finite, _number))
+    """Reading of the lamp's monitor during the exposure, in its own unit; None where there is none."""
+
+    def stored(self, file: FrameFile) -> FrameRecord:
+        """This frame, with what its file is."""
+        return FrameRecord(
+            self.file, self.band, self.exposure_s, self.time_s, self.lamp, file.sha256, file.bytes, self.monitor
+        )
+
+
+def _levels(level_per_s: Mapping[str, float]) -> str:
+    return f"{{{','.join(f'{compact(band)}:{_number(level)}' for band, level in level_per_s.items())}}}"
+
+
+def _readings(health: Sequence[Reading]) -> str:
+    return compact([[r.device, r.quantity, r.value, r.unit] for r in health])
+
+
+def _read_readings(rows: Sequence[tuple[str, str, float | str, str]]) -> tuple[Reading, ...]:
+    return tuple(Reading(sys.intern(d), sys.intern(q), value, sys.intern(u)) for d, q, value, u in rows)
+
+
+def _frames(frames: Sequence[FrameRecord]) -> str:
+    return f"[{','.join([frame.text() for frame in frames])}]"
+
+
+def _read_frames(rows: Sequence[Mapping[str, Any]]) -> tuple[FrameRecord, ...]:
+    return tuple(map(FrameRecord.of, rows))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StepRecord(_Record):
+    """A step that was taken whole: where the axes stood, and its frames."""
+
+    CALLED = "step"
+
+    step: int = field(metadata=_key(Count, _number))
+    """Its number in the schedule."""
+    kind: Kind = field(metadata=_key(Kind, read=sys.intern))
+    point: int | None = field(metadata=_key(Count | None, _number))
+    """Row of the plan, for a point."""
+    time_s: float = field(metadata=_key(Seconds, _number))
+    """Of its first frame on the rig's clock."""
+    goal: Pose = field(metadata=_pose_key())
+    pose: Pose = field(metadata=_pose_key())
+    """What the encoders read before the frames; for a dark, after them."""
+    pose_time_s: float | None = field(default=None, metadata=_key(Seconds, _number))
+    """None in runs from before it was kept."""
+    pose_after: Pose | None = field(default=None, metadata=_pose_key())
+    """What the encoders read after the frames."""
+    pose_after_time_s: float | None = field(default=None, metadata=_key(Seconds, _number))
+    pose_spread: Pose | None = field(default=None, metadata=_pose_key())
+    """Largest less smallest of the readings whose mean `pose` is; None where the rig does not tell."""
+    level_per_s: Mapping[str, float] | None = field(default=None, metadata=_key(dict[str, Finite], _levels))
+    """By band: the brightest used pixel, as a fraction of full scale, for an exposure of one second."""
+    health: tuple[Reading, ...] = field(
+        default=(), metadata=_key(list[tuple[str, str, Finite | str, str]], _readings, _read_readings)
+    )
+    """What was read of the rig's devices after the frames, without limits; empty in runs from before it was kept."""
+    flag: str = field(metadata=_key(str, read=sys.intern))
+    """"" or why the step counts for nothing: it has no frames, or none that tell of its pose ("unsteady")."""
+    frames: tuple[FrameRecord, ...] = field(
+        metadata=_key(list[_shape(_keys(FrameRecord).shapes())], _frames, _read_frames)  # type: ignore[misc]
+    )
+
+    def text(self) -> str:
+        """As it stands in the journal, without the line's number, time and checksum."""
+        return f'{{"event":"step",{self.members()}}}'
+
+    def stored(self, files: Sequence[FrameFile]) -> StepRecord:
+        """This step, with what the files of its first frames are."""
+        first = [frame.stored(file) for frame, file in zip(self.frames, files, strict=False)]
+        return replace(self, frames=(*first, *self.frames[len(files) :]))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FrameLabel(_Record):
+    """What the file of a frame says of itself: which frame it is, of which step of which run."""
+
+    CALLED = "frame"
+
+    run: str = field(metadata=_key(str))
+    """`Run.key`."""
+    step: int = field(metadata=_key(Count, _number))
+    kind: Kind = field(metadata=_key(Kind))
+    point: int | None = field(metadata=_key(Count | None, _number))
+    number: int = field(metadata=_key(Count, _number, name="frame"))
+    """Of the frame in its step, from 1."""
+    count: int = field(metadata=_key(Count, _number, name="of"))
+    """How many frames the step has; with planned brackets, up to the last one of the bands that were planned so far."""
+    frame: FrameRecord = field(metadata=_key(_keys(FrameRecord).shapes(), FrameRecord.members, FrameRecord.of, name=""))
+    pixels: str | None = field(default=None, metadata=_key(str))
+    """SHA-256 of the frame's pixels (`gonio.rig.dng.pixels_sha256`), or of all of a camera's own file; None in frames
+    from before it was kept."""
+    goal: Pose | None = field(default=None, metadata=_pose_key())
+    """Where the step was to stand, and what the encoders read before its frames; None for a dark."""
+    pose: Pose | None = field(default=None, metadata=_pose_key())
+    pose_time_s: float | None = field(default=None, metadata=_key(Seconds, _number))
+    record: StepRecord | None = field(
+        default=None, metadata=_key(_shape(_keys(StepRecord).shapes()), StepRecord.text, StepRecord.of, name="event")
+    )
+    """In the last frame of a step: all that the journal says of it, but for what this file is."""
+
+    def otherwise(self, run: str, step: StepRecord, frame: FrameRecord) -> str:
+        """What this label says otherwise than the journal does of a step and its frame; "" where they agree.
+
+        `run` is the key of the run.
+        """
+        if self.run != run:
+            return "says that it belongs to another run"
+        bare = replace(frame, sha256=None, bytes=None)
+        pairs: list[tuple[object, object, tuple[str, ...]]] = [
+            (self, step, ("step", "kind", "point")), (self.frame, bare, FrameRecord.__slots__)
+        ]  # fmt: skip
+        if self.goal is not None:
+            pairs.append((self, step, ("goal", "pose", "pose_time_s")))
+        if self.record is not None:
+            whole = replace(step, frames=(*step.frames[:-1], bare))
+            pairs.append((self.record, whole, StepRecord.__slots__))
+        differing = dict.fromkeys(
+            name for own, other, names in pairs for name in names if getattr(own, name) != getattr(other, name)
+        )
+        return f"says otherwise of {', '.join(differing)} than the journal does" if differing else ""
+
+    def text(self) -> str:
+        """As it stands in the frame's file."""
+        return f'{{"format":"{LABEL_FORMAT}",{self.members()}}}'
+
+    @classmethod
+    def parsed(cls, text: str) -> Self:
+        """The label that stands in a frame's file; raises `DataError` as `event_of` does."""
+        label = _read(_adapter("label"), text, "the label of a frame")
+        if label.get("event") is not None:
+            _checked_step(label["event"])
+        return cls.from_json(json.loads(text))  # with the digits of its numbers, as they stand there
+
+
+# ---- lines ----
+
+_SAID: JsonObject = {"step": Count, "message": str, "time_s": Seconds}
+_OTHERS: Mapping[str, Mapping[str, Any]] = {
+    "session": {"gonio": str, "steps": Count, "left": Count},
+    "remark": {"message": str},
+    "suspended": {"rule": str, **_SAID},
+    "paused": {"why": str, **_SAID},
+    "retry": {"device": str, "attempt": Count, **_SAID},
+    "continued": {"step": Count, "waited_s": Seconds, "time_s": Seconds},
+    "enough": {"met": bool, "message": str, "why": JsonObject},
+    "interrupted": {"message": str},
+    "device_error": {"message": str},
+    "repaired": {"kept": Count, "rebuilt": list[Count]},
+    "end": {"steps": Count},
+}
+"""Of these every key may be missing: nothing is computed from them."""
+_KINDS: Mapping[str, Mapping[str, Any]] = {
+    "step": _keys(StepRecord).shapes(),
+    "chosen": {
+        "first_step": Count,
+        "points": list[tuple[ThetaI, Degrees, Degrees, Degrees]],
+        "why": NotRequired[JsonObject],
+    },
+    "lost": {"steps": list[Count], "frames": NotRequired[list[str]]},
+} | {kind: {key: NotRequired[what] for key, what in keys.items()} for kind, keys in _OTHERS.items()}
+_BEGINNING = re.compile(rb'\{"n":\d+,"event":"(\w+)"')
+
+
+def _time_of_day(value: str) -> str:
+    if datetime.datetime.fromisoformat(value).year < 1970:
+        raise ValueError("no time after 1970")
+    return value
+
+
+_EVERY = {"n": Count, "event": str, "wall": NotRequired[Annotated[str, AfterValidator(_time_of_day)]]}
+
+
+@cache
+def _adapter(kind: str) -> TypeAdapter[Any]:
+    """What reads a line of a kind; of one that nobody knows here ("") what every line has; "label" reads labels."""
+    if kind == "label":
+        return TypeAdapter(_shape(_keys(FrameLabel).shapes() | {"format": Literal["gonio-frame-1"]}))
+    own = {"event": Literal[kind], **_KINDS[kind]} if kind else {}
+    return TypeAdapter(_shape(_EVERY | own, "allow"))
+
+
+def event_of(line: bytes) -> JsonObject:
+    """The event of a line whose checksum is right.
+
+    Raises
+    ------
+    DataError
+        Something is missing, is of another type, or is no number that one can compute with; the message names it.
+    """
+    found = _BEGINNING.match(line)
+    kind = found[1].decode() if found is not None else ""
+    event = _read(_adapter(kind if kind in _KINDS else ""), line, f"the record of a {kind}" if kind else "it")
+    if found is None and event["event"] in _KINDS:
+        event = _read(_adapter(event["event"]), line, f"the record of a {event['event']}")
+    if event["event"] == "step":
+        return _checked_step(event)
+    if (wrong := _uncountable(event)) is not None:
+        raise DataError(f"the record of a {event['event']} cannot be understood: it holds {str(wrong)[:40]}")
+    return event
+
+
+def _read(adapter: TypeAdapter[Any], text: str | bytes, what: str) -> JsonObject:
     try:
-        return parse()
-    except KeyError as error:
-        raise DataError(f"the record of a {what} has no {error.args[0]!r}") from None
-    except (TypeError, ValueError, AttributeError) as error:
-        raise DataError(f"the record of a {what} cannot be understood: {error}") from None
+        out: JsonObject = adapter.validate_json(text)
+        return out
+    except ValidationError as error:
+        first = error.errors(include_url=False, include_context=False)[0]
+        place = ".".join(map(str, first["loc"]))
+        if first["type"] == "missing":
+            raise DataError(f'{what} has no "{place}"') from None
+        value = repr(first["input"])
+        shown = f" = {value if len(value) <= 40 else value[:36] + ' ...'}" if place else ""
+        raise DataError(f"{what} cannot be understood: {place}{shown}: {first['msg']}") from None
+
+
+def _checked_step(step: JsonObject) -> JsonObject:
+    if (step["kind"] == "point") != (step["point"] is not None):
+        raise DataError(f'the record of a step cannot be understood: kind = "{step["kind"]}", point = {step["point"]}')
+    for frame in step["frames"]:
+        if not frame["file"].startswith(f"{step['step']:06d}-"):
+            raise DataError(f'the record of step {step["step"]} names "{frame["file"]}", which is of another step')
+    return step
+
+
+def _uncountable(value: Any) -> Any:
+    """A number that is none, or that no float holds; None where there is none."""
+    if isinstance(value, float):
+        return None if math.isfinite(value) else value
+    if isinstance(value, int):
+        return value if abs(value) >= _LARGEST else None
+    parts = value.values() if isinstance(value, dict) else value if isinstance(value, list | tuple) else ()
+    return next((wrong for part in parts if (wrong := _uncountable(part)) is not None), None)

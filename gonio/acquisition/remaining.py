@@ -19,7 +19,7 @@ from gonio.acquisition.duration import Durations
 from gonio.acquisition.plan import Point
 from gonio.acquisition.records import StepRecord
 from gonio.acquisition.run import Run
-from gonio.acquisition.schedule import Schedule, batch_steps
+from gonio.acquisition.schedule import Schedule
 from gonio.rig import Pose, Step
 from gonio.rig.inverse_kinematics import Unreachable, reach
 from gonio.typing import Floats
@@ -141,14 +141,9 @@ class Remaining:
         steps = planned
         if steps is None:
             rows = [row for row, flag in enumerate(points.flags) if not flag]
-
-            def pose(row: int) -> Pose:
-                return reach(description, Point(*points.angles_deg[row].tolist()).directions)
-
-            steps = Schedule(description, rows, pose)
-        batches = run.batches
-        if batches:
-            grown = [s for b in batches for s in batch_steps(description, b.first_step, b.first_row, b.points)]
+            angles = points.angles_deg
+            steps = Schedule(description, rows, lambda row: reach(description, Point(*angles[row].tolist()).directions))
+        if grown := run.grown_steps():
             steps = [*steps, *grown]
         done = run.steps()
         simulated = run.sample is not None if simulated is None else simulated

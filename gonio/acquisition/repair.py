@@ -20,14 +20,12 @@ import numpy as np
 import numpy.typing as npt
 
 from gonio import platform
-from gonio.acquisition.expected_lines import event_of
 from gonio.acquisition.frame_writer import BESIDE, NAME, label_of, pixels_of
-from gonio.acquisition.journal import Event, decode, encode, locked, now
-from gonio.acquisition.records import FrameFile, FrameRecord, StepRecord
+from gonio.acquisition.journal import Event, Steps, decode, encode, locked, now
+from gonio.acquisition.records import FrameFile, FrameRecord, StepRecord, event_of
 from gonio.acquisition.repeats import Pictures, repeated
 from gonio.acquisition.run import CHOSEN, Run
 from gonio.acquisition.run_folder import begun
-from gonio.acquisition.steps import Steps
 from gonio.disk import half_written, is_own, read_file, read_manifest, set_aside, write_whole
 from gonio.errors import ConfigError, DataError
 from gonio.rig.dng import encode_dng, read_raw, read_record

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from gonio.acquisition.journal import Journal
-from gonio.acquisition.plan_csv import plan_csv
+from gonio.acquisition.plan import plan_csv
 from gonio.acquisition.repair import ASIDE, Found, find_damage, require_frames_only, set_orphans_aside
 from gonio.acquisition.run import Run
 from gonio.acquisition.run_settings import Request, differences, settings_for

@@ -34,12 +34,11 @@ import numpy as np
 import numpy.typing as npt
 
 from gonio.acquisition.frame_writer import NAME, label_of
-from gonio.acquisition.journal import Event, Events, Journal, read_events
-from gonio.acquisition.plan import ANGLES, Point, points_sha256
-from gonio.acquisition.plan_csv import PLAN_COLUMNS, plan_csv
+from gonio.acquisition.journal import Event, Events, Index, Journal, Steps, read_events
+from gonio.acquisition.plan import ANGLES, PLAN_COLUMNS, Point, plan_csv, points_sha256
 from gonio.acquisition.run_folder import OURS, check_new, check_writable, make_folder, remove_begun
 from gonio.acquisition.run_settings import Request, RunSettings, named_files, resolved, settings_for
-from gonio.acquisition.steps import Index, Steps
+from gonio.acquisition.schedule import Batch
 from gonio.config import parse, to_toml
 from gonio.disk import (
     MANIFEST,
@@ -58,6 +57,7 @@ from gonio.disk import (
 from gonio.documents import JsonObject
 from gonio.errors import ConfigError, DataError
 from gonio.platform import sync_folder
+from gonio.rig import Step
 from gonio.rig.bands import Band
 from gonio.rig.description import RigDescription, SampleDescription
 from gonio.rig.laboratory import Laboratory
@@ -77,7 +77,6 @@ AS_BEGUN = {"run.toml", "reference.csv", "reference.meta.json", "certificate.xml
 BESIDE_TABLE = ("budget.csv", "monte_carlo.csv", "monte_carlo.npz")
 """What a reduction writes beside its table."""
 RESTORE = "restore it, or move it away: `gonio measure ... --resume` writes it again"
-RECORDED = ("gonio", "numpy", "scipy", "numba", "pandas", "rawpy")
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,17 +88,6 @@ class Points:
     flags: list[str]
     """"" for a point that is measured, or why not."""
     reasons: list[str]
-
-
-@dataclass(frozen=True, slots=True)
-class Batch:
-    """Points that were chosen as the run grew."""
-
-    first_step: int
-    first_row: int
-    points: tuple[Point, ...]
-    why: JsonObject = field(default_factory=dict)
-    """What its sampler wrote down."""
 
 
 @dataclass
@@ -287,6 +275,10 @@ class Run:
             out.append(Batch(int(event["first_step"]), row, points, event.get("why", {})))
             row += len(points)
         return out
+
+    def grown_steps(self) -> list[Step]:
+        """The steps of all batches."""
+        return [step for batch in self.batches for step in batch.steps(self.description)]
 
     @property
     def enough(self) -> bool:

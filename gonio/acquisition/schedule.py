@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from typing import overload
 
 from gonio.acquisition.plan import ANGLES, Assessed, Plan, Point, assess, canonical, count_reasons
+from gonio.documents import JsonObject
 from gonio.errors import ConfigError
 from gonio.rig import Pose, Step, beam_size
 from gonio.rig.description import RigDescription
@@ -138,35 +140,36 @@ class Schedule(Sequence[Step]):
         return Step(number, "point", row, self._pose(row))
 
 
-def batch_steps(description: RigDescription, first_step: int, first_row: int, points: Sequence[Point]) -> list[Step]:
-    """The steps of a batch that was chosen: points with a visit every `reference.every`, and a last visit.
+@dataclass(frozen=True, slots=True)
+class Batch:
+    """Points that were chosen as the run grew."""
 
-    Parameters
-    ----------
-    description
-        The rig.
-    first_step, first_row
-        The numbers of the first of these steps and points.
-    points
-        What was chosen.
+    first_step: int
+    first_row: int
+    points: tuple[Point, ...]
+    why: JsonObject = field(default_factory=dict)
+    """What its sampler wrote down."""
 
-    Raises
-    ------
-    ConfigError
-        The rig cannot reach one of them.
-    """
-    every = description.reference.every or len(points)
-    reference, out = reference_pose(description), list[Step]()
-    for k, point in enumerate(points):
-        try:
-            pose = reach(description, point.directions)
-        except Unreachable as error:
-            angles = ", ".join(f"{name} = {getattr(point, name):g}" for name in ANGLES)
-            raise ConfigError(f"the sampler named a point that the rig cannot reach ({angles}): {error}") from None
-        out.append(Step(first_step + len(out), "point", first_row + k, pose))
-        if (k + 1) % every == 0 or k + 1 == len(points):
-            out.append(Step(first_step + len(out), "reference", pose=reference))
-    return out
+    def steps(self, description: RigDescription) -> list[Step]:
+        """Its points with a visit to the reference every `reference.every`, and a last visit.
+
+        Raises
+        ------
+        ConfigError
+            The rig cannot reach one of them.
+        """
+        every = description.reference.every or len(self.points)
+        reference, out = reference_pose(description), list[Step]()
+        for k, point in enumerate(self.points):
+            try:
+                pose = reach(description, point.directions)
+            except Unreachable as error:
+                angles = ", ".join(f"{name} = {getattr(point, name):g}" for name in ANGLES)
+                raise ConfigError(f"the sampler named a point that the rig cannot reach ({angles}): {error}") from None
+            out.append(Step(self.first_step + len(out), "point", self.first_row + k, pose))
+            if (k + 1) % every == 0 or k + 1 == len(self.points):
+                out.append(Step(self.first_step + len(out), "reference", pose=reference))
+        return out
 
 
 def going_on(plan: Plan, description: RigDescription, flags: Sequence[str]) -> Schedule:

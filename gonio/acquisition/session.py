@@ -17,10 +17,10 @@ from typing import Self
 import numpy as np
 
 from gonio.acquisition import exposure
-from gonio.acquisition.frame_writer import Files, Store, Written, slugs
+from gonio.acquisition.frame_writer import Files, Store, slugs
 from gonio.acquisition.holding import Holding
 from gonio.acquisition.progress import Live, Progress
-from gonio.acquisition.records import StepRecord
+from gonio.acquisition.records import FrameFile, StepRecord
 from gonio.acquisition.repeats import REPEATED, cannot_be_alike
 from gonio.acquisition.run import Run
 from gonio.acquisition.stop import Stop
@@ -50,21 +50,14 @@ class _Numbers:
     """Steps beyond the schedule, numbered after it and after all that was taken or chosen."""
 
     def __init__(self, steps: Sequence[Step], taken: Sequence[int]) -> None:
-        self._pose = steps[1].pose
+        self.reference = steps[1]
+        """The first visit to the reference."""
         self.following = max(len(steps), max(taken, default=0) + 1)
 
-    def reserve(self, count: int) -> int:
-        """The first of so many numbers, which nobody else gets."""
-        first, self.following = self.following, self.following + count
-        return first
-
     def again(self, step: Step) -> Step:
-        """A dark or a visit once more: on a rig on which time went by since the run was left."""
-        return Step(self.reserve(1), step.kind, pose=step.pose)
-
-    def another(self) -> Step:
-        """One more visit to the reference."""
-        return Step(self.reserve(1), "reference", pose=self._pose)
+        """A dark or a visit to the reference once more: on a rig on which time went by meanwhile."""
+        self.following += 1
+        return Step(self.following - 1, step.kind, pose=step.pose)
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +76,7 @@ class _Taken:
 
     record: StepRecord
     """Its frames without what their files are."""
-    files: list[Written]
+    files: list[Future[FrameFile]]
     live: Live
 
 
@@ -205,23 +198,22 @@ class _Session:
         """
         by_hand = self._description.reference.how in ("swap", "beam")
         if step.kind == "point" and not self._rig.repeatable and not by_hand:
-            self.take(self._numbers.another())
+            self.take(self._numbers.again(self._numbers.reference))
 
     def _wait(self, step: Step, causes: Sequence[Cause]) -> None:
         self.finish()
-        clock, say = self._rig.time_s, self._progress
-        self._watch.wait(causes, step, self._look, self._darken, self._run, say, self._stop, clock)
+        self._holding.while_broken(causes, step, self._watch, self._look)
 
     def _look(self) -> tuple[Sequence[Reading], bool]:
         """What is read now, and whether the lamp is meant to shine; room light is looked at with the lamp off."""
         if self._watch.room_light:
             self._darken()
-        return self._watch.readings(self._capture if self._watch.room_light else None), self._lit
+            return (*self._watch.readings(), self._watch.room(self._capture)), self._lit
+        return self._watch.readings(), self._lit
 
     def _health(self) -> tuple[Reading, ...]:
         """What is read at the end of a step; raises `Suspended` where a rule is broken."""
-        lit = self._lit
-        readings = self._watch.readings()
+        lit, readings = self._lit, self._watch.readings()
         if self._watch.room_light:  # the others are of the lamp as it was
             self._darken()
             readings = (*readings, self._watch.room(self._capture))
@@ -249,7 +241,7 @@ class _Session:
         (done, steps), self._committing = self._committing, None
         began = time.monotonic()
         done.result()
-        self._run.append_all([taken.record.text([file.result() for file in taken.files]) for taken in steps])
+        self._run.append_all([taken.record.stored([file.result() for file in taken.files]).text() for taken in steps])
         for taken in steps:
             self._progress.step(taken.live)
         self._waited_s += time.monotonic() - began
@@ -261,8 +253,8 @@ class _Session:
         for exposure_s in exposures:
             for _ in range(number):
                 files.keep(self._capture(exposure_s), "dark", "", lamp=False)
-        pose = self._rig.arms.read()
-        return self._taken(step, pose, _Readback(pose, self._rig.time_s()), files, "", 0.0)
+        readback = self._readback()
+        return self._taken(step, readback.pose, readback, files=files)
 
     def _lit_step(self, step: Step) -> _Taken:
         target: Target = "reference" if step.kind == "reference" else "sample"
@@ -275,8 +267,7 @@ class _Session:
                 self._last_s = before_s
                 then = "it is taken again" if attempt < ATTEMPTS else 'it is flagged "moved"'
                 log.warning("step %d: %s; %s", step.index, disturbed, then)
-        readback = _Readback(self._rig.arms.read(), self._rig.time_s())
-        return self._taken(step, step.pose, readback, None, "moved", 0.0)
+        return self._taken(step, step.pose, self._readback(), "moved")
 
     def _exposed(self, step: Step, target: Target) -> _Taken:
         """Move, and take the frames of every band; raises `Disturbed` where an axis did not stand still meanwhile."""
@@ -284,13 +275,12 @@ class _Session:
             pose = self._move(step.pose)
         except Blocked as blocked:
             log.warning("step %d: blocked: %s", step.index, blocked)
-            at = self._rig.arms.read()
-            return self._taken(step, step.pose, _Readback(at, self._rig.time_s()), None, "blocked", 0.0)
+            return self._taken(step, step.pose, self._readback(), "blocked")
         readback = _Readback(pose, self._rig.time_s(), getattr(self._rig.arms, "spread", None))
         seen = view(self._description, pose)
         straight = target == "reference" and self._description.reference.how == "beam"
         if not straight and left_its_side(self._description, step.pose, pose):
-            return self._taken(step, step.pose, readback, None, "below_horizon", 0.0)
+            return self._taken(step, step.pose, readback, "below_horizon")
         levels, brightest = {}, 0.0
         planned = self._description.acquisition.u_rel_target is not None  # then each band says how many it has
         count = 0 if planned else len(self._run.bands) * (self._frames(step) + (step.kind == "point"))
@@ -298,11 +288,16 @@ class _Session:
         for band in self._run.bands:
             levels[band.name], level = self._band(step, seen, target, band, files)
             brightest = max(brightest, level)
-        after = self._rig.arms.read()
-        later = _Readback(after, self._rig.time_s())
-        self._require_still(pose, after)
+        after = self._readback()
+        for name, still_deg in self._still_deg.items():
+            way_deg = math.degrees(abs(getattr(after.pose, name) - getattr(pose, name)))
+            if way_deg > still_deg:
+                raise Disturbed(f"axis {name} has moved by {way_deg:.2f} deg during the exposures")
         flag = "unsteady" if step.kind == "point" and self._unsteady(step, readback.spread) else ""
-        return self._taken(step, step.pose, readback, files, flag, brightest, later, levels)
+        return self._taken(step, step.pose, readback, flag, files, brightest, after, levels)
+
+    def _readback(self) -> _Readback:
+        return _Readback(self._rig.arms.read(), self._rig.time_s())
 
     def _move(self, goal: Pose) -> Pose:
         """Drive to a goal, by other poses where bodies would touch on the way; where the arms landed."""
@@ -327,23 +322,26 @@ class _Session:
         if sound and frame.time_s > last_s:
             self._last_s, self._resumed = float(frame.time_s), False
             return self._monitored(frame)
-        camera = f'the camera of the rig "{self._description.name}"'
+        what = "a frame"
         if not sound:
-            raise DeviceError(
-                f"{camera} stamps a frame with time_s = {frame.time_s!r}: seconds of at least 0 are needed. In the "
-                "rig's driver, give each Frame the rig's time_s() at the start of its exposure"
+            why = (
+                ": seconds of at least 0 are needed. In the rig's driver, give each Frame the rig's time_s() at the "
+                "start of its exposure"
             )
-        if self._resumed:
-            raise DeviceError(
-                f"{camera} stamps its first frame with time_s = {frame.time_s!r}, and this run holds a frame of "
-                f"{last_s!r} s: the rig's clock was set back, or starts anew at every session. Set the computer's "
-                "clock right, or let the rig's time_s() go on from session to session; or measure into a new folder"
+        elif self._resumed:
+            what = "its first frame"
+            why = (
+                f", and this run holds a frame of {last_s!r} s: the rig's clock was set back, or starts anew at every "
+                "session. Set the computer's clock right, or let the rig's time_s() go on from session to session; or "
+                "measure into a new folder"
             )
-        raise DeviceError(
-            f"{camera} stamps a frame with time_s = {frame.time_s!r}, and the one before it had {last_s!r} s: the "
-            "drift of the lamp cannot be told from times that do not grow. In the rig's driver, give each Frame the "
-            "rig's time_s() at the start of its exposure, from a clock that never goes back (time.monotonic)"
-        )
+        else:
+            why = (
+                f", and the one before it had {last_s!r} s: the drift of the lamp cannot be told from times that do "
+                "not grow. In the rig's driver, give each Frame the rig's time_s() at the start of its exposure, from "
+                "a clock that never goes back (time.monotonic)"
+            )
+        raise DeviceError(f"{source} stamps {what} with time_s = {frame.time_s!r}{why}")
 
     def _require_another_picture(self, frame: Frame) -> None:
         """Raise `DeviceError` where the camera hands out the picture before this one under a new header."""
@@ -381,12 +379,6 @@ class _Session:
                 )  # fmt: skip
                 return True
         return False
-
-    def _require_still(self, before: Pose, after: Pose) -> None:
-        for name, still_deg in self._still_deg.items():
-            way_deg = math.degrees(abs(getattr(after, name) - getattr(before, name)))
-            if way_deg > still_deg:
-                raise Disturbed(f"axis {name} has moved by {way_deg:.2f} deg during the exposures")
 
     def _band(self, step: Step, seen: View, target: Target, band: Band, files: Files) -> tuple[float, float]:
         """Meter and measure one band: its level for one second, and the level of the last full frame."""
@@ -430,54 +422,42 @@ class _Session:
         that of a white surface, by the first visit to the reference. A visit after this step is none: a step that is
         taken again starts from what it started from.
         """
-        cosine, absolute = exposure.cosine_of_incidence(step.pose), self._description.reference.how == "beam"
+        description, name = self._description, band.name
+        straight = description.reference.how == "beam"
         before = self._before(step, band) if step.kind == "point" else None
-        planned = self._description.acquisition.u_rel_target is not None
-        if before is not None and before.level_per_s and band.name in before.level_per_s and planned:
-            ratio = cosine / exposure.cosine_of_incidence(before.goal)
-            return max(float(before.level_per_s[band.name]), 1e-6) * ratio
-        if before is not None:
-            exposure_s = max(frame.exposure_s for frame in before.frames if frame.band == band.name)
-            ratio = cosine / exposure.cosine_of_incidence(before.goal)
-            return self._description.acquisition.exposure_target / exposure_s * ratio
-        if absolute and step.kind == "point":
-            return exposure.expected_level_per_s(self._description, step.pose, 1.0)
-        levels = (self._reference.level_per_s if self._reference is not None else None) or {}
-        if self._reference is None or self._reference.step >= step.index or band.name not in levels:
-            if absolute:
-                return exposure.expected_straight_level_per_s(self._description)
-            return exposure.expected_level_per_s(self._description, step.pose, 1.0)
-        ratio = cosine / exposure.cosine_of_incidence(self._reference.goal)
-        return max(float(levels[band.name]), 1e-6) * ratio
+        reference = self._reference if self._reference is not None and self._reference.step < step.index else None
+        guide = before or (None if straight and step.kind == "point" else reference)
+        levels = (guide.level_per_s if guide is not None else None) or {}
+        if before is not None and (description.acquisition.u_rel_target is None or name not in levels):
+            exposure_s = max(frame.exposure_s for frame in before.frames if frame.band == name)
+            levels = {name: description.acquisition.exposure_target / exposure_s}
+        if guide is None or name not in levels:
+            if straight and step.kind != "point":
+                return exposure.expected_straight_level_per_s(description)
+            return exposure.expected_level_per_s(description, step.pose, 1.0)
+        ratio = exposure.cosine_of_incidence(step.pose) / exposure.cosine_of_incidence(guide.goal)
+        return max(float(levels[name]), 1e-6) * ratio
 
     def _taken(
         self,
         step: Step,
         goal: Pose,
         readback: _Readback,
-        files: Files | None,
-        flag: str,
-        level: float,
+        flag: str = "",
+        files: Files | None = None,
+        level: float = 0.0,
         after: _Readback | None = None,
         levels_per_s: dict[str, float] | None = None,
     ) -> _Taken:
         frames = tuple(files.frames) if files is not None else ()
         record = StepRecord(
-            step=step.index,
-            kind=step.kind,
-            point=step.point,
+            step=step.index, kind=step.kind, point=step.point, goal=goal, flag=flag, frames=frames,
             time_s=frames[0].time_s if frames else self._rig.time_s(),
-            goal=goal,
-            pose=readback.pose,
-            pose_time_s=readback.time_s,
-            flag=flag,
-            frames=frames,
+            pose=readback.pose, pose_time_s=readback.time_s, pose_spread=readback.spread,
             pose_after=after.pose if after is not None else None,
             pose_after_time_s=after.time_s if after is not None else None,
-            pose_spread=readback.spread,
-            level_per_s=levels_per_s,
-            health=self._health(),
-        )
+            level_per_s=levels_per_s, health=self._health(),
+        )  # fmt: skip
         if files is not None:
             files.close(record)
         if step.point is not None and step.point >= len(self._angles):  # chosen since

@@ -4,17 +4,14 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from gonio.acquisition import exposure
-from gonio.acquisition.progress import Progress
-from gonio.acquisition.run import Run
-from gonio.acquisition.stop import Stop
-from gonio.errors import ConfigError, DeviceError, Interrupted
-from gonio.rig import Frame, Health, Pose, Reading, Rig, Step
+from gonio.errors import ConfigError, DeviceError
+from gonio.rig import Frame, Health, Pose, Reading, Rig
 from gonio.rig.description import ROOM_LIGHT
 
 LOOK_S = 2.0
@@ -66,7 +63,7 @@ class Watch:
         self._ask: Callable[[], Health] | None = getattr(rig, "health", None)
         self._room_s = exposure.expected_exposure_s(rig.description, Pose(), 1.0)
         if any(rule.quantity != ROOM_LIGHT for rule in self._rules.values()):
-            there = self._read()
+            there = self.readings()
             for name, rule in self._rules.items():
                 if rule.quantity != ROOM_LIGHT and not any(map(rule.concerns, there)):
                     known = ", ".join(sorted({f'"{r.device}" {r.quantity}' for r in there})) or "nothing"
@@ -81,15 +78,8 @@ class Watch:
         """Whether a rule asks for frames with the lamp off."""
         return any(rule.quantity == ROOM_LIGHT for rule in self._rules.values())
 
-    def readings(self, capture: Callable[[float], Frame] | None = None) -> tuple[Reading, ...]:
-        """What a journal keeps: numbers that are finite, and words; no angles, which it has as poses.
-
-        `capture` takes a frame with the lamp off, where a rule is about the light in the room.
-        """
-        found = self._read()
-        return (*found, self.room(capture)) if capture is not None else found
-
-    def _read(self) -> tuple[Reading, ...]:
+    def readings(self) -> tuple[Reading, ...]:
+        """What a journal keeps: numbers that are finite, and words; no angles, which it has as poses."""
         if self._ask is None:
             return ()
         return tuple(_plain(r) for r in self._ask().readings if r.quantity != "angle")
@@ -120,7 +110,7 @@ class Watch:
         out = []
         for name, rule in self._rules.items():
             seen = [r for r in readings if rule.concerns(r)]
-            if not lit and (not seen or all(r.device == LAMP for r in seen)):
+            if not lit and all(r.device == LAMP for r in seen):
                 continue
             if not seen and rule.quantity == ROOM_LIGHT:
                 continue
@@ -132,79 +122,29 @@ class Watch:
                 out.append(Cause(name, max(found, key=rule.badness), rule.words(back)))
         return out
 
-    def _require_patience(self, causes: Sequence[Cause], since: dict[str, float]) -> None:
+    def require_patience(self, causes: Sequence[Cause], since: Mapping[str, float]) -> None:
+        """Raise `DeviceError` where a rule is broken for longer than it allows; `since` when, by rule, on a watch."""
         for cause in causes:
-            longest = self._rules[cause.rule].longest_s
-            if time.monotonic() - since[cause.rule] > longest:
+            if time.monotonic() - since[cause.rule] > self.longest_s(cause):
                 raise DeviceError(
-                    f"{cause}; that has not ended within suspend.{cause.rule}.longest_s = {longest:g} s; "
+                    f"{cause}; that has not ended within suspend.{cause.rule}.longest_s = {self.longest_s(cause):g} s; "
                     "remove the cause, then go on with --resume"
                 )
 
-    def wait(
-        self,
-        causes: Sequence[Cause],
-        step: Step,
-        look: Callable[[], tuple[Sequence[Reading], bool]],
-        darken: Callable[[], None],
-        run: Run,
-        progress: Progress,
-        stop: Stop,
-        time_s: Callable[[], float],
-    ) -> None:
-        """Wait until no rule is broken; the journal has what happened.
+    def longest_s(self, cause: Cause) -> float:
+        """How long a run waits at most [s]."""
+        return self._rules[cause.rule].longest_s
 
-        Parameters
-        ----------
-        causes, step
-            What is broken, and the step that is taken again afterwards.
-        look
-            What is read now, and whether the lamp is meant to shine.
-        darken
-            Darkens the lamp, where a rule asks for it.
-        run, progress, stop, time_s
-            Who is told, who may end the wait, and the rig's clock.
-
-        Raises
-        ------
-        Interrupted
-            The user asked to stop.
-        DeviceError
-            A rule is broken for longer than it allows, or a device fails.
-        """
-        begun = time.monotonic()
-        since: dict[str, float] = {}
-        while causes:
-            new = [cause for cause in causes if cause.rule not in since]
-            now = time.monotonic()
-            since = {cause.rule: since.get(cause.rule, now) for cause in causes}
-            for cause in new:
-                run.append(
-                    {"event": "suspended", "step": step.index, "rule": cause.rule, "message": str(cause)}
-                    | {"time_s": float(time_s())}
-                )
-                longest = self._rules[cause.rule].longest_s
-                progress.say(f"waiting, at most {lasting(longest)}: {cause}; Ctrl-C ends the run, to be resumed")
-            if any(self._rules[name].dark for name in since):
-                darken()
-            for _ in naps(LOOK_S):
-                if stop.requested:
-                    raise Interrupted(f"stopped while waiting ({causes[0]}),")
-            self._require_patience(causes, since)
-            readings, lit = look()
-            causes = self.broken(readings, lit=lit, waiting=tuple(since))
-        waited = time.monotonic() - begun
-        progress.waited(waited)
-        run.append({"event": "continued", "step": step.index, "waited_s": round(waited, 1), "time_s": float(time_s())})
-        progress.say(f"going on after {lasting(waited)}; step {step.index} is taken again")
+    def in_the_dark(self, causes: Sequence[Cause]) -> bool:
+        """Whether the lamp is dark while a run waits."""
+        return any(self._rules[cause.rule].dark for cause in causes)
 
 
 def _plain(r: Reading) -> Reading:
     """A reading as JSON can hold it: a number that is none becomes a word."""
-    if isinstance(r.value, str):
-        return Reading(r.device, r.quantity, r.value, r.unit)
-    value = float(r.value)
-    return Reading(r.device, r.quantity, value if math.isfinite(value) else str(value), r.unit)
+    value = r.value if isinstance(r.value, str) else float(r.value)
+    countable = isinstance(value, str) or math.isfinite(value)
+    return Reading(r.device, r.quantity, value if countable else str(value), r.unit)
 
 
 def naps(seconds: float) -> Iterator[None]:

@@ -11,8 +11,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from gonio import platform
-from gonio.acquisition.expected_lines import event_of
 from gonio.acquisition.journal import Event, decode
+from gonio.acquisition.records import event_of
 from gonio.disk import only_file
 from gonio.errors import DataError
 

@@ -11,12 +11,11 @@ from typing import Any
 import numpy as np
 
 from gonio.compiled import njit
+from gonio.rig.bodies import TIED
 from gonio.typing import Floats
 
 BENCH, LIGHT, CAMERA, TILT, SPIN = range(5)
 """What carries a point."""
-APART, TIED = 0, 1
-"""What is asked of two bodies: to keep a distance, or (the ends of a cable) to come no further than one."""
 DEEPEST = 256
 """Boxes that wait; a box that is halved leaves one more, and an angle can be halved some 20 times."""
 STEPS = 64
@@ -296,7 +295,7 @@ def too_close(
     Parameters
     ----------
     kind
-        `APART` or `TIED`.
+        `gonio.rig.bodies.APART` or `TIED`.
     on
         What carries the points of either body, shape (2, 2); see `placed`.
     points, counts

@@ -92,7 +92,5 @@ def per_weight(description: RigDescription, view: View, seen: PixelMap, region: 
     lambertian = description.lamp.radiation == "lambertian"
     solid = math.pi * squared if lambertian else 2.0 * math.pi * squared / (1.0 + math.sqrt(1.0 - squared))
     received = description.geometry.light_distance_mm**2 * solid
-    pattern = description.camera.pattern
-    apart = 1.0 if channel == "mono" or pattern == "mono" else len(pattern) / pattern.count(channel)
-    area = seen.area_mm2[region.mask] * apart
+    area = seen.area_mm2[region.mask] * imaging.pixels_for_each(description.camera.pattern, channel)
     return np.asarray(region.count * area / (seen.falloff[region.mask] * received))

@@ -13,6 +13,8 @@ from gonio.rig import misalignment
 from gonio.rig.description import Arms, Body, Cable, Geometry
 from gonio.typing import Floats
 
+APART, TIED = 0, 1
+"""What is asked of two bodies: to keep a distance, or (the ends of a cable) to come no further than one."""
 CARRIERS = ("bench", "light", "camera", "tilt", "spin")
 NAMES = ("light", "camera", "tilt", "spin", "azimuth")
 FINEST_MM = 0.25
@@ -69,10 +71,26 @@ class Pairs:
     planned: Floats
     """The same with `PLANNED_MM` to spare."""
 
+    def spares(self, frames: Floats, poses: Floats) -> Floats:
+        """The room of each pair beyond its distance at each pose of true angles, shape (poses, pairs) [mm]."""
+        from gonio.rig import _clearance
 
-def _together(axes: tuple[int, ...], pairs: list[tuple[int, Shape, Shape, float]], frames: Floats) -> Pairs:
+        out = np.empty((len(poses), len(self.shapes)))
+        _clearance.spares(self.kinds, self.on, self.points, self.counts, self.distances, frames, poses, out)
+        return out
+
+
+def placed(on: Sequence[str], points: Sequence[Vector], angles: Floats, frames: Floats) -> Floats:
+    """Points in the lab, shape (n, 3) [mm]; the first is carried by `on[0]`, the others by `on[1]`."""
     from gonio.rig import _clearance
 
+    out = np.empty((len(points), 3))
+    carriers = np.array([CARRIERS.index(each) for each in on])
+    _clearance.placed(carriers, np.array(points), len(points), angles, frames, out)
+    return out
+
+
+def _together(axes: tuple[int, ...], pairs: list[tuple[int, Shape, Shape, float]], frames: Floats) -> Pairs:
     kinds, distances = np.array([kind for kind, *_ in pairs]), np.array([distance for *_, distance in pairs])
     points, levers = np.zeros((len(pairs), 2, 8, 3)), np.zeros((len(pairs), len(NAMES)))
     for number, (_, *shapes, _) in enumerate(pairs):
@@ -89,7 +107,7 @@ def _together(axes: tuple[int, ...], pairs: list[tuple[int, Shape, Shape, float]
         counts=np.array([[len(shape.points) for shape in shapes] for _, *shapes, _ in pairs]),
         levers=levers,
         distances=distances,
-        planned=distances + np.where(kinds == _clearance.APART, PLANNED_MM, -PLANNED_MM),
+        planned=distances + np.where(kinds == APART, PLANNED_MM, -PLANNED_MM),
     )
 
 
@@ -100,21 +118,13 @@ def _pairs(
 
     Cables may lie on each other, and on what carries their own ends.
     """
-    from gonio.rig import _clearance
-
     for one, other in itertools.combinations(shapes, 2):
-        if (one.cable and other.cable) or {*map(_carrier, one.on)} & {*map(_carrier, other.on)}:
-            continue
-        yield _clearance.APART, one, other, one.radius + other.radius + geometry.clearance_mm
+        if not ((one.cable and other.cable) or {*map(_carrier, one.on)} & {*map(_carrier, other.on)}):
+            yield APART, one, other, one.radius + other.radius + geometry.clearance_mm
     for cable in cables:
-        ends = [
-            Shape(cable.name, (on, other), (at,), 0.0, cable=True)
-            for on, other, at in (
-                (cable.from_on, cable.to_on, cable.from_mm),
-                (cable.to_on, cable.from_on, cable.to_mm),
-            )
-        ]
-        yield _clearance.TIED, ends[0], ends[1], cable.length_mm
+        one = Shape(cable.name, (cable.from_on, cable.to_on), (cable.from_mm,), 0.0, cable=True)
+        other = Shape(cable.name, (cable.to_on, cable.from_on), (cable.to_mm,), 0.0, cable=True)
+        yield TIED, one, other, cable.length_mm
 
 
 def _carrier(on: str) -> str:
@@ -123,13 +133,14 @@ def _carrier(on: str) -> str:
 
 def _shapes(bodies: tuple[Body, ...], cables: tuple[Cable, ...], geometry: Geometry, arms: Arms) -> tuple[Shape, ...]:
     """The two heads, the bodies, and the cables that hang."""
-    heads = []
-    for name, on, axis, distance, radius in (
-        ("source head", "light", arms.light, geometry.light_distance_mm, geometry.light_body_radius_mm),
-        ("camera head", "camera", arms.camera, geometry.camera_distance_mm, geometry.camera_body_radius_mm),
-    ):
-        if radius > 0.0:
-            heads.append(Shape(name, (on, on), (misalignment.head(axis, distance),), radius))
+    heads = [
+        Shape(name, (on, on), (misalignment.head(axis, distance),), radius)
+        for name, on, axis, distance, radius in (
+            ("source head", "light", arms.light, geometry.light_distance_mm, geometry.light_body_radius_mm),
+            ("camera head", "camera", arms.camera, geometry.camera_distance_mm, geometry.camera_body_radius_mm),
+        )
+        if radius > 0.0
+    ]
     hanging = [
         Shape(c.name, (c.from_on, c.to_on), (c.from_mm, c.to_mm), c.radius_mm + c.sag_mm, cable=True)
         for c in cables

@@ -32,7 +32,7 @@ from pydantic import Field, model_validator
 
 from gonio.config import Strict, numbers_in, parse, read_toml, to_toml
 from gonio.disk import read_file, write_whole
-from gonio.documents import TomlTable
+from gonio.documents import TomlTable, laid_over
 from gonio.errors import ArgumentError, ConfigError
 from gonio.rig.calibration_use import Calibrated, ParameterUncertainty
 from gonio.rig.description import RigDescription
@@ -71,8 +71,7 @@ class Calibration(Strict):
     @model_validator(mode="after")
     def _names_are_there(self) -> Calibration:
         known = numbers_in(self.values)
-        missing = [name for name in self.uncertainty.parameters if name not in known]
-        if missing:
+        if missing := [name for name in self.uncertainty.parameters if name not in known]:
             raise ValueError(f'uncertainty.parameters: there is no number "{missing[0]}" in [values]')
         return self
 
@@ -118,7 +117,7 @@ def write_calibration(calibration: Calibration, path: str | Path) -> None:
 
 def with_keys(description: RigDescription, values: TomlTable, source: str | Path) -> RigDescription:
     """A rig with other values for some keys of its file; `source` is named where one is wrong."""
-    return parse(RigDescription, _laid_over(description.model_dump(mode="python"), values), source)
+    return parse(RigDescription, laid_over(description.model_dump(mode="python"), values), source)
 
 
 def with_calibrations(
@@ -149,7 +148,8 @@ def with_calibrations(
         if why and use.when_unfit == "refuse":
             raise ConfigError(f'{path}: {why}; calibrate again, or set calibration.when_unfit = "warn" in the rig file')
         remarks += [f"{path.name} {why}"] * bool(why)
-        _require_calibrated(calibration.values, path)
+        if wrong := [table for table in calibration.values if table not in TABLES]:
+            raise ConfigError(f"{path}: values.{wrong[0]}: a calibration gives values for {', '.join(TABLES)} alone")
         before = _numbers(out) if known else {}
         out = with_keys(out, _beside(calibration.values, path), path)
         if identity(out) != identity(description):
@@ -158,7 +158,7 @@ def with_calibrations(
                 f"{', '.join(FIXED['camera'])}, or reference.how"
             )
         known = [_still_of(earlier, before, _numbers(out)) for earlier in known]
-        replaced = _laid_over(replaced, _where(calibration.values, as_filed))
+        replaced = laid_over(replaced, _where(calibration.values, as_filed))
         known.append(
             Calibrated(
                 **calibration.uncertainty.model_dump(),
@@ -171,12 +171,6 @@ def with_calibrations(
         )
     use = use.model_copy(update={"known": tuple(known), "replaced": replaced, "remarks": tuple(remarks)})
     return out.model_copy(update={"calibration": use})
-
-
-def _require_calibrated(values: TomlTable, path: Path) -> None:
-    wrong = [name for name in values if name not in TABLES]
-    if wrong:
-        raise ConfigError(f"{path}: values.{wrong[0]}: a calibration gives values for {', '.join(TABLES)} alone")
 
 
 def _beside(values: TomlTable, path: Path) -> TomlTable:
@@ -233,11 +227,9 @@ def covariance_of(description: RigDescription, names: Sequence[str]) -> Floats:
     taken: set[str] = set()
     for known in reversed(description.calibration.known):
         its = [k for k, name in enumerate(known.parameters) if name in place and name not in taken]
-        at = [place[known.parameters[k]] for k in its]
-        u = np.array(known.u)[its]
-        out[np.ix_(at, at)] = np.array(known.correlation).reshape(2 * (len(known.u),))[np.ix_(its, its)] * np.outer(
-            u, u
-        )
+        at, u = [place[known.parameters[k]] for k in its], np.array(known.u)[its]
+        correlation = np.array(known.correlation).reshape(2 * (len(known.u),))
+        out[np.ix_(at, at)] = correlation[np.ix_(its, its)] * np.outer(u, u)
         taken |= set(known.parameters)
     return out
 
@@ -249,20 +241,8 @@ def known_parameters(description: RigDescription) -> list[str]:
 
 def _where(values: TomlTable, tables: TomlTable) -> TomlTable:
     """The part of nested tables that values are given for."""
-    out: TomlTable = {}
-    for key, value in values.items():
-        below = tables.get(key)
-        if isinstance(value, dict) and isinstance(below, dict):
-            out[key] = _where(value, below)
-        elif below is not None:
-            out[key] = below
-    return out
-
-
-def _laid_over(tables: TomlTable, values: TomlTable) -> TomlTable:
-    """Nested tables with other values for some keys; a table lies over a table, anything else takes its place."""
-    out = dict(tables)
-    for key, value in values.items():
-        below = out.get(key)
-        out[key] = _laid_over(below, value) if isinstance(below, dict) and isinstance(value, dict) else value
-    return out
+    return {
+        key: _where(value, tables[key]) if isinstance(value, dict) and isinstance(tables[key], dict) else tables[key]
+        for key, value in values.items()
+        if tables.get(key) is not None
+    }

@@ -11,7 +11,7 @@ An effect that is not named in the file is off. Angles are in degrees here (`_de
 from __future__ import annotations
 
 import math
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -61,9 +61,8 @@ class Body(Strict):
 
     @model_validator(mode="after")
     def _one_shape(self) -> Body:
-        capsule = [self.from_mm, self.to_mm, self.radius_mm]
-        box = [self.centre_mm, self.size_mm]
-        given = [value is not None for value in (*capsule, *box)]
+        keys = (self.from_mm, self.to_mm, self.radius_mm, self.centre_mm, self.size_mm)
+        given = [value is not None for value in keys]
         if given not in ([True, True, True, False, False], [False, False, False, True, True]):
             raise ValueError(
                 f'body "{self.name}" needs either from_mm, to_mm and radius_mm (a capsule), or centre_mm and size_mm '
@@ -234,12 +233,7 @@ class Holder(Axis):
         if len(set(self.axes)) < len(self.axes):
             raise ValueError("axes names an axis twice")
         for name in ("tilt", "spin"):
-            limits, stops = getattr(self, f"{name}_limits_deg"), getattr(self, f"{name}_hard_stops_deg")
-            _check_limits(f"{name}_", limits, stops)
-        return self
-
-    @model_validator(mode="after")
-    def _aperture_is_free(self) -> Holder:
+            _check_limits(f"{name}_", getattr(self, f"{name}_limits_deg"), getattr(self, f"{name}_hard_stops_deg"))
         marks = self.fiducials
         if marks is not None and marks.ring_mm - 0.75 * marks.marker_mm < 0.5 * self.sample_diameter_mm:
             raise ValueError(
@@ -435,20 +429,21 @@ class RigDescription(Strict):
             out["azimuth"] = self.arms.azimuth
         return out
 
+    def _by_axis(self, key: str) -> dict[str, Any]:
+        """A key of each of `axes`; tilt and spin have theirs in the table of the holder."""
+        return {n: getattr(axis, key if isinstance(axis, ArmAxis) else f"{n}_{key}") for n, axis in self.axes().items()}
+
     def limits_deg(self) -> dict[str, tuple[float, float]]:
         """The range of each of `axes` [deg]."""
-        holder = {"tilt": self.holder.tilt_limits_deg, "spin": self.holder.spin_limits_deg}
-        return {n: axis.limits_deg if isinstance(axis, ArmAxis) else holder[n] for n, axis in self.axes().items()}
+        return self._by_axis("limits_deg")
 
     def hard_stops_deg(self) -> dict[str, tuple[float, float] | None]:
         """Where each of `axes` meets metal [deg]; None where it does not, or nobody has said."""
-        holder = {"tilt": self.holder.tilt_hard_stops_deg, "spin": self.holder.spin_hard_stops_deg}
-        return {n: axis.hard_stops_deg if isinstance(axis, ArmAxis) else holder[n] for n, axis in self.axes().items()}
+        return self._by_axis("hard_stops_deg")
 
     def approach_deg(self) -> dict[str, float]:
         """From how far below its goal each of `axes` arrives [deg]; negative: from above."""
-        holder = {"tilt": self.holder.tilt_approach_deg, "spin": self.holder.spin_approach_deg}
-        own = {n: axis.approach_deg if isinstance(axis, ArmAxis) else holder[n] for n, axis in self.axes().items()}
+        own = self._by_axis("approach_deg")
         return {n: self.acquisition.approach_deg if value is None else value for n, value in own.items()}
 
     def approach_starts_deg(self, name: str, goal_deg: float) -> float:

@@ -27,6 +27,11 @@ from gonio.errors import ArgumentError, DataError
 from gonio.rig.protocols import Frame
 
 BAYER = ("RGGB", "BGGR", "GRBG", "GBRG")
+_ORDERS = {b"II*\0": "<", b"MM\0*": ">"}
+"""How numbers lie in a TIFF file, by its first bytes."""
+_WANTED = {256, 257, 258, 259, 262, 270, 273, 274, 277, 278, 279, 305, 324, 325, 330} | {
+    *(33421, 33422, 33434, 34665, 36867, 37521, 50706, 50714, 50717)
+}
 _EPOCH = datetime.datetime(1970, 1, 1)
 _LATEST_S = (datetime.datetime(9999, 12, 31) - _EPOCH).total_seconds()
 _LARGEST = 2**32 - 1
@@ -103,7 +108,13 @@ def encode_dng(frame: Frame, record: str = "") -> bytes:
     record = record or frame.record
     rows, columns = frame.mosaic.shape
     bits = 12 if frame.white_level_dn <= 4095 else 16
-    strip = _pack(frame.mosaic) if bits == 12 else np.ascontiguousarray(frame.mosaic, dtype="<u2")
+    if bits == 12:
+        from gonio.rig._dng_packing import pack12
+
+        strip = np.empty((rows, (3 * columns + 1) // 2), dtype=np.uint8)
+        pack12(frame.mosaic, strip)
+    else:
+        strip = np.ascontiguousarray(frame.mosaic, dtype="<u2")
     kind = (rows, columns, bits, frame.pattern, frame.black_level_dn, frame.white_level_dn)
     empty, at = _head(*kind, len(record))
     t = _EPOCH + datetime.timedelta(seconds=frame.time_s)
@@ -151,11 +162,10 @@ def _head(
         50721: (10, [1, 1, 0, 1, 0, 1, 0, 1, 1, 1, 0, 1, 0, 1, 0, 1, 1, 1]),  # ColorMatrix1: identity
         50778: (3, [23]),  # D50
     }
-    if pattern != "mono":
-        main[33421] = (3, [2, 2])
-        main[33422] = (1, ["RGB".index(colour) for colour in pattern])
-    else:
+    if pattern == "mono":
         main[50721] = (10, [1, 1])
+    else:
+        main |= {33421: (3, [2, 2]), 33422: (1, ["RGB".index(colour) for colour in pattern])}
     if record:
         main[270] = (2, bytes(record + 1))  # ImageDescription
     exif: dict[int, tuple[int, Any]] = {
@@ -171,14 +181,6 @@ def _head(
     main[273], main[34665] = (4, [start]), (4, [at_exif])
     front, at_main = _directory(main, header_size)
     return (struct.pack("<2sHI", b"II", 42, header_size) + front + behind).ljust(start, b"\0"), at | at_main
-
-
-def _pack(mosaic: npt.NDArray[np.uint16]) -> npt.NDArray[np.uint8]:
-    from gonio.rig._dng_packing import pack12
-
-    packed = np.empty((mosaic.shape[0], (3 * mosaic.shape[1] + 1) // 2), dtype=np.uint8)
-    pack12(mosaic, packed)
-    return packed
 
 
 @lru_cache(1024)
@@ -249,7 +251,9 @@ def read_raw(path: str | Path, data: bytes | None = None) -> Frame:
             if raw.raw_type != rawpy.RawType.Flat:
                 raise DataError(f"{path}: holds {raw.num_colors} samples a pixel; a mosaic holds one")
             mosaic = np.array(raw.raw_image_visible, dtype=np.uint16)
-            pattern = _pattern(raw)
+            cells = raw.raw_pattern
+            bayer = cells is not None and cells.shape == (2, 2)
+            pattern = "".join(raw.color_desc.decode()[k] for k in cells.ravel()) if bayer else "mono"
             black = [float(level) for level in raw.black_level_per_channel]
             white = float(raw.white_level)
             exposure = tags.exposure_s or float(raw.other.shutter_speed)
@@ -292,7 +296,7 @@ def _read_own(tags: _Tags, data: bytes) -> tuple[npt.NDArray[np.uint16], str, fl
 
 def read_record(data: bytes) -> str:
     """The record in the ImageDescription of a frame's file; "" where the file has none, or is damaged there."""
-    order = {b"II*\0": "<", b"MM\0*": ">"}.get(data[:4])
+    order = _ORDERS.get(data[:4])
     if order is None:
         return ""
     try:
@@ -301,15 +305,6 @@ def read_record(data: bytes) -> str:
         return ""
     text = fields.get(270, b"")
     return text.decode("ascii", "replace") if isinstance(text, bytes) else ""
-
-
-def _pattern(raw: Any) -> str:
-    """The mosaic's pattern in raster order."""
-    cells = raw.raw_pattern
-    if cells is None or cells.shape != (2, 2):
-        return "mono"
-    names = raw.color_desc.decode()
-    return "".join(names[k] for k in cells.ravel())
 
 
 @dataclass
@@ -326,7 +321,7 @@ class _Tags:
 def _read_directories(data: bytes, path: Path) -> _Tags:
     """Walk the TIFF directories; refuse image data that reach beyond the end, which rawpy would fill with zeros."""
     tags = _Tags()
-    order = {b"II*\0": "<", b"MM\0*": ">"}.get(data[:4])
+    order = _ORDERS.get(data[:4])
     if order is None:
         return tags  # CR3, RAF and others are containers of their own: rawpy judges them
     try:
@@ -341,7 +336,10 @@ def _read_directories(data: bytes, path: Path) -> _Tags:
             if fields.get(305) == b"gonio":
                 tags.own = fields
             queue += [following, *fields.get(34665, []), *fields.get(330, [])]
-            _require_image(fields, len(data), path)
+            for starts, sizes in ((273, 279), (324, 325)):  # of strips, and of tiles
+                for start, size in zip(fields.get(starts, []), fields.get(sizes, []), strict=False):
+                    if (end := start + size) > len(data):
+                        raise DataError(f"{path}: is truncated: its image ends at byte {end}, the file at {len(data)}")
             if 33434 in fields and tags.exposure_s is None and fields[33434][1]:
                 tags.exposure_s = fields[33434][0] / fields[33434][1]
             if 36867 in fields and 37521 in fields:
@@ -360,23 +358,13 @@ def _read_directories(data: bytes, path: Path) -> _Tags:
     return tags
 
 
-def _require_image(fields: dict[int, Any], length: int, path: Path) -> None:
-    """Raise `DataError` where strips or tiles reach beyond the end of the file."""
-    for starts, sizes in ((273, 279), (324, 325)):
-        for start, size in zip(fields.get(starts, []), fields.get(sizes, []), strict=False):
-            if start + size > length:
-                raise DataError(f"{path}: is truncated: its image ends at byte {start + size}, the file at {length}")
-
-
 def _read_directory(data: bytes, at: int, order: str) -> tuple[dict[int, Any], int]:
     """The fields that matter here, and the offset of the next directory (0 for none)."""
-    wanted = {256, 257, 258, 259, 262, 270, 273, 274, 277, 278, 279, 305, 324, 325, 330}
-    wanted |= {33421, 33422, 33434, 34665, 36867, 37521, 50706, 50714, 50717}
     (count,) = struct.unpack_from(order + "H", data, at)
     fields: dict[int, Any] = {}
     for k in range(count):
         tag, kind, items = struct.unpack_from(order + "HHI", data, at + 2 + 12 * k)
-        if tag not in wanted or kind not in _TYPES:
+        if tag not in _WANTED or kind not in _TYPES:
             continue
         code, size = _TYPES[kind]
         place = at + 10 + 12 * k

@@ -43,7 +43,7 @@ def corners_mm(marks: Fiducials) -> Floats:
     """Corners of the black squares in the sample's plane [mm], shape (count, 4, 2), in OpenCV's order: top left, top
     right, bottom right, bottom left, for who looks onto the sample with its y up; not to be written to."""
     square = 0.5 * marks.marker_mm * np.array([[-1.0, 1.0], [1.0, 1.0], [1.0, -1.0], [-1.0, -1.0]])
-    out: Floats = centres_mm(marks)[:, None, :] + square
+    out = np.asarray(centres_mm(marks)[:, None, :] + square)
     out.setflags(write=False)
     return out
 

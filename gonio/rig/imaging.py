@@ -137,18 +137,17 @@ class PixelMap:
         centre and spot: with S from the centre to the lamp and x the spot, S (S - x) / (|S| |S - x|). The measured
         profile `lamp.beam` comes on top of either.
         """
+        out = np.ones(self.x_mm.shape)
+        if self._lambertian:
+            (sx, sy, _), squared = self._source, float(self._source @ self._source)
+            across = (sx * self.x_mm + sy * self.y_mm) / squared
+            away = np.sqrt(squared * self.distance_factor) / self._distance_mm  # |S| / |S - x|
+            out = np.where(self.sees_plane, np.maximum((1.0 - across) * away, 0.0), 0.0)
         if self._beam is not None:
-            return self._facing * self._profile(self._beam)
-        return self._facing
-
-    @property
-    def _facing(self) -> Floats:
-        if not self._lambertian:
-            return np.ones(self.x_mm.shape)
-        (sx, sy, _), squared = self._source, float(self._source @ self._source)
-        across = (sx * self.x_mm + sy * self.y_mm) / squared
-        away = np.sqrt(squared * self.distance_factor) / self._distance_mm  # |S| / |S - x|
-        return np.where(self.sees_plane, np.maximum((1.0 - across) * away, 0.0), 0.0)
+            (x, y), (a, b, aa, ab, bb) = self.beam_xy_mm, self._beam
+            log = a * x + b * y + aa * x**2 + ab * x * y + bb * y**2
+            out = out * np.where(self.sees_plane, np.exp(np.minimum(log, 1.0)), 0.0)
+        return out
 
     @property
     def beam_xy_mm(self) -> tuple[Floats, Floats]:
@@ -159,11 +158,6 @@ class PixelMap:
         stretch = distance / (distance - toward[0] * self.x_mm - toward[1] * self.y_mm)
         x, y = ((e[0] * self.x_mm + e[1] * self.y_mm) * stretch for e in (along, self._beam_y))
         return x, y
-
-    def _profile(self, terms: tuple[float, ...]) -> Floats:
-        x, y = self.beam_xy_mm
-        log = terms[0] * x + terms[1] * y + terms[2] * x**2 + terms[3] * x * y + terms[4] * y**2
-        return np.where(self.sees_plane, np.exp(np.minimum(log, 1.0)), 0.0)
 
     @cached_property
     def lit(self) -> Floats:
@@ -227,10 +221,7 @@ class PixelMap:
         return self._unit(self._camera)
 
     def _unit(self, to: Floats) -> Floats:
-        out = np.empty((*self.x_mm.shape, 3))
-        out[..., 0] = to[0] - self.x_mm
-        out[..., 1] = to[1] - self.y_mm
-        out[..., 2] = to[2]
+        out = np.stack([to[0] - self.x_mm, to[1] - self.y_mm, np.full(self.x_mm.shape, to[2])], axis=-1)
         out /= np.sqrt(np.einsum("...k,...k->...", out, out))[..., None]
         return out
 
@@ -349,17 +340,13 @@ def _centre(description: RigDescription, target: Target) -> tuple[float, float]:
     return reference.offset_mm if target == "reference" and reference.how == "beside" else (0.0, 0.0)
 
 
-def _project(
-    description: RigDescription, view: View, x: float | Floats, y: float | Floats
-) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+def _project(description: RigDescription, view: View, x: float | Floats, y: float | Floats) -> tuple[Floats, Floats]:
     """Column and row (fractional) on which spots of the sample's plane fall; infinite for those behind the camera."""
     x, y = np.broadcast_arrays(np.asarray(x, dtype=float), np.asarray(y, dtype=float))
     return project(description, view, np.stack([x, y, np.zeros(x.shape)], axis=-1))
 
 
-def project(
-    description: RigDescription, view: View, points_mm: Floats
-) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+def project(description: RigDescription, view: View, points_mm: Floats) -> tuple[Floats, Floats]:
     """Column and row (fractional) on which points fall; infinite for those behind the camera.
 
     `points_mm`: in the sample's frame, shape (..., 3).
@@ -392,8 +379,7 @@ def spot(description: RigDescription, view: View, column: float, row: float) -> 
     if any(camera.distortion):
         u, v = _unbent(camera, u, v)
     line = view.optical_axis + u * view.image_x + v * view.image_y
-    out: Floats = (view.camera_mm - line * (view.camera_mm[2] / line[2]))[:2]
-    return out
+    return np.asarray((view.camera_mm - line * (view.camera_mm[2] / line[2]))[:2])
 
 
 def of_channel(
@@ -408,3 +394,8 @@ def of_channel(
     i = np.arange(rows.start, rows.stop)[:, None] % 2
     j = np.arange(cols.start, cols.stop)[None, :] % 2
     return np.asarray(np.array(list(pattern)).reshape(2, 2)[i, j] == channel)
+
+
+def pixels_for_each(pattern: str, channel: Channel) -> float:
+    """For how many pixels of a Bayer pattern each of a colour stands: 1 for the channel "mono", or without a mosaic."""
+    return 1.0 if channel == "mono" or pattern == "mono" else len(pattern) / pattern.count(channel)

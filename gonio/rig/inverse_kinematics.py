@@ -92,10 +92,8 @@ def _beside(direction: Floats, off: float, toward: float) -> Floats:
     """A direction turned by an angle [rad], toward the side that another says."""
     x = np.cross(direction, (0.0, 1.0, 0.0) if abs(direction[1]) < 0.7 else (1.0, 0.0, 0.0))
     x /= np.linalg.norm(x)
-    out: Floats = math.cos(off) * direction + math.sin(off) * (
-        math.cos(toward) * x + math.sin(toward) * np.cross(direction, x)
-    )
-    return out
+    across = math.cos(toward) * x + math.sin(toward) * np.cross(direction, x)
+    return np.asarray(math.cos(off) * direction + math.sin(off) * across)
 
 
 def reach(description: RigDescription, d: Directions | Angles, *, nearby: bool = False) -> Pose:
@@ -132,13 +130,9 @@ def reach(description: RigDescription, d: Directions | Angles, *, nearby: bool =
     if apart < cone - AT_LIMIT:
         cause = f"the bodies of source and detector block {math.degrees(cone):.1f} deg around retro"
         raise Unreachable("blocked", f"source and detector are {math.degrees(apart):.1f} deg apart: {cause}", cause)
-    fitting: list[Pose] = []
-    failed: list[Unreachable] = []
-    for _, verdict in branches(description, one, nearby=nearby):
-        if isinstance(verdict, Pose):
-            fitting.append(verdict)
-        else:
-            failed.append(verdict)
+    verdicts = [verdict for _, verdict in branches(description, one, nearby=nearby)]
+    fitting = [verdict for verdict in verdicts if isinstance(verdict, Pose)]
+    failed = [verdict for verdict in verdicts if isinstance(verdict, Unreachable)]
     if not fitting:
         reasons, causes = (list(dict.fromkeys(each)) for each in (map(str, failed), (e.cause for e in failed)))
         raise Unreachable("unreachable", "; or ".join(reasons), "; or ".join(causes))
@@ -171,11 +165,11 @@ def branches(
     the directions.
     """
     one = d if isinstance(d, tuple) else d.floats
-    found: list[tuple[Pose, Pose | Unreachable]]
-    if _known(description).as_meant:
-        found = [(pose, pose) for pose in _closed_form(description, one)]
-    else:
-        found = _misaligned_poses(description, one, nearby)
+    found: list[tuple[Pose, Pose | Unreachable]] = (
+        [(pose, pose) for pose in _closed_form(description, one)]
+        if _known(description).as_meant
+        else _misaligned_poses(description, one, nearby)
+    )
     out: list[tuple[Pose, Pose | Unreachable]] = []
     for meant, verdict in found:
         if isinstance(verdict, Unreachable):
@@ -237,10 +231,10 @@ def _with_azimuth(description: RigDescription, d: Angles) -> list[Pose]:
     poses = []
     for light_side in (0.0, math.pi):
         # the light stands at the azimuth 0 or pi of the lab, and phi_i = that azimuth - spin
-        spin = _half_turns(light_side - phi_i) if theta_i > PARALLEL else 0.0
+        spin = math.remainder(light_side - phi_i, TURN) if theta_i > PARALLEL else 0.0
         light = theta_i if light_side == 0.0 else -theta_i
         for camera_side in (0.0, math.pi):
-            azimuth = _half_turns(phi_r + spin - camera_side) if theta_r > PARALLEL else 0.0
+            azimuth = math.remainder(phi_r + spin - camera_side, TURN) if theta_r > PARALLEL else 0.0
             camera = theta_r if camera_side == 0.0 else -theta_r
             poses.append(Pose(light=light, camera=camera, spin=spin, azimuth=azimuth))
     return poses if "spin" in description.holder.axes else _without_spin(poses, d)
@@ -302,11 +296,6 @@ def _normal_of_plane(light: Vector, camera: Vector, d: Angles) -> Vector:
     theta_i, phi_i, theta_r, phi_r = d
     phi = phi_i if theta_i > PARALLEL else phi_r if theta_r > PARALLEL else 0.0
     return (-math.sin(phi), math.cos(phi), 0.0)
-
-
-def _half_turns(angle: float) -> float:
-    """The angle in [-pi, pi]."""
-    return math.remainder(angle, 2.0 * math.pi)
 
 
 def _cross(a: Vector, b: Vector) -> Vector:

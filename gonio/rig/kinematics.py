@@ -108,8 +108,8 @@ def _known(description: RigDescription) -> _Known:
     known = _Known(
         as_meant=description.as_meant,
         erring={name: axis for name, axis in encoders.items() if axis is not None and axis.harmonics_deg},
-        blocked_cone=_angular_radius(g.light_body_radius_mm, g.light_distance_mm)
-        + _angular_radius(g.camera_body_radius_mm, g.camera_distance_mm),
+        blocked_cone=math.asin(min(1.0, g.light_body_radius_mm / g.light_distance_mm))
+        + math.asin(min(1.0, g.camera_body_radius_mm / g.camera_distance_mm)),
         ranges=tuple(
             _Range(
                 name, limits, math.radians(limits[0]), math.radians(limits[1]), approach[name], axes[name].backlash_deg
@@ -158,16 +158,13 @@ def encoder_error(axis: Axis, read: float) -> float:
 def view(description: RigDescription, pose: Pose) -> View:
     """Where source and camera are, and how the image lies, in the sample's frame, for a pose of the axes."""
     if not _known(description).as_meant:
-        return _misaligned(description, true_pose(description, pose))
-    light, camera, image_x, image_y, beam_y = _sample_frame(true_pose(description, pose))
-    geometry = description.geometry
-    return View(
-        source_mm=geometry.light_distance_mm * np.array(light),
-        camera_mm=geometry.camera_distance_mm * np.array(camera),
-        image_x=np.array(image_x),
-        image_y=np.array(image_y),
-        beam_y=np.array(beam_y),
-    )
+        source, eye, onto, beam_y = misalignment.ends(description, true_pose(description, pose))
+        image_x, image_y, sight = np.ascontiguousarray((onto @ misalignment.camera_on_arm(description)).T)
+        return View(source_mm=source, camera_mm=eye, image_x=image_x, image_y=image_y, sight=sight, beam_y=beam_y)
+    light, camera, *axes = map(np.array, _sample_frame(true_pose(description, pose)))
+    geometry, (image_x, image_y, beam_y) = description.geometry, axes
+    source, eye = geometry.light_distance_mm * light, geometry.camera_distance_mm * camera
+    return View(source_mm=source, camera_mm=eye, image_x=image_x, image_y=image_y, beam_y=beam_y)
 
 
 def directions(description: RigDescription, pose: Pose) -> Directions:
@@ -191,13 +188,6 @@ CLOSE = math.radians(5.0)
 axes for it, and for the white reference."""
 CLOSE_ENOUGH = SAME_ANGLE
 """Of a rig that has an axis for every direction, around the few that its errors close: one angle of a curve."""
-
-
-def _misaligned(description: RigDescription, pose: Pose) -> View:
-    """The view of a rig with errors of alignment, at the true angles of its axes."""
-    source, eye, onto, beam_y = misalignment.ends(description, pose)
-    image_x, image_y, sight = np.ascontiguousarray((onto @ misalignment.camera_on_arm(description)).T)
-    return View(source_mm=source, camera_mm=eye, image_x=image_x, image_y=image_y, sight=sight, beam_y=beam_y)
 
 
 def left_its_side(description: RigDescription, goal: Pose, read: Pose) -> bool:
@@ -263,10 +253,6 @@ def _sample_frame(pose: Pose) -> tuple[Vector, Vector, Vector, Vector, Vector]:
         return (cs * v[0] + ss * y, cs * y - ss * v[0], z)
 
     return to_sample(light), to_sample(camera), to_sample(image_x), to_sample(image_y), to_sample((0.0, 1.0, 0.0))
-
-
-def _angular_radius(radius: float, distance: float) -> float:
-    return math.asin(min(1.0, radius / distance))
 
 
 def _direction(theta: float, phi: float) -> Vector:

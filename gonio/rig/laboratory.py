@@ -11,7 +11,8 @@ from typing import Annotated
 from pydantic import Field, StringConstraints, field_validator
 
 from gonio.config import Strict, parse
-from gonio.documents import TomlTable
+from gonio.documents import TomlTable, laid_over
+from gonio.rig.ranges import Positive
 
 Words = Annotated[str, StringConstraints(min_length=1, strip_whitespace=True)]
 """A text that says something."""
@@ -19,7 +20,6 @@ Email = Annotated[str, StringConstraints(pattern=r"^[^@\s]+@[^@\s]+\.[^@\s]+$")]
 Link = Annotated[str, StringConstraints(pattern=r"^https?://\S+$")]
 Orcid = Annotated[str, StringConstraints(pattern=r"^\d{4}-\d{4}-\d{4}-\d{3}[\dX]$")]
 Doi = Annotated[str, StringConstraints(pattern=r"^10\.\d{4,}/\S+$")]
-Positive = Annotated[float, Field(gt=0)]
 
 
 class Address(Strict):
@@ -139,17 +139,9 @@ def merged(below: Laboratory | None, above: Laboratory | None) -> Laboratory | N
     """Two tables as one, key by key; where both state a key, that of `above` counts. A list is one key."""
     if below is None or above is None:
         return below if above is None else above
-    return parse(Laboratory, _laid_over(below.stated(), above.stated()), "laboratory")
+    return parse(Laboratory, laid_over(below.stated(), above.stated()), "laboratory")
 
 
 def _said(values: TomlTable) -> TomlTable:
     inner = {key: _said(value) if isinstance(value, dict) else value for key, value in values.items()}
     return {key: value for key, value in inner.items() if value not in ({}, [])}
-
-
-def _laid_over(below: TomlTable, above: TomlTable) -> TomlTable:
-    out = dict(below)
-    for key, value in above.items():
-        both = isinstance(value, dict) and isinstance(out.get(key), dict)
-        out[key] = _laid_over(out[key], value) if both else value
-    return out

@@ -107,7 +107,34 @@ def closest_pose(description: RigDescription, start: Pose, wanted: Floats) -> tu
     Gauss-Newton's method over all axes that the rig has. `wanted` is the unit vector to the source, and after it that
     to the detector.
     """
-    return _closer(description, start, wanted)
+    names = list(description.axes())
+
+    def off(place: Floats) -> Floats:
+        pose = replace(start, **dict(zip(names, place.tolist(), strict=True)))
+        source, eye, *_ = ends(description, pose)
+        return np.concatenate([source / math.sqrt(source @ source), eye / math.sqrt(eye @ eye)]) - wanted
+
+    at = np.array([getattr(start, name) for name in names])
+    error = off(at)
+    for _ in range(STEPS):
+        size = math.sqrt(error @ error)
+        if size < AT_LIMIT:
+            break
+        slopes = np.stack([(off(at + PROBE * unit) - error) / PROBE for unit in np.eye(len(names))], axis=1)
+        step = np.linalg.lstsq(slopes, -error, rcond=FLAT)[0]
+        step *= min(1.0, LONGEST_STEP / max(float(np.abs(step).max()), LONGEST_STEP))
+        for _ in range(HALVINGS):
+            then = off(at + step)
+            if math.sqrt(then @ then) < size:
+                break
+            step *= 0.5
+        else:
+            break
+        at, error = at + step, then
+    return (
+        replace(start, **dict(zip(names, at.tolist(), strict=True))),
+        max(float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:]))),
+    )
 
 
 def poses_around(
@@ -155,43 +182,10 @@ def _alike(one: Pose, other: Pose) -> bool:
     return all(abs(math.remainder(getattr(one, n) - getattr(other, n), math.tau)) < ALIKE for n in NAMES)
 
 
-def _closer(description: RigDescription, start: Pose, wanted: Floats) -> tuple[Pose, float]:
-    """As `closest_pose`, from one start."""
-    names = list(description.axes())
-
-    def off(place: Floats) -> Floats:
-        pose = replace(start, **dict(zip(names, place.tolist(), strict=True)))
-        source, eye, *_ = ends(description, pose)
-        return np.concatenate([source / math.sqrt(source @ source), eye / math.sqrt(eye @ eye)]) - wanted
-
-    at = np.array([getattr(start, name) for name in names])
-    error = off(at)
-    for _ in range(STEPS):
-        size = math.sqrt(error @ error)
-        if size < AT_LIMIT:
-            break
-        slopes = np.stack([(off(at + PROBE * unit) - error) / PROBE for unit in np.eye(len(names))], axis=1)
-        step = np.linalg.lstsq(slopes, -error, rcond=FLAT)[0]
-        step *= min(1.0, LONGEST_STEP / max(float(np.abs(step).max()), LONGEST_STEP))
-        for _ in range(HALVINGS):
-            then = off(at + step)
-            if math.sqrt(then @ then) < size:
-                break
-            step *= 0.5
-        else:
-            break
-        at, error = at + step, then
-    return (
-        replace(start, **dict(zip(names, at.tolist(), strict=True))),
-        max(float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:]))),
-    )
-
-
 def _carried(axis: ArmAxis, onto: Floats, distance_mm: float) -> Floats:
     """Where an arm's lamp or lens is in the lab [mm]."""
     x, z = axis.axis_offset_mm
-    out: Floats = np.array([x, 0.0, z]) + onto @ np.array(head(axis, distance_mm))
-    return out
+    return np.asarray(np.array([x, 0.0, z]) + onto @ np.array(head(axis, distance_mm)))
 
 
 @lru_cache(maxsize=1024)

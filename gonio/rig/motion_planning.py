@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
@@ -25,7 +25,20 @@ import numpy as np
 
 from gonio.errors import ConfigError
 from gonio.rig import misalignment
-from gonio.rig.bodies import CARRIERS, FINEST_MM, NAMES, PLANNED_MM, Pairs, Shape, _pairs, _shapes, _together
+from gonio.rig.bodies import (
+    APART,
+    CARRIERS,
+    FINEST_MM,
+    NAMES,
+    PLANNED_MM,
+    TIED,
+    Pairs,
+    Shape,
+    _pairs,
+    _shapes,
+    _together,
+    placed,
+)
 from gonio.rig.description import Arms, Body, Cable, Geometry, Holder, RigDescription
 from gonio.rig.protocols import Pose
 from gonio.typing import Floats
@@ -43,9 +56,10 @@ MOST_BOXES = 20_000
 """A way that is not proved free by then counts as blocked."""
 MOST_KEPT = 200_000
 """Verdicts on boxes that are kept."""
-GROUPS = ((0,), (1, 4), (2, 3))
+HOLDER = (2, 3)
+GROUPS = ((0,), (1, 4), HOLDER)
 """The axes of the light arm, of the camera arm and of the holder."""
-SINGLY = ((0,), (1,), (4,), (2, 3))
+SINGLY = ((0,), (1,), (4,), HOLDER)
 """As `GROUPS`, where the camera arm does not turn and go round at once."""
 
 
@@ -130,7 +144,15 @@ def route(description: RigDescription, start: Pose, goal: Pose) -> list[Pose]:
     """
     if not description.looks_ahead:
         return [goal]
-    return [Pose(*leg) for leg in _route(_space_of(description), _angles(start), _angles(goal))] or [goal]
+    space, here, there = _space_of(description), _angles(start), _angles(goal)
+    try:
+        legs = _way(space, here, there)
+    except Blocked as blocked:
+        try:
+            legs = _way(space, here, space.rest) + _way(space, space.rest, there)
+        except Blocked:
+            raise blocked from None
+    return [Pose(*leg) for leg in legs] or [goal]
 
 
 def legs(description: RigDescription, start: Pose, goals: dict[str, float]) -> list[dict[str, float]]:
@@ -199,21 +221,15 @@ def clearances(description: RigDescription, poses: Sequence[Pose]) -> list[dict[
 
     Bodies that are in each other have a gap below 0 where one of them has a radius, and -`SKIN_MM` where neither has.
     """
-    from gonio.rig import _clearance
-
     space = _space_of(description)
     angles = np.array([space.true_angles(_angles(pose)) for pose in poses]).reshape(-1, len(NAMES))
     out: list[dict[tuple[str, str], float]] = [{} for _ in poses]
     for group in space.groups:
-        found = np.empty((len(poses), len(group.shapes)))
-        _clearance.spares(
-            group.kinds, group.on, group.points, group.counts, group.distances, space.frames, angles, found
-        )
-        for row, values in zip(out, found.tolist(), strict=True):
+        for row, values in zip(out, group.spares(space.frames, angles).tolist(), strict=True):
             for (one, other), kind, spare in zip(group.shapes, group.kinds.tolist(), values, strict=True):
-                names = _ends(one) if kind == _clearance.TIED else (one.body, other.body)
-                gap = spare + (0.0 if kind == _clearance.TIED else space.clearance)
-                solid = kind == _clearance.APART and one.radius + other.radius == 0.0 and gap <= 0.0
+                names = _ends(one) if kind == TIED else (one.body, other.body)
+                gap = spare + (0.0 if kind == TIED else space.clearance)
+                solid = kind == APART and one.radius + other.radius == 0.0 and gap <= 0.0
                 row[names] = min(row.get(names, math.inf), -SKIN_MM if solid else gap)
     return out
 
@@ -230,20 +246,10 @@ def resting(description: RigDescription) -> Pose:
 # ---- ways ----
 
 
-def _route(space: Space, start: Angles, goal: Angles) -> list[Angles]:
-    try:
-        return _way(space, start, goal)
-    except Blocked as blocked:
-        try:
-            return _way(space, start, space.rest) + _way(space, space.rest, goal)
-        except Blocked:
-            raise blocked from None
-
-
 def _way(space: Space, start: Angles, goal: Angles, *, planned: bool = False) -> list[Angles]:
     """From start to goal, straight, or with the holder turned while the arms are at rest."""
     first: Blocked | None = None
-    for stations in ((goal,), (_with_holder(space.rest, start), _with_holder(space.rest, goal), goal)):
+    for stations in ((goal,), (_turned(space.rest, start, HOLDER), _turned(space.rest, goal, HOLDER), goal)):
         try:
             out, at = [], start
             for station in stations:
@@ -256,10 +262,6 @@ def _way(space: Space, start: Angles, goal: Angles, *, planned: bool = False) ->
     raise first
 
 
-def _with_holder(angles: Angles, holder: Angles) -> Angles:
-    return angles[0], angles[1], holder[2], holder[3], angles[4]
-
-
 def _legs(space: Space, start: Angles, goal: Angles, planned: bool) -> list[Angles]:
     """From start to goal, all axes at once, or one group of axes after the other."""
     met = _met(space, start, goal, planned)
@@ -268,18 +270,17 @@ def _legs(space: Space, start: Angles, goal: Angles, planned: bool) -> list[Angl
     for groups in (GROUPS, SINGLY) if start[4] != goal[4] else (GROUPS,):
         moving = [group for group in groups if any(start[k] != goal[k] for k in group)]
         for order in itertools.permutations(moving) if len(moving) > 1 else ():
-            legs = list(_one_by_one(start, goal, order))
+            taken = itertools.accumulate(order, lambda turned, group: {*turned, *group}, initial=set[int]())
+            legs = [_turned(start, goal, turned) for turned in taken][1:]
             if all(_met(space, a, b, planned) is None for a, b in itertools.pairwise([start, *legs])):
                 return legs
     raise _blocked(space, start, goal, *met)
 
 
-def _one_by_one(start: Angles, goal: Angles, order: Sequence[Sequence[int]]) -> Iterator[Angles]:
-    here = list(start)
-    for group in order:
-        for k in group:
-            here[k] = goal[k]
-        yield here[0], here[1], here[2], here[3], here[4]
+def _turned(start: Angles, goal: Angles, axes: Collection[int]) -> Angles:
+    """Start, with some axes where they are at the goal."""
+    light, camera, tilt, spin, azimuth = (goal[k] if k in axes else start[k] for k in range(len(NAMES)))
+    return light, camera, tilt, spin, azimuth
 
 
 def _met(space: Space, start: Angles, goal: Angles, planned: bool) -> tuple[Pairs, int, tuple[float, ...]] | None:
@@ -307,12 +308,11 @@ def _met(space: Space, start: Angles, goal: Angles, planned: bool) -> tuple[Pair
 
 def _blocked(space: Space, start: Angles, goal: Angles, group: Pairs, pair: int, near: Sequence[float]) -> Blocked:
     """What is in the way from start to goal, by `_met`."""
-    from gonio.rig import _clearance
-
     one, other = group.shapes[pair]
-    torn = group.kinds[pair] == _clearance.TIED
+    torn = group.kinds[pair] == TIED
     verb, bodies = ("tear the cable", one.body) if torn else ("touch:", f"{one.body} and {other.body}")
-    would = "would" if _spare(space, group, pair, near) <= FINEST_MM + PLANNED_MM else "may"
+    spare = group.spares(space.frames, np.array([near]))[0, pair]
+    would = "would" if spare <= FINEST_MM + PLANNED_MM else "may"
     where = ", ".join(
         f"{NAMES[k]} {round(math.degrees(space.read(k, near[k])), 1) + 0.0:g}"
         for k in group.axes
@@ -325,36 +325,21 @@ def _blocked(space: Space, start: Angles, goal: Angles, group: Pairs, pair: int,
     )  # fmt: skip
 
 
-def _spare(space: Space, group: Pairs, pair: int, at: Sequence[float]) -> float:
-    """The room of a pair of bodies at true angles, beyond the clearance [mm]."""
-    from gonio.rig import _clearance
-
-    found = np.empty((1, len(group.shapes)))
-    arrays = group.kinds, group.on, group.points, group.counts, group.distances
-    _clearance.spares(*arrays, space.frames, np.array([at]), found)
-    return float(found[0, pair])
-
-
 def _require_apart(space: Space, at: Angles) -> None:
     """Raise `Blocked` where bodies are closer than the clearance at a pose, or a cable is too short there."""
-    from gonio.rig import _clearance
-
     angles = space.true_angles(at)[None, :]
-    for group in space.groups:
-        found = np.empty((1, len(group.shapes)))
-        _clearance.spares(
-            group.kinds, group.on, group.points, group.counts, group.distances, space.frames, angles, found
-        )
-        pair = int(np.argmin(found)) if found.size else 0
-        if not found.size or found[0, pair] > 0.0:
+    for group in space.groups:  # each of one pair at least
+        found = group.spares(space.frames, angles)[0]
+        pair = int(np.argmin(found))
+        if found[pair] > 0.0:
             continue
         one, other = group.shapes[pair]
-        if group.kinds[pair] == _clearance.TIED:
+        if group.kinds[pair] == TIED:
             raise Blocked(
-                f"at {space.said(at)} the cable {one.body} is {-found[0, pair]:.1f} mm too short",
+                f"at {space.said(at)} the cable {one.body} is {-found[pair]:.1f} mm too short",
                 "where the point is measured, too short: the cable", one.body,
             )  # fmt: skip
-        gap = found[0, pair] + space.clearance
+        gap = found[pair] + space.clearance
         apart = f"are {gap:.1f} mm apart, and geometry.clearance_mm = {space.clearance:g}"
         if gap <= 0.0:
             apart = "are in each other"
@@ -409,10 +394,8 @@ def _cross(a: Floats, b: Floats) -> Floats:
 
 def _rim(centre: Floats, x: Floats, y: Floats, radius: float) -> Floats:
     turn = 2.0 * math.pi * np.arange(RIM) / RIM
-    out: Floats = centre + radius / math.cos(math.pi / RIM) * (
-        np.cos(turn)[:, None] * x + np.sin(turn)[:, None] * y
-    )  # around the circle
-    return out
+    around = np.cos(turn)[:, None] * x + np.sin(turn)[:, None] * y
+    return np.asarray(centre + radius / math.cos(math.pi / RIM) * around)
 
 
 def _require_lit(description: RigDescription, space: Space, at: Angles) -> None:
@@ -424,12 +407,9 @@ def _require_lit(description: RigDescription, space: Space, at: Angles) -> None:
     from gonio.rig import _clearance
 
     hulls = beams(description, Pose(*at))
-    angles, room = space.true_angles(at), np.empty((8, 3))
-    middle = np.ascontiguousarray([hulls[0][:RIM].mean(axis=0)])
+    angles, middle = space.true_angles(at), np.ascontiguousarray([hulls[0][:RIM].mean(axis=0)])
     for shape in space.shapes:
-        on = np.array([CARRIERS.index(each) for each in shape.on])
-        count, points = len(shape.points), np.array(shape.points)
-        _clearance.placed(on, points, count, angles, space.frames, room)
+        room, count = placed(shape.on, shape.points, angles, space.frames), len(shape.points)
         if _clearance.between(room, count, middle, 1, 0.0, np.inf) <= shape.radius:
             continue
         for hull, arm, words in zip(hulls, ("light", "camera"), ("of the light", "of the camera's sight"), strict=True):

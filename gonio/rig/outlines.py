@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
-from gonio.rig.bodies import CARRIERS
+from gonio.rig.bodies import placed
 from gonio.rig.description import Cable, RigDescription
 from gonio.rig.motion_planning import _angles, _space_of
 from gonio.rig.protocols import Pose
@@ -26,24 +24,16 @@ class Outline:
 
 def outlines(description: RigDescription, pose: Pose) -> list[Outline]:
     """The two heads, the bodies, and the cables that hang, for a picture."""
-    from gonio.rig import _clearance
-
     space = _space_of(description)
-    angles, out = space.true_angles(_angles(pose)), []
-    for shape in space.shapes:
-        points = np.empty((len(shape.points), 3))
-        on = np.array([CARRIERS.index(each) for each in shape.on])
-        _clearance.placed(on, np.array(shape.points), len(points), angles, space.frames, points)
-        out.append(Outline(shape.body, shape.on, points, shape.radius, shape.cable))
-    return out
+    angles = space.true_angles(_angles(pose))
+    return [
+        Outline(each.body, each.on, placed(each.on, each.points, angles, space.frames), each.radius, each.cable)
+        for each in space.shapes
+    ]
 
 
 def cable_ends(description: RigDescription, pose: Pose, cable: Cable) -> Floats:
     """Where the two ends of a cable are in the lab, shape (2, 3) [mm]."""
-    from gonio.rig import _clearance
-
-    space, out = _space_of(description), np.empty((2, 3))
-    on = np.array([CARRIERS.index(cable.from_on), CARRIERS.index(cable.to_on)])
-    points = np.array([cable.from_mm, cable.to_mm])
-    _clearance.placed(on, points, 2, space.true_angles(_angles(pose)), space.frames, out)
-    return out
+    space = _space_of(description)
+    angles = space.true_angles(_angles(pose))
+    return placed((cable.from_on, cable.to_on), (cable.from_mm, cable.to_mm), angles, space.frames)

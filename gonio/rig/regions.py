@@ -30,6 +30,7 @@ from gonio.rig.imaging import (
     pixel_map,
     pixel_on_focus_mm,
     pixel_on_sample_mm,
+    pixels_for_each,
     project,
 )
 
@@ -50,8 +51,7 @@ class Roi:
 
     def of(self, image: npt.NDArray[np.generic]) -> npt.NDArray[np.generic]:
         """The used pixels of a whole frame, one-dimensional."""
-        out: npt.NDArray[np.generic] = image[self.rows, self.cols][self.mask]
-        return out
+        return np.asarray(image[self.rows, self.cols][self.mask])
 
     def shared(self, other: Roi) -> int:
         """How many pixels two regions have in common."""
@@ -138,9 +138,7 @@ def roi(description: RigDescription, view: View, target: Target = "sample", chan
     x, y = _spots_of(description, view, box_rows, box_cols)
     x -= centre[0]
     y -= centre[1]
-    x *= x
-    y *= y
-    distance = np.add(x, y, out=x)  # NaN where a pixel does not see the plane: it is inside of nothing
+    distance = x * x + y * y  # NaN where a pixel does not see the plane: it is inside of nothing
     if channel != "mono" and camera.pattern != "mono":
         distance[~of_channel(camera.pattern, channel, box_rows, box_cols)] = np.nan
     inside = distance <= radius**2
@@ -238,11 +236,8 @@ def straight_through_weight(description: RigDescription, view: View, region: Roi
     """
     camera, area = description.camera, straight_through_scale(description, view)
     falloff = _falloff(camera, image_distance_mm(description), 0, camera.height, 0, camera.width)[region.mask]
-    # pixels of one colour of a mosaic stand for all
-    pattern = camera.pattern
-    every = region.count * (1.0 if channel == "mono" or pattern == "mono" else len(pattern) / pattern.count(channel))
-    out: Floats = falloff * (description.reference.attenuation or 1.0) / (area * every)
-    return out
+    every = region.count * pixels_for_each(camera.pattern, channel)
+    return np.asarray(falloff * (description.reference.attenuation or 1.0) / (area * every))
 
 
 def straight_through_scale(description: RigDescription, view: View) -> float:

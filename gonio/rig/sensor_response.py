@@ -27,8 +27,7 @@ def linear_dn(camera: Camera, values: npt.NDArray[Any]) -> npt.NDArray[Any]:
     """Linear values [DN] of what pixels read, by `camera.response`; the same array where there is none."""
     if not camera.response:
         return values
-    linear: npt.NDArray[Any] = np.asarray(camera.response)[np.minimum(values, len(camera.response) - 1)]
-    return linear
+    return np.asarray(np.asarray(camera.response)[np.minimum(values, len(camera.response) - 1)])
 
 
 def bent(camera: Camera, signal: Floats) -> Floats:

@@ -12,8 +12,8 @@ from gonio_sweeps.curve import Curve
 from gonio_sweeps.online import GrowingValues
 
 from gonio import models
-from gonio.acquisition.grids import HalfVector, Hemisphere
 from gonio.acquisition.plan import Adaptive, Assessed, Plan, Point, assess, canonical
+from gonio.acquisition.plan_tables import HalfVector, Hemisphere
 from gonio.geometry import Directions, direction
 from gonio.models import Model
 from gonio.rig.description import RigDescription

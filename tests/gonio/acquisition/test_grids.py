@@ -13,9 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
-from gonio.acquisition.grids import HalfVector, Hemisphere, even_cap
 from gonio.acquisition.plan import Plan, load_plan
-from gonio.acquisition.sweeps import Spaced
+from gonio.acquisition.plan_tables import HalfVector, Hemisphere, Spaced, even_cap
 from gonio.errors import ConfigError
 from gonio.geometry import direction
 

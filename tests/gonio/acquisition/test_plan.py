@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gonio.acquisition.plan import ANGLES, Plan, Point, assess, beside, load_plan, said_beside
+from gonio.acquisition.plan_tables import Range
 from gonio.acquisition.schedule import schedule
-from gonio.acquisition.sweeps import Range
 from gonio.errors import ConfigError
 from gonio.rig.description import ArmAxis, Arms, Geometry, Holder, Reference
 from tests.gonio.numpy_rig import PLAN, describe

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from gonio.acquisition.plan import load_plan
-from gonio.acquisition.sweeps import ANGLES
+from gonio.acquisition.plan_tables import ANGLES
 from tests.places import ROOT
 
 PLANS = re.findall(r"^```toml\n(.*?)^```", (ROOT / "docs" / "planning.md").read_text(), re.DOTALL | re.MULTILINE)

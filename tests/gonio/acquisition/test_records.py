@@ -12,9 +12,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gonio.acquisition.journal import Journal, decode, encode
+from gonio.acquisition.journal import Index, Journal, decode, encode
 from gonio.acquisition.records import FrameFile, FrameLabel, FrameRecord, StepRecord
-from gonio.acquisition.steps import Index
 from gonio.errors import DataError
 from gonio.rig import Pose
 
@@ -48,11 +47,12 @@ afters = st.none() | st.tuples(poses, numbers, st.dictionaries(text, numbers), s
 
 @st.composite
 def records(draw: st.DrawFn) -> StepRecord:
-    after = draw(afters)
+    after = draw(afters) or (None, None, None, None)
     return StepRecord(
-        draw(st.integers(0)), draw(st.sampled_from(["dark", "reference", "point"])), draw(st.none() | st.integers(0)),
-        draw(numbers), draw(poses), draw(poses), draw(st.none() | numbers), draw(text),
-        tuple(draw(st.lists(frames, max_size=3))), *(after or ()),
+        step=draw(st.integers(0)), kind=draw(st.sampled_from(["dark", "reference", "point"])),
+        point=draw(st.none() | st.integers(0)), time_s=draw(numbers), goal=draw(poses), pose=draw(poses),
+        pose_time_s=draw(st.none() | numbers), flag=draw(text), frames=tuple(draw(st.lists(frames, max_size=3))),
+        pose_after=after[0], pose_after_time_s=after[1], level_per_s=after[2], pose_spread=after[3],
     )  # fmt: skip
 
 
@@ -67,23 +67,21 @@ def test_a_step_comes_back_from_its_json(record: StepRecord) -> None:
 def test_a_label_comes_back_from_its_json(
     run: str, frame: FrameRecord, pose: Pose, step: StepRecord, last: bool
 ) -> None:
-    dark = FrameLabel(run, 0, "dark", None, 1, 8, frame, None, None, None, step if last else None)
-    lit = FrameLabel(run, 5, "point", 3, 2, 2, frame, pose, pose, 0.5, step if last else None)
-    for label in (dark, lit):
+    dark = FrameLabel(
+        run=run, step=0, kind="dark", point=None, number=1, count=8, frame=frame, record=step if last else None
+    )
+    for label in (dark, replace(dark, kind="point", point=3, goal=pose, pose=pose, pose_time_s=0.5)):
         assert FrameLabel.from_json(json.loads(json.dumps(label.to_json()))) == label
 
 
 @given(records(), st.lists(st.builds(FrameFile, text, st.integers(0, 2**40)), max_size=3))
 def test_the_text_is_that_of_an_encoder_of_json(record: StepRecord, files: list[FrameFile]) -> None:
-    files = files[: len(record.frames)]
-    told = record.text(files)
+    told = record.stored(files[: len(record.frames)]).text()
     assert told == json.dumps(json.loads(told), separators=(",", ":"))
-    stored = [frame.stored(file) for frame, file in zip(record.frames, files, strict=False)]
-    assert told == replace(record, frames=(*stored, *record.frames[len(files) :])).text()
 
 
 def test_every_pose_is_written_with_its_own_digits() -> None:
-    base = StepRecord(1, "point", 0, 1.0, Pose(), Pose(), None, "", ())
+    base = StepRecord(step=1, kind="point", point=0, time_s=1.0, goal=Pose(), pose=Pose(), flag="", frames=())
     for values, told in (
         ((0.0,), "0.0"), ((-0.0,), "-0.0"), ((0,), "0"), ((np.float64(0.1),), "0.1"), ((1e-7,), "1e-07"),
     ):  # fmt: skip

@@ -46,7 +46,10 @@ def records(
         pose_s = now = now + travel * parts.travel_s * float(noise[0])
         shot = FrameRecord("f", "b", 0.0, now, True)
         now += frames * (parts.total_s - parts.travel_s) * float(noise[1])
-        record = StepRecord(step.index, step.kind, step.point, pose_s, step.pose, step.pose, pose_s, "", (shot,))
+        record = StepRecord(
+            step=step.index, kind=step.kind, point=step.point, time_s=pose_s, goal=step.pose, pose=step.pose,
+            pose_time_s=pose_s, flag="", frames=(shot,),
+        )  # fmt: skip
         if step.kind == "dark":
             out.append(replace(record, frames=(shot, replace(shot, time_s=now)), pose_time_s=now))
         else:

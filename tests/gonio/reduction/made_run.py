@@ -115,7 +115,10 @@ class Maker:
 
     def record(self, kind: Kind, row: int | None, pose: Pose, frames: list[FrameRecord]) -> StepRecord:
         self.number += 1
-        return StepRecord(self.number - 1, kind, row, self.time_s, pose, pose, None, "", tuple(frames))
+        return StepRecord(
+            step=self.number - 1, kind=kind, point=row, time_s=self.time_s, goal=pose, pose=pose, flag="",
+            frames=tuple(frames),
+        )  # fmt: skip
 
     def frame(self, pose: Pose | None, kind: str, exposure_s: float) -> FrameRecord:
         camera = self.description.camera

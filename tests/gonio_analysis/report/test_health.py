@@ -31,7 +31,8 @@ def step(k: int) -> StepRecord:
     """A slow warming with noise, one hot step, and one on whose way the supply sagged."""
     noise = math.sin(12.9898 * k) * 0.4
     return StepRecord(
-        k, "point", 0, 100.0 + 3600 * HOURS * k / STEPS, Pose(), Pose(), None, "", (),
+        step=k, kind="point", point=0, time_s=100.0 + 3600 * HOURS * k / STEPS, goal=Pose(), pose=Pose(), flag="",
+        frames=(),
         health=(
             Reading("light", "temperature", 66.5 if k == HOT else 30 + 10 * (1 - math.exp(-k / 2000)) + noise, "C"),
             Reading("light", "current_max", 300.0 + 50 * noise, "mA"),
