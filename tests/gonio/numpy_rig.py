@@ -157,15 +157,15 @@ class Plugin:
 
 
 class StopAfter(Silent):
-    """A user who presses Ctrl-C after a step."""
+    """A user who presses Ctrl-C after so many steps (and again after so many more)."""
 
-    def __init__(self, step: int) -> None:
-        self.left = step
+    def __init__(self, *steps: int) -> None:
+        self.count, self.steps = 0, steps
 
     def step(self, live: Live) -> None:
         """Count."""
-        self.left -= 1
-        if not self.left:
+        self.count += 1
+        if self.count in self.steps:
             signal.raise_signal(signal.SIGINT)
 
 

@@ -16,8 +16,6 @@ from gonio_bluesky.event_documents import documents
 
 from gonio.acquisition import repair
 from gonio.acquisition.journal import Event, encode
-from gonio.acquisition.measure import RigChoice, carry_out
-from gonio.acquisition.plan import load_plan
 from gonio.acquisition.remaining import Remaining
 from gonio.acquisition.run import Run
 from gonio.errors import GonioError
@@ -25,7 +23,6 @@ from gonio.live.run_status import RunStatus
 from gonio.live.watching import Watched
 from gonio.reduction import brdf
 from tests.command_line import gonio
-from tests.gonio.numpy_rig import PLAN, SAMPLE, Plugin, describe
 
 WALL = "2026-11-20T10:00:00.000Z"
 OTHERS: list[Event] = [
@@ -46,14 +43,6 @@ OTHERS: list[Event] = [
 ]
 GONE = object()
 VALUES = [GONE, None, "x", -1, 10**30, 1e308, float("nan"), float("inf"), True, [], {}, [[["deep"]]], {"a": {"b": []}}]
-
-
-@pytest.fixture(scope="module")
-def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("whole")
-    (folder / "plan.toml").write_text(PLAN)
-    choice = RigChoice(Plugin(), describe(), "numpy")
-    return carry_out(load_plan(folder / "plan.toml"), choice, folder / "run", sample=SAMPLE, seed=1).path
 
 
 def places(value: Any, at: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
@@ -109,12 +98,12 @@ READERS: dict[str, Callable[[Path], object]] = {
 
 
 @pytest.mark.parametrize("number", range(-1, len(OTHERS)), ids=["step", *(event["event"] for event in OTHERS)])
-def test_every_reader_names_a_forged_line_or_can_do_with_it(whole: Path, tmp_path: Path, number: int) -> None:
+def test_every_reader_names_a_forged_line_or_can_do_with_it(measured: Path, tmp_path: Path, number: int) -> None:
     path = tmp_path / "run"
     path.mkdir()
     for name in ("run.toml", "plan.csv", "gonio.sha256"):
-        shutil.copy(whole / name, path)
-    lines = (whole / "journal.jsonl").read_bytes().splitlines(keepends=True)
+        shutil.copy(measured / name, path)
+    lines = (measured / "journal.jsonl").read_bytes().splitlines(keepends=True)
     at = 3 if number < 0 else len(lines)
     event = json.loads(lines[3]) if number < 0 else {"n": at, **OTHERS[number], "wall": WALL}
     event.pop("crc", None)
@@ -134,13 +123,13 @@ def test_every_reader_names_a_forged_line_or_can_do_with_it(whole: Path, tmp_pat
     assert refused >= len(READERS), "nothing was forged"
 
 
-def test_commands_say_one_thing_of_a_forged_line(whole: Path, tmp_path: Path) -> None:
-    lines = (whole / "journal.jsonl").read_bytes().splitlines(keepends=True)
+def test_commands_say_one_thing_of_a_forged_line(measured: Path, tmp_path: Path) -> None:
+    lines = (measured / "journal.jsonl").read_bytes().splitlines(keepends=True)
     event = json.loads(lines[4])
     del event["crc"]
     for change in ({"pose": {"light": "x"}}, {"frames": [{"file": "../../x.dng"}]}, {"point": 99}, {"step": 5}):
         path = tmp_path / f"run-{'-'.join(change)}"
-        shutil.copytree(whole, path)
+        shutil.copytree(measured, path)
         (path / "journal.jsonl").write_bytes(b"".join([*lines[:4], sealed(event | change), *lines[5:]]))
         for command in (("run", "check", path), ("reduce", path), ("convert", path, "x.jsonl", "--to", "bluesky")):
             done = gonio(tmp_path, *command)
@@ -149,14 +138,14 @@ def test_commands_say_one_thing_of_a_forged_line(whole: Path, tmp_path: Path) ->
             assert "should not happen" not in done.stderr
         repaired = gonio(tmp_path, "run", "repair", path)
         assert repaired.returncode == 0, repaired.stderr
-        assert list(Run.open(path).steps()) == list(Run.open(whole).steps())
+        assert list(Run.open(path).steps()) == list(Run.open(measured).steps())
         brdf.reduce(Run.open(path))
 
 
-def test_a_page_goes_on_after_a_forged_line_and_says_it(whole: Path, tmp_path: Path) -> None:
+def test_a_page_goes_on_after_a_forged_line_and_says_it(measured: Path, tmp_path: Path) -> None:
     path = tmp_path / "run"
-    shutil.copytree(whole, path)
-    lines = (whole / "journal.jsonl").read_bytes().splitlines(keepends=True)
+    shutil.copytree(measured, path)
+    lines = (measured / "journal.jsonl").read_bytes().splitlines(keepends=True)
     event = json.loads(lines[5]) | {"frames": "none"}
     (path / "journal.jsonl").write_bytes(b"".join([*lines[:5], sealed({**event, "crc": ""}), *lines[6:]]))
     with Watched(path) as watched:

@@ -13,38 +13,25 @@ from typing import Any
 import pytest
 
 from gonio.acquisition import holding
-from gonio.acquisition.measure import RigChoice, carry_out, check
-from gonio.acquisition.plan import Plan, load_plan
+from gonio.acquisition.measure import RigChoice, check
+from gonio.acquisition.plan import Plan
 from gonio.acquisition.progress import Live, Silent
+from gonio.acquisition.records import StepRecord
 from gonio.acquisition.run import Run
 from gonio.acquisition.stop import Pause
 from gonio.cli.console import _Rest
 from gonio.errors import ConfigError, DataError, DeviceError, Interrupted, PassingFault
 from gonio.rig import Frame
 from gonio.rig.description import Reference, RigDescription, SampleDescription
-from tests.gonio.numpy_rig import PLAN, SAMPLE, NumpyRig, Plugin, describe
-
-Measure = Callable[..., Run]
-
-
-@pytest.fixture
-def plan(tmp_path: Path) -> Plan:
-    (tmp_path / "plan.toml").write_text(PLAN)
-    return load_plan(tmp_path / "plan.toml")
+from tests.gonio.acquisition.conftest import Measure
+from tests.gonio.numpy_rig import SAMPLE, NumpyRig, Plugin, describe
 
 
-@pytest.fixture
-def measure(plan: Plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Measure:
-    """Measure the plan into a folder, with waits that take no time."""
+@pytest.fixture(autouse=True)
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Waits take no time."""
     monkeypatch.setattr(holding, "LOOK_S", 0.0)
     monkeypatch.setattr(holding, "WAITS_S", {"camera": (0.0, 0.0), "lamp": (0.0,)})
-
-    def go(out: str, *, rig: Any = None, description: RigDescription | None = None, **changes: Any) -> Run:
-        choice = RigChoice(rig or Plugin(), description or describe(), "numpy")
-        arguments: dict[str, Any] = {"sample": SAMPLE, "seed": 1} | changes
-        return carry_out(plan, choice, tmp_path / out, **arguments)
-
-    return go
 
 
 def names(run: Run) -> list[str]:
@@ -69,7 +56,9 @@ class Person(Silent):
             self.then()
 
 
-def test_a_pause_comes_after_the_step_with_the_lamp_dark_and_changes_nothing(measure: Measure) -> None:
+def test_a_pause_comes_after_the_step_with_the_lamp_dark_and_changes_nothing(
+    measure: Measure, whole: list[StepRecord]
+) -> None:
     pause, rig = Pause(), Plugin()
     seen: list[bool] = []
 
@@ -80,7 +69,7 @@ def test_a_pause_comes_after_the_step_with_the_lamp_dark_and_changes_nothing(mea
     person = Person(3, lambda: pause.ask("a key"), then)
     run = measure("run", rig=rig, progress=person, pause=pause)
     assert seen == [False]
-    assert list(run.steps()) == list(measure("whole").steps())
+    assert list(run.steps()) == whole
     assert names(run) == ["session", *["step"] * 4, "paused", "continued", *["step"] * 5, "end"]
     paused, continued = (event for event in run.events() if event["event"] in ("paused", "continued"))
     assert paused["step"] == continued["step"] == 4
@@ -139,14 +128,16 @@ def test_ctrl_z_pauses_and_sigcont_goes_on(measure: Measure) -> None:
     assert f"kill -CONT {os.getpid()}" in next(text for text in person.said if text.startswith("paused"))
 
 
-def test_a_paused_run_that_is_stopped_goes_on_with_resume(measure: Measure, tmp_path: Path) -> None:
+def test_a_paused_run_that_is_stopped_goes_on_with_resume(
+    measure: Measure, tmp_path: Path, whole: list[StepRecord]
+) -> None:
     pause, rig = Pause(), Plugin()
     person = Person(2, lambda: pause.ask("a key"), lambda: signal.raise_signal(signal.SIGINT))
     with pytest.raises(Interrupted, match="stopped while paused, after 3 of 9 steps"):
         measure("run", rig=rig, progress=person, pause=pause)
     assert not rig.opened[0].lit
     assert names(Run.open(tmp_path / "run"))[-2:] == ["paused", "interrupted"]
-    assert list(measure("run", resume=True).steps()) == list(measure("whole").steps())
+    assert list(measure("run", resume=True).steps()) == whole
 
 
 @pytest.mark.parametrize("how", ["axis", "swap"])
@@ -190,20 +181,24 @@ class Faults:
         return Faulty(description, seed, repeatable=self.repeatable, faults=self.faults)
 
 
-def test_a_step_with_a_fault_that_passes_is_taken_again_and_nothing_changes(measure: Measure) -> None:
+def test_a_step_with_a_fault_that_passes_is_taken_again_and_nothing_changes(
+    measure: Measure, whole: list[StepRecord]
+) -> None:
     run = measure("run", rig=Faults({1: 1, 3: 2, 8: 1}))
-    assert list(run.steps()) == list(measure("whole").steps())
+    assert list(run.steps()) == whole
     tried = [(e["step"], e["device"], e["attempt"]) for e in run.events() if e["event"] == "retry"]
     assert tried == [(1, "camera", 1), (3, "camera", 1), (3, "camera", 2), (8, "camera", 1)]
     named = {frame.file for step in run.steps() for frame in step.frames}
     assert {path.name for path in (run.path / "frames").iterdir()} == named
 
 
-def test_a_fault_that_does_not_pass_ends_the_run_which_can_go_on(measure: Measure, tmp_path: Path) -> None:
+def test_a_fault_that_does_not_pass_ends_the_run_which_can_go_on(
+    measure: Measure, tmp_path: Path, whole: list[StepRecord]
+) -> None:
     with pytest.raises(DeviceError, match="no frame came within 5 s; step 3 was tried 3 times"):
         measure("run", rig=Faults({3: 99}))
     assert names(Run.open(tmp_path / "run"))[-1] == "device_error"
-    assert list(measure("run", resume=True).steps()) == list(measure("whole").steps())
+    assert list(measure("run", resume=True).steps()) == whole
 
 
 def test_any_other_fault_is_not_tried_again(measure: Measure, tmp_path: Path) -> None:
@@ -247,8 +242,7 @@ def test_a_run_that_cannot_fit_is_refused_before_anything_is_touched(
         )
 
 
-def test_what_a_run_needs_is_what_it_takes(measure: Measure) -> None:
-    run = measure("run")
+def test_what_a_run_needs_is_what_it_takes(run: Run) -> None:
     need = holding.Bytes(run.description, len(run.bands))
     steps, taken = run.steps(), 0
     for step in steps:
@@ -258,7 +252,7 @@ def test_what_a_run_needs_is_what_it_takes(measure: Measure) -> None:
     assert taken <= need.of_run(len(steps)) - holding.RESERVE < 2.0 * taken
 
 
-def test_a_full_disk_is_waited_for(measure: Measure, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_disk_is_waited_for(measure: Measure, monkeypatch: pytest.MonkeyPatch, whole: list[StepRecord]) -> None:
     rig, person = Plugin(), Person(99, lambda: None, lambda: None)
     # before the run; before each of four steps; then full for two looks (and the message), and there is room again
     monkeypatch.setattr(holding, "free_bytes", Disk(*[PLENTY] * 5, *[NOTHING] * 4, PLENTY))
@@ -267,11 +261,11 @@ def test_a_full_disk_is_waited_for(measure: Measure, monkeypatch: pytest.MonkeyP
     assert (paused["step"], paused["why"]) == (4, "disk")
     assert "0 bytes are free, and step 4 needs" in paused["message"]
     monkeypatch.undo()
-    assert list(run.steps()) == list(measure("whole").steps())
+    assert list(run.steps()) == whole
 
 
 def test_a_disk_that_stays_full_ends_the_run_which_can_go_on(
-    measure: Measure, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    measure: Measure, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, whole: list[StepRecord]
 ) -> None:
     rig = Plugin()
     with monkeypatch.context() as full:
@@ -282,7 +276,7 @@ def test_a_disk_that_stays_full_ends_the_run_which_can_go_on(
     assert not rig.opened[0].lit
     assert rig.opened[0].log[-1] == "park"
     assert len(Run.open(tmp_path / "run").steps()) == 4
-    assert list(measure("run", resume=True).steps()) == list(measure("whole").steps())
+    assert list(measure("run", resume=True).steps()) == whole
 
 
 def test_a_run_that_cannot_fit_is_begun_with_yes(measure: Measure, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from gonio.acquisition.measure import RigChoice, carry_out, check
-from gonio.acquisition.plan import Plan, load_plan
+from gonio.acquisition.plan import Plan
 from gonio.acquisition.progress import Live, Silent
 from gonio.acquisition.records import StepRecord
 from gonio.acquisition.run import Run
@@ -24,40 +24,8 @@ from gonio.reduction import brdf
 from gonio.rig import Frame, Pose, Step
 from gonio.rig.description import Body, Geometry, Holder, Reference, RigDescription
 from gonio.rig.dng import read_raw
-from tests.gonio.numpy_rig import PLAN, SAMPLE, NumpyRig, Plugin, describe
-
-Measure = Callable[..., Run]
-
-
-@pytest.fixture
-def plan(tmp_path: Path) -> Plan:
-    (tmp_path / "plan.toml").write_text(PLAN)
-    return load_plan(tmp_path / "plan.toml")
-
-
-@pytest.fixture
-def measure(plan: Plan, tmp_path: Path) -> Measure:
-    """Measure the plan into a folder; `rig` collects the rigs that were opened."""
-
-    def go(out: str, *, rig: Plugin | None = None, description: RigDescription | None = None, **changes: object) -> Run:
-        choice = RigChoice(rig or Plugin(), description or describe(), "numpy")
-        arguments: dict[str, object] = {"plan": plan, "sample": SAMPLE, "seed": 1, "command": "gonio measure ..."}
-        arguments |= changes
-        return carry_out(arguments.pop("plan"), choice, tmp_path / out, **arguments)  # type: ignore[arg-type]
-
-    return go
-
-
-class StopAfter(Silent):
-    """A user who presses Ctrl-C after so many steps (and again after so many more)."""
-
-    def __init__(self, *steps: int) -> None:
-        self.count, self.steps = 0, steps
-
-    def step(self, live: Live) -> None:
-        self.count += 1
-        if self.count in self.steps:
-            signal.raise_signal(signal.SIGINT)
+from tests.gonio.acquisition.conftest import Measure
+from tests.gonio.numpy_rig import SAMPLE, NumpyRig, Plugin, StopAfter, describe
 
 
 def content(run: Run) -> list[StepRecord]:
@@ -65,7 +33,7 @@ def content(run: Run) -> list[StepRecord]:
     return list(run.steps())
 
 
-def test_a_run_holds_what_was_asked_and_what_happened(measure: Measure, tmp_path: Path) -> None:
+def test_a_run_holds_what_was_asked_and_what_happened(measure: Measure) -> None:
     rig = Plugin()
     run = measure("run", rig=rig)
     assert run.seed == 1
@@ -82,8 +50,7 @@ def test_a_run_holds_what_was_asked_and_what_happened(measure: Measure, tmp_path
     assert not rig.opened[0].lit
 
 
-def test_frames_are_those_that_the_journal_names(measure: Measure) -> None:
-    run = measure("run")
+def test_frames_are_those_that_the_journal_names(run: Run) -> None:
     named = [frame for step in run.steps() for frame in step.frames]
     assert {path.name for path in (run.path / "frames").iterdir()} == {frame.file for frame in named}
     for frame in named:
@@ -123,9 +90,9 @@ def test_readbacks_before_and_after_the_frames_are_recorded_with_their_times(mea
         assert step.pose_time_s <= times[0] < times[-1] <= step.pose_after_time_s
 
 
-def test_a_step_during_which_an_arm_was_pushed_is_taken_again(measure: Measure) -> None:
+def test_a_step_during_which_an_arm_was_pushed_is_taken_again(measure: Measure, whole: list[StepRecord]) -> None:
     run = measure("run", rig=Plugin(options={"pushes": {3: 1}}))
-    assert content(run) == content(measure("whole"))
+    assert content(run) == whole
     (remark,) = (event["message"] for event in run.events() if event["event"] == "remark")
     assert remark == "step 3: axis camera has moved by 0.30 deg during the exposures; it is taken again"
 
@@ -199,8 +166,7 @@ def test_a_point_without_frames_is_no_guide(measure: Measure) -> None:
 
 
 @pytest.mark.parametrize("stops", [[1], [2], [5], [7], [1, 1, 2]])
-def test_an_interrupted_run_resumes_to_the_same(measure: Measure, stops: list[int]) -> None:
-    whole = content(measure("whole"))
+def test_an_interrupted_run_resumes_to_the_same(measure: Measure, stops: list[int], whole: list[StepRecord]) -> None:
     for number, after in enumerate(stops):
         rig = Plugin()
         with pytest.raises(Interrupted, match="--resume"):
@@ -212,7 +178,7 @@ def test_an_interrupted_run_resumes_to_the_same(measure: Measure, stops: list[in
     assert [e["event"] for e in run.events()].count("interrupted") == len(stops)
 
 
-def test_a_second_signal_stops_every_axis_at_once(measure: Measure) -> None:
+def test_a_second_signal_stops_every_axis_at_once(measure: Measure, whole: list[StepRecord]) -> None:
     class Impatient(Silent):
         def step(self, live: Live) -> None:
             signal.raise_signal(signal.SIGTERM)
@@ -222,7 +188,7 @@ def test_a_second_signal_stops_every_axis_at_once(measure: Measure) -> None:
     with pytest.raises(Interrupted, match="at once"):
         measure("run", rig=rig, progress=Impatient())
     assert rig.opened[0].log[-3:] == ["stop", "off", "park"]
-    assert content(measure("run", resume=True)) == content(measure("whole"))
+    assert content(measure("run", resume=True)) == whole
 
 
 def test_killed_at_any_byte_of_the_journal_it_resumes_to_the_same(measure: Measure, tmp_path: Path) -> None:
@@ -241,8 +207,7 @@ def test_killed_at_any_byte_of_the_journal_it_resumes_to_the_same(measure: Measu
     assert len(cuts) > 20
 
 
-def test_frames_of_a_step_that_was_cut_short_do_not_stay(measure: Measure) -> None:
-    run = measure("run")
+def test_frames_of_a_step_that_was_cut_short_do_not_stay(run: Run, measure: Measure) -> None:
     journal = run.path / "journal.jsonl"
     journal.write_bytes(b"".join(journal.read_bytes().splitlines(keepends=True)[:4]))
     with pytest.raises(Interrupted):
@@ -251,7 +216,7 @@ def test_frames_of_a_step_that_was_cut_short_do_not_stay(measure: Measure) -> No
     assert {path.name for path in (run.path / "frames").iterdir()} == named
 
 
-def test_a_failing_device_is_in_the_journal_and_everything_is_dark(measure: Measure) -> None:
+def test_a_failing_device_is_in_the_journal_and_everything_is_dark(measure: Measure, whole: list[StepRecord]) -> None:
     rig = Plugin(options={"fails_at": 4})
     with pytest.raises(DeviceError, match="no frame came"):
         measure("run", rig=rig)
@@ -259,7 +224,7 @@ def test_a_failing_device_is_in_the_journal_and_everything_is_dark(measure: Meas
     run = measure("run", resume=True)
     events = [event["event"] for event in run.events()]
     assert events[:6] == ["session", "step", "step", "step", "step", "device_error"]
-    assert content(run) == content(measure("whole"))
+    assert content(run) == whole
 
 
 def test_a_swap_by_hand_needs_a_terminal_or_yes(measure: Measure, tmp_path: Path) -> None:
@@ -280,13 +245,15 @@ def test_a_laboratory_takes_fresh_darks_and_references(measure: Measure) -> None
     assert len(set(taken)) == 11
 
 
-def test_a_computer_s_clock_that_jumps_changes_nothing(measure: Measure, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_computer_s_clock_that_jumps_changes_nothing(
+    measure: Measure, monkeypatch: pytest.MonkeyPatch, whole: list[StepRecord]
+) -> None:
     years = iter(range(2100, 1900, -1))
     monkeypatch.setattr("gonio.acquisition.journal.now", lambda: f"{next(years)}-01-01T00:00:00.000Z")
     with pytest.raises(Interrupted):
         measure("run", progress=StopAfter(4))
     run = measure("run", resume=True)
-    assert content(run) == content(measure("whole"))
+    assert content(run) == whole
     walls = [event["wall"] for event in run.events()]
     assert walls == sorted(walls, reverse=True)
     assert set(brdf.reduce(run)["flag"]) == {"", "blocked"}
@@ -354,7 +321,7 @@ def test_a_run_that_has_begun_needs_resume(measure: Measure) -> None:
 @pytest.mark.parametrize("journal", [None, b"", b'{"n":0,"event":"ses'])
 @pytest.mark.parametrize("resume", [True, False])
 def test_without_a_whole_line_it_starts_anew(
-    measure: Measure, tmp_path: Path, journal: bytes | None, resume: bool
+    measure: Measure, journal: bytes | None, resume: bool, whole: list[StepRecord]
 ) -> None:
     out = measure("run").path  # and its process died before it took a frame
     for frame in (out / "frames").iterdir():
@@ -362,7 +329,7 @@ def test_without_a_whole_line_it_starts_anew(
     (out / "journal.jsonl").unlink()
     if journal is not None:
         (out / "journal.jsonl").write_bytes(journal)
-    assert content(measure("run", resume=resume)) == content(measure("other"))
+    assert content(measure("run", resume=resume)) == whole
 
 
 @pytest.mark.parametrize(
@@ -406,7 +373,7 @@ def test_a_process_that_died_while_it_made_the_folder_is_no_obstacle(
     (tmp_path / "run" / "frames").mkdir(parents=True)
     (tmp_path / "run" / "journal.jsonl").touch()
     (tmp_path / "run" / f".{name}.4711.new").write_text("half")
-    run = measure("run")
+    run = measure()
     assert not (run.path / f".{name}.4711.new").exists()
     assert len(run.steps()) == len(measure("other").steps())
 
@@ -463,7 +430,7 @@ def test_what_the_frame_does_not_hold_is_refused_before_anything_is_opened(
     assert not (tmp_path / "run").exists()
 
 
-def test_a_patch_counts_in_the_poses_that_are_used(plan: Plan, tmp_path: Path) -> None:
+def test_a_patch_counts_in_the_poses_that_are_used(plan: Plan) -> None:
     """14 mm beside the centre, along the arms' plane, fits into 23 mm only foreshortened: at 60 degrees, not at 0."""
     for theta_r_deg, good in ((60.0, True), (0.0, False)):
         reference = Reference(
@@ -477,7 +444,9 @@ def test_a_patch_counts_in_the_poses_that_are_used(plan: Plan, tmp_path: Path) -
                 choice.schedule(plan)
 
 
-def test_a_full_disk_ends_the_run_and_it_can_go_on(measure: Measure, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_disk_ends_the_run_and_it_can_go_on(
+    measure: Measure, monkeypatch: pytest.MonkeyPatch, whole: list[StepRecord]
+) -> None:
     from gonio.acquisition import frame_writer
 
     write, count = Staged, 0
@@ -493,7 +462,7 @@ def test_a_full_disk_ends_the_run_and_it_can_go_on(measure: Measure, monkeypatch
     with pytest.raises(DataError, match="No space left"):
         measure("run")
     monkeypatch.undo()
-    assert content(measure("run", resume=True)) == content(measure("whole"))
+    assert content(measure("run", resume=True)) == whole
 
 
 def test_a_camera_s_own_file_is_kept_as_it_is(

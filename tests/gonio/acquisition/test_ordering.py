@@ -22,8 +22,7 @@ from gonio.acquisition.schedule import Schedule, reference_pose, schedule
 from gonio.errors import ConfigError, Interrupted
 from gonio.rig import Pose
 from gonio.rig.description import Acquisition, Body, Reference, RigDescription
-from tests.gonio.acquisition.test_loop import StopAfter
-from tests.gonio.numpy_rig import BANDS, SAMPLE, Plugin, describe
+from tests.gonio.numpy_rig import BANDS, SAMPLE, Plugin, StopAfter, describe
 
 ROUNDING = 1e-9
 """Of sums of seconds."""

@@ -20,8 +20,7 @@ from gonio.cli.console import time_left
 from gonio.errors import Interrupted
 from gonio.rig import Pose, Step
 from gonio.rig.description import Reference
-from tests.gonio.acquisition.test_loop import StopAfter
-from tests.gonio.numpy_rig import BANDS, PLAN, SAMPLE, Plugin, describe
+from tests.gonio.numpy_rig import BANDS, PLAN, SAMPLE, Plugin, StopAfter, describe
 
 RIG = describe(reference=Reference(every=20, frames=4))
 DURATIONS = Durations(RIG, BANDS[:1])

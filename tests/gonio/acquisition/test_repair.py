@@ -6,7 +6,7 @@ import gc
 import json
 import os
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,8 +15,6 @@ import pytest
 
 from gonio.acquisition import repair
 from gonio.acquisition.frame_writer import label_of
-from gonio.acquisition.measure import RigChoice, carry_out
-from gonio.acquisition.plan import Plan, load_plan
 from gonio.acquisition.progress import Silent
 from gonio.acquisition.records import FrameRecord, StepRecord
 from gonio.acquisition.run import Run
@@ -25,22 +23,8 @@ from gonio.reduction import brdf, count_rates, threads
 from gonio.rig import Frame
 from gonio.rig.description import Reference
 from gonio.rig.dng import read_raw, read_record
-from tests.gonio.numpy_rig import PLAN, SAMPLE, NumpyRig, Plugin, describe
-
-Measure = Callable[..., Run]
-
-
-@pytest.fixture
-def measure(tmp_path: Path) -> Measure:
-    (tmp_path / "plan.toml").write_text(PLAN)
-    plan: Plan = load_plan(tmp_path / "plan.toml")
-
-    def go(out: str = "run", **changes: object) -> Run:
-        arguments: dict[str, object] = {"sample": SAMPLE, "seed": 1, "command": "gonio measure ..."} | changes
-        choice = RigChoice(arguments.pop("rig", Plugin()), describe(), "numpy")  # type: ignore[arg-type]
-        return carry_out(plan, choice, tmp_path / out, **arguments)  # type: ignore[arg-type]
-
-    return go
+from tests.gonio.acquisition.conftest import Measure
+from tests.gonio.numpy_rig import NumpyRig, Plugin, describe
 
 
 class Told(Silent):
@@ -59,8 +43,7 @@ def tree(folder: Path) -> dict[str, bytes]:
     return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
 
 
-def test_every_frame_says_what_it_is(measure: Measure) -> None:
-    run = measure()
+def test_every_frame_says_what_it_is(run: Run) -> None:
     for step in run.steps():
         for number, frame in enumerate(step.frames, 1):
             path = run.frame_path(frame.file)
@@ -76,8 +59,7 @@ def test_every_frame_says_what_it_is(measure: Measure) -> None:
             assert path.stat().st_size == frame.bytes
 
 
-def test_the_label_does_not_touch_the_picture(measure: Measure) -> None:
-    run = measure()
+def test_the_label_does_not_touch_the_picture(run: Run) -> None:
     path = run.frame_path(run.steps()[2].frames[0].file)
     data = path.read_bytes()
     assert read_record(data).isascii()
@@ -88,9 +70,9 @@ def test_the_label_does_not_touch_the_picture(measure: Measure) -> None:
 
 @pytest.mark.parametrize("journal", [None, b"", b"\0" * 4096, b'{"n":0,"event":"ses', b'{"n":0,"eve\xff'])
 @pytest.mark.parametrize("resume", [True, False])
-def test_frames_without_a_journal_are_refused_and_stay(measure: Measure, journal: bytes | None, resume: bool) -> None:
-    run = measure()
-    whole = content(run)
+def test_frames_without_a_journal_are_refused_and_stay(
+    run: Run, measure: Measure, journal: bytes | None, resume: bool, whole: list[StepRecord]
+) -> None:
     path = run.path / "journal.jsonl"
     path.unlink()
     if journal is not None:
@@ -114,9 +96,9 @@ def test_frames_without_a_journal_are_refused_and_stay(measure: Measure, journal
 
 
 @pytest.mark.parametrize("line", [0, 1, 4, 9])
-def test_a_journal_damaged_in_the_middle_keeps_what_is_readable(measure: Measure, line: int) -> None:
-    run = measure()
-    whole = content(run)
+def test_a_journal_damaged_in_the_middle_keeps_what_is_readable(
+    run: Run, measure: Measure, line: int, whole: list[StepRecord]
+) -> None:
     path = run.path / "journal.jsonl"
     lines = path.read_bytes().splitlines(keepends=True)
     broken = lines[line].replace(b'"', b"'", 3)
@@ -137,13 +119,12 @@ def test_a_journal_damaged_in_the_middle_keeps_what_is_readable(measure: Measure
     assert repair.repair(run.path) is None  # nothing is left to do
 
 
-def test_a_step_that_is_not_provably_complete_is_taken_again(measure: Measure) -> None:
-    run = measure()
-    whole, files = content(run), [frame.file for frame in run.steps()[3].frames]
+def test_a_step_that_is_not_provably_complete_is_taken_again(
+    run: Run, measure: Measure, whole: list[StepRecord]
+) -> None:
+    files = [frame.file for frame in run.steps()[3].frames]
     (run.path / "journal.jsonl").unlink()
     run.frame_path(files[-1]).unlink()  # its label held the record of the step
-    other = run.steps()  # as it was opened before
-    del other
     done = repair.repair(run.path)
     assert done is not None
     assert 3 not in done.rebuilt
@@ -151,8 +132,7 @@ def test_a_step_that_is_not_provably_complete_is_taken_again(measure: Measure) -
     assert content(measure(resume=True)) == whole
 
 
-def test_frames_of_an_older_version_are_kept_and_said_to_tell_nothing(measure: Measure) -> None:
-    run = measure()
+def test_frames_of_an_older_version_are_kept_and_said_to_tell_nothing(run: Run, measure: Measure) -> None:
     for path in (run.path / "frames").iterdir():
         path.write_bytes(path.read_bytes().replace(b"gonio-frame-1", b"another-one-1"))
     (run.path / "journal.jsonl").unlink()
@@ -197,9 +177,9 @@ def lose(path: Path, how: str) -> None:
 
 @pytest.mark.parametrize("how", ["missing", "truncated", "changed", "empty"])
 @pytest.mark.parametrize("number", [0, 1, 3, 8])
-def test_resuming_takes_again_what_was_lost(measure: Measure, how: str, number: int) -> None:
-    run = measure()
-    whole = content(run)
+def test_resuming_takes_again_what_was_lost(
+    run: Run, measure: Measure, how: str, number: int, whole: list[StepRecord]
+) -> None:
     frame = run.steps()[number].frames[-1].file
     lose(run.frame_path(frame), how)
     damaged = run.frame_path(frame).read_bytes() if how != "missing" else None
@@ -212,20 +192,17 @@ def test_resuming_takes_again_what_was_lost(measure: Measure, how: str, number: 
     assert (aside.read_bytes() if aside.exists() else None) == damaged
     (lost,) = (event for event in again.events() if event["event"] == "lost")
     assert lost["steps"] == [number]
-    assert len(again.events()) == len(run.events()) + 4 - (len(run.events()) - 11)  # lost, session, step, end
+    assert len(again.events()) == 11 + 4  # lost, session, step, end
 
 
-def test_all_frames_lost(measure: Measure) -> None:
-    run = measure()
-    whole = content(run)
+def test_all_frames_lost(run: Run, measure: Measure, whole: list[StepRecord]) -> None:
     shutil.rmtree(run.path / "frames")
     assert content(measure(resume=True)) == whole
 
 
 def test_a_change_among_very_many_frames_is_found_by_the_check(
-    measure: Measure, monkeypatch: pytest.MonkeyPatch
+    run: Run, measure: Measure, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    run = measure()
     first = run.frame_path(run.steps()[0].frames[0].file)
     lose(first, "changed")
     monkeypatch.setattr(repair, "LOOKED_INTO", 6)
@@ -246,8 +223,7 @@ def flags(run: Run) -> list[str]:
 
 
 @pytest.mark.parametrize("how", ["missing", "truncated", "changed"])
-def test_reduction_leaves_out_what_is_damaged(measure: Measure, how: str) -> None:
-    run = measure()
+def test_reduction_leaves_out_what_is_damaged(run: Run, how: str) -> None:
     before = brdf.reduce(run)
     step = run.steps()[3]
     lose(run.frame_path(step.frames[0].file), how)  # of the first band
@@ -265,8 +241,7 @@ def test_reduction_leaves_out_what_is_damaged(measure: Measure, how: str) -> Non
 
 
 @pytest.mark.parametrize("number", [1, 5, 8])
-def test_reduction_goes_on_without_a_visit_to_the_reference(measure: Measure, number: int) -> None:
-    run = measure()
+def test_reduction_goes_on_without_a_visit_to_the_reference(run: Run, number: int) -> None:
     before = brdf.reduce(run)
     for frame in run.steps()[number].frames:
         lose(run.frame_path(frame.file), "changed")
@@ -278,8 +253,7 @@ def test_reduction_goes_on_without_a_visit_to_the_reference(measure: Measure, nu
     assert any("4 frames are missing or damaged" in note for note in table.attrs["notes"])
 
 
-def test_reduction_goes_on_with_the_dark_frames_that_are_left(measure: Measure) -> None:
-    run = measure()
+def test_reduction_goes_on_with_the_dark_frames_that_are_left(run: Run) -> None:
     before, dark = brdf.reduce(run), run.steps()[0].frames
     lose(run.frame_path(dark[0].file), "missing")
     assert list(brdf.reduce(run)["flag"]) == list(before["flag"])
@@ -292,8 +266,7 @@ def test_reduction_goes_on_with_the_dark_frames_that_are_left(measure: Measure) 
         brdf.reduce(run)
 
 
-def test_reduction_needs_one_visit(measure: Measure) -> None:
-    run = measure()
+def test_reduction_needs_one_visit(run: Run) -> None:
     for number in (1, 5, 8):
         for frame in run.steps()[number].frames:
             lose(run.frame_path(frame.file), "missing")
@@ -301,8 +274,7 @@ def test_reduction_needs_one_visit(measure: Measure) -> None:
         brdf.reduce(run)
 
 
-def test_a_missing_row_of_the_plan_is_named_and_can_be_written_again(measure: Measure) -> None:
-    run = measure()
+def test_a_missing_row_of_the_plan_is_named_and_can_be_written_again(run: Run, measure: Measure) -> None:
     path = run.path / "plan.csv"
     whole = path.read_bytes()
     lines = whole.splitlines(keepends=True)
@@ -318,16 +290,14 @@ def test_a_missing_row_of_the_plan_is_named_and_can_be_written_again(measure: Me
     assert path.read_bytes() == whole
 
 
-def test_a_repair_while_somebody_measures_is_refused(measure: Measure) -> None:
+def test_a_repair_while_somebody_measures_is_refused(run: Run) -> None:
     from gonio.acquisition.journal import locked
 
-    run = measure()
     with locked(run.path / "journal.jsonl"), pytest.raises(ConfigError, match="another process"):
         repair.repair(run.path)
 
 
-def test_a_whole_run_needs_no_repair(measure: Measure) -> None:
-    run = measure()
+def test_a_whole_run_needs_no_repair(run: Run) -> None:
     before = tree(run.path)
     assert repair.repair(run.path) is None
     assert repair.check(run.path).damaged == {}
@@ -342,11 +312,12 @@ def zero_half(path: Path) -> None:
 
 @pytest.mark.parametrize("number", [1, 4])
 @pytest.mark.parametrize("line", ["there", "lost"])
-def test_damage_is_never_taken_for_what_was_measured(measure: Measure, number: int, line: str) -> None:
+def test_damage_is_never_taken_for_what_was_measured(
+    run: Run, measure: Measure, number: int, line: str, whole: list[StepRecord]
+) -> None:
     """The last frame of a step holds the step's record, so no other frame has its checksum. The journal's line has it,
     and the frame has that of its own pixels.
     """
-    whole = content(run := measure())
     table = brdf.reduce(run)
     zero_half(run.frame_path(run.steps()[number].frames[-1].file))
     if line == "lost":
@@ -363,9 +334,8 @@ def test_damage_is_never_taken_for_what_was_measured(measure: Measure, number: i
     assert brdf.reduce(again).equals(table)
 
 
-def test_a_byte_of_a_header_is_damage_too_where_no_line_is_left(measure: Measure) -> None:
+def test_a_byte_of_a_header_is_damage_too_where_no_line_is_left(run: Run) -> None:
     """Exposure, levels and label of a last frame: reading does not notice a changed digit."""
-    run = measure()
     path = run.frame_path(run.steps()[3].frames[-1].file)
     data = path.read_bytes()
     journal = run.path / "journal.jsonl"
@@ -384,9 +354,7 @@ def test_a_byte_of_a_header_is_damage_too_where_no_line_is_left(measure: Measure
     assert done.rebuilt == [3]
 
 
-def test_repair_finds_damage_and_resuming_mends_it(measure: Measure) -> None:
-    run = measure()
-    whole = content(run)
+def test_repair_finds_damage_and_resuming_mends_it(run: Run, measure: Measure, whole: list[StepRecord]) -> None:
     frame = run.frame_path(run.steps()[4].frames[1].file)
     lose(frame, "changed")
     done = repair.repair(run.path)
@@ -397,9 +365,8 @@ def test_repair_finds_damage_and_resuming_mends_it(measure: Measure) -> None:
     assert content(measure(resume=True)) == whole
 
 
-def test_frames_of_a_cut_step_are_set_aside(measure: Measure, tmp_path: Path) -> None:
+def test_frames_of_a_cut_step_are_set_aside(run: Run, measure: Measure, whole: list[StepRecord]) -> None:
     """Whether they were cut short, or somebody took their line out of the journal, nothing tells: all are kept."""
-    run = measure()
     journal = run.path / "journal.jsonl"
     lines = journal.read_bytes().splitlines(keepends=True)
     journal.write_bytes(b"".join(lines[:6]))  # four steps and a session; the others were never written
@@ -413,7 +380,7 @@ def test_frames_of_a_cut_step_are_set_aside(measure: Measure, tmp_path: Path) ->
     )
     told = Told()
     again = measure(resume=True, progress=told)
-    assert content(again) == content(measure("other"))
+    assert content(again) == whole
     aside = {name: data for name, data in before.items() if name not in kept}
     assert {half.name, unknown.name} < set(aside)
     assert tree(run.path / "set-aside") == aside
@@ -422,8 +389,9 @@ def test_frames_of_a_cut_step_are_set_aside(measure: Measure, tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("name", ["IMG 0001.CR2", ".hidden", "a folder/", "000002-green550-01.dng.json.bak", "link"])
-def test_other_things_among_the_frames_are_named_and_stay(measure: Measure, tmp_path: Path, name: str) -> None:
-    run = measure()
+def test_other_things_among_the_frames_are_named_and_stay(
+    run: Run, measure: Measure, tmp_path: Path, name: str
+) -> None:
     strange = run.path / "frames" / name.rstrip("/")
     (tmp_path / "thesis.tex").write_text("years of work")
     if name.endswith("/"):
@@ -440,8 +408,7 @@ def test_other_things_among_the_frames_are_named_and_stay(measure: Measure, tmp_
     assert (tmp_path / "thesis.tex").read_text() == "years of work"
 
 
-def test_a_restored_journal_is_one_that_can_be_written_to(measure: Measure) -> None:
-    run = measure()
+def test_a_restored_journal_is_one_that_can_be_written_to(run: Run) -> None:
     (run.path / "journal.jsonl").unlink()
     repair.repair(run.path)
     lines = (run.path / "journal.jsonl").read_bytes().splitlines()
@@ -455,10 +422,9 @@ def test_the_reference_rig_has_three_visits() -> None:
 
 
 @pytest.mark.parametrize("repaired", [False, True])
-def test_a_step_that_is_taken_again_changes_nothing_in_the_table(measure: Measure, repaired: bool) -> None:
+def test_a_step_that_is_taken_again_changes_nothing_in_the_table(run: Run, measure: Measure, repaired: bool) -> None:
     """In simulation the step comes out as before, although others were taken after it: the table is the same."""
     whole = brdf.reduce(measure("whole"))
-    run = measure()
     for frame in run.steps()[4].frames:
         run.frame_path(frame.file).unlink()
     assert flags(Run.open(run.path)).count("damaged") == 2  # a point in two bands
@@ -471,16 +437,13 @@ def test_a_step_that_is_taken_again_changes_nothing_in_the_table(measure: Measur
         assert one.tobytes() == two.tobytes() if one.dtype.kind == "f" else (one == two).all(), name
 
 
-def test_the_reduction_holds_the_frames_of_one_step_at_a_time(
-    measure: Measure, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_reduction_holds_the_frames_of_one_step_at_a_time(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     """Neither pictures nor what the journal says of frames pile up: a long run has a hundred thousand.
 
     Without threads, which may be late, and hold a few steps more: `test_threads_take_a_few_items_ahead`.
     """
     for module in (brdf, count_rates):
         monkeypatch.setattr(module, "in_threads", map)
-    run = measure()
     total = sum(len(step.frames) for step in run.steps())
     most = max(len(step.frames) for step in run.steps())
     pictures, entries = [], []
@@ -515,9 +478,8 @@ def test_threads_take_a_few_items_ahead() -> None:
         assert len(asked) - k <= 2 * threads.THREADS + 1
 
 
-def test_a_refused_resume_has_changed_nothing(measure: Measure, tmp_path: Path) -> None:
+def test_a_refused_resume_has_changed_nothing(run: Run, measure: Measure, whole: list[StepRecord]) -> None:
     """Whatever refuses: what was found before that is acted on only when nothing can refuse any more."""
-    run = measure()
     one, two = (run.frame_path(step.frames[0].file) for step in (run.steps()[3], run.steps()[4]))
     first, second = one.read_bytes(), two.read_bytes()
     one.write_bytes(second)
@@ -544,15 +506,13 @@ def test_a_refused_resume_has_changed_nothing(measure: Measure, tmp_path: Path) 
             assert tree(run.path) == before, refusal
         (run.path / "plan.csv").write_bytes(plan)
     (run.path / "frames" / "IMG.CR2").unlink()
-    whole = content(measure("other"))
     assert content(measure(resume=True)) == whole
     kept = set(tree(run.path / "set-aside").values()) | set(tree(run.path / "frames").values())
     assert {first, second} <= kept
 
 
 @pytest.mark.parametrize("name", ["run.toml", "plan.csv"])
-def test_what_says_how_it_was_measured_is_not_changed_afterwards(measure: Measure, name: str) -> None:
-    run = measure()
+def test_what_says_how_it_was_measured_is_not_changed_afterwards(run: Run, name: str) -> None:
     path = run.path / name
     path.write_bytes(path.read_bytes().replace(b"0", b"1", 1))
     for read in (brdf.reduce, lambda run: repair.check(run.path), lambda run: repair.repair(run.path)):
@@ -560,8 +520,9 @@ def test_what_says_how_it_was_measured_is_not_changed_afterwards(measure: Measur
             read(Run.open(run.path))
 
 
-def test_a_link_in_the_place_of_a_frame_is_moved_and_not_followed(measure: Measure) -> None:
-    whole = content(run := measure())
+def test_a_link_in_the_place_of_a_frame_is_moved_and_not_followed(
+    run: Run, measure: Measure, whole: list[StepRecord]
+) -> None:
     one, two = (run.frame_path(step.frames[0].file) for step in (run.steps()[3], run.steps()[4]))
     kept = two.read_bytes()
     one.unlink()

@@ -13,7 +13,7 @@ import pytest
 
 from gonio.acquisition import suspending
 from gonio.acquisition.measure import RigChoice, carry_out
-from gonio.acquisition.plan import Plan, load_plan
+from gonio.acquisition.plan import Plan
 from gonio.acquisition.progress import Silent
 from gonio.acquisition.records import StepRecord
 from gonio.acquisition.repair import repair
@@ -22,7 +22,7 @@ from gonio.errors import ConfigError, DeviceError, Interrupted
 from gonio.reduction import brdf
 from gonio.rig import Frame, Health, Reading
 from gonio.rig.description import Reference, RigDescription, SampleDescription
-from tests.gonio.numpy_rig import PLAN, SAMPLE, NumpyRig, describe
+from tests.gonio.numpy_rig import SAMPLE, NumpyRig, describe
 
 HOT = {"quantity": "temperature", "above": 60.0, "hysteresis": 5.0}
 LOCK = {"quantity": "lock", "unless": "locked"}
@@ -87,12 +87,6 @@ class Told(Silent):
 @pytest.fixture(autouse=True)
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(suspending, "LOOK_S", 0.0)
-
-
-@pytest.fixture
-def plan(tmp_path: Path) -> Plan:
-    (tmp_path / "plan.toml").write_text(PLAN)
-    return load_plan(tmp_path / "plan.toml")
 
 
 Measure = Callable[..., tuple[Run, list[Ward], Told]]
