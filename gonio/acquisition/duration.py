@@ -6,6 +6,7 @@ really taken corrects it (`gonio.acquisition.remaining`).
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -80,22 +81,19 @@ class Durations:
 
         Where there is no free way it is that of the direct one: such a step is flagged, and nobody moves.
         """
-        stations = [goal]
+        stations = [start, goal]
         if self.detours and start != goal:
-            try:
-                stations = route(self.description, start, goal)
-            except Blocked:
-                stations = [goal]
-        total, here = 0.0, start
-        for station in stations:
-            total += float(self.direct_s(self.angles([here]), self.angles([station]))[0])
-            here = station
-        return total
+            with contextlib.suppress(Blocked):
+                stations = [start, *route(self.description, start, goal)]
+        return self._direct_way_s(stations)
 
     def way_s(self, stations: Sequence[Pose]) -> float:
         """Duration of the moves from each of some poses to the next [s], as `move_s`."""
         if self.detours:
             return math.fsum(self.move_s(a, b) for a, b in itertools.pairwise(stations))
+        return self._direct_way_s(stations)
+
+    def _direct_way_s(self, stations: Sequence[Pose]) -> float:
         angles = self.angles(stations)
         return float(self.direct_s(angles[:-1], angles[1:]).sum())
 
@@ -137,12 +135,11 @@ class Durations:
         acquisition, overhead = self.description.acquisition, self.description.camera.frame_overhead_s
         if step.kind == "dark":
             return sum(acquisition.dark_frames * (t + overhead) for t in exposure.dark_exposures_s(self.description))
-        if step.kind == "point" and isinstance(reflectance, Mapping):
+        if step.kind == "reference":
+            return len(self.bands) * self._band_s(step, 1.0)
+        if isinstance(reflectance, Mapping):
             return math.fsum(self._band_s(step, reflectance[band.name]) for band in self.bands)
-        known = 1.0 if step.kind == "reference" else EXPECTED_ALBEDO
-        if step.kind == "point" and isinstance(reflectance, int | float):
-            known = float(reflectance)
-        return len(self.bands) * self._band_s(step, known)
+        return len(self.bands) * self._band_s(step, EXPECTED_ALBEDO if reflectance is None else float(reflectance))
 
     def _band_s(self, step: Step, reflectance: float) -> float:
         """In one band."""
@@ -179,10 +176,8 @@ class Durations:
         frames_s = self.frames_s(step, reflectance)
         if step.kind == "dark":
             return Parts(dark_s=frames_s)
-        travel_s = self.move_s(here, step.pose)
-        if step.kind == "reference":
-            return Parts(travel_s=travel_s, reference_s=frames_s)
-        return Parts(travel_s=travel_s, frames_s=frames_s)
+        part = "reference_s" if step.kind == "reference" else "frames_s"
+        return Parts(**{"travel_s": self.move_s(here, step.pose), part: frames_s})
 
     def step_s(self, here: Pose, step: Step, reflectance: float | Mapping[str, float] | None = None) -> float:
         """How long a step takes, from a pose [s]; parameters as in `frames_s`."""

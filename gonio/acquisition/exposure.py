@@ -131,7 +131,7 @@ def contradiction(camera: Camera, frame: Frame) -> str:
     A lower white level of as many bits is a maker's own (a converter that saturates early). A black level matters for
     the level of a frame alone: dark signals are measured.
     """
-    if not _is_time(frame.exposure_s):
+    if not (isinstance(frame.exposure_s, Real) and 0.0 < frame.exposure_s < math.inf):
         return f"has exposure_s = {frame.exposure_s!r}: seconds above 0 are needed"
     lowest = 2.0 ** (camera.bits - 1)
     if not lowest <= frame.white_level_dn <= camera.white_level_dn:
@@ -163,10 +163,6 @@ def require_asked(camera: Camera, frame: Frame, asked_s: float, source: str) -> 
         )
 
 
-def _is_time(seconds: object) -> bool:
-    return isinstance(seconds, Real) and 0.0 < float(seconds) < math.inf
-
-
 def cosine_of_incidence(pose: Pose) -> float:
     """cos(theta_i) at the sample's centre, kept above half a degree's worth so that it can divide."""
     return max(math.cos(pose.light) * math.cos(pose.tilt), 0.01)
@@ -174,9 +170,8 @@ def cosine_of_incidence(pose: Pose) -> float:
 
 def expected_exposure_s(description: RigDescription, pose: Pose, albedo: float) -> float:
     """The exposure [s] that `expected_level_per_s` leads to."""
-    return _allowed(
-        description, description.acquisition.exposure_target / expected_level_per_s(description, pose, albedo)
-    )
+    target = description.acquisition.exposure_target
+    return _allowed(description, target / expected_level_per_s(description, pose, albedo))
 
 
 def dark_exposures_s(description: RigDescription) -> tuple[float, float]:
@@ -266,9 +261,7 @@ def bracket(description: RigDescription, metered: Metered, used: Used, least: in
         np.maximum(np.array([take(part) for part in parts]) - camera.dark_current_e_per_s, 0.0)
         for take in (np.mean, np.max)
     )
-    planned = _Planned(description, rates, brightest, values.size)
-    exposures = planned.exposures(metered.exposure_s, least)
-    return (*exposures, shorter(description, max(exposures)))
+    return _Planned(description, rates, brightest, values.size).exposures(metered.exposure_s, least)
 
 
 def expected_bracket(description: RigDescription, pose: Pose, albedo: float) -> tuple[float, ...]:
@@ -276,8 +269,7 @@ def expected_bracket(description: RigDescription, pose: Pose, albedo: float) -> 
     count = expected_pixels(description, pose)
     rate = description.camera.responsivity_e_per_s * albedo * cosine_of_incidence(pose)
     planned = _Planned(description, np.array([rate]), np.array([rate]), count)
-    exposures = planned.exposures(expected_exposure_s(description, pose, albedo), FEWEST)
-    return (*exposures, shorter(description, max(exposures)))
+    return planned.exposures(expected_exposure_s(description, pose, albedo), FEWEST)
 
 
 def expected_pixels(description: RigDescription, pose: Pose) -> int:
@@ -306,8 +298,11 @@ class _Planned:
             longest = min(longest, 0.5 * self._full / camera.dark_current_e_per_s)
         self._longest = longest
 
-    def exposures(self, metered_s: float, least: int) -> list[float]:
-        """Those that reach the target soonest; where the time does not allow that, those that come nearest to it."""
+    def exposures(self, metered_s: float, least: int) -> tuple[float, ...]:
+        """Those that reach the target soonest; where the time does not allow that, those that come nearest to it.
+
+        A shorter frame ends them.
+        """
         first = self._allowed(metered_s)
         plans = []
         for shorter_by in range(12):
@@ -326,7 +321,8 @@ class _Planned:
                 plans.append([first] * self._number(long, first, least - number) + long)
         judged = [(self._variance(plan), self._time_s(plan), plan) for plan in plans]
         good = [entry for entry in judged if entry[0] <= self._wanted * (1.0 + 1e-9)]
-        return min(good, key=lambda entry: entry[1])[2] if good else min(judged, key=lambda entry: entry[0])[2]
+        *_, best = min(good, key=lambda entry: entry[1]) if good else min(judged, key=lambda entry: entry[0])
+        return (*best, shorter(self._description, max(best)))
 
     def _number(self, before: list[float], exposure_s: float, least: int) -> int:
         """How many more frames of an exposure reach the target, within the time and `MOST_IN_BRACKET`."""
@@ -360,11 +356,7 @@ class _Planned:
         weights = t**2 / sensor_noise.variance(camera, (self._rates + camera.dark_current_e_per_s) * t)
         full = (self._brightest + camera.dark_current_e_per_s) * t
         spread = 6.0 * np.sqrt(full + camera.read_noise_e**2 + (camera.prnu * full) ** 2)
-        return np.where((full + spread < SATURATED * self._full) | (t <= self._shortest), weights, 0.0)
-
-    @property
-    def _shortest(self) -> float:
-        return self._description.camera.exposure_limits_s[0]
+        return np.where((full + spread < SATURATED * self._full) | (t <= camera.exposure_limits_s[0]), weights, 0.0)
 
     def _allowed(self, exposure_s: float) -> float:
         return _allowed(self._description, min(exposure_s, self._longest))

@@ -6,7 +6,7 @@ The order is that of plan.csv, so that a run goes on by the order that it was be
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -52,9 +52,10 @@ def ordered(
     poses = [a.pose for a in points if a.pose is not None]
     if len(poses) > 2:
         way = shorter(poses, [points[k].point for k in reachable], durations, reference)
-        if _travel_s([poses[k] for k in way], durations, reference, every) < _travel_s(
-            poses, durations, reference, every
-        ):
+        before, after = (
+            durations.way_s(list(_stations(each, reference, every))) for each in (poses, [poses[k] for k in way])
+        )
+        if after < before:
             reachable = [reachable[k] for k in way]
             rows = [*reachable, *(k for k, a in enumerate(points) if a.pose is None)]
             points = [points[k] for k in rows]
@@ -127,11 +128,10 @@ def _closed_s(at: Floats, way: Ints, durations: Durations) -> float:
     return float(durations.direct_s(stations[:-1], stations[1:]).sum())
 
 
-def _travel_s(poses: Sequence[Pose], durations: Durations, reference: Pose, every: int) -> float:
-    """Time on the way [s] from the reference through poses, with visits between, and back, around bodies."""
-    stations = [reference]
-    for k, pose in enumerate(poses):
-        stations.append(pose)
-        if (every and (k + 1) % every == 0) or k + 1 == len(poses):
-            stations.append(reference)
-    return durations.way_s(stations)
+def _stations(poses: Sequence[Pose], reference: Pose, every: int) -> Iterator[Pose]:
+    """The way from the reference through poses, with visits between, and back."""
+    yield reference
+    for k, pose in enumerate(poses, 1):
+        yield pose
+        if (every and k % every == 0) or k == len(poses):
+            yield reference

@@ -278,12 +278,10 @@ def _points_of(path: Path, lines: csv.DictReader[str]) -> list[Point]:
             raise ConfigError(
                 f"{path}: the column {name} is missing; a list of points needs {', '.join(ANGLES)}, in degrees"
             )
+    for name in (*ANGLES, "side"):
         if columns.count(name) > 1:
             raise ConfigError(f"{path}: the column {name} is there {columns.count(name)} times")
-    lines.fieldnames = columns
-    if columns.count("side") > 1:
-        raise ConfigError(f"{path}: the column side is there {columns.count('side')} times")
-    points = []
+    lines.fieldnames, points = columns, []
     for row in lines:
         values = {}
         side = (row.get("side") or "reflection").strip()
@@ -360,19 +358,18 @@ def beside(points: Sequence[Assessed], description: RigDescription) -> tuple[int
         if a.pose is not None:
             seen, asked = directions(description, a.pose).vectors, a.point.directions.vectors
             off.append(max(2.0 * math.asin(math.dist(s, w) / 2.0) for s, w in zip(seen, asked, strict=True)))
-    degrees = [math.degrees(one) for one in off if math.degrees(one) > SAME_DEG]
+    degrees = [each for each in map(math.degrees, off) if each > SAME_DEG]
     return len(degrees), max(degrees, default=0.0)
 
 
 def said_beside(points: Sequence[Assessed], description: RigDescription) -> list[str]:
     """`beside` for people: a line, where there are such points."""
     count, most_deg = beside(points, description)
-    if not count:
-        return []
-    return [
+    said = (
         f"{count} of the points that are measured lie up to {most_deg:.2g} deg beside what was asked: the rig's errors "
         "of alignment leave no pose for them. The table states the directions that they have"
-    ]
+    )
+    return [said] if count else []
 
 
 def canonical(theta_i: float, phi_i: float, theta_r: float, phi_r: float) -> Point:
@@ -389,7 +386,6 @@ def _turn(phi: float) -> float:
 
 def _identity(point: Point) -> tuple[int, ...]:
     """Equal for points with the same directions; along the normal the azimuth means nothing."""
-    i, pi = round(point.theta_i_deg / SAME_DEG), round(point.phi_i_deg / SAME_DEG)
-    r, pr = round(point.theta_r_deg / SAME_DEG), round(point.phi_r_deg / SAME_DEG)
     turn = round(360.0 / SAME_DEG)
+    i, pi, r, pr = (round(getattr(point, name) / SAME_DEG) for name in ANGLES)
     return (i, pi % turn if i else 0, r, pr % turn if r else 0)

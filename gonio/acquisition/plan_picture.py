@@ -6,7 +6,9 @@ Drawn by matplotlib, which is imported when a picture is asked for.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Sequence
+from dataclasses import astuple
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
@@ -82,10 +84,9 @@ def draw(
     figure = Figure(figsize=(11.0, 9.4), layout="constrained")
     rows: Any = figure.subfigures(2, 1, height_ratios=(1.1, 1.0))
     side, above = rows[0].subplots(1, 2)
-    for ax, view in ((side, SIDE), (above, ABOVE)):
+    for ax, view, words in ((side, SIDE, "from the side, along y"), (above, ABOVE, "from above, along z")):
         _view(ax, description, before, pose, view)
-    side.set_title("from the side, along y", fontsize=10)
-    above.set_title("from above, along z", fontsize=10)
+        ax.set_title(words, fontsize=10)
     rows[0].suptitle(_title(step, plan, points, description, pose), fontsize=11)
     unique = {label: each for ax in (side, above) for each, label in zip(*ax.get_legend_handles_labels(), strict=True)}
     rows[0].legend(unique.values(), unique.keys(), loc="outside lower center", ncols=5, fontsize=8, frameon=False)
@@ -144,7 +145,11 @@ def _view(ax: Axes, description: RigDescription, before: Pose, pose: Pose, view:
         legs = [before, *motion_planning.route(description, before, pose)] if before != pose else [pose]
     except Blocked:  # of a rig that stands elsewhere than the plan has it
         legs = [pose]
-    way = [_between(a, b, t) for a, b in pairwise(legs) for t in np.linspace(0, 1, ON_THE_WAY)]
+    way = [
+        Pose(*((1.0 - t) * x + t * y for x, y in zip(astuple(a), astuple(b), strict=True)))
+        for a, b in pairwise(legs)
+        for t in np.linspace(0, 1, ON_THE_WAY)
+    ]
     for name, track in zip(("light", "camera"), _heads(description, way or [pose]), strict=True):
         ax.plot(*track[:, view].T, ls=":", lw=1.4, color=COLOURS[name], label=f"way of the {name} head to here")
     _limits(ax, description, view)
@@ -155,11 +160,6 @@ def _view(ax: Axes, description: RigDescription, before: Pose, pose: Pose, view:
     ax.set_ylabel(f"{'xyz'[view[1]]} / mm")
     ax.tick_params(labelsize=8)
     ax.grid(visible=True, lw=0.3)
-
-
-def _between(one: Pose, other: Pose, part: float) -> Pose:
-    names = ("light", "camera", "tilt", "spin", "azimuth")
-    return Pose(*((1.0 - part) * getattr(one, n) + part * getattr(other, n) for n in names))
 
 
 def _heads(description: RigDescription, poses: Sequence[Pose]) -> tuple[np.ndarray, np.ndarray]:
@@ -233,13 +233,11 @@ def _map(rows: Any, plan: Plan, points: Sequence[Assessed], step: Step) -> None:
     directions = plan.directions
     theta_i = np.array([each.point.theta_i_deg for each in points])
     dphi, theta_r = directions.dphi, np.degrees(np.asarray(directions.theta_r))
-    causes: dict[str, int] = {}
-    for each in points:
-        if each.pose is None:
-            words = f"{each.flag}: {each.cause or each.reason}"
-            causes[words] = causes.get(words, 0) + 1
-    named = sorted(causes, key=lambda words: -causes[words])[: SHOWN_CAUSES - (len(causes) > SHOWN_CAUSES)]
-    kinds = np.array([-1 if e.pose is not None else _kind(f"{e.flag}: {e.cause or e.reason}", named) for e in points])
+    why = ["" if each.pose is not None else f"{each.flag}: {each.cause or each.reason}" for each in points]
+    causes = Counter(filter(None, why))
+    named = [words for words, _ in causes.most_common(SHOWN_CAUSES - (len(causes) > SHOWN_CAUSES))]
+    number = {"": -1} | {words: k for k, words in enumerate(named)}
+    kinds = np.array([number.get(words, SHOWN_CAUSES - 1) for words in why])
     flat = np.abs(np.asarray(directions.out_of_plane)) < 1e-6
     here = step.point if step.kind == "point" else None
     if flat.all():
@@ -276,7 +274,7 @@ def _map(rows: Any, plan: Plan, points: Sequence[Assessed], step: Step) -> None:
                     x[at], y[at], s=12 if kind < 0 else 22, marker="o" if kind < 0 else MARKS[kind],
                     color="#3a9d5d" if kind < 0 else LEFT_OUT[kind], linewidths=1.0, zorder=3,
                 )  # fmt: skip
-                labelled[f"{count} {_short(words)}"] = drawn
+                labelled[f"{count} {words if len(words) <= 130 else words[:127] + '...'}"] = drawn
         if here is not None and mine[here]:
             labelled["the step above"] = ax.scatter(
                 x[here], y[here], s=110, marker="o", facecolors="none", edgecolors="black", zorder=4
@@ -287,11 +285,3 @@ def _map(rows: Any, plan: Plan, points: Sequence[Assessed], step: Step) -> None:
         heading += f" (maps of {len(panels)} of {incidences} angles of incidence)"
     rows.suptitle(heading, fontsize=11)
     rows.legend(labelled.values(), labelled.keys(), loc="outside lower center", ncols=1, fontsize=8, frameon=False)
-
-
-def _kind(words: str, named: list[str]) -> int:
-    return named.index(words) if words in named else SHOWN_CAUSES - 1
-
-
-def _short(words: str) -> str:
-    return words if len(words) <= 130 else words[:127] + "..."

@@ -194,19 +194,17 @@ class Remaining:
         pairs: dict[str, tuple[list[float], list[float]]] = {}
         for taken in self._taken:
             for name, real in taken.seconds.items():
-                both = pairs.setdefault(name, ([], []))
-                both[0].append((taken.expected or {})[name])
-                both[1].append(real)
+                expected, real_s = pairs.setdefault(name, ([], []))
+                expected.append((taken.expected or {})[name])
+                real_s.append(real)
         total, variance = 0.0, 0.0
         for name in sorted({name for one in sample for name in one}):
             every: Floats = np.array([one[name] for one in sample if name in one])
             found = self._ratio(name, pairs)
             seconds = share * float(every.sum()) * found.value
             total += seconds
-            variance += (seconds * found.u_log) ** 2
-            variance += (
-                min(ALIKE, whole + self._more) * share * float((every**2).sum()) * (found.value * found.scatter) ** 2
-            )
+            alike = min(ALIKE, whole + self._more) * share * float((every**2).sum())
+            variance += (seconds * found.u_log) ** 2 + alike * (found.value * found.scatter) ** 2
             if share > 1.0 and len(sample) > 1:
                 variance += (found.value * share) ** 2 * len(sample) * float(np.var(every))
         return TimeLeft(total, math.sqrt(variance))

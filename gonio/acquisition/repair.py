@@ -22,7 +22,7 @@ import numpy.typing as npt
 from gonio import platform
 from gonio.acquisition.frame_writer import BESIDE, NAME, label_of, pixels_of
 from gonio.acquisition.journal import Event, Steps, decode, encode, locked, now
-from gonio.acquisition.records import FrameFile, FrameRecord, StepRecord, event_of
+from gonio.acquisition.records import FrameFile, FrameLabel, FrameRecord, StepRecord, event_of
 from gonio.acquisition.repeats import Pictures, repeated
 from gonio.acquisition.run import CHOSEN, Run
 from gonio.acquisition.run_folder import begun
@@ -98,11 +98,7 @@ def _read(run: Run, steps: Steps, suspects: set[int], out: Found, *, whole: bool
     room, count, done, pictures = LOOKED_INTO_BYTES, LOOKED_INTO, 0, Pictures(run.description.camera)
     for at in range(len(steps) - 1, -1, -1):
         number = steps.numbers[at]
-        if not whole and not suspects and (room <= 0 or count <= 0):
-            break
-        suspect = number in suspects
-        suspects.discard(number)
-        if not (whole or suspect or (room > 0 and count > 0)):
+        if not (whole or number in suspects or (room > 0 and count > 0)):
             continue
         step = steps[at]
         for frame in step.frames:
@@ -114,14 +110,10 @@ def _read(run: Run, steps: Steps, suspects: set[int], out: Found, *, whole: bool
             room, count, done = room - size, count - 1, done + 1
             if progress is not None:
                 progress(done, out.frames)
-    for number, texts in repeated(run, _of(steps, pictures.suspects)).items():
+    alike = pictures.suspects
+    for number, texts in repeated(run, (steps[at] for at, n in enumerate(steps.numbers) if n in alike)).items():
         out.damaged.setdefault(number, []).extend(texts)
     out.unchecked = out.frames - done
-
-
-def _of(steps: Steps, numbers: set[int]) -> Iterator[StepRecord]:
-    """Some of the steps, each read when it is asked for."""
-    return (steps[at] for at, number in enumerate(steps.numbers) if number in numbers)
 
 
 def _state_of(run: Run, step: StepRecord, frame: FrameRecord, *, unpacked: bool = False) -> tuple[str, str, int]:
@@ -142,15 +134,19 @@ def _state_of(run: Run, step: StepRecord, frame: FrameRecord, *, unpacked: bool 
     label = label_of(path, data)
     if label is None:
         return "", "", len(data)
-    pixels = label.pixels or ""
-    if unpacked:
-        try:
-            pixels = pixels_of(path, data)
-        except DataError:
-            return CHANGED, "", len(data)
-        if label.pixels not in (None, pixels):
-            return CHANGED, "", len(data)
+    pixels = (_sound_pixels(label, path, data) if unpacked else label.pixels) or ""
+    if unpacked and not pixels:
+        return CHANGED, "", len(data)
     return label.otherwise(run.key, step, frame), pixels, len(data)
+
+
+def _sound_pixels(label: FrameLabel, path: Path, data: bytes) -> str:
+    """The checksum of a frame's pixels; "" where they cannot be read, or are not those that its label tells."""
+    try:
+        pixels = pixels_of(path, data)
+    except DataError:
+        return ""
+    return pixels if label.pixels in (None, pixels) else ""
 
 
 _FRAME = re.compile(rb'"file":"([^"]*)"(?:[^}]*"bytes":(\d+))?')
@@ -165,7 +161,7 @@ def _named(steps: Steps) -> tuple[Integers, Integers, Integers]:
         names.extend([hash(name) for name, _ in frames])
         sizes.extend([int(size) if size else -1 for _, size in frames])
         counts.append(len(frames))
-    return (np.array(names, dtype=np.int64), np.array(sizes, dtype=np.int64), np.array(counts, dtype=np.int64))
+    return np.array(names), np.array(sizes), np.array(counts)
 
 
 def _listed(folder: Path) -> tuple[Integers, Integers]:
@@ -187,8 +183,8 @@ def _listed(folder: Path) -> tuple[Integers, Integers]:
             f'{folder}: holds "{min(foreign)}", which is not a file (or a link that leads nowhere); move it out of '
             "this folder, which belongs to the run"
         )
-    order = np.argsort(np.array(names, dtype=np.int64))
-    return np.array(names, dtype=np.int64)[order], np.array(sizes, dtype=np.int64)[order]
+    order = np.argsort(names)
+    return np.array(names)[order], np.array(sizes)[order]
 
 
 def _orphans(run: Run, hashes: set[int]) -> list[str]:
@@ -327,19 +323,19 @@ def repair(path: str | Path, *, progress: Progress | None = None) -> Repaired | 
         done = _done(events)
         rebuilt, lost = _judged(run, frames, done)
         numbers = [step.step for step in rebuilt]
+        what = [text for number in sorted(lost) for text in lost[number]]
         named = {frame.file for step in (*done.values(), *rebuilt) for frame in step.frames}
         undetermined = sorted(name for name in frames.names if name not in named)
         if not torn and events and not rebuilt and not lost:
             return None
         new = [*events, *choices, *(step.to_json() for step in rebuilt)]
         if lost:
-            what = [text for number in sorted(lost) for text in lost[number]]
             new.append({"event": "lost", "steps": sorted(lost), "frames": what})
         new.append({"event": "repaired", "kept": len(events), "rebuilt": numbers})
         kept = _keep(journal) if before else None
         write_whole(journal, b"".join(encode(_numbered(event, n)) for n, event in enumerate(new)))
     unproved = sorted(step.frames[-1].file for step in rebuilt if step.step in frames.unproved)
-    return Repaired(len(events), numbers, [t for n in sorted(lost) for t in lost[n]], undetermined, kept, unproved)
+    return Repaired(len(events), numbers, what, undetermined, kept, unproved)
 
 
 def _with_choices(run: Run, events: list[Event]) -> tuple[list[Event], list[Event]]:
@@ -436,11 +432,8 @@ class _Frames:
         if label.run != self._run.key:
             self._strange[name] = "says that it belongs to another run"
             return
-        try:
-            pixels = pixels_of(path, data)
-        except DataError:
-            pixels = ""
-        if not pixels or label.pixels not in (pixels, None):
+        pixels = _sound_pixels(label, path, data)
+        if not pixels:
             self._strange[name] = CHANGED
             return
         self.pictures.add(pixels, label.step, label.frame.exposure_s)

@@ -342,19 +342,17 @@ class Run:
 
         Empty for a simulated run: there time does not go by between two sessions.
         """
-        out: list[float] = []
         if self.sample is not None:
-            return out
-        events, waiting, first = self.events(), False, True
+            return []
+        out: list[float] = []
+        events, waiting = self.events(), False
         for line in events.lines(range(len(events))):
             if _LIT.match(line):
                 waiting = True
             elif waiting and _STEP_LINE.match(line):
-                event = json.loads(line)
-                if not first:
-                    out.append(float(event["time_s"]))
-                waiting = first = False
-        return out
+                out.append(float(json.loads(line)["time_s"]))
+                waiting = False
+        return out[1:]
 
     @cached_property
     def key(self) -> str:

@@ -51,7 +51,7 @@ def check_new(path: Path) -> None:
 
 def _check_holds_nothing(path: Path) -> None:
     if begun(path):
-        raise _needs_resume(path)
+        raise ConfigError(f"{path}: a run has begun here; go on with --resume, or measure into a new folder")
     if (path / "journal.jsonl").is_file():
         read_events(path / "journal.jsonl")  # damaged in its first line, or somebody else's
     own, foreign = read_manifest(path), []
@@ -127,7 +127,3 @@ def make_folder(path: Path) -> list[Path]:
                 folder.rmdir()
         raise ConfigError(f"{path}: cannot be made: {error.strerror}") from None
     return missing
-
-
-def _needs_resume(path: Path) -> ConfigError:
-    return ConfigError(f"{path}: a run has begun here; go on with --resume, or measure into a new folder")

@@ -80,9 +80,8 @@ class Stop:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        for number, before in self._before.items():
-            signal.signal(number, signal.SIG_IGN if self._last and error is not None else before)
-        for number, before in self._between.items():
+        deaf = dict.fromkeys(self._before if self._last and error is not None else (), signal.SIG_IGN)
+        for number, before in (self._before | deaf | self._between).items():
             signal.signal(number, before)
 
     @contextlib.contextmanager

@@ -143,38 +143,31 @@ def test_events_that_are_written_together_are_lines_like_any_other(tmp_path: Pat
         assert json.loads(text).items() <= event.items()
 
 
-def test_a_disk_that_is_full_among_lines_takes_none_of_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path = tmp_path / "journal.jsonl"
-    with Journal(path) as journal:
-        journal.append({"event": "session"})
-        before = path.read_bytes()
-
-        def fails(descriptor: int) -> None:
-            raise OSError(28, "No space left on device")
-
-        with monkeypatch.context() as full:
-            full.setattr("os.fsync", fails)
-            with pytest.raises(DataError, match="No space left"):
-                journal.append_all(['{"event":"step"}'] * 3)
-        assert path.read_bytes() == before
-        assert len(journal.events) == 1
-        journal.append_all(['{"event":"step"}'] * 3)
-    assert [event["n"] for event in read_events(path)] == [0, 1, 2, 3]
-
-
-def test_a_full_disk_leaves_no_half_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("together", [False, True])
+def test_a_full_disk_takes_no_line_and_no_half_of_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, together: bool
+) -> None:
     path = tmp_path / "j"
     before = written(path)
 
     def full(handle: int) -> None:
         raise OSError(28, "No space left on device")
 
-    with Journal(path) as journal:
-        monkeypatch.setattr("os.fsync", full)
-        with pytest.raises(DataError, match="No space left"):
+    def append(journal: Journal) -> None:
+        if together:
+            journal.append_all(['{"event":"step","step":4}'] * 3)
+        else:
             journal.append({"event": "step", "step": 4})
+
+    with Journal(path) as journal:
+        with monkeypatch.context() as patch:
+            patch.setattr("os.fsync", full)
+            with pytest.raises(DataError, match="No space left"):
+                append(journal)
+        assert path.read_bytes() == before
         assert len(journal.events) == 4
-    assert path.read_bytes() == before
+        append(journal)
+    assert [event["n"] for event in read_events(path)] == list(range(7 if together else 5))
 
 
 @pytest.mark.parametrize("when", ["fsync", "after it"])

@@ -28,11 +28,6 @@ from tests.gonio.acquisition.conftest import Measure
 from tests.gonio.numpy_rig import SAMPLE, NumpyRig, Plugin, StopAfter, describe
 
 
-def content(run: Run) -> list[StepRecord]:
-    """Everything in the steps that depends on the measurement."""
-    return list(run.steps())
-
-
 def test_a_run_holds_what_was_asked_and_what_happened(measure: Measure) -> None:
     rig = Plugin()
     run = measure("run", rig=rig)
@@ -92,7 +87,7 @@ def test_readbacks_before_and_after_the_frames_are_recorded_with_their_times(mea
 
 def test_a_step_during_which_an_arm_was_pushed_is_taken_again(measure: Measure, whole: list[StepRecord]) -> None:
     run = measure("run", rig=Plugin(options={"pushes": {3: 1}}))
-    assert content(run) == whole
+    assert list(run.steps()) == whole
     (remark,) = (event["message"] for event in run.events() if event["event"] == "remark")
     assert remark == "step 3: axis camera has moved by 0.30 deg during the exposures; it is taken again"
 
@@ -139,8 +134,8 @@ def test_a_pose_whose_readings_scatter_is_recorded_and_flagged(
 
 def test_one_seed_gives_one_run(measure: Measure) -> None:
     first, again, other = measure("a"), measure("b"), measure("c", seed=2)
-    assert content(first) == content(again)
-    assert content(first) != content(other)
+    assert list(first.steps()) == list(again.steps())
+    assert list(first.steps()) != list(other.steps())
 
 
 def metering_frames(step: StepRecord) -> int:
@@ -174,7 +169,7 @@ def test_an_interrupted_run_resumes_to_the_same(measure: Measure, stops: list[in
         assert rig.opened[0].log[-2:] == ["off", "park"]
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
     run = measure("cut", resume=True)
-    assert content(run) == whole
+    assert list(run.steps()) == whole
     assert [e["event"] for e in run.events()].count("interrupted") == len(stops)
 
 
@@ -188,12 +183,12 @@ def test_a_second_signal_stops_every_axis_at_once(measure: Measure, whole: list[
     with pytest.raises(Interrupted, match="at once"):
         measure("run", rig=rig, progress=Impatient())
     assert rig.opened[0].log[-3:] == ["stop", "off", "park"]
-    assert content(measure("run", resume=True)) == whole
+    assert list(measure("run", resume=True).steps()) == whole
 
 
 def test_killed_at_any_byte_of_the_journal_it_resumes_to_the_same(measure: Measure, tmp_path: Path) -> None:
     whole = measure("whole")
-    expected, data = content(whole), (whole.path / "journal.jsonl").read_bytes()
+    expected, data = list(whole.steps()), (whole.path / "journal.jsonl").read_bytes()
     ends = [at + 1 for at, byte in enumerate(data) if byte == ord("\n")]
     cuts = sorted({0, 1, *(end + d for end in ends for d in (-1, 0, 1)), *range(0, len(data), 1999)})
     for cut in cuts:
@@ -203,7 +198,7 @@ def test_killed_at_any_byte_of_the_journal_it_resumes_to_the_same(measure: Measu
             with pytest.raises(DataError, match="gonio run repair"):
                 measure("whole", resume=True)
             continue
-        assert content(measure("whole", resume=True)) == expected
+        assert list(measure("whole", resume=True).steps()) == expected
     assert len(cuts) > 20
 
 
@@ -224,7 +219,7 @@ def test_a_failing_device_is_in_the_journal_and_everything_is_dark(measure: Meas
     run = measure("run", resume=True)
     events = [event["event"] for event in run.events()]
     assert events[:6] == ["session", "step", "step", "step", "step", "device_error"]
-    assert content(run) == whole
+    assert list(run.steps()) == whole
 
 
 def test_a_swap_by_hand_needs_a_terminal_or_yes(measure: Measure, tmp_path: Path) -> None:
@@ -253,7 +248,7 @@ def test_a_computer_s_clock_that_jumps_changes_nothing(
     with pytest.raises(Interrupted):
         measure("run", progress=StopAfter(4))
     run = measure("run", resume=True)
-    assert content(run) == whole
+    assert list(run.steps()) == whole
     walls = [event["wall"] for event in run.events()]
     assert walls == sorted(walls, reverse=True)
     assert set(brdf.reduce(run)["flag"]) == {"", "blocked"}
@@ -329,7 +324,7 @@ def test_without_a_whole_line_it_starts_anew(
     (out / "journal.jsonl").unlink()
     if journal is not None:
         (out / "journal.jsonl").write_bytes(journal)
-    assert content(measure("run", resume=resume)) == whole
+    assert list(measure("run", resume=resume).steps()) == whole
 
 
 @pytest.mark.parametrize(
@@ -462,7 +457,7 @@ def test_a_full_disk_ends_the_run_and_it_can_go_on(
     with pytest.raises(DataError, match="No space left"):
         measure("run")
     monkeypatch.undo()
-    assert content(measure("run", resume=True)) == whole
+    assert list(measure("run", resume=True).steps()) == whole
 
 
 def test_a_camera_s_own_file_is_kept_as_it_is(

@@ -35,10 +35,6 @@ class Told(Silent):
         self.text += text + "\n"
 
 
-def content(run: Run) -> list[StepRecord]:
-    return list(run.steps())
-
-
 def tree(folder: Path) -> dict[str, bytes]:
     return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
 
@@ -85,12 +81,12 @@ def test_frames_without_a_journal_are_refused_and_stay(
     assert done is not None
     assert done.rebuilt == list(range(9))
     assert not done.damaged
-    assert content(Run.open(run.path)) == whole
+    assert list(Run.open(run.path).steps()) == whole
     kept = sorted(p.name for p in run.path.glob("journal.damaged*"))
     assert kept == (["journal.damaged.jsonl"] if journal else [])
     told = Told()
     again = measure(resume=True, progress=told)
-    assert content(again) == whole
+    assert list(again.steps()) == whole
     assert "every step is done" in told.text
     assert tree(run.path / "frames") == {k[7:]: v for k, v in before.items() if k.startswith("frames/")}
 
@@ -115,7 +111,7 @@ def test_a_journal_damaged_in_the_middle_keeps_what_is_readable(
     assert done.kept == len(lines) - 1
     assert done.rebuilt == ([line - 1] if line else [])
     assert (run.path / "journal.damaged.jsonl").read_bytes() == damaged
-    assert content(Run.open(run.path)) == whole
+    assert list(Run.open(run.path).steps()) == whole
     assert repair.repair(run.path) is None  # nothing is left to do
 
 
@@ -129,7 +125,7 @@ def test_a_step_that_is_not_provably_complete_is_taken_again(
     assert done is not None
     assert 3 not in done.rebuilt
     assert done.undetermined == files[:-1]
-    assert content(measure(resume=True)) == whole
+    assert list(measure(resume=True).steps()) == whole
 
 
 def test_frames_of_an_older_version_are_kept_and_said_to_tell_nothing(run: Run, measure: Measure) -> None:
@@ -154,13 +150,13 @@ def test_a_camera_s_own_files_have_their_labels_beside_them(
     capture = NumpyRig.capture
     monkeypatch.setattr(NumpyRig, "capture", lambda self, exposure_s: replace(capture(self, exposure_s), file=own))
     run = measure()
-    whole = content(run)
+    whole = list(run.steps())
     (run.path / "journal.jsonl").unlink()
     done = repair.repair(run.path)
     assert done is not None
     assert done.rebuilt == list(range(9))
     assert not done.undetermined
-    assert content(measure(resume=True)) == whole
+    assert list(measure(resume=True).steps()) == whole
 
 
 def lose(path: Path, how: str) -> None:
@@ -186,7 +182,7 @@ def test_resuming_takes_again_what_was_lost(
     told, rig = Told(), Plugin()
     again = measure(resume=True, progress=told, rig=rig)
     assert frame in told.text
-    assert content(again) == whole
+    assert list(again.steps()) == whole
     assert repair.find_damage(Run.open(run.path), whole=True).damaged == {}
     aside = run.path / "set-aside" / frame
     assert (aside.read_bytes() if aside.exists() else None) == damaged
@@ -197,7 +193,7 @@ def test_resuming_takes_again_what_was_lost(
 
 def test_all_frames_lost(run: Run, measure: Measure, whole: list[StepRecord]) -> None:
     shutil.rmtree(run.path / "frames")
-    assert content(measure(resume=True)) == whole
+    assert list(measure(resume=True).steps()) == whole
 
 
 def test_a_change_among_very_many_frames_is_found_by_the_check(
@@ -330,7 +326,7 @@ def test_damage_is_never_taken_for_what_was_measured(
     assert (done.damaged != []) == (line == "there")
     assert [step.step for step in Run.open(run.path).steps()] == [k for k in range(9) if k != number]
     again = measure(resume=True)
-    assert content(again) == whole
+    assert list(again.steps()) == whole
     assert brdf.reduce(again).equals(table)
 
 
@@ -362,7 +358,7 @@ def test_repair_finds_damage_and_resuming_mends_it(run: Run, measure: Measure, w
     assert frame.name in done.damaged[0]
     assert frame.exists()
     assert [step.step for step in Run.open(run.path).steps()] == [0, 1, 2, 3, 5, 6, 7, 8]
-    assert content(measure(resume=True)) == whole
+    assert list(measure(resume=True).steps()) == whole
 
 
 def test_frames_of_a_cut_step_are_set_aside(run: Run, measure: Measure, whole: list[StepRecord]) -> None:
@@ -380,7 +376,7 @@ def test_frames_of_a_cut_step_are_set_aside(run: Run, measure: Measure, whole: l
     )
     told = Told()
     again = measure(resume=True, progress=told)
-    assert content(again) == whole
+    assert list(again.steps()) == whole
     aside = {name: data for name, data in before.items() if name not in kept}
     assert {half.name, unknown.name} < set(aside)
     assert tree(run.path / "set-aside") == aside
@@ -506,7 +502,7 @@ def test_a_refused_resume_has_changed_nothing(run: Run, measure: Measure, whole:
             assert tree(run.path) == before, refusal
         (run.path / "plan.csv").write_bytes(plan)
     (run.path / "frames" / "IMG.CR2").unlink()
-    assert content(measure(resume=True)) == whole
+    assert list(measure(resume=True).steps()) == whole
     kept = set(tree(run.path / "set-aside").values()) | set(tree(run.path / "frames").values())
     assert {first, second} <= kept
 
@@ -532,7 +528,7 @@ def test_a_link_in_the_place_of_a_frame_is_moved_and_not_followed(
     journal.write_bytes(b"".join([*lines[:5], *lines[6:]]))
     assert repair.repair(run.path) is not None
     again = measure(resume=True)
-    assert content(again) == whole
+    assert list(again.steps()) == whole
     assert two.read_bytes() == kept
     assert (run.path / "set-aside" / one.name).is_symlink()
     brdf.reduce(again)

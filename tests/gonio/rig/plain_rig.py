@@ -20,6 +20,11 @@ def turn(axes: str, *angles_deg: float) -> Any:
     return Rotation.from_euler(axes.upper(), angles_deg, degrees=True)  # capital letters: about the turned axes
 
 
+def rotation(axis: str, angle: float) -> Floats:
+    """The matrix of a right-handed rotation about x, y or z [rad]."""
+    return np.asarray(Rotation.from_euler(axis.upper(), angle).as_matrix())
+
+
 def true_deg(axis: ArmAxis, read_deg: float) -> float:
     """The angle of an arm whose encoder reads an angle."""
     error = 0.0

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from gonio.errors import ConfigError
@@ -16,6 +15,7 @@ from gonio.rig.imaging import of_channel, pixel_map
 from gonio.rig.kinematics import View, view
 from gonio.rig.light_and_camera import Camera, Lamp
 from gonio.rig.regions import always_holds_sample, frame_holds, patch_extent, roi
+from tests.gonio.rig.plain_rig import rotation
 
 BANDS = Bands(list=(Band(name="550 nm", centre_nm=550, fwhm_nm=10),))
 POSES = [
@@ -35,23 +35,16 @@ def rig(**tables: object) -> RigDescription:
     return RigDescription(rig="sim", name="test", bands=BANDS, **(values | tables))  # type: ignore[arg-type]
 
 
-def rotation(axis: int, angle: float) -> npt.NDArray[np.float64]:
-    out, c, s = np.eye(3), math.cos(angle), math.sin(angle)
-    j, k = [(1, 2), (2, 0), (0, 1)][axis]
-    out[j, j], out[j, k], out[k, j], out[k, k] = c, -s, s, c
-    return out
-
-
 def traced(pose: Pose, i: int, j: int) -> dict[str, float]:
     """One ray in the lab's frame, where the camera is simple, met with the tilted sample's plane by its normal."""
     light = 700.0 * np.array([math.sin(pose.light), 0.0, math.cos(pose.light)])
-    turn = rotation(2, pose.azimuth) @ rotation(1, pose.camera)
+    turn = rotation("z", pose.azimuth) @ rotation("y", pose.camera)
     eye = turn @ np.array([0.0, 0.0, 500.0])
     # image distance of a thin lens of 80 mm focused at 500 mm; rows grow along the lab's y, columns against its x
     image = 80.0 * 500.0 / (500.0 - 80.0)
     u, v = (j - 31.5) * 0.040, (i - 23.5) * 0.040
     ray = turn @ np.array([-u, v, -image])
-    to_sample = (rotation(0, -pose.tilt) @ rotation(2, pose.spin)).T
+    to_sample = (rotation("x", -pose.tilt) @ rotation("z", pose.spin)).T
     normal = to_sample.T @ np.array([0.0, 0.0, 1.0])
     spot = eye - ray * (eye @ normal) / (ray @ normal)
     toward_light = light - spot
@@ -95,7 +88,7 @@ def test_a_lambertian_lamp_falls_off_with_the_cosine_at_the_lamp(pose: Pose) -> 
     alike, description = rig(), rig(lamp=Lamp(radiation="lambertian"))
     seen, before = (pixel_map(d, view(d, pose)) for d in (description, alike))
     light = np.array([math.sin(pose.light), 0.0, math.cos(pose.light)])
-    to_lab = rotation(0, -pose.tilt) @ rotation(2, pose.spin)
+    to_lab = rotation("x", -pose.tilt) @ rotation("z", pose.spin)
     for i, j in [(0, 0), (47, 63), (0, 63), (23, 31), (11, 50)]:
         one = traced(pose, i, j)
         beam = to_lab @ np.array([one["x"], one["y"], 0.0]) - 700.0 * light

@@ -18,6 +18,7 @@ from gonio.rig.description import ArmAxis, Arms, Geometry, Holder
 from gonio.rig.inverse_kinematics import Unreachable, branches, reach
 from gonio.rig.kinematics import blocked_cone, directions, left_its_side, separation, view
 from tests.gonio.numpy_rig import describe
+from tests.gonio.rig.plain_rig import rotation
 
 DEG = math.pi / 180
 ROUND_TRIP = 5e-12 * DEG
@@ -35,17 +36,6 @@ FLAT = describe(geometry=NO_BODIES, holder=Holder())
 thetas = st.floats(0, math.pi / 2)
 phis = st.floats(0, 2 * math.pi, exclude_max=True)
 near = st.floats(-1e-3, 1e-3)
-
-
-def rotation(axis: str, angle: float) -> np.ndarray:
-    c, s = math.cos(angle), math.sin(angle)
-    return np.array(
-        {
-            "x": [[1, 0, 0], [0, c, -s], [0, s, c]],
-            "y": [[c, 0, s], [0, 1, 0], [-s, 0, c]],
-            "z": [[c, -s, 0], [s, c, 0], [0, 0, 1]],
-        }[axis]
-    )
 
 
 def apart(a: Directions, b: Directions) -> float:

@@ -20,6 +20,7 @@ from gonio.rig.inverse_kinematics import Unreachable, reach
 from gonio.rig.light_and_camera import Lamp
 from gonio.rig.motion_planning import Blocked
 from tests.gonio.numpy_rig import describe
+from tests.gonio.rig.plain_rig import rotation
 
 AXIS = ArmAxis(limits_deg=(-89.0, 89.0))
 HEADS = Geometry(
@@ -42,17 +43,6 @@ def deg(light: float, camera: float, tilt: float = 0.0, spin: float = 0.0) -> Po
     return Pose(math.radians(light), math.radians(camera), math.radians(tilt), math.radians(spin))
 
 
-def rotated(axis: str, angle: float) -> np.ndarray:
-    c, s = math.cos(angle), math.sin(angle)
-    return np.array(
-        {
-            "x": [[1, 0, 0], [0, c, -s], [0, s, c]],
-            "y": [[c, 0, s], [0, 1, 0], [-s, 0, c]],
-            "z": [[c, -s, 0], [s, c, 0], [0, 0, 1]],
-        }[axis]
-    )
-
-
 def points_of(body: Body, pose: Pose) -> tuple[np.ndarray, float]:
     """Points of a body in the lab, close together, and how far it reaches around them [mm]."""
     if body.from_mm is not None and body.to_mm is not None and body.radius_mm is not None:
@@ -65,10 +55,10 @@ def points_of(body: Body, pose: Pose) -> tuple[np.ndarray, float]:
         points, around = np.array(list(itertools.product(*sides))), 0.0
     turned = {
         "bench": np.eye(3),
-        "light": rotated("y", pose.light),
-        "camera": rotated("z", pose.azimuth) @ rotated("y", pose.camera),
-        "tilt": rotated("x", -pose.tilt),
-        "spin": rotated("x", -pose.tilt) @ rotated("z", pose.spin),
+        "light": rotation("y", pose.light),
+        "camera": rotation("z", pose.azimuth) @ rotation("y", pose.camera),
+        "tilt": rotation("x", -pose.tilt),
+        "spin": rotation("x", -pose.tilt) @ rotation("z", pose.spin),
     }[body.on]
     return points @ turned.T, around
 
