@@ -93,8 +93,7 @@ def clipped_dn(camera: Camera, frame: Frame) -> float:
     mosaic, black = frame.mosaic.ravel(), frame.black_level_dn
     mosaic = mosaic[:: 1 + 2 * (mosaic.size // MANY)]  # an odd step meets every colour
     width = 1 + math.ceil(5.0 * math.hypot(camera.read_noise_e, camera.dsnu_e) / camera.electrons_per_dn)
-    shot = math.sqrt(max(float(mosaic.max()) - black, 0.0) / camera.electrons_per_dn)
-    if 2.0 * width > shot:
+    if 2.0 * width > math.sqrt(max(float(mosaic.max()) - black, 0.0) / camera.electrons_per_dn):
         return math.inf
     # from the top down; pixels that are hot, or were hit, lie above all
     counts = np.bincount(mosaic[mosaic > mosaic.max() // 4])[::-1]

@@ -148,8 +148,7 @@ class Holding:
             since = {cause.rule: since.get(cause.rule, now) for cause in causes}
             for cause in causes:
                 if cause.rule not in before:
-                    event = {"event": "suspended", "step": step.index, "rule": cause.rule, "message": str(cause)}
-                    self._tell(event)
+                    self._tell({"event": "suspended", "step": step.index, "rule": cause.rule, "message": str(cause)})
                     longest = lasting(watch.longest_s(cause))
                     self._progress.say(f"waiting, at most {longest}: {cause}; Ctrl-C ends the run, to be resumed")
             if watch.in_the_dark(causes):

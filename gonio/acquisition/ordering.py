@@ -57,8 +57,7 @@ def ordered(
         )
         if after < before:
             reachable = [reachable[k] for k in way]
-            rows = [*reachable, *(k for k, a in enumerate(points) if a.pose is None)]
-            points = [points[k] for k in rows]
+            points = [points[k] for k in [*reachable, *(k for k, a in enumerate(points) if a.pose is None)]]
     return replace(plan, points=tuple(a.point for a in points)), list(points)
 
 

@@ -128,8 +128,7 @@ class Run:
             tables = settings.model_dump(mode="json", exclude_none=True)
             if settings.laboratory is not None:
                 tables["laboratory"] = settings.laboratory.stated()
-            toml = to_toml(tables).encode()
-            write_own(path, files | {"plan.csv": plan, "run.toml": toml})
+            write_own(path, files | {"plan.csv": plan, "run.toml": to_toml(tables).encode()})
             sync_folder(path)
         except BaseException as error:
             if journal is not None:

@@ -463,8 +463,7 @@ class _Session:
         if step.point is not None and step.point >= len(self._angles):  # chosen since
             self._angles = self._run.points.angles_deg
         angles = None if step.point is None else tuple(map(float, self._angles[step.point]))
-        exposure_s = max((frame.exposure_s for frame in frames), default=0.0)
-        live = Live(step, angles, level, exposure_s, flag, record)  # type: ignore[arg-type]
+        live = Live(step, angles, level, max((frame.exposure_s for frame in frames), default=0.0), flag, record)  # type: ignore[arg-type]
         return _Taken(record, files.written if files is not None else [], live)
 
     def _present(self, target: Target) -> None:

@@ -111,8 +111,7 @@ def read_calibration(path: str | Path) -> Calibration:
 
 def write_calibration(calibration: Calibration, path: str | Path) -> None:
     """Write a calibration file, whole or not at all."""
-    tables = calibration.model_dump(mode="python", exclude_none=True)
-    write_whole(Path(path), to_toml(tables).encode())
+    write_whole(Path(path), to_toml(calibration.model_dump(mode="python", exclude_none=True)).encode())
 
 
 def with_keys(description: RigDescription, values: TomlTable, source: str | Path) -> RigDescription:

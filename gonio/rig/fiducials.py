@@ -66,8 +66,7 @@ def cells(name: str, first_id: int, count: int) -> npt.NDArray[np.bool_]:
             f"{dictionary.bytesList.shape[0]} markers"
         )
     n = dictionary.markerSize + 2
-    drawn = [cv2.aruco.generateImageMarker(dictionary, first_id + k, n) for k in range(count)]
-    return np.array(drawn) > 127
+    return np.array([cv2.aruco.generateImageMarker(dictionary, first_id + k, n) for k in range(count)]) > 127
 
 
 def white(marks: Fiducials, x_mm: Floats, y_mm: Floats) -> npt.NDArray[np.int8]:

@@ -45,8 +45,7 @@ class Health:
 
     def of(self, device: str, quantity: str) -> float | str | None:
         """A value, or None where it was not read."""
-        found = (r.value for r in self.readings if (r.device, r.quantity) == (device, quantity))
-        return next(found, None)
+        return next((r.value for r in self.readings if (r.device, r.quantity) == (device, quantity)), None)
 
     def __add__(self, other: Health) -> Health:
         return Health(self.readings + other.readings, self.silent | other.silent)

@@ -110,8 +110,7 @@ def closest_pose(description: RigDescription, start: Pose, wanted: Floats) -> tu
     names = list(description.axes())
 
     def off(place: Floats) -> Floats:
-        pose = replace(start, **dict(zip(names, place.tolist(), strict=True)))
-        source, eye, *_ = ends(description, pose)
+        source, eye, *_ = ends(description, replace(start, **dict(zip(names, place.tolist(), strict=True))))
         return np.concatenate([source / math.sqrt(source @ source), eye / math.sqrt(eye @ eye)]) - wanted
 
     at = np.array([getattr(start, name) for name in names])

@@ -60,8 +60,7 @@ def variance(description: RigDescription, rates: npt.NDArray[np.float64], exposu
             t**2 / (charge + camera.read_noise_e**2 + camera.electrons_per_dn**2 / 12),
             0.0,
         )
-    out = np.sum(1.0 / weights) / rates.sum() ** 2 + description.lamp.noise**2 / len(exposures_s)
-    return float(out)
+    return float(np.sum(1.0 / weights) / rates.sum() ** 2 + description.lamp.noise**2 / len(exposures_s))
 
 
 @pytest.mark.parametrize("rate", [30.0, 1e3, 1e5, 1e7, 3e8])
@@ -143,8 +142,7 @@ def test_a_frame_that_contradicts_what_is_known_is_refused(change: dict[str, Any
 
 @pytest.mark.parametrize(("asked_s", "given_s"), [(0.1, 0.1125), (1e-4, 1.5e-4), (1 / 60, 1 / 64), (0.1, 0.0899)])
 def test_exposures_that_a_camera_rounds_are_no_contradiction(asked_s: float, given_s: float) -> None:
-    frame = Frame(FRAME.mosaic, given_s, 64.0, 4095.0, time_s=0.0)
-    exposure.require_asked(rig().camera, frame, asked_s, "camera")
+    exposure.require_asked(rig().camera, Frame(FRAME.mosaic, given_s, 64.0, 4095.0, time_s=0.0), asked_s, "camera")
 
 
 @pytest.mark.parametrize("count", [1, 3, 9])

@@ -48,14 +48,12 @@ def cut(run: Path, draw: random.Random) -> None:
 
 def zeroed(run: Path, draw: random.Random) -> None:
     path = a_frame(run, draw)
-    at = draw.randrange(path.stat().st_size)
-    rewrite(path, path.read_bytes()[:at].ljust(path.stat().st_size, b"\0"))
+    rewrite(path, path.read_bytes()[: draw.randrange(path.stat().st_size)].ljust(path.stat().st_size, b"\0"))
 
 
 def last_zeroed(run: Path, draw: random.Random) -> None:
     lines = [json.loads(line) for line in (run / "journal.jsonl").read_bytes().splitlines()]
-    step = draw.choice([line for line in lines if line.get("frames")])
-    path = run / "frames" / step["frames"][-1]["file"]
+    path = run / "frames" / draw.choice([line for line in lines if line.get("frames")])["frames"][-1]["file"]
     if path.is_file():
         size = path.stat().st_size
         rewrite(path, path.read_bytes()[: size // 2].ljust(size, b"\0"))
@@ -179,8 +177,7 @@ CASES += [tuple(random.Random(seed).sample(DAMAGES, 2)) for seed in range(PAIRS)
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, pd.DataFrame]:
     folder = tmp_path_factory.mktemp("whole")
-    run = measured(folder, folder / "run")
-    return folder, brdf.reduce(run)
+    return folder, brdf.reduce(measured(folder, folder / "run"))
 
 
 def measured(folder: Path, out: Path, *, resume: bool = False) -> Run:

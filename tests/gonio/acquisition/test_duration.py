@@ -103,8 +103,7 @@ def test_frames_are_metering_frames_and_a_shorter_one() -> None:
     durations, step = Durations(description, BANDS), Step(5, "point", 0, deg(light=20))
     overhead = description.camera.frame_overhead_s
     for reflectance in (0.1, 0.9):
-        one = expected_exposure_s(description, step.pose, reflectance)
-        expected = 2 * ((1 + 3 + 1 / 4) * one + 5 * overhead)
+        expected = 2 * ((1 + 3 + 1 / 4) * expected_exposure_s(description, step.pose, reflectance) + 5 * overhead)
         assert durations.frames_s(step, reflectance) == pytest.approx(expected, abs=ROUNDING)
     by_band = durations.frames_s(step, {BANDS[0].name: 0.1, BANDS[1].name: 0.9})
     either = durations.frames_s(step, 0.1), durations.frames_s(step, 0.9)

@@ -93,8 +93,7 @@ def test_long_darks_do_not_fill_the_well() -> None:
 
 def test_expected_level_is_that_of_the_data_sheet() -> None:
     camera = Camera(full_well_e=10_000, responsivity_e_per_s=40_000, electrons_per_dn=3)
-    pose = Pose(light=math.radians(60))
-    level = exposure.expected_level_per_s(describe(camera=camera), pose, 0.5)
+    level = exposure.expected_level_per_s(describe(camera=camera), Pose(light=math.radians(60)), 0.5)
     assert level == pytest.approx(1.0, rel=1e-14)  # 40000 / 2 / 2 / 10000, and cos 60 degrees: roundings
 
 

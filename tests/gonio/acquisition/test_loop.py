@@ -145,8 +145,7 @@ def metering_frames(step: StepRecord) -> int:
 
 def test_a_point_is_metered_with_what_the_point_before_it_needed(measure: Measure) -> None:
     """Fifty times darker than white, a sample costs a search at its first point and one frame a band from then on."""
-    rig = Plugin(options={"albedo": 0.02})
-    points = [step for step in measure("run", rig=rig).steps() if step.kind == "point"]
+    points = [step for step in measure("run", rig=Plugin(options={"albedo": 0.02})).steps() if step.kind == "point"]
     taken = [metering_frames(step) for step in points]
     assert taken[0] > 2
     assert taken[1:] == [2] * (len(points) - 1)
@@ -154,8 +153,7 @@ def test_a_point_is_metered_with_what_the_point_before_it_needed(measure: Measur
 
 def test_a_point_without_frames_is_no_guide(measure: Measure) -> None:
     """The point before it is: with step 3 flagged, step 4 is metered by step 2."""
-    rig = Plugin(options={"albedo": 0.02, "pushes": {3: 9}})
-    steps = measure("run", rig=rig).steps()
+    steps = measure("run", rig=Plugin(options={"albedo": 0.02, "pushes": {3: 9}})).steps()
     assert steps[3].frames == ()
     assert metering_frames(steps[4]) == 2
 

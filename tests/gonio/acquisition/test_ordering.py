@@ -82,8 +82,7 @@ def test_few_poses_come_close_to_the_best_of_all_orders(seed: int) -> None:
     between = np.array([durations.moves_s(pose, [*poses, home]) for pose in [*poses, home]])
 
     def length(way: tuple[int, ...]) -> float:
-        stations = [len(poses), *way, len(poses)]
-        return sum(float(between[a, b]) for a, b in itertools.pairwise(stations))
+        return sum(float(between[a, b]) for a, b in itertools.pairwise([len(poses), *way, len(poses)]))
 
     best = min(length(way) for way in itertools.permutations(range(len(poses))))
     found = length(tuple(shorter(poses, points[: len(poses)], durations, home)))
@@ -92,8 +91,7 @@ def test_few_poses_come_close_to_the_best_of_all_orders(seed: int) -> None:
 
 def test_a_shuffled_scan_is_put_in_order() -> None:
     """From one end to the other costs two long moves and short ones between; shuffled it is a long move each."""
-    rng = np.random.default_rng(3)
-    points = [Point(30.0, 0.0, float(r), 180.0) for r in rng.permutation(np.arange(0, 80))]
+    points = [Point(30.0, 0.0, float(r), 180.0) for r in np.random.default_rng(3).permutation(np.arange(0, 80))]
     description = describe(reference=Reference(every=0))
     short = in_order(plan_of(points), description)
     camera = [math.degrees(s.pose.camera) for s in schedule(short, description) if s.kind == "point"]
@@ -132,8 +130,7 @@ def test_visits_to_one_point_stay_spread_over_the_run(tmp_path: Path) -> None:
 
 def test_ways_around_bodies_are_what_is_compared() -> None:
     body = Body(name="cover", on="light", from_mm=(0, -150, 250), to_mm=(0, 150, 250), radius_mm=20)
-    other = body.model_copy(update={"name": "lens", "on": "camera"})
-    description = describe(bodies=(body, other))
+    description = describe(bodies=(body, body.model_copy(update={"name": "lens", "on": "camera"})))
     plan = plan_of(scattered(11, 14))
     assert total_s(in_order(plan, description), description) <= total_s(plan, description) + ROUNDING
 
@@ -151,8 +148,7 @@ def folder(tmp_path: Path) -> Plan:
 
 
 def go(plan: Plan, out: Path, **changes: object) -> Run:
-    choice = RigChoice(Plugin(), describe(), "numpy")
-    return carry_out(plan, choice, out, sample=SAMPLE, seed=1, **changes)  # type: ignore[arg-type]
+    return carry_out(plan, RigChoice(Plugin(), describe(), "numpy"), out, sample=SAMPLE, seed=1, **changes)  # type: ignore[arg-type]
 
 
 def test_a_resumed_run_goes_on_in_the_order_that_it_was_begun_with(
@@ -185,8 +181,7 @@ def test_a_resumed_run_refuses_other_points(tmp_path: Path) -> None:
 
 
 def test_a_plan_may_say_how_often_the_reference_is_visited(tmp_path: Path) -> None:
-    plan = folder(tmp_path)
-    run = go(plan, tmp_path / "run")
+    run = go(folder(tmp_path), tmp_path / "run")
     kinds = [step.kind for step in run.steps()]
     assert run.description.reference.every == 4
     reached = kinds.count("point")

@@ -66,8 +66,7 @@ def test_a_range_stops_before_its_stop(tmp_path: Path) -> None:
 
 
 def test_schedule_interleaves_visits_to_the_reference(tmp_path: Path) -> None:
-    found = plan(tmp_path, PLAN)
-    steps = schedule(found, describe())  # type: ignore[arg-type]
+    steps = schedule(plan(tmp_path, PLAN), describe())  # type: ignore[arg-type]
     # point 1 is retro and blocked; a visit every three points and at the end
     assert [(s.kind, s.point) for s in steps] == [
         ("dark", None),

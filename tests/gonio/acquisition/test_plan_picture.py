@@ -34,9 +34,11 @@ OUT_OF_PLANE = PLAN + "dphi_deg = [45, 180]\n"
 def test_a_picture_counts_all_points_and_shows_the_most_crowded_step(tmp_path: Path, text: str, azimuth: bool) -> None:
     (tmp_path / "plan.toml").write_text(text)
     plan = load_plan(tmp_path / "plan.toml")
-    arms = Arms(azimuth=ArmAxis(limits_deg=(-190, 190)) if azimuth else None)
     rig = describe(
-        arms=arms, holder=Holder(axes=("spin",) if azimuth else ("tilt", "spin")), bodies=(POST,), cables=(LEAD,)
+        arms=Arms(azimuth=ArmAxis(limits_deg=(-190, 190)) if azimuth else None),
+        holder=Holder(axes=("spin",) if azimuth else ("tilt", "spin")),
+        bodies=(POST,),
+        cables=(LEAD,),
     )
     points = assess(plan, rig)
     steps = schedule(plan, rig, points)

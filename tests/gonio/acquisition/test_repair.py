@@ -97,8 +97,7 @@ def test_a_journal_damaged_in_the_middle_keeps_what_is_readable(
 ) -> None:
     path = run.path / "journal.jsonl"
     lines = path.read_bytes().splitlines(keepends=True)
-    broken = lines[line].replace(b'"', b"'", 3)
-    path.write_bytes(b"".join([*lines[:line], broken, *lines[line + 1 :]]))
+    path.write_bytes(b"".join([*lines[:line], lines[line].replace(b'"', b"'", 3), *lines[line + 1 :]]))
     damaged = path.read_bytes()
     for resume in (True, False):
         with pytest.raises((DataError, ConfigError), match=r"repair|--resume"):
@@ -364,8 +363,9 @@ def test_repair_finds_damage_and_resuming_mends_it(run: Run, measure: Measure, w
 def test_frames_of_a_cut_step_are_set_aside(run: Run, measure: Measure, whole: list[StepRecord]) -> None:
     """Whether they were cut short, or somebody took their line out of the journal, nothing tells: all are kept."""
     journal = run.path / "journal.jsonl"
-    lines = journal.read_bytes().splitlines(keepends=True)
-    journal.write_bytes(b"".join(lines[:6]))  # four steps and a session; the others were never written
+    journal.write_bytes(
+        b"".join(journal.read_bytes().splitlines(keepends=True)[:6])
+    )  # four steps and a session; the others were never written
     half = run.path / "frames" / ".000004-green550-01.dng.123.new"
     half.write_bytes(b"half")
     unknown = run.path / "frames" / "000099-left-01.dng"
@@ -482,8 +482,7 @@ def test_a_refused_resume_has_changed_nothing(run: Run, measure: Measure, whole:
     two.write_bytes(first)
     with (run.path / "journal.jsonl").open("ab") as journal:
         journal.write(b'{"n":11,"ev')
-    cut = run.path / "frames" / "000009-green550-01.dng"
-    cut.write_bytes(first)
+    (run.path / "frames" / "000009-green550-01.dng").write_bytes(first)
     plan = (run.path / "plan.csv").read_bytes()
     for refusal in ("plan", "seed", "room", "device", "stranger"):
         changes: dict[str, object] = {"seed": 2} if refusal == "seed" else {}

@@ -100,8 +100,7 @@ def test_a_run_grows_until_its_chooser_has_enough(plan: Plan, tmp_path: Path) ->
     assert len(table) == 9
     first = table["theta_r_deg"].round(1)
     assert (first == first[3]).sum() >= 2, "the point that was chosen again has a row of its own"
-    chosen = [event for event in run.events() if event["event"] == "chosen"]
-    seen = chosen[0]["why"]["brdf"]
+    seen = next(event for event in run.events() if event["event"] == "chosen")["why"]["brdf"]
     assert seen == pytest.approx(table["brdf"][:3].max(), rel=2e-3), (
         "later visits to the reference move it by their noise"
     )

@@ -69,8 +69,9 @@ def test_an_unfit_calibration_is_refused_or_remarked(tmp_path: Path, changed: di
     write_calibration(_calibration(tmp_path, **changed), tmp_path / "geometry.toml")
     with pytest.raises(ConfigError, match=why):
         find_rig(str(_rig(tmp_path, 'calibration.files = ["geometry.toml"]\n')))
-    asked = 'calibration = { files = ["geometry.toml"], when_unfit = "warn" }\n'
-    found = find_rig(str(_rig(tmp_path, asked))).description
+    found = find_rig(
+        str(_rig(tmp_path, 'calibration = { files = ["geometry.toml"], when_unfit = "warn" }\n'))
+    ).description
     assert found.arms.light.zero_offset_deg == 1.5
     assert why in found.calibration.remarks[0]
 

@@ -29,8 +29,7 @@ def noise(bits: int, shape: tuple[int, int] = (480, 640), seed: int = 0) -> npt.
 @pytest.mark.parametrize("pattern", ["mono", *BAYER])
 def test_every_layout_and_depth_comes_back_bit_for_bit(tmp_path: Path, pattern: str, bits: int) -> None:
     mosaic = noise(bits)
-    frame = Frame(mosaic, 0.0125, 64.0, WHITE[bits], pattern, time_s=83.25)
-    write_dng(frame, tmp_path / "a.dng")
+    write_dng(Frame(mosaic, 0.0125, 64.0, WHITE[bits], pattern, time_s=83.25), tmp_path / "a.dng")
     back = read_raw(tmp_path / "a.dng")
     np.testing.assert_array_equal(back.mosaic, mosaic)
     assert back.mosaic.dtype == np.uint16
@@ -99,8 +98,7 @@ def test_exposures_are_exact_rationals(tmp_path: Path, exposure: float) -> None:
 
 
 def rational(data: bytes, tag: int) -> tuple[int, int]:
-    at = data.index(struct.pack("<HHI", tag, 5, 1))
-    (place,) = struct.unpack_from("<I", data, at + 8)
+    (place,) = struct.unpack_from("<I", data, data.index(struct.pack("<HHI", tag, 5, 1)) + 8)
     return struct.unpack_from("<II", data, place)
 
 
@@ -117,8 +115,7 @@ def test_equal_frames_make_equal_files(tmp_path: Path) -> None:
 
 
 def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    frame = Frame(noise(12), 0.5, 64.0, 4095.0, time_s=0.0)
-    write_dng(frame, tmp_path / "a.dng")
+    write_dng(Frame(noise(12), 0.5, 64.0, 4095.0, time_s=0.0), tmp_path / "a.dng")
     before = (tmp_path / "a.dng").read_bytes()
 
     def full(handle: int) -> None:
@@ -170,8 +167,7 @@ def test_a_file_cut_anywhere_is_an_error_that_names_it(tmp_path: Path, bits: int
 
 
 def test_damage_in_the_directories_is_an_error_or_leaves_the_image_alone(tmp_path: Path) -> None:
-    mosaic = noise(12, (64, 48))
-    write_dng(Frame(mosaic, 1.0, 64.0, 4095.0, time_s=0.0), tmp_path / "whole.dng")
+    write_dng(Frame(noise(12, (64, 48)), 1.0, 64.0, 4095.0, time_s=0.0), tmp_path / "whole.dng")
     data = (tmp_path / "whole.dng").read_bytes()
     rng, messages = np.random.default_rng(4), []
     header = data.index(b"1970")

@@ -120,8 +120,7 @@ def test_the_guide_s_rig_names_wrong_settings(
     rig = tmp_path / "bench.toml"
     assert was in rig.read_text()
     rig.write_text(rig.read_text().replace(was, becomes))
-    more = ["--dry-run"] if dry else []
-    measure = ["measure", "plan.toml", "--rig", "bench.toml", "--out", "run", "--yes", *more]
+    measure = ["measure", "plan.toml", "--rig", "bench.toml", "--out", "run", "--yes", *(["--dry-run"] if dry else [])]
     done = process(tmp_path, *measure, PYTHONPATH=stranger)
     assert done.returncode == code
     assert re.search(message, done.stderr), done.stderr

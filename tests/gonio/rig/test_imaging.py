@@ -52,13 +52,12 @@ def traced(pose: Pose, i: int, j: int) -> dict[str, float]:
     x, y, z = to_sample @ spot
     assert abs(z) < 1e-9  # rounding of 500 mm
     radius = math.hypot(u, v)
-    corner = 0.020 * math.hypot(64, 48)
     return {
         "x": x,
         "y": y,
         "cos_i": toward_light @ normal / distance,
         "factor": (700.0 / distance) ** 2,
-        "falloff": math.cos(math.atan(radius / image)) ** 4 * (1 - 0.3 * (radius / corner) ** 4),
+        "falloff": math.cos(math.atan(radius / image)) ** 4 * (1 - 0.3 * (radius / (0.020 * math.hypot(64, 48))) ** 4),
     }
 
 
@@ -148,8 +147,7 @@ def test_pixels_that_look_past_the_plane_see_nothing() -> None:
     at = view(description, Pose(light=0.0, camera=math.radians(89.9)))
     seen = pixel_map(description, at)
     ray_z = np.array([[traced_z(at, i, j) for j in range(64)] for i in (0, 20)])
-    expected = np.repeat((ray_z < 0)[:1], 48, axis=0)
-    np.testing.assert_array_equal(seen.sees_plane, expected)
+    np.testing.assert_array_equal(seen.sees_plane, np.repeat((ray_z < 0)[:1], 48, axis=0))
     assert 20 < np.count_nonzero(~seen.sees_plane[0]) < 44
     dark = ~seen.sees_plane
     assert np.all(np.isnan(seen.x_mm[dark]))
@@ -255,8 +253,7 @@ def test_a_bayer_region_holds_the_pixels_of_its_channel(pattern: str) -> None:
         assert set(region.of(mosaic)) == {channel}
         counts[channel] = region.count
     assert sum(counts.values()) == every.count
-    part = of_channel(pattern, "G", slice(3, 10), slice(5, 9))
-    np.testing.assert_array_equal(part, mosaic[3:10, 5:9] == "G")
+    np.testing.assert_array_equal(of_channel(pattern, "G", slice(3, 10), slice(5, 9)), mosaic[3:10, 5:9] == "G")
 
 
 @pytest.mark.parametrize("pose", POSES)

@@ -107,8 +107,7 @@ def test_around_retro_and_the_poles_a_pose_is_exact_or_there_is_none(kind: str) 
         if number % 5 == 0:
             description = rig(rng, kind)
             bare = {"light_body_radius_mm": 0.0, "camera_body_radius_mm": 0.0}
-            geometry = description.geometry.model_copy(update=bare)
-            description = description.model_copy(update={"geometry": geometry})
+            description = description.model_copy(update={"geometry": description.geometry.model_copy(update=bare)})
         theta, phi = rng.uniform(0.1, 1.3, 2), rng.uniform(0, 6.28, 2)
         if kind == "tilt":
             theta[1], phi[1] = theta[0] + rng.normal(0, 0.03), (phi[0] + rng.normal(0, 0.03)) % 6.28
@@ -117,8 +116,7 @@ def test_around_retro_and_the_poles_a_pose_is_exact_or_there_is_none(kind: str) 
         d = Directions(*(float(v) for pair in zip(theta, phi, strict=True) for v in pair))
         wanted = np.concatenate(d.vectors)
         try:
-            seen = np.concatenate(directions(description, reach(description, d)).vectors)
-            off = float(np.linalg.norm(seen - wanted))
+            off = float(np.linalg.norm(np.concatenate(directions(description, reach(description, d)).vectors) - wanted))
         except Unreachable:
             off = 1.0
         if off < 1e-9 or inexact == 3:
@@ -146,9 +144,8 @@ def test_a_rig_that_cannot_turn_out_of_its_plane_stands_as_close_as_it_can() -> 
     }
     description = RigDescription.model_validate(values)
     d = Directions(math.radians(30), 0.0, math.radians(50), math.pi)
-    back = directions(description, reach(description, d))
     # the polar angles along the plane are met, and what stands out of it is the elevation
-    (source, detector), wanted = back.vectors, d.vectors
+    (source, detector), wanted = directions(description, reach(description, d)).vectors, d.vectors
     assert math.degrees(np.linalg.norm(source - wanted[0])) == pytest.approx(1.5, abs=1e-3)
     assert math.degrees(np.linalg.norm(detector - wanted[1])) == pytest.approx(0.5, abs=1e-3)
     values["arms"]["light"]["elevation_deg"] = 8.0
@@ -193,8 +190,7 @@ def test_a_lens_with_distortion_images_as_opencv_says() -> None:
     rng = np.random.default_rng(15)
     bent = (-0.35, 0.2, 0.004, -0.003, 0.05)
     description = rig(rng, "tilt", width=160, height=120, pixel_um=80.0, focal_length_mm=40.0, distortion=bent)
-    pose = Pose(0.3, -0.4, 0.1, 0.2)
-    seen = view(description, pose)
+    seen = view(description, Pose(0.3, -0.4, 0.1, 0.2))
     column, row = 140.0, 9.0
     x, y = spot(description, seen, column, row)
     camera = description.camera
@@ -220,8 +216,7 @@ def test_a_lens_with_distortion_images_as_opencv_says() -> None:
 
 
 def test_a_distortion_that_folds_the_frame_is_refused() -> None:
-    rng = np.random.default_rng(16)
-    description = rig(rng, "tilt", width=160, height=120, pixel_um=200.0, focal_length_mm=40.0,
+    description = rig(np.random.default_rng(16), "tilt", width=160, height=120, pixel_um=200.0, focal_length_mm=40.0,
                       distortion=(-9.0, 0.0, 0.0, 0.0, 0.0))  # fmt: skip
     with pytest.raises(ConfigError, match=r"camera\.distortion"):
         pixel_map(description, view(description, Pose(0.3, -0.4))).weight  # noqa: B018

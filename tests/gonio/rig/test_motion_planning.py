@@ -107,10 +107,10 @@ def sampled(rng: np.random.Generator, start: Pose, goal: Pose) -> list[Pose]:
         before = max(b - math.radians(1), min(b, math.radians(RIG.limits_deg()[name][0])))
         length, speed = abs(before - a) + abs(b - before), rng.uniform(0.2, 3.0)
         stations.append((np.array([0.0, abs(before - a), length]) / speed, np.array([a, before, b])))
-    end = max(times[-1] for times, _ in stations)
-    grid = np.linspace(0, end, 40)
-    tracks = [np.interp(grid, times, places) for times, places in stations]
-    return [Pose(*values) for values in zip(*tracks, strict=True)]
+    grid = np.linspace(0, max(times[-1] for times, _ in stations), 40)
+    return [
+        Pose(*values) for values in zip(*[np.interp(grid, times, places) for times, places in stations], strict=True)
+    ]
 
 
 def test_no_way_that_is_found_touches_whatever_the_speeds_of_the_axes() -> None:
@@ -220,8 +220,9 @@ def test_a_box_is_as_large_as_it_is() -> None:
         for beyond in (-1.0, 1.0):
             middle = np.array(toward) * 100.0 + (30.0 + beyond) * np.array(toward) / np.linalg.norm(toward)
             place = (float(middle[0]), float(middle[1]), float(middle[2]))
-            ball = Body(name="ball", on="light", from_mm=place, to_mm=place, radius_mm=30.0)
-            rig = describe(geometry=HEADS, bodies=(cube, ball))
+            rig = describe(
+                geometry=HEADS, bodies=(cube, Body(name="ball", on="light", from_mm=place, to_mm=place, radius_mm=30.0))
+            )
             found = motion_planning.clearances(rig, [Pose()])[0]["cube", "ball"]
             assert found == pytest.approx(beyond, abs=1e-9)  # rounding of distances of 100 mm
 
