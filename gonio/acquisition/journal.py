@@ -82,11 +82,12 @@ class Events(Sequence[Event]):
     def __getitem__(self, at: slice) -> list[Event]: ...
     def __getitem__(self, at: int | slice) -> Event | list[Event]:
         if isinstance(at, slice):
-            return list(map(_event, self.lines(range(len(self))[at])))
-        return next(map(_event, self.lines([range(len(self))[at]])))
+            return list(map(json.loads, self.lines(range(len(self))[at])))
+        event: Event = json.loads(next(self.lines([range(len(self))[at]])))
+        return event
 
     def __iter__(self) -> Iterator[Event]:
-        return map(_event, self.lines(range(len(self))))
+        return map(json.loads, self.lines(range(len(self))))
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Sequence) and len(self) == len(other) and all(a == b for a, b in zip(self, other))  # noqa: B905
@@ -111,11 +112,6 @@ class Events(Sequence[Event]):
             return open(self.path, "rb", opener=only_file)
         except OSError as error:
             raise DataError(f"{self.path}: cannot be read: {error.strerror}") from None
-
-
-def _event(line: bytes) -> Event:
-    event: Event = json.loads(line)
-    return event
 
 
 def _scan(path: Path) -> tuple[array[int], int]:

@@ -6,30 +6,27 @@ import contextlib
 import math
 import sys
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from gonio import plugins
 from gonio.acquisition.plan import Assessed, Plan, assess, said_beside
+from gonio.acquisition.progress import Progress, Silent
 from gonio.acquisition.schedule import going_on, reference_pose, schedule
 from gonio.config import Table, load, parse
 from gonio.errors import ConfigError, DeviceError, GonioError, Interrupted
-from gonio.rig import kinematics, regions
+from gonio.rig import Pose, Rig, RigPlugin, Step, Target, kinematics, regions
 from gonio.rig.calibrated import with_calibrations
 from gonio.rig.description import Reference, RigDescription, SampleDescription
 from gonio.rig.motion_planning import Blocked, route
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from gonio.acquisition.progress import Progress
     from gonio.acquisition.resuming import Resumed
     from gonio.acquisition.run import Run
     from gonio.acquisition.sampling import Sampler
     from gonio.acquisition.stop import Pause, Stop
-    from gonio.rig import Pose, Rig, RigPlugin, Step, Target
 
     Prepared = tuple[Plan, "RigChoice", list[Assessed], Sampler | None]
 
@@ -217,7 +214,6 @@ def carry_out(
         See `gonio.acquisition.loop.measure`, `Run.create`, `Run.resume` and the rig's own documentation.
     """
     from gonio.acquisition.loop import measure
-    from gonio.acquisition.progress import Silent
     from gonio.acquisition.remaining import Remaining
     from gonio.acquisition.repair import ASIDE
     from gonio.acquisition.resuming import reopened
@@ -352,7 +348,6 @@ def check(
     plan: Plan, rig: RigChoice, out: Path, *, sample: SampleDescription | None, seed: int, resume: bool, yes: bool
 ) -> Prepared:
     """Raise what `carry_out` would raise before it touches a device; its parameters. What `assessed` found."""
-    from gonio.acquisition.progress import Silent
     from gonio.acquisition.run_folder import begun
 
     plan, rig, points, _ = seen = assessed(plan, rig)

@@ -162,8 +162,7 @@ class _Record:
 
     def to_json(self) -> JsonObject:
         """`text` as an object."""
-        out: JsonObject = json.loads(self.text())
-        return out
+        return dict(json.loads(self.text()))
 
     @classmethod
     def from_json(cls, values: Mapping[str, Any]) -> Self:
@@ -398,7 +397,7 @@ _EVERY = {"n": Count, "event": str, "wall": NotRequired[Annotated[str, AfterVali
 
 
 @cache
-def _adapter(kind: str) -> TypeAdapter[Any]:
+def _adapter(kind: str) -> TypeAdapter[JsonObject]:
     """What reads a line of a kind; of one that nobody knows here ("") what every line has; "label" reads labels."""
     if kind == "label":
         return TypeAdapter(_shape(_keys(FrameLabel).shapes() | {"format": Literal["gonio-frame-1"]}))
@@ -426,10 +425,9 @@ def event_of(line: bytes) -> JsonObject:
     return event
 
 
-def _read(adapter: TypeAdapter[Any], text: str | bytes, what: str) -> JsonObject:
+def _read(adapter: TypeAdapter[JsonObject], text: str | bytes, what: str) -> JsonObject:
     try:
-        out: JsonObject = adapter.validate_json(text)
-        return out
+        return adapter.validate_json(text)
     except ValidationError as error:
         first = error.errors(include_url=False, include_context=False)[0]
         place = ".".join(map(str, first["loc"]))

@@ -43,8 +43,7 @@ class Sampler(Protocol):
 
 def about(sampler: Sampler) -> list[str]:
     """What a sampler will do, a line each: candidates, target, budget. Samplers may have a method `about` for it."""
-    said: list[str] = list(getattr(sampler, "about", list)())
-    return said
+    return list(getattr(sampler, "about", list)())
 
 
 class SamplerPlugin(Protocol):

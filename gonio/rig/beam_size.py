@@ -8,7 +8,7 @@ pixels are then summed over the area that each sees (docs/exposure.md, "The beam
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -16,12 +16,10 @@ from gonio.errors import ConfigError
 from gonio.rig import imaging
 from gonio.rig.description import RigDescription
 from gonio.rig.imaging import Channel, PixelMap
+from gonio.rig.kinematics import View
 from gonio.rig.protocols import Target
 from gonio.rig.regions import Roi
 from gonio.typing import Floats
-
-if TYPE_CHECKING:
-    from gonio.rig.kinematics import View
 
 Filling = Literal["over", "under"]
 

@@ -122,6 +122,12 @@ def _check_limits(name: str, limits: tuple[float, float], stops: tuple[float, fl
         )
 
 
+def approach_start(goal: float, approach: float, lower: float, upper: float) -> float:
+    """Where the last part of an axis's way to a goal begins: `approach` off it, inside the limits; all in one unit."""
+    start = goal - approach
+    return max(start, min(lower, goal)) if approach > 0 else min(start, max(upper, goal))
+
+
 class ArmAxis(Axis):
     """The axis of an arm, with the range that it may turn in."""
 
@@ -155,6 +161,11 @@ class Arms(Strict):
     camera: ArmAxis = ArmAxis()
     azimuth: ArmAxis | None = None
     """The axis that carries the camera arm around the sample normal, where the rig has one."""
+
+    def axes(self) -> dict[str, ArmAxis]:
+        """Those that there are, by name."""
+        own = {"light": self.light, "camera": self.camera}
+        return own if self.azimuth is None else own | {"azimuth": self.azimuth}
 
     @model_validator(mode="after")
     def _sound(self) -> Arms:
@@ -423,11 +434,9 @@ class RigDescription(Strict):
 
         Tilt and spin are both `holder`, each with its own zero where it has one.
         """
-        out: dict[str, Axis] = {"light": self.arms.light, "camera": self.arms.camera}
-        out |= {name: self.holder.of(name) for name in ("tilt", "spin") if name in self.holder.axes}
-        if self.arms.azimuth is not None:
-            out["azimuth"] = self.arms.azimuth
-        return out
+        holder = {name: self.holder.of(name) for name in ("tilt", "spin") if name in self.holder.axes}
+        azimuth = {name: axis for name, axis in self.arms.axes().items() if name == "azimuth"}
+        return {"light": self.arms.light, "camera": self.arms.camera, **holder, **azimuth}
 
     def _by_axis(self, key: str) -> dict[str, Any]:
         """A key of each of `axes`; tilt and spin have theirs in the table of the holder."""
@@ -448,9 +457,7 @@ class RigDescription(Strict):
 
     def approach_starts_deg(self, name: str, goal_deg: float) -> float:
         """Where an axis begins the last part of its way to a goal [deg]: `approach_deg` off it, inside the limits."""
-        (lower, upper), approach = self.limits_deg()[name], self.approach_deg()[name]
-        start = goal_deg - approach
-        return max(start, min(lower, goal_deg)) if approach > 0 else min(start, max(upper, goal_deg))
+        return approach_start(goal_deg, self.approach_deg()[name], *self.limits_deg()[name])
 
     @property
     def looks_ahead(self) -> bool:
@@ -460,11 +467,11 @@ class RigDescription(Strict):
     @property
     def as_meant(self) -> bool:
         """Whether the file names no error of alignment that a view of the sample depends on; encoders apart."""
-        arms, holder, camera, none = self.arms, self.holder, self.camera, (0.0, 0.0)
+        holder, camera, none = self.holder, self.camera, (0.0, 0.0)
         return (
             all(
-                axis is None or (axis.axis_tilt_deg == none and axis.axis_offset_mm == none and not axis.elevation_deg)
-                for axis in (arms.light, arms.camera, arms.azimuth)
+                axis.axis_tilt_deg == none and axis.axis_offset_mm == none and not axis.elevation_deg
+                for axis in self.arms.axes().values()
             )
             and not (holder.surface_offset_mm or holder.spin_axis_tilt_deg or holder.tilt_axis_offset_mm)
             and holder.surface_tilt_deg == holder.sample_offset_mm == none

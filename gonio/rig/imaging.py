@@ -9,19 +9,17 @@ from __future__ import annotations
 
 import math
 from functools import cached_property, lru_cache
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from gonio.errors import ConfigError
 from gonio.rig.description import RigDescription
+from gonio.rig.kinematics import View
 from gonio.rig.light_and_camera import Camera
 from gonio.rig.protocols import Target
 from gonio.typing import Floats
-
-if TYPE_CHECKING:
-    from gonio.rig.kinematics import View
 
 Channel = Literal["mono", "R", "G", "B"]
 EDGE_PARTS = 4

@@ -25,7 +25,7 @@ import numpy as np
 
 from gonio.geometry import AT_LIMIT, SAME_ANGLE, Directions
 from gonio.rig import misalignment
-from gonio.rig.description import ArmAxis, Axis, RigDescription
+from gonio.rig.description import ArmAxis, Axis, RigDescription, approach_start
 from gonio.rig.protocols import Pose
 from gonio.typing import Floats
 
@@ -76,10 +76,9 @@ class _Range:
 
     def takes_up_play(self, place: float) -> bool:
         """Whether the approach to a place is as long as the axis's backlash, or as long as it is away from limits."""
-        at, approach, (lower, upper) = math.degrees(place), self.approach_deg, self.limits_deg
-        start = at - approach  # as `RigDescription.approach_starts_deg`
-        start = max(start, min(lower, at)) if approach > 0 else min(start, max(upper, at))
-        return abs(at - start) >= min(self.backlash_deg, abs(approach)) - 1e-9
+        at = math.degrees(place)
+        start = approach_start(at, self.approach_deg, *self.limits_deg)
+        return abs(at - start) >= min(self.backlash_deg, abs(self.approach_deg)) - 1e-9
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,12 +101,10 @@ def _known(description: RigDescription) -> _Known:
     found = _kept.get(id(description))
     if found is not None and found[0] is description:
         return found[1]
-    arms, g = description.arms, description.geometry
-    axes, approach = description.axes(), description.approach_deg()
-    encoders = {"light": arms.light, "camera": arms.camera, "azimuth": arms.azimuth}
+    g, axes, approach = description.geometry, description.axes(), description.approach_deg()
     known = _Known(
         as_meant=description.as_meant,
-        erring={name: axis for name, axis in encoders.items() if axis is not None and axis.harmonics_deg},
+        erring={name: axis for name, axis in description.arms.axes().items() if axis.harmonics_deg},
         blocked_cone=math.asin(min(1.0, g.light_body_radius_mm / g.light_distance_mm))
         + math.asin(min(1.0, g.camera_body_radius_mm / g.camera_distance_mm)),
         ranges=tuple(

@@ -39,7 +39,7 @@ from gonio.rig.bodies import (
     _together,
     placed,
 )
-from gonio.rig.description import Arms, Body, Cable, Geometry, Holder, RigDescription
+from gonio.rig.description import Arms, Body, Cable, Geometry, Holder, RigDescription, approach_start
 from gonio.rig.protocols import Pose
 from gonio.typing import Floats
 
@@ -101,8 +101,7 @@ class Space:
         lows, highs = list(start), list(start)
         for k, name in enumerate(NAMES):
             if name in self.names:
-                (lower, upper), before = self.limits[k], goal[k] - self.approach[k]
-                before = max(before, min(lower, goal[k])) if self.approach[k] > 0 else min(before, max(upper, goal[k]))
+                before = approach_start(goal[k], self.approach[k], *self.limits[k])
                 lows[k] = self.true(k, min(start[k], goal[k], before) - around, -1.0)
                 highs[k] = self.true(k, max(start[k], goal[k], before) + around, 1.0)
         return lows, highs
@@ -449,8 +448,8 @@ def _space(
     for kind, one, other, distance in _pairs(shapes, cables, geometry):
         axes = tuple(sorted({*one.levers(frames), *other.levers(frames)}))
         by_axes.setdefault(axes, []).append((kind, one, other, distance))
-    encoders = {"light": arms.light, "camera": arms.camera, "azimuth": arms.azimuth}
-    rows = [axis.harmonics_deg if (axis := encoders.get(name)) is not None else () for name in NAMES]
+    axes_of_arms = arms.axes()
+    rows = [axes_of_arms[name].harmonics_deg if name in axes_of_arms else () for name in NAMES]
     return Space(
         names=tuple(limits),
         rest=_angles(Pose(**rest)),

@@ -5,25 +5,17 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from gonio.errors import ConfigError, DeviceError
 from gonio.rig.description import RigDescription
-from gonio.rig.light_and_camera import Camera
-from gonio.rig.protocols import Frame, Target
-from gonio.typing import Floats
-
-if TYPE_CHECKING:
-    from gonio.rig.kinematics import View
 from gonio.rig.imaging import (
     Channel,
     _centre,
     _falloff,
     _middle,
-    _on_sensor,
     _project,
     image_distance_mm,
     of_channel,
@@ -33,6 +25,10 @@ from gonio.rig.imaging import (
     pixels_for_each,
     project,
 )
+from gonio.rig.kinematics import View
+from gonio.rig.light_and_camera import Camera
+from gonio.rig.protocols import Frame, Target
+from gonio.typing import Floats
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,9 +131,8 @@ def roi(description: RigDescription, view: View, target: Target = "sample", chan
             "camera.pixel_um and camera.focal_length_mm in the rig file"
         )
     box_cols, box_rows = _span(extent[:2], camera.width), _span(extent[2:], camera.height)
-    x, y = _spots_of(description, view, box_rows, box_cols)
-    x -= centre[0]
-    y -= centre[1]
+    seen = pixel_map(description, view, box_rows, box_cols)
+    x, y = seen.x_mm - centre[0], seen.y_mm - centre[1]
     distance = x * x + y * y  # NaN where a pixel does not see the plane: it is inside of nothing
     if channel != "mono" and camera.pattern != "mono":
         distance[~of_channel(camera.pattern, channel, box_rows, box_cols)] = np.nan
@@ -145,21 +140,6 @@ def roi(description: RigDescription, view: View, target: Target = "sample", chan
     if not inside.any():
         inside = distance <= max(longest**2, np.fmin.reduce(distance, axis=None, initial=np.inf))
     return Roi(box_rows, box_cols, inside)
-
-
-def _spots_of(description: RigDescription, view: View, rows: slice, cols: slice) -> tuple[Floats, Floats]:
-    """x and y [mm] of the spots of a rectangle inside the frame, as `PixelMap` has them; the caller's own arrays."""
-    from gonio.rig._sight_lines import spots
-
-    camera = description.camera
-    if any(camera.distortion):
-        seen = pixel_map(description, view, rows, cols)
-        return seen.x_mm, seen.y_mm
-    u, v = _on_sensor(camera, image_distance_mm(description), rows, cols)
-    by_col, by_row = view.image_x[:, None] * u, view.optical_axis + v[:, None] * view.image_y
-    out = np.empty((4, len(v), len(u)))
-    spots(by_row, by_col, view.camera_mm, view.source_mm, description.geometry.light_distance_mm, *out)
-    return out[0], out[1]
 
 
 @lru_cache(1)
