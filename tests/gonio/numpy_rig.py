@@ -6,7 +6,7 @@ import signal
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 
@@ -145,15 +145,16 @@ class NumpyRig:
 class Plugin:
     """An entry point whose rigs can be looked at afterwards."""
 
-    opened: list[NumpyRig] = field(default_factory=list)
+    opened: list[Any] = field(default_factory=list)
     options: dict[str, object] = field(default_factory=dict)
     toml: str = ""
+    kind: type[NumpyRig] = NumpyRig
 
     def open(
         self, description: RigDescription, *, sample: SampleDescription | None, seed: int, confirm: bool
     ) -> NumpyRig:
-        self.opened.append(NumpyRig(description, seed, **self.options))  # type: ignore[arg-type]
-        return self.opened[-1]
+        self.opened.append(self.kind(description, seed, **self.options))  # type: ignore[arg-type]
+        return self.opened[-1]  # type: ignore[no-any-return]
 
 
 class StopAfter(Silent):

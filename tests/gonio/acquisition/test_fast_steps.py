@@ -23,8 +23,8 @@ from gonio.acquisition.run import Run
 from gonio.errors import DataError
 from gonio.rig import Frame, Step
 from gonio.rig.bands import Bands
-from gonio.rig.description import Acquisition, Reference, RigDescription, SampleDescription
-from tests.gonio.numpy_rig import BANDS, SAMPLE, NumpyRig, describe
+from gonio.rig.description import Acquisition, Reference
+from tests.gonio.numpy_rig import BANDS, SAMPLE, NumpyRig, Plugin, describe
 
 POINTS = 240
 
@@ -47,17 +47,6 @@ class Instant(NumpyRig):
         return Frame(self._mosaic, exposure_s, camera.black_level_dn, camera.white_level_dn, time_s=time_s)
 
 
-@dataclass
-class Opens:
-    dies_at: int = -1
-    toml: str = ""
-
-    def open(
-        self, description: RigDescription, *, sample: SampleDescription | None, seed: int, confirm: bool
-    ) -> Instant:
-        return Instant(description, seed, dies_at=self.dies_at)
-
-
 @pytest.fixture
 def plan(tmp_path: Path) -> Plan:
     (tmp_path / "plan.toml").write_text(
@@ -73,7 +62,8 @@ def measure(plan: Plan, out: Path, *, dies_at: int = -1, resume: bool = False) -
         reference=Reference(every=100, frames=2),
         acquisition=Acquisition(frames=1, dark_frames=2, roi_radius_mm=3.0),
     )
-    return carry_out(plan, RigChoice(Opens(dies_at), description, "instant"), out, sample=SAMPLE, resume=resume)
+    rig = Plugin(options={"dies_at": dies_at}, kind=Instant)
+    return carry_out(plan, RigChoice(rig, description, "instant"), out, sample=SAMPLE, resume=resume)
 
 
 @pytest.fixture

@@ -22,7 +22,7 @@ from gonio.acquisition.stop import Pause
 from gonio.cli.console import _Rest
 from gonio.errors import ConfigError, DataError, DeviceError, Interrupted, PassingFault
 from gonio.rig import Frame
-from gonio.rig.description import Reference, RigDescription, SampleDescription
+from gonio.rig.description import Reference
 from tests.gonio.acquisition.conftest import Measure
 from tests.gonio.numpy_rig import SAMPLE, NumpyRig, Plugin, describe
 
@@ -167,24 +167,14 @@ class Faulty(NumpyRig):
         return super().capture(exposure_s)
 
 
-@dataclass
-class Faults:
-    """Opens one."""
-
-    faults: dict[int, int]
-    repeatable: bool = True
-    toml: str = ""
-
-    def open(
-        self, description: RigDescription, *, sample: SampleDescription | None, seed: int, confirm: bool
-    ) -> Faulty:
-        return Faulty(description, seed, repeatable=self.repeatable, faults=self.faults)
+def faults(by_step: dict[int, int], **options: object) -> Plugin:
+    return Plugin(options={"faults": by_step, **options}, kind=Faulty)
 
 
 def test_a_step_with_a_fault_that_passes_is_taken_again_and_nothing_changes(
     measure: Measure, whole: list[StepRecord]
 ) -> None:
-    run = measure("run", rig=Faults({1: 1, 3: 2, 8: 1}))
+    run = measure("run", rig=faults({1: 1, 3: 2, 8: 1}))
     assert list(run.steps()) == whole
     tried = [(e["step"], e["device"], e["attempt"]) for e in run.events() if e["event"] == "retry"]
     assert tried == [(1, "camera", 1), (3, "camera", 1), (3, "camera", 2), (8, "camera", 1)]
@@ -196,7 +186,7 @@ def test_a_fault_that_does_not_pass_ends_the_run_which_can_go_on(
     measure: Measure, tmp_path: Path, whole: list[StepRecord]
 ) -> None:
     with pytest.raises(DeviceError, match="no frame came within 5 s; step 3 was tried 3 times"):
-        measure("run", rig=Faults({3: 99}))
+        measure("run", rig=faults({3: 99}))
     assert names(Run.open(tmp_path / "run"))[-1] == "device_error"
     assert list(measure("run", resume=True).steps()) == whole
 
@@ -209,7 +199,7 @@ def test_any_other_fault_is_not_tried_again(measure: Measure, tmp_path: Path) ->
 
 def test_after_a_fault_the_lamp_was_dark_so_that_the_reference_is_visited(measure: Measure) -> None:
     rig = describe(reference=Reference(every=3, frames=2, how="axis"))
-    run = measure("run", rig=Faults({3: 1}, repeatable=False), description=rig)
+    run = measure("run", rig=faults({3: 1}, repeatable=False), description=rig)
     kinds = [(event["step"], event["kind"]) for event in run.events() if event["event"] == "step"]
     assert kinds[2:5] == [(2, "point"), (9, "reference"), (3, "point")]
 

@@ -58,6 +58,14 @@ def records(
     return out, took
 
 
+def learnt(steps: Sequence[Step], taken: Sequence[StepRecord]) -> Remaining:
+    """What is left after some of the steps."""
+    remaining = Remaining(DURATIONS, steps, (), simulated=False)
+    for record in taken:
+        remaining.took(record)
+    return remaining
+
+
 def left(remaining: Remaining) -> TimeLeft:
     found = remaining.left
     assert found is not None
@@ -75,9 +83,7 @@ def test_travel_and_frames_are_learnt_apart() -> None:
     """By a third of the run the rest is known within 3 %, where one common factor would be off by 20 % and more."""
     steps = steps_of(120)
     taken, took = records(steps, travel=2.0, frames=0.5, scatter=0.1, seed=1)
-    remaining = Remaining(DURATIONS, steps, (), simulated=False)
-    for record in taken[:40]:
-        remaining.took(record)
+    remaining = learnt(steps, taken[:40])
     assert left(remaining).seconds == pytest.approx(sum(took[40:]), rel=0.03)
     assert left(remaining).u_seconds < 0.1 * left(remaining).seconds
     for record in taken[40:]:
@@ -90,10 +96,7 @@ def test_its_uncertainty_is_honest() -> None:
     steps, off = steps_of(60), []
     for seed in range(60):
         taken, took = records(steps, travel=1.5, frames=1.3, scatter=0.3, seed=seed)
-        remaining = Remaining(DURATIONS, steps, (), simulated=False)
-        for record in taken[:25]:
-            remaining.took(record)
-        found = left(remaining)
+        found = left(learnt(steps, taken[:25]))
         off.append((sum(took[25:]) - found.seconds) / found.u_seconds)
     assert np.mean(np.abs(off) < 1.0) > 0.68
     assert np.mean(np.abs(off) < 2.0) > 0.95
@@ -112,10 +115,7 @@ def test_somebody_at_the_rig_for_an_hour_changes_little() -> None:
         )
         for k, r in enumerate(taken)
     ]
-    remaining = Remaining(DURATIONS, steps, (), simulated=False)
-    for record in late[:40]:
-        remaining.took(record)
-    assert left(remaining).seconds == pytest.approx(sum(took[40:]), rel=0.1)
+    assert left(learnt(steps, late[:40])).seconds == pytest.approx(sum(took[40:]), rel=0.1)
 
 
 def test_a_few_steps_stand_for_those_of_a_long_run() -> None:
@@ -141,9 +141,7 @@ def test_on_a_simulated_rig_the_clock_on_the_wall_counts() -> None:
 def test_steps_that_are_chosen_later_are_taken_for_such_as_were() -> None:
     steps = steps_of(40)
     taken, took = records(steps, travel=1.0, frames=1.0, scatter=0.0, seed=4)
-    remaining = Remaining(DURATIONS, steps, (), simulated=False)
-    for record in taken:
-        remaining.took(record)
+    remaining = learnt(steps, taken)
     remaining.more(10)
     assert left(remaining).seconds == pytest.approx(10 * sum(took[1:]) / len(took[1:]), rel=0.5)  # as mixed as they are
 

@@ -4,25 +4,23 @@ and nothing else is taken for it.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from gonio.acquisition import repair, repeats, session
-from gonio.acquisition.measure import RigChoice, carry_out
-from gonio.acquisition.plan import load_plan
 from gonio.acquisition.run import Run
 from gonio.errors import DataError, DeviceError
 from gonio.reduction import brdf
 from gonio.rig import Frame
 from gonio.rig.light_and_camera import Camera
-from tests.gonio.numpy_rig import PLAN, SAMPLE, NumpyRig, Plugin, describe
+from tests.gonio.acquisition.conftest import Measure
+from tests.gonio.numpy_rig import NumpyRig, Plugin, describe
 
 NOISY = Camera(width=64, height=48, pixel_um=40, exposure_limits_s=(1e-4, 10.0), photon_noise=True)
-Measure = Callable[..., Run]
 
 
 @dataclass
@@ -41,40 +39,27 @@ class Stuck(NumpyRig):
         return frame
 
 
-class OneStuck(Plugin):
-    def open(self, description, *, sample, seed, confirm):  # type: ignore[no-untyped-def]
-        self.opened.append(Stuck(description, seed, **self.options))  # type: ignore[arg-type]
-        return self.opened[-1]
-
-
 @pytest.fixture
-def measure(tmp_path: Path) -> Measure:
-    (tmp_path / "plan.toml").write_text(PLAN)
-    plan = load_plan(tmp_path / "plan.toml")
-
-    def go(plugin: Plugin, *, resume: bool = False, out: str = "run") -> Run:
-        choice = RigChoice(plugin, describe(camera=NOISY), "numpy")
-        return carry_out(plan, choice, tmp_path / out, sample=SAMPLE, seed=1, resume=resume)
-
-    return go
+def measure(measure: Measure) -> Measure:
+    return partial(measure, description=describe(camera=NOISY))
 
 
 @pytest.mark.slow
 def test_the_picture_before_is_known_while_it_is_measured(measure: Measure, tmp_path: Path) -> None:
     with pytest.raises(DeviceError, match=r"step 4: the camera .* gives the same picture twice"):
-        measure(OneStuck())
+        measure(rig=Plugin(kind=Stuck))
     assert list(Run.open(tmp_path / "run").steps().numbers) == [0, 1, 2, 3]
-    again = brdf.reduce(measure(Plugin(), resume=True))
-    assert again.equals(brdf.reduce(measure(Plugin(), out="other")))
+    again = brdf.reduce(measure(resume=True))
+    assert again.equals(brdf.reduce(measure("other")))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("at", [3, 4, 5])
 def test_an_older_picture_is_found_among_the_frames(measure: Measure, monkeypatch: pytest.MonkeyPatch, at: int) -> None:
     """A buffer of several pictures: none is the one before. The check names the step, and it is taken again."""
-    whole = brdf.reduce(measure(Plugin(), out="other"))
+    whole = brdf.reduce(measure("other"))
     monkeypatch.setattr(session, "cannot_be_alike", lambda *args: False)
-    run = measure(OneStuck(options={"at": at, "back": 1}))
+    run = measure(rig=Plugin(options={"at": at, "back": 1}, kind=Stuck))
     with pytest.raises(DataError, match=rf"again under a new header in steps? .*\b{at}\b"):
         brdf.reduce(Run.open(run.path))
     found = repair.check(run.path)
@@ -84,7 +69,7 @@ def test_an_older_picture_is_found_among_the_frames(measure: Measure, monkeypatc
     assert done is not None
     assert any(repeats.REPEATED in text for text in done.damaged)
     monkeypatch.undo()
-    table = brdf.reduce(measure(Plugin(), resume=True))
+    table = brdf.reduce(measure(resume=True))
     assert (table["flag"] == whole["flag"]).all()
     # the step after it looked for its exposure where this one had been: other frames, of the same sample; both tables
     # have their own noise, and 5 sigma leave one of 1e5 such tables out

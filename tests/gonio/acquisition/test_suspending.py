@@ -21,8 +21,8 @@ from gonio.acquisition.run import Run
 from gonio.errors import ConfigError, DeviceError, Interrupted
 from gonio.reduction import brdf
 from gonio.rig import Frame, Health, Reading
-from gonio.rig.description import Reference, RigDescription, SampleDescription
-from tests.gonio.numpy_rig import SAMPLE, NumpyRig, describe
+from gonio.rig.description import Reference
+from tests.gonio.numpy_rig import SAMPLE, NumpyRig, Plugin, describe
 
 HOT = {"quantity": "temperature", "above": 60.0, "hysteresis": 5.0}
 LOCK = {"quantity": "lock", "unless": "locked"}
@@ -61,19 +61,6 @@ class Ward(NumpyRig):
         return frame
 
 
-@dataclass
-class Wards:
-    """An entry point whose rigs share one script."""
-
-    options: dict[str, object]
-    opened: list[Ward] = field(default_factory=list)
-    toml: str = ""
-
-    def open(self, description: RigDescription, *, sample: SampleDescription | None, seed: int, confirm: bool) -> Ward:
-        self.opened.append(Ward(description, seed, **self.options))  # type: ignore[arg-type]
-        return self.opened[-1]
-
-
 class Told(Silent):
     """Somebody who keeps what is said."""
 
@@ -103,7 +90,7 @@ def measure(plan: Plan, tmp_path: Path) -> Measure:
         changes: dict[str, object] | None = None,
         **options: object,
     ) -> tuple[Run, list[Ward], Told]:
-        told, rig = progress or Told(), Wards(options)
+        told, rig = progress or Told(), Plugin(options=options, kind=Ward)
         choice = RigChoice(rig, describe(suspend=rules or {}, **(changes or {})), "numpy")
         run = carry_out(plan, choice, tmp_path / out, sample=SAMPLE, seed=1, resume=resume, progress=told, yes=True)
         return run, rig.opened, told
