@@ -434,9 +434,10 @@ class RigDescription(Strict):
 
         Tilt and spin are both `holder`, each with its own zero where it has one.
         """
-        holder = {name: self.holder.of(name) for name in ("tilt", "spin") if name in self.holder.axes}
-        azimuth = {name: axis for name, axis in self.arms.axes().items() if name == "azimuth"}
-        return {"light": self.arms.light, "camera": self.arms.camera, **holder, **azimuth}
+        arms = self.arms.axes()
+        out: dict[str, Axis] = {"light": arms["light"], "camera": arms["camera"]}
+        out |= {name: self.holder.of(name) for name in ("tilt", "spin") if name in self.holder.axes}
+        return out | arms
 
     def _by_axis(self, key: str) -> dict[str, Any]:
         """A key of each of `axes`; tilt and spin have theirs in the table of the holder."""
