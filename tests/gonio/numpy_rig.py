@@ -154,7 +154,7 @@ class Plugin:
         self, description: RigDescription, *, sample: SampleDescription | None, seed: int, confirm: bool
     ) -> NumpyRig:
         self.opened.append(self.kind(description, seed, **self.options))  # type: ignore[arg-type]
-        return self.opened[-1]  # type: ignore[no-any-return]
+        return self.opened[-1]
 
 
 class StopAfter(Silent):
