@@ -9,10 +9,15 @@ import re
 import stat
 import sys
 from collections.abc import Collection, Iterable, Iterator, Mapping
+from io import BytesIO
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from gonio import platform
-from gonio.errors import ConfigError
+from gonio.errors import ConfigError, DataError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 MANIFEST = "gonio.sha256"
 """The file of a folder that names what this program wrote there."""
@@ -71,6 +76,21 @@ def write_whole(path: Path, data: bytes) -> None:
     staged = Staged(path, data)
     staged.sync()
     staged.settle()
+
+
+def put(path: Path, data: bytes) -> None:
+    """Write a file as `write_whole`; raises `DataError`, which names it, where it cannot be written."""
+    try:
+        write_whole(path, data)
+    except OSError as error:
+        raise DataError(f"{path}: cannot be written: {error.strerror or error}") from None
+
+
+def put_picture(path: Path, figure: Figure) -> None:
+    """Write a figure as PNG; raises `DataError`, which names it, where it cannot be written."""
+    drawn = BytesIO()
+    figure.savefig(drawn, format="png", dpi=110)
+    put(path, drawn.getvalue())
 
 
 def is_stream(path: str | Path) -> bool:

@@ -286,14 +286,12 @@ class ManualRig:
 
     def choose_band(self, wavelength_nm: float) -> None:
         """The band that contains a wavelength [nm] is the one that `lamp` lights from now on."""
-        self._band = self.description.bands.containing(wavelength_nm)
+        self._band = usual_band(self.description, wavelength_nm)
 
     @property
     def band(self) -> Band:
         """The band that `lamp` lights."""
-        if self._band is None:
-            self._band = min(self.description.bands.all(), key=lambda band: abs(band.centre_nm - EYE_NM))
-        return self._band
+        return self._band or usual_band(self.description)
 
     def snap(self, file: str | Path | None = None, *, exposure_s: float | None = None) -> Snapshot:
         """Take a frame, as the lamp is; with `file` it is written, and drawn beside it.
@@ -381,6 +379,13 @@ class ManualRig:
         return ", ".join(
             f"{name} {round(math.degrees(getattr(pose, name)), 2) + 0.0:.2f}" for name in self.description.axes()
         )
+
+
+def usual_band(description: RigDescription, wavelength_nm: float | None = None) -> Band:
+    """The band that contains a wavelength [nm]; without one, that nearest to where an eye sees most."""
+    if wavelength_nm is not None:
+        return description.bands.containing(wavelength_nm)
+    return min(description.bands.all(), key=lambda band: abs(band.centre_nm - EYE_NM))
 
 
 def open_rig(

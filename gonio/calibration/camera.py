@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import datetime
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -18,7 +17,7 @@ from gonio.documents import TomlTable
 from gonio.errors import DataError
 from gonio.reduction.stray_light import spread
 from gonio.rig import Pose
-from gonio.rig.calibrated import Calibration, identity
+from gonio.rig.calibrated import Calibration
 from gonio.rig.calibration_use import ParameterUncertainty
 from gonio.rig.description import RigDescription
 from gonio.rig.imaging import Channel, of_channel
@@ -67,28 +66,15 @@ class CameraCalibration:
     darks: Floats
     """Exposure [s], mean [DN] of each dark frame: shape (2, n)."""
 
-    def file(self, description: RigDescription, *, valid_until: datetime.date | None, maps: str | None) -> Calibration:
+    def file(self, description: RigDescription, *, valid_days: int | None, maps: str | None) -> Calibration:
         """The calibration file; `maps` is the name of the maps' file beside it."""
-        u = np.sqrt(np.diag(self.covariance))
-        safe = np.where(u > 0, u, 1.0)
-        correlation = self.covariance / np.outer(safe, safe)
-        np.fill_diagonal(correlation, 1.0)
-        values = self.values | ({"maps": maps} if maps is not None and self.maps is not None else {})
-        return Calibration(
-            kind="camera",
-            rig=description.name,
-            rig_identity=identity(description),
-            made=datetime.date.today(),
-            valid_until=valid_until,
-            notes=tuple(self.notes),
-            values={"camera": values},
-            uncertainty=ParameterUncertainty(
-                parameters=[f"camera.{name}" for name in self.names],
-                u=[float(f"{value:.6g}") for value in u],
-                correlation=np.clip(np.round(correlation, 6), -1.0, 1.0).tolist(),
-            ),
-            measured=self.measured,
-        )
+        known = ParameterUncertainty.of([f"camera.{name}" for name in self.names], self.covariance)
+        rounded = {"u": [_rounded(u) for u in known.u], "correlation": np.round(known.correlation, 6).tolist()}
+        return Calibration.made_today(
+            "camera", description, valid_days,
+            values={"camera": self.values | ({"maps": maps} if maps is not None and self.maps is not None else {})},
+            uncertainty=known.model_copy(update=rounded), measured=self.measured, notes=self.notes,
+        )  # fmt: skip
 
 
 def calibrate(

@@ -9,13 +9,14 @@ import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from gonio import platform
+from gonio.by_hand.assistant import Assistant
+from gonio.cli import console
 from gonio.cli.jog_keys import End, Jog, JogKeys, Line
-
-if TYPE_CHECKING:
-    from gonio.by_hand.assistant import Assistant
+from gonio.cli.opened import holding, manual_rig_of, require_new, told_where
+from gonio.live.alignment import AlignmentPage
+from gonio.live.server import Server
 
 REFRESH_S = 0.25
 CLEAR = "\r\x1b[K"
@@ -24,29 +25,12 @@ END_S = 0.7
 
 
 def live(
-    rig: str,
-    out: Path,
-    *,
-    sample: Path | None,
-    seed: int,
-    host: str,
-    port: int,
-    keep_s: float,
-    wavelength: float | None,
-) -> None:
+    rig: str, out: Path, sample: Path | None, *,
+    seed: int, host: str, port: int, keep_s: float, wavelength: float | None,
+) -> None:  # fmt: skip
     """The session, until `quit`, the end of the input, or a signal. The lamp is dark afterwards, and the arms hold."""
-    from gonio.by_hand.assistant import Assistant
-    from gonio.cli import console
-    from gonio.cli.by_hand import _told_where, manual_rig_of
-    from gonio.errors import ConfigError
-    from gonio.live.alignment import AlignmentPage
-    from gonio.live.server import Server
-
     file = Path(rig) if Path(rig).is_file() else None
-    if out.exists():
-        raise ConfigError(f"{out}: is there already; name another file with --out")
-    if out.suffix != ".toml" or not out.absolute().parent.is_dir():
-        raise ConfigError(f"--out {out}: must end with .toml, and lie in a folder that is there")
+    require_new(out)
     manual = manual_rig_of(rig, "arms", "light", "camera", sample=sample, seed=seed)
     if wavelength is not None:
         manual.choose_band(wavelength)
@@ -55,7 +39,7 @@ def live(
     with Server(page.routes, page.events, host, port) as server:
         print(server.address, flush=True)
         try:
-            with _told_where(manual), manual, terminal.listening(assistant):
+            with told_where(manual), manual, terminal.listening(assistant):
                 if manual.can_hold:
                     manual.hold()
                 terminal.say("lamp on lights the lamp; help lists what else there is")
@@ -64,8 +48,7 @@ def live(
             page.end(dark=bool(getattr(manual.light, "known_dark", not assistant.timer.left_s)))
             if page.seen:
                 time.sleep(END_S)
-    holds = manual.can_hold and not manual.repeatable
-    console.note("the lamp is dark" + ("; the axes hold, until gonio rig park" if holds else ""))
+    console.note(holding(manual))
 
 
 class Terminal:

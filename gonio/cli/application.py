@@ -234,21 +234,7 @@ def build() -> typer.Typer:
     import typer
 
     from gonio import plugins
-    from gonio.cli import (
-        align,
-        by_hand,
-        calibrate_camera,
-        calibrate_geometry,
-        calibrate_light,
-        measuring,
-        new_rig,
-        options,
-        plans,
-        rigs,
-        runs,
-        servos,
-        tables,
-    )
+    from gonio.cli import by_hand, calibrate, measuring, new_rig, options, plans, rigs, runs, servos, tables
 
     points = plugins.available("gonio.commands")
     app = typer.Typer(
@@ -264,10 +250,9 @@ def build() -> typer.Typer:
         },
     )
     app.callback()(options.options)
-    assert by_hand.app is servos.app is align.app is new_rig.app is rigs.app  # all put their commands into one
-    assert calibrate_geometry.app is calibrate_camera.app is calibrate_light.app
+    assert by_hand.app is servos.app is new_rig.app is rigs.app  # all put their commands into one
     app.add_typer(rigs.app, name="rig")
-    app.add_typer(calibrate_geometry.app, name="calibrate")
+    app.add_typer(calibrate.app, name="calibrate")
     app.add_typer(plans.app, name="plan")
     app.command()(measuring.measure)
     app.command()(measuring.reduce)

@@ -1,4 +1,4 @@
-"""`gonio rig move | read | lamp | snap | scan | park | dark`: one device at a time.
+"""`gonio rig move | read | lamp | snap | scan | align | park | dark`: one device at a time.
 
 And `acknowledge`, after an emergency stop.
 
@@ -13,30 +13,28 @@ import math
 import sys
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from gonio.cli import console
+from gonio.cli.opened import choice_of, holding, manual_rig_of, told_dark, told_where
+from gonio.cli.options import AsJson, Axis, RigOption, SampleOption, Search, Seed, WavelengthOption, Yes
+from gonio.cli.pace import Pace
 from gonio.cli.rigs import app
 from gonio.cli.signals import undisturbed
 from gonio.documents import JsonObject
+from gonio.errors import ConfigError, DeviceError, Disturbed, GonioError, Interrupted
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from gonio.acquisition.measure import RigChoice
     from gonio.by_hand.manual_rig import ManualRig
     from gonio.rig import Device, Health
 
 __all__ = ["app"]
 
-RigOption = Annotated[str, typer.Option(help="A rig's name, or a rig file.", show_default=False)]
-SampleOption = Annotated[Path | None, typer.Option(help="What a simulated rig looks at: a sample.toml.")]
-WavelengthOption = Annotated[
-    float | None, typer.Option("--wavelength-nm", help="The band that contains it [nm].", show_default=False)
-]
 OVERDUE_S = 10.0
 """A lamp is late by so much where the command that should have darkened it stands still; opening it is in that."""
 LOOK_S = 1.0
@@ -58,14 +56,13 @@ def move(
     rig: RigOption,
 ) -> None:  # fmt: skip
     """Move axes, or all of them to directions. They hold where they landed, until `gonio rig park`."""
-    from gonio.cli import console
 
     wanted = _angles(goals)
     manual = manual_rig_of(rig, "arms")
     manual.goals(**wanted)  # whatever is wrong with them is said before anything is opened
     if manual.repeatable:
         console.note("a simulated rig exists for the length of one command, and starts parked")
-    with _told_where(manual), manual:
+    with told_where(manual), manual:
         if manual.can_hold:
             manual.hold()
         moved = manual.move(**wanted)
@@ -85,15 +82,13 @@ def move(
 @app.command()
 def park(rig: RigOption) -> None:
     """Darken the lamp, and drive every axis to its rest position; each whatever the other does."""
-    from gonio.cli import console
-    from gonio.errors import DeviceError, GonioError
 
     name = choice_of(rig).description.name
     done, failures = [], []
     for device, text in (("light", "lamp dark"), ("arms", "arms parked")):
         try:
             manual = manual_rig_of(rig, device)  # type: ignore[arg-type]
-            with _told_where(manual, device):
+            with told_where(manual) if device == "arms" else told_dark(manual):
                 _leave_in_order(manual, device)
             done.append(text)
         except DeviceError as failure:
@@ -112,7 +107,6 @@ def park(rig: RigOption) -> None:
 
 def _leave_in_order(manual: ManualRig, device: str) -> None:
     """Entering darkens, and leaving parks; arms that are stopped on the way hold, and do not fall."""
-    from gonio.errors import DeviceError, Interrupted
 
     failure: DeviceError | None = None
     with manual:
@@ -131,8 +125,6 @@ def _leave_in_order(manual: ManualRig, device: str) -> None:
 @app.command()
 def acknowledge(rig: RigOption) -> None:
     """After an emergency stop: you have removed its cause. Nothing moves or lights up before."""
-    from gonio.cli import console
-    from gonio.errors import ConfigError
 
     choice = choice_of(rig)
     said = getattr(choice.plugin, "acknowledge", None)
@@ -149,10 +141,9 @@ def acknowledge(rig: RigOption) -> None:
 @app.command()
 def dark(rig: RigOption) -> None:
     """Darken the lamp; needs nothing else."""
-    from gonio.cli import console
 
     manual = manual_rig_of(rig, "light")
-    with _told_dark(manual), manual:
+    with told_dark(manual), manual:
         manual.lamp(False)
     console.note(f"{manual.description.name}: lamp dark" + ("" if hasattr(manual, "only") else ", arms parked"))
 
@@ -165,8 +156,6 @@ def lamp(
     wavelength: WavelengthOption = None,
 ) -> None:
     """Light the lamp for a while. It is dark at the end of the time, on Ctrl-C, and when this program is killed."""
-    from gonio.cli import console
-    from gonio.errors import ConfigError
 
     if level == "off":
         return dark(rig)
@@ -183,7 +172,7 @@ def lamp(
     manual = manual_rig_of(rig, "light")
     if hasattr(manual.light, "limit_s"):
         manual.light.limit_s = seconds + OVERDUE_S
-    with _told_dark(manual):
+    with told_dark(manual):
         with manual:
             end = time.monotonic() + seconds
             manual.lamp(wanted, wavelength_nm=wavelength)
@@ -196,8 +185,6 @@ def lamp(
 def _count_down(manual: ManualRig, end: float) -> None:
     """Wait for the end, and look at the lamp meanwhile, where its driver can."""
     from gonio.acquisition.suspending import wait
-    from gonio.cli import console
-    from gonio.errors import Disturbed
 
     terminal = sys.stderr.isatty()
     while (left := end - time.monotonic()) > 0:
@@ -219,13 +206,10 @@ def _count_down(manual: ManualRig, end: float) -> None:
 @app.command()
 def read(
     rig: RigOption,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Read angles, temperatures, currents, voltages, lamp and camera; changes nothing. Exit 3 if one says nothing."""
     from rich.text import Text
-
-    from gonio.cli import console
-    from gonio.errors import DeviceError
 
     manual = manual_rig_of(rig)
     if not hasattr(manual, "survey"):
@@ -280,19 +264,17 @@ def snap(
     lit: Annotated[bool, typer.Option("--lamp", help="With the lamp on; without it, as it is.")] = False,
     wavelength: WavelengthOption = None,
     sample: SampleOption = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Take a frame. Beside it FILE-view.png: the frame with the patch that a measurement would use, and a histogram."""
     from gonio.by_hand.snapshot import require_free
-    from gonio.cli import console
-    from gonio.errors import ConfigError
 
     if wavelength is not None and not lit:
         raise ConfigError("--wavelength-nm chooses the band of the lamp, which stays as it is: give --lamp as well")
     require_free(file)
     devices: tuple[Device, ...] = ("camera", "light") if lit else ("camera",)
     manual = manual_rig_of(rig, *devices, sample=sample)
-    with _told_dark(manual) if lit else contextlib.nullcontext(), manual:
+    with told_dark(manual) if lit else contextlib.nullcontext(), manual:
         if manual.can_hold:
             manual.hold()
         if lit:
@@ -311,8 +293,6 @@ def snap(
 
 
 def _show_scan(table: pd.DataFrame, axis: str) -> None:
-    from gonio.cli import console
-
     good = table[table["flag"] == ""]
     if len(good):
         signals, places = good["signal_dn_per_s"].to_numpy(), good["angle_deg"].to_numpy()
@@ -324,7 +304,7 @@ def _show_scan(table: pd.DataFrame, axis: str) -> None:
 
 @app.command()
 def scan(
-    axis: Annotated[str, typer.Argument(help="light, camera, tilt, spin or azimuth.", show_default=False)],
+    axis: Axis,
     rig: RigOption,
     start: Annotated[float, typer.Option("--from", help="First angle [deg].", show_default=False)],
     stop: Annotated[float, typer.Option("--to", help="Last angle [deg].", show_default=False)],
@@ -341,13 +321,11 @@ def scan(
     ] = None,
     wavelength: WavelengthOption = None,
     sample: SampleOption = None,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of a simulated rig.")] = 0,
+    seed: Seed = 0,
 ) -> None:  # fmt: skip
     """Scan an axis with the lamp on: a table of signal against angle, and its plot. The lamp is dark afterwards."""
     from gonio.by_hand.scan import angles_between
     from gonio.by_hand.scan import write as write_scan
-    from gonio.cli import console
-    from gonio.errors import ConfigError
 
     file = _scan_file(axis, out)
     angles = [math.radians(angle) for angle in angles_between(start, stop, step)]
@@ -363,7 +341,7 @@ def scan(
         manual.choose_band(wavelength)
     taken: list[pd.DataFrame] = []
     try:
-        with _told_where(manual), manual, _progress() as progress:
+        with told_where(manual), manual, _progress() as progress:
 
             def keep(table: pd.DataFrame, total: int) -> None:
                 taken[:] = [table]
@@ -380,15 +358,11 @@ def scan(
                 picture = write_scan(taken[0], file)
             console.note(f"{file}, {picture.name}: {len(taken[0])} of {len(angles)} angles")
     _show_scan(taken[0], axis)
-    holds = manual.can_hold and not manual.repeatable
-    console.note("the lamp is dark" + ("; the axes hold, until gonio rig park" if holds else ""))
+    console.note(holding(manual))
 
 
 @contextlib.contextmanager
 def _progress() -> Iterator[Callable[[int, int], None]]:
-    from gonio.cli import console
-    from gonio.cli.pace import Pace
-
     if sys.stderr.isatty():
         with console.counter("scanning") as progress:
             yield progress
@@ -403,7 +377,6 @@ def _progress() -> Iterator[Callable[[int, int], None]]:
 
 
 def _scan_file(axis: str, out: Path | None) -> Path:
-    from gonio.errors import ConfigError
 
     file, number = out or Path(f"scan-{axis}.csv"), 1
     while file.exists() or file.with_suffix(".png").exists():
@@ -418,32 +391,50 @@ def _scan_file(axis: str, out: Path | None) -> Path:
     return file
 
 
+@app.command()
+def align(
+    rig: RigOption,
+    out: Annotated[Path, typer.Option(help="The copy of the rig file, with the zeros in it.")] = Path("aligned.toml"),
+    only: Annotated[
+        Literal["both", "mirror", "straight"], typer.Option(help="Which scans; each alone leaves something open.")
+    ] = "both",
+    search: Search = 5.0,
+    again: Annotated[
+        list[Path] | None,
+        typer.Option("--from", help="Scans of an earlier alignment: fit these; moves nothing.", show_default=False),
+    ] = None,
+    seed: Seed = 0,
+    yes: Yes = False,
+    live: Annotated[
+        bool, typer.Option("--live", help="No scans: a live picture on a page, and a prompt to jog and set zeros.")
+    ] = False,
+    keep: Annotated[float, typer.Option(min=1, max=3600, help="--live: dark so long after a key [s].")] = 60.0,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="--live: of the page; 0 takes any that is free.")] = 0,
+    host: Annotated[str, typer.Option(help="--live: serve the page there; by default, here alone.")] = "127.0.0.1",
+    wavelength: WavelengthOption = None,
+    sample: SampleOption = None,
+) -> None:
+    """Find the zeros of light, camera, tilt and azimuth, and write them into a copy of the rig file.
+
+    Beside OUT: OUT-scans.csv, to fit again, and OUT-residuals.png. The lamp is dark and the arms parked afterwards.
+    With --live a person aligns: the first line is the address of a page with the camera's picture.
+    """
+    from gonio.cli import align as by_scans
+    from gonio.cli import align_live
+
+    if not live:
+        by_scans.align(rig, out, only, again or (), search_deg=search, seed=seed, yes=yes)
+    elif again:
+        raise ConfigError("--from belongs to scans, and --live makes none: leave one of them away")
+    else:
+        align_live.live(rig, out, sample, seed=seed, host=host, port=port, keep_s=keep, wavelength=wavelength)
+
+
 # ---- inside ----
-
-
-def choice_of(rig: str, *, without: str = "") -> RigChoice:
-    """The rig, without calibrations of one kind; a lamp is used by hand without its warm-up."""
-    from gonio.acquisition.measure import find_rig
-
-    choice = find_rig(rig, without=without)
-    description = choice.description
-    cold = description.lamp.model_copy(update={"warm_up_s": 0.0})
-    return replace(choice, description=description.model_copy(update={"lamp": cold}))
-
-
-def manual_rig_of(rig: str, *only: Device, sample: Path | None = None, seed: int = 0, without: str = "") -> ManualRig:
-    """The rig with those devices to open (all, without names), and not entered yet; see `choice_of`."""
-    from gonio.acquisition.measure import load_sample
-    from gonio.by_hand.manual_rig import ManualRig
-
-    choice = choice_of(rig, without=without)
-    described = load_sample(sample) if sample is not None else None
-    return ManualRig(choice.open(sample=described, seed=seed, by_hand=True), choice.source, only)
 
 
 def _angles(texts: list[str]) -> dict[str, float]:
     """`light=30` as {"light": 30 degrees in radians}."""
-    from gonio.errors import ConfigError
 
     out: dict[str, float] = {}
     for text in texts:
@@ -458,47 +449,3 @@ def _angles(texts: list[str]) -> dict[str, float]:
             raise ConfigError(f"{name} is given twice")
         out[name] = angle
     return out
-
-
-@contextlib.contextmanager
-def _told_dark(manual: ManualRig) -> Iterator[None]:
-    """A command that lights nothing for longer: a lamp that could not be darkened has raised an error of its own."""
-    from gonio.errors import Interrupted
-
-    try:
-        yield
-    except (KeyboardInterrupt, Interrupted):
-        dark = getattr(manual.light, "known_dark", True)
-        now = "the lamp is dark" if dark else "whether the lamp is dark is not known: look at it"
-        raise Interrupted(f"interrupted; {now}") from None
-
-
-@contextlib.contextmanager
-def _told_where(manual: ManualRig, device: str = "arms") -> Iterator[None]:
-    """Whatever ends a motion early: say where every axis stands now, and whether it holds."""
-    from gonio.cli import console
-    from gonio.errors import DeviceError, Interrupted
-
-    if device != "arms":
-        with _told_dark(manual):
-            yield
-        return
-    try:
-        yield
-    except (KeyboardInterrupt, Interrupted):
-        raise Interrupted(f"interrupted; {_where(manual)}") from None
-    except DeviceError:
-        if manual.entered:
-            console.note(_where(manual))
-        raise
-
-
-def _where(manual: ManualRig) -> str:
-    from gonio.rig.whereabouts import axes_stand
-
-    if manual.entered and hasattr(manual, "left"):
-        said: str = manual.left()
-        return said
-    if not hasattr(manual, "survey"):
-        return "where the axes stand is not known: look at them"
-    return axes_stand(manual.read_arms, manual.description.axes())

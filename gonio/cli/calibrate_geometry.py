@@ -2,126 +2,66 @@
 
 from __future__ import annotations
 
-import datetime
 from collections.abc import Sequence
-from dataclasses import replace
-from io import BytesIO
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
 
-import typer
+import numpy as np
 
-from gonio.cli.calibrate import app
+from gonio.acquisition.measure import RigChoice, find_rig
+from gonio.by_hand.manual_rig import ManualRig
+from gonio.calibration import camera_check, fiducials, intrinsics
+from gonio.calibration import geometry as geometric
+from gonio.calibration import geometry_scans as poses
+from gonio.calibration.geometry import Sighting
+from gonio.calibration.geometry_scans import GeometryScans, Kept, read_sightings, reversed_approach
+from gonio.calibration.intrinsics import Intrinsics
+from gonio.cli import console, opened
+from gonio.cli.align import PROMPTS
+from gonio.config import numbers_in
+from gonio.disk import put_picture
 from gonio.documents import TomlTable
+from gonio.errors import ConfigError, DataError
+from gonio.rig import Device, Step
+from gonio.rig.calibrated import Calibration, with_keys, write_calibration
+from gonio.rig.calibration_use import ParameterUncertainty
+from gonio.rig.description import RigDescription
 from gonio.shown import apart
-
-if TYPE_CHECKING:
-    from gonio.acquisition.measure import RigChoice
-    from gonio.calibration.geometry import Fit, Sighting
-    from gonio.calibration.intrinsics import Intrinsics
-    from gonio.rig.calibrated import Calibration
-    from gonio.rig.description import RigDescription
-    from gonio.typing import Floats
-
-__all__ = ["app"]
+from gonio.typing import Floats
 
 PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".dng")
 HOLDERS = ("mirror", "empty")
 QUICK = 0.25
-Given = tuple[list[str], "Floats", "Floats"]
+"""Share of the poses."""
+DEVICES: tuple[Device, ...] = ("arms", "light", "camera")
+Given = tuple[list[str], Floats, Floats]
+"""Paths, values and covariance of numbers that pictures of a board have told."""
 
 
-def _required(out: Path | None) -> Path:
-    """The file to write, which must not be there."""
-    from gonio.errors import ConfigError
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """How the rig is driven: the options of the command."""
 
-    if out is None:
-        raise ConfigError("--out CALIBRATION.toml is missing")
-    if out.exists():
-        raise ConfigError(f"{out}: is there already; name another file with --out")
-    if out.suffix != ".toml" or not out.absolute().parent.is_dir():
-        raise ConfigError(f"--out {out}: must end with .toml, and lie in a folder that is there")
-    return out
+    holder: str | None
+    search_deg: float
+    share: float
+    """Of the poses."""
+    seed: int
+    yes: bool
 
-
-@app.command()
-def geometry(
-    rig: Annotated[str, typer.Option(help="A rig's name, or a rig file.", show_default=False)],
-    out: Annotated[Path | None, typer.Option(help="The calibration file.", show_default=False)] = None,
-    images: Annotated[
-        Path | None, typer.Option(help="A folder of pictures of a ChArUco board.", show_default=False)
-    ] = None,
-    board: Annotated[
-        Path | None, typer.Option(help="The board: a .toml, or OpenCV's .yml.", show_default=False)
-    ] = None,
-    holder: Annotated[
-        str | None,
-        typer.Option(help="What is put into the holder, by commas: mirror, empty. Without it both, where the arms can "
-                          "face each other; with --images, none.", show_default=False),
-    ] = None,
-    scans: Annotated[
-        Path | None, typer.Option(help="Kept sightings: fit these again; moves nothing.", show_default=False)
-    ] = None,
-    print_fiducials: Annotated[
-        Path | None,
-        typer.Option(help="Write the sheet of the holder's markers (.svg, .png), and nothing else.",
-                     show_default=False),
-    ] = None,
-    valid_days: Annotated[int, typer.Option(min=1, help="How long the calibration may be used.")] = 365,
-    search: Annotated[float, typer.Option(min=1, max=30, help="How far to look for the lamp [deg].")] = 8.0,
-    quick: Annotated[bool, typer.Option("--quick", help="A quarter of the poses: known half as well.")] = False,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of a simulated rig.")] = 0,
-    yes: Annotated[bool, typer.Option("--yes", "-y", help="Ask nobody: what has to lie in the holder does.")] = False,
-) -> None:  # fmt: skip
-    """Calibrate a rig's geometry: the lens from pictures of a board; zeros, encoders, axes, holder from frames.
-
-    Beside OUT: OUT-sightings/, all that was seen, to fit again with --scans; and OUT-residuals.png.
-    """
-    from gonio.acquisition.measure import find_rig
-    from gonio.errors import ConfigError
-
-    choice = find_rig(rig, without="geometry")
-    if print_fiducials is not None:
-        _print_sheet(choice.description, rig, print_fiducials)
-        return
-    out = _required(out)
-    if (images is None) != (board is None):
-        raise ConfigError("--images and --board go together: pictures, and the file of the board that they show")
-    holders = _holders(holder)
-    intrinsics = _intrinsics(choice.description, images, board) if images and board else None
-    lens: tuple[RigDescription, Given | None] = choice.description, None
-    if intrinsics is not None:
-        lens = _with_lens(choice.description, intrinsics)
-    sightings: Sequence[Sighting] = ()
-    contradiction = ""
-    if scans is not None:
-        from gonio.calibration.geometry_scans import read_sightings
-
-        if holder is not None:
-            raise ConfigError("--scans fits what was kept: --holder has nothing to do there")
-        sightings = read_sightings(scans)
-        _require_axes(sightings, choice.description, scans)
-    elif holders or intrinsics is None:
-        asked, share = (choice, out, holders or None), QUICK if quick else 1.0
-        sightings, contradiction = _measured(*asked, search=search, share=share, seed=seed, yes=yes)
-    _finish(out, choice.description, *lens, intrinsics, sightings, valid_days, contradiction)
+    @property
+    def holders(self) -> list[str]:
+        """What is put into the holder; raises `ConfigError` where it is none of `HOLDERS`."""
+        names = [name.strip() for name in self.holder.split(",")] if self.holder is not None else []
+        wrong = [name for name in names if name not in HOLDERS]
+        if wrong:
+            raise ConfigError(f'--holder "{self.holder}": "{wrong[0]}" is none of {", ".join(HOLDERS)}')
+        return names
 
 
-def _holders(text: str | None) -> list[str]:
-    from gonio.errors import ConfigError
-
-    names = [name.strip() for name in text.split(",")] if text is not None else []
-    wrong = [name for name in names if name not in HOLDERS]
-    if wrong:
-        raise ConfigError(f'--holder "{text}": "{wrong[0]}" is none of {", ".join(HOLDERS)}')
-    return names
-
-
-def _print_sheet(description: RigDescription, rig: str, file: Path) -> None:
-    from gonio.calibration import fiducials
-    from gonio.cli import console
-    from gonio.errors import ConfigError
-
+def print_sheet(rig: str, file: Path) -> None:
+    """Write the sheet of a holder's markers; raises `ConfigError` where the rig file has none, or the file is there."""
+    description = find_rig(rig, without="geometry").description
     marks = description.holder.fiducials
     if marks is None:
         raise ConfigError(
@@ -134,16 +74,47 @@ def _print_sheet(description: RigDescription, rig: str, file: Path) -> None:
     console.show(f"{file}: {marks.count} markers of {marks.dictionary}; print at 100 %, and measure the 20 mm")
 
 
-def _require_axes(sightings: Sequence[Sighting], description: RigDescription, scans: Path) -> None:
-    from gonio.errors import DataError
+def calibrate(
+    rig: str, out: Path | None, images: Path | None, board: Path | None, scans: Path | None, asked: Asked,
+    valid_days: int,
+) -> None:  # fmt: skip
+    """Fit lens and geometry to pictures of a board, and to sightings that are kept or made now.
 
-    axes = set(description.axes())
+    Raises
+    ------
+    ConfigError
+        Options are missing, wrong, or do not go together.
+    DataError
+        Pictures or sightings determine nothing, or do not go with the rig.
+    """
+    choice = find_rig(rig, without="geometry")
+    if out is None:
+        raise ConfigError("--out CALIBRATION.toml is missing")
+    opened.require_new(out)
+    if (images is None) != (board is None):
+        raise ConfigError("--images and --board go together: pictures, and the file of the board that they show")
+    holders, filed = asked.holders, choice.description
+    lens = _lens(filed, images, board) if images is not None and board is not None else None
+    sightings: Sequence[Sighting] = ()
+    contradiction = ""
+    if scans is not None:
+        if asked.holder is not None:
+            raise ConfigError("--scans fits what was kept: --holder has nothing to do there")
+        sightings = read_sightings(scans)
+        _require_axes(sightings, filed, scans)
+    elif holders or lens is None:
+        sightings, contradiction = _measured(choice, out, holders or None, asked)
+    _finish(out, filed, lens, sightings, valid_days, [f"WARNING: {contradiction}"] if contradiction else [])
+
+
+def _require_axes(sightings: Sequence[Sighting], description: RigDescription, scans: Path) -> None:
+    axes, marks = description.axes(), description.holder.fiducials
     for s in sightings:
-        if set(s.encoder_deg) != axes:
+        if set(s.encoder_deg) != set(axes):
             raise DataError(
                 f"{scans}: was made with the axes {', '.join(s.encoder_deg)}, and the rig has {', '.join(axes)}"
             )
-        if s.corners and (marks := description.holder.fiducials) is None:
+        if s.corners and marks is None:
             raise DataError(f"{scans}: shows markers, and the rig file has no [holder.fiducials]")
         if s.corners and marks is not None and max(s.corners) >= 4 * marks.count:
             raise DataError(f"{scans}: shows more markers than holder.fiducials.count = {marks.count}")
@@ -152,10 +123,7 @@ def _require_axes(sightings: Sequence[Sighting], description: RigDescription, sc
 # ---- the lens ----
 
 
-def _intrinsics(description: RigDescription, images: Path, board: Path) -> Intrinsics:
-    from gonio.calibration import intrinsics
-    from gonio.errors import DataError
-
+def _lens(description: RigDescription, images: Path, board: Path) -> Intrinsics:
     if not images.is_dir():
         raise DataError(f"{images}: is no folder of pictures")
     files = sorted(f for f in images.iterdir() if f.suffix.lower() in PICTURES)
@@ -166,88 +134,73 @@ def _intrinsics(description: RigDescription, images: Path, board: Path) -> Intri
 
 
 def _with_lens(description: RigDescription, found: Intrinsics) -> tuple[RigDescription, Given]:
-    """A rig with the lens of the pictures; and the paths, values and covariance of what is known of it."""
-    import numpy as np
-
-    from gonio.rig.calibrated import with_keys
-
-    camera, v = description.camera, found.values
-    image_mm = 1e-3 * camera.pixel_um * v["f"]
+    """A rig with the lens of the pictures, and what is known of it."""
+    camera, (f, c_x, c_y, *bent) = description.camera, (found.values[name] for name in intrinsics.NAMES)
+    image_mm = 1e-3 * camera.pixel_um * f
     focal_mm = 1.0 / (1.0 / image_mm + 1.0 / description.geometry.camera_distance_mm)
-    beside = v["c_x"] - 0.5 * (camera.width - 1), v["c_y"] - 0.5 * (camera.height - 1)
-    keys = {
-        "focal_length_mm": focal_mm, "principal_point_px": list(beside),
-        "distortion": [v["k1"], v["k2"], v["p1"], v["p2"], 0.0],
-    }  # fmt: skip
-    paths = ["camera.focal_length_mm", *(f"camera.principal_point_px[{k}]" for k in (0, 1))]
-    paths += [f"camera.distortion[{k}]" for k in range(4)]
-    scale = np.ones(7)
-    scale[0] = 1e-3 * camera.pixel_um * (focal_mm / image_mm) ** 2
-    values = np.array([focal_mm, *beside, v["k1"], v["k2"], v["p1"], v["p2"]])
-    return (
-        with_keys(description, {"camera": keys}, "the pictures' lens"),
-        (paths, values, found.covariance * np.outer(scale, scale)),
-    )
+    beside = [c_x - 0.5 * (camera.width - 1), c_y - 0.5 * (camera.height - 1)]
+    keys = {"focal_length_mm": focal_mm, "principal_point_px": beside, "distortion": [*bent, 0.0]}
+    paths = [
+        "camera.focal_length_mm", *(f"camera.principal_point_px[{k}]" for k in (0, 1)),
+        *(f"camera.distortion[{k}]" for k in range(4)),
+    ]  # fmt: skip
+    scale = np.array([1e-3 * camera.pixel_um * (focal_mm / image_mm) ** 2, *np.ones(6)])
+    known = paths, np.array([focal_mm, *beside, *bent]), found.covariance * np.outer(scale, scale)
+    return with_keys(description, {"camera": keys}, "the pictures' lens"), known
 
 
 # ---- frames ----
 
 
 def _measured(
-    choice: RigChoice, out: Path, holders: list[str] | None, *, search: float, share: float, seed: int, yes: bool
-) -> tuple[Sequence[Sighting], str]:
-    """Drive the rig, and keep what was seen beside OUT; with what speaks against the rig file's camera.
-
-    `share`: of the poses.
-    """
-
-    from gonio.by_hand.manual_rig import ManualRig
-    from gonio.calibration import camera_check
-    from gonio.calibration import geometry_scans as poses
-    from gonio.calibration.geometry_scans import GeometryScans, Kept, reversed_approach
-    from gonio.cli import console
-    from gonio.cli.align import _dark, _put
-    from gonio.cli.by_hand import _told_where
-    from gonio.errors import ConfigError
-    from gonio.rig import Device, Step
-
+    choice: RigChoice, out: Path, holders: list[str] | None, asked: Asked
+) -> tuple[Sequence[Sighting], str]:  # fmt: skip
+    """Drive the rig, and keep what was seen beside OUT; with what speaks against the rig file's camera."""
     folder = out.with_name(f"{out.stem}-sightings")
     if folder.exists():
         raise ConfigError(f"{folder}: is there already; fit it with --scans {folder}, or name another --out")
-    devices: tuple[Device, ...] = ("arms", "light", "camera")
-    rig = choice.open(seed=seed, confirm=False, by_hand=True)
-    manual = ManualRig(rig, choice.source, devices)
-    scans = GeometryScans(manual, search_deg=search, say=console.note, keep=lambda s, f: kept.keep(s, f))
+
+    def by_hand(choice: RigChoice) -> tuple[ManualRig, GeometryScans]:
+        manual = ManualRig(choice.open(seed=asked.seed, confirm=False, by_hand=True), choice.source, DEVICES)
+        return manual, GeometryScans(
+            manual,
+            search_deg=asked.search_deg,
+            say=console.note,
+            keep=lambda sighting, frames: kept.keep(sighting, frames),
+        )
+
+    def number(poses: int) -> int:
+        return round(asked.share * poses)
+
+    manual, scans = by_hand(choice)
     wanted = holders or list(HOLDERS)
     if "empty" in wanted and not scans.facing():
-        if holders is not None and wanted == ["empty"]:
+        if wanted == ["empty"]:
             raise ConfigError(f"{choice.source}: {scans.why_not_facing()}")
         console.note(f"{choice.source}: {scans.why_not_facing()}. There are no straight-through frames")
         wanted.remove("empty")
     kept, contradiction = Kept(folder), ""
-    with _told_where(manual), manual:
+    with opened.told_where(manual), manual:
         if "mirror" in wanted:
-            _put(manual, "mirror", yes=yes)
+            opened.put(manual, "mirror", PROMPTS["mirror"], yes=asked.yes)
             if contradiction := camera_check.contradictions(manual):
                 console.note(f"WARNING: {contradiction}")
-            scans.mirror_frames(round(share * poses.MIRROR_POSES))
+            scans.mirror_frames(number(poses.MIRROR_POSES))
             if manual.description.holder.fiducials is not None:
-                scans.marker_frames(round(share * poses.MARKER_POSES))
+                scans.marker_frames(number(poses.MARKER_POSES))
         sums, across = scans.where
         if "empty" in wanted:
-            _dark(manual)
-            _put(manual, "empty", yes=yes)
-            scans.straight_frames(round(share * poses.STRAIGHT_POSES))
-        _dark(manual)
+            manual.lamp(False)  # hands are in the beam now
+            opened.put(manual, "empty", PROMPTS["empty"], yes=asked.yes)
+            scans.straight_frames(number(poses.STRAIGHT_POSES))
+        manual.lamp(False)
     if "mirror" in wanted and any(a.backlash_deg for a in choice.description.axes().values()):
-        straight = replace(choice, description=reversed_approach(choice.description))
-        again = ManualRig(straight.open(seed=seed, confirm=False, by_hand=True), choice.source, devices)
-        with _told_where(again), again:
+        again, backwards = by_hand(replace(choice, description=reversed_approach(choice.description)))
+        with opened.told_where(again), again:
             again.begin(Step(1, "dark"))
-            _put(again, "mirror", yes=yes)
-            backwards = GeometryScans(again, search_deg=search, say=console.note, keep=kept.keep)
-            backwards.against_frames(sums, across, round(share * poses.AGAINST_POSES))
-            _dark(again)
+            opened.put(again, "mirror", PROMPTS["mirror"], yes=asked.yes)
+            backwards.against_frames(sums, across, number(poses.AGAINST_POSES))
+            again.lamp(False)
     console.note(f"{folder}: {len(kept.sightings)} sightings; lamp dark, arms parked; put the sample back")
     return kept.sightings, contradiction
 
@@ -255,58 +208,15 @@ def _measured(
 # ---- what comes out ----
 
 
-def _show_numbers(filed: RigDescription, tables: TomlTable, u: dict[str, float]) -> None:
-    from gonio.calibration import geometry as geometric
-    from gonio.cli import console
-    from gonio.config import numbers_in
-
-    was, now, claimed = numbers_in(geometric.start_of(filed)), numbers_in(tables), geometric.claims(filed)
-    table = console.table("key", "value", "u (k = 1)", "was", "with u")
-    for path, one in u.items():
-        before = f"{was[path]:.5g}" if path in was else "-"
-        table.add_row(path, *apart(now[path], one), before, f"{claimed[path]:.2g}" if path in claimed else "")
-    console.show(table)
-
-
-def _calibration(
-    filed: RigDescription, tables: TomlTable, paths: list[str], covariance: Floats, notes: Sequence[str],
-    measured: TomlTable, valid_days: int,
-) -> Calibration:  # fmt: skip
-    """What is known now of a rig's numbers, with its covariance."""
-    import numpy as np
-
-    from gonio.rig.calibrated import Calibration, identity
-    from gonio.rig.calibration_use import ParameterUncertainty
-
-    u = np.sqrt(np.diag(covariance))
-    correlation = np.clip(covariance / np.outer(u, u), -1.0, 1.0)
-    correlation = 0.5 * (correlation + correlation.T)
-    np.fill_diagonal(correlation, 1.0)
-    today = datetime.date.today()
-    return Calibration(
-        kind="geometry", rig=filed.name, rig_identity=identity(filed), made=today,
-        valid_until=today + datetime.timedelta(days=valid_days), notes=tuple(notes), values=tables,
-        uncertainty=ParameterUncertainty(parameters=paths, u=u.tolist(), correlation=correlation.tolist()),
-        measured=measured,
-    )  # fmt: skip
-
-
 def _finish(
-    out: Path, filed: RigDescription, description: RigDescription, given: Given | None,
-    intrinsics: Intrinsics | None, sightings: Sequence[Sighting], valid_days: int, contradiction: str,
+    out: Path, filed: RigDescription, lens: Intrinsics | None, sightings: Sequence[Sighting], valid_days: int,
+    notes: list[str],
 ) -> None:  # fmt: skip
-    import numpy as np
-
-    from gonio.calibration import geometry as geometric
-    from gonio.cli import console
-    from gonio.errors import DataError
-    from gonio.rig.calibrated import write_calibration
-
-    fit: Fit | None = None
-    notes = [f"WARNING: {contradiction}"] * bool(contradiction)
+    """Fit, and write and show what came out."""
+    description, given = _with_lens(filed, lens) if lens is not None else (filed, None)
+    fit = geometric.solve(description, sightings, given) if sightings else None
     measured: TomlTable = {}
-    if sightings:
-        fit = geometric.solve(description, sightings, given)
+    if fit is not None:
         tables, paths, covariance = geometric.values_of(fit)
         tables = geometric.filled(tables, description)
         notes += [
@@ -319,61 +229,49 @@ def _finish(
             notes.append("focal length and distortion were taken as in the rig file: no pictures of a board")
     elif given is not None:
         paths, _, covariance = given
-        tables = {"camera": {name: description.camera.model_dump(mode="json")[name]
-                             for name in ("focal_length_mm", "principal_point_px", "distortion")}}  # fmt: skip
-    if intrinsics is not None:
+        camera = description.camera.model_dump(mode="json")
+        tables = {"camera": {name: camera[name] for name in ("focal_length_mm", "principal_point_px", "distortion")}}
+    if lens is not None:
         tables.setdefault("camera", {}).setdefault("distortion", list(description.camera.distortion))
         tables["camera"]["distortion"] = [0.0 if v is None else v for v in tables["camera"]["distortion"]]
         measured |= {
-            "rms_reprojection_px": intrinsics.rms_px, "corners": intrinsics.corners, "rejected": intrinsics.rejected,
-            "images": list(intrinsics.images), "rms_by_image_px": list(intrinsics.rms_by_image_px),
+            "rms_reprojection_px": lens.rms_px, "corners": lens.corners, "rejected": lens.rejected,
+            "images": list(lens.images), "rms_by_image_px": list(lens.rms_by_image_px),
         }  # fmt: skip
-        notes.append(f"{intrinsics.rejected} of {intrinsics.corners + intrinsics.rejected} corners were left out")
+        notes.append(f"{lens.rejected} of {lens.corners + lens.rejected} corners were left out")
+    remarks = [sentence if sentence.startswith("WARNING") else f"note: {sentence}" for sentence in notes]
     if not paths:
-        _show_open(notes)
+        console.show(*remarks)
         raise DataError(f"{out} is not written: nothing of the rig is determined")
-    calibration = _calibration(filed, tables, paths, covariance, notes, measured, valid_days)
+    known = ParameterUncertainty.of(paths, covariance)
+    calibration = Calibration.made_today(
+        "geometry", filed, valid_days, values=tables, uncertainty=known, measured=measured, notes=notes
+    )
     picture = out.with_name(f"{out.stem}-residuals.png")
-    _draw(fit, intrinsics, picture)
+    if fit is not None:
+        put_picture(picture, geometric.draw(fit))
+    elif lens is not None:
+        put_picture(picture, intrinsics.draw(lens))
     try:
         write_calibration(calibration, out)
     except OSError as error:
         raise DataError(f"{out}: cannot be written: {error.strerror}") from None
-    _show_numbers(filed, tables, dict(zip(paths, np.sqrt(np.diag(covariance)).tolist(), strict=True)))
-    if intrinsics is not None:
-        console.show(f"lens: rms reprojection error {intrinsics.rms_px:.3f} px, {intrinsics.corners} corners of "
-                     f"{len(intrinsics.images)} pictures, {intrinsics.rejected} left out")  # fmt: skip
+    _show_numbers(filed, tables, dict(zip(paths, known.u, strict=True)))
+    if lens is not None:
+        console.show(f"lens: rms reprojection error {lens.rms_px:.3f} px, {lens.corners} corners of "
+                     f"{len(lens.images)} pictures, {lens.rejected} left out")  # fmt: skip
     if fit is not None:
         console.show(
             f"{len(sightings)} sightings determine {fit.rank} of {len(fit.unknowns)} directions; "
             f"misfit {fit.misfit:.2f}"
         )
-    _show_open(notes)
-    console.show(f"{out}: {len(paths)} numbers, valid until {calibration.valid_until}", str(picture))
+    console.show(*remarks, f"{out}: {len(paths)} numbers, valid until {calibration.valid_until}", str(picture))
 
 
-def _show_open(notes: Sequence[str]) -> None:
-    from gonio.cli import console
-
-    for sentence in notes:
-        console.show(sentence if sentence.startswith("WARNING") else f"note: {sentence}")
-
-
-def _draw(fit: Fit | None, intrinsics: Intrinsics | None, picture: Path) -> None:
-
-    from gonio.calibration import geometry as geometric
-    from gonio.calibration import intrinsics as lens
-    from gonio.disk import write_whole
-    from gonio.errors import DataError
-
-    if fit is not None:
-        figure = geometric.draw(fit)
-    else:
-        assert intrinsics is not None
-        figure = lens.draw(intrinsics)
-    drawn = BytesIO()
-    figure.savefig(drawn, format="png", dpi=110)
-    try:
-        write_whole(picture, drawn.getvalue())
-    except OSError as error:
-        raise DataError(f"{picture}: cannot be written: {error.strerror}") from None
+def _show_numbers(filed: RigDescription, tables: TomlTable, u: dict[str, float]) -> None:
+    was, now, claimed = numbers_in(geometric.start_of(filed)), numbers_in(tables), geometric.claims(filed)
+    table = console.table("key", "value", "u (k = 1)", "was", "with u")
+    for path, one in u.items():
+        before = f"{was[path]:.5g}" if path in was else "-"
+        table.add_row(path, *apart(now[path], one), before, f"{claimed[path]:.2g}" if path in claimed else "")
+    console.show(table)

@@ -3,132 +3,71 @@
 from __future__ import annotations
 
 import contextlib
-import datetime
 import math
-import sys
-from io import BytesIO
+from dataclasses import astuple, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Any
 
-import typer
+import numpy as np
+import pandas as pd
+from scipy.linalg import block_diag
 
-from gonio.cli.by_hand import WavelengthOption, _told_where, choice_of, manual_rig_of
-from gonio.cli.calibrate import app
+from gonio.by_hand.manual_rig import ManualRig
+from gonio.calibration import beam, lamp_scan, lamp_stability, spectral
+from gonio.calibration.beam import Profile
+from gonio.calibration.polariser import polarised
+from gonio.cli import console, opened
+from gonio.cli.opened import free_name
 from gonio.cli.signals import undisturbed
+from gonio.config import numbers_in
+from gonio.disk import put, put_picture
 from gonio.documents import TomlTable
+from gonio.errors import DataError
+from gonio.reduction.geometry_errors import zero_keys
+from gonio.rig.calibrated import Calibration, covariance_of, known_parameters, with_keys, write_calibration
+from gonio.rig.calibration_use import ParameterUncertainty
+from gonio.rig.description import RigDescription
 from gonio.shown import apart
-
-if TYPE_CHECKING:
-    import pandas as pd
-    from matplotlib.figure import Figure
-
-    from gonio.by_hand.manual_rig import ManualRig
-    from gonio.calibration.beam import Profile
-    from gonio.rig.description import RigDescription
-
-__all__ = ["app"]
+from gonio.typing import Floats
 
 NO_ZERO_DEG = 10.0
 """No zero is off by as much: `gonio calibrate geometry` expects none there."""
-FileOption = typer.Option(show_default=False, exists=True, dir_okay=False)
 
 
-@app.command()
-def light(
-    rig: Annotated[str, typer.Option(help="A rig file.", show_default=False)],
-    out: Annotated[Path, typer.Option(help="The calibration file to write.", show_default=False)],
-    only: Annotated[Literal["both", "lamp", "beam"], typer.Option(help="What to measure on the rig.")] = "both",
-    minutes: Annotated[float, typer.Option(min=1, max=10_000, help="How long to watch the lamp.")] = 60.0,
-    every: Annotated[float, typer.Option(min=0.1, help="Seconds from burst to burst of frames.")] = 15.0,
-    series: Annotated[Path | None, typer.Option(help="An earlier series of the lamp.", show_default=False)] = None,
-    flats: Annotated[Path | None, typer.Option(help="Earlier flats of the white.", show_default=False)] = None,
-    spectra: Annotated[
-        Path | None, typer.Option(help="Spectra of bands: band, wavelength_nm, signal.", show_default=False)
-    ] = None,
-    lines: Annotated[Path | None, typer.Option(help="Known lines: line_nm, read_nm.", show_default=False)] = None,
-    lamp_polariser: Annotated[
-        Path | None, typer.Option(help="A polariser turned in the beam: polariser_deg, signal.", show_default=False)
-    ] = None,
-    camera_polariser: Annotated[
-        Path | None, typer.Option(help="A polariser turned before the lens.", show_default=False)
-    ] = None,
-    valid_days: Annotated[int | None, typer.Option(min=1, help="How long it is good.", show_default=False)] = None,
-    wavelength: WavelengthOption = None,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of a simulated rig.")] = 0,
-    yes: Annotated[bool, typer.Option("--yes", "-y", help="Ask nobody: the white lies in the holder.")] = False,
-) -> None:
-    """Calibrate lamp, beam, bands and polarisation, with the covariance of what is found.
+@dataclass(frozen=True, slots=True)
+class Files:
+    """Earlier data: where there are any, they alone are evaluated."""
 
-    With files of earlier data nothing moves, and only they are evaluated. Without, the rig is driven, and its raw data
-    lie beside OUT: OUT-series.csv and OUT-flats.csv.
-    """
-    from gonio.cli import console
-    from gonio.errors import ConfigError, DataError
-    from gonio.rig.calibrated import Calibration, identity, write_calibration
-
-    if not Path(rig).is_file():
-        raise ConfigError(f'"{rig}" is no rig file: gonio rig show {rig} > my.toml, then --rig my.toml')
-    if out.suffix != ".toml" or not out.absolute().parent.is_dir():
-        raise ConfigError(f"--out {out}: must end with .toml, and lie in a folder that is there")
-    if out.exists():
-        raise ConfigError(f"{out}: is there already; name another file with --out")
-    given = [series, flats, spectra, lines, lamp_polariser, camera_polariser]
-    found = _Found()
-    # what was measured before of the light is not to be taken out of what is measured now
-    description = choice_of(rig, without="light").description
-    if not any(given):
-        manual = manual_rig_of(rig, "arms", "light", "camera", seed=seed, without="light")
-        if wavelength is not None:
-            manual.choose_band(wavelength)
-        _put_white(manual, yes=yes)
-        with _told_where(manual), manual:
-            if only != "beam":
-                series = _take_series(manual, out, 60.0 * minutes, every)
-            if only != "lamp":
-                flats = _take_flats(manual, out)
-                found.notes += _of_the_camera(description)
-        console.note("lamp dark, arms parked")
-    if series is not None:
-        _lamp(series, description, out, found)
-    if flats is not None:
-        _beam(flats, description, out, found)
-    if spectra is not None or lines is not None:
-        _bands(spectra, lines, description, found)
-    _polarisation(lamp_polariser, camera_polariser, found)
-    if not found.values:
-        raise DataError(f"{out} is not written: nothing was found")
-    today = datetime.date.today()
-    calibration = Calibration(
-        kind="light",
-        rig=description.name,
-        rig_identity=identity(description),
-        made=today,
-        valid_until=None if valid_days is None else today + datetime.timedelta(days=valid_days),
-        notes=tuple(found.notes),
-        values=found.values,
-        uncertainty=found.uncertainty(),
-        measured=found.measured,
-    )
-    from gonio.rig.calibrated import with_keys
-
-    with_keys(description, calibration.values, out)  # a value that the rig file cannot have is said now
-    write_calibration(calibration, out)
-    _show(calibration.values, found)
-    for note in found.notes:
-        console.note(note)
-    console.show(str(out), *found.pictures)
+    series: Path | None
+    flats: Path | None
+    spectra: Path | None
+    lines: Path | None
+    lamp_polariser: Path | None
+    camera_polariser: Path | None
 
 
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """How the rig is driven: the options of the command."""
+
+    only: str
+    minutes: float
+    every_s: float
+    wavelength_nm: float | None
+    seed: int
+    yes: bool
+
+
+@dataclass(slots=True)
 class _Found:
     """What was found so far: values of keys, blocks of their covariance, figures, remarks."""
 
-    def __init__(self) -> None:
-        self.values: TomlTable = {}
-        self.names: list[str] = []
-        self.blocks: list[Any] = []
-        self.measured: TomlTable = {}
-        self.notes: list[str] = []
-        self.pictures: list[str] = []
+    values: TomlTable = field(default_factory=dict)
+    names: list[str] = field(default_factory=list)
+    blocks: list[Any] = field(default_factory=list)
+    measured: TomlTable = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+    pictures: list[str] = field(default_factory=list)
 
     def add(self, table: str, values: TomlTable, names: list[str], covariance: Any) -> None:
         """Values of keys below a table, and the covariance of some, whose whole paths are given."""
@@ -139,27 +78,115 @@ class _Found:
         self.names += names
         self.blocks.append(covariance)
 
-    def uncertainty(self) -> Any:
-        import numpy as np
-        from scipy.linalg import block_diag
+    def uncertainty(self) -> ParameterUncertainty:
+        """Of all numbers so far."""
+        return ParameterUncertainty.of(self.names, block_diag(*self.blocks) if self.names else np.zeros((0, 0)))
 
-        from gonio.rig.calibration_use import ParameterUncertainty
 
-        covariance = block_diag(*self.blocks) if self.names else np.zeros((0, 0))
-        u = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-        size = np.where(u > 0.0, u, 1.0)
-        correlation = np.clip(covariance / np.outer(size, size), -1.0, 1.0)
-        np.fill_diagonal(correlation, 1.0)
-        return ParameterUncertainty(parameters=self.names, u=u.tolist(), correlation=correlation.tolist())
+def calibrate(rig: str, out: Path, earlier: Files, asked: Asked, valid_days: int | None) -> None:
+    """Evaluate earlier data, or drive the rig; write what is found of the light.
+
+    Raises
+    ------
+    ConfigError
+        A file is not there, or is where it must not be.
+    DataError
+        The data tell nothing, or not enough.
+    """
+    opened.require_rig_file(rig)
+    opened.require_new(out)
+    # what was measured before of the light is not to be taken out of what is measured now
+    description, found = opened.choice_of(rig, without="light").description, _Found()
+    series, flats = earlier.series, earlier.flats
+    if not any(astuple(earlier)):
+        series, flats = _take(rig, out, asked)
+        if flats is not None:
+            _of_the_camera(description, found)
+    if series is not None:
+        _lamp(series, description, out, found)
+    if flats is not None:
+        _beam(flats, description, out, found)
+    if earlier.spectra is not None or earlier.lines is not None:
+        _bands(earlier.spectra, earlier.lines, description, found)
+    _polarisation(earlier, found)
+    if not found.values:
+        raise DataError(f"{out} is not written: nothing was found")
+    known = found.uncertainty()
+    calibration = Calibration.made_today(
+        "light", description, valid_days,
+        values=found.values, uncertainty=known, measured=found.measured, notes=found.notes,
+    )  # fmt: skip
+    with_keys(description, found.values, out)  # a value that the rig file cannot have is said now
+    write_calibration(calibration, out)
+    u = dict(zip(found.names, known.u, strict=True))
+    table = console.table("key", "value", "u (k = 1)")
+    for name, value in numbers_in(found.values).items():
+        with contextlib.suppress(TypeError):
+            table.add_row(name, *apart(value, u.get(name)))
+    console.show(table)
+    for note in found.notes:
+        console.note(note)
+    console.show(str(out), *found.pictures)
+
+
+# ---- on the rig ----
+
+
+def _take(rig: str, out: Path, asked: Asked) -> tuple[Path | None, Path | None]:
+    """The files of a series, and of flats, that are taken now beside OUT."""
+    manual = opened.manual_rig_of(rig, "arms", "light", "camera", seed=asked.seed, without="light")
+    if asked.wavelength_nm is not None:
+        manual.choose_band(asked.wavelength_nm)
+    if not manual.repeatable and manual.description.reference.how not in ("axis", "beside"):
+        prompt = "Put the white reference into the holder; the lamp should have been dark for long"
+        opened.confirm(prompt, "that the white lies in the holder", yes=asked.yes)
+    series = flats = None
+    with opened.told_where(manual), manual:
+        if asked.only != "beam":
+            series = _take_series(manual, out, asked)
+        if asked.only != "lamp":
+            flats = free_name(out, "flats", ".csv")
+            console.note("flats of the white at several camera angles")
+            with console.counter("flats", lines=True) as progress:
+                lamp_scan.take_flats(manual, keep=lambda table: _keep(table, flats), progress=progress)
+    console.note("lamp dark, arms parked")
+    return series, flats
+
+
+def _take_series(manual: ManualRig, out: Path, asked: Asked) -> Path:
+    file = free_name(out, "series", ".csv")
+    console.note(f"watching the lamp for {asked.minutes:g} minutes from when it is lit; it should be cold now")
+    with console.counter("watching the lamp: seconds", lines=True) as progress:
+        lamp_scan.take_series(
+            manual, 60.0 * asked.minutes, asked.every_s, keep=lambda table: _keep(table, file), progress=progress
+        )
+    return file
+
+
+def _keep(table: pd.DataFrame, file: Path) -> None:
+    with undisturbed():
+        put(file, table.to_csv(index=False).encode())
+    console.note(f"{file}: {len(table)} rows")
+
+
+def _of_the_camera(description: RigDescription, found: _Found) -> None:
+    """Say what flats rest on that the rig file, with its calibrations, does not say."""
+    camera = description.camera
+    if not (camera.stray_light or camera.stray_halo or camera.nonlinearity):
+        found.notes.append(
+            "the rig file knows no stray light and no nonlinearity of the camera: the beam holds what there is of "
+            "them. `gonio calibrate camera` first, and name its file in the rig file"
+        )
+
+
+# ---- what the data tell ----
 
 
 def _lamp(series: Path, description: RigDescription, out: Path, found: _Found) -> None:
-    from gonio.calibration import lamp_stability
-
     table = lamp_stability.read_series(series)
     time_s, signal, u = (table[name].to_numpy() for name in lamp_stability.COLUMNS[:3])
     stability = lamp_stability.fit(time_s, signal, u)
-    found.pictures.append(_picture(lamp_stability.draw(table, stability), out, "series"))
+    _picture(found, out, "series", lamp_stability.draw(table, stability))
     stability.require_model()
     values, names, covariance = lamp_stability.values(stability)
     found.add("lamp", values, [f"lamp.{name}" for name in names], covariance)
@@ -192,13 +219,9 @@ def _lamp(series: Path, description: RigDescription, out: Path, found: _Found) -
 
 
 def _beam(flats: Path, description: RigDescription, out: Path, found: _Found) -> None:
-    import numpy as np
-
-    from gonio.calibration import beam
-
     table = beam.read_flats(flats)
     profile = beam.fit(table)
-    found.pictures.append(_picture(beam.draw(table, profile), out, "flats"))
+    _picture(found, out, "flats", beam.draw(table, profile))
     names = list(type(profile.beam).model_fields)
     values = dict(zip(names, profile.beam.terms(), strict=True))
     covariance = profile.covariance + _by_zeros(description, table, profile, found)
@@ -220,18 +243,12 @@ def _beam(flats: Path, description: RigDescription, out: Path, found: _Found) ->
     )
 
 
-def _by_zeros(description: RigDescription, table: pd.DataFrame, profile: Profile, found: _Found) -> Any:
+def _by_zeros(description: RigDescription, table: pd.DataFrame, profile: Profile, found: _Found) -> Floats:
     """Covariance of the beam's numbers from zeros of the axes, which look like a tilt of the beam.
 
     Where no calibration has measured a zero, the rig file's `zero_u_deg` counts. A tilt that is more than that and
     noise may be the zero's all the same, and is uncertain by as much as it is.
     """
-    import numpy as np
-
-    from gonio.calibration import beam
-    from gonio.reduction.geometry_errors import zero_keys
-    from gonio.rig.calibrated import covariance_of, known_parameters
-
     axes = [name for name in ("light", "camera", "tilt") if name in description.axes()]
     keys, measured = zero_keys(description), known_parameters(description)
     slopes = np.array([beam.by_zero(description, table, profile, axis) for axis in axes])
@@ -259,12 +276,9 @@ def _by_zeros(description: RigDescription, table: pd.DataFrame, profile: Profile
 
 
 def _bands(spectra: Path | None, lines: Path | None, description: RigDescription, found: _Found) -> None:
-    from gonio.calibration import spectral
-
     measured = spectral.spectra(spectra) if spectra is not None else []
     scale = spectral.wavelength_scale(lines) if lines is not None else None
-    values, names, covariance = spectral.values(description.bands, measured, scale)
-    found.add("bands", values, names, covariance)
+    found.add("bands", *spectral.values(description.bands, measured, scale))
     if scale is not None:
         found.measured["wavelength_scale"] = {
             "middle_nm": scale.middle_nm, "offset_nm": scale.offset_nm, "slope": scale.slope,
@@ -272,110 +286,16 @@ def _bands(spectra: Path | None, lines: Path | None, description: RigDescription
         }  # fmt: skip
 
 
-def _polarisation(lamp: Path | None, camera: Path | None, found: _Found) -> None:
-    from gonio.calibration.polariser import polarised
-
-    for table, path in (("lamp", lamp), ("camera", camera)):
+def _polarisation(earlier: Files, found: _Found) -> None:
+    for table, path in (("lamp", earlier.lamp_polariser), ("camera", earlier.camera_polariser)):
         if path is not None:
-            of = polarised(path)
-            where = f"{table}.polarisation"
+            of, where = polarised(path), f"{table}.polarisation"
             values = {"degree": of.degree, "azimuth_deg": of.azimuth_deg}
-            found.add(where, values, [f"{where}.degree", f"{where}.azimuth_deg"], of.covariance)
+            found.add(where, values, [f"{where}.{name}" for name in values], of.covariance)
             found.notes.append(f"the polarisation of the {table} is not corrected for: it is in the budget")
 
 
-def _take_series(manual: ManualRig, out: Path, duration_s: float, every_s: float) -> Path:
-    from gonio.calibration import lamp_scan
-    from gonio.cli import console
-
-    file = _free(out, "series", ".csv")
-    console.note(f"watching the lamp for {duration_s / 60:g} minutes from when it is lit; it should be cold now")
-    with console.counter("watching the lamp: seconds", lines=True) as progress:
-        lamp_scan.take_series(manual, duration_s, every_s, keep=lambda table: _keep(table, file), progress=progress)
-    return file
-
-
-def _take_flats(manual: ManualRig, out: Path) -> Path:
-    from gonio.calibration import lamp_scan
-    from gonio.cli import console
-
-    file = _free(out, "flats", ".csv")
-    console.note("flats of the white at several camera angles")
-    with console.counter("flats", lines=True) as progress:
-        lamp_scan.take_flats(manual, keep=lambda table: _keep(table, file), progress=progress)
-    return file
-
-
-def _of_the_camera(description: RigDescription) -> list[str]:
-    """What flats rest on that the rig file, with its calibrations, does not say."""
-    camera = description.camera
-    if camera.stray_light or camera.stray_halo or camera.nonlinearity:
-        return []
-    return [
-        "the rig file knows no stray light and no nonlinearity of the camera: the beam holds what there is of them. "
-        "`gonio calibrate camera` first, and name its file in the rig file"
-    ]
-
-
-def _keep(table: pd.DataFrame, file: Path) -> None:
-    from gonio.cli import console
-    from gonio.disk import write_whole
-    from gonio.errors import DataError
-
-    with undisturbed():
-        try:
-            write_whole(file, table.to_csv(index=False).encode())
-        except OSError as error:
-            raise DataError(f"{file}: cannot be written: {error.strerror or error}") from None
-    console.note(f"{file}: {len(table)} rows")
-
-
-def _picture(figure: Figure, out: Path, what: str) -> str:
-
-    from gonio.disk import write_whole
-    from gonio.errors import DataError
-
-    drawn, file = BytesIO(), _free(out, what, ".png")
-    figure.savefig(drawn, format="png", dpi=110)
-    try:
-        write_whole(file, drawn.getvalue())
-    except OSError as error:
-        raise DataError(f"{file}: cannot be written: {error.strerror or error}") from None
-    return str(file)
-
-
-def _free(out: Path, what: str, suffix: str) -> Path:
-    """A name beside OUT that is not taken: a calibration that was refused has left its data."""
-    name, number = out.with_name(f"{out.stem}-{what}{suffix}"), 1
-    while name.exists():
-        number += 1
-        name = out.with_name(f"{out.stem}-{what}-{number}{suffix}")
-    return name
-
-
-def _put_white(manual: ManualRig, *, yes: bool) -> None:
-
-    from gonio.cli import console
-    from gonio.errors import DeviceError
-
-    if manual.repeatable or manual.description.reference.how in ("axis", "beside"):
-        return
-    prompt = "Put the white reference into the holder; the lamp should have been dark for long"
-    if yes:
-        console.note(f"{prompt} (--yes: taken as done)")
-        return
-    print(f"{prompt}, then press Enter (Ctrl-C stops): ", end="", file=sys.stderr, flush=True)
-    if not sys.stdin.readline():
-        raise DeviceError("there is no terminal to confirm that the white lies in the holder; --yes asks for none")
-
-
-def _show(values: TomlTable, found: _Found) -> None:
-    from gonio.cli import console
-    from gonio.config import numbers_in
-
-    u = dict(zip(found.names, found.uncertainty().u, strict=True))
-    table = console.table("key", "value", "u (k = 1)")
-    for name, value in numbers_in(values).items():
-        with contextlib.suppress(TypeError):
-            table.add_row(name, *apart(value, u.get(name)))
-    console.show(table)
+def _picture(found: _Found, out: Path, what: str, figure: Any) -> None:
+    file = free_name(out, what, ".png")
+    put_picture(file, figure)
+    found.pictures.append(str(file))

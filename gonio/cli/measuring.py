@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from gonio.cli import console, plans
+
 if TYPE_CHECKING:
     import pandas as pd
 
@@ -33,7 +35,6 @@ def measure(
     from gonio.acquisition.run import Run, command_line
     from gonio.acquisition.run_folder import begun
     from gonio.acquisition.stop import Pause
-    from gonio.cli import console, plans
 
     asked, chosen = load_plan(plan), find_rig(rig)
     described = load_sample(sample) if sample is not None else None
@@ -85,7 +86,6 @@ def reduce(
 ) -> None:
     """Reduce a run's frames to BRDF with uncertainty: RUN/brdf.csv, and its parts in RUN/budget.csv."""
     from gonio.acquisition.run import Run
-    from gonio.cli import console
     from gonio.reduction import brdf
 
     opened = Run.open(run)

@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
+from gonio.cli import console
 from gonio.cli.rigs import app
+from gonio.errors import ConfigError, DataError
 
 if TYPE_CHECKING:
     from gonio.by_hand.new_rig import DriverPlugin
@@ -32,9 +34,7 @@ def new_rig(
     """Ask what a rig file needs, find ports, servos and lamp, and write the file, with a comment on each value."""
     from gonio import plugins
     from gonio.by_hand.new_rig import Answers, Person, answers_from, make
-    from gonio.cli import console
     from gonio.disk import write_whole
-    from gonio.errors import ConfigError, DataError
 
     if out.suffix != ".toml" or not out.absolute().parent.is_dir():
         raise ConfigError(f"--out {out}: must end with .toml, and lie in a folder that is there")

@@ -1,4 +1,4 @@
-"""What `gonio` itself takes, before any command; and what several commands take of their tables."""
+"""What `gonio` itself takes, before any command; and what several commands take: of tables, rigs, calibrations."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from gonio.cli import console
+
 if TYPE_CHECKING:
     from gonio.measurement import Reading
 
@@ -16,6 +18,17 @@ Columns = Annotated[
     typer.Option(help="Names and units in a table of one's own: theta_i=ti:rad,brdf=f.", show_default=False),
 ]
 Blank = Annotated[Path | None, typer.Option(help="The blank to subtract from an RT-300S workbook.", show_default=False)]
+
+Axis = Annotated[str, typer.Argument(help="light, camera, tilt, spin or azimuth.", show_default=False)]
+RigOption = Annotated[str, typer.Option("--rig", help="A rig's name, or a rig file.", show_default=False)]
+SampleOption = Annotated[Path | None, typer.Option("--sample", help="What a simulated rig looks at: a sample.toml.")]
+WavelengthOption = Annotated[
+    float | None, typer.Option("--wavelength-nm", help="The band that contains it [nm].", show_default=False)
+]
+Seed = Annotated[int, typer.Option("--seed", min=0, help="Seed of a simulated rig.")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
+Yes = Annotated[bool, typer.Option("--yes", "-y", help="Ask nobody: what has to lie in the holder does.")]
+Search = Annotated[float, typer.Option("--search", min=1, max=30, help="How far to look for the lamp [deg].")]
 
 
 def _version(asked: bool) -> None:
@@ -51,7 +64,6 @@ def reading(columns: str | None, blank: Path | None) -> Reading:
 def remember(specs: Sequence[str], how: Reading) -> None:
     """Write --columns beside the tables that they were right for, for the next command; say so."""
     from gonio import measurement
-    from gonio.cli import console
     from gonio.formats import own_columns
 
     for path in (Path(measurement.split(spec)[0]) for spec in specs):

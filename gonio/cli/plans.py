@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from gonio.cli import console
 from gonio.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -93,7 +94,6 @@ def show(
 def _separate(seen: Prepared, samples: tuple[Path, Path], picture: Path | None) -> None:
     from gonio import plugins
     from gonio.acquisition.measure import load_sample
-    from gonio.cli import console
 
     a, b = (load_sample(path) for path in samples)
     plugin = plugins.load("gonio.choosers", "models")
@@ -118,7 +118,6 @@ def _draw(seen: Prepared, file: Path, step: int | None) -> None:
 
 
 def _saved(figure: Figure, file: Path) -> None:
-    from gonio.cli import console
 
     try:
         figure.savefig(file, dpi=150)
@@ -143,7 +142,6 @@ def describe(plan: Plan, seen: Prepared | None, *, out: Path | None = None, left
     """
     from gonio.acquisition.plan import Assessed, said_beside
     from gonio.acquisition.sampling import about
-    from gonio.cli import console
 
     if plan.adaptive is not None and seen is None:
         how, hours = plan.adaptive.how, plan.adaptive.budget_h
@@ -241,7 +239,6 @@ def _write_left_out(points: list[Assessed], path: Path) -> int:
 
 def _table(plan: Plan, points: list[Assessed], *, with_rig: bool) -> Table:
     """The points by their angles of incidence."""
-    from gonio.cli import console
 
     by_incidence: dict[float, list[_Place]] = {}
     for place in _places(plan, points):

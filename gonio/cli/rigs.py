@@ -9,6 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from gonio.cli import console
+from gonio.errors import DeviceError, GonioError, Interrupted
+
 if TYPE_CHECKING:
     from gonio.acquisition.measure import RigChoice
     from gonio.rig import Rig
@@ -23,8 +26,6 @@ LITTLE_DEG = 2.0
 def list_rigs() -> None:
     """List the rigs that are installed; a broken one with its error."""
     from gonio import plugins
-    from gonio.cli import console
-    from gonio.errors import GonioError
 
     table = console.table("rig", "from", "")
     for name, point in plugins.available("gonio.rigs").items():
@@ -58,9 +59,7 @@ def check(
     from rich.text import Text
 
     from gonio.acquisition.measure import find_rig
-    from gonio.cli import console
     from gonio.cli.plans import calibrations
-    from gonio.errors import DeviceError
 
     choice = find_rig(rig)
     for line in calibrations(choice.description):
@@ -79,7 +78,6 @@ def check(
 
 def checks(choice: RigChoice, *, move: bool = True) -> list[Row]:
     """What is checked, what was found, and whether that is good; stops at the first device that fails."""
-    from gonio.errors import DeviceError, Interrupted
     from gonio.rig.whereabouts import left
 
     rig: Any = choice.open()

@@ -7,6 +7,9 @@ from typing import Annotated
 
 import typer
 
+from gonio.cli import console
+from gonio.errors import DataError
+
 app = typer.Typer(help="Check and repair the folder of a run.", no_args_is_help=True)
 
 NAMED = 20
@@ -19,8 +22,6 @@ Folder = Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run.", 
 def check_run(run: Folder) -> None:
     """Read every frame from end to end and compare it with the journal; change nothing."""
     from gonio.acquisition import repair
-    from gonio.cli import console
-    from gonio.errors import DataError
 
     with console.counter("reading", lines=True) as progress:
         found = repair.check(run, progress=progress)
@@ -38,7 +39,6 @@ def repair_run(run: Folder) -> None:
     """Make a lost or damaged journal again, from what can be read of it and from what the frames carry."""
     from gonio.acquisition import repair
     from gonio.acquisition.run import Run
-    from gonio.cli import console
 
     with console.counter("reading", lines=True) as progress:
         done = repair.repair(run, progress=progress)

@@ -9,8 +9,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from gonio.cli.by_hand import RigOption, choice_of, manual_rig_of
+from gonio.cli import console
+from gonio.cli.opened import choice_of, manual_rig_of
+from gonio.cli.options import Axis, RigOption
 from gonio.cli.rigs import app
+from gonio.errors import ConfigError, DeviceError, Interrupted
 
 if TYPE_CHECKING:
     from gonio.acquisition.measure import RigChoice
@@ -18,13 +21,15 @@ if TYPE_CHECKING:
 
 __all__ = ["app"]
 
+Axes = Annotated[list[str] | None, typer.Argument(metavar="[AXIS]...", show_default=False)]
+
 
 # ---- zeros ----
 
 
 @app.command("set-zero")
 def set_zero(
-    axis: Annotated[str, typer.Argument(help="light, camera, tilt, spin or azimuth.", show_default=False)],
+    axis: Axis,
     rig: RigOption,
     at: Annotated[float, typer.Option(help="Where the axis truly stands now [deg].")] = 0.0,
     out: Annotated[
@@ -33,8 +38,6 @@ def set_zero(
 ) -> None:
     """Write an axis's zero into the rig file: it stands at this angle now. The file as it was is kept as .bak."""
     from gonio.by_hand.rig_file import write_values, zero_values
-    from gonio.cli import console
-    from gonio.errors import ConfigError, DeviceError
 
     if not Path(rig).is_file():
         raise ConfigError(f'"{rig}" is no rig file to write into: gonio rig show {rig} > my.toml, then --rig my.toml')
@@ -81,8 +84,6 @@ def ids(
     yes: Annotated[bool, typer.Option("--yes", "-y", help="Ask for no confirmation.")] = False,
 ) -> None:  # fmt: skip
     """List the servos on a port, at every line speed; or give one another id or speed, for good."""
-    from gonio.cli import console
-    from gonio.errors import DeviceError
 
     choice = choice_of(rig)
     service: Any = _service(choice, "servos")
@@ -104,8 +105,6 @@ def ids(
 
 def _assigned(service: Any, found: list[FoundServo], old: int, yes: bool, **new: int) -> list[FoundServo]:
     """One of the servos that were found, changed."""
-    from gonio.cli import console
-    from gonio.errors import ConfigError, DeviceError
 
     mine = [servo for servo in found if servo.id == old]
     if not mine:
@@ -130,11 +129,9 @@ def _assigned(service: Any, found: list[FoundServo], old: int, yes: bool, **new:
 @app.command()
 def reboot(
     rig: RigOption,
-    axes: Annotated[list[str] | None, typer.Argument(metavar="[AXIS]...", show_default=False)] = None,
+    axes: Axes = None,
 ) -> None:
     """Restart servos (all, or those of some axes), as after an overload. Their torque goes off: support the arms."""
-    from gonio.cli import console
-    from gonio.errors import DeviceError
 
     choice = choice_of(rig)
     service: Any = _service(choice, "reboot")
@@ -153,11 +150,9 @@ def reboot(
 @app.command()
 def home(
     rig: RigOption,
-    axes: Annotated[list[str] | None, typer.Argument(metavar="[AXIS]...", show_default=False)] = None,
+    axes: Axes = None,
 ) -> None:
     """Find the turn of axes that turn further than their servos count: without AXIS, of those that need it."""
-    from gonio.cli import console
-    from gonio.errors import DeviceError, Interrupted
 
     choice = choice_of(rig)
     service: Any = _service(choice, "home")
@@ -183,7 +178,6 @@ def home(
 
 def _service(choice: RigChoice, method: str) -> object:
     """The plugin, where it has a service for servos."""
-    from gonio.errors import ConfigError
 
     if not hasattr(choice.plugin, method):
         raise ConfigError(f'the rig "{choice.source}" has no servos that can be reached by this')

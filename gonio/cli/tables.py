@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from gonio.cli import console
 from gonio.cli.options import Blank, Columns, reading, remember
+from gonio.errors import ConfigError
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -46,8 +48,6 @@ def convert(
 ) -> None:
     """Convert a measurement, or a model, to another file format. By file ending, or by a format's name."""
     from gonio import measurement, plugins
-    from gonio.cli import console
-    from gonio.errors import ConfigError
 
     if target.is_dir():
         raise ConfigError(f"{target}: is a folder; name the file to write in it, as {target / 'table.csv'}")
@@ -90,7 +90,6 @@ def _model(source: str, target: Path, to: str | None) -> tuple[list[str], str]:
     """Write a model; remarks, and what was written."""
     from gonio import measurement, models
     from gonio.acquisition.measure import load_sample
-    from gonio.errors import ConfigError
 
     if to == "datacite":
         raise ConfigError(f"{source}: is a model; --to datacite takes a run, or its table")
@@ -123,8 +122,6 @@ def _table(
 def _export(source: str, target: Path, name: str, more: object) -> None:
     """A whole run, as an entry point of the group `gonio.exports` writes it."""
     from gonio import plugins
-    from gonio.cli import console
-    from gonio.errors import ConfigError
 
     if more is not None or not Path(source).is_dir():
         what = "goes with --to alone" if more is not None else "is no folder"
@@ -137,7 +134,6 @@ def _export(source: str, target: Path, name: str, more: object) -> None:
 
 def _done(target: Path, what: str) -> None:
     """Say what was written, and where; beside standard output, where that has the data."""
-    from gonio.cli import console
     from gonio.disk import STDOUT
 
     (console.note if str(target) == STDOUT else console.show)(f"{target}: {what}")

@@ -68,6 +68,19 @@ class Calibration(Strict):
     measured: TomlTable = Field(default_factory=dict)
     """What else was found, for people and reports."""
 
+    @classmethod
+    def made_today(
+        cls, kind: Literal["geometry", "camera", "light"], description: RigDescription, valid_days: int | None,
+        *, values: TomlTable, uncertainty: ParameterUncertainty, measured: TomlTable, notes: Sequence[str],
+    ) -> Calibration:  # fmt: skip
+        """A calibration of a rig, valid from today on for some days, or for ever (None)."""
+        today = datetime.date.today()
+        return cls(
+            kind=kind, rig=description.name, rig_identity=identity(description), made=today,
+            valid_until=None if valid_days is None else today + datetime.timedelta(days=valid_days),
+            notes=tuple(notes), values=values, uncertainty=uncertainty, measured=measured,
+        )  # fmt: skip
+
     @model_validator(mode="after")
     def _names_are_there(self) -> Calibration:
         known = numbers_in(self.values)

@@ -11,6 +11,7 @@ from pydantic import Field, model_validator
 from gonio.config import Strict
 from gonio.documents import TomlTable
 from gonio.rig.ranges import NonNegative
+from gonio.typing import Floats
 
 ROUNDED = 1e-5
 """Of a correlation in a file that a person wrote, with five decimals."""
@@ -27,6 +28,16 @@ class ParameterUncertainty(Strict):
     """One row for each of `parameters`."""
     misfit: NonNegative = 0.0
     """Of a model that is not true: the relative standard deviation of measurements from it (docs/misfit.md)."""
+
+    @classmethod
+    def of(cls, parameters: list[str], covariance: Floats) -> ParameterUncertainty:
+        """Of numbers with a covariance; those without a variance are correlated with none."""
+        u = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+        size = np.where(u > 0.0, u, 1.0)
+        correlation = np.clip(covariance / np.outer(size, size), -1.0, 1.0)
+        correlation = 0.5 * (correlation + correlation.T)
+        np.fill_diagonal(correlation, 1.0)
+        return cls(parameters=parameters, u=u.tolist(), correlation=correlation.tolist())
 
     @model_validator(mode="after")
     def _fits_together(self) -> ParameterUncertainty:

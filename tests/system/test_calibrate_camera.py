@@ -329,9 +329,9 @@ def test_a_rig_that_turns_its_reference_into_the_beam_does_so() -> None:
     """Nobody is asked to put it into the holder, where it would not be what the flats show."""
     bench = MagicMock(spec=["description", "lamp", "present"])
     bench.description.reference.how = "axis"
-    calibrate_camera._put(bench, "reference", yes=False)
+    calibrate_camera.put(bench, "reference", yes=False)
     for what in ("trap", "edge"):
-        calibrate_camera._put(bench, what, yes=True)
+        calibrate_camera.put(bench, what, yes=True)
     assert [call.args for call in bench.present.call_args_list] == [("reference",), ("sample",), ("reference",)]
 
 

@@ -227,7 +227,7 @@ def calibrate_camera(campaign: Campaign, rig: Path, record: Record) -> Path:
     found.maps.write(maps)
     u = dict(zip(found.names, np.sqrt(np.diag(found.covariance)), strict=True))
     _found(campaign, bench.description, record, "camera", found.values, u)
-    return _with_file(rig, found.file(description, valid_until=None, maps=maps.name), "camera.toml")
+    return _with_file(rig, found.file(description, valid_days=None, maps=maps.name), "camera.toml")
 
 
 def _bench(campaign: Campaign, rig: Path) -> ManualRig:
