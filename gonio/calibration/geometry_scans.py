@@ -19,7 +19,7 @@ import numpy.typing as npt
 from gonio.acquisition import exposure
 from gonio.by_hand.alignment_scans import BRIGHT, SPOT_PIXELS, Scans
 from gonio.calibration import fiducials
-from gonio.calibration.geometry import Sighting
+from gonio.calibration.geometry_problem import Sighting
 from gonio.documents import TomlTable
 from gonio.errors import ConfigError, DataError, DeviceError
 from gonio.geometry import overlap_of_discs

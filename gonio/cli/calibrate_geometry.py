@@ -13,7 +13,7 @@ from gonio.by_hand.manual_rig import ManualRig
 from gonio.calibration import camera_check, fiducials, intrinsics
 from gonio.calibration import geometry as geometric
 from gonio.calibration import geometry_scans as poses
-from gonio.calibration.geometry import Sighting
+from gonio.calibration.geometry_problem import Sighting, start_of
 from gonio.calibration.geometry_scans import GeometryScans, Kept, read_sightings, reversed_approach
 from gonio.calibration.intrinsics import Intrinsics
 from gonio.cli import console, opened
@@ -217,8 +217,7 @@ def _finish(
     fit = geometric.solve(description, sightings, given) if sightings else None
     measured: TomlTable = {}
     if fit is not None:
-        tables, paths, covariance = geometric.values_of(fit)
-        tables = geometric.filled(tables, description)
+        tables, paths, covariance = geometric.values_of(fit, description)
         notes += [
             *(f"WARNING: {said}" for said in fit.warnings),
             *fit.open,
@@ -232,8 +231,6 @@ def _finish(
         camera = description.camera.model_dump(mode="json")
         tables = {"camera": {name: camera[name] for name in ("focal_length_mm", "principal_point_px", "distortion")}}
     if lens is not None:
-        tables.setdefault("camera", {}).setdefault("distortion", list(description.camera.distortion))
-        tables["camera"]["distortion"] = [0.0 if v is None else v for v in tables["camera"]["distortion"]]
         measured |= {
             "rms_reprojection_px": lens.rms_px, "corners": lens.corners, "rejected": lens.rejected,
             "images": list(lens.images), "rms_by_image_px": list(lens.rms_by_image_px),
@@ -269,7 +266,7 @@ def _finish(
 
 
 def _show_numbers(filed: RigDescription, tables: TomlTable, u: dict[str, float]) -> None:
-    was, now, claimed = numbers_in(geometric.start_of(filed)), numbers_in(tables), geometric.claims(filed)
+    was, now, claimed = numbers_in(start_of(filed)), numbers_in(tables), geometric.claims(filed)
     table = console.table("key", "value", "u (k = 1)", "was", "with u")
     for path, one in u.items():
         before = f"{was[path]:.5g}" if path in was else "-"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import tomllib
 from collections.abc import Callable
 from dataclasses import replace
@@ -13,9 +14,10 @@ import pytest
 from gonio_sim.rig import SIM
 
 from gonio.calibration import geometry
-from gonio.calibration.geometry import Sighting
-from gonio.config import parse
+from gonio.calibration.geometry_problem import CORNER_FLOOR_PX, INK, Predictor, Sighting, start_values
+from gonio.config import numbers_in, parse
 from gonio.errors import DataError
+from gonio.rig.calibrated import with_keys
 from gonio.rig.description import RigDescription
 
 STEP_DEG = 0.088
@@ -59,7 +61,7 @@ def sighted(true: RigDescription) -> Callable[..., list[Sighting]]:
     """Sightings of the true rig, with the errors of encoder steps and of what is read from frames."""
 
     def made(*, mirror: int = 0, straight: int = 0, markers: int = 0, seen: bool = True) -> list[Sighting]:
-        rng = np.random.default_rng(3)
+        rng, see = np.random.default_rng(3), Predictor(true)
         zero = {name: axis.zero_offset_deg for name, axis in true.axes().items()}
         out = []
 
@@ -71,10 +73,11 @@ def sighted(true: RigDescription) -> Callable[..., list[Sighting]]:
             corners = tuple(range(16)) if marks and seen else ()
             nowhere = (0.0, 0.0) if lamp else None
             s = Sighting(holder, counts, (), nowhere, NOISE_PX, corners, ((0.0, 0.0),) * len(corners), NOISE_PX)
-            at = geometry.predicted(true, s, {n: float(rng.uniform(-0.5, 0.5)) * STEP_DEG for n in counts})
-            spot, where = (each + rng.normal(0.0, NOISE_PX, each.shape) for each in at)
-            out.append(Sighting(holder, counts, (), (float(spot[0, 0]), float(spot[0, 1])) if lamp else None, NOISE_PX,
-                                corners, tuple((float(c), float(r)) for c, r in where), NOISE_PX))  # fmt: skip
+            at = see(s, {n: float(rng.uniform(-0.5, 0.5)) * STEP_DEG for n in counts})
+            where = [(float(c), float(r)) for c, r in at + rng.normal(0.0, NOISE_PX, at.shape)]
+            out.append(
+                replace(s, spot_px=where[0] if lamp else None, u_spot_px=NOISE_PX, corners_px=tuple(where[lamp:]))
+            )
 
         for light in np.linspace(-70.0, 70.0, mirror) if mirror else ():
             one("mirror", (light, -light + rng.uniform(-1, 1), rng.uniform(-0.4, 0.4), rng.uniform(-170, 170)),
@@ -102,7 +105,7 @@ def whole(filed: RigDescription, sighted: Callable[..., list[Sighting]]) -> geom
 
 def test_all_together_find_the_rig_within_their_uncertainties(whole: geometry.Fit, true: RigDescription) -> None:
     """34 numbers: the mean square of errors over u is 1 within 0.5, three standard deviations of a chi-square's."""
-    there = geometry._numbers(geometry.start_of(true), [u.path for u in whole.unknowns if "harmonics" not in u.path])
+    there = start_values(true, [u.path for u in whole.unknowns if "harmonics" not in u.path])
     at = [k for k, u in enumerate(whole.unknowns) if "harmonics" not in u.path]
     pulls = (whole.values[at] - there) / np.sqrt(np.diag(whole.covariance)[at])
     assert np.mean(pulls**2) < 1.8
@@ -121,7 +124,7 @@ def test_what_corners_are_off_alike_in_all_pictures_is_in_the_distance(
         corners = np.array(s.corners_px).reshape(-1, 2)
         away = corners - corners.mean(axis=0) if len(corners) else corners
         size = math.sqrt(np.mean((away**2).sum(axis=1))) if len(corners) else 1.0
-        out = corners + away * geometry.CORNER_FLOOR_PX / size
+        out = corners + away * CORNER_FLOOR_PX / size
         exact.append(s)
         stretched.append(replace(s, corners_px=tuple((float(c), float(r)) for c, r in out)))
     plain, other = (geometry.solve(filed, sightings) for sightings in (exact, stretched))
@@ -149,15 +152,11 @@ def test_arms_are_known_over_their_range_though_zero_and_cosine_look_alike(
 
 
 def test_what_is_written_reads_as_a_rig(whole: geometry.Fit, filed: RigDescription) -> None:
-    from gonio.config import numbers_in
-    from gonio.rig.calibrated import with_keys
-
-    tables, paths, covariance = geometry.values_of(whole)
-    filled = geometry.filled(tables, filed)
-    assert set(paths) <= set(numbers_in(filled))
+    tables, paths, covariance = geometry.values_of(whole, filed)
+    assert set(paths) <= set(numbers_in(tables))
     assert covariance.shape == (len(paths), len(paths))
-    assert geometry.INK not in paths
-    rig = with_keys(filed, filled, "calibration")
+    assert INK not in paths
+    rig = with_keys(filed, tables, "calibration")
     assert rig.arms.light.zero_offset_known
     assert rig.arms.light.zero_offset_deg == pytest.approx(whole.value("arms.light.zero_offset_deg"))
 
@@ -175,11 +174,9 @@ def test_what_is_written_reads_as_a_rig(whole: geometry.Fit, filed: RigDescripti
 def test_one_ingredient_alone_names_what_is_open_and_does_not_write_it(
     filed: RigDescription, sighted: Callable[..., list[Sighting]], ingredients: dict[str, Any], said: str
 ) -> None:
-    import re
-
     fit = geometry.solve(filed, sighted(**ingredients))
     assert any(re.search(said, sentence) for sentence in fit.open)
-    _, paths, _ = geometry.values_of(fit)
+    _, paths, _ = geometry.values_of(fit, filed)
     assert not [p for p in paths if p.endswith("zero_offset_deg") and p.startswith("arms")]
     assert fit.rank < len(fit.unknowns)
 
@@ -210,11 +207,8 @@ def claiming(filed: RigDescription, zero_deg: float, u_deg: float) -> RigDescrip
 
 
 @pytest.mark.parametrize("off", [0.0, 1.5])
-def test_what_the_rig_file_knows_better_is_not_replaced(
-    filed: RigDescription, sighted: Callable[..., list[Sighting]], true: RigDescription, off: float
-) -> None:
-    seen = sighted(mirror=20, straight=6, markers=12)
-    alone = geometry.solve(filed, seen)
+def test_what_the_rig_file_knows_better_is_not_replaced(filed: RigDescription, whole: geometry.Fit, off: float) -> None:
+    alone = whole
     u = 0.3 * alone.u(ZERO)
     claimed = alone.value(ZERO) + off * math.hypot(u, alone.u(ZERO))
     fit = geometry.weighed(alone, claiming(filed, claimed, u))
@@ -249,7 +243,7 @@ def test_a_zero_that_is_not_determined_stays_as_filed_and_is_named(
     fit = geometry.solve(claiming(filed, 3.0, 0.02), sighted(mirror=12, seen=False))
     (said,) = fit.warnings
     assert "is not replaced, and it was not checked" in said
-    assert ZERO not in geometry.values_of(fit)[1]
+    assert ZERO not in geometry.values_of(fit, filed)[1]
     assert "printed markers" in fit.open[-1]
     assert "face each other" in fit.open[-1]
 
