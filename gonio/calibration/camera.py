@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from scipy.linalg import block_diag
 
 from gonio.calibration import black_frames, linearity, photon_transfer, pixel_statistics, response, vignetting
 from gonio.calibration.camera_frames import CameraFrame
+from gonio.calibration.camera_passes import Passes
 from gonio.documents import TomlTable
 from gonio.errors import DataError
 from gonio.reduction.stray_light import spread
@@ -20,33 +21,19 @@ from gonio.rig import Pose
 from gonio.rig.calibrated import Calibration
 from gonio.rig.calibration_use import ParameterUncertainty
 from gonio.rig.description import RigDescription
-from gonio.rig.imaging import Channel, of_channel
+from gonio.rig.imaging import Channel
 from gonio.rig.light_and_camera import Camera
-from gonio.rig.sensor_response import PixelMaps, linear_dn, straightened
+from gonio.rig.sensor_response import PixelMaps, straightened
 from gonio.typing import Floats
 
-CLIPPED = 1e-3
-"""Part of the pixels of dark frames that may read 0 DN: beyond it their noise is cut off."""
-BRIGHT = 0.9
-"""Of the brightest part of the flats: pixels above it are the region of the photon transfer."""
-PARTS = (BRIGHT, 0.45, 0.2, 0.09, 0.04, 0.02, 0.01)
-"""Edges of the parts of other brightness, from which the linearity is determined."""
-FEWEST_PIXELS = 200
 UNDETERMINED = 0.05
 """Standard uncertainty of `vignetting` from which on it is not: lenses lose a tenth or two at the corners."""
 LEVEL = 0.9
 """Of saturation: frames above are not used for the linearity."""
 LEAST_DN = 2.0
 """Of a part's signal."""
-PAIR = 5.0
-"""Standard deviations of the lamp's noise that the frames of a pair may differ by, beyond half a per cent."""
-BIASED_PAIR = 0.005
-MAP_LEVELS = 0.2, 0.8
-"""Of the brightest flats: flats of which the map of responsivities is made."""
 NOT_BLACK = 0.25
 """Share of the mean that a lens may spread: from here on it is no lens, but something bright where black should be."""
-
-Say = Callable[[str], None]
 
 
 @dataclass(frozen=True)
@@ -118,236 +105,33 @@ def calibrate_response(frames: Sequence[CameraFrame], description: RigDescriptio
     )
 
 
-class _Work:
-    """The passes over the frames, and what each leaves for the next."""
-
-    def __init__(self, frames: Sequence[CameraFrame], description: RigDescription, channel: Channel) -> None:
-        self.description = description
-        self.camera, self.lamp, self.channel = description.camera, description.lamp, channel
-        # what is measured is not to be taken out before
-        self.raw = self.camera.model_copy(update={"nonlinearity": (), "stray_light": 0.0, "stray_halo": 0.0})
-        self.of = {kind: [f for f in frames if f.kind == kind] for kind in ("dark", "flat", "trap", "edge", "field")}
-        shape = self.camera.height, self.camera.width
-        self.colour = of_channel(self.camera.pattern, channel, slice(0, shape[0]), slice(0, shape[1]))
-        self.notes: list[str] = []
-
-    def read(self, frame: CameraFrame) -> Floats:
-        return np.asarray(linear_dn(self.camera, frame.read(self.camera)), dtype=float)
-
-    # ---- dark frames ----
-
-    def darks(self) -> None:
-        """Each pixel's line over exposure, defects, pairs, and the level of the frame."""
-        taken = self.of["dark"]
-        exposures = sorted({f.exposure_s for f in taken})
-        if len(exposures) < 2 or any(sum(f.exposure_s == t for f in taken) < 2 for t in exposures):
-            raise DataError(
-                f"there are {len(taken)} dark frames of {len(exposures)} exposures; two exposures with two "
-                f"frames each are "
-                "needed (lamp off, lens covered): a short one, and the longest that is used"
-            )
-        count = len(taken)
-        t = np.array([f.exposure_s for f in taken])
-        total, first = np.zeros(self.colour.shape), np.zeros(self.colour.shape)
-        zero = 0.0
-        for f in taken:
-            image = f.read(self.camera)
-            zero += float(np.mean(image == 0)) / count
-            values = np.asarray(linear_dn(self.camera, image), dtype=float)
-            total += values
-            first += (f.exposure_s - t.mean()) * values
-        if CLIPPED < zero < 1.0:
-            raise DataError(
-                f"{100 * zero:.2g} % of the pixels of the dark frames read 0 DN: what lies below is cut off, "
-                f"and neither "
-                "noise nor dark level can be determined; raise the camera's black level"
-            )
-        self.dark_mean, self.dark_t = total / count, float(t.mean())
-        self.dark_slope = first / float(np.sum((t - t.mean()) ** 2))
-        short = self.dark_mean - self.dark_slope * self.dark_t
-        self.defects = pixel_statistics.outliers(self.dark_slope) | pixel_statistics.outliers(short)
-        good = self.colour & ~self.defects
-        self.good = good
-        means, pairs, temperatures = [], [], []
-        for exposure in exposures:
-            group = [f for f in taken if f.exposure_s == exposure]
-            images = [self.read(f)[good] for f in group]
-            means += [(f.exposure_s, float(image.mean())) for f, image in zip(group, images, strict=True)]
-            temperatures += [f.temperature_c for f in group]
-            pairs += [photon_transfer.pair(a, b, exposure) for a, b in zip(images[::2], images[1::2], strict=False)]
-        self.dark_pairs, self.dark_means, self.temperatures = pairs, np.array(means).T, np.array(temperatures)
-        x, y = self.dark_means
-        away = x - x.mean()
-        slope = float(np.sum(away * y) / np.sum(away**2))
-        level = float(y.mean()) - slope * float(x.mean())
-        scatter = float(np.sqrt(np.sum((y - level - slope * x) ** 2) / max(count - 2, 1)))
-        self.level, self.slope = level, slope
-        self.u_slope = scatter / float(np.sqrt(np.sum(away**2)))
-        self.u_level = scatter * math.sqrt(1.0 / count + float(x.mean() ** 2 / np.sum(away**2)))
-
-    def dark_at(self, exposure_s: float) -> Floats:
-        return self.dark_mean + self.dark_slope * (exposure_s - self.dark_t)
-
-    def _noise_of_line(self, exposure_s: float) -> float:
-        """Temporal variance [DN^2] of a pixel's dark line at an exposure: of the frames that it is made of."""
-        return self._noise_and_u(exposure_s)[0]
-
-    def _noise_and_u(self, exposure_s: float) -> tuple[float, float]:
-        """That variance, and its standard uncertainty."""
-        x = self.dark_means[0]
-        share = (1.0 / len(x) + (exposure_s - x.mean()) * (x - x.mean()) / np.sum((x - x.mean()) ** 2)) ** 2
-        variance = u_square = 0.0
-        for t in set(x):
-            pairs, weight = [p for p in self.dark_pairs if p.exposure_s == t], float(np.sum(share[x == t]))
-            variance += weight * float(np.mean([p.variance_dn2 for p in pairs]))
-            u_square += weight**2 * float(np.sum([p.u_variance**2 for p in pairs])) / len(pairs) ** 2
-        return variance, math.sqrt(u_square)
-
-    def uneven_darks(self) -> tuple[pixel_statistics.Unevenness, float, Floats]:
-        """Unevenness of the dark level at no exposure [DN], the standard uncertainty of its total, and the level."""
-        bias = self.dark_mean - self.dark_slope * self.dark_t
-        filled = np.where(self.defects, float(np.median(bias)), bias)
-        temporal, u_temporal = self._noise_and_u(0.0)
-        uneven = pixel_statistics.unevenness(filled, temporal)
-        u_variance = math.hypot((uneven.total**2 + temporal) * math.sqrt(2.0 / filled.size), u_temporal)
-        return uneven, u_variance / (2.0 * max(uneven.total, math.sqrt(u_variance))), filled
-
-    # ---- flat frames ----
-
-    def flats(self) -> None:
-        """Parts of the picture, levels of every frame, and pairs over the brightest part."""
-        taken = self.of["flat"]
-        if len(taken) < 2 * photon_transfer.FEWEST_LEVELS:
-            raise DataError(
-                f"there are {len(taken)} flat frames; pairs at {photon_transfer.FEWEST_LEVELS} exposures and "
-                f"more are needed"
-            )
-        if len({f.exposure_s for f in taken}) < photon_transfer.FEWEST_LEVELS:
-            raise DataError(
-                f"the flat frames have {len({f.exposure_s for f in taken})} exposures; at least "
-                f"{photon_transfer.FEWEST_LEVELS} from dark to full are needed: flats of one level tell no line"
-            )
-        tops: dict[float, float] = {}
-        for f in taken:
-            tops.setdefault(f.exposure_s, float(np.percentile(self.read(f)[self.good], 99.0)) - self.level)
-        # of the converter, or of a well that fills up before
-        white = self.camera.white_level_dn - self.level
-        self.full = min(white, max(tops.values()))
-        inside = {t: top for t, top in tops.items() if top < 0.7 * self.full}
-        if min(tops.values()) > 0.9 * white or not inside:
-            raise DataError(
-                "every flat frame is full: take flats at shorter exposures, from a few per cent of full scale on"
-            )
-        if max(inside.values()) < 0.05 * white:
-            raise DataError(
-                f"the brightest flat frames reach {100 * max(tops.values()) / white:.1f} % of full scale: light "
-                f"the white "
-                "reference more, or expose longer"
-            )
-        middle = max(inside, key=lambda t: inside[t])
-        picture = np.mean([self.read(f) for f in taken if f.exposure_s == middle], axis=0) - self.dark_at(middle)
-        top = float(np.percentile(picture[self.good], 99.0))
-        # noise must not choose the pixels
-        even = pixel_statistics.smooth(picture, self.good, 2.0)
-        edges = [math.inf, *(part * top for part in PARTS)]
-        masks = [self.good & (even < high) & (even >= low) for high, low in pairwise(edges)]
-        self.bright, self.even = masks[0], even
-        self.masks = [mask for mask in masks if np.count_nonzero(mask) >= FEWEST_PIXELS]
-        if np.count_nonzero(self.bright) < FEWEST_PIXELS:
-            raise DataError("the flat frames hold no even bright part: is the white reference in view, and in focus?")
-        self._levels(taken)
-
-    def _levels(self, taken: list[CameraFrame]) -> None:
-        parts = len(self.masks)
-        darks = [(self.dark_mean[m].mean(), self.dark_slope[m].mean()) for m in self.masks]
-        self.u_dark_dn = np.array([math.sqrt(self._noise_of_line(0.0) / np.count_nonzero(m)) for m in self.masks])
-        level, u = np.full((2, parts, len(taken)), math.nan)
-        self.pairs: list[photon_transfer.Pair] = []
-        limit = PAIR * math.sqrt(2.0) * self.lamp.noise + BIASED_PAIR
-        sums, of_map = np.zeros(self.colour.shape), []
-        dropped = 0
-        waiting: dict[float, tuple[int, Floats]] = {}
-        for k, f in enumerate(taken):
-            image = self.read(f)
-            for b, mask in enumerate(self.masks):
-                values = image[mask]
-                dark, slope = darks[b]
-                level[b, k] = values.mean() - dark - slope * (f.exposure_s - self.dark_t)
-            mean = level[0, k]
-            if MAP_LEVELS[0] * self.full <= mean <= MAP_LEVELS[1] * self.full:
-                sums += image - self.dark_at(f.exposure_s)
-                of_map.append(f.exposure_s)
-            other = waiting.pop(f.exposure_s, None)
-            if other is None:
-                waiting[f.exposure_s] = (k, image)
-                continue
-            first, before = other
-            for b, mask in enumerate(self.masks):
-                found = photon_transfer.pair(before[mask], image[mask], f.exposure_s)
-                u[b, [first, k]] = math.sqrt(max(found.variance_dn2, 0.05) / found.pixels)
-            found = photon_transfer.pair(before[self.bright], image[self.bright], f.exposure_s)
-            apart = abs(level[0, first] - level[0, k]) / max(mean, 1.0)
-            if apart > limit + 5.0 * math.sqrt(2.0) * u[0, k] / max(mean, 1.0):
-                dropped += 1
-                self.notes.append(
-                    f"{f.path.name} and {taken[first].path.name} differ by {100 * apart:.2g} % and are left "
-                    f"out: the lamp is "
-                    f"taken to be steady within {100 * limit:.2g} % (lamp.noise)"
-                )
-                level[:, [first, k]] = math.nan
-                continue
-            self.pairs.append(found)
-        for left, _ in waiting.values():
-            level[:, left] = math.nan
-        if waiting:
-            self.notes.append(f"{len(waiting)} flat frames have no second one of their exposure and are left out")
-        if dropped > 0.5 * (dropped + len(self.pairs)):
-            raise DataError(
-                f"{dropped} of {dropped + len(self.pairs)} pairs of flat frames differ by more than "
-                f"{100 * limit:.2g} %: the "
-                "lamp drifts or flickers more than lamp.noise says; let it warm up, or give its noise in the rig file"
-            )
-        if len({p.exposure_s for p in self.pairs}) < photon_transfer.FEWEST_LEVELS:
-            raise DataError(
-                f"there are pairs of flat frames at {len({p.exposure_s for p in self.pairs})} exposures; "
-                f"{photon_transfer.FEWEST_LEVELS} are needed: two frames and more at each exposure"
-            )
-        self.level_dn, self.u_dn = level, u
-        self.map_sum, self.map_count = sums, len(of_map)
-        self.map_exposure = float(np.mean(of_map)) if of_map else 0.0
-
-    # ---- results ----
+class _Work(Passes):
+    """What comes out of the passes over the frames."""
 
     def done(self) -> CameraCalibration:
-        self.darks()
-        self.flats()
+        """All that the frames tell."""
         ordered = sorted(self.pairs, key=lambda p: p.mean_dn)
         last = photon_transfer.saturation_index(np.array([p.variance_dn2 for p in ordered]))
-        full = min(ordered[last].mean_dn - self.level, self.camera.white_level_dn - self.level)
-        curve = self._linearity(full)
+        curve = self._linearity(min(ordered[last].mean_dn - self.level, self.camera.white_level_dn - self.level))
         bent = self.raw.model_copy(update={"nonlinearity": tuple(curve.coefficients)})
-        transfer = photon_transfer.photon_transfer(
-            self.pairs, self.dark_pairs, (self.level, self.slope), bent, curve.covariance
-        )
-        standard = photon_transfer.photon_transfer(self.pairs, self.dark_pairs, (self.level, self.slope), self.raw)
-        prnu, u_prnu, map_ = self._responsivities(transfer, bent)
+        pairs = self.pairs, self.dark_pairs, (self.level, self.slope)
+        transfer = photon_transfer.photon_transfer(*pairs, bent, curve.covariance)
+        standard = photon_transfer.photon_transfer(*pairs, self.raw)
+        prnu, u_prnu, responsivities = self._responsivities(transfer, bent)
         gain = transfer.electrons_per_dn
-        uneven, u_uneven, filled = self.uneven_darks()
+        uneven, u_uneven, filled = self._uneven_darks()
         values, own = self._noise(transfer, (uneven.total * gain, u_uneven * gain), (prnu, u_prnu))
         values["nonlinearity"] = [float(c) for c in curve.coefficients]
-        covariance, names = _with_gain(values, own, transfer)
-        covariance, names = _with(
-            covariance, names, curve.covariance, [f"nonlinearity[{k}]" for k in range(len(curve.coefficients))]
-        )
-        stray = self._stray(bent, gain, transfer.read_noise_e)
+        names = [*own, *(f"nonlinearity[{k}]" for k in range(len(curve.coefficients)))]
+        blocks = [_with_gain(values, own, transfer), curve.covariance]
         measured = self._figures(transfer, standard, curve, uneven, prnu)
+        stray = self._stray(bent, gain, transfer.read_noise_e)
         if stray is not None:
             values |= {"stray_light": max(stray.uniform, 0.0)}
-            strays = ["stray_light"]
             if stray.halo > 0:
                 values |= {"stray_halo": stray.halo, "stray_halo_px": stray.halo_px}
-                strays.append("stray_halo")
-            covariance, names = _with(covariance, names, stray.covariance[: len(strays), : len(strays)], strays)
+            names += (strays := ["stray_light", "stray_halo"][: 1 + (stray.halo > 0)])
+            blocks.append(stray.covariance[: len(strays), : len(strays)])
             measured["stray_light_chi_square"] = stray.chi_square
         lens = self._vignetting(bent, stray)
         if lens is not None and lens.u > UNDETERMINED:
@@ -358,22 +142,28 @@ class _Work:
             )
         elif lens is not None:
             values["vignetting"] = max(lens.value, 0.0)
-            covariance, names = _with(covariance, names, np.array([[lens.u**2]]), ["vignetting"])
+            names.append("vignetting")
+            blocks.append(np.array([[lens.u**2]]))
             measured["field_residual"] = lens.residual
         law = self._temperature(gain)
         if law is not None:
             measured |= {"dark_doubling_c": law.doubling_c, "dark_energy_ev": law.energy_ev, "dark_at_c": law.at_c}
         if not self.of["edge"] and stray is not None:
             self.notes.append("no frame of an edge: whether light spreads as a halo is not known")
-        maps = PixelMaps(
-            map_[0].astype(np.float32), map_[1].astype(np.float32), self.defects,
-            ((filled - filled.mean()) * gain).astype(np.float32),
-        )  # fmt: skip
-        rounded = {k: _rounded(v) for k, v in values.items()}
+        maps = [each.astype(np.float32) for each in (*responsivities, (filled - filled.mean()) * gain)]
         return CameraCalibration(
-            rounded, names, covariance, self.notes, {k: _rounded(v) for k, v in measured.items()},
-            maps, transfer, curve, self.dark_means,
+            _rounded(values), names, np.asarray(block_diag(*blocks)), self.notes, _rounded(measured),
+            PixelMaps(maps[0], maps[1], self.defects, maps[2]), transfer, curve, np.array(self.dark_means),
         )  # fmt: skip
+
+    def _uneven_darks(self) -> tuple[pixel_statistics.Unevenness, float, Floats]:
+        """Unevenness of the dark level at no exposure [DN], the standard uncertainty of its total, and the level."""
+        bias = self.dark_at(0.0)
+        filled = np.where(self.defects, float(np.median(bias)), bias)
+        temporal, u_temporal = self.dark_variance(0.0)
+        uneven = pixel_statistics.unevenness(filled, temporal)
+        u_variance = math.hypot((uneven.total**2 + temporal) * math.sqrt(2.0 / filled.size), u_temporal)
+        return uneven, u_variance / (2.0 * max(uneven.total, math.sqrt(u_variance))), filled
 
     def _noise(
         self, transfer: photon_transfer.PhotonTransfer, dsnu: tuple[float, float], prnu: tuple[float, float]
@@ -483,7 +273,7 @@ class _Work:
         self.defects = self.defects | bad
         region &= ~bad
         # a sum of S electrons of n frames has the variance S + n sigma_d^2, and n^2 times that of the dark line
-        dark = self._noise_of_line(self.map_exposure) * transfer.electrons_per_dn**2
+        dark = self.dark_variance(self.map_exposure)[0] * transfer.electrons_per_dn**2
         each = (transfer.dark_noise_dn * transfer.electrons_per_dn) ** 2
         temporal = (electrons + self.map_count * each + self.map_count**2 * dark) / electrons**2
         prnu = math.sqrt(max(total - temporal, 0.0))
@@ -508,15 +298,14 @@ class _Work:
                 raise DataError(f"{f.path}: black_px reaches beyond the frame")
             groups.setdefault((f.kind, f.exposure_s, repr(f.black)), []).append(f)
         for (_, exposure, _), group in groups.items():
-            mean = np.mean([self.read(f) for f in group], axis=0)
+            mean = self.mean(group)
             top = float(np.percentile(mean[self.good], 99.9)) - self.level
             if top > 0.97 * (self.camera.white_level_dn - self.level):
                 raise DataError(
                     f"{group[0].path}: is full where it is bright; stray light needs frames that are not: "
                     f"expose shorter"
                 )
-            dark = self.dark_at(exposure)
-            signal = straightened(camera, mean - self.level) - straightened(camera, dark - self.level)
+            signal = self._signal(camera, mean, exposure)
             assert group[0].black is not None
             region = signal[group[0].black][~self.defects[group[0].black]]
             signal = np.where(self.defects, math.nan, signal)
@@ -524,7 +313,7 @@ class _Work:
             electrons = max(float(region.mean()) * gain, 0.0) + max(self.slope * gain * exposure, 0.0)
             variance = (electrons + read_noise_e**2) / gain**2 + 1.0 / 12.0
             black.append(
-                black_frames.BlackFrame(signal, group[0].black, variance / len(group) + self._noise_of_line(exposure))
+                black_frames.BlackFrame(signal, group[0].black, variance / len(group) + self.dark_variance(exposure)[0])
             )
         if not black:
             self.notes.append("no frames of a trap or an edge: stray light is not determined")
@@ -542,6 +331,11 @@ class _Work:
             )
         return found
 
+    def _signal(self, camera: Camera, mean: Floats, exposure_s: float) -> Floats:
+        """What a mean frame holds beyond its dark level [DN], with the curve taken out."""
+        dark = self.dark_at(exposure_s)
+        return np.asarray(straightened(camera, mean - self.level) - straightened(camera, dark - self.level))
+
     def _vignetting(self, camera: Camera, stray: black_frames.StrayLight | None) -> vignetting.Vignetting | None:
         if not self.of["field"]:
             return None
@@ -552,9 +346,7 @@ class _Work:
             groups.setdefault((f.pose, f.exposure_s), []).append(f)
         pictures = []
         for (pose, exposure), group in groups.items():
-            mean = np.mean([self.read(f) for f in group], axis=0)
-            dark = self.dark_at(exposure)
-            signal = straightened(camera, mean - self.level) - straightened(camera, dark - self.level)
+            signal = self._signal(camera, self.mean(group), exposure)
             if float(np.percentile(signal[self.good], 99.0)) > 0.97 * self.full:
                 raise DataError(f"{group[0].path}: is full: frames of the field are not; expose shorter")
             if stray is not None:
@@ -568,42 +360,31 @@ class _Work:
 
     def _temperature(self, gain: float) -> pixel_statistics.DarkTemperature | None:
         """Arrhenius' law, where the dark frames say their temperatures."""
-        t = np.round(self.temperatures, 1)
-        exposures, means = self.dark_means
+        from scipy.stats import linregress
+
+        t, (exposures, means) = np.round(self.temperatures, 1), self.dark_means
         found = []
         for one in np.unique(t[np.isfinite(t)]):
             here = t == one
-            away = exposures[here] - exposures[here].mean()
-            if np.sum(away**2) > 0:
-                slope = float(np.sum(away * means[here]) / np.sum(away**2))
-                left = means[here] - means[here].mean() - slope * away
-                u = math.sqrt(float(np.sum(left**2)) / max(len(left) - 2, 1) / float(np.sum(away**2)))
-                found.append((one, slope * gain, max(u, 1e-6) * gain))
-        if not found:
-            return None
-        return pixel_statistics.temperature_law(*np.array(found).T)
+            if np.ptp(exposures[here]) > 0:
+                line = linregress(exposures[here], means[here])
+                found.append((one, line.slope * gain, max(line.stderr, 1e-6) * gain))
+        return pixel_statistics.temperature_law(*np.array(found).T) if found else None
 
 
-def _with_gain(
-    values: TomlTable, own: dict[str, float], transfer: photon_transfer.PhotonTransfer
-) -> tuple[Floats, list[str]]:
+def _with_gain(values: TomlTable, own: dict[str, float], transfer: photon_transfer.PhotonTransfer) -> Floats:
     """Covariance of numbers of which those in electrons share the gain's uncertainty."""
-    names = list(own)
     in_electrons = ("electrons_per_dn", "dark_current_e_per_s")
-    by_gain = np.array([values[name] if name.endswith("_e") or name in in_electrons else 0.0 for name in names])
-    covariance = np.diag(np.array(list(own.values())) ** 2)
-    return covariance + np.outer(by_gain, by_gain) * (transfer.u_gain / transfer.gain) ** 2, names
-
-
-def _with(a: Floats, names: list[str], b: Floats, more: list[str]) -> tuple[Floats, list[str]]:
-    """Two covariances of numbers that have nothing to do with each other."""
-    out = np.zeros((len(a) + len(b),) * 2)
-    out[: len(a), : len(a)], out[len(a) :, len(a) :] = a, b
-    return out, names + more
+    by_gain = np.array([values[name] if name.endswith("_e") or name in in_electrons else 0.0 for name in own])
+    return (
+        np.diag(np.array(list(own.values())) ** 2) + np.outer(by_gain, by_gain) * (transfer.u_gain / transfer.gain) ** 2
+    )
 
 
 def _rounded(value: Any) -> Any:
     """Numbers with six digits, as a person reads them."""
+    if isinstance(value, dict):
+        return {key: _rounded(one) for key, one in value.items()}
     if isinstance(value, list):
         return [_rounded(one) for one in value]
     return float(f"{value:.6g}") if isinstance(value, float) else value
