@@ -176,12 +176,11 @@ class Predictor:
 
     def __call__(self, s: Sighting, shift_deg: dict[str, float] | None = None) -> Floats:
         """The spot, if there is one, and the corners [px], shape (n, 2); `shift_deg`: of axes."""
-        off = {name: self._lag_deg[name] for name in s.against}
-        for name, shift in (shift_deg or {}).items():
-            off[name] = off.get(name, 0.0) + shift
+        shifts = shift_deg or {}
+        lags = {name: self._lag_deg[name] for name in s.against}
         rig, marks = self._rig, self._rig.holder.fiducials
         view = kinematics.view(rig, Pose(**{
-            name: math.radians(encoder - self._zero_deg[name] + off.get(name, 0.0))
+            name: math.radians(encoder - self._zero_deg[name] + shifts.get(name, 0.0) + lags.get(name, 0.0))
             for name, encoder in s.encoder_deg.items()
         }))  # fmt: skip
         points = np.zeros((len(s.pixels), 3))
