@@ -110,6 +110,8 @@ class _Work(Passes):
 
     def done(self) -> CameraCalibration:
         """All that the frames tell."""
+        self.darks()
+        self.flats()
         ordered = sorted(self.pairs, key=lambda p: p.mean_dn)
         last = photon_transfer.saturation_index(np.array([p.variance_dn2 for p in ordered]))
         curve = self._linearity(min(ordered[last].mean_dn - self.level, self.camera.white_level_dn - self.level))
@@ -119,7 +121,7 @@ class _Work(Passes):
         standard = photon_transfer.photon_transfer(*pairs, self.raw)
         prnu, u_prnu, responsivities = self._responsivities(transfer, bent)
         gain = transfer.electrons_per_dn
-        uneven, u_uneven, filled = self._uneven_darks()
+        uneven, u_uneven, filled = self.uneven_darks()
         values, own = self._noise(transfer, (uneven.total * gain, u_uneven * gain), (prnu, u_prnu))
         values["nonlinearity"] = [float(c) for c in curve.coefficients]
         names = [*own, *(f"nonlinearity[{k}]" for k in range(len(curve.coefficients)))]
@@ -155,15 +157,6 @@ class _Work(Passes):
             _rounded(values), names, np.asarray(block_diag(*blocks)), self.notes, _rounded(measured),
             PixelMaps(maps[0], maps[1], self.defects, maps[2]), transfer, curve, np.array(self.dark_means),
         )  # fmt: skip
-
-    def _uneven_darks(self) -> tuple[pixel_statistics.Unevenness, float, Floats]:
-        """Unevenness of the dark level at no exposure [DN], the standard uncertainty of its total, and the level."""
-        bias = self.dark_at(0.0)
-        filled = np.where(self.defects, float(np.median(bias)), bias)
-        temporal, u_temporal = self.dark_variance(0.0)
-        uneven = pixel_statistics.unevenness(filled, temporal)
-        u_variance = math.hypot((uneven.total**2 + temporal) * math.sqrt(2.0 / filled.size), u_temporal)
-        return uneven, u_variance / (2.0 * max(uneven.total, math.sqrt(u_variance))), filled
 
     def _noise(
         self, transfer: photon_transfer.PhotonTransfer, dsnu: tuple[float, float], prnu: tuple[float, float]

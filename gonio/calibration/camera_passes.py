@@ -48,8 +48,6 @@ class Passes:
         shape = self.camera.height, self.camera.width
         self.colour = of_channel(self.camera.pattern, channel, slice(0, shape[0]), slice(0, shape[1]))
         self.notes: list[str] = []
-        self._darks(self.of["dark"])
-        self._flats(self.of["flat"])
 
     def read(self, frame: CameraFrame) -> Floats:
         """A frame's linear values [DN]."""
@@ -61,10 +59,11 @@ class Passes:
 
     # ---- dark frames ----
 
-    def _darks(self, taken: list[CameraFrame]) -> None:
+    def darks(self) -> None:
         """Each pixel's line over exposure, defects, pairs, and the level of the frame."""
         from scipy.stats import linregress
 
+        taken = self.of["dark"]
         exposures = sorted({f.exposure_s for f in taken})
         if len(exposures) < 2 or any(sum(f.exposure_s == t for f in taken) < 2 for t in exposures):
             raise DataError(
@@ -117,10 +116,20 @@ class Passes:
             u_square += weight**2 * float(np.sum([p.u_variance**2 for p in pairs])) / len(pairs) ** 2
         return variance, math.sqrt(u_square)
 
+    def uneven_darks(self) -> tuple[pixel_statistics.Unevenness, float, Floats]:
+        """Unevenness of the dark level at no exposure [DN], the standard uncertainty of its total, and the level."""
+        bias = self.dark_at(0.0)
+        filled = np.where(self.defects, float(np.median(bias)), bias)
+        temporal, u_temporal = self.dark_variance(0.0)
+        uneven = pixel_statistics.unevenness(filled, temporal)
+        u_variance = math.hypot((uneven.total**2 + temporal) * math.sqrt(2.0 / filled.size), u_temporal)
+        return uneven, u_variance / (2.0 * max(uneven.total, math.sqrt(u_variance))), filled
+
     # ---- flat frames ----
 
-    def _flats(self, taken: list[CameraFrame]) -> None:
+    def flats(self) -> None:
         """Parts of the picture, levels of every frame, and pairs over the brightest part."""
+        taken = self.of["flat"]
         fewest = photon_transfer.FEWEST_LEVELS
         exposures = len({f.exposure_s for f in taken})
         if len(taken) < 2 * fewest:

@@ -8,19 +8,19 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, replace
+from collections.abc import Callable
+from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
+from pydantic import TypeAdapter
 
 from gonio.acquisition import exposure
-from gonio.by_hand.alignment_scans import BRIGHT, SPOT_PIXELS, Scans
+from gonio.by_hand.alignment_scans import BRIGHT, Scans
 from gonio.calibration import fiducials
 from gonio.calibration.geometry_problem import Sighting
-from gonio.documents import TomlTable
 from gonio.errors import ConfigError, DataError, DeviceError
 from gonio.geometry import overlap_of_discs
 from gonio.rig import Pose, imaging, kinematics
@@ -41,13 +41,12 @@ STEEPEST_DEG = 72.0
 AWAY_DEG = 3.0
 """From where an axis comes that has to arrive with its backlash open, or taken up: more than any backlash."""
 GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
-INSIDE = 0.85
-INSIDE_UNSURE = 0.6
+INSIDE, INSIDE_UNSURE = 0.85, 0.6
+"""Of the mirror's radius: its edge may lie a little beside where markers show it, or the rig file alone."""
 SATURATED = 0.97
 """Of full scale: a pixel as bright may be brighter."""
 SURE, SURE_PX = 12, 0.4
 """Corners, and their scatter, that show the mirror's edge."""
-"""Of the mirror's radius: its edge may lie a little beside where markers show it, or the rig file alone."""
 DARK = {
     "mirror": "frames are dark where its image should be. Is the mirror in the holder, whole and flat on it; does the "
     "lamp shine (gonio rig lamp on)",
@@ -99,15 +98,15 @@ class GeometryScans(Scans):
         super()._meter(whole=whole)
         if self._description.holder.fiducials is not None:
             white = exposure.expected_exposure_s(self._description, Pose(), 1.0)
-            shortest = self._description.camera.exposure_limits_s[0]
-            self._exposure_s = max(min(self._exposure_s, round(0.02 * white, 6)), shortest)
+            self._exposure_s = max(min(self._exposure_s, round(0.02 * white, 6)), self._shortest_s)
 
     # ---- the kinds of sightings ----
 
     def mirror_frames(self, poses: int = MIRROR_POSES) -> None:
         """A mirror is in the holder: the lamp in it, at light angles over the whole range; markers where there are."""
         clear = 0.5 * math.degrees(kinematics.blocked_cone(self._description)) + 2.0
-        steepest = min(STEEPEST_DEG, *(abs(v) - 1.0 for n in ("light", "camera") for v in self._limits(n)))
+        limits = self._description.limits_deg()
+        steepest = min(STEEPEST_DEG, *(abs(v) - 1.0 for n in ("light", "camera") for v in limits[n]))
         angles = [float(a) for a in np.linspace(-steepest, steepest, poses) if abs(a) > clear]
         if not angles:
             raise ConfigError("the limits of light and camera leave no mirror direction")
@@ -117,41 +116,36 @@ class GeometryScans(Scans):
         self._sums[first] = self._encoder("camera") + self._encoder("light")
         if "tilt" in self._axes:
             self._across = self._read("tilt")
-        order = sorted(angles, key=lambda a: (a * first < 0, abs(a - math.copysign(first, a))))
-        for number, light in enumerate(order):
+        angles.sort(key=lambda a: (a * first < 0, abs(a - math.copysign(first, a))))
+        for number, light in enumerate(angles):
             self._mirror_at(light, number)
-        self._require("mirror", len(order))
+        self._require("mirror", len(angles))
 
     def straight_frames(self, poses: int = STRAIGHT_POSES) -> None:
         """The holder is empty: the lamp itself, with both arms face to face."""
         difference = self._begin_straight()
         self._meter(whole=True)
-        lower, upper = self._limits("light")
-        everywhere = np.linspace(lower, upper, max(round(20 * (upper - lower)), 1))
-        angles = [float(a) for a in everywhere if self._fits("camera", self._camera_at(float(a), difference), 0.5)]
+        lower, upper = self._description.limits_deg()["light"]
+        everywhere = np.linspace(lower, upper, max(round(20 * (upper - lower)), 1)).tolist()
+        angles = [a for a in everywhere if self._fits("camera", self._camera_at(a, difference), 0.5)]
         if not angles:
             raise ConfigError(self.why_not_facing())
         for number in range(poses):
             light = angles[round((number + 0.5) / poses * len(angles) - 0.5)]
-            if self._try_to_go({"light": light, "camera": self._camera_at(light, difference) + 0.5 * _spread(number)}):
-                self._lost += self._look("empty", marks=False) is None
-            else:
-                self._lost += 1
+            goals = {"light": light, "camera": self._camera_at(light, difference) + 0.5 * _spread(number)}
+            self._lost += not self._try_to_go(goals) or self._look("empty", marks=False) is None
         self._require("empty", poses)
 
     def marker_frames(self, poses: int = MARKER_POSES) -> None:
         """Markers alone, at poses all over the range of the camera, of tilt and spin."""
         apart = math.degrees(kinematics.blocked_cone(self._description)) + 5.0
         for number in range(poses):
-            goals = {"camera": STEEPEST_DEG * _spread(number, 1)}
-            light = 60.0 * _spread(number, 2)
-            if abs(light - goals["camera"]) < apart:
+            camera, light = STEEPEST_DEG * _spread(number, 1), 60.0 * _spread(number, 2)
+            if abs(light - camera) < apart:
                 light += math.copysign(2.0 * apart, -light)
-            goals["light"] = light
-            for name, most, k in (("tilt", 50.0, 3), ("spin", 160.0, 4)):
-                if name in self._description.axes():
-                    goals[name] = most * _spread(number, k)
-            if self._try_to_go(goals):
+            turned = {"tilt": 50.0 * _spread(number, 3), "spin": 160.0 * _spread(number, 4)}
+            goals = {"camera": camera, "light": light} | turned
+            if self._try_to_go({name: goals[name] for name in goals if name in self._description.axes()}):
                 self._look("mirror", spot=False)
 
     def against_frames(self, sums: dict[float, float], across: float | None, poses: int = AGAINST_POSES) -> None:
@@ -169,7 +163,8 @@ class GeometryScans(Scans):
             goals = self._mirror_goals(light, number)
             before = {n: v - AWAY_DEG * side[n] * (-1.0 if n == odd else 1.0) for n, v in goals.items()}
             if self._try_to_go(before) and self._try_to_go(goals):
-                self._exposure_s = self._exposure_s or self._metered()
+                if not self._exposure_s:
+                    self._meter(whole=True)
                 self._look("mirror", against=(odd,))
 
     @property
@@ -196,84 +191,74 @@ class GeometryScans(Scans):
             if not self._try_to_go(goals):
                 return
             found = self._look("mirror", keep=False)
+            if found is None and attempt < 2:
+                self._meter(whole=True)
+                continue
             if found is None:
-                if attempt < 2:
-                    self._meter(whole=True)
-                    continue
                 self._lost += 1
                 return
             sighting, frames = found
             camera = self._description.camera
-            assert sighting.spot_px is not None
-            off = np.array(sighting.spot_px) - 0.5 * np.array([camera.width - 1, camera.height - 1])
+            size = np.array([camera.width, camera.height])
+            off = sighting.pixels[0] - 0.5 * (size - 1)
             turn = self._turn(sighting, off)
             self._sums[light] = sighting.encoder_deg["camera"] + sighting.encoder_deg["light"] + turn.get("camera", 0.0)
             if self._across is not None and (number == 0 or sighting.u_spot_px > WORST_PX):
                 self._across += turn.get("tilt", 0.0)
             good = sighting.u_spot_px <= WORST_PX
-            if good and (np.all(np.abs(off) < 0.3 * np.array([camera.width, camera.height])) or attempt == 2):
+            if good and (np.all(np.abs(off) < 0.3 * size) or attempt == 2):
                 self._keep_sighting(sighting, frames)
                 return
             self._lost += attempt == 2
 
     def _turn(self, s: Sighting, off: Floats) -> dict[str, float]:
         """How far camera and tilt have to go for the spot to be in the middle [deg], if the rig file were true."""
-        rig, pose = self._description, Pose(**{n: math.radians(self._read(n)) for n in s.encoder_deg})
+        rig, pose = self._description, self._pose()
         names = [n for n in ("camera", "tilt") if n in s.encoder_deg]
-        slopes = []
-        for name in names:
-            at = [self._lamp_at(rig, pose, {name: shift}) for shift in (-0.05, 0.05)]
-            slopes.append((at[1] - at[0]) / 0.1)
+
+        def lamp_at(name: str, shift_deg: float) -> Floats:
+            view = kinematics.view(rig, replace(pose, **{name: getattr(pose, name) + math.radians(shift_deg)}))
+            return np.array(imaging.project(rig, view, np.asarray(view.source_mm) * [1.0, 1.0, -1.0]))
+
+        slopes = [(lamp_at(name, 0.05) - lamp_at(name, -0.05)) / 0.1 for name in names]
         turn = np.linalg.lstsq(np.array(slopes).T, -off, rcond=1e-3)[0]
         return dict(zip(names, map(float, np.clip(turn, -3.0, 3.0)), strict=True))
 
-    def _lamp_at(self, rig: RigDescription, pose: Pose, shift: dict[str, float]) -> Floats:
-
-        moved = replace(pose, **{n: getattr(pose, n) + math.radians(v) for n, v in shift.items()})
-        view = kinematics.view(rig, moved)
-        return np.array(imaging.project(rig, view, np.asarray(view.source_mm) * [1.0, 1.0, -1.0]))
+    def _pose(self) -> Pose:
+        return Pose(**{n: math.radians(self._read(n)) for n in self._description.axes()})
 
     def _look(
         self, holder: str, *, spot: bool = True, marks: bool = True, against: tuple[str, ...] = (), keep: bool = True
     ) -> tuple[Sighting, dict[str, npt.NDArray[Any]]] | None:
         """Frames at the present pose, and what they show; None where they show nothing."""
-        rig, frames = self._description, {}
-        pose = Pose(**{n: math.radians(self._read(n)) for n in rig.axes()})
+        rig, frames, pose = self._description, dict[str, npt.NDArray[Any]](), self._pose()
         numbers, pixels, u_corner = np.zeros(0, np.intp), np.zeros((0, 2)), 0.0
         if marks and rig.holder.fiducials is not None:
-            limits = rig.camera.exposure_limits_s
             wanted = exposure.expected_exposure_s(rig, pose, rig.holder.fiducials.albedo)
-            frame = self._manual.camera.capture(round(min(max(wanted, limits[0]), limits[1], 2.0), 6))
-            self._require_size(frame)
+            frame = self._captured(round(min(max(wanted, self._shortest_s), self._longest_s, 2.0), 6))
             frames["markers"] = frame.mosaic
             numbers, pixels = fiducials.detect(frame.mosaic, rig.holder.fiducials)
             numbers, pixels, u_corner = fiducials.consistent(rig.holder.fiducials, numbers, pixels)
-            if len(numbers) >= SURE and u_corner < SURE_PX:
-                self._beside = fiducials.middle(rig.holder.fiducials, numbers, pixels) - self._middle(pose)
+        sure = len(numbers) >= SURE and u_corner < SURE_PX
+        if sure and rig.holder.fiducials is not None:
+            self._beside = fiducials.middle(rig.holder.fiducials, numbers, pixels) - self._middle(pose)
         found: tuple[float, float, float] | None = None
         if spot:
-            frame = self._manual.camera.capture(self._exposure_s)
-            self._require_size(frame)
+            frame = self._captured(self._exposure_s)
             frames["lamp"] = frame.mosaic
-            light = np.asarray(frame.mosaic, float) - frame.black_level_dn
-            bright = self._spot(frame) >= SPOT_PIXELS
-            self._dark += not bright
-            if bright:
-                inside = (
-                    self._inside_mirror(pose, numbers, pixels, u_corner)
-                    if holder == "mirror"
-                    else np.ones(light.shape, bool)
-                )
-                found = spot_of(light / exposure.full_scale_dn(rig.camera, frame), rig, inside)
-            if found is None:
-                return None
-        if found is None and not len(numbers):
+            if self._is_bright(frame):
+                seen = self._mirror(pose, numbers if sure else None, pixels) if holder == "mirror" else None
+                light = np.asarray(frame.mosaic, float) - frame.black_level_dn
+                found = spot_of(light / exposure.full_scale_dn(rig.camera, frame), rig, seen)
+            else:
+                self._dark += 1
+        if found is None and (spot or not len(numbers)):
             return None
         sighting = Sighting(
             holder=holder,
-            encoder_deg={n: round(self._encoder_of(n), 6) for n in rig.axes()},
+            encoder_deg={n: round(self._encoder(n), 6) for n in rig.axes()},
             against=against,
-            spot_px=(found[0], found[1]) if found else None,
+            spot_px=found[:2] if found else None,
             u_spot_px=found[2] if found else 0.0,
             corners=tuple(map(int, numbers)),
             corners_px=tuple((float(c), float(r)) for c, r in pixels),
@@ -283,38 +268,24 @@ class GeometryScans(Scans):
             self._keep_sighting(sighting, frames)
         return sighting, frames
 
-    def _encoder_of(self, name: str) -> float:
-        return self._read(name) + self._offset(name)
-
     def _middle(self, pose: Pose) -> Floats:
         """Where the sample's centre would be in the frame, by the rig file."""
         return np.array(imaging.project(self._description, kinematics.view(self._description, pose), np.zeros(3)))
 
-    def _inside_mirror(
-        self, pose: Pose, numbers: npt.NDArray[np.intp], pixels: Floats, u_corner: float
-    ) -> npt.NDArray[np.bool_]:
-        """Pixels that surely see the mirror: as markers in this frame show it, or as the rig file does, shifted to
-        where markers have last shown its middle."""
-        rig = self._description
-        radius_mm = 0.5 * rig.holder.sample_diameter_mm
-        if rig.holder.fiducials is not None and len(numbers) >= SURE and u_corner < SURE_PX:
-            size = (rig.camera.height, rig.camera.width)
+    def _mirror(self, pose: Pose, numbers: npt.NDArray[np.intp] | None, pixels: Floats) -> npt.NDArray[np.bool_]:
+        """Pixels that surely see the mirror: as corners of markers in this frame show it; or, where they do not (None),
+        as the rig file has it, shifted to where markers have last shown its middle."""
+        rig, camera = self._description, self._description.camera
+        radius_mm, size = 0.5 * rig.holder.sample_diameter_mm, (camera.height, camera.width)
+        if rig.holder.fiducials is not None and numbers is not None:
             return fiducials.on_plane(rig.holder.fiducials, numbers, pixels, size) <= INSIDE * radius_mm
         view = kinematics.view(rig, pose)
         if view.camera_mm[2] <= 0.0:
-            return np.zeros((rig.camera.height, rig.camera.width), bool)
-        column, row = np.array(rig.camera.principal_point_px) + (0.0 if self._beside is None else self._beside)
-        camera = rig.camera.model_copy(update={"principal_point_px": (float(column), float(row))})
+            return np.zeros(size, bool)
+        column, row = np.array(camera.principal_point_px) + (0.0 if self._beside is None else self._beside)
+        camera = camera.model_copy(update={"principal_point_px": (float(column), float(row))})
         seen = imaging.pixel_map(rig.model_copy(update={"camera": camera}), view)
-        inside: npt.NDArray[np.bool_] = np.hypot(seen.x_mm, seen.y_mm) <= INSIDE_UNSURE * radius_mm
-        return inside
-
-    def _metered(self) -> float:
-        self._meter(whole=True)
-        return self._exposure_s
-
-    def _limits(self, name: str) -> tuple[float, float]:
-        return self._description.limits_deg()[name]
+        return np.asarray(np.hypot(seen.x_mm, seen.y_mm) <= INSIDE_UNSURE * radius_mm)
 
     def _try_to_go(self, goals: dict[str, float]) -> bool:
         """Whether the rig can go there, and has."""
@@ -341,37 +312,15 @@ class GeometryScans(Scans):
 def reversed_approach(description: RigDescription) -> RigDescription:
     """A rig whose axes go straight to their goals: from either side, as they come."""
     tables = description.model_dump(mode="python")
-    for axis in (*filter(None, tables["arms"].values()),):
+    for axis in filter(None, tables["arms"].values()):
         axis["approach_deg"] = None
     tables["holder"] |= {"tilt_approach_deg": None, "spin_approach_deg": None}
     tables["acquisition"]["approach_deg"] = math.copysign(1e-6, description.acquisition.approach_deg or 1.0)
     return RigDescription.model_validate(tables)
 
 
-def _best_of(
-    left: Callable[[Floats], Floats],
-    centre: Sequence[float],
-    reach: float,
-    brightest: float,
-    bounds: tuple[list[float], list[float]],
-    count: int,
-) -> Any:
-    """The least of `left` (column, row, brightness, factor of the size, background), from up to five places."""
-    from scipy.optimize import least_squares
-
-    found = None
-    for to in ((0.0, 0.0), (0.5, 0.0), (-0.5, 0.0), (0.0, 0.5), (0.0, -0.5)):
-        start = [centre[0] + to[0] * reach, centre[1] + to[1] * reach, brightest, 1.0, 0.0]
-        tried = least_squares(left, np.clip(start, *bounds), bounds=bounds, x_scale=[1, 1, 0.1, 0.05, 0.1])
-        if found is None or tried.cost < found.cost:
-            found = tried
-        if math.sqrt(2.0 * found.cost / count) < SPOT_NOISE:
-            break
-    return found
-
-
 def spot_of(
-    light: Floats, description: RigDescription, inside: npt.NDArray[np.bool_]
+    light: Floats, description: RigDescription, inside: npt.NDArray[np.bool_] | None
 ) -> tuple[float, float, float] | None:
     """Column, row and standard uncertainty [px] of the middle of the lamp in a frame; None where it shows none.
 
@@ -382,7 +331,7 @@ def spot_of(
     description
         For the sizes of lamp and pupil.
     inside
-        Pixels that may show the lamp: those of the mirror, or all.
+        Pixels that may show the lamp: those of the mirror; None for all.
 
     Notes
     -----
@@ -390,32 +339,40 @@ def spot_of(
     distance from its middle is what two discs share, as far apart: those of lamp and pupil, as the plane in focus shows
     them. Their sizes are the rig file's, but for one factor. So no whole image is needed: a part of its edge tells.
     """
+    from scipy.optimize import least_squares
+
     camera = description.camera
+    inside = np.ones(light.shape, bool) if inside is None else inside
     size = max(1, round(math.sqrt(np.count_nonzero(inside) / PIXELS)))
     rows, cols = camera.height // size, camera.width // size
 
     def binned(image: npt.NDArray[Any]) -> Floats:
-        out: Floats = image[: rows * size, : cols * size].reshape(rows, size, cols, size).mean(axis=(1, 3))
-        return out
+        return np.asarray(image[: rows * size, : cols * size].reshape(rows, size, cols, size).mean(axis=(1, 3)))
 
     whole = binned(inside) == 1.0
-    small = binned(np.clip(light / SATURATED, 0.0, 1.0))
     y, x = np.nonzero(whole)
-    values = small[whole]
+    values = binned(np.clip(light / SATURATED, 0.0, 1.0))[whole]
     if len(values) < 30 or values.max() < BRIGHT:
         return None
     bright = values > 0.5 * values.max()
-    centre = [float(x[bright].mean()), float(y[bright].mean())]
     lamp, pupil = (max(r / size, 0.5) for r in _disc_radii_px(description))
     reach = lamp + pupil
 
     def left(p: Floats) -> Floats:
+        """Of column, row, brightness, factor of the size, background."""
         r = np.hypot(x - p[0], y - p[1])
         form = np.minimum(p[2] * overlap_of_discs(r, p[3] * lamp, p[3] * pupil) + p[4], 1.0)  # where it saturates
         return np.append(form - values, (p[3] - 1.0) / SIZE_U * SPOT_NOISE)
 
     bounds = ([-reach, -reach, 0.1, 0.6, -0.3], [cols + reach, rows + reach, 50.0, 1.6, 0.6])
-    found = _best_of(left, centre, reach, float(values.max()), bounds, len(values))
+    found: Any = None
+    for right, down in ((0.0, 0.0), (0.5, 0.0), (-0.5, 0.0), (0.0, 0.5), (0.0, -0.5)):
+        start = [x[bright].mean() + right * reach, y[bright].mean() + down * reach, float(values.max()), 1.0, 0.0]
+        tried = least_squares(left, np.clip(start, *bounds), bounds=bounds, x_scale=[1, 1, 0.1, 0.05, 0.1])
+        if found is None or tried.cost < found.cost:
+            found = tried
+        if math.sqrt(2.0 * found.cost / len(values)) < SPOT_NOISE:
+            break
     variance = 2.0 * found.cost / max(len(values) - 5, 1)
     covariance = np.linalg.pinv(found.jac.T @ found.jac) * variance
     u = size * math.sqrt(max(float(covariance[0, 0]), float(covariance[1, 1]), 0.0))
@@ -485,31 +442,22 @@ def read_sightings(path: Path) -> list[Sighting]:
         lines = file.read_text(encoding="utf-8").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise DataError(f"{file}: cannot be read: {getattr(error, 'strerror', None) or error}") from None
-    out = list(_sightings(lines, file))
+    out = [_sighting(line, f"{file}, line {number}") for number, line in enumerate(lines, 1)]
     if not out:
         raise DataError(f"{file}: holds no sighting")
     return out
 
 
-def _sightings(lines: list[str], file: Path) -> Iterator[Sighting]:
-    for number, line in enumerate(lines, 1):
-        try:
-            fields: TomlTable = json.loads(line)
-            fields.pop("frames", None)
-            spot = fields["spot_px"]
-            sighting = Sighting(
-                **fields
-                | {
-                    "encoder_deg": {str(n): float(v) for n, v in fields["encoder_deg"].items()},
-                    "against": tuple(fields["against"]),
-                    "spot_px": None if spot is None else (float(spot[0]), float(spot[1])),
-                    "corners": tuple(map(int, fields["corners"])),
-                    "corners_px": tuple((float(c), float(r)) for c, r in fields["corners_px"]),
-                }
-            )
-            numbers = [*(sighting.spot_px or ()), *sighting.encoder_deg.values(), *np.ravel(sighting.corners_px)]
-            if len(sighting.corners) != len(sighting.corners_px) or not np.isfinite(np.array(numbers, float)).all():
-                raise ValueError("not finite, or corners without places")
-        except (ValueError, TypeError, KeyError, IndexError, AttributeError):
-            raise DataError(f"{file}, line {number}: is no sighting of gonio calibrate geometry") from None
-        yield sighting
+def _sighting(line: str, where: str) -> Sighting:
+    try:
+        values = json.loads(line)
+        values.pop("frames", None)
+        sighting = TypeAdapter(Sighting).validate_python(values)
+        numbers = [*sighting.pixels.ravel(), *sighting.encoder_deg.values()]
+        if set(values) != {field.name for field in fields(Sighting)} or not np.isfinite(numbers).all():
+            raise ValueError("other fields, or not finite")
+        if len(sighting.corners) != len(sighting.corners_px):
+            raise ValueError("corners without places")
+    except (ValueError, TypeError, AttributeError):
+        raise DataError(f"{where}: is no sighting of gonio calibrate geometry") from None
+    return sighting

@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from gonio.calibration.camera import _Work
 from gonio.calibration.camera_frames import CameraFrame
+from gonio.calibration.camera_passes import Passes
 from gonio.rig.description import RigDescription
 from gonio.rig.light_and_camera import Camera, Lamp
 
@@ -53,7 +53,7 @@ def test_its_uncertainty_holds_below_the_noise_of_the_frames(
 ) -> None:
     pulls = []
     for seed in range(60):
-        work = _Work(darks(dsnu_dn, read_noise_dn, dark_dn_per_s, seed), rig_description, "mono")
+        work = Passes(darks(dsnu_dn, read_noise_dn, dark_dn_per_s, seed), rig_description, "mono")
         work.darks()
         uneven, u, _ = work.uneven_darks()
         pulls.append((uneven.total - dsnu_dn) / u)
