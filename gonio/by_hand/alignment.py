@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from gonio.disk import write_whole
+from gonio.disk import put
 from gonio.errors import DataError
 from gonio.rig.description import RigDescription
 from gonio.typing import Floats
@@ -364,10 +364,7 @@ def draw(table: pd.DataFrame, alignment: Alignment) -> Figure:
 
 def write(table: pd.DataFrame, path: Path) -> None:
     """Write scans, so that the fit can be done again."""
-    try:
-        write_whole(path, table.to_csv(index=False).encode())
-    except OSError as error:
-        raise DataError(f"{path}: cannot be written: {error.strerror}") from None
+    put(path, table.to_csv(index=False).encode())
 
 
 def read(path: Path) -> pd.DataFrame:

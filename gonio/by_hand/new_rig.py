@@ -6,19 +6,19 @@ The file that the driver ships is the form that is filled in, so that its commen
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
-from gonio.config import parse, read_toml
+from gonio.config import parse
 from gonio.documents import TomlTable
 from gonio.errors import ConfigError, DeviceError
 from gonio.rig import FoundServo, RigDiscovery, RigPlugin, RigService
 from gonio.rig.description import RigDescription
 
 if TYPE_CHECKING:
-    import tomlkit
+    pass
 
 Check = Callable[[str], Any]
 """What an answer means; raises `ValueError` that says what is wrong with it, and how it should be."""
@@ -86,11 +86,6 @@ class Answers:
             raise ConfigError(
                 f"{self.path}: {left[0]}: nothing of that name is asked; asked: {', '.join(sorted(self.used))}"
             )
-
-
-def answers_from(path: Path) -> Answers:
-    """Answers in a file."""
-    return Answers(path, read_toml(path))
 
 
 # ---- what an answer may be ----
@@ -204,17 +199,18 @@ def look(plugin: DriverPlugin, ports: Sequence[str], say: Callable[[str], None])
         try:
             if plugin.is_release(name):
                 found.releases.append(name)
-                say("  a release box")
+                said = "a release box"
             elif (lamp := plugin.lamp_on(name)) is not None:
                 found.lamps.append((name, *lamp))
-                say(f'  a lamp, "{lamp[1]}", dialect {lamp[0]}')
+                said = f'a lamp, "{lamp[1]}", dialect {lamp[0]}'
             elif servos := plugin.servos(name, lambda text: None):
                 found.servos += servos
-                say("  servos: " + ", ".join(f"id {s.id} ({s.model}, {s.baud} baud)" for s in servos))
+                said = "servos: " + ", ".join(f"id {s.id} ({s.model}, {s.baud} baud)" for s in servos)
             else:
-                say("  nobody that is known here")
+                said = "nobody that is known here"
         except DeviceError as error:
-            say(f"  {error}")
+            said = str(error)
+        say(f"  {said}")
     return found
 
 
@@ -241,7 +237,7 @@ def make(
     """
     import tomlkit
 
-    form = tomlkit.parse(plugin.toml)
+    form: Any = tomlkit.parse(plugin.toml)
     ask = person.about
     form["name"] = ask("name", "A name for the rig", "my goniometer", some)
     say("Looking at the ports. Nothing is lit or moved by it; servos are sought at every line speed.")
@@ -251,10 +247,10 @@ def make(
     _camera(person, form, found)
     _geometry(person, form)
     _reference(person, form)
-    text = (
+    asked = (
         "A file that tells a robot, or the twins of gonio sim serve, what to put into the holder (none: a person does)"
     )
-    target = ask("target_file", text, "none", some)
+    target = ask("target_file", asked, "none", some)
     if target != "none":
         form["devices"]["holder"] = {"target_file": target}
     person.done()
@@ -269,22 +265,10 @@ def make(
     return text, description
 
 
-def _table(form: tomlkit.TOMLDocument, *names: str) -> Any:
-    table: Any = form
-    for name in names:
-        table = table[name]
-    return table
-
-
-def _fill(table: Any, values: Mapping[str, Any]) -> None:
-    for key, value in values.items():
-        table[key] = value
-
-
 def _servos(
     plugin: DriverPlugin, person: Person | Answers, say: Callable[[str], None], form: Any, servos: list[FoundServo]
 ) -> None:
-    ask, table = person.about, _table(form, "devices", "servos")
+    ask, table = person.about, form["devices"]["servos"]
     at = sorted({(s.port, s.baud) for s in servos})
     if not servos:
         raise ConfigError(
@@ -301,7 +285,7 @@ def _servos(
         raise ConfigError(
             f"two servos answer to id {shared.id}: connect one at a time and give each its own (gonio rig ids --set-id)"
         )
-    _fill(table, {"port": at[0][0], "baud": at[0][1]})
+    table["port"], table["baud"] = at[0]
     may = ask("wiggle", "May each servo turn by 3 degrees and back, slowly? Hold the arms clear (yes, no)", "yes", yes)
     for _ in range(TIMES):
         axes = _axes(plugin, person, say, servos, may=may)
@@ -313,26 +297,24 @@ def _servos(
         say(f"No servo turns the axis {missing[0]}. Once more, from the first servo:")
     else:
         raise ConfigError("no servo was said to turn light or camera; nothing is written")
-    holder = [name for name in ("tilt", "spin") if name in axes]
-    form["holder"]["axes"] = holder
-    for name in ("tilt", "spin"):
-        if name not in axes:
-            del table["axes"][name]
+    form["holder"]["axes"] = [name for name in ("tilt", "spin") if name in axes]
+    for name in {"tilt", "spin"} - set(axes):
+        del table["axes"][name]
     if "changer" not in axes:
         del table["changer"]
     for name, (servo, direction, zero) in axes.items():
         place = table["changer"] if name == "changer" else table["axes"].setdefault(name, {})
-        _fill(place, {"id": servo.id, "model": servo.model, "direction": direction, "zero_count": zero})
+        place.update({"id": servo.id, "model": servo.model, "direction": direction, "zero_count": zero})
     for name in (n for n in (*ARMS, "azimuth") if n in axes):
         usual = "-170 170" if name == "azimuth" else "-95 95"
         text = f"How far may the axis {name} turn without touching anything [deg]; arms beyond +-92 can face each other"
         arm = form["arms"].setdefault(name, {})
         limits = ask(f"{name}_limits_deg", text, usual, angles)
-        _fill(arm, {"limits_deg": limits, "zero_offset_known": False})
+        arm.update({"limits_deg": limits, "zero_offset_known": False})
         place = table["axes"][name]
         if "park_deg" in place and not limits[0] <= place["park_deg"] <= limits[1]:
             del place["park_deg"]
-    if holder:
+    if form["holder"]["axes"]:
         form["holder"]["zero_offset_known"] = False
 
 
@@ -368,14 +350,13 @@ def _axes(
 
 
 def _lamp(person: Person | Answers, form: Any, found: Found) -> None:
-    ask, table = person.about, _table(form, "devices", "light")
+    ask, table = person.about, form["devices"]["light"]
     first = found.lamps[0] if found.lamps else None
     where = ask("lamp_port", "Port of the lamp", first[0] if first else None, port)
     spoken = next((lamp[1] for lamp in found.lamps if lamp[0] == where), None)
     text = "Its dialect: scpi, mightex, arduino, or a .toml file of your own"
-    dialect = ask("lamp_dialect", text, spoken or "scpi", some)
-    level = ask("lamp_level", "How bright, as a fraction of its largest output", "0.8", fraction)
-    _fill(table, {"port": where, "dialect": dialect, "level": level})
+    table["port"], table["dialect"] = where, ask("lamp_dialect", text, spoken or "scpi", some)
+    table["level"] = ask("lamp_level", "How bright, as a fraction of its largest output", "0.8", fraction)
     listed = ask("bands", 'Its bands: "tunable", or centre and width of each in nm (450 20, 550 25)', "tunable", bands)
     if listed is not None:
         form["bands"] = {"list": listed}
@@ -383,39 +364,38 @@ def _lamp(person: Person | Answers, form: Any, found: Found) -> None:
 
 def _camera(person: Person | Answers, form: Any, found: Found) -> None:
     ask, camera = person.about, form["camera"]
-    driver = ask(
-        "camera_driver", "The camera: folder (tethered, RAW files), uvc, or another driver's name", "folder", some
-    )
+    text = "The camera: folder (tethered, RAW files), uvc, or another driver's name"
+    driver = ask("camera_driver", text, "folder", some)
     if driver == "folder":
-        table = form["devices"]["camera"]
-        folder = ask("camera_folder", "The folder that its files come into", "frames-from-camera", some)
-        table["folder"] = folder
-        usual = "serial" if found.releases else "none"
-        how = ask(
-            "trigger", "Who releases it: serial (a box), command, none", usual, one_of("serial", "command", "none")
-        )
-        trigger: TomlTable = {"how": how}
-        if how == "serial":
-            box = found.releases[0] if found.releases else None
-            trigger["port"] = ask("release_port", "Port of the release box", box, port)
-        elif how == "command":
-            text = "The command, with {exposure_s} and {folder} where they belong"
-            trigger["command"] = ask("trigger_command", text, None, some).split()
-        table["trigger"] = trigger
+        _tethered(person, form["devices"]["camera"], found)
     else:
         form["devices"]["camera"] = {"driver": driver}
-        if driver == "uvc":
-            text = "The device of the video camera"
-            form["devices"]["camera"]["device"] = ask("camera_device", text, "/dev/video0", some)
-    _fill(
-        camera,
-        {
-            "width": ask("width", "Columns of its frames [pixels]", str(camera["width"]), whole(32, 8192)),
-            "height": ask("height", "Rows of its frames [pixels]", str(camera["height"]), whole(32, 8192)),
-            "pixel_um": ask("pixel_um", "Pitch of its pixels [um]", str(camera["pixel_um"]), positive),
-            "focal_length_mm": ask("focal_length_mm", "Focal length [mm]", str(camera["focal_length_mm"]), positive),
-        },
-    )
+    if driver == "uvc":
+        text = "The device of the video camera"
+        form["devices"]["camera"]["device"] = ask("camera_device", text, "/dev/video0", some)
+    for key, text, check in (
+        ("width", "Columns of its frames [pixels]", whole(32, 8192)),
+        ("height", "Rows of its frames [pixels]", whole(32, 8192)),
+        ("pixel_um", "Pitch of its pixels [um]", positive),
+        ("focal_length_mm", "Focal length [mm]", positive),
+    ):
+        camera[key] = ask(key, text, str(camera[key]), check)
+
+
+def _tethered(person: Person | Answers, table: Any, found: Found) -> None:
+    """A camera whose files come into a folder, and who releases it."""
+    ask = person.about
+    table["folder"] = ask("camera_folder", "The folder that its files come into", "frames-from-camera", some)
+    usual = "serial" if found.releases else "none"
+    ways = one_of("serial", "command", "none")
+    how = ask("trigger", "Who releases it: serial (a box), command, none", usual, ways)
+    trigger = table["trigger"] = {"how": how}
+    if how == "serial":
+        box = found.releases[0] if found.releases else None
+        trigger["port"] = ask("release_port", "Port of the release box", box, port)
+    elif how == "command":
+        text = "The command, with {exposure_s} and {folder} where they belong"
+        trigger["command"] = ask("trigger_command", text, None, some).split()
 
 
 def _geometry(person: Person | Answers, form: Any) -> None:
@@ -424,8 +404,8 @@ def _geometry(person: Person | Answers, form: Any) -> None:
         text = f"Distance from the sample's centre to the {what} [mm]"
         table[f"{name}_distance_mm"] = ask(f"{name}_distance_mm", text, None, positive)
     for name, what in (("light", "lamp's housing"), ("camera", "camera")):
-        usual = str(table[f"{name}_body_radius_mm"])
-        table[f"{name}_body_radius_mm"] = ask(f"{name}_body_radius_mm", f"Radius of the {what} [mm]", usual, positive)
+        key, text = f"{name}_body_radius_mm", f"Radius of the {what} [mm]"
+        table[key] = ask(key, text, str(table[key]), positive)
     lamp = ask("lamp_diameter_mm", "Diameter of the lamp's bright disc [mm]", "17.5", positive)
     pupil = ask("aperture_mm", "Diameter of the lens's aperture: focal length / f-number [mm]", "17.5", positive)
     form["lamp"]["half_angle_deg"] = _half_angle(lamp, table["light_distance_mm"])

@@ -11,19 +11,18 @@ import contextlib
 import math
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
-from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
 from gonio.acquisition import exposure
 from gonio.by_hand.moved import Movable
-from gonio.disk import write_whole
+from gonio.disk import put, put_picture
 from gonio.errors import ArgumentError, ConfigError, DataError
 from gonio.rig import Frame, Pose, kinematics, regions, sensor_noise
 from gonio.rig.description import RigDescription
+from gonio.typing import Floats
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -53,21 +52,17 @@ def angles_between(start: float, stop: float, step: float) -> list[float]:
 
 @dataclass(frozen=True, slots=True)
 class _Dark:
-    """Mean dark frames at one or two exposures, and between them the dark signal of any pixel."""
+    """Mean dark frames [DN] at one or two exposures [s], and between them the dark signal of any pixel."""
 
-    short_s: float
-    short: npt.NDArray[np.float64]
-    long_s: float
-    long: npt.NDArray[np.float64]
-    frames: int
+    exposures_s: list[float]
+    means: list[Floats]
 
-    def of(self, exposure_s: float) -> npt.NDArray[np.float64]:
+    def of(self, exposure_s: float) -> Floats:
         """The dark mosaic [DN] for an exposure [s]."""
-        if self.long_s == self.short_s:
-            return self.short
-        part = (exposure_s - self.short_s) / (self.long_s - self.short_s)
-        mixed: npt.NDArray[np.float64] = self.short + part * (self.long - self.short)
-        return mixed
+        if self.exposures_s[0] == self.exposures_s[-1]:
+            return self.means[0]
+        part = (exposure_s - self.exposures_s[0]) / (self.exposures_s[-1] - self.exposures_s[0])
+        return np.asarray(self.means[0] + part * (self.means[-1] - self.means[0]))
 
 
 def scan(
@@ -158,25 +153,21 @@ def scan(
 def _bounded(description: RigDescription, exposure_s: float | None) -> RigDescription:
     """The rig with the exposures that a scan may have."""
     shortest, longest = description.camera.exposure_limits_s
+    white = exposure.expected_exposure_s(description, Pose(), 1.0)
+    limits = shortest, min(longest, max(LONGEST * white, 2 * shortest))
     if exposure_s is not None:
-        shortest, longest = exposure_s, exposure_s
-    else:
-        white = exposure.expected_exposure_s(description, Pose(), 1.0)
-        longest = min(longest, max(LONGEST * white, 2 * shortest))
-    camera = description.camera.model_copy(update={"exposure_limits_s": (shortest, longest)})
+        limits = exposure_s, exposure_s
+    camera = description.camera.model_copy(update={"exposure_limits_s": limits})
     return description.model_copy(update={"camera": camera})
 
 
 def _darks(manual: Movable, bounded: RigDescription) -> _Dark:
-    means = []
-    for exposure_s in bounded.camera.exposure_limits_s:
+    dark = _Dark([], [])
+    for exposure_s in dict.fromkeys(bounded.camera.exposure_limits_s):
         shots = [manual.camera.capture(exposure_s) for _ in range(DARK_FRAMES)]
-        means.append((shots[0].exposure_s, np.mean([shot.mosaic for shot in shots], axis=0)))
-        if bounded.camera.exposure_limits_s[0] == bounded.camera.exposure_limits_s[1]:
-            means *= 2
-            break
-    (short_s, short), (long_s, long) = means
-    return _Dark(short_s, short, long_s, long, DARK_FRAMES)
+        dark.exposures_s.append(shots[0].exposure_s)
+        dark.means.append(np.mean([shot.mosaic for shot in shots], axis=0))
+    return dark
 
 
 def _patch(description: RigDescription, pose: Pose | None) -> tuple[regions.Roi, str]:
@@ -190,24 +181,23 @@ def _patch(description: RigDescription, pose: Pose | None) -> tuple[regions.Roi,
 def _signal(description: RigDescription, shots: list[Frame], roi: regions.Roi, dark: _Dark) -> dict[str, object]:
     """Signal and its standard uncertainty [DN/s] of a patch, from frames of one exposure."""
     camera = description.camera
-    exposure_s = shots[0].exposure_s
-    off = np.asarray(roi.of(dark.of(exposure_s)), float)
-    means = np.array([float(np.mean(np.asarray(roi.of(shot.mosaic), float) - off)) for shot in shots])
-    light_e, dark_e = max(float(means.mean()), 0.0) * camera.electrons_per_dn, camera.dark_current_e_per_s * exposure_s
+    exposure_s, n = shots[0].exposure_s, len(shots)
+    lit = np.array([roi.of(shot.mosaic) for shot in shots], float)
+    means = (lit - roi.of(dark.of(exposure_s))).mean(axis=1)
+    mean = float(means.mean())
+    light_e, dark_e = max(mean, 0.0) * camera.electrons_per_dn, camera.dark_current_e_per_s * exposure_s
     pixel_dn, dark_dn = sensor_noise.deviation_dn(camera, [light_e + dark_e, dark_e]).tolist()
-    noise = math.hypot(pixel_dn / math.sqrt(roi.count), float(means.mean()) * description.lamp.noise)
-    noise /= math.sqrt(len(shots))
-    scatter = float(means.std(ddof=1)) / math.sqrt(len(shots)) if len(shots) > 1 else 0.0
-    u = math.hypot(max(noise, scatter), dark_dn / math.sqrt(dark.frames * roi.count))
-    full = [np.asarray(roi.of(s.mosaic), float) - s.black_level_dn for s in shots]
-    bright = [f >= exposure.SATURATED * exposure.full_scale_dn(camera, s) for f, s in zip(full, shots, strict=True)]
+    noise = math.hypot(pixel_dn / math.sqrt(roi.count), mean * description.lamp.noise) / math.sqrt(n)
+    scatter = float(means.std(ddof=1)) / math.sqrt(n) if n > 1 else 0.0
+    u = math.hypot(max(noise, scatter), dark_dn / math.sqrt(DARK_FRAMES * roi.count))
+    full = [shot.black_level_dn + exposure.SATURATED * exposure.full_scale_dn(camera, shot) for shot in shots]
     return {
-        "signal_dn_per_s": float(means.mean()) / exposure_s,
+        "signal_dn_per_s": mean / exposure_s,
         "u_signal_dn_per_s": u / exposure_s,
         "exposure_s": exposure_s,
-        "frames": len(shots),
+        "frames": n,
         "pixels": roi.count,
-        "saturated": float(np.mean(bright)),
+        "saturated": float(np.mean(lit >= np.reshape(full, (-1, 1)))),
     }
 
 
@@ -240,22 +230,13 @@ def write(table: pd.DataFrame, file: Path) -> Path:
     """
 
     picture = file.with_suffix(".png")
-    _put(file, table.to_csv(index=False).encode())  # before anything that takes time, or may fail
+    put(file, table.to_csv(index=False).encode())  # before anything that takes time, or may fail
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(7.5, 4.8), layout="constrained")
     plot(table, figure.subplots())
-    drawn = BytesIO()
-    figure.savefig(drawn, format="png", dpi=110)
     try:
-        _put(picture, drawn.getvalue())
+        put_picture(picture, figure)
     except DataError as failure:
         raise DataError(f"{failure}; the table itself is whole, in {file}") from None
     return picture
-
-
-def _put(path: Path, data: bytes) -> None:
-    try:
-        write_whole(path, data)
-    except OSError as error:
-        raise DataError(f"{path}: cannot be written: {error.strerror or error}") from None

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +13,7 @@ import numpy.typing as npt
 from gonio.acquisition import exposure
 from gonio.by_hand import looking
 from gonio.by_hand.moved import Movable
-from gonio.disk import write_whole
+from gonio.disk import put, put_picture
 from gonio.errors import ConfigError, DataError
 from gonio.rig import Frame, Pose, dng, kinematics, regions
 from gonio.rig.description import RigDescription
@@ -156,26 +155,17 @@ def _patch(
 
 
 def _write(shot: Snapshot, file: Path, picture: Path) -> None:
-
-    if file.suffix.lower() == ".dng":
+    suffix = file.suffix.lower()
+    if suffix == ".dng":
         dng.write_dng(shot.frame, file)
     else:
         import cv2
 
-        good, data = cv2.imencode(file.suffix.lower(), shot.frame.mosaic)
+        good, data = cv2.imencode(suffix, shot.frame.mosaic)
         if not good:
             raise DataError(f"{file}: the frame cannot be written as {file.suffix}")
-        _put(file, data.tobytes())
-    drawn = BytesIO()
-    shot.draw().savefig(drawn, format="png", dpi=110)
+        put(file, data.tobytes())
     try:
-        _put(picture, drawn.getvalue())
+        put_picture(picture, shot.draw())
     except DataError as failure:
         raise DataError(f"{failure}; the frame itself is whole, in {file}") from None
-
-
-def _put(path: Path, data: bytes) -> None:
-    try:
-        write_whole(path, data)
-    except OSError as error:
-        raise DataError(f"{path}: cannot be written: {error.strerror or error}") from None

@@ -15,8 +15,8 @@ import numpy as np
 import numpy.typing as npt
 
 from gonio.calibration.intrinsics import refine, stretched
-from gonio.disk import write_whole
-from gonio.errors import ConfigError, DataError
+from gonio.disk import put
+from gonio.errors import ConfigError
 from gonio.rig.description import Fiducials, RigDescription
 from gonio.rig.fiducials import RIM, cells, centres_mm, corners_mm, dictionary_of
 from gonio.rig.imaging import image_distance_mm
@@ -80,10 +80,7 @@ def print_sheet(marks: Fiducials, aperture_mm: float, file: Path) -> None:
         data = _png(marks, aperture_mm, half)
     else:
         raise ConfigError(f"{file}: a sheet of markers is written as .svg or .png")
-    try:
-        write_whole(file, data)
-    except OSError as error:
-        raise DataError(f"{file}: cannot be written: {error.strerror}") from None
+    put(file, data)
 
 
 def _svg(marks: Fiducials, aperture_mm: float, half: float) -> str:

@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING, Annotated, cast
 import typer
 
 from gonio.cli import console
+from gonio.cli.opened import require_new
 from gonio.cli.rigs import app
-from gonio.errors import ConfigError, DataError
+from gonio.disk import put
+from gonio.errors import ConfigError
 
 if TYPE_CHECKING:
     from gonio.by_hand.new_rig import DriverPlugin
@@ -33,24 +35,20 @@ def new_rig(
 ) -> None:
     """Ask what a rig file needs, find ports, servos and lamp, and write the file, with a comment on each value."""
     from gonio import plugins
-    from gonio.by_hand.new_rig import Answers, Person, answers_from, make
-    from gonio.disk import write_whole
+    from gonio.by_hand.new_rig import Answers, Person, make
+    from gonio.config import read_toml
 
-    if out.suffix != ".toml" or not out.absolute().parent.is_dir():
-        raise ConfigError(f"--out {out}: must end with .toml, and lie in a folder that is there")
-    if out.exists():
-        raise ConfigError(f"{out}: is there already; name another file with --out")
+    require_new(out)
     plugin = plugins.load("gonio.rigs", driver)
     if not all(hasattr(plugin, name) for name in NEEDED):
         raise ConfigError(
             f'the driver "{driver}" cannot look for devices: gonio rig show {driver} > {out}, and edit it'
         )
-    person: Person | Answers = answers_from(answers) if answers is not None else Person(_line, console.note)
+    person: Person | Answers = (
+        Answers(answers, read_toml(answers)) if answers is not None else Person(_line, console.note)
+    )
     text, _ = make(cast("DriverPlugin", plugin), person, console.note, ports=port or ())
-    try:
-        write_whole(out, text.encode())
-    except OSError as error:
-        raise DataError(f"{out}: cannot be written: {error.strerror}") from None
+    put(out, text.encode())
     console.show(f"{out} is written; next: gonio rig check --rig {out}, then gonio rig align --rig {out}")
 
 

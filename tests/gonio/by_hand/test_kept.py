@@ -11,7 +11,7 @@ import pytest
 from matplotlib.figure import Figure
 
 import gonio
-from gonio.by_hand import scan, snapshot
+from gonio.by_hand import scan
 from gonio.cli.signals import undisturbed
 from gonio.disk import write_whole
 from gonio.errors import DataError
@@ -39,8 +39,7 @@ def test_a_table_is_on_the_disk_before_its_plot_is_drawn(tmp_path: Path, monkeyp
 
 
 def test_a_full_disk_is_blamed_on_the_file_that_did_not_fit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(scan, "write_whole", _no_pictures)
-    monkeypatch.setattr(snapshot, "write_whole", _no_pictures)
+    monkeypatch.setattr("gonio.disk.write_whole", _no_pictures)
     with pytest.raises(DataError, match=r"s\.png: cannot be written: No space.*whole, in .*s\.csv"):
         scan.write(TABLE, tmp_path / "s.csv")
     with (
