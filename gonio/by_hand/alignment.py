@@ -154,8 +154,7 @@ def peak(x: Floats, signal: Floats, u_signal: Floats, step_deg: float) -> Peak |
         slope = (form(nudged) - form(start)) / 1e-3
         sigma = np.hypot(u_scaled, np.hypot(slope, 0.1 / max(start[1], spacing)) * step_deg / math.sqrt(12.0))
         sigma = np.maximum(sigma, 1e-3)
-    freedom = max(len(x) - 5, 1)
-    misfit = max(1.0, float(np.sum(found.fun**2)) / freedom)
+    misfit = max(1.0, float(np.sum(found.fun**2)) / max(len(x) - 5, 1))
     try:
         u = math.sqrt(float(np.linalg.pinv(found.jac.T @ found.jac)[0, 0]) * misfit)
     except np.linalg.LinAlgError:

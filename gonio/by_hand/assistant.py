@@ -338,8 +338,7 @@ class Assistant:
         self._say(f"lamp lit, band {self._manual.band.name}; dark {self.timer.seconds:g} s after the last key press")
 
     def _band(self, words: list[str]) -> None:
-        wavelength = _one_number(words, "band 550", ("nm",))
-        self._manual.choose_band(wavelength)
+        self._manual.choose_band(_one_number(words, "band 550", ("nm",)))
         self._sight.changed()
         if self.timer.left_s is not None:
             self._manual.light.select(self._manual.band)

@@ -198,8 +198,7 @@ def noise(camera: Camera, first: Frame, second: Frame, region: Roi) -> Noise | N
     if a.size < 2 or max(full) > FEW:
         return None
     means = a.mean() / first.exposure_s, b.mean() / second.exposure_s
-    alone = np.std(a - b) / math.sqrt(2.0)
-    lit = means[1] * second.exposure_s > SEEN * alone / math.sqrt(a.size)
+    lit = means[1] * second.exposure_s > SEEN * np.std(a - b) / math.sqrt(2.0 * a.size)
     if lit and (means[0] <= 0 or abs(means[1] / means[0] - 1.0) > STEADY):
         return None
     scaled = a * (means[1] / means[0] * second.exposure_s / first.exposure_s) if lit else a

@@ -83,8 +83,7 @@ def blocks(description: RigDescription, pose: Pose, mean: Floats, noise: Floats,
 
     camera = description.camera
     even = description.model_copy(update={"lamp": description.lamp.model_copy(update={"beam": None})})
-    view = kinematics.view(description, pose)
-    seen = imaging.pixel_map(even, view)
+    seen = imaging.pixel_map(even, kinematics.view(description, pose))
     x, y = seen.beam_xy_mm
     cx, cy = description.reference.offset_mm if description.reference.how == "beside" else (0.0, 0.0)
     reach = INSIDE * 0.5 * description.reference.diameter_mm
@@ -151,8 +150,7 @@ def fit(table: pd.DataFrame) -> Profile:
         )
     found, *_ = np.linalg.lstsq(scaled / length, target, rcond=None)
     covariance = np.linalg.inv((scaled / length).T @ (scaled / length)) / np.outer(length, length)
-    residuals = target - scaled @ (found / length)
-    reduced = float(np.sum(residuals**2)) / (len(table) - design.shape[1])
+    reduced = float(np.sum((target - scaled @ (found / length)) ** 2)) / (len(table) - design.shape[1])
     parameters = (found / length).tolist()
     return Profile(
         beam=Beam(**dict(zip(Beam.model_fields, parameters[:5], strict=True))),

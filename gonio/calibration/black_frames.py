@@ -51,8 +51,7 @@ class StrayLight:
 def fit(frames: Sequence[BlackFrame], camera: Camera, channel: Channel = "mono") -> StrayLight:
     """The even share, and the halo where one shows."""
     even, _ = _with_halo(frames, camera, channel, None)
-    largest = 0.7 * max(camera.width, camera.height)
-    radii = np.geomspace(SMALLEST_PX, max(largest, 2 * SMALLEST_PX), 12)
+    radii = np.geomspace(SMALLEST_PX, max(0.7 * max(camera.width, camera.height), 2 * SMALLEST_PX), 12)
     found = [_with_halo(frames, camera, channel, float(radius)) for radius in radii]
     best = int(np.argmin([chi for _, chi in found]))
     if 0 < best < len(radii) - 1:

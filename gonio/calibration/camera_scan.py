@@ -75,8 +75,7 @@ class Scan:
     def flats(self) -> None:
         """Pairs over the white reference from dark to full, in an order in which no drift looks like a level."""
         self._manual.lamp(True)
-        metered = self._meter("flat")
-        times = self._times(np.concatenate([LOW, HIGH]) / metered.level_per_s)
+        times = self._times(np.concatenate([LOW, HIGH]) / self._meter("flat").level_per_s)
         shuffled = [float(t) for t in np.random.default_rng(0).permutation(np.repeat(times, self._pairs))]
         self._say(f"flats: {len(shuffled)} pairs at {len(times)} exposures from {times[0]:.3g} to {times[-1]:.3g} s")
         self._take_all("flat", [t for t in shuffled for _ in range(2)])
@@ -94,8 +93,7 @@ class Scan:
     def field(self) -> None:
         """The white reference from several directions: what stays with the pixels is the lens."""
         self._manual.lamp(True)
-        description = self._manual.description
-        first = math.radians(description.reference.theta_i_deg)
+        first = math.radians(self._manual.description.reference.theta_i_deg)
         for angle in FIELD_DEG:
             try:
                 self._manual.move(theta_i=first, theta_r=math.radians(angle))

@@ -207,8 +207,7 @@ def _edges_meet(frame: npt.NDArray[np.float32], square: Floats, n: int) -> Float
         share = np.trapezoid((rise - black) / (white - black), across, axis=1)
         edge = on_edge + (half - share)[:, None] * outward[k]
         middle = edge.mean(axis=0)
-        direction = np.linalg.svd(edge - middle)[2][0]
-        lines.append((middle, direction))
+        lines.append((middle, np.linalg.svd(edge - middle)[2][0]))
     out = []
     for k in range(4):  # corner k: where the edge that ends there meets the one that begins
         (a, d), (b, e) = lines[k - 1], lines[k]
@@ -272,11 +271,9 @@ def consistent(
         if plane is None:
             return nothing
         off = np.linalg.norm(_off_plane(marks, plane, numbers, pixels), axis=1)
-        sigma = float(np.sqrt(np.median(off**2) / (2.0 * np.log(2.0))))
-        good = off <= FAR * max(sigma, 0.02)
+        good = off <= FAR * max(float(np.sqrt(np.median(off**2) / (2.0 * np.log(2.0)))), 0.02)
         if good.all():
-            freedom = 2 * len(numbers) - 9
-            return numbers, pixels, float(np.sqrt(np.sum(off**2) / freedom))
+            return numbers, pixels, float(np.sqrt(np.sum(off**2) / (2 * len(numbers) - 9)))
         numbers, pixels = numbers[good], pixels[good]
     return nothing
 
@@ -285,8 +282,7 @@ def _off_plane(marks: Fiducials, plane: Any, numbers: npt.NDArray[np.intp], pixe
     """Corners less where a plane has them, less what all are shifted outward from their own markers' middles: ink."""
     import cv2
 
-    flat = corners_mm(marks)
-    there = cv2.perspectiveTransform(flat.reshape(1, -1, 2), plane)[0]
+    there = cv2.perspectiveTransform(corners_mm(marks).reshape(1, -1, 2), plane)[0]
     outward = (there.reshape(-1, 4, 2) - there.reshape(-1, 4, 2).mean(axis=1, keepdims=True)).reshape(-1, 2)[numbers]
     outward /= np.linalg.norm(outward, axis=1, keepdims=True)
     off = pixels - there[numbers]

@@ -235,8 +235,7 @@ def weighed(fit: Fit, filed: RigDescription) -> Fit:
                 f"{both}. They are {abs(apart):.1f} apart, in combined ones. The rig file knows it better: {then}"
             )
         if fit.known[k]:
-            variance = (claimed * max(1.0, abs(apart))) ** 2 + covariance[k, k]
-            column = covariance[:, k] / variance
+            column = covariance[:, k] / ((claimed * max(1.0, abs(apart))) ** 2 + covariance[k, k])
             values += column * (start[k] - values[k])
             covariance -= np.outer(column, covariance[k])
     return replace(fit, values=values, covariance=covariance, warnings=tuple(said))

@@ -187,8 +187,7 @@ class GeometryScans(Scans):
     def _mirror_at(self, light: float, number: int) -> None:
         """Go where the image should be; where it is far from the middle, go there and look again."""
         for attempt in range(3):
-            goals = self._mirror_goals(light, number)
-            if not self._try_to_go(goals):
+            if not self._try_to_go(self._mirror_goals(light, number)):
                 return
             found = self._look("mirror", keep=False)
             if found is None and attempt < 2:
@@ -205,8 +204,7 @@ class GeometryScans(Scans):
             self._sums[light] = sighting.encoder_deg["camera"] + sighting.encoder_deg["light"] + turn.get("camera", 0.0)
             if self._across is not None and (number == 0 or sighting.u_spot_px > WORST_PX):
                 self._across += turn.get("tilt", 0.0)
-            good = sighting.u_spot_px <= WORST_PX
-            if good and (np.all(np.abs(off) < 0.3 * size) or attempt == 2):
+            if sighting.u_spot_px <= WORST_PX and (np.all(np.abs(off) < 0.3 * size) or attempt == 2):
                 self._keep_sighting(sighting, frames)
                 return
             self._lost += attempt == 2

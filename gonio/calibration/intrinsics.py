@@ -494,7 +494,7 @@ def _apart_deg(poses: Floats) -> float:
 
 def _opencv_keys(path: Path) -> TomlTable:
     """The keys of a `BoardFile` from a file of OpenCV's FileStorage."""
-    store = _opened(path)
+    store = _opened(path)  # which its nodes do not keep alive
     root = store.root()
     if not root.getNode("nmarkers").empty():
         raise ConfigError(

@@ -120,8 +120,7 @@ class _Series:
     def add(self, frame: Frame, region: regions.Roi, lit_s: float, monitor: float | None) -> None:
         """One more frame; raises `DataError` where it cannot be used."""
         regions.require_frame(self._description.camera, frame, "the camera")
-        pixels = np.asarray(region.of(frame.mosaic), float)
-        _require(self._description, frame, pixels)
+        _require(self._description, frame, np.asarray(region.of(frame.mosaic), float))
         time_s = float(frame.time_s) - lit_s
         if self.rows and time_s <= self.rows[-1]["time_s"]:
             raise DataError(
@@ -235,8 +234,7 @@ class _Steps:
             raise DeviceError("the rig's clock does not go on: see its driver's time_s()")
         self._manual.begin(Step(self._number, "reference", pose=pose))
         self._number += 1
-        names = self._manual.description.axes()
-        self._manual.move(**{name: getattr(pose, name) for name in names})
+        self._manual.move(**{name: getattr(pose, name) for name in self._manual.description.axes()})
         return self._manual.arms.read()
 
 
@@ -271,8 +269,7 @@ def _without_stray_light(description: RigDescription, signal: Floats, channel: i
     """A frame's signal [DN] without the light that lens and sensor spread, as the rig file tells it."""
     camera = description.camera
     rows, cols = np.indices(signal.shape)
-    spread = stray_light.spread(camera, signal, 0.0, channel)
-    added, _ = spread.at(rows.ravel(), cols.ravel())
+    added, _ = stray_light.spread(camera, signal, 0.0, channel).at(rows.ravel(), cols.ravel())
     return np.asarray(signal - added.reshape(signal.shape))
 
 

@@ -120,8 +120,7 @@ def fit(
         weight = y / u
         rhs = np.concatenate([value * weight, np.zeros(frames + parts + 1)])
         matrix = np.vstack([design * weight[:, None], prior / scatter, known])
-        normal = matrix.T @ matrix
-        inverse = np.linalg.pinv(normal, rcond=1e-15, hermitian=True)
+        inverse = np.linalg.pinv(matrix.T @ matrix, rcond=1e-15, hermitian=True)
         solution = inverse @ (matrix.T @ rhs)
         new = solution[at_c:]
         levels = solution[at_frame : at_frame + frames]

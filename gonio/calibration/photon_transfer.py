@@ -245,8 +245,7 @@ def linearity_error(exposures_s: Floats, signal_dn: Floats, saturation_dn: float
     if np.count_nonzero(used) < 3:
         return math.nan
     x, y = exposures_s[used], signal_dn[used]
-    line = np.polynomial.polynomial.polyfit(x, y, 1, w=1.0 / y)
-    fitted = np.polynomial.polynomial.polyval(x, line)
+    fitted = np.polynomial.polynomial.polyval(x, np.polynomial.polynomial.polyfit(x, y, 1, w=1.0 / y))
     return float(np.mean(np.abs((y - fitted) / fitted)))
 
 

@@ -58,8 +58,7 @@ def unevenness(picture: Floats, temporal_variance: float) -> Unevenness:
 
 def outliers(picture: Floats, least: float = 0.0) -> npt.NDArray[np.bool_]:
     """Pixels far from the median, in robust standard deviations, and by `least` at least."""
-    centre = float(np.nanmedian(picture))
-    away = np.abs(picture - centre)
+    away = np.abs(picture - float(np.nanmedian(picture)))
     scale = 1.4826 * float(np.nanmedian(away))
     return np.asarray(np.isfinite(picture) & (away > max(DEFECT * scale, least)))
 

@@ -53,8 +53,7 @@ def polarised(path: str | Path) -> Polarised:
     mean, cosine, sine = covariance @ design.T @ (y * weight)
     if mean <= 0:
         raise DataError(f"{path}: the signal is not above 0")
-    residuals = y * weight - design @ [mean, cosine, sine]
-    reduced = float(np.sum(residuals**2)) / (len(y) - 3)
+    reduced = float(np.sum((y * weight - design @ [mean, cosine, sine]) ** 2)) / (len(y) - 3)
     covariance *= reduced if "u_signal" not in table else max(reduced, 1.0)
     size = math.hypot(cosine, sine)
     degree, azimuth = size / mean, 0.5 * math.degrees(math.atan2(sine, cosine)) % 180.0

@@ -74,8 +74,7 @@ def curve(frames: Sequence[npt.NDArray[Any]], exposures_s: Floats, pixels: int =
     order = np.argsort(exposures_s)
     stack = np.stack([np.asarray(frames[k]).ravel() for k in order], axis=1).astype(int)
     times = np.asarray(exposures_s, dtype=float)[order]
-    means = stack.mean(axis=0)
-    if np.any(np.diff(means) < -1.0):
+    if np.any(np.diff(stack.mean(axis=0)) < -1.0):
         raise DataError("frames of a longer exposure are darker: did the lamp or the automatic exposure change?")
     seen = np.unique(stack)
     if seen.min() > 0.1 * VALUES or seen.max() < 0.9 * VALUES:
@@ -87,8 +86,7 @@ def curve(frames: Sequence[npt.NDArray[Any]], exposures_s: Floats, pixels: int =
     # pixels of many brightnesses, each told by the sum over the bracket
     total = stack.sum(axis=1)
     chosen = np.argsort(total, kind="stable")[np.linspace(0, total.size - 1, min(pixels, total.size)).astype(int)]
-    g = solve(stack[chosen], np.log(times))
-    light = np.exp(g)
+    light = np.exp(solve(stack[chosen], np.log(times)))
     first, last = np.flatnonzero(hat(np.linspace(0.0, 1.0, VALUES)) > 0)[[0, -1]]
     # the weights leave the ends undetermined: black is no light, and the top goes on as the curve does
     light[:first] = light[first] * np.arange(first) / first

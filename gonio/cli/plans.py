@@ -156,8 +156,7 @@ def describe(plan: Plan, seen: Prepared | None, *, out: Path | None = None, left
     if seen is not None:
         plan, rig, points, sampler = seen
     console.show(_table(plan, points, with_rig=rig is not None))
-    visits = Counter(Counter(plan.points).values())
-    for number, count in sorted(visits.items()):
+    for number, count in sorted(Counter(Counter(plan.points).values()).items()):
         if number > 1:
             console.show(f"{count} points are measured {number} times each, spread over the run")
     if plan.repeated:

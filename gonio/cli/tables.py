@@ -108,8 +108,7 @@ def _table(
     if to in _RENDERERS:
         from gonio.renderers import channels, measured
 
-        rows = channels.rows(table, name, wavelength_nm=wavelength_nm)
-        remarks = measured.write(rows, target, to)
+        remarks = measured.write(channels.rows(table, name, wavelength_nm=wavelength_nm), target, to)
     elif to == "datacite":
         from gonio.formats import datacite
 
