@@ -54,6 +54,23 @@ class ManualRig:
         The devices to open; the others may be missing. A rig whose driver has no `only` opens all of them.
     """
 
+    description: RigDescription
+    """Its rig file."""
+    arms: ArmsDevice
+    """Its axes, all together."""
+    light: LightDevice
+    """Its lamp."""
+    camera: CameraDevice
+    """Its camera."""
+    repeatable: bool
+    """True for a simulation alone."""
+    begin: Callable[[Step], None]
+    """Called before anything of a step of a run is done."""
+    present: Callable[[Target], None]
+    """Put the sample or the white reference into the beam."""
+    time_s: Callable[[], float]
+    """Seconds on the rig's own clock."""
+
     def __init__(self, rig: Rig, source: str = "", only: Sequence[Device] = ()) -> None:
         self._rig, self._source, self._open = rig, source, False
         self._band: Band | None = None
@@ -65,43 +82,6 @@ class ManualRig:
             rig.only(*only)  # type: ignore[attr-defined]
 
     # ---- gonio.rig.Rig ----
-
-    @property
-    def description(self) -> RigDescription:
-        """Its rig file."""
-        return self._rig.description
-
-    @property
-    def arms(self) -> ArmsDevice:
-        """Its axes, all together."""
-        return self._rig.arms
-
-    @property
-    def light(self) -> LightDevice:
-        """Its lamp."""
-        return self._rig.light
-
-    @property
-    def camera(self) -> CameraDevice:
-        """Its camera."""
-        return self._rig.camera
-
-    @property
-    def repeatable(self) -> bool:
-        """True for a simulation alone."""
-        return self._rig.repeatable
-
-    def begin(self, step: Step) -> None:
-        """Called before anything of a step of a run is done."""
-        self._rig.begin(step)
-
-    def present(self, target: Target) -> None:
-        """Put the sample or the white reference into the beam."""
-        self._rig.present(target)
-
-    def time_s(self) -> float:
-        """Seconds on the rig's own clock."""
-        return self._rig.time_s()
 
     def __enter__(self) -> Self:
         with self._naming():
@@ -116,6 +96,7 @@ class ManualRig:
         self._rig.__exit__(kind, error, trace)
 
     def __getattr__(self, name: str) -> Any:
+        """What is declared above, and whatever else the rig has."""
         if name.startswith("__") or name == "_rig":
             raise AttributeError(name)
         return getattr(self._rig, name)

@@ -113,7 +113,7 @@ class _Work(Passes):
         self.darks()
         self.flats()
         ordered = sorted(self.pairs, key=lambda p: p.mean_dn)
-        last = photon_transfer.saturation_index(np.array([p.variance_dn2 for p in ordered]))
+        last = int(np.argmax([p.variance_dn2 for p in ordered]))
         curve = self._linearity(min(ordered[last].mean_dn - self.level, self.camera.white_level_dn - self.level))
         bent = self.raw.model_copy(update={"nonlinearity": tuple(curve.coefficients)})
         pairs = self.pairs, self.dark_pairs, (self.level, self.slope)

@@ -1,13 +1,12 @@
-"""Printed markers around the holder's aperture: the sheet to print, their corners in a frame, and the holder's pose.
+"""Printed markers around the holder's aperture: the sheet to print, and their corners in a frame.
 
-Single poses of small squares are biased by some hundredths of a degree. So the calibration fits corners themselves,
-those of all frames at once (`gonio.calibration.geometry`); a pose from one frame is for a person who looks.
+Poses of the holder from single frames are biased by some hundredths of a degree, as the squares are small. So the
+calibration fits corners themselves, those of all frames at once (`gonio.calibration.geometry`).
 """
 
 from __future__ import annotations
 
 import io
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +16,8 @@ import numpy.typing as npt
 from gonio.calibration.intrinsics import refine, stretched
 from gonio.disk import put
 from gonio.errors import ConfigError
-from gonio.rig.description import Fiducials, RigDescription
+from gonio.rig.description import Fiducials
 from gonio.rig.fiducials import RIM, cells, centres_mm, corners_mm, dictionary_of
-from gonio.rig.imaging import image_distance_mm
 from gonio.typing import Floats
 
 SMALLEST_PX = 24.0
@@ -38,19 +36,6 @@ PARALLEL = 0.2
 """Sine of the angle between two edges below which they do not meet well."""
 DPI = 600
 MARGIN_MM = 5.0
-
-
-@dataclass(frozen=True, slots=True)
-class HolderPose:
-    """Where the holder is against the camera, from one frame."""
-
-    rotation: Floats
-    """From the sample's frame to the camera's (x along columns, y along rows, z along the sight), shape (3, 3)."""
-    translation_mm: Floats
-    """Centre of the sample in the camera's frame."""
-    covariance: Floats
-    """Of a small rotation in the camera's frame [rad] and of the translation [mm], shape (6, 6)."""
-    rms_px: float
 
 
 def print_sheet(marks: Fiducials, aperture_mm: float, file: Path) -> None:
@@ -218,41 +203,6 @@ def _edges_meet(frame: npt.NDArray[np.float32], square: Floats, n: int) -> Float
     return np.array(out)
 
 
-def pose(
-    description: RigDescription, marks: Fiducials, numbers: npt.NDArray[np.intp], pixels: Floats
-) -> HolderPose | None:
-    """The holder against the camera from the corners of one frame; None where fewer than two markers are seen.
-
-    The intrinsics are those of the description.
-    """
-    import cv2
-
-    if len(numbers) < 8:
-        return None
-    camera = description.camera
-    f = image_distance_mm(description) / (1e-3 * camera.pixel_um)
-    centre = [0.5 * (camera.width - 1), 0.5 * (camera.height - 1)]
-    matrix = np.array([[f, 0, centre[0]], [0, f, centre[1]], [0, 0, 1.0]])
-    flat = corners_mm(marks).reshape(-1, 2)[numbers]
-    points = np.column_stack([flat, np.zeros(len(flat))])
-    none = np.zeros(5)
-    good, turn, shift = cv2.solvePnP(points, pixels, matrix, none, flags=cv2.SOLVEPNP_IPPE)
-    if not good:
-        return None
-    turn, shift = cv2.solvePnPRefineLM(points, pixels, matrix, none, turn, shift)
-    seen, slopes = cv2.projectPoints(points, turn, shift, matrix, none)
-    left = pixels - np.asarray(seen).reshape(-1, 2)
-    jacobian = np.asarray(slopes)[:, :6]
-    freedom = max(2 * len(flat) - 6, 1)
-    covariance = np.linalg.pinv(jacobian.T @ jacobian) * float(np.sum(left**2)) / freedom
-    return HolderPose(
-        np.asarray(cv2.Rodrigues(turn)[0]),
-        np.ravel(shift),
-        covariance,
-        float(np.sqrt(np.mean(np.sum(left**2, axis=1)))),
-    )
-
-
 def consistent(
     marks: Fiducials, numbers: npt.NDArray[np.intp], pixels: Floats
 ) -> tuple[npt.NDArray[np.intp], Floats, float]:
@@ -286,8 +236,7 @@ def _off_plane(marks: Fiducials, plane: Any, numbers: npt.NDArray[np.intp], pixe
     outward = (there.reshape(-1, 4, 2) - there.reshape(-1, 4, 2).mean(axis=1, keepdims=True)).reshape(-1, 2)[numbers]
     outward /= np.linalg.norm(outward, axis=1, keepdims=True)
     off = pixels - there[numbers]
-    out: Floats = off - np.mean(np.sum(off * outward, axis=1)) * outward
-    return out
+    return np.asarray(off - np.mean(np.sum(off * outward, axis=1)) * outward)
 
 
 def middle(marks: Fiducials, numbers: npt.NDArray[np.intp], pixels: Floats) -> Floats:
@@ -295,8 +244,7 @@ def middle(marks: Fiducials, numbers: npt.NDArray[np.intp], pixels: Floats) -> F
     import cv2
 
     plane, _ = cv2.findHomography(corners_mm(marks).reshape(-1, 2)[numbers], pixels, 0)
-    out: Floats = cv2.perspectiveTransform(np.zeros((1, 1, 2)), plane)[0, 0]
-    return out
+    return np.asarray(cv2.perspectiveTransform(np.zeros((1, 1, 2)), plane)[0, 0])
 
 
 def on_plane(marks: Fiducials, numbers: npt.NDArray[np.intp], pixels: Floats, size: tuple[int, int]) -> Floats:
@@ -306,5 +254,4 @@ def on_plane(marks: Fiducials, numbers: npt.NDArray[np.intp], pixels: Floats, si
     plane, _ = cv2.findHomography(pixels, corners_mm(marks).reshape(-1, 2)[numbers], 0)
     rows, columns = np.indices(size)
     spots = cv2.perspectiveTransform(np.stack([columns, rows], axis=-1).reshape(1, -1, 2).astype(float), plane)[0]
-    out: Floats = np.hypot(spots[:, 0], spots[:, 1]).reshape(size)
-    return out
+    return np.asarray(np.hypot(*spots.T).reshape(size))

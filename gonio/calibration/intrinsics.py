@@ -16,15 +16,13 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import Field
 
-from gonio.config import Strict, parse, read_toml
-from gonio.documents import TomlTable
-from gonio.errors import ConfigError, DataError, GonioError
+from gonio.calibration.board import BoardFile
+from gonio.errors import DataError, GonioError
 from gonio.rig.fiducials import dictionary_of
 from gonio.typing import Floats
 
@@ -53,19 +51,6 @@ ORIGINS = (
 )  # fmt: skip
 
 
-class BoardFile(Strict):
-    """A ChArUco board, as it was printed."""
-
-    squares: tuple[Annotated[int, Field(ge=3)], Annotated[int, Field(ge=3)]]
-    """Across and down."""
-    square_mm: Annotated[float, Field(gt=0)]
-    marker_mm: Annotated[float, Field(gt=0)]
-    dictionary: str
-    """A name of OpenCV's, as "DICT_6X6_250", or a file of its own (.yml) beside this one."""
-    legacy_pattern: bool = False
-    """Printed by OpenCV before 4.6, with an even number of rows: the corner at the top left is a marker."""
-
-
 @dataclass(frozen=True, slots=True)
 class Intrinsics:
     """What pictures of a board say of the camera."""
@@ -90,37 +75,6 @@ class Intrinsics:
     """Shape (corners, 2)."""
     without_one: Floats
     """Standard uncertainties from leaving out one picture after the other (jackknife), in the order of `NAMES`."""
-
-
-def read_board(path: str | Path) -> tuple[BoardFile, Any]:
-    """A board, and the dictionary of its markers.
-
-    Raises
-    ------
-    ConfigError
-        A file is missing or wrong, or the board has a marker that does not fit into its square.
-    """
-    path = Path(path)
-    if path.suffix in (".yml", ".yaml"):
-        board = parse(BoardFile, _opencv_keys(path), path)
-    else:
-        board = parse(BoardFile, read_toml(path), path)
-    if board.marker_mm >= board.square_mm:
-        raise ConfigError(
-            f"{path}: marker_mm = {board.marker_mm:g} must be smaller than square_mm = {board.square_mm:g}"
-        )
-    try:
-        own = Path(board.dictionary).suffix in (".yml", ".yaml")
-        dictionary = _own_dictionary(path.parent / board.dictionary) if own else dictionary_of(board.dictionary)
-    except ConfigError as error:
-        raise ConfigError(f"{path}: {error}") from None
-    needed = board.squares[0] * board.squares[1] // 2
-    if dictionary.bytesList.shape[0] < needed:
-        raise ConfigError(
-            f'{path}: squares = [{board.squares[0]}, {board.squares[1]}] needs {needed} markers, and "'
-            f'{board.dictionary}" has {dictionary.bytesList.shape[0]}'
-        )
-    return board, dictionary
 
 
 def _seen(
@@ -155,14 +109,6 @@ def _seen(
     return views, size
 
 
-def _require_sharp(fit: _Fit, board: BoardFile) -> None:
-    if fit.rms > LARGEST_RMS:
-        raise DataError(
-            f"corners lie {fit.rms:.1f} px (rms) off a pinhole with distortion; {LARGEST_RMS:g} px is the most: is the "
-            f"board flat, sharp, and one of {board.squares[0]} x {board.squares[1]} squares?"
-        )
-
-
 def calibrate(files: Sequence[Path], board: BoardFile, dictionary: Any, size: tuple[int, int] | None) -> Intrinsics:
     """Intrinsics from pictures.
 
@@ -191,7 +137,12 @@ def calibrate(files: Sequence[Path], board: BoardFile, dictionary: Any, size: tu
             f"the boards of all pictures lie within {apart:.1f} deg of each other: focal length and distance cannot be "
             f"told apart. Tilt the board by 20 to 45 deg, to different sides ({ALIKE_DEG:g} deg is the least)"
         )
-    _require_sharp(fit, board)
+    rms = _rms(fit.left())
+    if rms > LARGEST_RMS:
+        raise DataError(
+            f"corners lie {rms:.1f} px (rms) off a pinhole with distortion; {LARGEST_RMS:g} px is the most: is the "
+            f"board flat, sharp, and one of {board.squares[0]} x {board.squares[1]} squares?"
+        )
     total = sum(len(v[2]) for v in views)
     rejected = total - int(sum(map(np.count_nonzero, fit.used)))
     if rejected > MOST_REJECTED * total:
@@ -211,7 +162,7 @@ def calibrate(files: Sequence[Path], board: BoardFile, dictionary: Any, size: tu
         size=size,
         values=dict(zip(NAMES, map(float, fit.x[: len(NAMES)]), strict=True)),
         covariance=covariance * np.outer(wider, wider),
-        rms_px=fit.rms,
+        rms_px=rms,
         corners=total - rejected,
         rejected=rejected,
         images=tuple(v[0].name for v in views),
@@ -255,8 +206,7 @@ def stretched(picture: npt.NDArray[Any]) -> Grey:
         return picture
     low, high = np.percentile(picture, (0.1, 99.9))
     scaled = (picture.astype(np.float32) - low) * (255.0 / max(high - low, 1.0))
-    out: Grey = np.clip(scaled, 0.0, 255.0).astype(np.uint8)
-    return out
+    return np.asarray(np.clip(scaled, 0.0, 255.0).astype(np.uint8))
 
 
 # ---- corners ----
@@ -370,7 +320,7 @@ class _Fit:
     def __init__(self, on_board: list[Floats], pixels: list[Floats], size: tuple[int, int]) -> None:
         import cv2
 
-        self.on_board, self.pixels, self._size = on_board, pixels, size
+        self.on_board, self.pixels = on_board, pixels
         self.used = [np.ones(len(p), bool) for p in pixels]
         start = np.array([[float(max(size)), 0, 0.5 * (size[0] - 1)], [0, float(max(size)), 0.5 * (size[1] - 1)],
                           [0, 0, 1]])  # fmt: skip
@@ -384,6 +334,14 @@ class _Fit:
             raise DataError(f"the corners fit no camera: {error.err or error}") from None
         poses = [np.concatenate([np.ravel(r), np.ravel(t)]) for r, t in zip(turns, shifts, strict=True)]
         self.x = np.concatenate([[matrix[0, 0], matrix[0, 2], matrix[1, 2], 0, 0, 0, 0], *poses])
+
+    def _without(self, k: int) -> _Fit:
+        """A fit that starts from this one, without a picture."""
+        rest = [i for i in range(len(self.pixels)) if i != k]
+        one = object.__new__(_Fit)
+        one.on_board, one.pixels, one.used = ([of[i] for i in rest] for of in (self.on_board, self.pixels, self.used))
+        one.x = np.concatenate([self.x[: len(NAMES)], self.poses[rest].ravel()])
+        return one
 
     @property
     def poses(self) -> Floats:
@@ -423,12 +381,15 @@ class _Fit:
     def _all_left(self, x: Floats) -> list[Floats]:
         return [self.pixels[k] - self._project(x, k)[0] for k in range(len(self.pixels))]
 
+    def _used_left(self, x: Floats) -> list[Floats]:
+        return [r[u] for r, u in zip(self._all_left(x), self.used, strict=True)]
+
     def left(self) -> Floats:
         """Corner minus fit of all that are used (n, 2)."""
-        return np.concatenate([r[u] for r, u in zip(self._all_left(self.x), self.used, strict=True)])
+        return np.concatenate(self._used_left(self.x))
 
     def _residuals(self, x: Floats) -> Floats:
-        return np.concatenate([r[u].ravel() for r, u in zip(self._all_left(x), self.used, strict=True)])
+        return np.concatenate(self._used_left(x)).ravel()
 
     def _jacobian(self, x: Floats) -> Floats:
         rows = []
@@ -442,15 +403,9 @@ class _Fit:
             rows.append(-row)
         return np.concatenate(rows)
 
-    @property
-    def rms(self) -> float:
-        """Of the distances [px]."""
-        return math.sqrt(float(np.mean(np.sum(self.left() ** 2, axis=1))))
-
     def rms_by_image(self) -> list[float]:
-        """The same, picture by picture."""
-        pairs = zip(self._all_left(self.x), self.used, strict=True)
-        return [math.sqrt(float(np.mean(np.sum(r[u] ** 2, axis=1)))) for r, u in pairs]
+        """Of the distances [px], picture by picture."""
+        return [_rms(left) for left in self._used_left(self.x)]
 
     def covariance(self) -> Floats:
         """Of the intrinsics: the poses are taken along. The scatter is what the fit leaves."""
@@ -458,9 +413,7 @@ class _Fit:
         scale = np.sqrt(np.sum(jacobian**2, axis=0))
         freedom = max(len(residuals) - len(self.x), 1)
         inverse = np.linalg.pinv((jacobian / scale).T @ (jacobian / scale), rcond=1e-14) / np.outer(scale, scale)
-        n = len(NAMES)
-        out: Floats = inverse[:n, :n] * float(residuals @ residuals) / freedom
-        return out
+        return np.asarray(inverse[: len(NAMES), : len(NAMES)] * float(residuals @ residuals) / freedom)
 
     def jackknife(self) -> Floats:
         """Standard uncertainties from leaving out each picture in turn."""
@@ -469,16 +422,14 @@ class _Fit:
             return np.full(len(NAMES), 0.0)
         found = []
         for k in range(count):
-            rest = [i for i in range(count) if i != k]
-            one = object.__new__(_Fit)
-            one.on_board, one.pixels = [self.on_board[i] for i in rest], [self.pixels[i] for i in rest]
-            one.used, one._size = [self.used[i] for i in rest], self._size
-            one.x = np.concatenate([self.x[: len(NAMES)], self.poses[rest].ravel()])
+            one = self._without(k)
             one.solve()
             found.append(one.x[: len(NAMES)])
-        values = np.array(found)
-        out: Floats = np.sqrt((count - 1) / count * np.sum((values - values.mean(0)) ** 2, axis=0))
-        return out
+        return np.asarray(np.sqrt((count - 1.0) * np.var(found, axis=0)))
+
+
+def _rms(left: Floats) -> float:
+    return math.sqrt(float(np.mean(np.sum(left**2, axis=1))))
 
 
 def _apart_deg(poses: Floats) -> float:
@@ -487,55 +438,6 @@ def _apart_deg(poses: Floats) -> float:
 
     normals = np.array([cv2.Rodrigues(p[:3])[0][:, 2] for p in poses])
     return float(np.degrees(np.arccos(np.clip(normals @ normals.T, -1.0, 1.0)).max()))
-
-
-# ---- OpenCV's own files ----
-
-
-def _opencv_keys(path: Path) -> TomlTable:
-    """The keys of a `BoardFile` from a file of OpenCV's FileStorage."""
-    store = _opened(path)  # which its nodes do not keep alive
-    root = store.root()
-    if not root.getNode("nmarkers").empty():
-        raise ConfigError(
-            f"{path}: is a dictionary of markers, and not a board. Write a board.toml with squares = [across, down], "
-            f'square_mm, marker_mm and dictionary = "{path.name}"'
-        )
-    out: TomlTable = {}
-    for key in BoardFile.model_fields:
-        node = root.getNode(key)
-        if node.empty():
-            continue
-        if node.isSeq():
-            out[key] = tuple(int(node.at(i).real()) for i in range(node.size()))
-        elif node.isString():
-            out[key] = node.string()
-        else:
-            out[key] = node.real() if key.endswith("_mm") else bool(node.real())
-    return out
-
-
-def _own_dictionary(path: Path) -> Any:
-    import cv2
-
-    dictionary = cv2.aruco.Dictionary()
-    if not dictionary.readDictionary(_opened(path).root()):
-        raise ConfigError(f"{path}: is no dictionary of OpenCV's (nmarkers, markersize, marker_0, ...)")
-    return dictionary
-
-
-def _opened(path: Path) -> Any:
-    import cv2
-
-    if not path.is_file():
-        raise ConfigError(f"{path}: there is no such file")
-    try:
-        store = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
-    except cv2.error as error:
-        raise ConfigError(f"{path}: is no YAML of OpenCV's: {error.err or error}") from None
-    if not store.isOpened():
-        raise ConfigError(f"{path}: is no YAML of OpenCV's")
-    return store
 
 
 def draw(found: Intrinsics) -> Figure:

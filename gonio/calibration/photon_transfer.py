@@ -38,8 +38,6 @@ class Pair:
     variance_dn2: float
     """Temporal, of one pixel in one frame."""
     pixels: int
-    differ: float
-    """Relative difference of the two means."""
 
     @property
     def u_variance(self) -> float:
@@ -52,8 +50,7 @@ def pair(a: npt.NDArray[np.generic], b: npt.NDArray[np.generic], exposure_s: flo
     first, second = np.asarray(a, dtype=float).ravel(), np.asarray(b, dtype=float).ravel()
     means = float(first.mean()), float(second.mean())
     variance = 0.5 * float(np.mean((first - second) ** 2)) - 0.5 * (means[0] - means[1]) ** 2
-    middle = 0.5 * (means[0] + means[1])
-    return Pair(exposure_s, middle, variance, first.size, abs(means[0] - means[1]) / max(abs(middle), 1e-9))
+    return Pair(exposure_s, 0.5 * (means[0] + means[1]), variance, first.size)
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,19 +122,6 @@ class PhotonTransfer:
         return math.sqrt(self.saturation_e)
 
 
-def saturation_index(variances: Floats) -> int:
-    """Where the variance of flats in ascending order is largest (6.6): beyond it pixels fill up."""
-    return int(np.argmax(variances))
-
-
-def _require_levels(count: int) -> None:
-    if count < FEWEST_LEVELS:
-        raise DataError(
-            f"flat frames have {count} levels below {100 * FIT_RANGE:.0f} % of saturation; the gain "
-            f"needs {FEWEST_LEVELS}: take flats at more exposures from dark to full"
-        )
-
-
 def _slope(camera: Camera, level: Floats) -> Floats:
     step = 1e-3 * np.maximum(level, 1.0)
     return np.asarray((straightened(camera, level + step) - straightened(camera, level - step)) / (2.0 * step))
@@ -182,9 +166,14 @@ def photon_transfer(
     exposures, level, by_exposure = _by_level(flats, dark_level)
     total = np.array([p.variance_dn2 for p in by_exposure])
     dark_noise, u_dark, dark_slope = _dark_variance(darks)
-    last = saturation_index(total)
+    last = int(np.argmax(total))  # 6.6: beyond it pixels fill up
     usable = level <= FIT_RANGE * level[last]
-    _require_levels(int(np.count_nonzero(usable)))
+    count = int(np.count_nonzero(usable))
+    if count < FEWEST_LEVELS:
+        raise DataError(
+            f"flat frames have {count} levels below {100 * FIT_RANGE:.0f} % of saturation; the gain "
+            f"needs {FEWEST_LEVELS}: take flats at more exposures from dark to full"
+        )
     linear, slope = straightened(camera, level), _slope(camera, level)  # a bent curve changes noise by its slope
     shot = total * slope**2 - dark_noise - dark_slope * exposures
     x, y = linear[usable], shot[usable]
@@ -221,16 +210,12 @@ def _u_of_curve(
     if covariance is None or not camera.nonlinearity:
         return 0.0
     by = np.zeros(len(camera.nonlinearity))
+    before = _slope(camera, level)
     for k in range(by.size):
         changed = list(camera.nonlinearity)
         changed[k] += 1e-4
         other = camera.model_copy(update={"nonlinearity": tuple(changed)})
-        step = 1e-3 * np.maximum(level, 1.0)
-        slopes = [
-            (straightened(one, level + step) - straightened(one, level - step)) / (2.0 * step)
-            for one in (camera, other)
-        ]
-        moved, shot = straightened(other, level), y + total * (slopes[1] ** 2 - slopes[0] ** 2)
+        moved, shot = straightened(other, level), y + total * (_slope(other, level) ** 2 - before**2)
         by[k] = (float(np.sum(moved * shot) / np.sum(moved**2)) - gain) / 1e-4
     return math.sqrt(max(float(by @ covariance @ by), 0.0))
 
@@ -256,7 +241,6 @@ def _merged(pairs: Sequence[Pair]) -> Pair:
         float(np.mean([p.mean_dn for p in pairs])),
         float(np.mean([p.variance_dn2 for p in pairs])),
         sum(p.pixels for p in pairs),
-        max(p.differ for p in pairs),
     )
 
 

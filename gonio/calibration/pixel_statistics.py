@@ -129,12 +129,9 @@ class DarkTemperature:
     """Dark current over temperature: ln I = a - E/(k T)."""
 
     energy_ev: float
-    u_energy_ev: float
     doubling_c: float
     """Kelvin that double the dark current, at the mean temperature."""
     at_c: float
-    rate_e_per_s: float
-    """At the mean temperature `at_c`."""
 
 
 def temperature_law(temperatures_c: Floats, rates_e_per_s: Floats, u_rates: Floats) -> DarkTemperature | None:
@@ -146,10 +143,6 @@ def temperature_law(temperatures_c: Floats, rates_e_per_s: Floats, u_rates: Floa
     x, y = 1.0 / (BOLTZMANN_EV * kelvin), np.log(rates_e_per_s[use])
     w = (rates_e_per_s[use] / np.maximum(u_rates[use], 1e-12)) ** 2
     centre = float(np.sum(w * x) / np.sum(w))
-    spread = float(np.sum(w * (x - centre) ** 2))
-    slope = float(np.sum(w * (x - centre) * y)) / spread
-    middle = float(np.mean(kelvin))
-    energy = -slope
-    level = float(np.sum(w * y) / np.sum(w)) + slope * (1.0 / (BOLTZMANN_EV * middle) - centre)
+    energy, middle = -float(np.sum(w * (x - centre) * y) / np.sum(w * (x - centre) ** 2)), float(np.mean(kelvin))
     doubling = math.log(2.0) * BOLTZMANN_EV * middle**2 / energy if energy > 0 else math.inf
-    return DarkTemperature(energy, 1.0 / math.sqrt(spread), doubling, middle - 273.15, math.exp(level))
+    return DarkTemperature(energy, doubling, middle - 273.15)

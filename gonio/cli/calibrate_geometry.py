@@ -13,6 +13,7 @@ from gonio.by_hand.manual_rig import ManualRig
 from gonio.calibration import camera_check, fiducials, intrinsics
 from gonio.calibration import geometry as geometric
 from gonio.calibration import geometry_scans as poses
+from gonio.calibration.board import read_board
 from gonio.calibration.geometry_problem import Sighting, start_of
 from gonio.calibration.geometry_scans import GeometryScans, Kept, read_sightings, reversed_approach
 from gonio.calibration.intrinsics import Intrinsics
@@ -129,7 +130,7 @@ def _lens(description: RigDescription, images: Path, board: Path) -> Intrinsics:
     files = sorted(f for f in images.iterdir() if f.suffix.lower() in PICTURES)
     if not files:
         raise DataError(f"{images}: holds no picture ({', '.join(PICTURES)})")
-    about, dictionary = intrinsics.read_board(board)
+    about, dictionary = read_board(board)
     return intrinsics.calibrate(files, about, dictionary, (description.camera.width, description.camera.height))
 
 

@@ -31,7 +31,7 @@ def description() -> RigDescription:
 
 @pytest.mark.parametrize(("camera", "tilt"), [(5.0, 0.0), (40.0, 10.0)])
 def test_corners_are_where_the_markers_are(description: RigDescription, camera: float, tilt: float) -> None:
-    """Corners scatter by 0.1 to 0.2 px in frames with noise; together they show no shift, and the holder's pose."""
+    """Corners scatter by 0.1 to 0.2 px in frames with noise; together they show no shift."""
     rig = SimulatedRig(description, None, 1, confirm=False)
     marks = description.holder.fiducials
     assert marks is not None
@@ -52,12 +52,6 @@ def test_corners_are_where_the_markers_are(description: RigDescription, camera: 
     assert np.abs(off.mean(axis=0)).max() < 0.1
     assert off.std() < 0.3
     assert scatter < 0.3
-    pose = fiducials.pose(description, marks, numbers, pixels)
-    assert pose is not None
-    seen = np.array([view.image_x, view.image_y, view.optical_axis])
-    apart = math.degrees(math.acos(min(1.0, float(pose.rotation[:, 2] @ seen[:, 2]))))
-    u = math.degrees(math.sqrt(float(np.trace(pose.covariance[:3, :3]))))
-    assert apart < max(3 * u, 0.15)  # 0.15 deg: what single poses are biased by near the normal
 
 
 def test_a_spoiled_corner_is_left_out() -> None:

@@ -11,7 +11,8 @@ import numpy.typing as npt
 import pytest
 
 from gonio.calibration import intrinsics
-from gonio.calibration.intrinsics import BoardFile
+from gonio.calibration.board import BoardFile, read_board
+from gonio.calibration.intrinsics import 
 from gonio.errors import ConfigError, DataError
 from gonio.rig.fiducials import dictionary_of
 from tests.places import measured
@@ -115,10 +116,10 @@ def test_boards_that_cannot_be(tmp_path: Path) -> None:
     file = tmp_path / "board.toml"
     file.write_text('squares = [6, 8]\nsquare_mm = 20\nmarker_mm = 25\ndictionary = "DICT_5X5_100"\n')
     with pytest.raises(ConfigError, match=r"marker_mm = 25 must be smaller than square_mm = 20"):
-        intrinsics.read_board(file)
+        read_board(file)
     file.write_text('squares = [6, 8]\nsquare_mm = 20\nmarker_mm = 15\ndictionary = "DICT_5X5"\n')
     with pytest.raises(ConfigError, match='dictionary = "DICT_5X5"'):
-        intrinsics.read_board(file)
+        read_board(file)
 
 
 def test_four_photographs_with_a_published_calibration(tmp_path: Path) -> None:
@@ -129,11 +130,11 @@ def test_four_photographs_with_a_published_calibration(tmp_path: Path) -> None:
     photographs = measured("camera/charuco")
     file = tmp_path / "board.toml"
     file.write_text('squares = [5, 7]\nsquare_mm = 40\nmarker_mm = 20\ndictionary = "DICT_6X6_250"\n')
-    board, dictionary = intrinsics.read_board(file)
+    board, dictionary = read_board(file)
     found = intrinsics.calibrate(sorted(photographs.glob("*.jpg")), board, dictionary, (640, 480))
     assert found.rms_px < 0.25
     assert found.rejected <= 5
     u = np.sqrt(np.diag(found.covariance))
     assert abs(found.values["f"] - 454.7) < 2 * u[0]
     with pytest.raises(ConfigError, match="is a dictionary of markers, and not a board"):
-        intrinsics.read_board(photographs / "tutorial_dict.yml")
+        read_board(photographs / "tutorial_dict.yml")
