@@ -12,7 +12,6 @@ import pytest
 
 from gonio.calibration import intrinsics
 from gonio.calibration.board import BoardFile, read_board
-from gonio.calibration.intrinsics import 
 from gonio.errors import ConfigError, DataError
 from gonio.rig.fiducials import dictionary_of
 from tests.places import measured
