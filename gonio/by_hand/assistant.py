@@ -23,9 +23,9 @@ import numpy as np
 from gonio.acquisition import exposure
 from gonio.by_hand.lamp_timer import DeadMansTimer, LampTimeOver
 from gonio.by_hand.live_picture import Pictures, pictures
-from gonio.by_hand.rig_file import with_values, write_values, zero_values
+from gonio.by_hand.rig_file import read_zero, with_values, write_values
 from gonio.by_hand.sight import Sight
-from gonio.disk import write_whole
+from gonio.disk import put
 from gonio.documents import JsonObject
 from gonio.errors import ConfigError, DataError, DeviceError, Disturbed, EmergencyStop
 from gonio.rig import Frame, Pose, Target, regions
@@ -81,16 +81,9 @@ class Assistant:
     """
 
     def __init__(
-        self,
-        manual: ManualRig,
-        *,
-        tell: Tell,
-        say: Callable[[str], None],
-        rig_file: Path | None = None,
-        out: Path | None = None,
-        keep_s: float = KEEP_S,
-        clock: Callable[[], float] = time.monotonic,
-    ) -> None:
+        self, manual: ManualRig, *, tell: Tell, say: Callable[[str], None], rig_file: Path | None = None,
+        out: Path | None = None, keep_s: float = KEEP_S, clock: Callable[[], float] = time.monotonic,
+    ) -> None:  # fmt: skip
         self.orders: queue.SimpleQueue[str] = queue.SimpleQueue()
         """Lines, as a person types them."""
         self.timer = DeadMansTimer(manual.light, keep_s, clock)
@@ -386,13 +379,14 @@ class Assistant:
 
     def _present(self, words: list[str]) -> None:
         targets: dict[str, Target] = {"sample": "sample", "reference": "reference"}
-        if len(words) != 1 or words[0] not in targets:
+        target = targets.get(" ".join(words))
+        if target is None:
             raise ConfigError("show sample, or show reference")
-        self._busy(f"putting the {words[0]} into the beam")
-        self._manual.present(targets[words[0]])
-        self._target = targets[words[0]]
+        self._busy(f"putting the {target} into the beam")
+        self._manual.present(target)
+        self._target = target
         self._sight.changed()
-        self._say(f"the {words[0]} is in the beam")
+        self._say(f"the {target} is in the beam")
 
     def _save(self, words: list[str]) -> None:
         if len(words) != 1:
@@ -406,31 +400,19 @@ class Assistant:
         if not 1 <= len(words) <= 2:
             raise ConfigError("zero AXIS [DEG]: as in zero light 30")
         axis, at = words[0], _one_number(words[1:] or ["0"], "zero light 30", ("deg",))
-        limits = self._manual.description.limits_deg()
-        self._manual.check({axis: 0.5 * math.radians(sum(limits.get(axis, (0.0, 0.0))))})
-        health = self._manual.read()
-        read = health.of(axis, "angle")
-        if not isinstance(read, float):
-            raise DataError(f"axis {axis}: {health.silent.get(axis, 'its angle is not known')}")
-        if isinstance(apart := health.of(axis, "angle_spread"), float):
-            raise DataError(f"axis {axis}: its readings at rest lie {apart:.2f} deg apart, and tell no zero")
-        values, offset = zero_values(self._manual.description, axis, read_deg=read, true_deg=at)
-        wanted = self._zeros | values
+        zero = read_zero(self._manual, axis, at, self._manual.read, DataError)
+        wanted = self._zeros | zero.values
         if self._zeros:
-            try:
-                write_whole(self._out, with_values(self._rig_file, wanted).encode())
-            except OSError as error:
-                raise DataError(f"{self._out}: cannot be written: {error.strerror}") from None
+            put(self._out, with_values(self._rig_file, wanted).encode())
         else:
             write_values(self._rig_file, wanted, out=self._out)
-        self._zeros, self._zeroed = wanted, self._zeroed | {axis: offset}
+        self._zeros, self._zeroed = wanted, self._zeroed | {axis: zero.offset_deg}
         self._say(
-            f"{axis} reads {read:.3f} deg and stands at {at:g} deg: zero_offset_deg = {offset:.3f} in {self._out}, "
-            "which holds from the next command on; this session goes on with the zeros that it began with"
+            f"{zero} in {self._out}, which holds from the next command on; this session goes on with the zeros that it "
+            "began with"
         )
-        others = [name for name in self._manual.description.holder.axes if name != axis]
-        if others and ("holder", "zero_offset_known") in values:
-            self._say(f"holder.zero_offset_known = true holds for {others[0]} too: set its zero as well")
+        if zero.remark:
+            self._say(zero.remark)
 
 
 def _pairs(words: list[str], example: str) -> dict[str, float]:

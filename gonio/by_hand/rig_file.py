@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import itertools
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from gonio.config import parse, read_toml
 from gonio.disk import write_whole
-from gonio.errors import ConfigError, DataError
-from gonio.rig.description import Axis, RigDescription
+from gonio.errors import ConfigError, DataError, DeviceError, GonioError
+from gonio.rig.description import RigDescription
+
+if TYPE_CHECKING:
+    from gonio.by_hand.manual_rig import ManualRig
+    from gonio.rig import Health
 
 Values = Mapping[tuple[str, ...], Any]
 """By the path of a key, as ("arms", "light", "zero_offset_deg"); None takes a key out."""
@@ -43,6 +50,56 @@ def with_values(path: str | Path, values: Values) -> str:
     return tomlkit.dumps(document)
 
 
+@dataclass(frozen=True, slots=True)
+class Zero:
+    """The zero of an axis, as somebody says it: what to write, and what to tell."""
+
+    axis: str
+    read_deg: float
+    """What the axis reads where it stands at `true_deg`."""
+    true_deg: float
+    offset_deg: float
+    """The new zero offset."""
+    values: dict[tuple[str, ...], Any]
+    """For `write_values`."""
+    remark: str
+    """What else has to be set; "" for nothing."""
+
+    def __str__(self) -> str:
+        return (
+            f"{self.axis} reads {self.read_deg:.3f} deg and stands at {self.true_deg:g} deg: zero_offset_deg = "
+            f"{self.offset_deg:.3f}"
+        )
+
+
+def read_zero(
+    manual: ManualRig, axis: str, true_deg: float, read: Callable[[], Health],
+    unclear: type[GonioError] = DeviceError, hint: str = "",
+) -> Zero:  # fmt: skip
+    """The zero of an axis that stands at an angle now; `read` asks the devices.
+
+    Raises
+    ------
+    ConfigError
+        There is no such axis.
+    unclear
+        Its angle is not known; or its readings at rest lie apart, which is said with `hint`.
+    """
+    limits = manual.description.limits_deg()
+    manual.check({axis: 0.5 * math.radians(sum(limits.get(axis, (0.0, 0.0))))})
+    health = read()
+    read_deg = health.of(axis, "angle")
+    if not isinstance(read_deg, float):
+        raise unclear(f"axis {axis}: {health.silent.get(axis, 'its angle is not known')}")
+    if isinstance(apart := health.of(axis, "angle_spread"), float):
+        raise unclear(f"axis {axis}: its readings at rest lie {apart:.2f} deg apart, and tell no zero{hint}")
+    values, offset = zero_values(manual.description, axis, read_deg=read_deg, true_deg=true_deg)
+    others = [name for name in manual.description.holder.axes if name != axis]
+    both = others and ("holder", "zero_offset_known") in values  # one key for both axes of the holder
+    remark = f"holder.zero_offset_known = true holds for {others[0]} too: set its zero as well" if both else ""
+    return Zero(axis, read_deg, true_deg, offset, values, remark)
+
+
 def zero_values(
     description: RigDescription, axis: str, *, read_deg: float, true_deg: float
 ) -> tuple[dict[tuple[str, ...], Any], float]:
@@ -54,21 +111,17 @@ def zero_values(
         For `write_values`; and the new zero offset [deg].
     """
     known = description.axes()[axis]
-    taken_out = known.zero_offset_deg if known.zero_offset_known else 0.0
-    offset = round(read_deg + taken_out - true_deg, 4)
-    if axis in ("tilt", "spin"):
-        table: tuple[str, ...] = ("holder",)
-        key = f"{axis}_zero_offset_deg" if len(description.holder.axes) > 1 else "zero_offset_deg"
-        if len(description.holder.axes) == 1:  # one of its own would go before the common one
-            return {(*table, key): offset, (*table, f"{axis}_zero_offset_deg"): None} | _said(known, table), offset
-    else:
-        table, key = ("arms", axis), "zero_offset_deg"
-    return {(*table, key): offset} | _said(known, table), offset
-
-
-def _said(axis: Axis, table: tuple[str, ...]) -> dict[tuple[str, ...], Any]:
-    """An offset that nobody knew is known now."""
-    return {} if axis.zero_offset_known else {(*table, "zero_offset_known"): True}
+    offset = round(read_deg + (known.zero_offset_deg if known.zero_offset_known else 0.0) - true_deg, 4)
+    if axis not in ("tilt", "spin"):
+        table: tuple[str, ...] = ("arms", axis)
+        out: dict[tuple[str, ...], Any] = {(*table, "zero_offset_deg"): offset}
+    elif len(description.holder.axes) > 1:
+        table, out = ("holder",), {("holder", f"{axis}_zero_offset_deg"): offset}
+    else:  # a key of its own would go before the common one
+        table, out = ("holder",), {("holder", "zero_offset_deg"): offset, ("holder", f"{axis}_zero_offset_deg"): None}
+    if not known.zero_offset_known:
+        out[*table, "zero_offset_known"] = True
+    return out, offset
 
 
 def write_values(path: str | Path, values: Values, *, out: Path | None = None) -> Path | None:
@@ -105,9 +158,5 @@ def write_values(path: str | Path, values: Values, *, out: Path | None = None) -
 
 def _free_name(path: Path) -> Path:
     """my.toml.bak, or my.toml.bak2 and so on where that is taken."""
-    name = path.with_name(f"{path.name}.bak")
-    number = 1
-    while name.exists():
-        number += 1
-        name = path.with_name(f"{path.name}.bak{number}")
-    return name
+    names = (path.with_name(f"{path.name}.bak{number}") for number in itertools.chain([""], itertools.count(2)))
+    return next(name for name in names if not name.exists())

@@ -101,7 +101,7 @@ class _Rest:
     def expects(self, remaining: Remaining) -> None:
         self._remaining = remaining
 
-    def start(self) -> None:
+    def start(self, steps: int = 0, done: int = 0) -> None:
         self._since_s = time.monotonic()
 
     def more(self, steps: int) -> None:
@@ -162,48 +162,41 @@ def _counted(what: str) -> Callable[[int, int], None]:
 
 
 def _progress_bar(what: str, console: Console, *, transient: bool = False, own_rest: bool = False) -> ProgressBar:
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
+    from rich import progress as bars
 
-    columns = (TextColumn(what), BarColumn(None), MofNCompleteColumn(), TimeElapsedColumn())
-    rest = (TextColumn("left"), TimeRemainingColumn()) if not own_rest else (TextColumn("{task.fields[left]}"),)
-    return Progress(*columns, *rest, console=console, expand=True, transient=transient)
+    columns = (
+        bars.TextColumn(what), bars.BarColumn(None), bars.MofNCompleteColumn(),
+        bars.TimeElapsedColumn(),
+    )  # fmt: skip
+    rest = (bars.TextColumn("left"), bars.TimeRemainingColumn())
+    own = (bars.TextColumn("{task.fields[left]}"),)
+    return bars.Progress(*columns, *(own if own_rest else rest), console=console, expand=True, transient=transient)
 
 
-class _Lines:
+class _Lines(_Rest):
     """Progress in a log file."""
 
-    def __init__(self) -> None:
-        self._steps, self._done, self._rest = 0, 0, _Rest()
-        self.expects, self.paused, self.waited = self._rest.expects, self._rest.paused, self._rest.waited
-
-    def start(self, steps: int, done: int) -> None:
+    def start(self, steps: int = 0, done: int = 0) -> None:
+        super().start()
         self._steps, self._done = steps, done
-        self._rest.start()
         note(f"{steps - done} steps to take" + (f", {done} of {steps} were done before" if done else ""))
 
     def more(self, steps: int) -> None:
+        super().more(steps)
         self._steps += steps
-        self._rest.more(steps)
 
     def step(self, live: Live) -> None:
+        super().step(live)
         self._done += 1
-        self._rest.step(live)
         if self._done * LINES // self._steps > (self._done - 1) * LINES // self._steps:
-            words = (f"{self._done:>{len(str(self._steps))}}/{self._steps}", self._rest.words(), values(live))
+            words = (f"{self._done:>{len(str(self._steps))}}/{self._steps}", self.words(), values(live))
             note("  ".join(filter(None, words)))
 
     def say(self, text: str) -> None:
         note(text)
 
 
-class _Bar:
+class _Bar(_Rest):
     """Progress on a terminal."""
 
     def __init__(self, console: Console, pause: Pause | None) -> None:
@@ -212,14 +205,12 @@ class _Bar:
         from gonio import platform
         from gonio.cli.pause_keys import PauseKeys
 
-        self._pause = pause
+        super().__init__()
+        self._pause, self._console, self._text = pause, console, ""
         self.keys = PauseKeys(pause) if pause is not None and platform.has_keys() else contextlib.nullcontext()
         self._bar = _progress_bar("measuring", console, own_rest=True)
         self._task = self._bar.add_task("", total=None, left="")
-        self._text, self._rest = "", _Rest()
-        self.expects, self.waited = self._rest.expects, self._rest.waited
         self.screen = Screen(get_renderable=self._render, console=console, refresh_per_second=8)
-        self._console = console
 
     def _render(self) -> RenderableType:
         from rich.console import Group
@@ -231,25 +222,25 @@ class _Bar:
             lines.append(Text(said, style="bold" if self._pause.requested else "dim", no_wrap=True))
         return Group(self._bar, *lines)
 
-    def start(self, steps: int, done: int) -> None:
-        self._rest.start()
-        self._bar.reset(self._task, total=steps, completed=done, left=self._rest.words())
+    def start(self, steps: int = 0, done: int = 0) -> None:
+        super().start()
+        self._bar.reset(self._task, total=steps, completed=done, left=self.words())
 
     def more(self, steps: int) -> None:
-        self._rest.more(steps)
+        super().more(steps)
         self._bar.update(self._task, total=(self._bar.tasks[0].total or 0.0) + steps)
 
     def step(self, live: Live) -> None:
+        super().step(live)
         self._text = values(live)
-        self._rest.step(live)
-        self._bar.update(self._task, advance=1, left=self._rest.words(every_s=0.5))
+        self._bar.update(self._task, advance=1, left=self.words(every_s=0.5))
 
     @contextlib.contextmanager
     def paused(self) -> Iterator[None]:
         self.screen.stop()
         self.keys.__exit__(None, None, None)
         try:
-            with self._rest.paused():
+            with super().paused():
                 yield
         finally:
             self.keys.__enter__()

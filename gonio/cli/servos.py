@@ -37,32 +37,19 @@ def set_zero(
     ] = None,
 ) -> None:
     """Write an axis's zero into the rig file: it stands at this angle now. The file as it was is kept as .bak."""
-    from gonio.by_hand.rig_file import write_values, zero_values
+    from gonio.by_hand.rig_file import read_zero, write_values
 
     if not Path(rig).is_file():
         raise ConfigError(f'"{rig}" is no rig file to write into: gonio rig show {rig} > my.toml, then --rig my.toml')
     if not math.isfinite(at):
         raise ConfigError(f"--at {at:g}: must be a finite angle")
     manual = manual_rig_of(rig, "arms")
-    manual.check({axis: 0.5 * math.radians(sum(manual.description.limits_deg().get(axis, (0.0, 0.0))))})
-    health = manual.read_arms()
-    read = health.of(axis, "angle")
-    if not isinstance(read, float):
-        raise DeviceError(f"axis {axis}: {health.silent.get(axis, 'its angle is not known')}")
-    if isinstance(apart := health.of(axis, "angle_spread"), float):
-        raise DeviceError(
-            f"axis {axis}: its readings at rest lie {apart:.2f} deg apart, and tell no zero: look for a loose magnet, "
-            "a loose cable, or a servo near its end; nothing is written"
-        )
-    values, offset = zero_values(manual.description, axis, read_deg=read, true_deg=at)
-    kept = write_values(rig, values, out=out)
-    console.show(
-        f"{axis} reads {read:.3f} deg and stands at {at:g} deg: zero_offset_deg = {offset:.3f} in {out or rig}"
-        + (f" (as it was: {kept})" if kept else "")
-    )
-    others = [name for name in manual.description.holder.axes if name != axis]
-    if others and ("holder", "zero_offset_known") in values:  # one key for both axes of the holder
-        console.note(f"holder.zero_offset_known = true holds for {others[0]} too: set its zero as well")
+    hint = ": look for a loose magnet, a loose cable, or a servo near its end; nothing is written"
+    zero = read_zero(manual, axis, at, manual.read_arms, hint=hint)
+    kept = write_values(rig, zero.values, out=out)
+    console.show(f"{zero} in {out or rig}" + (f" (as it was: {kept})" if kept else ""))
+    if zero.remark:
+        console.note(zero.remark)
 
 
 # ---- servos ----
