@@ -10,15 +10,18 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import TypeVar
 
 import pytest
 
 from gonio.cli import application
 from gonio.cli.signals import Ending
 
+T = TypeVar("T")
 
-def gonio(folder: Path, *arguments: str | Path) -> subprocess.CompletedProcess[str]:
-    """Run a command in a folder: its exit code, and what it printed."""
+
+def gonio(folder: Path, *arguments: str | Path, expect: int | None = None) -> subprocess.CompletedProcess[str]:
+    """Run a command in a folder: its exit code, which may have to be the one that is expected; and what it printed."""
     words = [str(argument) for argument in arguments]
     printed = io.BytesIO(), io.BytesIO()
     out, err = (io.TextIOWrapper(stream, encoding="utf-8", write_through=True) for stream in printed)
@@ -31,4 +34,18 @@ def gonio(folder: Path, *arguments: str | Path) -> subprocess.CompletedProcess[s
         patch.setattr(sys, "argv", ["gonio", *words])
         patch.setattr(application, "deafen", lambda: None)  # this process goes on, and has to hear its signals
         code = application.run(Ending())
-    return subprocess.CompletedProcess(words, code or 0, *(stream.getvalue().decode() for stream in printed))
+    done = subprocess.CompletedProcess(words, code or 0, *(stream.getvalue().decode() for stream in printed))
+    assert expect in (None, done.returncode), f"exit code {done.returncode}: {done.stdout}\n{done.stderr}"
+    return done
+
+
+def says(text: str, *words: str) -> None:
+    """A text has all these words in it."""
+    for word in words:
+        assert word in text, f"{word!r} is not in\n{text}"
+
+
+def some(found: T | None) -> T:
+    """What was looked for, which has to be there."""
+    assert found is not None
+    return found

@@ -11,6 +11,7 @@ from gonio_sim.world import World
 
 from gonio.cli import main
 from tests.command_line import gonio as run
+from tests.command_line import says
 
 BODIES = """
 [[bodies]]
@@ -51,9 +52,7 @@ def folder(tmp_path: Path) -> Path:
 def test_blocked_points_are_left_out_and_said(folder: Path) -> None:
     shown = run(folder, "plan", "show", "plan.toml", "--rig", "rig.toml")
     assert shown.returncode == 0, shown.stderr
-    assert "blocked: 0, 20" in shown.stdout
-    assert "the way there would touch: " in shown.stdout
-    assert "cabinet" in shown.stdout
+    says(shown.stdout, "blocked: 0, 20", "the way there would touch: ", "cabinet")
     measured = run(
         folder, "measure", "plan.toml", "--rig", "rig.toml", "--sample", "sample.toml", "--out", "RUN", "--yes"
     )

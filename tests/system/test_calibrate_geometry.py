@@ -56,20 +56,10 @@ def calibrated(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("geometry")
     (folder / "truth.toml").write_text(to_toml(TRUTH))
     (folder / "rig.toml").write_text(to_toml({"truth": "truth.toml"} | tables()))
-    done = gonio(
-        folder,
-        "calibrate",
-        "geometry",
-        "--rig",
-        "rig.toml",
-        "--out",
-        "geometry.toml",
-        "--quick",
-        "--yes",
-        "--seed",
-        "5",
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
+    gonio(
+        folder, "calibrate", "geometry", "--rig", "rig.toml", "--out", "geometry.toml", "--quick", "--yes", "--seed",
+        "5", expect=0,
+    )  # fmt: skip
     return folder
 
 
@@ -99,10 +89,10 @@ def test_each_arm_is_known_over_its_range(calibrated: Path) -> None:
 
 
 def test_kept_sightings_are_fitted_again_and_move_nothing(calibrated: Path) -> None:
-    done = gonio(
-        calibrated, "calibrate", "geometry", "--rig", "rig.toml", "--scans", "geometry-sightings", "--out", "again.toml"
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
+    gonio(
+        calibrated, "calibrate", "geometry", "--rig", "rig.toml", "--scans", "geometry-sightings", "--out",
+        "again.toml", expect=0,
+    )  # fmt: skip
     assert (calibrated / "again.toml").read_bytes() == (calibrated / "geometry.toml").read_bytes()
     assert not (calibrated / "again-sightings").exists()
 
@@ -116,8 +106,7 @@ def test_a_run_with_the_calibration_states_what_it_leaves_open(calibrated: Path)
         ("measure", "plan.toml", "--rig", "then.toml", "--sample", "sample.toml", "--out", "run", "--yes"),
         ("reduce", "run"),
     ):
-        done = gonio(calibrated, *arguments)
-        assert done.returncode == 0, done.stdout + done.stderr
+        gonio(calibrated, *arguments, expect=0)
     table = read(calibrated / "run" / "brdf.csv")
     common = table[[name for name in table.columns if name.startswith("s_geometry_")]].to_numpy()
     used = (table["flag"] == "").to_numpy()

@@ -54,8 +54,7 @@ def follow(folder: Path) -> dict[str, str]:
         assert words[0] == "gonio"
         into = words[words.index(">") + 1] if ">" in words else ""
         words = words[1 : words.index(">")] if into else words[1:]
-        done = gonio(folder, *words)
-        assert done.returncode == 0, done.stdout + done.stderr
+        done = gonio(folder, *words, expect=0)
         said[" ".join(words[:2])] = done.stdout + done.stderr
         if into:
             (folder / into).write_text(done.stdout, encoding="utf-8")

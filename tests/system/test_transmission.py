@@ -15,7 +15,7 @@ from gonio import measurement
 from gonio.acquisition.measure import find_rig
 from gonio.acquisition.plan import assess, load_plan
 from gonio.errors import ConfigError, DataError
-from tests.command_line import gonio
+from tests.command_line import gonio, some
 
 PLAN = """name = "diffuser"
 wavelength_nm = [550]
@@ -58,8 +58,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "rig.toml").write_text(far_reaching("sim"), encoding="utf-8")
     run = ("measure", "plan.toml", "--rig", "rig.toml", "--sample", "sample.toml", "--out", "run", "--seed", "5")
     for words in (run, ("reduce", "run")):
-        done = gonio(folder, *words)
-        assert done.returncode == 0, done.stderr
+        gonio(folder, *words, expect=0)
     return folder
 
 
@@ -99,8 +98,7 @@ def test_the_report_has_a_section_of_its_own(folder: Path) -> None:
 
 
 def test_transmission_alone_has_a_report_and_no_fit(folder: Path) -> None:
-    through = measurement.transmission(measurement.read(folder / "run"))
-    assert through is not None
+    through = some(measurement.transmission(measurement.read(folder / "run")))
     measurement.write(through, folder / "through.csv")
     with pytest.raises(DataError, match=r"10 of transmission; models .* reflection"):
         fit(str(folder / "through.csv"), "lambert")
@@ -114,8 +112,7 @@ def test_like_is_compared_with_like(folder: Path) -> None:
     same = change(str(folder / "run"), str(folder / "run"))
     assert len(same.at) == 13
     assert any(note.startswith("Transmission is compared apart, in 10 directions") for note in same.notes)
-    through = measurement.transmission(measurement.read(folder / "run"))
-    assert through is not None
+    through = some(measurement.transmission(measurement.read(folder / "run")))
     alone = change(through, through)
     assert len(alone.at) == 10
     with pytest.raises(DataError, match="not the same quantity"):

@@ -20,7 +20,7 @@ from gonio.config import parse
 from gonio.errors import DataError
 from gonio.rig.description import RigDescription
 from gonio.typing import Floats
-from tests.command_line import gonio
+from tests.command_line import gonio, says, some
 
 ZEROS = {"light": 1.3, "camera": -0.8, "tilt": 0.4}
 
@@ -84,8 +84,7 @@ def test_the_centre_of_a_lamp_of_any_size_is_found(lamp: float, lens: float, cen
     x = np.linspace(-1.7, 1.7, 19)
     true = x + rng.uniform(-step / 2, step / 2, x.size)  # where the arm is when the encoder shows x
     signal = shared_area(true - centre, lamp, lens) * rng.normal(1.0, 0.008, x.size) + 20.0
-    found = peak(x, signal, 0.008 * signal + 1.0, step)
-    assert found is not None
+    found = some(peak(x, signal, 0.008 * signal + 1.0, step))
     assert abs(found.centre - centre) < 3.0 * found.u  # one of nine tries of a normal error is beyond it once in 40
     assert found.u < 0.07  # edges between two points of the scan are known to that
 
@@ -175,10 +174,8 @@ def always(there: Any) -> Callable[[SimulatedRig, str], bool]:
 
 def test_the_command_finds_hidden_zeros_and_writes_them_into_a_copy(tmp_path: Path, fast: None) -> None:
     rig = written(tmp_path)
-    done = gonio(tmp_path, "rig", "align", "--rig", rig, "--yes", "--seed", "4")
-    assert done.returncode == 0, done.stderr
-    assert "rank 3 of 3" in done.stdout
-    assert "not determined: spin" in done.stdout
+    done = gonio(tmp_path, "rig", "align", "--rig", rig, "--yes", "--seed", "4", expect=0)
+    says(done.stdout, "rank 3 of 3", "not determined: spin")
     text = (tmp_path / "aligned.toml").read_text()
     assert text.startswith("# of my laboratory\n")
     tables = tomllib.loads(text)
@@ -190,26 +187,22 @@ def test_the_command_finds_hidden_zeros_and_writes_them_into_a_copy(tmp_path: Pa
     assert abs(tables["holder"]["tilt_zero_offset_deg"] - ZEROS["tilt"]) < 2 * tables["holder"]["zero_u_deg"]
     assert (tmp_path / "aligned-residuals.png").read_bytes().startswith(b"\x89PNG")
 
-    again = gonio(tmp_path, "rig", "align", "--rig", rig, "--from", "aligned-scans.csv", "--out", "again.toml")
-    assert again.returncode == 0, again.stderr
+    gonio(tmp_path, "rig", "align", "--rig", rig, "--from", "aligned-scans.csv", "--out", "again.toml", expect=0)
     assert tomllib.loads((tmp_path / "again.toml").read_text()) == tables
 
 
 def test_arms_that_cannot_face_each_other_leave_the_zeros_unwritten(tmp_path: Path, fast: None) -> None:
     rig = written(tmp_path, limit=80.0, holder={"axes": []})
-    done = gonio(tmp_path, "rig", "align", "--rig", rig, "--yes")
-    assert done.returncode == 1
+    done = gonio(tmp_path, "rig", "align", "--rig", rig, "--yes", expect=1)
     assert "the arms cannot face each other within their limits (light -80 to 80 deg and camera -80" in done.stderr
-    assert "rank 1 of 2" in done.stdout
-    assert "a straight-through scan (empty holder) is missing" in done.stdout
+    says(done.stdout, "rank 1 of 2", "a straight-through scan (empty holder) is missing")
     assert not (tmp_path / "aligned.toml").exists()
     assert (tmp_path / "aligned-scans.csv").exists()
 
 
 def test_a_lamp_too_bright_for_the_shortest_exposure_is_dimmed(tmp_path: Path, fast: None) -> None:
     rig = written(tmp_path, camera={"width": 96, "height": 72, "pixel_um": 33.0, "exposure_limits_s": [2e-4, 60.0]})
-    done = gonio(tmp_path, "rig", "align", "--rig", rig, "--yes", "--only", "mirror")
-    assert done.returncode == 0, done.stderr
+    gonio(tmp_path, "rig", "align", "--rig", rig, "--yes", "--only", "mirror", expect=0)
     table = pd.read_csv(tmp_path / "aligned-scans.csv")
     assert (table["lamp_level"] < 1).all()
     assert (table["clipped"] == 0).all()
@@ -219,8 +212,7 @@ def test_a_matt_sample_in_place_of_the_mirror_is_said_to_be_none(
     tmp_path: Path, fast: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(SimulatedRig, "put", always("reference"))
-    done = gonio(tmp_path, "rig", "align", "--rig", written(tmp_path), "--yes")
-    assert done.returncode == 3
+    done = gonio(tmp_path, "rig", "align", "--rig", written(tmp_path), "--yes", expect=3)
     assert "is that a mirror" in done.stderr
     assert not list(tmp_path.glob("aligned*"))
 
@@ -229,16 +221,14 @@ def test_nothing_in_the_holder_is_told_with_what_to_look_at(
     tmp_path: Path, fast: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(SimulatedRig, "put", always("empty"))
-    done = gonio(tmp_path, "rig", "align", "--rig", written(tmp_path), "--yes", "--search", "2")
-    assert done.returncode == 3
+    done = gonio(tmp_path, "rig", "align", "--rig", written(tmp_path), "--yes", "--search", "2", expect=3)
     assert "the mirror's reflection was not found with the camera arm within 2 deg of -30 deg" in done.stderr
 
 
 def test_what_is_there_already_is_not_written_over(tmp_path: Path) -> None:
     rig = written(tmp_path)
     (tmp_path / "aligned.toml").write_text("mine")
-    done = gonio(tmp_path, "rig", "align", "--rig", rig, "--yes")
-    assert done.returncode == 2
+    done = gonio(tmp_path, "rig", "align", "--rig", rig, "--yes", expect=2)
     assert "aligned.toml: is there already" in done.stderr
     assert (tmp_path / "aligned.toml").read_text() == "mine"
 
@@ -246,8 +236,7 @@ def test_what_is_there_already_is_not_written_over(tmp_path: Path) -> None:
 def test_scans_of_an_earlier_try_are_kept_beside_the_new_ones(tmp_path: Path) -> None:
     alignment.write(pd.concat(mirror_and_straight()), tmp_path / "first.csv")
     (tmp_path / "aligned-residuals.png").write_text("mine")
-    done = gonio(tmp_path, "rig", "align", "--rig", written(tmp_path), "--from", "first.csv")
-    assert done.returncode == 0, done.stderr
+    gonio(tmp_path, "rig", "align", "--rig", written(tmp_path), "--from", "first.csv", expect=0)
     assert (tmp_path / "aligned-residuals.png").read_text() == "mine"
     assert (tmp_path / "aligned-residuals-2.png").exists()
 

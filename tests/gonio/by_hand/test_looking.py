@@ -13,6 +13,7 @@ from gonio.by_hand.live_picture import pictures
 from gonio.rig import Frame
 from gonio.rig.description import RigDescription
 from gonio.rig.regions import Roi
+from tests.command_line import some
 from tests.gonio.by_hand.frames import HEIGHT, WIDTH, camera, ellipse, expose, texture
 from tests.gonio.numpy_rig import describe
 
@@ -59,8 +60,7 @@ def test_noise_alone_is_no_structure() -> None:
     of = camera()
     even = np.full((HEIGHT, WIDTH), 2000.0)
     for seed in range(20):
-        found = looking.focus(of, expose(of, even, seed), expose(of, even, seed + 1000), BOX)
-        assert found is not None
+        found = some(looking.focus(of, expose(of, even, seed), expose(of, even, seed + 1000), BOX))
         assert found.value is None
         assert "no structure" in found.why
         assert found.u < 0.003  # a hundredth of the textures' slope could be hidden, and no more
@@ -72,8 +72,7 @@ def test_the_pixels_own_differences_are_no_structure_where_the_rig_file_names_th
     told = {}
     for prnu in (0.0, 0.01):
         of = camera(prnu=prnu)
-        found = looking.focus(of, expose(of, even, 1, gain=gain), expose(of, even, 2, gain=gain), BOX)
-        assert found is not None
+        found = some(looking.focus(of, expose(of, even, 1, gain=gain), expose(of, even, 2, gain=gain), BOX))
         told[prnu] = found.value
     assert told[0.01] is None
     # the gradient of white noise of unit variance by Sobel in eighths: sqrt(2 x 12 / 64); known to 1 % by 19200 pixels
@@ -92,8 +91,7 @@ def test_focus_of_a_saturated_or_dark_region_is_not_told() -> None:
     bright, dark = texture(0.0, 30_000.0), np.zeros((HEIGHT, WIDTH))
     assert looking.noise(of, expose(of, bright, 1), expose(of, bright, 2), REGION) is None, "0 would be no truth"
     for scene, why in ((bright, "saturated"), (dark, "too dark")):
-        found = looking.focus(of, expose(of, scene, 1), expose(of, scene, 2), BOX)
-        assert found is not None
+        found = some(looking.focus(of, expose(of, scene, 1), expose(of, scene, 2), BOX))
         assert (found.value, found.why.startswith(why)) == (None, True)
 
 
@@ -102,8 +100,7 @@ def test_focus_of_a_saturated_or_dark_region_is_not_told() -> None:
 
 def test_noise_is_that_of_the_sensor() -> None:
     of, even = camera(), np.full((HEIGHT, WIDTH), 2000.0)
-    found = looking.noise(of, expose(of, even, 1), expose(of, even, 2), REGION)
-    assert found is not None
+    found = some(looking.noise(of, expose(of, even, 1), expose(of, even, 2), REGION))
     true = math.hypot(math.sqrt(2000.0 + 25.0) / 3.0, math.sqrt(1 / 12))
     assert found.expected_dn == pytest.approx(true, rel=0.01)  # by the mean of the frame
     assert found.dn == pytest.approx(true, rel=0.08)  # 1600 differences know it to 1.8 %: four and a half of that
@@ -113,8 +110,7 @@ def test_noise_is_that_of_the_sensor() -> None:
 
 def test_noise_of_a_dark_region_has_no_relative_uncertainty() -> None:
     of, dark = camera(), np.zeros((HEIGHT, WIDTH))
-    found = looking.noise(of, expose(of, dark, 1), expose(of, dark, 2), REGION)
-    assert found is not None
+    found = some(looking.noise(of, expose(of, dark, 1), expose(of, dark, 2), REGION))
     assert found.u_rel is None
     assert found.dn == pytest.approx(math.hypot(5 / 3, math.sqrt(1 / 12)), rel=0.08)
 

@@ -18,7 +18,7 @@ from gonio.errors import ConfigError
 from gonio.rig import imaging, kinematics
 from gonio.rig.description import Fiducials, RigDescription
 from gonio.rig.fiducials import corners_mm, white
-from tests.command_line import gonio
+from tests.command_line import gonio, some
 
 
 @pytest.fixture(scope="module")
@@ -33,8 +33,7 @@ def description() -> RigDescription:
 def test_corners_are_where_the_markers_are(description: RigDescription, camera: float, tilt: float) -> None:
     """Corners scatter by 0.1 to 0.2 px in frames with noise; together they show no shift."""
     rig = SimulatedRig(description, None, 1, confirm=False)
-    marks = description.holder.fiducials
-    assert marks is not None
+    marks = some(description.holder.fiducials)
     with ManualRig(rig, "test") as manual:
         rig.put("mirror")
         manual.lamp(True)
@@ -71,8 +70,7 @@ def test_the_sheet_shows_the_markers_that_are_looked_for(tmp_path: Path) -> None
 
     marks, file = Fiducials(), tmp_path / "sheet.png"
     fiducials.print_sheet(marks, 20.0, file)
-    grey = cv2.imread(str(file), cv2.IMREAD_GRAYSCALE)
-    assert grey is not None
+    grey = some(cv2.imread(str(file), cv2.IMREAD_GRAYSCALE))
     numbers, pixels = fiducials.detect(grey, marks)
     assert len(numbers) == 4 * marks.count
     scale = 600 / 25.4

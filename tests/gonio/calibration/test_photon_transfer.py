@@ -14,6 +14,7 @@ from gonio.calibration import linearity, photon_transfer, pixel_statistics, resp
 from gonio.errors import DataError
 from gonio.rig.light_and_camera import Camera
 from gonio.rig.sensor_response import bent, straightened
+from tests.command_line import some
 from tests.places import measured
 
 CAMERA = Camera(
@@ -172,8 +173,7 @@ def test_gamma_of_a_video_camera_is_found() -> None:
 def test_dark_current_doubles_where_arrhenius_says() -> None:
     t = np.array([0.0, 10.0, 20.0, 30.0])
     rate = 3.0 * np.exp(-0.6 / pixel_statistics.BOLTZMANN_EV * (1 / (t + 273.15) - 1 / 288.15))
-    law = pixel_statistics.temperature_law(t, rate, 0.01 * rate)
-    assert law is not None
+    law = some(pixel_statistics.temperature_law(t, rate, 0.01 * rate))
     assert law.energy_ev == pytest.approx(0.6, rel=1e-9)
     assert law.doubling_c == pytest.approx(math.log(2) * pixel_statistics.BOLTZMANN_EV * 288.15**2 / 0.6, rel=1e-3)
     assert pixel_statistics.temperature_law(t[:1], rate[:1], rate[:1]) is None
