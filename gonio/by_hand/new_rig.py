@@ -389,13 +389,14 @@ def _tethered(person: Person | Answers, table: Any, found: Found) -> None:
     usual = "serial" if found.releases else "none"
     ways = one_of("serial", "command", "none")
     how = ask("trigger", "Who releases it: serial (a box), command, none", usual, ways)
-    trigger = table["trigger"] = {"how": how}
+    trigger: TomlTable = {"how": how}
     if how == "serial":
         box = found.releases[0] if found.releases else None
         trigger["port"] = ask("release_port", "Port of the release box", box, port)
     elif how == "command":
         text = "The command, with {exposure_s} and {folder} where they belong"
         trigger["command"] = ask("trigger_command", text, None, some).split()
+    table["trigger"] = trigger
 
 
 def _geometry(person: Person | Answers, form: Any) -> None:
