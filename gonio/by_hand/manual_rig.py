@@ -289,14 +289,9 @@ class ManualRig:
         return snapshot.take(self, Path(file) if file is not None else None, exposure_s=exposure_s)
 
     def scan(
-        self,
-        axis: str,
-        angles: Sequence[float],
-        *,
-        frames: int = 2,
-        exposure_s: float | None = None,
-        progress: Callable[[pd.DataFrame, int], None] | None = None,
-    ) -> pd.DataFrame:
+        self, axis: str, angles: Sequence[float], *, frames: int = 2, exposure_s: float | None = None,
+        progress: Callable[[pd.DataFrame, int], None] = lambda table, total: None,
+    ) -> pd.DataFrame:  # fmt: skip
         """A signal against an angle; see `gonio.by_hand.scan.scan`. The lamp is dark after it, whatever happens."""
         from gonio.by_hand import scan
 

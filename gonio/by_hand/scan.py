@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+import pandas as pd
 
 from gonio.acquisition import exposure
 from gonio.by_hand.moved import Movable
@@ -25,7 +26,6 @@ from gonio.rig.description import RigDescription
 from gonio.typing import Floats
 
 if TYPE_CHECKING:
-    import pandas as pd
     from matplotlib.axes import Axes
 
 DARK_FRAMES = 4
@@ -66,14 +66,9 @@ class _Dark:
 
 
 def scan(
-    manual: Movable,
-    axis: str,
-    angles: Sequence[float],
-    *,
-    frames: int = 2,
-    exposure_s: float | None = None,
-    progress: Callable[[pd.DataFrame, int], None] | None = None,
-) -> pd.DataFrame:
+    manual: Movable, axis: str, angles: Sequence[float], *, frames: int = 2, exposure_s: float | None = None,
+    progress: Callable[[pd.DataFrame, int], None] = lambda table, total: None,
+) -> pd.DataFrame:  # fmt: skip
     """Scan one axis of a rig that is open, the others standing where they are; the lamp is dark before and after.
 
     Parameters
@@ -107,8 +102,46 @@ def scan(
     DeviceError
         A device fails; what was measured so far was told.
     """
-    import pandas as pd
+    bounded = _checked(manual, axis, angles, frames, exposure_s)
+    rows: list[dict[str, object]] = []
+    attrs: dict[Hashable | None, object] = {"axis": axis, "rig": bounded.name, "band": manual.band.name}
+    try:
+        manual.lamp(False)
+        manual.move(**{axis: float(angles[0])})
+        dark = _darks(manual, bounded)
+        manual.lamp(True, wavelength_nm=manual.band.centre_nm)
+        expected = exposure.expected_level_per_s(bounded, Pose(), 1.0)
+        for angle in angles:
+            landed, pose = manual.move(**{axis: float(angle)}).landed[axis], manual.pose()
+            if pose is not None:
+                others = {n: round(math.degrees(getattr(pose, n)), 3) for n in bounded.axes() if n != axis}
+                attrs.setdefault("others_deg", others)
+            seen, expected = _seen(manual, bounded, pose, frames, dark, expected)
+            rows.append({"angle_deg": math.degrees(landed), "asked_deg": round(math.degrees(angle), 9)} | seen)
+            table = pd.DataFrame(rows)
+            table["flag"] = np.where(table["saturated"] > 0, "saturated", "")
+            table.attrs = attrs
+            progress(table, len(angles))
+    finally:
+        manual.light.off()
+    return table
 
+
+def _seen(
+    manual: Movable, bounded: RigDescription, pose: Pose | None, frames: int, dark: _Dark, expected: float
+) -> tuple[dict[str, object], float]:  # fmt: skip
+    """The signal at a pose, from the level for one second that is expected; and the level to expect next."""
+    roi, where = _patch(bounded, pose)
+    metered = exposure.meter(bounded, manual.camera.capture, roi.of, expected)
+    shots = [manual.camera.capture(metered.exposure_s) for _ in range(frames)]
+    next_level = metered.level_per_s if metered.level_per_s > 0 else expected
+    return _signal(bounded, shots, roi, dark) | {"patch": where}, next_level
+
+
+def _checked(
+    manual: Movable, axis: str, angles: Sequence[float], frames: int, exposure_s: float | None
+) -> RigDescription:  # fmt: skip
+    """The rig with the exposures that a scan may have; raises what `scan` raises before anything moves."""
     description = manual.description
     if not len(angles):
         raise ArgumentError("angles: there are none to go to")
@@ -118,40 +151,6 @@ def scan(
         manual.check({axis: float(angle)})
     if exposure_s is not None:
         description.camera.require_exposure(exposure_s)
-    bounded = _bounded(description, exposure_s)
-    rows: list[dict[str, object]] = []
-    attrs: dict[Hashable | None, object] = {"axis": axis, "rig": description.name, "band": manual.band.name}
-    try:
-        manual.lamp(False)
-        manual.move(**{axis: float(angles[0])})
-        dark = _darks(manual, bounded)
-        manual.lamp(True, wavelength_nm=manual.band.centre_nm)
-        expected = exposure.expected_level_per_s(description, Pose(), 1.0)
-        for angle in angles:
-            landed = manual.move(**{axis: float(angle)}).landed[axis]
-            pose = manual.pose()
-            if pose is not None:
-                others = {n: round(math.degrees(getattr(pose, n)), 3) for n in description.axes() if n != axis}
-                attrs.setdefault("others_deg", others)
-            roi, where = _patch(description, pose)
-            metered = exposure.meter(bounded, manual.camera.capture, roi.of, expected)
-            shots = [manual.camera.capture(metered.exposure_s) for _ in range(frames)]
-            if metered.level_per_s > 0:
-                expected = metered.level_per_s
-            row = {"angle_deg": math.degrees(landed), "asked_deg": round(math.degrees(angle), 9)}
-            rows.append(row | _signal(description, shots, roi, dark) | {"patch": where})
-            table = pd.DataFrame(rows)
-            table["flag"] = np.where(table["saturated"] > 0, "saturated", "")
-            table.attrs = attrs
-            if progress is not None:
-                progress(table, len(angles))
-    finally:
-        manual.light.off()
-    return table
-
-
-def _bounded(description: RigDescription, exposure_s: float | None) -> RigDescription:
-    """The rig with the exposures that a scan may have."""
     shortest, longest = description.camera.exposure_limits_s
     white = exposure.expected_exposure_s(description, Pose(), 1.0)
     limits = shortest, min(longest, max(LONGEST * white, 2 * shortest))

@@ -352,7 +352,7 @@ def spot_of(
     values = binned(np.clip(light / SATURATED, 0.0, 1.0))[whole]
     if len(values) < 30 or values.max() < BRIGHT:
         return None
-    bright = values > 0.5 * values.max()
+    at = values > 0.5 * values.max()
     lamp, pupil = (max(r / size, 0.5) for r in _disc_radii_px(description))
     reach = lamp + pupil
 
@@ -365,19 +365,18 @@ def spot_of(
     bounds = ([-reach, -reach, 0.1, 0.6, -0.3], [cols + reach, rows + reach, 50.0, 1.6, 0.6])
     found: Any = None
     for right, down in ((0.0, 0.0), (0.5, 0.0), (-0.5, 0.0), (0.0, 0.5), (0.0, -0.5)):
-        start = [x[bright].mean() + right * reach, y[bright].mean() + down * reach, float(values.max()), 1.0, 0.0]
+        start = [x[at].mean() + right * reach, y[at].mean() + down * reach, float(values.max()), 1.0, 0.0]
         tried = least_squares(left, np.clip(start, *bounds), bounds=bounds, x_scale=[1, 1, 0.1, 0.05, 0.1])
         if found is None or tried.cost < found.cost:
             found = tried
         if math.sqrt(2.0 * found.cost / len(values)) < SPOT_NOISE:
             break
     variance = 2.0 * found.cost / max(len(values) - 5, 1)
-    covariance = np.linalg.pinv(found.jac.T @ found.jac) * variance
-    u = size * math.sqrt(max(float(covariance[0, 0]), float(covariance[1, 1]), 0.0))
+    variances = variance * np.diag(np.linalg.pinv(found.jac.T @ found.jac))
     column, row = (size * float(v) + 0.5 * (size - 1) for v in found.x[:2])
     if not (0.0 <= column <= camera.width - 1 and 0.0 <= row <= camera.height - 1) or math.sqrt(variance) > SPOT_NOISE:
         return None
-    return column, row, u
+    return column, row, size * math.sqrt(max(*map(float, variances[:2]), 0.0))
 
 
 def _disc_radii_px(description: RigDescription) -> tuple[float, float]:

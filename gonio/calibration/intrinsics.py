@@ -162,16 +162,12 @@ def calibrate(files: Sequence[Path], board: BoardFile, dictionary: Any, size: tu
         size=size,
         values=dict(zip(NAMES, map(float, fit.x[: len(NAMES)]), strict=True)),
         covariance=covariance * np.outer(wider, wider),
-        rms_px=rms,
-        corners=total - rejected,
-        rejected=rejected,
-        images=tuple(v[0].name for v in views),
-        rms_by_image_px=tuple(fit.rms_by_image()),
-        poses=fit.poses,
-        residuals_px=fit.left(),
+        rms_px=rms, corners=total - rejected, rejected=rejected,
+        images=tuple(v[0].name for v in views), rms_by_image_px=tuple(fit.rms_by_image()),
+        poses=fit.poses, residuals_px=fit.left(),
         points_px=np.concatenate([v[2][used] for v, used in zip(views, fit.used, strict=True)]),
         without_one=jackknife,
-    )
+    )  # fmt: skip
 
 
 def read_grey(file: Path) -> Grey:

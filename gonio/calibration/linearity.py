@@ -35,8 +35,6 @@ class Linearity:
     covariance: Floats
     lamp_noise: float
     """Scatter of the frames' levels around their drift: lamp and shutter."""
-    drift_per_hour: float
-    """Relative drift of the lamp; NaN where frames do not say their times."""
     chi_square: float
     """Reduced, of the parts' levels; uncertainties are scaled by it where it is above 1."""
     residuals: Floats
@@ -56,16 +54,18 @@ class Linearity:
         return np.asarray(np.sqrt(np.einsum("...i,ij,...j->...", by, self.covariance, by)))
 
 
+def _require_levels(signal_dn: Floats, exposures_s: Floats) -> None:
+    near = signal_dn.size == 0 or signal_dn.max() < 3.0 * signal_dn.min()
+    if near or len(set(np.round(exposures_s, 12))) < DEGREE + 2:
+        raise DataError(
+            "the flat frames have too few levels, or such of nearly one level, to tell a bent curve from a straight "
+            "one: take flats at exposures from 5 to 95 % of full scale"
+        )
+
+
 def fit(
-    signal_dn: Floats,
-    u_dn: Floats,
-    u_dark_dn: Floats,
-    exposures_s: Floats,
-    times_s: Floats,
-    camera: Camera,
-    *,
-    degree: int = DEGREE,
-) -> Linearity:
+    signal_dn: Floats, u_dn: Floats, u_dark_dn: Floats, exposures_s: Floats, times_s: Floats, camera: Camera
+) -> Linearity:  # fmt: skip
     """Fit the nonlinearity.
 
     Parameters
@@ -86,44 +86,32 @@ def fit(
     use = np.isfinite(signal_dn) & (signal_dn > 0)
     b, j = np.nonzero(use)
     y, u = signal_dn[use], u_dn[use]
-    if y.size == 0 or y.max() < 3.0 * y.min() or len(set(np.round(exposures_s[np.unique(j)], 12))) < degree + 2:
-        raise DataError(
-            "the flat frames have too few levels, or such of nearly one level, to tell a bent curve from a straight "
-            "one: take flats at exposures from 5 to 95 % of full scale"
-        )
+    _require_levels(y, exposures_s[np.unique(j)])
     timed = bool(np.isfinite(times_s).all()) and float(np.ptp(times_s)) > 0
     away = (times_s - times_s.mean()) / max(float(np.ptp(times_s)), 1e-9) if timed else np.zeros(frames)
     # unknowns: ln rho_b, departures of the frames' levels, drift, errors of the dark levels, coefficients
     at_frame, at_drift, at_dark = parts, parts + frames, parts + frames + 1
     at_c = at_dark + parts
-    count = at_c + degree
-    rows = np.arange(y.size)
-    fixed = np.zeros((y.size, count))
-    fixed[rows, b], fixed[rows, at_frame + j], fixed[rows, at_drift] = 1.0, 1.0, away[j]
-    c, scatter = np.zeros(degree), 0.01
-    fixed[rows, at_dark + b] = 1.0 / y
-    known = np.zeros((parts + 1, count))
+    rows, count = np.arange(y.size), at_c + DEGREE
+    fixed, known, prior = (np.zeros((size, count)) for size in (y.size, parts + 1, frames))
+    fixed[rows, b] = fixed[rows, at_frame + j] = 1.0
+    fixed[rows, at_drift], fixed[rows, at_dark + b] = away[j], 1.0 / y
     known[1:, at_dark:at_c] = np.diag(1.0 / np.maximum(u_dark_dn, 1e-9))
     known[0, at_drift] = 0.0 if timed else 1e6
-    prior = np.zeros((frames, count))
-    prior[:, at_frame : at_frame + frames] = np.eye(frames)
+    prior[:, at_frame:at_drift] = np.eye(frames)
+    c, scatter, weight = np.zeros(DEGREE), 0.01, y / u
     for _ in range(ROUNDS):
         now = camera.model_copy(update={"nonlinearity": tuple(c)})
         x = straightened(now, y)
-        s = x / camera.white_level_dn
         one = bent(now, x) / x
-        powers = s[:, None] ** np.arange(1, degree + 1)
         # the slope counts that a larger departure means a smaller x at a given y
         design = fixed.copy()
-        design[:, at_c:] = powers / one[:, None]
+        design[:, at_c:] = (x / camera.white_level_dn)[:, None] ** np.arange(1, DEGREE + 1) / one[:, None]
         value = np.log(y / exposures_s[j]) - np.log(one) + design[:, at_c:] @ c
-        weight = y / u
-        rhs = np.concatenate([value * weight, np.zeros(frames + parts + 1)])
         matrix = np.vstack([design * weight[:, None], prior / scatter, known])
         inverse = np.linalg.pinv(matrix.T @ matrix, rcond=1e-15, hermitian=True)
-        solution = inverse @ (matrix.T @ rhs)
-        new = solution[at_c:]
-        levels = solution[at_frame : at_frame + frames]
+        solution = inverse @ (matrix.T @ np.concatenate([value * weight, np.zeros(frames + parts + 1)]))
+        new, levels = solution[at_c:], solution[at_frame:at_drift]
         spread = float(np.sum(levels**2) + np.trace(inverse[at_frame:at_drift, at_frame:at_drift]))
         estimate = max(math.sqrt(spread / frames), LEAST_SCATTER)
         done = np.max(np.abs(new - c)) < 1e-8 and abs(estimate - scatter) < 1e-3 * scatter
@@ -131,10 +119,9 @@ def fit(
         if done:
             break
     residual = value - design @ solution
-    freedom = max(y.size - parts - degree - (frames if parts > 1 else 2), 1)
-    chi_square = float(np.sum((residual * weight) ** 2)) / freedom
+    chi_square = float(np.sum((residual * weight) ** 2))
+    chi_square /= max(y.size - parts - DEGREE - (frames if parts > 1 else 2), 1)
     held = np.full(signal_dn.shape, math.nan)
     held[use] = residual
-    drift = float(solution[at_drift]) / float(np.ptp(times_s)) * 3600.0 if timed else math.nan
     covariance = inverse[at_c:, at_c:] * max(chi_square if parts > 1 else 1.0, 1.0)
-    return Linearity(c, covariance, scatter, drift, chi_square, held, straightened(now, signal_dn), parts)
+    return Linearity(c, covariance, scatter, chi_square, held, straightened(now, signal_dn), parts)

@@ -137,12 +137,9 @@ def _by_level(flats: Sequence[Pair], dark_level: tuple[float, float]) -> tuple[F
 
 
 def photon_transfer(
-    flats: Sequence[Pair],
-    darks: Sequence[Pair],
-    dark_level: tuple[float, float],
-    camera: Camera,
+    flats: Sequence[Pair], darks: Sequence[Pair], dark_level: tuple[float, float], camera: Camera,
     curve_covariance: Floats | None = None,
-) -> PhotonTransfer:
+) -> PhotonTransfer:  # fmt: skip
     """The linear camera model from pairs.
 
     Parameters
@@ -187,20 +184,11 @@ def photon_transfer(
     sigma = math.sqrt(max(dark_noise, LEAST_DARK_VARIANCE))
     ends = level[max(last - 1, 0)], level[min(last + 1, len(level) - 1)]
     return PhotonTransfer(
-        gain=gain,
-        u_gain=u_gain,
-        dark_noise_dn=sigma,
-        u_dark_noise_dn=0.5 * u_dark / sigma,
-        hidden=hidden,
-        saturation_dn=float(linear[last]),
-        u_saturation_dn=float(abs(ends[1] - ends[0])) / math.sqrt(12.0),
-        saturated=last < len(level) - 1,
-        linearity_error=linearity_error(exposures, level, float(level[last])),
-        signal_dn=linear,
-        variance_dn2=shot,
-        exposures_s=exposures,
-        total_variance_dn2=total,
-    )
+        gain=gain, u_gain=u_gain, dark_noise_dn=sigma, u_dark_noise_dn=0.5 * u_dark / sigma, hidden=hidden,
+        saturation_dn=float(linear[last]), u_saturation_dn=float(abs(ends[1] - ends[0])) / math.sqrt(12.0),
+        saturated=last < len(level) - 1, linearity_error=linearity_error(exposures, level, float(level[last])),
+        signal_dn=linear, variance_dn2=shot, exposures_s=exposures, total_variance_dn2=total,
+    )  # fmt: skip
 
 
 def _u_of_curve(

@@ -234,7 +234,7 @@ def build() -> typer.Typer:
     import typer
 
     from gonio import plugins
-    from gonio.cli import by_hand, calibrate, measuring, new_rig, options, plans, rigs, runs, servos, tables
+    from gonio.cli import by_hand, calibrate, measuring, options, plans, rigs, runs, servos, tables
 
     points = plugins.available("gonio.commands")
     app = typer.Typer(
@@ -250,7 +250,7 @@ def build() -> typer.Typer:
         },
     )
     app.callback()(options.options)
-    assert by_hand.app is servos.app is new_rig.app is rigs.app  # all put their commands into one
+    assert by_hand.app is servos.app is rigs.app  # all put their commands into one
     app.add_typer(rigs.app, name="rig")
     app.add_typer(calibrate.app, name="calibrate")
     app.add_typer(plans.app, name="plan")

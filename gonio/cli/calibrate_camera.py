@@ -8,8 +8,7 @@ from pathlib import Path
 
 from gonio.acquisition.measure import find_rig
 from gonio.by_hand.manual_rig import ManualRig, usual_band
-from gonio.calibration import camera_plots
-from gonio.calibration.camera import CameraCalibration, calibrate_response
+from gonio.calibration.camera import CameraCalibration, calibrate_response, draw
 from gonio.calibration.camera import calibrate as reduced
 from gonio.calibration.camera_frames import CameraFrame, read_list
 from gonio.calibration.camera_scan import Scan
@@ -80,7 +79,7 @@ def calibrate(
     if found.maps is not None:
         found.maps.write(maps)
         written.append(maps)
-    figure = camera_plots.draw(found, description.camera)
+    figure = draw(found, description.camera)
     if figure is not None:
         put_picture(picture, figure)
         written.append(picture)

@@ -17,35 +17,20 @@ if TYPE_CHECKING:
 
 
 def convert(
-    source: Annotated[
-        str,
-        typer.Argument(
-            metavar="IN", help="A measurement file, a run, FILE:SAMPLE, or a model: sample.toml.", show_default=False
-        ),
-    ],
-    target: Annotated[
-        Path,
-        typer.Argument(metavar="OUT", help="The file to write; - for standard output.", show_default=False),
-    ],
-    source_format: Annotated[
-        str | None,
-        typer.Option("--from", help="Format of IN, where neither content nor ending tell.", show_default=False),
-    ] = None,
-    target_format: Annotated[
-        str | None,
-        typer.Option(
-            "--to",
-            help="Format of OUT, where its ending does not tell; mitsuba or radiance; datacite; of a run bluesky.",
-            show_default=False,
-        ),
-    ] = None,
+    source: Annotated[str, typer.Argument(
+        metavar="IN", help="A measurement file, a run, FILE:SAMPLE, or a model: sample.toml.", show_default=False)],
+    target: Annotated[Path, typer.Argument(
+        metavar="OUT", help="The file to write; - for standard output.", show_default=False)],
+    source_format: Annotated[str | None, typer.Option(
+        "--from", help="Format of IN, where neither content nor ending tell.", show_default=False)] = None,
+    target_format: Annotated[str | None, typer.Option(
+        "--to", help="Format of OUT, where its ending does not tell; mitsuba or radiance; datacite; of a run bluesky.",
+        show_default=False)] = None,
     columns: Columns = None,
     blank: Blank = None,
-    wavelength_nm: Annotated[
-        float | None,
-        typer.Option(help="For a renderer: this wavelength of a table alone, in grey.", show_default=False),
-    ] = None,
-) -> None:
+    wavelength_nm: Annotated[float | None, typer.Option(
+        help="For a renderer: this wavelength of a table alone, in grey.", show_default=False)] = None,
+) -> None:  # fmt: skip
     """Convert a measurement, or a model, to another file format. By file ending, or by a format's name."""
     from gonio import measurement, plugins
 

@@ -127,7 +127,7 @@ def test_nonlinearity_of_one_per_cent_is_found_though_the_lamp_flickers(lamp_noi
             u[b, k] = math.sqrt((level[b, k] / 2.3 + 7.0) / frame[part].size)
     found = linearity.fit(level, u, np.zeros(2) + 0.002, exposures, np.full(exposures.size, math.nan), CAMERA)
     x = np.linspace(400.0, 3600.0, 9)
-    truth = linearity.Linearity(np.array([-0.014, 0.003]), found.covariance, 0, 0, 0, x, x, 2).departure(CAMERA, x)
+    truth = linearity.Linearity(np.array([-0.014, 0.003]), found.covariance, 0, 0, x, x, 2).departure(CAMERA, x)
     away, known = found.departure(CAMERA, x) - truth, found.u_departure(CAMERA, x)
     assert np.all(np.abs(away) < 4 * known)
     assert known.max() < 1.5e-3  # of 9600 pixels; a whole frame of a rig has thirty times as many
