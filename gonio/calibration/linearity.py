@@ -90,10 +90,9 @@ def fit(
     timed = bool(np.isfinite(times_s).all()) and float(np.ptp(times_s)) > 0
     away = (times_s - times_s.mean()) / max(float(np.ptp(times_s)), 1e-9) if timed else np.zeros(frames)
     # unknowns: ln rho_b, departures of the frames' levels, drift, errors of the dark levels, coefficients
-    at_frame, at_drift, at_dark = parts, parts + frames, parts + frames + 1
-    at_c = at_dark + parts
-    rows, count = np.arange(y.size), at_c + DEGREE
-    fixed, known, prior = (np.zeros((size, count)) for size in (y.size, parts + 1, frames))
+    at_frame, at_drift, at_dark, at_c = parts, parts + frames, parts + frames + 1, 2 * parts + frames + 1
+    rows = np.arange(y.size)
+    fixed, known, prior = (np.zeros((size, at_c + DEGREE)) for size in (y.size, parts + 1, frames))
     fixed[rows, b] = fixed[rows, at_frame + j] = 1.0
     fixed[rows, at_drift], fixed[rows, at_dark + b] = away[j], 1.0 / y
     known[1:, at_dark:at_c] = np.diag(1.0 / np.maximum(u_dark_dn, 1e-9))
@@ -105,9 +104,9 @@ def fit(
         x = straightened(now, y)
         one = bent(now, x) / x
         # the slope counts that a larger departure means a smaller x at a given y
-        design = fixed.copy()
-        design[:, at_c:] = (x / camera.white_level_dn)[:, None] ** np.arange(1, DEGREE + 1) / one[:, None]
-        value = np.log(y / exposures_s[j]) - np.log(one) + design[:, at_c:] @ c
+        slopes = (x / camera.white_level_dn)[:, None] ** np.arange(1, DEGREE + 1) / one[:, None]
+        design = np.hstack([fixed[:, :at_c], slopes])
+        value = np.log(y / exposures_s[j]) - np.log(one) + slopes @ c
         matrix = np.vstack([design * weight[:, None], prior / scatter, known])
         inverse = np.linalg.pinv(matrix.T @ matrix, rcond=1e-15, hermitian=True)
         solution = inverse @ (matrix.T @ np.concatenate([value * weight, np.zeros(frames + parts + 1)]))
@@ -118,10 +117,9 @@ def fit(
         c, scatter = np.clip(new, -0.2, 0.2), estimate
         if done:
             break
-    residual = value - design @ solution
-    chi_square = float(np.sum((residual * weight) ** 2))
-    chi_square /= max(y.size - parts - DEGREE - (frames if parts > 1 else 2), 1)
     held = np.full(signal_dn.shape, math.nan)
-    held[use] = residual
+    held[use] = value - design @ solution
+    chi_square = float(np.sum((held[use] * weight) ** 2))
+    chi_square /= max(y.size - parts - DEGREE - (frames if parts > 1 else 2), 1)
     covariance = inverse[at_c:, at_c:] * max(chi_square if parts > 1 else 1.0, 1.0)
     return Linearity(c, covariance, scatter, chi_square, held, straightened(now, signal_dn), parts)
