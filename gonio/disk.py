@@ -86,7 +86,7 @@ def put(path: Path, data: bytes) -> None:
         raise DataError(f"{path}: cannot be written: {error.strerror or error}") from None
 
 
-def put_picture(path: Path, figure: Figure) -> None:
+def put_picture(path: Path, figure: "Figure") -> None:
     """Write a figure as PNG; raises `DataError`, which names it, where it cannot be written."""
     drawn = BytesIO()
     figure.savefig(drawn, format="png", dpi=110)
