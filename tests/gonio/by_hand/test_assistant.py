@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 import threading
@@ -21,7 +22,7 @@ from gonio.by_hand.manual_rig import ManualRig
 from gonio.config import to_toml
 from gonio.errors import DeviceError, Disturbed
 from gonio.rig import Frame, Pose, imaging, kinematics
-from gonio.rig.description import Reference, RigDescription, SampleDescription
+from gonio.rig.description import Body, Reference, RigDescription, SampleDescription
 from gonio.rig.light_and_camera import Camera, Lamp
 from tests.command_line import some
 from tests.gonio.by_hand.test_lamp_timer import Clock
@@ -112,10 +113,17 @@ def session(device: Scene, rig_file: Path | None = None, out: Path | None = None
     return Session(device, manual, assistant, clock, told, said)
 
 
+@contextlib.contextmanager
+def working(description: RigDescription, **scene: Any) -> Iterator[Session]:
+    """A session at a rig that is open."""
+    made = session(Scene(description, repeatable=False, **scene))
+    with made.manual:
+        yield made
+
+
 @pytest.fixture
 def at_work() -> Iterator[Session]:
-    made = session(Scene(rig(), repeatable=False))
-    with made.manual:
+    with working(rig()) as made:
         yield made
 
 
@@ -144,11 +152,9 @@ def test_a_spot_is_told_from_the_centre_in_pixels_and_on_the_sample(at_work: Ses
 
 def test_the_beam_of_the_rig_file_is_outlined_where_its_light_would_be() -> None:
     """The corners against the share of light of the pixels there, which is computed in another way."""
-    device = Scene(rig(lamp=Lamp(beam_diameter_mm=4.0)), repeatable=False)
-    at_work = session(device)
-    with at_work.manual:
+    with working(rig(lamp=Lamp(beam_diameter_mm=4.0))) as at_work:
         at_work.obey("go light 50 camera -20 tilt 10")
-        told = at_work.look()
+        told, device = at_work.look(), at_work.device
         view = kinematics.view(device.description, device.pose)
     corners = np.array(told["predicted"]["beam"])
     lit = imaging.pixel_map(device.description, view).lit
@@ -160,18 +166,14 @@ def test_the_beam_of_the_rig_file_is_outlined_where_its_light_would_be() -> None
 
 def test_the_axis_is_the_principal_point_and_the_centre_follows_the_pose() -> None:
     camera = CAMERA.model_copy(update={"principal_point_px": (7.0, -4.0)})
-    device = Scene(describe(camera=camera), repeatable=False)
-    at_work = session(device)
-    with at_work.manual:
+    with working(describe(camera=camera)) as at_work:
         told = at_work.look()
     assert told["predicted"]["axis"] == [79.5 + 7, 59.5 - 4]
     assert told["predicted"]["centre"] == pytest.approx([79.5 + 7, 59.5 - 4])
 
 
 def test_a_region_outside_the_frame_is_not_drawn_and_the_page_says_why() -> None:
-    device = Scene(rig(reference=Reference(how="beside", offset_mm=(90.0, 0.0))), repeatable=False)
-    at_work = session(device)
-    with at_work.manual:
+    with working(rig(reference=Reference(how="beside", offset_mm=(90.0, 0.0)))) as at_work:
         told = at_work.look()
         assert told["predicted"]["centre"] == pytest.approx([79.5, 59.5])
         assert not any(0 <= column < 160 for column, _ in told["predicted"]["reference"])
@@ -282,15 +284,11 @@ def test_auto_finds_the_exposure_that_advice_calls_good(at_work: Session) -> Non
 
 
 def test_bodies_that_would_touch_keep_the_arms_where_they_are() -> None:
-    from gonio.rig.description import Body
-
     post = Body(name="post", on="bench", centre_mm=(0.0, 0.0, 300.0), size_mm=(2.0, 2.0, 2.0))  # in the way of both
-    device = Scene(rig(bodies=(post,)), repeatable=False, pose=Pose(light=0.5, camera=-0.5))
-    at_work = session(device)
-    with at_work.manual:
+    with working(rig(bodies=(post,)), pose=Pose(light=0.5, camera=-0.5)) as at_work:
         said = at_work.obey("go camera 40")
         assert "would touch" in said, said
-        assert device.pose.camera == -0.5
+        assert at_work.device.pose.camera == -0.5
 
 
 def test_an_arrow_adds_nothing_while_a_jog_is_on_its_way(at_work: Session) -> None:

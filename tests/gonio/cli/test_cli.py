@@ -22,6 +22,14 @@ from tests.command_line import gonio, says
 from tests.gonio.numpy_rig import PLAN
 
 
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """A folder with a plan (`plan.toml`) and a matt sample (`good.toml`)."""
+    (tmp_path / "plan.toml").write_text(PLAN)
+    (tmp_path / "good.toml").write_text('name = "grey"\nmodel = "lambert"\n')
+    return tmp_path
+
+
 def process(folder: Path, *arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         [sys.executable, "-c", "from gonio.cli import main; main()", *arguments],
@@ -71,11 +79,10 @@ def test_blas_has_one_thread_unless_somebody_says_otherwise() -> None:
         assert done.stdout.split()[-1] == expected
 
 
-def test_plan_show_tells_what_cannot_be_measured_and_how_long_it_takes(tmp_path: Path) -> None:
-    (tmp_path / "plan.toml").write_text(PLAN)
-    alone = gonio(tmp_path, "plan", "show", "plan.toml", expect=0)
+def test_plan_show_tells_what_cannot_be_measured_and_how_long_it_takes(folder: Path) -> None:
+    alone = gonio(folder, "plan", "show", "plan.toml", expect=0)
     says(alone.stdout, "6 points", "550 nm, 650 nm")
-    on_rig = gonio(tmp_path, "plan", "show", "plan.toml", "--rig", "sim", expect=0)
+    on_rig = gonio(folder, "plan", "show", "plan.toml", "--rig", "sim", expect=0)
     says(
         on_rig.stdout,
         "blocked: -20",
@@ -156,26 +163,21 @@ def test_a_dry_run_says_what_the_disk_needs(tmp_path: Path) -> None:
         ("diameter_mm = 20.0\n\n[bands]", "diameter_mm = 1.5\n\n[bands]", "is larger than the white reference (1.5 mm"),
     ],
 )
-def test_a_patch_that_is_not_on_its_surface_is_refused(tmp_path: Path, old: str, new: str, words: str) -> None:
+def test_a_patch_that_is_not_on_its_surface_is_refused(folder: Path, old: str, new: str, words: str) -> None:
     shown = plugins.load("gonio.rigs", "sim").toml
     assert shown.count(old) == 1
-    (tmp_path / "mine.toml").write_text(shown.replace(old, new))
-    (tmp_path / "plan.toml").write_text(PLAN)
-    (tmp_path / "s.toml").write_text('name = "grey"\nmodel = "lambert"\n')
-    out = gonio(tmp_path, "measure", "plan.toml", "--rig", "mine.toml", "--sample", "s.toml", "--out", "run", expect=2)
+    (folder / "mine.toml").write_text(shown.replace(old, new))
+    out = gonio(folder, "measure", "plan.toml", "--rig", "mine.toml", "--sample", "good.toml", "--out", "run", expect=2)
     assert words in " ".join(out.stderr.split())
-    assert not (tmp_path / "run").exists()
+    assert not (folder / "run").exists()
 
 
-def test_a_shown_rig_can_be_used_as_a_file(tmp_path: Path) -> None:
-    shown = gonio(tmp_path, "rig", "show", "sim", expect=0)
-    (tmp_path / "my.toml").write_text(
-        shown.stdout.replace("light_body_radius_mm = 25.0", "light_body_radius_mm = 200.0")
-    )
-    (tmp_path / "plan.toml").write_text(PLAN)
-    done = gonio(tmp_path, "plan", "show", "plan.toml", "--rig", "my.toml")
+def test_a_shown_rig_can_be_used_as_a_file(folder: Path) -> None:
+    shown = gonio(folder, "rig", "show", "sim", expect=0)
+    (folder / "my.toml").write_text(shown.stdout.replace("light_body_radius_mm = 25.0", "light_body_radius_mm = 200.0"))
+    done = gonio(folder, "plan", "show", "plan.toml", "--rig", "my.toml")
     assert "block 13.3 deg around retro" in done.stdout
-    assert gonio(tmp_path, "rig", "show", "my.toml").stdout == (tmp_path / "my.toml").read_text()
+    assert gonio(folder, "rig", "show", "my.toml").stdout == (folder / "my.toml").read_text()
 
 
 @pytest.mark.parametrize("rig", ["sim", "sim-uncalibrated"])  # the second rests a step beyond its limits
@@ -217,29 +219,25 @@ def test_a_dark_lamp_fails_the_check(tmp_path: Path) -> None:
         (("reduce", "od\udcffd"), ["od\\xffd", "UTF-8"]),  # the byte 255 in a file's name
     ],
 )
-def test_usage_and_configuration_end_with_2(tmp_path: Path, arguments: tuple[str, ...], words: list[str]) -> None:
-    (tmp_path / "plan.toml").write_text(PLAN)
-    (tmp_path / "sample.toml").write_text('name = "s"\nmodel = "lambert"\n[parameters]\nalbdo = 1\n')
-    (tmp_path / "good.toml").write_text('name = "s"\nmodel = "lambert"\n[parameters]\nalbedo = 1\n')
-    (tmp_path / "other.toml").write_text(plugins.load("gonio.rigs", "sim").toml.replace('"sim"', '"nobody"'))
-    before = sorted(path.name for path in tmp_path.iterdir())
-    done = gonio(tmp_path, *arguments, expect=2)
+def test_usage_and_configuration_end_with_2(folder: Path, arguments: tuple[str, ...], words: list[str]) -> None:
+    (folder / "sample.toml").write_text('name = "s"\nmodel = "lambert"\n[parameters]\nalbdo = 1\n')
+    (folder / "other.toml").write_text(plugins.load("gonio.rigs", "sim").toml.replace('"sim"', '"nobody"'))
+    before = sorted(path.name for path in folder.iterdir())
+    done = gonio(folder, *arguments, expect=2)
     assert done.stdout == ""
     assert "Traceback" not in done.stderr
     assert len(done.stderr.splitlines()) <= 12
     for word in words:
         assert word in done.stderr
-    assert sorted(path.name for path in tmp_path.iterdir()) == before
+    assert sorted(path.name for path in folder.iterdir()) == before
 
 
-def test_dry_run_checks_everything_and_writes_nothing(tmp_path: Path) -> None:
-    (tmp_path / "plan.toml").write_text(PLAN)
-    (tmp_path / "good.toml").write_text('name = "s"\nmodel = "lambert"\n[parameters]\nalbedo = 1\n')
+def test_dry_run_checks_everything_and_writes_nothing(folder: Path) -> None:
     arguments = ("measure", "plan.toml", "--rig", "sim", "--sample", "good.toml", "--out", "run", "--dry-run")
-    done = gonio(tmp_path, *arguments, expect=0)
+    done = gonio(folder, *arguments, expect=0)
     assert "6 points" in done.stdout
     assert "gonio plan show plan.toml --rig sim --picture" in done.stderr
-    assert not (tmp_path / "run").exists()
+    assert not (folder / "run").exists()
 
 
 def test_a_stranger_s_command_appears_and_a_broken_one_is_listed_with_its_error(tmp_path: Path) -> None:
@@ -339,12 +337,11 @@ def test_a_wrong_name_is_answered_with_the_nearest_of_all_commands(tmp_path: Pat
     ],
 )
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full here")
-def test_streams_that_are_closed_or_full(tmp_path: Path, redirected: str, code: int, words: str) -> None:
-    (tmp_path / "plan.toml").write_text(PLAN)
+def test_streams_that_are_closed_or_full(folder: Path, redirected: str, code: int, words: str) -> None:
     program = f'"{sys.executable}" -c "from gonio.cli import main; main()"'
     done = subprocess.run(
         ["sh", "-c", f"{program} {redirected}"],
-        cwd=tmp_path, capture_output=True, text=True, timeout=600, check=False,
+        cwd=folder, capture_output=True, text=True, timeout=600, check=False,
     )  # fmt: skip
     assert done.returncode == code, done.stderr
     assert len(done.stderr.splitlines()) == (1 if words else 0), done.stderr
@@ -388,18 +385,17 @@ LONG = "n" * 300
     ],
     ids=lambda arguments: arguments[0],
 )
-def test_a_name_of_300_characters_is_named(tmp_path: Path, arguments: tuple[str, ...]) -> None:
-    (tmp_path / "plan.toml").write_text(PLAN)
-    (tmp_path / "good.csv").write_text(
+def test_a_name_of_300_characters_is_named(folder: Path, arguments: tuple[str, ...]) -> None:
+    (folder / "good.csv").write_text(
         "theta_i_deg,phi_i_deg,theta_r_deg,phi_r_deg,brdf\n30,0,10,180,0.15\n30,0,20,180,0.15\n"
     )
-    before = sorted(path.name for path in tmp_path.iterdir())
-    done = gonio(tmp_path, *arguments, expect=2)
+    before = sorted(path.name for path in folder.iterdir())
+    done = gonio(folder, *arguments, expect=2)
     (line,) = done.stderr.splitlines()
     assert LONG[:40] in line
     assert "too long" in line
     assert "should not happen" not in line
-    assert sorted(path.name for path in tmp_path.iterdir()) == before
+    assert sorted(path.name for path in folder.iterdir()) == before
 
 
 @pytest.mark.parametrize(
