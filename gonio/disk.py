@@ -49,10 +49,10 @@ def only_file(path: str, flags: int) -> int:
     raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), path) if stat.S_ISDIR(mode) else none
 
 
-def read_file(path: str | Path) -> bytes:
-    """The bytes of a file; raises `OSError` as `only_file` does."""
+def read_file(path: str | Path, most: int = -1) -> bytes:
+    """The bytes of a file, `most` of them at most; raises `OSError` as `only_file` does."""
     with open(path, "rb", opener=only_file) as file:
-        return file.read()
+        return file.read(most)
 
 
 def write_whole(path: Path, data: bytes) -> None:
@@ -239,18 +239,13 @@ def read_manifest(folder: Path) -> Manifest:
 def is_manifest(path: Path) -> bool:
     """Whether a path is a file, and no link, with the lines of a manifest: all of them name files inside the folder."""
     try:
-        return not path.is_symlink() and path.is_file() and all(map(_is_entry, _lines(path)))
+        return not path.is_symlink() and path.is_file() and all(map(_LINE.fullmatch, _lines(path)))
     except (OSError, UnicodeDecodeError):
         return False
 
 
-_LINE = re.compile(r"[0-9a-f]{64}  ([^\\\0]+)")
-
-
-def _is_entry(line: str) -> bool:
-    """Whether a line holds a checksum and a path that leads nowhere but into the folder."""
-    found = _LINE.fullmatch(line)
-    return found is not None and not {"", ".", ".."}.intersection(found[1].split("/"))
+_LINE = re.compile(r"[0-9a-f]{64}  (?!(.*/)?\.{0,2}(/|$))[^\\\0]+")
+"""A checksum and a path that leads nowhere but into the folder: no part of it is empty, "." or ".."."""
 
 
 def _lines(path: Path) -> list[str]:
@@ -277,6 +272,19 @@ def is_own(path: Path, digests: Collection[str]) -> bool:
         return False
 
 
+def _judged(folder: Path, own: Manifest) -> Iterator[tuple[Path, Manifest | None, bool]]:
+    """What lies in a folder, by name; what is ours inside, where it is a folder of ours; and whether it is our own."""
+    own = own | read_manifest(folder)
+    for entry in sorted(os.scandir(folder), key=lambda entry: entry.name):
+        path, start = Path(entry.path), entry.name + "/"
+        if entry.is_dir(follow_symlinks=False):
+            below = {name.removeprefix(start): found for name, found in own.items() if name.startswith(start)}
+            ours = bool(below) or (path / MANIFEST).is_file()
+            yield path, below if ours else None, ours
+        else:
+            yield path, None, is_manifest(path) if path.name == MANIFEST else is_own(path, own.get(path.name, ()))
+
+
 def foreign_files(folder: Path, own: Manifest) -> list[str]:
     """What lies in a folder, and below it, that this program did not write, or that was changed since; no link is
     followed. A manifest inside the folder, or inside a folder of it, says what is ours there, beside `own`.
@@ -286,21 +294,12 @@ def foreign_files(folder: Path, own: Manifest) -> list[str]:
     OSError
         A folder cannot be read.
     """
-    own, out = own | read_manifest(folder), []
-    for entry in sorted(os.scandir(folder), key=lambda entry: entry.name):
-        if entry.is_dir(follow_symlinks=False):
-            start = entry.name + "/"
-            below = {name.removeprefix(start): found for name, found in own.items() if name.startswith(start)}
-            inside = Path(entry.path)
-            if below or (inside / MANIFEST).is_file():
-                out += [start + name for name in foreign_files(inside, below)]
-            else:
-                out.append(start)
-        elif entry.name == MANIFEST:
-            if not is_manifest(Path(entry.path)):
-                out.append(entry.name)
-        elif not is_own(Path(entry.path), own.get(entry.name, ())):
-            out.append(entry.name)
+    out = []
+    for path, below, ours in _judged(folder, own):
+        if below is not None:
+            out += [f"{path.name}/{name}" for name in foreign_files(path, below)]
+        elif not ours:
+            out.append(path.name + "/" * (path.is_dir() and not path.is_symlink()))
     return out
 
 
@@ -309,15 +308,10 @@ def remove_own(folder: Path, own: Manifest) -> None:
 
     The manifest goes last, so that what a process that dies leaves is still known.
     """
-    own = own | read_manifest(folder)
-    for entry in list(os.scandir(folder)):
-        path = Path(entry.path)
-        if entry.is_dir(follow_symlinks=False):
-            start = entry.name + "/"
-            below = {name.removeprefix(start): found for name, found in own.items() if name.startswith(start)}
-            if below or (path / MANIFEST).is_file():
-                remove_own(path, below)
-        elif entry.name != MANIFEST and is_own(path, own.get(entry.name, ())):
+    for path, below, ours in _judged(folder, own):
+        if below is not None:
+            remove_own(path, below)
+        elif ours and path.name != MANIFEST:
             path.unlink()
     if [entry.name for entry in os.scandir(folder)] in ([], [MANIFEST]):
         (folder / MANIFEST).unlink(missing_ok=True)
@@ -327,8 +321,9 @@ def remove_own(folder: Path, own: Manifest) -> None:
 def require_own(folder: Path, names: Iterable[str], own: Manifest | None = None) -> None:
     """Raise `ConfigError` where files of these names are in a folder and are not what this program wrote there."""
     own = read_manifest(folder) if own is None else own
-    there = [name for name in names if os.path.lexists(folder / name)]
-    foreign = [name for name in there if not is_own(folder / name, own.get(name, ()))]
+    foreign = [
+        name for name in names if os.path.lexists(folder / name) and not is_own(folder / name, own.get(name, ()))
+    ]
     if os.path.lexists(folder / MANIFEST) and not is_manifest(folder / MANIFEST):
         foreign.insert(0, MANIFEST)
     if foreign:

@@ -24,10 +24,12 @@ stainless       Karlsson 1982           austenitic, near AISI 316; 200-2500 nm
 Another source of the same material is named after a slash: `ior("Al/McPeak")`, `ior("PMMA/Zhang-Tomson")`.
 """
 
+import contextlib
 import difflib
 import re
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -70,15 +72,7 @@ class Curve:
 
     lower_um: float
     upper_um: float
-    wavelengths_um: Floats | None = None
-    values: Floats | None = None
-    formula: int = 0
-    coefficients: tuple[float, ...] = ()
-
-    def __call__(self, um: Floats) -> Floats:
-        if self.wavelengths_um is not None and self.values is not None:
-            return np.asarray(np.interp(um, self.wavelengths_um, self.values))
-        return _dispersion(self.formula, self.coefficients, um)
+    at: Callable[[Floats], Floats]
 
 
 @dataclass(frozen=True)
@@ -113,8 +107,7 @@ class Material:
             )
         um = np.clip(nm, lower, upper) / 1000.0
         index = np.empty(nm.shape, dtype=np.complex128)
-        index.real = self.n(um)
-        index.imag = 0.0 if self.k is None else self.k(um)
+        index.real, index.imag = self.n.at(um), 0.0 if self.k is None else self.k.at(um)
         return index[()]
 
 
@@ -169,13 +162,10 @@ def spread(name: str, wavelength_nm: float) -> tuple[float, float]:
     own = ior(name)
     material, found = name.partition("/")[0], list[complex]()
     for page in _pages(_MATERIALS[material][0]):
-        try:
+        with contextlib.suppress(DataError, ArgumentError):  # of another kind, or it does not reach there
             other = ior(f"{material}/{page}")
-            value = complex(other(wavelength_nm))
-        except (DataError, ArgumentError):
-            continue  # of another kind, or it does not reach there
-        if (other.k is None) == (own.k is None):
-            found.append(value)
+            if (other.k is None) == (own.k is None):
+                found.append(complex(other(wavelength_nm)))
     if len(found) < 2:
         raise ArgumentError(
             f"ior: {material} has {len(found)} source at {wavelength_nm:g} nm; state its uncertainty as a number"
@@ -201,12 +191,9 @@ def _others(name: str, wavelength_nm: float) -> str:
     material = name.partition("/")[0]
     covering = []
     for page in _pages(_MATERIALS[material][0]):
-        try:
+        with contextlib.suppress(DataError):  # a page of another kind: a metal's n without k, a formula without a range
             lower, upper = ior(f"{material}/{page}").wavelength_range_nm
-        except DataError:
-            continue  # a page of another kind (n without k of a metal, a formula without a range)
-        if lower <= wavelength_nm <= upper:
-            covering.append(f"{material}/{page}")
+            covering += [f"{material}/{page}"] * (lower <= wavelength_nm <= upper)
     return f"; there it has: {', '.join(covering[:6])}" if covering else ""
 
 
@@ -221,21 +208,17 @@ def _read(path: Path) -> tuple[Curve, Curve | None, str]:
         kind, _, which = block["type"].partition(" ")
         if kind == "formula":
             lower, upper = map(float, (block.get("wavelength_range") or block["range"]).split())
-            n = Curve(lower, upper, formula=int(which), coefficients=tuple(map(float, block["coefficients"].split())))
+            n = Curve(lower, upper, partial(_dispersion, int(which), tuple(map(float, block["coefficients"].split()))))
         elif kind == "tabulated":
             rows = np.array([line.split() for line in block["data"].splitlines() if line.strip()], dtype=np.float64)
             rows = rows[np.argsort(rows[:, 0], kind="stable")]
-            curves = [Curve(float(rows[0, 0]), float(rows[-1, 0]), rows[:, 0], column) for column in rows.T[1:]]
+            ends, um = (float(rows[0, 0]), float(rows[-1, 0])), rows[:, 0]
+            curves = [Curve(*ends, partial(np.interp, xp=um, fp=column)) for column in rows.T[1:]]
             n = curves[0] if which in ("n", "nk") else n
             k = curves[-1] if which in ("k", "nk") else k
     if n is None:
         raise DataError(f"{path}: gives no refractive index n")
-    return n, k, _plain_text(content.get("REFERENCES", ""))
-
-
-def _plain_text(html: Any) -> str:
-
-    return re.sub(r"\s+", " ", re.sub(r"<[^>]+>", "", str(html))).strip()
+    return n, k, " ".join(re.sub(r"<[^>]+>", "", str(content.get("REFERENCES", ""))).split())
 
 
 def _dispersion(formula: int, coefficients: tuple[float, ...], um: Floats) -> Floats:

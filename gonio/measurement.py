@@ -35,7 +35,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gonio import formats
-from gonio.disk import is_stream, only_file
+from gonio.disk import is_stream, read_file
 from gonio.errors import ConfigError, DataError
 from gonio.formats import native, own_columns, rt300s
 from gonio.formats.native import check, check_columns, meta_path, uncertainty
@@ -414,8 +414,7 @@ def _table_of_run(folder: Path) -> Path:
 
 def _load(path: Path) -> bytes:
     try:
-        with open(path, "rb", opener=only_file) as stream:
-            data = stream.read(MAX_BYTES + 1)
+        data = read_file(path, MAX_BYTES + 1)
     except FileNotFoundError:
         raise ConfigError(f"{path}: there is no such file") from None
     except OSError as error:

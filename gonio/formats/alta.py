@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from gonio.errors import DataError
-from gonio.formats.reader import Format, fold, plain_degrees, single, table, wide, write_bytes
+from gonio.formats.reader import Format, fold, plain_degrees, single, spectra, wide, write_lines
 from gonio.formats.text import Text, estimate, integer, number, numbers
 from gonio.typing import DataFrame, Floats
 
@@ -31,12 +31,11 @@ def read(data: bytes, path: Path) -> DataFrame:
     text = Text(data, path)
     keywords: dict[str, str] = {}
     lines = []
-    for line, content in enumerate(text.lines):
+    for content in text.lines:
         if content.startswith("#"):
             word, *rest = content[1:].split(maxsplit=1) or [""]
-            keywords[word] = rest[0].strip() if rest else ""
-        elif content.strip():
-            lines.append(line)
+            keywords[word] = "".join(rest).strip()
+    lines = [k for k, content in enumerate(text.lines) if content.strip() and not content.startswith("#")]
     kind, quantity = keywords.get("PARAM_IN", ""), keywords.get("PARAM_OUT", "INV_STERADIAN")
     for key, value, known in (("PARAM_IN", kind, tuple(_COORDINATES)), ("PARAM_OUT", quantity, _QUANTITIES)):
         if value not in known:
@@ -56,7 +55,7 @@ def read(data: bytes, path: Path) -> DataFrame:
     if not lines:
         raise DataError(f"{path}: there is no line of data")
     rows = _rows(text, lines, coordinates, count)
-    theta_i, phi_i, theta_r, phi_r = _directions(kind, rows)
+    theta_i, phi_i, theta_r, phi_r = _directions(kind, rows[:, :coordinates])
     for name, theta in (("light", theta_i), ("viewer", theta_r)):
         for row in np.flatnonzero(theta > 90)[:1]:
             raise DataError(
@@ -71,13 +70,10 @@ def read(data: bytes, path: Path) -> DataFrame:
         notes.append("values were BRDF times cos(theta_i); the cosine is divided out")
     if math.isnan(wavelengths[0]):
         notes.append("the file states no wavelength")
-    return table(
-        theta_i_deg=np.repeat(theta_i, count),
-        phi_i_deg=np.repeat(phi_i, count),
-        theta_r_deg=np.repeat(theta_r, count),
-        phi_r_deg=np.repeat(phi_r, count),
-        wavelength_nm=np.tile(wavelengths, len(lines)),
-        brdf=values.ravel(),
+    return spectra(
+        (theta_i, phi_i, theta_r, phi_r),
+        wavelengths,
+        values,
         attrs={
             "source_file": str(path),
             "sample": keywords.get("SAMPLE", "").strip('"') or None,
@@ -101,18 +97,15 @@ def _rows(text: Text, lines: list[int], coordinates: int, count: int) -> Floats:
 
 
 def _directions(kind: str, rows: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+    first, second, third, *_ = columns = list(rows.T)
+    light, viewer = (columns[0], columns[1]), (columns[2], columns[-1])
     if kind == "ISOTROPIC_TL_TV_PROJ_DPHI":
-        theta_l, phi_l = rows[:, 0], np.zeros(len(rows))
-        theta_v, phi_v = np.hypot(rows[:, 1], rows[:, 2]), np.arctan2(rows[:, 2], rows[:, 1])
+        light, viewer = (first, 0.0 * first), (np.hypot(second, third), np.arctan2(third, second))
     elif kind == "ISOTROPIC_TV_TL_DPHI":
-        theta_v, theta_l, phi_v = rows[:, :3].T
-        phi_l = np.zeros(len(rows))
-    else:
-        theta_l, phi_l, theta_v, phi_v = rows[:, :4].T
+        light, viewer = (second, 0.0 * first), (first, third)
     # the digits of a float stand for 1e-13 degrees here; files round pi/2 up
     (theta_i, phi_i), (theta_r, phi_r) = (
-        fold(plain_degrees(theta, 13), plain_degrees(phi, 13), slack_deg=0.001)
-        for theta, phi in ((theta_l, phi_l), (theta_v, phi_v))
+        fold(plain_degrees(theta, 13), plain_degrees(phi, 13), slack_deg=0.001) for theta, phi in (light, viewer)
     )
     return theta_i, phi_i, theta_r, phi_r
 
@@ -128,13 +121,12 @@ def write(frame: DataFrame, path: Path) -> None:
     if np.isnan(values).any():
         raise DataError(f"{path}: ALTA text needs every wavelength in every direction; a direction lacks one")
     sample = re.sub(r"[\r\n\"]", " ", str(frame.attrs.get("sample") or ""))
-    lines = [f'#SAMPLE "{sample}"', f"#DIM 4 {wavelengths.size}", "#VS 0", "#PARAM_IN SPHERICAL_TL_PL_TV_PV"]
-    lines.append("#PARAM_OUT INV_STERADIAN")
+    lines = [f'#SAMPLE "{sample}"', f"#DIM 4 {wavelengths.size}", "#VS 0", "#PARAM_IN SPHERICAL_TL_PL_TV_PV",
+             "#PARAM_OUT INV_STERADIAN"]  # fmt: skip
     if not broad:
         lines.append("#WAVELENGTH_NM " + " ".join(repr(nm) for nm in wavelengths.tolist()))
-    for direction, row in zip(np.deg2rad(angles).tolist(), values.tolist(), strict=True):
-        lines.append(" ".join(repr(value) for value in direction + row))
-    write_bytes(path, ("\n".join(lines) + "\n").encode())
+    rows = np.column_stack([np.deg2rad(angles), values]).tolist()
+    write_lines(path, [*lines, *(" ".join(map(repr, row)) for row in rows)])
 
 
 FORMAT = Format(

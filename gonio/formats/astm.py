@@ -15,11 +15,14 @@ import numpy as np
 
 from gonio.errors import DataError
 from gonio.formats import stated
-from gonio.formats.reader import Format, fold, plain_degrees, table, wide, write_bytes
+from gonio.formats.reader import Format, fold, plain_degrees, spectra, wide, write_lines
 from gonio.formats.text import Text, estimate, integer, numbers
 from gonio.typing import DataFrame
 
 _ANGLES = ["theta_i", "phi_i", "theta_s", "phi_s"]
+_POLAR = math.pi / 2, "a polar angle in radians is needed, at most pi/2"
+_AZIMUTH = 2 * math.pi, "an azimuth in radians is needed, within +-2 pi"
+_ALLOWED = ((0, *_POLAR), (2, *_POLAR), (1, *_AZIMUTH), (3, *_AZIMUTH))
 _ALIASES = {"theta_r": "theta_s", "phi_r": "phi_s"}
 _WAVELENGTH = re.compile(r"(\d+(?:\.\d+)?(?:[eE][+-]?\d+)?)\s*(nm|um|\u00b5m|\u03bcm)", re.IGNORECASE)
 
@@ -43,24 +46,17 @@ def read(data: bytes, path: Path) -> DataFrame:
             raise DataError(f"{text.where(last)}: the file ends after {len(rows)} points, and NUM_POINTS is {promised}")
 
     values = np.array(rows)
-    angles = plain_degrees(values[:, :4], decimals)
-    theta_i, phi_i = fold(angles[:, 0], angles[:, 1], slack_deg=0.06)
-    theta_r, phi_r = fold(angles[:, 2], angles[:, 3], slack_deg=0.06)
-    count = len(wavelengths)
-    brdf = values[:, 4:].ravel()
-    clamped = brdf == 0
+    theta_i, phi_i, theta_r, phi_r = plain_degrees(values[:, :4], decimals).T
+    clamped = values[:, 4:].ravel() == 0
     notes = ["the format states no uncertainties", "the format states no solid angles of source and receiver"]
     if math.isnan(wavelengths[0]):
         notes.append("the file states no wavelength")
     if clamped.any():
-        notes.insert(0, f'{clamped.sum()} of {brdf.size} values are zero: clamped, and flagged "clamped"')
-    return table(
-        theta_i_deg=np.repeat(theta_i, count),
-        phi_i_deg=np.repeat(phi_i, count),
-        theta_r_deg=np.repeat(theta_r, count),
-        phi_r_deg=np.repeat(phi_r, count),
-        wavelength_nm=np.tile(wavelengths, len(rows)),
-        brdf=brdf,
+        notes.insert(0, f'{clamped.sum()} of {clamped.size} values are zero: clamped, and flagged "clamped"')
+    return spectra(
+        (*fold(theta_i, phi_i, slack_deg=0.06), *fold(theta_r, phi_r, slack_deg=0.06)),
+        wavelengths,
+        values[:, 4:],
         flag=np.where(clamped, "clamped", ""),
         attrs={
             "source_file": str(path),
@@ -84,18 +80,12 @@ def _rows(
             raise DataError(f"{text.where(line)}: {len(cells)} values, and VARS names {len(names)}")
         angle_cells = [cells[k] for k in angle_columns]
         angle = numbers(angle_cells, text.where(line), _ANGLES)
-        for k in (0, 2):
-            if abs(angle[k]) > math.pi / 2 + 1e-3:
-                allowed = "a polar angle in radians is needed, at most pi/2"
+        for k, most, allowed in _ALLOWED:
+            if abs(angle[k]) > most + 1e-3:
                 raise DataError(f"{text.where(line)}: {_ANGLES[k]} = {angle[k]:g}; {allowed}")
-        for k in (1, 3):
-            if abs(angle[k]) > 2 * math.pi + 1e-3:
-                allowed = "an azimuth in radians is needed, within +-2 pi"
-                raise DataError(f"{text.where(line)}: {_ANGLES[k]} = {angle[k]:g}; {allowed}")
-        decimals = max(decimals, *map(_decimals, angle_cells))
+        decimals, last = max(decimals, *map(_decimals, angle_cells)), line
         value_names = [names[k] for k in value_columns]
         rows.append(angle + numbers([cells[k] for k in value_columns], text.where(line), value_names, estimate))
-        last = line
     if not rows:
         raise DataError(f"{text.where(first - 1)}: no line of data follows")
     return rows, decimals, last
@@ -133,9 +123,7 @@ def remarks(frame: DataFrame) -> list[str]:
 def write(frame: DataFrame, path: Path) -> None:
     """Angles in radians and values, all digits; a flagged row becomes a zero, which reads as "clamped"."""
     angles, wavelengths, values = wide(frame, path, "ASTM E1392")
-    known = _known(frame)
-    known["MEAS_NAME"] = "BRDF"
-    lines = [f"{key} {value}" for key, value in known.items()]
+    lines = [f"{key} {value}" for key, value in (_known(frame) | {"MEAS_NAME": "BRDF"}).items()]
     lines += [
         f"NUM_POINTS {len(angles)}",
         "VARS " + ",".join(_ANGLES + [f"{nm!r}nm" for nm in wavelengths.tolist()]),
@@ -143,7 +131,7 @@ def write(frame: DataFrame, path: Path) -> None:
     ]
     for direction, row in zip(np.deg2rad(angles).tolist(), np.nan_to_num(values).tolist(), strict=True):
         lines.append(",".join([f"{angle:.16f}" for angle in direction] + [repr(value) for value in row]))
-    write_bytes(path, ("\n".join(lines) + "\n").encode())
+    write_lines(path, lines)
 
 
 def _cells(line: str) -> list[str]:

@@ -8,6 +8,7 @@ it is read as a standard uncertainty. What it has no variable for (flags, `u_ran
 is written as ad-hoc variables of the same names, which other readers pass over and this one restores.
 """
 
+import contextlib
 import json
 import math
 import re
@@ -21,7 +22,7 @@ from gonio.errors import DataError
 from gonio.formats._bird_writer import _STATES, _Variable, write
 from gonio.formats.native import checked_attributes
 from gonio.formats.reader import Format, fold, table
-from gonio.formats.stated import laboratory_of
+from gonio.formats.stated import get, laboratory_of
 from gonio.typing import DataFrame, Floats
 
 _STOKES = {(1.0, 1.0, 0.0, 0.0): "s", (1.0, -1.0, 0.0, 0.0): "p", (1.0, 0.0, 0.0, 0.0): "u"}
@@ -56,9 +57,8 @@ def read(data: bytes, path: Path) -> DataFrame:
     columns, others = file.adhoc(count)
     if others:
         notes.append(f"further variables of the file are not carried: {', '.join(others)}")
-    metadata = content.get("metadata")
-    metadata = metadata if isinstance(metadata, dict) else {}
-    sample = metadata.get("sample")
+    metadata = given if isinstance(given := content.get("metadata"), dict) else {}
+    sample = get(metadata, "sample.name")
     frame = table(
         theta_i_deg=theta_i,
         phi_i_deg=phi_i,
@@ -73,7 +73,7 @@ def read(data: bytes, path: Path) -> DataFrame:
         sample=columns.get("sample"),
         attrs={
             "source_file": str(path),
-            "sample": sample.get("name") if isinstance(sample, dict) and isinstance(sample.get("name"), str) else None,
+            "sample": sample if isinstance(sample, str) else None,
             "receiver_solid_angle_sr": _solid_angle(metadata),
             "provenance": {"bird": metadata},
             "notes": notes,
@@ -82,11 +82,8 @@ def read(data: bytes, path: Path) -> DataFrame:
     for name in columns:
         if name.startswith("s_"):
             frame.insert(len(frame.columns) - 1, name, columns[name])
-    own = metadata.get("adhoc_section")
-    if isinstance(own, dict) and isinstance(own.get("gonio"), dict):
-        frame.attrs.update(
-            checked_attributes(own["gonio"] | {"source_file": str(path)}, f"{path}: metadata.adhoc_section")
-        )
+    if isinstance(own := get(metadata, "adhoc_section.gonio"), dict):
+        frame.attrs.update(checked_attributes(own | {"source_file": str(path)}, f"{path}: metadata.adhoc_section"))
     return frame
 
 
@@ -118,19 +115,15 @@ class _Section:
     def polarisation(self, count: int) -> list[str]:
         sides = []
         for name in ("polarization_i", "polarization_r"):
-            if name not in self.section:
-                sides.append(["u"] * count)
-                continue
-            values = self._values(name, self._variable(name), count)
+            values = self._values(name, self._variable(name), count) if name in self.section else ["u"] * count
             sides.append([self._state(value, f"{name}.values[{k}]") for k, value in enumerate(values)])
-        out = []
-        for k, (incident, reflected) in enumerate(zip(*sides, strict=True)):
-            if incident + reflected not in _STATES:
+        pairs = [incident + reflected for incident, reflected in zip(*sides, strict=True)]
+        for k, pair in enumerate(pairs):
+            if pair not in _STATES:
                 raise DataError(
                     f"{self.path}: row {k}: unpolarised light seen through a polariser is not in the table's terms"
                 )
-            out.append(_STATES[incident + reflected])
-        return out
+        return [_STATES[pair] for pair in pairs]
 
     def adhoc(self, count: int) -> tuple[dict[str, Floats | list[Any]], list[str]]:
         """The columns that we have written there ourselves, and the names of all other ad-hoc variables."""
@@ -138,23 +131,16 @@ class _Section:
         if not isinstance(variables, dict):
             raise DataError(f"{self.path}: data.adhoc_variables is {_short(variables)}; an object is needed")
         ours: dict[str, Floats | list[Any]] = {}
-        others = []
         for name, variable in variables.items():
-            if not _OURS.fullmatch(name) or not isinstance(variable, dict):
-                others.append(name[:40])
-                continue
-            where = f"adhoc_variables.{name}"
-            values = self._values(where, cast(_Variable, variable), count)
-            if name in ("flag", "sample"):
-                ours[name] = values
-            else:
-                ours[name] = np.array(
-                    [
-                        math.nan if v is None else _finite(v, f"{self.path}: data.{where}.values[{k}]")
-                        for k, v in enumerate(values)
-                    ]
-                )
-        return ours, others
+            if _OURS.fullmatch(name) and isinstance(variable, dict):
+                where = f"adhoc_variables.{name}"
+                ours[name] = values = self._values(where, cast(_Variable, variable), count)
+                if name not in ("flag", "sample"):
+                    where = f"{self.path}: data.{where}.values"
+                    ours[name] = np.array(
+                        [math.nan if v is None else _finite(v, f"{where}[{k}]") for k, v in enumerate(values)]
+                    )
+        return ours, [name[:40] for name in variables if name not in ours]
 
     def _state(self, value: Any, where: str) -> str:
         if isinstance(value, str) and value in ("s", "p", "u"):
@@ -198,10 +184,7 @@ def _uncertainty(file: _Section, brdf: Floats) -> Floats:
 
 
 def _solid_angle(metadata: JsonObject) -> float | None:
-    here: Any = metadata
-    for key in ("instrumentation", "detection_system", "solid_angle"):
-        here = here.get(key) if isinstance(here, dict) else None
-    value = here.get("value") if isinstance(here, dict) else None
+    value = get(metadata, "instrumentation.detection_system.solid_angle.value")
     known = isinstance(value, int | float) and not isinstance(value, bool) and 0 <= value <= 12.57
     return float(value) if known and value is not None else None
 
@@ -226,13 +209,10 @@ def _load(data: bytes, path: Path) -> JsonObject:
 def _finite(value: Any, where: str) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise DataError(f"{where} is {_short(value)}, not a number")
-    try:
-        number = float(value)
-    except OverflowError:
-        number = math.inf
-    if not math.isfinite(number):
-        raise DataError(f"{where} is beyond the range of a float")
-    return number
+    with contextlib.suppress(OverflowError):
+        if math.isfinite(value):
+            return float(value)
+    raise DataError(f"{where} is beyond the range of a float")
 
 
 def _short(value: Any) -> str:

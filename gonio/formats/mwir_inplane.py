@@ -35,10 +35,8 @@ def read(data: bytes, path: Path) -> DataFrame:
     if column is None:
         raise DataError(f"{path}, line 1: columns missing: sample_en or sample_de")
     names = cells.words(column)
-    theta_i, theta_o = cells.column("theta_i_deg"), cells.column("theta_o_deg")
-    for name, angle, limit in (("theta_i_deg", theta_i, 89.999), ("theta_o_deg", theta_o, 90.0)):
-        for row in np.flatnonzero(np.abs(angle) > limit)[:1]:
-            raise DataError(f"{cells.where(int(row))}: {name} = {angle[row]:g} lies outside +-90 degrees")
+    limits = {"theta_i_deg": 89.999, "theta_o_deg": 90.0}
+    theta_i, theta_o = (cells.angles(*one, " lies outside +-90 degrees") for one in limits.items())
     brdf = cells.column(_RADIANCE, estimates=True) / (
         SOURCE_RADIANCE * np.cos(np.deg2rad(theta_i)) * SOURCE_SOLID_ANGLE_SR
     )

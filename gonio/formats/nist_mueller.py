@@ -30,29 +30,24 @@ def read(data: bytes, path: Path) -> DataFrame:
     um = cells.column("lambda")
     for row in np.flatnonzero(~((um > 0) & (um < 1000)))[:1]:
         raise DataError(f"{cells.where(int(row))}: lambda = {um[row]:g}; a wavelength in micrometres is needed")
-    theta = {name: cells.column(name) for name in ("thetai", "thetar")}
-    for name, angle in theta.items():
-        for row in np.flatnonzero(np.abs(angle) > 90)[:1]:
-            raise DataError(
-                f"{cells.where(int(row))}: {name} = {angle[row]:g}; a polar angle in +-90 degrees is needed"
-            )
-    theta_i, phi_i = fold(theta["thetai"], cells.column(azimuth))
-    theta_r, phi_r = fold(theta["thetar"], cells.column("phir"))
-    notes = [
-        "the file states no uncertainties and no solid angles",
-        "the BRDF is f_r11, for unpolarised light",
-    ]
-    named = _ratios(names)
-    mueller = None
-    if named is not None:
+    in_deg = {"thetai": azimuth, "thetar": "phir"}
+    (theta_i, phi_i), (theta_r, phi_r) = (
+        fold(cells.angles(theta, 90.0, "; a polar angle in +-90 degrees is needed"), cells.column(phi))
+        for theta, phi in in_deg.items()
+    )
+    mueller, told = None, "the file lacks some of the 15 Mueller ratios: none are read"
+    if named := _ratios(names):
         matrices = np.ones((um.size, 4, 4))
         for (i, j), name in named.items():
             matrices[:, i, j] = cells.column(name, estimates=True)
         turned = in_sp(matrices, cells.column(azimuth), cells.column("phir"))
         mueller = {name: turned[:, int(name[1]), int(name[2])] for name in MUELLER}
-        notes.append("the Mueller ratios (m01 to m33) are turned from the file's xy basis to s and p")
-    else:
-        notes.append("the file lacks some of the 15 Mueller ratios: none are read")
+        told = "the Mueller ratios (m01 to m33) are turned from the file's xy basis to s and p"
+    notes = [
+        "the file states no uncertainties and no solid angles",
+        "the BRDF is f_r11, for unpolarised light",
+        told,
+    ]
     return table(
         theta_i_deg=theta_i,
         phi_i_deg=phi_i,
@@ -67,15 +62,11 @@ def read(data: bytes, path: Path) -> DataFrame:
 
 def _ratios(names: set[str]) -> dict[tuple[int, int], str] | None:
     """The names of the 15 ratios in a file, by row and column from 0; None where one is missing."""
-    found = {}
-    for i, j in ((i, j) for i in range(4) for j in range(4) if i or j):
-        both = f"{i + 1}{j + 1}"
-        known = (f"f_r{both}/f_r11", f"fr{both}/fr11", f"m{both}")
-        name = next((name for name in known if name in names), None)
-        if name is None:
-            return None
-        found[i, j] = name
-    return found
+    spelt = ("m{}", "fr{}/fr11", "f_r{}/f_r11")  # the last that is there counts
+    places = [(i, j) for i in range(4) for j in range(4) if i or j]
+    known = {(i, j): [text.format(f"{i + 1}{j + 1}") for text in spelt] for i, j in places}
+    found = {place: name for place, several in known.items() for name in several if name in names}
+    return found if len(found) == len(places) else None
 
 
 def in_sp(matrices: Floats, phi_i_deg: Floats, phi_r_deg: Floats) -> Floats:

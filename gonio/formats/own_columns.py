@@ -4,8 +4,6 @@ The pairs stand on the command line (`--columns theta_i=ti:rad,brdf=R:factor`) o
 table (`theta_i = "ti:rad"`). The table is a CSV or an Excel workbook.
 """
 
-import csv
-import io
 import math
 import os
 import tomllib
@@ -20,7 +18,7 @@ from gonio.errors import ConfigError, DataError
 from gonio.formats import workbook
 from gonio.formats.native import NEEDED
 from gonio.formats.reader import ANGLES, COLUMNS, plain_degrees
-from gonio.formats.text import csv_table
+from gonio.formats.text import csv_of, csv_table
 from gonio.typing import Floats
 
 _KEYS = {name.removesuffix("_deg").removesuffix("_nm"): name for name in (*COLUMNS, "sample", "side")}
@@ -28,33 +26,17 @@ _KEYS = {name.removesuffix("_deg").removesuffix("_nm"): name for name in (*COLUM
 _WORDS = ("polarisation", "side", "sample", "flag")
 
 
-def _from_radians(values: Floats) -> Floats:
-    return plain_degrees(values, 15)
-
-
-def _from_factor(values: Floats) -> Floats:
-    return values / math.pi
-
-
-def _from_percent(values: Floats) -> Floats:
-    return values / (100.0 * math.pi)
-
-
-def _from_micrometres(values: Floats) -> Floats:
-    return np.round(values * 1000.0, 9)  # so that 0.55 becomes 550 and not the float beside it
-
-
-def _as_they_are(values: Floats) -> Floats:
-    return values
-
-
+_ANGLE: dict[str, Callable[[Floats], Floats]] = {"deg": np.positive, "rad": lambda values: plain_degrees(values, 15)}
+_VALUE: dict[str, Callable[[Floats], Floats]] = {
+    "1/sr": np.positive,
+    "factor": lambda values: values / math.pi,
+    "percent": lambda values: values / (100.0 * math.pi),
+}
 _UNITS: dict[str, dict[str, Callable[[Floats], Floats]]] = {
-    **{name: {"deg": _as_they_are, "rad": _from_radians} for name in ANGLES},
-    "wavelength_nm": {"nm": _as_they_are, "um": _from_micrometres},
-    **{
-        name: {"1/sr": _as_they_are, "factor": _from_factor, "percent": _from_percent}
-        for name in ("brdf", "u_brdf", "u_random")
-    },
+    **dict.fromkeys(ANGLES, _ANGLE),
+    # rounded so that 0.55 um becomes 550 and not the float beside it
+    "wavelength_nm": {"nm": np.positive, "um": lambda values: np.round(values * 1000.0, 9)},
+    **dict.fromkeys(("brdf", "u_brdf", "u_random"), _VALUE),
 }
 """The units of each column; the first is taken where none is named. A reflectance factor is pi BRDF, and "percent" a
 hundredth of one: of uncertainties, too, which are therefore never a share of the value."""
@@ -175,26 +157,20 @@ def renamed(data: bytes, path: Path, columns: Mapping[str, str], where: str) -> 
     for name in table.header:
         if (name in _KEYS.values() or name.startswith("s_")) and name not in taken and name not in wanted:
             wanted[name] = name, next(iter(_UNITS.get(name, {})), "")
-    missing = [name for name in NEEDED if name not in wanted]
-    if missing:
+    if missing := [name for name in NEEDED if name not in wanted]:
         listed = ", ".join(repr(name[:40]) for name in table.header[:16])
-        unnamed = f"no column is named for {', '.join(missing)} in {where}"
-        raise DataError(f"{path}, line 1: {unnamed}; the file has {listed}")
+        raise DataError(
+            f"{path}, line 1: no column is named for {', '.join(missing)} in {where}; the file has {listed}"
+        )
     cells: list[list[str]] = []
     for name, (own, unit) in wanted.items():
         if name in _WORDS:
             cells.append(table.words(own))
             continue
         values = table.column(own, estimates=name not in ANGLES)
-        convert = _UNITS.get(name, {}).get(unit, _as_they_are)
-        cells.append([repr(value) for value in convert(values).tolist()])
+        cells.append([repr(value) for value in _UNITS.get(name, {}).get(unit, np.positive)(values).tolist()])
         if own != name:
             notes.append(f"{name} is the file's column {own!r}" + (f" [{unit}]" if unit else ""))
-    left = [name for name in table.header if name not in {own for own, _ in wanted.values()}]
-    if left:
+    if left := [name for name in table.header if name not in {own for own, _ in wanted.values()}]:
         notes.append(f"columns left out: {', '.join(repr(name[:40]) for name in left[:8])}")
-    out = io.StringIO()
-    writer = csv.writer(out, lineterminator="\n")
-    writer.writerow(list(wanted))
-    writer.writerows(zip(*cells, strict=True))
-    return out.getvalue().encode(), notes
+    return csv_of(list(wanted), zip(*cells, strict=True)), notes

@@ -17,12 +17,13 @@ direction of incidence. What the headers say, and how DSF is meant, is as Radian
 """
 
 import re
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from gonio.errors import DataError
-from gonio.formats.reader import Format, fold, table
+from gonio.formats.reader import Format, fold, table, wrap_deg
 from gonio.formats.text import Text, number, numbers
 from gonio.typing import DataFrame
 
@@ -32,14 +33,14 @@ _TAKEN = {"": 0, "cie-y": 0, "cie-xyz": 1}
 """Which value of a line is the luminous one."""
 
 
+@dataclass
 class _Header:
     """What the lines before a block of values say."""
 
-    def __init__(self) -> None:
-        self.theta_i: float | None = None
-        self.phi_i: float | None = None
-        self.is_dsf: bool | None = None
-        self.colorimetry = ""
+    theta_i: float | None = None
+    phi_i: float | None = None
+    is_dsf: bool | None = None
+    colorimetry: str = ""
 
     def take(self, line: str, where: str) -> str | None:
         """Heed one line (without its "#"); the sample's name, where it states that."""
@@ -47,10 +48,8 @@ class _Header:
         cells = rest.split()
         if key == "incident_angle" and len(cells) >= 2:
             self.theta_i, self.phi_i = (number(cell, where, f"#{key}") for cell in cells[:2])
-        elif key == "intheta" and cells:
-            self.theta_i = number(cells[0], where, "#intheta")
-        elif key == "inphi" and cells:
-            self.phi_i = number(cells[0], where, "#inphi")
+        elif key in ("intheta", "inphi") and cells:
+            setattr(self, {"intheta": "theta_i", "inphi": "phi_i"}[key], number(cells[0], where, f"#{key}"))
         elif key == "sample_name":
             return rest.strip().strip('"').strip() or None
         elif key == "colorimetry:":
@@ -81,8 +80,7 @@ def read(data: bytes, path: Path) -> DataFrame:
     if not rows:
         raise DataError(f"{path}: holds a header and no values")
     theta_i, phi_i, theta_r, phi_r, value, dsf = np.array(rows).T
-    theta_i, phi_i = fold(theta_i, phi_i)
-    theta_r, phi_r = fold(theta_r, phi_r)
+    (theta_i, phi_i), (theta_r, phi_r) = fold(theta_i, phi_i), fold(theta_r, phi_r)
     front, behind = (theta_i <= 90.0) & (theta_r <= 90.0), (theta_i > 90.0) & (theta_r > 90.0)
     used = front | behind
     notes = []
@@ -104,13 +102,11 @@ def read(data: bytes, path: Path) -> DataFrame:
     brdf = np.where(dsf[used] > 0.0, value[used] / np.where(grazing, 1.0, cosine), value[used])
     called = name or path.stem
     sides = np.where(behind[used], f"{called} back", f"{called} front") if front.any() and behind.any() else None
-    _, phi_i = fold(theta_i, phi_i)
-    _, phi_r = fold(theta_r, phi_r)
     return table(
         theta_i_deg=theta_i,
-        phi_i_deg=phi_i,
+        phi_i_deg=wrap_deg(phi_i),
         theta_r_deg=theta_r,
-        phi_r_deg=phi_r,
+        phi_r_deg=wrap_deg(phi_r),
         wavelength_nm=np.nan,
         brdf=brdf,
         flag=np.where(grazing, "grazing", ""),
@@ -123,8 +119,7 @@ def _rows(text: Text) -> tuple[list[tuple[float, ...]], set[str], str | None]:
     """Angles [deg], value and whether it is a DSF of each line; kinds of values; and the sample's name."""
     header, begun, incidence = _Header(), False, (0.0, 0.0)
     name: str | None = None
-    rows: list[tuple[float, ...]] = []
-    colorimetry = set()
+    rows, colorimetry = list[tuple[float, ...]](), set[str]()
     for index, line in enumerate(text.lines):
         where = text.where(index)
         if line.startswith("#"):
@@ -136,24 +131,24 @@ def _rows(text: Text) -> tuple[list[tuple[float, ...]], set[str], str | None]:
         if not cells:
             continue
         if not begun:
-            incidence = header.incidence(where)
+            begun, incidence = True, header.incidence(where)
             colorimetry.add(header.colorimetry)
-            begun = True
         channels = _CHANNELS[header.colorimetry]
         if len(cells) != 2 + len(channels):
             raise DataError(f"{where}: {len(cells)} numbers, and theta, phi, {', '.join(channels)} are needed")
         found = numbers(cells, where, ("theta", "phi", *channels))
         if not -180.0 <= found[0] <= 180.0:
             raise DataError(f"{where}: theta is {found[0]:g} degrees; it lies between 0 and 180")
-        value = found[2 + _TAKEN[header.colorimetry]]
-        rows.append((*incidence, *found[:2], value, float(bool(header.is_dsf))))
+        rows.append((*incidence, *found[:2], found[2 + _TAKEN[header.colorimetry]], float(bool(header.is_dsf))))
     return rows, colorimetry, name
 
 
-def _sniff(head: bytes) -> bool:
-    return re.search(rb"^#format:\s*theta\s+phi\s", head, re.MULTILINE | re.IGNORECASE) is not None or (
-        re.search(rb"^#(intheta|incident_angle)\s", head, re.MULTILINE) is not None
-    )
-
-
-FORMAT = Format(name="pab", title="pab gonio-photometer text", endings=(), sniff=_sniff, read=read)
+FORMAT = Format(
+    name="pab",
+    title="pab gonio-photometer text",
+    endings=(),
+    sniff=lambda head: (
+        re.search(rb"^#((?i:format:\s*theta\s+phi)|intheta|incident_angle)\s", head, re.MULTILINE) is not None
+    ),
+    read=read,
+)

@@ -8,7 +8,7 @@ Everything that is wrong with a file is a `DataError` that names the file and th
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NotRequired, TypedDict, cast
@@ -154,6 +154,28 @@ def table(
     return frame
 
 
+def spectra(
+    directions: Sequence[Floats],
+    wavelength_nm: Sequence[float],
+    brdf: Floats,
+    *,
+    flag: str | Array = "",
+    attrs: Mapping[str, Any],
+) -> DataFrame:
+    """The table of values (n, m) at n directions (their four angles [degrees]) and m wavelengths."""
+    theta_i, phi_i, theta_r, phi_r = (np.repeat(angle, len(wavelength_nm)) for angle in directions)
+    return table(
+        theta_i_deg=theta_i,
+        phi_i_deg=phi_i,
+        theta_r_deg=theta_r,
+        phi_r_deg=phi_r,
+        wavelength_nm=np.tile(wavelength_nm, len(directions[0])),
+        brdf=brdf.ravel(),
+        flag=flag,
+        attrs=attrs,
+    )
+
+
 def quantity(frame: DataFrame) -> str:
     """What the values of a table are: "brdf", "btdf", or "bsdf" where it has both."""
     if "side" not in frame.columns:
@@ -270,6 +292,11 @@ def reflection_only(frame: DataFrame, path: Path, format_name: str) -> None:
             f"{path}: {format_name} holds reflection only, and {count} of {len(frame)} rows are transmission (theta_r "
             "beyond 90 degrees); write it as .csv, or leave those rows out (side = reflection)"
         )
+
+
+def write_lines(path: Path, lines: Iterable[str]) -> None:
+    """Write a text file of these lines, as `write_bytes` does."""
+    write_bytes(path, "".join(f"{line}\n" for line in lines).encode())
 
 
 def write_bytes(path: str | Path, data: bytes) -> None:

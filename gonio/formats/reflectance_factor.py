@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from gonio.errors import DataError
-from gonio.formats.reader import Format, fold, table, wide, write_bytes
+from gonio.formats.reader import Format, fold, spectra, wide, write_lines
 from gonio.formats.text import column_names, csv_table
 from gonio.typing import DataFrame
 
@@ -30,28 +30,19 @@ def read(data: bytes, path: Path) -> DataFrame:
         unknown = next((name for name, match in zip(columns, matches, strict=True) if not match), "")
         raise DataError(f'{path}, line 1: column "{unknown[:40]}" is no wavelength; columns as 550nm are needed')
     wavelengths = [float(match[1]) for match in matches if match]
-    incident, measured = (cells.column(name) for name in _ANGLES)
-    for name, angle in zip(_ANGLES, (incident, measured), strict=True):
-        for row in np.flatnonzero(np.abs(angle) > 90)[:1]:
-            raise DataError(f"{cells.where(int(row))}: {name} = {angle[row]:g} lies outside +-90 degrees")
-    factor = np.column_stack([cells.column(name, estimates=True) for name in columns]).ravel()
-    theta_i, phi_i = fold(incident, 0.0)
-    theta_r, phi_r = fold(measured, 180.0)
-    count = len(columns)
-    blocked = factor == 0
+    incident, measured = (cells.angles(name, 90.0, " lies outside +-90 degrees") for name in _ANGLES)
+    factor = np.column_stack([cells.column(name, estimates=True) for name in columns])
+    blocked = factor.ravel() == 0
     notes = [
         "the file holds reflectance factors R; brdf = R / pi",
         "the format states no uncertainties and no solid angles",
     ]
     if blocked.any():
         notes.append(f'{blocked.sum()} of {factor.size} values are zero: the zone around retro, flagged "blocked"')
-    return table(
-        theta_i_deg=np.repeat(theta_i, count),
-        phi_i_deg=np.repeat(phi_i, count),
-        theta_r_deg=np.repeat(theta_r, count),
-        phi_r_deg=np.repeat(phi_r, count),
-        wavelength_nm=np.tile(wavelengths, len(cells.rows)),
-        brdf=factor / math.pi,
+    return spectra(
+        (*fold(incident, 0.0), *fold(measured, 180.0)),
+        wavelengths,
+        factor / math.pi,
         flag=np.where(blocked, "blocked", ""),
         attrs={"source_file": str(path), "sample": path.stem, "notes": notes},
     )
@@ -67,11 +58,9 @@ def write(frame: DataFrame, path: Path) -> None:
             f"{path}: a reflectance-factor table holds one plane, and phi_r - phi_i = {dphi[row]:g} degrees"
         )
     signed = np.where(retro, -angles[:, 2], angles[:, 2])
-    lines = [",".join(_ANGLES + [f"{nm!r}nm" for nm in wavelengths.tolist()])]
-    factors = np.nan_to_num(values * math.pi)
-    for incident, measured, row in zip(angles[:, 0].tolist(), signed.tolist(), factors.tolist(), strict=True):
-        lines.append(",".join(repr(value) for value in [incident, measured, *row]))
-    write_bytes(path, ("\n".join(lines) + "\n").encode())
+    rows = np.column_stack([angles[:, 0], signed, np.nan_to_num(values * math.pi)]).tolist()
+    header = ",".join(_ANGLES + [f"{nm!r}nm" for nm in wavelengths.tolist()])
+    write_lines(path, [header, *(",".join(map(repr, row)) for row in rows)])
 
 
 FORMAT = Format(

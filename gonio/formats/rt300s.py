@@ -21,7 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gonio.disk import only_file
+from gonio.disk import read_file
 from gonio.errors import ConfigError, DataError
 from gonio.formats import workbook
 from gonio.formats.reader import MAX_BYTES, Format, fold, table
@@ -51,7 +51,7 @@ def read(data: bytes, path: Path, blank: Path | None = None) -> DataFrame:
         notes.append("no blank measurement (blank*.xls) lies beside the file: none was subtracted")
     else:
         dark_rows = _blank(blank)
-        means = _means(dark_rows)
+        means = {place: (sum(signals) / len(signals), len(signals)) for place, signals in _repeats(dark_rows).items()}
         dark = np.array([means.get(tuple(row), (math.nan, 1)) for row in rows[:, :3].tolist()])
         alone = int(np.isnan(dark[:, 0]).sum())
         if alone == len(signal):
@@ -116,11 +116,9 @@ def _measurements(sheets: Sequence[Sheet], path: Path) -> Floats:
 def _blank(path: Path) -> Floats:
     """The measurements of a blank."""
     try:
-        with open(path, "rb", opener=only_file) as stream:
-            data = stream.read(MAX_BYTES)
+        return _measurements(worksheets(read_file(path, MAX_BYTES), path), path)
     except OSError as error:
         raise ConfigError(f"{path}: the blank cannot be read: {error.strerror}") from None
-    return _measurements(worksheets(data, path), path)
 
 
 def _repeats(rows: Floats) -> dict[tuple[float, ...], list[float]]:
@@ -129,11 +127,6 @@ def _repeats(rows: Floats) -> dict[tuple[float, ...], list[float]]:
     for *direction, signal in rows.tolist():
         found.setdefault(tuple(direction), []).append(signal)
     return found
-
-
-def _means(rows: Floats) -> dict[tuple[float, ...], tuple[float, int]]:
-    """Mean signal of each direction, and of how many."""
-    return {direction: (sum(signals) / len(signals), len(signals)) for direction, signals in _repeats(rows).items()}
 
 
 def _scatter(rows: Floats) -> float | None:

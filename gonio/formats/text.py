@@ -8,7 +8,7 @@ import io
 import json
 import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -84,10 +84,16 @@ class CsvTable:
         cells = (row[k].replace(",", ".") if self.decimal_comma else row[k] for row in self.rows)
         return np.array([read(cell, self.where(j), name) for j, cell in enumerate(cells)])
 
+    def angles(self, name: str, limit_deg: float, told: str) -> Floats:
+        """The angles of a column; `DataError`, with what is told, where one lies beyond +- the limit [degrees]."""
+        angles = self.column(name)
+        for row in np.flatnonzero(np.abs(angles) > limit_deg)[:1]:
+            raise DataError(f"{self.where(int(row))}: {name} = {angles[row]:g}{told}")
+        return angles
+
     def words(self, name: str) -> list[str]:
         """The cells of a column as text."""
-        k = self.header.index(name)
-        return [row[k].strip() for row in self.rows]
+        return [row[self.header.index(name)].strip() for row in self.rows]
 
     def where(self, row: int) -> str:
         """`file, line N`, for the row with index `row`."""
@@ -108,28 +114,34 @@ def csv_table(data: bytes, path: Path, needed: Sequence[str]) -> CsvTable:
     mark = separator(re.split(r"[\r\n]", text.lstrip(), maxsplit=1)[0])
     reader = csv.reader(io.StringIO(text, newline=""), delimiter=mark, strict=True)
     header: list[str] = []
-    rows: list[list[str]] = []
-    line_numbers: list[int] = []
+    rows: dict[int, list[str]] = {}
     try:
         for cells in reader:
-            if not any(cell.strip() for cell in cells):
-                continue
-            if not header:
-                header = [cell.strip() for cell in cells]
-                continue
-            if len(cells) != len(header):
-                where = f"{path}, line {reader.line_num}"
-                raise DataError(f"{where}: {len(cells)} cells, and the header names {len(header)} columns")
-            rows.append(cells)
-            line_numbers.append(reader.line_num)
+            if header and any(map(str.strip, cells)):
+                require_cells(cells, header, f"{path}, line {reader.line_num}")
+                rows[reader.line_num] = cells
+            elif not header:
+                header = [cell.strip() for cell in cells] if any(map(str.strip, cells)) else []
     except csv.Error as error:
         raise DataError(f"{path}, line {reader.line_num}: {error}") from None
-    missing = [name for name in needed if header.count(name) != 1]
-    if missing:
+    if missing := [name for name in needed if header.count(name) != 1]:
         raise DataError(f"{path}, line 1: columns missing, or there twice: {', '.join(missing)}")
     if not rows:
         raise DataError(f"{path}: has a header and no rows")
-    return CsvTable(path, header, rows, line_numbers, decimal_comma=mark != ",")
+    return CsvTable(path, header, list(rows.values()), list(rows), decimal_comma=mark != ",")
+
+
+def require_cells(cells: Sequence[str], header: Sequence[str], where: str) -> None:
+    """`DataError` unless a row has as many cells as the header."""
+    if len(cells) != len(header):
+        raise DataError(f"{where}: {len(cells)} cells, and the header names {len(header)} columns")
+
+
+def csv_of(header: Iterable[str], rows: Iterable[Iterable[str]]) -> bytes:
+    """The bytes of a CSV of texts."""
+    out = io.StringIO()
+    csv.writer(out, lineterminator="\n").writerows([header, *rows])
+    return out.getvalue().encode()
 
 
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")

@@ -6,8 +6,9 @@ is taken whose header has all the columns that are needed. Numbers come out with
 those that are written have 16 digits.
 """
 
-import csv
+import contextlib
 import io
+import itertools
 import json
 import re
 from collections.abc import Collection, Sequence
@@ -20,6 +21,7 @@ from gonio.errors import DataError
 from gonio.formats import native, workbook_cells
 from gonio.formats.curve_sheets import curves
 from gonio.formats.reader import Format, write_bytes
+from gonio.formats.text import csv_of
 from gonio.typing import DataFrame
 
 ABOUT = "attributes of the table, as JSON"
@@ -55,25 +57,23 @@ def _table_of(sheets: Sequence[workbook_cells.Sheet], path: Path, needed: Collec
     header = _header(sheet)
     first = min(row for row, _ in sheet)
     rows = len({row for row, _ in sheet})
+    where = f"{path}, worksheet {number}"
     if rows * len(header) > MAX_PLACES:
         raise DataError(
-            f"{path}, worksheet {number}: {rows} rows of {len(header)} columns are more than {MAX_PLACES} places, "
+            f"{where}: {rows} rows of {len(header)} columns are more than {MAX_PLACES} places, "
             "most of them empty; leave out the columns that hold nothing"
         )
     lines: dict[int, list[str]] = {}
     place = {column: k for k, column in enumerate(header)}
     for (row, column), value in sheet.items():
-        if row > first and column in place:
+        if row > first and column not in place:
+            raise DataError(
+                f"{where}, row {row + 1}: a cell in a column without a name; the sheet's first line names them"
+            )
+        if row > first:
             lines.setdefault(row, [""] * len(place))[place[column]] = _cell(value)
-        elif row > first:
-            where = f"{path}, worksheet {number}, row {row + 1}"
-            raise DataError(f"{where}: a cell in a column without a name; the sheet's first line names them")
-    out = io.StringIO()
-    writer = csv.writer(out, lineterminator="\n")
-    writer.writerow(header.values())
-    writer.writerows(lines[row] for row in sorted(lines))
     notes = [f"worksheet {number} of {len(sheets)} is read"] if len(sheets) > 1 else []
-    return out.getvalue().encode(), notes
+    return csv_of(header.values(), (lines[row] for row in sorted(lines))), notes
 
 
 def _header(sheet: workbook_cells.Sheet) -> dict[int, str]:
@@ -100,11 +100,8 @@ def _stored(sheets: Sequence[workbook_cells.Sheet]) -> Any:
     """The attributes that `write` has put on a sheet of their own; None where there is none."""
     for sheet in sheets:
         if sheet.get((0, 0)) == ABOUT:
-            parts = [str(value) for (row, column), value in sorted(sheet.items()) if row and not column]
-            try:
-                return json.loads("".join(parts))
-            except ValueError:
-                return None
+            with contextlib.suppress(ValueError):
+                return json.loads("".join(str(v) for (row, column), v in sorted(sheet.items()) if row and not column))
     return None
 
 
@@ -142,10 +139,8 @@ def _fill(sheet: Any, header: list[str], columns: list[list[Any]]) -> None:
 def _sheet_name(name: str, taken: set[str]) -> str:
     """A name that Excel takes, and that no other sheet has."""
     plain = re.sub(r"[\[\]:*?/\\']", "-", name)[:27] or "curve"
-    out, count = plain, 1
-    while out.lower() in taken:
-        count += 1
-        out = f"{plain} {count}"
+    numbered = (f"{plain} {count}" for count in itertools.count(2))
+    out = next(one for one in itertools.chain([plain], numbered) if one.lower() not in taken)
     taken.add(out.lower())
     return out
 

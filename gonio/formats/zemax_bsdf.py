@@ -10,6 +10,7 @@ as the azimuth of incidence. The format states no wavelength (files that we writ
 uncertainty, no solid angle.
 """
 
+import itertools
 import math
 import re
 from pathlib import Path
@@ -18,7 +19,7 @@ import numpy as np
 
 from gonio import geometry
 from gonio.errors import DataError
-from gonio.formats.reader import ANGLES, Format, single, table, wrap_deg, write_bytes
+from gonio.formats.reader import ANGLES, Format, single, table, wrap_deg, write_lines
 from gonio.formats.text import Text, integer, number, numbers
 from gonio.typing import DataFrame, Floats
 
@@ -42,14 +43,10 @@ def read(data: bytes, path: Path) -> DataFrame:
     """The measurement table in a Zemax BSDF file; `DataError` says what is wrong with the file, and where."""
     text = Text(data, path)
     wavelength = math.nan
-    lines = []
     for line, content in enumerate(text.lines):
-        match = _OURS.match(content)
-        if match:
+        if match := _OURS.match(content):
             wavelength = number(match[1], text.where(line), "wavelength_nm")
-        if content.strip() and not content.lstrip().startswith("#"):
-            lines.append(line)
-    file = _Lines(text, lines)
+    file = _Lines(text)
     words = {keyword: file.keyword(keyword, allowed) for keyword, allowed in _WORDS.items()}
     through = words["ScatterType"] == ["BTDF"]
     axes = {name: file.axis(name) for name in _LISTS}
@@ -57,11 +54,10 @@ def read(data: bytes, path: Path) -> DataFrame:
     file.keyword("DataBegin", ())
     azimuth, radial = axes["ScatterAzimuth"], axes["ScatterRadial"]
     blocks = []
-    for rotation in axes["SampleRotation"]:
-        for incidence in axes["AngleOfIncidence"]:
-            file.keyword("TIS", None)
-            matrix = np.array([file.row(radial.size) for _ in azimuth])
-            blocks.append(_block(rotation, incidence, azimuth, radial, matrix))
+    for rotation, incidence in itertools.product(axes["SampleRotation"], axes["AngleOfIncidence"]):
+        file.keyword("TIS", None)
+        matrix = np.array([file.row(radial.size) for _ in azimuth])
+        blocks.append(_block(rotation, incidence, azimuth, radial, matrix))
     file.keyword("DataEnd", ())
     rows = np.concatenate(blocks)
     if through:  # a detector at the horizon belongs to neither side
@@ -88,17 +84,16 @@ def read(data: bytes, path: Path) -> DataFrame:
 class _Lines:
     """The lines of a file that are no comments, taken one after the other."""
 
-    def __init__(self, text: Text, lines: list[int]) -> None:
-        self.text = text
-        self.lines = lines
-        self.next = 0
+    def __init__(self, text: Text) -> None:
+        self.end = text.where(len(text.lines) - 1)
+        self.left = (
+            (text.where(k), line.split()) for k, line in enumerate(text.lines) if line.strip()[:1] not in ("", "#")
+        )
 
     def take(self, wanted: str) -> tuple[str, list[str]]:
-        if self.next == len(self.lines):
-            raise DataError(f"{self.text.where(len(self.text.lines) - 1)}: the file ends before {wanted}")
-        line = self.lines[self.next]
-        self.next += 1
-        return self.text.where(line), self.text.lines[line].split()
+        for where, words in self.left:
+            return where, words
+        raise DataError(f"{self.end}: the file ends before {wanted}")
 
     def keyword(self, name: str, allowed: tuple[str, ...] | None) -> list[str]:
         """A line that begins with a keyword; None allows any words after it, () allows none."""
@@ -138,12 +133,16 @@ def _frame(incidence_deg: Floats | float) -> tuple[Floats, Floats, Floats]:
     return mirror, inward, np.cross(mirror, inward)
 
 
-def _block(rotation: float, incidence: float, azimuth: Floats, radial: Floats, matrix: Floats) -> Floats:
-    """theta_i, phi_i, theta_r, phi_r, value of one incidence, without what lies below the surface."""
+def _direction(incidence: float, azimuth: Floats, radial: Floats) -> Floats:
+    """Unit vectors (azimuths, radials, 3) on a grid of angles [degrees] about the mirror direction."""
     mirror, inward, side = _frame(incidence)
     alpha, rho = (np.deg2rad(a)[..., np.newaxis] for a in np.meshgrid(azimuth, radial, indexing="ij"))
-    direction = np.cos(rho) * mirror + np.sin(rho) * (np.cos(alpha) * inward + np.sin(alpha) * side)
-    x, y, z = np.moveaxis(direction, -1, 0)
+    return np.asarray(np.cos(rho) * mirror + np.sin(rho) * (np.cos(alpha) * inward + np.sin(alpha) * side))
+
+
+def _block(rotation: float, incidence: float, azimuth: Floats, radial: Floats, matrix: Floats) -> Floats:
+    """theta_i, phi_i, theta_r, phi_r, value of one incidence, without what lies below the surface."""
+    x, y, z = np.moveaxis(_direction(incidence, azimuth, radial), -1, 0)
     # rounded far below any instrument's resolution, so that the plane of incidence is exactly 0 and 180 degrees
     theta = np.round(np.rad2deg(np.arctan2(np.hypot(x, y), z)), 9)
     phi = np.where(theta == 0, 180.0, np.round(np.rad2deg(np.arctan2(y, x)), 9))
@@ -181,23 +180,17 @@ def write(frame: DataFrame, path: Path) -> None:
     rho = np.round(np.rad2deg(np.arctan2(np.hypot(toward, across), along)), 6)
     alpha = np.where(rho == 0, 0.0, np.round(wrap_deg(np.rad2deg(np.arctan2(across, toward))), 6) % 360.0)
     values = np.where(frame["flag"] == "", frame["brdf"].to_numpy(np.float64), 0.0)
-    axes = [np.unique(column) for column in (angles[:, 1], angles[:, 0], alpha, rho)]
+    columns = (angles[:, 1], angles[:, 0], alpha, rho)
+    axes = [np.unique(column) for column in columns]
     if max(axis.size for axis in axes) > 10_000 or math.prod(axis.size for axis in axes) > 8 * len(frame) + 1000:
         raise DataError(f"{path}: these directions are no grid of angles about the mirror direction")
     grid = np.full([axis.size for axis in axes], np.nan)
-    grid[
-        tuple(
-            np.searchsorted(axis, column)
-            for axis, column in zip(axes, (angles[:, 1], angles[:, 0], alpha, rho), strict=True)
-        )
-    ] = values
+    grid[tuple(np.searchsorted(axis, column) for axis, column in zip(axes, columns, strict=True))] = values
     if axes[3][0] == 0:
         grid[..., 0] = grid[:, :, :1, 0]
     holes = 0
     for a, incidence in enumerate(axes[1].tolist()):
-        m, i, s = _frame(incidence)
-        al, ro = np.meshgrid(np.deg2rad(axes[2]), np.deg2rad(axes[3]), indexing="ij")
-        below = (np.cos(ro) * m[2] + np.sin(ro) * (np.cos(al) * i[2] + np.sin(al) * s[2])) < 1e-9
+        below = _direction(incidence, axes[2], axes[3])[..., 2] < 1e-9
         holes += int(np.isnan(grid[:, a][:, ~below]).sum())
         grid[:, a][:, below] = np.nan_to_num(grid[:, a][:, below])
     if holes:
@@ -214,16 +207,15 @@ def write(frame: DataFrame, path: Path) -> None:
         for incidence, matrix in zip(axes[1].tolist(), rotation, strict=True):
             lines.append(f"TIS\t{_tis(incidence, axes[2], axes[3], matrix) * (2 if symmetric else 1):.6f}")
             lines += ["\t".join(repr(value) for value in row) for row in matrix.tolist()]
-    write_bytes(path, ("\n".join([*lines, "DataEnd"]) + "\n").encode())
+    write_lines(path, [*lines, "DataEnd"])
 
 
 def _tis(incidence: float, azimuth: Floats, radial: Floats, matrix: Floats) -> float:
     """Integral of brdf cos(theta_r) over the grid, by trapezia."""
-    mirror, inward, side = _frame(incidence)
-    alpha, rho = np.meshgrid(np.deg2rad(azimuth), np.deg2rad(radial), indexing="ij")
-    z = np.cos(rho) * mirror[2] + np.sin(rho) * (np.cos(alpha) * inward[2] + np.sin(alpha) * side[2])
-    inner = np.trapezoid(matrix * np.maximum(z, 0.0) * np.sin(rho), np.deg2rad(radial), axis=1)
-    return float(np.trapezoid(inner, np.deg2rad(azimuth)))
+    z, rho = _direction(incidence, azimuth, radial)[..., 2], np.deg2rad(radial)
+    return float(
+        np.trapezoid(np.trapezoid(matrix * np.maximum(z, 0.0) * np.sin(rho), rho, axis=1), np.deg2rad(azimuth))
+    )
 
 
 FORMAT = Format(

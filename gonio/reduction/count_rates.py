@@ -34,8 +34,8 @@ from gonio.rig.description import RigDescription
 from gonio.rig.dng import pixels_sha256, read_raw
 from gonio.rig.imaging import Channel, pixel_map
 from gonio.rig.regions import Roi, roi, straight_through_weight
-from gonio.rig.sensor_response import PixelMaps, by_coefficients, linear_dn, read_maps, straightened
-from gonio.typing import Array, Floats
+from gonio.rig.sensor_response import by_coefficients, linear_dn, read_maps, straightened
+from gonio.typing import Array, Bools, Floats
 
 if TYPE_CHECKING:
     from gonio.acquisition.run import Run
@@ -98,22 +98,18 @@ class RunFrames:
                 self.lost_visits.append(step.flag)
         self._usual = self._mean_of_monitor()
         """Mean reading of the lamp's monitor: rates are those of a lamp at which it reads this."""
-        channels = dict.fromkeys(band.channel for band in run.bands)
         camera = self.description.camera
-        self._maps: PixelMaps | None = None
-        if camera.maps is not None:
-            self._maps = read_maps(camera.maps, (camera.height, camera.width))
+        size = camera.height, camera.width
+        self._maps = read_maps(camera.maps, size) if camera.maps is not None else None
         self._parameters = tuple(camera_parameters(self.description))
         self._spreads = any(name.startswith("camera.stray") for name in self._parameters)
-        self._channels = tuple(channels)
+        self._channels = tuple(dict.fromkeys(band.channel for band in run.bands))
         self.reference: dict[str, Roi] = {}
         """The region of the first visit, by channel."""
         boxes, regions = self._looked_at()
-        if spare:
-            boxes = {target: _widened(box, spare, (camera.height, camera.width)) for target, box in boxes.items()}
-        self._boxes = boxes
-        box = boxes.get("sample", (slice(0, 0), slice(0, 0)))
-        self._patterns = {channel: Patterns(regions[channel], box) for channel in channels}
+        self._boxes = {target: _widened(box, spare, size) for target, box in boxes.items()} if spare else boxes
+        box = self._boxes.get("sample", (slice(0, 0), slice(0, 0)))
+        self._patterns = {channel: Patterns(regions[channel], box) for channel in self._channels}
         self.clipped = 0.0
         """The part of the used pixels that read 0 DN in the dark frames."""
         self.full = 0.0
@@ -123,10 +119,12 @@ class RunFrames:
         """How many exposures the dark frames were taken with, and of how many some are left."""
         self.dark_hits = 0
         """Pixels of dark frames that were hit by cosmic radiation; where frames are merged by pixels."""
-        dark = [(step, frame) for step in self._every if step.kind == "dark" for frame in step.frames]
-        self._darks = self._read_darks(dark, boxes)
-        self.prnu = self._remaining_prnu(boxes)
+        self._darks = self._read_darks([(step, f) for step in self._every if step.kind == "dark" for f in step.frames])
+        self.prnu = camera.prnu
         """Relative standard deviation of the pixels' responsivities, after maps where there are any."""
+        if self._maps is not None:
+            u = np.concatenate([self._maps.u_responsivity[box].ravel() for box in self._boxes.values()])
+            self.prnu = float(np.sqrt(np.mean(u.astype(float) ** 2)))
 
     def _mean_of_monitor(self) -> float:
         if not self.description.lamp.monitor:
@@ -167,56 +165,38 @@ class RunFrames:
 
     def knows(self, step: StepRecord) -> bool:
         """Whether the dark signal is known where a step looks."""
-        for channel in self._channels:
-            region = self._region(step, channel)
-            if region is not None:
-                box = self._boxes.get(region.target)
-                if box is None or _around(region.roi, box) != box:
-                    return False
-        return True
+        regions = (self._region(step, channel) for channel in self._channels)
+        boxes = ((region.roi, self._boxes.get(region.target)) for region in regions if region is not None)
+        return all(box is not None and _around(roi, box) == box for roi, box in boxes)
 
     def _region(self, step: StepRecord, channel: Channel) -> Region | None:
         """The region of a step; None where the source stands below the horizon, or the camera on the
         other side of the sample than it should."""
         target: Target = "reference" if step.kind == "reference" else "sample"
-        view = kinematics.view(self.description, step.pose)
-        if target == "reference" and self.description.reference.how == "beam":
-            region = roi(self.description, view, target, channel)
-            per_weight = 1.0 / straight_through_weight(self.description, view, region, channel)
+        rig, view = self.description, kinematics.view(self.description, step.pose)
+        beam = target == "reference" and rig.reference.how == "beam"
+        if not beam and kinematics.left_its_side(rig, step.goal, step.pose):
+            return None
+        region = roi(rig, view, target, channel)
+        if beam:
+            per_weight = 1.0 / straight_through_weight(rig, view, region, channel)
             if self._maps is not None:  # none of the lamp's light may be left out, that on defects neither
                 known = np.where(self._maps.defects, 1.0, self._maps.responsivity)
                 per_weight = per_weight / region.of(known).astype(float)
             return Region(region, target, per_weight, region)
-        if kinematics.left_its_side(self.description, step.goal, step.pose):
-            return None
-        region = roi(self.description, view, target, channel)
-        seen = pixel_map(self.description, view, region.rows, region.cols)
-        responsivity = None
+        seen = pixel_map(rig, view, region.rows, region.cols)
         if self._maps is not None:
-            good = region.mask & ~self._maps.defects[region.rows, region.cols]
-            region = replace(region, mask=good if good.any() else region.mask)
-            responsivity = region.of(self._maps.responsivity)
-        per_weight = beam_size.per_weight(self.description, view, seen, region, channel)
-        if responsivity is not None:
-            per_weight = per_weight / np.asarray(responsivity, dtype=float)
-        lit = region
-        if beam_size.filling(self.description) == "under":
-            spot = region.mask & (seen.lit > 0.5)
-            lit = replace(region, mask=spot if spot.any() else region.mask)
+            region = _within(region, ~self._maps.defects[region.rows, region.cols])
+        per_weight = beam_size.per_weight(rig, view, seen, region, channel)
+        if self._maps is not None:
+            per_weight = per_weight / np.asarray(region.of(self._maps.responsivity), dtype=float)
+        lit = _within(region, seen.lit > 0.5) if beam_size.filling(rig) == "under" else region
         return Region(region, target, per_weight, lit) if math.isfinite(per_weight.max()) else None
 
-    def _remaining_prnu(self, boxes: dict[Target, tuple[slice, slice]]) -> float:
-        if self._maps is None:
-            return self.description.camera.prnu
-        u = np.concatenate([self._maps.u_responsivity[box].ravel() for box in boxes.values()])
-        return float(np.sqrt(np.mean(u.astype(float) ** 2)))
-
-    def _read_darks(
-        self, frames: list[tuple[StepRecord, FrameRecord]], boxes: dict[Target, tuple[slice, slice]]
-    ) -> dict[Target, Darks]:
+    def _read_darks(self, frames: list[tuple[StepRecord, FrameRecord]]) -> dict[Target, Darks]:
         if not frames:
             raise DataError(f"{self.run.path}: the run has no dark frames; finish it with --resume")
-        camera = self.description.camera
+        camera, boxes = self.description.camera, self._boxes
         crops: dict[Target, list[Dark]] = {target: [] for target in boxes}
         means: list[tuple[float, list[float]]] = []
         for frame in in_threads(lambda taken: self._read_or_note(*taken), frames):
@@ -271,12 +251,11 @@ class RunFrames:
         why = contradiction(camera, frame)
         if not why and not _alike(frame.exposure_s, entry.exposure_s):
             why = f"was exposed {frame.exposure_s:g} s, and the journal says exposure_s = {entry.exposure_s!r}"
-        label = label_of(path, data)
-        if label is not None and not why:
-            why = label.otherwise(self.run.key, step, entry)
         pixels = pixels_sha256(frame.mosaic)
-        if label is not None and not why and label.pixels not in (None, pixels, entry.sha256):
-            why = "does not hold the pixels that it was written with"
+        if not why and (label := label_of(path, data)) is not None:
+            why = label.otherwise(self.run.key, step, entry)
+            if not why and label.pixels not in (None, pixels, entry.sha256):
+                why = "does not hold the pixels that it was written with"
         if why:
             raise ContradictoryFrame(f"{entry.file} {why}")
         self._pictures.add(pixels, step.step, frame.exposure_s)
@@ -376,13 +355,12 @@ class RunFrames:
         if found is None:
             return Rejected(step.point, "below_horizon")
         region, taken = found
-        named = [frame.file for frame in _lit(step, band)]
+        lit = _lit(step, band)
         # a point can be taken again; of a visit to the reference the frames that are left count
-        if not self.damaged.keys().isdisjoint(named) and (step.kind == "point" or not taken):
-            return Rejected(step.point, "damaged")
-        if not self.contradictory.keys().isdisjoint(named) and (step.kind == "point" or not taken):
-            return Rejected(step.point, "contradictory")
-        if self.description.lamp.monitor and any(not frame.monitor for frame in _lit(step, band)):
+        for flag, wrong in (("damaged", self.damaged), ("contradictory", self.contradictory)):
+            if (step.kind == "point" or not taken) and any(frame.file in wrong for frame in lit):
+                return Rejected(step.point, flag)
+        if self.description.lamp.monitor and not all(frame.monitor for frame in lit):
             return Rejected(step.point, "unmonitored")
         if not taken:
             return Rejected(step.point, "not_measured")
@@ -398,13 +376,11 @@ class RunFrames:
         reference = self.reference.get(band.channel)
         share = self._patterns[band.channel].of(region.roi) if region.target == "sample" else np.zeros(PATTERNS)
         shared = np.outer(of_darks, share)
+        variance = pooled.variance + max(float(np.sum(of_darks**2) - np.sum(shared**2)), 0.0)
         return Reduced(
-            rate=pooled.rate,
-            variance=pooled.variance + max(float(np.sum(of_darks**2) - np.sum(shared**2)), 0.0),
+            **pooled.named() | {"variance": variance},
             dark=shared,
             time_s=pooled.time_s,
-            chi_square=pooled.chi_square,
-            frames=pooled.frames,
             left_out=len(taken) - pooled.frames,
             pixels=region.lit.count,
             by_camera=pooled.by_camera,
@@ -412,10 +388,13 @@ class RunFrames:
             directions=kinematics.directions(self.description, step.pose),
             pose=step.pose,
             point=step.point,
-            hits=pooled.hits,
-            hot=pooled.hot,
-            saturated=pooled.saturated,
         )
+
+
+def _within(region: Roi, chosen: Bools) -> Roi:
+    """A region without the pixels that are not chosen; all of it, where none is."""
+    kept = region.mask & chosen
+    return replace(region, mask=kept if kept.any() else region.mask)
 
 
 def _alike(one: float, other: object) -> bool:
@@ -436,10 +415,9 @@ def _lines(
         return {}
     times = np.array([exposure_s for exposure_s, _ in means])
     out: dict[str, tuple[float, float]] = {}
-    for k, channel in enumerate(channels):
-        values = np.array([of[k] for _, of in means])
-        away = times - times.mean()
-        spread = float(np.sum(away**2))
+    away = times - times.mean()
+    spread = float(np.sum(away**2))
+    for channel, values in zip(channels, np.array([of for _, of in means]).T, strict=True):
         slope = float(np.sum(away * values)) / spread if spread > 1e-6 * times.mean() ** 2 else rate
         out[channel] = float(values.mean()) - slope * float(times.mean()), slope
     return out
@@ -447,22 +425,17 @@ def _lines(
 
 def _around(region: Roi, box: tuple[slice, slice] | None) -> tuple[slice, slice]:
     """The smallest rectangle around a region and a rectangle."""
-    if box is None:
-        return region.rows, region.cols
-    rows, cols = box
-    return (
-        slice(min(region.rows.start, rows.start), max(region.rows.stop, rows.stop)),
-        slice(min(region.cols.start, cols.start), max(region.cols.stop, cols.stop)),
+    rows, cols = (
+        slice(min(one.start, other.start), max(one.stop, other.stop))
+        for one, other in zip((region.rows, region.cols), box or (region.rows, region.cols), strict=True)
     )
+    return rows, cols
 
 
 def _widened(box: tuple[slice, slice], part: float, size: tuple[int, int]) -> tuple[slice, slice]:
     """A rectangle with a part of its size more on each side, within the sensor."""
+    more = [round(part * (side.stop - side.start)) for side in box]
     rows, cols = (
-        slice(
-            max(side.start - round(part * (side.stop - side.start)), 0),
-            side.stop + round(part * (side.stop - side.start)),
-        )
-        for side in box
+        slice(max(side.start - by, 0), min(side.stop + by, end)) for side, by, end in zip(box, more, size, strict=True)
     )
-    return slice(rows.start, min(rows.stop, size[0])), slice(cols.start, min(cols.stop, size[1]))
+    return rows, cols

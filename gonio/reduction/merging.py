@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from gonio.reduction.rates import Merged
 from gonio.rig import sensor_noise
 from gonio.rig.description import RigDescription
 from gonio.rig.light_and_camera import Camera
@@ -73,28 +74,14 @@ class Stack:
     """Pixels whose dark signal says that they are not to be used, shape (N,)."""
 
 
-@dataclass(frozen=True, slots=True)
-class Merged:
-    """The rate of a region, and how it came from the frames."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MergedPixels(Merged):
+    """The rate of a region, with the variance of the pixels' noise and lamp noise, and how it came from the frames."""
 
-    rate: float
-    """[e-/s]"""
-    variance: float
-    """Of pixels' noise and lamp noise."""
     shares: Floats
     """Change of the rate with each pixel's rate in each frame, shape (F, N): the rate is linear in these."""
     frame_weights: Floats
     """How much each frame counts, shape (F,); their sum is 1."""
-    chi_square: float
-    """Of the frames' levels around their mean."""
-    frames: int
-    """How many have a pixel that is used."""
-    hits: int
-    """Pixels of single frames that were left out as hits of cosmic radiation."""
-    hot: int
-    """Pixels that were left out in all frames."""
-    saturated: float
-    """The part of all pixels of all frames that was left out as too bright."""
 
 
 def noise_is_known(description: RigDescription) -> bool:
@@ -105,7 +92,7 @@ def noise_is_known(description: RigDescription) -> bool:
     return description.camera.read_noise_e > 0 or any(k.kind == "camera" for k in description.calibration.known)
 
 
-def merge(description: RigDescription, stack: Stack) -> Merged | None:
+def merge(description: RigDescription, stack: Stack) -> MergedPixels | None:
     """The maximum-likelihood rate of a region; None where some of its pixels are too bright in every frame.
 
     Every pixel has a rate of its own, and every frame a level of the lamp. Weights, and the choice of what is used,
@@ -185,7 +172,7 @@ class _Fit:
         brighter = self._shot(np.maximum(others - self.expected, 0.0) * t)
         return np.asarray(known & (more > bound(self.charge_variance + brighter + t**2 / safe, limit)))
 
-    def merged(self, hits: int, saturated: float) -> Merged:
+    def merged(self, hits: int, saturated: float) -> MergedPixels:
         stack, p = self._stack, self.expected
         count = int(np.count_nonzero(self.alive))
         take = np.where(self.alive, stack.per_weight, 0.0) / count
@@ -202,7 +189,7 @@ class _Fit:
         variance += self._alike_rounding(shares, rate / alike if alike else 0.0, count)
         frame_weights = (shares / np.where(stack.per_weight > 0, stack.per_weight, 1.0)).sum(axis=1)
         chi_square, frames = self._scatter()
-        return Merged(
+        return MergedPixels(
             rate=rate,
             variance=variance,
             shares=shares,

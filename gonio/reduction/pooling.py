@@ -7,6 +7,7 @@ import numpy as np
 
 from gonio.reduction import merging
 from gonio.reduction.dark_signal import Darks
+from gonio.reduction.rates import Merged
 from gonio.rig import Target, sensor_noise
 from gonio.rig.description import RigDescription
 from gonio.rig.regions import Roi
@@ -53,22 +54,15 @@ class Shot:
     """Their raw levels, as fractions of full scale."""
 
 
-@dataclass(frozen=True, slots=True)
-class Pooled:
-    """What the frames of a step tell of a region, however they were merged."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Pooled(Merged):
+    """The merged frames of a step, with what the dark frames and the camera do to their rate."""
 
-    rate: float
-    variance: float
     time_s: float
-    chi_square: float
     of_darks: Floats
     """Change of the rate for one standard deviation of the mean of the shorter and of the longer darks."""
     by_camera: Floats
     """Derivatives of the rate by `camera_parameters`."""
-    frames: int
-    hits: int = 0
-    hot: int = 0
-    saturated: float = 0.0
 
 
 def pool(description: RigDescription, region: Region, shots: list[Shot], dark_exposures_s: Floats) -> Pooled:
@@ -142,16 +136,10 @@ def pool_pixels(description: RigDescription, region: Region, shots: list[Shot], 
     if not merging.noise_is_known(description) and merged.frames > 1:
         variance *= max(1.0, merged.chi_square / (merged.frames - 1))
     return Pooled(
-        rate=merged.rate,
-        variance=variance,
+        **merged.named() | {"variance": variance},
         time_s=float(merged.frame_weights @ [shot.time_s for shot in acquired]),
-        chi_square=merged.chi_square,
         of_darks=of_darks,
         by_camera=merged.frame_weights @ np.array([shot.by_camera for shot in acquired]),
-        frames=merged.frames,
-        hits=merged.hits,
-        hot=merged.hot,
-        saturated=merged.saturated,
     )
 
 

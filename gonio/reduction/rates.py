@@ -1,26 +1,45 @@
 """What a step's frames come to in a band: a rate, or why there is none."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import Any
 
 from gonio.geometry import Directions
 from gonio.rig import Pose
 from gonio.typing import Floats
 
 
-@dataclass(frozen=True, slots=True)
-class Reduced:
-    """The frames of one step and band, merged to a rate."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Merged:
+    """What the frames of one step tell of a region, however they were merged."""
 
     rate: float
+    """[e-/s]"""
     variance: float
     """Of everything that is independent from step to step, the pixels' responsivities left out."""
+    chi_square: float
+    """Of the frames around their mean."""
+    frames: int
+    """How many are used."""
+    hits: int = 0
+    """Pixels of single frames left out as hits of cosmic radiation; where frames are merged by pixels."""
+    hot: int = 0
+    """Pixels left out in all frames."""
+    saturated: float = 0.0
+    """The part of all pixels of all frames that was left out as too bright."""
+
+    def named(self) -> dict[str, Any]:
+        """These values by their names."""
+        return {one.name: getattr(self, one.name) for one in fields(Merged)}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Reduced(Merged):
+    """The frames of one step and band, merged to a rate."""
+
     dark: Floats
     """Change of the rate for one standard deviation of the noise of the shorter and of the longer dark frames in each
     of the patterns that points share (`dark_signal.Patterns`), shape (2, n); zero for a visit to the reference."""
     time_s: float
-    chi_square: float
-    """Of the frames around their mean."""
-    frames: int
     left_out: int
     """Frames that are not used, because a pixel of the region is nearly full."""
     pixels: int
@@ -33,12 +52,6 @@ class Reduced:
     pose: Pose
     point: int | None
     """Row of the plan; None for a visit to the reference."""
-    hits: int = 0
-    """Pixels of single frames left out as hits of cosmic radiation; where frames are merged by pixels."""
-    hot: int = 0
-    """Pixels left out in all frames."""
-    saturated: float = 0.0
-    """The part of all pixels of all frames that was left out as too bright."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -71,6 +71,14 @@ class OverlapFraction:
     least: float = 0.0
     """Likewise."""
 
+    @property
+    def with_rare(self) -> float:
+        """The variance, but no less than what the largest errors take away, over `FAR`, squared.
+
+        A top that is flat for small errors falls for rare ones, of which the mean square knows nothing.
+        """
+        return max(self.variance, ((self.mean - self.least) / FAR) ** 2)
+
 
 def blurred_overlap(
     read: Directions,

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gonio.geometry import SAME_SPIKE, solid_angle_of_cone
-from gonio.reduction.spike_overlap import FAR, OverlapFraction
+from gonio.reduction.spike_overlap import FAR
 from gonio.typing import Bools, Floats, Ints
 
 Places = Ints
@@ -57,31 +57,15 @@ class Scene:
     brdf: Floats
     u: Floats
     """Independent standard uncertainty of `brdf` [1/sr]."""
-    shares: Sequence[OverlapFraction]
+    mean: Floats
+    """`OverlapFraction.mean`."""
+    variance: Floats
+    """Of it: `OverlapFraction.with_rare`."""
+    at_read: Floats
+    """`OverlapFraction.at_read`."""
+    most: Floats
+    """`OverlapFraction.most`."""
     half_angles: tuple[float, float]
-
-    @property
-    def mean(self) -> Floats:
-        """`OverlapFraction.mean`."""
-        return np.array([share.mean for share in self.shares])
-
-    @property
-    def variance(self) -> Floats:
-        """Of `OverlapFraction.mean`: no less than what the largest errors take away, over `FAR`, squared.
-
-        A top that is flat for small errors falls for rare ones, of which the mean square knows nothing.
-        """
-        return np.array([max(s.variance, ((s.mean - s.least) / FAR) ** 2) for s in self.shares])
-
-    @property
-    def at_read(self) -> Floats:
-        """`OverlapFraction.at_read`."""
-        return np.array([share.at_read for share in self.shares])
-
-    @property
-    def most(self) -> Floats:
-        """`OverlapFraction.most`."""
-        return np.array([share.most for share in self.shares])
 
 
 @dataclass(slots=True)

@@ -54,8 +54,7 @@ def test_agrees_with_the_packages_own_evaluation(name: str) -> None:
      ("brass", "brass_Cu70Zn30_Querry1985"), ("stainless", "stainless_Karlsson1982")],
 )  # fmt: skip
 def test_agrees_with_the_published_tables_at_their_own_points(name: str, file: str) -> None:
-    path = measured(f"nk/{file}.yml")
-    (block,) = yaml.safe_load(path.read_text(encoding="utf-8"))["DATA"]
+    (block,) = yaml.safe_load(measured(f"nk/{file}.yml").read_text(encoding="utf-8"))["DATA"]
     um, n, k = np.array([line.split() for line in block["data"].splitlines()], dtype=float).T
     index = materials.ior(name)(um * 1000)
     np.testing.assert_allclose(index.real, n, rtol=1e-9)  # um -> nm -> um rounds the node; between nodes it is linear

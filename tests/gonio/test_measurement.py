@@ -72,8 +72,7 @@ def test_a_round_trip_is_exact(tmp_path: Path) -> None:
 def test_every_float_comes_back_to_the_last_bit(values: list[float]) -> None:
     frame = example(len(values), brdf=values)
     frame["theta_r_deg"] = 10.0
-    text = frame.to_csv(index=False).encode()
-    back = measurement.parse(text, Path("t.csv"))
+    back = measurement.parse(frame.to_csv(index=False).encode(), Path("t.csv"))
     assert back["brdf"].to_numpy().tobytes() == np.array(values).tobytes()
 
 
@@ -235,10 +234,8 @@ def test_the_covariance_comes_in_factors() -> None:
     assert causes == ["reference"]
     # 0.006 and 0.008 make 0.01
     np.testing.assert_allclose(u_random**2 + (common**2).sum(axis=1), example()["u_brdf"] ** 2, rtol=1e-14)
-    only_combined = example(u_random=np.nan)
-    np.testing.assert_allclose(measurement.uncertainty(only_combined)[0], 0.006, rtol=1e-12)
-    nobody_said = example(u_random=np.nan, u_brdf=np.nan)
-    assert np.isnan(measurement.uncertainty(nobody_said)[0]).all()
+    np.testing.assert_allclose(measurement.uncertainty(example(u_random=np.nan))[0], 0.006, rtol=1e-12)
+    assert np.isnan(measurement.uncertainty(example(u_random=np.nan, u_brdf=np.nan))[0]).all()
 
 
 def test_all_states_of_polarisation_together_are_unpolarised_light() -> None:
@@ -284,8 +281,7 @@ def test_samples_of_a_file_by_name(tmp_path: Path) -> None:
         measurement.tables(f"{path}:tin")
     with pytest.raises(ConfigError, match="no such file"):
         measurement.tables(tmp_path / "none.csv:tin")
-    several = measurement.read(path)
-    measurement.write(several, tmp_path / "native.csv")
+    measurement.write(measurement.read(path), tmp_path / "native.csv")
     assert list(measurement.tables(tmp_path / "native.csv")) == ["zinc", "brass"]
 
 

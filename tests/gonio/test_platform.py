@@ -47,8 +47,7 @@ class Console:
         self.keys = list(keys)
 
     def locking(self, handle: int, mode: int, count: int) -> None:
-        there = os.fstat(handle)
-        place = (there.st_ino, os.lseek(handle, 0, os.SEEK_CUR))
+        place = (os.fstat(handle).st_ino, os.lseek(handle, 0, os.SEEK_CUR))
         if self.locked.get(place, handle) != handle:
             raise PermissionError(errno.EACCES, "locked")
         self.locked[place] = handle

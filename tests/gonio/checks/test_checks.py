@@ -75,8 +75,7 @@ def test_a_cause_that_all_pairs_share_counts_once() -> None:
     at = grid()
     f = matte(at)
     odd = 0.01 * f * np.sin(at.dphi)
-    values = CheckedValues(at, f + odd, 0.001 * f, odd[:, None])
-    (_, sides) = symmetries(values)
+    (_, sides) = symmetries(CheckedValues(at, f + odd, 0.001 * f, odd[:, None]))
     assert sides.chi_square == pytest.approx(1.0, rel=0.02)  # Sherman-Morrison: 1 less the noise's share
 
 

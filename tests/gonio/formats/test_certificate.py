@@ -79,8 +79,7 @@ def test_a_run_is_reduced_with_what_the_certificate_says_of_its_wavelength(tmp_p
         'name = "p"\nwavelength_nm = [550]\n[[sweep]]\ntheta_i_deg = [30]\ntheta_r_deg = [0, 10]\n'
     )
     sample = SampleDescription(name="matt", model="lambert", parameters={"albedo": 0.5})
-    run = carry_out(load_plan(tmp_path / "plan.toml"), rig, tmp_path / "run", sample=sample)
-    table = reduce(run)
+    table = reduce(carry_out(load_plan(tmp_path / "plan.toml"), rig, tmp_path / "run", sample=sample))
     assert (tmp_path / "run" / "certificate.xml").read_bytes() == (tmp_path / "white.xml").read_bytes()
     # the noise of some thousand pixels; the simulated white has exactly what its certificate says
     assert table["brdf"].to_numpy() == pytest.approx(0.5 / math.pi, rel=0.01)

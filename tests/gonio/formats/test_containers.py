@@ -88,15 +88,13 @@ def test_pandas_alone_opens_workbook_and_parquet(frame: pd.DataFrame, tmp_path: 
     curves = list(sheets.values())[1:-1]
     assert sum(len(one) for one in curves) == len(frame)
     for one in curves:
-        angle = one["viewing angle [deg]"].to_numpy()
-        assert (np.diff(angle) >= 0).all()
+        assert (np.diff(one["viewing angle [deg]"].to_numpy()) >= 0).all()
     assert all(len(name) <= 31 and not set(name) & set("[]:*?/\\'") for name in sheets)
 
 
 def test_the_mirror_side_of_a_curve_is_positive(frame: pd.DataFrame, tmp_path: Path) -> None:
     first = next(iter(curve_sheets.curves(frame, tmp_path)))
-    there = first.signed_deg > 0
-    assert set(first.rows["phi_r_deg"][there]) == {180.0}
+    assert set(first.rows["phi_r_deg"][first.signed_deg > 0]) == {180.0}
     assert set(first.rows["phi_r_deg"][first.signed_deg < 0]) == {0.0}
 
 

@@ -68,8 +68,7 @@ def measured(folder: Path, text: str, laboratory: dict[str, Any] | None = None, 
 
 def run_of_a_bench(folder: Path) -> Path:
     """A table that says that it was measured, and not simulated."""
-    run = measured(folder, PLAN + OF_PLAN, RIG)
-    table = measurement.read(run.path)
+    table = measurement.read(measured(folder, PLAN + OF_PLAN, RIG).path)
     table.attrs["provenance"] = {**table.attrs["provenance"], "simulated": False}
     measurement.write(table, folder / "bench.csv")
     return folder / "bench.csv"
@@ -84,8 +83,7 @@ def test_a_plan_lies_over_the_rig_file_key_by_key(tmp_path: Path) -> None:
     stated = measurement.read(run.path).attrs["provenance"]["laboratory"]
     assert stated == kept["laboratory"] | {"measured": kept["run"]["created"], "plan": "small"}
     below = parse(Laboratory, {"sample": {"name": "a", "width_mm": 1.0}}, "rig.toml")
-    above = parse(Laboratory, {"sample": {"name": "b", "height_mm": 1.0}}, "plan.toml")
-    both = merged(below, above)
+    both = merged(below, parse(Laboratory, {"sample": {"name": "b", "height_mm": 1.0}}, "plan.toml"))
     assert both is not None
     assert both.stated() == {"sample": {"name": "b", "width_mm": 1.0, "height_mm": 1.0}}
 
@@ -94,8 +92,7 @@ def test_bird_json_without_a_placeholder_fits_the_schema_and_reads_back(
     tmp_path: Path, shared: Callable[[str], Path]
 ) -> None:
     schema = validator(shared)
-    bench = run_of_a_bench(tmp_path)
-    for source in ("RUN", "RUN/brdf.csv", bench.name):
+    for source in ("RUN", "RUN/brdf.csv", run_of_a_bench(tmp_path).name):
         done = gonio(tmp_path, "convert", source, "out.json", "--to", "bird-json")
         assert done.returncode == 0, done.stderr
         assert "unknown" not in done.stderr
@@ -128,8 +125,7 @@ def test_every_missing_key_is_named_and_nothing_is_written(tmp_path: Path) -> No
     measured(tmp_path, PLAN + '\n[laboratory]\norganisation = "Institute"\n[laboratory.sample]\nshape = "disc"\n')
     done = gonio(tmp_path, "convert", "RUN", "out.json", "--to", "bird-json")
     assert done.returncode == 2
-    lines = [line.strip() for line in done.stderr.splitlines() if line.startswith("  laboratory.")]
-    assert lines == [
+    assert [line.strip() for line in done.stderr.splitlines() if line.startswith("  laboratory.")] == [
         *(f"laboratory.{key}" for key in ("contact", "email")),
         *(f"laboratory.address.{key}" for key in ("country", "city", "street", "building", "postal_code")),
         "laboratory.sample.type",

@@ -146,13 +146,11 @@ def test_an_old_workbook_under_ones_own_names(monkeypatch: pytest.MonkeyPatch) -
     numbers = [[v if isinstance(v, str) else float(str(v)) for v in row] for row in ROWS]
     cells = {(r, c): value for r, row in enumerate(numbers) for c, value in enumerate(row)}
     monkeypatch.setattr(workbook_cells, "worksheets", lambda data, path: [cells])  # the reader has tests of its own
-    frame = measurement.parse(workbook_cells.OLD, Path("mine.xls"), columns=own_columns.pairs(SPEC))
-    assert_plain(frame)
+    assert_plain(measurement.parse(workbook_cells.OLD, Path("mine.xls"), columns=own_columns.pairs(SPEC)))
 
 
 def test_damaged_workbooks(survives: Callable[..., None]) -> None:
-    header = PLAIN.splitlines()[0].split(",")
-    survives(xlsx([header, [10, 180, 20, 0, 550, 0.25, 0.01]]), "mine.xlsx")
+    survives(xlsx([PLAIN.splitlines()[0].split(","), [10, 180, 20, 0, 550, 0.25, 0.01]]), "mine.xlsx")
     out = io.BytesIO()
     with zipfile.ZipFile(out, "w") as archive:
         archive.writestr("a.txt", "a")

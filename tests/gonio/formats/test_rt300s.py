@@ -21,8 +21,7 @@ def record(kind: int, body: bytes) -> bytes:
 def workbook(sheets: Sequence[Sequence[Sequence[float]]], *, split: bool = False) -> bytes:
     """A compound file with worksheets of measurements (azimuth, incidence, receive, RT), after [MS-CFB], [MS-XLS]."""
     texts = [*LABELS, "BRDF_LD"]
-    body = struct.pack("<2I", 100, len(texts))
-    blocks = [body]
+    blocks = [struct.pack("<2I", 100, len(texts))]
     for text in texts:
         if split and text == LABELS[3]:  # a text that goes on in a CONTINUE record, there in two bytes a letter
             blocks[-1] += struct.pack("<HB", len(text), 0) + text[:4].encode("latin-1")
@@ -138,8 +137,7 @@ def test_the_laboratorys_own_results(name: str, shared: Callable[[str], Path]) -
     folder = shared("loft_rt300s")
     frame = measurement.read(folder / "raw" / "ANOPLATE_AnoBlack_EC1_Alum6061_v1o0_20251115.xls")
     assert len(frame) == 2508
-    usable = frame[frame["flag"] == ""]
-    ours = usable.groupby(["theta_i_deg", "theta_r_deg", "phi_r_deg"])["brdf"].mean()
+    ours = frame[frame["flag"] == ""].groupby(["theta_i_deg", "theta_r_deg", "phi_r_deg"])["brdf"].mean()
     along_normal = frame[frame["theta_r_deg"] == 0].groupby("theta_i_deg")["brdf"].mean()
     lines = (folder / "processed_fred" / name).read_text().splitlines()[2:]
     theta_i, compared = 0.0, 0

@@ -67,8 +67,7 @@ def test_round_trip_of_transmission(tmp_path: Path) -> None:
     data = FILE.replace("ScatterType\tBRDF", "ScatterType\tBTDF").encode()
     frame = measurement.parse(data, Path("opal.bsdf"))
     measurement.write(frame, tmp_path / "opal.bsdf")
-    again = measurement.read(tmp_path / "opal.bsdf")
-    pd.testing.assert_frame_equal(again, frame)
+    pd.testing.assert_frame_equal(measurement.read(tmp_path / "opal.bsdf"), frame)
     both = pd.concat([frame, frame.assign(theta_r_deg=180 - frame["theta_r_deg"], side="reflection")])
     both = both.reset_index(drop=True)
     both.attrs = frame.attrs
@@ -131,5 +130,4 @@ def test_a_published_file_and_the_same_data_in_sample_angles(shared: Callable[[s
     for view in (30.0, 40.0, 60.0, 70.0):
         assert value(frame, 50, view, 180) == pytest.approx(fred[view], rel=0.08)
     measurement.write(frame, tmp_path / "a.bsdf")
-    again = measurement.read(tmp_path / "a.bsdf")
-    pd.testing.assert_frame_equal(again, frame, check_exact=True)
+    pd.testing.assert_frame_equal(measurement.read(tmp_path / "a.bsdf"), frame, check_exact=True)

@@ -145,8 +145,7 @@ class Maker:
                 (geometry.camera_distance_mm, d.theta_r, d.phi_r),
             )
         )
-        spots = self.spots(eye)
-        to_source = source - spots
+        to_source = source - self.spots(eye)
         distance = np.linalg.norm(to_source, axis=-1)
         geometry_factor = to_source[..., 2] / distance * (geometry.light_distance_mm / distance) ** 2
         return camera.responsivity_e_per_s * math.pi * value * geometry_factor

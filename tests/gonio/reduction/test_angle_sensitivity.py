@@ -247,8 +247,7 @@ def test_curves_in_the_plane_tell_the_flank_of_a_lobe_that_points_out_of_it_do_n
 
     def lobe(d: Directions) -> float:
         half = direction(d.theta_i, d.phi_i) + direction(d.theta_r, d.phi_r)
-        tangent = float(np.hypot(half[0], half[1]) / half[2])
-        return 0.06 + 7.0 * math.exp(-((tangent / 0.11) ** 2))
+        return 0.06 + 7.0 * math.exp(-((float(np.hypot(half[0], half[1]) / half[2]) / 0.11) ** 2))
 
     in_plane = [at(float(i), abs(r), 180.0 if r > 0 else 0.0) for i in (50, 70) for r in np.arange(-78.0, 79.0, 2.5)]
     goals = [*in_plane, *(at(60.0, float(r), dphi) for dphi in (120.0, 150.0, 165.0) for r in (15, 30, 45, 60, 75))]

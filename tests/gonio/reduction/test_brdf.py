@@ -86,8 +86,7 @@ def centre(table: pd.DataFrame) -> float:
 
 
 def test_whole_numbers_of_a_raw_file_cost_what_the_budget_says(tmp_path: Path) -> None:
-    run = Maker(tmp_path, describe(), glossy).make(POINTS, (0.25, 0.0625))
-    table = reduce(run)
+    table = reduce(Maker(tmp_path, describe(), glossy).make(POINTS, (0.25, 0.0625)))
     error = table["brdf"].to_numpy() - truth(table, glossy)
     # half a DN is 1.73 standard deviations of a rounding error; point and reference together at most 1.73 sqrt(2)
     assert np.all(abs(error) < 2.5 * table["u_brdf"])
@@ -211,8 +210,7 @@ def test_a_lamp_that_jumps_is_interpolated_and_said_so(tmp_path: Path) -> None:
     description = describe(camera=NOISY, reference={"frames": 8})
     maker = Maker(tmp_path, description, glossy, rng, lamp=lambda t: 1.0 + 0.02 * math.sin(t / 12.0))
     table = reduce(maker.make(POINTS, (0.25,), every=1))
-    account = table.attrs["provenance"]["reference"][0]
-    assert not account["straight"]
+    assert not table.attrs["provenance"]["reference"][0]["straight"]
     assert any("straight line" in note for note in table.attrs["notes"])
     assert np.mean(abs(pulls(table, glossy)) <= 2) > 0.9
 
@@ -439,10 +437,8 @@ def test_a_reference_known_by_a_table(tmp_path: Path) -> None:
     )
     rows = rows.assign(wavelength_nm=550.0, polarisation="unpolarised", u_brdf=np.nan, u_random=np.nan, flag="")
     measurement.write(rows[list(measurement.COLUMNS)], tmp_path / "white.csv")
-    description = describe()
-    run = Maker(tmp_path, description, glossy).make(POINTS, (0.25,))
-    table = {"albedo": None, "table": str(tmp_path / "white.csv")}
-    run.description = describe(reference=table)
+    run = Maker(tmp_path, describe(), glossy).make(POINTS, (0.25,))
+    run.description = describe(reference={"albedo": None, "table": str(tmp_path / "white.csv")})
     found = reduce(run)
     at_visit = 0.45 - 0.003 * 45
     np.testing.assert_allclose(found["brdf"], truth(found, glossy) * at_visit / (0.99 / math.pi), rtol=1e-4)  # whole DN

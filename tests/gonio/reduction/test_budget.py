@@ -36,8 +36,7 @@ def noisy(tmp_path_factory: pytest.TempPathFactory) -> Reduction:
         ),
         reference={"u_rel": 0.004, "frames": 2},
     )
-    folder = tmp_path_factory.mktemp("noisy")
-    maker = Maker(folder, description, glossy, rng, lambda t: flicker(rng, t))
+    maker = Maker(tmp_path_factory.mktemp("noisy"), description, glossy, rng, lambda t: flicker(rng, t))
     return reduce_in_parts(cast(Run, maker.make(POINTS, (0.25, 0.0625))))
 
 
@@ -146,6 +145,5 @@ def test_the_command_writes_parts_and_draws_and_takes_old_draws_away(tmp_path: P
     assert (run / "budget.csv").exists()
     assert not (run / "monte_carlo.csv").exists()
     (run / "budget.csv").write_text("somebody else's")
-    refused = CliRunner().invoke(build(), ["reduce", str(run)])
-    assert isinstance(refused.exception, ConfigError)
+    assert isinstance(CliRunner().invoke(build(), ["reduce", str(run)]).exception, ConfigError)
     assert (run / "budget.csv").read_text() == "somebody else's"

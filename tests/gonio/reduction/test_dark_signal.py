@@ -53,8 +53,7 @@ def test_patterns_of_some_regions_serve_all(monkeypatch: pytest.MonkeyPatch) -> 
     """Of a long run, or of many pixels, not all regions are held; what is not described is less, and never more."""
     monkeypatch.setattr(dark_signal, "HELD", 7 * 41 * 41)
     patterns = Patterns(REGIONS, BOX)
-    coefficients = np.array([patterns.of(region) for region in REGIONS])
-    held = np.sum(coefficients**2, axis=1)
+    held = np.sum(np.array([patterns.of(region) for region in REGIONS]) ** 2, axis=1)
     assert np.all(held <= 1 + 1e-12)
     # every fifth region describes those between them, but not the narrowest beyond the last: 0.90, of all regions 0.95
     assert held.mean() > 0.85

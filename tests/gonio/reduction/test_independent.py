@@ -119,8 +119,7 @@ def test_frames_by_rays_are_reduced_to_the_brdf_that_made_them(kind: str, surfac
     apart[:, 2] = np.minimum(apart[:, 2], 360.0 - apart[:, 2]) * np.sin(np.radians(wanted[:, :2])).prod(axis=1)
     assert apart.max() < 1e-9
     truth = np.array([bench.averaged(pose) for pose in poses])
-    ratio = table["brdf"].to_numpy() / truth
-    np.testing.assert_allclose(ratio, 1.0, atol=AGREEMENT)
+    np.testing.assert_allclose(table["brdf"].to_numpy() / truth, 1.0, atol=AGREEMENT)
 
 
 @pytest.mark.parametrize("radiation", ["isotropic", "lambertian"])
@@ -155,8 +154,7 @@ def test_a_mark_beside_the_centre_lies_on_the_pixels_that_see_it(pose: Pose) -> 
         return np.where(np.hypot(x - mark[0], y - mark[1]) < 1.0, 1.0, 0.0)
 
     description = describe()
-    bench = Bench(description, marked, lambert(0.98), splits=4, pose=pose)
-    picture = bench.rates()
+    picture = Bench(description, marked, lambert(0.98), splits=4, pose=pose).rates()
     seen = imaging.pixel_map(description, kinematics.view(description, pose))
     share = picture / seen.weight
     found = [float(np.sum(share * where) / np.sum(share)) for where in (seen.x_mm, seen.y_mm)]

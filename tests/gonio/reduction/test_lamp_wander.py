@@ -60,8 +60,7 @@ def test_a_lamp_that_walks_is_within_its_uncertainty(visits: int) -> None:
     assert 0.9 < np.mean(held) < 0.99
     assert min(held) > 0.86
     # most of it is the noise of the values, known to 3 %; lamps that happen to look smooth add a tenth
-    chi_square = np.mean([chi_squares for _, chi_squares, _ in found[:2]])
-    assert chi_square == pytest.approx(1.0, abs=0.15)
+    assert np.mean([chi_squares for _, chi_squares, _ in found[:2]]) == pytest.approx(1.0, abs=0.15)
 
 
 @pytest.mark.parametrize("size", [0.0, 2e-3])

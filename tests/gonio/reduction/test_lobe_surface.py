@@ -150,8 +150,7 @@ def test_derivatives_of_the_covariance_against_differences(size: int) -> None:
 
 def test_an_azimuth_that_passes_half_a_turn_makes_no_slope() -> None:
     """The half vector's azimuth jumps there by a whole turn."""
-    places = anywhere(np.random.default_rng(4), 60)
-    surface, _, _ = told(brushed, places, np.random.default_rng(4))
+    surface, _, _ = told(brushed, anywhere(np.random.default_rng(4), 60), np.random.default_rng(4))
     source = Directions(0.4, 0.0, 0.9, math.pi)
     here = np.array([[source.theta_r, 0.0, source.theta_i, turn] for turn in (math.pi - 1e-9, math.pi, -math.pi)])
     slopes = surface.slopes(here)[0]

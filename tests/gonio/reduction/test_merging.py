@@ -164,8 +164,7 @@ def test_noise_that_nobody_measured_is_poisson() -> None:
     known = Calibrated(parameters=[], u=[], correlation=[], kind="camera", file="camera.toml", sha256="", made=day)
     assert merging.noise_is_known(description.model_copy(update={"calibration": CalibrationUse(known=(known,))}))
     assert merging.noise_is_known(rig())
-    stack = frames(description, 1e5, [0.02, 0.005], np.random.default_rng(2))
-    merged = merging.merge(description, stack)
+    merged = merging.merge(description, frames(description, 1e5, [0.02, 0.005], np.random.default_rng(2)))
     assert merged is not None
     np.testing.assert_allclose(merged.frame_weights, [0.8, 0.2], atol=1e-3)
 

@@ -19,8 +19,7 @@ CURVE = [in_plane(45.0, float(r)) for r in range(-30, 81, 5)]
 
 def reduced(folder: pytest.TempPathFactory, description: RigDescription) -> tuple[MadeRun, Reduction]:
     rng = np.random.default_rng(1)
-    maker = Maker(folder.mktemp("run"), description, glossy, rng)
-    run = maker.make(CURVE, (0.25, 0.25))
+    run = Maker(folder.mktemp("run"), description, glossy, rng).make(CURVE, (0.25, 0.25))
     return run, reduce_in_parts(cast(Run, run))
 
 

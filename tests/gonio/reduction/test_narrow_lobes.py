@@ -71,8 +71,7 @@ def draw(rng: np.random.Generator) -> Drawn:
     for by_i, by_r in ((U, 0.0), (0.0, U)):
         up, down = seen(by_i, by_r) - here, seen(-by_i, -by_r) - here
         true = true + (0.5 * (up - down)) ** 2 + (0.5 * (up + down)) ** 2
-    values = here * (1.0 + NOISE * rng.standard_normal(here.size))
-    stated, spiked = _stated(theta_i, signed, values)
+    stated, spiked = _stated(theta_i, signed, here * (1.0 + NOISE * rng.standard_normal(here.size)))
     return Drawn(m, step_deg, theta_i, signed, np.sqrt(true) / stated, spiked)
 
 

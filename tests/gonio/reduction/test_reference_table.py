@@ -115,8 +115,7 @@ def test_between_rows_of_a_bent_curve_the_interpolation_is_uncertain() -> None:
     for angle in (3.0, 25.0, 47.0, 75.0):
         true = 0.3 * math.cos(math.radians(angle))
         error = abs(brdf_of_reference(bent, visit(0.0, angle), 500.0) - true)
-        u = u_of_reference(bent, visit(0.0, angle), 500.0)
-        assert 0.5 * error < u < 2.0 * error
+        assert 0.5 * error < u_of_reference(bent, visit(0.0, angle), 500.0) < 2.0 * error
     assert u_of_reference(bent, visit(0.0, 40.0), 500.0) == pytest.approx(0.0, abs=1e-15)
 
 

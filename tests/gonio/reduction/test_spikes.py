@@ -124,8 +124,7 @@ def test_neighbouring_incidences_tell_a_spike_that_one_point_cannot() -> None:
         return 2000.0 * math.exp(-30.0 * math.cos(theta_i) ** 2) / math.cos(theta_i)
 
     goals = [at(i, i + r) for i in (65.0, 75.0) for r in np.arange(-10.0, 10.1, 0.5)] + [at(70.0, 70.0)]
-    u = math.radians(0.03)
-    seen = shares(goals, u)
+    seen = shares(goals, math.radians(0.03))
     f = np.array([0.5 + amplitude(float(d.theta_i)) * share.mean for d, share in zip(goals, seen, strict=True)])
     found = Curves(stack(goals), stack(goals), f, 0.005 * f, (HALF, HALF), seen).spikes
     assert found.told[-1]
@@ -235,6 +234,5 @@ def test_a_point_beside_a_spike_that_nothing_tells_has_at_most_what_stands_above
 def test_curvature_over_the_region_of_interest_is_in_the_budget(tmp_path: Path) -> None:
     """Without noise, toward grazing: a patch of 0.8 mm at 1 m sees a lobe that is narrow across the plane."""
     table = reduced(tmp_path, [(75.0, float(r), 180.0) for r in range(63, 86, 2)], name="sim-ideal")
-    z = pulls(table, ALUMINIUM)
-    assert np.all(abs(z) < 3.0)
+    assert np.all(abs(pulls(table, ALUMINIUM)) < 3.0)
     assert np.all(table["u_brdf"] < 2e-3 * table["brdf"])
