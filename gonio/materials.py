@@ -213,12 +213,16 @@ def _read(path: Path) -> tuple[Curve, Curve | None, str]:
             rows = np.array([line.split() for line in block["data"].splitlines() if line.strip()], dtype=np.float64)
             rows = rows[np.argsort(rows[:, 0], kind="stable")]
             ends, um = (float(rows[0, 0]), float(rows[-1, 0])), rows[:, 0]
-            curves = [Curve(*ends, partial(np.interp, xp=um, fp=column)) for column in rows.T[1:]]
+            curves = [Curve(*ends, partial(_linear, um, column)) for column in rows.T[1:]]
             n = curves[0] if which in ("n", "nk") else n
             k = curves[-1] if which in ("k", "nk") else k
     if n is None:
         raise DataError(f"{path}: gives no refractive index n")
     return n, k, " ".join(re.sub(r"<[^>]+>", "", str(content.get("REFERENCES", ""))).split())
+
+
+def _linear(nodes_um: Floats, values: Floats, um: Floats) -> Floats:
+    return np.asarray(np.interp(um, nodes_um, values))
 
 
 def _dispersion(formula: int, coefficients: tuple[float, ...], um: Floats) -> Floats:

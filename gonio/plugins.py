@@ -52,16 +52,12 @@ def add(group: Group, name: str, kind: type) -> None:
                 f'the {what} "{name}" ({point.value}): {installed.value} has that name already; give it another'
             )
         return
-    if _in_its_module(kind) is not kind:
+    if getattr(sys.modules.get(kind.__module__), kind.__qualname__, None) is not kind:
         raise ConfigError(
             f'the {what} "{name}" ({point.value}) is not found under that name in its module: define the class outside'
             " of functions, and run its cell again if it was replaced"
         )
     _added[group, name] = point
-
-
-def _in_its_module(kind: type) -> Any:
-    return getattr(sys.modules.get(kind.__module__), kind.__qualname__, None)
 
 
 @functools.lru_cache(maxsize=32)

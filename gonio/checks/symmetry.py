@@ -5,6 +5,7 @@ compared as logarithms of their ratio.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -88,7 +89,7 @@ class Pairs:
 
     def summary(self) -> dict[str, object]:
         """Plain numbers and words."""
-        names = ("kind", "words", "pairs", "typical", "largest", "reduced_chi_square", "broken")
+        names = "kind", "words", "pairs", "typical", "largest", "reduced_chi_square", "broken"
         return {name: getattr(self, name) for name in names}
 
 
@@ -162,29 +163,35 @@ def _fixed(at: Directions) -> Floats:
     return np.concatenate(at.vectors, axis=1)
 
 
-def _pairs(here: Floats, there: Floats) -> Rows:
-    """Rows (i, j), i < j, where value j lies where the image of value i does."""
+def _matches(here: Floats, there: Floats) -> tuple[Rows, Rows]:
+    """Places i of `there`, and j of `here`, that lie together."""
     from scipy.spatial import cKDTree
 
     distance, j = cKDTree(here).query(there, distance_upper_bound=NEAR)
     i = np.flatnonzero(np.isfinite(distance))
-    both = np.sort(np.stack([i, j[i]], axis=1), axis=1)
+    return i, j[i]
+
+
+def _distinct(pairs: Sequence[tuple[Rows, Rows]]) -> Rows:
+    """Rows (i, j), i < j, each once."""
+    both = np.sort(np.concatenate([np.stack(one, axis=1) for one in pairs]), axis=1)
     return np.asarray(np.unique(both[both[:, 0] != both[:, 1]], axis=0))
+
+
+def _pairs(here: Floats, there: Floats) -> Rows:
+    """Rows (i, j), i < j, where value j lies where the image of value i does."""
+    return _distinct([_matches(here, there)])
 
 
 def _across(turned: Floats, azimuths: Floats, use: Bools) -> Rows:
     """Pairs of equal turned directions between each azimuth of incidence and the next."""
-    from scipy.spatial import cKDTree
-
     known = np.unique(azimuths[use])
-    found = [np.empty((0, 2), dtype=np.intp)]
-    for a, b in zip(known, np.roll(known, -1), strict=True):
-        one, two = (np.flatnonzero(use & (azimuths == x)) for x in (a, b))
-        distance, j = cKDTree(turned[two]).query(turned[one], distance_upper_bound=NEAR)
-        hit = np.isfinite(distance)
-        found.append(np.stack([one[hit], two[j[hit]]], axis=1))
-    pairs = np.sort(np.concatenate(found), axis=1)
-    return np.asarray(np.unique(pairs[pairs[:, 0] != pairs[:, 1]], axis=0))
+    rings = [np.flatnonzero(use & (azimuths == a)) for a in known]
+    found = []
+    for one, two in zip(rings, [*rings[1:], *rings[:1]], strict=True):
+        i, j = _matches(turned[two], turned[one])
+        found.append((one[i], two[j]))
+    return _distinct(found)
 
 
 def _compared(data: CheckedValues, pairs: Rows, kind: str, words: str) -> Pairs | None:
@@ -195,16 +202,9 @@ def _compared(data: CheckedValues, pairs: Rows, kind: str, words: str) -> Pairs 
         return None
     logs = np.diff(np.log(data.brdf[pairs]), axis=1)[:, 0]
     typical, largest = float(np.sqrt(np.mean(logs**2))), float(np.abs(logs).max())
-    return Pairs(
-        kind,
-        words,
-        len(pairs),
-        typical,
-        largest,
-        data.chi_square(pairs) if known else None,
-        logs.tolist(),
-        _places(data, pairs, logs),
-    )
+    chi_square = data.chi_square(pairs) if known else None
+    places = _places(data, pairs, logs)
+    return Pairs(kind, words, len(pairs), typical, largest, chi_square, logs.tolist(), places)
 
 
 def _places(data: CheckedValues, pairs: Rows, logs: Floats) -> list[Place]:

@@ -5,6 +5,7 @@ import math
 import uuid
 from collections.abc import Mapping
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import Any, TypedDict
 
@@ -159,13 +160,8 @@ def _stated(frame: DataFrame, stated: JsonObject, path: Path) -> JsonObject:
     ]
     require(stated, needed, "BiRD JSON", path)
 
-    def of(key: str) -> Any:
-        return get(stated, key)
-
-    def there(**values: Any) -> JsonObject:
-        return {key: value for key, value in values.items() if value is not None}
-
-    address = there(
+    of = partial(get, stated)
+    address = _there(
         country=of("address.country"),
         county=of("address.county"),
         city=of("address.city"),
@@ -174,7 +170,7 @@ def _stated(frame: DataFrame, stated: JsonObject, path: Path) -> JsonObject:
         room_nr=of("address.room"),
         postal_code=of("address.postal_code"),
     )
-    sample = there(
+    sample = _there(
         name=of("sample.name") or named,
         type=of("sample.type"),
         shape=of("sample.shape"),
@@ -187,7 +183,7 @@ def _stated(frame: DataFrame, stated: JsonObject, path: Path) -> JsonObject:
         sample["materials"] = [{"name": of("sample.material")}]
     out = {
         "timestamp": str(of("measured") or datetime.now(UTC).isoformat(timespec="seconds")),
-        "provenance": there(
+        "provenance": _there(
             organization=of("organisation"),
             location=address,
             website=of("website"),
@@ -197,11 +193,16 @@ def _stated(frame: DataFrame, stated: JsonObject, path: Path) -> JsonObject:
         "description": of("description") or f"BRDF of {sample['name']}",
         "instrumentation": "NA" if simulated else _instrumentation(frame, stated),
         "sample": sample,
-        "environment": _environment(stated) or "NA",
+        "environment": _environment(stated),
     }
     if of("license") and of("rights_holder"):
-        out["license"] = there(type=of("license"), link=of("license_link"), rights_holder=of("rights_holder"))
+        out["license"] = _there(type=of("license"), link=of("license_link"), rights_holder=of("rights_holder"))
     return out
+
+
+def _there(**values: Any) -> JsonObject:
+    """What is stated of some values."""
+    return {key: value for key, value in values.items() if value is not None}
 
 
 def _mm(value: float) -> JsonObject:
@@ -234,18 +235,15 @@ def _instrumentation(frame: DataFrame, stated: JsonObject) -> JsonObject:
             "solid_angle": {"value": attrs["receiver_solid_angle_sr"], "unit": "sr"},
         },
     }
-    more = {"manufacturer": instrument.get("manufacturer"), "serial_number": instrument.get("serial_number")}
+    more = {name: instrument.get(name) for name in ("manufacturer", "serial_number")}
     more["operator_name"] = stated.get("operator")
-    return out | {key: value for key, value in more.items() if value is not None}
+    return out | _there(**more)
 
 
-def _environment(stated: JsonObject) -> JsonObject:
+def _environment(stated: JsonObject) -> JsonObject | str:
     if "temperature_c" not in stated:
-        return {}
-    temperature: JsonObject = {"value": stated["temperature_c"], "unit": "°C"}
-    if "u_temperature_c" in stated:
-        temperature |= {"uncertainty": stated["u_temperature_c"], "uncertainty_unit": "°C"}
-    out: JsonObject = {"temperature": temperature}
-    if "relative_humidity_percent" in stated:
-        out["relative_humidity"] = {"value": stated["relative_humidity_percent"], "unit": "%"}
-    return out
+        return "NA"
+    u = {"uncertainty": stated.get("u_temperature_c"), "uncertainty_unit": "°C"}
+    temperature = {"value": stated["temperature_c"], "unit": "°C"} | (u if "u_temperature_c" in stated else {})
+    humidity = {"relative_humidity": {"value": stated.get("relative_humidity_percent"), "unit": "%"}}
+    return {"temperature": temperature} | (humidity if "relative_humidity_percent" in stated else {})

@@ -46,24 +46,20 @@ def record(frame: DataFrame, path: Path) -> JsonObject:
         "formats": ["text/csv"],
         "sizes": [f"{len(frame)} values"],
     }
-    if "measured" in stated:
-        out["dates"] = [{"date": str(stated["measured"])[:10], "dateType": "Collected"}]
-    if "doi" in stated:
-        out["doi"] = stated["doi"]
-    if "contact" in stated:
-        contact: JsonObject = {"contributorType": "ContactPerson", "name": stated["contact"]}
-        if "organisation" in stated:
-            contact["affiliation"] = [{"name": stated["organisation"]}]
-        out["contributors"] = [contact]
-    if "license" in stated:
-        rights = {"rights": stated["license"]}
-        out["rightsList"] = [rights | ({"rightsUri": stated["license_link"]} if "license_link" in stated else {})]
-    if "description" in stated:
-        out["descriptions"] = [{"description": stated["description"], "descriptionType": "Abstract"}]
-    if "funding" in stated:
-        names = {"funder": "funderName", "award": "awardNumber", "title": "awardTitle"}
-        out["fundingReferences"] = [{names[key]: value for key, value in one.items()} for one in stated["funding"]]
-    return out
+    of = stated.get
+    contact = {"contributorType": "ContactPerson", "name": of("contact")}
+    contact |= {"affiliation": [{"name": of("organisation")}]} if "organisation" in stated else {}
+    rights = {"rights": of("license")} | ({"rightsUri": of("license_link")} if "license_link" in stated else {})
+    names = {"funder": "funderName", "award": "awardNumber", "title": "awardTitle"}
+    optional: JsonObject = {
+        "measured": ("dates", [{"date": str(of("measured"))[:10], "dateType": "Collected"}]),
+        "doi": ("doi", of("doi")),
+        "contact": ("contributors", [contact]),
+        "license": ("rightsList", [rights]),
+        "description": ("descriptions", [{"description": of("description"), "descriptionType": "Abstract"}]),
+        "funding": ("fundingReferences", [{names[k]: v for k, v in one.items()} for one in of("funding", [])]),
+    }
+    return out | dict(entry for key, entry in optional.items() if key in stated)
 
 
 def encode(content: JsonObject) -> bytes:
@@ -95,10 +91,9 @@ def _creator(stated: JsonObject) -> JsonObject:
     if comma and first.strip():
         out |= {"nameType": "Personal", "familyName": family.strip(), "givenName": first.strip()}
     if "orcid" in stated:
-        out["nameType"] = "Personal"
-        identifier = f"https://orcid.org/{stated['orcid']}"
         scheme = {"nameIdentifierScheme": "ORCID", "schemeUri": "https://orcid.org"}
-        out["nameIdentifiers"] = [{"nameIdentifier": identifier, **scheme}]
+        identifier = {"nameIdentifier": f"https://orcid.org/{stated['orcid']}"} | scheme
+        out |= {"nameType": "Personal", "nameIdentifiers": [identifier]}
     if "affiliation" in stated:
         out["affiliation"] = [{"name": stated["affiliation"]}]
     return out

@@ -3,6 +3,7 @@
 A table made by hand may leave out what it does not know: the four angles and `brdf` are enough.
 """
 
+import contextlib
 import csv
 import io
 import itertools
@@ -35,8 +36,8 @@ from gonio.formats.reader import (
     quantity,
     write_bytes,
 )
-from gonio.formats.text import cell_of, column_names, decode, number, plain_word, separator
-from gonio.typing import DataFrame, Floats, Series
+from gonio.formats.text import cell_of, column_names, decode, number, plain_word, require_cells, separator
+from gonio.typing import Bools, DataFrame, Floats, Series
 
 _WORDS = ("polarisation", "side", "sample", "flag")
 _TEXTS = ("sample", "flag")
@@ -151,15 +152,11 @@ def _read_line_by_line(text: str, path: Path) -> DataFrame:
         line = 2
         while chunk := list(itertools.islice(reader, 20_000)):
             for row, cells in enumerate(chunk):
-                if len(cells) != len(header):
-                    where = f"{path}, line {line + row}"
-                    raise DataError(f"{where}: {len(cells)} cells, and the header names {len(header)} columns")
+                require_cells(cells, header, f"{path}, line {line + row}")
             for part, name, column in zip(parts, header, zip(*chunk, strict=True), strict=True):
-                if name in _WORDS:
-                    part.append(np.array(column, dtype=object))
-                    continue
                 plain = column if mark == "," else tuple(cell.replace(",", ".") for cell in column)
-                part.append(_floats(plain, name, path, line))
+                words = name in _WORDS
+                part.append(np.array(column, dtype=object) if words else _floats(plain, name, path, line))
             line += len(chunk)
     except csv.Error as error:
         raise DataError(f"{path}, line {reader.line_num}: {error}") from None
@@ -195,10 +192,9 @@ def _require_own_attributes(meta: Path) -> None:
     require_name(meta)
     if not os.path.lexists(meta):
         return
-    try:
+    stored = None
+    with contextlib.suppress(OSError, ValueError, RecursionError):
         stored = json.loads(read_file(meta))
-    except (OSError, ValueError, RecursionError):
-        stored = None
     if not isinstance(stored, dict) or not stored.keys() <= attributes().keys() | {"samples", "format"}:
         raise ConfigError(f"{meta}: is not the attributes of a table, and is not replaced; give the table another name")
 
@@ -230,64 +226,53 @@ def check(frame: DataFrame, where: Any) -> None:
             shown = f"{value:.9g}" if isinstance(value, float) else repr(value)[:40]
             raise DataError(f"{where(int(bad[0]))}: {column} = {shown}; {allowed}")
 
+    def of(column: str) -> Floats:
+        return frame[column].to_numpy(np.float64)
+
+    def known(values: Floats) -> Bools:
+        """Which are unknown (NaN), or finite and not negative."""
+        return np.isnan(values) | ((values >= 0) & np.isfinite(values))
+
     _check_angles(frame, demand)
-    wavelength = frame["wavelength_nm"].to_numpy(np.float64)
-    known = (wavelength > 0) & np.isfinite(wavelength)
-    demand(np.isnan(wavelength) | known, "wavelength_nm", "a positive number, or NaN for a broad band")
+    wavelength, value = of("wavelength_nm"), of("brdf")
+    demand(known(wavelength) & (wavelength != 0), "wavelength_nm", "a positive number, or NaN for a broad band")
     words = _one_of(frame["polarisation"], lambda word: word in POLARISATIONS)
     demand(words, "polarisation", f"one of {', '.join(POLARISATIONS)}")
-    value = frame["brdf"].to_numpy(np.float64)
     demand(np.isfinite(value) | flagged, "brdf", "a row without a flag needs a finite value [1/sr]")
-    for column in ("u_brdf", "u_random", *([U_ANGLES] if U_ANGLES in frame.columns else [])):
-        u = frame[column].to_numpy(np.float64)
-        known = (u >= 0) & np.isfinite(u)
-        demand(np.isnan(u) | known | flagged, column, "a standard uncertainty [1/sr] >= 0, or NaN where it is unknown")
-    combined = frame["u_brdf"].to_numpy(np.float64)
-    part = np.nan_to_num(frame["u_random"].to_numpy(np.float64)) <= (1.0 + ROUNDED) * combined
+    there = set(frame.columns)
+    for column in (name for name in ("u_brdf", "u_random", U_ANGLES) if name in there):
+        told = "a standard uncertainty [1/sr] >= 0, or NaN where it is unknown"
+        demand(known(of(column)) | flagged, column, told)
+    combined = of("u_brdf")
+    part = np.nan_to_num(of("u_random")) <= (1.0 + ROUNDED) * combined
     demand(part | np.isnan(combined) | flagged, "u_random", "a part of the combined u_brdf, and at most as large")
-    for column in MUELLER:
-        if column in frame.columns:
-            element = frame[column].to_numpy(np.float64)
-            demand(
-                ~np.isinf(element), column, "an element of the Mueller matrix over the first one, or NaN where unknown"
-            )
-    for column in U_MUELLER:
-        if column in frame.columns:
-            u = frame[column].to_numpy(np.float64)
-            demand(np.isnan(u) | ((u >= 0) & np.isfinite(u)), column, "a standard uncertainty >= 0, or NaN")
+    for column in (name for name in MUELLER if name in there):
+        told = "an element of the Mueller matrix over the first one, or NaN where unknown"
+        demand(~np.isinf(of(column)), column, told)
+    for column in (name for name in U_MUELLER if name in there):
+        demand(known(of(column)), column, "a standard uncertainty >= 0, or NaN")
     causes = [column for column in frame.columns if column.startswith("s_")]
     for first in range(0, len(causes), 64):  # each access to a table copies its attributes
         several = causes[first : first + 64]
-        known = np.isfinite(frame[several].to_numpy(np.float64)) | flagged[:, np.newaxis]
-        for column in (several[k] for k in np.flatnonzero(~known.all(axis=0))):
-            s = frame[column].to_numpy(np.float64)
-            demand(np.isfinite(s) | flagged, column, "a row without a flag needs a finite value [1/sr]")
-    for column in ("flag", "sample"):
-        if column in frame.columns:
-            demand(_one_of(frame[column], lambda word: isinstance(word, str)), column, "text is needed")
+        finite = np.isfinite(frame[several].to_numpy(np.float64)) | flagged[:, np.newaxis]
+        for k in np.flatnonzero(~finite.all(axis=0)):
+            demand(finite[:, k], several[k], "a row without a flag needs a finite value [1/sr]")
+    for column in (name for name in ("flag", "sample") if name in there):
+        demand(_one_of(frame[column], lambda word: isinstance(word, str)), column, "text is needed")
 
 
 def _check_angles(frame: DataFrame, demand: Callable[[Any, str, str], None]) -> None:
+    through = nowhere = np.zeros(len(frame), dtype=bool)
     if "side" in frame.columns:
         demand(_one_of(frame["side"], lambda word: word in SIDES), "side", f"one of {', '.join(SIDES)}")
         through = frame["side"].to_numpy() == "transmission"
-    else:
-        through = np.zeros(len(frame), dtype=bool)
     polar = "polar angles lie in [0, 90] degrees; write (-theta, phi) as (theta, phi + 180)"
-    for column in ("theta_i_deg", "theta_r_deg"):
+    seen = polar + '; of transmission they go on to 180, in rows whose column "side" says "transmission"'
+    told = 'a row whose column "side" says "transmission" has its detector behind the sample, in (90, 180] degrees'
+    for column, behind, stated in (("theta_i_deg", nowhere, polar), ("theta_r_deg", through, seen)):
         theta = frame[column].to_numpy(np.float64)
-        behind = through if column == "theta_r_deg" else np.zeros(len(frame), dtype=bool)
-        stated = (
-            ""
-            if column == "theta_i_deg"
-            else '; of transmission they go on to 180, in rows whose column "side" says "transmission"'
-        )
-        demand(behind | ((theta >= 0) & (theta <= 90)), column, polar + stated)
-        demand(
-            ~behind | ((theta > 90) & (theta <= 180)),
-            column,
-            'a row whose column "side" says "transmission" has its detector behind the sample, in (90, 180] degrees',
-        )
+        demand(behind | ((theta >= 0) & (theta <= 90)), column, stated)
+        demand(~behind | ((theta > 90) & (theta <= 180)), column, told)
     for column in ("phi_i_deg", "phi_r_deg"):
         phi = frame[column].to_numpy(np.float64)
         demand((phi >= 0) & (phi < 360), column, "azimuths lie in [0, 360) degrees")
@@ -309,15 +294,11 @@ def _floats(cells: tuple[str, ...], name: str, path: Path, line: int) -> Floats:
     """A column of numbers, NaN where the cell is empty; exact, as Python reads them."""
     joined = "".join(cells)
     if joined.isascii() and "_" not in joined:
-        try:
+        with contextlib.suppress(ValueError):  # below it is said which cell is wrong
             return np.array([float(cell or "nan") for cell in cells])
-        except ValueError:
-            pass  # the loop below finds the cell and says what is wrong with it
-    out = np.full(len(cells), np.nan)
-    for row, cell in enumerate(cells):
-        if cell not in ("", "nan", "NaN"):
-            out[row] = number(cell, f"{path}, line {line + row}", name)
-    return out
+    holes = ("", "nan", "NaN")
+    where = (f"{path}, line {line + row}" for row in range(len(cells)))
+    return np.array([math.nan if c in holes else number(c, at, name) for c, at in zip(cells, where, strict=True)])
 
 
 def _read_attrs(path: Path, known: str = "brdf") -> Attributes:
@@ -358,9 +339,7 @@ def plain(value: Any) -> Any:
         return [plain(item) for item in value]
     if isinstance(value, np.ndarray | np.generic):
         return plain(value.tolist())
-    if isinstance(value, Path):
-        return str(value)
-    return value
+    return str(value) if isinstance(value, Path) else value
 
 
 FORMAT = Format(

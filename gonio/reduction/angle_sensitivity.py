@@ -117,8 +117,9 @@ class Curves:
         incidence = np.round(goals.theta_i / SAME_NOMINAL)
         groups = [np.flatnonzero(incidence == value) for value in np.unique(incidence)]
         middle = 0.5 * (read.theta_i + read.theta_r)
-        seen = np.array([(s.mean, s.with_rare, s.at_read, s.most) for s in shares], dtype=float).reshape(-1, 4).T
-        scene = Scene(theta_i, x - theta_i, y, in_plane, middle, brdf, u, *seen, half_angles)
+        seen = np.array([(s.mean, s.with_rare, s.at_read, s.most) for s in shares], dtype=float).reshape(-1, 4)
+        mean, variance, at_read, most = seen.T
+        scene = Scene(theta_i, x - theta_i, y, in_plane, middle, brdf, u, mean, variance, at_read, most, half_angles)
         self.spikes = find(scene, groups)
         self.lobe, self.spike = self.spikes.lobe, self.spikes.amplitude
         small = max(3.0 * float(np.min(u, initial=np.inf)), 1e-9 * float(np.max(np.abs(brdf), initial=0.0)), 1e-300)

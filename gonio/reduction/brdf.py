@@ -25,7 +25,7 @@ from gonio.reduction.dark_signal import PATTERNS
 from gonio.reduction.merging import FALSE_ALARMS, noise_is_known
 from gonio.reduction.rates import Reduced, Rejected
 from gonio.reduction.reference_table import brdf_of_reference, u_of_reference
-from gonio.reduction.table import DARK, GEOMETRY, LAMP, assemble, notes_on_camera, notes_on_damage, notes_on_darks
+from gonio.reduction.table import DARK, GEOMETRY, LAMP, assemble, notes_on_frames
 from gonio.reduction.threads import in_threads
 from gonio.reduction.values import BandResult, Cause, MeasuredBand, Values, joined, share
 from gonio.rig import calibrated
@@ -105,8 +105,7 @@ def reduce_in_parts(run: Run, *, progress: Callable[[int, int], None] | None = N
     light_and_lens.add_wavelength(frames.description, results)
     for part, names in (("dark", DARK), ("geometry", GEOMETRY), ("visits", LAMP)):
         share([result.values for result in results], part, names)
-    notes = notes_on_damage(frames) + notes_on_darks(frames) + notes_on_camera(frames)
-    table = assemble(run, results, notes, frames.clipped)
+    table = assemble(run, results, notes_on_frames(frames), frames.clipped)
     table.attrs["provenance"]["not_in_budget"] = budget.left_out(run.description, table)
     return Reduction(table, budget.assemble(table, results), results)
 

@@ -130,8 +130,7 @@ class GeometryErrors:
         kept = values > NEGLIGIBLE * max(len(names), 1)
         self._tables = description.model_dump(mode="json", exclude={"calibration"}) if names else {}
         numbers = numbers_in(self._tables)
-        missing = [name for name in names if name not in numbers]
-        if missing:
+        if missing := [name for name in names if name not in numbers]:
             raise ConfigError(
                 f'calibration.known: a calibration is uncertain of {missing[0]}, which the rig "{description.name}" '
                 "has no number for; calibrate again"
@@ -169,14 +168,13 @@ class GeometryErrors:
 
     def at(self, pose: Pose, target: Target) -> Sights:
         """What is seen at a pose that was read; bands ask for the same."""
-        key = (pose, target)
-        if key not in self._seen:
+        if (pose, target) not in self._seen:
             place = imaging.place(self._description, kinematics.view(self._description, pose), target)
             known = _glance(self._description, {}, pose, place)
             changed = [[_glance(*moved, pose, place) for moved in rigs] for rigs in self._rigs]
             under = filling(self._description) == "under"
-            self._seen[key] = Sights(known, np.array(changed).reshape(-1, 2, 5), under)
-        return self._seen[key]
+            self._seen[pose, target] = Sights(known, np.array(changed).reshape(-1, 2, 5), under)
+        return self._seen[pose, target]
 
 
 def _glance(rig: RigDescription, shifts: dict[str, float], pose: Pose, place: tuple[float, float]) -> Floats:

@@ -50,15 +50,9 @@ def so_far(run: Run, points: Sequence[Reduced], visits: Sequence[Reduced], band:
     ConfigError
         The reference's table is missing, or neither a table nor an albedo is given.
     """
-    out = of_rates(
-        run,
-        np.array([point.rate for point in points]),
-        np.array([point.time_s for point in points]),
-        Directions.stack([point.directions for point in points]),
-        visits,
-        band,
-    )
-    return replace(out, points=tuple(points))
+    rate, time_s = (np.array([getattr(point, name) for point in points]) for name in ("rate", "time_s"))
+    directions = Directions.stack([point.directions for point in points])
+    return replace(of_rates(run, rate, time_s, directions, visits, band), points=tuple(points))
 
 
 def of_rates(

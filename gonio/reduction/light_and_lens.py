@@ -164,8 +164,8 @@ def _curvatures(values: Floats, x: Floats) -> Floats:
 
 def notes(description: RigDescription, results: list[BandResult]) -> list[str]:
     """What the budget lacks, where a calibration tells of the bands and the run does not tell their effect."""
-    known = any(centre_uncertainties(description)[result.band.name] for result in results)
-    if not known or len(results) > 2:
+    u = centre_uncertainties(description)
+    if len(results) > 2 or not any(u[result.band.name] for result in results):
         return []
     one = len(results) == 1
     return [

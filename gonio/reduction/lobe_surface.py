@@ -223,11 +223,10 @@ class Surface:
         order = np.argsort(self._at[:, 0], kind="stable")
         out = order[np.linspace(0, order.size - 1, count // 2).astype(int)].tolist()
         far = np.full(order.size, np.inf)
-        for new in out:
-            far = np.minimum(far, np.sum((self._at[:, :4] - self._at[new, :4]) ** 2, axis=1))
-        while len(out) < count:
-            out.append(int(np.argmax(far)))
-            far = np.minimum(far, np.sum((self._at[:, :4] - self._at[out[-1], :4]) ** 2, axis=1))
+        for k in range(count):
+            if k >= len(out):
+                out.append(int(np.argmax(far)))
+            far = np.minimum(far, np.sum((self._at[:, :4] - self._at[out[k], :4]) ** 2, axis=1))
         return np.unique(np.array(out, dtype=np.intp))
 
     def _cost(self, logs: Floats) -> tuple[float, Floats]:
@@ -251,8 +250,8 @@ class Surface:
 
     def _learn(self, start: Floats) -> tuple[Floats, float]:
         """The most probable sizes and lengths, and their cost."""
-        around = zip(USUAL - 6.0, USUAL + 5.0, strict=True)
-        found = minimize(self._cost, start, jac=True, method="L-BFGS-B", bounds=list(around)[: start.size])
+        around = list(zip(USUAL - 6.0, USUAL + 5.0, strict=True))[: start.size]
+        found = minimize(self._cost, start, jac=True, method="L-BFGS-B", bounds=around)
         return found.x, float(found.fun)
 
     def _allowed(self, found: Floats) -> tuple[Floats, Floats]:

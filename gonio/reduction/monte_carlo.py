@@ -11,6 +11,8 @@ import io
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
+from operator import attrgetter
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -26,7 +28,7 @@ from gonio.reduction.values import BandResult
 from gonio.rig import Pose, kinematics
 from gonio.rig.beam_size import filling
 from gonio.rig.description import RigDescription
-from gonio.typing import DataFrame, Floats
+from gonio.typing import ArrayLike, DataFrame, Floats
 
 if TYPE_CHECKING:
     from gonio.acquisition.run import Run
@@ -174,13 +176,10 @@ class _Inputs:
         zeros = zero_uncertainties(description)
         self._zeros = np.array([zeros.get(name, 0.0) for name in axes])
         azimuths = [float(goal.phi_i) for goal in goals]
-        self._place = np.array([_place(description, p.pose, a) for p, a in zip(self._points, azimuths, strict=True)])
-        self._turns = np.array(
-            [
-                [_turn(description, p.pose, a, axis) for axis in axes]
-                for p, a in zip(self._points, azimuths, strict=True)
-            ]
-        )
+        above = [partial(from_above, azimuth=a) for a in azimuths]
+        seen = list(zip(self._points, above, strict=True))
+        self._place = np.array([of(_seen(description, p.pose)) for p, of in seen])
+        self._turns = np.array([[_by_axis(description, p.pose, axis, of) for axis in axes] for p, of in seen])
         # the lamp itself, seen whole, is as bright wherever it stands
         beam = description.reference.how == "beam"
         which = "theta_r" if self._under else "theta_i"
@@ -188,14 +187,11 @@ class _Inputs:
         self._visit_turns = np.array([
             [0.0 if beam else _turn_of(which, description, v, axis) for axis in axes] for v in self._visits
         ])  # fmt: skip
-        self._rate = np.array([p.rate for p in self._points])
-        self._sd = np.sqrt([p.variance for p in self._points])
+        numbers = [(p.rate, math.sqrt(p.variance), p.time_s, p.pixels, p.shared) for p in self._points]
+        self._rate, self._sd, self._times, self._pixels, self._shared = np.array(numbers, dtype=float).T
         self._dark = np.array([p.dark.ravel() for p in self._points])
-        self._times = np.array([p.time_s for p in self._points])
         self._visit_times = np.array([v.time_s for v in self._visits])
-        self._visit_rel = np.sqrt([v.variance for v in self._visits]) / np.array([v.rate for v in self._visits])
-        self._pixels = np.array([p.pixels for p in self._points])
-        self._shared = np.array([p.shared for p in self._points])
+        self._visit_rel = np.array([math.sqrt(v.variance) / v.rate for v in self._visits])
         lobe = self._lobes.lobe
         # asinh(lobe / small) is the lobe's logarithm, and goes through zero
         self._small = max(6.0 * float(np.min(np.hypot(self._own["noise"], self._own["prnu"]))), 1e-300)
@@ -333,25 +329,16 @@ def _seen(description: RigDescription, pose: Pose) -> Directions:
     return turned_over(d, is_behind(d))
 
 
-def _place(description: RigDescription, pose: Pose, azimuth: float) -> Floats:
-    return from_above(_seen(description, pose), azimuth)
-
-
-def _by(pose: Pose, axis: str, step: float) -> Pose:
-    return replace(pose, **{axis: getattr(pose, axis) + step})
-
-
-def _turn(description: RigDescription, pose: Pose, azimuth: float, axis: str) -> Floats:
-    """How x, y, theta_i and the turn follow an axis."""
-    there, back = (_place(description, _by(pose, axis, sign * STEP), azimuth) for sign in (1.0, -1.0))
+def _by_axis(description: RigDescription, pose: Pose, axis: str, of: Callable[[Directions], ArrayLike]) -> Floats:
+    """How something of the directions follows an axis [1/rad]."""
+    places = [replace(pose, **{axis: getattr(pose, axis) + step}) for step in (STEP, -STEP)]
+    there, back = (np.asarray(of(_seen(description, place))) for place in places)
     return np.asarray((there - back) / (2.0 * STEP))
 
 
 def _turn_of(which: str, description: RigDescription, visit: Reduced, axis: str) -> float:
     """How the angle that the signal of the reference has the cosine of follows an axis."""
-    here = float(getattr(visit.directions, which))
-    there, back = (
-        float(getattr(_seen(description, _by(visit.pose, axis, sign * STEP)), which)) for sign in (1.0, -1.0)
-    )
     # at the normal both lead away from it, and the light does not change to first order
-    return 0.0 if here < 2.0 * STEP else (there - back) / (2.0 * STEP)
+    if float(getattr(visit.directions, which)) < 2.0 * STEP:
+        return 0.0
+    return float(_by_axis(description, visit.pose, axis, attrgetter(which)))

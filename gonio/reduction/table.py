@@ -230,45 +230,31 @@ def _notes_on_zeros(description: RigDescription) -> list[str]:
     ]
 
 
-def notes_on_damage(frames: RunFrames) -> list[str]:
-    wrong = frames.contradictory
-    if wrong:
-        first = wrong[min(wrong)]
+def notes_on_frames(frames: RunFrames) -> list[str]:
+    """What is wrong with the frames of a run, and with its camera."""
+    out, camera = [], frames.description.camera
+    if wrong := frames.contradictory:
         more = f", and {len(wrong) - 1} more frames" if len(wrong) > 1 else ""
-        return [
-            f'{first}{more}: left out; points that lack one are flagged "contradictory". Make the rig file say what '
-            "the camera does, or measure these points again",
-            *_notes_on_missing(frames),
-        ]
-    return _notes_on_missing(frames)
-
-
-def _notes_on_missing(frames: RunFrames) -> list[str]:
-    if not frames.damaged:
-        return []
-    names = sorted(frames.damaged)
-    shown = ", ".join(names[:NAMED]) + (f" and {len(names) - NAMED} more" if len(names) > NAMED else "")
-    out = [f'{len(names)} frames are {DAMAGED} ({shown}); points that lack one are flagged "damaged", and {RETAKE}']
-    if frames.darks_taken > 1 and frames.darks_used == 1:
+        out.append(
+            f'{wrong[min(wrong)]}{more}: left out; points that lack one are flagged "contradictory". Make the rig file '
+            "say what the camera does, or measure these points again"
+        )
+    if names := sorted(frames.damaged):
+        out.append(
+            f'{len(names)} frames are {DAMAGED} ({_first(names, "")}); points that lack one are flagged "damaged", and '
+            + RETAKE
+        )
+    if names and frames.darks_taken > 1 and frames.darks_used == 1:
         out.append(
             "the dark frames of one exposure alone are left: the dark current is that of the rig file, and its "
             "uncertainty is not in u_brdf"
         )
-    return out
-
-
-def notes_on_darks(frames: RunFrames) -> list[str]:
     # all at 0 is a camera without noise; some at 0 is one whose noise is cut off there
-    if not CLIPPED < frames.clipped < 1.0:
-        return []
-    return [
-        f"{100.0 * frames.clipped:.2g} % of the pixels of the dark frames read 0 DN: what lies below is cut off, and "
-        "values are too low by more than u_brdf says where the signal is small; raise the camera's black level"
-    ]
-
-
-def notes_on_camera(frames: RunFrames) -> list[str]:
-    out, camera = [], frames.description.camera
+    if CLIPPED < frames.clipped < 1.0:
+        out.append(
+            f"{100.0 * frames.clipped:.2g} % of the pixels of the dark frames read 0 DN: what lies below is cut off, "
+            "and values are too low by more than u_brdf says where the signal is small; raise the camera's black level"
+        )
     if frames.full > FULL:
         out.append(
             f"up to {100.0 * frames.full:.2g} % of the pixels of a frame are full: the light that they spread over "
@@ -293,17 +279,18 @@ def said_once(bands: list[tuple[str, list[str]]]) -> list[str]:
             kinds.setdefault(NUMBERS.sub("#", text), []).append((name, text))
     out = []
     for alike in kinds.values():
-        first, text = alike[0]
-        if all(other == text for _, other in alike):
-            out.append(f"{_names([name for name, _ in alike])}: {text}")
+        (first, text), *rest = alike
+        if all(other == text for _, other in rest):
+            out.append(f"{_first([name for name, _ in alike], ' bands')}: {text}")
         else:
-            others = _names([name for name, _ in alike[1:]])
+            others = _first([name for name, _ in rest], " bands")
             out.append(f"{first}: {text}; the like, with numbers of its own, holds at {others}")
     return out
 
 
-def _names(names: list[str]) -> str:
-    return ", ".join(names[:NAMED]) + (f" and {len(names) - NAMED} more bands" if len(names) > NAMED else "")
+def _first(names: list[str], kind: str) -> str:
+    """Some names, and how many more of their kind there are."""
+    return ", ".join(names[:NAMED]) + (f" and {len(names) - NAMED} more{kind}" if len(names) > NAMED else "")
 
 
 def _notes(result: BandResult, goals: Directions) -> list[str]:

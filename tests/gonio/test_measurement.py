@@ -47,8 +47,7 @@ def test_columns_are_those_of_the_contract(tmp_path: Path) -> None:
     assert [name for name in back.columns if not name.startswith("s_")] == list(COLUMNS)
     assert list(back.columns)[-2:] == ["s_reference", "flag"]
     assert all(back[name].dtype == np.float64 for name in back.columns if name not in ("flag", "polarisation"))
-    assert back["flag"].tolist() == [""] * 4
-    assert back["polarisation"].tolist() == ["unpolarised"] * 4
+    assert (back["flag"].tolist(), back["polarisation"].tolist()) == ([""] * 4, ["unpolarised"] * 4)
 
 
 def test_numbers_are_written_whole_however_numpy_prints(tmp_path: Path) -> None:

@@ -88,8 +88,7 @@ def test_a_file_that_is_open_elsewhere_is_replaced_once_it_is_free(
 
     monkeypatch.setattr(os, "replace", shared)
     platform.replace(new, old)
-    assert len(tries) == 3
-    assert old.read_text() == "new"
+    assert (len(tries), old.read_text()) == (3, "new")
     tries.clear()
     monkeypatch.setattr(platform, "OPEN_S", -1.0)
     with pytest.raises(PermissionError, match="open in another program; close it there, and try again"):

@@ -31,8 +31,7 @@ def test_a_table_holds_both_sides_and_says_so(tmp_path: Path) -> None:
     assert reflected["brdf"].tolist() == [0.2, 0.1]
     assert "2 rows of transmission are left out" in reflected.attrs["notes"]
     assert through is not None
-    assert through["brdf"].tolist() == [0.4, 0.3]
-    assert through.attrs["quantity"] == "btdf"
+    assert (through["brdf"].tolist(), through.attrs["quantity"]) == ([0.4, 0.3], "btdf")
     turned = measurement.turned_over(through)
     assert turned["theta_r_deg"].tolist() == [30.0, 0.0]  # straight through stands where the mirror does
     assert measurement.transmission(reflected) is None

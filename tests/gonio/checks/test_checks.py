@@ -103,8 +103,7 @@ def test_repeats_are_found_among_other_points_and_judged() -> None:
     values = drawn(3, again, matte(again))
     found = repeats(values)
     assert found is not None
-    assert found.pairs == 12
-    assert of_pairs("repeats", found, "").verdict == "ok"
+    assert (found.pairs, of_pairs("repeats", found, "").verdict) == (12, "ok")
     moved = np.concatenate([np.ones(len(at.theta_i)), np.full(12, 1.03)])
     off = repeats(replace(values, brdf=values.brdf * moved))
     assert off is not None

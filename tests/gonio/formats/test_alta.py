@@ -41,8 +41,7 @@ def test_other_coordinates() -> None:
         .replace("-1.047197551196597631", "0.5")
     )
     frame = measurement.parse(text.encode(), Path("tape.dat"))
-    assert frame["theta_r_deg"].iloc[0] == 30.0
-    assert frame["brdf"].tolist() == [0.75, 0.25, 0.1, 0.3]
+    assert (frame["theta_r_deg"].iloc[0], frame["brdf"].tolist()) == (30.0, [0.75, 0.25, 0.1, 0.3])
 
 
 def test_round_trip(tmp_path: Path, small: pd.DataFrame) -> None:

@@ -49,8 +49,7 @@ def test_transmission_goes_on_behind_the_lit_side() -> None:
     assert set(frame["side"]) == {"transmission"}
     assert frame.attrs["quantity"] == "btdf"
     # patch 2 in, patch 2 out: straight through, theta_r = 180 - theta_i and phi_r = phi_i + 180
-    assert value(frame, 45, 180, 135, 0) == 22
-    assert value(frame, 0, 180, 180, 0) == 11
+    assert (value(frame, 45, 180, 135, 0), value(frame, 0, 180, 180, 0)) == (22, 11)
     assert value(frame, 45, 180, 135, 180) == 32
 
 
@@ -59,8 +58,7 @@ def test_both_kinds_of_one_side_are_one_sample(tmp_path: Path) -> None:
     through = block.replace(b"Reflection", b"Transmission").replace(b"11 12", b"81 82")
     both = window().replace(b"</Layer>", b"<WavelengthData>" + through + b"</Layer>")
     frame = measurement.parse(both, Path("blind.xml"))
-    assert frame.attrs["samples"] == ["Blind front Visible"]
-    assert frame.attrs["quantity"] == "bsdf"
+    assert (frame.attrs["samples"], frame.attrs["quantity"]) == (["Blind front Visible"], "bsdf")
     assert value(frame[frame["side"] == "reflection"], 0, 180, 0, 0) == 11
     assert value(frame[frame["side"] == "transmission"], 0, 180, 180, 0) == 81
 

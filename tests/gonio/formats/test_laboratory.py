@@ -104,8 +104,7 @@ def test_bird_json_without_a_placeholder_fits_the_schema_and_reads_back(
         assert back.drop(columns="flag").equals(table.drop(columns="flag"))
         assert back.attrs["provenance"]["laboratory"] == table.attrs["provenance"]["laboratory"]
     meta = content["metadata"]
-    assert meta["method"] == "measurement"
-    assert meta["provenance"]["location"]["building_nr"] == "8"
+    assert (meta["method"], meta["provenance"]["location"]["building_nr"]) == ("measurement", "8")
     assert meta["environment"]["temperature"] == {
         "value": 23.5, "unit": "°C", "uncertainty": 0.5, "uncertainty_unit": "°C",
     }  # fmt: skip

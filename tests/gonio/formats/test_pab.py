@@ -23,8 +23,7 @@ def parse(text: str) -> pd.DataFrame:
 
 def test_directions_leave_the_surface_and_dsf_is_divided_by_the_cosine() -> None:
     frame = measurement.parse(ONE.encode(), Path("white.dat"))
-    assert frame.attrs["format"] == "pab"
-    assert frame.attrs["sample"] == "white paint"
+    assert (frame.attrs["format"], frame.attrs["sample"]) == ("pab", "white paint")
     assert frame["theta_i_deg"].unique().tolist() == [30.0]
     assert frame["phi_i_deg"].unique().tolist() == [180.0]  # and phi_r = 0 is the mirror side
     assert frame["theta_r_deg"].tolist() == [30.0, 60.0, 60.0, 90.0]

@@ -102,8 +102,7 @@ def test_astm_damage_is_located(old: str, new: str, told: str) -> None:
 
 def test_nist_puts_the_source_where_its_negative_angle_says() -> None:
     frame = measurement.parse(NIST.encode(), Path("ptfe.csv"))
-    assert frame["theta_i_deg"].tolist() == [45.0, 45.0, 0.001]
-    assert frame["phi_i_deg"].tolist() == [180.0] * 3
+    assert (frame["theta_i_deg"].tolist(), frame["phi_i_deg"].tolist()) == ([45.0, 45.0, 0.001], [180.0] * 3)
     assert frame["phi_r_deg"].tolist() == [0.0, 270.0, 180.0]
     assert frame["wavelength_nm"].tolist() == [633.0, 633.0, 351.0]
     assert frame["brdf"].tolist() == [0.316, 0.310, 0.262]

@@ -47,11 +47,9 @@ def test_radial_zero_is_the_mirror_and_azimuth_zero_points_to_the_normal() -> No
     assert value(frame, 30, 30, 180) == 8.0
     assert value(frame, 30, 0, 180) == 2.0  # 30 degrees inward from the mirror is the normal
     assert value(frame, 30, 40, 0) == 0.6  # 70 inward: across the normal, on the retro side
-    assert value(frame, 30, 60, 180) == 2.2
-    assert value(frame, 0, 30, 0) == 1.0
+    assert (value(frame, 30, 60, 180), value(frame, 0, 30, 0)) == (2.2, 1.0)
     # 70 degrees outward of 30 is below the surface, and gone; at normal incidence a zero there was not measured
-    assert len(frame) == 7 + 6
-    assert frame.loc[frame["flag"] == "not_measured", "theta_i_deg"].tolist() == [0.0]
+    assert (len(frame), frame.loc[frame["flag"] == "not_measured", "theta_i_deg"].tolist()) == (7 + 6, [0.0])
 
 
 def test_btdf_is_about_the_straight_direction() -> None:
