@@ -111,7 +111,7 @@ def check(
     if draws < FEWEST:
         raise ValueError(f"a 95 % interval needs at least {FEWEST} draws, not {draws}")
     table, bands = reduction.table, reduction.bands
-    found = np.full((5, len(table)), math.nan)
+    found = np.full((4, len(table)), math.nan)
     kept = np.full((draws, len(table)) if draws * len(table) <= KEPT else (0, 0), math.nan)
     more = [name for name in table.columns if name.startswith("s_") and name not in FORMULA]
     for k, band in enumerate(bands):
@@ -129,14 +129,10 @@ def check(
         every = np.concatenate(drawn)
         if kept.size:
             kept[:, rows] = every
-        found[:, rows] = [
-            every.mean(axis=0),
-            every.std(axis=0, ddof=1),
-            *np.quantile(every, [0.025, 0.975], axis=0),
-            band.values.u_brdf,
-        ]
+        ends = np.quantile(every, [0.025, 0.975], axis=0)
+        found[:, rows] = [every.mean(axis=0), every.std(axis=0, ddof=1), *ends]
     good = table["flag"].to_numpy() == ""
-    mean, u, low, high, _ = np.where(good, found, math.nan)
+    mean, u, low, high = np.where(good, found, math.nan)
     value, stated = table["brdf"].to_numpy(dtype=float), table["u_brdf"].to_numpy(dtype=float)
     with np.errstate(divide="ignore", invalid="ignore"):
         delta = 0.5 * 10.0 ** np.floor(np.log10(stated))

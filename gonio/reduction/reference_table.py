@@ -75,7 +75,10 @@ def _certificate(table: DataFrame, directions: Directions) -> _Certificate:
     rows = table[table["flag"] == ""]
     if (rows["polarisation"] != "unpolarised").any():
         raise DataError(f"{source}: a table of a white reference must be unpolarised")
-    return _Certificate.of(rows, source)
+    at = Directions.from_table(rows)
+    rows, at = rows[_in_plane(at)], at[_in_plane(at)]
+    wavelength_nm, brdf = rows["wavelength_nm"].to_numpy(), rows["brdf"].to_numpy()
+    return _Certificate(source, wavelength_nm, at.theta_i, _signed(at), brdf, _uncertainties(rows))
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,15 +95,6 @@ class _Certificate:
     """NaN where the table states none."""
     bent: bool = False
     """Interpolate by parabolas instead of by straight lines."""
-
-    @classmethod
-    def of(cls, rows: DataFrame, source: str) -> _Certificate:
-        """The rows of a table that count."""
-        directions = Directions.from_table(rows)
-        here = _in_plane(directions)
-        wavelength_nm, brdf = rows["wavelength_nm"].to_numpy(), rows["brdf"].to_numpy()
-        return cls(source, wavelength_nm[here], directions.theta_i[here], _signed(directions)[here], brdf[here],
-                   _uncertainties(rows)[here])  # fmt: skip
 
     def at_wavelength(self, wavelength_nm: float, theta_i: float, signed_theta_r: float) -> float:
         """Between the two wavelengths of the table around a wavelength; of a broad band, its only value."""

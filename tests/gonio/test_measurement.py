@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import re
 import sys
 import time
 from collections.abc import Callable
@@ -57,7 +58,7 @@ def test_numbers_are_written_whole_however_numpy_prints(tmp_path: Path) -> None:
     assert (measurement.read(tmp_path / "t.csv")["brdf"] == 0.0008207405356859867).all()
 
 
-def test_a_round_trip_is_exact(tmp_path: Path) -> None:
+def test_a_round_trip_is_exact_and_a_flag_excuses_a_missing_value(tmp_path: Path) -> None:
     frame = example(flag=["", "blocked", "", "saturated"])
     frame.loc[1, ["brdf", "u_brdf", "u_random", "s_reference"]] = np.nan
     assert measurement.write(frame, tmp_path / "t.csv") == []
@@ -127,13 +128,6 @@ def test_a_value_that_is_not_allowed_names_file_line_and_column(
     assert not (tmp_path / "out.meta.json").exists()
 
 
-def test_a_flag_excuses_a_missing_value(tmp_path: Path) -> None:
-    frame = example(flag=["blocked", "", "", ""])
-    frame.loc[0, "brdf"] = np.nan
-    measurement.write(frame, tmp_path / "t.csv")
-    assert measurement.read(tmp_path / "t.csv")["flag"].tolist() == ["blocked", "", "", ""]
-
-
 @pytest.mark.parametrize(
     ("text", "told"),
     [
@@ -160,9 +154,8 @@ def test_cells_that_are_wrong_are_located(tmp_path: Path) -> None:
     )
     for damage, told in damages:
         path.write_text("\n".join([*lines[:2], damage(lines[2]), *lines[3:]]) + "\n")
-        with pytest.raises(DataError) as caught:
+        with pytest.raises(DataError, match=re.escape(told)):
             measurement.read(path)
-        assert told in str(caught.value)
 
 
 def test_columns_that_nobody_knows_are_refused(tmp_path: Path) -> None:
@@ -199,7 +192,7 @@ def test_an_unknown_format_names_the_nearest(tmp_path: Path) -> None:
 
 
 def test_a_write_that_fails_leaves_nothing(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="cannot be written"):
+    with pytest.raises(ConfigError, match=r"cannot be written: there is no folder .*absent"):
         measurement.write(example(), tmp_path / "absent" / "t.csv")
     bad = example()
     bad.attrs["provenance"] = {"x": float("nan")}
@@ -376,11 +369,6 @@ def test_one_sample_of_a_file_on_the_command_line(tmp_path: Path, monkeypatch: p
     assert measurement.read("tile.astm")["brdf"].tolist() == frame["brdf"].tolist()[::2]
     with pytest.raises(DataError, match='no sample "dry"'):
         convert("two.csv:dry", Path("dry.astm"))
-
-
-def test_a_missing_folder_is_named(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"cannot be written: there is no folder .*nowhere"):
-        measurement.write(example(), tmp_path / "nowhere" / "t.csv")
 
 
 FORMULAS = ["=1+1", "+1", "-1", "@SUM(A1)", "\t=1", "\r=1", "＝1", "'=1", "''-1", "'quoted'", "-", "a=b", "it's"]

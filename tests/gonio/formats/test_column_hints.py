@@ -1,5 +1,6 @@
 """Columns that are nearly right: the message says what to rename, and a table renamed so is read."""
 
+import re
 from pathlib import Path
 
 import pytest
@@ -84,9 +85,8 @@ def test_every_column_is_named_at_once_and_the_renamed_table_is_read(tmp_path: P
 )
 def test_another_unit_is_not_only_renamed(tmp_path: Path, column: str, mine: str, remedy: str) -> None:
     path = write(tmp_path / "mine.csv", *(mine if name == column else name for name in NAMES))
-    with pytest.raises(DataError) as told:
+    with pytest.raises(DataError, match=re.escape(remedy)):
         measurement.read(path)
-    assert remedy in str(told.value)
 
 
 @pytest.mark.parametrize(

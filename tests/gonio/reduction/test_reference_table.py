@@ -32,16 +32,12 @@ def visit(theta_i: float, theta_r: float) -> Directions:
 
 
 @pytest.mark.parametrize(
-    ("theta_i", "theta_r", "wave"), [(0.0, 45.0, 500.0), (30.0, 44.0, 550.0), (30.0, -12.0, 600.0), (30.0, 0.0, 580.0)]
+    ("theta_i", "theta_r", "wave"),
+    [(0.0, 45.0, 500.0), (30.0, 44.0, 550.0), (30.0, -12.0, 600.0), (30.0, 0.0, 580.0), (12.0, 35.0, 500.0)],
 )
-def test_a_table_is_interpolated(theta_i: float, theta_r: float, wave: float) -> None:
+def test_a_table_is_interpolated_along_curves_and_between_them(theta_i: float, theta_r: float, wave: float) -> None:
     value = brdf_of_reference(table(), visit(theta_i, theta_r), wave)
     assert value == pytest.approx(linear(theta_i, theta_r, wave), rel=1e-12)
-
-
-def test_between_two_curves_of_a_table() -> None:
-    value = brdf_of_reference(table(), visit(12.0, 35.0), 500.0)
-    assert value == pytest.approx(linear(12.0, 35.0, 500.0), rel=1e-12)
 
 
 def test_a_read_angle_near_a_curve_lies_on_it() -> None:
@@ -67,10 +63,26 @@ def test_outside_of_a_table_is_an_error(theta_i: float, theta_r: float, wave: fl
         brdf_of_reference(table(), visit(theta_i, theta_r), wave)
 
 
-def test_out_of_the_plane_is_an_error() -> None:
-    across = Directions(math.radians(30), 0.0, math.radians(40), math.radians(90))
-    with pytest.raises(DataError, match="in the plane of incidence"):
-        brdf_of_reference(table(), across, 500.0)
+ACROSS = Directions(math.radians(30), 0.0, math.radians(40), math.radians(90))
+
+
+@pytest.mark.parametrize(
+    ("changes", "at", "told"),
+    [
+        ({}, ACROSS, "in the plane of incidence"),
+        ({"polarisation": "ss"}, visit(0.0, 45.0), "must be unpolarised"),
+        (
+            {"theta_i_deg": 30.0, "theta_r_deg": 40.0, "phi_r_deg": 110.0},
+            visit(30.0, 45.0),
+            r"spectralon.csv: the visit .* lies outside of this table",
+        ),
+    ],
+)
+def test_a_visit_or_a_table_out_of_the_plane_and_a_polarised_table_are_errors(
+    changes: dict[str, object], at: Directions, told: str
+) -> None:
+    with pytest.raises(DataError, match=told):
+        brdf_of_reference(table().assign(**changes), at, 500.0)
 
 
 def test_flagged_rows_of_a_table_do_not_count() -> None:
@@ -79,18 +91,6 @@ def test_flagged_rows_of_a_table_do_not_count() -> None:
     spoiled.loc[bad, "brdf"], spoiled.loc[bad, "flag"] = 9.0, "saturated"
     value = brdf_of_reference(spoiled, visit(0.0, 45.0), 500.0)
     assert value == pytest.approx(linear(0.0, 45.0, 500.0), rel=1e-12)
-
-
-def test_a_polarised_table_is_refused() -> None:
-    polarised = table().assign(polarisation="ss")
-    with pytest.raises(DataError, match="must be unpolarised"):
-        brdf_of_reference(polarised, visit(0.0, 45.0), 500.0)
-
-
-def test_a_table_without_curves_in_the_plane_of_incidence_is_an_error() -> None:
-    across = table().assign(theta_i_deg=30.0, theta_r_deg=40.0, phi_r_deg=110.0)
-    with pytest.raises(DataError, match=r"spectralon.csv: the visit .* lies outside of this table"):
-        brdf_of_reference(across, visit(30.0, 45.0), 500.0)
 
 
 def test_the_table_s_uncertainty_is_interpolated_with_it() -> None:
