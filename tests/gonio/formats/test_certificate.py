@@ -63,7 +63,7 @@ def test_one_value_is_read_with_its_standard_uncertainty(tmp_path: Path, form: s
     stated = form.format(value=0.985 * factor, unit=unit, u=0.008 * factor)
     temperature = form.format(value=296.0, unit="\\kelvin", u=0.5)
     found = reflectance(dcc(tmp_path, ("Room temperature", temperature), ("Reflectance 8/d", stated)))
-    assert (list(found.values), list(found.u)) == (pytest.approx([0.985]), pytest.approx([0.004]))
+    assert [*found.values, *found.u] == pytest.approx([0.985, 0.004])
     assert found.wavelengths_nm == ()
 
 
@@ -72,7 +72,7 @@ def test_a_run_is_reduced_with_what_the_certificate_says_of_its_wavelength(tmp_p
     rig = find_rig(rig_file(tmp_path, 'certificate = "white.xml"'))
     assert list(rig.description.reference.spectrum[0]) == pytest.approx([450.0, 0.98, 0.01 / 0.98])
     at, u_rel = rig.description.reference.at(500.0)
-    assert (at, u_rel) == (pytest.approx(0.985), pytest.approx(0.5 * (0.01 / 0.98 + 0.003 / 0.99)))
+    assert (at, u_rel) == pytest.approx((0.985, 0.5 * (0.01 / 0.98 + 0.003 / 0.99)))
     (tmp_path / "plan.toml").write_text(
         'name = "p"\nwavelength_nm = [550]\n[[sweep]]\ntheta_i_deg = [30]\ntheta_r_deg = [0, 10]\n'
     )

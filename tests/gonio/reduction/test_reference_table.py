@@ -1,6 +1,7 @@
 """The BRDF of a white reference from its table: linear between rows, an error beyond them."""
 
 import math
+from typing import Any
 
 import pandas as pd
 import pytest
@@ -79,7 +80,7 @@ ACROSS = Directions(math.radians(30), 0.0, math.radians(40), math.radians(90))
     ],
 )
 def test_a_visit_or_a_table_out_of_the_plane_and_a_polarised_table_are_errors(
-    changes: dict[str, object], at: Directions, told: str
+    changes: dict[str, Any], at: Directions, told: str
 ) -> None:
     with pytest.raises(DataError, match=told):
         brdf_of_reference(table().assign(**changes), at, 500.0)
