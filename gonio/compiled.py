@@ -8,8 +8,6 @@ compiled again, with one line of notice where a file was damaged. Files keep num
 
 # mypy: disallow-subclassing-any=False
 
-from __future__ import annotations
-
 import contextlib
 import functools
 import hashlib

@@ -4,6 +4,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
+from numpy.typing import NDArray as NDArray
 
 if TYPE_CHECKING:
     import pandas as pd

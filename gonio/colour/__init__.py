@@ -1,7 +1,5 @@
 """From spectra to colours: CIE 15, dominant wavelengths, screens, and the colour of a reflection (docs/colour.md)."""
 
-from __future__ import annotations
-
 from gonio.colour.cie import (
     ILLUMINANTS,
     chromaticity,

@@ -1,18 +1,12 @@
 """From values at a list of wavelengths to XYZ: the CIE 1931 observer and the CIE's illuminants, as one matrix."""
 
-from __future__ import annotations
-
 import functools
 from importlib.resources import files
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from gonio.errors import ArgumentError, refuse_masked
-from gonio.typing import Floats
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
+from gonio.typing import ArrayLike, Floats
 
 ILLUMINANTS = ("D65", "A", "D50", "E")
 """Daylight (the D6500 of 1982), a tungsten lamp, the daylight of print, and equal energy at every wavelength."""

@@ -1,19 +1,14 @@
 """XYZ on a screen: what a monitor of 1982 was given, and what one of today is."""
 
-from __future__ import annotations
-
 import functools
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from gonio.colour.cie import white as white_of
 from gonio.errors import ArgumentError, refuse_masked
-from gonio.typing import Floats
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
+from gonio.typing import ArrayLike, Floats
 
 D6500 = (0.3127, 0.3290)
 C = (0.31006, 0.31616)

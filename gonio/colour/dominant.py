@@ -1,18 +1,11 @@
 """Dominant wavelength and excitation purity: where a colour lies between white and the colours of pure light."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from gonio.colour.cie import chromaticity, spectrum_locus
 from gonio.colour.cie import white as white_of
 from gonio.errors import ArgumentError
-from gonio.typing import Floats
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
+from gonio.typing import ArrayLike, Floats, NDArray
 
 RED_END_NM = 699.0
 """From here on all light has the same chromaticity, to the tables' digits."""

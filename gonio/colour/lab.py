@@ -1,17 +1,10 @@
 """CIE 1976 L*a*b* (CIE 15, ISO 11664-4), and how it changes with XYZ."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from gonio.colour.cie import white
 from gonio.errors import ArgumentError, refuse_masked
-from gonio.typing import Floats
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
+from gonio.typing import ArrayLike, Floats
 
 _EDGE = 6.0 / 29.0
 """Cube root of the ratio to white below which f is a straight line."""

@@ -1,9 +1,7 @@
 """The colour of a mirror reflection over the angle: Cook and Torrance's full procedure and their short one."""
 
-from __future__ import annotations
-
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,14 +9,9 @@ from gonio import materials
 from gonio.colour.cie import weights, white
 from gonio.colour.display import SRGB, Primaries
 from gonio.models import fresnel
-from gonio.typing import Floats
+from gonio.typing import ArrayLike, Floats
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import ArrayLike
-
-    Index = str | ArrayLike | Callable[[Floats], ArrayLike]
+Index = str | ArrayLike | Callable[[Floats], ArrayLike]
 
 
 def index_from_f0(f0: ArrayLike) -> Floats:

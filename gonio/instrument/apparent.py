@@ -11,11 +11,9 @@ is a direction.
 `Cones` holds directions that many models are evaluated in; the functions do the same for one.
 """
 
-from __future__ import annotations
-
 import math
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -25,9 +23,7 @@ from gonio.instrument.lobe import TOLERANCE, Rules, by_rules, choose
 from gonio.instrument.spike import Overlaps
 from gonio.models import Model, geometry
 from gonio.models.parameters import checked_wavelength, choice, number
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
+from gonio.typing import ArrayLike
 
 __all__ = ["Cones", "Rules", "apparent_brdf", "apparent_lobe", "apparent_spike"]
 

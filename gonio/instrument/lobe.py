@@ -4,20 +4,15 @@ How a geometry is averaged, its *rule*, is found once for one model (`choose`) a
 (`by_rules`): what a fit does with hundreds of nearly equal ones, and what makes its derivatives smooth.
 """
 
-from __future__ import annotations
-
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from gonio import geometry
 from gonio.instrument import spherical_caps
+from gonio.models import Model
 from gonio.typing import Floats
-
-if TYPE_CHECKING:
-    from gonio.models import Model
 
 Rules = npt.NDArray[np.int8]
 """One number a geometry: 0 to `_caps.LEVELS` - 1 the product rule of that level, or one of those below."""

@@ -6,8 +6,6 @@ Directions are unit vectors, a cap is its axis and its half-angle. The disc rule
 
 # mypy: allow-untyped-defs, allow-untyped-calls
 
-from __future__ import annotations
-
 import functools
 import math
 

@@ -1,22 +1,16 @@
 """What a receiver's cone gets of a specular spike that a source's cone sends; see `gonio.instrument.apparent`."""
 
-from __future__ import annotations
-
 import functools
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from gonio.instrument import spherical_caps
 from gonio.instrument.lobe import CUT_ORDERS, cap_nodes
-from gonio.models import engine
+from gonio.models import Model, engine
 from gonio.models._compile import loop
 from gonio.typing import Floats
-
-if TYPE_CHECKING:
-    from gonio.models import Model
 
 Places = npt.NDArray[np.intp]
 

@@ -4,8 +4,6 @@ A page that is open when its server dies asks for more at the same address, with
 the same run takes both again, if the port is free.
 """
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import hashlib

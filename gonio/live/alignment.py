@@ -1,7 +1,5 @@
 """The page of `gonio rig align --live`: pictures of the camera, and what they show. It reads, and controls nothing."""
 
-from __future__ import annotations
-
 from importlib.resources import files
 from typing import Protocol
 

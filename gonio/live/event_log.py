@@ -1,7 +1,5 @@
 """What happened, in order, for any number of clients."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import threading

@@ -4,8 +4,6 @@ Only what is new is read, and nothing is locked: who measures does not notice. A
 run repair` puts another file in the place of a damaged journal; then all is read anew.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """How long the rest of a run takes, learnt from the lines of its journal."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections import deque

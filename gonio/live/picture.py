@@ -1,7 +1,5 @@
 """A raw frame as a picture: grey with a soft curve, the region of interest outlined, saturated pixels painted."""
 
-from __future__ import annotations
-
 import numpy as np
 import numpy.typing as npt
 

@@ -5,8 +5,6 @@ reference and lamp. What the angles' errors, lobes narrower than the cones and t
 reduce`.
 """
 
-from __future__ import annotations
-
 import math
 from array import array
 from collections.abc import Iterable

@@ -1,7 +1,5 @@
 """What a journal says of a run, as it is told: where it stands, how long it takes, what was flagged and why."""
 
-from __future__ import annotations
-
 import datetime
 import math
 import sys

@@ -16,8 +16,6 @@ behind, is dropped when it takes nothing for `SLOW_S`, and goes on from its numb
 ...     events.append("step", {"step": 1})
 """
 
-from __future__ import annotations
-
 import contextlib
 import hmac
 import io

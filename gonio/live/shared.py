@@ -5,8 +5,6 @@ begins the process (`gonio.live.working`), and hands it the lock. It ends with t
 one begins it again.
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

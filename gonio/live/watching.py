@@ -4,8 +4,6 @@ Everything here reads, and only while somebody looks. A thread looks at the jour
 process (`gonio.live.working`) has worked out for all watchers of the run.
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import threading

@@ -5,8 +5,6 @@ lies in a folder (`gonio.live.shared`) that its user's watchers read. It works w
 looks.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import threading

@@ -1,7 +1,5 @@
 """Reflectance models of the papers: one file a paper, on one compiled kernel layer (see docs/models.md)."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

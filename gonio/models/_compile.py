@@ -5,8 +5,6 @@ numba itself is imported by the first call of `jit`. Functions that a kernel cal
 so that a loop over it vectorises.
 """
 
-from __future__ import annotations
-
 import functools
 import hashlib
 import threading

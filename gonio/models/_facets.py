@@ -4,8 +4,6 @@ Every factor is a fraction whose parts are sums of positive terms, so nothing ca
 L and V are unit vectors, s = L + V, H = s/|s|, and cos(theta_h) = V.H = |s|/2.
 """
 
-from __future__ import annotations
-
 from math import sqrt
 
 from gonio.models._compile import device

@@ -13,41 +13,36 @@ Delta); kinks in theta_a where such lines meet. Between kinks everything is anal
 used in variables that crowd their nodes toward the ends.
 """
 
-from __future__ import annotations
-
 import functools
 import math
 from math import acos, atan2, cos, hypot, pi, sin, sqrt, tan
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from gonio.models._compile import device, table
 from gonio.models._math import exp, log, sincos
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
+from gonio.typing import Floats, NDArray
 
 
 @functools.cache
-def _gauss(k: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _gauss(k: int) -> tuple[Floats, Floats]:
     """Nodes and weights of 4k points."""
     return np.polynomial.legendre.leggauss(4 * k)
 
 
-def _rules(which: int) -> NDArray[np.float64]:
+def _rules(which: int) -> Floats:
     """Gauss-Legendre nodes (0) or weights (1) of 4, 8, ..., 104 points, one rule after the other."""
     return np.concatenate([_gauss(k)[which] for k in range(1, 27)])
 
 
 @table
-def NODES() -> NDArray[np.float64]:
+def NODES() -> Floats:
     """The nodes of all the rules: those of the rule of 4k points begin at 2k(k - 1)."""
     return _rules(0)
 
 
 @table
-def WEIGHTS() -> NDArray[np.float64]:
+def WEIGHTS() -> Floats:
     """The weights of all the rules."""
     return _rules(1)
 
@@ -60,7 +55,7 @@ MORE = (1.5, 2.5, 8.5)
 
 
 @functools.cache
-def _crowded() -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]:
+def _crowded() -> tuple[Floats, Floats, NDArray[np.int64]]:
     """Nodes and weights on (-1, 1) that crowd to both ends, s = tanh(reach x / 2) / tanh(reach / 2), rule after rule.
 
     reach is the logarithm of the steepness. Also where the rules begin: first by grade, then in the order of `MORE`.
@@ -77,13 +72,13 @@ def _crowded() -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int
 
 
 @table
-def ARC_NODES() -> NDArray[np.float64]:
+def ARC_NODES() -> Floats:
     """The nodes of the rules for arcs."""
     return _crowded()[0]
 
 
 @table
-def ARC_WEIGHTS() -> NDArray[np.float64]:
+def ARC_WEIGHTS() -> Floats:
     """Their weights."""
     return _crowded()[1]
 

@@ -4,8 +4,6 @@ The lobe is even about the plane of incidence: rules cover the half with sin(phi
 Each is a product of Gauss-Legendre rules on panels that halve toward wherever the lobe changes fastest.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

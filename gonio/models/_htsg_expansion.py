@@ -3,8 +3,6 @@
 # ruff: noqa: E501
 # mypy: allow-untyped-defs, allow-untyped-calls
 
-from __future__ import annotations
-
 from gonio.models._compile import device
 
 TERMS = (8, 12, 16, 20, 24, 28, 32, 36, 40, 48, 56, 64, 72, 80, 88, 96, 104)

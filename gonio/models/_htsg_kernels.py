@@ -5,8 +5,6 @@ Pairs are worked through in blocks: what is the same for all of them here, then 
 
 # mypy: allow-untyped-defs, allow-untyped-calls
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

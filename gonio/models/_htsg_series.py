@@ -7,8 +7,6 @@ over pairs that vectorises.
 
 # mypy: allow-untyped-defs, allow-untyped-calls
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -7,8 +7,6 @@ or by `vectors_of_angles` and its like; a kernel that needs several passes over 
 of its own.
 """
 
-from __future__ import annotations
-
 from math import pi
 from typing import Final
 

@@ -6,8 +6,6 @@ integer bits. Coefficients: sine, cosine and logarithm from FreeBSD's msun; expo
 interpolants computed to 60 digits. `tests/gonio/models/test_closed_math.py` holds each against mpmath.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -13,8 +13,6 @@ numba's stock pipeline: the same results but for roundings, slower.
 
 # mypy: allow-any-generics, disallow-subclassing-any=False
 
-from __future__ import annotations
-
 import functools
 import math
 from typing import Any

@@ -1,18 +1,14 @@
 """Integrals over GGX facets by those that a direction sees [Heitz2018]: nothing of the lobe's width is left in them."""
 
-from __future__ import annotations
-
 import math
 from math import pi
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from gonio.models import hemispherical
 from gonio.models.fresnel import reflectance
-
-if TYPE_CHECKING:
-    from gonio.typing import Floats
+from gonio.typing import Floats
 
 
 def reflected(mu: float, a: float, x: Any, y: Any) -> tuple[Any, Any, Any]:

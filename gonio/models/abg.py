@@ -1,7 +1,5 @@
 """ABg: scatter of polished optics as stray-light programs take it [Pfisterer2011]."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

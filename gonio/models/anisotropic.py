@@ -4,13 +4,11 @@ Walter et al. 2007 have the distribution and Smith's function for it, Burley 201
 height-correlated shadowing.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from itertools import product
 from math import pi, sqrt
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -33,9 +31,8 @@ from gonio.models.engine import Constants, Kernel
 from gonio.models.fresnel import reflectance
 from gonio.models.model import Model, store
 from gonio.models.parameters import Fitted, Index, checked_index, index_at, number
+from gonio.typing import Floats
 
-if TYPE_CHECKING:
-    from gonio.typing import Floats
 SAME_AZIMUTH_DEG = 2.0
 """Azimuths of incidence nearer than this, or half a turn apart, show one side of a surface with a direction."""
 

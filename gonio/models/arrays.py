@@ -1,9 +1,7 @@
 """Models that are written in numpy: what somebody's own model needs no compiled kernel for."""
 
-from __future__ import annotations
-
 from abc import abstractmethod
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -12,11 +10,7 @@ from gonio.models import engine
 from gonio.models.engine import Geometry
 from gonio.models.model import Model
 from gonio.models.parameters import checked_wavelength
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
-
-    from gonio.typing import Floats
+from gonio.typing import ArrayLike, Floats
 
 
 class ArrayModel(Model):

@@ -3,13 +3,11 @@
 Phong's and Torrance and Sparrow's highlights.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from itertools import product
 from math import pi
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
@@ -53,11 +51,7 @@ from gonio.models.parameters import (
     number,
     positive,
 )
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
-
-    from gonio.typing import Floats
+from gonio.typing import ArrayLike, Floats
 
 DISTRIBUTIONS = ("trowbridge-reitz", "gaussian", "phong")
 
@@ -365,7 +359,7 @@ class Blinn(Model):
         )
 
     @classmethod
-    def preset(cls, preset: str, **changes: Any) -> Blinn:
+    def preset(cls, preset: str, **changes: Any) -> Self:
         """One of the paper's parameter sets (`PRESETS`: "aluminium", "magnesium oxide"), with changes.
 
         Raises

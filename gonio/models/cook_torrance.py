@@ -1,13 +1,11 @@
 """Cook and Torrance, "A Reflectance Model for Computer Graphics", ACM Transactions on Graphics 1 (1982) 7-24."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from math import pi, sqrt
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
@@ -41,11 +39,7 @@ from gonio.models.parameters import (
     number,
     positive,
 )
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
-
-    from gonio.typing import Floats
+from gonio.typing import ArrayLike, Floats
 
 DEFAULT_INDEX = 0.64 + 2.6j
 
@@ -278,7 +272,7 @@ class CookTorrance(Model):
             raise ArgumentError(f"s + d = {self.s + self.d:g}: the shares must not exceed 1")
 
     @classmethod
-    def preset(cls, preset: str, **changes: Any) -> CookTorrance:
+    def preset(cls, preset: str, **changes: Any) -> Self:
         """One of the paper's parameter sets (`PRESETS`), with changes.
 
         The paper gives Table I's materials without their reflectance: pass `ior` or `f0`. Where the set has a diffuse

@@ -4,11 +4,9 @@ The misfit is a Gaussian process (`gonio.models.gaussian_process`) on the scale 
 but the smallest values.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -19,10 +17,7 @@ from gonio.models.arrays import ArrayModel
 from gonio.models.gaussian_process import NAMES, OF_CURVES, Coordinates, Prior, Process, Training
 from gonio.models.model import Model
 from gonio.models.parameters import Parameters, number
-from gonio.typing import Floats
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
+from gonio.typing import ArrayLike, Floats
 
 AZIMUTHS = 128
 """Angles of a grid over the hemisphere, either way; a lobe narrower than its cells keeps its middle."""
@@ -104,7 +99,7 @@ class Correction:
         }  # fmt: skip
 
     @classmethod
-    def of(cls, parameters: Mapping[str, Any]) -> Correction:
+    def of(cls, parameters: Mapping[str, Any]) -> Self:
         """From plain numbers.
 
         Raises
@@ -161,7 +156,7 @@ class Corrected(ArrayModel):
         self.correction = correction
 
     @classmethod
-    def of(cls, model: Model, misfit: Any) -> Corrected:
+    def of(cls, model: Model, misfit: Any) -> Self:
         """From the table of the misfit in a sample file; raises `ArgumentError`."""
         if not isinstance(misfit, Mapping):
             raise ArgumentError("misfit: has to be a table")

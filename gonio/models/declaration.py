@@ -4,8 +4,6 @@
 parameters hang together: optical constants that are known, shares that add up to 1, starts on a coarse grid.
 """
 
-from __future__ import annotations
-
 import difflib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass

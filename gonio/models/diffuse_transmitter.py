@@ -1,10 +1,8 @@
 """A white diffuser that lets light through: the simplest sample with two sides."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from math import pi
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -13,9 +11,7 @@ from gonio.models.engine import Constants, Kernel
 from gonio.models.lambert import lambert
 from gonio.models.model import Model, store
 from gonio.models.parameters import number
-
-if TYPE_CHECKING:
-    from gonio.typing import Floats
+from gonio.typing import Floats
 
 
 @dataclass(frozen=True, repr=False)

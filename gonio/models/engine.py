@@ -4,8 +4,6 @@ Arguments are checked in the same pass that evaluates them, into a private array
 fails.
 """
 
-from __future__ import annotations
-
 import math
 import os
 import threading
@@ -13,7 +11,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from math import prod
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -22,9 +20,7 @@ from gonio.errors import ArgumentError, refuse_masked
 from gonio.models import _loops
 from gonio.models._compile import loop, whole_vectors
 from gonio.models._loops import BLOCK, HALF_PI, NORM_TOLERANCE, PHI_LIMIT
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
+from gonio.typing import ArrayLike, Floats, NDArray
 
 Kernel = Callable[..., Any]
 Constants = tuple[float, ...]
@@ -89,7 +85,7 @@ def real_array(name: str, value: ArrayLike, real: type[np.floating[Any]] = np.fl
     return array.astype(real, copy=False)
 
 
-def _flat(array: NDArray[np.float64], shape: tuple[int, ...], count: int) -> tuple[NDArray[np.float64], int]:
+def _flat(array: Floats, shape: tuple[int, ...], count: int) -> tuple[Floats, int]:
     """A contiguous 1-D array and 1, or a block of one repeated value and 0."""
     if not array.ndim and count == 1:
         return array.reshape(1), 1
@@ -101,7 +97,7 @@ def _flat(array: NDArray[np.float64], shape: tuple[int, ...], count: int) -> tup
     return (flat if flat.flags.aligned else flat.copy()), 1
 
 
-def _flat_vectors(array: NDArray[np.float64], shape: tuple[int, ...], count: int) -> tuple[NDArray[np.float64], int]:
+def _flat_vectors(array: Floats, shape: tuple[int, ...], count: int) -> tuple[Floats, int]:
     if array.size == 3 and count != 1:
         return np.tile(array.reshape(3), min(BLOCK, count)), 0
     if array.shape[:-1] != shape:
@@ -124,7 +120,7 @@ def common_shape(names: tuple[str, ...], shapes: list[tuple[int, ...]]) -> tuple
 ANGLES: Final = ("theta_i", "phi_i", "theta_r", "phi_r")
 
 
-def _explain_angles(arrays: list[NDArray[np.float64]]) -> ArgumentError:
+def _explain_angles(arrays: list[Floats]) -> ArgumentError:
     for name, array in zip(ANGLES, arrays, strict=True):
         low, high = (0.0, HALF_PI) if name.startswith("theta") else (-PHI_LIMIT, PHI_LIMIT)
         bad = np.flatnonzero(~((array >= low) & (array <= high)))
@@ -135,7 +131,7 @@ def _explain_angles(arrays: list[NDArray[np.float64]]) -> ArgumentError:
     raise AssertionError("a check failed that no argument explains")
 
 
-def _explain_vectors(arrays: list[NDArray[np.float64]]) -> ArgumentError:
+def _explain_vectors(arrays: list[Floats]) -> ArgumentError:
     for name, array in zip(("omega_i", "omega_r"), arrays, strict=True):
         square = np.einsum("...k,...k->...", array, array) - 1.0
         bad = np.flatnonzero(~(np.abs(square) <= 2.0 * NORM_TOLERANCE))
@@ -148,14 +144,14 @@ def _explain_vectors(arrays: list[NDArray[np.float64]]) -> ArgumentError:
     raise AssertionError("a check failed that no argument explains")
 
 
-def explain(arrays: list[NDArray[np.float64]]) -> ArgumentError:
+def explain(arrays: list[Floats]) -> ArgumentError:
     """What is wrong with four angles or two arrays of vectors, of which a check failed."""
     return _explain_angles(arrays) if len(arrays) == 4 else _explain_vectors(arrays)
 
 
 def angle_arrays(
     theta_i: ArrayLike, phi_i: ArrayLike, theta_r: ArrayLike, phi_r: ArrayLike
-) -> tuple[list[NDArray[np.float64]], tuple[int, ...]]:
+) -> tuple[list[Floats], tuple[int, ...]]:
     """The four angles as float64 arrays and the shape that they broadcast to; their ranges are not yet checked."""
     arrays = [real_array(name, value) for name, value in zip(ANGLES, (theta_i, phi_i, theta_r, phi_r), strict=True)]
     return arrays, common_shape(ANGLES, [array.shape for array in arrays])
@@ -172,7 +168,7 @@ def vector_arrays(
     return arrays, common_shape(("omega_i", "omega_r"), [array.shape[:-1] for array in arrays])
 
 
-def check_angles(arrays: list[NDArray[np.float64]]) -> None:
+def check_angles(arrays: list[Floats]) -> None:
     """Raise `ArgumentError` for a polar angle outside [0, pi/2], an azimuth that is not finite, or NaN."""
     for name, array in zip(ANGLES, arrays, strict=True):
         low, high = (0.0, HALF_PI) if name.startswith("theta") else (-PHI_LIMIT, PHI_LIMIT)
@@ -322,12 +318,12 @@ class Geometry:
         The shape of the result.
     """
 
-    omega_i: NDArray[np.float64]
-    omega_r: NDArray[np.float64]
+    omega_i: Floats
+    omega_r: Floats
     shape: tuple[int, ...]
-    _kept: dict[Kernel, NDArray[np.float64]] = field(default_factory=dict, repr=False, compare=False)
+    _kept: dict[Kernel, Floats] = field(default_factory=dict, repr=False, compare=False)
 
-    def columns(self, kernel: Kernel) -> NDArray[np.float64]:
+    def columns(self, kernel: Kernel) -> Floats:
         """What a kernel marked by `of_columns` needs of the directions, column after column."""
         take, count = kernel.__dict__["columns"], kernel.__dict__["count"]
         found = self._kept.get(take)
@@ -343,7 +339,7 @@ def geometry(theta_i: ArrayLike, phi_i: ArrayLike, theta_r: ArrayLike, phi_r: Ar
     arrays, shape = angle_arrays(theta_i, phi_i, theta_r, phi_r)
     check_angles(arrays)
 
-    def vectors(theta: NDArray[np.float64], phi: NDArray[np.float64]) -> NDArray[np.float64]:
+    def vectors(theta: Floats, phi: Floats) -> Floats:
         cosine = np.where(theta < HALF_PI, np.cos(theta), 0.0)
         parts = np.broadcast_arrays(np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), cosine)
         return np.ascontiguousarray(np.broadcast_to(np.stack(parts, axis=-1), (*shape, 3))).reshape(-1)

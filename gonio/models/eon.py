@@ -1,12 +1,10 @@
 """Energy-preserving Oren-Nayar [Portsmouth2025]: Fujii's form, and the light that meets several facets."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from math import pi, sqrt
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -15,9 +13,7 @@ from gonio.models._math import atan_over
 from gonio.models.engine import Constants, Kernel
 from gonio.models.model import Model, store
 from gonio.models.parameters import Fitted, number
-
-if TYPE_CHECKING:
-    from gonio.typing import Floats
+from gonio.typing import Floats
 
 GRAZING = 1e-150
 """The cosine that stands for that of an exactly grazing direction: the limit along equal polar angles."""

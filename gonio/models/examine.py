@@ -1,7 +1,5 @@
 """Whether a model is reciprocal, bound in energy and defined everywhere: one line for a model of one's own."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

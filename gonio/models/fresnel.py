@@ -1,21 +1,17 @@
 """Fresnel reflection at a smooth surface, and what Cook and Torrance make of the normal reflectance."""
 
-from __future__ import annotations
-
 from math import sqrt
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from gonio.errors import ArgumentError
 from gonio.models.engine import common_shape, real_array
 from gonio.models.parameters import number
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
+from gonio.typing import ArrayLike, Floats, NDArray
 
 
-def _cosine(cos_theta: ArrayLike) -> NDArray[np.float64]:
+def _cosine(cos_theta: ArrayLike) -> Floats:
     c = real_array("cos_theta", cos_theta)
     if not bool(np.all((c >= 0.0) & (c <= 1.0))):
         raise ArgumentError(f"cos_theta = {c[~((c >= 0.0) & (c <= 1.0))].flat[0]!r}: must lie in [0, 1]")
@@ -32,7 +28,7 @@ def _index(ior: ArrayLike) -> NDArray[np.complex128]:
     return n.astype(np.complex128)
 
 
-def _channels(name: str, colour: ArrayLike) -> NDArray[np.float64]:
+def _channels(name: str, colour: ArrayLike) -> Floats:
     array = real_array(name, colour)
     if not bool(np.all(np.isfinite(array))):
         raise ArgumentError(f"{name} = {colour!r}: must be finite")

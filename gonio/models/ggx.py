@@ -1,12 +1,10 @@
 """GGX facets: Trowbridge-Reitz normals, height-correlated Smith shadowing [Walter2007, Heitz2014]."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from itertools import product
 from math import pi, sqrt
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 from gonio.models._compile import device, of_columns
 from gonio.models._facets import by_cosines, facet, fresnel, fresnel_constants
@@ -15,9 +13,7 @@ from gonio.models.declaration import DIFFUSE, Declaration, Ior, Levels, Values, 
 from gonio.models.engine import Constants, Kernel
 from gonio.models.model import Model, store
 from gonio.models.parameters import Fitted, checked_index, index_at, number
-
-if TYPE_CHECKING:
-    from gonio.typing import Floats
+from gonio.typing import Floats
 
 WIDTH = Fitted(1e-3, 1.0, "log", geometry=True)
 

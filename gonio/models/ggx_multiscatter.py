@@ -1,11 +1,9 @@
 """GGX facets with the light that meets several of them, by Kulla and Conty's lobe [Kulla2017]."""
 
-from __future__ import annotations
-
 import functools
 import math
 from math import pi
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from numpy.polynomial import chebyshev
@@ -17,9 +15,7 @@ from gonio.models.engine import Constants, Kernel
 from gonio.models.fresnel import reflectance
 from gonio.models.ggx import GGX, lobe
 from gonio.models.parameters import index_at
-
-if TYPE_CHECKING:
-    from gonio.typing import Floats
+from gonio.typing import Floats
 
 NARROWEST = 1e-3
 IN_MU, IN_ALPHA, NODES = 24, 12, 128

@@ -1,20 +1,16 @@
 """Hapke's reflectance of particulate surfaces, with macroscopic roughness [Hapke1984, Hapke2002]."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
 from gonio.models.arrays import ArrayModel
 from gonio.models.model import store
 from gonio.models.parameters import Fitted, choice, number, positive
-
-if TYPE_CHECKING:
-    from gonio.typing import Floats
+from gonio.typing import Floats
 
 GRAZING = 1e-12
 

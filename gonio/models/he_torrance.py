@@ -1,12 +1,10 @@
 """He, Torrance, Sillion and Greenberg (1991): a comprehensive physical model for light reflection."""
 
-from __future__ import annotations
-
 import functools
 import math
 from dataclasses import dataclass
 from itertools import product
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -31,9 +29,7 @@ from gonio.models.engine import Constants, Kernel
 from gonio.models.hemispherical import COARSE_RULES, COARSE_TOLERANCE, TOLERANCE
 from gonio.models.model import Model, over_thetas
 from gonio.models.parameters import Fitted, Index, checked_index, checked_wavelength, choice, index_at, number
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
+from gonio.typing import ArrayLike, Floats, NDArray
 
 LARGEST_UM = 1e12
 ORDERS = (4, 6, 8, 12, 18, 27, 40)
@@ -155,7 +151,7 @@ class HeTorrance(Model):
             0.0,  # 1: without Fresnel
         )
 
-    def _spectra(self, arguments: list[NDArray[np.float64]], waves: list[float]) -> NDArray[np.float64]:
+    def _spectra(self, arguments: list[Floats], waves: list[float]) -> Floats:
         several = [self._constants(wave) for wave in waves]
         diffuse, _, _, _, slope, printed, _, _, _, tier, _ = several[0]
         shared = (diffuse, slope, printed, tier)
@@ -194,7 +190,7 @@ class HeTorrance(Model):
         """
         return engine.delivered(out, over_thetas(self._spike, theta_i, wavelength_nm))
 
-    def _spike(self, theta: NDArray[np.float64], wavelength_nm: float) -> NDArray[np.float64]:
+    def _spike(self, theta: Floats, wavelength_nm: float) -> Floats:
         constants = self._constants(wavelength_nm)
         out = np.empty(theta.size)
         run = loop(kernels.over_thetas, kernels.spike_reflectivity, len(constants))
@@ -211,8 +207,8 @@ class HeTorrance(Model):
         phi_r: ArrayLike,
         *,
         wavelength_nm: float = 550.0,
-        out: NDArray[np.float64] | None = None,
-    ) -> NDArray[np.float64]:
+        out: Floats | None = None,
+    ) -> Floats:
         """Mueller matrix of the BRDF [1/sr], lobe and uniform diffuse (which depolarises), He1991 eqs. 59-68.
 
         Parameters
@@ -242,7 +238,7 @@ class HeTorrance(Model):
         run = loop(kernels.mueller_over_angles, kernels.jones, len(constants))
         factor, target = lobe.reshape(-1), values.reshape(-1)
         engine.in_parts(lambda i, j: run(*flat, constants, factor, target, i, j), lobe.size, self.grain)
-        matrices: NDArray[np.float64] = engine.delivered(out, values)
+        matrices: Floats = engine.delivered(out, values)
         return matrices
 
     def jones(
@@ -281,14 +277,12 @@ class HeTorrance(Model):
     # --- energy -------------------------------------------------------------------------------------------------
 
     def _hemispherical(
-        self, theta: NDArray[np.float64], phi: NDArray[np.float64], wavelength_nm: float, viewer: bool, tolerance: float
-    ) -> NDArray[np.float64]:
+        self, theta: Floats, phi: Floats, wavelength_nm: float, viewer: bool, tolerance: float
+    ) -> Floats:
         """Lobe and diffuse part; the model is reciprocal, so that the side does not count."""
         return self._lobe(theta, wavelength_nm, tolerance) + self.diffuse_albedo
 
-    def _lobe(
-        self, theta: NDArray[np.float64], wavelength_nm: float, tolerance: float = TOLERANCE
-    ) -> NDArray[np.float64]:
+    def _lobe(self, theta: Floats, wavelength_nm: float, tolerance: float = TOLERANCE) -> Floats:
         constants = (0.0, *self._constants(wavelength_nm)[1:])
         each, place = np.unique(theta, return_inverse=True)
         return np.array([self._lobe_hemispherical(t, constants, tolerance) for t in each])[place]

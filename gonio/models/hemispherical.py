@@ -5,12 +5,10 @@ every kink of the V-grooves is known in closed form (`over_facets`). Any other m
 the moving direction (`over_directions`).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -22,11 +20,7 @@ from gonio.models._loops import HALF_PI
 from gonio.models._math import sincos
 from gonio.models.engine import Constants, Kernel
 from gonio.models.parameters import number
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
-
-    from gonio.typing import Floats
+from gonio.typing import ArrayLike, Floats
 
 TOLERANCE = 1e-8
 """Relative error of the integrals, by the difference between two rules of which the better one counts."""

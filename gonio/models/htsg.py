@@ -5,10 +5,8 @@
 
 # mypy: allow-untyped-defs, allow-untyped-calls
 
-from __future__ import annotations
-
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -20,9 +18,7 @@ from gonio.models._htsg_series import expand, expm1, lambert_w
 from gonio.models._loops import HALF_PI
 from gonio.models._math import log, sincos_polar
 from gonio.models.parameters import choice
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
+from gonio.typing import ArrayLike
 
 __all__ = ["effective_roughness", "log_series", "shadowing"]
 

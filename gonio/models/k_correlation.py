@@ -1,11 +1,9 @@
 """Scatter of nearly smooth surfaces: the vector perturbation theory with an ABC spectrum [Church1979, Stover2012]."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -14,9 +12,7 @@ from gonio.models.declaration import Declaration, Ior, Levels, Values, optical, 
 from gonio.models.fresnel import reflectance
 from gonio.models.model import over_thetas, store
 from gonio.models.parameters import Fitted, checked_index, index_at, number, positive
-
-if TYPE_CHECKING:
-    from gonio.typing import Floats
+from gonio.typing import Floats
 
 
 @dataclass(frozen=True, repr=False)

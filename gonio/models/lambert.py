@@ -1,11 +1,9 @@
 """Lambert's law: the perfect diffuser."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from math import pi
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -18,9 +16,7 @@ from gonio.models.declaration import (
 from gonio.models.engine import Constants, Kernel
 from gonio.models.model import Model, store
 from gonio.models.parameters import number
-
-if TYPE_CHECKING:
-    from gonio.typing import Floats
+from gonio.typing import Floats
 
 
 @device

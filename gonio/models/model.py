@@ -1,14 +1,12 @@
 """What every reflectance model is: a frozen set of parameters, and a BRDF over angles or unit vectors."""
 
-from __future__ import annotations
-
 import dataclasses
 import difflib
 import functools
 import inspect
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any, ClassVar, cast, overload
+from typing import Any, ClassVar, cast, overload
 
 import numpy as np
 
@@ -18,13 +16,9 @@ from gonio.models import engine, hemispherical
 from gonio.models.declaration import Declaration, Ior, plain
 from gonio.models.engine import SPLIT, Constants, Geometry, Kernel
 from gonio.models.parameters import Fitted, Parameters, checked_wavelength
+from gonio.typing import ArrayLike, Floats, NDArray
 
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
-
-    from gonio.typing import Floats
-
-    Vector = tuple[float, float, float]
+Vector = tuple[float, float, float]
 
 
 def _checked_behind(*angles: ArrayLike) -> tuple[Any, ...]:
@@ -224,7 +218,7 @@ class Model(ABC):
         engine.check_angles(arrays)
         return engine.delivered(out, _by_wavelength(self._spectra, wavelength_nm, arrays, shape, ()))
 
-    def _spectra(self, arguments: list[Any], waves: list[float]) -> NDArray[np.float64]:
+    def _spectra(self, arguments: list[Any], waves: list[float]) -> Floats:
         """The BRDF (wavelengths, pairs) at four angles of one shape, or at two arrays of vectors."""
         evaluate = self.brdf if len(arguments) == 4 else self.brdf_vectors
         return np.stack([np.reshape(evaluate(*arguments, wavelength_nm=wave), -1) for wave in waves])
@@ -427,7 +421,7 @@ def over_thetas(evaluate: Callable[[Floats, float], Floats], theta_i: ArrayLike,
 
 
 def _by_wavelength(
-    evaluate: Callable[[list[Any], list[float]], NDArray[np.float64]],
+    evaluate: Callable[[list[Any], list[float]], Floats],
     wavelength_nm: ArrayLike,
     arrays: list[Any],
     shape: tuple[int, ...],

@@ -1,13 +1,11 @@
 """Oren and Nayar, "Generalization of Lambert's Reflectance Model", SIGGRAPH 1994: V-grooves of Lambertian facets."""
 
-from __future__ import annotations
-
 import functools
 import math
 from dataclasses import dataclass
 from itertools import product
 from math import pi, sqrt
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -24,11 +22,7 @@ from gonio.models.declaration import (
 from gonio.models.engine import SPLIT, Constants, Kernel
 from gonio.models.model import Model, store
 from gonio.models.parameters import Fitted, choice, number
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from gonio.typing import Floats
+from gonio.typing import Floats
 
 FORMS = ("functional", "exact", "qualitative", "single-slope")
 TWO_OVER_PI = 2.0 / pi
@@ -294,5 +288,5 @@ def _gaussian(sigma: float) -> tuple[float, float]:
 
 
 @functools.cache
-def _rule() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _rule() -> tuple[Floats, Floats]:
     return np.polynomial.legendre.leggauss(48)

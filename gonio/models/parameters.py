@@ -1,7 +1,5 @@
 """Models' parameters: numbers in their ranges, names among a few, and indices of refraction by name or wavelength."""
 
-from __future__ import annotations
-
 import cmath
 import difflib
 import functools

@@ -1,12 +1,10 @@
 """Light that goes back where it came from: the lobe of tape and sheeting about the direction of incidence."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from itertools import product
 from math import pi
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -25,9 +23,7 @@ from gonio.models.declaration import (
 from gonio.models.engine import Constants, Kernel
 from gonio.models.model import Model, store
 from gonio.models.parameters import Fitted, number
-
-if TYPE_CHECKING:
-    from gonio.typing import Floats
+from gonio.typing import Floats
 
 GRAZING = 1e-150
 """The cosine that stands for that of an exactly grazing direction: the limit along equal polar angles."""

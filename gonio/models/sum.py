@@ -1,9 +1,7 @@
 """Weighted sums of models, as a rough diffuse base under a highlight (Oren and Nayar 1994, eq. 18)."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -11,11 +9,7 @@ from gonio.errors import ArgumentError
 from gonio.models.engine import Geometry, delivered
 from gonio.models.model import Model
 from gonio.models.parameters import Parameters, number
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
-
-    from gonio.typing import Floats
+from gonio.typing import ArrayLike, Floats
 
 
 class Sum(Model):

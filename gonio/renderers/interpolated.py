@@ -17,8 +17,6 @@ the half vector's coordinates: its polar angle theta_h and its azimuth phi_h fro
 At the directions of the table the values are the table's.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Files of measured tables for Mitsuba 3 and for Radiance; each says in words what of it was not measured."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

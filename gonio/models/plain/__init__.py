@@ -11,8 +11,6 @@ Where it loses digits its docstring says how many, as a factor by which rounding
 docstring says so; the formula is the corrected one, and `printed=True` gives the print where the models offer it too.
 """
 
-from __future__ import annotations
-
 from gonio.models.plain import (
     anisotropic,
     blinn,

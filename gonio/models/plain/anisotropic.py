@@ -3,8 +3,6 @@
 Vectors are in the frame of the surface's own direction: x along the brushing, z the normal.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from gonio.models.plain import fresnel

@@ -5,8 +5,6 @@ are cited by the letter on their left, as `Blinn1977 D_3`. N = z; L goes to the 
 intensities are no BRDFs: `brdf` says what the workbench makes of them.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from gonio.models.plain.vectors import N, Numbers, Vectors, dot, polar, unit

@@ -4,8 +4,6 @@ The paper's equations have no numbers: they stand here in the paper's order, und
 are cited by the letter on their left, as `Cook1982 R_s`. Vectors L, V and N = z have unit length.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 import numpy as np

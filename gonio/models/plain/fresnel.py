@@ -3,8 +3,6 @@
 He1991 (eqs. 41, 44) and Cook1982 refer to Siegel1980 for F; Schlick1994 is what many published fits have instead.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from gonio.models.plain.vectors import Numbers

@@ -11,8 +11,6 @@ of k_i, so its mirror direction has phi_r = phi_i; `directions` converts from th
 Where digits are lost, and by how much, the docstrings say.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -5,8 +5,6 @@ are averages over surfaces (eqs. 13, 16, 19, 21, 29 and 49) have no function: eq
 sigma0 is above 0: a smooth surface is the limit.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.special import erfc, gammaln
 

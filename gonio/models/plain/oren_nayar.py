@@ -5,8 +5,6 @@ theta_a and the azimuth phi_a: unit vectors (..., 3). rho is the facets' albedo,
 the source. Angles, sigma included, are in radians. Radiances L are those of the paper; a BRDF is L/(E0 cos theta_i).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

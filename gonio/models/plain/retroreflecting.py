@@ -1,7 +1,5 @@
 """A lobe about the light: Burley2012's shape, in the observation angle, over Ashikhmin2007's denominator."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from gonio.models.plain.vectors import N, Numbers, Vectors, dot

@@ -1,7 +1,5 @@
 """Directions and dot products, which the papers write without a number."""
 
-from __future__ import annotations
-
 from typing import Any, TypeAlias
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Weights, screens and the colour of a reflection, from first principles."""
 
-from __future__ import annotations
-
 import math
 import time
 

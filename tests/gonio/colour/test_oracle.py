@@ -1,7 +1,5 @@
 """XYZ, dominant wavelengths and screens against `colour-science`, which holds the CIE's data and rules by itself."""
 
-from __future__ import annotations
-
 import warnings
 from typing import Any
 

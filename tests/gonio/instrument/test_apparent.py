@@ -1,7 +1,5 @@
 """What source and receiver cones do: exact cases, independent quadrature, narrow lobes, horizons, spikes."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

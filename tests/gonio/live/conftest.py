@@ -1,7 +1,5 @@
 """One measured run for all tests of the live page."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """A measured run, and one that is being measured: its journal comes line by line."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The next page of a run has the address of the last one, and nobody else can read it."""
 
-from __future__ import annotations
-
 import json
 import os
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The page of live alignment in a browser: what it shows of frames that are known, and that it controls nothing."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 

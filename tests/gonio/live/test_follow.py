@@ -1,7 +1,5 @@
 """A journal is followed while somebody else writes it, without a lock and without a word lost or doubled."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

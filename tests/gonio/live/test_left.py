@@ -1,7 +1,5 @@
 """How long the rest takes is learnt from the journal's lines, as who measures learns it."""
 
-from __future__ import annotations
-
 import pytest
 
 from gonio.acquisition.journal import decode

@@ -1,7 +1,5 @@
 """A frame as a picture shows what saturates and what is averaged."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

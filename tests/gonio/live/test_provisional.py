@@ -1,7 +1,5 @@
 """What is shown while a run is measured is what the reduction says in the end."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What is said of a run follows from its journal."""
 
-from __future__ import annotations
-
 import datetime
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The server of live pages answers its own page and nobody else."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import socket

@@ -1,7 +1,5 @@
 """The run in the terminal says what the page says."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import pytest

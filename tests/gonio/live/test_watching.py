@@ -1,7 +1,5 @@
 """A run that is followed: what a page is told, and that nobody is disturbed."""
 
-from __future__ import annotations
-
 import json
 import os
 import threading

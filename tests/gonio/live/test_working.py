@@ -1,7 +1,5 @@
 """Values and pictures are worked out once for all watchers of a run, and disturb nobody."""
 
-from __future__ import annotations
-
 import fcntl
 import json
 import os

@@ -5,8 +5,6 @@ count of roundings, eps, times the factor by which the formula lets them grow. D
 where formulas have difficulties. Where a plain formula is 0/0 it is not asked.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -4,8 +4,6 @@ Angles and vectors are taken as the exact values of their doubles. `conditioning
 the arguments is magnified, so that tolerances can be stated as c eps (1 + conditioning).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import Any
 

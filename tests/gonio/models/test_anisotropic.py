@@ -1,7 +1,5 @@
 """Anisotropic facets against 50 digits, in their limits, and over the hemisphere."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

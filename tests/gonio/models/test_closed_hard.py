@@ -5,8 +5,6 @@ Digits are held against the papers' formulas in 60 digits (tests/gonio/models/or
 relative, and values below 1e-290 count as 0.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any

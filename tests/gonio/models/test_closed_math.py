@@ -1,7 +1,5 @@
 """The branch-free elementary functions against mpmath, in units of 2.2e-16."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any

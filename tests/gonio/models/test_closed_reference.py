@@ -4,8 +4,6 @@ Tolerance: 100 eps (1 + cond), cond being the file's own condition number; value
 README).
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """A model with the smooth curve of its misfit: what it keeps, and its table in a file."""
 
-from __future__ import annotations
-
 import json
 import math
 from typing import Any

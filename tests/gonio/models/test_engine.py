@@ -1,7 +1,5 @@
 """Arguments, shapes, threads and start-up of the evaluation engine, on models whose digits other tests hold."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess

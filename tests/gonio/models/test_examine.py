@@ -1,7 +1,5 @@
 """Energy and reciprocity in one line, and where it is said; models in a file that is no package."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

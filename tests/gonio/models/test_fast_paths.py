@@ -1,7 +1,5 @@
 """float32, `out=`, wavelengths on their own axis, and what a checked geometry keeps, against the plain call."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

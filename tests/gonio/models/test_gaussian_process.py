@@ -1,7 +1,5 @@
 """The process behind curves: its coordinates, its derivatives, and its conditioning by the textbook formula."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

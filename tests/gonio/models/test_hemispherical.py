@@ -1,7 +1,5 @@
 """Hemispherical reflectances against closed forms, high-precision integrals in other coordinates, and each other."""
 
-from __future__ import annotations
-
 import math
 import time
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """He-Torrance where it is hard: values finite, not negative, reciprocal, without a warning, or the stated limit."""
 
-from __future__ import annotations
-
 import itertools
 import math
 

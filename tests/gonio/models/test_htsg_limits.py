@@ -1,7 +1,5 @@
 """Properties of He-Torrance, and the limits that tie it to other papers."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

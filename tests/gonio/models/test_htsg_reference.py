@@ -4,8 +4,6 @@ A case holds when the error is below 1e-12 (1 + condition number): the condition
 respect to their inputs, and 1e-12 is the accuracy that the model states. Values below 1e-290 count as 0.
 """
 
-from __future__ import annotations
-
 import csv
 import json
 import math

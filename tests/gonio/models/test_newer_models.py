@@ -1,7 +1,5 @@
 """GGX, EON, ABg, K-correlation, Hapke and RPV: others' digits, energy, reciprocity, edges, and that fits find them."""
 
-from __future__ import annotations
-
 import json
 import math
 from typing import Any

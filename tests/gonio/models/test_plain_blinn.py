@@ -1,7 +1,5 @@
 """Blinn's and Phong's models: kernels, and reference digits, against `gonio.models.plain`."""
 
-from __future__ import annotations
-
 import itertools
 import math
 

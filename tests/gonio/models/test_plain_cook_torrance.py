@@ -1,7 +1,5 @@
 """Cook and Torrance's model and Fresnel's formulas: kernels, and reference digits, against `gonio.models.plain`."""
 
-from __future__ import annotations
-
 import functools
 import itertools
 import math

@@ -3,8 +3,6 @@
 Tolerances of 1e-12 and below are roundings times what a formula magnifies; the others are those of a quadrature.
 """
 
-from __future__ import annotations
-
 import ast
 import importlib
 import importlib.util

@@ -4,8 +4,6 @@ The tests of each paper draw more parameters. Here each kernel stands beside the
 a kernel without one is found.
 """
 
-from __future__ import annotations
-
 import importlib
 import inspect
 import math

@@ -1,7 +1,5 @@
 """Oren and Nayar's model: kernels, and reference digits, against `gonio.models.plain`."""
 
-from __future__ import annotations
-
 import itertools
 import math
 

@@ -10,8 +10,6 @@ F is Schlick's with F_0 = "eta". Ngan's colours are in MERL's unscaled units: gr
 1.66.
 """
 
-from __future__ import annotations
-
 import math
 import re
 

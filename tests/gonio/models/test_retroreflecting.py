@@ -1,7 +1,5 @@
 """The retroreflected lobe against 50 digits, and over the hemisphere."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

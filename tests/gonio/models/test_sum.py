@@ -1,7 +1,5 @@
 """Sums by name, as sample files have them."""
 
-from __future__ import annotations
-
 import pytest
 
 from gonio.errors import ArgumentError, ConfigError

@@ -1,7 +1,5 @@
 """Measured tables interpolated for renderers: exact where measured, and what is said of the rest; Mitsuba and Klems."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path
