@@ -121,8 +121,7 @@ def desaturated(rgb: ArrayLike, luminance: ArrayLike, *, largest: float = np.inf
     below, above = low < 0.0, high > largest
     kept[below] = (grey / (grey - low))[below]
     kept[above] = np.minimum(kept, (largest - grey) / np.where(above, high - grey, 1.0))[above]
-    moved = grey[:, None] + kept[:, None] * (out[outside] - grey[:, None])
-    out[outside] = np.clip(moved, 0.0, largest)
+    out[outside] = np.clip(grey[:, None] + kept[:, None] * (out[outside] - grey[:, None]), 0.0, largest)
     return out.reshape(colour.shape)
 
 

@@ -83,8 +83,7 @@ class _Boundary:
         with np.errstate(invalid="ignore", divide="ignore"):
             angle = np.arctan2(dy, dx)
             side = self._side(angle)
-            across = dx * self.along_y[side] - dy * self.along_x[side]
-            purity = across / self.moment[side]
+            purity = (dx * self.along_y[side] - dy * self.along_x[side]) / self.moment[side]
             wave = self._wavelength(side, dx, dy)
             purple = np.flatnonzero(side == self.nm.size - 1)
             dx, dy = -dx[purple], -dy[purple]

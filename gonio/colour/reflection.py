@@ -51,8 +51,7 @@ def reflectance(theta: ArrayLike, wavelength_nm: ArrayLike, ior: Index) -> Float
     nm = np.atleast_1d(np.asarray(wavelength_nm, dtype=np.float64))
     given = materials.ior(ior)(nm) if isinstance(ior, str) else ior(nm) if callable(ior) else ior
     index = np.broadcast_to(np.asarray(given), nm.shape)
-    cosine = np.cos(np.asarray(theta, dtype=np.float64))
-    return np.asarray(fresnel.reflectance(cosine[..., None], index))
+    return np.asarray(fresnel.reflectance(np.cos(np.asarray(theta, dtype=np.float64))[..., None], index))
 
 
 def reflected_xyz(theta: ArrayLike, wavelength_nm: ArrayLike, ior: Index, illuminant: str = "D65") -> Floats:

@@ -139,9 +139,7 @@ def apparent_brdf(
     """
     cones = Cones(theta_i, phi_i, theta_r, phi_r, source_solid_angle_sr, receiver_solid_angle_sr, spike=spike)
     lobe = cones.lobe(_checked(model), wavelength_nm=wavelength_nm)
-    if not model.has_spike:
-        return lobe
-    return lobe + cones.spike(model, wavelength_nm=wavelength_nm)
+    return lobe + cones.spike(model, wavelength_nm=wavelength_nm) if model.has_spike else lobe
 
 
 def apparent_lobe(

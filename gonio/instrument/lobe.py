@@ -182,8 +182,7 @@ def _expanded(
         pair = (ring, other[:, None, :]) if is_source else (other[:, None, :], ring)
         values = np.asarray(model.brdf_vectors(*pair, wavelength_nm=wavelength_nm))
         if is_source:  # weighted by cos(theta_s): its mean over the ring is that of the axis times cos(rho)
-            mean_cos = np.sum(ring[..., 2], axis=1)
-            mean = np.sum(values * ring[..., 2], axis=1) / mean_cos
+            mean = np.sum(values * ring[..., 2], axis=1) / np.sum(ring[..., 2], axis=1)
         else:
             mean = np.mean(values, axis=1)
         term = 0.75 * (mean - centre)

@@ -38,8 +38,7 @@ def disc_rule(level: int) -> tuple[Floats, Floats, Floats]:
     x, w = np.polynomial.legendre.leggauss(rings)
     azimuth = (np.arange(spokes) + 0.5) * (2.0 * math.pi / spokes)
     square, psi = np.meshgrid(0.5 * (1.0 + x), azimuth, indexing="ij")
-    weight = np.repeat(0.5 * w / spokes, spokes)
-    return square.ravel(), psi.ravel(), weight
+    return square.ravel(), psi.ravel(), np.repeat(0.5 * w / spokes, spokes)
 
 
 def frame(omega: Floats) -> tuple[Floats, Floats]:

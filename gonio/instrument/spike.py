@@ -65,8 +65,7 @@ class Overlaps:
         z_i, z_r = self._omega_i[self._whole, 2], self._omega_r[self._whole, 2]
         theta = np.arccos(np.minimum(z_r, 1.0))
         z_low = np.cos(np.minimum(theta + self._receiver, math.pi / 2.0))
-        z_high = np.cos(np.maximum(theta - self._receiver, 0.0))
-        least, most = np.minimum(z_low, z_i), np.maximum(z_high, z_i)
+        least, most = np.minimum(z_low, z_i), np.maximum(np.cos(np.maximum(theta - self._receiver, 0.0)), z_i)
         low, high = float(least.min()), float(most.max())
         count = max(16, math.ceil((high - low) * STEPS))
         grid = np.linspace(low, high, count + 1)
@@ -74,8 +73,7 @@ class Overlaps:
         first = np.clip((least - low) * per_step - 3.0, 0, count).astype(np.intp)
         last = np.clip(np.ceil((most - low) * per_step) + 3.0, 0, count).astype(np.intp)
         depth = np.bincount(first, minlength=count + 2) - np.bincount(last + 1, minlength=count + 2)
-        touched = np.flatnonzero(np.cumsum(depth)[: count + 1] > 0)
-        return grid, touched, first, last
+        return grid, np.flatnonzero(np.cumsum(depth)[: count + 1] > 0), first, last
 
     def _table(self, model: Model, wavelength_nm: float) -> tuple[Floats, float, float, int]:
         """rho_s at the grid, where caps touch it; how many Gauss nodes a side its change over a cap asks for."""

@@ -116,6 +116,4 @@ class Follower:
 
         The lock is only looked for in the kernel's list: to try it would keep a `--resume` from taking it.
         """
-        if self._file is None:
-            return None
-        return platform.is_locked(self.path)
+        return None if self._file is None else platform.is_locked(self.path)

@@ -155,5 +155,4 @@ def fresnel_real(c2, contrast, real, imag):  # type: ignore[no-untyped-def]
 def fresnel_constants(ior: complex) -> tuple[float, float, float]:
     """What `fresnel` needs of an index n + ik: |n~^2 - 1|^2, n^2 - k^2 - 1 and n k."""
     n, k = ior.real, ior.imag
-    contrast = ((n - 1.0) ** 2 + k * k) * ((n + 1.0) ** 2 + k * k)
-    return contrast, (n - 1.0) * (n + 1.0) - k * k, n * k
+    return ((n - 1.0) ** 2 + k * k) * ((n + 1.0) ** 2 + k * k), (n - 1.0) * (n + 1.0) - k * k, n * k

@@ -253,6 +253,5 @@ class AnisotropicFacets(Model):
 
         own = math.atan2(v2 * a2, v1 * a1) % HALF_PI
         quarters = np.unique([*(HALF_PI * np.arange(5.0)), *(own + HALF_PI * np.arange(4.0))])
-        steps = np.linspace(0.0, 1.0, 1 + math.ceil(-math.log(layer) / 3.0))
-        boxes = hemispherical.boxes(quarters, steps)
+        boxes = hemispherical.boxes(quarters, np.linspace(0.0, 1.0, 1 + math.ceil(-math.log(layer) / 3.0)))
         return hemispherical.adaptive(rule, boxes, tolerance, f"{self.name}: {math.degrees(theta):.6g} deg")

@@ -115,8 +115,7 @@ def colour_shift(cos_theta: ArrayLike, f0: float, colour_0: ArrayLike, colour_90
     ArgumentError
         An argument is NaN or out of range, or the two colours differ in their channels; it names the argument.
     """
-    n = n_from_f0(f0)
-    f = np.asarray(reflectance(cos_theta, n))
+    f = np.asarray(reflectance(cos_theta, n_from_f0(f0)))
     share = np.maximum(0.0, f - float(f0)) / (1.0 - float(f0))
     first, last = _channels("colour_0", colour_0), _channels("colour_90", colour_90)
     common_shape(("colour_0", "colour_90"), [first.shape, last.shape])

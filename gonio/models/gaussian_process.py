@@ -93,8 +93,7 @@ class Coordinates:
     @classmethod
     def of(cls, d: Directions) -> Coordinates:
         """Those of directions, shape (n,)."""
-        source = Directions(d.theta_i, np.zeros(d.shape), d.theta_r, d.phi_r - d.phi_i)
-        omega_i, omega_r = source.vectors
+        omega_i, omega_r = Directions(d.theta_i, np.zeros(d.shape), d.theta_r, d.phi_r - d.phi_i).vectors
         x, y, z = np.moveaxis(omega_i + omega_r, -1, 0)
         across = np.hypot(x, y)
         safe = np.where(across > 1e-12, across, 1.0)
@@ -228,8 +227,7 @@ class Training:
 
     def only(self, kept: npt.NDArray[np.bool_]) -> Training:
         """Some of them."""
-        at = self.at.only(kept)
-        return replace(self, at=at, z=self.z[kept], u=self.u[kept], causes=self.causes[kept])
+        return replace(self, at=self.at.only(kept), z=self.z[kept], u=self.u[kept], causes=self.causes[kept])
 
     def beside(self, mean: float) -> Floats:
         """The values less what the mean of the process gives them."""
@@ -389,8 +387,7 @@ class Process:
         if effects is not None:
             cross = cross + effects @ self.data.causes[:, : effects.shape[1]].T
             prior = prior + (effects**2).sum(axis=1)
-        half = solve_triangular(self._factor[0][0], cross.T, lower=True)
-        return np.asarray(prior - (half**2).sum(axis=0))
+        return np.asarray(prior - (solve_triangular(self._factor[0][0], cross.T, lower=True) ** 2).sum(axis=0))
 
     @cached_property
     def _left_out(self) -> tuple[Floats, Floats]:

@@ -215,8 +215,7 @@ def _alpha_edges(theta: Floats, scales: Sequence[float], reach: float, levels: S
         crossing = [level / (2.0 * np.maximum(vz, 1e-300)), vz / level, vz / (2.0 * level)]  # a kink of G, the horizon
         crossing.append((vz + np.sqrt(vz * vz + 4.0 * level * level)) / (4.0 * level))
         where += [np.arccos(np.minimum(cosine, 1.0)) for cosine in crossing]
-    smallest = float(rest.min(initial=HALF_PI))
-    steps = min(30, math.ceil(math.log(HALF_PI / max(smallest, 1e-17), 4.0)))
+    steps = min(30, math.ceil(math.log(HALF_PI / max(float(rest.min(initial=HALF_PI)), 1e-17), 4.0)))
     where += [rest * 4.0**k for k in range(1, steps)]  # near grazing all is a function of alpha/(pi/2 - theta)
     return np.sort(np.clip(np.stack(where, axis=1), 0.0, top[:, None]), axis=1)
 

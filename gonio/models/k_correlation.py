@@ -82,8 +82,7 @@ class KCorrelation(ArrayModel):
         return (4.0 * math.pi * self.sigma_rel_um(wavelength_nm) * 1e3 / wavelength_nm) ** 2
 
     def evaluate(self, omega_i: Floats, omega_r: Floats, wavelength_nm: float) -> Floats:
-        factors = self.polarised(omega_i, omega_r, wavelength_nm)
-        return np.asarray(0.5 * factors.sum(axis=0))
+        return np.asarray(0.5 * self.polarised(omega_i, omega_r, wavelength_nm).sum(axis=0))
 
     def polarised(self, omega_i: Floats, omega_r: Floats, wavelength_nm: float) -> Floats:
         """BRDF [1/sr] of ss, sp, ps and pp (4, n): the first letter is that of the source."""

@@ -283,8 +283,7 @@ def _gaussian(sigma: float) -> tuple[float, float]:
     reach = min(pi / 2, sigma * sqrt(2.0 * math.log(1e11)))
     node, weight = _rule()
     theta = 0.5 * reach * (node + 1.0)
-    total = float(weight @ (np.exp(-0.5 * (theta / sigma) ** 2) * np.sin(theta))) * 0.5 * reach
-    return 1.0 / total, reach
+    return 1.0 / (float(weight @ (np.exp(-0.5 * (theta / sigma) ** 2) * np.sin(theta))) * 0.5 * reach), reach
 
 
 @functools.cache

@@ -124,5 +124,4 @@ def _rows(name: str, wide: pd.DataFrame, values: Floats, notes: Sequence[str]) -
     below = int((values < 0).any(axis=1).sum())
     if below:
         said.append(f"{below} of {len(values)} values are below zero (noise, or colours beyond sRGB) and become zero")
-    angles = np.column_stack([index[:, 0], index[:, 2], dphi])
-    return Rows(name, angles, np.maximum(values, 0.0), tuple(said))
+    return Rows(name, np.column_stack([index[:, 0], index[:, 2], dphi]), np.maximum(values, 0.0), tuple(said))

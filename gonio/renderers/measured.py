@@ -106,8 +106,7 @@ def _views(interpolated: Interpolated) -> Floats:
     own = own[np.concatenate([[True], np.diff(own) > geometry.SAME_ANGLE])]
     if own.size > _MOST_VIEWS:
         own = own[np.linspace(0, own.size - 1, _MOST_VIEWS).astype(int)]
-    gap = 0.4 * (even[1] - even[0])
-    apart = np.abs(even[:, np.newaxis] - own).min(axis=1) > gap
+    apart = np.abs(even[:, np.newaxis] - own).min(axis=1) > 0.4 * (even[1] - even[0])
     keep = apart | (even == even[0]) & (own[0] > 1e-3) | (even == even[-1]) & (own[-1] < even[-1])
     return np.unique(np.concatenate([even[keep], own]))
 

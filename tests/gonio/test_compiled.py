@@ -50,8 +50,7 @@ def test_code_is_kept_and_loaded_without_a_word(cache: Path, capfd: pytest.Captu
     again = make()
     assert loaded(again)
     assert first(3.0) == again(3.0) == 1.5
-    lazily = compiled.njit(nogil=True)(_third)
-    assert lazily(6.0) == 2.0
+    assert compiled.njit(nogil=True)(_third)(6.0) == 2.0
     assert compiled.njit(nogil=True)(_third)(6.0) == 2.0
     assert capfd.readouterr() == ("", "")
 
@@ -114,8 +113,7 @@ def test_an_index_without_its_code_is_no_damage(cache: Path, capfd: pytest.Captu
 def test_the_code_of_another_function_is_not_run(cache: Path) -> None:
     make(_half)
     half = only(cache, ".nbc")
-    kept = half.with_suffix(".kept")
-    shutil.copy(half, kept)
+    shutil.copy(half, half.with_suffix(".kept"))
     make(_third)
     (third,) = set(cache.rglob("*.nbc")) - {half}
     shutil.copy(half, third)

@@ -122,8 +122,7 @@ def test_spike_against_plain_sums(spike: Any, source: float, receiver: float, of
     surface, theta = HeTorrance(sigma0_um=0.2, tau_um=2.0, ior=1.5), 1.1
     at = (theta, 0.0, theta + offset[0], MIRROR + offset[1])
     seen, weight = grid(at[2], at[3], receiver, 300)
-    mirrored = direction(theta, 0.0) * (-1.0, -1.0, 1.0)
-    inside = seen @ mirrored >= 1.0 - source / (2.0 * math.pi)
+    inside = seen @ (direction(theta, 0.0) * (-1.0, -1.0, 1.0)) >= 1.0 - source / (2.0 * math.pi)
     if spike == "exact":
         rho = surface.specular_reflectivity(np.arccos(seen[inside, 2]), wavelength_nm=500.0)
         light = math.pi * math.sin(float(half_angle_of_cone(source))) ** 2 * math.cos(theta)

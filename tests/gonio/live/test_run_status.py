@@ -104,8 +104,7 @@ def test_a_run_grows_by_what_is_chosen(told: Told) -> None:
     assert event["text"] == "4 points more, from step 10 on"
     assert event["why"] == ["sigma: 0.01234", "curve: theta_i 30"]
     assert event["points_deg"] == points
-    step = told.step(10, 60.0, point=8)
-    assert step["angles_deg"] == points[2]
+    assert told.step(10, 60.0, point=8)["angles_deg"] == points[2]
 
 
 def test_why_points_were_chosen_is_said_in_words() -> None:

@@ -88,9 +88,7 @@ SURFACES = [  # sigma0 and tau [um], wavelength [um], index: Figs. 7, 8, 9, 12, 
 def lobe_loss(theta_i: Any, phi_i: Any, theta_r: Any, phi_r: Any, sigma0: float, tau: float, lam: float) -> Any:
     """What eq. 71 loses: the logarithm of the series g ln(g) + c; c by v_xy, tau k0; angles near grazing; shadowing."""
     k_i, k_r = he_torrance.directions(theta_i, phi_i, theta_r, phi_r)
-    sigma = he_torrance_appendix_a.sigma(theta_i, theta_r, sigma0, tau)
-    g = he_torrance.g(theta_i, theta_r, sigma, lam)
+    g = he_torrance.g(theta_i, theta_r, he_torrance_appendix_a.sigma(theta_i, theta_r, sigma0, tau), lam)
     c = he_torrance_appendix_a.v_xy(k_i, k_r, lam) ** 2 * tau**2 / 4.0
     series = g * (1.0 + np.abs(np.log(g))) + np.minimum(c, g + np.sqrt(c)) + np.sqrt(c) * tau * 2.0 * PI / lam
-    grazing = np.tan(theta_i) + np.tan(theta_r)
-    return 4.0 * series + grazing * (1.0 + g) + 1.0 / length(k_r - k_i) ** 2
+    return 4.0 * series + (np.tan(theta_i) + np.tan(theta_r)) * (1.0 + g) + 1.0 / length(k_r - k_i) ** 2

@@ -158,8 +158,7 @@ def test_cook_torrance_as_the_slope_vanishes(m: float) -> None:
 
 
 def test_index_1_reflects_nothing() -> None:
-    rng = np.random.default_rng(1)
-    theta = np.append(np.arccos(rng.random(50)), [0.0, PI / 2])
+    theta = np.append(np.arccos(np.random.default_rng(1).random(50)), [0.0, PI / 2])
     assert np.all(CookTorrance(ior=1.0).brdf(theta, 0.0, 0.3, 2.0) == 0.0)
     assert np.all(fresnel.reflectance(np.cos(theta), 1.0) == 0.0)
     assert np.all(fresnel.reflectance([0.0, 0.5, 1.0], 1.0) == 0.0)
@@ -173,8 +172,7 @@ def test_total_reflection_beyond_the_critical_angle() -> None:
 
 @pytest.mark.parametrize("sigma_deg", [1e-12, 1e-7, 1e-4])
 def test_oren_nayar_exact_as_sigma_vanishes(sigma_deg: float) -> None:
-    rng = np.random.default_rng(2)
-    theta_i, theta_r = np.arccos(rng.random((2, 40)))
+    theta_i, theta_r = np.arccos(np.random.default_rng(2).random((2, 40)))
     theta_i[:3] = [0.0, 1.5, 0.2]
     # a facet tilted by sigma changes the BRDF by sigma tan(theta) at most, with tan below 60 here
     np.testing.assert_allclose(

@@ -36,16 +36,14 @@ def test_no_spike_and_no_light_is_invented() -> None:
     one = corrected(plain)
     assert one.has_spike
     assert one.specular_reflectivity(0.3) == plain.specular_reflectivity(0.3)
-    none = corrected(Lambert(0.0), 0.0)
-    assert none.brdf(*PLACES.angles) == pytest.approx(0.0, abs=1e-12)
+    assert corrected(Lambert(0.0), 0.0).brdf(*PLACES.angles) == pytest.approx(0.0, abs=1e-12)
 
 
 def test_an_isotropic_model_stays_isotropic() -> None:
     """Whatever the azimuth of incidence, and on either side of the plane of incidence."""
     one = corrected(Blinn(k_s=0.4, c=0.3, k_d=0.5))
     assert not one.depends_on_azimuth
-    angles = (0.5, 0.9, 0.4, 2.0)
-    first = one.brdf(*angles)
+    first = one.brdf(0.5, 0.9, 0.4, 2.0)
     assert one.brdf(0.5, 0.9 + 1.3, 0.4, 2.0 + 1.3) == pytest.approx(first, rel=1e-12)
     assert one.brdf(0.5, 2.0, 0.4, 0.9) == pytest.approx(first, rel=1e-12)
 

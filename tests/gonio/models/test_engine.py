@@ -218,8 +218,7 @@ def test_loops_over_kernels_are_vectors(model: Model, tmp_path: Path, monkeypatc
 
     monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))  # code that comes from the disk cannot be looked at
     kernel, constants = model._evaluation(550.0)
-    compiled = _loop(_loops.over_vectors, kernel, len(constants))
-    (code,) = compiled.inspect_llvm().values()
+    (code,) = _loop(_loops.over_vectors, kernel, len(constants)).inspect_llvm().values()
     assert re.search(r"fdiv [a-z ]*<\d+ x double>", code)
 
 

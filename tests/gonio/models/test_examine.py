@@ -18,8 +18,7 @@ WARD = (Path(__file__).parents[3] / "docs" / "writing_a_model.md").read_text(enc
 
 def ward(folder: Path) -> str:
     """The class of the page, in a file."""
-    text = WARD.partition("```python\n")[2].partition("```")[0]
-    (folder / "mine.py").write_text(text, encoding="utf-8")
+    (folder / "mine.py").write_text(WARD.partition("```python\n")[2].partition("```")[0], encoding="utf-8")
     return "./mine.py:Ward"
 
 

@@ -49,8 +49,7 @@ def hard_pairs() -> tuple[np.ndarray, np.ndarray]:
     tr = np.clip(ti + tilt * off, 0.0, 1.5707).ravel()
     ti, dphi = ti.ravel(), dphi.ravel()
     light = np.stack([np.sin(ti), 0.0 * ti, np.cos(ti)], axis=-1)
-    view = np.stack([np.sin(tr) * np.cos(dphi), np.sin(tr) * np.sin(dphi), np.cos(tr)], axis=-1)
-    return light, view
+    return light, np.stack([np.sin(tr) * np.cos(dphi), np.sin(tr) * np.sin(dphi), np.cos(tr)], axis=-1)
 
 
 # --- float32 --------------------------------------------------------------------------------------------------------
@@ -67,8 +66,7 @@ def test_float32_vectors_give_float32_results_within_the_stated_error(model: Mod
     lit = np.abs(expected) > 1e-25  # float32 has fewer digits below 1e-38 / conditioning, and 0 below
     # what docs/models.md states: rounding of the inputs' components, 6e-8 / cos(theta), and of some twenty operations
     grazing = np.minimum(light[:, 2], view[:, 2])
-    size = np.maximum(np.abs(expected), 1e-25)
-    error = np.abs(found.astype(np.float64) - expected) / size
+    error = np.abs(found.astype(np.float64) - expected) / np.maximum(np.abs(expected), 1e-25)
     random_lit = lit & (grazing > 0.01)
     random_lit[20_000:] = False
     assert error[random_lit].max() < 3e-5

@@ -75,8 +75,7 @@ def test_blinns_narrow_lobes_have_the_areas_of_their_distributions() -> None:
     # integrals of D over the facets: pi/c2^2, 2 pi/c1 and pi c3^2; brdf cos dw = k_s D F/pi 4 dw_H where nothing hides
     cases = {"gaussian": (1e6, 1e-12), "phong": (1e12, 2e-12), "trowbridge-reitz": (1e-6, 1e-12)}
     for distribution, (c, area) in cases.items():
-        surface = Blinn(0.0, 0.5, 1.7, distribution, c)
-        got = surface.directional_hemispherical(ANGLES[:3])
+        got = Blinn(0.0, 0.5, 1.7, distribution, c).directional_hemispherical(ANGLES[:3])
         assert got == pytest.approx(2.0 * area * f, rel=2e-5)  # D3 reaches far: its tail meets the horizon
 
 

@@ -55,8 +55,7 @@ def test_mueller_is_the_brdf_and_passes_no_more_than_it_gets(
 
 def test_perfect_conductor_keeps_unpolarised_light_unpolarised_and_all_polarisations_alike() -> None:
     """Needs the minus of eq. 64, which the print lacks: |F_s| = |F_p| = 1 makes J unitary."""
-    surface = HeTorrance(sigma0_um=0.28, tau_um=1.77, ior=1e8j + 1e-3)
-    jones = surface.jones(0.6, 0.3, 1.1, 2.0)
+    jones = HeTorrance(sigma0_um=0.28, tau_um=1.77, ior=1e8j + 1e-3).jones(0.6, 0.3, 1.1, 2.0)
     np.testing.assert_allclose(jones @ jones.conj().T, np.eye(2), atol=1e-7)  # index 1e8: F = 1 - 1e-8
 
 
@@ -132,8 +131,7 @@ def test_diffuse_albedo_is_an_albedo() -> None:
 def test_energy_bound_is_that_of_the_worst_angle() -> None:
     surface = HeTorrance()
     bound = surface.max_diffuse_albedo(theta_max_deg=60.0)
-    angles = np.radians(np.linspace(0.0, 60.0, 25))
-    first = surface.directional_hemispherical(angles)
+    first = surface.directional_hemispherical(np.radians(np.linspace(0.0, 60.0, 25)))
     assert np.all(first + bound <= 1.0 + 1e-6)  # the grid of the search leaves second-order gaps
     assert bound == pytest.approx(1.0 - first.max(), abs=1e-3)  # 2.5 degrees of a flat maximum
 
@@ -159,8 +157,7 @@ def test_series_against_an_independent_sum() -> None:
 
 
 def test_effective_roughness_is_continuous_and_monotonic() -> None:
-    k = np.concatenate([[0.0], 10.0 ** np.linspace(-300, 307, 3000)])
-    ratio = htsg.effective_roughness(k)
+    ratio = htsg.effective_roughness(np.concatenate([[0.0], 10.0 ** np.linspace(-300, 307, 3000)]))
     assert ratio[0] == 1.0
     assert np.all(np.diff(ratio) <= 0.0)
     below, above = htsg.effective_roughness([0.999999e139, 1.000001e139])  # where the form changes
@@ -253,8 +250,7 @@ def test_every_class_of_the_block_sums(tolerance: float, allowed: float) -> None
         c = 0.25 * (wave * tau) ** 2 * flat
         lit = np.prod(htsg.shadowing(theta, sigma0, tau) / z, axis=0)
         rest = fresnel.reflectance(0.5 * np.sqrt(flat + h[:, 2] ** 2), 1.5) * (flat / h[:, 2] + h[:, 2]) ** 2
-        series = htsg.log_series(g, c)
-        expected = np.log(lit * rest * (wave * tau) ** 2 / (16.0 * math.pi)) + series
+        expected = np.log(lit * rest * (wave * tau) ** 2 / (16.0 * math.pi)) + htsg.log_series(g, c)
         condition = sum(
             np.abs(htsg.log_series(g * a, c * b) - htsg.log_series(g / a, c / b)) / (2.0 * step)
             for a, b in ((1.0 + step, 1.0), (1.0, 1.0 + step))

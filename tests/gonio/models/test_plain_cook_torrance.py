@@ -145,8 +145,7 @@ def test_plain_fresnel_digits() -> None:
         theta = math.acos(i["cos"])
         F_s, F_p = plain_fresnel.amplitudes(theta, n)
         # numerators cancel to |n^2 - 1|; the angle is rounded, which counts near the critical angle
-        q2 = abs(n**2 - math.sin(theta) ** 2)
-        loss = 2.0 * (1.0 + abs(n) ** 2) / abs(n**2 - 1.0) * (1.0 + 1.0 / q2)
+        loss = 2.0 * (1.0 + abs(n) ** 2) / abs(n**2 - 1.0) * (1.0 + 1.0 / abs(n**2 - math.sin(theta) ** 2))
         for got, key in ((F_s, "Fs"), (F_p, "Fp")):
             expected = complex(float(out[key + "_re"]), float(out[key + "_im"]))
             agree(got, expected, loss, scale=max(abs(expected), abs(n**2 - 1.0)))

@@ -130,8 +130,7 @@ def test_he1991_eq_71_is_eq_7_for_unpolarised_light() -> None:
 def test_he1991_eqs_58_and_66_lead_to_eqs_6_and_7() -> None:
     theta_i, phi_r, lam, sigma0, tau, domega = 0.7, 0.0, 0.5, 0.1, 2.0, 1e-4
     k_i, k_r = he_torrance.directions(theta_i, PI, theta_i, phi_r)
-    sigma = appendix.sigma(theta_i, theta_i, sigma0, tau)
-    g = he_torrance.g(theta_i, theta_i, sigma, lam)
+    g = he_torrance.g(theta_i, theta_i, appendix.sigma(theta_i, theta_i, sigma0, tau), lam)
     script_N = appendix.script_N_cone(theta_i, domega, 1, appendix.v_xy(k_i, k_r, lam), g, tau, lam)
     S = appendix.S(theta_i, theta_i, sigma0, tau)
     for c_s, c_p in ((1, 0), (0, 1)):
@@ -244,8 +243,7 @@ def test_blinn1977_grooves() -> None:
     # Fig. 4: E in the plane of N and H, beyond H; the groove's side is steep enough to be masked
     theta_e, a = 1.3, 0.6
     E, h = direction(theta_e, 0.0), direction(a, 0.0)
-    light = 2 * dot(h, E) * h - E
-    G_b = blinn.G_b(light, E)
+    G_b = blinn.G_b(2 * dot(h, E) * h - E, E)
     assert blinn.triangle(theta_e - a, a) == pytest.approx(G_b, rel=1e-13)
     assert 0 < G_b < 1
 
@@ -322,7 +320,6 @@ def test_oren1994_flat_facets_are_lambertian() -> None:
 def test_oren1994_a_facets_flux_is_its_projected_radiance() -> None:
     """Eqs. 1 and 2 lead to eq. 4: radiance rho/pi E0 (s.a), seen under da (v.a) domega_r."""
     s, v, a = direction(0.4, 0.0), direction(0.5, 1.0), direction(0.3, 0.7)
-    dPhi = 0.8 / PI * dot(s, a) * dot(v, a) * 1e-3 * 1e-4
-    got = oren_nayar.L_rp_of_flux(dPhi, 1e-3, 0.3, 0.5, 1e-4)
+    got = oren_nayar.L_rp_of_flux(0.8 / PI * dot(s, a) * dot(v, a) * 1e-3 * 1e-4, 1e-3, 0.3, 0.5, 1e-4)
     assert got == pytest.approx(oren_nayar.L_rp(s, v, a, 0.8), rel=1e-13)
     assert oren_nayar.P_of_numbers(1e3, 1e-3, 0.3) == pytest.approx(math.cos(0.3), rel=1e-14)

@@ -43,8 +43,7 @@ def test_he_torrance_polarised(surface: tuple[float, float, float, complex]) -> 
     sigma0, tau, lam, n = surface
     at = cast(Angles, tuple(part[7:] for part in pairs(8, 40)))  # M is 0/0 along the normal and in retro-reflection
     k_i, k_r = he_torrance.directions(*at)
-    apart = length(np.cross(k_r, k_i)) ** 2
-    polarised = 1.0 / apart / np.minimum(np.sin(at[0]), np.sin(at[2]))
+    polarised = 1.0 / (length(np.cross(k_r, k_i)) ** 2) / np.minimum(np.sin(at[0]), np.sin(at[2]))
     model = HeTorrance(sigma0, tau, n, 0.2)
     jones = model.jones(*at, wavelength_nm=1000.0 * lam)
     agree(jones, he_torrance.J(k_i, k_r, n), polarised[:, None, None], scale=1.0)
@@ -81,8 +80,7 @@ def test_he_torrance_hemisphere() -> None:
         def lobe_of(theta: Any, phi: Any, at: float = theta_i) -> Any:
             return he_torrance.rho_dd(at, 0.0, theta, phi, sigma0, tau, lam, n)
 
-        lobe = he_torrance.rho_dh(lobe_of, 64)
-        total = he_torrance.rho_s(theta_i, sigma0, tau, lam, n) + lobe + 0.1
+        total = he_torrance.rho_s(theta_i, sigma0, tau, lam, n) + he_torrance.rho_dh(lobe_of, 64) + 0.1
         model = HeTorrance(sigma0, tau, n, 0.1)
         # a lobe of 20 degrees is resolved; shadowing sets in fast near the horizon
         got = model.directional_hemispherical(theta_i, wavelength_nm=1000.0 * lam)

@@ -57,8 +57,7 @@ def geometry() -> tuple[np.ndarray, ...]:
     i, r = np.cos(THETA_I), np.cos(THETA_R)
     between = i * r + np.sin(THETA_I) * np.sin(THETA_R) * np.cos(DPHI)  # cosine of twice the angle to H
     vh = np.sqrt(np.maximum((1.0 + between) / 2.0, 0.0))
-    nh = np.minimum((i + r) / (2.0 * vh), 1.0)
-    return tuple(np.broadcast_arrays(i, r, nh, vh))
+    return tuple(np.broadcast_arrays(i, r, np.minimum((i + r) / (2.0 * vh), 1.0), vh))
 
 
 def formula(a_d: float, a_s: float, m: float, reflectance: np.ndarray) -> np.ndarray:
@@ -72,8 +71,7 @@ def formula(a_d: float, a_s: float, m: float, reflectance: np.ndarray) -> np.nda
 def agree(model: Model, wanted: np.ndarray, m: float) -> None:
     value = model.brdf(THETA_I, 0.0, THETA_R, DPHI)
     # the formula's 1 - cos^2 cancels, and D amplifies that by 1/m^2
-    tolerance = 1e-12 + 8 * 2.2e-16 / (m * geometry()[2]) ** 2
-    assert (np.abs(value / wanted - 1.0) <= tolerance).all()
+    assert (np.abs(value / wanted - 1.0) <= 1e-12 + 8 * 2.2e-16 / (m * geometry()[2]) ** 2).all()
 
 
 def test_low_cook_torrance_is_reproduced() -> None:

@@ -113,8 +113,7 @@ def test_channels_are_one_wavelength_colours_or_a_spectrum() -> None:
     red = white.assign(brdf=np.where(white["wavelength_nm"] > 600, 0.4, 0.1) / math.pi)
     r, _, b = channels.rows(red, "x").values[0]
     assert r > 2 * b
-    one = channels.rows(red, "x", wavelength_nm=640.0)
-    np.testing.assert_allclose(one.values, 0.4 / math.pi)
+    np.testing.assert_allclose(channels.rows(red, "x", wavelength_nm=640.0).values, 0.4 / math.pi)
     with pytest.raises(ConfigError, match="x has 400"):
         channels.rows(red, "x", wavelength_nm=645.0)
     two = white[white["wavelength_nm"] <= 420]
@@ -140,8 +139,7 @@ def test_azimuths_of_incidence_are_averaged_and_that_is_said() -> None:
 
 
 def test_scattered_directions_are_refused(tmp_path: Path) -> None:
-    dice = np.random.default_rng(2)
-    theta_i, theta_r = dice.uniform(5, 80, (2, 40))
+    theta_i, theta_r = np.random.default_rng(2).uniform(5, 80, (2, 40))
     frame = sampled(GLOSSY, [30], 4).iloc[:40].assign(theta_i_deg=np.sort(theta_i), theta_r_deg=theta_r)
     measurement.write(frame, tmp_path / "t.csv")
     with pytest.raises(DataError, match="gonio fit --save"):
