@@ -1,7 +1,7 @@
 """Reflectance models of the papers: one file a paper, on one compiled kernel layer (see docs/models.md)."""
 
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from gonio.errors import ArgumentError
 from gonio.models import fresnel, htsg
@@ -58,6 +58,17 @@ __all__ = [
     "geometry",
     "htsg",
 ]
+
+if not TYPE_CHECKING:
+
+    def __getattr__(name: str) -> Any:
+        """A model that is registered by its entry point alone."""
+        from gonio import plugins
+
+        for point in plugins.available("gonio.models").values():
+            if point.attr == name and point.module != __name__:
+                return plugins.load("gonio.models", point.name)
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def build(name: str, parameters: Mapping[str, Any]) -> Model:

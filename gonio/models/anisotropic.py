@@ -17,16 +17,7 @@ from gonio.models import hemispherical
 from gonio.models._compile import device, with_others
 from gonio.models._facets import OPPOSITE, fresnel, fresnel_constants, fresnel_real
 from gonio.models._loops import HALF_PI
-from gonio.models.declaration import (
-    DIFFUSE,
-    OPTICAL,
-    Declaration,
-    Ior,
-    Levels,
-    Values,
-    optical_argument,
-    with_optical_constants,
-)
+from gonio.models.declaration import DIFFUSE, Declaration, Ior, Levels, Values, optical
 from gonio.models.engine import Constants, Kernel
 from gonio.models.fresnel import reflectance
 from gonio.models.model import Model, store
@@ -117,8 +108,6 @@ class AnisotropicFacets(Model):
     @classmethod
     def declaration(cls, ior: Ior = None, slopes: int = 1) -> Declaration:
         """See `Model.declaration`."""
-        names = ("s", "alpha_along", "alpha_across", "brushing_deg", "diffuse_albedo")
-        fixed, free, needs = with_optical_constants(ior, (*names, "ior"))
 
         def starts(levels: Levels) -> list[Values]:
             indices = (1.5,) if ior is not None else (1.5, 20.0)
@@ -135,24 +124,15 @@ class AnisotropicFacets(Model):
                 for alpha, ratio, brushing, s, n in grid
             ]
 
-        return Declaration(
-            cls.name,
-            {
-                "s": Fitted(0.0, 1.0),
-                "alpha_along": Fitted(0.002, 3.0, "log"),
-                "alpha_across": Fitted(0.002, 3.0, "log"),
-                # twice round, so that no direction of brushing lies at a bound
-                "brushing_deg": Fitted(-180.0, 180.0, unit="deg"),
-                "diffuse_albedo": DIFFUSE,
-                **OPTICAL,
-            },
-            free,
-            fixed,
-            lambda v: {**{n: v[n] for n in names}, "ior": optical_argument(v, ior)},
-            starts,
-            needs_wavelength=needs,
-            flat=lambda v: {"diffuse_albedo": (1.0 - v["s"]) / math.pi},
-        )
+        rows = {
+            "s": Fitted(0.0, 1.0),
+            "alpha_along": Fitted(0.002, 3.0, "log"),
+            "alpha_across": Fitted(0.002, 3.0, "log"),
+            # twice round, so that no direction of brushing lies at a bound
+            "brushing_deg": Fitted(-180.0, 180.0, unit="deg"),
+            "diffuse_albedo": DIFFUSE,
+        }
+        return optical(cls.name, rows, ior, starts, flat=lambda v: {"diffuse_albedo": (1.0 - v["s"]) / math.pi})
 
     @classmethod
     def undetermined_by(cls, directions: Directions) -> str:

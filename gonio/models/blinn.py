@@ -4,7 +4,7 @@ Phong's and Torrance and Sparrow's highlights.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from math import pi
 from typing import Any, ClassVar, Self
@@ -29,15 +29,7 @@ from gonio.models._facets import (
     log_cos2,
 )
 from gonio.models._math import _LOG2_E, exp2
-from gonio.models.declaration import (
-    OPTICAL,
-    Declaration,
-    Ior,
-    Levels,
-    Values,
-    optical_argument,
-    with_optical_constants,
-)
+from gonio.models.declaration import Declaration, Ior, Levels, Values, optical, plain
 from gonio.models.engine import Constants, Kernel
 from gonio.models.model import Model, store
 from gonio.models.parameters import (
@@ -54,6 +46,7 @@ from gonio.models.parameters import (
 from gonio.typing import ArrayLike, Floats
 
 DISTRIBUTIONS = ("trowbridge-reitz", "gaussian", "phong")
+SHARE, LEVEL = Fitted(0.0, 1.0), Fitted(0.0, 1e4)
 
 
 # --- kernels: p is (k_d/pi, k_s/pi, c1, c2 or c3, then |n~^2 - 1|^2, n^2 - k^2 - 1, n k) ---------------------------
@@ -207,12 +200,8 @@ class Phong(Model):
                 for exponent, scale in product((3.0, 10.0, 30.0, 100.0, 300.0, 1000.0, 10000.0), (0.3, 1.0))
             ]
 
-        rows = {
-            "k_d": Fitted(0.0, 1.0),
-            "k_s": Fitted(0.0, 1e4),
-            "exponent": Fitted(0.1, 1e6, "log", geometry=True),
-        }
-        return Declaration(cls.name, rows, tuple(rows), {}, lambda v: {n: v[n] for n in rows}, starts)
+        rows = {"k_d": SHARE, "k_s": LEVEL, "exponent": Fitted(0.1, 1e6, "log", geometry=True)}
+        return replace(plain(cls.name, rows), starts=starts)
 
     def __post_init__(self) -> None:
         store(
@@ -306,27 +295,14 @@ class Blinn(Model):
     @classmethod
     def declaration(cls, ior: Ior = None, slopes: int = 1) -> Declaration:
         """See `Model.declaration`."""
-        fixed, free, needs = with_optical_constants(ior, ("k_d", "k_s", "c", "ior"))
 
         def starts(levels: Levels) -> list[Values]:
             grid = product((0.03, 0.08, 0.15, 0.3, 0.5, 0.8), (0.03, 0.3, 1.0), (1.5, 5.0, 50.0))
             k_d = min(levels.diffuse, 1.0)
             return [{"k_d": k_d, "k_s": levels.peak * scale, "c": c, "ior": n} for c, scale, n in grid]
 
-        return Declaration(
-            cls.name,
-            {
-                "k_d": Fitted(0.0, 1.0),
-                "k_s": Fitted(0.0, 1e4),
-                "c": Fitted(0.001, 1.0, "log", geometry=True),
-                **OPTICAL,
-            },
-            free,
-            fixed,
-            lambda v: {"k_d": v["k_d"], "k_s": v["k_s"], "c": v["c"], "ior": optical_argument(v, ior)},
-            starts,
-            needs_wavelength=needs,
-        )
+        rows = {"k_d": SHARE, "k_s": LEVEL, "c": Fitted(0.001, 1.0, "log", geometry=True)}
+        return optical(cls.name, rows, ior, starts)
 
     def __init__(
         self,

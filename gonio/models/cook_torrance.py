@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from math import pi, sqrt
 from typing import Any, ClassVar, Self
@@ -14,17 +14,7 @@ from gonio.models import engine, hemispherical
 from gonio.models._compile import device, of_columns, with_others
 from gonio.models._facets import SINGLE_RANGE, by_angle, by_tan2, fresnel, fresnel_constants, fresnel_real
 from gonio.models._math import _LOG2_E, exp2
-from gonio.models.declaration import (
-    DIFFUSE,
-    OPTICAL,
-    Arguments,
-    Declaration,
-    Ior,
-    Levels,
-    Values,
-    optical_argument,
-    with_optical_constants,
-)
+from gonio.models.declaration import DIFFUSE, Arguments, Declaration, Ior, Levels, Values, optical, optical_argument
 from gonio.models.engine import Constants, Kernel
 from gonio.models.fresnel import n_from_f0, reflectance
 from gonio.models.model import Model, store
@@ -48,30 +38,20 @@ DEFAULT_INDEX = 0.64 + 2.6j
 
 
 @device
-def schlick(c2, f0, rest):  # type: ignore[no-untyped-def]
-    """F_0 + (1 - F_0)(1 - cos)^5."""
+def schlick(c2, f0, rest, unused):  # type: ignore[no-untyped-def]
+    """F_0 + (1 - F_0)(1 - cos)^5 over 1, in the place of `fresnel`."""
     x = 1.0 - sqrt(c2)
     x2 = x * x
-    return f0 + rest * (x2 * x2 * x)
+    return f0 + rest * (x2 * x2 * x), 1.0
 
 
 @device
-def beckmann_slopes(tan2, slopes):  # type: ignore[no-untyped-def]
-    """D = exp(-tan^2/m^2) / (m^2 cos^4), summed over slopes."""
-    cos4_d = 0.0
-    for j in range(0, len(slopes), 2):
-        rate, factor = slopes[j], slopes[j + 1]
-        cos4_d += factor * exp2(tan2 * rate)
-    return cos4_d * ((1.0 + tan2) * (1.0 + tan2))
-
-
-@device
-def gaussian_slopes(alpha2, slopes):  # type: ignore[no-untyped-def]
-    """D = c exp(-(alpha/m)^2) with c = 1, summed over slopes."""
+def gaussian_slopes(square, slopes):  # type: ignore[no-untyped-def]
+    """D = c exp(-(alpha/m)^2) with c = 1, summed over slopes; of tan^2 in place of alpha^2 it is Beckmann's D cos^4."""
     d = 0.0
     for j in range(0, len(slopes), 2):
         rate, factor = slopes[j], slopes[j + 1]
-        d += factor * exp2(alpha2 * rate)
+        d += factor * exp2(square * rate)
     return d
 
 
@@ -87,7 +67,8 @@ def beckmann(tan2, s2, sz, g, constants):  # type: ignore[no-untyped-def]
     """R_s with Beckmann's D and the exact F."""
     (diffuse, contrast, real, imag), slopes = constants[:4], constants[4:]
     f_up, f_down = fresnel(0.25 * s2, contrast, real, imag)
-    return facets(sz, g, diffuse, beckmann_slopes(tan2, slopes) * f_up, f_down)
+    d = gaussian_slopes(tan2, slopes) * ((1.0 + tan2) * (1.0 + tan2))
+    return facets(sz, g, diffuse, d * f_up, f_down)
 
 
 @of_columns(by_angle, 4, single_range=SINGLE_RANGE)
@@ -98,27 +79,11 @@ def gaussian(alpha2, s2, sz, g, constants):  # type: ignore[no-untyped-def]
     return facets(sz, g, diffuse, gaussian_slopes(alpha2, slopes) * f_up, f_down)
 
 
-@of_columns(by_tan2, 4, single_range=SINGLE_RANGE)
-def beckmann_schlick(tan2, s2, sz, g, constants):  # type: ignore[no-untyped-def]
-    """R_s with Beckmann's D and Schlick's F."""
-    (diffuse, f0, rest, _), slopes = constants[:4], constants[4:]
-    return facets(sz, g, diffuse, beckmann_slopes(tan2, slopes) * schlick(0.25 * s2, f0, rest), 1.0)
-
-
-@of_columns(by_angle, 4, single_range=SINGLE_RANGE)
-def gaussian_schlick(alpha2, s2, sz, g, constants):  # type: ignore[no-untyped-def]
-    """R_s with the Gaussian D and Schlick's F."""
-    (diffuse, f0, rest, _), slopes = constants[:4], constants[4:]
-    return facets(sz, g, diffuse, gaussian_slopes(alpha2, slopes) * schlick(0.25 * s2, f0, rest), 1.0)
-
-
+_REFLECTANCES: dict[str, Kernel] = {"exact": fresnel, "real": fresnel_real, "schlick": schlick}
 _KERNELS: dict[tuple[str, str], Kernel] = {
-    ("beckmann", "exact"): beckmann,
-    ("gaussian", "exact"): gaussian,
-    ("beckmann", "real"): with_others(beckmann, "beckmann_real", {fresnel: fresnel_real}),
-    ("gaussian", "real"): with_others(gaussian, "gaussian_real", {fresnel: fresnel_real}),
-    ("beckmann", "schlick"): beckmann_schlick,
-    ("gaussian", "schlick"): gaussian_schlick,
+    (kernel.__name__, name): kernel if f is fresnel else with_others(kernel, f"{kernel.__name__}_{name}", {fresnel: f})
+    for kernel in (beckmann, gaussian)
+    for name, f in _REFLECTANCES.items()
 }
 
 
@@ -195,7 +160,6 @@ class CookTorrance(Model):
     def declaration(cls, ior: Ior = None, slopes: int = 1) -> Declaration:
         """See `Model.declaration`."""
         names = ("m",) if slopes == 1 else ("m_1", "m_2", "w_1")
-        fixed, free, needs = with_optical_constants(ior, ("s", *names, "diffuse_albedo", "ior"))
 
         def arguments(v: Values) -> Arguments:
             slope = ((v["m"], 1.0),) if slopes == 1 else ((v["m_1"], v["w_1"]), (v["m_2"], 1.0 - v["w_1"]))
@@ -220,14 +184,9 @@ class CookTorrance(Model):
 
         width, share = Fitted(0.0005, 3.0, "log", geometry=True), Fitted(0.0, 1.0, geometry=True)
         own = {n: share if n == "w_1" else width for n in names}
-        return Declaration(
-            cls.name,
-            {"s": Fitted(0.0, 1.0), **own, "diffuse_albedo": DIFFUSE, **OPTICAL},
-            free,
-            fixed,
-            arguments,
-            starts,
-            needs_wavelength=needs,
+        return replace(
+            optical(cls.name, {"s": Fitted(0.0, 1.0), **own, "diffuse_albedo": DIFFUSE}, ior, starts),
+            arguments=arguments,
             flat=lambda v: {"diffuse_albedo": (1.0 - v["s"]) / math.pi},
             derived=lambda v: {"d": 1.0 - v["s"]} | ({"w_2": 1.0 - v["w_1"]} if slopes == 2 else {}),
         )

@@ -76,7 +76,7 @@ class Declaration:
         return self.parameters[name]
 
 
-def plain(name: str, rows: Mapping[str, Fitted], needs_wavelength: bool) -> Declaration:
+def plain(name: str, rows: Mapping[str, Fitted], needs_wavelength: bool = False) -> Declaration:
     """Of a model whose parameters are its constructor's arguments, each with bounds and starts of its own.
 
     Raises
@@ -99,7 +99,7 @@ def plain(name: str, rows: Mapping[str, Fitted], needs_wavelength: bool) -> Decl
         return [dict(zip(free, values, strict=True)) for values in product(*grid)]
 
     fixed = {key: row.fixed for key, row in rows.items() if row.fixed is not None}
-    return Declaration(name, rows, free, fixed, lambda v: dict(v), starts, needs_wavelength)
+    return Declaration(name, rows, free, fixed, lambda v: {n: v[n] for n in rows if n in v}, starts, needs_wavelength)
 
 
 def optical(
@@ -111,17 +111,23 @@ def optical(
     only_freed: tuple[str, ...] = (),
     needs_wavelength: bool = False,
     flat: Callable[[Values], Values] = lambda values: {},
+    derived: Callable[[Values], Values] = lambda values: {},
 ) -> Declaration:
     """Of a model whose parameters are its constructor's arguments, and which has optical constants besides.
 
     `only_freed` names rows that the constructor does without: they are fitted where the user frees them.
     """
-    fixed, free, needs = with_optical_constants(ior, (*(n for n in rows if n not in only_freed), "ior"))
+    free, fixed = tuple(n for n in rows if n not in only_freed), dict[str, float]()
+    if ior is None:
+        free, fixed = (*free, "ior"), {"k": 0.0}
+    elif not isinstance(ior, str):
+        fixed = {"ior": ior.real, "k": ior.imag}
 
     def arguments(values: Values) -> Arguments:
         return {**{n: x for n, x in values.items() if n in rows}, "ior": optical_argument(values, ior)}
 
-    return Declaration(name, {**rows, **OPTICAL}, free, fixed, arguments, starts, needs or needs_wavelength, flat=flat)
+    needs = needs_wavelength or isinstance(ior, str)
+    return Declaration(name, {**rows, **OPTICAL}, free, fixed, arguments, starts, needs, derived, flat)
 
 
 def _starts(row: Fitted, levels: Levels) -> list[float]:
@@ -131,19 +137,8 @@ def _starts(row: Fitted, levels: Levels) -> list[float]:
         return [part * levels.peak for part in (0.03, 0.3, 1.0)]
     if row.starts:
         return [float(x) for x in row.starts]
-    if row.scale == "log":
-        return [row.lower ** (1 - q) * row.upper**q for q in (0.2, 0.5, 0.8)]
-    return [row.lower + (row.upper - row.lower) * q for q in (0.2, 0.5, 0.8)]
-
-
-def with_optical_constants(ior: Ior, free: tuple[str, ...]) -> tuple[Values, tuple[str, ...], bool]:
-    """Fixed values, free parameters, and whether the wavelength matters, for what is known of the optical constants."""
-    if ior is None:
-        return {"k": 0.0}, free, False
-    rest = tuple(name for name in free if name != "ior")
-    if isinstance(ior, str):
-        return {}, rest, True
-    return {"ior": ior.real, "k": ior.imag}, rest, False
+    low, high = row.lower, row.upper
+    return [low ** (1 - q) * high**q if row.scale == "log" else low + (high - low) * q for q in (0.2, 0.5, 0.8)]
 
 
 def optical_argument(values: Values, ior: Ior) -> float | complex | str:

@@ -85,25 +85,16 @@ def real_array(name: str, value: ArrayLike, real: type[np.floating[Any]] = np.fl
     return array.astype(real, copy=False)
 
 
-def _flat(array: Floats, shape: tuple[int, ...], count: int) -> tuple[Floats, int]:
-    """A contiguous 1-D array and 1, or a block of one repeated value and 0."""
+def flat(array: Floats, shape: tuple[int, ...], count: int, core: tuple[int, ...] = ()) -> tuple[Floats, int]:
+    """A contiguous 1-D array and 1, or a block of one repeated value (or vector, `core` = (3,)) and 0."""
     if not array.ndim and count == 1:
         return array.reshape(1), 1
-    if array.size == 1 and count != 1:
-        return np.full(min(BLOCK, count), array.reshape(-1)[0]), 0
-    if array.shape != shape:
-        array = np.broadcast_to(array, shape)
-    flat = np.ascontiguousarray(array).reshape(-1)
-    return (flat if flat.flags.aligned else flat.copy()), 1
-
-
-def _flat_vectors(array: Floats, shape: tuple[int, ...], count: int) -> tuple[Floats, int]:
-    if array.size == 3 and count != 1:
-        return np.tile(array.reshape(3), min(BLOCK, count)), 0
-    if array.shape[:-1] != shape:
-        array = np.broadcast_to(array, (*shape, 3))
-    flat = np.ascontiguousarray(array).reshape(-1)
-    return (flat if flat.flags.aligned else flat.copy()), 1
+    if count != 1 and array.size == prod(core):
+        return np.full((min(BLOCK, count), array.size), array.reshape(-1), array.dtype).reshape(-1), 0
+    if array.shape != (*shape, *core):
+        array = np.broadcast_to(array, (*shape, *core))
+    out = np.ascontiguousarray(array).reshape(-1)
+    return (out if out.flags.aligned else out.copy()), 1
 
 
 def common_shape(names: tuple[str, ...], shapes: list[tuple[int, ...]]) -> tuple[int, ...]:
@@ -118,35 +109,31 @@ def common_shape(names: tuple[str, ...], shapes: list[tuple[int, ...]]) -> tuple
 
 
 ANGLES: Final = ("theta_i", "phi_i", "theta_r", "phi_r")
+VECTORS: Final = ("omega_i", "omega_r")
 
 
-def _explain_angles(arrays: list[Floats]) -> ArgumentError:
-    for name, array in zip(ANGLES, arrays, strict=True):
-        low, high = (0.0, HALF_PI) if name.startswith("theta") else (-PHI_LIMIT, PHI_LIMIT)
-        bad = np.flatnonzero(~((array >= low) & (array <= high)))
-        if bad.size:
-            where = f" at index {tuple(int(i) for i in np.unravel_index(bad[0], array.shape))}" if array.ndim else ""
-            allowed = "[0, pi/2]" if low == 0 else f"[-{PHI_LIMIT:g}, {PHI_LIMIT:g}]"
-            return ArgumentError(f"{name} = {array.reshape(-1)[bad[0]]:.17g} rad{where}: must lie in {allowed} rad")
-    raise AssertionError("a check failed that no argument explains")
-
-
-def _explain_vectors(arrays: list[Floats]) -> ArgumentError:
-    for name, array in zip(("omega_i", "omega_r"), arrays, strict=True):
-        square = np.einsum("...k,...k->...", array, array) - 1.0
-        bad = np.flatnonzero(~(np.abs(square) <= 2.0 * NORM_TOLERANCE))
-        if bad.size:
-            where = f" at index {tuple(int(i) for i in np.unravel_index(bad[0], square.shape))}" if square.ndim else ""
-            return ArgumentError(
-                f"{name} = {array.reshape(-1, 3)[bad[0]].tolist()}{where} is not a unit vector: "
-                f"its length must be 1 to {NORM_TOLERANCE:g}"
-            )
-    raise AssertionError("a check failed that no argument explains")
+def _in_range(name: str, array: Floats) -> NDArray[np.bool_]:
+    """Which values of an angle, or which vectors, may be evaluated."""
+    if name.startswith("omega"):
+        return np.asarray(np.abs(np.einsum("...k,...k->...", array, array) - 1.0) <= 2.0 * NORM_TOLERANCE)
+    low, high = (0.0, HALF_PI) if name.startswith("theta") else (-PHI_LIMIT, PHI_LIMIT)
+    return np.asarray((array >= low) & (array <= high))
 
 
 def explain(arrays: list[Floats]) -> ArgumentError:
     """What is wrong with four angles or two arrays of vectors, of which a check failed."""
-    return _explain_angles(arrays) if len(arrays) == 4 else _explain_vectors(arrays)
+    for name, array in zip(ANGLES if len(arrays) == 4 else VECTORS, arrays, strict=True):
+        good = _in_range(name, array)
+        if good.all():
+            continue
+        first = np.unravel_index(np.flatnonzero(~good)[0], good.shape)
+        where = f" at index {tuple(int(i) for i in first)}" if good.ndim else ""
+        if name in VECTORS:
+            rest = f"is not a unit vector: its length must be 1 to {NORM_TOLERANCE:g}"
+            return ArgumentError(f"{name} = {array[first].tolist()}{where} {rest}")
+        allowed = "[0, pi/2]" if name.startswith("theta") else f"[-{PHI_LIMIT:g}, {PHI_LIMIT:g}]"
+        return ArgumentError(f"{name} = {array[first]:.17g} rad{where}: must lie in {allowed} rad")
+    raise AssertionError("a check failed that no argument explains")
 
 
 def angle_arrays(
@@ -161,19 +148,17 @@ def vector_arrays(
     omega_i: ArrayLike, omega_r: ArrayLike, real: type[np.floating[Any]] = np.float64
 ) -> tuple[list[NDArray[Any]], tuple[int, ...]]:
     """Two arrays of vectors (..., 3) as float64 and the shape that they broadcast to; their lengths are not checked."""
-    arrays = [real_array("omega_i", omega_i, real), real_array("omega_r", omega_r, real)]
-    for name, array in zip(("omega_i", "omega_r"), arrays, strict=True):
+    arrays = [real_array(name, value, real) for name, value in zip(VECTORS, (omega_i, omega_r), strict=True)]
+    for name, array in zip(VECTORS, arrays, strict=True):
         if array.ndim == 0 or array.shape[-1] != 3:
             raise ArgumentError(f"{name} has shape {array.shape}: its last axis must have the 3 components of a vector")
-    return arrays, common_shape(("omega_i", "omega_r"), [array.shape[:-1] for array in arrays])
+    return arrays, common_shape(VECTORS, [array.shape[:-1] for array in arrays])
 
 
 def check_angles(arrays: list[Floats]) -> None:
     """Raise `ArgumentError` for a polar angle outside [0, pi/2], an azimuth that is not finite, or NaN."""
-    for name, array in zip(ANGLES, arrays, strict=True):
-        low, high = (0.0, HALF_PI) if name.startswith("theta") else (-PHI_LIMIT, PHI_LIMIT)
-        if not bool(np.all((array >= low) & (array <= high))):
-            raise _explain_angles(arrays)
+    if not all(_in_range(name, array).all() for name, array in zip(ANGLES, arrays, strict=True)):
+        raise explain(arrays)
 
 
 # --- results ------------------------------------------------------------------------------------------------------
@@ -239,10 +224,10 @@ def over_angles(
         check_angles(arrays)
     if count:
         run = loop(_loops.over_absolute_angles if absolute else _loops.over_angles, kernel, len(constants))
-        (a, sa), (b, sb), (c, sc), (d, sd) = (_flat(array, shape, count) for array in arrays)
-        flat = values.reshape(-1)
-        if in_parts(lambda i, j: run(a, sa, b, sb, c, sc, d, sd, constants, flat, i, j), count, split):
-            raise _explain_angles(arrays)
+        (a, sa), (b, sb), (c, sc), (d, sd) = (flat(array, shape, count) for array in arrays)
+        target = values.reshape(-1)
+        if in_parts(lambda i, j: run(a, sa, b, sb, c, sc, d, sd, constants, target, i, j), count, split):
+            raise explain(arrays)
     return delivered(out, values)
 
 
@@ -254,11 +239,15 @@ def over_vectors(
     Two float32 arrays give a float32 result: by float32 arithmetic where kernel and constants allow it, else by
     float64. Into `out` nothing is written before all arguments are checked.
     """
+
+    def rounded() -> Any:
+        double = over_vectors(kernel, constants, *vector_arrays(omega_i, omega_r)[0], split=split)
+        with np.errstate(over="ignore", under="ignore"):  # beyond float32: infinite, as the formula's own poles are
+            return delivered(out, np.asarray(double).astype(np.float32))
+
     single = all_single(omega_i, omega_r)
     if single and not _in_single(kernel, constants):
-        return delivered(
-            out, _to_single(over_vectors(kernel, constants, *vector_arrays(omega_i, omega_r)[0], split=split))
-        )
+        return rounded()
     real: type[np.floating[Any]] = np.float32 if single else np.float64
     arrays, shape = vector_arrays(omega_i, omega_r, real)
     count = prod(shape)
@@ -267,13 +256,12 @@ def over_vectors(
         check_vectors(arrays)
     if count:
         run = loop(_loops.over_vectors, kernel, len(constants), in_single=single)
-        (l, sl), (v, sv) = (_flat_vectors(array, shape, count) for array in arrays)  # noqa: E741
-        flat, numbers = values.reshape(-1), tuple(real(constant) for constant in constants) if single else constants
-        if in_parts(lambda i, j: run(l, sl, v, sv, numbers, flat, i, j), count, split):
+        (l, sl), (v, sv) = (flat(array, shape, count, (3,)) for array in arrays)  # noqa: E741
+        target, numbers = values.reshape(-1), tuple(real(constant) for constant in constants) if single else constants
+        if in_parts(lambda i, j: run(l, sl, v, sv, numbers, target, i, j), count, split):
             if single:  # the lengths in float64 decide
-                double = over_vectors(kernel, constants, *vector_arrays(omega_i, omega_r)[0], split=split)
-                return delivered(out, _to_single(double))
-            raise _explain_vectors(arrays)
+                return rounded()
+            raise explain(arrays)
     return delivered(out, values)
 
 
@@ -281,9 +269,9 @@ def check_vectors(arrays: list[NDArray[Any]]) -> None:
     """Raise `ArgumentError` for a vector that is not of unit length, or holds NaN."""
     for array in arrays:
         run = loop(_loops.over_lengths, _loops.off_unit, 0)
-        flat = np.ascontiguousarray(array, np.float64).reshape(-1)
-        if flat.size and in_parts(lambda i, j, run=run, flat=flat: run(flat, i, j), flat.size // 3):  # type: ignore[misc]
-            raise _explain_vectors(arrays)
+        all_ = np.ascontiguousarray(array, np.float64).reshape(-1)
+        if all_.size and in_parts(lambda i, j, run=run, v=all_: run(v, i, j), all_.size // 3):  # type: ignore[misc]
+            raise explain(arrays)
 
 
 def all_single(*arguments: Any) -> bool:
@@ -296,11 +284,6 @@ def _in_single(kernel: Kernel, constants: Constants) -> bool:
     """Whether a kernel has float32 arithmetic, and that holds all that it makes of these constants."""
     low, high = kernel.__dict__.get("single_range", (math.inf, 0.0))
     return whole_vectors() and all(constant == 0.0 or low <= abs(constant) <= high for constant in constants)
-
-
-def _to_single(values: Any) -> Any:
-    with np.errstate(over="ignore", under="ignore"):  # beyond float32: infinite, as the formula's own poles are
-        return np.asarray(values).astype(np.float32)
 
 
 @dataclass(frozen=True)
@@ -350,12 +333,12 @@ def geometry(theta_i: ArrayLike, phi_i: ArrayLike, theta_r: ArrayLike, phi_r: Ar
 def at_geometry(kernel: Kernel, constants: Constants, where: Geometry, *, split: int = SPLIT, out: Any = None) -> Any:
     """A kernel at a checked `Geometry`."""
     values = room(out, where.shape, [where.omega_i, where.omega_r])
-    flat = values.reshape(-1)
-    if flat.size and "columns" in kernel.__dict__:
+    target = values.reshape(-1)
+    if target.size and "columns" in kernel.__dict__:
         columns = where.columns(kernel)
         shade = loop(_loops.AT[kernel.__dict__["count"]], kernel, len(constants))
-        in_parts(lambda i, j: shade(columns, constants, flat, i, j), flat.size, split)
-    elif flat.size:
+        in_parts(lambda i, j: shade(columns, constants, target, i, j), target.size, split)
+    elif target.size:
         run = loop(_loops.over_vectors, kernel, len(constants))
-        in_parts(lambda i, j: run(where.omega_i, 1, where.omega_r, 1, constants, flat, i, j), flat.size, split)
+        in_parts(lambda i, j: run(where.omega_i, 1, where.omega_r, 1, constants, target, i, j), target.size, split)
     return delivered(out, values)

@@ -1,6 +1,5 @@
 """He, Torrance, Sillion and Greenberg (1991): a comprehensive physical model for light reflection."""
 
-import functools
 import math
 from dataclasses import dataclass
 from itertools import product
@@ -15,19 +14,10 @@ from gonio.models._facets import fresnel_constants
 from gonio.models._hemisphere import about_mirror, about_source
 from gonio.models._htsg_series import TIERS
 from gonio.models._loops import HALF_PI
-from gonio.models.declaration import (
-    DIFFUSE,
-    OPTICAL,
-    Declaration,
-    Ior,
-    Levels,
-    Values,
-    optical_argument,
-    with_optical_constants,
-)
+from gonio.models.declaration import DIFFUSE, Declaration, Ior, Levels, Values, optical
 from gonio.models.engine import Constants, Kernel
 from gonio.models.hemispherical import COARSE_RULES, COARSE_TOLERANCE, TOLERANCE
-from gonio.models.model import Model, over_thetas
+from gonio.models.model import Model, over_thetas, store
 from gonio.models.parameters import Fitted, Index, checked_index, checked_wavelength, choice, index_at, number
 from gonio.typing import ArrayLike, Floats, NDArray
 
@@ -83,7 +73,6 @@ class HeTorrance(Model):
     @classmethod
     def declaration(cls, ior: Ior = None, slopes: int = 1) -> Declaration:
         """See `Model.declaration`."""
-        fixed, free, _ = with_optical_constants(ior, ("sigma0_um", "tau_um", "diffuse_albedo", "ior"))
 
         def starts(levels: Levels) -> list[Values]:
             wave, albedos = levels.wavelength_um, {0.0, min(levels.diffuse, 1.0)}
@@ -95,20 +84,15 @@ class HeTorrance(Model):
                 for r, m, a, n in product(roughness, slope, albedos, indices)
             ]
 
-        return Declaration(
+        rows = {
+            "sigma0_um": Fitted(1e-4, 100.0, "log", "um", geometry=True),
+            "tau_um": Fitted(1e-3, 1e4, "log", "um", geometry=True),
+            "diffuse_albedo": DIFFUSE,
+        }
+        return optical(
             cls.name,
-            {
-                "sigma0_um": Fitted(1e-4, 100.0, "log", "um", geometry=True),
-                "tau_um": Fitted(1e-3, 1e4, "log", "um", geometry=True),
-                "diffuse_albedo": DIFFUSE,
-                **OPTICAL,
-            },
-            free,
-            fixed,
-            lambda v: {
-                **{n: v[n] for n in ("sigma0_um", "tau_um", "diffuse_albedo")},
-                "ior": optical_argument(v, ior),
-            },
+            rows,
+            ior,
             starts,
             needs_wavelength=True,
             flat=lambda v: {"diffuse_albedo": 1.0 / math.pi},
@@ -116,13 +100,15 @@ class HeTorrance(Model):
         )
 
     def __post_init__(self) -> None:
-        store = functools.partial(object.__setattr__, self)
-        store("sigma0_um", number("sigma0_um", self.sigma0_um, 0.0, LARGEST_UM, unit="um"))
-        store("tau_um", number("tau_um", self.tau_um, 1.0 / LARGEST_UM, LARGEST_UM, unit="um"))
-        store("ior", checked_index(self.ior))
-        store("diffuse_albedo", number("diffuse_albedo", self.diffuse_albedo, 0.0, 1.0))
-        store("shadowing", choice("shadowing", self.shadowing, ("smith", "paper")))
-        store("tolerance", number("tolerance", self.tolerance, min(TIERS)))
+        store(
+            self,
+            sigma0_um=number("sigma0_um", self.sigma0_um, 0.0, LARGEST_UM, unit="um"),
+            tau_um=number("tau_um", self.tau_um, 1.0 / LARGEST_UM, LARGEST_UM, unit="um"),
+            ior=checked_index(self.ior),
+            diffuse_albedo=number("diffuse_albedo", self.diffuse_albedo, 0.0, 1.0),
+            shadowing=choice("shadowing", self.shadowing, ("smith", "paper")),
+            tolerance=number("tolerance", self.tolerance, min(TIERS)),
+        )
 
     @property
     def convention(self) -> str:
@@ -233,13 +219,12 @@ class HeTorrance(Model):
         bare = (0.0, *constants[1:10], 1.0)  # the lobe without Fresnel
         arrays, shape = engine.angle_arrays(theta_i, phi_i, theta_r, phi_r)
         lobe = np.asarray(engine.over_angles(kernels.lobe_state, bare, *arrays, split=self.grain))
-        flat = [part for array in arrays for part in engine._flat(array, shape, lobe.size)]
+        flat = [part for array in arrays for part in engine.flat(array, shape, lobe.size)]
         values = engine.room(out, (*shape, 4, 4), arrays)
         run = loop(kernels.mueller_over_angles, kernels.jones, len(constants))
         factor, target = lobe.reshape(-1), values.reshape(-1)
         engine.in_parts(lambda i, j: run(*flat, constants, factor, target, i, j), lobe.size, self.grain)
-        matrices: Floats = engine.delivered(out, values)
-        return matrices
+        return np.asarray(engine.delivered(out, values))
 
     def jones(
         self,
@@ -271,8 +256,7 @@ class HeTorrance(Model):
         out = np.empty((*shape, 2, 2, 2))
         run = loop(kernels.jones_over_angles, kernels.jones, len(constants))
         run(angles[0], angles[2], angles[3] - angles[1], constants, out.reshape(-1), 0, angles.shape[1])
-        joined: NDArray[np.complex128] = out.view(np.complex128)[..., 0]
-        return joined
+        return np.asarray(out.view(np.complex128)[..., 0])
 
     # --- energy -------------------------------------------------------------------------------------------------
 

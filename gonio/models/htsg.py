@@ -117,13 +117,9 @@ def _over_pairs(kernel: Any, arguments: dict[str, ArrayLike], constants: tuple[f
         array = engine.real_array(name, value)
         _require(name, array, (array >= 0.0) & np.isfinite(array), "finite and at least 0")
         arrays.append(array)
-    try:
-        first, second = np.broadcast_arrays(*arrays)
-    except ValueError:
-        shapes = ", ".join(f"{name} {array.shape}" for name, array in zip(arguments, arrays, strict=True))
-        raise ArgumentError(f"the shapes do not broadcast together: {shapes}") from None
-    out = np.empty(first.shape)
-    a, b, flat = np.ascontiguousarray(first).reshape(-1), np.ascontiguousarray(second).reshape(-1), out.reshape(-1)
+    out = np.empty(engine.common_shape(tuple(arguments), [array.shape for array in arrays]))
+    a, b = (np.ascontiguousarray(np.broadcast_to(array, out.shape)).reshape(-1) for array in arrays)
+    flat = out.reshape(-1)
     run = loop(over_pairs, kernel, len(constants) + 1)
     engine.in_parts(lambda i, j: run(a, b, (*constants, 0.0), flat, i, j), a.size, 4096)
     return out[()]

@@ -1,18 +1,13 @@
 """Lambert's law: the perfect diffuser."""
 
-import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import pi
 from typing import ClassVar
 
 import numpy as np
 
 from gonio.models._compile import device
-from gonio.models.declaration import (
-    ALBEDO,
-    Declaration,
-    Ior,
-)
+from gonio.models.declaration import ALBEDO, Declaration, Ior, plain
 from gonio.models.engine import Constants, Kernel
 from gonio.models.model import Model, store
 from gonio.models.parameters import number
@@ -44,14 +39,10 @@ class Lambert(Model):
     @classmethod
     def declaration(cls, ior: Ior = None, slopes: int = 1) -> Declaration:
         """See `Model.declaration`."""
-        return Declaration(
-            cls.name,
-            {"albedo": ALBEDO},
-            ("albedo",),
-            {},
-            lambda v: {"albedo": v["albedo"]},
-            lambda levels: [{"albedo": ALBEDO.inside(levels.median)}],
-            flat=lambda v: {"albedo": 1.0 / math.pi},
+        return replace(
+            plain(cls.name, {"albedo": ALBEDO}),
+            starts=lambda levels: [{"albedo": ALBEDO.inside(levels.median)}],
+            flat=lambda v: {"albedo": 1.0 / pi},
         )
 
     def __post_init__(self) -> None:

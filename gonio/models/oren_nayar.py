@@ -2,7 +2,7 @@
 
 import functools
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from math import pi, sqrt
 from typing import ClassVar
@@ -14,11 +14,7 @@ from gonio.models import hemispherical
 from gonio.models._compile import device, of_columns
 from gonio.models._groove_integral import gaussian_grooves, isotropic_grooves, parallel_grooves
 from gonio.models._math import atan_over_near
-from gonio.models.declaration import (
-    ALBEDO,
-    Declaration,
-    Ior,
-)
+from gonio.models.declaration import ALBEDO, Declaration, Ior, plain
 from gonio.models.engine import SPLIT, Constants, Kernel
 from gonio.models.model import Model, store
 from gonio.models.parameters import Fitted, choice, number
@@ -173,13 +169,9 @@ class OrenNayar(Model):
     @classmethod
     def declaration(cls, ior: Ior = None, slopes: int = 1) -> Declaration:
         """See `Model.declaration`."""
-        return Declaration(
-            cls.name,
-            {"albedo": ALBEDO, "sigma_deg": Fitted(0.0, 60.0, unit="deg", geometry=True)},
-            ("albedo", "sigma_deg"),
-            {},
-            lambda v: {"albedo": v["albedo"], "sigma_deg": v["sigma_deg"]},
-            lambda levels: [
+        return replace(
+            plain(cls.name, {"albedo": ALBEDO, "sigma_deg": Fitted(0.0, 60.0, unit="deg", geometry=True)}),
+            starts=lambda levels: [
                 {"albedo": ALBEDO.inside(scale * levels.median), "sigma_deg": sigma}
                 for scale, sigma in product((0.5, 1.0, 1.3), (5.0, 25.0, 45.0))
             ],

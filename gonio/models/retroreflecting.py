@@ -1,7 +1,7 @@
 """Light that goes back where it came from: the lobe of tape and sheeting about the direction of incidence."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from math import pi
 from typing import ClassVar
@@ -13,13 +13,7 @@ from gonio.models import hemispherical
 from gonio.models._compile import device, of_columns
 from gonio.models._loops import HALF_PI
 from gonio.models._math import _LOG2_E, exp2, log
-from gonio.models.declaration import (
-    DIFFUSE,
-    Declaration,
-    Ior,
-    Levels,
-    Values,
-)
+from gonio.models.declaration import DIFFUSE, Declaration, Ior, Levels, Values, plain
 from gonio.models.engine import Constants, Kernel
 from gonio.models.model import Model, store
 from gonio.models.parameters import Fitted, number
@@ -108,13 +102,9 @@ class Retroreflecting(Model):
             lobe = {"returned": 0.1, "tail": 1.2, "entrance": 0.0, "diffuse_albedo": albedo}
             return [{**lobe, "width_deg": width} for width in (0.5, 2.0, 8.0)]
 
-        return Declaration(
-            cls.name,
-            rows,
-            tuple(rows),
-            {},
-            lambda v: {n: v[n] for n in rows},
-            starts,
+        return replace(
+            plain(cls.name, rows),
+            starts=starts,
             flat=lambda v: {"diffuse_albedo": (1.0 - v["returned"]) / math.pi},
             base_starts=base_starts,
         )

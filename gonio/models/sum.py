@@ -96,14 +96,10 @@ class Sum(Model):
     def _hemispherical(
         self, theta: Floats, phi: Floats, wavelength_nm: float, viewer: bool, tolerance: float
     ) -> Floats:
-        total: Floats = self._total(lambda m: m._hemispherical(theta, phi, wavelength_nm, viewer, tolerance), None)
-        return total
+        return np.asarray(self._total(lambda m: m._hemispherical(theta, phi, wavelength_nm, viewer, tolerance), None))
 
     def _total(self, evaluate: Callable[[Model], Any], out: Any) -> Any:
-        total = sum(_weighted(w, evaluate(m)) for m, w in self.terms)
+        # nothing is left of a term of weight 0, even where it is infinite
+        values = ((weight, evaluate(model)) for model, weight in self.terms)
+        total = sum(weight * value if weight > 0.0 else np.zeros_like(value) for weight, value in values)
         return total if out is None else delivered(out, total)
-
-
-def _weighted(weight: float, value: Any) -> Any:
-    """weight times value; nothing is left of a term of weight 0, even where it is infinite."""
-    return weight * value if weight > 0.0 else np.zeros_like(value)

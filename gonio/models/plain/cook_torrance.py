@@ -140,7 +140,7 @@ def D_beckmann(alpha: Numbers, m: float) -> Numbers:
     m is the total rms slope, sqrt(2) times the one along a line, and 2 sigma0/tau of He1991. The integral of
     D cos(alpha) over the hemisphere is pi.
 
-    Compiled: gonio.models.cook_torrance.beckmann_slopes
+    Compiled: gonio.models.cook_torrance.beckmann
     """
     return np.exp(-((np.tan(alpha) / m) ** 2)) / (m**2 * np.cos(alpha) ** 4)
 
@@ -150,7 +150,7 @@ def D(
 ) -> Numbers:
     """Cook1982 D = sum of w_j D(m_j): several scales of roughness, pairs (m_j, w_j), with weights that sum to 1.
 
-    Compiled: gonio.models.cook_torrance.beckmann_slopes, gonio.models.cook_torrance.gaussian_slopes
+    Compiled: gonio.models.cook_torrance.gaussian_slopes
     """
     return sum(w * distribution(alpha, m) for m, w in slopes)
 
