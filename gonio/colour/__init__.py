@@ -4,6 +4,8 @@ from gonio.colour.cie import (
     ILLUMINANTS,
     chromaticity,
     illuminant,
+    lab,
+    lab_slope,
     light_weights,
     observer,
     spectrum_locus,
@@ -24,7 +26,6 @@ from gonio.colour.display import (
     exposure,
 )
 from gonio.colour.dominant import dominant_wavelength
-from gonio.colour.lab import lab, lab_slope
 from gonio.colour.reflection import (
     ShiftError,
     index_from_f0,

@@ -1,4 +1,4 @@
-"""From values at a list of wavelengths to XYZ: the CIE 1931 observer and the CIE's illuminants, as one matrix."""
+"""From values at a list of wavelengths to XYZ by the CIE 1931 observer, as one matrix, and on to L*a*b*."""
 
 import functools
 from importlib.resources import files
@@ -10,6 +10,10 @@ from gonio.typing import ArrayLike, Floats
 
 ILLUMINANTS = ("D65", "A", "D50", "E")
 """Daylight (the D6500 of 1982), a tungsten lamp, the daylight of print, and equal energy at every wavelength."""
+_EDGE = 6.0 / 29.0
+"""Cube root of the ratio to white below which f is a straight line."""
+_MIX = np.array([[0.0, 116.0, 0.0], [500.0, -500.0, 0.0], [0.0, 200.0, -200.0]])
+"""L* + 16, a* and b* from f(X/Xn), f(Y/Yn), f(Z/Zn)."""
 
 
 @functools.cache
@@ -153,3 +157,45 @@ def _hats(nm: Floats) -> Floats:
     for column, one in zip(order, np.eye(nm.size), strict=True):
         out[:, column] = np.interp(wavelengths(), nm[order], one)
     return out
+
+
+# --- CIE 1976 L*a*b* (CIE 15, ISO 11664-4) ------------------------------------------------------------------------
+
+
+def lab(xyz: ArrayLike, illuminant: str = "D65") -> Floats:
+    """L*a*b* of XYZ against the white of an illuminant, (..., 3) to (..., 3).
+
+    Parameters
+    ----------
+    xyz
+        Y = 1 for a perfect white, as `gonio.colour.xyz` gives it. Values below 0, as noise makes them, go on along the
+        straight line that ends at black.
+    illuminant
+        A name of `ILLUMINANTS`; its white has L* = 100, a* = b* = 0.
+
+    Raises
+    ------
+    ArgumentError
+        There is no such illuminant, or the last axis is not of length 3.
+    """
+    ratio = _ratio(xyz, illuminant)
+    f = np.where(ratio > _EDGE**3, np.cbrt(ratio), ratio / (3.0 * _EDGE**2) + 4.0 / 29.0)
+    return np.asarray(f @ _MIX.T - (16.0, 0.0, 0.0))
+
+
+def lab_slope(xyz: ArrayLike, illuminant: str = "D65") -> Floats:
+    """d(L*, a*, b*)/d(X, Y, Z) at XYZ, (..., 3) to (..., 3, 3): what carries a covariance from XYZ to L*a*b*.
+
+    Parameters and errors as `lab`.
+    """
+    ratio = _ratio(xyz, illuminant)
+    slope = np.where(ratio > _EDGE**3, np.cbrt(np.maximum(ratio, _EDGE**3)) ** -2, _EDGE**-2) / 3.0
+    return np.asarray(_MIX * (slope / white(illuminant))[..., None, :])
+
+
+def _ratio(xyz: ArrayLike, illuminant: str) -> Floats:
+    refuse_masked("xyz", xyz)
+    values = np.asarray(xyz, dtype=np.float64)
+    if values.ndim == 0 or values.shape[-1] != 3:
+        raise ArgumentError(f"xyz has shape {values.shape}: its last axis must hold X, Y and Z")
+    return np.asarray(values / white(illuminant))

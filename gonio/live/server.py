@@ -270,28 +270,23 @@ class _Client(BaseHTTPRequestHandler):
 
     def _answer(self) -> None:
         if self.command not in ("GET", "HEAD"):
-            self._refuse(HTTPStatus.METHOD_NOT_ALLOWED)
-            return
+            return self._refuse(HTTPStatus.METHOD_NOT_ALLOWED)
         hosts = self.headers.get_all("Host", [])
         if len(hosts) != 1 or not self._is_ours(hosts[0]):
-            self._refuse(HTTPStatus.FORBIDDEN, "this server does not go by that name")
-            return
+            return self._refuse(HTTPStatus.FORBIDDEN, "this server does not go by that name")
         origins = self.headers.get_all("Origin", [])
         if any(not o.lower().startswith("http://") or not self._is_ours(o[len("http://") :]) for o in origins):
-            self._refuse(HTTPStatus.FORBIDDEN, "another page asks")
-            return
+            return self._refuse(HTTPStatus.FORBIDDEN, "another page asks")
         path, _, asked = self.requestline.split()[1].partition("?")  # as it was sent: `self.path` has been tidied
         if path == "/favicon.ico":  # a browser asks for it without being told to
-            self._send(HTTPStatus.NO_CONTENT, b"", None)
-            return
+            return self._send(HTTPStatus.NO_CONTENT, b"", None)
         try:
             pairs = parse_qsl(asked, keep_blank_values=True, max_num_fields=32)
         except ValueError:
             pairs = []
         query = dict(pairs) if len({name for name, _ in pairs}) == len(pairs) else {}
         if not hmac.compare_digest(query.get("token", "").encode(errors="replace"), self.server.token):
-            self._refuse(HTTPStatus.FORBIDDEN, "the address lacks the token that was printed, or has an old one")
-            return
+            return self._refuse(HTTPStatus.FORBIDDEN, "the address lacks the token that was printed, or has an old one")
         if path == "/events":
             self._stream(query)
             return
@@ -318,11 +313,9 @@ class _Client(BaseHTTPRequestHandler):
         said = self.headers.get("Last-Event-ID") or query.get("last-event-id") or query.get("after") or "0"
         number = int(said) if said.isascii() and said.isdigit() and len(said) < 16 else 0
         if self.command == "HEAD":
-            self._send(HTTPStatus.OK, b"", "text/event-stream")
-            return
+            return self._send(HTTPStatus.OK, b"", "text/event-stream")
         if not self.server.streams.acquire(blocking=False):
-            self._refuse(HTTPStatus.SERVICE_UNAVAILABLE)
-            return
+            return self._refuse(HTTPStatus.SERVICE_UNAVAILABLE)
         try:
             self._head_of(HTTPStatus.OK, "text/event-stream; charset=utf-8", None)
             self.connection.sendall(b"retry: %d\n\n" % RETRY_MS)

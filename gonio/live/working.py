@@ -9,6 +9,7 @@ import contextlib
 import os
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import islice
 from pathlib import Path
@@ -16,11 +17,11 @@ from pathlib import Path
 from gonio import platform
 from gonio.acquisition.journal import Event
 from gonio.acquisition.records import StepRecord
+from gonio.acquisition.remaining import REMEMBERED, Remaining, TimeLeft
 from gonio.acquisition.run import Run
 from gonio.disk import only_file
 from gonio.errors import GonioError
 from gonio.live.follow import Follower
-from gonio.live.left import Left
 from gonio.live.picture import png
 from gonio.live.provisional import Provisional, ProvisionalValues
 from gonio.live.run_status import RunStatus, rounded
@@ -46,10 +47,57 @@ SHOWN = 6
 BUSY = ("running", "silent")
 """States in which somebody measures, and is not to be disturbed."""
 
+LEFT_S = 2.0
+"""The time that is left is worked out at most so often."""
+
 Wait = Callable[[float], bool]
 """Waits for so many seconds; whether it is time to end."""
 Draw = Callable[[RunStatus, Sequence[ProvisionalValues], int], bytes]
 """What the page shows of values, as it reads it; the number is that of steps that are not reduced yet."""
+
+
+class Left:
+    """The time that is left of a run, for who follows its journal."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._recent: deque[tuple[Event, float | None]] = deque(maxlen=REMEMBERED)
+        self._new = 0
+        """Steps that came since the estimate was told."""
+        self._remaining: Remaining | None = None
+        self._found: TimeLeft | None = None
+        self._looked_s = -LEFT_S
+
+    def take(self, event: Event, took_s: float | None) -> None:
+        """One more line; of a step also how long it took, by the clock on the wall."""
+        if event.get("event") == "step":
+            self._recent.append((event, took_s))
+            self._new += 1
+        elif event.get("event") in ("session", "chosen", "lost"):
+            self._remaining, self._looked_s = None, -LEFT_S  # other steps are left than those that it knows
+
+    def now(self) -> TimeLeft | None:
+        """How long the rest takes; None where nobody knows."""
+        if time.monotonic() - self._looked_s >= LEFT_S:
+            self._looked_s = time.monotonic()
+            try:
+                self._found = self._worked_out()
+            except GonioError:  # the run is damaged: `gonio.live.watching` says so
+                self._found = None
+        return self._found
+
+    def _worked_out(self) -> TimeLeft | None:
+        newest = min(self._new, REMEMBERED)
+        if self._remaining is None:
+            run = Run.open(self._path)
+            self._remaining = Remaining.of_run(run)
+            # of a simulated rig nobody but us has looked at the clock
+            newest = len(self._recent) if run.sample is not None else 0
+        # what it has learnt from older ones it would have forgotten
+        for event, took_s in islice(self._recent, len(self._recent) - newest, None):
+            self._remaining.took(StepRecord.from_json(event), took_s)
+        self._new = 0
+        return self._remaining.left
 
 
 class Worker:
@@ -67,7 +115,6 @@ class Worker:
 
     def __init__(self, run: Path, out: Path, draw: Draw) -> None:
         self.path, self.out, self._draw = run, out, draw
-        self.behind = 0
         self._follower = Follower(run)
         self._begin_anew()
 
@@ -154,13 +201,16 @@ class Worker:
                     self._left.take(event, self._story.took_s)
                 kind = event.get("event")
                 if kind == "step":
-                    number = int(event["step"])
-                    self._forget([number])
+                    self._forget([int(event["step"])])
                     of_kind = {"dark": self._darks, "reference": self._visits}
-                    of_kind.get(str(event.get("kind")), self._points)[number] = place
+                    of_kind.get(str(event.get("kind")), self._points)[int(event["step"])] = place
                 elif kind == "lost":
                     self._forget(map(int, event.get("steps", [])))
-        self.behind = len(self._darks) + len(self._visits) + len(self._points)
+
+    @property
+    def behind(self) -> int:
+        """Steps that are not reduced yet."""
+        return len(self._darks) + len(self._visits) + len(self._points)
 
     def _forget(self, steps: Iterable[int]) -> None:
         for number in steps:
@@ -198,7 +248,6 @@ class Worker:
                 ):  # of a long run's visits and points there are some of each from the beginning
                     step = next(next_of(waiting))
                     self._reduce(self._provisional, waiting.pop(step), step)
-            self.behind = len(self._darks) + len(self._visits) + len(self._points)
         now = time.monotonic()
         told = False
         if self._new and (not self.behind or now - self._told_s >= max(TOLD_S, 10.0 * self._values_s)):

@@ -11,7 +11,6 @@ from gonio.models.arrays import ArrayModel
 from gonio.models.blinn import Blinn, Phong
 from gonio.models.cook_torrance import CookTorrance
 from gonio.models.corrected import Corrected, Correction
-from gonio.models.diffuse_transmitter import DiffuseTransmitter
 from gonio.models.engine import Geometry, geometry
 from gonio.models.eon import EON
 from gonio.models.examine import examine
@@ -20,7 +19,7 @@ from gonio.models.ggx_multiscatter import GGXMultiscatter
 from gonio.models.hapke import Hapke
 from gonio.models.he_torrance import HeTorrance
 from gonio.models.k_correlation import KCorrelation
-from gonio.models.lambert import Lambert
+from gonio.models.lambert import DiffuseTransmitter, Lambert
 from gonio.models.model import Model, build_model
 from gonio.models.oren_nayar import OrenNayar
 from gonio.models.parameters import Fitted

@@ -206,10 +206,7 @@ class AnisotropicFacets(Model):
         layer = min(max(vz * min(a1, a2), 1e-12), 0.3)
         area_v = math.sqrt(vz * vz + (a1 * v1) ** 2 + (a2 * v2) ** 2)
 
-        def rule(boxes: Floats, order: int) -> Floats:
-            node, weight = hemispherical.unit_rule(order)
-            g = (boxes[:, :1] + (boxes[:, 1:2] - boxes[:, :1]) * node)[:, None, :]
-            y = (boxes[:, 2:3] + (boxes[:, 3:] - boxes[:, 2:3]) * node)[:, :, None]
+        def integrand(g: Floats, y: Floats) -> Floats:
             rest = layer**y  # the share of x that is left, where light leaves near the horizon, on a logarithmic scale
             share, stretch = (1.0 - rest) / (1.0 - layer), -math.log(layer) * rest / (1.0 - layer)
             e1, e2 = a1 * np.cos(g), a2 * np.sin(g)
@@ -227,11 +224,9 @@ class AnisotropicFacets(Model):
             facet = np.minimum(np.maximum(vm, 0.0) / np.sqrt(mm), 1.0)
             with np.errstate(invalid="ignore"):
                 shown = np.where(lz > 0.0, 2.0 * lz / (lz * area_v + vz * area_l), 0.0)  # G_2/v_z
-            value = reflectance(facet, ior) * shown * vm * 2.0 * sine * last * stretch / (2.0 * pi)
-            area = (boxes[:, 1] - boxes[:, 0]) * (boxes[:, 3] - boxes[:, 2])
-            return np.asarray(area * np.einsum("bij,i,j->b", value, weight, weight))
+            return np.asarray(reflectance(facet, ior) * shown * vm * 2.0 * sine * last * stretch / (2.0 * pi))
 
         own = math.atan2(v2 * a2, v1 * a1) % HALF_PI
         quarters = np.unique([*(HALF_PI * np.arange(5.0)), *(own + HALF_PI * np.arange(4.0))])
         boxes = hemispherical.boxes(quarters, np.linspace(0.0, 1.0, 1 + math.ceil(-math.log(layer) / 3.0)))
-        return hemispherical.adaptive(rule, boxes, tolerance, f"{self.name}: {math.degrees(theta):.6g} deg")
+        return hemispherical.adaptive(integrand, boxes, tolerance, f"{self.name}: {math.degrees(theta):.6g} deg")

@@ -10,10 +10,9 @@ from numpy.polynomial import chebyshev
 
 from gonio.models._compile import of_columns
 from gonio.models._facets import by_cosines
-from gonio.models._visible_normals import reflected
 from gonio.models.engine import Constants, Kernel
 from gonio.models.fresnel import reflectance
-from gonio.models.ggx import GGX, lobe
+from gonio.models.ggx import GGX, lobe, reflected
 from gonio.models.parameters import index_at
 from gonio.typing import Floats
 

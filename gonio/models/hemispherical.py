@@ -5,10 +5,12 @@ every kink of the V-grooves is known in closed form (`over_facets`). Any other m
 the moving direction (`over_directions`).
 """
 
+from __future__ import annotations
+
 import math
 from collections.abc import Callable, Sequence
 from itertools import pairwise
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -22,6 +24,9 @@ from gonio.models.engine import Constants, Kernel
 from gonio.models.parameters import number
 from gonio.typing import ArrayLike, Floats
 
+if TYPE_CHECKING:
+    from gonio.models.model import Model
+
 TOLERANCE = 1e-8
 """Relative error of the integrals, by the difference between two rules of which the better one counts."""
 NOTHING = 1e-22
@@ -34,20 +39,8 @@ COARSE_TOLERANCE, COARSE_RULES = 1e-6, 2
 """Only for a tolerance above this are the first rules tried, whose agreement says little more."""
 
 
-class Reflecting(Protocol):
-    """What is integrated: a model."""
-
-    @property
-    def name(self) -> str: ...
-    def specular_reflectivity(self, theta_i: ArrayLike, *, wavelength_nm: ArrayLike) -> Any: ...
-    def brdf_vectors(self, omega_i: ArrayLike, omega_r: ArrayLike, *, wavelength_nm: ArrayLike) -> Any: ...
-    def _hemispherical(
-        self, theta: Floats, phi: Floats, wavelength_nm: float, viewer: bool, tolerance: float
-    ) -> Floats: ...
-
-
 def reflectance(
-    model: Reflecting,
+    model: Model,
     theta: ArrayLike,
     phi: ArrayLike,
     wavelength_nm: ArrayLike,
@@ -286,7 +279,7 @@ MOST_BOXES = 20_000
 
 
 def over_directions(
-    model: Reflecting,
+    model: Model,
     theta: Floats,
     phi: Floats,
     wavelength_nm: float,
@@ -327,30 +320,26 @@ def over_directions(
 
 
 def _over_boxes(
-    model: Reflecting, theta: float, phi: float, wavelength_nm: float, viewer: bool, even: bool, tolerance: float
+    model: Model, theta: float, phi: float, wavelength_nm: float, viewer: bool, even: bool, tolerance: float
 ) -> float:
     fixed = np.array([math.sin(theta) * math.cos(phi), math.sin(theta) * math.sin(phi), math.cos(theta)])
     if theta >= HALF_PI:
         fixed[2] = 0.0
 
-    def rule(boxes: Floats, order: int) -> Floats:
-        node, weight = unit_rule(order)
-        polar = boxes[:, :1] + (boxes[:, 1:2] - boxes[:, :1]) * node
-        azimuth = phi + boxes[:, 2:3] + (boxes[:, 3:] - boxes[:, 2:3]) * node
+    def integrand(polar: Floats, azimuth: Floats) -> Floats:
         sine, cosine = np.sin(polar), np.cos(polar)
-        moving = np.empty((len(boxes), order, order, 3))
-        moving[..., 0] = sine[:, :, None] * np.cos(azimuth)[:, None]
-        moving[..., 1] = sine[:, :, None] * np.sin(azimuth)[:, None]
-        moving[..., 2] = cosine[:, :, None]
+        parts = sine * np.cos(phi + azimuth), sine * np.sin(phi + azimuth), cosine
+        moving = np.stack(np.broadcast_arrays(*parts), axis=-1)
         pair = (moving, fixed) if viewer else (fixed, moving)
-        value = np.asarray(model.brdf_vectors(*pair, wavelength_nm=wavelength_nm))
-        area = (boxes[:, 1] - boxes[:, 0]) * (boxes[:, 3] - boxes[:, 2])
         sides = 2.0 if even else 1.0
-        return np.asarray(sides * area * np.einsum("bij,bi,i,j->b", value, sine * cosine, weight, weight))
+        return np.asarray(sides * model.brdf_vectors(*pair, wavelength_nm=wavelength_nm) * sine * cosine)
 
     turns = HALF_PI * np.arange(3.0 if even else 5.0)
     return adaptive(
-        rule, boxes(np.unique([0.0, theta, HALF_PI]), turns), tolerance, f"{model.name}: {math.degrees(theta):.6g} deg"
+        integrand,
+        boxes(np.unique([0.0, theta, HALF_PI]), turns),
+        tolerance,
+        f"{model.name}: {math.degrees(theta):.6g} deg",
     )
 
 
@@ -359,13 +348,13 @@ def boxes(first: Sequence[float] | Floats, second: Sequence[float] | Floats) -> 
     return np.array([(a, b, c, d) for a, b in pairwise(first) for c, d in pairwise(second)])
 
 
-def adaptive(rule: Callable[[Floats, int], Floats], boxes: Floats, tolerance: float, name: str) -> float:
+def adaptive(integrand: Callable[[Floats, Floats], Floats], boxes: Floats, tolerance: float, name: str) -> float:
     """The integral over boxes, of which those are quartered where rules of two orders differ too much.
 
     Parameters
     ----------
-    rule
-        The integral over each of some boxes (n, 4), by a product of Gauss rules of so many nodes a side.
+    integrand
+        Values (n, k, k) at the two variables, (n, k, 1) and (n, 1, k), in n boxes; none of them lies on an edge.
     boxes
         Where to begin (`boxes`); they cover what is integrated over.
     tolerance
@@ -381,6 +370,12 @@ def adaptive(rule: Callable[[Floats, int], Floats], boxes: Floats, tolerance: fl
 
     def size(some: Floats) -> Floats:
         return np.asarray((some[:, 1] - some[:, 0]) * (some[:, 3] - some[:, 2]))
+
+    def rule(some: Floats, order: int) -> Floats:
+        node, weight = unit_rule(order)
+        a, b, c, d = some.T[:, :, None]
+        value = integrand((a + (b - a) * node)[:, :, None], (c + (d - c) * node)[:, None, :])
+        return np.asarray(size(some) * np.einsum("bij,i,j->b", value, weight, weight))
 
     whole = float(size(boxes).sum())
     done, used = 0.0, 0

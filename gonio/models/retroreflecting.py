@@ -162,14 +162,11 @@ class Retroreflecting(Model):
         w2, e, c = self._normalised()
         lz, lx = max(math.cos(theta) if theta < HALF_PI else 0.0, GRAZING), math.sin(theta)
 
-        def rule(boxes: Floats, order: int) -> Floats:
-            node, weight = hemispherical.unit_rule(order)
-            place = (boxes[:, :1] + (boxes[:, 1:2] - boxes[:, :1]) * node)[:, None, :]
-            part = np.floor(boxes[:, 0]).astype(int)[:, None, None]
+        def integrand(place: Floats, turn: Floats) -> Floats:
+            part = np.floor(place).astype(int)
             t = place - part
             share = shares[part] + (shares[part + 1] - shares[part]) * t * t * (3.0 - 2.0 * t)
             slope = (shares[part + 1] - shares[part]) * 6.0 * t * (1.0 - t)
-            turn = (boxes[:, 2:3] + (boxes[:, 3:] - boxes[:, 2:3]) * node)[:, :, None]
             with np.errstate(divide="ignore"):  # the last share of a steep tail rounds to 1: the whole sphere
                 grown = -np.log1p(-share * c) / e if e else share * c  # ln(1 + x/w^2)
             x = np.minimum(w2 * np.expm1(grown), 4.0)
@@ -179,11 +176,9 @@ class Retroreflecting(Model):
                 horizon = np.arccos(np.fmin(np.fmax(-level / swing, -1.0), 1.0))
             rest = (1.0 - turn) ** 4  # V_z may enter with a broken power at the horizon
             vz = np.maximum(level + swing * np.cos(horizon * (1.0 - rest)), 0.0)
-            value = (
+            return np.asarray(
                 vz * (lz * vz) ** self.entrance / (lz + vz - lz * vz) * slope * (4.0 * (1.0 - turn) ** 3) * horizon / pi
             )
-            area = (boxes[:, 1] - boxes[:, 0]) * (boxes[:, 3] - boxes[:, 2])
-            return np.asarray(area * np.einsum("bij,i,j->b", value, weight, weight))
 
         # where the lobe first meets the horizon, and where it is all below it
         at = [2.0 - 2.0 * lx, 2.0 + 2.0 * lx]  # |V - L|^2
@@ -191,4 +186,4 @@ class Retroreflecting(Model):
         shares = np.unique(np.clip([0.0, *kinks, 1.0], 0.0, 1.0))
         # the first variable is a part's number and t in it, which runs quadratically into roots at both ends
         boxes = hemispherical.boxes(np.arange(float(shares.size)), (0.0, 0.5, 1.0))
-        return hemispherical.adaptive(rule, boxes, tolerance, f"{self.name}: {math.degrees(theta):.6g} deg")
+        return hemispherical.adaptive(integrand, boxes, tolerance, f"{self.name}: {math.degrees(theta):.6g} deg")

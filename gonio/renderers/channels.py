@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     import pandas as pd
 
 COLOURS = ("red", "green", "blue")
-WAVELENGTHS_NM = np.arange(400.0, 701.0, 50.0)
-"""Where a model is evaluated for its colour."""
 
 
 @dataclass(frozen=True)

@@ -5,8 +5,8 @@ import pytest
 from gonio.acquisition.journal import decode
 from gonio.acquisition.remaining import Remaining
 from gonio.acquisition.run import Run
-from gonio.live import left as module
-from gonio.live.left import Left
+from gonio.live import working as module
+from gonio.live.working import Left
 from tests.gonio.live.runs import Played
 
 
@@ -19,7 +19,7 @@ def fed(left: Left, played: Played, lines: range) -> None:
 
 @pytest.fixture(autouse=True)
 def at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "AGAIN_S", 0.0)
+    monkeypatch.setattr(module, "LEFT_S", 0.0)
 
 
 def test_nobody_knows_before_a_step_was_taken(played: Played) -> None:
