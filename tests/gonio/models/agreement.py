@@ -15,7 +15,6 @@ from gonio.models.plain.vectors import direction, dot, length, polar
 
 EPS = float(np.finfo(float).eps)
 PI = math.pi
-INDICES = (1.5, 0.7, 1.0 + 0.1j, 0.77 + 6.08j, 0.05 + 3.9j, 2.15 + 20.7j)
 """Glass, its inverse, and metals."""
 
 HARD_DEG = [
@@ -73,16 +72,6 @@ def in_frame(values: dict[str, float], *names: str) -> list[np.ndarray]:
     x = np.cross([1.0, 0.0, 0.0] if abs(z[0]) < 0.9 else [0.0, 1.0, 0.0], z)
     x /= np.linalg.norm(x)
     return [np.array([o @ x, o @ np.cross(z, x), o @ z]) / np.linalg.norm(o) for o in others]
-
-
-SURFACES = [  # sigma0 and tau [um], wavelength [um], index: Figs. 7, 8, 9, 12, 10, and a smooth one
-    (0.28, 1.77, 2.0, 2.15 + 20.7j),
-    (0.28, 1.77, 0.5, 0.77 + 6.08j),
-    (1.45, 13.2, 0.5, 1.7),
-    (0.18, 3.0, 0.55, 0.96 + 6.69j),
-    (2.2, 0.5, 0.55, 1.5),
-    (0.001, 2.0, 0.5, 0.7),
-]
 
 
 def lobe_loss(theta_i: Any, phi_i: Any, theta_r: Any, phi_r: Any, sigma0: float, tau: float, lam: float) -> Any:

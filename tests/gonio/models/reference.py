@@ -7,8 +7,6 @@ from typing import Any
 
 from tests.places import REFERENCE
 
-FOLDER = REFERENCE
-
 
 def cases(name: str) -> list[dict[str, Any]]:
-    return json.loads((FOLDER / f"{name}_public.json").read_text())["cases"]
+    return json.loads((REFERENCE / f"{name}_public.json").read_text())["cases"]

@@ -13,6 +13,9 @@ from hypothesis import strategies as st
 from gonio.errors import ArgumentError
 from gonio.models import Blinn, CookTorrance, HeTorrance, Lambert, Model, OrenNayar, Phong, Sum, fresnel
 from gonio.models.blinn import DISTRIBUTIONS
+from gonio.models.cook_torrance import unblocked_fraction
+from gonio.models.plain import cook_torrance
+from gonio.models.plain.vectors import direction
 
 PI = math.pi
 thetas = st.floats(0.0, PI / 2)
@@ -243,8 +246,6 @@ def test_a_spike_is_known_by_the_method_that_a_model_brings() -> None:
 
 
 def test_unblocked_fraction() -> None:
-    from gonio.models.cook_torrance import unblocked_fraction
-
     assert unblocked_fraction([0.0]) == 1.0
     # a straight wall of infinite height hides half of the hemisphere, also when weighted with N.L
     assert unblocked_fraction(np.repeat([0.0, PI / 2], 180)) == pytest.approx(0.5, abs=1e-15)
@@ -273,3 +274,26 @@ def test_presets_that_name_their_material() -> None:
     )  # copper reflects some 60 % at 550 nm
     oxide = Blinn.preset("magnesium oxide")
     assert (oxide.k_s, oxide.k_d, oxide.ior, oxide.c) == (0.667, 0.333, 1.8, 0.35)
+
+
+def test_cook_torrance_ambient_light() -> None:
+    # a horizon that rises toward one side; 1000 x 1000 cells are good to 1/1000
+    def horizon(phi: Any) -> Any:
+        return 0.5 * (1.0 + np.cos(phi))
+
+    def unblocked(theta: Any, phi: Any) -> Any:
+        return PI / 2 - theta > horizon(phi)
+
+    phi = 2.0 * PI * np.arange(720) / 720
+    assert cook_torrance.f(unblocked) == pytest.approx(unblocked_fraction(horizon(phi)), abs=1e-3)
+    model = CookTorrance(0.4, 0.6, 0.4, ior=1.5, diffuse_albedo=0.7)
+    theta_r = 0.6
+    plain = cook_torrance.R_a(
+        lambda theta, phi: cook_torrance.brdf(
+            direction(theta, phi), direction(theta_r, 0.0), ((0.4, 1.0),), 1.5, 0.4, 0.6, 0.7
+        ),
+        128,
+    )
+    # 1e-3 is what the model states
+    assert model.ambient_reflectance(theta_r) == pytest.approx(plain, rel=1e-3)
+    assert model.ambient_reflectance() == pytest.approx(PI * 0.7 / PI, rel=8e-16)  # R_a = pi R_d

@@ -5,7 +5,6 @@ respect to their inputs, and 1e-12 is the accuracy that the model states. Values
 """
 
 import csv
-import json
 import math
 from typing import Any
 
@@ -14,12 +13,8 @@ import pytest
 
 from gonio.instrument import apparent_brdf
 from gonio.models import HeTorrance, htsg
+from tests.gonio.models.reference import cases
 from tests.places import REFERENCE
-
-
-def cases(name: str) -> list[dict[str, Any]]:
-    found: list[dict[str, Any]] = json.loads((REFERENCE / f"{name}_public.json").read_text(encoding="utf-8"))["cases"]
-    return found
 
 
 def condition(case: dict[str, Any]) -> dict[str, float]:

@@ -1,7 +1,7 @@
 """Every compiled kernel against `gonio.models.plain`, and every loop with one kernel that goes through it.
 
-The tests of each paper draw more parameters. Here each kernel stands beside the plain function that specifies it, and
-a kernel without one is found.
+Reference digits hold models and plain functions over many more parameters. Here each kernel stands beside the plain
+function that specifies it, and a kernel without one is found.
 """
 
 import importlib
@@ -37,11 +37,12 @@ from gonio.models import ggx_multiscatter as ggx_multiscatter_kernels
 from gonio.models.plain import anisotropic, blinn, cook_torrance, he_torrance, oren_nayar, retroreflecting
 from gonio.models.plain import fresnel as plain_fresnel
 from gonio.models.plain.vectors import direction, dot
-from tests.gonio.models import test_newer_models, test_plain_blinn, test_plain_he_torrance, test_plain_oren_nayar
-from tests.gonio.models.agreement import EPS, PI, Angles, agree, facet_loss, lobe_loss, pairs
+from tests.gonio.models import test_closed_reference, test_htsg_reference, test_newer_models
+from tests.gonio.models.agreement import EPS, PI, Angles, agree, facet_loss, lobe_loss, pairs, vectors
 
 METAL, GLASS = 0.77 + 6.08j, 1.5
 WAVELENGTH_NM = 550.0
+BLINN = {"phong": blinn.D_1, "gaussian": blinn.D_2, "trowbridge-reitz": blinn.D_3}
 
 
 class Case(NamedTuple):
@@ -82,7 +83,7 @@ def cook(distribution: str, ior: complex, reflectance: str = "exact") -> Case:
 def torrance_sparrow(distribution: str, c: float, ior: complex) -> Case:
     def plain(at: Angles) -> Any:
         light, eye, alpha, _ = facets(at)
-        D = test_plain_blinn.BLINN[distribution](alpha, c)
+        D = BLINN[distribution](alpha, c)
         F = plain_fresnel.reflectance(np.arccos(np.minimum(dot(eye, blinn.H(light, eye)), 1.0)), ior)
         return blinn.brdf(blinn.s(D, blinn.G(light, eye), F, eye), light, 0.6, 0.4)
 
@@ -218,20 +219,33 @@ IN_EVERY_LOOP = (
 )
 """Of both azimuths, of three, four and two columns, and of directions; He and Torrance's have loops of their own."""
 
+
+def test_phong() -> None:
+    light, eye = vectors(3)
+    alpha, loss = facet_loss(light, eye)
+    for c1 in (0.0, 1.0, 50.0, 1000.0):
+        s = blinn.s_phong(light, eye, c1)
+        # cos^c1 of a rounded N.H: c1 roundings, and c1 tan(alpha) of H's own
+        steep = c1 * (1.0 + np.tan(alpha))
+        model = Phong(0.5, 0.4, c1)
+        agree(model.brdf_vectors(light, eye), blinn.brdf(s, light, 0.5, 0.4), (1.0 + steep) * loss)
+        agree(model.highlight(*pairs(3)), s, (1.0 + steep) * loss)
+
+
 ELSEWHERE: dict[Any, Callable[..., None]] = {
-    **dict.fromkeys(blinn_kernels._HIGHLIGHTS.values(), test_plain_blinn.test_blinn),
-    blinn_kernels.phong_highlight: test_plain_blinn.test_phong,
-    groove_kernels.gaussian_grooves: test_plain_oren_nayar.test_oren_nayar_grooves_in_every_direction,
-    groove_kernels.isotropic_grooves: test_plain_oren_nayar.test_oren_nayar_grooves_in_every_direction,
-    htsg_kernels.spike_reflectivity: test_plain_he_torrance.test_he_torrance_lobe_and_spike,
+    **dict.fromkeys(blinn_kernels._HIGHLIGHTS.values(), test_closed_reference.test_blinn),
+    blinn_kernels.phong_highlight: test_phong,
+    groove_kernels.gaussian_grooves: test_closed_reference.test_oren_nayar_exact,
+    groove_kernels.isotropic_grooves: test_closed_reference.test_oren_nayar_single_slope,
+    htsg_kernels.spike_reflectivity: test_htsg_reference.test_unpolarised,
     abg_kernels.abg: test_newer_models.test_public_digits,
     eon_kernels.eon: test_newer_models.test_public_digits,
     ggx_kernels.isotropic: test_newer_models.test_public_digits,
     ggx_kernels.anisotropic: test_newer_models.test_facets_of_one_width_are_isotropic,
     ggx_multiscatter_kernels.multiscatter: test_newer_models.test_a_mirror_s_facets_lose_no_light_between_them,
-    models.htsg._shadowing: test_plain_he_torrance.test_he_torrance_parts,
-    models.htsg._effective_roughness: test_plain_he_torrance.test_he_torrance_parts,
-    models.htsg._log_series: test_plain_he_torrance.test_he_torrance_parts,
+    models.htsg._shadowing: test_htsg_reference.test_shadowing,
+    models.htsg._effective_roughness: test_htsg_reference.test_effective_roughness,
+    models.htsg._log_series: test_htsg_reference.test_series,
 }
 """Kernels that are no model's BRDF, whose plain form takes a quadrature, or that others' digits hold: the tests."""
 
