@@ -58,7 +58,7 @@ def of_columns(
 
 
 def with_others(kernel: F, name: str, others: Mapping[Callable[..., Any], Callable[..., Any]]) -> F:
-    """A kernel's code once more, in which other marked functions take the place of some, at any depth."""
+    """A kernel or a loop once more, in which other marked functions take the place of some, at any depth."""
     assert isinstance(kernel, FunctionType)
     copy = _copy(kernel, {})
     copy.__dict__.update(kernel.__dict__, others=tuple(others.items()))
@@ -189,7 +189,7 @@ def _loop(function: Callable[..., Any], kernel: Callable[..., Any], size: int, i
         parts = {"shade": kernel, "take": kernel.__dict__["columns"]}
         whole = _clone(_of_directions, parts, kernel.__dict__.get("others", ()), in_single)
         names = {"kernel": numba.njit(forceinline=True, **options)(whole)}
-    plain = _clone(function, names, (), in_single)
+    plain = _clone(function, names, function.__dict__.get("others", ()), in_single)
     sources = _sources(kernel.__code__.co_filename) + ("" if whole_vectors() else "_stock")
     plain.__name__ = f"{function.__name__}_{real}_{kernel.__module__.rsplit('.', 1)[-1]}_{kernel.__name__}_{sources}"
     plain.__qualname__ = plain.__name__

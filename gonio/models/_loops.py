@@ -10,7 +10,7 @@ of its own.
 from math import pi
 from typing import Final
 
-from gonio.models._compile import device, template
+from gonio.models._compile import device, template, with_others
 from gonio.models._math import sincos, sincos_polar
 
 NORM_TOLERANCE: Final = 1e-6  # how far from 1 the length of a direction may be: what float32 vectors need, and no more
@@ -114,21 +114,7 @@ def over_angles(theta_i, step_ti, phi_i, step_pi, theta_r, step_tr, phi_r, step_
     return wrong
 
 
-@template("r1 i r1 i r1 i r1 i p w1 i i")
-def over_absolute_angles(  # type: ignore[no-untyped-def]
-    theta_i, step_ti, phi_i, step_pi, theta_r, step_tr, phi_r, step_pr, constants, out, start, stop
-):
-    wrong = 0
-    for first in range(start, stop, BLOCK):
-        count = min(BLOCK, stop - first)
-        ti, pi_ = part(theta_i, first, count, step_ti), part(phi_i, first, count, step_pi)
-        tr, pr = part(theta_r, first, count, step_tr), part(phi_r, first, count, step_pr)
-        o = out[first : first + count]
-        for j in range(count):
-            lx, ly, lz, vx, vy, vz, off = vectors_of_absolute_angles(ti[j], pi_[j], tr[j], pr[j])
-            wrong |= off
-            o[j] = kernel(lx, ly, lz, vx, vy, vz, constants)  # type: ignore[name-defined]  # noqa: F821
-    return wrong
+over_absolute_angles = with_others(over_angles, "over_absolute_angles", {vectors_of_angles: vectors_of_absolute_angles})
 
 
 @template("r1 i i")

@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass
 from itertools import product
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from gonio.models._loops import HALF_PI
 from gonio.models.declaration import DIFFUSE, Declaration, Ior, Levels, Values, optical
 from gonio.models.engine import Constants, Kernel
 from gonio.models.hemispherical import COARSE_RULES, COARSE_TOLERANCE, TOLERANCE
-from gonio.models.model import Model, over_thetas, store
+from gonio.models.model import Model, store
 from gonio.models.parameters import Fitted, Index, checked_index, checked_wavelength, choice, index_at, number
 from gonio.typing import ArrayLike, Floats, NDArray
 
@@ -155,28 +155,8 @@ class HeTorrance(Model):
 
     # --- the specular spike -------------------------------------------------------------------------------------
 
-    def specular_reflectivity(self, theta_i: ArrayLike, *, wavelength_nm: ArrayLike = 550.0, out: Any = None) -> Any:
-        """rho_s, the reflectivity of the specular spike (He1991 eq. 73), for unpolarised light.
-
-        Parameters
-        ----------
-        theta_i
-            Polar angle of the source [rad], in [0, pi/2].
-        wavelength_nm
-            Wavelength [nm].
-
-        Returns
-        -------
-        float64 array of the shape that the arguments broadcast to, in [0, 1].
-
-        Raises
-        ------
-        ArgumentError
-            An angle is NaN or out of range; it names the argument.
-        """
-        return engine.delivered(out, over_thetas(self._spike, theta_i, wavelength_nm))
-
     def _spike(self, theta: Floats, wavelength_nm: float) -> Floats:
+        """rho_s (He1991 eq. 73), for unpolarised light."""
         constants = self._constants(wavelength_nm)
         out = np.empty(theta.size)
         run = loop(kernels.over_thetas, kernels.spike_reflectivity, len(constants))

@@ -10,7 +10,7 @@ import numpy as np
 from gonio.models.arrays import ArrayModel
 from gonio.models.declaration import Declaration, Ior, Levels, Values, optical, plain
 from gonio.models.fresnel import reflectance
-from gonio.models.model import over_thetas, store
+from gonio.models.model import store
 from gonio.models.parameters import Fitted, checked_index, index_at, number, positive
 from gonio.typing import Floats
 
@@ -105,11 +105,6 @@ class KCorrelation(ArrayModel):
         spectrum = spectrum * (1.0 + self.b_um**2 * f2) ** (-0.5 * (self.c + 1.0))
         return np.asarray(16.0 * math.pi**2 / um**4 * ci * cr * spectrum * np.abs((epsilon - 1.0) * q) ** 2)
 
-    def specular_reflectivity(self, theta_i: Any, *, wavelength_nm: Any = 550.0, out: Any = None) -> Any:
-        def beam(theta: Floats, wave: float) -> Floats:
-            g = (4.0 * math.pi * self.sigma_rel_um(wave) * 1e3 / wave * np.cos(theta)) ** 2
-            return np.asarray(reflectance(np.cos(theta), index_at(self.ior, wave)) * np.exp(-g))
-
-        from gonio.models import engine
-
-        return engine.delivered(out, over_thetas(beam, theta_i, wavelength_nm))
+    def _spike(self, theta: Floats, wavelength_nm: float) -> Floats:
+        g = (4.0 * math.pi * self.sigma_rel_um(wavelength_nm) * 1e3 / wavelength_nm * np.cos(theta)) ** 2
+        return np.asarray(reflectance(np.cos(theta), index_at(self.ior, wavelength_nm)) * np.exp(-g))

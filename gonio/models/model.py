@@ -38,7 +38,7 @@ class Model(ABC):
     """A reflectance model with its parameters.
 
     Subclasses are frozen dataclasses whose fields are the constructor's arguments; they name a compiled kernel and
-    the constants that it needs at a wavelength. A model with a specular spike overrides `specular_reflectivity`.
+    the constants that it needs at a wavelength. A model with a specular spike overrides `_spike`.
     """
 
     name: ClassVar[str]
@@ -309,8 +309,9 @@ class Model(ABC):
 
     @property
     def has_spike(self) -> bool:
-        """Whether the model has a specular spike: whether its class has a `specular_reflectivity` of its own."""
-        return type(self).specular_reflectivity is not Model.specular_reflectivity
+        """Whether the model has a specular spike: whether its class says something of its own about it."""
+        own = type(self)
+        return own._spike is not Model._spike or own.specular_reflectivity is not Model.specular_reflectivity
 
     def specular_reflectivity(self, theta_i: ArrayLike, *, wavelength_nm: ArrayLike = 550.0, out: Any = None) -> Any:
         """Reflectivity of the specular spike: 0 for a model without one.
@@ -333,7 +334,11 @@ class Model(ABC):
         ArgumentError
             An angle is NaN or out of range; it names the argument.
         """
-        return engine.delivered(out, over_thetas(lambda theta, _: np.zeros(theta.size), theta_i, wavelength_nm))
+        return engine.delivered(out, _over_thetas(self._spike, theta_i, wavelength_nm))
+
+    def _spike(self, theta: Floats, wavelength_nm: float) -> Floats:
+        """Reflectivity (n,) of the spike at checked polar angles (n,)."""
+        return np.zeros(theta.size)
 
     def directional_hemispherical(
         self,
@@ -406,7 +411,7 @@ class Model(ABC):
         return hemispherical.over_directions(self, theta, phi, wavelength_nm, viewer, tolerance=tolerance)
 
 
-def over_thetas(evaluate: Callable[[Floats, float], Floats], theta_i: ArrayLike, wavelength_nm: ArrayLike) -> Any:
+def _over_thetas(evaluate: Callable[[Floats, float], Floats], theta_i: ArrayLike, wavelength_nm: ArrayLike) -> Any:
     """``evaluate(flat theta_i, wavelength) -> flat`` over checked arguments that broadcast."""
     theta = engine.real_array("theta_i", theta_i)
     engine.check_angles([theta, *[np.zeros(1)] * 3])

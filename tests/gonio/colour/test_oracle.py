@@ -30,32 +30,30 @@ def spectra(nm: Floats) -> Floats:
     return np.concatenate([step, 1.0 - step, rng.uniform(0.0, 1.0, (8, nm.size)), np.ones((1, nm.size))])
 
 
-@pytest.mark.parametrize("name", colour.ILLUMINANTS)
-def test_xyz_of_reflectances(oracle: Any, name: str) -> None:
-    nm = colour.wavelengths()
+def summed(oracle: Any, name: str, values: Floats) -> Floats:
+    """XYZ of spectra at `colour.wavelengths` under an illuminant, by the library."""
     shape = oracle.SpectralShape(360, 830, 5)
     observer = oracle.MSDS_CMFS[OBSERVER].copy().align(shape)
     # its tables end at 780 nm, and it goes on with the last value; there the observer has 3e-6 of its sum
     light = oracle.SDS_ILLUMINANTS[name].copy().align(shape)
+    spectra = (oracle.SpectralDistribution(row, colour.wavelengths()) for row in values)
+    return np.array([oracle.sd_to_XYZ(one, observer, light, method="Integration") / 100.0 for one in spectra])
+
+
+@pytest.mark.parametrize("name", colour.ILLUMINANTS)
+def test_xyz_of_reflectances(oracle: Any, name: str) -> None:
+    nm = colour.wavelengths()
     values = spectra(nm)
-    wanted = [
-        oracle.sd_to_XYZ(oracle.SpectralDistribution(row, nm), observer, light, method="Integration") / 100.0
-        for row in values
-    ]
-    assert colour.xyz(values, nm, name) == pytest.approx(np.array(wanted), abs=1e-6)  # what is asked of the colours
+    assert colour.xyz(values, nm, name) == pytest.approx(summed(oracle, name, values), abs=1e-6)
 
 
 def test_xyz_at_few_wavelengths_is_the_sum_over_values_linear_between_them(oracle: Any) -> None:
     rng = np.random.default_rng(3)
-    shape = oracle.SpectralShape(360, 830, 5)
-    observer = oracle.MSDS_CMFS[OBSERVER].copy().align(shape)
-    light = oracle.SDS_ILLUMINANTS["D65"].copy().align(shape)
     for nm in ([450.0, 550.0, 650.0], [640.0, 431.5, 580.0, 512.0, 405.0, 475.0, 611.3, 702.0]):
         values = rng.uniform(0.0, 1.0, len(nm))
         order = np.argsort(nm)
         fine = np.interp(colour.wavelengths(), np.array(nm)[order], values[order])
-        curve = oracle.SpectralDistribution(fine, colour.wavelengths())
-        wanted = oracle.sd_to_XYZ(curve, observer, light, method="Integration") / 100.0
+        wanted = summed(oracle, "D65", fine[None])[0]
         assert colour.xyz(values, nm) == pytest.approx(wanted, abs=1e-6)  # as above
 
 
@@ -104,15 +102,9 @@ def test_adaptation(oracle: Any) -> None:
 def test_the_colour_of_copper_by_both(oracle: Any) -> None:
     """The whole way: n + ik, Fresnel, XYZ, linear RGB."""
     nm = colour.wavelengths()
-    shape = oracle.SpectralShape(360, 830, 5)
-    observer = oracle.MSDS_CMFS[OBSERVER].copy().align(shape)
-    light = oracle.SDS_ILLUMINANTS["D65"].copy().align(shape)
     theta = np.radians([0.0, 45.0, 80.0, 89.0])
-    wanted = [
-        oracle.sd_to_XYZ(oracle.SpectralDistribution(row, nm), observer, light, method="Integration") / 100.0
-        for row in colour.reflectance(theta, nm, "Cu")
-    ]
-    assert colour.reflected_xyz(theta, nm, "Cu") == pytest.approx(np.array(wanted), abs=1e-6)
+    wanted = summed(oracle, "D65", colour.reflectance(theta, nm, "Cu"))
+    assert colour.reflected_xyz(theta, nm, "Cu") == pytest.approx(wanted, abs=1e-6)
 
 
 @pytest.mark.parametrize("name", colour.ILLUMINANTS)

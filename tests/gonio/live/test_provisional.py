@@ -22,11 +22,17 @@ theta_r_deg = [-70, 0]
 """
 
 
-def test_in_the_end_it_is_the_reduction_but_for_what_the_angles_do(whole: Path) -> None:
-    run = Run.open(whole)
+def played(run: Run) -> Provisional:
+    """All steps of a run, as they came."""
     found = Provisional(run)
     for step in run.steps():
         found.add(step)
+    return found
+
+
+def test_in_the_end_it_is_the_reduction_but_for_what_the_angles_do(whole: Path) -> None:
+    run = Run.open(whole)
+    found = played(run)
     table = brdf.reduce(run)
     for values in found.values():
         final = table[table["wavelength_nm"] == values.band.centre_nm].iloc[values.points]  # in the plan's order
@@ -75,9 +81,7 @@ def test_a_step_is_read_once(whole: Path, monkeypatch: pytest.MonkeyPatch) -> No
 
 def test_visits_show_the_drift_of_the_reference(whole: Path) -> None:
     run = Run.open(whole)
-    found = Provisional(run)
-    for step in run.steps():
-        found.add(step)
+    found = played(run)
     steps = [step.step for step in run.steps() if step.kind == "reference"]
     for values in found.values():
         assert [step for step, _, _ in values.visits] == steps
@@ -87,9 +91,7 @@ def test_visits_show_the_drift_of_the_reference(whole: Path) -> None:
 
 def test_what_was_lost_is_shown_no_more(whole: Path) -> None:
     run = Run.open(whole)
-    found = Provisional(run)
-    for step in run.steps():
-        found.add(step)
+    found = played(run)
     found.drop([2])
     assert 2 not in found.values()[0].steps
     points, visits = len(found.values()[0].points), len(found.values()[0].visits)
@@ -97,10 +99,7 @@ def test_what_was_lost_is_shown_no_more(whole: Path) -> None:
 
 
 def test_poses_that_look_beside_the_first_ones_are_reduced_too(tmp_path: Path) -> None:
-    run = Run.open(measured(tmp_path, NARROW))
-    found = Provisional(run)
-    for step in run.steps():  # seen flat the patch is narrow, seen from above it is wide
-        found.add(step)
+    found = played(Run.open(measured(tmp_path, NARROW)))  # seen flat the patch is narrow, seen from above it is wide
     assert len(found.values()[0].points) == 2
 
 

@@ -48,6 +48,14 @@ def vectors(seed: int) -> tuple[np.ndarray, np.ndarray]:
     return direction(theta_i, phi_i), direction(theta_r, phi_r)
 
 
+def drawn_vectors(rng: np.random.Generator, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Pairs of random directions above the surface."""
+    w = rng.normal(size=(2, count, 3))
+    w[..., 2] = np.abs(w[..., 2])
+    w /= np.linalg.norm(w, axis=-1, keepdims=True)
+    return w[0], w[1]
+
+
 def agree(got: Any, plain: Any, loss: Any, roundings: float = 8.0, scale: Any = None) -> None:
     """`got` is within so many roundings of `plain`, each worth eps (1 + loss); below 1e-290 both are 0."""
     got, plain = np.asarray(got), np.asarray(plain)

@@ -6,6 +6,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -28,17 +29,14 @@ from gonio.models import (
 )
 from gonio.models._compile import _loop
 from gonio.models.model import Model
+from tests.gonio.models.agreement import drawn_vectors
 from tests.places import ROOT
 
 MODEL = CookTorrance()
 RNG = np.random.default_rng(5)
 
 
-def pairs(n: int) -> tuple[np.ndarray, np.ndarray]:
-    w = RNG.normal(size=(2, n, 3))
-    w[..., 2] = np.abs(w[..., 2])
-    w /= np.linalg.norm(w, axis=-1, keepdims=True)
-    return w[0], w[1]
+pairs = partial(drawn_vectors, RNG)
 
 
 def test_scalars_give_scalars_and_shapes_broadcast() -> None:

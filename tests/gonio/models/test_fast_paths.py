@@ -1,6 +1,7 @@
 """float32, `out=`, wavelengths on their own axis, and what a checked geometry keeps, against the plain call."""
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 from gonio.errors import ArgumentError
 from gonio.models import Blinn, CookTorrance, HeTorrance, Lambert, Model, OrenNayar, Phong, Sum, geometry
 from gonio.models._loops import BLOCK
+from tests.gonio.models.agreement import drawn_vectors
 
 RNG = np.random.default_rng(16)
 CLOSED = [
@@ -29,11 +31,7 @@ PATHS = [CookTorrance(), HeTorrance(), OrenNayar(form="single-slope", slope_deg=
 ALL = [*CLOSED, HeTorrance(), OrenNayar(form="single-slope", slope_deg=20, groove_azimuth_deg=30)]
 
 
-def pairs(n: int) -> tuple[np.ndarray, np.ndarray]:
-    w = RNG.normal(size=(2, n, 3))
-    w[..., 2] = np.abs(w[..., 2])
-    w /= np.linalg.norm(w, axis=-1, keepdims=True)
-    return w[0], w[1]
+pairs = partial(drawn_vectors, RNG)
 
 
 def unit(x: np.ndarray) -> np.ndarray:
@@ -122,21 +120,26 @@ def calls(n: int) -> list[tuple[str, Callable[..., Any], tuple[int, ...]]]:
     light, view = pairs(n)
     angles = np.arccos(light[:, 2]), 0.1, np.arccos(view[:, 2]), np.arctan2(view[:, 1], view[:, 0])
     where = geometry(*angles)
-    out: list[tuple[str, Callable[..., Any], tuple[int, ...]]] = []
-    models = [*PATHS, Sum((Lambert(), 0.5), (CookTorrance(), 0.5))]
-    for model in models:
-        out.append((f"{model.name} brdf", lambda m=model, **k: m.brdf(*angles, **k), (n,)))
-        out.append((f"{model.name} brdf_vectors", lambda m=model, **k: m.brdf_vectors(light, view, **k), (n,)))
-        out.append((f"{model.name} at", lambda m=model, **k: m.at(where, **k), (n,)))
-    out.append(("phong highlight", lambda **k: Phong().highlight(*angles, **k), (n,)))
-    out.append(("blinn highlight", lambda **k: Blinn().highlight(*angles, **k), (n,)))
-    out.append(("specular", lambda **k: CookTorrance().specular(*angles, **k), (n,)))
-    out.append(("rho_s", lambda **k: HeTorrance().specular_reflectivity(angles[0], **k), (n,)))
-    out.append(("rho_dh", lambda **k: HeTorrance().directional_hemispherical(angles[0][:3], **k), (3,)))
-    out.append(("mueller", lambda **k: HeTorrance().mueller(*angles, **k), (n, 4, 4)))
     waves = np.array([[450.0], [650.0]])
-    out.append(("wavelengths", lambda **k: HeTorrance().brdf(*angles, wavelength_nm=waves, **k), (2, n)))
-    return out
+    by_model = [
+        call
+        for m in (*PATHS, Sum((Lambert(), 0.5), (CookTorrance(), 0.5)))
+        for call in (
+            (f"{m.name} brdf", partial(m.brdf, *angles), (n,)),
+            (f"{m.name} brdf_vectors", partial(m.brdf_vectors, light, view), (n,)),
+            (f"{m.name} at", partial(m.at, where), (n,)),
+        )
+    ]
+    return [
+        *by_model,
+        ("phong highlight", partial(Phong().highlight, *angles), (n,)),
+        ("blinn highlight", partial(Blinn().highlight, *angles), (n,)),
+        ("specular", partial(CookTorrance().specular, *angles), (n,)),
+        ("rho_s", partial(HeTorrance().specular_reflectivity, angles[0]), (n,)),
+        ("rho_dh", partial(HeTorrance().directional_hemispherical, angles[0][:3]), (3,)),
+        ("mueller", partial(HeTorrance().mueller, *angles), (n, 4, 4)),
+        ("wavelengths", partial(HeTorrance().brdf, *angles, wavelength_nm=waves), (2, n)),
+    ]
 
 
 def test_out_takes_the_result_wherever_it_lies() -> None:
