@@ -19,7 +19,7 @@ import numpy as np
 
 from gonio.errors import ArgumentError
 from gonio.geometry import half_angle_of_cone
-from gonio.instrument.lobe import TOLERANCE, Rules, by_rules, choose
+from gonio.instrument.lobe import TOLERANCE, Lobe, Rules
 from gonio.instrument.spike import Overlaps
 from gonio.models import Model, geometry
 from gonio.models.parameters import checked_wavelength, choice, number
@@ -69,21 +69,16 @@ class Cones:
 
     def lobe(self, model: Model, *, wavelength_nm: float = 550.0, rules: Rules | None = None) -> Any:
         """The lobe's average over the cones [1/sr]; with the `rules` of a like model, not searched for again."""
-        at = (
-            model,
-            self._omega_i,
-            self._omega_r,
-            checked_wavelength(wavelength_nm),
-            *self._half_angles,
-            self._tolerance,
-        )
-        values = choose(*at)[0] if rules is None else by_rules(*at, rules)
+        lobe, at = self._lobe(model, wavelength_nm), (self._omega_i, self._omega_r)
+        values = lobe.choose(*at)[0] if rules is None else lobe.by_rules(*at, rules)
         return values.reshape(self._where.shape)[()]
 
     def rules(self, model: Model, *, wavelength_nm: float = 550.0) -> Rules:
         """How the average over the cones is taken for this model: what `lobe` can take for others that are like it."""
-        wave = checked_wavelength(wavelength_nm)
-        return choose(model, self._omega_i, self._omega_r, wave, *self._half_angles, self._tolerance)[1]
+        return self._lobe(model, wavelength_nm).choose(self._omega_i, self._omega_r)[1]
+
+    def _lobe(self, model: Model, wavelength_nm: float) -> Lobe:
+        return Lobe(model, checked_wavelength(wavelength_nm), *self._half_angles, self._tolerance)
 
     def spike(self, model: Model, *, wavelength_nm: float = 550.0) -> Any:
         """What the receiver gets of the specular spike [1/sr]; 0 for a model without one."""

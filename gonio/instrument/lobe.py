@@ -1,10 +1,11 @@
 """The average of a model's lobe over the cones of source and receiver; see `gonio.instrument.apparent`.
 
-How a geometry is averaged, its *rule*, is found once for one model (`choose`) and can then be applied to others
-(`by_rules`): what a fit does with hundreds of nearly equal ones, and what makes its derivatives smooth.
+How a geometry is averaged, its *rule*, is found once for one model (`Lobe.choose`) and can then be applied to others
+(`Lobe.by_rules`): what a fit does with hundreds of nearly equal ones, and what makes its derivatives smooth.
 """
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -32,216 +33,177 @@ EXPANDED = 1 << 13  # geometries expanded at a time: their rings stay in the cac
 CUT_ORDERS = (6, 10, 16)
 
 
-def choose(
-    model: Model,
-    omega_i: Floats,
-    omega_r: Floats,
-    wavelength_nm: float,
-    source: float,
-    receiver: float,
-    tolerance: float,
-) -> tuple[Floats, Rules]:
-    """Averages over both caps, (n,), and the rules that hold `tolerance` there."""
-    out, rules = np.empty(len(omega_i)), np.full(len(omega_i), EXPANSION, np.int8)
-    if source == 0.0 and receiver == 0.0:
-        return np.asarray(model.brdf_vectors(omega_i, omega_r, wavelength_nm=wavelength_nm)).reshape(-1), rules
-    cut = (omega_i[:, 2] < math.sin(source)) | (omega_r[:, 2] < math.sin(receiver))
-    rules[cut] = CUT
-    for index in np.flatnonzero(cut):
-        out[index] = _cut_lobe(model, omega_i[index], omega_r[index], wavelength_nm, source, receiver, tolerance)
-    left = np.flatnonzero(~cut)
-    if not left.size:
-        return out, rules
-    peak = _largest(model, omega_i[left], omega_r[left], wavelength_nm, source, receiver)
-    now, error = _second_order(model, omega_i[left], omega_r[left], wavelength_nm, source, receiver)
-    out[left] = now
-    rough = ~((error <= tolerance) & (peak <= 3.0 * now)) & (peak > NOTHING)
-    left, peak = left[rough], peak[rough]
-    before = np.full(left.size, np.inf)
-    for level in range(spherical_caps.LEVELS):
+@dataclass(frozen=True)
+class Lobe:
+    """A model's lobe through caps about the directions toward a source and a receiver."""
+
+    model: Model
+    wavelength_nm: float
+    source: float
+    """Half-angle of the source's cap [rad]; 0 is a direction."""
+    receiver: float
+    tolerance: float
+
+    def brdf(self, omega_i: Floats, omega_r: Floats) -> Floats:
+        """Values at unit vectors (..., 3)."""
+        return np.asarray(self.model.brdf_vectors(omega_i, omega_r, wavelength_nm=self.wavelength_nm))
+
+    @property
+    def is_of_directions(self) -> bool:
+        """Whether neither cap has a width."""
+        return self.source == 0.0 and self.receiver == 0.0
+
+    def choose(self, omega_i: Floats, omega_r: Floats) -> tuple[Floats, Rules]:
+        """Averages over both caps, (n,), and the rules that hold `tolerance` there."""
+        out, rules = np.empty(len(omega_i)), np.full(len(omega_i), EXPANSION, np.int8)
+        if self.is_of_directions:
+            return self.brdf(omega_i, omega_r).reshape(-1), rules
+        cut = (omega_i[:, 2] < math.sin(self.source)) | (omega_r[:, 2] < math.sin(self.receiver))
+        rules[cut] = CUT
+        for index in np.flatnonzero(cut):
+            out[index] = self._cut_lobe(omega_i[index], omega_r[index])
+        left = np.flatnonzero(~cut)
         if not left.size:
             return out, rules
-        now = _product_rule(model, omega_i[left], omega_r[left], wavelength_nm, source, receiver, level)
-        out[left], rules[left] = now, level
-        # a lobe that so many rings resolve has an average not that far below its peak
-        seen = peak <= 3.0 * spherical_caps.RINGS[level] ** 2 * now
-        apart = np.abs(now - before)
-        rules[left[apart <= tolerance * np.abs(now)]] = level - 1  # the one before holds it, at a fifth of the cost
-        allowed = max(tolerance, NARROW) if level == spherical_caps.LEVELS - 1 else tolerance
-        rough = ~((apart <= allowed * np.abs(now)) & seen)
-        left, before, peak = left[rough], now[rough], peak[rough]
-    rules[left] = NARROW_LOBE
-    for index in left:
-        out[index] = _narrow_lobe(model, omega_i[index], omega_r[index], wavelength_nm, source, receiver)
-    return out, rules
+        peak = self._largest(omega_i[left], omega_r[left])
+        now, error = self._second_order(omega_i[left], omega_r[left])
+        out[left] = now
+        rough = ~((error <= self.tolerance) & (peak <= 3.0 * now)) & (peak > NOTHING)
+        left, peak = left[rough], peak[rough]
+        before = np.full(left.size, np.inf)
+        for level in range(spherical_caps.LEVELS):
+            if not left.size:
+                return out, rules
+            now = self._product_rule(omega_i[left], omega_r[left], level)
+            out[left], rules[left] = now, level
+            # a lobe that so many rings resolve has an average not that far below its peak
+            seen = peak <= 3.0 * spherical_caps.RINGS[level] ** 2 * now
+            apart = np.abs(now - before)
+            # the one before holds it, at a fifth of the cost
+            rules[left[apart <= self.tolerance * np.abs(now)]] = level - 1
+            allowed = max(self.tolerance, NARROW) if level == spherical_caps.LEVELS - 1 else self.tolerance
+            rough = ~((apart <= allowed * np.abs(now)) & seen)
+            left, before, peak = left[rough], now[rough], peak[rough]
+        rules[left] = NARROW_LOBE
+        for index in left:
+            out[index] = self._narrow_lobe(omega_i[index], omega_r[index])
+        return out, rules
 
+    def by_rules(self, omega_i: Floats, omega_r: Floats, rules: Rules) -> Floats:
+        """Averages over both caps, (n,), by rules that were found before."""
+        if self.is_of_directions:
+            return self.brdf(omega_i, omega_r).reshape(-1)
+        out = np.empty(len(omega_i))
+        for rule in np.unique(rules):
+            here = np.flatnonzero(rules == rule)
+            l, v = omega_i[here], omega_r[here]  # noqa: E741
+            if rule == EXPANSION:
+                out[here] = self._second_order(l, v)[0]
+            elif rule >= 0:
+                out[here] = self._product_rule(l, v, int(rule))
+            else:
+                one = self._cut_lobe if rule == CUT else self._narrow_lobe
+                out[here] = [one(*pair) for pair in zip(l, v, strict=True)]
+        return out
 
-def by_rules(
-    model: Model,
-    omega_i: Floats,
-    omega_r: Floats,
-    wavelength_nm: float,
-    source: float,
-    receiver: float,
-    tolerance: float,
-    rules: Rules,
-) -> Floats:
-    """Averages over both caps, (n,), by rules that were found before."""
-    if source == 0.0 and receiver == 0.0:
-        return np.asarray(model.brdf_vectors(omega_i, omega_r, wavelength_nm=wavelength_nm)).reshape(-1)
-    out = np.empty(len(omega_i))
-    for rule in np.unique(rules):
-        here = np.flatnonzero(rules == rule)
-        l, v = omega_i[here], omega_r[here]  # noqa: E741
-        if rule == EXPANSION:
-            out[here] = _second_order(model, l, v, wavelength_nm, source, receiver)[0]
-        elif rule >= 0:
-            out[here] = _product_rule(model, l, v, wavelength_nm, source, receiver, int(rule))
-        else:
-            for index, (one, other) in zip(here, zip(l, v, strict=True), strict=True):
-                out[index] = (
-                    _cut_lobe(model, one, other, wavelength_nm, source, receiver, tolerance)
-                    if rule == CUT
-                    else _narrow_lobe(model, one, other, wavelength_nm, source, receiver)
-                )
-    return out
+    def _largest(self, omega_i: Floats, omega_r: Floats) -> Floats:
+        """The BRDF between the directions of the caps that come nearest to mirroring each other: a lobe's peak."""
+        mirror = geometry.mirrored(omega_i)
+        chord, apart = mirror - omega_r, geometry.angle_between(mirror, omega_r)
+        toward = chord - np.einsum("nk,nk->n", chord, omega_r)[:, None] * omega_r
+        size = np.linalg.norm(toward, axis=1)[:, None]
+        toward = np.where(size > 1e-12, toward / np.maximum(size, 1e-300), 0.0)
+        share = apart * self.receiver / (self.source + self.receiver)
 
+        def at(angle: Floats) -> Floats:
+            turned = np.cos(angle)[:, None] * omega_r + np.sin(angle)[:, None] * toward
+            return np.where(size > 1e-12, turned, omega_r)
 
-def _largest(
-    model: Model, omega_i: Floats, omega_r: Floats, wavelength_nm: float, source: float, receiver: float
-) -> Floats:
-    """The BRDF between the directions of the caps that come nearest to mirroring each other: a lobe's peak."""
-    mirror = geometry.mirrored(omega_i)
-    chord, apart = mirror - omega_r, geometry.angle_between(mirror, omega_r)
-    toward = chord - np.einsum("nk,nk->n", chord, omega_r)[:, None] * omega_r
-    size = np.linalg.norm(toward, axis=1)[:, None]
-    toward = np.where(size > 1e-12, toward / np.maximum(size, 1e-300), 0.0)
-    share = apart * receiver / (source + receiver)
+        seen = at(np.minimum(self.receiver, share))
+        lit = at(np.maximum(apart - self.source, share)) * (-1.0, -1.0, 1.0)
+        return self.brdf(lit, seen).reshape(-1)
 
-    def at(angle: Floats) -> Floats:
-        turned: Floats = np.where(
-            size > 1e-12, np.cos(angle)[:, None] * omega_r + np.sin(angle)[:, None] * toward, omega_r
-        )
-        return turned
-
-    seen, lit = at(np.minimum(receiver, share)), at(np.maximum(apart - source, share)) * (-1.0, -1.0, 1.0)
-    return np.asarray(model.brdf_vectors(lit, seen, wavelength_nm=wavelength_nm), dtype=np.float64).reshape(-1)
-
-
-def _narrow_lobe(
-    model: Model, omega_i: Floats, omega_r: Floats, wavelength_nm: float, source: float, receiver: float
-) -> float:
-    """One geometry whose lobe is far narrower than the wider cone: nodes there crowd about the mirror direction."""
-    wide_source = source > receiver
-    wide_axis, wide, axis, half = (
-        (omega_i, source, omega_r, receiver) if wide_source else (omega_r, receiver, omega_i, source)
-    )
-    square, psi, weight = spherical_caps.disc_rule(4) if half > 0.0 else (np.zeros(1), np.zeros(1), np.ones(1))
-    outer = spherical_caps.nodes(axis, half, square, psi)
-    total = 0.0
-    for first in range(0, len(outer), 32):
-        part = slice(first, first + 32)
-        inner, solid = spherical_caps.focused_nodes(wide_axis, wide, outer[part] * (-1.0, -1.0, 1.0))
-        fixed = outer[part][:, None, :]
-        pair = (inner, fixed) if wide_source else (fixed, inner)
-        values = np.asarray(model.brdf_vectors(*pair, wavelength_nm=wavelength_nm))
-        light = inner[..., 2] if wide_source else fixed[..., 2]
-        total += float(weight[part] @ np.sum(values * light * solid, axis=1))
-    if wide_source:
-        return total / (math.pi * math.sin(source) ** 2 * float(omega_i[2]))
-    return total / (4.0 * math.pi * math.sin(receiver / 2.0) ** 2 * float(weight @ outer[:, 2]))
-
-
-def _second_order(
-    model: Model, omega_i: Floats, omega_r: Floats, wavelength_nm: float, source: float, receiver: float
-) -> tuple[Floats, Floats]:
-    """f + the second-order terms of each cone alone, and the estimated size of what is left out, both from 13 values.
-
-    With v the largest change of f over either ring and d the second-order terms, all relative to f, the next terms
-    are of order v^4 and d^2.
-    """
-    total, error = np.empty(len(omega_i)), np.empty(len(omega_i))
-    for first in range(0, len(omega_i), EXPANDED):
-        part = slice(first, first + EXPANDED)
-        total[part], error[part] = _expanded(model, omega_i[part], omega_r[part], wavelength_nm, source, receiver)
-    return total, error
-
-
-def _expanded(
-    model: Model, omega_i: Floats, omega_r: Floats, wavelength_nm: float, source: float, receiver: float
-) -> tuple[Floats, Floats]:
-    square, psi, _ = spherical_caps.disc_rule(0)
-    square, psi = square[1:], psi[1:]
-    centre = np.asarray(model.brdf_vectors(omega_i, omega_r, wavelength_nm=wavelength_nm)).reshape(-1)
-    scale = np.where(centre > 0.0, centre, 1.0)
-    change, change2, total = np.zeros_like(centre), np.zeros_like(centre), centre.copy()
-    for axis, other, half, is_source in ((omega_i, omega_r, source, True), (omega_r, omega_i, receiver, False)):
-        if half == 0.0:
-            continue
-        ring = spherical_caps.nodes(axis, half, square, psi)
-        pair = (ring, other[:, None, :]) if is_source else (other[:, None, :], ring)
-        values = np.asarray(model.brdf_vectors(*pair, wavelength_nm=wavelength_nm))
-        if is_source:  # weighted by cos(theta_s): its mean over the ring is that of the axis times cos(rho)
-            mean = np.sum(values * ring[..., 2], axis=1) / np.sum(ring[..., 2], axis=1)
-        else:
-            mean = np.mean(values, axis=1)
-        term = 0.75 * (mean - centre)
-        total += term
-        change += np.max(np.abs(values - centre[:, None]), axis=1) / scale
-        change2 += np.abs(term) / scale
-    with np.errstate(over="ignore"):
-        error = np.where(centre > 0.0, change**4 + 4.0 * change2**2, np.inf)
-    return total, error
-
-
-def _product_rule(
-    model: Model, omega_i: Floats, omega_r: Floats, wavelength_nm: float, source: float, receiver: float, level: int
-) -> Floats:
-    out = np.empty(len(omega_i))
-    square, psi, weight = spherical_caps.disc_rule(level)
-    one = np.zeros(1), np.zeros(1), np.ones(1)
-    s_square, s_psi, s_weight = (square, psi, weight) if source > 0.0 else one
-    r_square, r_psi, r_weight = (square, psi, weight) if receiver > 0.0 else one
-    step = max(1, PAIRS // (len(s_weight) * len(r_weight)))
-    for first in range(0, len(out), step):
-        part = slice(first, first + step)
-        from_source = spherical_caps.nodes(omega_i[part], source, s_square, s_psi)
-        to_receiver = spherical_caps.nodes(omega_r[part], receiver, r_square, r_psi)
-        values = np.asarray(
-            model.brdf_vectors(from_source[:, :, None, :], to_receiver[:, None, :, :], wavelength_nm=wavelength_nm)
-        )
-        light = s_weight * from_source[..., 2]
-        out[part] = np.einsum("gsr,gs,r->g", values, light, r_weight) / np.sum(light, axis=1)
-    return out
-
-
-def _cut_lobe(
-    model: Model,
-    omega_i: Floats,
-    omega_r: Floats,
-    wavelength_nm: float,
-    source: float,
-    receiver: float,
-    tolerance: float,
-) -> float:
-    """One geometry in which the horizon cuts a cap."""
-    before = math.inf
-    now = 0.0
-    for order in CUT_ORDERS:
-        s, s_weight = cap_nodes(omega_i, source, order)
-        r, r_weight = cap_nodes(omega_r, receiver, order)
-        light = s_weight * s[:, 2]
+    def _narrow_lobe(self, omega_i: Floats, omega_r: Floats) -> float:
+        """One geometry whose lobe is far narrower than the wider cone: nodes there crowd about the mirror direction."""
+        wide_source = self.source > self.receiver
+        sides = (omega_i, self.source), (omega_r, self.receiver)
+        (wide_axis, wide), (axis, half) = sides if wide_source else sides[::-1]
+        square, psi, weight = spherical_caps.disc_rule(4) if half > 0.0 else (np.zeros(1), np.zeros(1), np.ones(1))
+        outer = spherical_caps.nodes(axis, half, square, psi)
         total = 0.0
-        step = max(1, PAIRS // len(s))
-        for first in range(0, len(r), step):
+        for first in range(0, len(outer), 32):
+            part = slice(first, first + 32)
+            inner, solid = spherical_caps.focused_nodes(wide_axis, wide, outer[part] * (-1.0, -1.0, 1.0))
+            fixed = outer[part][:, None, :]
+            pair = (inner, fixed) if wide_source else (fixed, inner)
+            total += float(weight[part] @ np.sum(self.brdf(*pair) * pair[0][..., 2] * solid, axis=1))
+        if wide_source:
+            return total / (math.pi * math.sin(self.source) ** 2 * float(omega_i[2]))
+        return total / (4.0 * math.pi * math.sin(self.receiver / 2.0) ** 2 * float(weight @ outer[:, 2]))
+
+    def _second_order(self, omega_i: Floats, omega_r: Floats) -> tuple[Floats, Floats]:
+        """f + the second-order terms of each cone alone, and the estimated size of what is left out, from 13 values.
+
+        With v the largest change of f over either ring and d the second-order terms, all relative to f, the next terms
+        are of order v^4 and d^2.
+        """
+        total, error = np.empty(len(omega_i)), np.empty(len(omega_i))
+        for first in range(0, len(omega_i), EXPANDED):
+            part = slice(first, first + EXPANDED)
+            total[part], error[part] = self._expanded(omega_i[part], omega_r[part])
+        return total, error
+
+    def _expanded(self, omega_i: Floats, omega_r: Floats) -> tuple[Floats, Floats]:
+        square, psi, _ = spherical_caps.disc_rule(0)
+        centre = self.brdf(omega_i, omega_r).reshape(-1)
+        scale = np.where(centre > 0.0, centre, 1.0)
+        change, change2, total = np.zeros_like(centre), np.zeros_like(centre), centre.copy()
+        for axis, half, is_source in ((omega_i, self.source, True), (omega_r, self.receiver, False)):
+            if half == 0.0:
+                continue
+            ring = spherical_caps.nodes(axis, half, square[1:], psi[1:])
+            values = self.brdf(ring, omega_r[:, None]) if is_source else self.brdf(omega_i[:, None], ring)
+            # a source's are weighted by cos(theta_s), whose mean over the ring is that of the axis times cos(rho)
+            light = ring[..., 2] if is_source else np.ones_like(values)
+            term = 0.75 * (np.sum(values * light, axis=1) / np.sum(light, axis=1) - centre)
+            total += term
+            change += np.max(np.abs(values - centre[:, None]), axis=1) / scale
+            change2 += np.abs(term) / scale
+        with np.errstate(over="ignore"):
+            return total, np.where(centre > 0.0, change**4 + 4.0 * change2**2, np.inf)
+
+    def _product_rule(self, omega_i: Floats, omega_r: Floats, level: int) -> Floats:
+        out = np.empty(len(omega_i))
+        rule, one = spherical_caps.disc_rule(level), (np.zeros(1), np.zeros(1), np.ones(1))
+        s_square, s_psi, s_weight = rule if self.source > 0.0 else one
+        r_square, r_psi, r_weight = rule if self.receiver > 0.0 else one
+        step = max(1, PAIRS // (len(s_weight) * len(r_weight)))
+        for first in range(0, len(out), step):
             part = slice(first, first + step)
-            values = np.asarray(model.brdf_vectors(s[:, None, :], r[None, part, :], wavelength_nm=wavelength_nm))
-            total += float(light @ values @ r_weight[part])
-        now = total / (float(np.sum(light)) * float(np.sum(r_weight))) if np.sum(light) > 0.0 else 0.0
-        if abs(now - before) <= 10.0 * tolerance * abs(now):
-            break
-        before = now
-    return now
+            from_source = spherical_caps.nodes(omega_i[part], self.source, s_square, s_psi)
+            to_receiver = spherical_caps.nodes(omega_r[part], self.receiver, r_square, r_psi)
+            values = self.brdf(from_source[:, :, None, :], to_receiver[:, None, :, :])
+            light = s_weight * from_source[..., 2]
+            out[part] = np.einsum("gsr,gs,r->g", values, light, r_weight) / np.sum(light, axis=1)
+        return out
+
+    def _cut_lobe(self, omega_i: Floats, omega_r: Floats) -> float:
+        """One geometry in which the horizon cuts a cap."""
+        before, now = math.inf, 0.0
+        for order in CUT_ORDERS:
+            s, s_weight = cap_nodes(omega_i, self.source, order)
+            r, r_weight = cap_nodes(omega_r, self.receiver, order)
+            light = s_weight * s[:, 2]
+            total = 0.0
+            step = max(1, PAIRS // len(s))
+            for first in range(0, len(r), step):
+                part = slice(first, first + step)
+                total += float(light @ self.brdf(s[:, None, :], r[None, part, :]) @ r_weight[part])
+            now = total / (float(np.sum(light)) * float(np.sum(r_weight))) if np.sum(light) > 0.0 else 0.0
+            if abs(now - before) <= 10.0 * self.tolerance * abs(now):
+                break
+            before = now
+        return now
 
 
 def cap_nodes(omega: Floats, half: float, order: int) -> tuple[Floats, Floats]:

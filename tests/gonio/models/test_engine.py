@@ -15,6 +15,7 @@ import pytest
 
 from gonio.errors import ArgumentError
 from gonio.models import (
+    AnisotropicFacets,
     Blinn,
     CookTorrance,
     HeTorrance,
@@ -272,7 +273,16 @@ def test_bad_vectors_are_named() -> None:
 
 
 def test_below_the_surface_nothing_is_reflected() -> None:
-    for model in (MODEL, Lambert(), Phong(), Blinn(), OrenNayar(), OrenNayar(form="exact")):
+    for model in (
+        MODEL,
+        Lambert(),
+        Phong(),
+        Blinn(),
+        OrenNayar(),
+        OrenNayar(form="exact"),
+        AnisotropicFacets(),
+        diffuse,
+    ):
         below = model.brdf_vectors(
             [[0.6, 0.0, -0.8], [0.0, 0.0, 1.0], [0.0, 0.0, -1.0]], [[0.0, 0.0, 1.0], [0.6, 0.0, -0.8], [0.0, 0.0, -1.0]]
         )
@@ -333,6 +343,14 @@ def test_wavelengths_broadcast() -> None:
         ("oren-nayar", {"form": "single-slope"}, "slope_deg"),
         ("oren-nayar", {"slope_deg": 20}, "slope_deg"),
         ("oren-nayar", {"form": "approximate"}, "form"),
+        ("anisotropic", {"alpha_along": 0.0}, "alpha_along"),
+        ("anisotropic", {"alpha_across": 11.0}, "alpha_across"),
+        ("anisotropic", {"s": 1.1}, "s = "),
+        ("anisotropic", {"diffuse_albedo": -0.1}, "diffuse_albedo"),
+        ("retroreflecting", {"returned": 1.1}, "returned"),
+        ("retroreflecting", {"width_deg": 0.0}, "width_deg"),
+        ("retroreflecting", {"tail": 0.1}, "tail"),
+        ("retroreflecting", {"entrance": -1.0}, "entrance"),
     ],
 )
 def test_bad_parameters_are_named(name: str, parameters: dict[str, Any], said: str) -> None:

@@ -8,7 +8,18 @@ import numpy as np
 import pytest
 
 from gonio.errors import ArgumentError
-from gonio.models import Blinn, CookTorrance, HeTorrance, Lambert, Model, OrenNayar, Phong, Sum, geometry
+from gonio.models import (
+    AnisotropicFacets,
+    Blinn,
+    CookTorrance,
+    HeTorrance,
+    Lambert,
+    Model,
+    OrenNayar,
+    Phong,
+    Sum,
+    geometry,
+)
 from gonio.models._loops import BLOCK
 from tests.gonio.models.agreement import drawn_vectors
 
@@ -82,6 +93,7 @@ def test_float32_is_evaluated_in_float64_where_its_range_does_not_hold() -> None
         Blinn(c=1e-3),
         CookTorrance(ior=1e7),
         HeTorrance(),
+        AnisotropicFacets(0.2, 0.5, 30.0),
         OrenNayar(form="exact"),
     ):
         n = 20 if isinstance(model, OrenNayar) else 500
