@@ -3,6 +3,7 @@
 import shutil
 from pathlib import Path
 
+from gonio.acquisition.journal import Event, decode
 from gonio.acquisition.measure import RigChoice, carry_out
 from gonio.acquisition.plan import load_plan
 from tests.gonio.numpy_rig import SAMPLE, Plugin, describe
@@ -38,6 +39,12 @@ class Played:
         shutil.copytree(whole, path)
         (path / "journal.jsonl").unlink()
         self.written = 0
+
+    def event(self, number: int) -> Event:
+        """What a line of the journal says."""
+        found = decode(self.lines[number])
+        assert found is not None
+        return found
 
     def go_on(self, lines: int = 1) -> None:
         """Write more lines of the journal."""

@@ -2,7 +2,6 @@
 
 import pytest
 
-from gonio.acquisition.journal import decode
 from gonio.acquisition.remaining import Remaining
 from gonio.acquisition.run import Run
 from gonio.live import working as module
@@ -11,9 +10,7 @@ from tests.gonio.live.runs import Played
 
 
 def fed(left: Left, played: Played, lines: range) -> None:
-    for number in lines:
-        event = decode(played.lines[number])
-        assert event is not None
+    for event in map(played.event, lines):
         left.take(event, 2.0 if event["event"] == "step" else None)
 
 

@@ -6,7 +6,7 @@ import pytest
 from rich.console import Console
 
 import gonio
-from gonio.acquisition.journal import decode, encode
+from gonio.acquisition.journal import encode
 from gonio.live import terminal
 from gonio.live.watching import Watched
 from tests.gonio.live.runs import Played
@@ -17,9 +17,7 @@ from tests.gonio.live.test_working import worked
 @pytest.fixture
 def ended(played: Played) -> Iterator[Watched]:
     """A run that has ended, with a point that was flagged, all values made."""
-    flagged = decode(played.lines[4])
-    assert flagged is not None
-    played.lines[4] = encode(flagged | {"flag": "moved"})
+    played.lines[4] = encode(played.event(4) | {"flag": "moved"})
     played.go_on(100)
     with Watched(played.path) as watched, worked(played.path, watched.shared.folder):
         watched.wanted = True

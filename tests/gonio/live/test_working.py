@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from gonio.acquisition.journal import decode, encode
+from gonio.acquisition.journal import encode
 from gonio.acquisition.records import StepRecord
 from gonio.live import working
 from gonio.live.provisional import ProvisionalValues
@@ -104,11 +104,9 @@ def test_steps_that_are_taken_back_count_no_more(played: Played, out: Path) -> N
     played.go_on(8)
     with worked(played.path, out):
         until(lambda: counts(now(out)) == [4, 4])
-        lost = [event["step"] for event in map(decode, played.lines[6:8]) if event and event["kind"] == "point"]
+        lost = [event["step"] for event in map(played.event, (6, 7)) if event["kind"] == "point"]
         played.append(encode({"n": 8, "event": "lost", "steps": lost, "wall": "2026-01-01T00:00:00Z"}))
-        step = decode(played.lines[7])
-        assert step is not None
-        played.append(encode({k: v for k, v in step.items() if k != "crc"} | {"n": 9}))
+        played.append(encode({k: v for k, v in played.event(7).items() if k != "crc"} | {"n": 9}))
         until(lambda: counts(now(out)) == [5 - len(lost)] * 2)
 
 
@@ -185,14 +183,10 @@ def test_the_outline_is_that_of_the_frame_and_not_of_a_later_step(
         return b"PNG"
 
     monkeypatch.setattr(working, "png", png)
-    dark = decode(played.lines[1])
-    assert dark is not None
     played.go_on(5)
-    played.append(encode(dark | {"n": 5, "step": 99, "frames": []}))  # shows nothing
+    played.append(encode(played.event(1) | {"n": 5, "step": 99, "frames": []}))  # shows nothing
     rests(played.path, out, 1)
-    last = decode(played.lines[4])
-    assert last is not None
-    assert drawn == [last["step"]]
+    assert drawn == [played.event(4)["step"]]
 
 
 # --- who works it out ------------------------------------------------------------------------------------------------
