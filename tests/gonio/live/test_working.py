@@ -5,6 +5,7 @@ import json
 import os
 import sys
 import threading
+import time
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -30,10 +31,11 @@ def draw(run_status: RunStatus, values: Sequence[ProvisionalValues], behind: int
 
 @pytest.fixture
 def out(tmp_path: Path) -> Path:
-    """Where it is worked out; somebody looks."""
+    """Where it is worked out; somebody looks, for an hour."""
     folder = tmp_path / "out"
     folder.mkdir()
     (folder / LOOKED).touch()
+    os.utime(folder / LOOKED, (time.time() + 3600.0,) * 2)
     return folder
 
 
