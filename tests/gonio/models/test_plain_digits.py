@@ -209,8 +209,4 @@ def test_he_torrance_polarised_digits() -> None:
         # azimuths of up to 10 rad, s and p near the normal, M/|k_r x k_i|^2
         loss = 2.0 / apart**2 / min(math.sin(at[0]), math.sin(at[2]))
         agree(he_torrance.J(k_i, k_r, n), parts, loss, scale=1.0)
-        matrix = np.array(out["mueller"], dtype=float).reshape(4, 4)
-        loss = 2.0 * (loss + lobe_loss(*at, i["sigma0"], i["tau"], i["lam"]) + case["cond"]["rho_dd_total"])
-        got = he_torrance.mueller(*at, i["sigma0"], i["tau"], i["lam"], n, 0.0)
-        agree(got, matrix, loss, scale=np.abs(matrix).max())
     assert tried > 30
