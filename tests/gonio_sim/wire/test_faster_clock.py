@@ -19,7 +19,7 @@ from gonio.calibration import lamp_scan, lamp_stability
 from gonio.rig.calibrated import Calibration, identity, write_calibration
 from gonio.rig.calibration_use import ParameterUncertainty
 from tests.gonio_drivers.conftest import LONGEST_S, SAMPLE, be_patient, small
-from tests.gonio_sim.wire.test_twin_facts import HandClock
+from tests.gonio_sim.wire.conftest import HandClock
 
 pytestmark = pytest.mark.slow
 
