@@ -9,10 +9,10 @@ from dataclasses import dataclass
 from gonio.rig import clock
 from gonio_sim.wire import protocol2 as p2
 from gonio_sim.wire.faults import Faults
-from gonio_sim.wire.registers import Refused
+from gonio_sim.wire.peer import Send
 from gonio_sim.wire.servo import Servo
+from gonio_sim.wire.tables import Refused
 
-Send = Callable[[bytes], None]
 ById = dict[int, list[Servo]]
 
 
@@ -24,11 +24,6 @@ class Answer:
     status: bytes
     delay_s: float
     """From the end of the instruction packet."""
-
-    @property
-    def length_s(self) -> float:
-        """How long it is on the line."""
-        return len(self.status) * p2.BITS / self.servo.baud
 
 
 class ServoBus:
@@ -62,71 +57,40 @@ class ServoBus:
             self._say([_answer(s, p2.CRC_ERROR) for s in present if s.id == packet.id and _level(s) >= 2], send)
             return
         several = {
-            p2.SYNC_READ: self._sync_read, p2.FAST_SYNC_READ: self._fast_sync_read, p2.SYNC_WRITE: self._sync_write,
-            p2.BULK_READ: self._bulk_read, p2.FAST_BULK_READ: self._fast_bulk_read, p2.BULK_WRITE: self._bulk_write,
+            p2.SYNC_READ: self._in_turn, p2.BULK_READ: self._in_turn, p2.FAST_SYNC_READ: self._fast,
+            p2.FAST_BULK_READ: self._fast, p2.SYNC_WRITE: self._sync_write, p2.BULK_WRITE: self._bulk_write,
         }.get(packet.instruction)  # fmt: skip
         if several is not None:
             if packet.id == p2.BROADCAST:
-                several(packet.parameters, _by_id(present), send)
+                several(packet, _by_id(present), send)
             return
         meant = [s for s in present if packet.id in (s.id, p2.BROADCAST, s.get("Secondary(Shadow) ID"))]
         for servos in _by_id(meant).values():  # in the order of their ids
             done = [self._single(packet, servo) for servo in servos]
             self._say([answer for answer, _ in done if answer is not None], send)
             for _, after in done:
-                after()
+                if after is not None:
+                    after()
 
-    def _single(self, packet: p2.Packet, servo: Servo) -> tuple[Answer | None, Callable[[], None]]:
+    def _single(self, packet: p2.Packet, servo: Servo) -> tuple[Answer | None, Callable[[], None] | None]:
         """Let a servo act; what it says, and what it does when that is said."""
-        others = packet.id != servo.id  # a secondary ID is obeyed, and not answered, as a broadcast is
-        everybody = packet.id == p2.BROADCAST
-        data = packet.parameters
-        error, data_out, level, after = 0, b"", 2, _nothing
-        identity = servo.id
+        identity, everybody = servo.id, packet.id == p2.BROADCAST
+        others = packet.id != identity  # a secondary ID is obeyed, and not answered, as a broadcast is
+        error, data, after = 0, b"", None
         try:
             if packet.instruction == p2.PING:
-                data_out, level = servo.ping(), 0
+                data = servo.ping()
             elif packet.instruction == p2.READ:
-                level = 1
-                if len(data) != 4:
-                    raise Refused(p2.LENGTH_ERROR)
-                if not others:
-                    data_out = servo.read(_word(data, 0), _word(data, 2))
-            elif packet.instruction == p2.WRITE:
-                if len(data) < 3:
-                    raise Refused(p2.LENGTH_ERROR)
-                servo.write(_word(data, 0), data[2:], as_group=others and not everybody)
-            elif packet.instruction == p2.REG_WRITE:
-                if len(data) < 3:
-                    raise Refused(p2.LENGTH_ERROR)
-                servo.register(_word(data, 0), data[2:])
-            elif packet.instruction == p2.ACTION:
-                servo.action()
-            elif packet.instruction == p2.REBOOT:
-                after = servo.restart
-            elif packet.instruction == p2.FACTORY_RESET:
-                if len(data) != 1:
-                    raise Refused(p2.LENGTH_ERROR)
-                if not (everybody and data[0] == 0xFF):  # that is not carried out (X series, firmware 42 and later)
-                    servo.reset(data[0])
-            elif packet.instruction == p2.CLEAR:
-                _require(data, {b"\x01DXL\x22"})
-                servo.clear_turns()
-            elif packet.instruction == p2.BACKUP:
-                _require(data, {b"\x01CTRL", b"\x02CTRL"})
-                if data[0] == 1:
-                    servo.back_up()
-                else:
-                    servo.restore()
-                    after = servo.restart
+                words = _words(packet.parameters)
+                data = b"" if others else servo.read(*words)
             else:
-                raise Refused(p2.INSTRUCTION_ERROR)
+                after = _act(packet, servo, others=others, everybody=everybody)
         except Refused as refusal:
             error = refusal.error
         silent = others and not (everybody and packet.instruction == p2.PING)
-        if silent or _level(servo) < level:
+        if silent or _level(servo) < {p2.PING: 0, p2.READ: 1}.get(packet.instruction, 2):
             return None, after
-        return _answer(servo, error, data_out, identity), after
+        return _answer(servo, error, data, identity), after
 
     def _say(self, answers: list[Answer], send: Send) -> None:
         """Put the answers of servos with one id on the line."""
@@ -134,7 +98,7 @@ class ServoBus:
             return
         first = min(answers, key=lambda answer: answer.delay_s)
         status = first.status if len(answers) == 1 else _collided(answers)
-        clock.sleep(first.delay_s + first.length_s)
+        clock.sleep(first.delay_s + len(first.status) * p2.BITS / first.servo.baud)  # as long as it is on the line
         for delay_s, chunk in self.faults.on_status(first.servo, status):
             if delay_s:
                 clock.sleep(delay_s)
@@ -142,28 +106,17 @@ class ServoBus:
 
     # ---- several servos ----
 
-    def _sync_read(self, data: bytes, present: ById, send: Send) -> None:
-        self._in_turn([(identity, _word(data, 0), _word(data, 2)) for identity in data[4:]], present, send)
-
-    def _bulk_read(self, data: bytes, present: ById, send: Send) -> None:
-        self._in_turn(_bulk(data), present, send)
-
-    def _in_turn(self, wanted: list[tuple[int, int, int]], present: ById, send: Send) -> None:
+    def _in_turn(self, packet: p2.Packet, present: ById, send: Send) -> None:
         """One status packet after the other; where one is silent, the next waits for it for ever."""
-        for identity, address, length in _once(wanted):
+        for identity, address, length in _once(_wanted(packet)):
             servos = [servo for servo in present.get(identity, []) if _level(servo) >= 1]
             if not servos:
                 return
             self._say([_read(servo, address, length) for servo in servos], send)
 
-    def _fast_sync_read(self, data: bytes, present: ById, send: Send) -> None:
-        self._fast([(identity, _word(data, 0), _word(data, 2)) for identity in data[4:]], present, send)
-
-    def _fast_bulk_read(self, data: bytes, present: ById, send: Send) -> None:
-        self._fast(_bulk(data), present, send)
-
-    def _fast(self, wanted: list[tuple[int, int, int]], present: ById, send: Send) -> None:
+    def _fast(self, packet: p2.Packet, present: ById, send: Send) -> None:
         """One status packet that the servos write one after the other, each closing its part with the CRC so far."""
+        wanted = _wanted(packet)
         length = 1 + sum(4 + size for _, _, size in wanted)
         out = p2.HEADER + bytes([0, p2.BROADCAST]) + length.to_bytes(2, "little") + bytes([p2.STATUS])
         said: list[Answer] = []
@@ -179,13 +132,14 @@ class ServoBus:
             said = [Answer(servo, out, _delay_s(servo))]
         self._say(said, send)
 
-    def _sync_write(self, data: bytes, present: ById, send: Send) -> None:
+    def _sync_write(self, packet: p2.Packet, present: ById, send: Send) -> None:
+        data = packet.parameters
         address, length = _word(data, 0), _word(data, 2)
         for k in range(4, len(data) - length, 1 + length):
             _write(present.get(data[k], []), address, data[k + 1 : k + 1 + length])
 
-    def _bulk_write(self, data: bytes, present: ById, send: Send) -> None:
-        k, written = 0, set()
+    def _bulk_write(self, packet: p2.Packet, present: ById, send: Send) -> None:
+        data, k, written = packet.parameters, 0, set()
         while k + 5 <= len(data):
             length = _word(data, k + 3)
             if data[k] not in written:
@@ -194,8 +148,36 @@ class ServoBus:
             k += 5 + length
 
 
-def _nothing() -> None:
-    """What most servos do after their answer."""
+def _act(packet: p2.Packet, servo: Servo, *, others: bool, everybody: bool) -> Callable[[], None] | None:
+    """What a servo does for an instruction that has no data to answer; what it does behind its answer."""
+    data = packet.parameters
+    lengths = {p2.WRITE: range(3, 1 << 16), p2.REG_WRITE: range(3, 1 << 16), p2.FACTORY_RESET: (1,)}
+    if packet.instruction in lengths and len(data) not in lengths[packet.instruction]:
+        raise Refused(p2.LENGTH_ERROR)
+    match packet.instruction:
+        case p2.WRITE:
+            servo.write(_word(data, 0), data[2:], as_group=others and not everybody)
+        case p2.REG_WRITE:
+            servo.register(_word(data, 0), data[2:])
+        case p2.ACTION:
+            servo.action()
+        case p2.REBOOT:
+            return servo.restart
+        case p2.FACTORY_RESET:
+            if not (everybody and data[0] == 0xFF):  # that is not carried out (X series, firmware 42 and later)
+                servo.reset(data[0])
+        case p2.CLEAR:
+            _require(data, {b"\x01DXL\x22"})
+            servo.clear_turns()
+        case p2.BACKUP:
+            _require(data, {b"\x01CTRL", b"\x02CTRL"})
+            if data[0] == 2:
+                servo.restore()
+                return servo.restart
+            servo.back_up()
+        case _:
+            raise Refused(p2.INSTRUCTION_ERROR)
+    return None
 
 
 def _level(servo: Servo) -> int:
@@ -241,8 +223,18 @@ def _once(wanted: list[tuple[int, int, int]]) -> Iterator[tuple[int, int, int]]:
         yield identity, address, length
 
 
-def _bulk(data: bytes) -> list[tuple[int, int, int]]:
+def _wanted(packet: p2.Packet) -> list[tuple[int, int, int]]:
+    """Id, address and length of what a packet asks of several servos."""
+    data = packet.parameters
+    if packet.instruction in (p2.SYNC_READ, p2.FAST_SYNC_READ):
+        return [(identity, _word(data, 0), _word(data, 2)) for identity in data[4:]]
     return [(data[k], _word(data, k + 1), _word(data, k + 3)) for k in range(0, len(data) - 4, 5)]
+
+
+def _words(data: bytes) -> tuple[int, int]:
+    if len(data) != 4:
+        raise Refused(p2.LENGTH_ERROR)
+    return _word(data, 0), _word(data, 2)
 
 
 def _require(data: bytes, known: set[bytes]) -> None:

@@ -11,9 +11,7 @@ import struct
 from collections.abc import Callable
 
 from gonio_sim.wire import motion
-from gonio_sim.wire.peer import Clock
-
-Send = Callable[[bytes], None]
+from gonio_sim.wire.peer import Clock, Send
 
 HOST, DEVICE = 0x01, 0x50
 LONG = 0x80
@@ -25,6 +23,10 @@ SET_GENMOVEPARAMS, REQ_GENMOVEPARAMS, GET_GENMOVEPARAMS = 0x043A, 0x043B, 0x043C
 MOVE_HOME, MOVE_HOMED = 0x0443, 0x0444
 MOVE_ABSOLUTE, MOVE_COMPLETED = 0x0453, 0x0464
 MOVE_STOP, MOVE_STOPPED = 0x0465, 0x0466
+ANSWERS = {
+    HW_REQ_INFO: HW_GET_INFO, REQ_POSCOUNTER: GET_POSCOUNTER, REQ_VELPARAMS: GET_VELPARAMS,
+    REQ_STATUSBITS: GET_STATUSBITS, REQ_GENMOVEPARAMS: GET_GENMOVEPARAMS,
+}  # fmt: skip
 FORWARD, REVERSE, HOMING, HOMED, ENABLED = 1 << 5, 1 << 4, 1 << 9, 1 << 10, 1 << 31
 COUNTS_PER_DEG = 409600 / 3
 """K10CR1: 200 steps of 2048 microsteps, a gear of 120:1."""
@@ -64,14 +66,11 @@ class KinesisTwin:
         self._zero = 0.0 if homed else position
         self._way = motion.rest(clock(), position)
         self._speed, self._acceleration = 10.0 * COUNTS_PER_DEG, 10.0 * COUNTS_PER_DEG
-        self._speed_word, self._acceleration_word = self._words()
+        self._words = int(self._acceleration * ACCELERATION_UNIT), int(self._speed * VELOCITY_UNIT)
         self._backlash = round(COUNTS_PER_DEG)
         self._ending = 0
         """The message that tells of the end of what it does."""
         self._buffer = b""
-
-    def _words(self) -> tuple[int, int]:
-        return int(self._speed * VELOCITY_UNIT), int(self._acceleration * ACCELERATION_UNIT)
 
     def shaft(self) -> float:
         """Where it stands, from its true home [counts]."""
@@ -115,30 +114,19 @@ class KinesisTwin:
                 self._zero, self.homed = 0.0, True
                 self._send(send, MOVE_HOMED, short=1)
             else:
-                self._send(send, self._ending, self._status())
+                self._send(send, self._ending, struct.pack("<HiiI", 1, self._counter(), 0, self._bits()))
             self._ending = 0
 
     def _obey(self, number: int, body: bytes, send: Send) -> None:
-        if number == HW_REQ_INFO:
-            info = struct.pack("<I8sHBBBB", self.serial, self.model, 16, 2, 0, 1, 0)
-            self._send(send, HW_GET_INFO, info.ljust(78, b"\x00") + struct.pack("<HHH", 1, 0, 1))
-        elif number == REQ_POSCOUNTER:
-            self._send(send, GET_POSCOUNTER, struct.pack("<Hi", 1, self._counter()))
+        if number in ANSWERS:
+            self._send(send, ANSWERS[number], self._asked(number))
         elif number == SET_POSCOUNTER:
             self._zero = self.shaft() - struct.unpack("<Hi", body)[1]
         elif number == SET_VELPARAMS:
-            _, _, self._acceleration_word, self._speed_word = struct.unpack("<Hiii", body)
-            self._speed = self._speed_word / VELOCITY_UNIT
-            self._acceleration = self._acceleration_word / ACCELERATION_UNIT
-        elif number == REQ_VELPARAMS:
-            words = struct.pack("<Hiii", 1, 0, self._acceleration_word, self._speed_word)
-            self._send(send, GET_VELPARAMS, words)
+            self._words = acceleration, speed = struct.unpack("<Hiii", body)[2:]
+            self._speed, self._acceleration = speed / VELOCITY_UNIT, acceleration / ACCELERATION_UNIT
         elif number == SET_GENMOVEPARAMS:
             self._backlash = struct.unpack("<Hi", body)[1]
-        elif number == REQ_GENMOVEPARAMS:
-            self._send(send, GET_GENMOVEPARAMS, struct.pack("<Hi", 1, self._backlash))
-        elif number == REQ_STATUSBITS:
-            self._send(send, GET_STATUSBITS, struct.pack("<HI", 1, self._bits()))
         elif number == MOVE_ABSOLUTE:
             self._turn(struct.unpack("<Hi", body)[1] + self._zero, MOVE_COMPLETED)
         elif number == MOVE_HOME:
@@ -148,6 +136,19 @@ class KinesisTwin:
             self.leaving()
             self._way = motion.rest(self._clock(), self.shaft())
             self._ending = MOVE_STOPPED
+
+    def _asked(self, number: int) -> bytes:
+        """The data of the answer to a question."""
+        if number == HW_REQ_INFO:
+            info = struct.pack("<I8sHBBBB", self.serial, self.model, 16, 2, 0, 1, 0)
+            return info.ljust(78, b"\x00") + struct.pack("<HHH", 1, 0, 1)
+        if number == REQ_POSCOUNTER:
+            return struct.pack("<Hi", 1, self._counter())
+        if number == REQ_VELPARAMS:
+            return struct.pack("<Hiii", 1, 0, *self._words)
+        if number == REQ_GENMOVEPARAMS:
+            return struct.pack("<Hi", 1, self._backlash)
+        return struct.pack("<HI", 1, self._bits())
 
     def _turn(self, goal: float, ending: int) -> None:
         if self.stalled:
@@ -168,14 +169,8 @@ class KinesisTwin:
             bits |= HOMING if self._ending == MOVE_HOMED else 0
         return bits
 
-    def _status(self) -> bytes:
-        return struct.pack("<HiiI", 1, self._counter(), 0, self._bits())
-
     def _send(self, send: Send, number: int, data: bytes = b"", *, short: int = 0) -> None:
-        if data:
-            out = struct.pack("<HHBB", number, len(data), HOST | LONG, DEVICE) + data
-        else:
-            out = struct.pack("<HBBBB", number, short, 0, HOST, DEVICE)
+        out = struct.pack("<HHBB", number, len(data) or short, HOST | LONG if data else HOST, DEVICE) + data
         if self.damaged:
             self.damaged -= 1
             out = out[:-3]

@@ -13,9 +13,14 @@ from dataclasses import dataclass
 from gonio.rig import clock
 from gonio.rig.bands import Band
 from gonio_sim.wire.faults import LAMP, LOCK_QUESTIONS, Faults
+from gonio_sim.wire.peer import Send
 
-Send = Callable[[bytes], None]
 RESET_S = 0.3
+SHORT = {
+    "OUTPUT": "OUTP", "SOURCE": "SOUR", "LEVEL": "LEV", "WAVELENGTH": "WAV", "SYSTEM": "SYST", "ERROR": "ERR",
+    "MEASURE": "MEAS", "POWER": "POW",
+}  # fmt: skip
+"""SCPI's short forms of words."""
 
 
 @dataclass(slots=True)
@@ -47,34 +52,32 @@ class Lamp:
         self, bands: tuple[Band, ...], changed: Callable[[Shine], None] | None = None, faults: Faults | None = None
     ) -> None:
         self.bands = bands
-        self.shine = Shine(band=bands[0] if bands else None)
         self.faults = faults or Faults()
         self._changed = changed or (lambda shine: None)
+        self._begin()
+
+    def _begin(self) -> None:
+        """Everything as it is when the power comes: dark, with default settings."""
+        self.shine = Shine(band=self.bands[0] if self.bands else None)
         self._buffer = b""
-        self._dead_until = 0.0
 
     def receive(self, data: bytes, baud: int, send: Send) -> None:
         """Take bytes from the line."""
-        if baud not in self.bauds or clock.monotonic() < self._dead_until:
+        if baud not in self.bauds:
             return
         self._buffer += data
         while (end := re.search(rb"[\r\n]+", self._buffer)) is not None:
-            line, self._buffer = self._buffer[: end.start()], self._buffer[end.end() :]
-            if not line.strip():
-                continue
-            fault = self.faults.take(*LAMP)
-            if fault == "lamp-silent":
-                continue
+            line, self._buffer = self._buffer[: end.start()].decode("ascii", "replace"), self._buffer[end.end() :]
+            fault = self.faults.take(*LAMP) if line.strip() else "lamp-silent"
             if fault == "lamp-nak":
-                self.refuse(line.decode("ascii", "replace"), send)
-                continue
-            if fault == "lamp-reset":
+                self.refuse(send)
+            elif fault == "lamp-reset":
                 self.reset(send)
-                continue
-            reply = self.command(line.decode("ascii", "replace").strip())
-            self._changed(self.shine)
-            if reply is not None:
-                send(reply.encode() + self.ending)
+            elif fault is None:
+                reply = self.command(line.strip())
+                self._changed(self.shine)
+                if reply is not None:
+                    send(reply.encode() + self.ending)
 
     def opened(self, send: Send) -> None:
         """Somebody has opened the port; an Arduino restarts at that."""
@@ -83,11 +86,10 @@ class Lamp:
 
     def reset(self, send: Send) -> None:
         """Start anew: dark, with default settings."""
-        self.shine = Shine(band=self.bands[0] if self.bands else None)
-        self._buffer = b""
+        self._begin()
         self._changed(self.shine)
 
-    def refuse(self, line: str, send: Send) -> None:
+    def refuse(self, send: Send) -> None:
         """Answer a line as a wrong one."""
         send(self.refusal + self.ending)
 
@@ -95,73 +97,77 @@ class Lamp:
         """Carry out a line; its reply."""
         raise NotImplementedError
 
+    @property
+    def channels(self) -> range:
+        """Numbers of the emitters: one for each band, and one for a rig without bands."""
+        return range(1, max(1, len(self.bands)) + 1)
+
+    def _emits(self, channel: int | None, level: float) -> None:
+        """One emitter shines, or None does."""
+        self.shine = Shine(channel is not None, level, self.bands[channel - 1] if channel and self.bands else None)
+
 
 class ScpiLamp(Lamp):
     """`OUTPut`, `SOURce:LEVel` [%], `SOURce:WAVelength` [nm], `SYSTem:ERRor?`, `MEASure:POWer?`, `SOURce:LOCK?`."""
 
     bauds = (9600, 115_200)
+    _unlocked = 0
+    """So many questions more hear that the source is out of lock."""
 
-    def __init__(self, *arguments: object, **keywords: object) -> None:
-        super().__init__(*arguments, **keywords)  # type: ignore[arg-type]
+    def _begin(self) -> None:
+        super()._begin()
         self._errors: list[str] = []
-        self._unlocked = 0
 
-    def refuse(self, line: str, send: Send) -> None:
+    def refuse(self, send: Send) -> None:
         """The error goes into the queue; a query gets no answer, as SCPI has it."""
         self._errors.append('-200,"Execution error"')
-
-    def reset(self, send: Send) -> None:
-        super().reset(send)
-        self._errors = []
 
     def command(self, line: str) -> str | None:
         head, _, argument = line.partition(" ")
         head = head.upper().lstrip(":")
-        query = head.endswith("?")
-        short = ":".join(_short(word) for word in head.removesuffix("?").split(":"))
+        short = ":".join(SHORT.get(word, word) for word in head.removesuffix("?").split(":"))
         if head == "*IDN?":
             return "Gonio,Twin lamp,0001,1.0"
         if head in ("*RST", "*CLS"):
             self._errors = []
             return None
-        if short == "SYST:ERR" and query:
+        if short == "SYST:ERR" and head.endswith("?"):
             return self._errors.pop(0) if self._errors else '0,"No error"'
         try:
-            return self._subsystem(short, argument.strip(), query=query)
+            if head.endswith("?"):
+                return self._asked(short)
+            self._told(short, argument.strip())
         except ValueError:
             self._errors.append('-222,"Data out of range"')
         except KeyError:
             self._errors.append('-113,"Undefined header"')
         return None
 
-    def _subsystem(self, short: str, argument: str, *, query: bool) -> str | None:
+    def _asked(self, short: str) -> str:
         shine = self.shine
+        if short == "SOUR:LOCK":
+            self._unlocked = LOCK_QUESTIONS if self.faults.take("unlock") else self._unlocked
+            self._unlocked -= self._unlocked > 0
+        return {
+            "OUTP": str(int(shine.lit)),
+            "SOUR:LEV": f"{100 * shine.level:.2f}",
+            "SOUR:WAV": f"{shine.band.centre_nm:.1f}" if shine.band else "0.0",
+            "SOUR:LOCK": str(int(not self._unlocked)),
+            "MEAS:POW": f"{1e-3 * shine.level * shine.lit:.6e}",
+        }[short]
+
+    def _told(self, short: str, argument: str) -> None:
         if short == "OUTP":
-            if query:
-                return str(int(shine.lit))
-            shine.lit = {"ON": True, "1": True, "OFF": False, "0": False}[argument.upper()]
+            self.shine.lit = {"ON": True, "1": True, "OFF": False, "0": False}[argument.upper()]
         elif short == "SOUR:LEV":
-            if query:
-                return f"{100 * shine.level:.2f}"
-            shine.level = _within(float(argument), 0, 100) / 100
+            self.shine.level = _within(float(argument), 0, 100) / 100
         elif short == "SOUR:WAV":
-            if query:
-                return f"{shine.band.centre_nm:.1f}" if shine.band else "0.0"
             nm = float(argument)
             near = min(self.bands, key=lambda band: abs(band.centre_nm - nm))
-            if abs(near.centre_nm - nm) > near.fwhm_nm / 2:
-                raise ValueError
-            shine.band = near
-        elif short == "SOUR:LOCK" and query:
-            if self.faults.take("unlock"):
-                self._unlocked = LOCK_QUESTIONS
-            self._unlocked -= self._unlocked > 0
-            return str(int(not self._unlocked))
-        elif short == "MEAS:POW" and query:
-            return f"{1e-3 * shine.level * shine.lit:.6e}"
+            _within(nm, near.centre_nm - near.fwhm_nm / 2, near.centre_nm + near.fwhm_nm / 2)
+            self.shine.band = near
         else:
             raise KeyError(short)
-        return None
 
 
 class MightexLamp(Lamp):
@@ -170,58 +176,50 @@ class MightexLamp(Lamp):
     ending = b"\n\r"
     refusal = b"#!"
 
-    def __init__(self, *arguments: object, **keywords: object) -> None:
-        super().__init__(*arguments, **keywords)  # type: ignore[arg-type]
-        self._mode = dict.fromkeys(range(1, max(1, len(self.bands)) + 1), 0)
-        self._current = {channel: (1000, 0) for channel in self._mode}
-
-    def reset(self, send: Send) -> None:
-        super().reset(send)
-        self._mode = dict.fromkeys(self._mode, 0)
-        self._current = {channel: (1000, 0) for channel in self._mode}
+    def _begin(self) -> None:
+        super()._begin()
+        self._mode = dict.fromkeys(self.channels, 0)
+        self._current = dict.fromkeys(self.channels, (1000, 0))
 
     def command(self, line: str) -> str | None:
         word, *arguments = line.upper().split()
         try:
-            numbers = [int(argument) for argument in arguments]
-            reply = self._known(word, numbers)
+            return self._known(word, [int(argument) for argument in arguments])
         except (ValueError, KeyError, IndexError):
             return "#!"
-        return f"{word} is not defined" if reply is None else reply
 
-    def _known(self, word: str, numbers: list[int]) -> str | None:
-        if word == "ECHOOFF":
-            return "##"
-        if word == "DEVICEINFO":
-            return "Mightex-like LED controller: twin, Device Module No.: SLC-TWIN, Serial No.:0001"
-        if word == "MODE":
-            channel, mode = numbers
-            if mode not in (0, 1) or channel not in self._mode:
-                return "#!"
-            self._mode[channel] = mode
-        elif word == "NORMAL":
-            channel, most, now = numbers
-            if not 0 <= now <= most <= 1000 or channel not in self._mode:
-                return "#!"
-            self._current[channel] = (most, now)
-        elif word == "CURRENT":
-            channel, now = numbers
-            most, _ = self._current[channel]
-            if not 0 <= now <= most:
-                return "#!"
-            self._current[channel] = (most, now)
-        elif word == "?MODE":
-            return f"#{self._mode[numbers[0]]}"
-        elif word == "?CURRENT":
-            most, now = self._current[numbers[0]]
-            return f"#128 256 {most} {now}"
-        else:
-            return None
-        lit = [channel for channel, mode in self._mode.items() if mode]
-        level = self._current[lit[0]][1] / 1000 if lit else 0.0
-        band = self.bands[lit[0] - 1] if lit and self.bands else None
-        self.shine = Shine(bool(lit), level, band)
+    def _known(self, word: str, numbers: list[int]) -> str:
+        match word:
+            case "ECHOOFF":
+                return "##"
+            case "DEVICEINFO":
+                return "Mightex-like LED controller: twin, Device Module No.: SLC-TWIN, Serial No.:0001"
+            case "?MODE":
+                return f"#{self._mode[numbers[0]]}"
+            case "?CURRENT":
+                most, now = self._current[numbers[0]]
+                return f"#128 256 {most} {now}"
+            case "MODE":
+                channel, mode = numbers
+                _within(channel, 1, len(self._mode))
+                self._mode[channel] = int(_within(mode, 0, 1))
+            case "NORMAL":
+                channel, most, now = numbers
+                self._limit(channel, most, now)
+            case "CURRENT":
+                channel, now = numbers
+                self._limit(channel, self._current[channel][0], now)
+            case _:
+                return f"{word} is not defined"
+        lit = next((channel for channel, mode in self._mode.items() if mode), None)
+        self._emits(lit, self._current[lit][1] / 1000 if lit else 0.0)
         return "##"
+
+    def _limit(self, channel: int, most: int, now: int) -> None:
+        """The largest current of a channel, and that of now [mA]."""
+        if channel not in self._current or not 0 <= now <= most <= 1000:
+            raise ValueError
+        self._current[channel] = most, now
 
 
 class ArduinoLamp(Lamp):
@@ -232,15 +230,13 @@ class ArduinoLamp(Lamp):
     refusal = b"ERR bad command"
     resets_on_open = True
 
-    def __init__(self, *arguments: object, **keywords: object) -> None:
-        super().__init__(*arguments, **keywords)  # type: ignore[arg-type]
-        self._levels = dict.fromkeys(range(1, max(1, len(self.bands)) + 1), 0.0)
+    def _begin(self) -> None:
+        super()._begin()
+        self._levels = dict.fromkeys(self.channels, 0.0)
         self._lit: int | None = None
 
     def reset(self, send: Send) -> None:
         super().reset(send)
-        self._levels = dict.fromkeys(self._levels, 0.0)
-        self._lit = None
         clock.sleep(RESET_S)
         send(b"READY gonio lamp 1.2\r\n")
 
@@ -250,44 +246,37 @@ class ArduinoLamp(Lamp):
             reply = self._known(word.upper(), arguments)
         except (ValueError, KeyError, IndexError):
             return "ERR bad argument"
-        lit = self._lit
-        self.shine = Shine(
-            lit is not None, self._levels[lit] if lit else 0.0, self.bands[lit - 1] if lit and self.bands else None
-        )
+        self._emits(self._lit, self._level)
         return reply
 
+    @property
+    def _level(self) -> float:
+        return self._levels[self._lit] if self._lit else 0.0
+
     def _known(self, word: str, arguments: list[str]) -> str:
-        if word == "ID":
-            return "gonio lamp 1.2"
-        if word == "SET":
-            channel = int(arguments[0])
-            if channel not in self._levels:
+        match word:
+            case "ID":
+                return "gonio lamp 1.2"
+            case "GET":
+                return f"{self._levels[int(arguments[0])]:.4f}"
+            case "STATE":
+                return "OFF" if self._lit is None else "ON"
+            case "PD":
+                return f"{self._level:.4f}"
+            case "SET" | "ON" if int(arguments[0]) not in self._levels:
                 return "ERR bad channel"
-            self._levels[channel] = _within(float(arguments[1]), 0.0, 1.0)
-        elif word == "GET":
-            return f"{self._levels[int(arguments[0])]:.4f}"
-        elif word == "ON":
-            channel = int(arguments[0])
-            if channel not in self._levels:
-                return "ERR bad channel"
-            self._lit = channel
-        elif word == "OFF":
-            self._lit = None
-        elif word == "STATE":
-            return "OFF" if self._lit is None else "ON"
-        elif word == "PD":
-            return f"{self._levels[self._lit] if self._lit else 0.0:.4f}"
-        else:
-            return "ERR unknown command"
+            case "SET":
+                self._levels[int(arguments[0])] = _within(float(arguments[1]), 0.0, 1.0)
+            case "ON":
+                self._lit = int(arguments[0])
+            case "OFF":
+                self._lit = None
+            case _:
+                return "ERR unknown command"
         return "OK"
 
 
 LAMPS: dict[str, type[Lamp]] = {"scpi": ScpiLamp, "mightex": MightexLamp, "arduino": ArduinoLamp}
-
-
-def _short(word: str) -> str:
-    return {"OUTPUT": "OUTP", "SOURCE": "SOUR", "LEVEL": "LEV", "WAVELENGTH": "WAV", "SYSTEM": "SYST", "ERROR": "ERR",
-            "MEASURE": "MEAS", "POWER": "POW"}.get(word, word)  # fmt: skip
 
 
 def _within(value: float, low: float, high: float) -> float:

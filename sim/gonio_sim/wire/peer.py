@@ -19,68 +19,101 @@ from gonio.rig import clock
 
 OPENING_MS = 5
 """How often to look whether a closed port has been opened."""
+Send = Callable[[bytes], None]
 
 
 class Device(Protocol):
     """What sits behind the terminal."""
 
-    def receive(self, data: bytes, baud: int, send: Callable[[bytes], None]) -> None:
+    def receive(self, data: bytes, baud: int, send: Send) -> None:
         """Take bytes that arrived at a line speed; answer with `send`."""
 
-    def opened(self, send: Callable[[bytes], None]) -> None:
+    def opened(self, send: Send) -> None:
         """Somebody has opened the port (told where `tells_opening` is true)."""
 
 
-class SerialPeer:
-    """Serves one device on a pseudo-terminal from a thread, until it is closed.
-
-    A driver may close and open its port as it likes (`setBaudRate` does).
+class Peer:
+    """Serves one device from a thread, until it is closed; a driver may close and open its port as it likes.
 
     Parameters
     ----------
     device
         What answers.
-    link
-        Where to put a symbolic link to the terminal; removed on closing.
     tells_opening
         Tell the device when its port is opened, as the DTR line does.
     """
 
-    def __init__(self, device: Device, link: Path | None = None, *, tells_opening: bool = False) -> None:
+    def __init__(self, device: Device, *, tells_opening: bool = False) -> None:
         self.device = device
         self._tells_opening = tells_opening
-        self._link = link
-        self._master = self._slave = -1
-        self._wake = (-1, -1)
-        self._thread: threading.Thread | None = None
         self.port = ""
         self.failure: BaseException | None = None
 
     def __enter__(self) -> Self:
-        self._master, self._slave, self.port = platform.pseudo_terminal()
-        self._wake = os.pipe()
-        if self._link is not None:
-            if self._link.is_symlink():
-                self._link.unlink()
-            self._link.symlink_to(self.port)
-            self.port = str(self._link)
-        self._thread = threading.Thread(target=self._serve, name=f"twin on {self.port}", daemon=True)
+        self._wake, self._woken = socket.socketpair()
+        self._plug_in()
+        self._thread = threading.Thread(target=self._run, name=f"twin on {self.port}", daemon=True)
         self._thread.start()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        os.write(self._wake[1], b"x")
-        if self._thread is not None:
-            self._thread.join()
-        for descriptor in (self._master, self._slave, *self._wake):
+        self._wake.close()
+        self._thread.join()
+        self._woken.close()
+        self._unplug()
+        if self.failure is not None and error is None:
+            raise self.failure
+
+    def _run(self) -> None:
+        try:
+            self._serve()
+        except BaseException as failure:  # shown when the peer is closed: a thread has nobody to raise to
+            self.failure = failure
+
+    def _plug_in(self) -> None:
+        """Open the port, and say where it is."""
+        raise NotImplementedError
+
+    def _serve(self) -> None:
+        """Let the device answer until `_woken` can be read."""
+        raise NotImplementedError
+
+    def _unplug(self) -> None:
+        """Close the port."""
+        raise NotImplementedError
+
+
+class SerialPeer(Peer):
+    """A device on a pseudo-terminal.
+
+    Parameters
+    ----------
+    device, tells_opening
+        As of `Peer`.
+    link
+        Where to put a symbolic link to the terminal; removed on closing.
+    """
+
+    def __init__(self, device: Device, link: Path | None = None, *, tells_opening: bool = False) -> None:
+        super().__init__(device, tells_opening=tells_opening)
+        self._link = link
+
+    def _plug_in(self) -> None:
+        self._master, self._slave, self.port = platform.pseudo_terminal()
+        if self._link is not None:
+            if self._link.is_symlink():
+                self._link.unlink()
+            self._link.symlink_to(self.port)
+            self.port = str(self._link)
+
+    def _unplug(self) -> None:
+        for descriptor in (self._master, self._slave):
             if descriptor >= 0:
                 os.close(descriptor)
         if self._link is not None:
             self._link.unlink(missing_ok=True)
-        if self.failure is not None and error is None:
-            raise self.failure
 
     def send(self, data: bytes) -> None:
         """Put bytes on the line, whatever was asked (noise, banners)."""
@@ -91,68 +124,52 @@ class SerialPeer:
         return platform.baud_of(self._master)
 
     def _serve(self) -> None:
-        try:
-            if self._tells_opening:  # the terminal hangs up on its master while nobody has it open
-                os.close(self._slave)
-                self._slave = -1
-            is_open = not self._tells_opening
-            poll = select.poll()
-            poll.register(self._master, select.POLLIN | select.POLLHUP)
-            poll.register(self._wake[0], select.POLLIN)
-            while True:
-                events = dict(poll.poll(None if is_open else OPENING_MS))
-                if self._wake[0] in events:
-                    return
-                event = events.get(self._master, 0)
-                if event & select.POLLIN:
-                    self.device.receive(os.read(self._master, 4096), self.baud(), self.send)
-                elif event & select.POLLHUP:
-                    is_open = False
-                    clock.sleep(OPENING_MS / 1000)
-                elif not is_open:
-                    is_open = True
-                    self.device.opened(self.send)
-        except BaseException as failure:  # shown when the peer is closed: a thread has nobody to raise to
-            self.failure = failure
+        if self._tells_opening:  # the terminal hangs up on its master while nobody has it open
+            os.close(self._slave)
+            self._slave = -1
+        is_open = not self._tells_opening
+        poll = select.poll()
+        poll.register(self._master, select.POLLIN | select.POLLHUP)
+        poll.register(self._woken, select.POLLIN)
+        while True:
+            events = dict(poll.poll(None if is_open else OPENING_MS))
+            if self._woken.fileno() in events:
+                return
+            event = events.get(self._master, 0)
+            if event & select.POLLIN:
+                self.device.receive(os.read(self._master, 4096), self.baud(), self.send)
+            elif event & select.POLLHUP:
+                is_open = False
+                clock.sleep(OPENING_MS / 1000)
+            elif not is_open:
+                is_open = True
+                self.device.opened(self.send)
 
 
-class SocketPeer:
+class SocketPeer(Peer):
     """The same over TCP, for one program at a time, on this computer alone: others are sent away, as ser2net does.
 
     Parameters
     ----------
     device, tells_opening
-        As of `SerialPeer`.
+        As of `Peer`.
     speed
         At which line speed [baud] bytes come to the device: the network knows none.
     """
 
     def __init__(self, device: Device, speed: int, *, tells_opening: bool = False) -> None:
-        self.device = device
+        super().__init__(device, tells_opening=tells_opening)
         self._speed = speed
-        self._tells_opening = tells_opening
         self._line: socket.socket | None = None
-        self.port = ""
-        self.failure: BaseException | None = None
 
-    def __enter__(self) -> Self:
+    def _plug_in(self) -> None:
         self._server = socket.create_server(("127.0.0.1", 0))
-        self._wake, self._woken = socket.socketpair()
         self.port = f"socket://127.0.0.1:{self._server.getsockname()[1]}"
-        self._thread = threading.Thread(target=self._serve, name=f"twin on {self.port}", daemon=True)
-        self._thread.start()
-        return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._wake.close()
-        self._thread.join()
-        for one in (self._woken, self._server, self._line):
-            if one is not None:
-                one.close()
-        if self.failure is not None and error is None:
-            raise self.failure
+    def _unplug(self) -> None:
+        self._server.close()
+        if self._line is not None:
+            self._line.close()
 
     def send(self, data: bytes) -> None:
         """Put bytes on the line, whatever was asked (noise, banners); nobody may listen."""
@@ -161,20 +178,17 @@ class SocketPeer:
                 self._line.sendall(data)
 
     def _serve(self) -> None:
-        try:
-            with selectors.DefaultSelector() as look:
-                look.register(self._woken, selectors.EVENT_READ)
-                look.register(self._server, selectors.EVENT_READ)
-                while True:
-                    ready = {key.fileobj for key, _ in look.select()}
-                    if self._woken in ready:
-                        return
-                    if self._line is not None and self._line in ready:
-                        self._hear(look, self._line)
-                    elif self._server in ready:  # after the line, which may have ended just before
-                        self._answer(look)
-        except BaseException as failure:  # shown when the peer is closed: a thread has nobody to raise to
-            self.failure = failure
+        with selectors.DefaultSelector() as look:
+            look.register(self._woken, selectors.EVENT_READ)
+            look.register(self._server, selectors.EVENT_READ)
+            while True:
+                ready = {key.fileobj for key, _ in look.select()}
+                if self._woken in ready:
+                    return
+                if self._line is not None and self._line in ready:
+                    self._hear(look, self._line)
+                elif self._server in ready:  # after the line, which may have ended just before
+                    self._answer(look)
 
     def _hear(self, look: selectors.BaseSelector, line: socket.socket) -> None:
         data = b""

@@ -14,7 +14,7 @@ from gonio.rig import clock as wall
 from gonio_sim.wire import motion, tables
 from gonio_sim.wire import protocol2 as p2
 from gonio_sim.wire.peer import Clock
-from gonio_sim.wire.registers import Refused, Registers
+from gonio_sim.wire.tables import Refused, Registers
 
 NO_LOAD = 1.0e6
 """Acceleration where no profile limits it [counts/s^2]."""
@@ -96,15 +96,11 @@ class Servo:
         self.registers.put("ID", identity)
         self.registers.put("Baud Rate", {rate: code for code, rate in tables.BAUD_CODES.items()}[baud])
         self._path = motion.rest(clock(), position)
-        self._aim = position
-        self._registered: tuple[int, bytes] | None = None
         self._blocked_at: float | None = None
         self._stalled_since: float | None = None
+        self._registered: tuple[int, bytes] | None = None
         self._back_at: float | None = None
         self._heard_s = wall.monotonic()
-        self._booted_s = clock()
-        self._forgotten = 0.0
-        self._profile_type = STEP
         self._looks = 0
         self._backup: dict[str, int] = {}
         self.leaving: Callable[[], None] = lambda: None
@@ -183,12 +179,6 @@ class Servo:
     def _suffering(self, fault: str) -> bool:
         return self._clock() < self._suffers.get(fault, -math.inf)
 
-    def _heat_c(self) -> int:
-        return self.get("Temperature Limit") - 10 if self._suffering("hot") else self.temperature_c
-
-    def _supply_dv(self) -> int:
-        return self.get("Min Voltage Limit") + 5 if self._suffering("sag") else self.supply_dv
-
     def lose_power(self) -> None:
         """Drop out of the bus."""
         self._release()
@@ -234,25 +224,23 @@ class Servo:
         """Keep a write for `action`."""
         self._checked(address, data)
         self._registered = (address, data)
-        self.registers.put("Registered Instruction", 1)
+        self._put(Registered_Instruction=1)
 
     def action(self) -> None:
         """Carry out what was registered."""
         if self._registered is None:
             raise Refused(p2.INSTRUCTION_ERROR)
-        address, data = self._registered
-        self._registered = None
-        self.registers.put("Registered Instruction", 0)
+        (address, data), self._registered = self._registered, None
+        self._put(Registered_Instruction=0)
         self.write(address, data)
 
     def reset(self, option: int) -> None:
         """Factory values: 0xFF all, 0x01 all except ID, 0x02 all except ID and baud rate."""
-        if option not in (0xFF, 0x01, 0x02):
+        keep = {0xFF: (), 0x01: ("ID",), 0x02: ("ID", "Baud Rate")}
+        if option not in keep:
             raise Refused(p2.RANGE_ERROR)
-        if self.torque:
-            raise Refused(p2.RESULT_FAIL)
-        keep = {0xFF: (), 0x01: ("ID",), 0x02: ("ID", "Baud Rate")}[option]
-        kept = {name: self.get(name) for name in keep}
+        self._require_free()
+        kept = {name: self.get(name) for name in keep[option]}
         for name, item in self.table.items.items():
             if item.writable:
                 self.registers.put(name, kept.get(name, self.table.factory.get(name, 0)))
@@ -267,16 +255,20 @@ class Servo:
 
     def back_up(self) -> None:
         """Keep the EEPROM, the gains, the profile and the indirect addresses."""
-        if self.torque:
-            raise Refused(p2.RESULT_FAIL)
+        self._require_free()
         self._backup = {name: self.get(name) for name, item in self.table.items.items() if _kept(item)}
         self.registers.put("Backup Ready", 1)
 
     def restore(self) -> None:
         """Take the EEPROM from the backup; a reboot is due after it."""
-        if self.torque or not self._backup:
+        self._require_free()
+        if not self._backup:
             raise Refused(p2.RESULT_FAIL)
         self._put_back(ram=False)
+
+    def _require_free(self) -> None:
+        if self.torque:
+            raise Refused(p2.RESULT_FAIL)
 
     def heard(self, wall_s: float) -> None:
         """Called for every instruction packet on the bus, for whomever it is: silence is counted from there."""
@@ -287,43 +279,50 @@ class Servo:
         """The bus watchdog: after a silence, in wall time, the shaft has stopped at once, and its goal is there."""
         timeout_s = self.get("Bus Watchdog") * WATCHDOG_UNIT_S
         if timeout_s > 0 and self.torque and wall_s - self._heard_s > timeout_s:
-            self.registers.put("Bus Watchdog", -1)
             now = self._clock.at(self._heard_s + timeout_s)
-            position = self._path.at(now)[0] if self._blocked_at is None else self._blocked_at
-            self._path = motion.rest(now, position)
-            self._aim = position
-            for name in PROFILE:
-                self.registers.put(name, 0)
+            self._aim = self._path.at(now)[0] if self._blocked_at is None else self._blocked_at
+            self._path = motion.rest(now, self._aim)
             self._profile_type = STEP
+            self._put(Bus_Watchdog=-1, Profile_Velocity=0, Profile_Acceleration=0)
             self._goal_here()
 
     # ---- memory ----
+
+    def _put(self, **values: int) -> None:
+        """Items of the table, named with underscores."""
+        for name, value in values.items():
+            self.registers.put(name.replace("_", " "), value)
+
+    def _goals_at_limits(self) -> None:
+        """Goals of velocity, current and PWM are as large as they may be; in Velocity mode the shaft stands."""
+        for goal, limit in LIMITED:
+            if goal in self.table.items and limit in self.table.items:
+                self.registers.put(goal, self.get(limit))
+        if self.get("Operating Mode") == VELOCITY:
+            self._put(Goal_Velocity=0)
 
     def _power_up(self) -> None:
         for name, item in self.table.items.items():
             if item.address >= tables.EEPROM_END and item.writable:
                 self.registers.put(name, self.table.factory.get(name, 0))
-        for goal, limit in LIMITED:
-            if goal in self.table.items and limit in self.table.items:
-                self.registers.put(goal, self.get(limit))
-        if self.get("Operating Mode") == VELOCITY:
-            self.registers.put("Goal Velocity", 0)
+        self._goals_at_limits()
         startup = self.get("Startup Configuration")
         if startup & RAM_RESTORE:
             self._put_back(ram=True)
-        self.registers.put("Hardware Error Status", 0)
-        self.registers.put("Registered Instruction", 0)
-        self._registered = None
-        self._stalled_since = None
-        self._profile_type = STEP
+        self._put(Hardware_Error_Status=0, Registered_Instruction=0)
+        self._registered = self._stalled_since = None
         self._booted_s = self._clock()
-        position = self._shaft()[0]
-        self._path = motion.rest(self._clock(), position)
-        self._aim = position
+        self._stand()
         self._forget_turns()
         self._goal_here()
         if startup & TORQUE_AT_START:
-            self.registers.put("Torque Enable", 1)
+            self._put(Torque_Enable=1)
+
+    def _stand(self) -> None:
+        """At rest, without a profile."""
+        self._profile_type = STEP
+        self._aim = self._shaft()[0]
+        self._path = motion.rest(self._clock(), self._aim)
 
     def _put_back(self, *, ram: bool) -> None:
         for name, value in self._backup.items():
@@ -362,28 +361,26 @@ class Servo:
         return pairs
 
     def _check(self, item: tables.Item, value: int) -> None:
-        name = item.name
-        if item.address < tables.EEPROM_END and self.torque:
-            raise Refused(p2.ACCESS_ERROR)
+        """Raise `Refused` where a value may not be written now."""
+        name, mode = item.name, self.get("Operating Mode")
         low, high = self.table.ranges.get(name, (-(1 << 31), 1 << 32))
         if name in PROFILE and self.get("Drive Mode") & TIME_BASED:
             high = tables.LONGEST_MS
-        if name == "Operating Mode" and value not in self.table.modes:
-            raise Refused(p2.RANGE_ERROR)
-        if name == "Drive Mode" and value & ~self.table.drive_bits:
-            raise Refused(p2.RANGE_ERROR)
-        if not low <= value <= high:
-            raise Refused(p2.RANGE_ERROR)
-        limits = self.get("Min Position Limit"), self.get("Max Position Limit")
-        if name == "Goal Position" and self.get("Operating Mode") == POSITION and not limits[0] <= value <= limits[1]:
-            raise Refused(p2.LIMIT_ERROR)
-        for goal, limit in LIMITED:
-            if name == goal and abs(value) > self.get(limit):
-                raise Refused(p2.LIMIT_ERROR)
-        if name in GOALS.values() and self.get("Bus Watchdog") == -1:
-            raise Refused(p2.RANGE_ERROR)  # read-only until the watchdog is cleared
-        if name == "Torque Enable" and value == 1 and self._shut_down():
-            raise Refused(p2.RESULT_FAIL)
+        limit = dict(LIMITED).get(name)
+        bounded = name == "Goal Position" and mode == POSITION
+        for refused, error in (
+            (item.address < tables.EEPROM_END and self.torque, p2.ACCESS_ERROR),
+            (name == "Operating Mode" and value not in self.table.modes, p2.RANGE_ERROR),
+            (name == "Drive Mode" and value & ~self.table.drive_bits, p2.RANGE_ERROR),
+            (not low <= value <= high, p2.RANGE_ERROR),
+            (bounded and not self.get("Min Position Limit") <= value <= self.get("Max Position Limit"), p2.LIMIT_ERROR),
+            (limit is not None and abs(value) > self.get(limit), p2.LIMIT_ERROR),
+            # goals are read-only until the watchdog is cleared
+            (name in GOALS.values() and self.get("Bus Watchdog") == -1, p2.RANGE_ERROR),
+            (name == "Torque Enable" and value == 1 and self._shut_down(), p2.RESULT_FAIL),
+        ):
+            if refused:
+                raise Refused(error)
 
     def _set(self, name: str, value: int) -> None:
         before = self.get(name)
@@ -414,14 +411,9 @@ class Servo:
 
     def _change_mode(self, mode: int) -> None:
         """Another mode takes its own gains; profile and goals are those of the start."""
-        for name in GAINS:
+        for name in GAINS + PROFILE:
             self.registers.put(name, self.table.factory.get(name, 0))
-        for name in PROFILE:
-            self.registers.put(name, 0)
-        for goal, limit in LIMITED:
-            if goal != "Goal Velocity" and goal in self.table.items:
-                self.registers.put(goal, self.get(limit))
-        self.registers.put("Goal Velocity", 0 if mode == VELOCITY else self.get("Velocity Limit"))
+        self._goals_at_limits()
         self._profile_type = STEP
         if mode in (POSITION, EXTENDED):
             self._forget_turns()
@@ -493,13 +485,9 @@ class Servo:
         peak = max(abs(phase.velocity) for phase in self._path.phases)
         return TRAPEZOIDAL if peak > 0.999 * speed else TRIANGULAR  # rounding of the ways of single phases
 
-    def _halt(self) -> None:
-        position, _ = self._shaft()
-        self._path = motion.rest(self._clock(), position)
-
     def _release(self) -> None:
-        self._halt()
-        self.registers.put("Torque Enable", 0)
+        self._path = motion.rest(self._clock(), self._shaft()[0])
+        self._put(Torque_Enable=0)
 
     # ---- health ----
 
@@ -540,40 +528,46 @@ class Servo:
         self._looks += 1  # by the golden angle: readings in a row never happen to agree
         flicker = self.mechanics.noise_counts * math.sin(GOLDEN_ANGLE * self._looks) if velocity == 0 else 0.0
         units = round(self._turned(velocity) / tables.RPM)
-        in_position_mode = self.get("Operating Mode") in POSITION_MODES
-        ended = now >= self._path.end_s
+        in_position_mode, ended = self.get("Operating Mode") in POSITION_MODES, now >= self._path.end_s
         profiled = in_position_mode and not ended and self._profile_type != STEP
-        fast = abs(units) > self.get("Moving Threshold")
         state = self._profile_type | (UNDER_WAY if profiled else 0)
         if in_position_mode:
             state |= FOLLOWING_ERROR if self._pushes() else 0
             state |= IN_POSITION if ended and abs(position - self._aim) < IN_POSITION_COUNTS else 0
-        self.registers.put("Present Position", self._said(position + flicker))
-        self.registers.put("Present Velocity", units)
-        self.registers.put("Moving", int(fast or profiled))
-        self.registers.put("Moving Status", state)
-        self.registers.put("Velocity Trajectory", round(self._turned(planned_velocity) / tables.RPM))
         arrived = in_position_mode and ended and self.torque
-        self.registers.put("Position Trajectory", self._said(self._aim if arrived else planned))
-        self.registers.put("Present Input Voltage", self._supply_dv())
-        self.registers.put("Present Temperature", self._heat_c())
+        hot, sagging = self._suffering("hot"), self._suffering("sag")
+        effort = self._effort(position, units)
+        self._put(
+            Present_Position=self._said(position + flicker),
+            Present_Velocity=units,
+            Moving=int(abs(units) > self.get("Moving Threshold") or profiled),
+            Moving_Status=state,
+            Velocity_Trajectory=round(self._turned(planned_velocity) / tables.RPM),
+            Position_Trajectory=self._said(self._aim if arrived else planned),
+            Present_Input_Voltage=self.get("Min Voltage Limit") + 5 if sagging else self.supply_dv,
+            Present_Temperature=self.get("Temperature Limit") - 10 if hot else self.temperature_c,
+            Realtime_Tick=int((now - self._booted_s) * 1000) % 32768,
+            Present_PWM=self.get("Goal PWM") if self._drives(PWM) else round(effort / 2),
+        )
+        self.registers.put("Present Current" if "Present Current" in self.table.items else "Present Load", effort)
         for port in range(1, 4):
             if f"External Port Data {port}" in self.table.items and self.get(f"External Port Mode {port}") == PULL_DOWN:
                 closed = port in self.contacts and not self._suffering("estop")
                 self.registers.put(f"External Port Data {port}", int(closed))
-        self.registers.put("Realtime Tick", int((now - self._booted_s) * 1000) % 32768)
-        load = "Present Current" if "Present Current" in self.table.items else "Present Load"
-        effort = 0
-        if self.torque:
+
+    def _drives(self, mode: int) -> bool:
+        """Whether the motor has torque, in a mode."""
+        return self.torque and self.get("Operating Mode") == mode
+
+    def _effort(self, position: float, units: int) -> int:
+        """Current or load, at a position and a velocity in units of the table."""
+        if self._drives(CURRENT):
+            return self.get("Goal Current")
+        error = self._turned(self._aim - position)
+        if self._pushes():
             full = self.get("Goal Current") if "Goal Current" in self.table.items else 1000
-            error = self._turned(self._aim - position)
-            light = round(20 * math.tanh(error / 20)) + units // 8
-            effort = int(math.copysign(full, error)) if self._pushes() else light
-        if self.torque and self.get("Operating Mode") == CURRENT:
-            effort = self.get("Goal Current")
-        self.registers.put(load, effort)
-        as_told = self.torque and self.get("Operating Mode") == PWM
-        self.registers.put("Present PWM", self.get("Goal PWM") if as_told else round(effort / 2))
+            return int(math.copysign(full, error))
+        return round(20 * math.tanh(error / 20)) + units // 8 if self.torque else 0
 
 
 def _kept(item: tables.Item) -> bool:

@@ -11,10 +11,9 @@ from pathlib import Path
 
 from gonio.errors import ConfigError
 from gonio.rig import Frame, clock
-from gonio.rig.dng import write_dng
+from gonio.rig.dng import encode_dng, write_dng
 from gonio_sim.wire.faults import CAMERA, FILE_LATE_S, Faults
-
-Send = Callable[[bytes], None]
+from gonio_sim.wire.peer import Send
 
 
 class TetheredCamera:
@@ -73,13 +72,9 @@ class TetheredCamera:
         if fault == "file-late":
             clock.sleep(FILE_LATE_S)
         if fault == "file-truncated":
-            whole = self._folder / f".{path.name}.whole"
-            write_dng(frame, whole)
-            path.write_bytes(whole.read_bytes()[: whole.stat().st_size // 2])
-            whole.unlink()
+            data = encode_dng(frame)
+            path.write_bytes(data[: len(data) // 2])
             return
         write_dng(frame, path)
         if fault == "file-duplicate":
-            again = self._folder / f".{path.name}.again"
-            write_dng(frame, again)
-            again.rename(self._folder / f"IMG_{self._number:06d}_1.DNG")
+            write_dng(frame, path.with_stem(f"{path.stem}_1"))

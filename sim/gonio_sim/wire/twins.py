@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import math
 import threading
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -61,6 +62,15 @@ class _Axis(_Loose):
     gear_ratio: float = 1.0
     zero_count: int = 2048
 
+    @property
+    def per_turn(self) -> float:
+        """Turns of the shaft for one of the axis."""
+        return self.direction * self.gear_ratio
+
+    def turned(self, counts: float) -> float:
+        """Angle of the axis [rad] that a place of the shaft stands for."""
+        return (counts - self.zero_count) / COUNTS / self.per_turn * math.tau
+
 
 class _Changer(_Axis):
     sample_deg: float
@@ -77,6 +87,10 @@ class _StageAxis(_Loose):
     direction: Literal[1, -1] = 1
     zero_deg: float = 0.0
     serial: int = 55000001
+
+    def turned(self, counts: float) -> float:
+        """Angle of the axis [rad] that the stage stands at."""
+        return math.radians((counts / COUNTS_PER_DEG - self.zero_deg) * self.direction)
 
 
 class _Stages(_Loose):
@@ -134,48 +148,35 @@ class WireWorld(World):
 
 @dataclass(slots=True)
 class Follower:
-    """The arm behind a servo: gear, backlash, and a zero that is not quite where it was thought to be."""
+    """The arm behind a servo or on a stage: backlash, and a zero that is not quite where it was thought to be."""
 
-    servo: Servo
-    built: _Axis
-    backlash: float
-    offset: float
-    zero_error: float
+    shaft: Callable[[], float]
+    """Where the shaft stands [counts]."""
+    turned: Callable[[float], float]
+    """Angle of the axis [rad] that this stands for."""
     axis: Axis
     """With the errors of its encoder within a turn."""
+    zero_error: float
     from_above: bool = False
     """The rig approaches its goals so: no backlash then."""
     arm: float = math.nan
 
     def encoder(self) -> float:
-        """Angle of the axis that the servo's shaft stands for [rad]."""
-        per_turn = self.built.direction * self.built.gear_ratio
-        return (self.servo.travelled() - self.built.zero_count) / COUNTS / per_turn * math.tau
+        """Angle of the axis that the shaft stands for [rad]."""
+        return self.turned(self.shaft())
 
     def follow(self) -> None:
         """Let the shaft push the arm along."""
-        encoder = self.encoder()
-        low, high = (-self.backlash, 0.0) if self.from_above else (0.0, self.backlash)
+        encoder, backlash = self.encoder(), math.radians(self.axis.backlash_deg)
+        low, high = (-backlash, 0.0) if self.from_above else (0.0, backlash)
         arm = encoder + low + high if math.isnan(self.arm) else self.arm
         self.arm = min(max(arm, encoder + low), encoder + high)
 
     def true(self) -> float:
         """Where the arm is [rad]."""
         self.follow()
-        read = self.encoder() - self.offset - self.zero_error
-        return self.arm - self.offset - self.zero_error - encoder_error(self.axis, read)
-
-
-@dataclass(slots=True)
-class StageFollower(Follower):
-    """The arm on a motorised stage."""
-
-    servo: KinesisTwin  # type: ignore[assignment]
-    built: _StageAxis  # type: ignore[assignment]
-
-    def encoder(self) -> float:
-        """Angle of the axis that the stage stands at [rad]."""
-        return math.radians((self.servo.shaft() / COUNTS_PER_DEG - self.built.zero_deg) * self.built.direction)
+        offset = math.radians(self.axis.zero_offset_deg) + self.zero_error
+        return self.arm - offset - encoder_error(self.axis, self.encoder() - offset)
 
 
 class Twins:
@@ -219,36 +220,13 @@ class Twins:
         self._folder, self._tcp = folder, tcp
         self.scale = scale
         self.faults = Faults()
-        self._clock = clock = scaled_clock(scale)
+        self._clock = scaled_clock(scale)
         self._bright_until_s = -math.inf
-        self.world = WireWorld(description, sample, seed, clock)
+        self.world = WireWorld(description, sample, seed, self._clock)
         self._render = SimulatedCamera(self.world, Renderer(self.world))
         self._looking = threading.Lock()
-        servos = self._devices.servos
-        rng = np.random.default_rng([seed, 77])
-        built: dict[str, _Axis] = dict(servos.axes)
-        if servos.changer is not None:
-            built["changer"] = servos.changer
-        known = self.world.truth.axes()
-        self.servos: dict[str, Servo] = {}
         self.followers: dict[str, Follower] = {}
-        for name, axis in built.items():
-            start = axis.zero_count + START_DEG.get(name, 1.0) / 360 * COUNTS * axis.direction * axis.gear_ratio
-            mechanics = Mechanics(short_counts=short_counts, within=lambda: float(rng.uniform(-0.5, 0.5)))
-            self.servos[name] = Servo(
-                axis.id, clock, model=axis.model, baud=servos.baud, position=start, mechanics=mechanics
-            )
-            if name in known:
-                body = known[name]
-                follower = Follower(
-                    self.servos[name], axis, math.radians(body.backlash_deg), math.radians(body.zero_offset_deg),
-                    float(self.world.zero_error[name]), body, description.approach_deg()[name] < 0,
-                )  # fmt: skip
-                self.followers[name] = follower
-                self.servos[name].leaving = follower.follow
-        contact = self._devices.interlock
-        if contact is not None and contact.axis in self.servos:
-            self.servos[contact.axis].contacts.add(contact.input)
+        self.servos = self._built_servos(np.random.default_rng([seed, 77]), short_counts)
         self.stages = self._built_stages()
         self.bus = ServoBus(self.servos.values(), self.faults)
         self.lamp: Lamp = LAMPS[self._devices.light.dialect](description.bands.all(), self._shine, self.faults)
@@ -256,20 +234,40 @@ class Twins:
         self.peers: dict[str, SerialPeer | SocketPeer] = {}
         self._stack = contextlib.ExitStack()
 
+    def _built_servos(self, rng: np.random.Generator, short_counts: float) -> dict[str, Servo]:
+        """Servos by axis, the changer of samples among them, and the arms that follow them."""
+        devices, out = self._devices.servos, {}
+        built = dict(devices.axes) if devices.changer is None else devices.axes | {"changer": devices.changer}
+        for name, axis in built.items():
+            start = axis.zero_count + START_DEG.get(name, 1.0) / 360 * COUNTS * axis.per_turn
+            mechanics = Mechanics(short_counts=short_counts, within=lambda: float(rng.uniform(-0.5, 0.5)))
+            servo = out[name] = Servo(
+                axis.id, self._clock, model=axis.model, baud=devices.baud, position=start, mechanics=mechanics
+            )
+            self._follow(name, servo, servo.travelled, axis.turned)
+        contact = self._devices.interlock
+        if contact is not None and contact.axis in out:
+            out[contact.axis].contacts.add(contact.input)
+        return out
+
     def _built_stages(self) -> dict[str, KinesisTwin]:
-        """Stages by axis, with followers that move the arms of the world with them."""
+        """Stages by axis, and the arms that stand on them."""
         stages: dict[str, KinesisTwin] = {}
-        known = self.world.truth.axes()
         for name, stage in self._devices.stages.axes.items() if self._devices.stages is not None else ():
             readout = stage.zero_deg + START_DEG.get(name, 1.0) * stage.direction
             twin = stages[name] = KinesisTwin(self._clock, position=readout * COUNTS_PER_DEG, serial=stage.serial)
-            body = known[name]
-            arm = self.followers[name] = StageFollower(
-                twin, stage, math.radians(body.backlash_deg), math.radians(body.zero_offset_deg),
-                float(self.world.zero_error[name]), body,
-            )  # fmt: skip
-            twin.leaving = arm.follow
+            self._follow(name, twin, twin.shaft, stage.turned)
         return stages
+
+    def _follow(
+        self, name: str, twin: Servo | KinesisTwin, shaft: Callable[[], float], turned: Callable[[float], float]
+    ) -> None:
+        """Let the arm of the world follow a shaft, where it is an arm's."""
+        known = self.world.truth.axes()
+        if name in known:
+            above = isinstance(twin, Servo) and self.world.description.approach_deg()[name] < 0
+            arm = Follower(shaft, turned, known[name], float(self.world.zero_error[name]), above)
+            self.followers[name], twin.leaving = arm, arm.follow
 
     def __enter__(self) -> Self:
         try:
@@ -283,8 +281,7 @@ class Twins:
             devices: dict[str, Device] = {"servos": self.bus, "lamp": self.lamp, "release": self.camera}
             devices |= {f"stage-{name}": stage for name, stage in self.stages.items()}
             for name, device in devices.items():
-                tells = name == "lamp" and self.lamp.resets_on_open
-                self.peers[name] = self._plug(name, device, tells_opening=tells)
+                self.peers[name] = self._peer(name, device)
                 stack.enter_context(self.peers[name])
             self._stack = stack.pop_all()
         return self
@@ -298,11 +295,12 @@ class Twins:
             self._render.close()
             self.world.open = False
 
-    def _plug(self, name: str, device: Device, *, tells_opening: bool) -> SerialPeer | SocketPeer:
+    def _peer(self, name: str, device: Device) -> SerialPeer | SocketPeer:
+        tells = name == "lamp" and self.lamp.resets_on_open
         if not self._tcp:
-            return SerialPeer(device, self._folder / name, tells_opening=tells_opening)
+            return SerialPeer(device, self._folder / name, tells_opening=tells)
         speed = {"servos": self._devices.servos.baud, "lamp": self.lamp.bauds[0]}.get(name, STAGE_BAUD)
-        return SocketPeer(device, speed, tells_opening=tells_opening)
+        return SocketPeer(device, speed, tells_opening=tells)
 
     @property
     def description(self) -> RigDescription:
@@ -310,16 +308,14 @@ class Twins:
         original = self.world.description
         devices = {name: dict(table) for name, table in original.devices.items()}
         if self._devices.stages is not None:
-            ports = {name: {"port": self._port(f"stage-{name}")} for name in self.stages}
-            axes = devices["stages"]["axes"]
-            devices["stages"]["axes"] = {name: dict(axis) | ports[name] for name, axis in axes.items()}
+            axes = devices["stages"]["axes"].items()
+            devices["stages"]["axes"] = {n: dict(axis) | {"port": self._port(f"stage-{n}")} for n, axis in axes}
         arms = devices["servos" if "servos" in devices else "stages"]
         arms["settle_s"] = max(0.03, arms.get("settle_s", 0.1) / self.scale)
         if "servos" in devices:
             devices["servos"]["port"] = self._port("servos")
-        devices["light"]["port"] = self._port("lamp")
+        devices["light"] |= {"port": self._port("lamp"), "settle_s": devices["light"].get("settle_s", 0.5) / self.scale}
         devices["holder"] = {"target_file": str(self._folder / TARGET_FILE)}
-        devices["light"]["settle_s"] = devices["light"].get("settle_s", 0.5) / self.scale
         if self.replays:
             devices["camera"]["folder"] = str(Path(devices["camera"]["folder"]).expanduser().absolute())
         else:
@@ -367,11 +363,15 @@ class Twins:
         turning = any(servo.powered and servo.moves() for servo in self.servos.values())
         return not (self.lamp.shine.lit or turning or any(stage.moves() for stage in self.stages.values()))
 
+    def _stand(self) -> None:
+        """Tell the world where the arms are."""
+        self.world.pose = Pose(**{name: follower.true() for name, follower in self.followers.items()})
+
     def _warm_up(self) -> None:
         """Load the compiled code of dark frames, and of what may lie under the lamp: no frame is late for it."""
         world = self.world
         targets: list[InHolder] = ["reference"] if world.sample is None else ["reference", "sample"]
-        world.pose = Pose(**{name: follower.true() for name, follower in self.followers.items()})
+        self._stand()
         world.band = world.description.bands.all()[0]
         for world.target in targets:
             for world.lamp_on in (True, False):
@@ -389,7 +389,7 @@ class Twins:
     def _expose(self, exposure_s: float) -> Frame:
         with self._looking:
             self.world.target = self._target()
-            self.world.pose = Pose(**{name: follower.true() for name, follower in self.followers.items()})
+            self._stand()
             if self.faults.take("room-light"):
                 self._bright_until_s = self._clock() + fault_names.LASTS_S
             room = ROOM * self.world.description.camera.responsivity_e_per_s
@@ -406,8 +406,7 @@ class Twins:
                 return put
         if changer is None:
             return "reference" if said == "reference" else "sample"
-        per_turn = changer.direction * changer.gear_ratio
-        at = (self.servos["changer"].shaft()[0] - changer.zero_count) / COUNTS / per_turn * 360
+        at = math.degrees(changer.turned(self.servos["changer"].shaft()[0]))
         return "reference" if abs(at - changer.reference_deg) < abs(at - changer.sample_deg) else "sample"
 
 
