@@ -22,8 +22,8 @@ from gonio_sim.wire import protocol2 as p2
 from gonio_sim.wire import tables
 from gonio_sim.wire.bus import ServoBus
 from gonio_sim.wire.peer import SerialPeer, scaled_clock
-from gonio_sim.wire.tables import Refused
 from gonio_sim.wire.servo import Mechanics, Servo
+from gonio_sim.wire.tables import Refused
 
 from gonio.errors import ConfigError, DeviceError
 from gonio.rig import Pose
