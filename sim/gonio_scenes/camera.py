@@ -15,9 +15,8 @@ from gonio.rig.description import RigDescription
 from gonio.rig.kinematics import view
 from gonio.rig.protocols import Pose
 from gonio.typing import Floats
-from gonio_scenes._frames import toward_plane
-from gonio_scenes.sampling import on_disc, point
 from gonio_scenes.shapes.shape import LARGEST_MM, Length, Point
+from gonio_scenes.world import toward_plane
 
 MAX_PIXELS = 1 << 26
 
@@ -162,6 +161,36 @@ class Camera:
             np.asarray(away @ self.right * scale + 0.5 * self.width),
             np.asarray(away @ self.down * scale + 0.5 * self.height),
         )
+
+
+# --- points that fill a square, or a square of squares, evenly: for pixels, lenses and discs of lamps ----------------
+
+_ROOTS = {2: 1.3247179572447460, 4: 1.1673039782614187}
+"""The root above 1 of x^(d + 1) = x + 1: multiples of its powers 1/x, 1/x^2, ... fill d dimensions evenly."""
+
+
+def point(sample: int, shift: Floats) -> Floats:
+    """Point number `sample` of an even sequence in [0, 1)^d, moved by each row of `shift` (n, d), d 2 or 4; (d, n).
+
+    The sequence is Roberts' generalised golden ratio (2018). Moved by a random shift each of its points is uniformly
+    distributed, so that means over them are without bias.
+    """
+    dimensions = shift.shape[1]
+    step = _ROOTS[dimensions] ** -np.arange(1.0, dimensions + 1.0)
+    return np.asarray(((shift + (sample + 0.5) * step) % 1.0).T)
+
+
+def on_disc(a: Floats, b: Floats) -> tuple[Floats, Floats]:
+    """The unit square onto the unit disc, areas in proportion and neighbours kept (Shirley and Chiu 1997)."""
+    x, y = 2.0 * a - 1.0, 2.0 * b - 1.0
+    wide = np.abs(x) > np.abs(y)
+    radius = np.where(wide, x, y)
+    ratio = np.where(wide, y, x) / np.where(radius == 0.0, 1.0, radius)
+    angle = np.where(wide, math.pi / 4 * ratio, math.pi / 2 - math.pi / 4 * ratio)
+    return radius * np.cos(angle), radius * np.sin(angle)
+
+
+# --- from files ------------------------------------------------------------------------------------------------------
 
 
 def from_table(table: CameraTable, rig: RigDescription | None) -> Camera:

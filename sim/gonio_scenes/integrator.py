@@ -8,11 +8,10 @@ import numpy as np
 import numpy.typing as npt
 
 from gonio.typing import Floats
-from gonio_scenes._frames import local
 from gonio_scenes.lights import Disc
 from gonio_scenes.material import Material
 from gonio_scenes.scene import Scene
-from gonio_scenes.world import Hits
+from gonio_scenes.world import Hits, local
 
 FAINT = 1e-9
 """A mirror ray that carries less than this share of what it sees is not followed."""

@@ -15,8 +15,8 @@ from gonio.rig.description import RigDescription
 from gonio.rig.kinematics import view
 from gonio.rig.protocols import Pose
 from gonio.typing import Floats
-from gonio_scenes.sampling import on_disc, point
-from gonio_scenes.shapes.shape import Coordinate, Length, refuse_parallel
+from gonio_scenes.camera import on_disc, point
+from gonio_scenes.shapes.shape import Coordinate, Length, refuse_parallel, unit
 from gonio_scenes.spectra import NonNegativeSpectrum, Spectral, table_or, values
 
 Vector = tuple[Coordinate, Coordinate, Coordinate]
@@ -179,8 +179,8 @@ class Disc:
         at = self.center
         if shift is not None:
             a, b = on_disc(*point(sample, shift))
-            across, along = _axes(self.normal)
-            at = self.center + self.radius * (a[:, None] * across + b[:, None] * along)
+            first, second = across(self.normal)
+            at = self.center + self.radius * (a[:, None] * first + b[:, None] * second)
         away = at - position
         squared = np.einsum("ij,ij->i", away, away)
         distance = np.sqrt(squared)
@@ -202,12 +202,12 @@ class Disc:
 Light = Directional | PointLight | Disc
 
 
-def _axes(normal: Floats) -> tuple[Floats, Floats]:
-    """Two unit vectors across a normal and each other."""
+def across(normal: Floats) -> tuple[Floats, Floats]:
+    """Two unit vectors across a normal and each other: a right-handed frame with it."""
     helper = np.eye(3)[np.argmin(np.abs(normal))]
-    across = np.cross(helper, normal)
-    across /= np.linalg.norm(across)
-    return across, np.cross(normal, across)
+    first = np.cross(helper, normal)
+    first /= np.linalg.norm(first)
+    return first, np.cross(normal, first)
 
 
 def power(table: _Light, value: float | NonNegativeSpectrum, wavelength_nm: Floats) -> Floats:
@@ -238,24 +238,18 @@ def relative_power(illuminant: str, wavelength_nm: Floats) -> Floats:
     return np.interp(wavelength_nm, table, colour.illuminant(illuminant) / 100.0)
 
 
-def _unit(vector: Vector) -> Floats:
-    array = np.array(vector)
-    array /= np.abs(array).max()
-    return np.asarray(array / np.linalg.norm(array))
-
-
 def from_table(table: Shining, wavelength_nm: Floats, rig: RigDescription | None, pose: Pose | None) -> Light:
     """A light of a scene file at its wavelengths; `rig` and `pose` are the camera's, for a light of the kind "rig"."""
-    field = None if table.polarisation is None else _unit(table.polarisation)
+    field = None if table.polarisation is None else unit(table.polarisation)
     if isinstance(table, DirectionalTable):
-        return Directional(power(table, table.irradiance, wavelength_nm), _unit(table.toward), field)
+        return Directional(power(table, table.irradiance, wavelength_nm), unit(table.toward), field)
     if isinstance(table, PointTable):
         return PointLight(power(table, table.intensity, wavelength_nm), np.array(table.position_mm), field)
     if isinstance(table, DiscTable):
         return Disc(
             power(table, table.radiance, wavelength_nm),
             np.array(table.center_mm),
-            _unit(table.normal),
+            unit(table.normal),
             table.radius_mm,
             table.samples,
             table.visible,

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol, cast, runtime_checkable
@@ -27,13 +27,16 @@ from gonio.formats import rgl
 from gonio.models import HeTorrance, Lambert
 from gonio.models.parameters import index_at
 from gonio.typing import Floats
-from gonio_scenes.lights import AmbientTable, Directional, Disc, PointLight
+from gonio_scenes.lights import Directional, Disc, PointLight, across
 from gonio_scenes.material import Material
 from gonio_scenes.scene import Scene
 from gonio_scenes.shapes import Shape
-from gonio_scenes.shapes.shape import Analytic, Placement
+from gonio_scenes.shapes.analytic import Analytic
+from gonio_scenes.shapes.shape import Placement
 
 CHANNELS = 3
+Channels = npt.NDArray[np.intp]
+"""Numbers of the scene's wavelengths that the channels of a file hold."""
 GRID = 64
 """Rays across the picture, and down it, that say how far the scene reaches."""
 LARGEST_MM = 1e5
@@ -115,127 +118,93 @@ class _Writer:
         self.scene = scene
         self.nodes, self.incidences = nodes, incidences
         self.files: dict[str, bytes] = {}
-        self.left_out: list[dict[str, str]] = []
-        self.names = list(dict.fromkeys(table.material for table in scene.tables.shape))
+        self.left_out: dict[str, str] = {}
         self.near, self.far, self.reach = _extent(scene)
+        self.discs = [light for light in scene.lights if isinstance(light, Disc)]
+        # Mitsuba's one switch holds for discs and for what lies around the scene
+        self.hidden = bool(self.discs) and not any(disc.visible for disc in self.discs) and scene.ambient is None
 
     def export(self) -> Export:
-        waves = self.scene.wavelength_nm.size
-        groups = [list(range(k, min(k + CHANNELS, waves))) for k in range(0, waves, CHANNELS)]
-        meshes = self._meshes()
-        materials = self._materials()
-        native = {name: self._native(material) for name, material in materials.items()}
+        scene, waves = self.scene, self.scene.wavelength_nm
+        shapes = [self._shape(k) for k in range(len(scene.world.shapes))]
+        named = zip(scene.tables.shape, scene.material, strict=True)
+        materials = {table.material: material for table, material in named}
+        plugins = {name: _plugin(material) for name, material in materials.items()}
         for name, material in materials.items():
-            self._say_of_material(name, material, native[name])
+            self._say_of_material(f"material.{name}", material, plugins[name])
         scenes = {}
-        for group in groups:
+        for first in range(0, waves.size, CHANNELS):
+            shown = tuple(map(float, waves[first : first + CHANNELS]))
             # the channels that are left over hold the last wavelength once more
-            channels = (group + [group[-1]] * CHANNELS)[:CHANNELS]
-            shown = tuple(float(self.scene.wavelength_nm[k]) for k in group)
-            suffix = "" if len(groups) == 1 else "-" + "-".join(f"{wave:g}" for wave in shown) + "nm"
-            root = ElementTree.Element("scene", version="3.0.0")
-            self._frame(root)
-            for name, material in materials.items():
-                self._bsdf(root, name, material, native[name], channels, suffix)
-            for k in range(len(self.scene.world.shapes)):
-                self._shape(root, k, meshes)
-            self._lights(root, channels)
+            channels = np.minimum(np.arange(first, first + CHANNELS), waves.size - 1)
+            suffix = "" if waves.size <= CHANNELS else "-" + "-".join(f"{wave:g}" for wave in shown) + "nm"
+            bsdfs = [
+                _node("bsdf", "twosided", self._bsdf(name, material, plugins[name], channels, suffix), id=_id(name))
+                for name, material in materials.items()
+            ]
+            root = _node("scene", "", *self._frame(), *bsdfs, *shapes, *self._lights(channels), version="3.0.0")
             ElementTree.indent(root)
             scenes[f"scene{suffix}.xml"] = shown
             self.files[f"scene{suffix}.xml"] = ElementTree.tostring(root) + b"\n"
         self._say_of_scene()
-        plugins = {name: found or "measured" for name, found in native.items()}
-        return Export(self.files, scenes, plugins, tuple(self.left_out))
+        left_out = tuple({"what": what, "why": why} for what, why in self.left_out.items())
+        return Export(self.files, scenes, plugins, left_out)
 
-    def _say(self, what: str, why: str) -> None:
-        self.left_out.append({"what": what, "why": why})
-
-    # --- integrator and camera --------------------------------------------------------------------------------------
-
-    def _frame(self, root: ElementTree.Element) -> None:
-        scene, camera = self.scene, self.scene.camera
-        integrator = _add(root, "integrator", "direct")
-        _put(integrator, "boolean", "hide_emitters", "true" if self._hidden() else "false")
-        sensor = _add(root, "sensor", "thinlens" if camera.lens_radius > 0 else "perspective")
-        _put(sensor, "float", "fov", 2.0 * math.degrees(math.atan(camera.step * camera.height / 2.0)))
-        _put(sensor, "string", "fov_axis", "y")
-        _put(sensor, "float", "near_clip", self.near)
-        _put(sensor, "float", "far_clip", self.far)
-        if camera.lens_radius > 0:
-            _put(sensor, "float", "aperture_radius", camera.lens_radius)
-            _put(sensor, "float", "focus_distance", camera.focus)
-        transform = ElementTree.SubElement(sensor, "transform", name="to_world")
+    def _frame(self) -> tuple[ElementTree.Element, ...]:
+        """Integrator and camera."""
+        camera = self.scene.camera
         target = camera.position + camera.focus * camera.forward
-        ElementTree.SubElement(
-            transform, "lookat", origin=_text(camera.position), target=_text(target), up=_text(-camera.down)
+        look = {"origin": _text(camera.position), "target": _text(target), "up": _text(-camera.down)}
+        lens = camera.lens_radius > 0
+        aperture = [("aperture_radius", camera.lens_radius), ("focus_distance", camera.focus)] if lens else []
+        return _node("integrator", "direct", _value("boolean", "hide_emitters", str(self.hidden).lower())), _node(
+            "sensor",
+            "thinlens" if lens else "perspective",
+            _value("float", "fov", 2.0 * math.degrees(math.atan(camera.step * camera.height / 2.0))),
+            _value("string", "fov_axis", "y"),
+            _value("float", "near_clip", self.near),
+            _value("float", "far_clip", self.far),
+            *(_value("float", name, value) for name, value in aperture),
+            _node("transform", "", _node("lookat", "", **look), name="to_world"),
+            _node(
+                "film",
+                "hdrfilm",
+                _value("integer", "width", camera.width),
+                _value("integer", "height", camera.height),
+                _value("string", "pixel_format", "rgb"),
+                _value("string", "component_format", "float32"),
+                _node("rfilter", "box"),
+            ),
+            _node("sampler", "independent", _value("integer", "sample_count", camera.samples)),
         )
-        film = _add(sensor, "film", "hdrfilm")
-        _put(film, "integer", "width", camera.width)
-        _put(film, "integer", "height", camera.height)
-        _put(film, "string", "pixel_format", "rgb")
-        _put(film, "string", "component_format", "float32")
-        _add(film, "rfilter", "box")
-        sampler = _add(sensor, "sampler", "independent")
-        _put(sampler, "integer", "sample_count", scene.camera.samples)
-
-    def _hidden(self) -> bool:
-        """Whether Mitsuba's camera sees no light: its one switch holds for discs and for what lies around the scene."""
-        discs = [light for light in self.scene.lights if isinstance(light, Disc)]
-        return bool(discs) and not any(disc.visible for disc in discs) and self.scene.ambient is None
 
     # --- materials --------------------------------------------------------------------------------------------------
 
-    def _materials(self) -> dict[str, Material]:
-        shapes = self.scene.tables.shape
-        return {table.material: material for table, material in zip(shapes, self.scene.material, strict=True)}
-
-    def _native(self, material: Material) -> str | None:
-        """The plug-in that has the same formula, if there is one."""
-        if isinstance(material.model, Lambert):
-            return "diffuse"
-        model = material.model
-        if isinstance(model, HeTorrance) and model.sigma0_um == 0.0 and model.diffuse_albedo == 0.0:
-            return "conductor"
-        return None
-
-    def _bsdf(
-        self,
-        root: ElementTree.Element,
-        name: str,
-        material: Material,
-        native: str | None,
-        channels: Sequence[int],
-        suffix: str,
-    ) -> None:
-        both = _add(root, "bsdf", "twosided", id=f"material-{name}")
-        waves = self.scene.wavelength_nm
-        if native == "diffuse":
-            inner = _add(both, "bsdf", "diffuse")
-            _put(inner, "rgb", "reflectance", _text(math.pi * self._values(material, channels, _UP, _UP)[0]))
-        elif native == "conductor":
-            inner = _add(both, "bsdf", "conductor")
+    def _bsdf(self, name: str, material: Material, plugin: str, channels: Channels, suffix: str) -> ElementTree.Element:
+        if plugin == "diffuse":
+            albedo = math.pi * self._values(material, channels, _UP, _UP)[0]
+            return _node("bsdf", plugin, _value("rgb", "reflectance", _text(albedo)))
+        if plugin == "conductor":
+            waves = self.scene.wavelength_nm
             index = np.array([index_at(cast(HeTorrance, material.at(k)).ior, float(waves[k])) for k in channels])
-            _put(inner, "rgb", "eta", _text(index.real))
-            _put(inner, "rgb", "k", _text(index.imag))
-        else:
-            inner = _add(both, "bsdf", "measured")
-            file = f"{name}{suffix}.bsdf"
-            _put(inner, "string", "filename", file)
-            self._require_isotropic(name, material, channels)
-            # Mitsuba calls the viewer's side the incident one, and its cosine is the light's
-            self.files[file] = rgl.sliced(
-                lambda viewer, light: self._values(material, channels, light, viewer),
-                name,
-                nodes=self.nodes,
-                incidences=self.incidences,
-            )
+            parts = (("eta", index.real), ("k", index.imag))
+            return _node("bsdf", plugin, *(_value("rgb", part, _text(values)) for part, values in parts))
+        self._require_isotropic(name, material, channels)
+        # Mitsuba calls the viewer's side the incident one, and its cosine is the light's
+        self.files[f"{name}{suffix}.bsdf"] = rgl.sliced(
+            lambda viewer, light: self._values(material, channels, light, viewer),
+            name,
+            nodes=self.nodes,
+            incidences=self.incidences,
+        )
+        return _node("bsdf", plugin, _value("string", "filename", f"{name}{suffix}.bsdf"))
 
-    def _values(self, material: Material, channels: Sequence[int], omega_i: Floats, omega_r: Floats) -> Floats:
+    def _values(self, material: Material, channels: Channels, omega_i: Floats, omega_r: Floats) -> Floats:
         """The BRDF without the spike where every texture is 0: (n, channels)."""
         f = material.untextured(omega_i, omega_r)
-        return np.broadcast_to(f, (f.shape[0], self.scene.wavelength_nm.size))[:, list(channels)]
+        return np.broadcast_to(f, (f.shape[0], self.scene.wavelength_nm.size))[:, channels]
 
-    def _require_isotropic(self, name: str, material: Material, channels: Sequence[int]) -> None:
+    def _require_isotropic(self, name: str, material: Material, channels: Channels) -> None:
         turns = np.deg2rad([0.0, 37.0, 101.0])
         omega_i, omega_r = (
             np.stack([np.sin(t) * np.cos(turns + p), np.sin(t) * np.sin(turns + p), np.full(3, np.cos(t))], axis=1)
@@ -248,123 +217,102 @@ class _Writer:
                 "written of isotropic materials only"
             )
 
-    def _say_of_material(self, name: str, material: Material, native: str | None) -> None:
-        where = f"material.{name}"
-        if material.textured:
-            self._say(f"{where}.textures", "the parameters are those where every texture is 0")
-        if native == "conductor":
-            self._say(f"{where}: other shapes in its mirror", "Mitsuba's direct integrator shows lights in it alone")
-        elif material.has_spike:
-            self._say(
-                f"{where}: its specular spike", "a file of slices has no room for it; lobe and diffuse part are there"
-            )
-        if native is None:
-            text = f"interpolated between {self.incidences} incidences and {self.nodes} x {self.nodes} half vectors"
-            self._say(f"{where}: its formula", text + "; negative values are 0")
+    # --- what is left out -------------------------------------------------------------------------------------------
+
+    def _say(self, *rules: tuple[object, str, str]) -> None:
+        """Note what the files do not carry, and why: of each rule that applies."""
+        self.left_out |= {what: why for applies, what, why in rules if applies and what not in self.left_out}
+
+    def _say_of_material(self, where: str, material: Material, plugin: str) -> None:
+        text = f"interpolated between {self.incidences} incidences and {self.nodes} x {self.nodes} half vectors"
+        metal = plugin == "conductor"
+        self._say(
+            (material.textured, f"{where}.textures", "the parameters are those where every texture is 0"),
+            (metal, f"{where}: other shapes in its mirror", "Mitsuba's direct integrator shows lights in it alone"),
+            (
+                material.has_spike and not metal,
+                f"{where}: its specular spike",
+                "a file of slices has no room for it; lobe and diffuse part are there",
+            ),
+            (plugin == "measured", f"{where}: its formula", f"{text}; negative values are 0"),
+        )
 
     def _say_of_scene(self) -> None:
-        scene = self.scene
-        discs = [light for light in scene.lights if isinstance(light, Disc)]
-        if scene.polariser_deg is not None or any(light.polarisation is not None for light in scene.lights):
-            self._say("polarisation", "the files are read by unpolarised variants")
-        if scene.camera.samples == 1:
-            self._say("rays through the middle of pixels", "Mitsuba's rays fall anywhere in a pixel: take several")
-        if scene.ambient is not None:
-            if scene.world.casts_shadows:
-                self._say("ambient light without shadows", "Mitsuba's constant light is shadowed by shapes")
-            if any(table.ambient_reflectance is not None for table in scene.tables.material.values()):
-                self._say("ambient_reflectance", "Mitsuba integrates the BRDF")
-        if discs and not self._hidden() and not all(disc.visible for disc in discs):
-            self._say("discs of light that the camera does not see", "Mitsuba's camera sees all lights or none")
-        if discs:
-            self._say("discs of light that light passes through", "in Mitsuba they stand in the way of other lights")
-        if scene.tolerance > 0:
-            self._say("tolerance", "Mitsuba renders camera.samples rays a pixel")
+        scene, discs, ambient = self.scene, self.discs, self.scene.ambient is not None
+        polarised = scene.polariser_deg is not None or any(light.polarisation is not None for light in scene.lights)
+        given = any(table.ambient_reflectance is not None for table in scene.tables.material.values())
+        some_unseen = discs and not self.hidden and not all(disc.visible for disc in discs)
+        one_ray = scene.camera.samples == 1
+        self._say(
+            (polarised, "polarisation", "the files are read by unpolarised variants"),
+            (one_ray, "rays through the middle of pixels", "Mitsuba's rays fall anywhere in a pixel: take several"),
+            (
+                ambient and scene.world.casts_shadows,
+                "ambient light without shadows",
+                "Mitsuba's constant light is shadowed by shapes",
+            ),
+            (ambient and given, "ambient_reflectance", "Mitsuba integrates the BRDF"),
+            (some_unseen, "discs of light that the camera does not see", "Mitsuba's camera sees all lights or none"),
+            (discs, "discs of light that light passes through", "in Mitsuba they stand in the way of other lights"),
+            (scene.tolerance > 0, "tolerance", "Mitsuba renders camera.samples rays a pixel"),
+        )
 
-    # --- shapes -----------------------------------------------------------------------------------------------------
+    # --- shapes and lights ------------------------------------------------------------------------------------------
 
-    def _meshes(self) -> dict[int, tuple[str, bool]]:
-        """The files of the shapes that are written as triangles, and whether they are smooth."""
-        out = {}
-        for k, (shape, table) in enumerate(zip(self.scene.world.shapes, self.scene.tables.shape, strict=True)):
-            parts = _triangles(shape, table.kind)
-            if parts is not None:
-                out[k] = f"shape-{k + 1}.ply", parts[1] is not None
-                self.files[out[k][0]] = _ply(*parts)
-                if isinstance(shape, Analytic):
-                    inside = 1.0 - math.cos(math.pi / TURN)
-                    self._say(
-                        f"shape[{k + 1}] ({table.kind}): its curve",
-                        f"{TURN} flat facets around the axis, up to {inside:.1g} of the radius inside it",
-                    )
-        return out
-
-    def _shape(self, root: ElementTree.Element, k: int, meshes: dict[int, tuple[str, bool]]) -> None:
+    def _shape(self, k: int) -> ElementTree.Element:
         shape, table = self.scene.world.shapes[k], self.scene.tables.shape[k]
-        material = table.material
-        if k in meshes:
-            made = _add(root, "shape", "ply")
-            file, smooth = meshes[k]
-            _put(made, "string", "filename", file)
-            _put(made, "boolean", "face_normals", "false" if smooth else "true")
-            _refer(made, material)
-            return
-        if not isinstance(shape, Analytic):
-            raise ConfigError(f"shape[{k + 1}] ({table.kind}): has no counterpart in Mitsuba that the export knows")
-        place, constants = shape.place, shape.constants
+        where, material = f"shape[{k + 1}] ({table.kind})", _node("ref", "", id=_id(table.material))
+        parts = _triangles(shape, table.kind)
+        if parts is not None:
+            file, inside = f"shape-{k + 1}.ply", 1.0 - math.cos(math.pi / TURN)
+            self.files[file] = _ply(*parts)
+            why = f"{TURN} flat facets around the axis, up to {inside:.1g} of the radius inside it"
+            self._say((isinstance(shape, Analytic), f"{where}: its curve", why))
+            flat = _value("boolean", "face_normals", str(parts[1] is None).lower())
+            return _node("shape", "ply", _value("string", "filename", file), flat, material)
+        if not isinstance(shape, Analytic) or table.kind not in ("plane", "disc", "sphere", "box"):
+            raise ConfigError(f"{where}: has no counterpart in Mitsuba that the export knows")
+        place, size = shape.place, shape.constants[0]
         if table.kind == "plane":
-            half = np.array(constants[0])
-            if not np.isfinite(half).all():
-                half = np.full(2, self.reach[k])
-                self._once(f"shape[{k + 1}] (plane): its endlessness", f"it is {2 * half[0]:.6g} mm wide and high")
-            made = _add(root, "shape", "rectangle")
-            _place(made, place, (half[0], half[1], 1.0))
-            _refer(made, material)
-        elif table.kind == "disc":
-            self._disk(root, place.center, place.axes, constants[0], material)
-        elif table.kind == "sphere":
-            made = _add(root, "shape", "sphere")
-            _point(made, "point", "center", place.center)
-            _put(made, "float", "radius", constants[0])
-            _refer(made, material)
-        elif table.kind == "box":
-            made = _add(root, "shape", "cube")
-            _place(made, place, constants[0])
-            _refer(made, material)
-        else:
-            raise ConfigError(f"shape[{k + 1}] ({table.kind}): has no counterpart in Mitsuba that the export knows")
+            endless = not np.isfinite(size).all()
+            size = np.full(2, self.reach[k]) if endless else size
+            self._say((endless, f"{where}: its endlessness", f"it is {2 * size[0]:.6g} mm wide and high"))
+            return _node("shape", "rectangle", _placed(place, (*size, 1.0)), material)
+        if table.kind == "sphere":
+            return _node("shape", "sphere", _point("point", "center", place.center), _value("float", "radius", size),
+                         material)  # fmt: skip
+        if table.kind == "disc":
+            return _node("shape", "disk", _placed(place, (size, size, 1.0)), material)
+        return _node("shape", "cube", _placed(place, size), material)
 
-    def _disk(self, root: ElementTree.Element, center: Floats, axes: Floats, radius: float, material: str) -> None:
-        made = _add(root, "shape", "disk")
-        _place(made, Placement(center, axes), (radius, radius, 1.0))
-        _refer(made, material)
-
-    def _once(self, what: str, why: str) -> None:
-        if all(said["what"] != what for said in self.left_out):
-            self._say(what, why)
-
-    # --- lights -----------------------------------------------------------------------------------------------------
-
-    def _lights(self, root: ElementTree.Element, channels: Sequence[int]) -> None:
+    def _lights(self, channels: Channels) -> Iterator[ElementTree.Element]:
         for light in self.scene.lights:
-            power = _text(light.power[list(channels)])
+            power = _text(light.power[channels])
             if isinstance(light, Directional):
-                made = _add(root, "emitter", "directional")
-                _point(made, "vector", "direction", -light.toward)
-                _put(made, "rgb", "irradiance", power)
+                toward = _point("vector", "direction", -light.toward)
+                yield _node("emitter", "directional", toward, _value("rgb", "irradiance", power))
             elif isinstance(light, PointLight):
-                made = _add(root, "emitter", "point")
-                _point(made, "point", "position", light.position)
-                _put(made, "rgb", "intensity", power)
+                place = _point("point", "position", light.position)
+                yield _node("emitter", "point", place, _value("rgb", "intensity", power))
             else:
-                made = _add(root, "shape", "disk")
-                _place(made, Placement(light.center, _axes_of(light.normal)), (light.radius, light.radius, 1.0))
-                black = _add(made, "bsdf", "diffuse")
-                _put(black, "rgb", "reflectance", "0 0 0")
-                _put(_add(made, "emitter", "area"), "rgb", "radiance", power)
-        if any(isinstance(table, AmbientTable) for table in self.scene.tables.light):
-            assert self.scene.ambient is not None
-            _put(_add(root, "emitter", "constant"), "rgb", "radiance", _text(self.scene.ambient[list(channels)]))
+                axes = np.array([*across(light.normal), light.normal])
+                yield _node(
+                    "shape",
+                    "disk",
+                    _placed(Placement(light.center, axes), (light.radius, light.radius, 1.0)),
+                    _node("bsdf", "diffuse", _value("rgb", "reflectance", "0 0 0")),
+                    _node("emitter", "area", _value("rgb", "radiance", power)),
+                )
+        if self.scene.ambient is not None:
+            yield _node("emitter", "constant", _value("rgb", "radiance", _text(self.scene.ambient[channels])))
+
+
+def _plugin(material: Material) -> str:
+    """The plug-in that has the same formula; "measured", which reads slices, where there is none."""
+    model = material.model
+    if isinstance(model, HeTorrance) and model.sigma0_um == 0.0 and model.diffuse_albedo == 0.0:
+        return "conductor"
+    return "diffuse" if isinstance(model, Lambert) else "measured"
 
 
 _UP = np.array([[0.0, 0.0, 1.0]])
@@ -420,10 +368,9 @@ def _turned(place: Placement, points: Floats, slopes: Floats) -> tuple[Floats, F
     vertices, normals, faces = [], [], []
     ring = np.arange(TURN)
     following = (ring + 1) % TURN
-    for k, step in enumerate(np.diff(points, axis=0)):
+    for k in range(len(slopes)):
         for s, (r, z) in zip((0.0, 1.0), points[k : k + 2], strict=True):
-            # straight pieces have no slopes of their own
-            dr, dz = (slopes[k, :, 0] * s + slopes[k, :, 1]) * s + slopes[k, :, 2] if len(slopes) else step
+            dr, dz = (slopes[k, :, 0] * s + slopes[k, :, 1]) * s + slopes[k, :, 2]
             vertices.append(r * around + z * up)
             normals.append((dz * around - dr * up) / math.hypot(dr, dz))
         low, high = 2 * k * TURN, (2 * k + 1) * TURN
@@ -450,42 +397,34 @@ def _ply(vertices: Floats, normals: Floats | None, faces: npt.NDArray[Any]) -> b
     return "\n".join(head).encode() + columns.astype("<f4").tobytes() + body.tobytes()
 
 
-def _axes_of(normal: Floats) -> Floats:
-    """A right-handed frame with z along a unit vector."""
-    helper = np.eye(3)[np.argmin(np.abs(normal))]
-    x = np.cross(helper, normal)
-    x /= np.linalg.norm(x)
-    return np.array([x, np.cross(normal, x), normal])
-
-
 # --- XML ----------------------------------------------------------------------------------------------------------
 
 
-def _add(parent: ElementTree.Element, tag: str, kind: str, **attributes: str) -> ElementTree.Element:
-    return ElementTree.SubElement(parent, tag, {"type": kind, **attributes})
+def _node(tag: str, kind: str, *children: ElementTree.Element, **attributes: str) -> ElementTree.Element:
+    made = ElementTree.Element(tag, {"type": kind, **attributes} if kind else attributes)
+    made.extend(children)
+    return made
 
 
-def _put(parent: ElementTree.Element, tag: str, name: str, value: object) -> None:
-    ElementTree.SubElement(parent, tag, name=name, value=repr(float(value)) if isinstance(value, float) else str(value))
+def _value(tag: str, name: str, value: object) -> ElementTree.Element:
+    return _node(tag, "", name=name, value=repr(float(value)) if isinstance(value, float) else str(value))
 
 
-def _refer(parent: ElementTree.Element, material: str) -> None:
-    ElementTree.SubElement(parent, "ref", id=f"material-{material}")
+def _id(material: str) -> str:
+    return f"material-{material}"
 
 
 def _text(values: Floats) -> str:
     return " ".join(repr(float(value)) for value in values)
 
 
-def _point(parent: ElementTree.Element, tag: str, name: str, values: Floats) -> None:
-    at = {axis: repr(float(value)) for axis, value in zip("xyz", values, strict=True)}
-    ElementTree.SubElement(parent, tag, {"name": name, **at})
+def _point(tag: str, name: str, values: Floats) -> ElementTree.Element:
+    return _node(tag, "", name=name, **{axis: repr(float(value)) for axis, value in zip("xyz", values, strict=True)})
 
 
-def _place(parent: ElementTree.Element, place: Placement, scale: Sequence[float] | Floats) -> None:
-    """Put a unit shape where it stands: its x, y, z along the rows of `axes`, scaled."""
+def _placed(place: Placement, scale: Sequence[float] | Floats) -> ElementTree.Element:
+    """Where a unit shape stands: its x, y, z along the rows of `axes`, scaled."""
     matrix = np.eye(4)
     matrix[:3, :3] = place.axes.T * np.asarray(scale, dtype=np.float64)
     matrix[:3, 3] = place.center
-    transform = ElementTree.SubElement(parent, "transform", name="to_world")
-    ElementTree.SubElement(transform, "matrix", value=_text(matrix.ravel()))
+    return _node("transform", "", _node("matrix", "", value=_text(matrix.ravel())), name="to_world")

@@ -23,8 +23,8 @@ from gonio_scenes._squares import _RING, FLAGS, Mask, _Pixels, _Squares
 from gonio_scenes.exposures import Exposure
 from gonio_scenes.scene import Scene
 from gonio_scenes.shapes import AnyShape, Shape
+from gonio_scenes.shapes.analytic import Analytic
 from gonio_scenes.shapes.revolution import Revolution
-from gonio_scenes.shapes.shape import Analytic
 from gonio_scenes.shapes.triangles import Triangles
 from gonio_scenes.vantage import Seen, Vantage, displaced
 from gonio_scenes.world import Hits, World

@@ -19,10 +19,10 @@ from gonio.errors import ConfigError
 from gonio.rig.dng import encode_dng
 from gonio.rig.protocols import Frame
 from gonio.typing import Floats
+from gonio_scenes.exposures import SATURATED, expose
 from gonio_scenes.lights import Disc, relative_power
 from gonio_scenes.render import Picture
 from gonio_scenes.scene import Scene
-from gonio_scenes.sensor import SATURATED, expose
 
 Image = npt.NDArray[np.uint8]
 WHITE_SHARE = 0.99
@@ -197,54 +197,70 @@ def _exr(scene: Scene, picture: Picture) -> bytes:
 
 def left_out(scene: Scene) -> list[dict[str, str]]:
     """What was not computed, and why."""
-    out = []
-
-    def add(what: str, why: str) -> None:
-        out.append({"what": what, "why": why})
-
-    world = scene.world
+    world, camera = scene.world, scene.camera
+    ambient, shadows = scene.ambient is not None, world.casts_shadows
     spikes = any(material.has_spike for material in scene.material)
+    constant = all(material.constant for material in scene.material)
     discs = [light for light in scene.lights if isinstance(light, Disc)]
-    if not scene.lights:
-        add("shadow rays", "no light comes from a direction")
-    elif not world.casts_shadows:
-        add("shadow rays", "one convex shape casts no shadow on itself")
-    if not spikes:
-        add("mirror rays", "no material has a specular spike")
-    elif not (world.casts_shadows or discs or scene.ambient is not None):
-        add(
-            "mirror rays", "there is nothing to see in the mirror: one convex shape, no disc of light, no ambient light"
-        )
-    if scene.wavelength_nm.size == 1:
-        add("colour", "one wavelength: the picture is grey")
-    elif all(material.constant for material in scene.material):
-        add("spectra of materials", "no BRDF depends on the wavelength: each is evaluated once")
-    if scene.polariser_deg is None and all(light.polarisation is None for light in scene.lights):
-        add("polarisation", "neither a polariser nor polarised light")
-    else:
-        if scene.ambient is not None:
-            add("polarisation of ambient light", "half of it passes the polariser, whatever the reflection does to it")
-        if spikes and (world.casts_shadows or discs):
-            add("polarisation of what a mirror shows", "what comes along a mirror ray is taken as unpolarised")
-        if any(disc.polarisation is not None and disc.visible for disc in discs):
-            add("polarisation of discs of light that the camera sees", "their own radiance is taken as unpolarised")
-    if scene.ambient is None:
-        add("ambient light", "the scene names none")
-    else:
-        add("shadows of ambient light", "ambient light is taken as uniform at every point (He et al. 1991, eq. 12)")
-    if not discs:
-        add("sampling of lights", "every light has one direction at a point")
-    elif scene.camera.noiseless and scene.tolerance == 0.0 and all(disc.samples == 1 for disc in discs):
-        add("the size of discs of light", "samples = 1 and one ray a pixel: they light from their centre")
-    if not _photographed(scene):
-        add("a sensor's frame", "the scene names no photograph with a sensor and an exposure")
-    if scene.camera.lens_radius == 0.0:
-        add("depth of field", "the camera is a pinhole")
-    if scene.camera.samples == 1 and scene.tolerance == 0.0:
-        add("anti-aliasing", "one ray a pixel, through its centre")
-    if any(shape for shape in world.shapes) and len(world.shapes) > 1:
-        add("light between matte surfaces", "direct light and mirror rays alone are followed")
-    return out
+    one_ray = camera.samples == 1 and scene.tolerance == 0.0
+    centres = camera.noiseless and scene.tolerance == 0.0 and all(disc.samples == 1 for disc in discs)
+    to_mirror = shadows or discs or ambient
+    one_wave = scene.wavelength_nm.size == 1
+    polarised = scene.polariser_deg is not None or any(light.polarisation is not None for light in scene.lights)
+    shown = any(disc.polarisation is not None and disc.visible for disc in discs)
+    rules: list[tuple[object, str, str]] = [
+        (not scene.lights, "shadow rays", "no light comes from a direction"),
+        (scene.lights and not shadows, "shadow rays", "one convex shape casts no shadow on itself"),
+        (not spikes, "mirror rays", "no material has a specular spike"),
+        (
+            spikes and not to_mirror,
+            "mirror rays",
+            "there is nothing to see in the mirror: one convex shape, no disc of light, no ambient light",
+        ),
+        (one_wave, "colour", "one wavelength: the picture is grey"),
+        (
+            constant and not one_wave,
+            "spectra of materials",
+            "no BRDF depends on the wavelength: each is evaluated once",
+        ),
+        (not polarised, "polarisation", "neither a polariser nor polarised light"),
+        (
+            polarised and ambient,
+            "polarisation of ambient light",
+            "half of it passes the polariser, whatever the reflection does to it",
+        ),
+        (
+            polarised and spikes and (shadows or discs),
+            "polarisation of what a mirror shows",
+            "what comes along a mirror ray is taken as unpolarised",
+        ),
+        (
+            shown,
+            "polarisation of discs of light that the camera sees",
+            "their own radiance is taken as unpolarised",
+        ),
+        (not ambient, "ambient light", "the scene names none"),
+        (
+            ambient,
+            "shadows of ambient light",
+            "ambient light is taken as uniform at every point (He et al. 1991, eq. 12)",
+        ),
+        (not discs, "sampling of lights", "every light has one direction at a point"),
+        (
+            discs and centres,
+            "the size of discs of light",
+            "samples = 1 and one ray a pixel: they light from their centre",
+        ),
+        (not _photographed(scene), "a sensor's frame", "the scene names no photograph with a sensor and an exposure"),
+        (camera.lens_radius == 0.0, "depth of field", "the camera is a pinhole"),
+        (one_ray, "anti-aliasing", "one ray a pixel, through its centre"),
+        (
+            len(world.shapes) > 1,
+            "light between matte surfaces",
+            "direct light and mirror rays alone are followed",
+        ),
+    ]
+    return [{"what": what, "why": why} for applies, what, why in rules if applies]
 
 
 def summary(scene: Scene, picture: Picture, white: float, command: str) -> JsonObject:

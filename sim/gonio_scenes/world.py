@@ -1,16 +1,22 @@
-"""All shapes of a scene together: what a ray meets first, and whether something stands before a light."""
+"""All shapes of a scene together: what a ray meets first, and whether something stands before a light.
+
+The compiled loops read and write every number once. Rays are shared by threads as the shapes' own loops share them.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from gonio.typing import Floats
-from gonio_scenes._frames import settle
 from gonio_scenes.shapes import Shape
+from gonio_scenes.shapes._kernels import compiled
+from gonio_scenes.shapes.shape import over_rays
 
 CLOSE = 1e-9
 """A ray that leaves a surface ignores that surface up to this share of its size: rounding of the hit's position."""
@@ -118,13 +124,81 @@ class World:
         self, origin: Floats, direction: Floats, distance: Floats, which: Indices, primitive: Indices
     ) -> Hits:
         count = direction.shape[0]
-        position, normal, facing, tangent = (np.zeros((count, 3)) for _ in range(4))
-        uv = np.zeros((count, 2))
+        out = (*(np.zeros((count, 3)) for _ in range(4)), np.zeros((count, 2)))
         for k, shape in enumerate(self.shapes):
             here = np.flatnonzero(which == k)
             if here.size == 0:
                 continue
             starts, toward = origin.take(here, axis=0), direction.take(here, axis=0)
             met = shape.surface(starts, toward, distance.take(here), primitive.take(here))
-            settle(here, direction, met, position, normal, facing, tangent, uv)
-        return Hits(which, np.where(which >= 0, distance, 0.0), position, normal, facing, tangent, uv)
+            surface = met.position, met.normal, met.shading, met.tangent, met.uv
+            over_rays(_settle, here.size, here, direction, surface, out)
+        return Hits(which, np.where(which >= 0, distance, 0.0), *out)
+
+
+# --- compiled loops ---------------------------------------------------------------------------------------------------
+
+
+@compiled
+def _toward_plane(x: Any, y: Any, axes: Any, out: Any, start: int, stop: int) -> None:
+    right, down, forward = axes
+    for i in range(start, stop):
+        a = forward[0] + x[i] * right[0] + y[i] * down[0]
+        b = forward[1] + x[i] * right[1] + y[i] * down[1]
+        c = forward[2] + x[i] * right[2] + y[i] * down[2]
+        f = 1.0 / math.sqrt(a * a + b * b + c * c)
+        out[i, 0], out[i, 1], out[i, 2] = a * f, b * f, c * f
+
+
+def toward_plane(x: Floats, y: Floats, right: Floats, down: Floats, forward: Floats) -> Floats:
+    """Unit directions (n, 3) from a hole to points (x, y) of the picture at distance 1 before it."""
+    out = np.empty((x.size, 3))
+    over_rays(_toward_plane, x.size, x, y, (right, down, forward), out)
+    return out
+
+
+@compiled
+def _settle(here: Any, direction: Any, met: Any, out: Any, start: int, stop: int) -> None:
+    """Write the surfaces that the rays `here` met into arrays of all rays, turned toward where the rays came from."""
+    met_position, met_normal, met_shading, met_tangent, met_uv = met
+    position, normal, facing, tangent, uv = out
+    for j in range(start, stop):
+        i = here[j]
+        dx, dy, dz = direction[i, 0], direction[i, 1], direction[i, 2]
+        x, y, z = met_normal[j, 0], met_normal[j, 1], met_normal[j, 2]
+        position[i, 0], position[i, 1], position[i, 2] = met_position[j, 0], met_position[j, 1], met_position[j, 2]
+        normal[i, 0], normal[i, 1], normal[i, 2] = x, y, z
+        uv[i, 0], uv[i, 1] = met_uv[j, 0], met_uv[j, 1]
+        behind = x * dx + y * dy + z * dz > 0.0
+        sx, sy, sz = met_shading[j, 0], met_shading[j, 1], met_shading[j, 2]
+        # where a smoothed normal looks away from the viewer, the facet's own is taken
+        if (sx * dx + sy * dy + sz * dz > 0.0) == behind:
+            x, y, z = sx, sy, sz
+        if behind:
+            x, y, z = -x, -y, -z
+        facing[i, 0], facing[i, 1], facing[i, 2] = x, y, z
+        a, b, c = met_tangent[j, 0], met_tangent[j, 1], met_tangent[j, 2]
+        along = a * x + b * y + c * z
+        a, b, c = a - along * x, b - along * y, c - along * z
+        f = 1.0 / math.sqrt(a * a + b * b + c * c)
+        tangent[i, 0], tangent[i, 1], tangent[i, 2] = a * f, b * f, c * f
+
+
+@compiled
+def _local(direction: Any, step: int, sign: float, facing: Any, tangent: Any, out: Any, start: int, stop: int) -> None:
+    for i in range(start, stop):
+        dx, dy, dz = sign * direction[i * step, 0], sign * direction[i * step, 1], sign * direction[i * step, 2]
+        x, y, z = facing[i, 0], facing[i, 1], facing[i, 2]
+        a, b, c = tangent[i, 0], tangent[i, 1], tangent[i, 2]
+        out[i, 0] = dx * a + dy * b + dz * c
+        out[i, 1] = dx * (y * c - z * b) + dy * (z * a - x * c) + dz * (x * b - y * a)
+        out[i, 2] = dx * x + dy * y + dz * z
+
+
+def local(direction: Floats, facing: Floats, tangent: Floats, sign: float = 1.0) -> Floats:
+    """Directions (n, 3), or one (3,), times `sign`, in the surface's frame: x its tangent, z its normal `facing`."""
+    step = 0 if direction.ndim == 1 else 1
+    rows = np.ascontiguousarray(direction).reshape(-1, 3)
+    out = np.empty(facing.shape)
+    over_rays(_local, len(out), rows, step, sign, facing, tangent, out)
+    return out

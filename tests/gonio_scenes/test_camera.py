@@ -7,8 +7,7 @@ import math
 import numpy as np
 import pytest
 from gonio_scenes import camera as cameras
-from gonio_scenes.camera import CameraTable
-from gonio_scenes.sampling import on_disc, point
+from gonio_scenes.camera import CameraTable, on_disc, point
 
 from gonio.acquisition.measure import find_rig
 from gonio.config import parse

@@ -286,7 +286,7 @@ def test_shininess_that_changes_over_a_surface_is_blinns_textured_distribution()
     omega = random.normal(size=(2, 500, 3))
     omega[..., 2] = np.abs(omega[..., 2])
     omega /= np.linalg.norm(omega, axis=-1)[..., None]
-    from gonio_scenes.patterns import Texture
+    from gonio_scenes.material import Texture
 
     t = Texture(pattern="speckle", repeat=(4, 4)).load(built.source.parent, "")(uv)
     assert len(np.unique(t)) > 8

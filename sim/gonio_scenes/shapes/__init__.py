@@ -4,12 +4,11 @@ from typing import Annotated
 
 from pydantic import Field
 
-from gonio_scenes.shapes.flat import Disc, Plane
+from gonio_scenes.shapes.analytic import Box, Cylinder, Disc, Plane, Sphere
 from gonio_scenes.shapes.heightfield import HeightField
 from gonio_scenes.shapes.mesh import Mesh
 from gonio_scenes.shapes.revolution import Revolution
 from gonio_scenes.shapes.shape import Ints, Shape, ShapeTable, Surface
-from gonio_scenes.shapes.solid import Box, Cylinder, Sphere
 
 AnyShape = Annotated[
     Plane | Disc | Sphere | Cylinder | Box | Revolution | HeightField | Mesh, Field(discriminator="kind")

@@ -20,11 +20,11 @@ from gonio.compiled import njit
 FAST = {"contract", "nsz"}
 INF = math.inf
 TWO_PI = 2.0 * math.pi
-_compiled = njit(error_model="numpy", nogil=True, fastmath=FAST)
+compiled = njit(error_model="numpy", nogil=True, fastmath=FAST)
 UP, ALONG = (0.0, 0.0, 1.0), (1.0, 0.0, 0.0)
 
 
-@_compiled
+@compiled
 def _local(rays: Any, place: Any, i: int) -> Any:
     """The ray in the shape's frame, from its point nearest to the shape's origin; the distance up to that point."""
     (origin, direction), (center, axes) = rays, place
@@ -43,7 +43,7 @@ def _local(rays: Any, place: Any, i: int) -> Any:
     )
 
 
-@_compiled
+@compiled
 def _out(axes: Any, x: float, y: float, z: float, out: Any, i: int) -> None:
     """A direction in the shape's frame as one of the scene."""
     out[i, 0] = axes[0, 0] * x + axes[1, 0] * y + axes[2, 0] * z
@@ -51,7 +51,7 @@ def _out(axes: Any, x: float, y: float, z: float, out: Any, i: int) -> None:
     out[i, 2] = axes[0, 2] * x + axes[1, 2] * y + axes[2, 2] * z
 
 
-@_compiled
+@compiled
 def _put(place: Any, out: Any, i: int, point: Any, normal: Any, shading: Any, tangent: Any, uv: Any) -> None:
     """A point of the surface and its directions, in the shape's frame, as the scene's; and its place on a texture."""
     center, axes = place
@@ -64,12 +64,12 @@ def _put(place: Any, out: Any, i: int, point: Any, normal: Any, shading: Any, ta
     out[4][i, 0], out[4][i, 1] = uv
 
 
-@_compiled
+@compiled
 def _clipped(u: float) -> float:
     return min(max(u, 0.0), 1.0)
 
 
-@_compiled
+@compiled
 def _turn(x: float, y: float) -> float:
     """The azimuth of (x, y) in turns, in [0, 1)."""
     u = math.atan2(y, x) / TWO_PI
@@ -78,7 +78,7 @@ def _turn(x: float, y: float) -> float:
     return u if u < 1.0 else 0.0
 
 
-@_compiled
+@compiled
 def _roots(a: float, b: float, c: float) -> Any:
     """Both roots, in order, of a t^2 + 2 b t + c; without cancellation. (inf, -inf) where there is none.
 
@@ -94,7 +94,7 @@ def _roots(a: float, b: float, c: float) -> Any:
     return (one, other) if one < other else (other, one)
 
 
-@_compiled
+@compiled
 def _between(position: float, speed: float, half: float) -> Any:
     """The stretch within +-half along one axis; (inf, -inf) for none."""
     if speed == 0.0:
@@ -103,7 +103,7 @@ def _between(position: float, speed: float, half: float) -> Any:
     return (one, other) if one < other else (other, one)
 
 
-@_compiled
+@compiled
 def patch_hit(rays: Any, place: Any, half: Any, tile: Any, nearest: float, hits: Any, start: int, stop: int) -> None:
     """A rectangle of the half-widths `half`, which may be infinite."""
     for i in range(start, stop):
@@ -115,7 +115,7 @@ def patch_hit(rays: Any, place: Any, half: Any, tile: Any, nearest: float, hits:
         hits[1][i] = 0
 
 
-@_compiled
+@compiled
 def patch_surface(rays: Any, place: Any, half: Any, tile: Any, hits: Any, out: Any, start: int, stop: int) -> None:
     """A rectangle, tiled from its middle; uv = (1/2, 1/2) there."""
     for i in range(start, stop):
@@ -129,7 +129,7 @@ def patch_surface(rays: Any, place: Any, half: Any, tile: Any, hits: Any, out: A
         _put(place, out, i, (x, y, 0.0), UP, UP, ALONG, (u, v))
 
 
-@_compiled
+@compiled
 def disc_hit(rays: Any, place: Any, radius: float, nearest: float, hits: Any, start: int, stop: int) -> None:
     """A disc."""
     for i in range(start, stop):
@@ -140,7 +140,7 @@ def disc_hit(rays: Any, place: Any, radius: float, nearest: float, hits: Any, st
         hits[1][i] = 0
 
 
-@_compiled
+@compiled
 def disc_surface(rays: Any, place: Any, radius: float, hits: Any, out: Any, start: int, stop: int) -> None:
     """A disc; uv spans the square around it."""
     for i in range(start, stop):
@@ -151,7 +151,7 @@ def disc_surface(rays: Any, place: Any, radius: float, hits: Any, out: Any, star
         _put(place, out, i, (x, y, 0.0), UP, UP, ALONG, uv)
 
 
-@_compiled
+@compiled
 def sphere_hit(rays: Any, place: Any, radius: float, nearest: float, hits: Any, start: int, stop: int) -> None:
     """A sphere."""
     (origin, direction), (center, _) = rays, place
@@ -170,7 +170,7 @@ def sphere_hit(rays: Any, place: Any, radius: float, nearest: float, hits: Any, 
         hits[1][i] = 0
 
 
-@_compiled
+@compiled
 def sphere_surface(rays: Any, place: Any, radius: float, hits: Any, out: Any, start: int, stop: int) -> None:
     """A sphere: u the azimuth, v from the lower pole to the upper one by the angle at the centre."""
     for i in range(start, stop):
@@ -185,7 +185,7 @@ def sphere_surface(rays: Any, place: Any, radius: float, hits: Any, out: Any, st
         _put(place, out, i, (radius * x, radius * y, radius * z), (x, y, z), (x, y, z), tangent, uv)
 
 
-@_compiled
+@compiled
 def cylinder_hit(
     rays: Any, place: Any, radius: float, half: float, caps: bool, nearest: float, hits: Any, start: int, stop: int
 ) -> None:
@@ -219,7 +219,7 @@ def cylinder_hit(
         hits[1][i] = part
 
 
-@_compiled
+@compiled
 def cylinder_surface(
     rays: Any, place: Any, radius: float, half: float, caps: bool, hits: Any, out: Any, start: int, stop: int
 ) -> None:
@@ -250,7 +250,7 @@ def cylinder_surface(
             _put(place, out, i, (x, y, side * half), cap, cap, ALONG, uv)
 
 
-@_compiled
+@compiled
 def box_hit(rays: Any, place: Any, half: Any, nearest: float, hits: Any, start: int, stop: int) -> None:
     """A box; primitives 0 to 5 are its sides at +x, -x, +y, -y, +z, -z."""
     for i in range(start, stop):
@@ -282,7 +282,7 @@ def box_hit(rays: Any, place: Any, half: Any, nearest: float, hits: Any, start: 
         hits[1][i] = side
 
 
-@_compiled
+@compiled
 def box_surface(rays: Any, place: Any, half: Any, hits: Any, out: Any, start: int, stop: int) -> None:
     """A box: each side has its own uv, and v runs along z on the four upright ones."""
     for i in range(start, stop):
@@ -322,7 +322,7 @@ POLISHED = 0.005
 """Of the distance from a cone at which a ray has met it: roots nearer than this are left as they are."""
 
 
-@_compiled
+@compiled
 def _frustum(
     x: float,
     y: float,
@@ -371,7 +371,7 @@ def _frustum(
     return best
 
 
-@_compiled
+@compiled
 def _enters(
     z: float, dz: float, a: float, b: float, c: float, waist: float, bound: Any, above: float, best: float
 ) -> bool:
@@ -396,7 +396,7 @@ def _enters(
     return bool(max((a * low + 2.0 * b) * low, (a * high + 2.0 * b) * high) + c >= r_low * r_low)
 
 
-@_compiled
+@compiled
 def revolution_hit(
     rays: Any,
     place: Any,
@@ -446,7 +446,7 @@ def revolution_hit(
         hits[1][i] = part
 
 
-@_compiled
+@compiled
 def revolution_surface(
     rays: Any,
     place: Any,

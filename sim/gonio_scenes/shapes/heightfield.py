@@ -11,10 +11,9 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
-from gonio.disk import read_file
 from gonio.errors import ConfigError, DataError
 from gonio.typing import Floats
-from gonio_scenes.shapes.shape import LARGEST_MM, Coordinate, FlatTable, Length
+from gonio_scenes.shapes.shape import BESIDE_SCENE, LARGEST_MM, Coordinate, FlatTable, Length, content
 from gonio_scenes.shapes.triangles import PerCorner, Triangles
 
 MAX_NODES = 1_200_000
@@ -82,12 +81,7 @@ class HeightField(FlatTable):
 
 def read_heights(path: Path, where: str) -> Floats:
     """Values of a grey picture in [0, 1], or those of an array; see `HeightField.build` for the errors."""
-    try:
-        data = read_file(path)
-    except FileNotFoundError:
-        raise ConfigError(f"{where}: there is no such file; paths count from the folder of the scene file") from None
-    except OSError as error:
-        raise ConfigError(f"{where}: cannot be read: {error.strerror}") from None
+    data = content(path, where, BESIDE_SCENE)
     kind = path.suffix.lower()
     if kind not in (".png", ".npy"):
         raise ConfigError(f"{where}: heights are read from a grey PNG of 8 or 16 bits, or from an NPY array")

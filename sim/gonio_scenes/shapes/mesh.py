@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import os
 from pathlib import Path
 from typing import Any, Literal
 
@@ -11,10 +10,18 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field
 
-from gonio.disk import read_file
 from gonio.errors import ConfigError, DataError
 from gonio.typing import Floats
-from gonio_scenes.shapes.shape import LARGEST_MM, Axis, Coordinate, Length, ShapeTable, unit
+from gonio_scenes.shapes.shape import (
+    BESIDE_SCENE,
+    LARGEST_MM,
+    Axis,
+    Coordinate,
+    Length,
+    ShapeTable,
+    content,
+    unit,
+)
 from gonio_scenes.shapes.triangles import Faces, PerCorner, Triangles
 
 MAX_BYTES = 250_000_000
@@ -137,17 +144,10 @@ def _read(path: Path, where: str) -> Parts:
     kind = path.suffix.lower().lstrip(".")
     if kind not in ("obj", "ply", "stl"):
         raise ConfigError(f"{where}: is not a mesh that is read here: give an OBJ, PLY or STL file")
-    try:
-        size = os.stat(path).st_size
-        if size > MAX_BYTES:
-            raise DataError(
-                f"{where}: has {size / 1e6:.0f} MB, and at most {MAX_BYTES / 1e6:.0f} MB are read: reduce it"
-            )
-        data = read_file(path)
-    except FileNotFoundError:
-        raise ConfigError(f"{where}: there is no such file; paths count from the folder of the scene file") from None
-    except OSError as error:
-        raise ConfigError(f"{where}: cannot be read: {error.strerror}") from None
+    size = path.stat().st_size if path.is_file() else 0
+    if size > MAX_BYTES:
+        raise DataError(f"{where}: has {size / 1e6:.0f} MB, and at most {MAX_BYTES / 1e6:.0f} MB are read: reduce it")
+    data = content(path, where, BESIDE_SCENE)
     try:
         return _parsed(kind, data)
     except MemoryError:

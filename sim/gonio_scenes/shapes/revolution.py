@@ -13,7 +13,8 @@ from pydantic import Field, model_validator
 from gonio.errors import ConfigError
 from gonio.typing import Floats
 from gonio_scenes.shapes import _kernels
-from gonio_scenes.shapes.shape import Analytic, AxisTable, Coordinate
+from gonio_scenes.shapes.analytic import Analytic
+from gonio_scenes.shapes.shape import AxisTable, Coordinate
 
 MAX_POINTS = 10_000
 """Points of a profile in a scene file."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Protocol
 
@@ -12,6 +12,8 @@ import numpy.typing as npt
 from pydantic import AfterValidator, Field, model_validator
 
 from gonio.config import Strict
+from gonio.disk import read_file
+from gonio.errors import ConfigError, GonioError
 from gonio.models.engine import in_parts
 from gonio.typing import Floats
 
@@ -90,74 +92,38 @@ class Placement:
         return float(x), float(y), float(z)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Analytic:
-    """A shape of two compiled loops over rays: one finds hits, the other describes the surface there.
-
-    Attributes
-    ----------
-    place
-        Where it stands.
-    hit, describe
-        Kernels of `_kernels`.
-    constants
-        What both take of the shape's own.
-    inside
-        Whether a point in the shape's own frame is inside; None for a shape that is not closed.
-    """
-
-    place: Placement
-    hit: Callable[..., None]
-    describe: Callable[..., None]
-    constants: tuple[Any, ...]
-    size_mm: float
-    convex: bool
-    inside: Callable[[float, float, float], bool] | None = None
-    has_uv: bool = field(default=True, init=False)
-
-    @property
-    def closed(self) -> bool:
-        """Whether it has an inside."""
-        return self.inside is not None
-
-    def intersect(self, origin: Floats, direction: Floats, nearest: float) -> tuple[Floats, Ints]:
-        """See `Shape`."""
-        origin, direction = rays(origin, direction)
-        hits = np.empty(len(origin)), np.empty(len(origin), np.int64)
-        place = self.place.center, self.place.axes
-        in_parts(
-            lambda start, stop: self.hit(
-                (origin, direction), place, *self.constants, float(nearest), hits, start, stop
-            ),
-            len(origin),
-            SPLIT,
-        )
-        return hits
-
-    def surface(self, origin: Floats, direction: Floats, distance: Floats, primitive: Ints) -> Surface:
-        """See `Shape`."""
-        origin, direction = rays(origin, direction)
-        place = self.place.center, self.place.axes
-        hits = np.ascontiguousarray(distance, np.float64), np.ascontiguousarray(primitive, np.int64)
-        out = (*np.empty((4, len(origin), 3)), np.empty((len(origin), 2)))
-        in_parts(
-            lambda start, stop: self.describe((origin, direction), place, *self.constants, hits, out, start, stop),
-            len(origin),
-            SPLIT,
-        )
-        return Surface(*out)
-
-    def contains(self, point: npt.ArrayLike) -> bool:
-        """See `Shape`."""
-        return self.inside is not None and self.inside(*self.place.local(point))
-
-
 def rays(origin: Floats, direction: Floats) -> tuple[Floats, Floats]:
     """Origins and directions as the kernels take them: (n, 3), float64, contiguous."""
     return np.ascontiguousarray(origin, np.float64), np.ascontiguousarray(direction, np.float64)
 
 
-# --- keys of the scene file ---------------------------------------------------------------------------------------
+def over_rays(kernel: Callable[..., None], count: int, *arguments: Any) -> None:
+    """Run a compiled loop over rays, `kernel(*arguments, start, stop)`, in threads where there are many rays."""
+    in_parts(lambda start, stop: kernel(*arguments, start, stop), count, SPLIT)
+
+
+# --- files and keys of the scene file ----------
+
+
+def content(path: Path, where: str, hint: str = "", unreadable: type[GonioError] = ConfigError) -> bytes:
+    """The bytes of a file that a scene names; `where` begins messages, and `hint` says where a file is looked for.
+
+    Raises
+    ------
+    ConfigError
+        There is no such file.
+    GonioError
+        It cannot be read: an error of the type `unreadable`.
+    """
+    try:
+        return read_file(path)
+    except FileNotFoundError:
+        raise ConfigError(f"{where}: there is no such file{hint}") from None
+    except OSError as error:
+        raise unreadable(f"{where}: cannot be read: {error.strerror or error}") from None
+
+
+BESIDE_SCENE = "; paths count from the folder of the scene file"
 
 
 def _not_zero(vector: tuple[float, float, float]) -> tuple[float, float, float]:
@@ -246,15 +212,15 @@ class AxisTable(ShapeTable):
     axis: Axis = (0.0, 0.0, 1.0)
     x_axis: Axis | None = None
 
-    @model_validator(mode="after")
-    def _axes_differ(self) -> AxisTable:
-        refuse_parallel("axis", self.axis, self.x_axis)
-        return self
-
     @property
     def place(self) -> Placement:
         """Where the shape stands."""
         return placement(self.center_mm, self.axis, self.x_axis)
+
+    @model_validator(mode="after")
+    def _axes_differ(self) -> AxisTable:
+        refuse_parallel("axis", self.axis, self.x_axis)
+        return self
 
 
 class FlatTable(ShapeTable):
@@ -263,12 +229,12 @@ class FlatTable(ShapeTable):
     normal: Axis = (0.0, 0.0, 1.0)
     x_axis: Axis | None = None
 
-    @model_validator(mode="after")
-    def _axes_differ(self) -> FlatTable:
-        refuse_parallel("normal", self.normal, self.x_axis)
-        return self
-
     @property
     def place(self) -> Placement:
         """Where the shape stands."""
         return placement(self.center_mm, self.normal, self.x_axis)
+
+    @model_validator(mode="after")
+    def _axes_differ(self) -> FlatTable:
+        refuse_parallel("normal", self.normal, self.x_axis)
+        return self
