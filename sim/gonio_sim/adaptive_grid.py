@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from gonio.compiled import njit
 from gonio.models._compile import jit
@@ -26,93 +27,77 @@ FLOOR = 1e-3
 """Values below this part of the largest one, or below `DARK`, are followed less closely: within TOLERANCE of these."""
 DARK = 1e-4
 """BRDF [1/sr] of a hundredth of a black plate."""
+Function = Callable[[Floats, Floats], Floats]
 FEWEST, MOST = 5, 129
 """Nodes a side."""
 
 
 @dataclass(frozen=True, slots=True)
 class NodeGrid:
-    """A function on the square [left, left + side] x [bottom, bottom + side], as values at equidistant nodes."""
+    """A function on the square from -`reach` to `reach`, as values at equidistant nodes."""
 
     values: Floats
     """Shape (nodes in y, nodes in x)."""
-    left: float
-    bottom: float
-    side: float
+    reach: float
 
     def paint(self, x: Floats, y: Floats, centre: tuple[float, float], radius: float, out: Floats) -> None:
         """Write the interpolated function into `out` where (x, y) lies in a disc; arrays of one two-dimensional shape.
 
         Where x or y is NaN nothing is written.
         """
-        _paint(self.values, self.left, self.bottom, self._spacing, x, y, *centre, radius * radius, out)
+        spacing = 2 * self.reach / (len(self.values) - 1)
+        _paint(self.values, -self.reach, spacing, x, y, *centre, radius * radius, out)
 
     def at(self, x: Floats, y: Floats) -> Floats:
         """The interpolated function at points of any shape."""
         out = np.empty(np.shape(x))
         flat = (1, out.size)
-        everywhere = (0.0, 0.0), math.inf
-        self.paint(x.reshape(flat), y.reshape(flat), *everywhere, out.reshape(flat))
+        self.paint(x.reshape(flat), y.reshape(flat), (0.0, 0.0), math.inf, out.reshape(flat))
         return out
 
-    @property
-    def _spacing(self) -> float:
-        return self.side / (len(self.values) - 1)
 
-
-def sample_function(
-    function: Callable[[Floats, Floats], Floats], left: float, bottom: float, side: float, finest: float = 0.0
-) -> NodeGrid:
+def sample_function(function: Function, reach: float, finest: float = 0.0) -> NodeGrid:
     """A grid that follows `function(x, y)` (arrays of one shape in, one value each out) over a square.
 
     Below a spacing of `finest`, and beyond `MOST` nodes a side, it is not refined: a function with finer features is
     followed as well as that grid can.
     """
-    if side < 2.0 * finest * (FEWEST - 1):
-        return _evaluate(function, None, FEWEST, left, bottom, side)
-    finer = _evaluate(function, None, 2 * FEWEST - 1, left, bottom, side)  # the two coarsest grids in one evaluation
-    grid = NodeGrid(np.ascontiguousarray(finer.values[::2, ::2]), left, bottom, side)
+    if reach < finest * (FEWEST - 1):
+        return _evaluate(function, None, FEWEST, reach)
+    finer = _evaluate(function, None, 2 * FEWEST - 1, reach)  # the two coarsest grids in one evaluation
+    grid = NodeGrid(np.ascontiguousarray(finer.values[::2, ::2]), reach)
     while not _predicts(grid, finer):
         nodes = finer.values.shape[0]
-        if nodes >= MOST or side < 2.0 * finest * (nodes - 1):
+        if nodes >= MOST or reach < finest * (nodes - 1):
             break
-        grid, finer = finer, _evaluate(function, finer, 2 * nodes - 1, left, bottom, side)
+        grid, finer = finer, _evaluate(function, finer, 2 * nodes - 1, reach)
     return finer
 
 
 def _predicts(grid: NodeGrid, finer: NodeGrid) -> bool:
     """Whether a grid gives the values at the nodes that only the next finer one has."""
-    new = np.ones(finer.values.shape, dtype=bool)
-    new[::2, ::2] = False
-    x, y = _node_positions(finer.values.shape[0], finer.left, finer.bottom, finer.side)
-    error = np.abs(grid.at(x[new], y[new]) - finer.values[new])
+    new, x, y = _new_nodes(finer.values.shape[0], finer.reach)
+    error = np.abs(grid.at(x, y) - finer.values[new])
     size = np.abs(finer.values[new]) + FLOOR * np.max(np.abs(finer.values)) + DARK
     return bool(np.all(error <= TOLERANCE * size))
 
 
-def _node_positions(count: int, left: float, bottom: float, side: float) -> tuple[Floats, Floats]:
-    t = np.linspace(0.0, side, count)
-    x, y = np.meshgrid(left + t, bottom + t)
-    return x, y
-
-
-def _evaluate(
-    function: Callable[[Floats, Floats], Floats],
-    coarse: NodeGrid | None,
-    count: int,
-    left: float,
-    bottom: float,
-    side: float,
-) -> NodeGrid:
-    """The function at all nodes; those of the grid of half as many are taken over."""
-    x, y = _node_positions(count, left, bottom, side)
-    values = np.empty(x.shape)
+def _new_nodes(count: int, reach: float, every: bool = False) -> tuple[npt.NDArray[np.bool_], Floats, Floats]:
+    """Nodes that a grid of half as many does not have (or all of them): which, and where they are."""
+    x, y = np.meshgrid(*2 * [-reach + np.linspace(0.0, 2 * reach, count)])
     new = np.ones(x.shape, dtype=bool)
+    new[::2, ::2] = every
+    return new, x[new], y[new]
+
+
+def _evaluate(function: Function, coarse: NodeGrid | None, count: int, reach: float) -> NodeGrid:
+    """The function at all nodes; those of the grid of half as many are taken over."""
+    new, x, y = _new_nodes(count, reach, every=coarse is None)
+    values = np.empty(new.shape)
     if coarse is not None:
         values[::2, ::2] = coarse.values
-        new[::2, ::2] = False
-    values[new] = function(x[new], y[new])
-    return NodeGrid(values, left, bottom, side)
+    values[new] = function(x, y)
+    return NodeGrid(values, reach)
 
 
 _cubic = jit(cubic)
@@ -121,8 +106,7 @@ _cubic = jit(cubic)
 @njit(nogil=True, error_model="numpy")
 def _paint(
     values: Any,
-    left: float,
-    bottom: float,
+    first: float,
     h: float,
     x: Any,
     y: Any,
@@ -138,8 +122,8 @@ def _paint(
         for j in range(x.shape[1]):
             if not (x[i, j] - centre_x) ** 2 + (y[i, j] - centre_y) ** 2 <= radius_squared:
                 continue  # as for a NaN, which is below nothing
-            s = (x[i, j] - left) * per_h
-            t = (y[i, j] - bottom) * per_h
+            s = (x[i, j] - first) * per_h
+            t = (y[i, j] - first) * per_h
             col = min(max(int(s) - 1, 0), last)
             row = min(max(int(t) - 1, 0), last)
             s, t = s - col, t - row

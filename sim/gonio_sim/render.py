@@ -54,19 +54,26 @@ BAND_NODES = 5
 """Wavelengths that the integral over a band is made of."""
 
 
+Painter = Callable[[PixelMap, View, Mask, Floats], None]
+"""Fills in the BRDF [1/sr] of the pixels that see a disc."""
+
+
 @dataclass(frozen=True, slots=True)
 class Disc:
-    """A round surface in the sample's plane: where it lies [mm], and what fills in the BRDF [1/sr] of its pixels."""
+    """A round surface in the sample's plane: where it lies [mm], and its BRDF [1/sr], or what fills it in."""
 
-    centre: tuple[float, float]
+    paint: Painter | float
     radius: float
-    paint: Callable[[PixelMap, View, Disc, Floats], None]
+    centre: tuple[float, float] = (0.0, 0.0)
 
-    def covers(self, seen: PixelMap) -> Mask:
-        """Whether a pixel sees a spot of it."""
+    def show(self, seen: PixelMap, scene: View, brdf: Floats) -> None:
+        """Fill in the BRDF of the pixels that see it."""
         x, y = self.centre
-        inside: Mask = (seen.x_mm - x) ** 2 + (seen.y_mm - y) ** 2 <= self.radius**2
-        return inside
+        covered: Mask = (seen.x_mm - x) ** 2 + (seen.y_mm - y) ** 2 <= self.radius**2
+        if callable(self.paint):
+            self.paint(seen, scene, covered, brdf)
+        else:
+            brdf[covered] = self.paint
 
 
 class Renderer:
@@ -121,18 +128,18 @@ class Renderer:
         if description.holder.fiducials is not None and not behind:
             _paint_fiducials(description.holder, description.holder.fiducials, seen, brdf)
         for disc in self._through(band) if behind else self._discs(band, target):
-            disc.paint(seen, scene, disc, brdf)
+            disc.show(seen, scene, brdf)
         # A pixel that sees no plane has no weight. A model may be negative where its formula is bad (Oren-Nayar near
         # grazing), or infinite; light is not.
         rate = np.empty(brdf.shape, np.float32)
         electrons_per_s(math.pi * description.camera.responsivity_e_per_s, seen.weight, brdf, BRIGHTEST, rate)
-        if band.channel != "mono":
-            rate[~of_channel(description.camera.pattern, band.channel, seen.rows, seen.cols)] = 0.0
-        return self._with_stray_light(rate, band)
+        return self._with_stray_light(rate, band, seen)
 
-    def _with_stray_light(self, rate: Floats32, band: Band) -> Floats32:
-        """What lens and sensor spread over the frame, added to its light; each colour of a mosaic for itself."""
+    def _with_stray_light(self, rate: Floats32, band: Band, seen: PixelMap) -> Floats32:
+        """A band's own pixels, and what lens and sensor spread of their light; each colour of a mosaic for itself."""
         camera = self._world.truth.camera
+        if band.channel != "mono":
+            rate[~of_channel(camera.pattern, band.channel, seen.rows, seen.cols)] = 0.0
         if not camera.stray_light and not camera.stray_halo:
             return rate
         lit = of_channel(camera.pattern, band.channel, slice(0, camera.height), slice(0, camera.width))
@@ -147,42 +154,45 @@ class Renderer:
 
     def _discs(self, band: Band, target: InHolder) -> Iterator[Disc]:
         """The round surfaces in view."""
-        description, sample = self._world.truth, self._world.sample
-        reference = description.reference
+        description, reference = self._world.truth, self._world.truth.reference
+        in_place, whole = reference.diameter_mm / 2, description.holder.sample_diameter_mm / 2
         if target == "trap":
-            yield Disc((0.0, 0.0), description.holder.sample_diameter_mm / 2, _black)
-            return
-        if target == "edge":
-            yield Disc((0.0, 0.0), reference.diameter_mm / 2, self._edge(band))
-            return
-        if reference.how == "beside":
-            yield Disc(reference.offset_mm, reference.diameter_mm / 2, self._reference(band))
-        elif target == "reference":
-            yield Disc((0.0, 0.0), reference.diameter_mm / 2, self._reference(band))
-            return
-        if target == "mirror":
-            yield Disc((0.0, 0.0), description.holder.sample_diameter_mm / 2, self._mirror(band))
-            return
-        if sample is None:
-            raise ConfigError(
-                f'the simulated rig "{description.name}" has no sample to look at: name one with --sample S.toml'
-            )
-        diameter = sample.diameter_mm or description.holder.sample_diameter_mm
-        yield Disc((0.0, 0.0), diameter / 2, self._sample(band))
+            yield Disc(0.0, whole)
+        elif target == "edge":
+            yield Disc(self._edge(band), in_place)
+        elif target == "reference" and reference.how != "beside":
+            yield Disc(self._reference(band), in_place)
+        else:
+            if reference.how == "beside":
+                yield Disc(self._reference(band), in_place, reference.offset_mm)
+            if target == "mirror":
+                yield Disc(self._mirror(band), whole)
+            else:
+                yield self._sample(band)
+
+    @property
+    def _radius(self) -> float:
+        """Of the sample [mm]."""
+        sample, holder = self._world.sample, self._world.truth.holder
+        return ((sample and sample.diameter_mm) or holder.sample_diameter_mm) / 2
+
+    def _waves(self, band: Band) -> list[tuple[float, float]]:
+        """Wavelengths [nm] at which the sample is looked at, and their shares."""
+        sample = self._world.sample
+        return _wavelengths(band) if sample is not None and sample.integrate_band else [(band.centre_nm, 1.0)]
 
     def _through(self, band: Band) -> Iterator[Disc]:
         """What lets light through: the sample alone, point by point without the cones of lamp and lens."""
-        description, sample, model = self._world.truth, self._world.sample, self._model
-        if sample is None or model is None:
+        model, waves = self._model, self._waves(band)
+        if model is None:
             return
-        waves = _wavelengths(band) if sample.integrate_band else [(band.centre_nm, 1.0)]
 
-        def paint(seen: PixelMap, scene: View, disc: Disc, brdf: Floats) -> None:
-            covered = disc.covers(seen) & (seen.omega_i[..., 2] > 0.0)  # a back that is lit is black
-            at = geometry.Directions.from_vectors(seen.omega_i[covered], seen.omega_r[covered])
-            brdf[covered] = sum(share * model.btdf(*at.angles, wavelength_nm=wave) for wave, share in waves)
+        def paint(seen: PixelMap, scene: View, covered: Mask, brdf: Floats) -> None:
+            lit = covered & (seen.omega_i[..., 2] > 0.0)  # a back that is lit is black
+            at = geometry.Directions.from_vectors(seen.omega_i[lit], seen.omega_r[lit])
+            brdf[lit] = sum(share * model.btdf(*at.angles, wavelength_nm=wave) for wave, share in waves)
 
-        yield Disc((0.0, 0.0), (sample.diameter_mm or description.holder.sample_diameter_mm) / 2, paint)
+        yield Disc(paint, self._radius)
 
     def _straight_through(self, pose: Pose, band: Band) -> Floats32:
         """The holder is empty: pixels whose line of sight meets the lamp see it, blurred by the lens's pupil.
@@ -209,25 +219,17 @@ class Renderer:
         rate: Floats32 = np.minimum(math.pi * camera.responsivity_e_per_s * weight * shared, BRIGHTEST).astype(
             np.float32
         )
-        if band.channel != "mono":
-            rate[~of_channel(camera.pattern, band.channel, seen.rows, seen.cols)] = 0.0
-        return self._with_stray_light(rate, band)
+        return self._with_stray_light(rate, band, seen)
 
-    def _reference(self, band: Band) -> Callable[[PixelMap, View, Disc, Floats], None]:
+    def _reference(self, band: Band) -> float:
         """The white reference: its certificate times its true error; a table is read at the centre of the frame."""
         reference = self._world.truth.reference
         if reference.table is None:
-            certified = (reference.at(band.centre_nm)[0] or 0.0) / math.pi
-        else:
-            from gonio.reduction.reference_table import brdf_of_reference
+            return self._world.reference_scale * ((reference.at(band.centre_nm)[0] or 0.0) / math.pi)
+        from gonio.reduction.reference_table import brdf_of_reference
 
-            at_centre = directions(self._world.optics, self._world.pose)
-            certified = brdf_of_reference(self._table, at_centre, band.centre_nm)
-
-        def paint(seen: PixelMap, scene: View, disc: Disc, brdf: Floats) -> None:
-            brdf[disc.covers(seen)] = self._world.reference_scale * certified
-
-        return paint
+        at_centre = directions(self._world.optics, self._world.pose)
+        return self._world.reference_scale * brdf_of_reference(self._table, at_centre, band.centre_nm)
 
     @cached_property
     def _table(self) -> pd.DataFrame:
@@ -237,19 +239,18 @@ class Renderer:
         assert self._world.truth.reference.table is not None
         return read(self._world.truth.reference.table)
 
-    def _sample(self, band: Band) -> Callable[[PixelMap, View, Disc, Floats], None]:
+    def _sample(self, band: Band) -> Disc:
         """The sample: its model's lobe on a grid of nodes, and its spike pixel by pixel."""
         from gonio import instrument
         from gonio_sim.adaptive_grid import sample_function
 
-        model, sample, truth = self._model, self._world.sample, self._world.truth
-        assert model is not None
-        assert sample is not None
-        waves = _wavelengths(band) if sample.integrate_band else [(band.centre_nm, 1.0)]
+        model, truth, radius, waves = self._model, self._world.truth, self._radius, self._waves(band)
+        if model is None:
+            raise ConfigError(
+                f'the simulated rig "{truth.name}" has no sample to look at: name one with --sample S.toml'
+            )
 
-        def paint(seen: PixelMap, scene: View, disc: Disc, brdf: Floats) -> None:
-            radius = disc.radius
-
+        def paint(seen: PixelMap, scene: View, covered: Mask, brdf: Floats) -> None:
             def lobes(x: Floats, y: Floats) -> Floats:
                 at = _directions_at(scene, x, y)
                 out = np.zeros(x.shape)
@@ -262,46 +263,45 @@ class Renderer:
                     out += share * lobe
                 return out
 
-            grid = sample_function(lobes, -radius, -radius, 2 * radius, self._finest_mm)
-            grid.paint(seen.x_mm, seen.y_mm, disc.centre, radius, brdf)
+            grid = sample_function(lobes, radius, self._finest_mm)
+            grid.paint(seen.x_mm, seen.y_mm, (0.0, 0.0), radius, brdf)
             if model.has_spike:
-                self._paint_spike(model, waves, seen, scene, disc, brdf)
+                self._paint_spike(model, waves, seen, scene, covered, brdf)
 
-        return paint
+        return Disc(paint, radius)
 
-    def _edge(self, band: Band) -> Callable[[PixelMap, View, Disc, Floats], None]:
+    def _edge(self, band: Band) -> Painter:
         """The white reference behind a black screen that ends with a knife edge at x = 0, and covers x > 0."""
-        reference = self._reference(band)
+        white = self._reference(band)
 
-        def paint(seen: PixelMap, scene: View, disc: Disc, brdf: Floats) -> None:
-            reference(seen, scene, disc, brdf)
-            brdf[disc.covers(seen) & (seen.x_mm > 0.0)] = 0.0
+        def paint(seen: PixelMap, scene: View, covered: Mask, brdf: Floats) -> None:
+            brdf[covered] = np.where(seen.x_mm[covered] > 0.0, 0.0, white)
 
         return paint
 
-    def _mirror(self, band: Band) -> Callable[[PixelMap, View, Disc, Floats], None]:
+    def _mirror(self, band: Band) -> Painter:
         """A front-surface mirror, perfectly smooth aluminium, which shows the lamp and nothing else."""
         from gonio import models
 
         mirror = models.build("he-torrance", {"sigma0_um": 0.0, "tau_um": 1.0, "ior": "Al"})
 
-        def paint(seen: PixelMap, scene: View, disc: Disc, brdf: Floats) -> None:
-            brdf[disc.covers(seen)] = 0.0
-            self._paint_spike(mirror, [(band.centre_nm, 1.0)], seen, scene, disc, brdf)
+        def paint(seen: PixelMap, scene: View, covered: Mask, brdf: Floats) -> None:
+            brdf[covered] = 0.0
+            self._paint_spike(mirror, [(band.centre_nm, 1.0)], seen, scene, covered, brdf)
 
         return paint
 
     def _paint_spike(
-        self, model: Model, waves: list[tuple[float, float]], seen: PixelMap, scene: View, disc: Disc,
+        self, model: Model, waves: list[tuple[float, float]], seen: PixelMap, scene: View, covered: Mask,
         brdf: Floats,
     ) -> None:  # fmt: skip
         """Add the mirror image of the lamp, pixel by pixel where it is seen."""
         from gonio import instrument
 
-        reach = self._spike_reach
-        if _apart(scene, np.zeros(1), np.zeros(1))[0] > reach + disc.radius * self._turn:
+        reach, radius = self._spike_reach, max(self._radius, self._world.truth.holder.sample_diameter_mm / 2)
+        if _apart(scene, np.zeros(1), np.zeros(1))[0] > reach + radius * self._turn:
             return  # no spot of the disc shows the lamp's mirror image to the lens
-        rows, cols = np.nonzero(disc.covers(seen))
+        rows, cols = np.nonzero(covered)
         near = _apart(scene, seen.x_mm[rows, cols], seen.y_mm[rows, cols]) <= reach
         rows, cols = rows[near], cols[near]
         at = _directions_at(scene, seen.x_mm[rows, cols], seen.y_mm[rows, cols])
@@ -310,11 +310,6 @@ class Renderer:
             if polarised.is_on(self._world.truth):
                 spike = spike * polarised.of_spike(self._world.truth, model, scene, at, wave)
             brdf[rows, cols] += share * spike
-
-
-def _black(seen: PixelMap, scene: View, disc: Disc, brdf: Floats) -> None:
-    """A trap that gives no light back."""
-    brdf[disc.covers(seen)] = 0.0
 
 
 def _paint_fiducials(holder: Holder, marks: Fiducials, seen: PixelMap, brdf: Floats) -> None:
