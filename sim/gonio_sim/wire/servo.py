@@ -179,6 +179,10 @@ class Servo:
     def _suffering(self, fault: str) -> bool:
         return self._clock() < self._suffers.get(fault, -math.inf)
 
+    def _supply_dv(self) -> int:
+        """What the table says of the supply [0.1 V]."""
+        return self.get("Min Voltage Limit") + 5 if self._suffering("sag") else self.supply_dv
+
     def lose_power(self) -> None:
         """Drop out of the bus."""
         self._release()
@@ -535,7 +539,7 @@ class Servo:
             state |= FOLLOWING_ERROR if self._pushes() else 0
             state |= IN_POSITION if ended and abs(position - self._aim) < IN_POSITION_COUNTS else 0
         arrived = in_position_mode and ended and self.torque
-        hot, sagging = self._suffering("hot"), self._suffering("sag")
+        hot = self._suffering("hot")
         effort = self._effort(position, units)
         self._put(
             Present_Position=self._said(position + flicker),
@@ -544,7 +548,7 @@ class Servo:
             Moving_Status=state,
             Velocity_Trajectory=round(self._turned(planned_velocity) / tables.RPM),
             Position_Trajectory=self._said(self._aim if arrived else planned),
-            Present_Input_Voltage=self.get("Min Voltage Limit") + 5 if sagging else self.supply_dv,
+            Present_Input_Voltage=self._supply_dv(),
             Present_Temperature=self.get("Temperature Limit") - 10 if hot else self.temperature_c,
             Realtime_Tick=int((now - self._booted_s) * 1000) % 32768,
             Present_PWM=self.get("Goal PWM") if self._drives(PWM) else round(effort / 2),
