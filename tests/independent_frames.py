@@ -100,16 +100,10 @@ class Bench:
     def arms(self) -> Self:
         return self
 
-    @property
-    def light(self) -> Self:
-        return self
-
-    @property
-    def camera(self) -> Self:
-        return self
+    light = camera = arms
 
     def begin(self, step: Step) -> None:
-        pass
+        """Every step is like another."""
 
     def present(self, target: Target) -> None:
         self.target = target
@@ -133,13 +127,12 @@ class Bench:
         return self.pose
 
     def stop(self) -> None:
-        pass
+        """Nothing moves."""
 
-    def park(self) -> None:
-        pass
+    park = stop
 
     def select(self, band: Band) -> None:
-        pass
+        """All bands are alike."""
 
     def on(self) -> None:
         self.lit = True
@@ -158,10 +151,9 @@ class Bench:
 
     def rates(self) -> Floats:
         """Electrons a second of every pixel, at the pose and with the target of now."""
-        key = (self.pose, self.target)
-        if key not in self._seen:
-            self._seen[key] = self._rates()
-        return self._seen[key]
+        if (self.pose, self.target) not in self._seen:
+            self._seen[self.pose, self.target] = self._rates()
+        return self._seen[self.pose, self.target]
 
     def _rates(self) -> Floats:
         rig, camera, at = self.description, self.description.camera, Placed.at(self.pose)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Literal
 
 import numpy as np
@@ -123,6 +123,15 @@ class Arriving:
     """What multiplies the light's spectral `power` to give the irradiance on a surface that faces the light, (n,)."""
 
 
+def _from_point(place: Floats, position: Floats) -> Arriving:
+    """What a point of unit intensity at a place, or at one for each hit, gives at positions (n, 3)."""
+    away = place - position
+    squared = np.einsum("ij,ij->i", away, away)
+    distance = np.sqrt(squared)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return Arriving(away / distance[:, None], distance, 1.0 / squared)
+
+
 @dataclass(frozen=True)
 class Directional:
     """Light from one direction."""
@@ -150,11 +159,7 @@ class PointLight:
 
     def arrive(self, position: Floats, sample: int, shift: Floats | None) -> Arriving:
         """The light at positions (n, 3)."""
-        away = self.position - position
-        squared = np.einsum("ij,ij->i", away, away)
-        distance = np.sqrt(squared)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return Arriving(away / distance[:, None], distance, 1.0 / squared)
+        return _from_point(self.position, position)
 
 
 @dataclass(frozen=True)
@@ -181,13 +186,9 @@ class Disc:
             a, b = on_disc(*point(sample, shift))
             first, second = across(self.normal)
             at = self.center + self.radius * (a[:, None] * first + b[:, None] * second)
-        away = at - position
-        squared = np.einsum("ij,ij->i", away, away)
-        distance = np.sqrt(squared)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            direction = away / distance[:, None]
-        facing = np.maximum(-(direction @ self.normal), 0.0)
-        return Arriving(direction, distance, math.pi * self.radius**2 * facing / squared)
+        of_point = _from_point(at, position)
+        facing = np.maximum(-(of_point.direction @ self.normal), 0.0)
+        return replace(of_point, strength=math.pi * self.radius**2 * facing * of_point.strength)
 
     def seen(self, origin: Floats, direction: Floats) -> Floats:
         """Distance along rays to the shining side of the disc, inf where they miss it."""

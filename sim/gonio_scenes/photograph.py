@@ -18,14 +18,13 @@ from gonio.errors import ConfigError, DataError
 from gonio.formats.reader import ANGLES, Attributes, attributes
 from gonio.typing import Floats
 from gonio_scenes import exposures
-from gonio_scenes._photograph_causes import _common, _require_light
-from gonio_scenes._squares import _RING, FLAGS, Mask, _Pixels, _Squares
 from gonio_scenes.exposures import Exposure
 from gonio_scenes.scene import Scene
 from gonio_scenes.shapes import AnyShape, Shape
 from gonio_scenes.shapes.analytic import Analytic
 from gonio_scenes.shapes.revolution import Revolution
 from gonio_scenes.shapes.triangles import Triangles
+from gonio_scenes.squares import FLAGS, RING, Mask, Pixels, Squares, common, require_light
 from gonio_scenes.vantage import Seen, Vantage, displaced
 from gonio_scenes.world import Hits, World
 
@@ -71,8 +70,7 @@ def reduce(scene: Scene, image: str | Path) -> pd.DataFrame:
     table = scene.tables.photograph
     vantage = Vantage(scene.camera, _light(scene), scene.world.shapes[which], np.zeros(3))
     exposure = exposures.read(scene, image)
-    if table is None:  # `exposures.read` has refused it
-        raise ConfigError("the table [photograph] is missing")
+    assert table is not None  # `exposures.read` has refused it
     moved = displaced(vantage, scene.tables.shape[which], scene.source.parent, table.uncertainty)
     pixels = _looked_at(scene, vantage, which, exposure, table.limb_px, moved)
     seen = pixels.why >= 0
@@ -81,7 +79,7 @@ def reduce(scene: Scene, image: str | Path) -> pd.DataFrame:
     size = table.bin or max(1, math.ceil(math.sqrt(np.count_nonzero(seen) / ROWS)))
     if table.channel is not None and size % 2 and not exposure.used.all():
         size += 1  # a square of a mosaic holds whole cells
-    squares = _Squares(pixels, exposure, size, scene.camera.samples > 1)
+    squares = Squares(pixels, exposure, size, scene.camera.samples > 1)
     return _table(scene, Path(image), exposure, vantage, moved, squares, table.theta_max_deg)
 
 
@@ -126,7 +124,7 @@ def _looked_at(
     exposure: Exposure,
     margin: int,
     moved: dict[str, tuple[Vantage, Vantage]],
-) -> _Pixels:
+) -> Pixels:
     """What every pixel's centre sees, and why some are not used."""
     camera = scene.camera
     count = camera.pixels
@@ -174,7 +172,7 @@ def _looked_at(
     for k, here in reversed(list(enumerate(reasons))):
         why[here] = k + 1
     why[~seen] = -1
-    return _Pixels(received.reshape(shape), why, piece, flat, facets and crease is None)
+    return Pixels(received.reshape(shape), why, piece, flat, facets and crease is None)
 
 
 def _cut_off(exposure: Exposure, received: Floats, low: Mask) -> Mask:
@@ -211,7 +209,7 @@ def _beside_crease(vantage: Vantage, crease: Floats, hits: Hits, column: Floats,
     out = np.zeros(len(column), bool)
     if beside.max() == 0.0:
         return out
-    for down, right in _RING:
+    for down, right in RING:
         origin, direction = vantage.camera.through(column + right * beside, row + down * beside)
         there = World([vantage.shape], vantage.camera.position).hit(origin - vantage.shift, direction)
         out |= (np.abs((there.facing - hits.facing) @ crease) > SAME) | (there.shape < 0)
@@ -237,9 +235,6 @@ def _widened(here: Mask, margin: int) -> Mask:
     return np.asarray(binary_dilation(here, np.ones((3, 3)), iterations=margin) if margin and here.any() else here)
 
 
-# --- squares of pixels -----------------------------------------------------------------------------------------------
-
-
 # --- the table -------------------------------------------------------------------------------------------------------
 
 
@@ -249,7 +244,7 @@ def _table(
     exposure: Exposure,
     vantage: Vantage,
     moved: dict[str, tuple[Vantage, Vantage]],
-    squares: _Squares,
+    squares: Squares,
     theta_max_deg: float,
 ) -> pd.DataFrame:
     import pandas as pd
@@ -279,9 +274,9 @@ def _table(
 
     grid = np.zeros(squares.of_shape.shape, bool)
     grid.flat[there[good]] = True
-    _require_light(image, squares, grid, exposure, given.uncertainty.black_level_dn)
+    require_light(image, squares, grid, exposure, given.uncertainty.black_level_dn)
     stated = given.uncertainty.model_dump()
-    columns, unseen_deg = _common(squares, grid, exposure, stated, moved, _picked(seen, good), jacobian[good])
+    columns, unseen_deg = common(squares, grid, exposure, stated, moved, _picked(seen, good), jacobian[good])
     if columns:  # the limb may come past a square before a cause has moved by one standard deviation
         whole = np.isfinite(np.stack(list(columns.values()))).all(axis=0)
         flag[np.flatnonzero(good)[~whole]] = "limb"
@@ -323,7 +318,7 @@ def _attributes(
     scene: Scene,
     image: Path,
     exposure: Exposure,
-    squares: _Squares,
+    squares: Squares,
     cones: tuple[Floats, float],
     good: npt.NDArray[np.bool_],
 ) -> Attributes:

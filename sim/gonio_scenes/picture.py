@@ -212,54 +212,30 @@ def left_out(scene: Scene) -> list[dict[str, str]]:
         (not scene.lights, "shadow rays", "no light comes from a direction"),
         (scene.lights and not shadows, "shadow rays", "one convex shape casts no shadow on itself"),
         (not spikes, "mirror rays", "no material has a specular spike"),
-        (
-            spikes and not to_mirror,
-            "mirror rays",
-            "there is nothing to see in the mirror: one convex shape, no disc of light, no ambient light",
-        ),
+        (spikes and not to_mirror, "mirror rays",
+         "there is nothing to see in the mirror: one convex shape, no disc of light, no ambient light"),
         (one_wave, "colour", "one wavelength: the picture is grey"),
-        (
-            constant and not one_wave,
-            "spectra of materials",
-            "no BRDF depends on the wavelength: each is evaluated once",
-        ),
+        (constant and not one_wave, "spectra of materials",
+         "no BRDF depends on the wavelength: each is evaluated once"),
         (not polarised, "polarisation", "neither a polariser nor polarised light"),
-        (
-            polarised and ambient,
-            "polarisation of ambient light",
-            "half of it passes the polariser, whatever the reflection does to it",
-        ),
-        (
-            polarised and spikes and (shadows or discs),
-            "polarisation of what a mirror shows",
-            "what comes along a mirror ray is taken as unpolarised",
-        ),
-        (
-            shown,
-            "polarisation of discs of light that the camera sees",
-            "their own radiance is taken as unpolarised",
-        ),
+        (polarised and ambient, "polarisation of ambient light",
+         "half of it passes the polariser, whatever the reflection does to it"),
+        (polarised and spikes and (shadows or discs), "polarisation of what a mirror shows",
+         "what comes along a mirror ray is taken as unpolarised"),
+        (shown, "polarisation of discs of light that the camera sees",
+         "their own radiance is taken as unpolarised"),
         (not ambient, "ambient light", "the scene names none"),
-        (
-            ambient,
-            "shadows of ambient light",
-            "ambient light is taken as uniform at every point (He et al. 1991, eq. 12)",
-        ),
+        (ambient, "shadows of ambient light",
+         "ambient light is taken as uniform at every point (He et al. 1991, eq. 12)"),
         (not discs, "sampling of lights", "every light has one direction at a point"),
-        (
-            discs and centres,
-            "the size of discs of light",
-            "samples = 1 and one ray a pixel: they light from their centre",
-        ),
+        (discs and centres, "the size of discs of light",
+         "samples = 1 and one ray a pixel: they light from their centre"),
         (not _photographed(scene), "a sensor's frame", "the scene names no photograph with a sensor and an exposure"),
         (camera.lens_radius == 0.0, "depth of field", "the camera is a pinhole"),
         (one_ray, "anti-aliasing", "one ray a pixel, through its centre"),
-        (
-            len(world.shapes) > 1,
-            "light between matte surfaces",
-            "direct light and mirror rays alone are followed",
-        ),
-    ]
+        (len(world.shapes) > 1, "light between matte surfaces",
+         "direct light and mirror rays alone are followed"),
+    ]  # fmt: skip
     return [{"what": what, "why": why} for applies, what, why in rules if applies]
 
 

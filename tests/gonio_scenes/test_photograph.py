@@ -2,23 +2,28 @@
 
 from __future__ import annotations
 
+import json
 import math
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
 import pytest
+from gonio_analysis.commands import fit
 from gonio_scenes import picture
+from gonio_scenes.commands import photograph
+from gonio_scenes.commands import render as render_command
 from gonio_scenes.photograph import reduce
 from gonio_scenes.render import render
-from gonio_scenes.scene import Scene
+from gonio_scenes.scene import Scene, read
 
 from gonio import instrument, measurement, models
 from gonio.errors import GonioError
 from gonio.geometry import Directions
-from gonio.rig.dng import encode_dng
+from gonio.rig.dng import encode_dng, read_raw
 from gonio.rig.protocols import Frame
 from gonio.typing import Floats
 from tests.gonio_scenes.scenes import scene
@@ -207,8 +212,6 @@ def test_a_colour_mosaic_is_measured_by_one_channel(channel: str, tmp_path: Path
 
 
 def test_files_of_linear_radiances_give_the_same_table(tmp_path: Path) -> None:
-    import cv2
-
     of = described(photograph={"noise_rel": 0.01})
     shown = render(of)
     picture.write(of, shown, tmp_path / "out")
@@ -292,6 +295,9 @@ def test_what_cannot_be_known_is_refused(changes: dict[str, Any], message: str, 
         reduce(described(**changes), tmp_path / "a.npy")
 
 
+SHAPE = (CAMERA["height"], CAMERA["width"])
+
+
 @pytest.mark.parametrize(
     ("name", "content", "message"),
     [
@@ -299,28 +305,23 @@ def test_what_cannot_be_known_is_refused(changes: dict[str, Any], message: str, 
         ("a.npz", b"PK", "no radiance.npz"),
         ("a.tif", b"II*", "cannot be read as TIFF"),
         ("a.dng", b"nothing", r"\[photograph.sensor\]"),
+        ("a.npy", np.ones(SHAPE, np.uint8), "not linear"),
+        ("a.npy", np.ones((*SHAPE, 3)), r"photograph\.channel"),
     ],
 )
-def test_damaged_pictures_are_refused(name: str, content: bytes, message: str, tmp_path: Path) -> None:
-    (tmp_path / name).write_bytes(content)
+def test_damaged_and_unfit_pictures_are_refused(name: str, content: Any, message: str, tmp_path: Path) -> None:
+    if isinstance(content, bytes):
+        (tmp_path / name).write_bytes(content)
+    else:
+        np.save(tmp_path / name, content)
     with pytest.raises(GonioError, match=message):
         reduce(described(), tmp_path / name)
 
 
-def test_integers_and_colours_without_a_channel_are_refused(tmp_path: Path) -> None:
-    np.save(tmp_path / "a.npy", np.ones((CAMERA["height"], CAMERA["width"]), np.uint8))
-    with pytest.raises(GonioError, match="not linear"):
-        reduce(described(), tmp_path / "a.npy")
-    np.save(tmp_path / "b.npy", np.ones((CAMERA["height"], CAMERA["width"], 3)))
-    with pytest.raises(GonioError, match=r"photograph\.channel"):
-        reduce(described(), tmp_path / "b.npy")
-    colour = described(photograph={"sensor": SENSOR})
-    (tmp_path / "c.dng").write_bytes(mosaic(np.full((CAMERA["height"], CAMERA["width"]), 99, np.uint16), "RGGB"))
+def test_a_colour_mosaic_without_a_channel_and_a_saturated_picture_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "c.dng").write_bytes(mosaic(np.full(SHAPE, 99, np.uint16), "RGGB"))
     with pytest.raises(GonioError, match="colour mosaic"):
-        reduce(colour, tmp_path / "c.dng")
-
-
-def test_a_saturated_picture_is_refused_with_the_count(tmp_path: Path) -> None:
+        reduce(described(photograph={"sensor": SENSOR}), tmp_path / "c.dng")
     of = described(photograph={"sensor": SENSOR, "exposure_s": 50.0})
     with pytest.raises(GonioError, match="saturated"):
         reduce(of, raw(tmp_path, of))
@@ -335,7 +336,6 @@ def test_a_missing_picture_is_a_wrong_argument_as_in_every_command(name: str, tm
 
 # --- pictures that hold no light, or are cut off -------------------------------------------------------------------
 
-SHAPE = (CAMERA["height"], CAMERA["width"])
 DIM: dict[str, Any] = {"sensor": SENSOR | {"black_level_dn": 64.0}, "bin": 2}
 
 
@@ -368,10 +368,9 @@ def test_a_constant_raw_frame_has_no_values(level: int, read_noise_e: float, tmp
 def test_a_frame_with_the_lens_covered_has_no_values(seed: int, black: float, tmp_path: Path) -> None:
     """Noise alone, about a black level that is not quite the stated one."""
     noise = np.random.default_rng(seed).normal(black, 1.2, SHAPE)
-    with pytest.raises(GonioError, match=r"lens open|not one of"):
-        reduce(described(photograph=DIM), dng(noise, tmp_path))
-    with pytest.raises(GonioError, match=r"lens open|not one of"):  # a camera that cuts off below its black level
-        reduce(described(photograph=DIM), dng(np.maximum(noise, 64.0), tmp_path))
+    for values in (noise, np.maximum(noise, 64.0)):  # the second of a camera that cuts off below its black level
+        with pytest.raises(GonioError, match=r"lens open|not one of"):
+            reduce(described(photograph=DIM), dng(values, tmp_path))
 
 
 def test_a_black_sample_is_no_black_picture(tmp_path: Path) -> None:
@@ -387,8 +386,6 @@ def test_a_black_sample_is_no_black_picture(tmp_path: Path) -> None:
 def test_a_frame_that_is_cut_off_below_its_stated_range_is_flagged(tmp_path: Path) -> None:
     of = described(photograph=DIM | {"exposure_s": 0.15})
     path = raw(tmp_path, of)
-    from gonio.rig.dng import read_raw
-
     values = read_raw(path, path.read_bytes()).mosaic.astype(float)
     ceiling = float(np.quantile(values, 0.97))
     table = reduce(of, dng(np.minimum(values, ceiling), tmp_path))
@@ -517,12 +514,6 @@ center_mm = 0.05
 def test_the_commands_take_a_photograph_measure_it_and_fit_it(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    import json
-
-    from gonio_analysis.commands import fit
-    from gonio_scenes.commands import photograph
-    from gonio_scenes.commands import render as render_command
-
     path, out, table = tmp_path / "scene.toml", tmp_path / "out", tmp_path / "photo.csv"
     path.write_text(SCENE, encoding="utf-8")
     render_command(path, out)
@@ -554,8 +545,6 @@ def test_the_commands_take_a_photograph_measure_it_and_fit_it(
     ],
 )
 def test_a_wrong_table_is_told_by_its_key(changed: str, message: str, tmp_path: Path) -> None:
-    from gonio_scenes.scene import read
-
     (tmp_path / "scene.toml").write_text(SCENE + changed, encoding="utf-8")
     with pytest.raises(GonioError, match=message) as raised:
         read(tmp_path / "scene.toml")
@@ -563,15 +552,11 @@ def test_a_wrong_table_is_told_by_its_key(changed: str, message: str, tmp_path: 
 
 
 def test_a_photograph_has_one_wavelength_and_room_for_a_raw_file(tmp_path: Path) -> None:
-    from gonio_scenes.commands import render as render_command
-
     path = tmp_path / "scene.toml"
-    path.write_text(SCENE.replace("[550]", "[550, 600]") + PHOTOGRAPH, encoding="utf-8")
-    with pytest.raises(GonioError, match="one wavelength"):
-        render_command(path, tmp_path / "out")
-    path.write_text(SCENE.replace("width = 96", "width = 24") + PHOTOGRAPH, encoding="utf-8")
-    with pytest.raises(GonioError, match="32 x 32"):
-        render_command(path, tmp_path / "out")
+    for old, new, words in (("[550]", "[550, 600]", "one wavelength"), ("width = 96", "width = 24", "32 x 32")):
+        path.write_text(SCENE.replace(old, new) + PHOTOGRAPH, encoding="utf-8")
+        with pytest.raises(GonioError, match=words):
+            render_command(path, tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
 

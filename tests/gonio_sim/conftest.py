@@ -1,13 +1,17 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from pathlib import Path
 from typing import Any
 
 import pytest
 from gonio_sim.rig import SIM, SIM_IDEAL, SIM_METROLOGY, SimulatedRig
 
-from gonio.config import parse
+from gonio.acquisition.measure import RigChoice, carry_out
+from gonio.acquisition.plan import load_plan
+from gonio.acquisition.run import Run
+from gonio.config import parse, to_toml
 from gonio.rig import Pose, Step
 from gonio.rig.description import RigDescription, SampleDescription
 
@@ -41,3 +45,28 @@ def rig() -> Callable[..., SimulatedRig]:
 
 def step(index: int, pose: Pose | None = None) -> Step:
     return Step(index=index, kind="point", point=index, pose=pose or Pose())
+
+
+def measured(
+    folder: Path,
+    description: RigDescription,
+    theta_i: Iterable[float],
+    theta_r: Iterable[float],
+    *,
+    truth: dict[str, Any] | None = None,
+    bands: Iterable[float] = (550,),
+    name: str = "run",
+    sample: SampleDescription = MATTE,
+    **more: Any,
+) -> Run:
+    """A run in plane on a rig of which `truth` is true."""
+    if truth is not None:
+        (folder / "truth.toml").write_text(to_toml(truth))
+        description = description.model_copy(update={"truth": str(folder / "truth.toml")})
+    sweep = {"theta_i_deg": list(theta_i), "theta_r_deg": list(theta_r)}
+    plan = {"name": "p", "wavelength_nm": list(bands), "sweep": [sweep]}
+    (folder / "plan.toml").write_text(to_toml(plan))
+    choice = RigChoice(SIM, description, "sim")
+    return carry_out(
+        load_plan(folder / "plan.toml"), choice, folder / name, sample=sample, **{"seed": 1, "yes": True} | more
+    )

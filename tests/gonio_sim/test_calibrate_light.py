@@ -20,6 +20,7 @@ from gonio.errors import DeviceError
 from gonio.rig import Frame
 from gonio.rig.calibrated import Calibration, identity, read_calibration, write_calibration
 from gonio.rig.calibration_use import ParameterUncertainty
+from gonio.typing import Floats
 from tests.command_line import gonio
 from tests.gonio_sim.conftest import describe
 
@@ -40,25 +41,35 @@ def write(folder: Path, truth: dict[str, Any] = TRUTH, **changes: dict[str, Any]
     (folder / "rig.toml").write_text(to_toml(values | {"truth": "truth.toml"}))
 
 
+def calibrated(folder: Path, *words: str, kind: str = "light", out: str = "light.toml", rig: str = "rig.toml") -> Any:
+    """What `gonio calibrate` does and says; its words in one line."""
+    done = gonio(folder, "calibrate", kind, "--rig", rig, "--out", out, *words)
+    done.stderr = " ".join(done.stderr.split())
+    return done
+
+
+def found_in(folder: Path, *words: str, out: str = "light.toml") -> tuple[Calibration, dict[str, float], str]:
+    """A calibration of the light that is made, its standard uncertainties by name, and what was said."""
+    done = calibrated(folder, *words, out=out)
+    assert done.returncode == 0, done.stderr
+    found = read_calibration(folder / out)
+    return found, dict(zip(found.uncertainty.parameters, found.uncertainty.u, strict=True)), done.stderr
+
+
+def use(folder: Path, *files: str) -> None:
+    """Let the rig file take calibrations."""
+    rig = tomllib.loads((folder / "rig.toml").read_text())
+    (folder / "rig.toml").write_text(to_toml(rig | {"calibration": {"files": list(files)}}))
+
+
+def series(t: Floats, signal: Floats) -> pd.DataFrame:
+    return pd.DataFrame({"time_s": t, "signal_dn_per_s": signal, "u_shot_dn_per_s": 0.1, "exposure_s": 0.01})
+
+
 @pytest.mark.slow
 def test_what_is_true_of_the_lamp_is_found_and_can_be_used(tmp_path: Path) -> None:
     write(tmp_path)
-    said = gonio(
-        tmp_path,
-        "calibrate",
-        "light",
-        "--rig",
-        "rig.toml",
-        "--out",
-        "light.toml",
-        "--minutes",
-        "25",
-        "--valid-days",
-        "90",
-    )
-    assert said.returncode == 0, said.stderr
-    found = read_calibration(tmp_path / "light.toml")
-    u = dict(zip(found.uncertainty.parameters, found.uncertainty.u, strict=True))
+    found, u, _ = found_in(tmp_path, "--minutes", "25", "--valid-days", "90")
     values, true = numbers_in(found.values), numbers_in(TRUTH)
     for name, value in values.items():
         if name != "lamp.warm_up_s":
@@ -67,34 +78,28 @@ def test_what_is_true_of_the_lamp_is_found_and_can_be_used(tmp_path: Path) -> No
     assert "set lamp.monitor = true" in " ".join(found.notes)
     for name in ("light-series.csv", "light-series.png", "light-flats.csv", "light-flats.png"):
         assert (tmp_path / name).stat().st_size > 1000
-    rig = tomllib.loads((tmp_path / "rig.toml").read_text())
-    (tmp_path / "rig.toml").write_text(to_toml(rig | {"calibration": {"files": ["light.toml"]}}))
+    use(tmp_path, "light.toml")
     used = find_rig(str(tmp_path / "rig.toml")).description
     assert used.lamp.beam is not None
     assert used.lamp.beam.x_per_mm == values["lamp.beam.x_per_mm"]
     # the same data again, without the bench
-    again = gonio(
-        tmp_path, "calibrate", "light", "--rig", "rig.toml", "--out", "again.toml", "--series", "light-series.csv"
-    )
-    assert again.returncode == 0, again.stderr
-    assert read_calibration(tmp_path / "again.toml").values["lamp"]["noise"] == pytest.approx(values["lamp.noise"])
-    assert "already" in gonio(tmp_path, "calibrate", "light", "--rig", "rig.toml", "--out", "light.toml").stderr
+    again, _, _ = found_in(tmp_path, "--series", "light-series.csv", out="again.toml")
+    assert again.values["lamp"]["noise"] == pytest.approx(values["lamp.noise"])
+    assert "already" in calibrated(tmp_path).stderr
 
 
 ZEROS = {"arms": {"light": {"zero_offset_deg": 2.37}, "camera": {"zero_offset_deg": -2.02}}}
-BEAM = ("calibrate", "light", "--rig", "rig.toml", "--only", "beam", "--seed", "2", "--out")
+BEAM = ("--only", "beam", "--seed", "2")
 
 
 def test_a_zero_that_nobody_has_measured_is_no_beam_that_is_tilted(tmp_path: Path) -> None:
     """The rig file claims zeros to 0.02 deg. The light's is 2 deg off, and no beam is tilted."""
     write(tmp_path, ZEROS, camera={"width": 320, "height": 240, "pixel_um": 10.0}, lamp={"noise": 0.0002})
-    done = gonio(tmp_path, *BEAM, "light.toml")
-    assert done.returncode == 0, done.stderr
-    said = " ".join(done.stderr.split())
+    found, u_of, said = found_in(tmp_path, *BEAM)
     assert "WARNING: no calibration has measured the zeros of light, camera, tilt" in said
-    found = read_calibration(tmp_path / "light.toml")
-    u = dict(zip(found.uncertainty.parameters, found.uncertainty.u, strict=True))["lamp.beam.x_per_mm"]
-    assert abs(found.values["lamp"]["beam"]["x_per_mm"]) < 1.01 * u  # the truth is 0, and u holds what was found
+    assert (
+        abs(found.values["lamp"]["beam"]["x_per_mm"]) < 1.01 * u_of["lamp.beam.x_per_mm"]
+    )  # the truth is 0, and u holds what was found
     # 3 sin(2 deg) / 1000 mm: the nearer side is brighter, by distance and by angle; a fifth of it for what flats tell
     assert found.values["lamp"]["beam"]["x_per_mm"] == pytest.approx(-1.05e-4, rel=0.3)
     assert any("WARNING" in note for note in found.notes)
@@ -110,15 +115,11 @@ def test_a_zero_that_nobody_has_measured_is_no_beam_that_is_tilted(tmp_path: Pat
             tmp_path / f"{name}.toml",
         )  # fmt: skip
     beams = {}
-    rig = tomllib.loads((tmp_path / "rig.toml").read_text())
     for name in ("well", "badly"):
-        (tmp_path / "rig.toml").write_text(to_toml(rig | {"calibration": {"files": [f"{name}.toml"]}}))
-        done = gonio(tmp_path, *BEAM, f"light-{name}.toml")
-        assert done.returncode == 0, done.stderr
-        assert "WARNING" not in done.stderr
-        found = read_calibration(tmp_path / f"light-{name}.toml")
-        u = dict(zip(found.uncertainty.parameters, found.uncertainty.u, strict=True))["lamp.beam.x_per_mm"]
-        beams[name] = found.values["lamp"]["beam"]["x_per_mm"], u
+        use(tmp_path, f"{name}.toml")
+        found, u_of, said = found_in(tmp_path, *BEAM, out=f"light-{name}.toml")
+        assert "WARNING" not in said
+        beams[name] = found.values["lamp"]["beam"]["x_per_mm"], u_of["lamp.beam.x_per_mm"]
     assert abs(beams["well"][0]) < 4 * beams["well"][1]
     # 1 deg of the light's zero is 5.2e-5 a mm; noise and the camera's zero add to it
     assert np.sqrt(beams["badly"][1] ** 2 - beams["well"][1] ** 2) == pytest.approx(5.2e-5, rel=0.3)
@@ -129,9 +130,8 @@ def test_a_lamp_that_drifts_more_than_the_model_is_refused_and_its_data_kept(tmp
     t = np.repeat(np.arange(0.0, 1800.0, 15.0), 2) + np.tile([0.0, 0.1], 120)
     rng = np.random.default_rng(0)
     signal = 500.0 * (1.0 + 0.01 * np.sin(t / 150.0) + 0.001 * rng.standard_normal(t.size))
-    table = pd.DataFrame({"time_s": t, "signal_dn_per_s": signal, "u_shot_dn_per_s": 0.1, "exposure_s": 0.01})
-    table.to_csv(tmp_path / "wild.csv", index=False)
-    said = gonio(tmp_path, "calibrate", "light", "--rig", "rig.toml", "--out", "light.toml", "--series", "wild.csv")
+    series(t, signal).to_csv(tmp_path / "wild.csv", index=False)
+    said = calibrated(tmp_path, "--series", "wild.csv")
     assert said.returncode == 1
     assert "drifts more than warm-up and steady drift allow" in said.stderr
     assert not (tmp_path / "light.toml").exists()
@@ -161,17 +161,16 @@ def test_a_series_that_is_cut_short_is_kept(tmp_path: Path) -> None:
 def test_what_cannot_be_used_is_refused_in_words(tmp_path: Path) -> None:
     write(tmp_path)
     (tmp_path / "few.csv").write_text("time_s,signal_dn_per_s,u_shot_dn_per_s\n0,1,0.1\n")
-    command = ("calibrate", "light", "--rig", "rig.toml", "--out", "light.toml")
     for more, words, code in (
         (("--series", "few.csv"), "the column exposure_s is missing", 1),
         (("--series", "none.csv"), "there is no such file", 1),
         (("--lines", "few.csv"), "the column line_nm is missing", 1),
     ):
-        said = gonio(tmp_path, *command, *more)
-        assert words in " ".join(said.stderr.split()), said.stderr
+        said = calibrated(tmp_path, *more)
+        assert words in said.stderr
         assert said.returncode == code
         assert not (tmp_path / "light.toml").exists()
-    said = gonio(tmp_path, "calibrate", "light", "--rig", "sim", "--out", "light.toml")
+    said = calibrated(tmp_path, rig="sim")
     assert said.returncode == 2
     assert "is no rig file" in said.stderr
 
@@ -183,10 +182,7 @@ def test_lines_and_polarisers_are_written_with_their_covariance(tmp_path: Path) 
     pd.DataFrame(
         {"polariser_deg": angles, "signal": 1 + 0.03 * np.cos(np.radians(2 * angles)), "u_signal": 1e-3}
     ).to_csv(tmp_path / "turned.csv", index=False)
-    said = gonio(tmp_path, "calibrate", "light", "--rig", "rig.toml", "--out", "light.toml", "--lines", "lines.csv",
-                 "--lamp-polariser", "turned.csv")  # fmt: skip
-    assert said.returncode == 0, said.stderr
-    found = read_calibration(tmp_path / "light.toml")
+    found, _, _ = found_in(tmp_path, "--lines", "lines.csv", "--lamp-polariser", "turned.csv")
     assert found.values["bands"]["tunable"]["start_nm"] == pytest.approx(400.55, abs=0.1)
     assert found.values["lamp"]["polarisation"]["degree"] == pytest.approx(0.03, abs=1e-6)
     assert found.uncertainty.correlation[0][1] < 0.0
@@ -195,17 +191,15 @@ def test_lines_and_polarisers_are_written_with_their_covariance(tmp_path: Path) 
 def test_a_beam_is_found_behind_a_camera_that_bends_and_spreads_light_as_far_as_that_is_known(tmp_path: Path) -> None:
     bent = {"nonlinearity": (-0.02,), "stray_light": 0.02, "stray_halo": 0.01, "stray_halo_px": 8.0, "vignetting": 0.2}
     write(tmp_path, TRUTH | {"camera": bent}, camera={"width": 96, "height": 80, "pixel_um": 32.0} | bent)
-    said = gonio(tmp_path, "calibrate", "light", "--rig", "rig.toml", "--out", "light.toml", "--only", "beam")
-    assert said.returncode == 0, said.stderr
-    found = read_calibration(tmp_path / "light.toml")
-    u = dict(zip(found.uncertainty.parameters, found.uncertainty.u, strict=True))
+    found, u, said = found_in(tmp_path, "--only", "beam")
     values, true = numbers_in(found.values), numbers_in(TRUTH)
     for name in (f"lamp.beam.{key}" for key in TRUTH["lamp"]["beam"]):  # type: ignore[attr-defined]
         assert abs(values[name] - true[name]) < 4.0 * u[name], name  # five numbers; without the correction 13 u
-    assert "stray light" not in said.stderr
+    assert "stray light" not in said
     write(tmp_path, TRUTH | {"camera": bent})
-    again = gonio(tmp_path, "calibrate", "light", "--rig", "rig.toml", "--out", "blind.toml", "--only", "beam")
-    assert "no stray light" in again.stderr  # nobody knows of it: the note says so
+    assert (
+        "no stray light" in calibrated(tmp_path, "--only", "beam", out="blind.toml").stderr
+    )  # nobody knows of it: the note says so
 
 
 @pytest.mark.parametrize("kind", ["camera", "light"])
@@ -219,11 +213,9 @@ def test_a_calibration_that_is_out_of_date_does_not_keep_its_successor_from_bein
         made=datetime.date(2020, 1, 1), valid_until=datetime.date(2020, 2, 1), values={"lamp": {"noise": 0.5}},
     )  # fmt: skip
     write_calibration(old, tmp_path / "old.toml")
-    rig = tomllib.loads((tmp_path / "rig.toml").read_text())
-    (tmp_path / "rig.toml").write_text(to_toml(rig | {"calibration": {"files": ["old.toml"]}}))
+    use(tmp_path, "old.toml")
     assert "is out of date" in gonio(tmp_path, "rig", "check", "--rig", "rig.toml").stderr
-    only = ["--only", "flats"] if kind == "camera" else ["--only", "beam"]
-    done = gonio(tmp_path, "calibrate", kind, "--rig", "rig.toml", "--out", "new.toml", *only)
+    done = calibrated(tmp_path, "--only", "flats" if kind == "camera" else "beam", kind=kind, out="new.toml")
     assert done.returncode == 0, done.stderr
 
 
@@ -232,9 +224,8 @@ def test_the_beginning_of_a_warm_up_does_not_pass_for_a_drift(tmp_path: Path) ->
     t = np.repeat(np.arange(0.0, 245.0, 15.0), 4) + np.tile([0.0, 0.1, 0.2, 0.3], 17)
     level = 1.0 - 0.06 * np.exp(-t / 400.0)  # four minutes of a lamp that needs half an hour
     signal = 500.0 * level * (1.0 + 0.003 * np.random.default_rng(0).standard_normal(t.size))
-    table = pd.DataFrame({"time_s": t, "signal_dn_per_s": signal, "u_shot_dn_per_s": 0.1, "exposure_s": 0.01})
-    table.to_csv(tmp_path / "short.csv", index=False)
-    said = gonio(tmp_path, "calibrate", "light", "--rig", "rig.toml", "--out", "light.toml", "--series", "short.csv")
+    series(t, signal).to_csv(tmp_path / "short.csv", index=False)
+    said = calibrated(tmp_path, "--series", "short.csv")
     assert (said.returncode, (tmp_path / "light.toml").exists()) == (1, False)
     assert "measure for longer" in said.stderr
 

@@ -10,19 +10,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from gonio_sim.rig import SIM_IDEAL
 
-from gonio.acquisition.measure import RigChoice, carry_out
-from gonio.acquisition.plan import load_plan
 from gonio.acquisition.run import Run
-from gonio.config import to_toml
 from gonio.errors import ConfigError
 from gonio.reduction import brdf, monte_carlo
 from gonio.reduction.budget import COMPONENTS
 from gonio.rig.calibrated import with_keys
 from gonio.rig.calibration_use import Calibrated, CalibrationUse
 from gonio.rig.description import RigDescription
-from tests.gonio_sim.conftest import MATTE, describe
+from tests.gonio_sim.conftest import describe, measured
 from tests.gonio_sim.test_misaligned_rig import ERRORS
 
 TRUE = 0.5 / math.pi
@@ -37,7 +33,8 @@ LAMP = {
     "camera": {"focal_length_mm": 50.0, "pixel_um": 8.0, "lens_half_angle_deg": 0.2},
     "acquisition": {"roi_radius_mm": 2.0},
 }  # fmt: skip
-TWO = "[450, 650]"
+ONE, TWO = [550], [450, 650]
+ANGLES = [0, 40, 58], [-50, 20, 60]
 
 
 def together(*parts: dict[str, Any]) -> dict[str, Any]:
@@ -50,24 +47,6 @@ def together(*parts: dict[str, Any]) -> dict[str, Any]:
 
 def rig(*parts: dict[str, Any]) -> RigDescription:
     return with_keys(describe("sim-ideal", camera={"width": 128, "height": 96}), together(*parts), "rig")
-
-
-def measured(
-    folder: Path,
-    description: RigDescription,
-    truth: dict[str, Any] | None = None,
-    theta_i: str = "[0, 40, 58]",
-    bands: str = "[550]",
-    seed: int = 1,
-) -> Run:
-    if truth is not None:
-        (folder / "truth.toml").write_text(to_toml(truth))
-        description = description.model_copy(update={"truth": str(folder / "truth.toml")})
-    (folder / "plan.toml").write_text(
-        f'name = "p"\nwavelength_nm = {bands}\n[[sweep]]\ntheta_i_deg = {theta_i}\ntheta_r_deg = [-50, 20, 60]\n'
-    )
-    choice = RigChoice(SIM_IDEAL, description, "sim-ideal")
-    return carry_out(load_plan(folder / "plan.toml"), choice, folder / "run", sample=MATTE, seed=seed, yes=True)
 
 
 def as_if(run: Run, description: RigDescription) -> brdf.Reduction:
@@ -93,23 +72,23 @@ def known(kind: Any, u: dict[str, float], correlation: float = 0.0) -> Calibrati
     ("parts", "bands", "most"),
     [
         # without noise: the cube of 4 % of spread light, of which point and reference have nearly the same
-        ([SENSOR], "[550]", 1e-5),
-        ([SENSOR, PIXELS], "[550]", 1e-5),
+        ([SENSOR], ONE, 1e-5),
+        ([SENSOR, PIXELS], ONE, 1e-5),
         # the monitor is right to 1e-4 in each frame: of two readings four standard deviations
         ([SENSOR, PIXELS, MONITOR, PROFILE], TWO, 6e-4),
         # the pixels at the edge of a spot of 12 pixels across, see test_filling
-        ([SENSOR, NARROW, PROFILE], "[550]", 1.5e-3),
+        ([SENSOR, NARROW, PROFILE], ONE, 1.5e-3),
         ([SENSOR, NARROW, PROFILE, PIXELS, MONITOR], TWO, 1.5e-3),
         # the frame of a lamp spreads its light otherwise than that of a sample: the cube of 4 %
-        ([SENSOR, LAMP], "[550]", 1e-4),
+        ([SENSOR, LAMP], ONE, 1e-4),
         ([SENSOR, LAMP, PROFILE, PIXELS, MONITOR], TWO, 6e-4),
     ],
 )
 def test_what_is_known_of_sensor_and_light_costs_nothing(
-    tmp_path: Path, parts: list[dict[str, Any]], bands: str, most: float
+    tmp_path: Path, parts: list[dict[str, Any]], bands: list[int], most: float
 ) -> None:
     """A Lambertian sample of albedo 0.5."""
-    table = brdf.reduce(measured(tmp_path, rig(*parts), bands=bands))
+    table = brdf.reduce(measured(tmp_path, rig(*parts), *ANGLES, bands=bands))
     assert (table["flag"] == "").all()
     np.testing.assert_allclose(table["brdf"], TRUE, rtol=most)
     # a lamp that flickers by 2 % leaves what its monitor leaves, 1e-4; photons of 10^4 electrons and 30 to 200 pixels
@@ -122,7 +101,7 @@ def test_a_lamp_seen_straight_through_crooked_arms_is_seen_whole(tmp_path: Path)
     del crooked["camera"]
     for arm, limits in LIMITS["arms"].items():
         crooked["arms"][arm] |= limits
-    table = brdf.reduce(measured(tmp_path, rig(crooked, {k: v for k, v in LAMP.items() if k != "arms"})))
+    table = brdf.reduce(measured(tmp_path, rig(crooked, {k: v for k, v in LAMP.items() if k != "arms"}), *ANGLES))
     np.testing.assert_allclose(table["brdf"], TRUE, rtol=5e-5)
 
 
@@ -135,7 +114,7 @@ def test_a_lamp_seen_straight_through_crooked_arms_is_seen_whole(tmp_path: Path)
 )
 def test_a_lamp_that_is_not_seen_whole_is_no_reference(tmp_path: Path, more: dict[str, Any], why: str) -> None:
     with pytest.raises(ConfigError, match=why):
-        measured(tmp_path, rig(LAMP, more))
+        measured(tmp_path, rig(LAMP, more), *ANGLES)
     assert not (tmp_path / "run").exists()
 
 
@@ -143,7 +122,7 @@ def test_distances_that_the_absolute_mode_rests_on_are_in_its_budget(tmp_path: P
     """What the columns say is what a rig of other distances gives: 2 (1/d_i - 1/D), and the like of the camera."""
     u = {"geometry.light_distance_mm": 3.0, "geometry.camera_distance_mm": 2.0}
     description = rig(LAMP)
-    run = measured(tmp_path, description)
+    run = measured(tmp_path, description, *ANGLES)
     first = as_if(run, description).table["brdf"]
     table = as_if(run, description.model_copy(update={"calibration": known("geometry", u)})).table
     expected = np.zeros(len(first))
@@ -161,7 +140,7 @@ def test_a_narrow_beam_has_the_cosine_of_the_camera_in_a_calibrated_geometry_too
     """Zeros that are known with a correlation of 1 are one cause: the sum of what the two are by themselves."""
     zeros = {"arms.light.zero_offset_deg": 0.1, "arms.camera.zero_offset_deg": 0.05}
     description = rig(NARROW)
-    run = measured(tmp_path, description)
+    run = measured(tmp_path, description, *ANGLES)
     apart, one = (
         as_if(run, description.model_copy(update={"calibration": known("geometry", zeros, c)})).table for c in (0, 1)
     )
@@ -174,7 +153,7 @@ def test_pixels_that_a_narrow_beam_does_not_light_do_not_average_its_pixels_resp
     pulls = []
     for seed in range(10):
         (folder := tmp_path / str(seed)).mkdir()
-        table = brdf.reduce(measured(folder, rig(NARROW, {"camera": {"prnu": 0.05}}), theta_i="[58]", seed=seed))
+        table = brdf.reduce(measured(folder, rig(NARROW, {"camera": {"prnu": 0.05}}), [58], ANGLES[1], seed=seed))
         pulls.append((table["brdf"] - TRUE) / table["u_brdf"])
     # thirty pulls that share a third of their pixels: the standard deviation is known to 15 to 20 %
     assert 0.6 < math.sqrt(float(np.mean(np.square(pulls)))) < 1.5
@@ -194,7 +173,7 @@ def test_all_parts_of_the_budget_add_up_and_draws_agree(tmp_path: Path) -> None:
     description = rig(SENSOR, MONITOR, PROFILE, PIXELS, LAMP, {"camera": noisy})
     description = with_keys(description, tremble, "rig")
     description = description.model_copy(update={"calibration": CalibrationUse(known=use)})
-    run = measured(tmp_path, description, bands=TWO)
+    run = measured(tmp_path, description, *ANGLES, bands=TWO)
     reduction = brdf.reduce_in_parts(run)
     table, parts = reduction.table, reduction.budget
     random = np.sqrt((parts[list(COMPONENTS)] ** 2).sum(axis=1))

@@ -82,7 +82,6 @@ def test_the_lamp_itself_as_the_reference_gives_the_truth_within_a_thousandth(tm
     table = reduce(run(tmp_path, **straight(attenuation=0.01, u_rel=0.0)))
     # the frame holds 16 bits of unrounded levels; lamp and lens of half a degree are small to 1e-4
     np.testing.assert_allclose(table["brdf"], 0.5 / math.pi, rtol=1e-4)
-    assert np.all(abs(table["brdf"] - 0.5 / math.pi) < 1e-3 * 0.5 / math.pi)
 
 
 def test_distances_and_apertures_that_differ_change_nothing(tmp_path: Path) -> None:
@@ -111,12 +110,19 @@ def test_the_attenuation_s_uncertainty_is_the_reference_s(tmp_path: Path) -> Non
 
 
 def test_arms_that_do_not_reach_are_refused_when_planning(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r'"beam" needs arms that stand 180 deg apart.*light -89 to 89 deg'):
-        run(tmp_path, reference={"how": "beam", "attenuation": 0.01})
-    with pytest.raises(ConfigError, match=r"the lamp, seen straight through, fills a disc of .* the frame holds"):
-        run(tmp_path, **straight(attenuation=0.01), lamp={"half_angle_deg": 2.0})
-    with pytest.raises(ConfigError, match=r'how = "beam" and attenuation go together'):
-        run(tmp_path, **straight())
+    for changes, words in (
+        (
+            {"reference": {"how": "beam", "attenuation": 0.01}},
+            r'"beam" needs arms that stand 180 deg apart.*light -89 to 89 deg',
+        ),
+        (
+            straight(attenuation=0.01) | {"lamp": {"half_angle_deg": 2.0}},
+            r"the lamp, seen straight through, fills a disc of .* the frame holds",
+        ),
+        (straight(), r'how = "beam" and attenuation go together'),
+    ):
+        with pytest.raises(ConfigError, match=words):
+            run(tmp_path, **changes)
 
 
 # ---- the lamp's level ----

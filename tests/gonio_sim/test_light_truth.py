@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -106,36 +107,37 @@ def with_polarisation(lamp: tuple[float, float], camera: tuple[float, float]) ->
     )
 
 
-@pytest.mark.parametrize("tilt", [0.0, 35.0])
-def test_polarised_light_at_the_brewster_angle_of_glass(tilt: float) -> None:
+GLASS = models.build("he-torrance", dict(RED.parameters))
+
+
+def lobe(lamp: tuple[float, float], camera: tuple[float, float], pose: Pose, of: Any = polarised.of_lobe) -> float:
+    """The factor on rough glass's lobe, or on its spike."""
+    description = with_polarisation(lamp, camera)
+    view = kinematics.view(description, pose)
+    at = geometry.Directions.from_vectors(view.source_mm[None], view.camera_mm[None])
+    return float(of(description, GLASS, view, at, 550.0)[0])
+
+
+@pytest.mark.parametrize(("azimuth", "expected"), [(0.0, 1.8), (90.0, 0.2), (45.0, 1.0)])
+def test_polarised_light_at_the_brewster_angle_of_glass(azimuth: float, expected: float) -> None:
     """A smooth face reflects nothing of light along the arms' plane, and twice the mean of light across it.
 
     That holds for facets too, however the holder stands: the plane of lamp, facet's normal and camera is the arms'.
     """
-    brewster = math.atan(1.5)
-    model = models.build("he-torrance", dict(RED.parameters))
-    for azimuth, expected in ((0.0, 1.8), (90.0, 0.2), (45.0, 1.0)):
-        description = with_polarisation((0.8, azimuth), (0.0, 0.0))
-        view = kinematics.view(description, Pose(light=brewster, camera=-brewster, tilt=math.radians(tilt)))
-        at = geometry.Directions.from_vectors(view.source_mm[None], view.camera_mm[None])
-        # amplitudes of 1e-16 at the Brewster angle: rounding
-        assert polarised.of_lobe(description, model, view, at, 550.0)[0] == pytest.approx(expected, abs=1e-9)
-        if not tilt:
-            assert polarised.of_spike(description, model, view, at, 550.0)[0] == pytest.approx(expected, abs=1e-9)
-            crossed = with_polarisation((0.0, 0.0), (0.8, azimuth))
-            assert polarised.of_lobe(crossed, model, view, at, 550.0)[0] == pytest.approx(expected, abs=1e-9)
+    brewster, light, none = math.atan(1.5), (0.8, azimuth), (0.0, 0.0)
+    upright = Pose(light=brewster, camera=-brewster)
+    tilted = Pose(light=brewster, camera=-brewster, tilt=math.radians(35.0))
+    found = [lobe(light, none, upright), lobe(none, light, upright), lobe(light, none, tilted)]
+    found.append(lobe(light, none, upright, polarised.of_spike))
+    # amplitudes of 1e-16 at the Brewster angle: rounding
+    assert found == pytest.approx([expected] * 4, abs=1e-9)
 
 
 def test_crossed_polarisers_at_normal_incidence_and_straight_through() -> None:
-    model = models.build("he-torrance", dict(RED.parameters))
     at_normal = Pose(light=math.radians(0.01), camera=math.radians(-0.01))
-    for azimuth, expected in ((20.0, 2.0), (110.0, 0.0), (65.0, 1.0)):
-        # seen from the sample both azimuths are counted alike: a mirror image turns the other way
-        description = with_polarisation((1.0, 20.0), (1.0, azimuth))
-        view = kinematics.view(description, at_normal)
-        at = geometry.Directions.from_vectors(view.source_mm[None], view.camera_mm[None])
-        # 0.01 degrees off the normal: 1e-6
-        assert polarised.of_lobe(description, model, view, at, 550.0)[0] == pytest.approx(expected, abs=1e-6)
+    # seen from the sample both azimuths are counted alike: a mirror image turns the other way
+    found = [lobe((1.0, 20.0), (1.0, azimuth), at_normal) for azimuth in (20.0, 110.0, 65.0)]
+    assert found == pytest.approx([2.0, 0.0, 1.0], abs=1e-6)  # 0.01 degrees off the normal: 1e-6
     opposite = Pose(light=math.radians(90), camera=math.radians(-90))
     description = with_polarisation((1.0, 20.0), (1.0, -20.0))
     assert polarised.straight(description, kinematics.view(description, opposite)) == pytest.approx(2.0, abs=1e-12)

@@ -14,10 +14,8 @@ from gonio_sim.render import Renderer
 from gonio_sim.rig import SIM
 from gonio_sim.world import World
 
-from gonio.acquisition.measure import RigChoice, carry_out
-from gonio.acquisition.plan import load_plan
 from gonio.acquisition.run import Run
-from gonio.config import numbers_in, to_toml, with_numbers
+from gonio.config import numbers_in, with_numbers
 from gonio.errors import ConfigError
 from gonio.geometry import Directions
 from gonio.reduction import brdf
@@ -29,7 +27,7 @@ from gonio.rig.description import RigDescription
 from gonio.rig.inverse_kinematics import reach
 from gonio.typing import Floats
 from tests.gonio.rig import plain_rig
-from tests.gonio_sim.conftest import MATTE, describe
+from tests.gonio_sim.conftest import MATTE, describe, measured
 
 SMALL = {"width": 64, "height": 48, "pixel_um": 33.0}
 ERRORS: dict[str, Any] = {
@@ -63,17 +61,6 @@ def known_rig(known: dict[str, Any], **changes: dict[str, Any]) -> RigDescriptio
     return with_keys(describe("sim-ideal", camera=SMALL, **changes), known, "known")
 
 
-def measured(folder: Path, rig: RigDescription, truth: dict[str, Any], theta_i: list[int], theta_r: list[int]) -> Run:
-    """A run on a rig of which `truth` is true."""
-    (folder / "truth.toml").write_text(to_toml(truth))
-    (folder / "plan.toml").write_text(
-        f'name = "few"\nwavelength_nm = [550]\n[[sweep]]\ntheta_i_deg = {theta_i}\ntheta_r_deg = {theta_r}\n'
-    )
-    rig = rig.model_copy(update={"truth": str(folder / "truth.toml")})
-    choice = RigChoice(SIM, rig, "misaligned")
-    return carry_out(load_plan(folder / "plan.toml"), choice, folder / "run", sample=MATTE, yes=True)
-
-
 def as_if(run: Run, rig: RigDescription) -> pd.DataFrame:
     """The table of a run, had its rig file said something else."""
     run.settings = run.settings.model_copy(update={"rig": rig})
@@ -93,7 +80,7 @@ def lit(truth: RigDescription, pose: Pose) -> float:
 
 def test_errors_that_are_known_cost_nothing_and_unknown_ones_what_the_light_says(tmp_path: Path) -> None:
     known = known_rig(ERRORS)
-    run = measured(tmp_path, known, ERRORS, [10, 60], [-30, 5, 45])
+    run = measured(tmp_path, known, [10, 60], [-30, 5, 45], truth=ERRORS)
     poses = {step.point: step.pose for step in run.steps() if step.kind == "point"}
     visit = next(step.pose for step in run.steps() if step.kind == "reference")
     true = 0.5 / math.pi
@@ -178,7 +165,7 @@ def test_errors_within_a_calibrations_covariance_stay_within_u(tmp_path: Path) -
         truth = with_numbers(ERRORS, {n: numbers[n] + e for n, e in zip(UNCERTAIN, errors, strict=True)})
         (folder := tmp_path / str(k)).mkdir()
         # so many points that they tell that the sample is matte
-        table = brdf.reduce(measured(folder, rig, truth, [40, 55], [-30, -10, 20]))
+        table = brdf.reduce(measured(folder, rig, [40, 55], [-30, -10, 20], truth=truth))
         pulls.append((table["brdf"] - 0.5 / math.pi) / table["u_brdf"])
         assert list(table.filter(regex="^s_geometry")) == [f"s_geometry_{n}" for n in (1, 2, 3, 4)]
         assert (table[["s_theta_i_zero", "s_theta_r_zero"]] == 0).all(axis=None)  # they are among the geometry's
@@ -196,7 +183,7 @@ def test_zeros_that_are_known_by_themselves_keep_their_columns(tmp_path: Path) -
     together = Calibrated(**made, parameters=names, u=[0.1, 0.05], correlation=[[1, 1], [1, 1]])  # type: ignore[arg-type]
     filed = {"zero_u_deg": 7.0}
     rig = known_rig(ERRORS, arms__light=filed, arms__camera=filed)
-    run = measured(tmp_path, rig, ERRORS, [50, 60], [-30, 20])
+    run = measured(tmp_path, rig, [50, 60], [-30, 20], truth=ERRORS)
 
     def table(known: Calibrated) -> pd.DataFrame:
         return as_if(run, rig.model_copy(update={"calibration": CalibrationUse(known=(known,))}))

@@ -7,26 +7,18 @@ from typing import Any
 
 import numpy as np
 import pytest
-from gonio_sim.rig import SIM
 
-from gonio.acquisition.measure import RigChoice, carry_out
-from gonio.acquisition.plan import ANGLES, load_plan
+from gonio.acquisition.plan import ANGLES as COLUMNS
 from gonio.acquisition.progress import Live, Silent
-from gonio.acquisition.run import Run
 from gonio.errors import DeviceError, Interrupted
 from gonio.instrument import apparent_brdf
 from gonio.models import HeTorrance
 from gonio.reduction import brdf
 from gonio.rig import Frame
 from gonio.rig.description import RigDescription, SampleDescription
-from tests.gonio_sim.conftest import MATTE, describe
+from tests.gonio_sim.conftest import describe, measured
 
-PLAN = """name = "p"
-wavelength_nm = [550.0]
-[[sweep]]
-theta_i_deg = [20.0]
-theta_r_deg = [-50.0, 0.0, 40.0]
-"""
+ANGLES = [20.0], [-50.0, 0.0, 40.0]
 STILL = {"encoder_step_deg": 0.0, "backlash_deg": 0.0, "zero_offset_deg": 0.0, "zero_u_deg": 0.0}
 
 
@@ -43,23 +35,9 @@ def rig(camera: dict[str, Any] | None = None, **acquisition: Any) -> RigDescript
     )
 
 
-def measure(
-    folder: Path,
-    description: RigDescription,
-    name: str = "run",
-    text: str = PLAN,
-    sample: SampleDescription = MATTE,
-    **more: Any,
-) -> Run:
-    (folder / "plan.toml").write_text(text)
-    choice = RigChoice(SIM, description, "sim")
-    plan = load_plan(folder / "plan.toml")
-    return carry_out(plan, choice, folder / name, sample=sample, seed=1, command="gonio measure", **more)
-
-
 @pytest.mark.parametrize("target", [0.01, 0.001])
 def test_points_have_the_uncertainty_that_was_asked_for(tmp_path: Path, target: float) -> None:
-    run = measure(tmp_path, rig(u_rel_target=target))
+    run = measured(tmp_path, rig(u_rel_target=target), *ANGLES)
     table = brdf.reduce(run)
     # what the visits and the darks have is not the points'
     achieved = table["u_random"] / table["brdf"]
@@ -74,9 +52,10 @@ def test_a_polished_metal_over_seven_decades(tmp_path: Path) -> None:
     """From its spike to its far flank: every value within its uncertainty, and these below 1 %."""
     parameters: dict[str, Any] = {"sigma0_um": 0.02, "tau_um": 2.0, "ior": "Al", "diffuse_albedo": 0.0002}
     sample = SampleDescription(name="polished", model="he-torrance", parameters=parameters)
-    text = PLAN.replace("20.0", "30.0").replace("-50.0, 0.0, 40.0", "0.0, 28.0, 29.5, 30.0, 30.5, 32.0, 45.0")
-    table = brdf.reduce(measure(tmp_path, rig(u_rel_target=0.002, dark_frames=16), "run", text, sample))
-    angles = np.radians(table[list(ANGLES)].to_numpy()).T
+    theta_r = [0.0, 28.0, 29.5, 30.0, 30.5, 32.0, 45.0]
+    description = rig(u_rel_target=0.002, dark_frames=16)
+    table = brdf.reduce(measured(tmp_path, description, [30.0], theta_r, sample=sample))
+    angles = np.radians(table[list(COLUMNS)].to_numpy()).T
     cones = {name: table.attrs[name] for name in ("source_solid_angle_sr", "receiver_solid_angle_sr")}
     true = apparent_brdf(HeTorrance(**parameters), *angles, wavelength_nm=550.0, spike="exact", **cones)
     assert true.max() / true.min() > 1e7
@@ -103,10 +82,10 @@ class StopAfter(Silent):
 
 def test_a_planned_run_resumes_to_the_same(tmp_path: Path) -> None:
     description = rig(u_rel_target=0.002)
-    whole = measure(tmp_path, description, "whole")
+    whole = measured(tmp_path, description, *ANGLES, name="whole")
     with pytest.raises(Interrupted):
-        measure(tmp_path, description, "parts", progress=StopAfter(3))
-    parts = measure(tmp_path, description, "parts", resume=True)
+        measured(tmp_path, description, *ANGLES, name="parts", progress=StopAfter(3))
+    parts = measured(tmp_path, description, *ANGLES, name="parts", resume=True)
     assert list(parts.steps()) == list(whole.steps())
 
 
@@ -114,7 +93,7 @@ def test_a_planned_run_resumes_to_the_same(tmp_path: Path) -> None:
 def test_hits_of_cosmic_radiation_are_counted_and_do_no_harm(tmp_path: Path, merge: str) -> None:
     """A few hits a second; the long dark frames have most of them. Whole frames suffer."""
     quiet, hit = (
-        brdf.reduce(measure(tmp_path, rig({"cosmic_per_s": rate}, merge=merge, frames=3), f"run-{rate}"))
+        brdf.reduce(measured(tmp_path, rig({"cosmic_per_s": rate}, merge=merge, frames=3), *ANGLES, name=f"run-{rate}"))
         for rate in (0.0, 25.0)
     )
     change = (hit["brdf"] - quiet["brdf"]).abs() / quiet["u_random"]
@@ -142,4 +121,4 @@ def test_a_camera_that_does_not_obey_ends_the_run(tmp_path: Path, monkeypatch: p
 
     monkeypatch.setattr(SimulatedCamera, "capture", auto)
     with pytest.raises(DeviceError, match=r"were asked. Set the camera to manual exposure"):
-        measure(tmp_path, rig())
+        measured(tmp_path, rig(), *ANGLES)

@@ -9,12 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 from gonio_sim.render import KEPT, Renderer
-from gonio_sim.rig import SIM
 from gonio_sim.world import World
 
 from gonio import models
-from gonio.acquisition.measure import RigChoice, carry_out
-from gonio.acquisition.plan import load_plan
 from gonio.geometry import angles, solid_angle_of_cone
 from gonio.instrument import apparent_brdf
 from gonio.reduction import brdf
@@ -24,7 +21,7 @@ from gonio.rig.description import RigDescription, SampleDescription
 from gonio.rig.imaging import pixel_map
 from gonio.rig.kinematics import view
 from gonio.typing import Floats
-from tests.gonio_sim.conftest import MATTE, describe
+from tests.gonio_sim.conftest import MATTE, describe, measured
 
 R = 40_000.0
 """responsivity_e_per_s of the shipped rigs."""
@@ -294,11 +291,7 @@ def test_a_lambertian_lamp_near_a_reference_beside_the_sample(tmp_path: Path, kn
         reference={"how": "beside", "offset_mm": [0.0, 14.0], "diameter_mm": 6.0, "frames": 4},
         acquisition={"frames": 4},
     )
-    (tmp_path / "plan.toml").write_text(
-        'name = "one"\nwavelength_nm = [550]\n[[sweep]]\ntheta_i_deg = [0]\ntheta_r_deg = [45]\n'
-    )
-    run = carry_out(load_plan(tmp_path / "plan.toml"), RigChoice(SIM, description, "near"), tmp_path / "run",
-                    sample=MATTE)  # fmt: skip
+    run = measured(tmp_path, description, [0], [45])
     if not knows:
         lamp = description.lamp.model_copy(update={"radiation": "isotropic"})
         rig = run.description.model_copy(update={"lamp": lamp})

@@ -44,6 +44,14 @@ def _local(rays: Any, place: Any, i: int) -> Any:
 
 
 @compiled
+def _hit_point(rays: Any, place: Any, hits: Any, i: int) -> Any:
+    """Where a ray has met the shape, in the shape's frame."""
+    x, y, z, dx, dy, dz, before = _local(rays, place, i)
+    t = hits[0][i] - before
+    return x + t * dx, y + t * dy, z + t * dz
+
+
+@compiled
 def _out(axes: Any, x: float, y: float, z: float, out: Any, i: int) -> None:
     """A direction in the shape's frame as one of the scene."""
     out[i, 0] = axes[0, 0] * x + axes[1, 0] * y + axes[2, 0] * z
@@ -119,9 +127,7 @@ def patch_hit(rays: Any, place: Any, half: Any, tile: Any, nearest: float, hits:
 def patch_surface(rays: Any, place: Any, half: Any, tile: Any, hits: Any, out: Any, start: int, stop: int) -> None:
     """A rectangle, tiled from its middle; uv = (1/2, 1/2) there."""
     for i in range(start, stop):
-        x, y, _, dx, dy, _, before = _local(rays, place, i)
-        t = hits[0][i] - before
-        x, y = x + t * dx, y + t * dy
+        x, y, _ = _hit_point(rays, place, hits, i)
         u, v = x / tile[0] + 0.5, y / tile[1] + 0.5
         # a patch that is one tile ends at 1; where tiles repeat each begins at 0
         u = _clipped(u) if 2.0 * half[0] <= tile[0] else u - math.floor(u)
@@ -144,9 +150,7 @@ def disc_hit(rays: Any, place: Any, radius: float, nearest: float, hits: Any, st
 def disc_surface(rays: Any, place: Any, radius: float, hits: Any, out: Any, start: int, stop: int) -> None:
     """A disc; uv spans the square around it."""
     for i in range(start, stop):
-        x, y, _, dx, dy, _, before = _local(rays, place, i)
-        t = hits[0][i] - before
-        x, y = x + t * dx, y + t * dy
+        x, y, _ = _hit_point(rays, place, hits, i)
         uv = _clipped(0.5 * x / radius + 0.5), _clipped(0.5 * y / radius + 0.5)
         _put(place, out, i, (x, y, 0.0), UP, UP, ALONG, uv)
 
@@ -174,9 +178,7 @@ def sphere_hit(rays: Any, place: Any, radius: float, nearest: float, hits: Any, 
 def sphere_surface(rays: Any, place: Any, radius: float, hits: Any, out: Any, start: int, stop: int) -> None:
     """A sphere: u the azimuth, v from the lower pole to the upper one by the angle at the centre."""
     for i in range(start, stop):
-        x, y, z, dx, dy, dz, before = _local(rays, place, i)
-        t = hits[0][i] - before
-        x, y, z = x + t * dx, y + t * dy, z + t * dz
+        x, y, z = _hit_point(rays, place, hits, i)
         f = 1.0 / math.sqrt(x * x + y * y + z * z)
         x, y, z = x * f, y * f, z * f
         off = math.sqrt(x * x + y * y)
@@ -225,24 +227,13 @@ def cylinder_surface(
 ) -> None:
     """A cylinder: around its side u is the azimuth and v the height; on a cap uv spans the square around it."""
     for i in range(start, stop):
-        x, y, z, dx, dy, dz, before = _local(rays, place, i)
-        t = hits[0][i] - before
-        x, y, z = x + t * dx, y + t * dy, z + t * dz
+        x, y, z = _hit_point(rays, place, hits, i)
         if hits[1][i] == 0:
             f = 1.0 / math.sqrt(x * x + y * y)
             x, y = x * f, y * f
             z = min(max(z, -half), half)
-            out_of = (x, y, 0.0)
-            _put(
-                place,
-                out,
-                i,
-                (radius * x, radius * y, z),
-                out_of,
-                out_of,
-                (-y, x, 0.0),
-                (_turn(x, y), 0.5 * z / half + 0.5),
-            )
+            normal, uv = (x, y, 0.0), (_turn(x, y), 0.5 * z / half + 0.5)
+            _put(place, out, i, (radius * x, radius * y, z), normal, normal, (-y, x, 0.0), uv)
         else:
             side = 1.0 if hits[1][i] == 1 else -1.0
             cap = (0.0, 0.0, side)
@@ -286,11 +277,8 @@ def box_hit(rays: Any, place: Any, half: Any, nearest: float, hits: Any, start: 
 def box_surface(rays: Any, place: Any, half: Any, hits: Any, out: Any, start: int, stop: int) -> None:
     """A box: each side has its own uv, and v runs along z on the four upright ones."""
     for i in range(start, stop):
-        x, y, z, dx, dy, dz, before = _local(rays, place, i)
-        t = hits[0][i] - before
-        x = min(max(x + t * dx, -half[0]), half[0])
-        y = min(max(y + t * dy, -half[1]), half[1])
-        z = min(max(z + t * dz, -half[2]), half[2])
+        x, y, z = _hit_point(rays, place, hits, i)
+        x, y, z = min(max(x, -half[0]), half[0]), min(max(y, -half[1]), half[1]), min(max(z, -half[2]), half[2])
         side = 1.0 if hits[1][i] % 2 == 0 else -1.0
         along = hits[1][i] // 2
         if along == 0:
@@ -469,9 +457,7 @@ def revolution_surface(
     last = frusta.shape[0] - 1
     total = frusta[last, 3] + frusta[last, 2]
     for i in range(start, stop):
-        x, y, z, dx, dy, dz, before = _local(rays, place, i)
-        t = hits[0][i] - before
-        x, y, z = x + t * dx, y + t * dy, z + t * dz
+        x, y, z = _hit_point(rays, place, hits, i)
         k = hits[1][i]
         er, ez, length = frusta[k, 0], frusta[k, 1], frusta[k, 2]
         rho = math.sqrt(x * x + y * y)

@@ -9,10 +9,8 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from gonio.compiled import njit
+from gonio_scenes.shapes._kernels import INF, compiled
 
-FAST = {"contract", "nsz"}
-INF = math.inf
 EDGE = 1e-10
 """How far outside a triangle, in barycentric coordinates, a ray still meets it, so that no rounding opens an edge."""
 STEP = 1e-6
@@ -21,7 +19,7 @@ STEP = 1e-6
 DONE, AGAIN, UNCLEAR = 0, 1, 2
 
 
-@njit(error_model="numpy", nogil=True, fastmath=FAST)
+@compiled
 def begin(
     origin: Any,
     direction: Any,
@@ -42,7 +40,7 @@ def begin(
         since[i] = max(nearest, before - radius) if inside else INF
 
 
-@njit(error_model="numpy", nogil=True, fastmath=FAST)
+@compiled
 def single(
     origin: Any,
     direction: Any,
@@ -63,12 +61,19 @@ def single(
             direction_32[j, k] = direction[i, k]
 
 
-@njit(error_model="numpy", nogil=True, fastmath=FAST)
+@compiled
+def _sides(vertices: Any, faces: Any, k: int) -> Any:
+    """A corner of a triangle, and the two sides from it to the others."""
+    a, b, c = faces[k, 0], faces[k, 1], faces[k, 2]
+    ax, ay, az = vertices[a, 0], vertices[a, 1], vertices[a, 2]
+    ux, uy, uz = vertices[b, 0] - ax, vertices[b, 1] - ay, vertices[b, 2] - az
+    return ax, ay, az, ux, uy, uz, vertices[c, 0] - ax, vertices[c, 1] - ay, vertices[c, 2] - az
+
+
+@compiled
 def _meet(origin: Any, direction: Any, i: int, vertices: Any, faces: Any, k: int) -> Any:
     """Distance to the plane of a triangle (inf along it), and how far the ray is inside: the least coordinate."""
-    ax, ay, az = vertices[faces[k, 0], 0], vertices[faces[k, 0], 1], vertices[faces[k, 0], 2]
-    ux, uy, uz = vertices[faces[k, 1], 0] - ax, vertices[faces[k, 1], 1] - ay, vertices[faces[k, 1], 2] - az
-    vx, vy, vz = vertices[faces[k, 2], 0] - ax, vertices[faces[k, 2], 1] - ay, vertices[faces[k, 2], 2] - az
+    ax, ay, az, ux, uy, uz, vx, vy, vz = _sides(vertices, faces, k)
     dx, dy, dz = direction[i, 0], direction[i, 1], direction[i, 2]
     nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
     slope = nx * dx + ny * dy + nz * dz
@@ -86,19 +91,17 @@ def _meet(origin: Any, direction: Any, i: int, vertices: Any, faces: Any, k: int
     return before + t, min(b1, b2, 1.0 - b1 - b2), b1, b2
 
 
-@njit(error_model="numpy", nogil=True, fastmath=FAST)
+@compiled
 def _breadth(vertices: Any, faces: Any, k: int) -> float:
     """The least height of a triangle."""
-    ax, ay, az = vertices[faces[k, 0], 0], vertices[faces[k, 0], 1], vertices[faces[k, 0], 2]
-    ux, uy, uz = vertices[faces[k, 1], 0] - ax, vertices[faces[k, 1], 1] - ay, vertices[faces[k, 1], 2] - az
-    vx, vy, vz = vertices[faces[k, 2], 0] - ax, vertices[faces[k, 2], 1] - ay, vertices[faces[k, 2], 2] - az
+    _, _, _, ux, uy, uz, vx, vy, vz = _sides(vertices, faces, k)
     nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
     wx, wy, wz = ux - vx, uy - vy, uz - vz
     longest = max(ux * ux + uy * uy + uz * uz, vx * vx + vy * vy + vz * vz, wx * wx + wy * wy + wz * wz)
     return math.sqrt((nx * nx + ny * ny + nz * nz) / longest)
 
 
-@njit(error_model="numpy", nogil=True, fastmath=FAST)
+@compiled
 def _neighbours(
     origin: Any,
     direction: Any,
@@ -124,7 +127,7 @@ def _neighbours(
     return best, part, behind
 
 
-@njit(error_model="numpy", nogil=True, fastmath=FAST)
+@compiled
 def refine(
     origin: Any,
     direction: Any,
@@ -181,7 +184,7 @@ def refine(
             state[i] = UNCLEAR
 
 
-@njit(error_model="numpy", nogil=True, fastmath=FAST)
+@compiled
 def all_of_them(
     origin: Any,
     direction: Any,
@@ -208,13 +211,13 @@ def all_of_them(
         primitive[i] = part
 
 
-@njit(error_model="numpy", nogil=True, fastmath=FAST)
+@compiled
 def _normalised(x: float, y: float, z: float) -> Any:
     f = 1.0 / math.sqrt(x * x + y * y + z * z)
     return x * f, y * f, z * f
 
 
-@njit(error_model="numpy", nogil=True, fastmath=FAST)
+@compiled
 def _inside(b1: float, b2: float) -> Any:
     """The three barycentric coordinates of the nearest place on a triangle."""
     b1, b2 = min(max(b1, 0.0), 1.0), min(max(b2, 0.0), 1.0)
@@ -223,7 +226,7 @@ def _inside(b1: float, b2: float) -> Any:
     return 1.0 - b1 - b2, b1, b2
 
 
-@njit(error_model="numpy", nogil=True, fastmath=FAST)
+@compiled
 def _across(tx: float, ty: float, tz: float, nx: float, ny: float, nz: float) -> Any:
     """The part of t across the unit vector n, as a unit vector; any where there is none."""
     along = tx * nx + ty * ny + tz * nz
@@ -233,7 +236,7 @@ def _across(tx: float, ty: float, tz: float, nx: float, ny: float, nz: float) ->
     return _normalised(wx, wy, wz)
 
 
-@njit(error_model="numpy", nogil=True, fastmath=FAST)
+@compiled
 def describe(
     origin: Any,
     direction: Any,
@@ -259,9 +262,7 @@ def describe(
         k = primitive[i]
         _, _, b1, b2 = _meet(origin, direction, i, vertices, faces, k)
         b0, b1, b2 = _inside(b1, b2)
-        ax, ay, az = vertices[faces[k, 0], 0], vertices[faces[k, 0], 1], vertices[faces[k, 0], 2]
-        ux, uy, uz = vertices[faces[k, 1], 0] - ax, vertices[faces[k, 1], 1] - ay, vertices[faces[k, 1], 2] - az
-        vx, vy, vz = vertices[faces[k, 2], 0] - ax, vertices[faces[k, 2], 1] - ay, vertices[faces[k, 2], 2] - az
+        ax, ay, az, ux, uy, uz, vx, vy, vz = _sides(vertices, faces, k)
         position[i, 0] = ax + b1 * ux + b2 * vx
         position[i, 1] = ay + b1 * uy + b2 * vy
         position[i, 2] = az + b1 * uz + b2 * vz

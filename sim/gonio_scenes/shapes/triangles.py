@@ -12,7 +12,7 @@ from gonio.errors import ConfigError
 from gonio.models.engine import in_parts
 from gonio.typing import Floats
 from gonio_scenes.shapes import _triangle_kernels as kernels
-from gonio_scenes.shapes.shape import SPLIT, Ints, Surface, rays
+from gonio_scenes.shapes.shape import Ints, Surface, over_rays, rays
 
 Faces = npt.NDArray[np.int32]
 
@@ -97,13 +97,7 @@ class Triangles:
         count = len(origin)
         since, distance = np.empty(count), np.full(count, np.inf)
         primitive, state = np.zeros(count, np.int64), np.zeros(count, np.int8)
-        in_parts(
-            lambda start, stop: kernels.begin(
-                origin, direction, nearest, self._center, self._radius, since, start, stop
-            ),
-            count,
-            SPLIT,
-        )
+        over_rays(kernels.begin, count, origin, direction, nearest, self._center, self._radius, since)
         left = np.flatnonzero(since < np.inf)
         for _ in range(ROUNDS):
             if left.size:
@@ -132,69 +126,28 @@ class Triangles:
     ) -> None:
         """One search along the rays `left`, each from where `since` says."""
         origin_32, direction_32 = np.empty((2, left.size, 3), np.float32)
-        in_parts(
-            lambda start, stop: kernels.single(
-                origin, direction, left, since, self._center, self._radius, origin_32, direction_32, start, stop
-            ),
-            left.size,
-            SPLIT,
-        )
+        over_rays(
+            kernels.single, left.size, origin, direction, left, since, self._center, self._radius, origin_32,
+            direction_32,
+        )  # fmt: skip
         found = self._embree[0].run(origin_32, direction_32, output=1)
-        in_parts(
-            lambda start, stop: kernels.refine(
-                origin,
-                direction,
-                nearest,
-                left,
-                found["primID"],
-                found["tfar"],
-                since,
-                self.vertices,
-                self.faces,
-                self._fan_start,
-                self._fan,
-                self._radius,
-                distance,
-                primitive,
-                state,
-                start,
-                stop,
-            ),
-            left.size,
-            SPLIT,
-        )
+        over_rays(
+            kernels.refine, left.size, origin, direction, nearest, left, found["primID"], found["tfar"], since,
+            self.vertices, self.faces, self._fan_start, self._fan, self._radius, distance, primitive, state,
+        )  # fmt: skip
 
     def surface(self, origin: Floats, direction: Floats, distance: Floats, primitive: Ints) -> Surface:
         """See `Shape`."""
         origin, direction = rays(origin, direction)
         primitive = np.ascontiguousarray(primitive, np.int64)
-        position, normal, shading, tangent = np.empty((4, len(origin), 3))
-        uv = np.empty((len(origin), 2))
+        out = (*np.empty((4, len(origin), 3)), np.empty((len(origin), 2)))
         normals = self.normals or PerCorner(np.empty((0, 3)), self.faces)
         coordinates = self.uv or PerCorner(np.empty((0, 2)), self.faces)
-        in_parts(
-            lambda start, stop: kernels.describe(
-                origin,
-                direction,
-                primitive,
-                self.vertices,
-                self.faces,
-                normals.values,
-                normals.faces,
-                coordinates.values,
-                coordinates.faces,
-                position,
-                normal,
-                shading,
-                tangent,
-                uv,
-                start,
-                stop,
-            ),
-            len(origin),
-            SPLIT,
-        )
-        return Surface(position, normal, shading, tangent, uv)
+        over_rays(
+            kernels.describe, len(origin), origin, direction, primitive, self.vertices, self.faces, normals.values,
+            normals.faces, coordinates.values, coordinates.faces, *out,
+        )  # fmt: skip
+        return Surface(*out)
 
     def contains(self, point: npt.ArrayLike) -> bool:
         """See `Shape`: the solid angles of the triangles, with their signs, add up to 4 pi inside and to 0 outside."""

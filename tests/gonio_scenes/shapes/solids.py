@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from gonio_scenes.shapes import AnyShape, Shape
+from gonio_scenes.shapes import AnyShape, Ints, Shape, Surface
 from pydantic import TypeAdapter
 
 from gonio.typing import Floats
@@ -29,6 +29,13 @@ def toward(rng: np.random.Generator, count: int, center: Floats, size: float, fa
     goal = center + 0.6 * size * units(rng, count) * rng.random((count, 1)) ** (1 / 3)
     direction = goal - origin
     return origin, direction / np.linalg.norm(direction, axis=1)[:, np.newaxis]
+
+
+def meet(built: Shape, origin: Floats, direction: Floats) -> tuple[Any, Floats, Ints, Surface]:
+    """Which rays meet a shape; how far each goes, and its primitive; and the surface of those that do."""
+    distance, primitive = built.intersect(origin, direction, 0.0)
+    hit = np.isfinite(distance)
+    return hit, distance, primitive, built.surface(origin[hit], direction[hit], distance[hit], primitive[hit])
 
 
 def units(rng: np.random.Generator, count: int) -> Floats:
@@ -71,10 +78,9 @@ def check_against_bisection(
     size = built.size_mm
     for far in (0.9 * size, 20.0 * size):
         origin, direction = toward(rng, count, center, size, far)
-        distance, primitive = built.intersect(origin, direction, 0.0)
+        hit, distance, _, surface = meet(built, origin, direction)
         span = (max(far - 1.5 * size, 0.0), far + 1.5 * size)
         slow, found = bisected(inside, origin, direction, *span, steps)
-        hit = np.isfinite(distance)
         assert found.sum() > count / 10, "the rays were meant to meet the shape"
         assert np.all(hit[found])
         # what bisection may overlook is a stretch inside that is shorter than its step
@@ -91,20 +97,19 @@ def check_against_bisection(
         # 1e-10 of the numbers that are added: ten thousand roundings, and a tenth of what is promised
         np.testing.assert_allclose(distance[good], slow[good], rtol=0, atol=1e-10 * size)
 
-        surface = built.surface(origin[hit], direction[hit], distance[hit], primitive[hit])
         along_ray = origin[hit] + distance[hit, np.newaxis] * direction[hit]
         np.testing.assert_allclose(surface.position, along_ray, rtol=0, atol=1e-9 * size)
-        check_frame(surface.normal, surface.shading, surface.tangent, surface.uv)
+        check_frame(surface)
         # away from edges: a step along the normal is outside, against it inside
         step = 1e-6 * size
         out = ~inside(surface.position + step * surface.normal) & inside(surface.position - step * surface.normal)
         assert out.mean() > 0.999
 
 
-def check_frame(normal: Floats, shading: Floats, tangent: Floats, uv: Floats) -> None:
+def check_frame(surface: Surface) -> None:
     """Unit vectors, the tangent across the shading normal, uv in [0, 1]."""
-    for vectors in (normal, shading, tangent):
+    for vectors in (surface.normal, surface.shading, surface.tangent):
         # a few roundings
         np.testing.assert_allclose(np.linalg.norm(vectors, axis=1), 1.0, rtol=0, atol=1e-14)
-    np.testing.assert_allclose(np.einsum("ij,ij->i", shading, tangent), 0.0, atol=1e-14)
-    assert np.all((uv >= 0.0) & (uv <= 1.0))
+    np.testing.assert_allclose(np.einsum("ij,ij->i", surface.shading, surface.tangent), 0.0, atol=1e-14)
+    assert np.all((surface.uv >= 0.0) & (surface.uv <= 1.0))

@@ -11,7 +11,7 @@ from gonio_scenes.shapes import Mesh, Shape
 
 from gonio.errors import DataError
 from gonio.typing import Floats
-from tests.gonio_scenes.shapes.solids import check_frame, shape, toward, units
+from tests.gonio_scenes.shapes.solids import check_frame, meet, shape, toward, units
 
 trimesh = pytest.importorskip("trimesh")
 pytest.importorskip("embreex", reason="Embree has no wheel here")
@@ -61,14 +61,13 @@ def test_rays_meet_a_mesh_where_they_meet_its_facets(tmp_path: Path, size: float
     )
     assert built.closed
     origin, direction = toward(rng, 400, center, size, 3.0 * size)
-    distance, part = built.intersect(origin, direction, 0.0)
+    hit, distance, part, surface = meet(built, origin, direction)
     slow, _ = brute(origin, direction, corners_of(built))
     np.testing.assert_array_equal(np.isfinite(distance), np.isfinite(slow))
     hit = np.isfinite(slow)
     assert hit.mean() > 0.3
     np.testing.assert_allclose(distance[hit], slow[hit], rtol=0, atol=1e-6 * size)
-    surface = built.surface(origin[hit], direction[hit], distance[hit], part[hit])
-    check_frame(surface.normal, surface.shading, surface.tangent, surface.uv)
+    check_frame(surface)
     triangle = corners_of(built)[part[hit]]
     plane = np.einsum("ij,ij->i", surface.normal, surface.position - triangle[:, 0])
     assert np.abs(plane).max() < 1e-13 * size
@@ -112,9 +111,7 @@ def test_shadow_rays_do_not_meet_the_facet_that_they_start_on(tmp_path: Path, no
     built = shape("mesh", tmp_path, file=name, normals=normals)
     rng = np.random.default_rng(34)
     origin, direction = toward(rng, 30000, np.zeros(3), 30.0, 1e4)
-    distance, part = built.intersect(origin, direction, 0.0)
-    hit = np.isfinite(distance)
-    surface = built.surface(origin[hit], direction[hit], distance[hit], part[hit])
+    hit, _, _, surface = meet(built, origin, direction)
     away = units(rng, int(hit.sum()))
     slope = np.einsum("ij,ij->i", away, surface.normal)
     met, _ = built.intersect(surface.position, away, 1e-9 * built.size_mm)
@@ -149,9 +146,8 @@ def test_a_finer_mesh_of_a_sphere_comes_nearer_to_it(tmp_path: Path) -> None:
         mesh = trimesh.creation.icosphere(subdivisions=fineness, radius=20.0)
         built = shape("mesh", tmp_path, file=write(tmp_path, mesh, "sphere.ply"), normals="smooth")
         origin, direction = toward(np.random.default_rng(35), 4000, np.zeros(3), 30.0, 100.0)
-        distance, part = built.intersect(origin, direction, 0.0)
+        _, distance, _, surface = meet(built, origin, direction)
         exact, _ = shape("sphere", radius_mm=20.0).intersect(origin, direction, 0.0)
-        surface = built.surface(origin, direction, distance, part)
         out = surface.position / np.linalg.norm(surface.position, axis=1)[:, np.newaxis]
         errors.append(
             (
@@ -193,8 +189,7 @@ def test_uv_of_the_file_place_a_texture(tmp_path: Path) -> None:
     assert built.has_uv
     x, y = np.random.default_rng(36).uniform(0.1, 9.9, (2, 100))
     origin, down = np.stack([x, y, np.full(100, 5.0)], axis=-1), np.tile([0.0, 0.0, -1.0], (100, 1))
-    distance, part = built.intersect(origin, down, 0.0)
-    surface = built.surface(origin, down, distance, part)
+    surface = meet(built, origin, down)[-1]
     np.testing.assert_allclose(surface.uv, np.stack([(-0.2 * y) % 1.0, x / 10], axis=-1), atol=1e-13)
     np.testing.assert_allclose(surface.tangent, np.tile([0.0, -1.0, 0.0], (100, 1)), atol=1e-15)
 
@@ -221,9 +216,7 @@ def test_normals_of_the_file_shade(tmp_path: Path, kind: str) -> None:
     (tmp_path / f"four.{kind}").write_text("\n".join(lines) + "\n")
     built = shape("mesh", tmp_path, file=f"four.{kind}", normals="file", rotation_axis=[0, 0, 1], rotation_deg=90)
     origin, direction = toward(np.random.default_rng(37), 500, np.zeros(3), 1.0, 10.0)
-    distance, part = built.intersect(origin, direction, 0.0)
-    hit = np.isfinite(distance)
-    surface = built.surface(origin[hit], direction[hit], distance[hit], part[hit])
+    surface = meet(built, origin, direction)[-1]
     # a linear function of the position at the corners is that function in between
     out = surface.position / np.linalg.norm(surface.position, axis=1)[:, np.newaxis]
     np.testing.assert_allclose(surface.shading, out, atol=1e-13)
@@ -236,8 +229,7 @@ def test_a_mesh_that_is_wound_inside_out_is_turned(tmp_path: Path) -> None:
     built = shape("mesh", tmp_path, file=write(tmp_path, mesh, "inverted.ply"))
     assert built.contains([0, 0, 0])
     origin, direction = toward(np.random.default_rng(38), 50, np.zeros(3), 5.0, 30.0)
-    distance, part = built.intersect(origin, direction, 0.0)
-    surface = built.surface(origin, direction, distance, part)
+    surface = meet(built, origin, direction)[-1]
     assert np.all(np.einsum("ij,ij->i", surface.normal, direction) < 0.0)
 
 

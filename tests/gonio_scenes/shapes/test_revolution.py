@@ -10,7 +10,7 @@ from gonio_scenes.shapes import Revolution
 from matplotlib.path import Path as Outline
 
 from gonio.typing import Floats
-from tests.gonio_scenes.shapes.solids import along, check_against_bisection, check_frame, shape, toward, units
+from tests.gonio_scenes.shapes.solids import along, check_against_bisection, check_frame, meet, shape, toward, units
 
 CENTER = np.array([5.0, 2.0, -9.0])
 VASE: list[list[float]] = [[0, 0], [20, 0], [28, 15], [10, 40], [14, 50], [12, 50], [8, 40], [25, 15], [18, 2], [0, 2]]
@@ -68,9 +68,8 @@ def test_the_outside_is_away_from_the_axis_whichever_way_the_profile_is_written(
     for profile in ([[10, -20], [15, 20]], [[15, 20], [10, -20]]):
         built = shape("revolution", profile_mm=profile, axis=[0, 0, 1])
         origin, direction = np.array([[50.0, 0.0, 0.0]]), np.array([[-1.0, 0.0, 0.0]])
-        distance, part = built.intersect(origin, direction, 0.0)
+        _, distance, _, surface = meet(built, origin, direction)
         assert distance[0] == pytest.approx(50.0 - 12.5, rel=1e-15)
-        surface = built.surface(origin, direction, distance, part)
         np.testing.assert_allclose(surface.normal[0], np.array([40.0, 0.0, -5.0]) / np.hypot(40, 5), atol=1e-15)
 
 
@@ -91,9 +90,7 @@ def test_shadow_rays_leave_the_facet_that_they_start_on() -> None:
     built = shape("revolution", profile_mm=[[0, 0], [20, 0], [30, 15], [10, 40], [0, 40]], axis=[0, 1, 0])
     assert built.convex
     origin, direction = toward(np.random.default_rng(25), 20000, np.array([0.0, 20.0, 0.0]), 60.0, 1e5)
-    distance, part = built.intersect(origin, direction, 0.0)
-    hit = np.isfinite(distance)
-    surface = built.surface(origin[hit], direction[hit], distance[hit], part[hit])
+    hit, _, _, surface = meet(built, origin, direction)
     away = units(np.random.default_rng(26), int(hit.sum()))
     slope = np.einsum("ij,ij->i", away, surface.normal)
     met, _ = built.intersect(surface.position, away, 1e-9 * built.size_mm)
@@ -119,10 +116,9 @@ def test_a_smooth_profile_through_points_of_a_circle_is_a_sphere() -> None:
     assert smooth.closed
     assert smooth.convex
     origin, direction = toward(np.random.default_rng(27), 20000, np.zeros(3), 66.0, 500.0)
-    distance, part = smooth.intersect(origin, direction, 0.0)
+    _, distance, _, surface = meet(smooth, origin, direction)
     assert np.isfinite(distance).all()
-    surface = smooth.surface(origin, direction, distance, part)
-    check_frame(surface.normal, surface.shading, surface.tangent, surface.uv)
+    check_frame(surface)
     radius = np.linalg.norm(surface.position, axis=1)
     assert np.abs(radius - 40.0).max() < 5e-5 + 1e-6 * smooth.size_mm
     out = surface.position / radius[:, np.newaxis]
@@ -152,8 +148,7 @@ def test_smooth_normals_are_continuous_where_frusta_meet(upward: bool) -> None:
     z = np.linspace(0.5, 49.5, 20001)
     origin = np.stack([np.full_like(z, 100.0), 0 * z, z], axis=-1)
     direction = np.tile([-1.0, 0.0, 0.0], (len(z), 1))
-    distance, part = built.intersect(origin, direction, 0.0)
-    surface = built.surface(origin, direction, distance, part)
+    surface = meet(built, origin, direction)[-1]
     turn = np.linalg.norm(np.diff(surface.shading, axis=0), axis=1)
     # 2.45 um apart in height; the least radius of curvature of this profile is above 1 mm
     assert turn.max() < 0.02
@@ -169,9 +164,8 @@ def test_v_runs_along_the_profile_by_length() -> None:
     built = shape("revolution", profile_mm=[[10, 0], [10, 30], [20, 30]], axis=[0, 0, 1], x_axis=[1, 0, 0])
     origin = np.array([[0.0, 50.0, 15.0], [-15.0, 0.0, 90.0]])
     direction = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0]])
-    distance, part = built.intersect(origin, direction, 0.0)
-    uv = built.surface(origin, direction, distance, part).uv
-    np.testing.assert_allclose(uv, [[0.25, 15 / 40], [0.5, 35 / 40]], atol=1e-15)
+    surface = meet(built, origin, direction)[-1]
+    np.testing.assert_allclose(surface.uv, [[0.25, 15 / 40], [0.5, 35 / 40]], atol=1e-15)
 
 
 def test_chords_of_a_smooth_profile_are_within_a_millionth_of_the_size() -> None:
