@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import json
+import math
 import select
+import subprocess
+import sys
 import tomllib
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
@@ -12,17 +16,19 @@ from typing import Any
 import pytest
 from dynamixel_sdk import PacketHandler, PortHandler
 from gonio_drivers import folder_camera
-from gonio_drivers.lab import LAB
+from gonio_drivers.lab import LAB, LabRig
 from gonio_drivers.sdk import ExclusivePort
 from gonio_sim.wire import protocol2 as p2
 from gonio_sim.wire.bus import ServoBus
 from gonio_sim.wire.faults import Faults
 from gonio_sim.wire.peer import Device, SerialPeer, SocketPeer, scaled_clock
 from gonio_sim.wire.servo import Servo
-from gonio_sim.wire.twins import Twins
+from gonio_sim.wire.twins import Twins, rig_file
 
+from gonio.by_hand.manual_rig import ManualRig
 from gonio.config import parse
 from gonio.rig.description import RigDescription, SampleDescription
+from tests.command_line import gonio
 from tests.gonio_drivers.virtual import PORT, VirtualClock, servo_bus, virtual_time
 
 SCALE = 50.0
@@ -207,3 +213,49 @@ def twins(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, request: pytest.Fixtu
         if not virtual:
             be_patient(served.peers["servos"], served.faults, monkeypatch)
         yield served
+
+
+COMMAND = [sys.executable, "-c", "from gonio.cli import main; main()"]
+
+
+def written(twins: Twins, tmp_path: Path, **changes: Any) -> Path:
+    """The twins' rig file, with some tables changed."""
+    path = tmp_path / "my.toml"
+    path.write_text(rig_file(twins.description.model_copy(update=changes)))
+    return path
+
+
+def by_hand(
+    rig: Path,
+    *words: str | Path,
+    code: int | None = 0,
+    says: str | Iterable[str] = (),
+    prints: str | Iterable[str] = (),
+) -> subprocess.CompletedProcess[str]:
+    """`gonio rig ...` in the folder of a rig file: how it ends, what it says and what it prints, line ends aside."""
+    done = gonio(rig.parent, "rig", *words, "--rig", rig)
+    assert code in (None, done.returncode), done.stderr
+    for texts, stream in ((says, done.stderr), (prints, done.stdout)):
+        for text in [texts] if isinstance(texts, str) else texts:
+            assert text in " ".join(stream.split()), stream
+    return done
+
+
+def read(rig: Path, code: int | None = 0) -> Any:
+    """What `gonio rig read --json` prints."""
+    return json.loads(by_hand(rig, "read", "--json", code=code).stdout)
+
+
+def angle(twins: Twins, name: str) -> float:
+    """Where a shaft stands, as an angle of its axis [deg]."""
+    return math.degrees(twins.followers[name].encoder())
+
+
+def opened(twins: Twins) -> LabRig:
+    """The rig on these twins, to be entered."""
+    return LAB.open(twins.description, sample=None, seed=0, confirm=False)
+
+
+def bench(twins: Twins, *only: Any) -> ManualRig:
+    """The same for work by hand."""
+    return ManualRig(opened(twins), "", only)

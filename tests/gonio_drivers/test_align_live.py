@@ -5,12 +5,10 @@ from __future__ import annotations
 import signal
 import subprocess
 import threading
-import time
 from pathlib import Path
 from typing import Any
 
 import pytest
-from gonio_drivers.lab import LAB
 from gonio_sim.wire.twins import Twins
 
 from gonio.by_hand.assistant import CAMERA_S, Assistant
@@ -18,9 +16,9 @@ from gonio.by_hand.manual_rig import ManualRig
 from gonio.errors import DeviceError
 from gonio.rig import Frame
 from tests.gonio.by_hand.test_lamp_timer import Clock
-from tests.gonio_drivers.conftest import LONGEST_S
-from tests.gonio_drivers.test_by_hand import COMMAND, LANDED_DEG, angle, written
-from tests.gonio_drivers.test_light import PATIENCE_S, Plugged, lamp
+from tests.gonio_drivers.conftest import COMMAND, LONGEST_S, angle, bench, opened, written
+from tests.gonio_drivers.test_by_hand import LANDED_DEG, goes_dark
+from tests.gonio_drivers.test_light import Plugged, lamp
 
 pytestmark = pytest.mark.slow
 
@@ -36,9 +34,7 @@ def test_the_guard_darkens_the_lamp_of_a_program_that_shows_no_sign_of_life(lamp
         light.on()
         light.keep(1000.0)
         light.keep(0.05)
-        end = time.monotonic() + PATIENCE_S
-        while lamp.twin.shine.lit:
-            assert time.monotonic() < end
+        lamp.goes_dark()
         light.keep(1000.0)
         light.on()  # whoever is back lights it again
         light.check()
@@ -53,9 +49,7 @@ def test_no_order_of_the_guard_comes_after_a_new_lighting(lamp: Plugged) -> None
             light.keep(1000.0)
             light.on()
             light.keep(0.001)
-            end = time.monotonic() + PATIENCE_S
-            while lamp.twin.shine.lit:
-                assert time.monotonic() < end
+            lamp.goes_dark()
             with pytest.raises(DeviceError, match="its time is over"):  # nobody has shown a sign of life
                 light.on()
             assert not lamp.twin.shine.lit
@@ -68,31 +62,17 @@ def test_no_order_of_the_guard_comes_after_a_new_lighting(lamp: Plugged) -> None
     assert not lamp.twin.shine.lit
 
 
-@pytest.mark.usefixtures("real_time")
-def test_a_guard_that_was_told_of_life_darkens_what_is_left_lit(lamp: Plugged, monkeypatch: pytest.MonkeyPatch) -> None:
-    def pressed() -> None:
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt), lamp.driver() as light:  # noqa: PT012
-        light.on()
-        light.keep(1000.0)
-        monkeypatch.setattr(light, "off", pressed)
-    end = time.monotonic() + PATIENCE_S
-    while lamp.twin.shine.lit:
-        assert time.monotonic() < end
-
-
 # ---- the session ----
 
 
 def test_jogs_frames_and_zeros_over_the_real_drivers(twins: Twins, tmp_path: Path) -> None:
     rig, out = written(twins, tmp_path), tmp_path / "aligned.toml"
-    bench = ManualRig(LAB.open(twins.description, sample=None, seed=0, confirm=False), "", ("arms", "light", "camera"))
+    held = bench(twins, "arms", "light", "camera")
     told: list[dict[str, Any]] = []
     said: list[str] = []
-    assistant = Assistant(bench, tell=lambda what, _: told.append(what), say=said.append, rig_file=rig, out=out)
-    with bench:
-        bench.hold()
+    assistant = Assistant(held, tell=lambda what, _: told.append(what), say=said.append, rig_file=rig, out=out)
+    with held:
+        held.hold()
         for order in ("go light 20 camera -30", "jog camera 2", "lamp on", "exposure 0.2"):
             assistant.obey(order)
         assistant.look()
@@ -113,11 +93,11 @@ def test_jogs_frames_and_zeros_over_the_real_drivers(twins: Twins, tmp_path: Pat
 def test_the_watch_darkens_the_lamp_of_a_camera_that_hangs_and_the_driver_does_not_light_it_again(
     twins: Twins, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    rig, clock = LAB.open(twins.description, sample=None, seed=0, confirm=False), Clock()
-    bench = ManualRig(rig, "", ("arms", "light", "camera"))
+    rig, clock = opened(twins), Clock()
+    held = ManualRig(rig, "", ("arms", "light", "camera"))
     said: list[str] = []
     told: list[dict[str, Any]] = []
-    assistant = Assistant(bench, tell=lambda what, _: told.append(what), say=said.append, clock=clock)
+    assistant = Assistant(held, tell=lambda what, _: told.append(what), say=said.append, clock=clock)
     real, hangs = rig._camera.capture, [True]
     seen: list[str] = []
 
@@ -131,15 +111,13 @@ def test_the_watch_darkens_the_lamp_of_a_camera_that_hangs_and_the_driver_does_n
             watch = threading.Thread(target=assistant.timer.look)
             watch.start()
             watch.join()
-            end = time.monotonic() + PATIENCE_S
-            while twins.lamp.shine.lit:
-                assert time.monotonic() < end
+            goes_dark(twins)
             seen.append("dark")
         return frame
 
     monkeypatch.setattr(rig._camera, "capture", capture)
-    with bench:
-        bench.hold()
+    with held:
+        held.hold()
         with assistant.timer:
             assistant.obey("lamp on")
             lit = twins.lamp.shine.lit
@@ -179,9 +157,7 @@ def test_every_end_of_the_command_leaves_the_lamp_dark_and_the_arms_holding(
             child.send_signal(ends)
             child.wait(LONGEST_S)  # before its input ends, which is another way out
         _, said = child.communicate()
-    end = time.monotonic() + LONGEST_S
-    while twins.lamp.shine.lit:
-        assert time.monotonic() < end
+    goes_dark(twins)
     assert child.returncode == {"nobody there": 0, signal.SIGKILL: -9}.get(ends, 130), said
     assert "Traceback" not in said
     assert angle(twins, "light") == pytest.approx(25, abs=LANDED_DEG)

@@ -66,6 +66,11 @@ def degrees(read: Pose) -> tuple[float, float, float]:
     return math.degrees(read.light), math.degrees(read.camera), math.degrees(read.tilt)
 
 
+def lands(arms: ServoArms, *goal: float, within_deg: float = TOLERANCE_DEG) -> bool:
+    """Whether a move ends where it should, by the readback."""
+    return degrees(arms.move(pose(*goal))) == pytest.approx(goal, abs=within_deg)
+
+
 @pytest.fixture
 def arms(line: Line) -> Iterator[ServoArms]:
     with ServoArms(describe(), servos(line.port)) as opened:
@@ -109,14 +114,14 @@ def test_leaving(line: Line, on_exit: str, torque: bool) -> None:
 def test_wrong_modes_offsets_and_silence_are_put_right(line: Line) -> None:
     line.servos[1].write(11, b"\x01")  # velocity mode
     line.servos[2].write(20, (100).to_bytes(4, "little"))  # homing offset
+    line.servos[2].write(12, b"\x01")  # obeys what is meant for servo 1
     line.servos[2].write(68, b"\x00")  # answers nothing but pings
     line.servos[3].write(68, b"\x01")  # answers reads only
+    right = {1: {"Operating Mode": 3, "Current Limit": 500}, 3: {"Status Return Level": 2}}
+    right[2] = {"Homing Offset": 0, "Status Return Level": 2, "Secondary(Shadow) ID": 255}
     with ServoArms(describe(), servos(line.port, light={"current_limit": 500})):
-        assert line.servos[1].get("Operating Mode") == 3
-        assert line.servos[1].get("Current Limit") == 500
-        assert line.servos[2].get("Homing Offset") == 0
-        assert line.servos[2].get("Status Return Level") == 2
-        assert line.servos[3].get("Status Return Level") == 2
+        for k, items in right.items():
+            assert {name: line.servos[k].get(name) for name in items} == items
 
 
 def test_discovery_by_broadcast_ping_hears_again_what_was_damaged(line: Line) -> None:
@@ -125,21 +130,12 @@ def test_discovery_by_broadcast_ping_hears_again_what_was_damaged(line: Line) ->
         assert bus.discover() == {k: (1020, 46) for k in (1, 2, 3)}
 
 
-def test_a_servo_that_obeys_a_second_id_is_put_right(line: Line) -> None:
-    line.servos[2].write(12, b"\x01")  # what is meant for servo 1
-    with ServoArms(describe(), servos(line.port)):
-        assert line.servos[2].get("Secondary(Shadow) ID") == 255
-
-
 def test_a_servo_that_keeps_no_profile_is_not_moved(line: Line, monkeypatch: pytest.MonkeyPatch) -> None:
     put = line.servos[2].registers.put
     monkeypatch.setattr(line.servos[2].registers, "put", lambda n, v: put(n, 0 if n == "Profile Velocity" else v))
     fast = ServoArms(describe(), servos(line.port))
-    with (
-        pytest.raises(DeviceError, match=r"axis camera: servo id 2 does not keep its profile.*'Profile Velocity': 0"),
-        fast,
-    ):
-        pass
+    with pytest.raises(DeviceError, match=r"axis camera: servo id 2 does not keep its profile.*'Profile Velocity': 0"):
+        fast.__enter__()
     assert not line.servos[2].torque
 
 
@@ -148,12 +144,6 @@ def test_a_servo_that_measures_no_voltage_is_not_taken_for_one_without_a_supply(
     line.servos[2].registers.put = lambda name, value: put(name, 0 if name == "Present Input Voltage" else value)  # type: ignore[method-assign]
     with ServoArms(describe(), servos(line.port)) as arms:
         assert arms.joints["camera"].health.voltage_v == 0  # type: ignore[union-attr]
-
-
-def test_wrong_id_names_what_is_there(line: Line) -> None:
-    wrong = ServoArms(describe(), servos(line.port, tilt={"id": 7}))
-    with pytest.raises(DeviceError, match=r"axes\.tilt\.id = 7.*found there: id 1 xm430-w350, id 2"), wrong:
-        pass
 
 
 @pytest.mark.slow
@@ -168,24 +158,21 @@ def test_a_baud_that_the_sdk_has_not(line: Line) -> None:
         pass
 
 
-def test_wrong_model_names_the_right_one(line: Line) -> None:
-    wrong = ServoArms(describe(), servos(line.port, camera={"model": "xl430-w250"}))
-    with (
-        pytest.raises(DeviceError, match=r'axes\.camera\.model = "xl430-w250", but servo id 2 .* is a xm430-w350'),
-        wrong,
-    ):
-        pass
-
-
-def test_unknown_model() -> None:
-    with pytest.raises(ConfigError, match=r"xm430-w351"):
-        ServoArms(describe(), servos("/dev/null", camera={"model": "xm430-w351"}))
-
-
-def test_port_missing() -> None:
-    missing = ServoArms(describe(), servos("/dev/there-is-none"))
-    with pytest.raises(DeviceError, match=r'servos\.port = "/dev/there-is-none": there is no such port'), missing:
-        pass
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"tilt": {"id": 7}}, r"axes\.tilt\.id = 7.*found there: id 1 xm430-w350, id 2"),
+        (
+            {"camera": {"model": "xl430-w250"}},
+            r'axes\.camera\.model = "xl430-w250", but servo id 2 .* is a xm430-w350',
+        ),
+        ({"port": "/dev/there-is-none"}, r'servos\.port = "/dev/there-is-none": there is no such port'),
+        ({"port": os.devnull}, "this is no serial port"),
+    ],
+)
+def test_what_is_not_as_the_rig_file_says_is_named(line: Line, changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(DeviceError, match=message):
+        ServoArms(describe(), servos(**{"port": line.port} | changes)).__enter__()
 
 
 def test_port_taken_by_this_program_or_another(wired: Line) -> None:
@@ -223,12 +210,6 @@ def test_no_permission(wired: Line, monkeypatch: pytest.MonkeyPatch) -> None:
         pass
 
 
-def test_no_serial_port_at_all(tmp_path: Any) -> None:
-    (tmp_path / "file").write_text("")
-    with pytest.raises(DeviceError, match=r"this is no serial port"), Bus(str(tmp_path / "file"), BAUD):
-        pass
-
-
 # ---- mapping ----
 
 
@@ -258,14 +239,15 @@ def test_limits_refuse_and_move_nothing(arms: ServoArms, line: Line) -> None:
     assert [servo.shaft()[0] for servo in line.servos.values()] == before
 
 
-def test_a_current_limit_for_a_servo_that_has_none() -> None:
-    with pytest.raises(ConfigError, match=r"axes\.tilt\.current_limit = 300: a xl430-w250 has no current limit"):
-        ServoArms(describe(), servos("/dev/null", tilt={"model": "xl430-w250", "current_limit": 300}))
-
-
 @pytest.mark.parametrize(
     ("tilt", "message"),
     [
+        (
+            {"model": "xl430-w250", "current_limit": 300},
+            r"axes\.tilt\.current_limit = 300: a xl430-w250 has no",
+        ),
+        ({"model": "xm430-w351"}, "xm430-w351"),
+        ({"gear_ratio": 3.0}, r"axis tilt.*need counts .* Position mode has 0 to 4095"),
         ({"current_limit": 5000}, r"axes\.tilt\.current_limit = 5000: the Current Limit of a xm430-w350 is 1 to 1193"),
         ({"current_limit": 1194}, r"1 to 1193, in units of 2\.69 mA"),
         ({"model": "xl330-m288", "current_limit": 1751}, r"a xl330-m288 is 1 to 1750, in units of 1 mA"),
@@ -296,11 +278,6 @@ def test_the_largest_current_limit_of_every_model_is_taken_by_its_twin() -> None
                 assert control_table.highest_current(model) == twin.ranges["Current Limit"][1], model
 
 
-def test_limits_beyond_a_turn_of_the_servo() -> None:
-    with pytest.raises(ConfigError, match=r"axis tilt.*need counts .* Position mode has 0 to 4095"):
-        ServoArms(describe(), servos("/dev/null", tilt={"gear_ratio": 3.0}))
-
-
 def test_axes_and_servos_must_match() -> None:
     with pytest.raises(ConfigError, match=r"devices\.servos\.axes\.spin is missing"):
         ServoArms(describe(holder=Holder(axes=("tilt", "spin"))), servos("/dev/null"))
@@ -322,8 +299,7 @@ def test_every_landing_is_within_the_tolerance_and_reached_from_below(
     for target in [(30, -20, 10), (-30, 40, -5), (-30.5, 40, 15)]:
         for told in goals.values():
             told.clear()
-        read = degrees(arms.move(pose(*target)))
-        assert read == pytest.approx(target, abs=TOLERANCE_DEG)
+        assert lands(arms, *target)
         for told in goals.values():
             assert told == [] or told[-1] > min(told[:-1], default=-1)  # the last way leads upward
     assert at_rest(line)
@@ -341,7 +317,7 @@ def test_landing_with_an_encoder_that_flickers(arms: ServoArms, line: Line) -> N
         servo.mechanics = Mechanics(short_counts=6, noise_counts=1.4)  # a count to either side
     for target in [(30, -20, 10), (29, 40, -5)]:
         # the mean lies within the tolerance, and one reading within a count of the mean
-        assert degrees(arms.move(pose(*target))) == pytest.approx(target, abs=TOLERANCE_DEG + 1.5 * COUNT_DEG)
+        assert lands(arms, *target, within_deg=TOLERANCE_DEG + 1.5 * COUNT_DEG)
 
 
 @pytest.mark.parametrize("tells", [True, False])
@@ -424,11 +400,16 @@ def test_a_servo_with_a_low_velocity_limit_gets_the_time_that_it_needs(line: Lin
 # ---- the bus watchdog ----
 
 
-def test_a_bus_watchdog_that_has_run_out_is_cleared_and_told(line: Line, caplog: pytest.LogCaptureFixture) -> None:
-    line.servos[2].registers.put("Bus Watchdog", -1)
+def test_a_bus_watchdog_that_has_run_out_is_cleared_and_told_and_costs_no_profile(
+    line: Line, caplog: pytest.LogCaptureFixture
+) -> None:
+    for servo in line.servos.values():
+        servo.registers.put("Bus Watchdog", 25)
+        run_out(servo)
     with ServoArms(describe(), servos(line.port)) as arms:
         assert "axis camera: servo id 2 had stopped by itself" in caplog.text
-        assert degrees(arms.move(pose(0, 10, 0)))[1] == pytest.approx(10, abs=TOLERANCE_DEG)
+        assert {servo.get("Profile Velocity") for servo in line.servos.values()} == {21}
+        assert lands(arms, 10, 20, 30)
 
 
 def test_the_watchdog_is_armed_for_the_length_of_a_motion(arms: ServoArms, line: Line, unwatched: None) -> None:
@@ -446,22 +427,16 @@ def test_the_watchdog_is_armed_for_the_length_of_a_motion(arms: ServoArms, line:
 def test_a_program_that_is_held_up_in_mid_move_sends_the_servos_on(
     arms: ServoArms, line: Line, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, forgets: bool
 ) -> None:
-    real, calls = arms.bus.read_all, []
+    def held_up() -> None:
+        for servo in line.servos.values():
+            if servo.get("Bus Watchdog") > 0:
+                servo._heard_s -= 1.0  # as if it had heard nothing for a second: it stopped before it set out
+                servo.shaft()
+                if forgets:  # where a stop clears the profile
+                    servo.registers.put("Profile Velocity", 0)
 
-    def held_up(*arguments: Any) -> Any:
-        calls.append(1)
-        if len(calls) == 3:  # the first look at the servos on their way
-            for servo in line.servos.values():
-                if servo.get("Bus Watchdog") > 0:
-                    servo._heard_s -= 1.0  # as if it had heard nothing for a second: it stopped before it set out
-                    servo.shaft()
-                    if forgets:  # where a stop clears the profile
-                        servo.registers.put("Profile Velocity", 0)
-        return real(*arguments)
-
-    monkeypatch.setattr(arms.bus, "read_all", held_up)
-    target = (60, 50, -40)
-    assert degrees(arms.move(pose(*target))) == pytest.approx(target, abs=TOLERANCE_DEG)
+    at_look(3, arms, monkeypatch, held_up)  # the first look at the servos on their way
+    assert lands(arms, 60, 50, -40)
     assert "the servo stopped; sent on" in caplog.text
     assert {servo.get("Bus Watchdog") for servo in line.servos.values()} == {0}
 
@@ -469,20 +444,17 @@ def test_a_program_that_is_held_up_in_mid_move_sends_the_servos_on(
 def test_a_watchdog_that_runs_out_at_the_end_of_a_move_is_no_restart(
     arms: ServoArms, line: Line, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    real = watchdog.call_off
+    real, calls = watchdog.call_off, itertools.count()
 
     def late(moving: Any) -> Any:
-        if not late.calls:  # type: ignore[attr-defined]
-            for servo in line.servos.values():
-                run_out(servo)
-        late.calls.append(1)  # type: ignore[attr-defined]
+        for servo in line.servos.values() if next(calls) == 0 else ():
+            run_out(servo)
         return real(moving)
 
-    late.calls = []  # type: ignore[attr-defined]
     monkeypatch.setattr(watchdog, "call_off", late)
-    assert degrees(arms.move(pose(10, 20, 30))) == pytest.approx((10, 20, 30), abs=TOLERANCE_DEG)
+    assert lands(arms, 10, 20, 30)
     assert {servo.get("Profile Velocity") for servo in line.servos.values()} == {21}
-    assert degrees(arms.move(pose(12, 22, 32))) == pytest.approx((12, 22, 32), abs=TOLERANCE_DEG)
+    assert lands(arms, 12, 22, 32)
     arms.still()
 
 
@@ -512,15 +484,6 @@ def test_a_servo_that_has_restarted_is_an_error_wherever_that_shows(arms: ServoA
     with pytest.raises(DeviceError, match=r"servo id 2 .*has restarted by itself"):
         arms.still()
     assert arms.faulted
-
-
-def test_a_watchdog_found_run_out_at_opening_costs_no_profile(line: Line) -> None:
-    for servo in line.servos.values():
-        servo.registers.put("Bus Watchdog", 25)
-        run_out(servo)
-    with ServoArms(describe(), servos(line.port)) as arms:
-        assert {servo.get("Profile Velocity") for servo in line.servos.values()} == {21}
-        arms.move(pose(10, 20, 30))
 
 
 def test_a_pose_is_the_mean_of_several_readings_and_their_spread_is_told(arms: ServoArms, line: Line) -> None:
@@ -562,7 +525,7 @@ def test_old_firmware_without_a_watchdog_moves_and_says_so(
         raise Refused(p2.ACCESS_ERROR)
 
     with ServoArms(describe(), servos(line.port)) as arms:
-        assert degrees(arms.move(pose(10, 20, 30))) == pytest.approx((10, 20, 30), abs=TOLERANCE_DEG)
+        assert lands(arms, 10, 20, 30)
     assert "servo id 3 has no bus watchdog" in caplog.text
 
 
@@ -577,8 +540,7 @@ def test_after_kill_9_in_mid_move_the_servos_stop_within_the_period(caplog: pyte
             "sdk.PATIENCE_MS = 60_000\n"  # this process may be the one that is held up
             f"with ServoArms(describe(), servos({peer.port!r})) as arms:\n    arms.move(pose(85, 85, 0))\n"
         )
-        root = ROOT
-        with subprocess.Popen([sys.executable, "-c", program], cwd=root) as killed:
+        with subprocess.Popen([sys.executable, "-c", program], cwd=ROOT) as killed:
             while servo[1].shaft()[1] < 300:  # counts/s: at full speed, 30 deg/s
                 assert killed.poll() is None
             killed.kill()
@@ -596,18 +558,25 @@ def test_after_kill_9_in_mid_move_the_servos_stop_within_the_period(caplog: pyte
             assert degrees(arms.move(pose(here[0] + 2, here[1], 0)))[0] == pytest.approx(here[0] + 2, abs=0.15)
 
 
+def at_look(number: int, arms: ServoArms, monkeypatch: pytest.MonkeyPatch, act: Callable[[], object]) -> None:
+    """Act just before the bus is read for the n-th time."""
+    real, calls = arms.bus.read_all, itertools.count(1)
+
+    def looked(*arguments: Any) -> Any:
+        if next(calls) == number:
+            act()
+        return real(*arguments)
+
+    monkeypatch.setattr(arms.bus, "read_all", looked)
+
+
 def test_an_interruption_in_the_middle_of_a_move_stops_every_axis(
     arms: ServoArms, line: Line, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    real, calls = arms.bus.read_all, []
+    def interrupted() -> None:
+        raise KeyboardInterrupt
 
-    def interrupted(*arguments: Any) -> Any:
-        calls.append(1)
-        if len(calls) == 4:
-            raise KeyboardInterrupt
-        return real(*arguments)
-
-    monkeypatch.setattr(arms.bus, "read_all", interrupted)
+    at_look(4, arms, monkeypatch, interrupted)
     with pytest.raises(KeyboardInterrupt):
         arms.move(pose(80, 80, 40))
     assert at_rest(line)
@@ -676,15 +645,7 @@ def test_an_axis_that_has_let_go_is_noticed(arms: ServoArms, line: Line) -> None
 def test_an_axis_that_lets_go_on_its_way_is_not_called_stuck(
     arms: ServoArms, line: Line, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    real, calls = arms.bus.read_all, []
-
-    def lets_go(*arguments: Any) -> Any:
-        calls.append(1)
-        if len(calls) == 4:
-            line.servos[2].write(64, b"\x00")
-        return real(*arguments)
-
-    monkeypatch.setattr(arms.bus, "read_all", lets_go)
+    at_look(4, arms, monkeypatch, lambda: line.servos[2].write(64, b"\x00"))
     with pytest.raises(DeviceError, match=r"axis camera: servo id 2 has let go of its torque"):
         arms.move(pose(0, 80, 0))
     assert at_rest(line)
@@ -749,8 +710,7 @@ def test_wire_faults_are_mended(arms: ServoArms, line: Line, fault: str) -> None
     arms.move(pose(0, 0, 0))
     for k in (1, 2, 3):
         line.faults.arm(fault, servo=k)
-        read = degrees(arms.move(pose(5 * k, -5 * k, k)))
-        assert read == pytest.approx((5 * k, -5 * k, k), abs=TOLERANCE_DEG)
+        assert lands(arms, 5 * k, -5 * k, k)
     assert line.faults.fired == [fault] * 3
 
 
@@ -768,4 +728,4 @@ def test_answers_in_single_bytes_and_behind_an_echo_are_understood(line: Line) -
 
     line.bus.receive = dribble  # type: ignore[method-assign]
     with ServoArms(describe(), servos(line.port)) as arms:
-        assert degrees(arms.move(pose(10, 20, 30))) == pytest.approx((10, 20, 30), abs=TOLERANCE_DEG)
+        assert lands(arms, 10, 20, 30)

@@ -8,7 +8,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -39,6 +39,7 @@ DESCRIPTION = RigDescription(
     bands=Bands(list=(Band(name="green", centre_nm=550, fwhm_nm=10),)),
     camera=Camera(width=SIZE[1], height=SIZE[0], pattern="RGGB", exposure_limits_s=(1e-4, 1.0)),
 )
+PLAIN = Frame(np.full(SIZE, 7, np.uint16), 0.01, 64.0, 4095.0, "RGGB", time_s=0.0)
 PATIENCE_S = 60.0
 """For files that come: a busy machine may take seconds for any of them."""
 SHORT_S = 0.3
@@ -56,14 +57,12 @@ class Tether:
     given_up: threading.Event = field(default_factory=threading.Event)
     """What a late file comes after."""
 
-    def driver(self, **changes: object) -> cameras.OpenableCamera:
-        table = {
-            "driver": "folder",
-            "folder": str(self.folder),
-            "timeout_s": PATIENCE_S,
-            "trigger": {"how": "serial", "port": self.port},
-        }
-        return cameras.build(DESCRIPTION, table | changes)
+    def driver(self, description: RigDescription = DESCRIPTION, **changes: object) -> FolderCamera:
+        table = {"driver": "folder", "folder": str(self.folder), "timeout_s": PATIENCE_S}
+        table |= {"trigger": {"how": "serial", "port": self.port}}
+        camera = cameras.build(description, table | changes)
+        assert isinstance(camera, FolderCamera)
+        return camera
 
     def await_briefly(self, camera: FolderCamera, times: int) -> None:
         """Let the next `times` waits of a camera end after a moment, and all others when the file is there."""
@@ -99,9 +98,7 @@ def tethered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Tether
 
     def expose(exposure_s: float) -> Frame:
         exposed.append(exposure_s)
-        mosaic = np.full(SIZE, 100, np.uint16)
-        mosaic[0, 0] = len(exposed)
-        return Frame(mosaic, exposure_s, 64.0, 4095.0, "RGGB", time_s=float(len(exposed)))
+        return replace(plain(len(exposed)), exposure_s=exposure_s, time_s=float(len(exposed)))
 
     write_dng(expose(0.01), tmp_path / "warm-up.dng")  # compiled code is loaded once, and not while a driver waits
     (tmp_path / "warm-up.dng").unlink()
@@ -112,7 +109,8 @@ def tethered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Tether
         yield Tether(tmp_path, peer.port, faults, exposed, given_up)
 
 
-def number(frame: Frame) -> int:
+def number(frame: Frame | DataError) -> int:
+    assert isinstance(frame, Frame), frame
     return int(frame.mosaic[0, 0])
 
 
@@ -142,15 +140,12 @@ def test_used_files_are_deleted_on_leaving_unless_they_are_to_be_kept(tethered: 
 )
 def test_a_bad_file_is_exposed_again(tethered: Tether, fault: str, waits: int) -> None:
     with tethered.driver() as camera:
-        assert isinstance(camera, FolderCamera)
         first = camera.capture(0.01)
         tethered.faults.arm(fault)
         tethered.await_briefly(camera, waits)
         second = camera.capture(0.02)
         third = camera.capture(0.03)
-    assert number(first) == 1
-    assert number(second) == 3  # the second exposure is the bad one
-    assert number(third) == 4
+    assert [number(frame) for frame in (first, second, third)] == [1, 3, 4]  # the second exposure is the bad one
     assert [f.exposure_s for f in (first, second, third)] == pytest.approx([0.01, 0.02, 0.03], rel=1e-9)
     assert tethered.faults.fired == [fault]
 
@@ -179,18 +174,19 @@ def test_a_fault_that_stays_ends_in_an_error(tethered: Tether, fault: str, messa
 
 def test_files_that_are_there_already_are_left_alone(tethered: Tether) -> None:
     old = tethered.folder / "OLD.DNG"
-    write_dng(Frame(np.full(SIZE, 7, np.uint16), 0.01, 64.0, 4095.0, "RGGB", time_s=0.0), old)
+    write_dng(plain(7), old)
     with tethered.driver() as camera:
         assert number(camera.capture(0.01)) == 1
     assert old.exists()
 
 
 def plain(value: int) -> Frame:
-    return Frame(np.full(SIZE, value, np.uint16), 0.01, 64.0, 4095.0, "RGGB", time_s=0.0)
+    return replace(PLAIN, mosaic=np.full(SIZE, value, np.uint16))
 
 
-def opened(folder: Path, timeout_s: float = 1.0) -> FolderCamera:
-    table = {"folder": str(folder), "timeout_s": timeout_s, "trigger": {"how": "command", "command": ["true"]}}
+def opened(folder: Path, timeout_s: float = 1.0, *command: str) -> FolderCamera:
+    trigger = {"how": "command", "command": command or ["true"]}
+    table = {"folder": str(folder), "timeout_s": timeout_s, "trigger": trigger}
     return FolderCamera(DESCRIPTION, settings.FolderCamera.model_validate(table))
 
 
@@ -200,7 +196,7 @@ def test_a_program_may_write_the_same_name_again_and_again(tmp_path: Path, monke
         for k in range(100, 106):
             write_dng(plain(k), tmp_path / "new")
             (tmp_path / "capt0000.dng").write_bytes((tmp_path / "new").read_bytes())
-            assert number(camera._take(0.0)[1]) == k  # type: ignore[arg-type]
+            assert number(camera._take(0.0)[1]) == k
 
 
 def test_a_temporary_name_that_is_gone_is_passed_over(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -215,7 +211,7 @@ def test_a_temporary_name_that_is_gone_is_passed_over(tmp_path: Path, monkeypatc
     with opened(tmp_path) as camera:
         (tmp_path / "folder.dng").mkdir()
         write_dng(plain(7), tmp_path / "part.dng")
-        assert number(camera._take(PATIENCE_S)[1]) == 7  # type: ignore[arg-type]
+        assert number(camera._take(PATIENCE_S)[1]) == 7
 
 
 def test_a_file_that_was_made_in_full_size_and_never_filled_is_damaged(
@@ -251,7 +247,6 @@ def test_files_that_come_after_they_were_given_up_are_no_second_file_of_an_expos
     tethered: Tether, caplog: pytest.LogCaptureFixture
 ) -> None:
     with tethered.driver() as camera:
-        assert isinstance(camera, FolderCamera)
         tethered.faults.arm("file-missing", times=2)
         tethered.await_briefly(camera, times=4)  # for each of the two, and once more before the next exposure
         assert number(camera.capture(0.01)) == 3
@@ -310,15 +305,12 @@ def test_a_tethering_program_is_run(tmp_path: Path) -> None:
         f"mosaic = np.full({SIZE}, 9, np.uint16)\n"
         "write_dng(Frame(mosaic, float(sys.argv[1]), 64.0, 4095.0, 'RGGB', time_s=0.0), sys.argv[2] + '/a.dng')\n"
     )
-    table = {"driver": "folder", "folder": str(tmp_path), "timeout_s": PATIENCE_S}
-    command = [sys.executable, str(good), "{exposure_s}", "{folder}"]
-    with cameras.build(DESCRIPTION, table | {"trigger": {"how": "command", "command": command}}) as camera:
+    with opened(tmp_path, PATIENCE_S, sys.executable, str(good), "{exposure_s}", "{folder}") as camera:
         assert number(camera.capture(0.25)) == 9
-    command = [sys.executable, "-c", "import sys; sys.exit('the camera is asleep')"]
-    asleep = cameras.build(DESCRIPTION, table | {"trigger": {"how": "command", "command": command}})
+    asleep = opened(tmp_path, PATIENCE_S, sys.executable, "-c", "import sys; sys.exit('the camera is asleep')")
     with asleep as camera, pytest.raises(DeviceError, match="ended with 1: the camera is asleep"):
         camera.capture(0.25)
-    absent = cameras.build(DESCRIPTION, table | {"trigger": {"how": "command", "command": ["no-such-tool"]}})
+    absent = opened(tmp_path, PATIENCE_S, "no-such-tool")
     with absent as camera, pytest.raises(ConfigError, match='no program "no-such-tool"'):
         camera.capture(0.25)
 
@@ -330,11 +322,10 @@ def test_settings_are_refused_with_their_key(tethered: Tether, tmp_path: Path) -
         cameras.build(DESCRIPTION, {"driver": "foldr"})
     with pytest.raises(ConfigError, match="the key driver is missing"):
         cameras.build(DESCRIPTION, {})
-    with pytest.raises(ConfigError, match="there is no such folder"), tethered.driver(folder=str(tmp_path / "no")):
-        pass
-    unplugged = tethered.driver(trigger={"how": "serial", "port": "/dev/no-release"})
-    with pytest.raises(DeviceError, match=r"devices\.camera\.trigger\.port"), unplugged:
-        pass
+    with pytest.raises(ConfigError, match="there is no such folder"):
+        tethered.driver(folder=str(tmp_path / "no")).__enter__()
+    with pytest.raises(DeviceError, match=r"devices\.camera\.trigger\.port"):
+        tethered.driver(trigger={"how": "serial", "port": "/dev/no-release"}).__enter__()
 
 
 def test_exposures_outside_the_limits(tethered: Tether) -> None:
@@ -344,12 +335,7 @@ def test_exposures_outside_the_limits(tethered: Tether) -> None:
 
 def test_a_frame_of_another_size(tethered: Tether) -> None:
     bigger = DESCRIPTION.model_copy(update={"camera": DESCRIPTION.camera.model_copy(update={"width": 128})})
-    table = {"folder": str(tethered.folder), "timeout_s": PATIENCE_S}
-    table |= {"trigger": {"how": "serial", "port": tethered.port}}
-    with (
-        cameras.folder(bigger, table) as camera,
-        pytest.raises(DeviceError, match=r"64 x 48 pixels; the rig file says"),
-    ):
+    with tethered.driver(bigger) as camera, pytest.raises(DeviceError, match="64 x 48 pixels; the rig file says"):
         camera.capture(0.01)
 
 
@@ -471,9 +457,8 @@ def test_settings_that_are_ignored_are_noticed(response: str, stubborn: int, wha
 
 
 def test_no_video_camera(response: str) -> None:
-    absent = video(VideoStandIn(images, present=False), response)
-    with pytest.raises(DeviceError, match="no video camera opens there"), absent:
-        pass
+    with pytest.raises(DeviceError, match="no video camera opens there"):
+        video(VideoStandIn(images, present=False), response).__enter__()
 
 
 def test_a_bad_response(tmp_path: Path) -> None:
@@ -500,55 +485,35 @@ def test_a_sequence_keeps_16_bits_and_ends(tmp_path: Path) -> None:
             camera.capture(0.01)
 
 
-def test_a_sequence_of_raw_files_insists_on_the_exposure(tmp_path: Path) -> None:
-    write_dng(Frame(np.full(SIZE, 7, np.uint16), 0.02, 64.0, 4095.0, "RGGB", time_s=0.0), tmp_path / "a.dng")
-    camera = cameras.build(DESCRIPTION, {"driver": "sequence", "folder": str(tmp_path)})
-    with camera, pytest.raises(DeviceError, match=r"was exposed 0\.02 s, and 0\.01 s were asked"):
-        camera.capture(0.01)
-
-
-def test_a_sequence_of_frames_of_another_size(tmp_path: Path) -> None:
-    cv2.imwrite(str(tmp_path / "a.png"), np.full((SIZE[0], 2 * SIZE[1]), 40_000, np.uint16))
-    camera = cameras.build(DESCRIPTION, {"driver": "sequence", "folder": str(tmp_path)})
-    with camera, pytest.raises(DeviceError, match=r"a\.png: the frame has 128 x 48 pixels; the rig file says"):
-        camera.capture(0.01)
-
-
-def test_a_damaged_or_empty_sequence(tmp_path: Path) -> None:
-    camera = cameras.build(DESCRIPTION, {"driver": "sequence", "folder": str(tmp_path)})
-    with pytest.raises(ConfigError, match="holds no frames"), camera:
-        pass
-    (tmp_path / "a.png").write_bytes(b"no image")
-    with camera, pytest.raises(DataError, match="no image that OpenCV reads"):
-        camera.capture(0.01)
+def test_an_empty_sequence(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="holds no frames"):
+        cameras.build(DESCRIPTION, {"driver": "sequence", "folder": str(tmp_path)}).__enter__()
 
 
 @pytest.mark.parametrize(
-    ("image", "message"),
+    ("file", "message"),
     [
+        (b"no image", "no image that OpenCV reads"),
         (np.full(SIZE, 200, np.uint8), r"a\.png: the image has 8 bits; the rig file says camera\.bits = 12"),
         (
             np.full(SIZE, 5000, np.uint16),
             r"a\.png: a pixel holds 5000 DN, above the highest value, 4095;.*camera\.bits",
         ),
         (np.full((*SIZE, 3), 200, np.uint16), r"a\.png: has shape \(48, 64, 3\).*a linear frame is grey"),
-        (np.full(SIZE[::-1], 200, np.uint16), r"a\.png: the frame has 48 x 64 pixels"),
+        (np.full(SIZE[::-1], 200, np.uint16), r"a\.png: the frame has 48 x 64 pixels; the rig file says"),
+        (replace(PLAIN, exposure_s=0.02), r"was exposed 0\.02 s, and 0\.01 s were asked"),
+        (replace(PLAIN, pattern="GBRG"), r'a\.dng: the frame has the colour pattern "GBRG"; the rig file says'),
     ],
 )
-def test_an_image_of_another_kind_is_no_frame(tmp_path: Path, image: np.ndarray, message: str) -> None:
-    cv2.imwrite(str(tmp_path / "a.png"), image)
+def test_a_file_of_another_kind_is_no_frame(tmp_path: Path, file: bytes | np.ndarray | Frame, message: str) -> None:
+    if isinstance(file, Frame):
+        write_dng(file, tmp_path / "a.dng")
+    elif isinstance(file, bytes):
+        (tmp_path / "a.png").write_bytes(file)
+    else:
+        cv2.imwrite(str(tmp_path / "a.png"), file)
     camera = cameras.build(DESCRIPTION, {"driver": "sequence", "folder": str(tmp_path)})
     with camera, pytest.raises((DeviceError, DataError), match=message):
-        camera.capture(0.01)
-
-
-def test_a_raw_file_of_another_pattern_is_no_frame(tmp_path: Path) -> None:
-    write_dng(Frame(np.full(SIZE, 7, np.uint16), 0.01, 64.0, 4095.0, "GBRG", time_s=0.0), tmp_path / "a.dng")
-    camera = cameras.build(DESCRIPTION, {"driver": "sequence", "folder": str(tmp_path)})
-    with (
-        camera,
-        pytest.raises(DeviceError, match=r'a\.dng: the frame has the colour pattern "GBRG"; the rig file says'),
-    ):
         camera.capture(0.01)
 
 
@@ -560,6 +525,6 @@ def test_a_raw_file_of_another_pattern_is_no_frame(tmp_path: Path) -> None:
     ],
 )  # fmt: skip
 def test_no_camera_gets_a_frame_of_another_kind_into_a_run(mosaic: np.ndarray) -> None:
-    frame = Frame(mosaic, 0.01, 64.0, 4095.0, "RGGB", time_s=0.0)
+    frame = replace(PLAIN, mosaic=mosaic)
     with pytest.raises(DeviceError, match=r"mine: (the frame has|the frame holds float32)"):
         require_frame(DESCRIPTION.camera, frame, "mine")

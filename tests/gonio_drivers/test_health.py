@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import os
 import threading
 import time
@@ -16,24 +15,18 @@ import pytest
 from gonio_drivers.interlock import Interlock, Latch, SerialLine, Tripped
 from gonio_drivers.lab import LAB
 from gonio_sim.wire import faults, motion, tether
-from gonio_sim.wire.twins import Twins, rig_file
-from typer.testing import CliRunner
+from gonio_sim.wire.twins import Twins
 
 from gonio.acquisition import suspending
-from gonio.acquisition.measure import RigChoice, carry_out
-from gonio.acquisition.plan import load_plan
 from gonio.acquisition.progress import Live, Silent
 from gonio.acquisition.run import Run
 from gonio.acquisition.stop import Pause
 from gonio.by_hand.assistant import Assistant
-from gonio.by_hand.manual_rig import ManualRig
-from gonio.cli.by_hand import app
 from gonio.errors import ConfigError, DeviceError, EmergencyStop
 from gonio.rig import Pose
 from gonio.rig.description import RigDescription
-from tests.command_line import gonio
-from tests.gonio_drivers.conftest import SAMPLE, SCALE, be_patient, small
-from tests.gonio_drivers.test_lab import PLAN, assert_true
+from tests.gonio_drivers.conftest import SAMPLE, SCALE, be_patient, bench, by_hand, opened, read, small, written
+from tests.gonio_drivers.test_lab import assert_true, measure
 
 pytestmark = pytest.mark.slow
 
@@ -86,15 +79,6 @@ def serve(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, request: pytest.Fixtu
     yield go
     for twins in served:
         twins.__exit__(None, None, None)
-
-
-def measure(
-    twins: Twins, tmp_path: Path, *, resume: bool = False, progress: Any = None, rig: RigDescription | None = None
-) -> Run:
-    plan = tmp_path / "plan.toml"
-    plan.write_text(PLAN)
-    choice = RigChoice(LAB, rig or twins.description, "twin")
-    return carry_out(load_plan(plan), choice, tmp_path / "run", progress=progress or Silent(), resume=resume)
 
 
 def said(run: Run, kind: str) -> list[str]:
@@ -162,7 +146,7 @@ def test_a_lamp_out_of_lock_pauses_the_run(serve: Serve, tmp_path: Path) -> None
     rig = twins.description
     rig = rig.model_copy(update={"devices": rig.devices | {"light": rig.devices["light"] | {"dialect": str(dialect)}}})
     twins.inject("unlock", skip=4)
-    run = measure(twins, tmp_path, rig=rig)
+    run = measure(twins, tmp_path, description=rig)
     assert [text.partition(",")[0] for text in said(run, "suspended")] == ["suspend.lock: lamp lock is lost"]
     assert_true(run, points=4)
     assert {(r.value) for s in run.steps() for r in s.health if r.quantity == "lock"} == {"locked"}
@@ -183,17 +167,8 @@ def test_an_open_contact_at_a_servo_stops_everything_until_a_person_says_so(serv
     time.sleep(PASSES_S / SCALE)  # the contact is closed again by then, and that is not enough
     with pytest.raises(Tripped, match="not acknowledged yet: the contact at external port 2"):
         measure(twins, tmp_path, resume=True)
-    path = tmp_path / "rig.toml"
-    path.write_text(rig_file(twins.description))
-    told = CliRunner().invoke(app, ["acknowledge", "--rig", str(path)])
-    assert told.exit_code == 0, told.output
+    by_hand(written(twins, tmp_path), "acknowledge")
     assert_true(measure(twins, tmp_path, resume=True), points=4)
-
-
-def written(twins: Twins, tmp_path: Path) -> Path:
-    path = tmp_path / "rig.toml"
-    path.write_text(rig_file(twins.description))
-    return path
 
 
 @pytest.mark.parametrize(
@@ -223,38 +198,33 @@ def test_a_contact_that_opens_ends_every_command_and_is_told(serve: Serve, tmp_p
     watch = threading.Thread(target=open_it)
     watch.start()
     try:
-        done = gonio(tmp_path, "rig", *words, "--rig", rig)
+        done = by_hand(rig, *words, code=3)
     finally:
         ended.set()
         watch.join()
-    assert done.returncode == 3, done.stderr
     assert "emergency stop" in " ".join(f"{done.stderr} {done.stdout}".split()), done.stderr
     assert not twins.lamp.shine.lit
     # and who comes to look afterwards is told, too: the contact, and then what nobody has acknowledged
-    table = " ".join(gonio(tmp_path, "rig", "read", "--rig", rig).stdout.replace("\n", " ").split())
-    assert "BAD: error" in table
-    assert "emergency stop" in table
+    by_hand(rig, "read", code=None, prints=["BAD: error", "emergency stop"])
     twins.servos["light"].contacts.add(INPUT)
-    said = json.loads(gonio(tmp_path, "rig", "read", "--json", "--rig", rig).stdout)["devices"]["interlock"]
-    assert "not acknowledged" in said["error"]["value"]
-    assert gonio(tmp_path, "rig", "acknowledge", "--rig", rig).returncode == 0
-    said = json.loads(gonio(tmp_path, "rig", "read", "--json", "--rig", rig).stdout)["devices"]["interlock"]
-    assert said["error"]["value"] == "none"
+    assert "not acknowledged" in read(rig, code=None)["devices"]["interlock"]["error"]["value"]
+    by_hand(rig, "acknowledge")
+    assert read(rig, code=None)["devices"]["interlock"]["error"]["value"] == "none"
 
 
 def test_a_contact_that_opens_ends_live_alignment_and_a_paused_run(serve: Serve, tmp_path: Path) -> None:
     twins = serve(described(contact=CONTACT))
-    bench = ManualRig(LAB.open(twins.description, sample=None, seed=0, confirm=False), "", ("arms", "light", "camera"))
-    assistant = Assistant(bench, tell=lambda what, _: None, say=lambda text: None)
-    with pytest.raises(EmergencyStop), bench:  # noqa: PT012
-        bench.hold()
+    held = bench(twins, "arms", "light", "camera")
+    assistant = Assistant(held, tell=lambda what, _: None, say=lambda text: None)
+    with pytest.raises(EmergencyStop), held:  # noqa: PT012
+        held.hold()
         with assistant.timer:
             assistant.obey("lamp on")
             twins.servos["light"].contacts.clear()
             assistant.run()
     assert not twins.lamp.shine.lit
     twins.servos["light"].contacts.add(INPUT)
-    assert gonio(tmp_path, "rig", "acknowledge", "--rig", written(twins, tmp_path)).returncode == 0
+    by_hand(written(twins, tmp_path), "acknowledge")
 
     class Pauses(Silent):
         """Somebody who pauses the run for good, and opens the contact then."""
@@ -266,37 +236,29 @@ def test_a_contact_that_opens_ends_live_alignment_and_a_paused_run(serve: Serve,
             if "paused" in text:
                 twins.servos["light"].contacts.clear()
 
-    plan = tmp_path / "plan.toml"
-    plan.write_text(PLAN)
     pause = Pause()
     pause.ask("somebody")
-    choice = RigChoice(LAB, twins.description, "twin")
     with pytest.raises(EmergencyStop, match="the contact"):
-        carry_out(load_plan(plan), choice, tmp_path / "run", progress=Pauses(), pause=pause)
+        measure(twins, tmp_path, Pauses(), pause=pause)
 
 
 def test_an_interlock_that_cannot_be_read_is_told(serve: Serve, tmp_path: Path) -> None:
     twins = serve(described(contact={"port": str(tmp_path / "no-port")}))
-    done = gonio(tmp_path, "rig", "read", "--json", "--rig", written(twins, tmp_path))
-    assert done.returncode == 3
-    assert "which counts as open" in json.loads(done.stdout)["silent"]["interlock"]
+    assert "which counts as open" in read(written(twins, tmp_path), code=3)["silent"]["interlock"]
 
 
 def test_while_the_contact_is_open_nothing_moves_and_no_lamp_lights_up(serve: Serve, tmp_path: Path) -> None:
     twins = serve(described(contact=CONTACT))
     twins.servos["light"].contacts.clear()
-    rig = LAB.open(twins.description, sample=None, seed=0, confirm=False)
     before = {name: servo.shaft()[0] for name, servo in twins.servos.items()}
-    with pytest.raises(Tripped), rig:
-        raise AssertionError("it was opened")
-    light = LAB.open(twins.description, sample=None, seed=0, confirm=False)
+    with pytest.raises(Tripped):
+        opened(twins).__enter__()
+    light = opened(twins)
     light.only("light")
     with light, pytest.raises(Tripped):  # to darken is always allowed
         light.light.on()
     assert {name: servo.shaft()[0] for name, servo in twins.servos.items()} == before
-    path = tmp_path / "rig.toml"
-    path.write_text(rig_file(twins.description))
-    assert CliRunner().invoke(app, ["acknowledge", "--rig", str(path)]).exit_code != 0
+    by_hand(written(twins, tmp_path), "acknowledge", code=3)
 
 
 def test_a_stop_in_mid_move_comes_at_once(serve: Serve) -> None:
@@ -315,7 +277,7 @@ def test_a_stop_in_mid_move_comes_at_once(serve: Serve) -> None:
         changed(now)
 
     twins.lamp._changed = shine
-    rig = LAB.open(twins.description, sample=None, seed=0, confirm=False)
+    rig = opened(twins)
 
     def cut() -> None:
         opened_s.append(time.monotonic())
@@ -425,7 +387,7 @@ class CutsSupply(Silent):
 def test_after_a_cut_supply_the_arms_have_fallen_and_the_run_goes_on(serve: Serve, tmp_path: Path) -> None:
     twins = serve(described())
     with pytest.raises(DeviceError):
-        measure(twins, tmp_path, progress=CutsSupply(twins, 3))
+        measure(twins, tmp_path, CutsSupply(twins, 3))
     assert not twins.lamp.shine.lit
     for servo in twins.servos.values():
         servo.powered = True

@@ -8,9 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from gonio_drivers import home_mark
+from gonio_drivers import home_mark, survey
 from gonio_drivers.arms import ServoArms
 from gonio_drivers.service import ServoService
+from gonio_drivers.settings import Servos
 from gonio_sim.wire import motion
 from gonio_sim.wire.peer import scaled_clock
 from gonio_sim.wire.servo import Servo
@@ -19,8 +20,7 @@ from gonio.config import to_toml
 from gonio.errors import ConfigError, DeviceError
 from gonio.rig import Homed, Pose
 from gonio.rig.description import ArmAxis, RigDescription
-from tests.command_line import gonio as run
-from tests.gonio_drivers.conftest import BAUD, Line
+from tests.gonio_drivers.conftest import BAUD, Line, by_hand
 from tests.gonio_drivers.test_arms import TOLERANCE_DEG, describe, servos
 from tests.gonio_drivers.virtual import PORT, VirtualClock, servo_bus
 
@@ -93,8 +93,6 @@ def rig(line: Line, homing: dict[str, Any], **light: Any) -> RigDescription:
 
 
 def arms(description: RigDescription) -> ServoArms:
-    from gonio_drivers.settings import Servos
-
     return ServoArms(description, Servos.model_validate(description.devices["servos"]))
 
 
@@ -105,8 +103,8 @@ def homed(description: RigDescription) -> Homed:
 
 
 def refused(description: RigDescription) -> str:
-    with pytest.raises(DeviceError) as caught, arms(description):
-        pass
+    with pytest.raises(DeviceError) as caught:
+        arms(description).__enter__()
     return str(caught.value)
 
 
@@ -141,8 +139,6 @@ def test_the_turn_is_lost_with_the_power_and_nobody_reads_a_wrong_angle(line: Li
     line.servos[1].restart()
     line.servos[1]._back_at = None
     assert "axis light is not homed" in refused(description)
-    from gonio_drivers import survey
-
     health = survey.of_arms(arms(description))
     assert health.of("light", "angle") is None
     assert "not homed" in health.silent["light"]
@@ -194,19 +190,18 @@ def test_a_switch_is_found_from_its_side_and_a_mark_from_both(line: Line, how: s
         assert math.degrees(opened.read().light) == pytest.approx(angle(line), abs=TOLERANCE_DEG)
 
 
-def test_what_is_not_found_stops_the_axis(line: Line) -> None:
+@pytest.mark.parametrize(
+    ("homing", "said"),
+    [
+        (SWITCH | {"toward": 1, "speed_deg_per_s": 60.0}, "no switch was found in"),
+        (STALL | {"at_deg": -55.0}, "the turn is not certain"),  # 30 deg off, with 90 deg to a turn of the servo
+    ],
+)
+def test_what_is_not_found_or_could_be_another_turn_is_refused(line: Line, homing: dict[str, Any], said: str) -> None:
     put_switch(line.servos[1], lambda deg: False)
-    description = rig(line, SWITCH | {"toward": 1, "speed_deg_per_s": 60.0})
-    found = ServoService().home(description, ["light"], lambda said: None)["light"]
-    assert "no switch was found in" in str(found)
+    description = rig(line, homing)
+    assert said in str(ServoService().home(description, ["light"], lambda told: None)["light"])
     assert not line.servos[1].get("Bus Watchdog")
-    assert "not homed" in refused(description)
-
-
-def test_a_place_that_could_be_another_turn_is_refused(line: Line) -> None:
-    description = rig(line, STALL | {"at_deg": -55.0})  # 30 deg off, with 90 deg to a turn of the servo
-    found = ServoService().home(description, ["light"], lambda said: None)["light"]
-    assert "the turn is not certain" in str(found)
     assert "not homed" in refused(description)
 
 
@@ -214,14 +209,10 @@ def test_homing_by_the_command_line(line: Line, tmp_path: Path) -> None:
     description = rig(line, STALL)
     table = description.model_dump(mode="json", exclude_none=True)
     (tmp_path / "my.toml").write_text(to_toml(table))
-    done = run(tmp_path, "rig", "home", "--rig", "my.toml")
-    assert done.returncode == 0, done.stderr
-    assert "light: homed at -85 deg, found 2 times within" in done.stdout
-    again = run(tmp_path, "rig", "home", "--rig", "my.toml")
-    assert (again.returncode, again.stdout) == (0, "every axis knows its turn\n")
-    wrong = run(tmp_path, "rig", "home", "camera", "--rig", "my.toml")
-    assert wrong.returncode == 2
-    assert "axis camera needs no homing" in wrong.stderr
+    rig_file = tmp_path / "my.toml"
+    by_hand(rig_file, "home", prints="light: homed at -85 deg, found 2 times within")
+    assert by_hand(rig_file, "home").stdout == "every axis knows its turn\n"
+    by_hand(rig_file, "home", "camera", code=2, says="axis camera needs no homing")
 
 
 @pytest.mark.parametrize(

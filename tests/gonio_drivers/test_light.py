@@ -10,6 +10,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from importlib.resources import files
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -57,6 +58,17 @@ class Plugged:
         speak(light, timeout_s=timeout_s, banner_s=PATIENCE_S)
         return light
 
+    def goes_dark(self) -> None:
+        """Wait until the twin is dark."""
+        end = time.monotonic() + PATIENCE_S
+        while self.twin.shine.lit:
+            assert time.monotonic() < end
+
+    def shines(self, band: Band = BANDS[1]) -> bool:
+        """Whether the twin shines as it was asked to."""
+        shine = self.twin.shine
+        return (shine.lit, shine.level, shine.band) == (True, 0.8, band)
+
 
 @pytest.fixture(params=DIALECTS)
 def lamp(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iterator[Plugged]:
@@ -90,8 +102,7 @@ def test_dark_at_construction_lit_when_asked_dark_on_leaving(lamp: Plugged) -> N
         light.select(BANDS[1])
         assert not lamp.twin.shine.lit
         light.on()
-        assert (lamp.twin.shine.lit, lamp.twin.shine.level) == (True, 0.8)
-        assert lamp.twin.shine.band == BANDS[1]
+        assert lamp.shines()
         light.check()
     assert not lamp.twin.shine.lit
     orders = [line for line in lamp.heard if "?" not in line and not line.startswith(("GET", "STATE", "ID", "DEVICE"))]
@@ -119,29 +130,31 @@ def test_dark_after_kill_9(lamp: Plugged, tmp_path: Path) -> None:
         "speak(light, timeout_s=PATIENCE_S, banner_s=PATIENCE_S)\n"
         "light.__enter__()\nlight.on()\nprint('lit', flush=True)\ninput()\n"
     )
-    root = ROOT
     command = [sys.executable, "-c", program]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=root) as killed:
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=ROOT) as killed:
         assert killed.stdout is not None
         assert killed.stdout.readline() == "lit\n"
         assert lamp.twin.shine.lit
         killed.kill()
-    end = time.monotonic() + PATIENCE_S
-    while lamp.twin.shine.lit:
-        assert time.monotonic() < end
+    lamp.goes_dark()
 
 
 @pytest.mark.usefixtures("real_time")
-def test_the_guard_darkens_what_an_interruption_has_left_lit(lamp: Plugged, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("told", [False, True])
+def test_the_guard_darkens_what_an_interruption_has_left_lit(
+    lamp: Plugged, monkeypatch: pytest.MonkeyPatch, told: bool
+) -> None:
+    """Whether it was told of life before, or not."""
+
     def pressed() -> None:
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt), lamp.driver() as light:  # noqa: PT012
         light.on()
+        if told:
+            light.keep(1000.0)
         monkeypatch.setattr(light, "off", pressed)
-    end = time.monotonic() + PATIENCE_S
-    while lamp.twin.shine.lit:
-        assert time.monotonic() < end
+    lamp.goes_dark()
 
 
 @pytest.mark.usefixtures("real_time")
@@ -155,9 +168,7 @@ def test_the_guard_waits_for_a_port_that_the_dead_program_still_holds(
     monkeypatch.setattr(guard, "time", unlocks)
     lamp.twin.shine.lit = True
     guard._darken(lamp.port, lamp.twin.bauds[0], lamp.driver()._orders_to_darken(), alone=True)
-    end = time.monotonic() + PATIENCE_S
-    while lamp.twin.shine.lit:
-        assert time.monotonic() < end
+    lamp.goes_dark()
     os.close(dead)
 
 
@@ -167,7 +178,7 @@ def test_a_band_changes_while_the_lamp_is_lit(lamp: Plugged) -> None:
             light.select(band)
             light.on()
             light.check()
-            assert (lamp.twin.shine.lit, lamp.twin.shine.level, lamp.twin.shine.band) == (True, 0.8, band)
+            assert lamp.shines(band)
 
 
 @pytest.mark.slow
@@ -183,9 +194,7 @@ def test_a_fault_at_any_exchange_is_mended_or_told(lamp: Plugged, fault: str, wh
             light.check()
         except LampReset:
             light.check()  # it has been lit again
-        if light.lit:
-            assert (lamp.twin.shine.lit, lamp.twin.shine.level) == (True, 0.8)
-            assert lamp.twin.shine.band == BANDS[1]
+        assert lamp.shines() or not light.lit
     assert not lamp.twin.shine.lit
 
 
@@ -209,14 +218,14 @@ def test_a_lamp_that_resets_while_it_shines_is_lit_again_and_told(lamp: Plugged)
         with pytest.raises(LampReset):
             light.check()
         light.check()
-        assert (lamp.twin.shine.lit, lamp.twin.shine.level, lamp.twin.shine.band) == (True, 0.8, BANDS[1])
+        assert lamp.shines()
 
 
 def test_a_lamp_that_stays_silent(lamp: Plugged) -> None:
     lamp.twin.faults.arm("lamp-silent", times=10_000)
     silent = lamp.driver(timeout_s=SHORT_S)
-    with pytest.raises(DeviceError, match=r"does not answer .*is it on, is devices\.light\.dialect"), silent:
-        pass
+    with pytest.raises(DeviceError, match=r"does not answer .*is it on, is devices\.light\.dialect"):
+        silent.__enter__()
 
 
 @pytest.mark.slow
@@ -236,8 +245,8 @@ def test_a_lamp_that_falls_silent_while_lit_is_an_error_that_says_to_switch_it_o
 def test_another_language(lamp: Plugged) -> None:
     other = "mightex" if lamp.name != "mightex" else "scpi"
     wrong = lamp.driver(timeout_s=SHORT_S, dialect=other, channels={}, baud=lamp.twin.bauds[0])
-    with pytest.raises(DeviceError, match=rf"devices\.light\.dialect|is no {other} controller"), wrong:
-        pass
+    with pytest.raises(DeviceError, match=rf"devices\.light\.dialect|is no {other} controller"):
+        wrong.__enter__()
 
 
 def test_monitor(lamp: Plugged) -> None:
@@ -261,26 +270,26 @@ def test_settings_are_refused_with_their_key(lamp: Plugged) -> None:
 
 def test_missing_port() -> None:
     light = SerialLight(DESCRIPTION, settings.Light(port="/dev/no-lamp-here"))
-    with pytest.raises(DeviceError, match=r'devices\.light\.port = "/dev/no-lamp-here": there is no such port'), light:
-        pass
+    with pytest.raises(DeviceError, match=r'devices\.light\.port = "/dev/no-lamp-here": there is no such port'):
+        light.__enter__()
+
+
+def shipped(name: str) -> str:
+    """The file of a shipped dialect."""
+    return files("gonio_drivers").joinpath("dialects", f"{name}.toml").read_text()
 
 
 def test_a_dialect_from_a_file(tmp_path: Path) -> None:
-    text = (Path(lamps.__file__).parents[3] / "drivers/gonio_drivers/dialects/arduino.toml").read_text()
     path = tmp_path / "mine.toml"
-    path.write_text(text.replace('name = "arduino"', 'name = "mine"'))
+    path.write_text(shipped("arduino").replace('name = "arduino"', 'name = "mine"'))
     assert dialect(str(path)).name == "mine"
-    path.write_text(text + 'colour = "green"\n')
-    with pytest.raises(ConfigError, match=r"mine\.toml: unknown key colour"):
-        dialect(str(path))
-    path.write_text(text.replace("'OK'", "'(OK'"))
-    with pytest.raises(ConfigError, match=r"mine\.toml: acknowledge = .*regular expression"):
-        dialect(str(path))
 
 
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
+        ('colour = "green"', "mine.toml: unknown key colour"),
+        ("acknowledge = '(OK'", r"mine\.toml: acknowledge = .*regular expression"),
         ('select = "WAV {wavelength_nm}"', "select and selected go together"),
         ('selected = "WAV?"', "select and selected go together"),
         ("got = '[.0-9]+'", r"got = .*needs a group"),
@@ -290,9 +299,8 @@ def test_a_dialect_from_a_file(tmp_path: Path) -> None:
     ],
 )
 def test_a_dialect_that_cannot_work_is_refused_when_it_is_read(tmp_path: Path, wrong: str, message: str) -> None:
-    text = (Path(lamps.__file__).parents[3] / "drivers/gonio_drivers/dialects/arduino.toml").read_text()
     key = wrong.split(" = ")[0]
-    kept = [line for line in text.splitlines() if not line.startswith(f"{key} = ")]
+    kept = [line for line in shipped("arduino").splitlines() if not line.startswith(f"{key} = ")]
     (tmp_path / "mine.toml").write_text("\n".join([*kept, wrong]))
     with pytest.raises(ConfigError, match=rf"mine\.toml: .*{message}|{message}"):
         dialect(str(tmp_path / "mine.toml"))
@@ -302,8 +310,8 @@ def test_a_device_that_never_stops_talking_is_no_lamp(lamp: Plugged, monkeypatch
     light = lamp.driver()
     speak(light, timeout_s=0.01, banner="READY.*", banner_s=0.01)
     monkeypatch.setattr(light._line, "next", lambda: "TEMP 31.2")
-    with pytest.raises(DeviceError, match=r'says it is "TEMP 31\.2", which is no'), light:
-        pass
+    with pytest.raises(DeviceError, match=r'says it is "TEMP 31\.2", which is no'):
+        light.__enter__()
 
 
 def test_a_line_of_blanks_ends_in_time(lamp: Plugged, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -315,18 +323,22 @@ def test_a_line_of_blanks_ends_in_time(lamp: Plugged, monkeypatch: pytest.Monkey
             assert light._line.next() == ""
 
 
+def answers_first(light: SerialLight, monkeypatch: pytest.MonkeyPatch, text: str) -> None:
+    """The next question is answered by this, whatever it was."""
+    real, answers = light._line.ask, iter([text])
+    monkeypatch.setattr(light._line, "ask", lambda *asked: next(answers, None) or real(*asked))
+
+
 def test_a_number_is_asked_for_again_where_something_else_comes(lamp: Plugged, monkeypatch: pytest.MonkeyPatch) -> None:
     with lamp.driver() as light:
-        real, answers = light._line.ask, iter(["TEMP is 31.2"])
-        monkeypatch.setattr(light._line, "ask", lambda *asked: next(answers, None) or real(*asked))
+        answers_first(light, monkeypatch, "TEMP is 31.2")
         assert light._line.number(light._dialect.get.format(channel=1), light._dialect.got) == 0
 
 
 def test_a_lamp_counts_as_dark_only_where_it_says_so(lamp: Plugged, monkeypatch: pytest.MonkeyPatch) -> None:
     with lamp.driver() as light:
         light.check()
-        real, answers = light._line.ask, iter(["who knows"])
-        monkeypatch.setattr(light._line, "ask", lambda *asked: next(answers, None) or real(*asked))
+        answers_first(light, monkeypatch, "who knows")
         with pytest.raises(LampReset):
             light.check()
 
@@ -345,8 +357,7 @@ def test_a_monitor_that_sees_nothing_of_a_lit_lamp_is_an_error(lamp: Plugged, mo
 def test_habits_of_controllers(lamp: Plugged, tmp_path: Path, habit: str, caplog: pytest.LogCaptureFixture) -> None:
     """An echo, a prompt, answers after the timeout (0.25 s), single bytes, lines that nobody asked for: the lamp shines
     as asked, and gets dark."""
-    text = (Path(lamps.__file__).parents[3] / f"drivers/gonio_drivers/dialects/{lamp.name}.toml").read_text()
-    (tmp_path / "mine.toml").write_text(text + ('prompt = "> "\n' if habit == "prompt" else ""))
+    (tmp_path / "mine.toml").write_text(shipped(lamp.name) + ('prompt = "> "\n' if habit == "prompt" else ""))
     receive = lamp.twin.receive
 
     def with_habit(data: bytes, baud: int, send: Callable[[bytes], None]) -> None:
@@ -371,7 +382,7 @@ def test_habits_of_controllers(lamp: Plugged, tmp_path: Path, habit: str, caplog
         light.select(BANDS[1])
         light.on()
         light.check()
-        assert (lamp.twin.shine.lit, lamp.twin.shine.level, lamp.twin.shine.band) == (True, 0.8, BANDS[1])
+        assert lamp.shines()
     assert not lamp.twin.shine.lit
     assert habit == "slow" or not caplog.records  # nothing had to be repeated
 
@@ -391,7 +402,7 @@ def test_lines_may_end_otherwise_than_the_dialect_says(lamp: Plugged, ending: by
         light.select(BANDS[1])
         light.on()
         light.check()
-        assert (lamp.twin.shine.lit, lamp.twin.shine.level, lamp.twin.shine.band) == (True, 0.8, BANDS[1])
+        assert lamp.shines()
     assert not lamp.twin.shine.lit
 
 

@@ -17,19 +17,17 @@ from gonio_drivers.lab import LAB, LabRig
 from gonio_drivers.stages import StageArms
 from gonio_sim.wire import kinesis
 from gonio_sim.wire.kinesis import COUNTS_PER_DEG
-from gonio_sim.wire.twins import Twins, rig_file
+from gonio_sim.wire.twins import Twins
 
 from gonio.errors import ConfigError, DeviceError, Disturbed
 from gonio.measurement import read
 from gonio.rig import Pose
-from gonio.rig.description import SampleDescription
 from tests.command_line import gonio as run
+from tests.gonio_drivers.conftest import SAMPLE, SCALE, angle, by_hand, written
 from tests.gonio_drivers.staged import AXES, PORT, STEP_DEG, on_stages
 
 pytest.importorskip("pylablib", reason="pylablib is not installed (the extra thorlabs)")
 
-SCALE = 50.0
-SAMPLE = SampleDescription(name="matt", model="lambert", parameters={"albedo": 0.5})
 TOLERANCE_DEG = 0.05
 """Of a landing, as the rig file has it by default."""
 
@@ -53,11 +51,6 @@ def arms_of(twins: Twins, **axes: dict[str, Any]) -> StageArms:
     arms = rig_of(twins, **axes).arms
     assert isinstance(arms, StageArms)
     return arms
-
-
-def angle(twins: Twins, name: str) -> float:
-    """Where the stage's shaft stands, as an angle of the axis [deg]."""
-    return math.degrees(twins.followers[name].encoder())
 
 
 def pose(**degrees: float) -> Pose:
@@ -95,37 +88,38 @@ def test_the_profile_is_the_rig_file_s_and_backlash_is_not_the_controller_s(twin
             assert stage._backlash == 0
 
 
-def test_every_axis_arrives_from_below_and_the_readback_is_returned(twins: Twins) -> None:
-    lowest: dict[str, float] = {name: math.inf for name in AXES}
+def seen_at_rest(twins: Twins) -> dict[str, list[float]]:
+    """Where each axis stands whenever one sets out from now on [deg]."""
+    seen: dict[str, list[float]] = {name: [] for name in AXES}
 
     def watch() -> None:
         for name in AXES:
-            lowest[name] = min(lowest[name], angle(twins, name))
+            seen[name].append(angle(twins, name))
 
+    for stage in twins.stages.values():
+        stage.leaving = watch
+    return seen
+
+
+def test_every_axis_arrives_from_below_and_the_readback_is_returned(twins: Twins) -> None:
     with arms_of(twins) as arms:
         arms.move(pose(light=10, camera=20, tilt=5, spin=5))
-        for stage in twins.stages.values():
-            stage.leaving = watch
+        seen = seen_at_rest(twins)
         landed = arms.move(pose(light=-30, camera=-10, tilt=0, spin=-5))
     for name, goal in {"light": -30, "camera": -10, "tilt": 0, "spin": -5}.items():
-        assert lowest[name] == pytest.approx(goal - 1.0, abs=TOLERANCE_DEG + 0.5)  # the approach ends within its half
-        assert lowest[name] < goal
+        lowest = min(seen[name])
+        assert lowest == pytest.approx(goal - 1.0, abs=TOLERANCE_DEG + 0.5)  # the approach ends within its half
+        assert lowest < goal
         assert math.degrees(getattr(landed, name)) == pytest.approx(goal, abs=TOLERANCE_DEG)
 
 
 def test_a_limit_is_not_crossed_on_the_way_to_it(twins: Twins, caplog: pytest.LogCaptureFixture) -> None:
-    lowest = math.inf
-
-    def watch() -> None:
-        nonlocal lowest
-        lowest = min(lowest, angle(twins, "light"))
-
     with arms_of(twins) as arms:
-        twins.stages["light"].leaving = watch
+        seen = seen_at_rest(twins)
         arms.park()
         assert caplog.messages == []
         arms.jog({"light": math.radians(-95)})
-    assert lowest >= -95 - STEP_DEG
+    assert min(seen["light"]) >= -95 - STEP_DEG
     assert any(
         "axis light at -95 deg, 0.00 deg from its limit: its backlash of 0.1" in text for text in caplog.messages
     )
@@ -134,19 +128,13 @@ def test_a_limit_is_not_crossed_on_the_way_to_it(twins: Twins, caplog: pytest.Lo
 def test_an_axis_arrives_from_above_where_the_rig_file_says_so(tmp_path: Path) -> None:
     above = {"light": on_stages().arms.light.model_dump() | {"approach_deg": -1.0}}
     with Twins(on_stages(arms=above), SAMPLE, 3, folder=tmp_path / "twin", scale=SCALE) as served:
-        highest: dict[str, float] = {name: -math.inf for name in ("light", "camera")}
-
-        def watch() -> None:
-            for name in highest:
-                highest[name] = max(highest[name], angle(served, name))
-
         with arms_of(served) as arms:
             arms.move(pose(light=-30, camera=-30))
-            for stage in served.stages.values():
-                stage.leaving = watch
+            seen = seen_at_rest(served)
             arms.move(pose(light=10, camera=10))
-        assert highest["light"] == pytest.approx(11.0, abs=TOLERANCE_DEG + 0.5)  # the approach ends within its half
-        assert highest["camera"] < 10.0 + TOLERANCE_DEG
+        # the approach ends within its half
+        assert max(seen["light"]) == pytest.approx(11.0, abs=TOLERANCE_DEG + 0.5)
+        assert max(seen["camera"]) < 10.0 + TOLERANCE_DEG
 
 
 def test_a_reading_beyond_a_hard_stop_opens_nothing(tmp_path: Path) -> None:
@@ -327,18 +315,10 @@ def test_a_run_on_stages_measures(twins: Twins, tmp_path: Path, monkeypatch: pyt
 
 
 def test_servos_are_not_looked_for_on_a_rig_of_stages(twins: Twins, tmp_path: Path) -> None:
-    done = run(tmp_path, "rig", "ids", "--rig", written(twins, tmp_path))
-    assert done.returncode == 2
-    assert "has stages (devices.stages) and no servos" in done.stderr
+    by_hand(written(twins, tmp_path), "ids", code=2, says="has stages (devices.stages) and no servos")
 
 
 # ---- by hand, through the command line ----
-
-
-def written(twins: Twins, tmp_path: Path) -> Path:
-    path = tmp_path / "my.toml"
-    path.write_text(rig_file(twins.description))
-    return path
 
 
 @pytest.mark.slow
@@ -350,17 +330,13 @@ def test_read_move_and_park_by_hand_with_one_stage_mute(
     monkeypatch.setattr(KinesisDevice.__init__, "__defaults__", (0.3, 1, False))  # pylablib waits for 3 s
     rig = written(twins, tmp_path)
     twins.stages["tilt"].mute = True
-    done = run(tmp_path, "rig", "read", "--rig", str(rig), "--json")
-    assert '"spin"' in done.stdout
+    done = by_hand(rig, "read", "--json", code=None, prints='"spin"')
     assert "tilt" in done.stdout + done.stderr
-    done = run(tmp_path, "rig", "move", "light=-10", "--rig", str(rig))
-    assert done.returncode == 0, done.stderr
+    by_hand(rig, "move", "light=-10")
     assert angle(twins, "light") == pytest.approx(-10, abs=TOLERANCE_DEG)
-    done = run(tmp_path, "rig", "park", "--rig", str(rig))
-    assert done.returncode == 3
+    by_hand(rig, "park", code=3, says="not parked, and where it stands is not known: tilt")
     assert angle(twins, "light") == pytest.approx(-88, abs=TOLERANCE_DEG)
     assert angle(twins, "camera") == pytest.approx(88, abs=TOLERANCE_DEG)
-    assert "not parked, and where it stands is not known: tilt" in " ".join(done.stderr.split())
 
 
 def test_stop_never_raises_and_says_what_did_not_answer(

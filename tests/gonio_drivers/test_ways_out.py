@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
 import os
 import re
@@ -21,27 +20,18 @@ from gonio_sim.wire.servo import Servo
 from gonio_sim.wire.twins import Twins
 
 from gonio import platform
-from gonio.acquisition.measure import RigChoice, carry_out
-from gonio.acquisition.plan import load_plan
+from gonio.acquisition.measure import RigChoice
 from gonio.acquisition.progress import Silent
-from gonio.acquisition.run import Run
 from gonio.cli.rigs import checks
 from gonio.errors import DeviceError, GonioError, Interrupted
 from gonio.rig import Pose
-from tests.command_line import gonio as run
-from tests.gonio_drivers.conftest import LONGEST_S
-from tests.gonio_drivers.test_by_hand import COMMAND, written
-from tests.gonio_drivers.test_lab import PLAN, crawl, opened
+from tests.gonio_drivers.conftest import COMMAND, LONGEST_S, angle, by_hand, opened, written
+from tests.gonio_drivers.test_lab import crawl, measure
 
 pytestmark = pytest.mark.slow
 
 SAID_DEG = 0.15
 """Rounding of what is said, flicker, and what a released axis gives way."""
-
-
-def angle(twins: Twins, name: str) -> float:
-    """Where a shaft stands, as an angle of its axis [deg]."""
-    return math.degrees(twins.followers[name].encoder())
 
 
 def assert_true(said: str, twins: Twins) -> None:
@@ -72,15 +62,13 @@ def when_it_sets_out(servo: Servo, act: Callable[[], None], counts: float = 50.0
     servo.leaving = leaving
 
 
-def plan(tmp_path: Path) -> Path:
-    path = tmp_path / "plan.toml"
-    path.write_text(PLAN)
-    return path
-
-
-def measure(twins: Twins, tmp_path: Path, *, resume: bool = False) -> Run:
-    choice = RigChoice(LAB, twins.description, "twin")
-    return carry_out(load_plan(plan(tmp_path)), choice, tmp_path / "run", progress=Silent(), resume=resume)
+def struck(twins: Twins, tmp_path: Path, words: list[str], number: signal.Signals) -> subprocess.Popen[str]:
+    """A command that gets a signal when the camera's axis sets out."""
+    child: list[subprocess.Popen[str]] = []
+    when_it_sets_out(twins.servos["camera"], lambda: child[0].send_signal(number))
+    command = [*COMMAND, "rig", *words, "--rig", str(written(twins, tmp_path))]
+    child.append(subprocess.Popen(command, stderr=subprocess.PIPE, text=True))
+    return child[0]
 
 
 # ---- signals ----
@@ -124,9 +112,8 @@ def test_a_signal_whose_exception_is_lost_still_ends_a_measurement(twins: Twins,
         def step(self, live: Any) -> None:
             Finalised()  # what is raised in there is dropped by Python
 
-    choice = RigChoice(LAB, twins.description, "twin")
     with pytest.raises(Interrupted, match="stopped by SIGXCPU after"):
-        carry_out(load_plan(plan(tmp_path)), choice, tmp_path / "run", progress=Drops())
+        measure(twins, tmp_path, Drops())
     assert twins.quiet
 
 
@@ -165,16 +152,9 @@ def test_a_signal_in_mid_move_of_a_check_tells_where_the_arms_stand(twins: Twins
 def test_a_signal_in_mid_move_of_a_command_tells_where_the_arms_stand(
     twins: Twins, tmp_path: Path, command: list[str]
 ) -> None:
-    child: list[subprocess.Popen[str]] = []
-    when_it_sets_out(twins.servos["camera"], lambda: child[0].send_signal(signal.SIGXCPU))
-    child.append(
-        subprocess.Popen(
-            [*COMMAND, "rig", *command, "--rig", str(written(twins, tmp_path))], stderr=subprocess.PIPE, text=True
-        )
-    )
-    with child[0]:
-        said = child[0].communicate()[1]
-    assert child[0].returncode == 130, said
+    with struck(twins, tmp_path, command, signal.SIGXCPU) as child:
+        said = child.communicate()[1]
+    assert child.returncode == 130, said
     assert_true(said, twins)
 
 
@@ -192,12 +172,8 @@ def test_an_error_in_a_measurement_tells_where_the_arms_stand(twins: Twins, tmp_
 @pytest.mark.usefixtures("real_time")
 def test_a_park_that_stood_still_for_longer_than_the_watchdog_goes_on_and_parks(twins: Twins, tmp_path: Path) -> None:
     camera = twins.servos["camera"]
-    child: list[subprocess.Popen[str]] = []
     usual = camera._limits
-    when_it_sets_out(camera, lambda: child[0].send_signal(signal.SIGSTOP))
-    command = [*COMMAND, "rig", "park", "--rig", str(written(twins, tmp_path))]
-    child.append(subprocess.Popen(command, stderr=subprocess.PIPE, text=True))
-    with child[0]:
+    with struck(twins, tmp_path, ["park"], signal.SIGSTOP) as child:
         end = time.monotonic() + LONGEST_S
         while camera.get("Bus Watchdog") != -1:
             camera.shaft()
@@ -208,9 +184,9 @@ def test_a_park_that_stood_still_for_longer_than_the_watchdog_goes_on_and_parks(
         camera.registers.put("Profile Acceleration", 0)
         assert stood[1] == 0
         camera._limits = usual  # type: ignore[method-assign]
-        child[0].send_signal(signal.SIGCONT)
-        said = child[0].communicate()[1]
-    assert child[0].returncode == 0, said
+        child.send_signal(signal.SIGCONT)
+        said = child.communicate()[1]
+    assert child.returncode == 0, said
     assert "arms parked" in said
     assert angle(twins, "camera") == pytest.approx(88, abs=SAID_DEG)
     assert twins.quiet
@@ -222,9 +198,7 @@ def test_a_park_that_stood_still_for_longer_than_the_watchdog_goes_on_and_parks(
 @pytest.mark.parametrize("held", [True, False])
 def test_a_check_without_moves_leaves_the_arms_as_they_were_found(twins: Twins, held: bool) -> None:
     if held:
-        with opened(twins) as rig:
-            rig.hold()
-            rig.arms.move(Pose(light=math.radians(10), camera=math.radians(40)))
+        held_up_high(twins)
     goals = {name: servo.get("Goal Position") for name, servo in twins.servos.items()}
     at = {name: servo.shaft()[0] for name, servo in twins.servos.items()}
     rows = checks(RigChoice(LAB, twins.description, "twin"), move=False)
@@ -235,35 +209,35 @@ def test_a_check_without_moves_leaves_the_arms_as_they_were_found(twins: Twins, 
         assert {name: servo.get("Goal Position") for name, servo in twins.servos.items()} == goals
 
 
-@pytest.mark.parametrize("fails", ["opening", "diagnosis"])
-def test_a_check_without_moves_that_fails_leaves_them_too(
-    twins: Twins, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fails: str
-) -> None:
+def held_up_high(twins: Twins) -> None:
+    """The arms are left away from their rest position, and hold."""
     with opened(twins) as rig:
         rig.hold()
         rig.arms.move(Pose(light=math.radians(10), camera=math.radians(40)))
+
+
+@pytest.mark.parametrize("fails", ["opening", "diagnosis", "measurement"])
+def test_a_check_without_moves_or_a_measurement_that_fails_lets_no_arm_fall(
+    twins: Twins, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fails: str
+) -> None:
+    held_up_high(twins)
     description = twins.description
-    if fails == "opening":
-        description.devices["camera"]["folder"] = str(tmp_path / "nothing")
-        with contextlib.suppress(GonioError):
-            checks(RigChoice(LAB, description, "twin"), move=False)
-    else:
+    if fails == "diagnosis":
         monkeypatch.setattr("gonio_drivers.diagnosis._bus", lambda arms: arms.bus.read(77, 0, 1))
         rows = checks(RigChoice(LAB, description, "twin"), move=False)
         assert not rows[-1][2]
         assert_true(rows[-1][1], twins)
+    else:
+        description.devices["camera"]["folder"] = str(tmp_path / "nothing")
+        choice = RigChoice(LAB, description, "twin")
+        acts: dict[str, Callable[[], object]] = {
+            "opening": lambda: checks(choice, move=False),
+            "measurement": lambda: measure(twins, tmp_path, description=description),
+        }
+        with pytest.raises(GonioError, match=r"devices\.camera\.folder"):
+            acts[fails]()
     assert all(servo.torque for servo in twins.servos.values())
     assert angle(twins, "camera") == pytest.approx(40, abs=SAID_DEG)
-
-
-def test_a_measurement_that_cannot_open_its_camera_lets_no_arm_fall(twins: Twins, tmp_path: Path) -> None:
-    with opened(twins) as rig:
-        rig.hold()
-    description = twins.description
-    description.devices["camera"]["folder"] = str(tmp_path / "nothing")
-    with pytest.raises(GonioError, match=r"devices\.camera\.folder"):
-        carry_out(load_plan(plan(tmp_path)), RigChoice(LAB, description, "twin"), tmp_path / "run", progress=Silent())
-    assert all(servo.torque for servo in twins.servos.values())
     assert not twins.lamp.shine.lit
 
 
@@ -318,8 +292,7 @@ def test_an_axis_turned_by_hand_past_a_turn_is_opened_where_it_is(twins: Twins, 
     here = tilt.shaft()[0]
     tilt._path = motion.rest(tilt._clock(), here + turns * tables.COUNTS)
     assert tilt.read(132, 4) == round(here + turns * tables.COUNTS).to_bytes(4, "little", signed=True)
-    done = run(tmp_path, "rig", "read", "--rig", written(twins, tmp_path))
-    assert done.returncode == 0, done.stderr
+    by_hand(written(twins, tmp_path), "read")
     with opened(twins) as rig:
         before = math.degrees(rig.arms.read().tilt)
         assert before == pytest.approx(1.0, abs=SAID_DEG)
