@@ -101,13 +101,13 @@ class GenICamCamera:
         return self
 
     def __exit__(self, *_: object) -> None:
-        camera, self._camera = self._camera, None
-        harvester, self._harvester = self._harvester, None
-        with contextlib.suppress(*self._failures):
-            if camera is not None:
+        camera, harvester = self._camera, self._harvester
+        self._camera = self._harvester = None
+        if camera is not None:
+            with contextlib.suppress(*self._failures):
                 camera.destroy()
-        with contextlib.suppress(*self._failures):
-            if harvester is not None:
+        if harvester is not None:
+            with contextlib.suppress(*self._failures):
                 harvester.reset()
 
     def capture(self, exposure_s: float) -> Frame:
@@ -213,7 +213,8 @@ class GenICamCamera:
         """Size and format of the rig file, and nothing automatic; what the camera does not take is an error."""
         camera, nodes = self._description, self._camera.remote_device.node_map
         for name, value in OFF.items():
-            if self._has(name) and self._readable(name) and getattr(nodes, name).value != value:
+            node = self._node(name, "RO", "RW")
+            if node is not None and node.value != value:
                 self._set(name, value)
         for name, choices in SINGLE.items():
             if self._has(name):
@@ -252,11 +253,14 @@ class GenICamCamera:
     def _has(self, name: str) -> bool:
         return bool(self._camera.remote_device.node_map.has_node(name))
 
-    def _readable(self, name: str) -> bool:
+    def _node(self, name: str, *modes: str) -> Any:
+        """A feature of the camera, by the name of the standard; None where it lacks it, or not with this access."""
         from genicam.genapi import EAccessMode
 
-        mode = getattr(self._camera.remote_device.node_map, name).get_access_mode()
-        return mode in (EAccessMode.RO, EAccessMode.RW)
+        nodes = self._camera.remote_device.node_map
+        node = getattr(nodes, name) if nodes.has_node(name) else None
+        good = node is not None and node.get_access_mode() in [getattr(EAccessMode, mode) for mode in modes]
+        return node if good else None
 
     def _set(self, name: str, value: Any) -> None:
         """Set a feature, and read it back."""
@@ -273,13 +277,9 @@ class GenICamCamera:
 
     def _feature(self, *names: str) -> Any:
         """The first of these that the camera has, to be set."""
-        from genicam.genapi import EAccessMode
-
         for name in names:
-            if self._has(name):
-                node = getattr(self._camera.remote_device.node_map, name)
-                if node.get_access_mode() == EAccessMode.RW:
-                    return node
+            if (node := self._node(name, "RW")) is not None:
+                return node
         raise DeviceError(f"the {self._who} has no feature {' or '.join(names)} that can be set")
 
 
@@ -316,10 +316,7 @@ def unpack(lines: npt.NDArray[np.uint8], name: str, width: int) -> npt.NDArray[n
         return pairs.reshape(height, width)
     if name.endswith("p"):
         ones = np.unpackbits(np.ascontiguousarray(lines), axis=1, bitorder="little").reshape(height, width, bits)
-        values: npt.NDArray[np.uint16] = (ones.astype(np.uint16) << np.arange(bits, dtype=np.uint16)).sum(
-            axis=-1, dtype=np.uint16
-        )
-        return values
+        return np.asarray((ones.astype(np.uint16) << np.arange(bits, dtype=np.uint16)).sum(axis=-1, dtype=np.uint16))
     if bits == 8:
         return lines.astype(np.uint16)
     return np.ascontiguousarray(lines).view("<u2").astype(np.uint16)

@@ -228,12 +228,10 @@ class Interlock:
             raise Tripped(_stopped(self._why))
 
     def __enter__(self) -> Interlock:
-        self._why = ""
         self.contact.open()
         kept = self.latch.why()
-        if kept:
-            self._why = f"not acknowledged yet: {kept}"
-        else:
+        self._why = f"not acknowledged yet: {kept}" if kept else ""
+        if not kept:
             self._look()
         self._ends.clear()
         self._thread = threading.Thread(target=self._watch, name="gonio-interlock", daemon=True)
@@ -287,7 +285,7 @@ class Interlock:
         except DeviceError as failure:
             why = _unread(self.contact, failure)
         if why:
-            self._why = why
+            self._why = why  # first of all: whoever looks is stopped from now on
             self._why += self.latch.set(why)
 
     def _watch(self) -> None:

@@ -303,6 +303,12 @@ def span(table: Mapping[str, Item]) -> tuple[int, int]:
     return first.address, last.address + last.size - first.address
 
 
+def reported(joint: Joint, block: bytes) -> dict[str, int]:
+    """The items of that block that its servo has."""
+    start = span(joint.table)[0]
+    return {name: item.decode(block, start) for name, item in joint.table.items() if name in REPORTED}
+
+
 def reports(bus: Bus, joints: Iterable[Joint]) -> dict[str, Report]:
     """What every servo says now, by the name of its axis, with its health checked; one block a servo.
 
@@ -321,8 +327,7 @@ def reports(bus: Bus, joints: Iterable[Joint]) -> dict[str, Report]:
     out = {}
     for identity, block in blocks.items():
         joint = by_id[identity]
-        start = span(joint.table)[0]
-        value = {n: joint.table[n].decode(block, start) for n in joint.table if n in REPORTED}
+        value = reported(joint, block)
         current = value.get("Present Current", value.get("Present Load", 0))
         joint.health = Health(value["Present Temperature"], value["Present Input Voltage"] / 10, current)
         seen = (*joint.strained, joint.health)

@@ -79,7 +79,6 @@ class KinesisStage:
         self._failures = (error, *ports.FAILURES, struct.error, AttributeError, IndexError, UnicodeDecodeError)
         port = self.axis.port
         ports.require_free(port, f"{self._key}.port")
-        failure: Exception | None = None
         for _ in range(2):  # the first answer may be the rest of another program's
             begun = time.monotonic()
             try:
@@ -97,7 +96,6 @@ class KinesisStage:
             except BaseException:
                 self._close()
                 raise
-        assert failure is not None
         if _number(failure) is not None:
             cause = failure.__cause__ if isinstance(failure.__cause__, Exception) else failure
             raise ports.unopened(port, cause, f"{self._key}.port")
@@ -176,7 +174,6 @@ class KinesisStage:
         """What the controller answers; asked again where the answer is damaged, or does not come."""
         if self._motor is None:
             raise DeviceError(f"the {self} is not open: enter the rig first")
-        failure: Exception | None = None
         for _ in range(TRIES):
             try:
                 return ask()
@@ -184,7 +181,6 @@ class KinesisStage:
                 failure = caught
                 with contextlib.suppress(*self._failures):
                     self._motor.flush_comm()
-        assert failure is not None
         if _number(failure) is not None:
             raise ports.lost(self.axis.port, failure, f"{self._key}.port")
         raise DeviceError(f"{self._key}: {self} does not answer ({_said(failure)}); check power and cable")

@@ -203,10 +203,9 @@ class LabRig:
         if "light" in self._opened:
             dark = self.light.known_dark
             said.append("lamp dark" if dark else "whether the lamp is dark is not known: look at it")
-        where = ""
-        if "arms" in self._opened:
-            where = "; " + axes_stand(lambda: self.survey("arms"), self.description.axes())
-        return ", ".join(said) + where
+        if "arms" not in self._opened:
+            return ", ".join(said)
+        return ", ".join(said) + "; " + axes_stand(lambda: self.survey("arms"), self.description.axes())
 
     def jog(self, goals: Mapping[str, float]) -> dict[str, float]:
         """Drive some axes [rad] and leave the others; the readback of those that moved [rad]."""
@@ -228,14 +227,12 @@ class LabRig:
 
     def survey(self, *devices: Device) -> Health:
         """What the devices say that nobody has opened; nothing is changed by it."""
-        health = Health()
-        for name in devices or ALL:
-            if name == "arms":
-                health += survey.of_arms(self.arms)
-            elif name == "light":
-                health += survey.of_light(self.light)
-            elif name == "camera":
-                health += survey.of_camera(self._camera, self._camera_driver)
+        ask = {
+            "arms": lambda: survey.of_arms(self.arms),
+            "light": lambda: survey.of_light(self.light),
+            "camera": lambda: survey.of_camera(self._camera, self._camera_driver),
+        }
+        health = sum((ask[name]() for name in devices or ALL), Health())
         if self.interlock is not None and not devices:
             health += self.interlock.survey()
         return health

@@ -76,7 +76,6 @@ class LampLine:
     def order(self, command: str) -> None:
         """A command that changes something: acknowledged, or followed by a look into the error queue."""
         d = self._dialect
-        last: DeviceError | None = None
         for attempt in range(TRIES):
             reply = None
             try:
@@ -85,10 +84,8 @@ class LampLine:
                     reply = self.reply(d.acknowledge)
                     if not re.fullmatch(d.acknowledge, reply):
                         raise self._disappointment(command, reply)
-                if d.error_query is not None:
-                    error = self.ask(d.error_query, f"{d.no_error}|{ERROR}")
-                    if not re.fullmatch(d.no_error, error):
-                        raise Nak(f'the lamp on {self._name} refuses "{command}": {error}')
+                if error := self._error():
+                    raise Nak(f'the lamp on {self._name} refuses "{command}": {error}')
             except DeviceError as failure:
                 last = failure
                 self.calm(missing=reply == "")
@@ -96,22 +93,20 @@ class LampLine:
             if attempt:
                 log.warning("lamp on %s: %s; obeyed at attempt %d", self._name, last, attempt + 1)
             return
-        assert last is not None
         raise last
 
     def ask(self, query: str, expected: str) -> str:
         """A query and its reply; `expected` is the pattern of a usual one, which the caller compares."""
-        last: DeviceError | None = None
         for attempt in range(TRIES):
             self.send(query)
             reply = self.reply(expected)
-            if reply and not any(p and re.fullmatch(p, reply) for p in (self._dialect.refuse, self._dialect.banner)):
-                if attempt:
-                    log.warning("lamp on %s: %s; answered at attempt %d", self._name, last, attempt + 1)
-                return reply
-            last = self._disappointment(query, reply)
-            self.calm(missing=not reply)
-        assert last is not None
+            if not reply or any(p and re.fullmatch(p, reply) for p in (self._dialect.refuse, self._dialect.banner)):
+                last = self._disappointment(query, reply)
+                self.calm(missing=not reply)
+                continue
+            if attempt:
+                log.warning("lamp on %s: %s; answered at attempt %d", self._name, last, attempt + 1)
+            return reply
         raise last
 
     def _disappointment(self, command: str, reply: str) -> DeviceError:
@@ -154,9 +149,9 @@ class LampLine:
         That is none that refuses, greets or is `good` itself: an echo (some controllers return what was sent), the
         acknowledgement of an earlier command, or a line that nobody has asked for may come before the answer.
         """
-        d = self._dialect
-        end = clock.monotonic() + self._timeout_s()
-        answer = ""
+        assert self._port is not None
+        d, answer = self._dialect, ""
+        end = clock.monotonic() + float(self._port.timeout)
         while line := self.next():
             if any(pattern is not None and re.fullmatch(pattern, line) for pattern in (good, d.refuse, d.banner)):
                 answer = line
@@ -168,14 +163,10 @@ class LampLine:
         self._silent = self._silent and not answer
         return answer
 
-    def _timeout_s(self) -> float:
-        assert self._port is not None
-        return float(self._port.timeout)
-
     def next(self) -> str:
         """One line without its ending and without a prompt; empty where no whole one comes in time."""
         assert self._port is not None
-        end = clock.monotonic() + self._timeout_s()
+        end = clock.monotonic() + float(self._port.timeout)
         with ports.in_use(self._name, KEY):
             while not self._lines:
                 raw = self._port.read_until(self._ending)
@@ -225,11 +216,15 @@ class LampLine:
             self._lines.clear()
             self._port.reset_input_buffer()
 
+    def _error(self) -> str:
+        """The next entry of the error queue; "" where there is none."""
+        d = self._dialect
+        error = "" if d.error_query is None else self.ask(d.error_query, f"{d.no_error}|{ERROR}")
+        return "" if re.fullmatch(d.no_error, error) else error
+
     def drain_errors(self) -> None:
         """Ask for what lies in the error queue until it is empty."""
-        d = self._dialect
-        if d.error_query is not None:
-            for _ in range(ERRORS_KEPT):
-                if re.fullmatch(d.no_error, self.ask(d.error_query, f"{d.no_error}|{ERROR}")):
-                    return
-            raise DeviceError(f"the lamp on {self._name} has an error queue that does not end")
+        for _ in range(ERRORS_KEPT):
+            if not self._error():
+                return
+        raise DeviceError(f"the lamp on {self._name} has an error queue that does not end")

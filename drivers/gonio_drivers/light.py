@@ -58,7 +58,6 @@ class SerialLight:
         """The guard darkens the lamp so long after it was opened, even if this program stands still; 0: never."""
         self._channel = light.channel
         self._band: Band | None = None
-        self._lit_since: float | None = None
         self._monitored: float | None = None
         self._warmed = False
         self.identity = ""
@@ -94,12 +93,10 @@ class SerialLight:
         return self
 
     def __exit__(self, *_: object) -> None:
-        dark = False
         try:
             self.off()
-            dark = True
         finally:
-            self._close(in_order=dark)
+            self._close(in_order=self.known_dark)
 
     @contextlib.contextmanager
     def looked_at(self) -> Iterator[None]:
@@ -128,14 +125,8 @@ class SerialLight:
             clock.sleep(self._light.settle_s)
         self._channel = channel
         if d.select is not None and d.selected is not None:
-            wanted = band.centre_nm
-            self._set(
-                d.select.format(wavelength_nm=wanted, channel=channel),
-                d.selected,
-                d.selected_got,
-                wanted,
-                WAVELENGTH_STEP_NM,
-            )
+            command = d.select.format(wavelength_nm=band.centre_nm, channel=channel)
+            self._set(command, d.selected, d.selected_got, band.centre_nm, WAVELENGTH_STEP_NM)
             if self.lit:
                 clock.sleep(self._light.settle_s)
         self._band = band
@@ -158,7 +149,6 @@ class SerialLight:
             The controller does not say that the lamp is dark.
         """
         self.lit = self.known_dark = False
-        self._lit_since = None
         try:
             self._off()
             self.known_dark = True
@@ -174,7 +164,7 @@ class SerialLight:
             It was not; what has been exposed since the last look is worth nothing.
         """
         d = self._dialect
-        answer = self._line.ask(d.state.format(channel=self._channel), f"{d.state_on}|{d.state_off}")
+        answer = self._ask_state(self._channel)
         as_meant = re.fullmatch(d.state_on if self.lit else d.state_off, answer) is not None
         if as_meant and (not self.lit or (self._level_kept() and self._band_kept())):
             return
@@ -198,11 +188,11 @@ class SerialLight:
         d = self._dialect
         lit = False
         for channel in self._channels_to_darken():
-            answer = self._line.ask(d.state.format(channel=channel), f"{d.state_on}|{d.state_off}")
+            answer = self._ask_state(channel)
             if not re.fullmatch(f"{d.state_on}|{d.state_off}", answer):
                 raise DeviceError(f'the lamp on {self._light.port} says of its state: "{answer}"; is it lit or dark?')
             lit = lit or re.fullmatch(d.state_on, answer) is not None
-        return lit, self._line.number(d.get.format(channel=self._channel), d.got) / d.full_scale
+        return lit, self._level() / d.full_scale
 
     def monitor(self) -> float | None:
         """Reading of the monitor photodiode in its own unit; None where the controller has none."""
@@ -300,11 +290,18 @@ class SerialLight:
         d = self._dialect
         return [(d.off.format(channel=channel) + d.send_ending).encode() for channel in self._channels_to_darken()]
 
-    def _switch(self, command: str, wanted: str, channel: int) -> None:
+    def _ask_state(self, channel: int) -> str:
         d = self._dialect
+        return self._line.ask(d.state.format(channel=channel), f"{d.state_on}|{d.state_off}")
+
+    def _level(self) -> float:
+        """The setting that the controller has, in its own unit."""
+        return self._line.number(self._dialect.get.format(channel=self._channel), self._dialect.got)
+
+    def _switch(self, command: str, wanted: str, channel: int) -> None:
         for _ in range(TRIES):
             self._line.order(command.format(channel=channel))
-            state = self._line.ask(d.state.format(channel=channel), f"{d.state_on}|{d.state_off}")
+            state = self._ask_state(channel)
             if re.fullmatch(wanted, state):
                 return
             log.warning('lamp on %s: after "%s" its state is "%s"; repeated', self._light.port, command, state)
@@ -322,8 +319,7 @@ class SerialLight:
 
     def _level_kept(self) -> bool:
         d = self._dialect
-        got = self._line.number(d.get.format(channel=self._channel), d.got)
-        kept = abs(got - self._light.level * d.full_scale) <= d.resolution
+        kept = abs(self._level() - self._light.level * d.full_scale) <= d.resolution
         if kept and self._light.monitor_tolerance is not None and (seen := self.monitor()) is not None:
             first = self._monitored = self._monitored or seen
             if not first > 0:
@@ -342,14 +338,8 @@ class SerialLight:
         return abs(self._line.number(d.selected, d.selected_got) - self._band.centre_nm) <= WAVELENGTH_STEP_NM
 
     def _settle(self) -> None:
-        now = clock.monotonic()
-        first = self._lit_since is None
-        if self._lit_since is None:
-            self._lit_since = now
-        wait = self._light.settle_s
-        if first and not self._warmed:
-            wait = max(wait, self._warm_up_s)
-            self._warmed = True
+        wait = self._light.settle_s if self._warmed else max(self._light.settle_s, self._warm_up_s)
+        self._warmed = True
         self._wait(wait)
         self._monitored = self.monitor() if self._light.monitor_tolerance is not None else None
 

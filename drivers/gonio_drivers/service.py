@@ -93,9 +93,7 @@ class ServoService:
         there: dict[str, settings.ServoAxis] = {str(name): axis for name, axis in servos.axes.items()}
         if servos.changer is not None:
             there["changer"] = servos.changer
-        for name in axes:
-            if name not in there:
-                raise ConfigError(f"the rig has no servo of an axis {name}; it has {', '.join(there)}")
+        _require_known(axes, there)
         out: dict[str, str] = {}
         with Bus(servos.port, servos.baud) as bus:
             for name in axes or there:
@@ -117,9 +115,7 @@ class ServoService:
         out: dict[str, Homed | str] = {}
         with Bus(servos.port, servos.baud) as bus:
             there = {str(n): preparation.joint_of(bus, description, n, servo) for n, servo in servos.axes.items()}
-            for name in axes:
-                if name not in there:
-                    raise ConfigError(f"the rig has no servo of an axis {name}; it has {', '.join(there)}")
+            _require_known(axes, there)
             wanted = axes or homing.lacking({n: j for n, j in there.items() if j.servo.homing is not None})
             with _interlock(description, there) as allowed:
                 for name in wanted:
@@ -138,6 +134,12 @@ def _servos(description: RigDescription) -> settings.Servos:
     if not isinstance(table, dict):
         raise ConfigError(f'rig "{description.name}": the table devices.servos is missing')
     return parse(settings.Servos, table, f'rig "{description.name}": devices.servos')
+
+
+def _require_known(axes: Sequence[str], there: Mapping[str, object]) -> None:
+    for name in axes:
+        if name not in there:
+            raise ConfigError(f"the rig has no servo of an axis {name}; it has {', '.join(there)}")
 
 
 @contextlib.contextmanager

@@ -40,12 +40,11 @@ def of_open_arms(arms: ServoArms | StageArms) -> Health:
     for name, report in reports.items():
         joint = arms.joints[name]
         assert joint.health is not None
-        low, high = joint.voltage_limits_v
         found += [
             _angle(joint, report.position),
             Reading(name, "temperature", joint.health.temperature_c, "C", (-math.inf, joint.max_temperature_c)),
             _current(joint, joint.health.current),
-            Reading(name, "voltage", joint.health.voltage_v, "V", (low, high)),
+            Reading(name, "voltage", joint.health.voltage_v, "V", joint.voltage_limits_v),
         ]
     return Health(tuple(found), {name: str(failure) for name, failure in arms.absent.items()})
 
@@ -95,10 +94,8 @@ def of_arms(arms: ServoArms | StageArms) -> Health:
 def _asked(joint: Joint) -> list[Reading]:
     joint.identify_model()
     home_mark.recall(joint)
-    table, name = joint.table, joint.name
-    address, size = joints.span(table)
-    block = joint.bus.read(joint.id, address, size)
-    value = {n: table[n].decode(block, address) for n in joints.REPORTED if n in table}
+    name, (address, size) = joint.name, joints.span(joint.table)
+    value = joints.reported(joint, joint.bus.read(joint.id, address, size))
     highest, lowest = joint.get("Max Voltage Limit") / 10, joint.get("Min Voltage Limit") / 10
     moving = bool(value["Moving"]) or bool(value["Moving Status"] & joints.PROFILE_ONGOING)
     falsified = joint.falsified()
@@ -109,13 +106,13 @@ def _asked(joint: Joint) -> list[Reading]:
     volts = Reading(name, "voltage", value["Present Input Voltage"] / 10, "V", (lowest, highest) if highest else None)
     apart_deg = joint.distance_deg(max(places), min(places)) if places else 0.0
     most_deg = max(FLICKER_STEPS * joint.axis.encoder_step_deg, FLICKER_STEPS / abs(joint.counts_per_deg))
-    unsteady = [Reading(name, "angle_spread", apart_deg, "deg", (0.0, most_deg))]
+    unsteady = Reading(name, "angle_spread", apart_deg, "deg", (0.0, most_deg))
     how = "taken out of the angle" if places else "the angle is not known"
     named = ", ".join(f"{item} = {value}" for item, value in falsified.items())
     return [
         *([_angle(joint, statistics.fmean(places))] if places else []),
         *([Reading(name, "settings", f"{named} in the servo: {how}; a move resets it")] if falsified else []),
-        *(unsteady if apart_deg > most_deg and not moving else []),
+        *([unsteady] if apart_deg > most_deg and not moving else []),
         Reading(name, "temperature", value["Present Temperature"], "C", (-math.inf, hottest)),
         _current(joint, value.get("Present Current", value.get("Present Load", 0))),
         volts,
@@ -141,11 +138,9 @@ def of_open_light(light: SerialLight) -> Health:
     """Whether the lamp is lit, at which level, and what its monitor reads."""
     lit, level = light.state()
     found = [Reading(LAMP, "state", "lit" if lit else "dark"), Reading(LAMP, "level", level, "", (0.0, 1.0))]
-    monitor = light.monitor()
-    if monitor is not None:
+    if (monitor := light.monitor()) is not None:
         found.append(Reading(LAMP, "monitor", monitor))
-    locked = light.locked()
-    if locked is not None:
+    if (locked := light.locked()) is not None:
         found.append(Reading(LAMP, "lock", "locked" if locked else "lost"))
     return Health(tuple(found))
 
