@@ -7,11 +7,11 @@ import statistics
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from gonio.rig import Pose, clock
+from gonio.rig import clock
+from gonio_drivers.any_arms import AXES
 from gonio_drivers.stages import StageArms
 
 if TYPE_CHECKING:
-    from gonio_drivers.any_arms import AnyJoint
     from gonio_drivers.arms import ServoArms
     from gonio_drivers.joints import Joint
     from gonio_drivers.light import SerialLight
@@ -87,34 +87,18 @@ def _bus(arms: ServoArms) -> list[Row]:
 
 
 def _repeatability(arms: ServoArms | StageArms) -> list[Row]:
-    """Spread of landings on the same goal, away from it and back."""
+    """Spread of landings on the same goal, away from it toward the middle of each axis's range and back."""
     here = arms.read()
-    landed: dict[str, list[float]] = {name: [] for name in _axes(here, arms)}
-    away = replace(here, **{n: _aside(getattr(here, n), arms.joints[n]) for n in landed})
+    goals, away = {}, {}
+    for name, joint in arms.joints.items():
+        if name in AXES:  # and not the changer
+            lower, upper = joint.limits_deg
+            at = math.degrees(getattr(here, name))
+            goals[name] = math.radians(min(max(at, lower), upper))  # a reading may lie a little outside
+            away[name] = math.radians(at + STEP_DEG if at < (lower + upper) / 2 else at - STEP_DEG)
+    landed = []
     for _ in range(LANDINGS):
-        arms.move(away)
-        pose = arms.move(here_inside(here, arms))
-        for name, angles in landed.items():
-            angles.append(math.degrees(getattr(pose, name)))
-    worst = max(max(angles) - min(angles) for angles in landed.values())
+        arms.move(replace(here, **away))
+        landed.append(arms.move(replace(here, **goals)))
+    worst = max(math.degrees(max(at) - min(at)) for at in ([getattr(pose, n) for pose in landed] for n in goals))
     return [("repeatability", f"{LANDINGS} landings within {worst:.3f} deg", worst <= 0.2)]
-
-
-def here_inside(here: Pose, arms: ServoArms | StageArms) -> Pose:
-    """A pose that was read, moved into the limits where the reading lies a little outside."""
-    inside = {}
-    for name in _axes(here, arms):
-        lower, upper = arms.joints[name].limits_deg
-        inside[name] = math.radians(min(max(math.degrees(getattr(here, name)), lower), upper))
-    return replace(here, **inside)
-
-
-def _axes(here: Pose, arms: ServoArms | StageArms) -> list[str]:
-    return [name for name in arms.joints if hasattr(here, name)]
-
-
-def _aside(angle: float, joint: AnyJoint) -> float:
-    """A little away from an angle, toward the middle of the axis's range [rad]."""
-    middle = sum(joint.limits_deg) / 2
-    at = math.degrees(angle)
-    return math.radians(at + STEP_DEG if at < middle else at - STEP_DEG)

@@ -82,6 +82,10 @@ class Case:
     sample: SampleDescription | None
     shines: Callable[[], bool] | None = None
 
+    def is_seen(self, *, lit: bool) -> bool:
+        """Whether its lamp is lit, or dark, where that can be looked at."""
+        return self.shines is None or self.shines() == lit
+
     def build(self) -> Rig:
         """The rig, with no device touched."""
         return self.plugin.open(self.description, sample=self.sample, seed=5, confirm=False)

@@ -18,17 +18,14 @@ def light_up(rig: Rig, case: Case) -> None:
     begin(rig, case)
     rig.light.select(case.description.bands.all()[0])
     rig.light.on()
-    if case.shines:
-        assert case.shines()
+    assert case.is_seen(lit=True)
 
 
 def test_a_rig_is_dark_when_it_is_entered_and_when_it_is_left(case: Case) -> None:
     with case.build() as rig:
-        if case.shines:
-            assert not case.shines()
+        assert case.is_seen(lit=False)
         light_up(rig, case)
-    if case.shines:
-        assert not case.shines()
+    assert case.is_seen(lit=False)
 
 
 @pytest.mark.slow
@@ -41,5 +38,4 @@ def test_a_rig_is_left_dark_whatever_ends_it(case: Case, error: type[BaseExcepti
 
     with pytest.raises(error, match="of the test"):
         fail()
-    if case.shines:
-        assert not case.shines()
+    assert case.is_seen(lit=False)

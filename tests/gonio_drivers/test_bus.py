@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import pty
 import random
 import select
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from types import SimpleNamespace
 from typing import Any
 
@@ -47,11 +48,8 @@ def test_noise_is_passed_over_and_told(line: Line, caplog: pytest.LogCaptureFixt
             pass
         assert len(bus.read_all([1, 2, 3], 132, 4)) == 3
         assert bus.noisy == 6
-    assert [record.args[1] for record in caplog.records if isinstance(record.args, tuple)] == [
-        7,
-        7,
-        7,
-    ]  # the first, the second and the fourth time
+    # the first, the second and the fourth time
+    assert [record.args[1] for record in caplog.records if isinstance(record.args, tuple)] == [7] * 3
 
 
 def test_an_exception_in_a_transaction_leaves_the_port_free(line: Line, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -110,14 +108,10 @@ def test_an_answer_out_of_turn_is_older_than_the_question() -> None:
             return p2.status(packet.id, 0, bytes([packet.id]))
         return p2.status(3, 0, b"\xee") + b"".join(p2.status(k, 0, bytes([k])) for k in (1, 2, 3))
 
-    port, end = answering(reply)
-    try:
-        with Bus(port, BAUD) as bus:
-            for _ in range(dynamixel.ENOUGH + 1):
-                assert bus.read_all([1, 2, 3], 132, 1) == {1: b"\x01", 2: b"\x02", 3: b"\x03"}
-            assert bus.unheard < dynamixel.ENOUGH
-    finally:
-        end()
+    with answering(reply) as bus:
+        for _ in range(dynamixel.ENOUGH + 1):
+            assert bus.read_all([1, 2, 3], 132, 1) == {1: b"\x01", 2: b"\x02", 3: b"\x03"}
+        assert bus.unheard < dynamixel.ENOUGH
 
 
 def test_a_line_that_is_never_silent_is_no_servo_bus(line: Line, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -182,41 +176,34 @@ def test_values_are_signed(line: Line) -> None:
     assert item.encode(-300) == (-300).to_bytes(4, "little", signed=True)
 
 
-def answering(reply: Callable[[p2.Packet], bytes]) -> tuple[str, Callable[[], None]]:
-    """A device that answers every packet with bytes of its own making; the port's name, and what ends it."""
+@contextlib.contextmanager
+def answering(reply: Callable[[p2.Packet], bytes]) -> Iterator[Bus]:
+    """A bus with a device that answers every packet with bytes of its own making."""
     master, slave = pty.openpty()
     wake, wakener = os.pipe()
 
     def serve() -> None:
-        import select
-
         reader = p2.Reader()
-        while True:
-            ready, _, _ = select.select([master, wake], [], [])
-            if wake in ready:
-                return
+        while wake not in select.select([master, wake], [], [])[0]:
             for packet in reader.feed(os.read(master, 1024)):
                 os.write(master, reply(packet))
 
     thread = threading.Thread(target=serve)
     thread.start()
-
-    def end() -> None:
+    try:
+        with Bus(os.ttyname(slave), BAUD) as bus:
+            yield bus
+    finally:
         os.write(wakener, b"x")
         thread.join()
         for descriptor in (master, slave, wake, wakener):
             os.close(descriptor)
 
-    return os.ttyname(slave), end
-
 
 def test_a_reply_of_another_length_is_no_answer() -> None:
-    port, end = answering(lambda packet: p2.status(packet.id, 0, b"\x01\x02"))
-    try:
-        with Bus(port, BAUD) as bus, pytest.raises(dynamixel.BusError, match=r"2 bytes to a request for 4"):
-            bus.read(1, 132, 4)
-    finally:
-        end()
+    replies = answering(lambda packet: p2.status(packet.id, 0, b"\x01\x02"))
+    with replies as bus, pytest.raises(dynamixel.BusError, match=r"2 bytes to a request for 4"):
+        bus.read(1, 132, 4)
 
 
 def test_payloads_that_need_stuffing_arrive_whole_either_way(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -231,17 +218,13 @@ def test_payloads_that_need_stuffing_arrive_whole_either_way(monkeypatch: pytest
         heard.append(packet.parameters)
         return p2.status(1, 0, data if packet.instruction in (p2.READ, p2.SYNC_READ) else b"")
 
-    port, end = answering(reply)
-    try:
-        with Bus(port, BAUD) as bus:
-            for data in payloads:
-                assert bus.read(1, 108, len(data)) == data
-                assert bus.read_all([1], 108, len(data)) == {1: data}
-                bus.write(1, 108, data)
-                assert heard[-1] == bytes([108, 0]) + data
-            assert (bus.recovered, bus.noisy) == (0, 0)
-    finally:
-        end()
+    with answering(reply) as bus:
+        for data in payloads:
+            assert bus.read(1, 108, len(data)) == data
+            assert bus.read_all([1], 108, len(data)) == {1: data}
+            bus.write(1, 108, data)
+            assert heard[-1] == bytes([108, 0]) + data
+        assert (bus.recovered, bus.noisy) == (0, 0)
 
 
 def test_a_port_that_goes_away() -> None:

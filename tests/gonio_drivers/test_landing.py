@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import random
 from collections.abc import Callable, Iterable, Iterator
 
@@ -46,6 +45,12 @@ def at(line: ServoBus, k: int) -> float:
     return (line.servos[k - 1].shaft()[0] - 2048) * COUNT_DEG
 
 
+def lands(arms: ServoArms, line: ServoBus, goals: list[float]) -> None:
+    """The mean of five readings at least lies within the tolerance, and the shaft a count from that mean."""
+    arms.move(pose(*goals))
+    assert [at(line, k) for k in (1, 2, 3)] == pytest.approx(goals, abs=TOLERANCE_DEG + COUNT_DEG)
+
+
 # a count of 1.4 is a good encoder's; 6 is 0.5 deg to either side
 @pytest.mark.parametrize("flicker_counts", [1.4, 3.0, 3.5, 4.0, 6.0])
 @pytest.mark.parametrize("held_up_s", [0.0, 0.1, 0.2, 0.5])
@@ -60,11 +65,7 @@ def test_an_encoder_that_flickers_lands_however_seldom_anybody_looks(
         for servo in line.servos:
             servo.mechanics = Mechanics(short_counts=4.0, noise_counts=flicker_counts)
         for _ in range(8):
-            goals = [draw.uniform(-40, 40) for _ in range(3)]
-            arms.move(pose(*goals))
-            for k, goal in enumerate(goals, 1):
-                # the mean of five readings at least lies within the tolerance, and the shaft a count from that mean
-                assert at(line, k) == pytest.approx(goal, abs=TOLERANCE_DEG + COUNT_DEG)
+            lands(arms, line, [draw.uniform(-40, 40) for _ in range(3)])
 
 
 @pytest.mark.parametrize("held_up_s", [0.0, 0.2, 1.0])
@@ -192,7 +193,4 @@ def test_landings_beside_a_computer_that_is_late_at_random(bench: Bench, seed: i
         for servo in line.servos:
             servo.mechanics = Mechanics(short_counts=6.0, noise_counts=3.0)
         for _ in range(6):
-            goals = [draw.uniform(-60, 60) for _ in range(3)]
-            arms.move(pose(*goals))
-            for k, goal in enumerate(goals, 1):
-                assert math.isclose(at(line, k), goal, abs_tol=TOLERANCE_DEG + COUNT_DEG)
+            lands(arms, line, [draw.uniform(-60, 60) for _ in range(3)])

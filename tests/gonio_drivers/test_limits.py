@@ -13,12 +13,19 @@ from gonio_sim.wire.servo import Mechanics, Servo
 
 from gonio.errors import ConfigError, DeviceError
 from gonio.rig import Pose
-from gonio.rig.description import ArmAxis, Body, Geometry, Holder
+from gonio.rig.description import ArmAxis, Body, Geometry, Holder, RigDescription
 from tests.gonio_drivers.conftest import Line
 from tests.gonio_drivers.test_arms import TOLERANCE_DEG, degrees, describe, pose, servos
 
 COUNT_DEG = 360 / COUNTS
+FENCE = Body(name="fence", on="bench", centre_mm=(0, 0, 400), size_mm=(10, 300, 200))
 LIMITS = ArmAxis(limits_deg=(-80.0, 80.0), backlash_deg=0.1)
+
+
+def with_body(body: Body) -> RigDescription:
+    """A rig whose arms may touch something."""
+    geometry = Geometry(light_distance_mm=400.0, camera_distance_mm=430.0)
+    return describe(light=LIMITS, camera=LIMITS).model_copy(update={"geometry": geometry, "bodies": (body,)})
 
 
 def goals_of(servo: Servo) -> list[float]:
@@ -89,11 +96,8 @@ def test_play_that_a_limit_leaves_open_is_said(line: Line, caplog: pytest.LogCap
 def test_a_reading_beyond_a_hard_stop_is_a_wrong_zero(line: Line) -> None:
     """Light stands at count 1500, -48.2 deg."""
     stops = ArmAxis(limits_deg=(-30.0, 80.0), hard_stops_deg=(-40.0, 85.0))
-    with (
-        pytest.raises(DeviceError, match=r"axis light reads -48\.\d+ deg, beyond its hard stops at -40 and 85 deg"),
-        ServoArms(describe(light=stops), servos(line.port)),
-    ):
-        pass
+    with pytest.raises(DeviceError, match=r"axis light reads -48\.\d+ deg, beyond its hard stops at -40 and 85 deg"):
+        ServoArms(describe(light=stops), servos(line.port)).__enter__()
     assert not line.servos[1].torque
 
 
@@ -120,10 +124,8 @@ def test_limits_that_use_the_whole_turn_need_no_room_for_an_approach(line: Line)
 
 def test_parking_goes_by_a_free_way(line: Line, monkeypatch: pytest.MonkeyPatch) -> None:
     """The light has to make room before the camera may go to where the light was."""
-    geometry = Geometry(light_distance_mm=400.0, camera_distance_mm=430.0)
     post = Body(name="post", on="bench", from_mm=(0, 0, -300), to_mm=(0, 0, -200), radius_mm=10.0)
-    rig = describe(light=LIMITS, camera=LIMITS).model_copy(update={"geometry": geometry, "bodies": (post,)})
-    with ServoArms(rig, servos(line.port, light={"park_deg": -10.0}, camera={"park_deg": 10.0})) as arms:
+    with ServoArms(with_body(post), servos(line.port, light={"park_deg": -10.0}, camera={"park_deg": 10.0})) as arms:
         arms.move(pose(20.0, 60.0))
         legs: list[dict[str, float]] = []
         jog = arms._jog
@@ -140,18 +142,14 @@ def test_parking_goes_by_a_free_way(line: Line, monkeypatch: pytest.MonkeyPatch)
 
 def test_a_place_to_park_that_bodies_close_is_refused_before_a_run(line: Line) -> None:
     """Points are planned from the rest position and back to it: parking elsewhere has to be as free."""
-    geometry = Geometry(light_distance_mm=400.0, camera_distance_mm=430.0)
-    fence = Body(name="fence", on="bench", centre_mm=(0, 0, 400), size_mm=(10, 300, 200))
-    rig = describe(light=LIMITS, camera=LIMITS).model_copy(update={"geometry": geometry, "bodies": (fence,)})
+    rig = with_body(FENCE)
     with pytest.raises(ConfigError, match=r"^devices.servos.axes.light.park_deg = 20: .* source head and fence"):
         ServoArms(rig, servos(line.port, light={"park_deg": 20.0}))
     ServoArms(rig, servos(line.port, light={"park_deg": -40.0}))
 
 
 def test_a_park_that_is_blocked_is_refused_and_nothing_turns(line: Line) -> None:
-    geometry = Geometry(light_distance_mm=400.0, camera_distance_mm=430.0)
-    fence = Body(name="fence", on="bench", centre_mm=(0, 0, 400), size_mm=(10, 300, 200))
-    rig = describe(light=LIMITS, camera=LIMITS).model_copy(update={"geometry": geometry, "bodies": (fence,)})
+    rig = with_body(FENCE)
     with ServoArms(rig, servos(line.port)) as arms:
         arms.move(pose(40.0, 70.0))
         with pytest.raises(ConfigError, match="would touch: source head and fence"):

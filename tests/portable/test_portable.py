@@ -11,6 +11,7 @@ import time
 import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import psutil
 import pytest
@@ -56,6 +57,29 @@ def run(folder: Path, *words: str | Path, expect: int = 0, env: dict[str, str] |
     assert "Traceback" not in said
     assert "should not happen" not in said
     return said
+
+
+@contextlib.contextmanager
+def running(folder: Path, *words: str | Path, **streams: Any) -> Iterator[subprocess.Popen[bytes]]:
+    """A command that goes on until it is killed."""
+    command = [*COMMAND, *map(str, words)]
+    with subprocess.Popen(command, cwd=folder, env=environment(COLUMNS="200"), **streams) as child:
+        try:
+            yield child
+        finally:
+            child.kill()
+
+
+@contextlib.contextmanager
+def lit(twins: Twins, folder: Path) -> Iterator[subprocess.Popen[bytes]]:
+    """A program that keeps the twins' lamp lit until it is killed."""
+    words = ("rig", "lamp", "on", "--for", "1000", "--rig", folder.parent / "rig.toml")
+    with running(folder, *words, stderr=subprocess.PIPE) as child:
+        assert child.stderr is not None
+        while b"lamp lit" not in (line := child.stderr.readline()):
+            assert line, "it ended"
+        assert twins.lamp.shine.lit
+        yield child
 
 
 @pytest.fixture
@@ -155,17 +179,10 @@ def test_a_killed_run_is_taken_up_again_and_followed(files: Path, console: str) 
     begun.wait()
     run(files, *MEASURE, "--out", "run", "--resume", env=env)
     assert steps_in(files / "run") == list(range(len(steps_in(files / "run"))))
-    with subprocess.Popen(
-        [*COMMAND, "watch", "run"], cwd=files, env=env, stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
-    ) as watch:  # fmt: skip
-        try:
-            assert watch.stdout is not None
-            address = watch.stdout.readline().decode().strip()
-            with urllib.request.urlopen(address, timeout=60) as page:
-                assert b"<html" in page.read()
-        finally:
-            watch.kill()
+    with running(files, "watch", "run", stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as watch:
+        assert watch.stdout is not None
+        with urllib.request.urlopen(watch.stdout.readline().decode().strip(), timeout=60) as page:
+            assert b"<html" in page.read()
 
 
 def test_a_file_that_is_open_elsewhere_is_named_and_kept(files: Path) -> None:
@@ -222,13 +239,8 @@ def test_the_laboratory_over_tcp(twins: Twins, files: Path) -> None:
 
 
 def test_the_lamp_of_a_program_that_was_killed_goes_dark_over_tcp(twins: Twins, files: Path) -> None:
-    command = [*COMMAND, "rig", "lamp", "on", "--for", "1000", "--rig", str(files.parent / "rig.toml")]
-    with subprocess.Popen(command, env=environment(COLUMNS="200"), stderr=subprocess.PIPE) as child:
-        assert child.stderr is not None
-        while b"lamp lit" not in (line := child.stderr.readline()):
-            assert line, "it ended"
-        assert twins.lamp.shine.lit
-        child.kill()
+    with lit(twins, files):
+        pass
     end = time.monotonic() + 60.0
     while twins.lamp.shine.lit:
         assert time.monotonic() < end
@@ -237,28 +249,15 @@ def test_the_lamp_of_a_program_that_was_killed_goes_dark_over_tcp(twins: Twins, 
 
 
 def test_one_program_at_a_time_has_a_port_of_the_network(twins: Twins, files: Path) -> None:
-    rig = files.parent / "rig.toml"
-    command = [*COMMAND, "rig", "lamp", "on", "--for", "1000", "--rig", str(rig)]
-    with subprocess.Popen(command, env=environment(COLUMNS="200"), stderr=subprocess.PIPE) as child:
-        try:
-            assert child.stderr is not None
-            while b"lamp lit" not in (line := child.stderr.readline()):
-                assert line, "it ended"
-            said = run(files, "rig", "lamp", "on", "--for", "1", "--rig", rig, expect=3)
-            assert "does another program use it?" in " ".join(said.split())
-            assert twins.lamp.shine.lit
-        finally:
-            child.kill()
+    with lit(twins, files):
+        said = run(files, "rig", "lamp", "on", "--for", "1", "--rig", files.parent / "rig.toml", expect=3)
+        assert "does another program use it?" in " ".join(said.split())
+        assert twins.lamp.shine.lit
 
 
 def test_twins_are_served_over_tcp_by_command(files: Path) -> None:
-    with subprocess.Popen(
-        [*COMMAND, "sim", "serve", "--rig", "lab", "--tcp", "--out", "twin"], cwd=files, env=environment(COLUMNS="200"),
-        stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
-    ) as serving:  # fmt: skip
-        try:
-            assert serving.stdout is not None
-            assert b"twins of lab are running" in serving.stdout.readline()
-            run(files, "rig", "read", "--rig", "twin/rig.toml")
-        finally:
-            serving.kill()
+    words = ("sim", "serve", "--rig", "lab", "--tcp", "--out", "twin")
+    with running(files, *words, stdout=subprocess.PIPE, stderr=subprocess.STDOUT) as serving:
+        assert serving.stdout is not None
+        assert b"twins of lab are running" in serving.stdout.readline()
+        run(files, "rig", "read", "--rig", "twin/rig.toml")
