@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import math
-import threading
 import time
 import tomllib
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -55,20 +54,6 @@ def arms_of(twins: Twins, **axes: dict[str, Any]) -> StageArms:
 
 def pose(**degrees: float) -> Pose:
     return Pose(**{name: math.radians(value) for name, value in degrees.items()})
-
-
-def when(happens: Callable[[], bool], do: Callable[[], None]) -> threading.Thread:
-    """Do something as soon as something has happened."""
-
-    def watch() -> None:
-        end = time.monotonic() + 20
-        while not happens() and time.monotonic() < end:
-            time.sleep(0.001)
-        do()
-
-    thread = threading.Thread(target=watch)
-    thread.start()
-    return thread
 
 
 def test_opening_and_leaving_turn_nothing(twins: Twins) -> None:
@@ -190,14 +175,22 @@ def test_a_command_that_was_lost_is_given_again(twins: Twins, monkeypatch: pytes
     assert lost
 
 
-def test_a_stage_that_was_switched_off_in_mid_move_is_not_believed(twins: Twins) -> None:
+def test_a_stage_that_was_switched_off_in_mid_move_is_not_believed(
+    twins: Twins, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Its counter begins at 0 where it stands: the angle that it reads is not where it is."""
     stage = twins.stages["light"]
+    turn = stage._turn
+
+    def cut_off(goal: float, ending: int) -> None:
+        turn(goal, ending)
+        stage.push(10 * COUNTS_PER_DEG)  # so far it has come
+        stage.restart()
+
     with arms_of(twins) as arms:
-        thread = when(lambda: stage.moves() and angle(twins, "light") > -30, stage.restart)
+        monkeypatch.setattr(stage, "_turn", cut_off)
         with pytest.raises(DeviceError, match=r"axis light: .* has not found its home"):
             arms.move(pose(light=60, camera=45))
-        thread.join()
         assert not any(twin.moves() for twin in twins.stages.values())
 
 
@@ -205,12 +198,11 @@ def test_a_stage_that_was_switched_off_in_mid_move_is_not_believed(twins: Twins)
 def test_a_fault_of_the_controller_stops_all_axes(twins: Twins, bit: int) -> None:
     stage = twins.stages["spin"]
     with arms_of(twins) as arms:
-        thread = when(stage.moves, lambda: setattr(stage, "faults", bit))
+        stage.leaving = lambda: setattr(stage, "faults", bit)
         with pytest.raises(
             DeviceError, match=r"axis spin: Thorlabs K10CR1 55000004 on .* reports: (its motor does|too hot)"
         ):
             arms.move(pose(light=-20, camera=45, spin=90))
-        thread.join()
         assert not any(twin.moves() for twin in twins.stages.values())
 
 
