@@ -391,15 +391,3 @@ class MeasuredValue:
     phi_r_deg: float
     brdf: float
     u_brdf: float | None
-
-
-# --- pages -----------------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class FigureSummary:
-    """A drawing on the page."""
-
-    name: str
-    caption: str
-    alt: str

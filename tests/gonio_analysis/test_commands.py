@@ -146,8 +146,7 @@ def test_a_saved_fit_is_the_sample_of_another_measurement(name: str, tmp_path: P
     assert made.returncode == 0, made.stderr
     assert gonio(tmp_path, "reduce", "run").returncode == 0
     done = gonio(tmp_path, "fit", "run", *say)
-    second = json.loads(done.stdout)["parameters"]
-    for key, e in second.items():
+    for key, e in json.loads(done.stdout)["parameters"].items():
         # the ideal rig has no noise: what is left is the search's own tolerance, and the mean over pixels
         assert e["value"] == pytest.approx(first[key]["value"], rel=2e-3, abs=1e-4), key
 

@@ -102,8 +102,7 @@ def test_a_comparison(table: pd.DataFrame) -> None:
 
 
 def test_a_change_of_tables_and_models(table: pd.DataFrame) -> None:
-    again = measure(CLAY, noise=0.005, seed=1)
-    same = gonio_analysis.change(table, again)
+    same = gonio_analysis.change(table, measure(CLAY, noise=0.005, seed=1))
     assert same.verdict is not None
     assert not same.verdict.changed
     assert "no sign of a change" in repr(same)
@@ -118,8 +117,7 @@ def test_a_change_of_tables_and_models(table: pd.DataFrame) -> None:
 def test_plots_from_tables_models_and_fits(table: pd.DataFrame) -> None:
     from matplotlib.figure import Figure
 
-    result = gonio_analysis.fit(table, "oren-nayar")
-    for model, theory in ((None, False), (CLAY, True), (result, True)):
+    for model, theory in ((None, False), (CLAY, True), (gonio_analysis.fit(table, "oren-nayar"), True)):
         for draw in (gonio_analysis.polar, gonio_analysis.semilog):
             ax = Figure().subplots()
             assert draw(ax, table, model)

@@ -20,8 +20,7 @@ FILES = {
 
 def quoted() -> dict[str, str]:
     """Commands of the page, and what it shows of their output."""
-    text = (ROOT / "docs" / "wrong_models.md").read_text(encoding="utf-8")
-    blocks = re.findall(r"(?m)(?:^    .*\n)+", text)
+    blocks = re.findall(r"(?m)(?:^    .*\n)+", (ROOT / "docs" / "wrong_models.md").read_text(encoding="utf-8"))
     return dict(zip((b.strip() for b in blocks[::2]), blocks[1::2], strict=True))
 
 
@@ -35,6 +34,5 @@ def test_the_page_shows_what_is_printed(command: str, tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     printed = " ".join(done.stdout.split())
     for line in " ".join(quoted()[command].split()).split("  "):
-        rows = re.split(r"(?<=fitted) ", line)
-        for row in rows:
+        for row in re.split(r"(?<=fitted) ", line):
             assert row in printed, (sample, row)

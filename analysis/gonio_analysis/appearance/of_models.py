@@ -153,8 +153,7 @@ def of_fit(fit: FitResult, *, name: str, source: str = "", residual: bool = Fals
     lower, upper = fit.problem.bounds
 
     def moved(point: Floats) -> Model | None:
-        inside = bool(np.all((point >= lower) & (point <= upper)))
-        return fit.problem.model(point) if inside else None
+        return fit.problem.model(point) if bool(np.all((point >= lower) & (point <= upper))) else None
 
     notes = [*fit.notes, *_of_the_model(fit.model, wavelength)]
     _propagate(numbers, moved, fit.vector, fit.spread, wavelength, notes)
@@ -343,8 +342,7 @@ def _colour_with_misfit(
 ) -> None:
     """L*a*b* in one direction, where the misfit is the same at all wavelengths."""
     xyz = _xyz(model, *map(float, key.split("as")))
-    plain = np.asarray(colour.lab(xyz))
-    off = np.asarray(colour.lab(ratio * xyz)) - plain
+    off = np.asarray(colour.lab(ratio * xyz)) - np.asarray(colour.lab(xyz))
     gradient = colour.lab_slope(ratio * xyz) @ np.outer(xyz, root)
     for k, letter in enumerate("Lab"):
         one = numbers.values[f"{letter} {key}"]

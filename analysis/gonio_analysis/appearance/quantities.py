@@ -170,8 +170,7 @@ def _table_colours(numbers: _Numbers, data: Observations, at: Observations, ever
         try:
             values = []
             for rows, found in spectra:
-                one = _value(found, rows.size, theta_i, signed)
-                values.append((rows, one))
+                values.append((rows, _value(found, rows.size, theta_i, signed)))
             for letter, number in zip("Lab", _lab(values, matrix, len(data)), strict=True):
                 numbers.take(f"{letter} {key}", number)
         except NotMeasured as error:

@@ -272,8 +272,7 @@ def cone_response(data: Observations, rows: Rows) -> Floats:
 
 def _every_other(curve: Curve) -> npt.NDArray[np.intp]:
     """Every other value to either side of the one nearest to the mirror direction."""
-    mirror = int(np.argmin(np.abs(curve.angle - curve.parameter)))
-    return np.arange(mirror % 2, curve.angle.size, 2)
+    return np.arange(int(np.argmin(np.abs(curve.angle - curve.parameter))) % 2, curve.angle.size, 2)
 
 
 def _through(
@@ -388,8 +387,7 @@ def _places(at: Directions, meter: Glossmeter) -> Floats:
     half = half / np.linalg.norm(half, axis=1, keepdims=True)
     turn = at.phi_i + math.pi  # into the frame in which the light comes from -x
     x = half[:, 0] * np.cos(turn) + half[:, 1] * np.sin(turn)
-    y = half[:, 1] * np.cos(turn) - half[:, 0] * np.sin(turn)
-    half = np.stack([x, y, half[:, 2]], axis=1)
+    half = np.stack([x, half[:, 1] * np.cos(turn) - half[:, 0] * np.sin(turn), half[:, 2]], axis=1)
     nominal = np.array([-math.sin(meter.theta), 0.0, math.cos(meter.theta)])
     along, across = meter.in_focal_plane(2.0 * (half @ nominal)[:, None] * half - nominal).T
     return np.stack([along, across**2], axis=1)
@@ -450,8 +448,7 @@ class _HalfVector:
         # how far the pair of directions is from the curve's two that have the same theta_h
         along = np.clip(0.5 + (theta_d - self._theta) / (2.0 * np.maximum(theta_h, 1e-9)), 0.0, 1.0)
         reach = [branch[0][-1] if branch[0].size >= 2 else -1.0 for branch in self._branches]
-        both = (x <= reach[0]) & (x <= reach[1])
-        first = np.where(both, along, (x <= reach[0]) | (reach[0] >= reach[1]))
+        first = np.where((x <= reach[0]) & (x <= reach[1]), along, (x <= reach[0]) | (reach[0] >= reach[1]))
         out, beyond = np.zeros(x.size), 0.0
         for branch, end, mine in zip(self._branches, reach, (first, 1.0 - first), strict=True):
             used = np.flatnonzero(mine > 0.0)

@@ -143,8 +143,7 @@ class _Projected:
         self.points = self.points[order]
         self._place = back[place.reshape(-1)]
         self._rows = rows[lobe]
-        counts = np.bincount(self._place, minlength=len(self.points))
-        self._share = 1.0 / counts[self._place]
+        self._share = 1.0 / np.bincount(self._place, minlength=len(self.points))[self._place]
         self._f = np.bincount(self._place, weights=data.brdf[self._rows] * self._share, minlength=len(self.points))
         self.spike: Sampled | None = None
         if response is not None and response.any():
@@ -166,8 +165,7 @@ class _Projected:
         if nearest.size < 3:
             return None
         near = self.points[nearest] - [-math.sin(self._theta_i), 0.0]
-        columns = np.stack([np.ones(nearest.size), near[:, 0], near[:, 1] ** 2], axis=1)
-        level = np.linalg.pinv(columns)[0]
+        level = np.linalg.pinv(np.stack([np.ones(nearest.size), near[:, 0], near[:, 1] ** 2], axis=1))[0]
         weights = np.zeros(len(self.points))
         weights[nearest] = level
         expected = float(weights @ self._f)
@@ -202,5 +200,4 @@ class _Projected:
         for k in range(2):
             np.add.at(rim, source[mesh.convex_hull[:, k]], 0.5 * np.maximum(sector - 0.5 * turn, 0.0))
         lobe = Sampled(float((weights + rim) @ self._f), self._gradient(weights + rim), 0.0)
-        beyond = Sampled(float(rim @ self._f), self._gradient(rim), 0.0)
-        return lobe, beyond, float(area.sum()) / math.pi
+        return lobe, Sampled(float(rim @ self._f), self._gradient(rim), 0.0), float(area.sum()) / math.pi

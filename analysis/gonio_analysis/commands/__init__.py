@@ -190,8 +190,7 @@ def fit(
             result, walked = profile_likelihood.walked(result, lambda start: fit_one(data, replace(asked, start=start)))
     rho_dh = of_model(result)
     if save is not None:
-        source = " + ".join(map(shown.marked, tables, simulated))
-        saving.save(result, save, name=name, source=source, residual=residual)
+        saving.save(result, save, name=name, source=" + ".join(map(shown.marked, tables, simulated)), residual=residual)
     remember(tables, how)
     if as_json:
         out = {**result.to_json(), "sample": name, "table": tables if more else table}

@@ -94,8 +94,7 @@ def run_demo(out: Path, *, quick: bool) -> Path:
     _say(command)
     with console.progress() as progress:
         asked = load_plan(plan), find_rig("sim"), run
-        known = load_sample(sample)
-        made = carry_out(*asked, sample=known, seed=SEED, yes=True, command=command, progress=progress)
+        made = carry_out(*asked, sample=load_sample(sample), seed=SEED, yes=True, command=command, progress=progress)
     _say(f"gonio reduce {run}")
     with console.counter("reducing") as counting:
         reduced = brdf.reduce_in_parts(made, progress=counting)

@@ -170,6 +170,11 @@ def _mean_azimuth(phi: Floats) -> float:
     return float(geometry.wrap(np.arctan2(np.sin(phi).mean(), np.cos(phi).mean())))
 
 
+def evenly(count: int, most: int) -> list[int]:
+    """At most `most` of so many things, spread evenly over them."""
+    return np.unique(np.round(np.linspace(0, count - 1, min(most, count))).astype(int)).tolist() if count else []
+
+
 def selection(all_curves: list[Curve], most: int = MOST_CURVES) -> list[Curve]:
     """At most `most` curves for one figure, spread evenly; those with a mirror direction and many values first."""
     if len(all_curves) <= most:
@@ -177,8 +182,7 @@ def selection(all_curves: list[Curve], most: int = MOST_CURVES) -> list[Curve]:
     enough = max(c.angle.size for c in all_curves) / 2
     good = [c for c in all_curves if c.mirror is not None and c.angle.size >= enough]
     pool = good if len(good) >= min(most, 3) else all_curves
-    picks = np.unique(np.round(np.linspace(0, len(pool) - 1, min(most, len(pool)))).astype(int))
-    return [pool[k] for k in picks]
+    return [pool[k] for k in evenly(len(pool), most)]
 
 
 def labels(shown: list[Curve]) -> list[str]:
@@ -220,5 +224,4 @@ def norm(curve: Curve, kind: Normalise, model: Any, data: Observations) -> Norm:
 def _dark(curve: Curve, k: int) -> bool:
     """Whether value k is low beside the rest, as the mirror direction of a retroreflector is."""
     value, top = curve.brdf[k], int(np.argmax(curve.brdf))
-    elsewhere = curve.angle[top] < 0.0 or value < np.median(curve.brdf)
-    return bool(elsewhere and curve.brdf[top] > DARK_MIRROR * value)
+    return bool((curve.angle[top] < 0.0 or value < np.median(curve.brdf)) and curve.brdf[top] > DARK_MIRROR * value)

@@ -88,8 +88,7 @@ def budget_over_angle(ax: Any, angle: Floats, parts: Sequence[tuple[str, Floats]
     top = 100 * float(max(np.nanmax(u) for _, u in parts))
     for k, (label, u) in enumerate(parts):
         shown = np.where(u > 0, 100 * u, np.nan)
-        width = 1.2 if k else 1.8
-        artists += ax.plot(np.degrees(angle), shown, lw=width, label=label, zorder=4 - (k > 0), **look(k))
+        artists += ax.plot(np.degrees(angle), shown, lw=1.2 if k else 1.8, label=label, zorder=4 - (k > 0), **look(k))
     ax.set_yscale("log")
     ax.set_ylim(top / 3e3, top * 1.5)
     ax.yaxis.set_major_formatter(lambda value, _: f"{value:g}")

@@ -178,8 +178,7 @@ def _notes_at_rim(ax: Any, beyond: Sequence[tuple[str, str]], rim: float, *, ret
     rows = max(3, -(-len(beyond) // 2))  # three find room above the rim, on each side of the label of the normal
     for k, (text, colour) in enumerate(beyond):
         ha = "left" if k < rows else "right"
-        side = -1.0 if (ha == "left") != retro_right else 1.0
-        at = (side * 1.12 * rim, (1.105 - 0.048 * (k % rows)) * rim)
+        at = ((-1.0 if (ha == "left") != retro_right else 1.0) * 1.12 * rim, (1.105 - 0.048 * (k % rows)) * rim)
         artists.append(ax.text(*at, text, color=colour, fontsize=6.5, ha=ha, va="center", zorder=6))
     return artists
 
@@ -456,9 +455,15 @@ def _round_up(value: float) -> float:
 def angle_axis(ax: Any, *, retro_right: bool = False) -> None:
     """The signed angle from -90 to 90 degrees along x, or (as some papers draw it) from 90 to -90."""
     ax.set_xlim(*((90, -90) if retro_right else (-90, 90)))
-    ax.set_xticks(range(-90, 91, 30), [f"{d}°".replace("-", "−") for d in range(-90, 91, 30)])
+    degrees_along(ax, 90, 30)
     ax.grid(color=FAINT, lw=0.5)
     clean(ax)
+
+
+def degrees_along(ax: Any, end: int, step: int) -> None:
+    """Labels of angles along x, from minus `end` to `end`."""
+    places = range(-end, end + 1, step)
+    ax.set_xticks(places, [f"{place}°".replace("-", "−") for place in places])
 
 
 def clean(ax: Any) -> None:

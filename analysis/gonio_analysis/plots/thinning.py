@@ -117,8 +117,7 @@ def over_hemisphere(
 ) -> Rows:
     """Which directions to draw on a disc whose radius is the polar angle: the extreme values are among them."""
     x, y = xy(dphi, np.degrees(theta) * radius_pt / 90.0)
-    rows = enough(x, y, most=most, keep=keep)
-    return np.union1d(rows, ends(value)).astype(np.intp)
+    return np.union1d(enough(x, y, most=most, keep=keep), ends(value)).astype(np.intp)
 
 
 def ends(value: Floats) -> Rows:
@@ -131,8 +130,7 @@ def ends(value: Floats) -> Rows:
 
 def of_curve(curve: Curve, most: int) -> Curve:
     """A curve with at most about `most` of its values: the extremes, the mirror direction and an even choice."""
-    n = curve.angle.size
-    if n <= most:
+    if curve.angle.size <= most:
         return curve
     with np.errstate(divide="ignore", invalid="ignore"):
         height = np.log(np.abs(curve.brdf))

@@ -27,10 +27,9 @@ from gonio_analysis.report import (
 )
 from gonio_analysis.report.comparison import summarise
 from gonio_analysis.report.drawing import FigureWorkers, figure_workers
-from gonio_analysis.report.drawings import Drawing
-from gonio_analysis.report.facts import DatasetSummary, Summary
+from gonio_analysis.report.facts import Summary
 from gonio_analysis.report.sections import SECTIONS
-from gonio_analysis.result_records import FigureSummary, RunFacts, as_json
+from gonio_analysis.result_records import RunFacts
 from gonio_analysis.selection import parallel
 from gonio_analysis.selection.choice import candidates
 from gonio_analysis.selection.compare import Dataset, check_models, examine
@@ -98,10 +97,8 @@ def make(
     with files.staged(out) as stage:
         found = []
         for spec in specs:
-            run = run_facts(Path(spec))
-            many = measurement.tables(spec, how)
-            for sample, table in many.items():
-                found.append((sample, spec if len(many) == 1 else f"{spec}:{sample}", table, run))
+            run, many = run_facts(Path(spec)), measurement.tables(spec, how)
+            found += [(name, spec if len(many) == 1 else f"{spec}:{name}", table, run) for name, table in many.items()]
         check_models(models)
         _cite([table for _, _, table, _ in found], stage.work, progress)
         transmission_only, found = _transmission_only(found, wavelength_nm, u_rel)
@@ -109,38 +106,28 @@ def make(
         told = {name: of_reader(one[2]) for name, one in zip(names, found, strict=True)}
         for note in said_once(told | {t.name: t.data.notes for t in transmission_only}):
             progress(note)
-        examined = partial(
-            examine,
-            models=models,
-            normalise=normalise,
-            ior=ior,
-            wavelength_nm=wavelength_nm,
-            metric=metric,
-            u_rel=u_rel,
-            bound_energy=bound_energy,
-            separate=separate,
-        )
         jobs = [
-            partial(examined, table, name=name, source=source, run=run)
+            partial(
+                examine, table, models, name=name, source=source, run=run, normalise=normalise, ior=ior,
+                wavelength_nm=wavelength_nm, metric=metric, u_rel=u_rel, bound_energy=bound_energy, separate=separate,
+            )
             for name, (_, source, table, run) in zip(names, found, strict=True)
-        ]
+        ]  # fmt: skip
         tried = len(candidates(models, ior))
-        with figure_workers(
-            2 * len(jobs) * tried, modules=FITTING
-        ) as workers:  # they get ready while models are fitted
+        # the workers get ready while models are fitted
+        with figure_workers(2 * len(jobs) * tried, modules=FITTING) as workers:
+            datasets: list[Dataset] = []
             if len(jobs) < parallel.FEW and dask is None:
                 datasets = [job(progress=progress, share=workers.share) for job in jobs]
             else:
-                datasets = []
                 for dataset in parallel.each(_examined, jobs, dask=dask):
                     datasets.append(dataset)
                     progress(f"{dataset.name}: fitted ({len(datasets)} of {len(jobs)})")
             every = names + [t.name for t in transmission_only]
-            title = every[0] if len(every) == 1 else " and ".join(every) if len(every) == 2 else f"{len(every)} samples"
             write(
                 datasets,
                 stage.work,
-                title=title,
+                title=" and ".join(every) if len(every) <= 2 else f"{len(every)} samples",
                 normalise=normalise,
                 command=command,
                 transmission_only=transmission_only,
@@ -168,7 +155,7 @@ def _transmission_only(
     found: list[Measured], wavelength_nm: float | None, u_rel: float | None
 ) -> tuple[list[Transmitted], list[Measured]]:
     """Samples of which transmission alone was measured, and the others."""
-    transmission_only, others = [], []
+    transmission_only, others = list[Transmitted](), list[Measured]()
     for one in found:
         name, source, table, _ = one
         alone = "side" in table.columns and (table["side"] == "transmission").all()
@@ -219,13 +206,21 @@ def write(
     Summary
         What `summary.json` holds: every number of the page.
     """
-    known = summarise(datasets, title=title, normalise=normalise, command=command)
-    summary = replace(known, datasets=_with_sections(datasets, known), transmission_only=transmission_only)
-    both = list(zip(datasets, summary.datasets, strict=True))
+    summary = summarise(datasets, title=title, normalise=normalise, command=command)
+    own = [{one.name: facts for one in SECTIONS if (facts := one.facts(d)) is not None} for d in datasets]
+    known = [replace(facts, sections=more or None) for facts, more in zip(summary.datasets, own, strict=True)]
+    summary = replace(summary, datasets=known, transmission_only=transmission_only)
+    both = list(zip(datasets, known, strict=True))
     progress("drawing")
-    groups = _drawings(both, transmission_only, page.slugs_of_transmission(summary))
+    # measured values in one panel, so that those of all panels take about half of the room of a page
+    most = min(max(MARKERS // max(sum(3 * len(d.fitted) + 6 for d in datasets), 1), 300), 2400)
+    groups = [
+        [*figures.draw(d, f, most), *detail.draw(d, f, most), *(x for one in SECTIONS for x in one.draw(d, f))]
+        for d, f in both
+    ]
+    slugs = page.slugs_of_transmission(summary)
+    groups += [transmission.draw(t, (), slug) for t, slug in zip(transmission_only, slugs, strict=True)]
     wanted = [drawing for group in groups for drawing in group]
-    summary = replace(summary, figures=[FigureSummary(f.name, f.caption, f.alt) for f in wanted])
     (folder / "tables").mkdir()
     room, listed = viewer.BYTES // max(len(datasets), 1), list[str]()
     views: list[viewer.View | None] = []
@@ -235,36 +230,13 @@ def write(
         listed.extend(tables.write(datasets, summary, views, folder / "tables"))
 
     rest = iter(every := (workers or FigureWorkers()).draw(wanted, progress, views_and_tables))
-    summary = replace(summary, tables=listed)
+    summary = replace(summary, figures=wanted, tables=listed)
     pages = page.render(summary, [[next(rest) for _ in group] for group in groups], views)
     for name, one in pages.items():
         (folder / name).write_text(html.document(one), encoding="utf-8", newline="\n")
-    files.write(folder, as_json(summary), every)
+    files.write(folder, summary, every)
     pdf.write(folder / "report.pdf", list(pages.values()))
     return summary
-
-
-def _with_sections(datasets: Sequence[Dataset], known: Summary) -> list[DatasetSummary]:
-    own = [{one.name: numbers for one in SECTIONS if (numbers := one.facts(d)) is not None} for d in datasets]
-    return [replace(f, sections=numbers or None) for f, numbers in zip(known.datasets, own, strict=True)]
-
-
-def _drawings(
-    both: Sequence[tuple[Dataset, DatasetSummary]], transmission_only: Sequence[Transmitted], slugs: Sequence[str]
-) -> list[list[Drawing]]:
-    """What is to be drawn of each sample, in the order of the page; of those that transmit only, last."""
-    most = _most_values([d for d, _ in both])
-    groups = [
-        [*figures.draw(d, f, most), *detail.draw(d, f, most), *(x for one in SECTIONS for x in one.draw(d, f))]
-        for d, f in both
-    ]
-    return groups + [transmission.draw(t, (), slug) for t, slug in zip(transmission_only, slugs, strict=True)]
-
-
-def _most_values(datasets: Sequence[Dataset]) -> int:
-    """Measured values in one panel, so that those of all panels take about half of the room of a page."""
-    panels = sum(3 * len(d.fitted) + 6 for d in datasets)
-    return min(max(MARKERS // max(panels, 1), 300), 2400)
 
 
 def _distinct(names: Sequence[str], sources: Sequence[str]) -> list[str]:

@@ -2,59 +2,44 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from gonio.typing import Floats
 from gonio_analysis.appearance.glossmeter import GLOSSMETERS, SOURCE_DEG
 from gonio_analysis.plots import appearance as plots
-from gonio_analysis.report import files, pdf
+from gonio_analysis.report import files
 from gonio_analysis.report.blocks import (
     Block,
     Figures,
     Footer,
-    Group,
     Heading,
     Page,
-    Paragraph,
+    Stamp,
     Table,
     code,
-    facts,
+    header,
     notes,
+    provenance,
+    stamp,
     table,
 )
-from gonio_analysis.report.comparison import stamp
 from gonio_analysis.report.drawing import FigureWorkers
-from gonio_analysis.report.drawings import Drawing
+from gonio_analysis.report.drawings import Drawing, Figure
 from gonio_analysis.report.facts import DatasetSummary
 from gonio_analysis.report.section import Section
 from gonio_analysis.report.text import number, quantity, with_u
-from gonio_analysis.result_records import Appearance, FigureSummary, Quantity, as_json
+from gonio_analysis.result_records import Appearance, Quantity, as_json
 
-SOURCES = {
-    "gloss": "ISO 2813, ASTM D523",
-    "haze": "ASTM D4039",
-    "haze_20": "ASTM E430 method B, ISO 13803",
-    "haze_30": "ASTM E430 method A",
-    "reflectance": "integral over the hemisphere",
-    "factor": "CIE 15",
-    "retro": "CIE e-ILV 17-24-103, -104",
-    "colour": "CIE 15, D65, 2°; ASTM E2194, E2539",
-    "flop": "Alman 1987",
-    "tis": "ASTM F1048",
-    "roughness": "Davies 1954",
-}
 KINDS = {"table": "measurement", "model": "model", "fit": "fitted model"}
+HEADER = ["quantity", "value", "", "after"]
 
 
-@dataclass(frozen=True)
-class Listed:
+class Listed(NamedTuple):
     """One quantity in words."""
 
     label: str
@@ -66,51 +51,53 @@ class Listed:
 
 def listed(a: Appearance, *, reflectances: bool = True) -> list[Listed]:
     """Every quantity in words, in the order of a page; those by incidence may stand elsewhere."""
+    gloss, integral, factor = "ISO 2813, ASTM D523", "integral over the hemisphere", "CIE 15"
+    retro = [(f"{r.entrance_deg:g}°, observed at {r.observation_deg:g}°", r) for r in a.retroreflection]
     rows: list[tuple[str, Quantity, str]] = [
-        (f"gloss at {angle}°", q, SOURCES["gloss"])
-        for angle, q in ((20, a.gloss_20_gu), (60, a.gloss_60_gu), (85, a.gloss_85_gu))
+        ("gloss at 20°", a.gloss_20_gu, gloss),
+        ("gloss at 60°", a.gloss_60_gu, gloss),
+        ("gloss at 85°", a.gloss_85_gu, gloss),
+        ("haze, G60 − G20", a.haze_gu, "ASTM D4039"),
+        ("haze at 18.1° and 21.9° for 20°", a.haze_e430_20, "ASTM E430 method B, ISO 13803"),
+        ("haze at 28° and 32° for 30°", a.haze_e430_30, "ASTM E430 method A"),
+        ("reflectance at 8°", a.rho_dh_8, integral),
+        *((f"ρ_dh at {q.theta_i_deg:g}°", q, integral) for q in a.rho_dh if reflectances),
+        ("radiance factor 0:45", a.radiance_factor_0_45, factor),
+        ("radiance factor 45:0", a.radiance_factor_45_0, factor),
+        *(
+            (f"{name} at {where}", q, "CIE e-ILV 17-24-103, -104")
+            for where, r in retro
+            for name, q in (("R_A", r.R_A), ("R_L", r.R_L))
+        ),
+        ("flop index", a.flop_index, "Alman 1987"),
+        ("scattered share (TIS) at 8°", a.tis_8, "ASTM F1048"),
+        ("rms roughness", a.rms_roughness_nm, "Davies 1954"),
     ]
-    rows.append(("haze, G60 − G20", a.haze_gu, SOURCES["haze"]))
-    rows.append(("haze at 18.1° and 21.9° for 20°", a.haze_e430_20, SOURCES["haze_20"]))
-    rows.append(("haze at 28° and 32° for 30°", a.haze_e430_30, SOURCES["haze_30"]))
-    rows.append(("reflectance at 8°", a.rho_dh_8, SOURCES["reflectance"]))
-    rows += [(f"ρ_dh at {q.theta_i_deg:g}°", q, SOURCES["reflectance"]) for q in a.rho_dh if reflectances]
-    rows.append(("radiance factor 0:45", a.radiance_factor_0_45, SOURCES["factor"]))
-    rows.append(("radiance factor 45:0", a.radiance_factor_45_0, SOURCES["factor"]))
-    for r in a.retroreflection:
-        where = f"{r.entrance_deg:g}°, observed at {r.observation_deg:g}°"
-        rows += [(f"R_A at {where}", r.R_A, SOURCES["retro"]), (f"R_L at {where}", r.R_L, SOURCES["retro"])]
-    rows.append(("flop index", a.flop_index, SOURCES["flop"]))
-    rows.append(("scattered share (TIS) at 8°", a.tis_8, SOURCES["tis"]))
-    rows.append(("rms roughness", a.rms_roughness_nm, SOURCES["roughness"]))
     out = [Listed(label, _value(q), _remark(q), after) for label, q, after in rows]
-    reasons = {c.L.why for c in a.lab}
+    colour, reasons = "CIE 15, D65, 2°; ASTM E2194, E2539", {c.L.why for c in a.lab}
     if len(reasons) == 1 and None not in reasons:  # without a spectrum none of them has a colour, for one reason
-        return [*out, Listed(f"L*, a*, b* in {len(a.lab)} geometries", "–", _remark(a.lab[0].L), SOURCES["colour"])]
+        return [*out, Listed(f"L*, a*, b* in {len(a.lab)} geometries", "–", _remark(a.lab[0].L), colour)]
     for c in a.lab:
         where = f"L*, a*, b* at {c.theta_i_deg:g}°, aspecular {_signed(c.aspecular_deg)}°"
         parts = "; ".join(_value(q, 2) for q in (c.L, c.a, c.b))
-        out.append(Listed(where, "–" if c.L.value is None else parts, _remark(c.L), SOURCES["colour"]))
+        out.append(Listed(where, "–" if c.L.value is None else parts, _remark(c.L), colour))
     return out
 
 
 def block(a: Appearance) -> Table:
     """The quantities as a table of a page."""
-    rows = [(one.label, one.value, one.remark, one.after) for one in listed(a)]
     at = "" if a.wavelength_nm is None else f"All but colours at {a.wavelength_nm:g} nm. "
     caption = at + "± is a standard uncertainty; the error is that of quadrature or of interpolation."
-    return table(caption, ["quantity", "value", "", "after"], rows)
+    return table(caption, HEADER, listed(a))
 
 
 def known(a: Appearance) -> Table | None:
     """Those of the quantities that have a value, for a page about something else; None where there are none."""
     every = listed(a, reflectances=False)  # a measurement's own stand among its checks
-    rows = [(one.label, one.value, one.remark, one.after) for one in every if one.value != "–"]
+    rows = [one for one in every if one.value != "–"]
     left = len(every) - len(rows)
-    if not rows:
-        return None
     caption = f"{left} further quantities do not follow from these values: gonio appearance says why." if left else ""
-    return table(caption, ["quantity", "value", "", "after"], rows)
+    return table(caption, HEADER, rows) if rows else None
 
 
 def make(a: Appearance, out: str | Path, *, command: str = "") -> Path:
@@ -127,25 +114,21 @@ def make(a: Appearance, out: str | Path, *, command: str = "") -> Path:
         The folder cannot be written, or holds something that this program did not write.
     """
     with files.staged(out) as stage:
-        figures = FigureWorkers().draw(_drawings(a))
-        made = stamp(command)
-        page = _page(a, made["created"], command, made["versions"], figures)
-        shown = [as_json(FigureSummary(f.name, f.caption, f.alt)) for f in figures]
-        files.write_page(stage.work, page, {**as_json(a), **made, "figures": shown}, figures)
-        pdf.write(stage.work / "report.pdf", [page])
+        figures, made = FigureWorkers().draw(_drawings(a)), stamp(command)
+        summary = {**as_json(a), **made, "figures": figures}
+        files.write_page(stage.work, _page(a, made, figures), summary, figures, printed=True)
     return Path(out) / "index.html"
 
 
-def _page(a: Appearance, created: str, command: str, versions: dict[str, str], figures: Sequence[Any]) -> Page:
-    sub = f"Appearance of a {'simulated ' * a.simulated}{KINDS[a.kind]}, {created[:10]}, gonio {versions['gonio']}."
-    body: list[Block] = [Group("header", (Heading(1, a.title), Paragraph(sub, "sub")))]
+def _page(a: Appearance, made: Stamp, figures: Sequence[Figure]) -> Page:
+    what, gonio = f"{'simulated ' * a.simulated}{KINDS[a.kind]}", made["versions"]["gonio"]
+    body: list[Block] = [header(a.title, f"Appearance of a {what}, {made['created'][:10]}, gonio {gonio}.")]
     body += [notes(a.notes)] if a.notes else []
     body += [Heading(2, "Quantities"), block(a)]
     body += [Heading(2, "Geometry"), Figures(tuple(figures))] if figures else []
-    made = [("source", a.source or "–"), ("command", command or "–"), ("page made", created)]
-    made.append(("versions", ", ".join(f"{k} {v}" for k, v in versions.items())))
+    body += [Heading(2, "Provenance"), provenance(made, ("source", a.source or "–"), called="page made")]
     footer = Footer(("Every number on this page is in ", code("summary.json"), "."))
-    return Page(f"Appearance of {a.title}", (*body, Heading(2, "Provenance"), facts(made), footer))
+    return Page(f"Appearance of {a.title}", (*body, footer))
 
 
 def _drawings(a: Appearance) -> list[Drawing]:
@@ -158,21 +141,17 @@ def _drawings(a: Appearance) -> list[Drawing]:
         for theta in sorted({c.theta_i_deg for c in coloured}, reverse=True):
             mine = [c for c in coloured if c.theta_i_deg == theta]
             values, u = (
-                [np.array([_or_nan(getattr(getattr(c, letter), what)) for c in mine]) for letter in "Lab"]
+                [np.array([getattr(getattr(c, letter), what) for c in mine], dtype=np.float64) for letter in "Lab"]
                 for what in ("value", "u")
             )
             groups.append((theta, np.array([c.aspecular_deg for c in mine]), values, u))
-        on = partial(_on_colours, groups=groups)
-        out.append(Drawing("colour", "colour", "", caption, caption, (6.4, 3.2), on))
+        out.append(Drawing("colour", "colour", "", caption, caption, (6.4, 3.2), partial(_on_colours, groups=groups)))
     caption = (
         "The glossmeter's beams in the plane of incidence: source at the left, receiver at the right, full angles of"
         " their apertures."
     )
-    words = {
-        m.angle_deg: _value(q) for m, q in zip(GLOSSMETERS, (a.gloss_20_gu, a.gloss_60_gu, a.gloss_85_gu), strict=True)
-    }
-    out.append(Drawing("gloss", "gloss", "", caption, caption, (6.4, 1.7), partial(_on_beams, words=words)))
-    return out
+    words = [_value(q) for q in (a.gloss_20_gu, a.gloss_60_gu, a.gloss_85_gu)]
+    return [*out, Drawing("gloss", "gloss", "", caption, caption, (6.4, 1.7), partial(_on_beams, words=words))]
 
 
 def _on_colours(figure: Any, *, groups: list[tuple[float, Floats, list[Floats], list[Floats]]]) -> None:
@@ -186,23 +165,24 @@ def _on_colours(figure: Any, *, groups: list[tuple[float, Floats, list[Floats], 
     axes[-1].legend(fontsize=8, frameon=False, loc="center left", bbox_to_anchor=(1.02, 0.5), borderaxespad=0.0)
 
 
-def _on_beams(figure: Any, *, words: dict[float, str]) -> None:
+def _on_beams(figure: Any, *, words: Sequence[str]) -> None:
     axes = figure.subplots(1, len(GLOSSMETERS))
     figure.subplots_adjust(0.01, 0.02, 0.99, 0.88, wspace=0.05)
-    for ax, meter in zip(axes, GLOSSMETERS, strict=True):
-        label = f"{meter.angle_deg:g}°: {words[meter.angle_deg]}"
+    for ax, meter, value in zip(axes, GLOSSMETERS, words, strict=True):
+        label = f"{meter.angle_deg:g}°: {value}"
         plots.beams(ax, meter.angle_deg, SOURCE_DEG[0], meter.receiver_deg[0], label=label)
 
 
 def _value(q: Quantity, decimals: int | None = None) -> str:
-    unit = "" if q.unit == "1" else q.unit
     if q.value is None:
         return "–"
-    if q.u is None and (decimals is not None or unit == "GU"):
-        return quantity(f"{q.value + 0.0:.{decimals or 2}f}".replace("-0.00", "0.00").replace("-", "−"), unit)
-    if q.u is None:
-        return quantity(number(q.value, 4), unit)
-    return quantity(with_u(q.value, q.u), unit)
+    if q.u is not None:
+        shown = with_u(q.value, q.u)
+    elif decimals is not None or q.unit == "GU":
+        shown = f"{q.value + 0.0:.{decimals or 2}f}".replace("-0.00", "0.00").replace("-", "−")
+    else:
+        shown = number(q.value, 4)
+    return quantity(shown, "" if q.unit == "1" else q.unit)
 
 
 def _remark(q: Quantity) -> str:
@@ -217,10 +197,6 @@ def _remark(q: Quantity) -> str:
 
 def _signed(angle: float) -> str:
     return f"{angle:g}".replace("-", "−")
-
-
-def _or_nan(value: float | None) -> float:
-    return math.nan if value is None else value
 
 
 def _beside(d: DatasetSummary, figures: object) -> list[Block]:

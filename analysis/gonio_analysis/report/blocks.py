@@ -5,18 +5,39 @@
 
 from __future__ import annotations
 
+import datetime
+import platform
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import ClassVar, Literal
+from importlib.metadata import version
+from typing import Literal, TypedDict
 
 from gonio_analysis.report.drawings import Figure
 from gonio_analysis.report.text import cut, glued
 from gonio_analysis.report.viewer import View
 
+VERSIONS = ("gonio", "numpy", "scipy", "numba", "pandas", "matplotlib")
 MOST_ROWS = 300
 """Of a table on a page; the files in `tables/` have all of them."""
 MOST_FACTS, MOST_WORDS = 200, 2000
 """Entries of a list, and characters of one."""
+
+
+class Stamp(TypedDict):
+    """When, by which command and with which versions a page was made."""
+
+    created: str
+    command: str
+    versions: dict[str, str]
+
+
+def stamp(command: str) -> Stamp:
+    """When, by which command and with which versions a page is made: now, and here."""
+    return {
+        "created": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds").replace("+00:00", "Z"),
+        "command": command,
+        "versions": {"python": platform.python_version(), **{name: version(name) for name in VERSIONS}},
+    }
 
 
 @dataclass(frozen=True)
@@ -60,29 +81,40 @@ def _glued(text: Text) -> Text:
     return tuple(Span(glued(part.text), part.look, part.href) for part in spans(text))
 
 
+class Block:
+    """A part of a page."""
+
+    @property
+    def kind(self) -> str:
+        """What `blocks.html.jinja` knows it by: "heading", "paragraph", ..."""
+        return type(self).__name__.lower()
+
+    @property
+    def empty(self) -> bool:
+        """Whether nothing of it is printed: figures or notes of which there are none."""
+        return False
+
+
 @dataclass(frozen=True)
-class Heading:
+class Heading(Block):
     """Of the page (1), a section (2) or a part of one (3)."""
 
-    kind: ClassVar[str] = "heading"
     level: Literal[1, 2, 3]
     text: str
 
 
 @dataclass(frozen=True)
-class Paragraph:
+class Paragraph(Block):
     """A paragraph: the line below the title ("sub"), the conclusion ("lead"), a remark ("note") or any other."""
 
-    kind: ClassVar[str] = "paragraph"
     text: Text
     look: Literal["", "sub", "lead", "note"] = ""
 
 
 @dataclass(frozen=True)
-class Table:
+class Table(Block):
     """A table; the first cell of each row is its heading. See `table`."""
 
-    kind: ClassVar[str] = "table"
     caption: str
     header: tuple[str, ...]
     rows: tuple[tuple[Text, ...], ...]
@@ -93,67 +125,65 @@ class Table:
 
 
 @dataclass(frozen=True)
-class Facts:
+class Facts(Block):
     """Names and values."""
 
-    kind: ClassVar[str] = "facts"
     rows: tuple[tuple[str, Text], ...]
 
 
 @dataclass(frozen=True)
-class Figures:
+class Figures(Block):
     """Figures side by side; one without its drawing (`svg`) is named only where a page has no room for it."""
 
-    kind: ClassVar[str] = "figures"
     figures: tuple[Figure, ...]
     small: bool = False
     """Whether more than two fit into a row: pictures rather than drawings."""
 
+    @property
+    def empty(self) -> bool:
+        return not self.figures
+
 
 @dataclass(frozen=True)
-class Notes:
+class Notes(Block):
     """A list of remarks."""
 
-    kind: ClassVar[str] = "notes"
     items: tuple[Text, ...]
+
+    @property
+    def empty(self) -> bool:
+        return not self.items
 
 
 @dataclass(frozen=True)
-class Viewer:
+class Viewer(Block):
     """The interactive plot, hidden until the page's program fills it; not printed."""
 
-    kind: ClassVar[str] = "viewer"
     slug: str
     view: View = field(repr=False)
 
 
 @dataclass(frozen=True)
-class Contents:
+class Contents(Block):
     """Links to the sections: (address, name); not printed."""
 
-    kind: ClassVar[str] = "contents"
     links: tuple[tuple[str, str], ...]
 
 
 @dataclass(frozen=True)
-class Footer:
+class Footer(Block):
     """The last line of a page."""
 
-    kind: ClassVar[str] = "footer"
     text: Text
 
 
 @dataclass(frozen=True)
-class Group:
+class Group(Block):
     """The head of a page, or a section that links lead to by its `slug`."""
 
-    kind: ClassVar[str] = "group"
     tag: Literal["header", "section"]
     blocks: tuple[Block, ...]
     slug: str = ""
-
-
-Block = Heading | Paragraph | Table | Facts | Figures | Notes | Viewer | Contents | Footer | Group
 
 
 @dataclass(frozen=True)
@@ -167,6 +197,18 @@ class Page:
 def section(blocks: Iterable[Block], slug: str = "") -> Group:
     """A section."""
     return Group("section", tuple(blocks), slug)
+
+
+def header(title: str, sub: str, *more: Block) -> Group:
+    """The head of a page: its title, and the line below that says what it is and when it was made."""
+    return Group("header", (Heading(1, title), Paragraph(sub, "sub"), *more))
+
+
+def provenance(made: Stamp, *first: tuple[str, str], called: str = "report made") -> Facts:
+    """When, by which command and with which versions a page was made; `first` stands above."""
+    versions = ", ".join(f"{name} {version}" for name, version in made["versions"].items())
+    rows = (("command", made["command"] or "–"), (called, made["created"]), ("versions", versions))
+    return facts([*first, *rows])
 
 
 def table(

@@ -1,4 +1,7 @@
-"""The uncertainty budget of a run: every part of it in words and numbers, and which of them matters where."""
+"""What is known of the uncertainties of a sample's values: the part of a page.
+
+Of a run it is the budget: every part of it in words and numbers, and which of them matters where.
+"""
 
 from __future__ import annotations
 
@@ -8,11 +11,16 @@ from typing import Any
 
 import numpy as np
 
+from gonio_analysis.curves.in_plane import evenly
+from gonio_analysis.plots import in_plane
 from gonio_analysis.plots.in_plane import COLOURS, clean
 from gonio_analysis.plots.style import FAINT
-from gonio_analysis.report.blocks import Block, Figures, Notes, Paragraph, strong, table
+from gonio_analysis.report.blocks import MOST_ROWS, Block, Figures, Heading, Notes, Paragraph, strong, table
 from gonio_analysis.report.drawings import Drawing, Figure
+from gonio_analysis.report.facts import DatasetSummary
 from gonio_analysis.report.figures import LEGEND_ROW_IN, key
+from gonio_analysis.report.section import Figures as ByKind
+from gonio_analysis.report.section import Section
 from gonio_analysis.report.text import CAUSES, cause, meaning, number, percent
 from gonio_analysis.result_records import BudgetCurve, BudgetFacts, RunFacts
 
@@ -38,8 +46,7 @@ def draw(found: BudgetFacts | None, slug: str) -> list[Drawing]:
     if found is None or not found.curves:
         return []
     every = found.curves
-    places = np.unique(np.linspace(0, len(every) - 1, min(len(every), MOST_PANELS)).round().astype(int))
-    curves = [every[k] for k in places]
+    curves = [every[k] for k in evenly(len(every), MOST_PANELS)]
     caption = (
         "Shares of the variance: what that of each value is made of, along the curves in the plane of incidence. The"
         f" {len(found.largest)} largest causes, and the rest."
@@ -51,8 +58,7 @@ def draw(found: BudgetFacts | None, slug: str) -> list[Drawing]:
     )
     rows = -(-len(curves) // COLUMNS)
     columns = min(len(curves), COLUMNS)
-    legend = -(-(len(found.largest) + 1) // 3)
-    size = (5.6, PANEL_IN * rows + FOOT_IN + LEGEND_ROW_IN * legend)
+    size = (5.6, PANEL_IN * rows + FOOT_IN + LEGEND_ROW_IN * (-(-(len(found.largest) + 1) // 3)))
     on = partial(_on_panels, curves=curves, names=[*found.largest, REST], rows=rows, columns=columns)
     return [Drawing(f"{slug}-budget-shares", KIND, "", caption, alt + ".", size, on)]
 
@@ -66,15 +72,11 @@ def section(found: BudgetFacts, figures: Sequence[Figure]) -> list[Block]:
         for p in found.parts if p.largest > 0.0
     ]  # fmt: skip
     head = ["cause", "median u / f", "largest", "share of variance", "kind", "what it is"]
-    out: list[Block] = [
-        table(
-            "Standard uncertainties (k = 1) relative to the value, and the mean share of the variance. A cause is"
-            " common to all values, or each value has its own.",
-            head,
-            rows,
-            right=(1, 2, 3),
-        )
-    ]
+    caption = (
+        "Standard uncertainties (k = 1) relative to the value, and the mean share of the variance. A cause is"
+        " common to all values, or each value has its own."
+    )
+    out: list[Block] = [table(caption, head, rows, right=(1, 2, 3))]
     words = (
         f"Expanded uncertainty (k = 2) of the {found.values} values in this budget, those beyond 3 u: median"
         f" {percent(2 * found.median)}, largest {percent(2 * found.highest)}. Apart from the certificate of the white"
@@ -87,17 +89,38 @@ def section(found: BudgetFacts, figures: Sequence[Figure]) -> list[Block]:
             f" {found.coarse} values lie beside a lobe that the plan's steps do not resolve (coarse in budget.csv):"
             " their uncertainty is that of the steepest lobe that the data allow."
         )
-    nothing = [cause(p.cause) for p in found.parts if p.largest <= 0.0]
-    if nothing:
-        words += f" Budgeted, and without a part in these values: {', '.join(nothing)}."
+    nothing = ", ".join(cause(p.cause) for p in found.parts if p.largest <= 0.0)
+    words += f" Budgeted, and without a part in these values: {nothing}." if nothing else ""
     out.append(Paragraph(words))
     if found.monte_carlo:
         out.append(Paragraph(f"Checked by drawing the inputs: {found.monte_carlo}."))
-    out += [Figures(tuple(figures))] if figures else []
-    if found.left_out:
-        out.append(Paragraph("Not in the budget:"))
-        out.append(Notes(tuple((strong(cause(name)), f": {why}") for name, why in found.left_out.items())))
-    return out
+    out.append(Figures(tuple(figures)))
+    left_out = tuple((strong(cause(name)), f": {why}") for name, why in found.left_out.items())
+    return [*out, Paragraph("Not in the budget:"), Notes(left_out)] if left_out else out
+
+
+def _words(d: DatasetSummary, by: ByKind) -> list[Block]:
+    """What is known of the values' uncertainties."""
+    if d.u_rel_assumed is not None:
+        return [
+            Paragraph(
+                f"The table states no uncertainties. A standard uncertainty of {percent(d.u_rel_assumed)} of each"
+                " value, independent from value to value, is assumed: error bars, standard errors and χ² rest on it."
+            )
+        ]
+    if "budget" not in by:
+        return [
+            Paragraph(
+                "The table states no uncertainties: there are no error bars and no chi-square, and "
+                "fits compare logarithms, every value alike."
+            )
+        ]
+    drawn, parts = Figures((*by["budget"], *by.get("budget-angle", ()))), of(d.run, d.wavelength_nm)
+    if parts is not None:
+        return [drawn, *section(parts, by.get(KIND, ()))]
+    rows = [[cause(p.cause), percent(p.median), percent(p.p95), meaning(p.cause, common=True)] for p in d.budget]
+    caption, most = "Standard uncertainties relative to the value.", (MOST_ROWS, f"{d.slug}-budget.csv")
+    return [drawn, table(caption, ["cause", "median", "95th percentile", "what it is"], rows, right=(1, 2), most=most)]
 
 
 def _percent(value: float) -> str:
@@ -109,9 +132,8 @@ def _on_panels(figure: Any, *, curves: list[BudgetCurve], names: list[str], rows
     from matplotlib.patches import Patch
 
     high = figure.get_figheight()
-    legend = -(-len(names) // 3)
     axes = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
-    foot = (FOOT_IN + LEGEND_ROW_IN * legend) / high
+    foot = (FOOT_IN + LEGEND_ROW_IN * -(-len(names) // 3)) / high
     figure.subplots_adjust(0.085, foot, 0.975, 1 - 0.22 / high, hspace=0.36, wspace=0.09)
     colours = [*(COLOURS[k % len(COLOURS)] for k in range(len(names) - 1)), FAINT]
     for k, ax in enumerate(axes.flat):
@@ -119,17 +141,22 @@ def _on_panels(figure: Any, *, curves: list[BudgetCurve], names: list[str], rows
         if k >= len(curves):
             ax.set_axis_off()
             continue
-        curve = curves[k]
-        shares = 100 * np.array(curve.shares)
+        curve, shares = curves[k], 100 * np.array(curves[k].shares)
         shares = np.vstack([shares, 100 - shares.sum(axis=0)])
         ax.stackplot(curve.theta_r_deg, shares, colors=colours, lw=0)
         ax.set_title(f"θi = {curve.theta_i_deg:g}°", fontsize=7.5, pad=4)  # in the middle: the label 100 % is left
         ax.set_xlim(-90, 90)
-        ax.set_xticks(range(-60, 61, 60), [f"{a}°".replace("-", "−") for a in range(-60, 61, 60)])
+        in_plane.degrees_along(ax, 60, 60)
         ax.set_ylim(0, 100)
         ax.set_yticks([0, 50, 100], ["0", "50 %", "100 %"])
         ax.tick_params(labelsize=7, labelbottom=k + columns >= len(curves))
         if k + columns >= len(curves):
             ax.set_xlabel("signed θr", fontsize=7.5)
-    handles = [Patch(color=c, label=cause(n)) for c, n in zip(colours, names, strict=True)]
-    key(figure, handles, 3)
+    key(figure, [Patch(color=c, label=cause(n)) for c, n in zip(colours, names, strict=True)], 3)
+
+
+SECTION = Section(
+    "uncertainty",
+    lambda d, figures: [Heading(3, "Uncertainty"), *_words(d, figures)],
+    lambda d, facts: draw(of(facts.run, facts.wavelength_nm), facts.slug),
+)

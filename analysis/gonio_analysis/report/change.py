@@ -12,45 +12,38 @@ import numpy as np
 
 from gonio.measurement import Reading
 from gonio_analysis.changes.point_by_point import Change, Side, change, side
-from gonio_analysis.changes.verdict import FALSE_DISCOVERIES, LEVEL
+from gonio_analysis.changes.verdict import FALSE_DISCOVERIES, LEVEL, Verdict, Within
 from gonio_analysis.curves.in_plane import Curve, curves, labels, selection
 from gonio_analysis.fitting.metrics import DESCRIPTIONS, meaning
 from gonio_analysis.fitting.observations import Observations, describe_left_out, of_reader, said_once
 from gonio_analysis.plots import thinning
-from gonio_analysis.report import change_figures, files, html, pdf, viewer
+from gonio_analysis.report import change_figures, files, html, viewer
 from gonio_analysis.report.blocks import (
     MOST_ROWS,
     Block,
     Figures,
     Footer,
-    Group,
     Heading,
     Page,
     Paragraph,
+    Stamp,
     Table,
     Viewer,
     code,
     facts,
+    header,
     lead,
     notes,
+    provenance,
+    stamp,
     table,
 )
-from gonio_analysis.report.change_records import (
-    ChangeAtWavelength,
-    ChangeMetric,
-    ChangeSummary,
-    MeasuredSide,
-    ModelSide,
-    VerdictSummary,
-    WithinSummary,
-)
-from gonio_analysis.report.comparison import stamp
 from gonio_analysis.report.drawing import FigureWorkers, figure_workers
 from gonio_analysis.report.drawings import Figure
 from gonio_analysis.report.page import MOST_BYTES
 from gonio_analysis.report.tables import write_columns, write_csv
-from gonio_analysis.report.text import difference, number, percent, with_u
-from gonio_analysis.result_records import FigureSummary, RunFacts, as_json, finite
+from gonio_analysis.report.text import number, percent, spoken_difference, with_u
+from gonio_analysis.result_records import RunFacts, finite
 from gonio_analysis.selection.run_record import run_facts
 
 FIGURES = 6
@@ -63,13 +56,14 @@ COLUMNS = (
     *("wavelength_nm", "theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg", "a", "b", "u_interpolation", "change"),
     *("u_change", "standard_deviations", "changed"),
 )
-
 FOOTER = Footer(
     (
         *("Every number on this page is in ", code("summary.json"), ", every compared value in "),
         *(code("tables/change.csv"), ", the figures as SVG and PNG in ", code("figures/"), "."),
     )
 )
+Waves = list[dict[str, float | None]]
+"""What is known of the values at each wavelength; counts where uncertainties are stated."""
 
 
 def make(
@@ -111,7 +105,8 @@ def make(
         progress(f"comparing {b.title} with {a.title}")
         found = change(a, b, wavelength_nm=wavelength_nm, say=progress)
         progress("drawing")
-        _write(found, stage.work, wavelength_nm, command, [run_facts(Path(spec)) for spec in specs], workers, progress)
+        runs = [run_facts(Path(spec)) for spec in specs]
+        _write(found, stage.work, wavelength_nm, stamp(command), runs, workers, progress)
     return Path(out) / "index.html"
 
 
@@ -119,107 +114,106 @@ def _write(
     c: Change,
     folder: Path,
     wavelength_nm: float | None,
-    command: str,
+    made: Stamp,
     runs: Sequence[RunFacts | None],
     workers: FigureWorkers,
     progress: Callable[[str], None],
 ) -> None:
-    found = summary(c, command, runs)
-    progress(found.conclusion)
-    at, shown = _one(c, wavelength_nm)
+    waves, conclusion = _wavelengths(c), _conclusion(c)
+    progress(conclusion)
+    at, shown = replace(c.at, brdf=c.value_a, rows=np.arange(len(c.at))).nearest(wavelength_nm)
     every = curves(at)
-    listed = selection(every, viewer.MOST_LISTED)
     drawn = selection(every)
     figures = workers.draw(change_figures.draw(c, at, drawn, shown), progress)
     (folder / "tables").mkdir()
     write_columns(folder / "tables" / "change.csv", COLUMNS, _columns(c))
-    listed_tables = ["change.csv"]
-    if len(found.wavelengths) > 1:
-        listed_tables.append("wavelengths.csv")
-        waves = [as_json(w) for w in found.wavelengths]
+    tables = ["change.csv"]
+    if len(waves) > 1:
+        tables.append("wavelengths.csv")
         write_csv(folder / "tables" / "wavelengths.csv", list(waves[0]), (list(w.values()) for w in waves))
-    found = replace(
-        found,
-        shown_wavelength_nm=finite(shown),
-        figures=[FigureSummary(f.name, f.caption, f.alt) for f in figures],
-        tables=listed_tables,
-    )
-    view = _view(c, at, listed, drawn, shown) if drawn else None
-    page = _page(found, figures, view)
-    files.write_page(folder, page, as_json(found), figures)
-    pdf.write(folder / "report.pdf", [page])
+    last = {"shown_wavelength_nm": shown, "figures": figures, "tables": tables}
+    view = _view(c, at, selection(every, viewer.MOST_LISTED), drawn, shown) if drawn else None
+    page = _page(c, made, conclusion, runs, waves, figures, view)
+    summary = {**_summary(c, made, conclusion, runs), "wavelengths": waves, "notes": _notes(c), **last}
+    files.write_page(folder, page, summary, figures, printed=True)
 
 
-def summary(c: Change, command: str, runs: Sequence[RunFacts | None]) -> ChangeSummary:
-    """Every number of the page."""
-    v = c.verdict
-    positive = (c.value_a > 0) & (c.value_b > 0)
-    ratio = np.full(len(c.at), np.nan)
-    ratio[positive] = c.value_b[positive] / c.value_a[positive]
-    waves = []
+def _title(c: Change) -> str:
+    return f"{c.b.title} against {c.a.title}"
+
+
+def _summary(c: Change, made: Stamp, conclusion: str, runs: Sequence[RunFacts | None]) -> dict[str, object]:
+    """What `summary.json` says of the comparison as a whole."""
+    v, w = c.verdict, c.within
+    return {
+        "title": _title(c),
+        **made,
+        "a": _side(c.a, runs[0]),
+        "b": _side(c.b, runs[1]),
+        "n_points": len(c.at),
+        "in_directions_of": c.onto,
+        "interpolated": int(np.count_nonzero(c.error)),
+        "median_interpolation_error_rel": _median_error(c),
+        "without_counterpart": c.missing,
+        "verdict": None if v is None else _verdict(v),
+        "identical": c.identical,
+        "agree_within": {
+            "as_they_are": w.as_they_are,
+            "with_scale": w.with_scale,
+            "scale": w.scale,
+            "with_zero": w.with_zero,
+            "zero_deg": None if w.zero is None else np.degrees(w.zero),
+        },
+        "conclusion": conclusion,
+        "metrics": {k: {"label": DESCRIPTIONS[k][0], "value": c.metrics[k]} for k in DESCRIPTIONS},
+    }
+
+
+def _side(s: Side, run: RunFacts | None) -> dict[str, object]:
+    own = {"name": s.name, "source": s.source, "kind": s.kind, "run": run}
+    if s.data is None:
+        return own | {"model": s.model.name, "convention": s.model.convention}
+    stated = {"uncertainty_stated": s.data.covariance is not None, "simulated": s.simulated}
+    return own | {"values": len(s.data), "left_out": s.data.left_out} | stated
+
+
+def _verdict(v: Verdict) -> dict[str, object]:
+    return {
+        "changed": v.changed,
+        "found_by": v.found_by,
+        "chi_square": v.chi_square,
+        "p_value": v.p_value,
+        "n_points": v.z.size,
+        "beyond_2": v.beyond,
+        "expected_beyond_2": v.expected,
+        "largest": v.largest,
+        "p_largest": v.p_largest,
+        "changed_points": int(v.marked.sum()),
+        "false_discoveries": FALSE_DISCOVERIES,
+        "level": LEVEL,
+        "scale": v.scale,
+        "u_scale": v.u_scale,
+        "p_scale": v.p_scale,
+    }
+
+
+def _wavelengths(c: Change) -> Waves:
+    v, positive, out = c.verdict, (c.value_a > 0) & (c.value_b > 0), Waves()
     for nm in c.at.wavelengths:
         here = np.isnan(c.at.wavelength_nm) if math.isnan(nm) else c.at.wavelength_nm == nm
-        known = ratio[here & positive]
-        waves.append(
-            ChangeAtWavelength(
-                wavelength_nm=finite(nm),
-                n_points=int(here.sum()),
-                beyond=None if v is None else int(np.count_nonzero(np.abs(v.z[here]) > 2)),
-                changed_points=None if v is None else int(v.marked[here].sum()),
-                median_ratio=float(np.median(known)) if known.size else None,
-            )
-        )
-    verdict = None
-    if v is not None:
-        verdict = VerdictSummary(
-            changed=v.changed,
-            found_by=v.found_by,
-            chi_square=v.chi_square,
-            p_value=v.p_value,
-            n_points=int(v.z.size),
-            beyond_2=v.beyond,
-            expected_beyond_2=v.expected,
-            largest=v.largest,
-            p_largest=v.p_largest,
-            changed_points=int(v.marked.sum()),
-            false_discoveries=FALSE_DISCOVERIES,
-            level=LEVEL,
-            scale=v.scale,
-            u_scale=v.u_scale,
-            p_scale=v.p_scale,
-        )
-    return ChangeSummary(
-        title=f"{c.b.title} against {c.a.title}",
-        **stamp(command),
-        a=_side(c.a, runs[0]),
-        b=_side(c.b, runs[1]),
-        n_points=len(c.at),
-        in_directions_of=c.onto,
-        interpolated=int(np.count_nonzero(c.error)),
-        median_interpolation_error_rel=_median_error(c),
-        without_counterpart=c.missing,
-        verdict=verdict,
-        identical=c.identical,
-        agree_within=_within(c),
-        conclusion=_conclusion(c),
-        metrics={k: ChangeMetric(DESCRIPTIONS[k][0], finite(c.metrics[k])) for k in DESCRIPTIONS},
-        wavelengths=waves,
-        notes=_notes(c),
-    )
-
-
-def _side(s: Side, run: RunFacts | None) -> MeasuredSide | ModelSide:
-    if s.data is None:
-        return ModelSide(s.name, s.source, s.kind, run, s.model.name, s.model.convention)
-    stated = s.data.covariance is not None
-    return MeasuredSide(s.name, s.source, s.kind, run, len(s.data), s.data.left_out, stated, s.simulated)
+        one: dict[str, float | None] = {"wavelength_nm": finite(nm), "n_points": int(here.sum())}
+        if v is not None:
+            one |= {"beyond": int(np.count_nonzero(np.abs(v.z[here]) > 2)), "changed_points": int(v.marked[here].sum())}
+        known = c.value_b[here & positive] / c.value_a[here & positive]
+        out.append({**one, "median_ratio": float(np.median(known)) if known.size else None})
+    return out
 
 
 def _notes(c: Change) -> list[str]:
     """What the comparison says, and what the readers of both sides say."""
-    told = said_once({x.name: of_reader(x.table) for x in (c.a, c.b) if x.table is not None})
-    read = {note for x in (c.a, c.b) if x.table is not None for note in of_reader(x.table)}
-    return [*(note for note in c.notes if note not in read), *told]
+    read = {x.name: of_reader(x.table) for x in (c.a, c.b) if x.table is not None}
+    known = {note for notes_of in read.values() for note in notes_of}
+    return [*(note for note in c.notes if note not in known), *said_once(read)]
 
 
 def _median_error(c: Change) -> float | None:
@@ -232,9 +226,9 @@ def _conclusion(c: Change) -> str:
     v, n = c.verdict, len(c.at)
     if c.identical:
         return f"The two are identical: each of the {n} values of B is that of A."
-    typical = f"They differ typically by {_words(c.metrics['log_ratio'])}"
+    typical = f"They differ typically by {spoken_difference(c.metrics['log_ratio'])}"
     stated = c.within.as_they_are > 0.0 and v is not None
-    agreement = f"{'Beyond what they state they' if stated else 'They'} agree {_agreement(_within(c))}"
+    agreement = f"{'Beyond what they state they' if stated else 'They'} agree {_agreement(c.within)}"
     if v is None:
         return f"{agreement}, over {n} values. {typical}. No uncertainty is stated: --u-rel assumes one."
     same = "the sample changed" if c.a.kind == c.b.kind else "the two disagree"
@@ -254,13 +248,7 @@ def _conclusion(c: Change) -> str:
     return f"{head}: {test}; {chance}{kept}. {scale} {typical}. {agreement}."
 
 
-def _within(c: Change) -> WithinSummary:
-    w = c.within
-    zero_deg = None if w.zero is None else float(np.degrees(w.zero))
-    return WithinSummary(w.as_they_are, w.with_scale, w.scale, w.with_zero, zero_deg)
-
-
-def _agreement(w: WithinSummary) -> str:
+def _agreement(w: Within) -> str:
     """In words: within what relative standard deviation, beyond what is stated, and with what set free."""
     if w.as_they_are == 0.0:
         return "within what they state"
@@ -268,21 +256,16 @@ def _agreement(w: WithinSummary) -> str:
     def so(x: float) -> str:
         return f"within {percent(x)}" if x > 0.0 else "as they state"
 
-    parts = [so(w.as_they_are)]
+    said = so(w.as_they_are)
     if w.with_scale < CLOSER * w.as_they_are:
-        parts.append(f"{so(w.with_scale)} where B is divided by {w.scale:.4g}")
-    if w.with_zero is not None and w.zero_deg is not None and w.with_zero < CLOSER * w.with_scale:
-        parts.append(f"{so(w.with_zero)} where B's angle is taken back by {w.zero_deg:.2g}° too")
-    return "; ".join(parts)
+        said += f"; {so(w.with_scale)} where B is divided by {w.scale:.4g}"
+    if w.with_zero is not None and w.zero is not None and w.with_zero < CLOSER * w.with_scale:
+        said += f"; {so(w.with_zero)} where B's angle is taken back by {np.degrees(w.zero):.2g}° too"
+    return said
 
 
 def _p(p: float) -> str:
     return "< 0.0001" if p < 1e-4 else f"= {p:.2g}"
-
-
-def _words(ratio: float | None) -> str:
-    text = difference(ratio)
-    return f"a {text}" if text.startswith("factor") else text
 
 
 def _columns(c: Change) -> list[Any]:
@@ -293,30 +276,23 @@ def _columns(c: Change) -> list[Any]:
     return [c.at.wavelength_nm, *angles, c.value_a, c.value_b, c.error, c.difference, c.u, z, marked]
 
 
-def _one(c: Change, wavelength_nm: float | None) -> tuple[Observations, float]:
-    """The shared directions at the wavelength that is drawn, `rows` pointing into the whole."""
-    at = replace(c.at, brdf=c.value_a, rows=np.arange(len(c.at)))
-    return at.nearest(wavelength_nm)
-
-
 def _view(c: Change, at: Observations, listed: list[Curve], drawn: list[Curve], shown: float) -> viewer.View:
     """Both sides as an interactive plot."""
     names = labels(listed)
     keep = {int(k.rows[0]) for k in drawn}
     first = [n for k, n in zip(listed, names, strict=True) if int(k.rows[0]) in keep]
     sides = {f"A: {c.a.title}": (c.a, c.value_a, c.u_a), f"B: {c.b.title}": (c.b, c.value_b, c.u_b)}
-    entries: list[viewer.CurveView] = []
     most = max(viewer.BYTES // (2 * viewer.MEASURED_BYTES * max(len(listed), 1)), viewer.FEWEST)
     shorter = [thinning.of_curve(curve, most) for curve in listed]
+    entries = []
     for curve, name in zip(shorter, names, strict=True):
         rows = at.rows[curve.rows]
         series = [viewer.points(n, curve, values[rows], u[rows]) for n, (_, values, u) in sides.items()]
-        entries.append({"label": name, "mirror": round(float(np.degrees(curve.parameter)), 4), "series": series})
+        entries.append(viewer.entry(curve, name, series))
     values = np.concatenate([curve.brdf[curve.brdf > 0] for curve in drawn])
-    high = values.size > 0 and float(values.max()) > SPIKE * float(np.median(values))
     return {
         "name": f"{c.a.title} and {c.b.title}",
-        "plot": "log" if high else "polar",
+        "plot": "log" if values.size > 0 and float(values.max()) > SPIKE * float(np.median(values)) else "polar",
         "moving": "θr" if drawn[0].scanned == "theta_r" else "θi",
         "at": 0,
         "labels": list(dict.fromkeys([*first, *names])),
@@ -330,93 +306,82 @@ def _view(c: Change, at: Observations, listed: list[Curve], drawn: list[Curve], 
     }
 
 
-def _page(s: ChangeSummary, figures: Sequence[Figure], view: viewer.View | None) -> Page:
+def _page(
+    c: Change,
+    made: Stamp,
+    conclusion: str,
+    runs: Sequence[RunFacts | None],
+    waves: Waves,
+    figures: Sequence[Figure],
+    view: viewer.View | None,
+) -> Page:
     sub = (
-        f"Point by point, {s.created[:10]}, gonio {s.versions['gonio']}."
+        f"Point by point, {made['created'][:10]}, gonio {made['versions']['gonio']}."
         " Uncertainties are standard uncertainties (k = 1)."
     )
-    body: list[Block] = [
-        Group("header", (Heading(1, s.title), Paragraph(sub, "sub"))),
-        lead(s.conclusion),
-        Heading(3, "What was compared"),
-        facts(_facts(s)),
-    ]
-    body += [notes(s.notes)] if s.notes else []
+    title, noted = _title(c), _notes(c)
+    body: list[Block] = [header(title, sub), lead(conclusion), Heading(3, "What was compared"), facts(_facts(c, runs))]
+    body += [notes(noted)] if noted else []
     if view is not None:
         body += [Heading(3, "Both in the plane of incidence"), Viewer("change", view)]
-    drawings = Figures(tuple(figures))
-    after: list[Block] = [Heading(3, "Metrics"), _metrics(s)]
-    if len(s.wavelengths) > 1:
-        after += [Heading(3, "Wavelengths"), _wavelengths(s)]
-    after += [Heading(3, "How it is judged"), _method(s)] if s.verdict else []
-    made = [("command", s.command or "–"), ("report made", s.created)]
-    made.append(("versions", ", ".join(f"{k} {v}" for k, v in s.versions.items())))
-    after += [Heading(2, "Provenance"), facts(made), FOOTER]
-    room = MOST_BYTES - html.size(html.document(Page(s.title, (*body, *after))))
-    return Page(s.title, (*body, html.within(drawings, room), *after))
+    after: list[Block] = [Heading(3, "Metrics"), _metrics(c)]
+    if len(waves) > 1:
+        after += [Heading(3, "Wavelengths"), _of_wavelengths(waves)]
+    after += [Heading(3, "How it is judged"), _method(c.verdict)] if c.verdict else []
+    after += [Heading(2, "Provenance"), provenance(made), FOOTER]
+    room = MOST_BYTES - html.size(html.document(Page(title, (*body, *after))))
+    return Page(title, (*body, html.within(Figures(tuple(figures)), room), *after))
 
 
-def _wavelengths(s: ChangeSummary) -> Table:
+def _of_wavelengths(waves: Waves) -> Table:
     rows = []
-    for w in s.wavelengths:
-        name = "no single wavelength" if w.wavelength_nm is None else f"{w.wavelength_nm:g} nm"
-        counts = ["–" if n is None else str(n) for n in (w.n_points, w.beyond, w.changed_points)]
-        rows.append([name, *counts, number(w.median_ratio, 4)])
+    for w in waves:
+        nm, counts = w["wavelength_nm"], (w.get(name) for name in ("n_points", "beyond", "changed_points"))
+        name = "no single wavelength" if nm is None else f"{nm:g} nm"
+        rows.append([name, *("–" if n is None else str(n) for n in counts), number(w["median_ratio"], 4)])
     header = ["wavelength", "values", "beyond 2", "changed", "median B/A"]
     return table("", header, rows, right=(1, 2, 3, 4), most=(MOST_ROWS, "wavelengths.csv"))
 
 
-def _facts(s: ChangeSummary) -> list[tuple[str, str]]:
+def _facts(c: Change, runs: Sequence[RunFacts | None]) -> list[tuple[str, str]]:
     rows = []
-    for key, x in (("A", s.a), ("B", s.b)):
-        if isinstance(x, ModelSide):
-            rows.append((key, f"{x.name}: {x.model} ({x.source}); {x.convention}"))
+    for key, x, run in zip("AB", (c.a, c.b), runs, strict=True):
+        if x.data is None:
+            rows.append((key, f"{x.name}: {x.model.name} ({x.source}); {x.model.convention}"))
             continue
-        stated = "with uncertainties" if x.uncertainty_stated else "no uncertainties stated"
-        left = f"; left out: {describe_left_out(x.left_out)}" if x.left_out else ""
-        run = f"; rig {x.run.rig}, {x.run.created[:10]}, seed {x.run.seed}" if x.run else ""
-        rows.append((key, f"{x.name} ({x.source}): {x.values}{' simulated' * x.simulated} values, {stated}{left}{run}"))
-    shared = f"{s.n_points}"
-    if {s.a.kind, s.b.kind} == {"measurement"}:
-        shared += f", in the directions of {s.in_directions_of}"
-    if s.interpolated:
-        error = percent(s.median_interpolation_error_rel)
-        shared += f", {s.interpolated} of them by interpolation (median error {error})"
+        stated = "no uncertainties stated" if x.data.covariance is None else "with uncertainties"
+        left = f"; left out: {describe_left_out(x.data.left_out)}" if x.data.left_out else ""
+        made = f"; rig {run.rig}, {run.created[:10]}, seed {run.seed}" if run else ""
+        values = f"{len(x.data)}{' simulated' * x.simulated} values"
+        rows.append((key, f"{x.name} ({x.source}): {values}, {stated}{left}{made}"))
+    shared, interpolated = f"{len(c.at)}", int(np.count_nonzero(c.error))
+    if {c.a.kind, c.b.kind} == {"measurement"}:
+        shared += f", in the directions of {c.onto}"
+    if interpolated:
+        shared += f", {interpolated} of them by interpolation (median error {percent(_median_error(c))})"
     rows.append(("shared values", shared))
-    if s.without_counterpart:
-        rows.append(
-            (
-                "not compared",
-                "; ".join(f"{n} values of {s.in_directions_of} {why}" for why, n in s.without_counterpart.items()),
-            )
-        )
-    return rows
+    missing = "; ".join(f"{n} values of {c.onto} {why}" for why, n in c.missing.items())
+    return [*rows, ("not compared", missing)] if missing else rows
 
 
-def _metrics(s: ChangeSummary) -> Table:
-    rows = [[m.label, number(m.value), meaning(k, known=s.verdict is not None)] for k, m in s.metrics.items()]
-    return table(
-        "B takes the place of the model, A that of the measurement.",
-        ["metric", "value", "what it is"],
-        rows,
-        right=(1,),
-    )
+def _metrics(c: Change) -> Table:
+    known = c.verdict is not None
+    rows = [[label, number(c.metrics[k]), meaning(k, known=known)] for k, (label, _) in DESCRIPTIONS.items()]
+    caption = "B takes the place of the model, A that of the measurement."
+    return table(caption, ["metric", "value", "what it is"], rows, right=(1,))
 
 
-def _method(s: ChangeSummary) -> Paragraph:
-    v = s.verdict
-    assert v is not None
-    text = (
+def _method(v: Verdict) -> Paragraph:
+    return Paragraph(
         "The difference of each value is judged against what all the others predict of it, with the covariance of both"
         " measurements: what a common cause (a reference, a drift, the zero of an angle) does to all values alike does"
         " not count as a change of each. The causes of two measurements count as independent; where both used the same"
         " reference its part cancels, and the verdict is on the safe side. "
-        f"Of {v.n_points} values {v.expected_beyond_2:.1f} are expected beyond 2 standard deviations by chance."
+        f"Of {v.z.size} values {v.expected:.1f} are expected beyond 2 standard deviations by chance."
         f" Values are marked by Benjamini and Hochberg's procedure, which lets"
-        f" {100 * v.false_discoveries:g} % of the marks be wrong."
+        f" {100 * FALSE_DISCOVERIES:g} % of the marks be wrong."
         f" The verdict rests on chi-square of all values (p {_p(v.p_value)}), on the largest of"
         f" them ({v.largest:.2f} standard deviations, p {_p(v.p_largest)}), and on the common factor of B over A"
-        f" ({with_u(1 + v.scale, v.u_scale)}, p {_p(v.p_scale)}), each at a third of {100 * v.level:g} %; where"
-        f" nothing changed it says so in {100 * (1 - v.level):g} % of the cases."
+        f" ({with_u(1 + v.scale, v.u_scale)}, p {_p(v.p_scale)}), each at a third of {100 * LEVEL:g} %; where"
+        f" nothing changed it says so in {100 * (1 - LEVEL):g} % of the cases."
     )
-    return Paragraph(text)

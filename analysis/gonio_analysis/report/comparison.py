@@ -2,25 +2,22 @@
 
 from __future__ import annotations
 
-import datetime
 import math
-import platform
 from collections.abc import Mapping, Sequence
-from importlib.metadata import version
-from typing import TYPE_CHECKING, Any, TypedDict
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from gonio import shown
 from gonio.geometry import AT_MIRROR, IN_PLANE
 from gonio_analysis.appearance.quantities import of_table
-from gonio_analysis.fitting.fit import FitResult
 from gonio_analysis.fitting.metrics import BELOW, DESCRIPTIONS
 from gonio_analysis.fitting.observations import describe_left_out
 from gonio_analysis.report import checks, verdict
-from gonio_analysis.report.facts import DatasetSummary, MetricSummary, Summary
-from gonio_analysis.report.text import difference, number, slug
-from gonio_analysis.result_records import Appearance, MeasuredValue, finite
+from gonio_analysis.report.blocks import stamp
+from gonio_analysis.report.facts import DatasetSummary, Summary
+from gonio_analysis.report.text import number, slug, spoken_difference
+from gonio_analysis.result_records import MeasuredValue, as_json, finite
 from gonio_analysis.selection.compare import Dataset
 from gonio_analysis.selection.judging import nearness
 
@@ -36,7 +33,6 @@ MOST_LISTED = 40
 MOST_REASONS = 12
 """Why values were left out, in words on the page; `left_out` has all."""
 VALUES = ("wavelength_nm", "theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg", "brdf", "u_brdf")
-VERSIONS = ("gonio", "numpy", "scipy", "numba", "pandas", "matplotlib")
 
 
 def summarise(datasets: Sequence[Dataset], *, title: str, normalise: str, command: str) -> Summary:
@@ -54,7 +50,7 @@ def summarise(datasets: Sequence[Dataset], *, title: str, normalise: str, comman
         in_plane_tolerance_deg=math.degrees(IN_PLANE),
         mirror_tolerance_deg=math.degrees(AT_MIRROR),
         log_metrics_above_u=BELOW,
-        metrics={k: MetricSummary(label, meaning) for k, (label, meaning) in DESCRIPTIONS.items()},
+        metrics={k: {"label": label, "meaning": meaning} for k, (label, meaning) in DESCRIPTIONS.items()},
         datasets=[_dataset(d, slug) for d, slug in zip(datasets, slugs, strict=True)],
     )
 
@@ -71,29 +67,10 @@ def _title(title: str, datasets: Sequence[Dataset]) -> str:
     return shown.marked(title, simulated > 0)
 
 
-class Stamp(TypedDict):
-    """When, by which command and with which versions a page was made."""
-
-    created: str
-    command: str
-    versions: dict[str, str]
-
-
-def stamp(command: str) -> Stamp:
-    """When, by which command and with which versions a page was made."""
-    return {
-        "created": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds").replace("+00:00", "Z"),
-        "command": command,
-        "versions": {"python": platform.python_version(), **{name: version(name) for name in VERSIONS}},
-    }
-
-
 def _dataset(d: Dataset, slug: str) -> DatasetSummary:
-    attrs = d.table.attrs
-    known = d.data.covariance is not None
-    stated = known and d.data.u_rel_assumed is None
-    negative = int(np.count_nonzero(d.data.brdf < 0))
-    best = _best(d)
+    attrs, covariance, best = d.table.attrs, d.data.covariance, _best(d)
+    stated = covariance is not None and d.data.u_rel_assumed is None
+    provenance = attrs.get("provenance") or {}
     return DatasetSummary(
         name=d.name,
         slug=slug,
@@ -105,7 +82,7 @@ def _dataset(d: Dataset, slug: str) -> DatasetSummary:
         used=len(d.data),
         left_out=d.data.left_out,
         left_out_words=_left_out(d.data.left_out),
-        negative=negative,
+        negative=int(np.count_nonzero(d.data.brdf < 0)),
         wavelength_nm=finite(d.wavelength_nm),
         wavelengths_nm=[finite(w) for w in d.wavelengths],
         bands=attrs.get("bands") or [],
@@ -113,19 +90,19 @@ def _dataset(d: Dataset, slug: str) -> DatasetSummary:
         receiver_solid_angle_sr=finite(attrs.get("receiver_solid_angle_sr")),
         uncertainty_stated=stated,
         u_rel_assumed=d.data.u_rel_assumed,
-        causes=list(d.data.covariance.causes) if d.data.covariance is not None else [],
+        causes=[] if covariance is None else list(covariance.causes),
         theta_i_deg=[float(x) for x in np.unique(np.round(np.degrees(d.data.directions.theta_i), 1))],
         brdf_min=float(d.data.brdf.min()),
         brdf_max=float(d.data.brdf.max()),
-        median_u_rel=_median_u_rel(d) if known else None,
+        median_u_rel=None if covariance is None else _median_u_rel(d),
         budget=d.data.budget() if stated else [],
         curves_known=d.curves_known,
         scanned=d.curves[0].scanned if d.curves else None,
         out_of_plane_deg=math.degrees(max((c.out_of_plane for c in d.curves), default=0.0)),
-        curves_without_mirror=[_angle(angle) for angle, _ in d.without_mirror],
+        curves_without_mirror=[round(math.degrees(angle), 4) for angle, _ in d.without_mirror],
         notes=_notes(d),
         data_notes=list(d.data.notes),
-        provenance=_plain(attrs.get("provenance") or {}),
+        provenance=_plain(provenance),
         run=d.run,
         models=d.fitted,
         skipped=dict(d.skipped),
@@ -134,11 +111,13 @@ def _dataset(d: Dataset, slug: str) -> DatasetSummary:
         usable_everywhere=len(usable(d)),
         best=best,
         conclusion=_conclusion(d, best),
-        appearance=_appearance(d),
+        appearance=None
+        if len(d.table) > MOST_FOR_APPEARANCE
+        else of_table(d.table, name=d.name, source=d.source, wavelength_nm=finite(d.wavelength_nm)),
         transmission=d.transmitted,
         mueller=d.polarisation,
         simulated=d.simulated,
-        checks=checks.summary(d.data.checked, d.symmetries, attrs.get("provenance") or {}, _bands(d)),
+        checks=checks.summary(d.data.checked, d.symmetries, provenance, _bands(d)),
         rho_dh=d.rho_dh,
         rho_dh_combined=d.rho_dh_combined,
         symmetries=d.symmetries,
@@ -154,13 +133,6 @@ def _bands(d: Dataset) -> list[str]:
     """The names of the bands of the wavelength that is shown."""
     shown = [b for b in d.table.attrs.get("bands") or [] if b.get("centre_nm") == finite(d.wavelength_nm)]
     return [str(b["name"]) for b in shown if b.get("name")]
-
-
-def _appearance(d: Dataset) -> Appearance | None:
-    """Quantities of appearance where they take no time to speak of."""
-    if len(d.table) > MOST_FOR_APPEARANCE:
-        return None
-    return of_table(d.table, name=d.name, source=d.source, wavelength_nm=finite(d.wavelength_nm))
 
 
 def _left_out(reasons: Mapping[str, int]) -> str:
@@ -181,10 +153,9 @@ def usable(d: Dataset) -> pd.DataFrame:
 
 def _values(d: Dataset) -> list[MeasuredValue]:
     """The measured values of every wavelength, where no model can say anything of them: the first few."""
-    rows = usable(d).head(MOST_VALUES).itertuples(index=False)
     return [
         MeasuredValue(finite(nm), theta_i, phi_i, theta_r, phi_r, brdf, finite(u))
-        for nm, theta_i, phi_i, theta_r, phi_r, brdf, u in rows
+        for nm, theta_i, phi_i, theta_r, phi_r, brdf, u in usable(d).head(MOST_VALUES).itertuples(index=False)
     ]
 
 
@@ -202,7 +173,7 @@ def _conclusion(d: Dataset, best: str | None) -> str:
         return f"No model was fitted. {d.choice.words}"
     f, tried = d.fitted[best], len(d.choice.judged)
     ratio, chi = f.metrics["log_ratio"], f.fit.reduced_chi_square
-    typical = "" if ratio is None else f"; model and measurement differ typically by {_spoken(ratio)}"
+    typical = "" if ratio is None else f"; model and measurement differ typically by {spoken_difference(ratio)}"
     if f.fit.misfit is not None:
         told = [nearness(best, f.fit, f.missed, d.choice.near, tried)]
         if chi is None:
@@ -228,15 +199,11 @@ def _conclusion(d: Dataset, best: str | None) -> str:
     return " ".join(sentence for sentence in told if sentence)
 
 
-def _spoken(ratio: float) -> str:
-    words = difference(ratio)
-    return f"a {words}" if words.startswith("factor") else words
-
-
 def _notes(d: Dataset) -> list[str]:
     notes = list(d.data.notes)
     fits = [f.fit for f in d.fitted.values()]
-    notes += _shared(fits)
+    if len(fits) > 1:  # what every fit says belongs to the data
+        notes += [n for n in fits[0].notes if n not in fits[0].data.notes and all(n in f.notes for f in fits)]
     if math.isnan(d.wavelength_nm) and any(not math.isnan(f.wavelength_nm) for f in fits):
         notes.append(
             "Models that need a wavelength are evaluated at the one given with --wavelength-nm"
@@ -253,10 +220,8 @@ def _notes(d: Dataset) -> list[str]:
     without = [label for _, label in d.without_mirror]
     if without:
         many = f"{len(without)} curves, from {without[0]} to {without[-1]}"
-        notes.append(
-            f"The mirror direction was not measured (within {math.degrees(AT_MIRROR):.1f}°) for"
-            f" {', '.join(without) if len(without) <= MOST_LISTED else many}."
-        )
+        named = ", ".join(without) if len(without) <= MOST_LISTED else many
+        notes.append(f"The mirror direction was not measured (within {math.degrees(AT_MIRROR):.1f}°) for {named}.")
     sparse = [c.label for c in d.curves if c.angle.size < 20]
     if sparse:
         counts = sorted({c.angle.size for c in d.curves if c.angle.size < 20})
@@ -266,31 +231,12 @@ def _notes(d: Dataset) -> list[str]:
     return notes
 
 
-def _shared(fits: list[FitResult]) -> list[str]:
-    """Notes that every fit makes, which belong to the data."""
-    if not fits:
-        return []
-    return [
-        n
-        for n in fits[0].notes
-        if all(n in f.notes for f in fits[1:]) and len(fits) > 1 and n not in fits[0].data.notes
-    ]
-
-
-def _angle(radians: float) -> float:
-    return round(math.degrees(radians), 4)
-
-
 def _plain(value: Any) -> Any:
     """A value as JSON has it."""
     if isinstance(value, dict):
         return {str(k): _plain(v) for k, v in value.items()}
     if isinstance(value, list | tuple):
         return [_plain(v) for v in value]
-    if isinstance(value, bool | str) or value is None:
-        return value
-    if isinstance(value, int | np.integer):
-        return int(value)
-    if isinstance(value, float | np.floating):
-        return finite(float(value))
+    if isinstance(value, bool | str | int | float | np.integer | np.floating) or value is None:
+        return as_json(value)
     return str(value)

@@ -11,7 +11,7 @@ import numpy as np
 from gonio import geometry
 from gonio.geometry import Directions
 from gonio.typing import Floats
-from gonio_analysis.curves.in_plane import Curve, Rows, groups, labels
+from gonio_analysis.curves.in_plane import Curve, Rows, evenly, groups, labels
 from gonio_analysis.curves.line import Line
 from gonio_analysis.fitting.forward import NO_WAVELENGTH_NM, seen
 from gonio_analysis.fitting.profile_likelihood import Interval, rise
@@ -44,35 +44,22 @@ def draw(d: Dataset, facts: DatasetSummary, most: int) -> list[Drawing]:
     most
         Measured values that one panel shows, at most.
     """
-    out = []
     chosen = _incidences(d)
-    for k, rows in enumerate(chosen):
-        if np.any(d.data.brdf[rows] > 0):
-            out.append(_heat(d, facts, rows, k, most))
-    for k, rows in enumerate(chosen):
-        lines = maps.slices(d.data, rows)
-        if lines:
-            out.append(_slices(d, facts, rows, lines, k, most))
+    out = [_heat(d, facts, rows, k, most) for k, rows in enumerate(chosen) if np.any(d.data.brdf[rows] > 0)]
+    cuts = [maps.slices(d.data, rows) for rows in chosen]
+    out += [_slices(d, facts, chosen[k], lines, k, most) for k, lines in enumerate(cuts) if lines]
     if chosen and facts.best:
         out.append(_lobe(d, facts, chosen[len(chosen) // 2], most))
     if d.choice.intervals and d.choice.named is not None and d.choice.named.fit.misfit is None:
         out.append(_profiles(d, facts))
-    if facts.budget and d.curves:
-        out.append(_budget(d, facts, most))
-    return out
+    return [*out, _budget(d, facts, most)] if facts.budget and d.curves else out
 
 
 def _incidences(d: Dataset) -> list[Rows]:
-    data = d.data
-    at = data.directions
-    off = ~at.in_plane
-    every = [g for g in groups(at.theta_i, at.phi_i, np.arange(len(data))) if np.count_nonzero(off[g]) >= FEWEST]
-    return [every[k] for k in _evenly(len(every))]
-
-
-def _evenly(count: int) -> list[int]:
-    """At most `MOST` of so many, spread evenly."""
-    return sorted({round(x) for x in np.linspace(0, count - 1, min(MOST, count))})
+    at = d.data.directions
+    every = groups(at.theta_i, at.phi_i, np.arange(len(d.data)))
+    enough = [g for g in every if np.count_nonzero(~at.in_plane[g]) >= FEWEST]
+    return [enough[k] for k in evenly(len(enough), MOST)]
 
 
 def _measured(d: Dataset) -> str:
@@ -93,19 +80,16 @@ def _heat(d: Dataset, facts: DatasetSummary, rows: Rows, k: int, most: int) -> D
         f" Cross: mirror direction; circle: source. Points were {_measured(d)}; colours between neighbours within 15°"
         " are a guide." + thinning.words(some.size, rows.size)
     )
-    shown = at[some]
-    on = partial(_on_disc, theta_r=shown.theta_r, dphi=shown.dphi, value=data.brdf[rows[some]], theta_i=theta)
+    on = partial(_on_disc, theta_r=at[some].theta_r, dphi=at[some].dphi, value=data.brdf[rows[some]], theta_i=theta)
     return Drawing(f"{facts.slug}-heat-{k + 1}", "heat", "", caption, caption, (4.6, 4.0), on)
 
 
 def _on_disc(figure: Any, *, theta_r: Floats, dphi: Floats, value: Floats, theta_i: float) -> None:
-    ax = figure.add_axes((0.02, 0.04, 0.84, 0.94))
-    maps.heat_map(ax, theta_r, dphi, value, label="BRDF [1/sr]", theta_i=theta_i)
+    maps.heat_map(figure.add_axes((0.02, 0.04, 0.84, 0.94)), theta_r, dphi, value, label="BRDF [1/sr]", theta_i=theta_i)
 
 
 def _slices(d: Dataset, facts: DatasetSummary, rows: Rows, lines: list[Line], k: int, most: int) -> Drawing:
-    picks = np.unique(np.round(np.linspace(0, len(lines) - 1, min(6, len(lines)))).astype(int))
-    every = [lines[p] for p in picks]
+    every = [lines[k] for k in evenly(len(lines), 6)]
     shown = thinning.on_logarithm(every, PANEL_PT, 0.5 * PANEL_PT, most)
     caption = (
         f"Slices out of the plane, θi = {np.degrees(_theta(d, rows)):.1f}°: {_measured(d)} BRDF{bars(d)}"
@@ -125,21 +109,18 @@ def _on_slices(figure: Any, *, lines: list[Line]) -> None:
 
 def _lobe(d: Dataset, facts: DatasetSummary, rows: Rows, most: int) -> Drawing:
     assert facts.best is not None
-    best = d.fitted[facts.best].fit
-    data, theta = d.data, _theta(d, rows)
-    wave = data.wavelengths[0]
+    best, data, theta = d.fitted[facts.best].fit, d.data, _theta(d, rows)
+    nm = NO_WAVELENGTH_NM if np.isnan(data.wavelengths[0]) else data.wavelengths[0]
 
     def brdf(theta_r: Any, dphi: Any) -> Any:
         still = np.full(theta_r.shape, theta)
-        cones = (0.0, 0.0)  # the lobe without its spike, which would leave nothing else to see
-        nm = NO_WAVELENGTH_NM if np.isnan(wave) else wave
         at = Directions(still, 0 * still, theta_r, geometry.wrap(dphi))
-        return seen(best.model, at, wavelength_nm=nm, cones=cones)
+        # the lobe without its spike, which would leave nothing else to see
+        return seen(best.model, at, wavelength_nm=nm, cones=(0.0, 0.0))
 
     at = data.directions[rows]
-    some = thinning.over_hemisphere(at.theta_r, at.dphi, data.brdf[rows], DISC_PT, most)
-    mesh = maps.lobe_mesh(brdf)
-    values = data.brdf[rows]
+    mesh, values = maps.lobe_mesh(brdf), data.brdf[rows]
+    some = thinning.over_hemisphere(at.theta_r, at.dphi, values, DISC_PT, most)
     far = values[maps.beyond(mesh, values)]
     caption = (
         f"Lobe, θi = {np.degrees(theta):.1f}°: {best.name} as fitted, without a spike (mesh);"
@@ -151,8 +132,7 @@ def _lobe(d: Dataset, facts: DatasetSummary, rows: Rows, most: int) -> Drawing:
             f" Not drawn: {far.size} {'value' if far.size == 1 else 'values'} above {maps.FAR:g} times the mesh's"
             f" largest, up to {times} times."
         )
-    shown = at[some]
-    on = partial(_on_space, mesh=mesh, measured=(shown.theta_r, shown.dphi, values[some]))
+    on = partial(_on_space, mesh=mesh, measured=(at[some].theta_r, at[some].dphi, values[some]))
     return Drawing(f"{facts.slug}-lobe", "lobe", "", caption, caption, (4.6, 4.0), on)
 
 
@@ -162,7 +142,6 @@ def _on_space(figure: Any, *, mesh: maps.Mesh, measured: tuple[Floats, Floats, F
 
 
 def _profiles(d: Dataset, facts: DatasetSummary) -> Drawing:
-
     named = d.choice.named
     assert named is not None
     result = named.fit
@@ -175,8 +154,7 @@ def _profiles(d: Dataset, facts: DatasetSummary) -> Drawing:
     )
     panels = [(i, result.parameters[i.name].value, unit(result.parameters[i.name].unit)) for i in intervals]
     on = partial(_on_profiles, panels=panels, threshold=rise(result, level))
-    size = (5.6, 1.9 * _rows_of(len(panels)))
-    return Drawing(f"{facts.slug}-profiles", "profile", "", caption, caption, size, on)
+    return Drawing(f"{facts.slug}-profiles", "profile", "", caption, caption, (5.6, 1.9 * _rows_of(len(panels))), on)
 
 
 def _rows_of(panels: int) -> int:
@@ -196,10 +174,10 @@ def _on_profiles(figure: Any, *, panels: list[tuple[Interval, float, str]], thre
 def _budget(d: Dataset, facts: DatasetSummary, most: int) -> Drawing:
     assert d.data.covariance is not None
     names = labels(d.curves)
-    shown = [(d.curves[k], names[k]) for k in _evenly(len(d.curves))]
+    shown = [(d.curves[k], names[k]) for k in evenly(len(d.curves), MOST)]
     common = [k for k in largest([p.median for p in facts.budget[2:]]) if facts.budget[2 + k].p95 >= SEEN]
-    legend = [cause(d.data.covariance.causes[k]) for k in common]
-    entries = [(part, diagnostics.look(k)) for k, part in enumerate(["combined", "random", *legend])]
+    parts = ["combined", "random", *(cause(d.data.covariance.causes[k]) for k in common)]
+    entries = [(part, diagnostics.look(k)) for k, part in enumerate(parts)]
     # every cause is a line over the same angles
     each = max(most // (len(entries) * len(shown)), 16)
     panels = [(name, curve.scanned, *_parts(d, thinning.of_curve(curve, each), common)) for curve, name in shown]
@@ -208,8 +186,7 @@ def _budget(d: Dataset, facts: DatasetSummary, most: int) -> Drawing:
         " values within 3 u of zero are left out."
         + thinning.words(sum(angle.size for *_, angle, _ in panels), sum(curve.angle.size for curve, _ in shown))
     )
-    on = partial(_on_budget, panels=panels, entries=entries)
-    size = (5.6, budget_height(len(entries)))
+    size, on = (5.6, budget_height(len(entries))), partial(_on_budget, panels=panels, entries=entries)
     return Drawing(f"{facts.slug}-budget-angle", "budget-angle", "", caption, caption, size, on)
 
 
@@ -220,7 +197,7 @@ def _on_budget(figure: Any, *, panels: list[Any], entries: list[tuple[str, diagn
     figure.subplots_adjust(0.1, below / high, 0.985, 1 - 0.25 / high, wspace=0.1)
     for ax, (name, scanned, angle, parts) in zip(axes, panels, strict=True):
         diagnostics.budget_over_angle(ax, angle, parts)
-        ax.set_xticks(range(-60, 61, 60), [f"{a}°".replace("-", "−") for a in range(-60, 61, 60)])
+        in_plane.degrees_along(ax, 60, 60)
         ax.set_xlabel("θr" if scanned == "theta_r" else "θi")
         ax.set_title(name, fontsize=8, loc="left", color=style.INK)
     axes[0].set_ylabel("u / value [%]")

@@ -21,8 +21,8 @@ PNG_DPI = 160
 
 
 @dataclass(frozen=True)
-class Figure:
-    """One drawn figure."""
+class Described:
+    """What a page says of a figure."""
 
     name: str
     kind: str
@@ -30,19 +30,24 @@ class Figure:
     model: str
     caption: str
     alt: str
+
+    def summary(self) -> dict[str, str]:
+        """What `summary.json` says of it."""
+        return {"name": self.name, "caption": self.caption, "alt": self.alt}
+
+
+@dataclass(frozen=True)
+class Figure(Described):
+    """One drawn figure."""
+
     svg: str
     png: bytes
 
 
 @dataclass(frozen=True)
-class Drawing:
+class Drawing(Described):
     """A figure that is still to be drawn, with what its drawing needs: little enough to be sent to another process."""
 
-    name: str
-    kind: str
-    model: str
-    caption: str
-    alt: str
     inches: tuple[float, float]
     on: Callable[[Any], None]
     """Draws on a canvas of that size: a function of a module, with its arguments (`functools.partial`)."""

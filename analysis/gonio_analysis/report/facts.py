@@ -9,12 +9,12 @@ from typing import Any
 from gonio import shown
 from gonio.checks.symmetry import Pairs
 from gonio.formats.reader import TableBand
+from gonio_analysis.report.drawings import Drawing
 from gonio_analysis.result_records import (
     WHERE_KNOWN,
     Appearance,
     CauseSummary,
     ChecksSummary,
-    FigureSummary,
     MeasuredValue,
     Reflectance,
     RunFacts,
@@ -92,14 +92,6 @@ class DatasetSummary:
 
 
 @dataclass(frozen=True)
-class MetricSummary:
-    """A distance between model and measurement in words."""
-
-    label: str
-    meaning: str
-
-
-@dataclass(frozen=True)
 class Summary:
     """A comparison of models on one or more samples."""
 
@@ -112,9 +104,10 @@ class Summary:
     in_plane_tolerance_deg: float
     mirror_tolerance_deg: float
     log_metrics_above_u: float
-    metrics: dict[str, MetricSummary]
+    metrics: dict[str, dict[str, str]]
+    """Label and meaning of each."""
     datasets: list[DatasetSummary]
     transmission_only: Sequence[Transmitted] = field(default_factory=list)
     """Samples of which no reflection was measured."""
-    figures: Sequence[FigureSummary] = ()
+    figures: Sequence[Drawing] = ()
     tables: Sequence[str] = ()

@@ -30,6 +30,16 @@ SAME_CURVE = 5e-3
 """Curves that differ by less coincide on paper: in a panel of three decades the width of a line is 2 %."""
 SAME_RESIDUAL = 0.1
 """Whitened residuals that differ by less coincide: markers are three times as large."""
+RADIUS = {
+    "mirror": "BRDF / BRDF in the mirror direction",
+    "max": "BRDF / largest in-plane value",
+    "model": "BRDF / model's BRDF in the mirror direction",
+}
+NORMS = {
+    "mirror": "at the mirror direction (eq. 11)",
+    "max": "at the largest in-plane value",
+    "model": "by the fitted model at the mirror direction",
+}
 MOST_CAUSES = 20
 """Of uncertainty, common to all values, in one figure."""
 
@@ -70,15 +80,12 @@ def coinciding(d: Dataset) -> list[list[str]]:
 
 
 def _coincide(a: Fitted, b: Fitted) -> bool:
-    def alike(x: Any, y: Any) -> bool:
-        return bool(np.shape(x) == np.shape(y) and np.allclose(x, y, rtol=SAME_CURVE, atol=0.0, equal_nan=True))
-
     if a.fit.goal.whitened and not np.allclose(a.fit.whitened, b.fit.whitened, rtol=0.0, atol=SAME_RESIDUAL):
         return False
-    pairs = zip(a.drawn, b.drawn, strict=True)
-    return alike(a.fit.predicted, b.fit.predicted) and all(
-        alike(x.theory_angle, y.theory_angle) and alike(x.theory, y.theory) for x, y in pairs
-    )
+    pairs = [(a.fit.predicted, b.fit.predicted)]
+    for x, y in zip(a.drawn, b.drawn, strict=True):
+        pairs += [(x.theory_angle, y.theory_angle), (x.theory, y.theory)]
+    return all(x.shape == y.shape and np.allclose(x, y, rtol=SAME_CURVE, atol=0.0, equal_nan=True) for x, y in pairs)
 
 
 def _named(names: Sequence[str]) -> str:
@@ -102,7 +109,13 @@ def _polar(d: Dataset, facts: DatasetSummary, names: Sequence[str], most: int) -
         "{0}: measured peak at {2:.1f}°, theory's at {1:.1f}°.".format(c.label, *np.degrees(c.peaks)) for c in f.drawn
     )
     legend = _Legend.of(d, f)
-    on = partial(_on_half_disc, lines=lines, rim=rim, label=_radius_label(f), legend=legend, called=called(d))
+    kinds = {c.norm.kind for c in f.drawn}
+    label = (
+        RADIUS[kinds.pop()]
+        if len(kinds) == 1
+        else "BRDF / its value in the mirror direction;  * largest in-plane value"
+    )
+    on = partial(_on_half_disc, lines=lines, rim=rim, label=label, legend=legend, called=_called(d))
     high = 3.22 + LEGEND_ROW_IN * legend.rows
     return Drawing(f"{facts.slug}-polar-{slug(model)}", "polar", model, caption, alt, (5.6, high), on)
 
@@ -112,7 +125,7 @@ def measurement(d: Dataset) -> str:
     return "simulated measurement" if d.simulated else "measurement"
 
 
-def called(d: Dataset) -> str:
+def _called(d: Dataset) -> str:
     """What legends and notes call the values."""
     return "simulated" if d.simulated else "measured"
 
@@ -132,29 +145,13 @@ def _on_half_disc(figure: Any, *, lines: list[Line], rim: float, label: str, leg
     legend.draw(figure)
 
 
-def _radius_label(f: Fitted) -> str:
-    kinds = {c.norm.kind for c in f.drawn}
-    if kinds == {"mirror"}:
-        return "BRDF / BRDF in the mirror direction"
-    if kinds == {"max"}:
-        return "BRDF / largest in-plane value"
-    if kinds == {"model"}:
-        return "BRDF / model's BRDF in the mirror direction"
-    return "BRDF / its value in the mirror direction;  * largest in-plane value"
-
-
 def _norm_words(f: Fitted) -> str:
-    words = {
-        "mirror": "at the mirror direction (eq. 11)",
-        "max": "at the largest in-plane value",
-        "model": "by the fitted model at the mirror direction",
-    }
     kinds = {c.norm.kind for c in f.drawn}
     if len(kinds) == 1:
-        return words[kinds.pop()]
-    other = next(k for k in sorted(kinds) if k != "mirror")
+        return NORMS[kinds.pop()]
+    other = NORMS[min(kinds - {"mirror"})]
     why = "because their mirror direction was not measured or is dark beside the rest"
-    return f"{words['mirror']}; curves marked * {words[other]}, {why}"
+    return f"{NORMS['mirror']}; curves marked * {other}, {why}"
 
 
 def _spikes(f: Fitted) -> str:
@@ -168,35 +165,26 @@ def _spikes(f: Fitted) -> str:
         return ""
     low, high = number(min(found.values()), 2), number(max(found.values()), 2)
     times = low if low == high else f"{low} to {high}"
-    where = (
-        "every incidence"
-        if len(found) == len(f.drawn) > 1 and f.drawn[0].curve.scanned == "theta_r"
-        else ", ".join(found)
-    )
+    everywhere = len(found) == len(f.drawn) > 1 and f.drawn[0].curve.scanned == "theta_r"
+    where = "every incidence" if everywhere else ", ".join(found)
     return f" The spike at {where} is {times} times the largest value beside it: see the semilog curves."
 
 
 def _absolute(d: Dataset, facts: DatasetSummary, names: Sequence[str], most: int) -> Drawing:
-    model, f = names[0], d.fitted[names[0]]
-    lines = [c.absolute() for c in f.drawn]
-    stated = f.fit.goal.whitened
-    used = np.concatenate([c.curve.rows for c in f.drawn]) if f.drawn else np.empty(0, dtype=np.intp)
-    free = np.ones(len(d.data), dtype=bool)
-    free[used] = False
-    rest = np.flatnonzero(free)
-    data = d.data
+    model, f, data = names[0], d.fitted[names[0]], d.data
+    lines, stated = [c.absolute() for c in f.drawn], f.fit.goal.whitened
+    rest = np.setdiff1d(np.arange(len(data)), [row for c in f.drawn for row in c.curve.rows])
     at = data.directions[rest]
     with np.errstate(divide="ignore"):
         values = f.fit.whitened[rest] if stated else f.fit.predicted[rest] / data.brdf[rest] - 1.0
-    angle = (at.swapped if d.curves and d.curves[0].scanned == "theta_i" else at).signed
-    top = thinning.on_logarithm(lines, PANEL_PT, 0.6 * PANEL_PT, most)
+    scanned = d.curves[0].scanned if d.curves else "theta_r"
+    angle = (at.swapped if scanned == "theta_i" else at).signed
     low = thinning.of_residuals(lines, PANEL_PT, 0.25 * PANEL_PT, most)
     some = thinning.residuals(angle, values, PANEL_PT, 0.25 * PANEL_PT, most)
-
     kind = (
         "whitened residuals: model minus measurement in standard deviations, correlations taken out (band: ±2)"
-        + (", of the assumed uncertainty" if d.data.u_rel_assumed is not None else "")
-        + (", the model's own misfit among them" if f.fit.misfit is not None else "")
+        + ", of the assumed uncertainty" * (data.u_rel_assumed is not None)
+        + ", the model's own misfit among them" * (f.fit.misfit is not None)
         if stated
         else "model divided by measurement"
     )
@@ -207,16 +195,14 @@ def _absolute(d: Dataset, facts: DatasetSummary, names: Sequence[str], most: int
         caption += _above(lines) + _band(f)
     else:
         caption = f"{_named(names)}: {measurement(d)} without an in-plane curve, so residuals alone: {kind}."
-    drawn = thinning.measured(low) + some.size
-    caption += thinning.words(drawn, thinning.measured(lines) + rest.size)
+    caption += thinning.words(thinning.measured(low) + some.size, thinning.measured(lines) + rest.size)
     chi = facts.models[model].fit.reduced_chi_square
-    alt = f"{'Semilog curves and residuals' if lines else 'Residuals'} for {d.name} and {model}" + (
-        f"; reduced chi-square {number(chi)}." if chi is not None else "."
-    )
+    alt = f"{'Semilog curves and residuals' if lines else 'Residuals'} for {d.name} and {model}"
+    alt += f"; reduced chi-square {number(chi)}." if chi is not None else "."
     legend = _Legend.of(d, f, star=False)
-    running = "θr" if not d.curves or d.curves[0].scanned == "theta_r" else "θi"
     on = partial(
-        _on_two_panels, lines=top, below=low, others=(angle[some], values[some]), whitened=stated, running=running,
+        _on_two_panels, lines=thinning.on_logarithm(lines, PANEL_PT, 0.6 * PANEL_PT, most), below=low,
+        others=(angle[some], values[some]), whitened=stated, running="θr" if scanned == "theta_r" else "θi",
         legend=legend,
     )  # fmt: skip
     high = (3.57 if lines else 1.6) + 0.46 + LEGEND_ROW_IN * legend.rows
@@ -233,18 +219,15 @@ def _band(f: Fitted) -> str:
 def _above(lines: Sequence[Line]) -> str:
     """A sentence on theory that leaves a logarithmic panel; "" where none does."""
     ceiling = in_plane.ceiling(lines)
-    cut = {line.label: _top(line.theory) for line in lines if _top(line.theory) > 1.5 * ceiling}
-    if not cut:
-        return ""
-    return " Theory leaves the panel: " + ", ".join(f"{k} to {number(v, 2)} sr⁻¹" for k, v in cut.items()) + "."
+    cut = [f"{x.label} to {number(_top(x.theory), 2)} sr⁻¹" for x in lines if _top(x.theory) > 1.5 * ceiling]
+    return f" Theory leaves the panel: {', '.join(cut)}." if cut else ""
 
 
 def _on_two_panels(
     figure: Any, *, lines: list[Line], below: list[Line], others: tuple[Any, Any], whitened: bool,
     running: str, legend: _Legend,
 ) -> None:  # fmt: skip
-    room = 0.46 + LEGEND_ROW_IN * legend.rows
-    high = figure.get_figheight()
+    room, high = 0.46 + LEGEND_ROW_IN * legend.rows, figure.get_figheight()
     axes = figure.subplots(2, 1, height_ratios=(2.4, 1), sharex=True) if lines else [figure.subplots()]
     figure.subplots_adjust(0.145, room / high, 0.975, 1 - 0.11 / high, hspace=0.12)
     low = axes[-1]
@@ -269,16 +252,14 @@ def _overlay(d: Dataset, groups: Sequence[Sequence[str]], facts: DatasetSummary,
         (shown,) = thinning.on_logarithm([measured], 0.45 * PANEL_PT, OVERLAY_IN * thinning.POINTS_AN_INCH, share)
         theory = [(d.fitted[g[0]].drawn[k].theory_angle, d.fitted[g[0]].drawn[k].theory) for g in groups]
         panels.append((shown, theory))
-    drawn = sum(line.measured.size for line, _ in panels)
     caption = (
         f"All models: absolute in-plane BRDF, a panel for each curve. Points{bars(d)}: {measurement(d)}; lines: theory."
         + _above([replace(line, theory=np.concatenate([v for _, v in theory])) for line, theory in panels])
-        + thinning.words(drawn, sum(c.curve.angle.size for c in first))
+        + thinning.words(sum(line.measured.size for line, _ in panels), sum(c.curve.angle.size for c in first))
     )
     columns = max(1, min(len(names), int(96 / (max(map(len, names)) + 9))))
     on = partial(_on_overlay, panels=panels, names=names, columns=columns, called=measurement(d))
-    rows = -(-len(panels) // 2)
-    high = OVERLAY_IN * rows + 0.42 + LEGEND_ROW_IN * (-(-len(names) // columns) + 1)
+    high = OVERLAY_IN * (-(-len(panels) // 2)) + 0.42 + LEGEND_ROW_IN * (-(-len(names) // columns) + 1)
     return Drawing(f"{facts.slug}-overlay", "overlay", "", caption, caption, (5.6, high), on)
 
 
@@ -306,20 +287,18 @@ def _on_overlay(
     for column in axes.T:
         lowest = [ax for ax in column if ax.axison][-1]
         lowest.tick_params(labelbottom=True)
-        lowest.set_xticks(range(-60, 61, 30), [f"{a}°".replace("-", "−") for a in range(-60, 61, 30)])
+        in_plane.degrees_along(lowest, 60, 30)
         lowest.set_xlabel("signed angle: retro side negative")
     lines = [
         Line2D([], [], color=in_plane.style(k)["color"], lw=1.4, ls=in_plane.dashes(k), label=name)
         for k, name in enumerate(names)
     ]
-    points = Line2D([], [], color=style.INK, ls="none", marker=".", ms=4, label=called)
-    key(figure, lines, columns, [points], long=2.6)
+    key(figure, lines, columns, [Line2D([], [], color=style.INK, ls="none", marker=".", ms=4, label=called)], long=2.6)
 
 
 def largest(medians: list[float]) -> list[int]:
     """Which causes of a budget are drawn, in their order: all but the smallest of very many."""
-    first = sorted(range(len(medians)), key=lambda k: -medians[k])[:MOST_CAUSES]
-    return sorted(first)
+    return sorted(sorted(range(len(medians)), key=lambda k: -medians[k])[:MOST_CAUSES])
 
 
 def _budget(facts: DatasetSummary) -> Drawing:
@@ -337,8 +316,8 @@ def _budget(facts: DatasetSummary) -> Drawing:
     alt = "Uncertainty by cause. " + " ".join(
         f"{c}: median {100 * m:.2g} %, 95th percentile {100 * p:.2g} %." for c, m, p in parts
     )
-    size = (5.6, budget_height(len(parts)))
-    return Drawing(f"{facts.slug}-budget", "budget", "", caption, alt, size, partial(_on_bars, parts=parts))
+    on = partial(_on_bars, parts=parts)
+    return Drawing(f"{facts.slug}-budget", "budget", "", caption, alt, (5.6, budget_height(len(parts))), on)
 
 
 def _on_bars(figure: Any, *, parts: list[tuple[str, float, float]]) -> None:
@@ -363,9 +342,9 @@ def _series(facts: DatasetSummary, model: str, f: Fitted) -> Drawing:
         f"{model}: fitted parameters at each of the {len(f.series)} wavelengths, with standard errors (those wider"
         " than the panel are not drawn)."
     )
+    high = 0.35 + 1.55 * -(-len(values) // SERIES_COLUMNS)
     on = partial(_on_series, x=x, values=values)
-    size = (5.6, 0.35 + 1.55 * -(-len(values) // SERIES_COLUMNS))
-    return Drawing(f"{facts.slug}-series-{slug(model)}", "series", model, caption, caption, size, on)
+    return Drawing(f"{facts.slug}-series-{slug(model)}", "series", model, caption, caption, (5.6, high), on)
 
 
 def _on_series(figure: Any, *, x: Any, values: dict[str, Floats]) -> None:
@@ -395,19 +374,17 @@ class _Legend:
     @classmethod
     def of(cls, d: Dataset, f: Fitted, *, star: bool = True) -> _Legend:
         mixed = star and len({c.norm.kind for c in f.drawn}) > 1
-        names = [c.label + ("*" if mixed and c.norm.kind != "mirror" else "") for c in f.drawn]
-        count = len(names)
+        names = [c.label + "*" * (mixed and c.norm.kind != "mirror") for c in f.drawn]
         short = max((len(c.label) for c in f.drawn), default=0) < 10
-        return cls(names, min(count, 6 if short else 4 if count != 6 else 3), measurement(d))
+        return cls(names, min(len(names), 6 if short else 3 if len(names) == 6 else 4), measurement(d))
 
     @property
     def rows(self) -> int:
         return -(-len(self.labels) // self.columns) + 1 if self.labels else 0
 
     def draw(self, figure: Any) -> None:
-        if not self.labels:
-            return
-        legend(figure, self.labels, self.columns, in_plane.kinds("theory", self.measured))
+        if self.labels:
+            legend(figure, self.labels, self.columns, in_plane.kinds("theory", self.measured))
 
 
 def legend(figure: Any, names: Sequence[str], columns: int, kinds: Sequence[Any] = ()) -> None:

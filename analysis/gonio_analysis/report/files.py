@@ -8,16 +8,17 @@ import os
 import re
 import shutil
 import tempfile
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from gonio import platform
 from gonio.disk import MANIFEST, NOT_OWN, foreign_files, manifest_of, remove_own, require_name, write_manifest
 from gonio.errors import ConfigError
-from gonio_analysis.report import html
+from gonio_analysis.report import html, pdf
+from gonio_analysis.result_records import as_json
 
 if TYPE_CHECKING:
     from gonio_analysis.report.blocks import Page
@@ -65,7 +66,9 @@ def staged(folder: str | Path) -> Iterator[Staged]:
         _remove(made)
         raise ConfigError(f"{shown}: cannot be written: {error.strerror}") from None
     try:
-        work.chmod(0o777 & ~_umask())
+        mask = os.umask(0)  # it is read by being set
+        os.umask(mask)
+        work.chmod(0o777 & ~mask)
         write_manifest(work, {})
         yield Staged(work, final)
         write_manifest(work, manifest_of(work))
@@ -79,21 +82,25 @@ def staged(folder: str | Path) -> Iterator[Staged]:
         raise
 
 
-def write(folder: Path, summary: Mapping[str, Any], figures: Iterable[Figure] = ()) -> None:
+def write(folder: Path, summary: object, figures: Iterable[Figure] = ()) -> None:
     """Write `summary.json` and the drawings (`figures/`, as SVG and PNG) into a folder that exists."""
     for figure in figures:
         drawn = folder / "figures"
         drawn.mkdir(exist_ok=True)
         (drawn / f"{figure.name}.svg").write_text(figure.svg, encoding="utf-8", newline="\n")
         (drawn / f"{figure.name}.png").write_bytes(figure.png)
-    text = json.dumps(summary, indent=1, ensure_ascii=False, allow_nan=False)
+    text = json.dumps(as_json(summary), indent=1, ensure_ascii=False, allow_nan=False)
     (folder / "summary.json").write_text(text + "\n", encoding="utf-8", newline="\n")
 
 
-def write_page(folder: Path, page: Page, summary: Mapping[str, Any], figures: Iterable[Figure] = ()) -> None:
-    """Write `index.html`, and with it what `write` writes."""
+def write_page(
+    folder: Path, page: Page, summary: object, figures: Iterable[Figure] = (), *, printed: bool = False
+) -> None:
+    """Write `index.html`, and with it what `write` writes; `printed` as `report.pdf`, too."""
     write(folder, summary, figures)
     (folder / "index.html").write_text(html.document(page), encoding="utf-8", newline="\n")
+    if printed:
+        pdf.write(folder / "report.pdf", [page])
 
 
 def _check(final: Path, shown: Path) -> None:
@@ -160,9 +167,3 @@ def _tidy(final: Path) -> None:
 def _remove(folders: list[Path]) -> None:
     for folder in reversed(folders):
         folder.rmdir()
-
-
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask

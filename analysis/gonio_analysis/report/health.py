@@ -42,7 +42,11 @@ def draw(run: RunFacts | None, slug: str) -> list[Drawing]:
         caption += f" Of {long} steps those are drawn that are lowest or highest among their neighbours."
     if run.pauses:
         caption += " Grey: the run waited."
-    alt = " ".join(f"{h.device} {_words(h)}: {_range(h)}." for group in panels for h in group)
+    alt = " ".join(
+        f"{h.device} {_words(h)}: {_with_unit(h.lowest, h)} to {_with_unit(h.highest, h)}."
+        for group in panels
+        for h in group
+    )
     size = (5.6, PANEL_IN * len(panels) + FOOT_IN + LEGEND_ROW_IN)
     on = partial(_on_panels, panels=panels, pauses=run.pauses, devices=devices)
     return [Drawing(f"{slug}-health", KIND, "", caption, alt, size, on)]
@@ -52,19 +56,19 @@ def section(run: RunFacts | None, figures: Sequence[Figure]) -> list[Block]:
     """The extremes in words and the figure; nothing where nothing was read."""
     if run is None or not (run.health or run.pauses):
         return []
-    out: list[Block] = [Heading(3, "The health of the run")]
-    out.append(Paragraph(_extremes(run)))
-    if run.pauses:
-        out.append(Notes(tuple(map(_pause, run.pauses[:MOST_PAUSES]))))
-    if run.health:
-        rows = [
-            [h.device, _words(h), _with_unit(h.lowest, h), _with_unit(h.median, h), _with_unit(h.highest, h),
-             f"{h.highest_h:.2f} h"]
-            for h in run.health
-        ]  # fmt: skip
-        head = ["device", "quantity", "lowest", "median", "highest", "highest after"]
-        out.append(table("Read after the frames of every step.", head, rows, right=(2, 3, 4, 5)))
-    return [*out, Figures(tuple(figures))] if figures else out
+    rows = [
+        [h.device, _words(h), *(_with_unit(value, h) for value in (h.lowest, h.median, h.highest)),
+         f"{h.highest_h:.2f} h"]
+        for h in run.health
+    ]  # fmt: skip
+    head = ["device", "quantity", "lowest", "median", "highest", "highest after"]
+    return [
+        Heading(3, "The health of the run"),
+        Paragraph(_extremes(run)),
+        Notes(tuple(map(_pause, run.pauses[:MOST_PAUSES]))),
+        *([table("Read after the frames of every step.", head, rows, right=(2, 3, 4, 5))] if rows else []),
+        Figures(tuple(figures)),
+    ]
 
 
 def _panels(run: RunFacts | None) -> list[list[HealthSummary]]:
@@ -77,16 +81,13 @@ def _panels(run: RunFacts | None) -> list[list[HealthSummary]]:
 
 def _extremes(run: RunFacts) -> str:
     said = []
-    for quantity, hottest in (("temperature", True), ("current_max", True), ("load_max", True), ("voltage_min", False)):
-        found = [h for h in run.health if h.quantity == quantity]
-        if found and hottest:
-            h = max(found, key=lambda one: one.highest)
-            said.append(f"The highest {_words(h).removeprefix('highest ')} was {_with_unit(h.highest, h)}, of the"
-                        f" {h.device} servo, {h.highest_h:.2f} h after the start.")  # fmt: skip
-        elif found:
-            h = min(found, key=lambda one: one.lowest)
-            said.append(f"The lowest {_words(h).removeprefix('lowest ')} was {_with_unit(h.lowest, h)}, of the"
-                        f" {h.device} servo, {h.lowest_h:.2f} h after the start.")  # fmt: skip
+    for quantity in ("temperature", "current_max", "load_max", "voltage_min"):
+        end = "lowest" if quantity == "voltage_min" else "highest"
+        found = [(getattr(h, end), h) for h in run.health if h.quantity == quantity]
+        if found:
+            value, h = (min if end == "lowest" else max)(found, key=lambda one: one[0])
+            said.append(f"The {end} {_words(h).removeprefix(end + ' ')} was {_with_unit(value, h)}, of the"
+                        f" {h.device} servo, {getattr(h, end + '_h'):.2f} h after the start.")  # fmt: skip
     waited = sum(p.waited_s or 0.0 for p in run.pauses)
     pauses = f"{len(run.pauses)} time" + "s" * (len(run.pauses) != 1)
     said.append(f"It waited {pauses}, {number(waited / 60, 2)} min together." if run.pauses else "It never waited.")
@@ -104,10 +105,6 @@ def _words(h: HealthSummary) -> str:
 
 def _with_unit(value: float, h: HealthSummary) -> str:
     return f"{value:.4g} {UNITS.get(h.unit, h.unit)}".strip()
-
-
-def _range(h: HealthSummary) -> str:
-    return f"{_with_unit(h.lowest, h)} to {_with_unit(h.highest, h)}"
 
 
 def _on_panels(

@@ -12,15 +12,15 @@ import numpy as np
 
 from gonio.typing import Floats
 from gonio_analysis.changes.laboratories import Comparison, Laboratory
-from gonio_analysis.curves.in_plane import Curve, curves, groups
+from gonio_analysis.curves.in_plane import Curve, curves, evenly, groups
 from gonio_analysis.curves.line import Line
 from gonio_analysis.fitting.observations import Observations
 from gonio_analysis.plots import half_disc, in_plane, thinning
 from gonio_analysis.plots.style import FAINT, INK
-from gonio_analysis.report.change_figures import MOST_DRAWN, on_disc, on_plane
+from gonio_analysis.report.change_figures import MOST_DRAWN, disc_map, plane_map, plane_rows
 from gonio_analysis.report.detail import DISC_PT
 from gonio_analysis.report.drawings import Drawing
-from gonio_analysis.report.figures import LEGEND_ROW_IN, PANEL_PT, key
+from gonio_analysis.report.figures import LEGEND_ROW_IN, key
 
 MOST_MAPS = 4
 """Laboratories that have maps: those farthest off."""
@@ -38,14 +38,9 @@ def draw(c: Comparison) -> list[Drawing]:
     where = "" if math.isnan(shown) else f" at {shown:g} nm"
     along = curves(at)
     if along:
-        curve = max(along, key=lambda one: one.rows.size)
-        out += [_polar(c, at, curve, where), _deviations(c, at, along, where)]
+        out += [_polar(c, at, max(along, key=lambda one: one.rows.size), where), _deviations(c, at, along, where)]
     out += [_youden(c)] if len(c.at) >= 4 else []
     return out + _maps(c, at, where)
-
-
-def _names(c: Comparison) -> list[str]:
-    return [x.name for x in c.laboratories]
 
 
 def _overview(c: Comparison) -> Drawing:
@@ -62,40 +57,37 @@ def _on_overview(figure: Any, *, who: Sequence[Laboratory]) -> None:
     high = figure.get_figheight()
     figure.subplots_adjust(0.16, 0.52 / high, 0.985, 1.0 - 0.12 / high, wspace=0.08)
     rows = np.arange(len(who))[::-1]
-    fine = [(x.scale_consistent, x.zero_consistent, x.scatter_consistent) for x in who]
-    values = [
-        [(100 * x.degree, 200 * x.u_degree) for x in who],
-        [(math.nan if x.zero is None else math.degrees(x.zero), 2 * math.degrees(x.u_zero or 0.0)) for x in who],
-        [(math.nan if x.scatter is None else x.scatter, 0.0) for x in who],
-    ]
-    labels = ("scale: d ± U / %", "zero ± U / °", "scatter / stated")
-    for k, (ax, label, level) in enumerate(zip(axes, labels, (0.0, 0.0, 1.0), strict=True)):
+    zeros = [(math.nan if x.zero is None else math.degrees(x.zero), 2 * math.degrees(x.u_zero or 0.0)) for x in who]
+    scatters = [math.nan if x.scatter is None else x.scatter for x in who]
+    panels = (
+        ("scale: d ± U / %", 0.0, [(100 * x.degree, 200 * x.u_degree) for x in who], [x.scale_consistent for x in who]),
+        ("zero ± U / °", 0.0, zeros, [x.zero_consistent for x in who]),
+        ("scatter / stated", 1.0, [(value, 0.0) for value in scatters], [x.scatter_consistent for x in who]),
+    )
+    for ax, (label, level, values, fine) in zip(axes, panels, strict=True):
         ax.axvline(level, color=FAINT, lw=1.0, zorder=0)
-        for row, (value, u), ok in zip(rows, values[k], fine, strict=True):
-            colour = INK if ok[k] else OFF
+        for row, (value, u), ok in zip(rows, values, fine, strict=True):
             if math.isnan(value):
                 ax.text(level, row, "undetermined", ha="center", va="center", fontsize=7, color="#777777")
             else:
-                ax.errorbar(value, row, xerr=u or None, fmt="o", ms=4, color=colour, elinewidth=1.2, capsize=2)
+                look = {"color": INK if ok else OFF, "elinewidth": 1.2, "capsize": 2}
+                ax.errorbar(value, row, xerr=u or None, fmt="o", ms=4, **look)
         ax.set_xlabel(label)
         in_plane.clean(ax)
-    if not any(math.isfinite(v) and v > 0 for v, _ in values[2]):
-        axes[2].set_xlim(0.0, 2.0)
-    else:
-        axes[2].set_xlim(left=0.0)
+    axes[2].set_xlim(0.0, None if any(value > 0 and math.isfinite(value) for value in scatters) else 2.0)
     axes[0].set_yticks(rows, [x.name for x in who])
     axes[0].set_ylim(-0.6, len(who) - 0.4)
 
 
 def _polar(c: Comparison, at: Observations, curve: Curve, where: str) -> Drawing:
-    rows = at.rows[curve.rows]
+    rows, none = at.rows[curve.rows], np.empty(0)
     lines = [
-        Line(name, curve.angle, values[rows], np.empty(0), np.empty(0), u[rows])
-        for name, values, u in zip(_names(c), c.values, c.u, strict=True)
+        Line(x.name, curve.angle, values[rows], none, none, u[rows])
+        for x, values, u in zip(c.laboratories, c.values, c.u, strict=True)
     ]
     caption = f"{curve.label}{where}: BRDF of every laboratory, with bands of two standard uncertainties."
-    on = partial(_on_polar, lines=lines)
-    return Drawing("polar", "polar", "", caption, caption, (6.4, 3.9 + LEGEND_ROW_IN * (len(lines) // COLUMNS)), on)
+    high = 3.9 + LEGEND_ROW_IN * (len(lines) // COLUMNS)
+    return Drawing("polar", "polar", "", caption, caption, (6.4, high), partial(_on_polar, lines=lines))
 
 
 def _on_polar(figure: Any, *, lines: list[Line]) -> None:
@@ -112,46 +104,39 @@ def _on_polar(figure: Any, *, lines: list[Line]) -> None:
 
 
 def _deviations(c: Comparison, at: Observations, along: Sequence[Curve], where: str) -> Drawing:
-    parts = []
-    every = sum(curve.rows.size for curve in along)
-    for name, values, u in zip(_names(c), c.values, c.u, strict=True):
-        angle = np.concatenate([curve.angle for curve in along])
-        rows = np.concatenate([at.rows[curve.rows] for curve in along])
-        level = c.at.brdf[rows]
-        off, half = 100 * (values[rows] / level - 1), 200 * u[rows] / np.abs(level)
-        kept = np.unique(np.linspace(0, every - 1, min(every, MOST_DRAWN // 2)).astype(np.intp))
-        parts.append((name, angle[kept], off[kept], half[kept]))
+    every = np.concatenate([at.rows[curve.rows] for curve in along])
+    kept = evenly(every.size, MOST_DRAWN // 2)
+    angle, rows = np.concatenate([curve.angle for curve in along])[kept], every[kept]
+    level = c.at.brdf[rows]
+    parts = [
+        (x.name, angle, 100 * (values[rows] / level - 1), 200 * u[rows] / np.abs(level))
+        for x, values, u in zip(c.laboratories, c.values, c.u, strict=True)
+    ]
     caption = (
         f"In the plane of incidence{where}: deviation of every laboratory from the consensus, in percent, with its"
         " expanded uncertainty (k = 2); the consensus' level is the zero."
     )
-    rows_of_panels = -(-len(parts) // 3)
+    high = 0.5 + 1.55 * -(-len(parts) // 3)
     on = partial(_on_deviations, parts=parts)
-    return Drawing("deviations", "deviations", "", caption, caption, (7.0, 0.5 + 1.55 * rows_of_panels), on)
+    return Drawing("deviations", "deviations", "", caption, caption, (7.0, high), on)
 
 
 def _on_deviations(figure: Any, *, parts: Sequence[tuple[str, Floats, Floats, Floats]]) -> None:
-    down = -(-len(parts) // 3)
-    across = min(3, len(parts))
-    axes = figure.subplots(down, across, sharex=True, sharey=True, squeeze=False)
+    axes = figure.subplots(-(-len(parts) // 3), min(3, len(parts)), sharex=True, sharey=True, squeeze=False)
     high = figure.get_figheight()
     figure.subplots_adjust(0.09, 0.45 / high, 0.985, 1.0 - 0.22 / high, wspace=0.06, hspace=0.28)
-    reach = max(float(np.nanquantile(np.abs(off), 0.98)) for _, _, off, _ in parts)
-    for k, ax in enumerate(axes.ravel()):
-        if k >= len(parts):
-            ax.set_visible(False)
-            continue
-        name, angle, off, half = parts[k]
+    reach = 1.6 * max(float(np.nanquantile(np.abs(off), 0.98)) for _, _, off, _ in parts)
+    for ax in axes.ravel()[len(parts) :]:
+        ax.set_visible(False)
+    for k, (ax, (name, angle, off, half)) in enumerate(zip(axes.ravel(), parts, strict=False)):
         ax.axhline(0.0, color=FAINT, lw=1.0, zorder=0)
-        ax.errorbar(
-            np.degrees(angle), off, yerr=half, fmt=".", ms=3, color=in_plane.style(k)["color"], elinewidth=0.4,
-            alpha=0.8,
-        )  # fmt: skip
+        look = {"fmt": ".", "ms": 3, "color": in_plane.style(k)["color"], "elinewidth": 0.4, "alpha": 0.8}
+        ax.errorbar(np.degrees(angle), off, yerr=half, **look)
         ax.set_title(name, fontsize=8, pad=2)
         in_plane.angle_axis(ax)
         ax.set_xticks([-60, -30, 0, 30, 60])
         in_plane.clean(ax)
-    axes[0][0].set_ylim(-1.6 * reach, 1.6 * reach)
+    axes[0][0].set_ylim(-reach, reach)
     for row in axes:
         row[0].set_ylabel("deviation / %")
     axes[-1][0].set_xlabel("θr")
@@ -171,24 +156,21 @@ def _youden(c: Comparison) -> Drawing:
         " to the mirror direction, against the other half. On the diagonal lies what is alike at all angles, as a"
         " reference; off it what is not."
     )
-    fine = [x.consistent for x in c.laboratories]
-    on = partial(_on_youden, near=halves[0], rest=halves[1], names=_names(c), fine=fine)
-    return Drawing("youden", "youden", "", caption, caption, (6.4, 3.4), on)
+    points = [(x, y, one.name, one.consistent) for x, y, one in zip(*halves, c.laboratories, strict=True)]
+    return Drawing("youden", "youden", "", caption, caption, (6.4, 3.4), partial(_on_youden, points=points))
 
 
-def _on_youden(figure: Any, *, near: Floats, rest: Floats, names: Sequence[str], fine: Sequence[bool]) -> None:
+def _on_youden(figure: Any, *, points: Sequence[tuple[float, float, str, bool]]) -> None:
     ax = figure.add_axes((0.27, 0.14, 0.46, 0.84))
-    reach = 1.35 * max(float(np.abs(near).max()), float(np.abs(rest).max()), 1e-6)
+    reach = 1.35 * max(1e-6, *(abs(value) for x, y, *_ in points for value in (x, y)))
     ax.plot([-reach, reach], [-reach, reach], color=FAINT, lw=1.0, zorder=0)
     ax.axhline(0.0, color=FAINT, lw=0.6, zorder=0)
     ax.axvline(0.0, color=FAINT, lw=0.6, zorder=0)
-    for x, y, name, ok in zip(near, rest, names, fine, strict=True):
+    for x, y, name, ok in points:
         ax.plot(x, y, "o", ms=5, color=INK if ok else OFF)
         ax.annotate(name, (x, y), xytext=(4, 3), textcoords="offset points", fontsize=7.5)
-    ax.set_xlim(-reach, reach)
-    ax.set_ylim(-reach, reach)
-    ax.set_xlabel("near the mirror direction / %")
-    ax.set_ylabel("elsewhere / %")
+    ends = (-reach, reach)
+    ax.set(xlim=ends, ylim=ends, xlabel="near the mirror direction / %", ylabel="elsewhere / %")
     in_plane.clean(ax)
 
 
@@ -197,30 +179,18 @@ def _maps(c: Comparison, at: Observations, where: str) -> list[Drawing]:
     score = np.array([x.e_n for x in c.alone])
     farthest = sorted(range(len(c.laboratories)), key=lambda k: -float(np.mean(score[:, k] ** 2)))[:MOST_MAPS]
     out, d = [], at.directions
-    off = np.flatnonzero(~d.in_plane)
     for k in sorted(farthest):
-        name, value = c.laboratories[k].name, score[at.rows, k]
+        map_name, name, value = f"map-{k + 1}", c.laboratories[k].name, score[at.rows, k]
+        far = np.abs(value) > 1.0
         said = (
             f"{name}{where}: E_n in every direction; beyond ±1 (rings) it differs by more than its expanded uncertainty"
         )
-        if off.size:
+        if d.in_plane.all():
+            rows = plane_rows(d, far, MOST_DRAWN // 2)
+            out.append(plane_map(map_name, f"{said}.", d, value, far, rows, "E_n", 2.0))
+        else:
             g = max(groups(d.theta_i, d.phi_i, np.arange(len(at))), key=lambda rows: rows.size)
             g = g[thinning.over_hemisphere(d[g].theta_r, d[g].dphi, value[g], DISC_PT, MOST_DRAWN)]
             caption = f"{said}. Hemisphere, θi = {np.degrees(d.theta_i[g].mean()):.1f}°."
-            on = partial(
-                on_disc, theta_r=d[g].theta_r, dphi=d[g].dphi, value=value[g], marked=np.abs(value[g]) > 1.0,
-                label="E_n", top=2.0,
-            )  # fmt: skip
-            out.append(Drawing(f"map-{k + 1}", "map", "", caption, caption, (4.6, 4.0), on))
-            continue
-        levels = np.unique(np.round(np.degrees(d.theta_i), 1))
-        high = max(1.3 + 0.22 * levels.size, 2.1)
-        across = d.signed * PANEL_PT / np.pi
-        heights = 100.0 * np.searchsorted(levels, np.round(np.degrees(d.theta_i), 1)).astype(np.float64)
-        kept = thinning.enough(across, heights, most=MOST_DRAWN // 2, keep=np.abs(value) > 1.0)
-        on = partial(
-            on_plane, angle=d.signed[kept], parameter=d.theta_i[kept], value=value[kept],
-            marked=np.abs(value[kept]) > 1.0, label="E_n", top=2.0, high=high,
-        )  # fmt: skip
-        out.append(Drawing(f"map-{k + 1}", "map", "", f"{said}.", f"{said}.", (5.6, high), on))
+            out.append(disc_map(map_name, caption, d[g], value[g], far[g], "E_n", 2.0))
     return out

@@ -143,10 +143,9 @@ def _intervals(choice: Choice) -> Table:
         # an error of the linearised fit beside an interval that contradicts it would be two truths
         value, ends = in_words(i, p.value)
         rows.append([code(name), with_u(p.value, p.u) if choice.linear(name) else value, ends])
-    off = named.misfit is not None
     how = (
         "intervals by its standard errors"
-        if off
+        if (named.misfit is not None)
         else "profile-likelihood intervals: each is held while all others follow"
     )
     return table(

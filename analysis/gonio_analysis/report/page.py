@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 from gonio_analysis.report import html, provenance, sample, transmission
 from gonio_analysis.report.blocks import (
@@ -19,6 +19,7 @@ from gonio_analysis.report.blocks import (
     Span,
     Text,
     code,
+    header,
     section,
     strong,
     table,
@@ -58,8 +59,7 @@ def render(summary: Summary, drawn: Sequence[Sequence[Figure]], views: Sequence[
     """
     datasets, title = summary.datasets, summary.title
     several = len(datasets) > 1
-    transmission_only = _transmission_only(summary, drawn[len(datasets) :])
-    last = [*transmission_only, _conventions(summary), provenance.section(summary)]
+    last = [*_transmission_only(summary, drawn[len(datasets) :]), _conventions(summary), provenance.section(summary)]
     frame = Page(title, (*(_overview(summary, {}) if several else ()), *last, FOOTER))
     room = MOST_BYTES - html.size(html.document(frame)) - 300 * len(datasets) - 10_000
     room -= html.size(html.program()) if any(views) else 0
@@ -67,13 +67,11 @@ def render(summary: Summary, drawn: Sequence[Sequence[Figure]], views: Sequence[
         html.within(sample.section(summary, *parts), max(room, MOST_BYTES // 4))
         for parts in zip(datasets, drawn[: len(datasets)], views, strict=True)
     ]
-    groups: list[list[int]] = [[]]
-    used = 0
+    groups, used = [list[int]()], 0
     for k, one in enumerate(sections):
         needed = html.size(html.fragment([one])) if several else 0
         if groups[-1] and used + needed > room:
-            groups.append([])
-            used = 0
+            groups, used = [*groups, []], 0
         groups[-1].append(k)
         used += needed
     names = ["index.html", *(f"samples-{k}.html" for k in range(2, len(groups) + 1))]
@@ -106,22 +104,19 @@ def _header(s: Summary, place: Mapping[str, str], names: Sequence[str], name: st
     links = [(place[d.slug], d.title) for d in s.datasets] if len(s.datasets) > 1 else []
     if name == "index.html":
         links += [("#conventions", "Conventions"), ("#provenance", "Provenance")]
-    blocks: list[Block] = [
-        Heading(1, s.title),
-        Paragraph(
-            f"{'BRDF' if s.datasets else 'BTDF'} comparison, {s.created[:10]}, gonio {s.versions['gonio']}."
-            " Uncertainties are standard uncertainties (k = 1).",
-            "sub",
-        ),
-    ]
+    sub = (
+        f"{'BRDF' if s.datasets else 'BTDF'} comparison, {s.created[:10]}, gonio {s.versions['gonio']}."
+        " Uncertainties are standard uncertainties (k = 1)."
+    )
+    more: list[Block] = []
     if len(names) > 1:
         others = [part for p in names if p != name for part in (", ", code(p))][1:]
         words = (
             f"Page {names.index(name) + 1} of {len(names)}: all samples together would be too large for"
             " one. The others are "
         )
-        blocks.append(Paragraph((words, *others, "."), "note"))
-    return Group("header", (*blocks, Contents(tuple(links[:MOST_ROWS]))))
+        more.append(Paragraph((words, *others, "."), "note"))
+    return header(s.title, sub, *more, Contents(tuple(links[:MOST_ROWS])))
 
 
 def _overview(s: Summary, place: Mapping[str, str]) -> list[Block]:
@@ -168,19 +163,17 @@ def distinguished(s: Summary) -> list[str]:
     out = []
     shared = [name for name in s.models if all(name in d.models for d in s.datasets)]
     if shared:
-        best = [d.best for d in s.datasets]
-        model = max(shared, key=best.count)
+        model = max(shared, key=[d.best for d in s.datasets].count)
         far = _apart(s, model)
         if far:
             out.append(f"By {model} they differ in {'; '.join(far)}.")
         elif far is not None:
             out.append(f"By {model} no parameter differs by more than {TOLD_APART:g} standard uncertainties.")
-    level = sorted((d.brdf_max, d.title) for d in s.datasets)
-    if len({wave for d in s.datasets for wave in [d.wavelength_nm]}) == 1 and level[0][0] > 0:
-        times = level[-1][0] / level[0][0]
+    (low, faint), *_, (high, bright) = sorted((d.brdf_max, d.title) for d in s.datasets)
+    if len({d.wavelength_nm for d in s.datasets}) == 1 and low > 0:
         out.append(
-            f"The brightest value of {level[-1][1]} is {number(times)} times that of {level[0][1]}"
-            f" ({number(level[-1][0])} and {number(level[0][0])} sr⁻¹)."
+            f"The brightest value of {bright} is {number(high / low)} times that of {faint}"
+            f" ({number(high)} and {number(low)} sr⁻¹)."
         )
     return out
 
@@ -191,17 +184,12 @@ def _apart(s: Summary, model: str) -> list[str] | None:
     fits = [(d, d.models[model].fit.parameters) for d in s.datasets]
     free = [name for name in fits[0][1] if all(name in p and not p[name].fixed for _, p in fits)]
     for name in free:
-        ends = sorted(fits, key=lambda one: one[1][name].value)
-        (low, a), (high, b) = (ends[0], ends[-1])
+        (low, a), *_, (high, b) = sorted(fits, key=lambda one: one[1][name].value)
         u = math.hypot(a[name].u or 0.0, b[name].u or 0.0)
         if u > 0.0 and math.isfinite(u) and (far := (b[name].value - a[name].value) / u) > TOLD_APART:
-            said = (with_u(p[name].value, p[name].u) for p in (a, b))
-            found.append((far, "{}: {} ({}) to {} ({})".format(name, *_pairwise(said, (low.title, high.title)))))
+            ends = (f"{with_u(p[name].value, p[name].u)} ({d.title})" for d, p in ((low, a), (high, b)))
+            found.append((far, f"{name}: {' to '.join(ends)}"))
     return [text for _, text in sorted(found, reverse=True)[:MOST_APART]] if free else None
-
-
-def _pairwise(values: Iterable[str], names: Iterable[str]) -> list[str]:
-    return [text for pair in zip(values, names, strict=True) for text in pair]
 
 
 def _conventions(s: Summary) -> Group:

@@ -88,13 +88,11 @@ def _set(sheet: _Sheet, blocks: Sequence[Block]) -> None:
             case Facts():
                 sheet.facts([(_lines_of(name), _lines_of(value)) for name, value in block.rows])
             case Table():
-                rows = [block.header, *block.rows]
-                cells = [[_lines_of(cell) for cell in row] for row in rows]
+                cells = [[_lines_of(cell) for cell in row] for row in [block.header, *block.rows]]
                 sheet.table(_lines_of(block.caption), cells, block.right)
             case Figures():
                 for k in range(0, len(block.figures), 2):
-                    pair = block.figures[k : k + 2]
-                    sheet.figures([(f.png, _lines_of(glued(f.caption))) for f in pair])
+                    sheet.figures([(f.png, _lines_of(glued(f.caption))) for f in block.figures[k : k + 2]])
 
 
 def _words() -> Any:
@@ -114,8 +112,7 @@ def _words() -> Any:
             for x, y, text, size, weight, colour in self.lines:
                 pen = renderer.new_gc()
                 pen.set_foreground(colour)
-                font = FontProperties(family="DejaVu Sans", size=size, weight=weight)
-                renderer.draw_text(pen, x, y, text, font, 0.0)
+                renderer.draw_text(pen, x, y, text, FontProperties(family="DejaVu Sans", size=size, weight=weight), 0.0)
 
     return Words()
 

@@ -8,7 +8,7 @@ from typing import Any
 
 from gonio_analysis.curves.line import Line
 from gonio_analysis.plots import in_plane, polarisation
-from gonio_analysis.report.blocks import Block, Figures, Heading, Paragraph, code, table
+from gonio_analysis.report.blocks import Block, Figures, Heading, Paragraph, Text, code, table
 from gonio_analysis.report.drawings import Drawing, Figure
 from gonio_analysis.report.section import Section
 from gonio_analysis.report.text import number
@@ -22,35 +22,32 @@ def draw(p: Polarisation, name: str, slug: str) -> list[Drawing]:
     theory = f" Lines: {p.model}, fitted to the BRDF alone." if p.model else ""
     caption = f"Mueller matrix: its elements over the first one, in the plane of incidence. Marks: measurement.{theory}"
     alt = f"Grid of the 15 elements of the Mueller matrix of {name} over the angle."
-    on = partial(_on_grid, lines=p.lines)
-    return [Drawing(f"{slug}-mueller", "mueller", "", caption, alt, (6.4, 6.0), on)]
+    return [Drawing(f"{slug}-mueller", "mueller", "", caption, alt, (6.4, 6.0), partial(_on_grid, lines=p.lines))]
 
 
 def section(m: Polarisation, figures: Sequence[Figure]) -> list[Block]:
     """The elements in numbers, and the figures."""
-    beside = "" if m.model is None else f"the matrix of {m.model}, which was fitted to the BRDF alone"
     words = (
         f"{m.points} values have a Mueller matrix. Its elements are divided by the first one, on s and p of docs/"
         "conventions.md: rows are the reflected light's I, Q, U, V, columns the incident light's."
     )
-    if beside:
-        words += f" Residuals are measured less {beside}, in single directions."
-    rows = [
-        (
-            code(e.name),
-            str(e.points),
-            number(e.rms),
-            number(e.mean_residual),
-            number(e.rms_residual),
-            number(e.chi_square_per_value),
+    if m.model is not None:
+        words += (
+            f" Residuals are measured less the matrix of {m.model}, which was fitted to the BRDF alone, in single"
+            " directions."
         )
+    rows: list[Sequence[Text]] = [
+        (code(e.name), str(e.points), *map(number, (e.rms, e.mean_residual, e.rms_residual, e.chi_square_per_value)))
         for e in m.elements
         if e.points
     ]
     header = ["element", "values", "rms", "mean residual", "rms residual", "χ² a value"]
-    out: list[Block] = [Heading(3, "Polarisation: Mueller matrix"), Paragraph(words)]
-    out += [Figures(tuple(figures))] if figures else []
-    return [*out, table("", header, rows, right=(1, 2, 3, 4, 5))]
+    return [
+        Heading(3, "Polarisation: Mueller matrix"),
+        Paragraph(words),
+        Figures(tuple(figures)),
+        table("", header, rows, right=(1, 2, 3, 4, 5)),
+    ]
 
 
 def _on_grid(figure: Any, *, lines: dict[str, list[Line]]) -> None:

@@ -20,22 +20,19 @@ def section(s: Summary) -> Group:
     made = [("report made", s.created), ("command", s.command or "–"), ("versions", _versions(s))]
     out: list[Block] = [Heading(2, "Provenance"), facts(made)]
     if len(s.datasets) > MOST_SOURCES:
-        words = f"The first {MOST_SOURCES} of {len(s.datasets)} samples; summary.json has all."
-        out.append(Paragraph(words))
+        out.append(Paragraph(f"The first {MOST_SOURCES} of {len(s.datasets)} samples; summary.json has all."))
     for d in s.datasets[:MOST_SOURCES]:
         rows = [("file", d.source or "–"), ("format", str(d.format or "–"))]
         if d.run:
             r = d.run
-            rows.append(("simulated" if d.simulated else "measured", r.created))
-            rows += [("command", r.command), ("plan's SHA-256", r.plan_sha256)]
-            rows += [("seed", str(r.seed)), ("steps", str(r.steps)), ("bands", ", ".join(r.bands))]
-            rows.append(("versions", _versions(r)))
-        given = dict(d.provenance)
-        for name in ("checks", "not_in_budget", "monte_carlo"):
-            given.pop(name, None)  # they have sections of their own
+            rows += [("simulated" if d.simulated else "measured", r.created), ("command", r.command)]
+            rows += [("plan's SHA-256", r.plan_sha256), ("seed", str(r.seed)), ("steps", str(r.steps))]
+            rows += [("bands", ", ".join(r.bands)), ("versions", _versions(r))]
+        # those have sections of their own
+        given = {k: v for k, v in d.provenance.items() if k not in ("checks", "not_in_budget", "monte_carlo")}
         calibrations = given.pop("calibrations", [])
         visits = given.pop("reference", []) if d.run else []
-        rows += list(_flat(given))
+        rows += _flat(given)
         rows += [("calibration", _calibration(one)) for one in calibrations]
         rows += [("white reference", _reference(band)) for band in visits]
         out += [Heading(3, d.title), facts(rows)]
@@ -65,19 +62,17 @@ def _calibration(used: Mapping[str, Any]) -> str:
     return f"{used['kind']}: {used['file']}, made on {used['made']}, {until}; SHA-256 {used['sha256']}"
 
 
-def _known(band: Mapping[str, Any]) -> str:
-    """How well the BRDF of the reference is known; "" in a table of an earlier version."""
-    return f", known to {percent(band['u_brdf_rel'])}" if "u_brdf_rel" in band else ""
-
-
 def _reference(band: Mapping[str, Any]) -> str:
     """What the visits to the white reference said, as `gonio.reduction.brdf.reduce` leaves it."""
     level, slope, u_slope = band["level_e_per_s_sr"], band["drift_per_hour"], band["u_drift_per_hour"]
-    drift = "unknown" if slope is None else f"({with_u(100 * slope, 100 * u_slope)}) % an hour"
-    steady = "on a straight line" if band["straight"] else "on no straight line"
-    steady = "that tell no drift" if slope is None else steady
+    drift, steady = "unknown", "that tell no drift"
+    if slope is not None:
+        drift = f"({with_u(100 * slope, 100 * u_slope)}) % an hour"
+        steady = "on a straight line" if band["straight"] else "on no straight line"
+    # a table of an earlier version does not say how well the BRDF of the reference is known
+    known = f", known to {percent(band['u_brdf_rel'])}" if "u_brdf_rel" in band else ""
     return (
-        f"{band['band']}: BRDF {number(band['brdf'], 4)} sr⁻¹{_known(band)}; {band['visits']} visits {steady} "
+        f"{band['band']}: BRDF {number(band['brdf'], 4)} sr⁻¹{known}; {band['visits']} visits {steady} "
         f"(chi-square {number(band['chi_square'])}); level {number(level, 4)} electrons a second and steradian,"
         f" known to {percent(band['u_level_rel'])}; drift {drift}; frames of one step scatter as the noise "
         f"model says, times {number(band['frame_scatter'])} in variance"

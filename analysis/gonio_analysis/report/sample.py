@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 
 from gonio import geometry
+from gonio.checks.symmetry import Pairs
 from gonio.formats.reader import TableBand
 from gonio_analysis.fitting.metrics import meaning as meaning_of_metric
 from gonio_analysis.fitting.solution import Estimate
@@ -31,9 +32,8 @@ from gonio_analysis.report.blocks import (
 from gonio_analysis.report.drawings import Figure
 from gonio_analysis.report.facts import DatasetSummary, Summary
 from gonio_analysis.report.sections import SECTIONS
-from gonio_analysis.report.text import angle, cause, difference, number, percent, with_u
+from gonio_analysis.report.text import angle, cause, difference, number, percent, reasons, with_u
 from gonio_analysis.report.viewer import View
-from gonio_analysis.result_records import RunFacts
 from gonio_analysis.selection.compare import Fitted
 
 FAR = 0.1
@@ -60,33 +60,31 @@ def section(s: Summary, d: DatasetSummary, figures: Sequence[Figure], view: View
     by: dict[str, tuple[Figure, ...]] = {}
     for f in figures:
         by[f.kind] = (*by.get(f.kind, ()), f)
-    out: list[Block] = [Heading(2, d.title)] if len(s.datasets) > 1 else []
     what = "What was simulated, and how" if d.simulated else "What was measured, and how"
-    out += [lead(d.conclusion), Heading(3, what), _facts(d)]
-    if d.notes:
-        out.append(notes(d.notes))
     shared = any(f.fit.shared is not None for f in d.models.values())
-    out += model_choice.section(d.choice, d.wavelength_nm if shared else None)
-    values = "Simulated values" if d.simulated else "Measured values"
-    out += [Heading(3, "Models"), _models(d)] if d.models else [Heading(3, values), _values(d)]
     skipped = {m: why for m, why in d.skipped.items() if len(d.choice.judged) < 2 or m not in d.choice.left_out}
-    if skipped:
-        out.append(Notes(tuple((strong(m), f" was not fitted: {why}") for m, why in skipped.items())))
-    out += _energy(d)
+    values = "Simulated values" if d.simulated else "Measured values"
+    out: list[Block] = [
+        *([Heading(2, d.title)] if len(s.datasets) > 1 else []),
+        lead(d.conclusion),
+        Heading(3, what),
+        _facts(d),
+        notes(d.notes),
+        *model_choice.section(d.choice, d.wavelength_nm if shared else None),
+        *([Heading(3, "Models"), _models(d)] if d.models else [Heading(3, values), _values(d)]),
+        Notes(tuple((strong(m), f" was not fitted: {why}") for m, why in skipped.items())),
+        *_energy(d),
+    ]
     if "polar" in by:
         out += [Heading(3, "In the plane of incidence, normalised"), _polar_words(s, d)]
-        out += [Viewer(d.slug, view)] if view else []
-        out.append(Figures(by["polar"]))
+        out += [*([Viewer(d.slug, view)] if view else []), Figures(by["polar"])]
     for heading, kinds in OTHER_FIGURES.items():
         if shown := tuple(f for kind in kinds for f in by.get(kind, ())):
             out += [Heading(3, heading), Figures(shown)]
     if d.models:
-        out += [Heading(3, "Parameters"), *_parameters(d)]
-        out += [Figures(by["profile"])] if "profile" in by else []
+        out += [Heading(3, "Parameters"), *_parameters(d), Figures(by.get("profile", ()))]
         out += [Heading(3, "Metrics"), *_metrics(s, d)]
-    for one in SECTIONS:
-        out += one.blocks(d, by)
-    return blocks.section(out, d.slug)
+    return blocks.section([*out, *(block for one in SECTIONS for block in one.blocks(d, by))], d.slug)
 
 
 def _values(d: DatasetSummary) -> Table:
@@ -113,57 +111,52 @@ def _facts(d: DatasetSummary) -> Facts:
     wavelengths = [w for w in d.wavelengths_nm if w is not None]
     rows: list[tuple[str, str]] = [("source", d.source or "–")]
     if run:
+        left_out = ", ".join(f"{count} {flag}" for flag, count in run.points_not_reachable.items())
         rows.append(("rig", f"{run.rig} ({run.driver}), seed {run.seed}"))
-        rows.append(("plan", f"{run.plan}: {run.points} points" + _unreachable(run)))
+        rows.append(("plan", f"{run.plan}: {run.points} points" + (f" ({left_out})" if left_out else "")))
         if run.sample:
             given = ", ".join(f"{k} = {v}" for k, v in run.sample.parameters.items())
             rows.append(("simulated sample", f"{run.sample.name}: {run.sample.model} with {given}"))
         rows.append(("white reference", run.reference))
     if wavelengths:
-        others = (
-            f", one of {len(wavelengths)} from {wavelengths[0]:g} to {wavelengths[-1]:g} nm"
-            if len(wavelengths) > 1
-            else ""
-        )
-        rows.append(("wavelength", f"{d.wavelength_nm:g} nm{others}{_width(d)}"))
+        of = f", one of {len(wavelengths)} from {wavelengths[0]:g} to {wavelengths[-1]:g} nm"
+        rows.append(("wavelength", f"{d.wavelength_nm:g} nm{of * (len(wavelengths) > 1)}{_width(d)}"))
     else:
         rows.append(("band", ", ".join(_band(b) for b in d.bands) or "no wavelength stated"))
-    rows.append(("incidences", _angles(d.theta_i_deg)))
-    used = f"{d.used} of {d.rows_here}" + (" at this wavelength" if len(wavelengths) > 1 else "")
-    rows.append(("values used", used + (f"; left out: {d.left_out_words}" if d.left_out_words else "")))
-    rows.append(
-        (
-            "BRDF",
-            f"{number(d.brdf_min)} to {number(d.brdf_max)} sr⁻¹"
-            + (f"; {d.negative} values are negative within the noise" if d.negative else ""),
-        )
-    )
+    used = f"{d.used} of {d.rows_here}" + " at this wavelength" * (len(wavelengths) > 1)
+    negative = f"; {d.negative} values are negative within the noise" if d.negative else ""
     cones = [("source", d.source_solid_angle_sr), ("receiver", d.receiver_solid_angle_sr)]
-    rows.append(("solid angles", ", ".join(f"{n} {_cone(w)}" for n, w in cones)))
+    uncertainty = "none stated"
     if d.uncertainty_stated:
         causes = ", ".join(cause(c) for c in d.causes) or "none"
-        rows.append(("uncertainty", f"median {percent(d.median_u_rel)}; causes common to all values: {causes}"))
+        uncertainty = f"median {percent(d.median_u_rel)}; causes common to all values: {causes}"
     elif d.u_rel_assumed is not None:
-        rows.append(("uncertainty", f"none stated; {percent(d.u_rel_assumed)} of each value is assumed"))
-    else:
-        rows.append(("uncertainty", "none stated"))
-    return facts(rows)
+        uncertainty += f"; {percent(d.u_rel_assumed)} of each value is assumed"
+    return facts(
+        [
+            *rows,
+            ("incidences", _angles(d.theta_i_deg)),
+            ("values used", used + (f"; left out: {d.left_out_words}" if d.left_out_words else "")),
+            ("BRDF", f"{number(d.brdf_min)} to {number(d.brdf_max)} sr⁻¹{negative}"),
+            ("solid angles", ", ".join(f"{n} {_cone(w)}" for n, w in cones)),
+            ("uncertainty", uncertainty),
+        ]
+    )
 
 
 def _models(d: DatasetSummary) -> Table:
-    rows, marks = [], []
-    for name, f in d.models.items():
-        marks.append("best" if name == d.best and len(d.models) > 1 else "")
-        rows.append(
-            [
-                name,
-                fitted_words(d, name, f),
-                model_choice.misfit_words(f.fit.tau),
-                number(f.fit.reduced_chi_square) + " (assumed u)" * (f.fit.data.u_rel_assumed is not None),
-                difference(f.metrics["log_ratio"]),
-                f.fit.verdict.partition("; it ")[0] + "; ⚠ reflects more than it receives" * f.reflects_too_much,
-            ]
-        )
+    marks = ["best" if name == d.best and len(d.models) > 1 else "" for name in d.models]
+    rows = [
+        [
+            name,
+            fitted_words(d, name, f),
+            model_choice.misfit_words(f.fit.tau),
+            number(f.fit.reduced_chi_square) + " (assumed u)" * (f.fit.data.u_rel_assumed is not None),
+            difference(f.metrics["log_ratio"]),
+            f.fit.verdict.partition("; it ")[0] + "; ⚠ reflects more than it receives" * f.reflects_too_much,
+        ]
+        for name, f in d.models.items()
+    ]
     together = next((f.fit.shared for f in d.models.values() if f.fit.shared is not None), None)
     chi = "reduced χ²" if together is None else f"reduced χ², {len(together.wavelengths_nm)} wavelengths together"
     note = "● marks the model that the first line names. " if any(marks) else ""
@@ -182,11 +175,11 @@ def _energy(d: DatasetSummary) -> list[Block]:
     """Reflectances of the models and of the measurement, and its symmetries."""
     if not d.models:
         return []
-    at = sorted({round(r.theta_i_deg, 1) for f in d.models.values() for r in f.rho_dh})
     columns = {
         name + " ⚠ above 1" * f.reflects_too_much: {round(r.theta_i_deg, 1): r for r in f.rho_dh}
         for name, f in d.models.items()
     }
+    at = sorted({angle for column in columns.values() for angle in column})
     own = [r for r in d.rho_dh if r.rho_dh is not None]
     if own:
         near = {a: [r for r in own if abs(a - r.theta_i_deg) < 0.5] for a in at}
@@ -196,42 +189,35 @@ def _energy(d: DatasetSummary) -> list[Block]:
     rows = [[f"{a:g}°", *(with_u(c[a].rho_dh, c[a].u) if a in c else "–" for c in columns.values())] for a in at]
     out: list[Block] = [Heading(3, "Energy and symmetry")]
     if at:
-        out.append(
-            table(
-                "Directional-hemispherical reflectance rho_dh by angle of incidence: the share of the light that is"
-                " reflected. Uncertainties of models follow from the covariance of their parameters"
-                + (", which rests on the assumed uncertainty." if d.u_rel_assumed is not None else ".")
-                + _of_misfits(d),
-                ["θi", *columns],
-                rows,
-                right=tuple(range(1, len(columns) + 1)),
-            )
+        caption = (
+            "Directional-hemispherical reflectance rho_dh by angle of incidence: the share of the light that is"
+            " reflected. Uncertainties of models follow from the covariance of their parameters"
+            + (", which rests on the assumed uncertainty." if d.u_rel_assumed is not None else ".")
+            + _of_misfits(d)
         )
+        out.append(table(caption, ["θi", *columns], rows, right=tuple(range(1, len(columns) + 1))))
     said: list[Text] = []
-    why: dict[str, list[str]] = {}
-    for r in d.rho_dh:
-        if r.why:
-            why.setdefault(r.why, []).append(angle(r.theta_i_deg))
-    for reason, angles in why.items():
+    for reason, angles in reasons(d.rho_dh).items():
         where = f"at θi = {', '.join(dict.fromkeys(angles))}" if len(angles) <= 8 else f"at {len(angles)} incidences"
         said.append(f"The measurement's own rho_dh {where}: {reason}.")
     for name in d.choice.near:
         shares = {r.theta_i_deg: r.unmeasured for r in d.models[name].rho_dh if r.unmeasured}
-        far = {at: share for at, share in shares.items() if share > FAR}
+        far = ", ".join(f"{percent(share)} at θi = {angle(at)}" for at, share in shares.items() if share > FAR)
         if far:
-            listed = ", ".join(f"{percent(share)} at θi = {angle(at)}" for at, share in far.items())
-            said.append(f"Of the light that {name} reflects, part goes where no value near tells the misfit: {listed}.")
-    for s in d.symmetries:
-        if d.checks is not None and s.kind in {one.name for one in d.checks.checks}:
-            continue  # they stand among the checks
-        verdict = "broken" if s.broken else "kept"
-        by = "" if s.reduced_chi_square is None else f"; χ² a pair {number(s.reduced_chi_square)}"
-        limit = "" if s.reduced_chi_square is not None else " (the limit without uncertainties: 10 %)"
-        said.append(
-            f"Symmetry, {s.kind} ({s.words}): {verdict}. {s.pairs} pairs differ typically by"
-            f" {difference(s.typical)}, at most by {difference(s.largest)}{by}{limit}."
-        )
-    return [*out, Notes(tuple(said))] if said else out
+            said.append(f"Of the light that {name} reflects, part goes where no value near tells the misfit: {far}.")
+    checked = set() if d.checks is None else {one.name for one in d.checks.checks}
+    return [*out, Notes((*said, *(_symmetry(s) for s in d.symmetries if s.kind not in checked)))]
+
+
+def _symmetry(s: Pairs) -> str:
+    """How well a symmetry is kept, as sentences."""
+    limit = " (the limit without uncertainties: 10 %)"
+    if s.reduced_chi_square is not None:
+        limit = f"; χ² a pair {number(s.reduced_chi_square)}"
+    return (
+        f"Symmetry, {s.kind} ({s.words}): {'broken' if s.broken else 'kept'}. {s.pairs} pairs differ typically by"
+        f" {difference(s.typical)}, at most by {difference(s.largest)}{limit}."
+    )
 
 
 def _of_misfits(d: DatasetSummary) -> str:
@@ -249,22 +235,16 @@ def _of_misfits(d: DatasetSummary) -> str:
 
 def _polar_words(s: Summary, d: DatasetSummary) -> Paragraph:
     kinds = {c.norm.kind for f in d.models.values() for c in f.drawn}
-    first = (
-        "The radius is the BRDF divided by its value in the direction of mirror reflection, as in eq. 11 of He, "
-        f"Torrance, Sillion and Greenberg (1991): the measured value nearest the mirror, within "
-        f"{s.mirror_tolerance_deg:g}°; "
-        "theory is divided by its own value in that direction. "
-        if "mirror" in kinds
-        else ""
-    )
-    if "max" in kinds:
-        first += (
-            "Where that direction was not measured, is dark beside the rest of the curve, or the largest value was "
-            "asked for, the divisor is the largest in-plane value, and theory is divided by its own value in that "
-            "direction. "
-        )
-    if "model" in kinds:
-        first += "Measurement and theory are both divided by the fitted model's value in the mirror direction. "
+    words = {
+        "mirror": "The radius is the BRDF divided by its value in the direction of mirror reflection, as in eq. 11 of"
+        " He, Torrance, Sillion and Greenberg (1991): the measured value nearest the mirror, within"
+        f" {s.mirror_tolerance_deg:g}°; theory is divided by its own value in that direction. ",
+        "max": "Where that direction was not measured, is dark beside the rest of the curve, or the largest value was"
+        " asked for, the divisor is the largest in-plane value, and theory is divided by its own value in that"
+        " direction. ",
+        "model": "Measurement and theory are both divided by the fitted model's value in the mirror direction. ",
+    }
+    first = "".join(text for kind, text in words.items() if kind in kinds)
     moving = "detector" if d.scanned == "theta_r" else "source"
     return Paragraph(
         f"{first}The {moving} moves from −90° (retro side, left) to 90° (mirror side, right); the short "
@@ -291,9 +271,11 @@ def _parameters(d: DatasetSummary) -> list[Block]:
         for n in f.notes:
             if n not in d.notes + d.data_notes:
                 remarks.setdefault(n, []).append(m)
-    caption = " ".join(_of_errors(d))
-    out: list[Block] = [table(caption, ["model", "parameter", "value", "", "strongest correlation"], rows)]
-    return [*out, Notes(tuple((strong(", ".join(of)), f": {n}") for n, of in remarks.items()))] if remarks else out
+    header = ["model", "parameter", "value", "", "strongest correlation"]
+    return [
+        table(" ".join(_of_errors(d)), header, rows),
+        Notes(tuple((strong(", ".join(of)), f": {n}") for n, of in remarks.items())),
+    ]
 
 
 def _of_errors(d: DatasetSummary) -> list[str]:
@@ -319,19 +301,17 @@ def _of_errors(d: DatasetSummary) -> list[str]:
 def _value(d: DatasetSummary, model: str, parameter: str, e: Estimate) -> str:
     """value ± u; the interval alone where a standard error would contradict it."""
     i = d.choice.intervals.get(parameter) if d.choice.named and model == d.choice.named.candidate.label else None
-    if d.models[model].fit.shared is not None:
-        i = None  # the interval is of the choice, at one wavelength alone
-    if i is not None and not d.choice.linear(parameter):
+    # an interval is of the choice, at one wavelength alone
+    if i is not None and d.models[model].fit.shared is None and not d.choice.linear(parameter):
         value, ends = model_choice.in_words(i, e.value)
         return f"{value} ({100 * i.level:g} % interval {ends})"
     return with_u(e.value, 0.0 if e.fixed else e.u)
 
 
 def _strongest(f: Fitted, parameter: str) -> Text:
-    names = f.fit.free
-    if parameter not in names:
+    if parameter not in f.fit.free:
         return ""
-    row = dict(zip(names, f.fit.correlation[names.index(parameter)].tolist(), strict=True))
+    row = dict(zip(f.fit.free, f.fit.correlation[f.fit.free.index(parameter)].tolist(), strict=True))
     known = {k: v for k, v in row.items() if k != parameter and math.isfinite(v)}
     if not known:
         return ""
@@ -339,27 +319,22 @@ def _strongest(f: Fitted, parameter: str) -> Text:
     return f"{number(known[other], 2)} with ", code(other)
 
 
-def _known(d: DatasetSummary) -> bool:
-    """Whether the values have uncertainties, stated or assumed."""
-    return d.uncertainty_stated or d.u_rel_assumed is not None
-
-
 def _metrics(s: Summary, d: DatasetSummary) -> list[Block]:
+    known = d.uncertainty_stated or d.u_rel_assumed is not None
     names = [n for n in s.metrics if any(f.metrics[n] is not None for f in d.models.values())]
     rows = [[m, *(number(f.metrics[n]) for n in names)] for m, f in d.models.items()]
-    header = ["model", *(s.metrics[n].label for n in names)]
     return [
-        table("", header, rows, right=tuple(range(1, len(names) + 1))),
-        facts((s.metrics[n].label, meaning_of_metric(n, known=_known(d))) for n in names),
+        table("", ["model", *(s.metrics[n]["label"] for n in names)], rows, right=tuple(range(1, len(names) + 1))),
+        facts((s.metrics[n]["label"], meaning_of_metric(n, known=known)) for n in names),
     ]
 
 
 def fitted_words(d: DatasetSummary, model: str, f: Fitted) -> str:
     """The fitted parameters of a model, with their uncertainties."""
-    parts = [f"{n} = {_value(d, model, n, p)}" for n, p in f.fit.parameters.items() if not p.fixed]
-    together = f.fit.shared
-    said = "" if together is None else f"; geometry shared by {len(together.wavelengths_nm)} wavelengths"
-    return ", ".join(parts) + said
+    said = ", ".join(f"{n} = {_value(d, model, n, p)}" for n, p in f.fit.parameters.items() if not p.fixed)
+    if f.fit.shared is not None:
+        said += f"; geometry shared by {len(f.fit.shared.wavelengths_nm)} wavelengths"
+    return said
 
 
 def _cone(solid_angle_sr: float | None) -> str:
@@ -367,11 +342,6 @@ def _cone(solid_angle_sr: float | None) -> str:
         return "unknown"
     half = math.degrees(float(geometry.half_angle_of_cone(solid_angle_sr)))
     return f"{number(solid_angle_sr)} sr (half-angle {half:.3g}°)"
-
-
-def _unreachable(run: RunFacts) -> str:
-    parts = [f"{count} {flag}" for flag, count in run.points_not_reachable.items()]
-    return f" ({', '.join(parts)})" if parts else ""
 
 
 def _band(b: TableBand) -> str:

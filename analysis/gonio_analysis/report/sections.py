@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from gonio_analysis.report import (
     appearance,
+    budget,
     checks,
     health,
     polarisation,
     sessions,
     transmission,
-    uncertainty,
     wavelengths,
 )
 
@@ -18,7 +18,7 @@ SECTIONS = (
     polarisation.SECTION,
     appearance.SECTION,
     checks.SECTION,
-    uncertainty.SECTION,
+    budget.SECTION,
     wavelengths.SECTION,
     sessions.SECTION,
     health.SECTION,

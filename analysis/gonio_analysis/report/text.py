@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
 
 from gonio import shown
+from gonio_analysis.result_records import Reflectance
 
 number = shown.number
 with_u = shown.with_u
@@ -57,13 +59,21 @@ def meaning(name: str, *, common: bool) -> str:
 
 def cause(name: str) -> str:
     """The name of a cause as a page has it: that of its column without "s_", angles as Greek letters."""
-    words = name.replace("_", " ")
-    return words.replace("theta i ", "θi ").replace("theta r ", "θr ")
+    return name.replace("_", " ").replace("theta i ", "θi ").replace("theta r ", "θr ")
 
 
 def angle(deg: float) -> str:
     """An angle as a page has it, in tenths of a degree: what an encoder reads beside it is no other incidence."""
     return f"{round(deg, 1) + 0.0:g}°".replace("-", "−")
+
+
+def reasons(found: Sequence[Reflectance]) -> dict[str, list[str]]:
+    """Why reflectances are missing, or what was assumed -> at which angles of incidence."""
+    why: dict[str, list[str]] = {}
+    for r in found:
+        if r.why:
+            why.setdefault(r.why, []).append(angle(r.theta_i_deg))
+    return why
 
 
 def unit(symbol: str) -> str:
@@ -91,6 +101,12 @@ def difference(rms_of_logarithm: float | None) -> str:
         return percent(rms_of_logarithm)
     factor = math.exp(min(rms_of_logarithm, 230.0))
     return f"factor {number(factor, 2)}"
+
+
+def spoken_difference(rms_of_logarithm: float | None) -> str:
+    """`difference` within a sentence: "a factor of ..."."""
+    words = difference(rms_of_logarithm)
+    return f"a {words}" if words.startswith("factor") else words
 
 
 def cut(text: str, most: int) -> str:

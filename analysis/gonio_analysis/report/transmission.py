@@ -17,7 +17,7 @@ from gonio_analysis.report.blocks import Block, Figures, Heading, Notes, facts, 
 from gonio_analysis.report.drawings import Drawing, Figure
 from gonio_analysis.report.figures import LEGEND_ROW_IN, legend
 from gonio_analysis.report.section import Section
-from gonio_analysis.report.text import angle, number, with_u
+from gonio_analysis.report.text import angle, number, reasons, with_u
 from gonio_analysis.result_records import Reflectance
 from gonio_analysis.selection.transmission import Transmitted
 
@@ -48,9 +48,13 @@ def draw(t: Transmitted, reflected: Sequence[Curve], slug: str, *, simulated: bo
     )
     alt = f"Transmission of {t.name} over the angle, {number(float(t.data.brdf.max()))} per steradian at most."
     absolute = _lines(t.curves, False)
-    on = partial(_on_axis, lines=absolute)
     high = 2.9 + LEGEND_ROW_IN * -(-len(absolute) // _columns([line.label for line in absolute]))
-    return [*out, Drawing(f"{slug}-transmission", "transmission", "", caption, alt, (5.6, high), on)]
+    return [
+        *out,
+        Drawing(
+            f"{slug}-transmission", "transmission", "", caption, alt, (5.6, high), partial(_on_axis, lines=absolute)
+        ),
+    ]
 
 
 def section(
@@ -60,47 +64,34 @@ def section(
     rows = [("source", t.source)] if t.source else []
     at, left_out = t.data, describe_left_out(t.data.left_out)
     rows += [("values used", f"{len(at)} of {t.rows}" + (f"; left out: {left_out}" if left_out else ""))]
-    if not math.isnan(t.wavelength_nm):
-        rows.append(("wavelength", f"{t.wavelength_nm:g} nm"))
+    rows += [] if math.isnan(t.wavelength_nm) else [("wavelength", f"{t.wavelength_nm:g} nm")]
     rows.append(("BTDF", f"{number(float(at.brdf.min()))} to {number(float(at.brdf.max()))} sr⁻¹"))
-    out: list[Block] = [Heading(3, title), facts(rows)]
-    out += [notes(t.notes)] if t.notes else []
-    known = [r for r in t.tau_dh if r.rho_dh is not None]
+    out: list[Block] = [Heading(3, title), facts(rows), notes(t.notes)]
+    known = [
+        [angle(tau.theta_i_deg), with_u(tau.rho_dh, tau.u), *_beside(tau, rho_dh)]
+        for tau in t.tau_dh
+        if tau.rho_dh is not None
+    ]
     if known:
-        own = [_same_incidence(k, rho_dh) for k in known]
         out.append(
             table(
                 "Directional-hemispherical transmittance tau_dh, integrated over the measured values behind the sample;"
                 " rho_dh is the measurement's own reflectance at that incidence.",
                 ["θi", "tau_dh", "rho_dh", "both"],
-                [
-                    [angle(k.theta_i_deg), with_u(k.rho_dh, k.u), *_beside(k, r)]
-                    for k, r in zip(known, own, strict=True)
-                ],
+                known,
                 right=(1, 2, 3),
             )
         )
-    why: dict[str, list[str]] = {}
-    for r in t.tau_dh:
-        if r.why:
-            why.setdefault(r.why, []).append(angle(r.theta_i_deg))
-    if why:
-        out.append(
-            Notes(
-                tuple(
-                    f"tau_dh at {'θi = ' + ', '.join(at) if len(at) <= 8 else f'{len(at)} incidences'}: {reason}."
-                    for reason, at in why.items()
-                )
-            )
-        )
-    return [*out, Figures(tuple(figures))] if figures else out
+    missing = (
+        f"tau_dh at {'θi = ' + ', '.join(where) if len(where) <= 8 else f'{len(where)} incidences'}: {reason}."
+        for reason, where in reasons(t.tau_dh).items()
+    )
+    return [*out, Notes(tuple(missing)), Figures(tuple(figures))]
 
 
-def _same_incidence(tau: Reflectance, rho_dh: Sequence[Reflectance]) -> Reflectance | None:
-    return next((r for r in rho_dh if abs(r.theta_i_deg - tau.theta_i_deg) < 0.5), None)
-
-
-def _beside(tau: Reflectance, rho: Reflectance | None) -> tuple[str, str]:
+def _beside(tau: Reflectance, rho_dh: Sequence[Reflectance]) -> tuple[str, str]:
+    """The reflectance at the incidence of a transmittance, and both together."""
+    rho = next((r for r in rho_dh if abs(r.theta_i_deg - tau.theta_i_deg) < 0.5), None)
     if rho is None or rho.rho_dh is None or tau.rho_dh is None:
         return "–", "–"
     # the reference and the lamp are common to both: their uncertainties are added, not their squares
@@ -132,10 +123,8 @@ def _on_disc(figure: Any, *, above: list[Line], below: list[Line], order: list[s
 
 
 def _on_axis(figure: Any, *, lines: list[Line]) -> None:
-    names = [line.label for line in lines]
+    names, ax, high = [line.label for line in lines], figure.subplots(), figure.get_figheight()
     room = LEGEND_ROW_IN * -(-len(lines) // _columns(names)) + 0.46
-    high = figure.get_figheight()
-    ax = figure.subplots()
     figure.subplots_adjust(0.145, room / high, 0.975, 1 - 0.11 / high)
     in_plane.semilog(ax, lines, unit="BTDF [1/sr]")
     ax.set_xlabel("angle from the normal of the back", fontsize=8)

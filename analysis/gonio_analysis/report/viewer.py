@@ -106,8 +106,7 @@ def viewer(d: Dataset, facts: DatasetSummary, normalise: str, room: int = BYTES)
         nm: d.data if nm == here else next(iter(results.values())).data
         for nm, results in sorted(waves.items(), key=lambda item: item[0] or 0.0)
     }
-    every = {nm: curves(data) for nm, data in known.items()}
-    chosen, most = _level(every, here, drawn, len(d.fitted), room)
+    chosen, most = _level({nm: curves(data) for nm, data in known.items()}, here, drawn, len(d.fitted), room)
     ready = {m: {int(c.curve.rows[0]): (c.theory_angle, c.theory) for c in f.drawn} for m, f in d.fitted.items()}
     first: list[str] = []
     out: list[WaveView] = []
@@ -165,8 +164,7 @@ def _level(
                 )
                 chosen[nm] = [c for c in every[nm] if int(c.rows[0]) in listed]
         sizes = [c.angle.size for listed in chosen.values() for c in listed]
-        count = max(len(sizes), 1)
-        most = int((room / count - 100 * THEORY_BYTES * models) / (MEASURED_BYTES + THEORY_BYTES * models))
+        most = int((room / max(len(sizes), 1) - 100 * THEORY_BYTES * models) / (MEASURED_BYTES + THEORY_BYTES * models))
         if most >= FEWEST or most >= max(sizes, default=0):
             break
     return chosen, max(most, 24)
@@ -199,7 +197,12 @@ def _curve(c: Curve, name: str, own: str, theory: dict[str, tuple[Floats, Floats
             "model": at(c.parameter),
         }
         series.append({"name": model, "angle": _degrees(angle), "brdf": _rounded(value, 5), "u": None, "by": by})
-    return {"label": name, "mirror": round(float(np.degrees(c.parameter)), 4), "series": series}
+    return entry(c, name, series)
+
+
+def entry(c: Curve, label: str, series: list[Series]) -> CurveView:
+    """A curve with what is drawn along it."""
+    return {"label": label, "mirror": round(float(np.degrees(c.parameter)), 4), "series": series}
 
 
 def points(name: str, c: Curve, brdf: Floats, u: Floats) -> Series:
@@ -219,8 +222,7 @@ def rows(view: View) -> Iterator[tuple[Any, ...]]:
     for wave in view["waves"]:
         for curve in wave["curves"]:
             for s in curve["series"]:
-                us = s["u"] or [None] * len(s["angle"])
-                for angle, brdf, u in zip(s["angle"], s["brdf"], us, strict=True):
+                for angle, brdf, u in zip(s["angle"], s["brdf"], s["u"] or [None] * len(s["angle"]), strict=True):
                     yield wave["nm"], curve["label"], s["name"], angle, brdf, u
 
 

@@ -16,11 +16,11 @@ from gonio.live import working
 from gonio.live.provisional import ProvisionalValues
 from gonio.live.run_status import RunStatus, rounded
 from gonio.typing import Floats
-from gonio_analysis.curves.in_plane import MOST_CURVES, Curve, curves, groups, labels, selection
+from gonio_analysis.curves.in_plane import MOST_CURVES, curves, groups, labels, selection
 from gonio_analysis.fitting.observations import Observations
 from gonio_analysis.fitting.value_covariance import independent
 from gonio_analysis.plots import thinning
-from gonio_analysis.report.viewer import MOST_LISTED, CurveView, View, WaveView, points
+from gonio_analysis.report.viewer import MOST_LISTED, View, WaveView, entry, points
 
 NAME = "so far"
 MOST = 6000
@@ -52,11 +52,6 @@ class SoFar(TypedDict):
     maps: list[Map]
     visits: list[DrawnVisits]
     says: str
-
-
-def _entry(curve: Curve, label: str) -> CurveView:
-    series = [points(NAME, curve, curve.brdf, curve.u)]
-    return {"label": label, "mirror": round(float(np.degrees(curve.parameter)), 4), "series": series}
 
 
 def so_far(
@@ -98,7 +93,7 @@ def so_far(
         names += own
         by_age = sorted(zip(found, own, strict=True), key=lambda pair: int(pair[0].rows.max()))
         latest += [label for _, label in by_age[-MOST_CURVES:]]
-        entries = [_entry(curve, label) for curve, label in zip(listed, own, strict=True)]
+        entries = [entry(c, label, [points(NAME, c, c.brdf, c.u)]) for c, label in zip(listed, own, strict=True)]
         waves.append({"nm": values.band.centre_nm, "curves": entries})
         if not maps:
             maps = _maps(data)
@@ -123,8 +118,7 @@ def so_far(
 def _observations(values: ProvisionalValues, nominal_deg: Floats) -> Observations:
     """Values at the angles that were asked for, those in front of the sample alone."""
     asked = nominal_deg[values.points]
-    usable = np.isfinite(values.brdf) & (asked[:, 2] <= 90.0)
-    rows = np.flatnonzero(usable)
+    rows = np.flatnonzero(np.isfinite(values.brdf) & (asked[:, 2] <= 90.0))
     return Observations(
         Directions.from_degrees(*asked[rows].T),
         np.full(rows.size, values.band.centre_nm),

@@ -12,8 +12,19 @@ from typing import Any
 import numpy as np
 from gonio_analysis.fitting.observations import Observations, observations
 from gonio_analysis.fitting.parameters import declared
-from gonio_analysis.report.blocks import MOST_ROWS, Block, Figures, Footer, Group, Heading, Page, Paragraph, code, table
-from gonio_analysis.report.comparison import stamp
+from gonio_analysis.report.blocks import (
+    MOST_ROWS,
+    Block,
+    Figures,
+    Footer,
+    Group,
+    Heading,
+    Page,
+    Paragraph,
+    code,
+    stamp,
+    table,
+)
 from gonio_analysis.report.drawings import Figure, rendered
 from gonio_analysis.report.text import percent
 from gonio_analysis.selection.choice import candidates, choose

@@ -20,10 +20,10 @@ from gonio_analysis.report.blocks import (
     code,
     facts,
     section,
+    stamp,
     strong,
     table,
 )
-from gonio_analysis.report.comparison import stamp
 from gonio_analysis.report.drawings import Figure, rendered
 from gonio_analysis.report.tables import write_csv
 from gonio_analysis.result_records import as_json

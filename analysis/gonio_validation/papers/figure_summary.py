@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from gonio_analysis.report.comparison import stamp
+from gonio_analysis.report.blocks import stamp
 
 from gonio_validation.papers.figure import Cell, PaperFigure
 

@@ -12,8 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from gonio_analysis.report import files, pdf
-from gonio_analysis.report.blocks import Block, Footer, Group, Heading, Page, Paragraph, code, facts, lead, table
-from gonio_analysis.report.comparison import stamp
+from gonio_analysis.report.blocks import Block, Footer, Group, Heading, Page, Paragraph, code, facts, lead, stamp, table
 from gonio_analysis.result_records import as_json
 
 from gonio.errors import GonioError

@@ -249,8 +249,7 @@ def test_haze_of_a_matt_surface_is_none() -> None:
 )
 def test_haze_of_a_metal_is_none(metal: Model) -> None:
     """The difference of two glosses far above that of glass was -132, and -453 of another metal."""
-    sampled = of_table(measured(metal, swept(20.0, 60.0)), name="metal")
-    for sample in (of_model(metal, name="metal"), sampled):
+    for sample in (of_model(metal, name="metal"), of_table(measured(metal, swept(20.0, 60.0)), name="metal")):
         assert known(sample.gloss_20_gu.value) > known(sample.gloss_60_gu.value)  # else there is nothing to refuse
         assert sample.haze_gu.value is None
         assert "non-metals" in known_words(sample.haze_gu.why)
@@ -259,11 +258,9 @@ def test_haze_of_a_metal_is_none(metal: Model) -> None:
 
 @pytest.mark.slow
 def test_the_uncertainty_of_a_fit_is_that_of_its_parameters() -> None:
-    frame = noisy(measured(PAINT, swept(20.0, 60.0)), np.random.default_rng(3))
-    result = fit(frame, "he-torrance", ior=1.5)
+    result = fit(noisy(measured(PAINT, swept(20.0, 60.0)), np.random.default_rng(3)), "he-torrance", ior=1.5)
     stated = of_fit(result, name="paint")
-    rng = np.random.default_rng(5)
-    drawn = rng.multivariate_normal(result.vector, result.spread, 60)
+    drawn = np.random.default_rng(5).multivariate_normal(result.vector, result.spread, 60)
     values = [gloss(result.problem.model(v), GLOSSMETERS[1], 550.0)[0] for v in drawn]
     # 60 draws know their scatter to 9 %; three times that
     assert known(stated.gloss_60_gu.u) == pytest.approx(np.std(values, ddof=1), rel=0.27)

@@ -40,8 +40,7 @@ class Facets(ArrayModel):
         return "Facets after Trowbridge and Reitz."
 
     def evaluate(self, omega_i: Floats, omega_r: Floats, wavelength_nm: float) -> Floats:
-        at = Directions.from_vectors(omega_i, omega_r)
-        return facets(self.of["alpha"], self.of["f0"], self.of["rho"], at)
+        return facets(self.of["alpha"], self.of["f0"], self.of["rho"], Directions.from_vectors(omega_i, omega_r))
 
 
 def numbers(found: Appearance) -> list[tuple[float, float]]:
@@ -59,8 +58,7 @@ def test_what_is_stated_holds(residual: bool) -> None:
     for seed in range(6):
         for plan, model in (("hemisphere", "cook-torrance"), ("in plane", "blinn")):
             table, of = of_facets(40 + seed, plan)
-            result = fit(table, model)
-            stated = numbers(of_fit(result, name="a sample", residual=residual))
+            stated = numbers(of_fit(fit(table, model), name="a sample", residual=residual))
             true = numbers(of_model(Facets(of), name="truth"))
             pulls += [(value - t) / u for (value, u), (t, _) in zip(stated, true, strict=True)]
             wide += [u / t for (_, u), (t, _) in zip(stated, true, strict=True)]

@@ -55,8 +55,7 @@ def test_rows_out_of_the_plane_are_not_in_a_curve() -> None:
 def test_readbacks_beside_the_goal_are_one_curve() -> None:
     table = measure(GLOSS)
     table["theta_i_deg"] += np.random.default_rng(1).uniform(-0.05, 0.05, len(table))
-    found = curves(observations(table))
-    assert [c.label for c in found] == ["θi = 10°", "θi = 30°", "θi = 60°"]
+    assert [c.label for c in curves(observations(table))] == ["θi = 10°", "θi = 30°", "θi = 60°"]
 
 
 def test_source_that_moves_gives_curves_of_one_view() -> None:
@@ -118,7 +117,6 @@ def test_a_retroreflector_is_not_divided_by_its_dark_mirror_direction(incidence:
 
 
 def test_selection_prefers_curves_with_a_mirror_direction() -> None:
-    parts = [measure(GLOSS, incidences=tuple(np.arange(10.0, 70.0, 2.5)))]
-    chosen = selection(curves(observations(pd.concat(parts))))
+    chosen = selection(curves(observations(pd.concat([measure(GLOSS, incidences=tuple(np.arange(10.0, 70.0, 2.5)))]))))
     assert len(chosen) == MOST_CURVES
     assert all(c.mirror is not None for c in chosen)

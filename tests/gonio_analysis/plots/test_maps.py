@@ -30,8 +30,7 @@ def test_heat_map_shows_each_value_in_its_direction() -> None:
     )
     points = artists[1]  # after the triangles
     xy, shown = np.asarray(points.get_offsets()), np.asarray(points.get_array())
-    brightest = xy[np.argmax(shown)]
-    assert brightest == pytest.approx([30.0, 0.0], abs=1e-9)  # the mirror direction, on the right
+    assert xy[np.argmax(shown)] == pytest.approx([30.0, 0.0], abs=1e-9)  # the mirror direction, on the right
     assert np.hypot(*xy.T) == pytest.approx(
         np.degrees(data.directions.theta_r), rel=1e-14, abs=1e-14
     )  # sine and cosine, and back
@@ -44,8 +43,7 @@ def test_heat_map_leaves_holes_empty() -> None:
     ax = axes()
     mesh = maps.heat_map(ax, data.directions.theta_r[kept], data.directions.phi_r[kept], data.brdf[kept], label="")[0]
     x, y = -30 * np.cos(np.radians(105.0)), -30 * np.sin(np.radians(105.0))
-    inside = [p for p in mesh.get_paths() if p.contains_point((x, y))]
-    assert not inside
+    assert not [p for p in mesh.get_paths() if p.contains_point((x, y))]
 
 
 def test_no_change_points_neither_up_nor_down() -> None:
@@ -73,8 +71,7 @@ def test_change_maps_ring_what_changed() -> None:
 def test_changes_carry_error_bars_and_the_limit() -> None:
     nothing = np.empty(0)
     line = Line("a", nothing, nothing, np.radians([-10.0, 10.0]), np.array([1.0, -2.0]), np.array([0.5, 0.25]))
-    bars = maps.changes(axes(), [line], [None])[1]
-    low, high = bars.lines[2][0].get_segments()
+    low, high = maps.changes(axes(), [line], [None])[1].lines[2][0].get_segments()
     assert [low[0][1], low[1][1], high[0][1], high[1][1]] == [0.5, 1.5, -2.25, -1.75]
     ax = axes()
     maps.significance(ax, [line], 3.5)

@@ -79,8 +79,7 @@ def test_a_fault_stands_on_the_page_and_in_the_summary(reduced: tuple[pd.DataFra
     """One side is brighter: the page and the summary say so, with the place of the difference."""
     table = reduced[0].copy()
     table.attrs = dict(reduced[0].attrs)
-    side = ((table["phi_r_deg"] - table["phi_i_deg"]) % 360).between(5, 175)
-    table.loc[side, "brdf"] *= 1.1
+    table.loc[((table["phi_r_deg"] - table["phi_i_deg"]) % 360).between(5, 175), "brdf"] *= 1.1
     facts = shown(table)
     assert facts.checks is not None
     found = {one.name: one for one in facts.checks.checks}
@@ -96,8 +95,7 @@ def test_the_page_has_both_uncertainties_of_a_reflectance_and_a_figure(reduced: 
     facts = shown(reduced[0])
     (drawing,) = checks.draw(facts.checks, facts.rho_dh, "x")
     figure = drawing.rendered()
-    blocks = checks.section(facts.checks, facts.rho_dh, [figure])
-    tables = [block for block in blocks if block.kind == "table"]
+    tables = [block for block in checks.section(facts.checks, facts.rho_dh, [figure]) if block.kind == "table"]
     assert len(tables) == 2
     (first, second) = tables
     assert len(first.rows) == len(NAMES)  # type: ignore[union-attr]

@@ -17,7 +17,6 @@ STATED: dict[str, Any] = {"organisation": "Institute", "creators": [{"name": "Do
 
 def measured(laboratory: dict[str, Any] | None) -> pd.DataFrame:
     """One value, of a laboratory."""
-    provenance = {} if laboratory is None else {"laboratory": laboratory}
     return table(
         theta_i_deg=0.0,
         phi_i_deg=0.0,
@@ -25,7 +24,7 @@ def measured(laboratory: dict[str, Any] | None) -> pd.DataFrame:
         phi_r_deg=180.0,
         wavelength_nm=550.0,
         brdf=[0.2],
-        attrs={"sample": "tile", "provenance": provenance},
+        attrs={"sample": "tile", "provenance": {} if laboratory is None else {"laboratory": laboratory}},
     )
 
 

@@ -77,8 +77,7 @@ def test_all_models_stand_together_on_every_curve(gloss: Dataset) -> None:
 @pytest.mark.parametrize("kind", ["polar", "absolute", "overlay"])
 def test_legends_stand_near_their_axes_and_overprint_nothing(gloss: Dataset, kind: str) -> None:
     facts = summarise([gloss], title="x", normalise="mirror", command="").datasets[0]
-    drawings = [one for one in figures.draw(gloss, facts, 500) if one.kind == kind]
-    for one in drawings:
+    for one in [one for one in figures.draw(gloss, facts, 500) if one.kind == kind]:
         figure = Figure(figsize=one.inches)
         one.on(figure)
         figure.canvas.draw()

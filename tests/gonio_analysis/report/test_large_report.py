@@ -89,8 +89,7 @@ def test_a_page_says_how_many_values_are_drawn(large: Path) -> None:
 
 
 def test_the_interactive_plot_is_thinned_with_its_extremes(large: Path) -> None:
-    text = (large / "index.html").read_text(encoding="utf-8")
-    found = re.search(r'id="large-viewer-data">(.*?)</script>', text)
+    found = re.search(r'id="large-viewer-data">(.*?)</script>', (large / "index.html").read_text(encoding="utf-8"))
     assert found
     view = json.loads(found[1])
     assert len(found[1]) < 2_000_000
@@ -180,8 +179,7 @@ def test_extremes_marked_values_and_ends_stay() -> None:
     assert rows.size <= 500
     assert {0, 7_000, 31_000, x.size - 1} | set(np.flatnonzero(marked)) <= set(rows)
     assert np.all(np.diff(rows) > 0)
-    gaps = np.diff(x[rows])
-    assert gaps.max() < 10.0  # no part of the angle is left empty
+    assert np.diff(x[rows]).max() < 10.0  # no part of the angle is left empty
 
 
 def test_few_values_are_all_drawn() -> None:
@@ -195,8 +193,7 @@ def test_what_is_cut_at_the_rim_keeps_its_largest_value() -> None:
     value = np.full(5000, 0.5)
     value[2500:2600] = np.linspace(3.0, 9.0, 100)
     none = np.empty(0)
-    line = Line("l", none, none, angle, value, 0.01 * value)
-    thin = thinning.on_half_disc([line], 1.0, 170.0, 100)[0]
+    thin = thinning.on_half_disc([Line("l", none, none, angle, value, 0.01 * value)], 1.0, 170.0, 100)[0]
     assert thin.angle.size < 200
     assert thin.measured.max() == 9.0
 

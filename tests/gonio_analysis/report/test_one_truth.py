@@ -59,8 +59,7 @@ def test_a_bound_cuts_an_interval_and_contradicts_nothing() -> None:
 
 
 def test_the_page_shows_the_interval_alone_where_linearisation_fails() -> None:
-    d = examine(measure(GLOSS, noise=0.01), ["phong"], name="x")
-    facts = summary_of(d)
+    facts = summary_of(examine(measure(GLOSS, noise=0.01), ["phong"], name="x"))
     wrong = replace(facts.choice.intervals["k_s"], low=0.01, high=9.0)
     facts = replace(facts, choice=replace(facts.choice, intervals=facts.choice.intervals | {"k_s": wrong}))
     words = fitted_words(facts, "phong", facts.models["phong"])
@@ -121,8 +120,7 @@ def test_a_table_without_a_wavelength_is_not_said_to_hold_a_broad_band() -> None
     frame = measure(MATTE, wavelength_nm=math.nan)
     with pytest.raises(ConfigError, match="has no single wavelength"):
         fit(frame, "he-torrance", ior=1.5)
-    result = fit(frame, "he-torrance", ior=1.5, wavelength_nm=600)
-    assert not any("broad" in n.lower() for n in result.notes)
+    assert not any("broad" in n.lower() for n in fit(frame, "he-torrance", ior=1.5, wavelength_nm=600).notes)
 
 
 def test_a_jump_between_neighbouring_wavelengths_is_named() -> None:

@@ -77,14 +77,13 @@ def test_pages_are_a4_and_hold_every_figure(tmp_path: Path, rows: int, pages: in
 
 def test_words_are_never_markup() -> None:
     sly = '<script>alert("x")</script> & co'
-    figure = Figure("f", "polar", "", f"{sly}: {sly}", sly, "<svg></svg>", b"")
     blocks = (
         Heading(2, sly),
         Paragraph((sly, Span(sly, href=sly))),
         Notes((sly,)),
         facts([(sly, sly)]),
         table(sly, [sly, sly], [[sly, strong(sly)]]),
-        Figures((figure,)),
+        Figures((Figure("f", "polar", "", f"{sly}: {sly}", sly, "<svg></svg>", b""),)),
         Viewer("v", cast(View, {"name": sly})),
         Contents(((sly, sly),)),
         Footer(sly),

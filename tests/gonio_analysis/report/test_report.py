@@ -125,8 +125,7 @@ def test_numbers_of_the_page_are_those_of_the_summary(report: Path) -> None:
             assert plain(difference(f["metrics"]["log_ratio"])) in html
             assert plain(number(f["metrics"]["ngan"])) in html
             assert escape(f["convention"]) in html
-    cells = re.findall(r"<td class=n>([^<]*)</td>", html)
-    assert len(cells) > 20
+    assert len(re.findall(r"<td class=n>([^<]*)</td>", html)) > 20
 
 
 def test_tables_hold_the_summary(report: Path) -> None:

@@ -44,8 +44,7 @@ def rows(report: Path) -> list[dict[str, str]]:
 
 def plain(text: str) -> str:
     """Printed numbers as Python reads them."""
-    digits = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹−", "-0123456789-")
-    return text.translate(digits).replace(" × 10", "e")
+    return text.translate(str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹−", "-0123456789-")).replace(" × 10", "e")
 
 
 @pytest.mark.slow
@@ -166,8 +165,7 @@ def test_choices_draw_something_else(report: Path, tab: Page) -> None:
 
 def test_prints_on_a4_without_the_controls(report: Path, tab: Page) -> None:
     tab.open(report / "index.html", 1280)
-    pdf = tab.pdf()
-    boxes = {tuple(map(float, m.split())) for m in re.findall(rb"/MediaBox\s*\[([^\]]+)\]", pdf)}
+    boxes = {tuple(map(float, m.split())) for m in re.findall(rb"/MediaBox\s*\[([^\]]+)\]", tab.pdf())}
     assert boxes
     for left, low, right, top in boxes:
         # 210 mm x 297 mm in points; Chromium rounds to whole CSS pixels (0.75 points)

@@ -158,8 +158,7 @@ def test_ngan_s_nickel_comes_out_by_ngan_s_metric() -> None:
     """
     # MERL: theta_h in 90 steps of the square root, here every second, with four theta_d and phi_d = 90 degrees
     theta_h = np.radians(90 * (np.arange(0, 90, 2.0) / 90) ** 2)
-    theta_d = np.radians(np.arange(2.0, 75.0, 24.0))
-    h, d = (x.ravel() for x in np.meshgrid(theta_h, theta_d, indexing="ij"))
+    h, d = (x.ravel() for x in np.meshgrid(theta_h, np.radians(np.arange(2.0, 75.0, 24.0)), indexing="ij"))
     # phi_d = 90: d = (0, sin d, cos d), tilted by theta_h about y
     out = []
     for sign in (1, -1):

@@ -192,16 +192,14 @@ def test_a_repaired_journal_is_read_anew(page: Page, played: Played) -> None:
         fresh.rename(journal)
         has(page, "why", "line 6 of the journal is damaged")
         repair.repair(played.path)
-        lines = len(journal.read_bytes().splitlines())
-        taken(page, lines)
+        taken(page, len(journal.read_bytes().splitlines()))
         assert page.run("gonioWatch.steps") == journal.read_bytes().count(b'"event":"step"')
 
 
 def test_seven_tabs_and_more_all_answer(page: Page, played: Played) -> None:
     played.go_on(9)
     with served(played.path) as server:
-        first = page.new_tab(server.address)
-        tabs = [first, *(page.new_tab(server.address) for _ in range(8))]
+        tabs = [page.new_tab(server.address), *(page.new_tab(server.address) for _ in range(8))]
         for one in tabs:
             page._session = one  # where it is, in front or behind others
             taken(page, 9)

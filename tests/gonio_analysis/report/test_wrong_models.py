@@ -47,8 +47,7 @@ def facts_of(table: pd.DataFrame, *models: str, **options: Any) -> DatasetSummar
 @pytest.fixture(scope="module")
 def page(tmp_path_factory: pytest.TempPathFactory) -> tuple[Any, str]:
     folder = tmp_path_factory.mktemp("wrong")
-    dataset = examine(of_facets(7, "in plane")[0], MODELS, name="facets")
-    write([dataset], folder, title="facets")
+    write([examine(of_facets(7, "in plane")[0], MODELS, name="facets")], folder, title="facets")
     summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
     text = re.sub(r"<[^>]+>", " ", (folder / "index.html").read_text(encoding="utf-8"))
     return (summary, Path(folder)), re.sub(r"\s+", " ", html.unescape(text))
@@ -90,8 +89,7 @@ def test_every_model_has_its_misfit_in_the_summary_and_in_both_tables(page: tupl
 
 def test_plots_have_a_band_of_tau(page: tuple[Any, str]) -> None:
     (summary, folder), _ = page
-    captions = {f["name"]: f["caption"] for f in summary["figures"]}
-    for name, caption in captions.items():
+    for name, caption in {f["name"]: f["caption"] for f in summary["figures"]}.items():
         if "-polar-" in name or "-absolute-" in name:
             assert "Light band: theory and its misfit tau, " in caption, name
             assert "opacity: 0.14" in (folder / "figures" / f"{name}.svg").read_text(encoding="utf-8"), name
@@ -142,8 +140,7 @@ def test_the_combined_rho_dh_of_facets_is_theirs(page: tuple[Any, str]) -> None:
 
 
 def test_gonio_fit_says_how_far_off_and_where() -> None:
-    table = of_facets(7, "in plane")[0]
-    said = of_fit(fit(table, "cook-torrance"))
+    said = of_fit(fit(of_facets(7, "in plane")[0], "cook-torrance"))
     assert re.match(r"describes the values to [\d.]+ % \([\d.]+ to [\d.]+\), worst " + OFF, said)
     assert "; reduced chi-square " in said
     true = of_fit(fit(measure(PAINT, noise=0.01, seed=3), "cook-torrance"))

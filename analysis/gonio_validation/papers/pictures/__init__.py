@@ -48,7 +48,7 @@ def make(out: str | Path, *, command: str = "", step: Step | None = None) -> Pat
         The folder cannot be written or holds something else.
     """
     from gonio_analysis.report import files, html
-    from gonio_analysis.report.comparison import stamp
+    from gonio_analysis.report.blocks import stamp
 
     from gonio_validation.papers.pictures.sheet import contact_sheet
 
