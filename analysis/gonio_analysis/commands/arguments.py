@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from dataclasses import replace
+from typing import TYPE_CHECKING, TypeVar
+
+from gonio.errors import ConfigError
 
 if TYPE_CHECKING:
     from gonio.models.declaration import Ior
     from gonio_analysis.fitting.fit import FitResult
     from gonio_analysis.fitting.problem import FitRequest
+
+T = TypeVar("T")
 
 
 def read_ior(text: str | None) -> Ior:
@@ -22,7 +27,6 @@ def read_ior(text: str | None) -> Ior:
     if text is None:
         return None
     from gonio import materials
-    from gonio.errors import ConfigError
 
     try:
         value = complex(text.replace(" ", "").replace("i", "j"))
@@ -42,10 +46,7 @@ def with_u_ior(asked: FitRequest, text: str, wavelength_nm: float) -> FitRequest
     ConfigError
         There are no constants, or it is neither a number between 0 and 1 nor "sources".
     """
-    from dataclasses import replace
-
     from gonio import materials
-    from gonio.errors import ConfigError
 
     ior = asked.ior
     if not isinstance(ior, str | complex) or asked.each is not None:
@@ -79,6 +80,25 @@ def given_constants(result: FitResult) -> str:
     return "n, k" if problem.ior is not None and "ior" not in problem.free else ""
 
 
+def names_of(models: str) -> list[str]:
+    """The models that --models lists."""
+
+    names = [name.strip() for name in models.split(",")]
+    if not all(names):
+        raise ConfigError(f'--models "{models}": a name is missing; they are separated by single commas')
+    return names
+
+
+def once(option: str, pairs: list[tuple[str, T]]) -> dict[str, T]:
+    """What an option says of each name; `ConfigError` where it says two things of one."""
+
+    names = [name for name, _ in pairs]
+    for name in names:
+        if names.count(name) > 1:
+            raise ConfigError(f"{option} {name}=...: is given {names.count(name)} times; say it once")
+    return dict(pairs)
+
+
 def read_fixed(text: str) -> tuple[str, float | str]:
     """NAME=VALUE from a command line; a value that is no number stays a word.
 
@@ -87,8 +107,6 @@ def read_fixed(text: str) -> tuple[str, float | str]:
     ConfigError
         There is no "=", or a side of it is empty, or the number is not finite.
     """
-
-    from gonio.errors import ConfigError
 
     name, _, value = (part.strip() for part in text.partition("="))
     if not name or not value:
@@ -125,7 +143,6 @@ def read_prior(text: str) -> tuple[str, tuple[float, float]]:
 
 
 def _read_two(text: str, option: str, between: str, form: str, example: str) -> tuple[str, tuple[float, float]]:
-    from gonio.errors import ConfigError
 
     name, _, numbers = text.partition("=")
     first, _, second = numbers.partition(between)

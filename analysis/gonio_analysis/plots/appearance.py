@@ -27,11 +27,8 @@ def colours(ax: Any, aspecular_deg: Floats, values: Sequence[Floats], u: Sequenc
     """
     drawn = []
     for name, value, bar, (colour, marker, line) in zip(LETTERS, values, u, STYLES, strict=True):
-        drawn.append(
-            ax.errorbar(
-                aspecular_deg, value, yerr=bar, color=colour, marker=marker, ls=line, ms=4, lw=1, capsize=2, label=name
-            )
-        )
+        look = {"color": colour, "marker": marker, "ls": line, "ms": 4, "lw": 1, "capsize": 2, "label": name}
+        drawn.append(ax.errorbar(aspecular_deg, value, yerr=bar, **look))
     ax.axhline(0.0, color="0.8", lw=0.7, zorder=0)
     ax.set_title(label, fontsize=9)
     ax.set_xticks(list(aspecular_deg))
@@ -53,9 +50,7 @@ def beams(ax: Any, angle_deg: float, source_deg: float, receiver_deg: float, *, 
         above = 0.12 if angle_deg > 80.0 else 0.0  # clear of the surface
         place = (1.14 * math.cos(turn), 1.14 * math.sin(turn) + above)
         ax.annotate(f"{width:g}°", place, ha="center", va="center", fontsize=8)
-    ax.set_xlim(-1.35, 1.35)
-    ax.set_ylim(-0.1, 1.25)
-    ax.set_aspect("equal")
+    ax.set(xlim=(-1.35, 1.35), ylim=(-0.1, 1.25), aspect="equal")
     ax.set_axis_off()
     ax.set_title(label, fontsize=9)
     return drawn

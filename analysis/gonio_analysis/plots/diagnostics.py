@@ -70,8 +70,7 @@ def profile(ax: Any, interval: Interval, *, value: float, threshold: float, unit
     ax.locator_params(axis="x", nbins=3)
     ax.tick_params(labelsize=7)
     ax.xaxis.get_offset_text().set_size(7)
-    for side in ("top", "right"):
-        ax.spines[side].set_visible(False)
+    ax.spines[["top", "right"]].set_visible(False)
     return artists
 
 
@@ -105,9 +104,8 @@ def budget(ax: Any, parts: Sequence[tuple[str, float, float]]) -> list[Any]:
     parts
         (label, median, 95th percentile), relative (1 = 100 %); the first one on top.
     """
-    y = np.arange(len(parts))[::-1]
+    y, high = np.arange(len(parts))[::-1], np.array([p[2] for p in parts]) * 100
     median = np.array([max(p[1], 0.0) for p in parts]) * 100
-    high = np.array([p[2] for p in parts]) * 100
     colours = [INK if label.startswith("combined") else "#0072B2" for label, *_ in parts]
     artists: list[Any] = [ax.barh(y, median, height=0.55, color=colours, zorder=2)]
     artists += ax.plot(high, y, ls="none", marker="|", ms=12, mew=1.6, color="#D55E00", zorder=3)
@@ -129,8 +127,7 @@ def series(
 ) -> list[Any]:
     """A fitted parameter over wavelength, with standard errors where they are known."""
     artists = [ax.errorbar(x, y, yerr=np.nan_to_num(u), marker="o", ms=3, lw=1.0, elinewidth=0.8, color=colour)]
-    ax.set_xlabel(x_label)
-    ax.set_ylabel(y_label)
+    ax.set(xlabel=x_label, ylabel=y_label)
     ax.grid(color=FAINT, lw=0.5)
     clean(ax)
     return artists

@@ -14,10 +14,9 @@ from gonio_analysis.plots.style import FAINT, INK
 def _half_disc(ax: Any, rim: float, label: str, *, retro_right: bool) -> None:
     from matplotlib.collections import LineCollection
 
-    ax.set_aspect("equal")
     ax.axis("off")
-    ax.set_xlim(*(1.14 * rim * s for s in ((1, -1) if retro_right else (-1, 1))))
-    ax.set_ylim(-0.2 * rim, 1.13 * rim)
+    right = -1.14 * rim if retro_right else 1.14 * rim
+    ax.set(aspect="equal", xlim=(-right, right), ylim=(-0.2 * rim, 1.13 * rim))
     turn = np.linspace(-np.pi / 2, np.pi / 2, 181)
     ticks = _ticks(rim)
     inner = [t for t in ticks[1:] if abs(t - rim) > 1e-9 * rim]
@@ -31,9 +30,9 @@ def _half_disc(ax: Any, rim: float, label: str, *, retro_right: bool) -> None:
         paths.set_clip_on(False)
     for degrees in range(-90, 91, 30):
         upright = degrees % 90 == 0
-        tx, ty = xy(np.radians([degrees]), np.array([rim * (1.075 if upright else 1.045)]))
+        (tx,), (ty,) = xy(np.radians([degrees]), np.array([rim * (1.075 if upright else 1.045)]))
         ha = "center" if upright else "left" if (degrees > 0) != retro_right else "right"
-        ax.text(tx[0], ty[0], f"{degrees}°".replace("-", "−"), ha=ha, va="center", fontsize=7, color=INK)
+        ax.text(tx, ty, f"{degrees}°".replace("-", "−"), ha=ha, va="center", fontsize=7, color=INK)
     for t in ticks:
         for side in (-1, 1) if t else (1,):
             ax.text(side * t, -0.03 * rim, f"{t:.3g}", ha="center", va="top", fontsize=7, color=INK)
@@ -50,9 +49,8 @@ def _radial_bars(ax: Any, line: Line, clip: Any, colour: str) -> list[Any]:
     known = np.isfinite(line.u)
     if not known.any():
         return []
-    low = xy(line.angle[known], np.maximum(line.measured[known] - line.u[known], 0.0))
-    high = xy(line.angle[known], np.maximum(line.measured[known] + line.u[known], 0.0))
-    segments = np.stack([np.stack(low, axis=1), np.stack(high, axis=1)], axis=1)
+    ends = (np.maximum(line.measured[known] + sign * line.u[known], 0.0) for sign in (-1.0, 1.0))
+    segments = np.stack([np.stack(xy(line.angle[known], end), axis=1) for end in ends], axis=1)
     bars = LineCollection(list(segments), colors=colour, linewidths=0.9, zorder=4)
     ax.add_collection(bars, autolim=False)
     bars.set_clip_path(clip)

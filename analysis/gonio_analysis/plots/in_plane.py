@@ -64,8 +64,9 @@ def handles(lines: Sequence[Line], names: Sequence[str] = ()) -> list[Any]:
     """What a legend says of curves: their colours, with markers where values were measured, or their dashes."""
     from matplotlib.lines import Line2D
 
-    measured = any(line.measured.size for line in lines)
-    looks = [style(k) if measured else {"color": COLOURS[k % len(COLOURS)]} for k in range(len(lines))]
+    looks: list[dict[str, Any]] = [{"color": COLOURS[k % len(COLOURS)]} for k in range(len(lines))]
+    if any(line.measured.size for line in lines):
+        looks = [dict(style(k)) for k in range(len(lines))]
     return [
         Line2D([], [], lw=1.5, ms=3.5, ls=stroke(k, lines), label=name, **look)
         for k, (name, look) in enumerate(zip(names or [line.label for line in lines], looks, strict=True))
@@ -86,12 +87,10 @@ def pair(first: str, second: str, points: tuple[bool, bool]) -> list[Any]:
     """What a legend says of two sides: a dashed and a solid line, with markers where values were measured."""
     from matplotlib.lines import Line2D
 
-    looks: list[dict[str, Any]] = [
-        {"marker": "o", "mfc": face} if one else {} for one, face in zip(points, (INK, "white"), strict=True)
-    ]
+    sides = zip((first, second), ((0, (4, 2)), "-"), (INK, "white"), points, strict=True)
     return [
-        Line2D([], [], color=INK, lw=0.9, ls=ls, ms=3.5, label=name, **look)
-        for name, ls, look in zip((first, second), ((0, (4, 2)), "-"), looks, strict=True)
+        Line2D([], [], color=INK, lw=0.9, ls=ls, ms=3.5, label=name, **({"marker": "o", "mfc": face} if one else {}))
+        for name, ls, face, one in sides
     ]
 
 
@@ -146,24 +145,19 @@ def polar(
     rim = radius_of(lines) if radius is None else radius
     _half_disc(ax, rim, radius_label, retro_right=retro_right)
     clip = Wedge((0, 0), rim, 0, 180, transform=ax.transData)
-    artists: list[Any] = []
-    beyond: list[tuple[str, str]] = []
+    artists, beyond = list[Any](), list[tuple[str, str]]()
     for k, line in enumerate(lines):
-        look = style(k)
-        notes: list[str] = []
+        look, notes = style(k), list[str]()
         if line.theory.size:
-            ls = stroke(k, lines)
-            path = xy(line.theory_angle, line.theory)
-            artists += ax.plot(*path, color=look["color"], lw=1.5, label=line.label, zorder=3, ls=ls)
+            artists += _theory(ax, k, lines, *xy(line.theory_angle, line.theory), lw=1.5)
             artists[-1].set_clip_path(clip)
             if line.tau > 0:
                 artists += _misfit_band(ax, line, look["color"], rim, clip)
-            if _top(line.theory) > rim * 1.001:
-                notes.append(f"theory to {_top(line.theory):.3g}")
         if line.measured.size:
             artists += _measured(ax, line, look, rim, clip)
-            if _top(line.measured) > rim * 1.001:
-                notes.append(f"{called} to {_top(line.measured):.3g}")
+        for what, values in (("theory", line.theory), (called, line.measured)):
+            if _top(values) > rim * 1.001:
+                notes.append(f"{what} to {_top(values):.3g}")
         if line.mirror is not None:
             x, y = xy(np.array([line.mirror, line.mirror]), np.array([rim, rim * 1.03]))
             artists += ax.plot(x, y, color=look["color"], lw=2.2, solid_capstyle="butt", clip_on=False, zorder=5)
@@ -172,14 +166,20 @@ def polar(
     return artists + _notes_at_rim(ax, beyond, rim, retro_right=retro_right)
 
 
+def _theory(ax: Any, k: int, lines: Sequence[Line], x: Floats, y: Floats, *, lw: float = 1.4) -> list[Any]:
+    """The line of theory along curve number `k`."""
+    look = {"color": style(k)["color"], "ls": stroke(k, lines), "label": lines[k].label}
+    return [*ax.plot(x, y, lw=lw, zorder=3, **look)]
+
+
 def _notes_at_rim(ax: Any, beyond: Sequence[tuple[str, str]], rim: float, *, retro_right: bool) -> list[Any]:
     """What is cut off, each note in its curve's colour."""
     artists = []
     rows = max(3, -(-len(beyond) // 2))  # three find room above the rim, on each side of the label of the normal
     for k, (text, colour) in enumerate(beyond):
-        ha = "left" if k < rows else "right"
-        at = ((-1.0 if (ha == "left") != retro_right else 1.0) * 1.12 * rim, (1.105 - 0.048 * (k % rows)) * rim)
-        artists.append(ax.text(*at, text, color=colour, fontsize=6.5, ha=ha, va="center", zorder=6))
+        side, ha = (-1.0, "left") if k < rows else (1.0, "right")
+        x, y = (-side if retro_right else side) * 1.12 * rim, (1.105 - 0.048 * (k % rows)) * rim
+        artists.append(ax.text(x, y, text, color=colour, fontsize=6.5, ha=ha, va="center", zorder=6))
     return artists
 
 
@@ -219,31 +219,16 @@ def semilog(ax: Any, lines: Sequence[Line], *, unit: str = "BRDF [1/sr]") -> lis
     artists: list[Any] = []
     positive = [v[v > 0] for line in lines for v in (line.theory, line.measured) if np.any(v > 0)]
     for k, line in enumerate(lines):
-        look = style(k)
         if line.theory.size:
-            value = np.where(line.theory > 0, line.theory, np.nan)
-            ls = stroke(k, lines)
             x = np.degrees(line.theory_angle)
-            artists += ax.plot(x, value, color=look["color"], lw=1.4, label=line.label, zorder=3, ls=ls)
+            artists += _theory(ax, k, lines, x, np.where(line.theory > 0, line.theory, np.nan))
             if line.tau > 0:
-                artists.append(ax.fill_between(x, *band(line), color=look["color"], alpha=BAND, lw=0, zorder=1))
-        shown = line.measured > 0
-        if shown.any():
-            x, y, u = np.degrees(line.angle[shown]), line.measured[shown], np.nan_to_num(line.u[shown])
-            artists.append(
-                ax.errorbar(
-                    x,
-                    y,
-                    yerr=[np.minimum(u, 0.999 * y), u],
-                    ls=(0, (4, 2)),
-                    lw=0.8,
-                    label=None if line.theory.size else line.label,
-                    elinewidth=0.8,
-                    ms=2.6,
-                    zorder=4,
-                    **look,
-                )
-            )
+                colour = style(k)["color"]
+                artists.append(ax.fill_between(x, *band(line), color=colour, alpha=BAND, lw=0, zorder=1))
+        if np.any(line.measured > 0):
+            label = None if line.theory.size else line.label
+            look = {"lw": 0.8, "label": label, "elinewidth": 0.8, "ms": 2.6, "zorder": 4, **style(k)}
+            artists.append(bars_above_0(ax, line.angle, line.measured, line.u, ls=(0, (4, 2)), **look))
     if positive:
         measured = [line.measured[line.measured > 0] for line in lines if np.any(line.measured > 0)]
         low = min(float(np.min(v)) for v in (measured or positive))
@@ -253,6 +238,13 @@ def semilog(ax: Any, lines: Sequence[Line], *, unit: str = "BRDF [1/sr]") -> lis
     angle_axis(ax)
     ax.set_ylabel(unit)
     return artists
+
+
+def bars_above_0(ax: Any, angle: Floats, value: Floats, u: Floats, **look: Any) -> Any:
+    """Values above 0 over an angle [rad] with error bars that do not reach down to 0, for a logarithmic axis."""
+    shown = value > 0
+    y, bar = value[shown], np.nan_to_num(u[shown])
+    return ax.errorbar(np.degrees(angle[shown]), y, yerr=[np.minimum(bar, 0.999 * y), bar], **look)
 
 
 def overlay(ax: Any, line: Line, theory: Sequence[tuple[Floats, Floats]]) -> tuple[float, float]:
@@ -276,9 +268,9 @@ def overlay(ax: Any, line: Line, theory: Sequence[tuple[Floats, Floats]]) -> tup
         shown = np.where(value > 0, value, np.nan)
         ax.plot(np.degrees(angle), shown, color=COLOURS[k % len(COLOURS)], ls=dashes(k), lw=1.2, zorder=4)
     kept = line.measured > 0
-    x, y, u = np.degrees(line.angle[kept]), line.measured[kept], np.nan_to_num(line.u[kept])
-    if np.any(u > 0):
-        ax.errorbar(x, y, yerr=[np.minimum(u, 0.999 * y), u], ls="none", elinewidth=0.7, color="#77808c", zorder=3)
+    x, y = np.degrees(line.angle[kept]), line.measured[kept]
+    if np.any(line.u[kept] > 0):
+        bars_above_0(ax, line.angle, line.measured, line.u, ls="none", elinewidth=0.7, color="#77808c", zorder=3)
     ax.plot(x, y, ls="none", marker=".", ms=3.5, color=INK, zorder=3)
     angle_axis(ax)
     every = np.concatenate([y, *(v[(v > 0) & np.isfinite(v)] for _, v in theory)])
@@ -288,8 +280,7 @@ def overlay(ax: Any, line: Line, theory: Sequence[tuple[Floats, Floats]]) -> tup
 
 def ceiling(lines: Sequence[Line]) -> float:
     """How high a logarithmic panel reaches for theory: measured values keep two thirds of it. Infinite without any."""
-    every = [line.measured[line.measured > 0] for line in lines]
-    values = np.concatenate(every) if every else np.empty(0)
+    values = np.concatenate([np.empty(0), *(line.measured[line.measured > 0] for line in lines)])
     if not values.size:
         return np.inf
     low, high = float(values.min()), float(values.max())
@@ -302,21 +293,19 @@ def log_axis(ax: Any, low: float, high: float) -> None:
     ax.set_yscale("log")  # before the limits: a linear axis refuses limits as small as a table may hold
     low, high = low / 1.5, high * 1.5
     ax.set_ylim(low, high)
-    if high < 100 * low:  # few decades: label the steps between them too
-        from matplotlib.ticker import FixedLocator, NullLocator
+    from matplotlib.ticker import FixedLocator, LogLocator, NullFormatter, NullLocator
 
+    if high < 100 * low:  # few decades: label the steps between them too
         digits = (1, 1.5, 2, 3, 4, 5, 6, 8) if high < 10 * low else (1, 2, 5)
         steps = [m * 10.0**p for p in range(-9, 9) for m in digits if low <= m * 10.0**p <= high]
         ax.yaxis.set_major_locator(FixedLocator(steps))
         ax.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
         ax.yaxis.set_minor_locator(NullLocator())
-    else:
-        from matplotlib.ticker import LogLocator, NullFormatter
-
-        ax.yaxis.set_major_formatter(lambda value, _: _power_of_ten(value))
-        if high > 1e4 * low:  # a tick is slow to draw, and eight a decade are too close to count
-            ax.yaxis.set_minor_locator(LogLocator(subs=(2.0, 5.0), numticks=50))
-        ax.yaxis.set_minor_formatter(NullFormatter())
+        return
+    ax.yaxis.set_major_formatter(lambda value, _: _power_of_ten(value))
+    if high > 1e4 * low:  # a tick is slow to draw, and eight a decade are too close to count
+        ax.yaxis.set_minor_locator(LogLocator(subs=(2.0, 5.0), numticks=50))
+    ax.yaxis.set_minor_formatter(NullFormatter())
 
 
 def linear(ax: Any, lines: Sequence[Line], *, y_label: str, retro_right: bool = False) -> list[Any]:
@@ -329,16 +318,11 @@ def linear(ax: Any, lines: Sequence[Line], *, y_label: str, retro_right: bool = 
     """
     artists: list[Any] = []
     for k, line in enumerate(lines):
-        look = style(k)
         if line.theory.size:
-            ls = stroke(k, lines)
-            x = np.degrees(line.theory_angle)
-            artists += ax.plot(x, line.theory, color=look["color"], lw=1.4, label=line.label, zorder=3, ls=ls)
+            artists += _theory(ax, k, lines, np.degrees(line.theory_angle), line.theory)
         if line.measured.size:
-            x, u = np.degrees(line.angle), np.nan_to_num(line.u)
-            artists.append(
-                ax.errorbar(x, line.measured, yerr=u, ls=(0, (4, 2)), lw=0.8, elinewidth=0.8, ms=2.6, zorder=4, **look)
-            )
+            look = {"yerr": np.nan_to_num(line.u), "lw": 0.8, "elinewidth": 0.8, "ms": 2.6, "zorder": 4, **style(k)}
+            artists.append(ax.errorbar(np.degrees(line.angle), line.measured, ls=(0, (4, 2)), **look))
     ax.set_ylim(bottom=0.0)
     angle_axis(ax, retro_right=retro_right)
     ax.set_ylabel(y_label)
@@ -358,9 +342,7 @@ def residuals(
     others
         Angles [rad] and residuals of values that belong to no curve (out of plane), in grey.
     """
-    artists: list[Any] = []
-    if whitened:
-        artists.append(ax.axhspan(-2, 2, color="#e9eef5", zorder=0))
+    artists: list[Any] = [ax.axhspan(-2, 2, color="#e9eef5", zorder=0)] if whitened else []
     artists.append(ax.axhline(0 if whitened else 1, color=INK, lw=0.7, zorder=1))
     everything: list[Floats] = []
 
@@ -468,10 +450,8 @@ def degrees_along(ax: Any, end: int, step: int) -> None:
 
 def clean(ax: Any) -> None:
     """Axes with two quiet spines and small labels."""
-    for side in ("top", "right"):
-        ax.spines[side].set_visible(False)
-    for side in ("left", "bottom"):
-        ax.spines[side].set_color("#77808c")
+    ax.spines[["top", "right"]].set_visible(False)
+    ax.spines[["left", "bottom"]].set_color("#77808c")
     ax.tick_params(labelsize=7.5, color="#77808c")
     ax.xaxis.label.set_size(8)
     ax.yaxis.label.set_size(8)

@@ -19,7 +19,7 @@ from gonio.typing import Floats
 from gonio_analysis.curves.in_plane import FARTHEST, Rows
 from gonio_analysis.curves.line import Line
 from gonio_analysis.fitting.observations import Observations
-from gonio_analysis.plots.in_plane import angle_axis, log_axis, style
+from gonio_analysis.plots.in_plane import angle_axis, bars_above_0, log_axis, style
 from gonio_analysis.plots.style import FAINT, INK
 
 FEWEST = 4
@@ -129,9 +129,8 @@ def both(ax: Any, lines: Sequence[Line], points: tuple[bool, bool]) -> list[Any]
             look = {"marker": marker, "ms": 3.0, "mfc": face, "mew": 0.8} if measured else {}
             artists += ax.plot(x, y, color=colour, ls=stroke, lw=0.7 if measured else 1.3, zorder=3, **look)
             if u is not None and np.any(u > 0):
-                bar = np.nan_to_num(u[shown])
-                below = np.minimum(bar, 0.999 * y)
-                artists.append(ax.errorbar(x, y, yerr=[below, bar], ls="none", elinewidth=0.8, color=colour, zorder=2))
+                look = {"ls": "none", "elinewidth": 0.8, "color": colour, "zorder": 2}
+                artists.append(bars_above_0(ax, angle[shown], y, u[shown], **look))
             if measured or not any(points):
                 ends.append(y)
     every = np.concatenate(ends) if ends else np.empty(0)
@@ -148,11 +147,8 @@ def changes(ax: Any, lines: Sequence[Line], marked: Sequence[Marks | None]) -> l
     reach = [0.1]
     for k, (line, ring) in enumerate(zip(lines, marked, strict=True)):
         x, u = np.degrees(line.angle), np.nan_to_num(line.u)
-        artists.append(
-            ax.errorbar(
-                x, line.measured, yerr=u, ls="none", elinewidth=0.9, ms=3.2, zorder=3, label=line.label, **style(k)
-            )
-        )
+        look = {"ls": "none", "elinewidth": 0.9, "ms": 3.2, "zorder": 3, "label": line.label, **style(k)}
+        artists.append(ax.errorbar(x, line.measured, yerr=u, **look))
         artists += _rings(ax, x, line.measured, ring)
         if line.measured.size:
             reach.append(float(np.quantile(np.abs(line.measured) + u, 0.98)))
@@ -169,8 +165,7 @@ def significance(ax: Any, lines: Sequence[Line], limit: float) -> list[Any]:
     for k, line in enumerate(lines):
         artists += ax.plot(np.degrees(line.angle), line.measured, ls="none", ms=3, zorder=3, **style(k))
         top = max(top, float(np.abs(line.measured).max(initial=0.0)))
-    for side in (-limit, limit):
-        artists.append(ax.axhline(side, color=INK, lw=0.8, ls=(0, (4, 3)), zorder=2))
+    artists += [ax.axhline(side, color=INK, lw=0.8, ls=(0, (4, 3)), zorder=2) for side in (-limit, limit)]
     ax.set_ylim(-1.2 * top, 1.2 * top)
     angle_axis(ax)
     ax.set_ylabel("standard\ndeviations")
@@ -182,23 +177,17 @@ def slices(data: Observations, rows: Rows) -> list[Line]:
 
     The signed angle is positive where the receiver is on the mirror side of the plane across the plane of incidence.
     """
-    off = ~data.directions[rows].in_plane
-    rows, at = rows[off], data.directions[rows[off]]
+    rows = rows[~data.directions[rows].in_plane]
+    at = data.directions[rows]
     turn = np.round(np.degrees(at.dphi) % 180.0, 0)
-    out = []
-    u = data.u
+    out, nothing = [], np.empty(0)
     for half in np.unique(turn):
-        here = turn == half
-        angle = at[here].signed
-        order = np.argsort(angle)
-        chosen = rows[here][order]
-        if chosen.size < FEWEST:
-            continue
-        nothing = np.empty(0)
-        azimuth = round(float(np.mean(np.degrees(at[here].dphi) % 180.0)), 1)
-        out.append(
-            Line(f"Δφ = {azimuth:g}°/{azimuth + 180:g}°", nothing, nothing, angle[order], data.brdf[chosen], u[chosen])
-        )
+        here = np.flatnonzero(turn == half)
+        here = here[np.argsort(at[here].signed)]
+        if here.size >= FEWEST:
+            azimuth = round(float(np.mean(np.degrees(at[here].dphi) % 180.0)), 1)
+            label, chosen = f"Δφ = {azimuth:g}°/{azimuth + 180:g}°", rows[here]
+            out.append(Line(label, nothing, nothing, at[here].signed, data.brdf[chosen], data.u[chosen]))
     return out
 
 

@@ -38,18 +38,12 @@ def grid(axes: Any, lines: Mapping[str, Sequence[Line]]) -> list[Any]:
         for k, line in enumerate(lines[name]):
             look = style(k)
             if line.theory.size:
-                artists += ax.plot(
-                    np.degrees(line.theory_angle), line.theory, color=look["color"], lw=1.2, zorder=3, label=line.label
-                )
+                x = np.degrees(line.theory_angle)
+                artists += ax.plot(x, line.theory, color=look["color"], lw=1.2, zorder=3, label=line.label)
             u = np.nan_to_num(line.u)
-            artists.append(
-                ax.errorbar(
-                    np.degrees(line.angle), line.measured, yerr=u if u.any() else None, ls="none", ms=2.0,
-                    elinewidth=0.7, zorder=4, **look,
-                )
-            )  # fmt: skip
-        ax.set_xlim(-90, 90)
-        ax.set_ylim(-reach, reach)
+            bars = {"yerr": u if u.any() else None, "ls": "none", "ms": 2.0, "elinewidth": 0.7, "zorder": 4}
+            artists.append(ax.errorbar(np.degrees(line.angle), line.measured, **bars, **look))
+        ax.set(xlim=(-90, 90), ylim=(-reach, reach))
         ax.set_yticks([-0.8 * reach, 0.0, 0.8 * reach] if reach < 1.0 else [-1.0, 0.0, 1.0])
         ax.yaxis.set_major_formatter(lambda value, _: f"{value:g}".replace("-", "−"))
         ax.set_xticks([-60, 0, 60], ["−60°", "0°", "60°"] if i == 3 else ["", "", ""])

@@ -86,15 +86,9 @@ def on_logarithm(lines: Sequence[Line], width_pt: float, height_pt: float, most:
 
 def of_residuals(lines: Sequence[Line], width_pt: float, height_pt: float, most: int) -> list[Line]:
     """Lines for `polar.residuals` with at most `most` residuals together."""
-    known = [line for line in lines if line.residual is not None]
-    return [
-        _taken(
-            line,
-            residuals(line.angle, line.residual, width_pt, height_pt, share(known, most)),
-        )
-        for line in known
-        if line.residual is not None
-    ]
+    known = [(line, line.residual) for line in lines if line.residual is not None]
+    most = share([line for line, _ in known], most)
+    return [_taken(line, residuals(line.angle, residual, width_pt, height_pt, most)) for line, residual in known]
 
 
 def residuals(
@@ -134,14 +128,12 @@ def of_curve(curve: Curve, most: int) -> Curve:
         return curve
     with np.errstate(divide="ignore", invalid="ignore"):
         height = np.log(np.abs(curve.brdf))
-    height = np.where(np.isfinite(height), height, np.nan)
-    span = float(np.nanmax(height) - np.nanmin(height)) if np.isfinite(height).any() else 0.0
-    height = np.nan_to_num(height, nan=float(np.nanmin(height)) if np.isfinite(height).any() else 0.0)
+    known = height[np.isfinite(height)]
+    least, span = (float(known.min()), float(np.ptp(known))) if known.size else (0.0, 0.0)
+    height = np.where(np.isfinite(height), height, least)
     rows = enough(_across(curve.angle, 400.0), height * 250.0 / (span or 1.0), most=most)
-    more = [int(np.argmax(curve.brdf)), int(np.argmin(curve.brdf))]
-    if curve.mirror is not None:
-        more.append(curve.mirror)
-    rows = np.unique(np.concatenate([rows, np.array(more, dtype=np.intp)]))
+    more = [int(np.argmax(curve.brdf)), int(np.argmin(curve.brdf)), *([] if curve.mirror is None else [curve.mirror])]
+    rows = np.union1d(rows, more).astype(np.intp)
     return replace(curve, angle=curve.angle[rows], rows=curve.rows[rows], brdf=curve.brdf[rows], u=curve.u[rows])
 
 

@@ -57,27 +57,25 @@ def disc(
 def _frame(ax: Any, words: tuple[str, str]) -> None:
     from matplotlib.collections import LineCollection
 
-    ax.set_aspect("equal")
     ax.axis("off")
-    ax.set_xlim(-1.14, 1.14)
-    ax.set_ylim(-1.3, 1.3)
+    ax.set(aspect="equal", xlim=(-1.14, 1.14), ylim=(-1.3, 1.3))
     turn = np.linspace(-np.pi, np.pi, 361)
     rings = [np.stack(xy(turn, np.full(turn.size, r)), axis=1) for r in (0.25, 0.5, 0.75)]
     rays = [np.stack(xy(np.full(2, a), np.array([0.0, RIM])), axis=1) for a in np.radians(np.arange(-165, 181, 15))]
-    ax.add_collection(LineCollection([*rings, *rays], colors=FAINT, linewidths=0.5, zorder=1), autolim=False)
-    rim = np.stack(xy(turn, np.full(turn.size, RIM)), axis=1)
-    sample = np.array([(-RIM, 0.0), (RIM, 0.0)])
-    ax.add_collection(LineCollection([rim], colors=INK, linewidths=0.9, zorder=1), autolim=False)
-    ax.add_collection(LineCollection([sample], colors=INK, linewidths=1.8, zorder=2), autolim=False)
+    rim, sample = np.stack(xy(turn, np.full(turn.size, RIM)), axis=1), np.array([(-RIM, 0.0), (RIM, 0.0)])
+    for lines, colour, width, order in (
+        ([*rings, *rays], FAINT, 0.5, 1),
+        ([rim], INK, 0.9, 1),
+        ([sample], INK, 1.8, 2),
+    ):
+        ax.add_collection(LineCollection(lines, colors=colour, linewidths=width, zorder=order), autolim=False)
     for degrees in range(-150, 181, 30):
-        tx, ty = xy(np.radians([degrees]), np.array([1.085]))
-        ax.text(tx[0], ty[0], f"{degrees}°".replace("-", "−"), ha="center", va="center", fontsize=7, color=INK)
+        (tx,), (ty,) = xy(np.radians([degrees]), np.array([1.085]))
+        ax.text(tx, ty, f"{degrees}°".replace("-", "−"), ha="center", va="center", fontsize=7, color=INK)
     for r in (0.5, 1.0):
         ax.text(0.012, r - 0.035, f"{r:g}", ha="left", va="center", fontsize=6.5, color=INK, zorder=6)
         ax.text(0.012, 0.035 - r, f"{r:g}", ha="left", va="center", fontsize=6.5, color=INK, zorder=6)
     for y, text in zip((1.245, -1.245), words, strict=True):
         ax.text(0, y, text, ha="center", va="center", fontsize=7.5, color=INK)
-    grey = {"fontsize": 7, "color": "#5a6472", "va": "center"}
-    ax.text(-1.13, 1.13, "retro side", ha="left", **grey)
-    ax.text(1.13, 1.13, "mirror side", ha="right", **grey)
-    ax.text(1.13, -1.13, "straight on", ha="right", **grey)
+    for x, y, text in ((-1.13, 1.13, "retro side"), (1.13, 1.13, "mirror side"), (1.13, -1.13, "straight on")):
+        ax.text(x, y, text, ha="left" if x < 0 else "right", fontsize=7, color="#5a6472", va="center")
