@@ -5,14 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from gonio_analysis.appearance import sampled
 from gonio_analysis.appearance.sampled import NotMeasured, Sampled
 from gonio_analysis.result_records import Appearance, AtIncidence, Colour, Quantity, Retroreflection, finite
-
-if TYPE_CHECKING:
-    pass
 
 WHITE_L = 100.0
 """L* of the perfect diffuser."""
@@ -69,10 +65,6 @@ class _Numbers:
 
 def _key(theta_i_deg: float, aspecular_deg: float) -> str:
     return f"{theta_i_deg:g}as{aspecular_deg:g}"
-
-
-def _brighter(value: float) -> str | None:
-    return BRIGHTER if value > WHITE_L else None
 
 
 @dataclass(frozen=True)
@@ -137,7 +129,7 @@ class _Quantities:
 
     def colour_at(self, theta_i: float, aspecular: float) -> Colour:
         key = _key(theta_i, aspecular)
-        light = self.quantity(lambda: self.numbers[f"L {key}"], "1", _brighter)
+        light = self.quantity(lambda: self.numbers[f"L {key}"], "1", lambda x: BRIGHTER if x > WHITE_L else None)
         return Colour(
             theta_i, aspecular, theta_i - aspecular, light, *(self.named(f"{letter} {key}", "1") for letter in "ab")
         )

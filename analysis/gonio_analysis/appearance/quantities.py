@@ -32,6 +32,7 @@ VISIBLE_NM = (380.0, 780.0)
 LARGEST_STEP_NM = 20.0
 REACH_NM = (420.0, 680.0)
 """A table's wavelengths have to lie no farther apart than this, and to reach these, for a colour."""
+EIGHT = math.radians(8.0)
 RETRO_GAP_DEG = 1.0
 """Between two values that one near the source is interpolated from."""
 
@@ -54,9 +55,6 @@ def of(spec: str, *, wavelength_nm: float | None = None, how: Reading | None = N
         raise ConfigError(f"{spec} holds {len(found)} samples: name one as {spec}:SAMPLE, of: {'; '.join(found)}")
     name, table = next(iter(found.items()))
     return of_table(table, name=name, source=spec, wavelength_nm=wavelength_nm)
-
-
-# --- tables ----------------------------------------------------------------------------------------------------------
 
 
 def of_table(
@@ -120,11 +118,10 @@ def of_table(
 
 
 def _nearest_8(incidences: Mapping[float, object]) -> float:
-    goal = math.radians(8.0)
-    near = [theta for theta in incidences if abs(theta - goal) <= sampled_hemisphere.NEAR_8]
-    if not near:
+    near = min(incidences, key=lambda theta: abs(theta - EIGHT), default=math.inf)
+    if abs(near - EIGHT) > sampled_hemisphere.NEAR_8:
         raise NotMeasured(f"no incidence within {math.degrees(sampled_hemisphere.NEAR_8):g}° of 8° was measured")
-    return min(near, key=lambda theta: abs(theta - goal))
+    return near
 
 
 def _value(every: Sequence[Curve], n: int, theta_i_deg: float, signed_deg: float, *, times: float = 1.0) -> Sampled:
@@ -132,22 +129,17 @@ def _value(every: Sequence[Curve], n: int, theta_i_deg: float, signed_deg: float
 
 
 def _retro(every: Sequence[Curve], n: int, entrance: float, observation: float) -> Sampled:
-    """The BRDF at an observation angle to either side of the source."""
-    found, why = [], None
+    """The BRDF at an observation angle to either side of the source: the mean of those that were measured."""
+    theta, gap, found, why = math.radians(entrance), math.radians(RETRO_GAP_DEG), list[Sampled](), None
     for side in (1.0, -1.0):
+        signed = -math.radians(entrance + side * observation)
         try:
-            found.append(
-                sampled.in_plane_value(
-                    every, n, math.radians(entrance), -math.radians(entrance + side * observation),
-                    gap=math.radians(RETRO_GAP_DEG),
-                )
-            )  # fmt: skip
+            found.append(sampled.in_plane_value(every, n, theta, signed, gap=gap))
         except NotMeasured as error:
             why = error
-    if not found:
-        assert why is not None
+    if why is not None and not found:
         raise why
-    return found[0] if len(found) == 1 else found[0].times(0.5).plus(found[1], 0.5)
+    return sampled.mean(found)
 
 
 def _table_colours(numbers: _Numbers, data: Observations, at: Observations, every: list[Curve]) -> None:
@@ -162,20 +154,16 @@ def _table_colours(numbers: _Numbers, data: Observations, at: Observations, ever
         matrix = math.pi * colour.weights(waves)
         spectra = [(np.flatnonzero(np.abs(data.wavelength_nm - w) <= 1e-6), curves(data.at(w))) for w in waves]
     for theta_i, aspecular in MULTI_ANGLE:
-        key, signed = _key(theta_i, aspecular), theta_i - aspecular
-        if not coloured:
-            for letter in "Lab":
-                numbers.take(f"{letter} {key}", _no_spectrum(data.wavelengths))
-            continue
-        try:
-            values = []
-            for rows, found in spectra:
-                values.append((rows, _value(found, rows.size, theta_i, signed)))
-            for letter, number in zip("Lab", _lab(values, matrix, len(data)), strict=True):
-                numbers.take(f"{letter} {key}", number)
-        except NotMeasured as error:
-            for letter in "Lab":
-                numbers.take(f"{letter} {key}", error)
+        found: Sequence[Sampled | NotMeasured] = [_no_spectrum(data.wavelengths)] * 3
+        if coloured:
+            signed = theta_i - aspecular
+            try:
+                values = [(rows, _value(along, rows.size, theta_i, signed)) for rows, along in spectra]
+                found = _lab(values, matrix, len(data))
+            except NotMeasured as error:
+                found = [error] * 3
+        for letter, number in zip("Lab", found, strict=True):
+            numbers.take(f"{letter} {_key(theta_i, aspecular)}", number)
 
 
 def _no_spectrum(waves: Sequence[float]) -> NotMeasured:
@@ -204,9 +192,3 @@ def _lab(values: Sequence[tuple[Any, Sampled]], matrix: Floats, n: int) -> list[
     slope = colour.lab_slope(xyz)
     numbers = zip(colour.lab(xyz), slope @ gradient, np.abs(slope) @ error, strict=True)
     return [Sampled(float(value), g, float(e)) for value, g, e in numbers]
-
-
-# --- models ----------------------------------------------------------------------------------------------------------
-
-
-# --- what all have in common -----------------------------------------------------------------------------------------

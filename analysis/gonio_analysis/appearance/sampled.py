@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import reduce
 from typing import Any, Literal
 
 import numpy as np
@@ -156,10 +157,7 @@ def made_of(function: Callable[..., float], *parts: Sampled, step: float | None 
 
 
 def mean(found: Sequence[Sampled]) -> Sampled:
-    total = found[0]
-    for one in found[1:]:
-        total = total.plus(one)
-    return total.times(1.0 / len(found))
+    return reduce(Sampled.plus, found).times(1.0 / len(found))
 
 
 # --- gloss -----------------------------------------------------------------------------------------------------------

@@ -43,10 +43,7 @@ def section(choice: Choice, alone_nm: float | None = None) -> list[Block]:
             c.candidate.label,
             str(len(c.fit.free)),
             misfit_words(c.fit.tau),
-            number(c.fit.reduced_chi_square),
-            number(c.aic - aic),
-            number(c.bic - bic),
-            number(c.held_out),
+            *map(number, (c.fit.reduced_chi_square, c.aic - aic, c.bic - bic, c.held_out)),
             f"{c.wall_s:.1f} s",
             _verdict(c, choice.near),
             _fails(c),
@@ -56,31 +53,26 @@ def section(choice: Choice, alone_nm: float | None = None) -> list[Block]:
     named = next((c for c in tried if c.candidate.label in choice.near), choice.named)
     marks = ["best" if c is named else "" for c in tried]
     out: list[Block] = [Heading(3, "Which model"), Paragraph(glued(choice.words))]
+    chi = "reduced χ²"
     if alone_nm is not None:
+        chi += f", {alone_nm:g} nm alone"
         out.append(
             Paragraph(
                 f"The choice is made at {alone_nm:g} nm alone, and so are the numbers of this section. The models below"
                 " are fitted to all wavelengths together, with one geometry."
             )
         )
-    chi = "reduced χ²" if alone_nm is None else f"reduced χ², {alone_nm:g} nm alone"
     fails = "farthest off, with the median there"
-    out.append(
-        table(
-            "From the simplest up. AIC and BIC are differences to the lowest; the held-out error is the mean squared"
-            f" residual{', in units of the uncertainty,' if stated else ''} of values left out by"
-            f" {choice.held_out_by}. {_rule(choice, stated)}",
-            ["model", "parameters", "misfit tau", chi, "ΔAIC", "ΔBIC", "held-out", "time", "verdict", fails],
-            rows,
-            right=(1, 2, 3, 4, 5, 6, 7),
-            marks=marks,
-        )
+    caption = (
+        "From the simplest up. AIC and BIC are differences to the lowest; the held-out error is the mean squared"
+        f" residual{', in units of the uncertainty,' * stated} of values left out by"
+        f" {choice.held_out_by}. {_rule(choice, stated)}"
     )
+    header = ["model", "parameters", "misfit tau", chi, "ΔAIC", "ΔBIC", "held-out", "time", "verdict", fails]
+    out.append(table(caption, header, rows, right=(1, 2, 3, 4, 5, 6, 7), marks=marks))
     if choice.intervals:
         out.append(_intervals(choice))
-    if choice.left_out:
-        out.append(Notes(tuple(f"{m} was not tried: {why}." for m, why in choice.left_out.items())))
-    return out
+    return [*out, Notes(tuple(f"{m} was not tried: {why}." for m, why in choice.left_out.items()))]
 
 
 def misfit_words(misfit: MisfitSummary | None) -> str:

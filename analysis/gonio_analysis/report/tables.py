@@ -74,11 +74,9 @@ def write(
 
 def _of_choice(s: DatasetSummary, folder: Path) -> list[str]:
     """Parameters over wavelength, and profiles of the model that is named; the names of the files."""
-    files = []
+    tables: dict[str, tuple[Sequence[str], Iterable[Sequence[Any]]]] = {}
     if any(f.series for f in s.models.values()):
-        files.append(f"{s.slug}-wavelengths.csv")
-        write_csv(
-            folder / files[-1],
+        tables[f"{s.slug}-wavelengths.csv"] = (
             ("model", "wavelength_nm", "points", "reduced_chi_square", "parameter", "value", "standard_error"),
             (
                 (m, r.wavelength_nm, len(r.data), r.reduced_chi_square, n, p.value, p.u)
@@ -87,20 +85,19 @@ def _of_choice(s: DatasetSummary, folder: Path) -> list[str]:
                 for n, p in r.parameters.items()
             ),
         )
-    intervals = s.choice.intervals
-    if intervals and s.choice.named:
+    if s.choice.intervals and s.choice.named:
         named = s.choice.named.candidate.label
-        files.append(f"{s.slug}-profiles.csv")
-        write_csv(
-            folder / files[-1],
+        tables[f"{s.slug}-profiles.csv"] = (
             ("model", "parameter", "value", "rise_of_chi_square"),
             (
                 (named, n, value, rise)
-                for n, i in intervals.items()
+                for n, i in s.choice.intervals.items()
                 for value, rise in zip(i.values.tolist(), i.rise.tolist(), strict=True)
             ),
         )
-    return files
+    for name, (header, rows) in tables.items():
+        write_csv(folder / name, header, rows)
+    return list(tables)
 
 
 def _of_dataset(d: Dataset, slug: str, folder: Path) -> list[str]:
@@ -119,7 +116,7 @@ def _of_dataset(d: Dataset, slug: str, folder: Path) -> list[str]:
         [*angles, data.brdf, data.u, *values, *((c.random, *c.common.T) if c is not None else ())],
     )
     header = ("model", "curve", "kind", "signed_angle_deg", "brdf", "u_brdf", "normalised", "u_normalised")
-    parts = [part for m, f in d.fitted.items() for c in f.drawn for part in (_measured(m, c), _theory(m, c))]
+    parts = [part for m, f in d.fitted.items() for c in f.drawn for part in _of_drawn(m, c)]
     columns = [list(column) for column in zip(*parts, strict=True)] or [[] for _ in range(9)]
     write_columns(
         folder / f"{slug}-curves.csv",
@@ -129,19 +126,19 @@ def _of_dataset(d: Dataset, slug: str, folder: Path) -> list[str]:
     return [f"{slug}-values.csv", f"{slug}-curves.csv"]
 
 
-def _measured(model: str, c: Drawn) -> list[Any]:
-    k, n = c.curve, c.norm.measured
-    return _of_curve(model, c, "measured", k.angle, [k.brdf, k.u, k.brdf / n, k.u / n])
-
-
-def _theory(model: str, c: Drawn) -> list[Any]:
-    none = np.full(c.theory.size, np.nan)
-    return _of_curve(model, c, "theory", c.theory_angle, [c.theory, none, c.theory / c.norm.theory, none])
-
-
-def _of_curve(model: str, c: Drawn, kind: str, angle: Floats, values: list[Floats]) -> list[Any]:
-    words = [np.full(angle.size, word, dtype=object) for word in (model, c.label, kind)]
-    return [*words, _degrees(angle), *values, np.full(angle.size, c.norm.kind, dtype=object)]
+def _of_drawn(model: str, c: Drawn) -> list[list[Any]]:
+    """The columns of a curve: measured values, and theory."""
+    k, none = c.curve, np.full(c.theory.size, np.nan)
+    measured, theory = c.norm.measured, c.norm.theory
+    parts = [
+        ("measured", k.angle, (k.brdf, k.u, k.brdf / measured, k.u / measured)),
+        ("theory", c.theory_angle, (c.theory, none, c.theory / theory, none)),
+    ]
+    out: list[list[Any]] = []
+    for kind, angle, values in parts:
+        *words, by = (np.full(angle.size, word, dtype=object) for word in (model, c.label, kind, c.norm.kind))
+        out.append([*words, _degrees(angle), *values, by])
+    return out
 
 
 def _degrees(angle: Floats) -> Floats:

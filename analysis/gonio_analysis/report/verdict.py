@@ -30,18 +30,12 @@ def disagreement(metrics: Mapping[str, Mapping[str, float | None]], best: str) -
     others: dict[str, list[str]] = {}
     for name in JUDGES:
         known = {model: v for model, values in metrics.items() if (v := values.get(name)) is not None}
-        own = known.get(best)
-        if not known:
-            continue
-        first = min(known, key=known.__getitem__)
+        first, own = min(known, key=known.__getitem__, default=best), known.get(best)
         if first != best and (own is None or own > CLEARLY * known[first]):
-            label = DESCRIPTIONS[name][0]
             off = "" if own is None else f" ({best} is {own / max(known[first], 1e-300):.2g} times as far off by it)"
-            others.setdefault(first, []).append(label + off)
-    if not others:
-        return ""
+            others.setdefault(first, []).append(DESCRIPTIONS[name][0] + off)
     said = "; ".join(f"{model} is nearest by {' and by '.join(labels)}" for model, labels in others.items())
-    return f"The metrics disagree about the nearest: {said}."
+    return f"The metrics disagree about the nearest: {said}." if said else ""
 
 
 def of_fit(result: FitResult) -> str:
@@ -121,12 +115,12 @@ def direction_of_its_own(found: Sequence[Pairs], tried: Iterable[str] = ()) -> s
     shown = next((s for s in found if s.kind == "azimuth of incidence" and s.broken), None)
     if shown is None:
         return ""
+    other = (
+        ""
+        if any("anisotropic" in name for name in tried)
+        else ("; --models anisotropic tries one that has a direction of its own")
+    )
     return (
         f"The sample is anisotropic: at equal θi, θr and φr − φi values change with the azimuth of incidence, typically"
-        f" by {difference(shown.typical)} ({shown.pairs} pairs). No isotropic model can describe that"
-        + (
-            "."
-            if any("anisotropic" in name for name in tried)
-            else "; --models anisotropic tries one that has a direction of its own."
-        )
+        f" by {difference(shown.typical)} ({shown.pairs} pairs). No isotropic model can describe that{other}."
     )

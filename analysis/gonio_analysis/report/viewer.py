@@ -8,7 +8,7 @@ from typing import Any, NotRequired, TypedDict
 import numpy as np
 
 from gonio.typing import Floats
-from gonio_analysis.curves.in_plane import MOST_CURVES, Curve, curves, labels, selection
+from gonio_analysis.curves.in_plane import MOST_CURVES, Curve, curves, evenly, labels, selection
 from gonio_analysis.fitting.fit import FitResult
 from gonio_analysis.plots import thinning
 from gonio_analysis.report.facts import DatasetSummary
@@ -99,8 +99,7 @@ def viewer(d: Dataset, facts: DatasetSummary, normalise: str, room: int = BYTES)
         for result in f.series or [f.fit]:
             at = finite(result.data.wavelengths[0]) if len(d.wavelengths) > 1 else finite(d.wavelength_nm)
             waves.setdefault(at, {})[model] = result
-    here = finite(d.wavelength_nm)
-    own = "simulated" if d.simulated else "measured"
+    here, own = finite(d.wavelength_nm), "simulated" if d.simulated else "measured"
     drawn = {int(c.rows[0]) for c in d.curves}
     known = {
         nm: d.data if nm == here else next(iter(results.values())).data
@@ -108,41 +107,34 @@ def viewer(d: Dataset, facts: DatasetSummary, normalise: str, room: int = BYTES)
     }
     chosen, most = _level({nm: curves(data) for nm, data in known.items()}, here, drawn, len(d.fitted), room)
     ready = {m: {int(c.curve.rows[0]): (c.theory_angle, c.theory) for c in f.drawn} for m, f in d.fitted.items()}
-    first: list[str] = []
-    out: list[WaveView] = []
-    values = {"of": 0, "drawn": 0}
+    first, out, values, shown = list[str](), list[WaveView](), 0, 0
     for nm, listed in chosen.items():
-        at_report, data = nm == here, known[nm]
-        names = labels(listed)
         entries: list[CurveView] = []
-        for whole, name in zip(listed, names, strict=True):
+        for whole, name in zip(listed, labels(listed), strict=True):
             curve = thinning.of_curve(whole, most)
-            values["of"] += whole.angle.size
-            values["drawn"] += curve.angle.size
-            kept = at_report and int(whole.rows[0]) in drawn
-            if kept:
-                first.append(name)
+            values, shown = values + whole.angle.size, shown + curve.angle.size
+            kept = nm == here and int(whole.rows[0]) in drawn
+            first += [name] * kept
             theory = {}
             for model, result in waves[nm].items():
                 found = ready[model].get(int(whole.rows[0])) if kept and curve is whole else None
                 if found is None or found[0].size > most + 400:
-                    angle = theory_angles(curve, data, dense=False)
-                    found = angle, curve.theory(result.model, angle, data)
+                    angle = theory_angles(curve, known[nm], dense=False)
+                    found = angle, curve.theory(result.model, angle, known[nm])
                 theory[model] = found
             entries.append(_curve(curve, name, own, theory))
         out.append({"nm": nm, "curves": entries})
-    names = list(dict.fromkeys([*first, *(c["label"] for w in out for c in w["curves"])]))
     return {
         "name": d.title,
         "moving": "θr" if facts.scanned == "theta_r" else "θi",
         "at": next(k for k, w in enumerate(out) if w["nm"] == here),
-        "labels": names,
+        "labels": list(dict.fromkeys([*first, *(c["label"] for w in out for c in w["curves"])])),
         "shown": first,
         "points": [own],
         "models": list(d.fitted),
         "chosen": [own, *([facts.best] if facts.best else [])],
         "normalise": normalise,
-        "note": note(values["drawn"], values["of"], len(out), len(known)),
+        "note": note(shown, values, len(out), len(known)),
         "waves": out,
     }
 
@@ -151,20 +143,18 @@ def _level(
     every: dict[float | None, list[Curve]], here: float | None, drawn: set[int], models: int, room: int
 ) -> tuple[dict[float | None, list[Curve]], int]:
     """The curves to list at each wavelength, and how many values of one are shown."""
-    chosen: dict[float | None, list[Curve]] = {}
-    most = 0
+    names, chosen, most = list(every), dict[float | None, list[Curve]](), 0
     for curves_listed, waves_listed in LEVELS:
-        names = list(every)
-        picks = {round(x) for x in np.linspace(0, len(names) - 1, min(waves_listed, len(names)))}
+        picks = evenly(len(names), waves_listed)
         chosen = {}
         for k, nm in enumerate(names):
             if k in picks or nm == here:
-                listed = {int(c.rows[0]) for c in selection(every[nm], curves_listed)} | (
-                    drawn if nm == here else set()
-                )
+                listed = {int(c.rows[0]) for c in selection(every[nm], curves_listed)}
+                listed |= drawn if nm == here else set()
                 chosen[nm] = [c for c in every[nm] if int(c.rows[0]) in listed]
-        sizes = [c.angle.size for listed in chosen.values() for c in listed]
-        most = int((room / max(len(sizes), 1) - 100 * THEORY_BYTES * models) / (MEASURED_BYTES + THEORY_BYTES * models))
+        sizes = [c.angle.size for shown in chosen.values() for c in shown]
+        each = room / max(len(sizes), 1) - 100 * THEORY_BYTES * models
+        most = int(each / (MEASURED_BYTES + THEORY_BYTES * models))
         if most >= FEWEST or most >= max(sizes, default=0):
             break
     return chosen, max(most, 24)
@@ -183,18 +173,16 @@ def note(drawn: int, of: int, waves: int, known: int) -> str:
 
 
 def _curve(c: Curve, name: str, own: str, theory: dict[str, tuple[Floats, Floats]]) -> CurveView:
-    top = int(np.argmax(c.brdf))
-    mirror = c.mirror
+    places = {
+        "max": c.angle[int(np.argmax(c.brdf))],
+        "mirror": None if c.mirror is None else c.angle[c.mirror],
+        "model": c.parameter,
+    }
     series = [points(own, c, c.brdf, c.u)]
     for model, (angle, value) in theory.items():
-
-        def at(where: float, angle: Floats = angle, value: Floats = value) -> float | None:
-            return _positive(value[int(np.argmin(np.abs(angle - where)))])
-
         by = {
-            "max": at(c.angle[top]),
-            "mirror": None if mirror is None else at(c.angle[mirror]),
-            "model": at(c.parameter),
+            kind: None if where is None else _positive(value[int(np.argmin(np.abs(angle - where)))])
+            for kind, where in places.items()
         }
         series.append({"name": model, "angle": _degrees(angle), "brdf": _rounded(value, 5), "u": None, "by": by})
     return entry(c, name, series)
