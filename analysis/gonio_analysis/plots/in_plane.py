@@ -87,10 +87,11 @@ def pair(first: str, second: str, points: tuple[bool, bool]) -> list[Any]:
     """What a legend says of two sides: a dashed and a solid line, with markers where values were measured."""
     from matplotlib.lines import Line2D
 
-    sides = zip((first, second), ((0, (4, 2)), "-"), (INK, "white"), points, strict=True)
+    looks: list[dict[str, Any]] = [{"marker": "o", "mfc": face} for face in (INK, "white")]
+    sides = zip((first, second), ((0, (4, 2)), "-"), looks, points, strict=True)
     return [
-        Line2D([], [], color=INK, lw=0.9, ls=ls, ms=3.5, label=name, **({"marker": "o", "mfc": face} if one else {}))
-        for name, ls, face, one in sides
+        Line2D([], [], color=INK, lw=0.9, ls=ls, ms=3.5, label=name, **(look if one else {}))
+        for name, ls, look, one in sides
     ]
 
 
