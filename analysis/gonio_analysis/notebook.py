@@ -98,15 +98,9 @@ def compare(
     check_metric(metric)
     check_u_rel(u_rel)
     return examine(
-        frame,
-        names,
-        name=called,
-        ior=ior,
-        wavelength_nm=wavelength_nm,
-        normalise=normalise,
-        metric=metric,
+        frame, names, name=called, ior=ior, wavelength_nm=wavelength_nm, normalise=normalise, metric=metric,
         u_rel=u_rel,
-    )
+    )  # fmt: skip
 
 
 def change(a: Table | Model, b: Table | Model, *, wavelength_nm: float | None = None) -> Change:
@@ -166,8 +160,8 @@ def semilog(
 ) -> list[Any]:
     """The same curves absolute, on a logarithmic axis; arguments, result and errors as `polar`."""
     drawn = _drawn(table, model, wavelength_nm, "mirror")
-    artists = in_plane.semilog(ax, [d.absolute() for d in drawn])
     angle = "θr" if drawn[0].curve.scanned == "theta_r" else "θi"  # the angle that runs along a curve
+    artists = in_plane.semilog(ax, [d.absolute() for d in drawn])
     ax.set_xlabel(f"{angle}: retro side negative, mirror side positive")
     return artists
 
@@ -182,12 +176,12 @@ def _drawn(
     shown = selection(curves(data))
     if not shown:
         raise DataError(f"{called}: no two usable values lie on one curve in the plane of incidence")
-    alone = _alone(model, wave)
-    empty = np.empty(0)
-    out = []
+    alone, out = _alone(model, wave), []
     for curve, label in zip(shown, labels(shown), strict=True):
-        angle = empty if alone is None else theory_angles(curve, data)
-        theory = empty if alone is None else curve.theory(alone, angle, data)
+        angle = theory = np.empty(0)
+        if alone is not None:
+            angle = theory_angles(curve, data)
+            theory = curve.theory(alone, angle, data)
         by = norm(curve, normalise, Lambert(1.0) if alone is None else alone, data)
         out.append(Drawn(curve, by, label, angle, theory, np.full(curve.angle.size, np.nan)))
     return out

@@ -8,6 +8,9 @@ import numpy as np
 import pandas as pd
 from gonio_analysis.fitting.forward import seen
 from gonio_analysis.fitting.value_covariance import Covariance
+from gonio_analysis.report.comparison import summarise
+from gonio_analysis.report.facts import DatasetSummary
+from gonio_analysis.selection.compare import Dataset
 
 from gonio.formats.reader import table
 from gonio.geometry import Directions
@@ -67,6 +70,19 @@ def measure(
     if reference:
         frame.insert(list(frame.columns).index("flag"), "s_reference", reference * measured)
     return frame
+
+
+def joined(*parts: pd.DataFrame) -> pd.DataFrame:
+    """One table of several, with what the first one says of itself."""
+    whole = pd.concat(parts, ignore_index=True)
+    whole.attrs = parts[0].attrs
+    return whole
+
+
+def facts_of(dataset: Dataset) -> DatasetSummary:
+    """What a report says of a sample in numbers."""
+    (facts,) = summarise([dataset], title="", normalise="mirror", command="").datasets
+    return facts
 
 
 def known(value: T | None) -> T:

@@ -21,7 +21,7 @@ from gonio import plugins, shown
 from gonio.errors import ConfigError, DataError
 from gonio.models import ArrayModel, Fitted, Lambert, OrenNayar, build
 from gonio.typing import Floats
-from tests.gonio_analysis.synthetic import measure
+from tests.gonio_analysis.synthetic import joined, measure
 
 CLAY = OrenNayar(0.6, 20.0)
 
@@ -136,8 +136,7 @@ def test_a_fit_at_all_wavelengths_is_drawn_at_one() -> None:
         measure(build("oren-nayar", {"albedo": a, "sigma_deg": 20.0}), wavelength_nm=w)
         for w, a in ((500, 0.3), (600, 0.5))
     ]
-    whole = pd.concat(parts, ignore_index=True)
-    whole.attrs = parts[0].attrs
+    whole = joined(*parts)
     result = gonio_analysis.fit(whole, "oren-nayar", each=["albedo"])
     assert "albedo@500" in repr(result)
     assert gonio_analysis.semilog(Figure().subplots(), whole, result, wavelength_nm=600.0)

@@ -135,7 +135,8 @@ def gloss(model: Model, meter: Glossmeter, wavelength_nm: float) -> tuple[float,
     The light comes from phi_i = 180 degrees. The error is the difference between two rules, of which the better is
     returned.
     """
-    coarse, fine = (_flux(model, meter, wavelength_nm, *orders) for orders in ((3, 4), (4, 6)))
+    seen = (_seen(model, meter, wavelength_nm, *orders) for orders in ((3, 4), (4, 6)))
+    coarse, fine = (spike + float(solid @ f) for spike, _, _, solid, f in seen)
     scale = 100.0 / meter.standard
     return scale * fine, scale * abs(fine - coarse)
 
@@ -161,11 +162,6 @@ def parts(model: Model, meter: Glossmeter, wavelength_nm: float) -> tuple[Direct
     brdf = f[picked]
     share = scale * light.sum() / max(picked.size, 1) / brdf
     return Directions.from_vectors(omega_i[picked], omega_r[picked]), brdf, share, scale * spike
-
-
-def _flux(model: Model, meter: Glossmeter, wavelength_nm: float, source_order: int, receiver_order: int) -> float:
-    spike, _, _, solid, f = _seen(model, meter, wavelength_nm, source_order, receiver_order)
-    return spike + float(solid @ f)
 
 
 def _seen(

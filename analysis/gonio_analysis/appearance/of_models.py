@@ -33,6 +33,7 @@ SPECTRUM_NM = tuple(np.arange(400.0, 701.0, 10.0).tolist())
 """Where a model's colour is evaluated [nm]."""
 MODEL_INCIDENCES_DEG = (0.0, 8.0, 30.0, 45.0, 60.0)
 """Where a model's directional-hemispherical reflectance is stated."""
+INCIDENCES = [math.radians(theta) for theta in MODEL_INCIDENCES_DEG]
 AZIMUTH = "The model depends on the sample's azimuth: the source stands at phi_i = 180 degrees."
 FEWER = 3
 """Of the directions that stand for the light over a hemisphere every third is taken: all incidences come together."""
@@ -51,11 +52,10 @@ def _sum_of(parts: Sequence[Callable[[], Sampled]], weight: float) -> Sampled:
 def of_model(model: Model, *, name: str, source: str = "", wavelength_nm: float | None = None) -> Appearance:
     """The quantities of a model with exact parameters: without uncertainties."""
     wavelength = DEFAULT_WAVELENGTH_NM if wavelength_nm is None else wavelength_nm
-    incidences = [math.radians(t) for t in MODEL_INCIDENCES_DEG]
     numbers = _of_model(model, wavelength)
     notes = ["The sample's parameters are taken as exact: no uncertainty is stated.", *_colourless(numbers)]
     notes += _of_the_model(model, wavelength)
-    return _assembled(numbers, lambda _: None, name, source, "model", wavelength, incidences, notes)
+    return _assembled(numbers, lambda _: None, name, source, "model", wavelength, INCIDENCES, notes)
 
 
 def _of_the_model(model: Model, wavelength_nm: float) -> list[str]:
@@ -96,8 +96,7 @@ def of_sample(sample: SampleDescription, *, source: str = "", wavelength_nm: flo
         _with_tau(numbers, known.misfit)
         notes.append(f"The model is off by {100 * known.misfit:.2g} % (its misfit): every value may be.")
     notes += _of_the_model(model, wavelength)
-    incidences = [math.radians(t) for t in MODEL_INCIDENCES_DEG]
-    return _assembled(numbers, _length, sample.name, source, "model", wavelength, incidences, notes)
+    return _assembled(numbers, _length, sample.name, source, "model", wavelength, INCIDENCES, notes)
 
 
 def of_fits(parts: Sequence[tuple[float, FitResult]], *, name: str, source: str = "") -> Appearance:
@@ -127,9 +126,9 @@ def _mean(weights: Floats, each: Sequence[Any]) -> Any:
     """Of quantities, or of records and lists of them."""
     first = each[0]
     if isinstance(first, Quantity):
-        missing = next((one for one in each if one.value is None or one.u is None), None)
-        if missing is not None:
-            return missing
+        for one in each:
+            if one.value is None or one.u is None:
+                return one
         values, u = (np.array([getattr(one, key) for one in each]) for key in ("value", "u"))
         mean = float(weights @ values)
         return replace(first, value=mean, u=math.sqrt(float(weights @ (u**2 + (values - mean) ** 2))))
@@ -148,7 +147,6 @@ def of_fit(fit: FitResult, *, name: str, source: str = "", residual: bool = Fals
     hold. With `residual` they are those of the model with the smooth curve of its misfit.
     """
     wavelength = DEFAULT_WAVELENGTH_NM if math.isnan(fit.wavelength_nm) else fit.wavelength_nm
-    incidences = [math.radians(t) for t in MODEL_INCIDENCES_DEG]
     numbers = _of_model(fit.model, wavelength)
     lower, upper = fit.problem.bounds
 
@@ -159,7 +157,7 @@ def of_fit(fit: FitResult, *, name: str, source: str = "", residual: bool = Fals
     _propagate(numbers, moved, fit.vector, fit.spread, wavelength, notes)
     if fit.misfit is not None:
         notes += _with_misfit(numbers, fit.model, fit.misfit.correction, wavelength, corrected=residual)
-    return _assembled(numbers, _length, name, source, "fit", wavelength, incidences, notes)
+    return _assembled(numbers, _length, name, source, "fit", wavelength, INCIDENCES, notes)
 
 
 def _propagate(
@@ -244,14 +242,13 @@ def _of_model(model: Model, wavelength_nm: float) -> _Numbers:
         numbers.take(f"f {entrance}", exact(0.5 * sum(sides)))
     for theta_i, aspecular in MULTI_ANGLE:
         key = _key(theta_i, aspecular)
-        try:
-            xyz = _xyz(model, theta_i, aspecular)
+        found: Sequence[Sampled | NotMeasured]
+        try:  # the rounding of sums over a grey spectrum is none
+            found = [exact(round(value, 9)) for value in colour.lab(_xyz(model, theta_i, aspecular))]
         except ArgumentError as error:  # an index that is not known over the whole of the spectrum
-            for letter in "Lab":
-                numbers.take(f"{letter} {key}", NotMeasured(str(error)))
-            continue
-        for letter, value in zip("Lab", colour.lab(xyz), strict=True):
-            numbers.take(f"{letter} {key}", exact(round(value, 9)))  # the rounding of sums over a grey spectrum is none
+            found = [NotMeasured(str(error))] * 3
+        for letter, one in zip("Lab", found, strict=True):
+            numbers.take(f"{letter} {key}", one)
     return numbers
 
 

@@ -90,6 +90,17 @@ Save = Annotated[
     Path | None,
     typer.Option(help="Write the fitted model as a sample file (.toml).", metavar="SAMPLE", show_default=False),
 ]
+Measurements = Annotated[
+    list[str], typer.Argument(metavar="A [B ...]", help="Tables, runs, or FILE:SAMPLE.", show_default=False)
+]
+Shared = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="CAUSE[=A,B]",
+        help="With --laboratories: a cause that is the same in all, or in those named, as reference=A,B; once each.",
+        show_default=False,
+    ),
+]
 Residual = Annotated[bool, typer.Option("--residual", help="Save the model with a smooth curve of its misfit.")]
 
 
@@ -178,9 +189,7 @@ def fit(
 
 
 def compare(
-    measurements: Annotated[
-        list[str], typer.Argument(metavar="A [B ...]", help="Tables, runs, or FILE:SAMPLE.", show_default=False)
-    ],
+    measurements: Measurements,
     out: Annotated[Path, typer.Option(help="Folder of the report.", show_default=False)],
     models: Annotated[
         str | None,
@@ -205,15 +214,7 @@ def compare(
     laboratories: Annotated[
         bool, typer.Option("--laboratories", help="One sample by several laboratories: do they agree, who is off?")
     ] = False,
-    shared: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="CAUSE[=A,B]",
-            help="With --laboratories: a cause that is the same in all, or in those named, as reference=A,B;"
-            " once each.",
-            show_default=False,
-        ),
-    ] = None,
+    shared: Shared = None,
     columns: Columns = None,
     blank: Blank = None,
 ) -> None:

@@ -27,7 +27,8 @@ from gonio_analysis.report import (
 )
 from gonio_analysis.report.comparison import summarise
 from gonio_analysis.report.drawing import FigureWorkers, figure_workers
-from gonio_analysis.report.facts import Summary
+from gonio_analysis.report.drawings import Drawing
+from gonio_analysis.report.facts import DatasetSummary, Summary
 from gonio_analysis.report.sections import SECTIONS
 from gonio_analysis.result_records import RunFacts
 from gonio_analysis.selection import parallel
@@ -95,10 +96,7 @@ def make(
     """
 
     with files.staged(out) as stage:
-        found = []
-        for spec in specs:
-            run, many = run_facts(Path(spec)), measurement.tables(spec, how)
-            found += [(name, spec if len(many) == 1 else f"{spec}:{name}", table, run) for name, table in many.items()]
+        found = [one for spec in specs for one in _read(spec, how)]
         check_models(models)
         _cite([table for _, _, table, _ in found], stage.work, progress)
         transmission_only, found = _transmission_only(found, wavelength_nm, u_rel)
@@ -135,6 +133,12 @@ def make(
                 progress=progress,
             )
     return Path(out) / "index.html"
+
+
+def _read(spec: str, how: Reading | None) -> list[Measured]:
+    """The samples that a table or a run holds."""
+    run, many = run_facts(Path(spec)), measurement.tables(spec, how)
+    return [(name, spec if len(many) == 1 else f"{spec}:{name}", table, run) for name, table in many.items()]
 
 
 def _cite(tables: Sequence[pd.DataFrame], folder: Path, progress: Callable[[str], None]) -> None:
@@ -212,13 +216,8 @@ def write(
     summary = replace(summary, datasets=known, transmission_only=transmission_only)
     both = list(zip(datasets, known, strict=True))
     progress("drawing")
-    # measured values in one panel, so that those of all panels take about half of the room of a page
-    most = min(max(MARKERS // max(sum(3 * len(d.fitted) + 6 for d in datasets), 1), 300), 2400)
-    groups = [
-        [*figures.draw(d, f, most), *detail.draw(d, f, most), *(x for one in SECTIONS for x in one.draw(d, f))]
-        for d, f in both
-    ]
     slugs = page.slugs_of_transmission(summary)
+    groups = _drawings(both)
     groups += [transmission.draw(t, (), slug) for t, slug in zip(transmission_only, slugs, strict=True)]
     wanted = [drawing for group in groups for drawing in group]
     (folder / "tables").mkdir()
@@ -237,6 +236,16 @@ def write(
     files.write(folder, summary, every)
     pdf.write(folder / "report.pdf", list(pages.values()))
     return summary
+
+
+def _drawings(both: Sequence[tuple[Dataset, DatasetSummary]]) -> list[list[Drawing]]:
+    """What is to be drawn of each sample, in the order of the page."""
+    # measured values in one panel, so that those of all panels take about half of the room of a page
+    most = min(max(MARKERS // max(sum(3 * len(d.fitted) + 6 for d, _ in both), 1), 300), 2400)
+    return [
+        [*figures.draw(d, f, most), *detail.draw(d, f, most), *(x for one in SECTIONS for x in one.draw(d, f))]
+        for d, f in both
+    ]
 
 
 def _distinct(names: Sequence[str], sources: Sequence[str]) -> list[str]:

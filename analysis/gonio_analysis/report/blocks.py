@@ -66,8 +66,9 @@ def code(text: str) -> Span:
 
 def spans(text: Text) -> tuple[Span, ...]:
     """A text as spans alone."""
-    parts = text if isinstance(text, tuple) else (text,)
-    return tuple(part if isinstance(part, Span) else Span(part) for part in parts)
+    return tuple(
+        part if isinstance(part, Span) else Span(part) for part in (text if isinstance(text, tuple) else (text,))
+    )
 
 
 def plain(text: Text) -> str:
@@ -271,8 +272,6 @@ def figures_of(blocks: Iterable[Block]) -> list[Figure]:
     """Every figure, in order."""
     found: list[Figure] = []
     for block in blocks:
-        if isinstance(block, Figures):
-            found += block.figures
-        elif isinstance(block, Group):
-            found += figures_of(block.blocks)
+        found += block.figures if isinstance(block, Figures) else ()
+        found += figures_of(block.blocks) if isinstance(block, Group) else ()
     return found

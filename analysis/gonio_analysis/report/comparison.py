@@ -41,12 +41,11 @@ def summarise(datasets: Sequence[Dataset], *, title: str, normalise: str, comman
     for d in datasets:
         base = slug(d.name) or "sample"
         slugs.append(base if base not in slugs else f"{base}-{len(slugs) + 1}")
-    models = list(dict.fromkeys(m for d in datasets for m in [*d.fitted, *d.skipped]))
     return Summary(
         title=_title(title, datasets),
         **stamp(command),
         normalise=normalise,
-        models=models,
+        models=list(dict.fromkeys(m for d in datasets for m in [*d.fitted, *d.skipped])),
         in_plane_tolerance_deg=math.degrees(IN_PLANE),
         mirror_tolerance_deg=math.degrees(AT_MIRROR),
         log_metrics_above_u=BELOW,
@@ -222,11 +221,11 @@ def _notes(d: Dataset) -> list[str]:
         many = f"{len(without)} curves, from {without[0]} to {without[-1]}"
         named = ", ".join(without) if len(without) <= MOST_LISTED else many
         notes.append(f"The mirror direction was not measured (within {math.degrees(AT_MIRROR):.1f}°) for {named}.")
-    sparse = [c.label for c in d.curves if c.angle.size < 20]
+    sparse = [c for c in d.curves if c.angle.size < 20]
     if sparse:
-        counts = sorted({c.angle.size for c in d.curves if c.angle.size < 20})
+        counts = sorted({c.angle.size for c in sparse})
         many = f"{counts[0]} to {counts[-1]}" if len(counts) > 1 else f"{counts[0]}"
-        where = "every curve" if len(sparse) == len(d.curves) else ", ".join(sparse)
+        where = "every curve" if len(sparse) == len(d.curves) else ", ".join(c.label for c in sparse)
         notes.append(f"Sparse plane: {many} in-plane values for {where}; dashed lines only join neighbours.")
     return notes
 

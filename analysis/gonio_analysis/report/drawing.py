@@ -62,8 +62,7 @@ class FigureWorkers:
     def _shared(
         self, jobs: Sequence[Callable[[Say], T]], what: str, say: Say, meanwhile: Callable[[], object]
     ) -> list[T]:
-        pace = Pace(what, len(jobs), say)
-        made: dict[int, T] = {}
+        pace, made = Pace(what, len(jobs), say), dict[int, T]()
         waiting: queue.SimpleQueue[int] = queue.SimpleQueue()
         for k in range(len(jobs)):
             waiting.put(k)
@@ -104,7 +103,7 @@ def figure_workers(figures: int, processes: int | None = None, modules: Sequence
     modules
         What they import while they wait, beside what drawing needs.
     """
-    count = min(_processors(), MOST_PROCESSES) if processes is None else processes
+    count = min(platform.processors(), MOST_PROCESSES) if processes is None else processes
     others = min(count, figures // 2) - 1 if figures >= FEW and sys.executable else 0
     started: list[subprocess.Popen[bytes]] = []
     try:
@@ -189,7 +188,3 @@ def _taken(waiting: queue.SimpleQueue[int]) -> Iterator[int]:
             yield waiting.get_nowait()
         except queue.Empty:
             return
-
-
-def _processors() -> int:
-    return platform.processors()

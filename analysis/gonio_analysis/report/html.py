@@ -41,8 +41,7 @@ def size(text: str) -> int:
 
 def within(block: Block, room: int) -> Block:
     """A block of at most `room` bytes: the largest drawings are named instead of shown until it is."""
-    over = size(fragment([block])) - room
-    named: set[str] = set()
+    over, named = size(fragment([block])) - room, set[str]()
     for f in sorted(figures_of([block]), key=lambda f: -len(f.svg)):
         if over <= 0:
             break

@@ -37,6 +37,8 @@ INNER = WIDTH - 2 * MARGIN
 INK, SOFT, RULE = "#1b1f24", "#55606e", "#c9ced6"
 LEADING = 1.38
 COLUMN_GAP = 6 * MM
+COLUMN = (INNER - COLUMN_GAP) / 2
+"""Width of a figure."""
 CELL_GAP = 2.6 * MM
 TEXTS = {"h1": 18.0, "h2": 13.5, "h3": 10.5, "p": 8.6, "li": 8.2, "footer": 7.4}
 """Size [pt] of what stands on lines of its own."""
@@ -122,7 +124,7 @@ def _tall(png: bytes) -> float:
     from PIL import Image
 
     wide, high = Image.open(io.BytesIO(png)).size
-    return (INNER - COLUMN_GAP) / 2 * high / wide
+    return COLUMN * high / wide
 
 
 class _Sheet:
@@ -185,10 +187,11 @@ class _Sheet:
         size, name = 8.2, 34 * MM
         for key, value in rows:
             left, right = self._wrap(key, size, name - 2 * MM), self._wrap(value, size, INNER - name)
-            self._need(max(len(left), len(right)) * size * LEADING)
+            high = max(len(left), len(right)) * size * LEADING
+            self._need(high)
             self._lines(MARGIN, left, size, colour=SOFT)
             self._lines(MARGIN + name, right, size)
-            self.y += max(len(left), len(right)) * size * LEADING + 0.5 * MM
+            self.y += high + 0.5 * MM
         self.y += 1.6 * MM
 
     def table(self, caption: str, rows: Sequence[Sequence[str]], right: Set[int]) -> None:
@@ -218,21 +221,20 @@ class _Sheet:
         """One or two figures side by side, with their captions."""
         from PIL import Image
 
-        size, width = 7.0, (INNER - COLUMN_GAP) / 2
-        images = [np.asarray(Image.open(io.BytesIO(png)).convert("RGB")) for png, _ in pair]
-        captions = [self._wrap(text, size, width) for _, text in pair]
-        tall = [width * image.shape[0] / image.shape[1] for image in images]
-        self._need(max(t + len(c) * size * LEADING for t, c in zip(tall, captions, strict=True)) + 4 * MM)
+        size = 7.0
+        captions, tall = [self._wrap(text, size, COLUMN) for _, text in pair], [_tall(png) for png, _ in pair]
+        needed = max(t + len(c) * size * LEADING for t, c in zip(tall, captions, strict=True)) + 4 * MM
+        self._need(needed)
         top = self.y
-        for k, (image, height, caption) in enumerate(zip(images, tall, captions, strict=True)):
-            x = MARGIN + k * (width + COLUMN_GAP)
-            ax = self._canvas.add_axes((x / WIDTH, 1 - (top + height) / HEIGHT, width / WIDTH, height / HEIGHT))
+        for k, ((png, _), height, caption) in enumerate(zip(pair, tall, captions, strict=True)):
+            x = MARGIN + k * (COLUMN + COLUMN_GAP)
+            ax = self._canvas.add_axes((x / WIDTH, 1 - (top + height) / HEIGHT, COLUMN / WIDTH, height / HEIGHT))
+            image = np.asarray(Image.open(io.BytesIO(png)).convert("RGB"))
             ax.imshow(image, interpolation="none", aspect="auto")
             ax.set_axis_off()
             self.y = top + height + 1 * MM
             self._lines(x, caption, size, colour=SOFT)
-        deepest = max(t + len(c) * size * LEADING for t, c in zip(tall, captions, strict=True))
-        self.y = top + deepest + 4 * MM
+        self.y = top + needed
 
     # --- lines ------------------------------------------------------------------------------------------------------
 
@@ -258,8 +260,7 @@ class _Sheet:
         from matplotlib.lines import Line2D
 
         y = 1 - self.y / HEIGHT
-        line = Line2D([MARGIN / WIDTH, 1 - MARGIN / WIDTH], [y, y], color=colour, lw=0.5)
-        self._canvas.add_artist(line)
+        self._canvas.add_artist(Line2D([MARGIN / WIDTH, 1 - MARGIN / WIDTH], [y, y], color=colour, lw=0.5))
 
     def _measure(self, text: str, size: float, weight: str) -> float:
         """Width of a text: its characters' advances (kerning is a few thousandths of that)."""

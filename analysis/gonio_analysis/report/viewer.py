@@ -94,11 +94,7 @@ def viewer(d: Dataset, facts: DatasetSummary, normalise: str, room: int = BYTES)
     View
         Values have seven digits, theory five.
     """
-    waves: dict[float | None, dict[str, FitResult]] = {}  # None: a broad band
-    for model, f in d.fitted.items():
-        for result in f.series or [f.fit]:
-            at = finite(result.data.wavelengths[0]) if len(d.wavelengths) > 1 else finite(d.wavelength_nm)
-            waves.setdefault(at, {})[model] = result
+    waves = _results(d)
     here, own = finite(d.wavelength_nm), "simulated" if d.simulated else "measured"
     drawn = {int(c.rows[0]) for c in d.curves}
     known = {
@@ -137,6 +133,16 @@ def viewer(d: Dataset, facts: DatasetSummary, normalise: str, room: int = BYTES)
         "note": note(shown, values, len(out), len(known)),
         "waves": out,
     }
+
+
+def _results(d: Dataset) -> dict[float | None, dict[str, FitResult]]:
+    """Every fit by wavelength, None for a broad band, and by model."""
+    waves: dict[float | None, dict[str, FitResult]] = {}
+    for model, f in d.fitted.items():
+        for result in f.series or [f.fit]:
+            at = finite(result.data.wavelengths[0] if len(d.wavelengths) > 1 else d.wavelength_nm)
+            waves.setdefault(at, {})[model] = result
+    return waves
 
 
 def _level(

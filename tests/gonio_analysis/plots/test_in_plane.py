@@ -21,8 +21,32 @@ def line(label: str = "θi = 30°", top: float = 1.0, negative: bool = False) ->
     return Line(label, angle, np.abs(value), angle, value, np.full(33, 0.02), 0.5, np.linspace(-3, 3, 33))
 
 
+def values(angle: Any, value: Any) -> Line:
+    """A measured curve without uncertainties or theory."""
+    return Line("x", np.empty(0), np.empty(0), angle, value, np.full(np.size(angle), np.nan))
+
+
 def axes() -> Any:
     return Figure(figsize=(5, 4)).add_subplot()
+
+
+def half_disc_of(lines: list[Line], **how: Any) -> tuple[Any, list[tuple[str, Any]]]:
+    """Axes of a half disc as pages have it, and its words with the room that each takes."""
+    figure = Figure(figsize=(5.6, 3.6))
+    ax = figure.add_axes((0.01, 0.1, 0.98, 0.89))
+    in_plane.polar(ax, lines, **how)
+    figure.canvas.draw()
+    return ax, [(text.get_text(), text.get_window_extent()) for text in ax.texts]
+
+
+def overprinted(words: list[tuple[str, Any]]) -> list[tuple[str, str]]:
+    return [(a, b) for k, (a, one) in enumerate(words) for b, other in words[k + 1 :] if one.overlaps(other)]
+
+
+def rim_of(ax: Any, radius: float) -> Any:
+    """Points of the rim on the canvas."""
+    turn = np.radians(np.linspace(-90.0, 90.0, 1441))
+    return ax.transData.transform(np.stack(half_disc.xy(turn, np.full(turn.size, radius)), axis=1))
 
 
 @pytest.mark.parametrize(
@@ -51,9 +75,7 @@ def test_returns_artists_and_touches_no_settings(draw: Any) -> None:
 
 
 def test_half_disc_has_the_retro_side_left_and_the_mirror_side_right() -> None:
-    ax = axes()
-    angle = np.radians([-60.0, 60.0])
-    artists = in_plane.polar(ax, [Line("", np.empty(0), np.empty(0), angle, np.array([0.2, 1.0]), np.full(2, np.nan))])
+    artists = in_plane.polar(axes(), [values(np.radians([-60.0, 60.0]), np.array([0.2, 1.0]))])
     x, y = artists[1].get_data()  # the markers; the line between them has more points
     # a sine and a product: some roundings
     np.testing.assert_allclose(x, [-0.2 * np.sin(np.radians(60)), np.sin(np.radians(60))], rtol=1e-14)
@@ -74,18 +96,11 @@ def test_a_curve_beyond_the_rim_is_cut_with_a_note() -> None:
 
 
 def test_notes_of_six_curves_overprint_no_label_and_not_the_rim() -> None:
-    figure = Figure(figsize=(5.6, 3.6))
-    ax = figure.add_axes((0.01, 0.1, 0.98, 0.89))
-    in_plane.polar(ax, [line(f"θi = {k}5°", 40.0 + k) for k in range(1, 7)], radius=2.5)
-    figure.canvas.draw()
-    boxes = [text.get_window_extent() for text in ax.texts]
-    touching = [(a, b) for k, a in enumerate(boxes) for b in boxes[k + 1 :] if a.overlaps(b)]
-    assert not touching
-    notes = [text for text in ax.texts if "theory to" in text.get_text()]
+    ax, words = half_disc_of([line(f"θi = {k}5°", 40.0 + k) for k in range(1, 7)], radius=2.5)
+    assert not overprinted(words)
+    notes = [box for text, box in words if "theory to" in text]
     assert len(notes) == 6
-    turn = np.radians(np.linspace(-90.0, 90.0, 721))
-    rim = ax.transData.transform(np.stack(half_disc.xy(turn, np.full(turn.size, 2.5)), axis=1))
-    assert not any(note.get_window_extent().contains(*point) for note in notes for point in rim)
+    assert not any(note.contains(*point) for note in notes for point in rim_of(ax, 2.5))
 
 
 def test_error_bars_have_the_length_of_u() -> None:
@@ -100,9 +115,8 @@ def test_error_bars_have_the_length_of_u() -> None:
 def test_any_number_that_a_table_may_hold_can_be_drawn(size: float) -> None:
     figure = Figure()
     ax = figure.add_subplot()
-    angle = np.radians([-30.0, 0.0, 30.0])
     value = size * np.array([1.0, 1e3, 1e6])
-    in_plane.semilog(ax, [Line("x", np.empty(0), np.empty(0), angle, value, np.full(3, np.nan))])
+    in_plane.semilog(ax, [values(np.radians([-30.0, 0.0, 30.0]), value)])
     with np.errstate(all="ignore"):
         figure.canvas.draw()
     (shown,) = [line for line in ax.get_lines() if np.size(line.get_ydata()) == 3]
@@ -132,18 +146,15 @@ def test_theory_wears_no_markers_and_without_values_dashes_of_its_own(draw: Any)
 
 
 def test_a_half_disc_whose_light_comes_from_the_right() -> None:
-    figure = Figure(figsize=(5.6, 3.2))
-    ax = figure.add_axes((0.01, 0.01, 0.98, 0.98))
     lines = [line(f"θi = {k}5°", 40.0 + k) for k in range(1, 7)]
-    in_plane.polar(ax, lines, radius=2.5, radius_label="intensity", retro_right=True, called="simulated")
-    figure.canvas.draw()
-    boxes = {text.get_text(): text.get_window_extent() for text in ax.texts}
+    how = {"radius": 2.5, "radius_label": "intensity", "retro_right": True, "called": "simulated"}
+    ax, words = half_disc_of(lines, **how)
+    boxes, end = dict(words), ax.figure.bbox
     assert boxes["retro side"].x0 > boxes["mirror side"].x1
     assert boxes["−60°"].x0 > boxes["60°"].x1
-    assert any("simulated to" in words for words in boxes)
-    every = [text.get_window_extent() for text in ax.texts]
-    assert not [(a, b) for k, a in enumerate(every) for b in every[k + 1 :] if a.overlaps(b)]
-    assert all(box.x0 >= 0 and box.x1 <= figure.bbox.x1 and box.y0 >= 0 and box.y1 <= figure.bbox.y1 for box in every)
+    assert any("simulated to" in text for text in boxes)
+    assert not overprinted(words)
+    assert all(box.x0 >= 0 and box.x1 <= end.x1 and box.y0 >= 0 and box.y1 <= end.y1 for _, box in words)
 
 
 def test_theory_beyond_the_measured_angles_does_not_press_the_values_flat() -> None:
@@ -172,29 +183,22 @@ def test_an_overlay_has_every_model_and_the_values() -> None:
 
 
 def test_a_line_between_values_far_apart_goes_around_the_disc() -> None:
-    angle = np.radians([-40.0, 40.0])
-    artists = in_plane.polar(axes(), [Line("", np.empty(0), np.empty(0), angle, np.ones(2), np.full(2, np.nan))])
+    artists = in_plane.polar(axes(), [values(np.radians([-40.0, 40.0]), np.ones(2))])
     # a chord of 3 degrees dips by 1 - cos(1.5 degrees) below the circle; one of 80 degrees by 0.23
     assert np.hypot(*artists[0].get_data()).min() == pytest.approx(1.0, abs=1e-12)
     assert np.degrees(np.diff(np.arctan2(*artists[0].get_data()))).max() < 3.2
 
 
 def test_angles_around_the_half_disc_do_not_stand_on_its_rim() -> None:
-    figure = Figure(figsize=(5.6, 3.4))
-    ax = figure.add_axes((0.01, 0.1, 0.98, 0.89))
-    in_plane.polar(ax, [line()], radius=1.0)
-    figure.canvas.draw()
-    turn = np.radians(np.linspace(-90.0, 90.0, 1441))
-    rim = ax.transData.transform(np.stack(half_disc.xy(turn, np.ones(turn.size)), axis=1))
-    labels = [text.get_window_extent() for text in ax.texts if text.get_text() in ("−60°", "−30°", "30°", "60°")]
+    ax, words = half_disc_of([line()], radius=1.0)
+    labels = [box for text, box in words if text in ("−60°", "−30°", "30°", "60°")]
     assert len(labels) == 4
-    assert not any(box.contains(*point) for box in labels for point in rim)
+    assert not any(box.contains(*point) for box in labels for point in rim_of(ax, 1.0))
 
 
 def test_a_line_goes_through_every_value_that_it_joins() -> None:
     angle = np.radians([-80.0, -20.0, -19.0, -18.5, 0.0, 2.0, 80.0])  # dense, sparse, and between
     value = np.array([0.1, 0.5, 0.9, 0.2, 0.3, 0.8, 0.1])
-    artists = in_plane.polar(axes(), [Line("", np.empty(0), np.empty(0), angle, value, np.full(7, np.nan))])
-    drawn = np.stack(artists[0].get_data(), axis=1)
+    drawn = np.stack(in_plane.polar(axes(), [values(angle, value)])[0].get_data(), axis=1)
     for point in np.stack(half_disc.xy(angle, value), axis=1):
         assert np.hypot(*(drawn - point).T).min() < 1e-14  # a rounding of the sum of an angle and a step

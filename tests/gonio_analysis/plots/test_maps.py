@@ -18,30 +18,27 @@ from tests.gonio_analysis.changes.test_point_by_point import hemisphere
 GLOSS = build("phong", {"k_d": 0.3, "k_s": 0.5, "exponent": 30})
 
 
+DATA = observations(hemisphere(GLOSS))
+THETA_R, PHI_R = DATA.directions.theta_r, DATA.directions.phi_r
+
+
 def axes(**how: Any) -> Any:
     return Figure().add_subplot(**how)
 
 
 def test_heat_map_shows_each_value_in_its_direction() -> None:
     ax = axes()
-    data = observations(hemisphere(GLOSS))
-    artists = maps.heat_map(
-        ax, data.directions.theta_r, data.directions.phi_r, data.brdf, label="BRDF [1/sr]", theta_i=np.radians(30.0)
-    )
-    points = artists[1]  # after the triangles
+    # after the triangles
+    points = maps.heat_map(ax, THETA_R, PHI_R, DATA.brdf, label="BRDF [1/sr]", theta_i=np.radians(30.0))[1]
     xy, shown = np.asarray(points.get_offsets()), np.asarray(points.get_array())
     assert xy[np.argmax(shown)] == pytest.approx([30.0, 0.0], abs=1e-9)  # the mirror direction, on the right
-    assert np.hypot(*xy.T) == pytest.approx(
-        np.degrees(data.directions.theta_r), rel=1e-14, abs=1e-14
-    )  # sine and cosine, and back
+    assert np.hypot(*xy.T) == pytest.approx(np.degrees(THETA_R), rel=1e-14, abs=1e-14)  # sine and cosine, and back
     assert ax.figure.axes[1].get_ylabel() == "BRDF [1/sr]"
 
 
 def test_heat_map_leaves_holes_empty() -> None:
-    data = observations(hemisphere(GLOSS))
-    kept = ~((data.directions.phi_r > np.radians(80.0)) & (data.directions.phi_r < np.radians(130.0)))
-    ax = axes()
-    mesh = maps.heat_map(ax, data.directions.theta_r[kept], data.directions.phi_r[kept], data.brdf[kept], label="")[0]
+    kept = ~((np.radians(80.0) < PHI_R) & (np.radians(130.0) > PHI_R))
+    mesh = maps.heat_map(axes(), THETA_R[kept], PHI_R[kept], DATA.brdf[kept], label="")[0]
     x, y = -30 * np.cos(np.radians(105.0)), -30 * np.sin(np.radians(105.0))
     assert not [p for p in mesh.get_paths() if p.contains_point((x, y))]
 
@@ -79,8 +76,7 @@ def test_changes_carry_error_bars_and_the_limit() -> None:
 
 
 def test_slices_are_signed_half_planes() -> None:
-    data = observations(hemisphere(GLOSS))
-    lines = maps.slices(data, np.arange(len(data)))
+    lines = maps.slices(DATA, np.arange(len(DATA)))
     assert [line.label for line in lines][:2] == ["Δφ = 10°/190°", "Δφ = 20°/200°"]
     assert lines[0].angle.min() < 0 < lines[0].angle.max()
     made = float(GLOSS.brdf(np.radians(30.0), 0.0, np.radians(70.0), np.radians(190.0)))
@@ -90,31 +86,27 @@ def test_slices_are_signed_half_planes() -> None:
 
 
 def test_lobe_is_as_long_as_its_values() -> None:
-    ax = axes(projection="3d")
-
-    def brdf(theta: Any, dphi: Any) -> Any:
-        return 0.25 + 0 * theta
-
-    mesh = maps.lobe(ax, brdf, measured=(np.array([0.3]), np.array([1.0]), np.array([0.125])))
+    value = (np.array([0.3]), np.array([1.0]), np.array([0.125]))
+    mesh = maps.lobe(axes(projection="3d"), lambda theta, dphi: 0.25 + 0 * theta, measured=value)
     segments = np.concatenate([np.asarray(s) for s in mesh[0]._segments3d])
     assert np.linalg.norm(segments, axis=1) == pytest.approx(1.0, rel=1e-14)  # of a direction
     assert np.linalg.norm([c[0] for c in mesh[1]._offsets3d]) == pytest.approx(0.5, rel=1e-14)
 
 
 def test_profile_is_zero_at_the_value_and_marks_the_interval() -> None:
-    ax = axes()
     x = np.array([0.8, 0.9, 1.0, 1.1, 1.2])
     walked = Interval("m", 0.804, 1.196, False, False, 0.95, x, ((x - 1) / 0.1) ** 2)
-    curve = diagnostics.profile(ax, walked, value=1.0, threshold=3.84)[1]
+    curve = diagnostics.profile(axes(), walked, value=1.0, threshold=3.84)[1]
     assert np.interp(1.0, *curve.get_data()) == pytest.approx(0.0, abs=1e-12)
     # a parabola comes out as one: its root is a straight line
     assert np.interp(1.15, *curve.get_data()) == pytest.approx(2.25, rel=0.01)
 
 
 def test_budget_over_angle_is_in_percent() -> None:
-    ax = axes()
     angle = np.radians([-10.0, 0.0, 10.0])
-    lines = diagnostics.budget_over_angle(ax, angle, [("combined", np.full(3, 0.01)), ("random", np.full(3, 0.004))])
+    lines = diagnostics.budget_over_angle(
+        axes(), angle, [("combined", np.full(3, 0.01)), ("random", np.full(3, 0.004))]
+    )
     assert [line.get_ydata()[0] for line in lines] == pytest.approx([1.0, 0.4], rel=1e-14)
     assert len({line.get_linestyle() for line in lines} | {line.get_color() for line in lines}) > 2
 
@@ -151,8 +143,7 @@ def test_two_sides_are_both_whole_and_a_model_has_no_markers() -> None:
 
 def test_angles_on_a_hemisphere_stand_on_a_patch_of_their_own() -> None:
     ax = axes()
-    data = observations(hemisphere(GLOSS))
-    maps.heat_map(ax, data.directions.theta_r, data.directions.phi_r, data.brdf, label="f")
+    maps.heat_map(ax, THETA_R, PHI_R, DATA.brdf, label="f")
     rings = [text for text in ax.texts if text.get_text() in ("30°", "60°", "90°")]
     assert len(rings) == 3
     assert all(text.get_bbox_patch() is not None and text.get_position()[1] < 0 for text in rings)

@@ -10,7 +10,6 @@ import pandas as pd
 import pytest
 from gonio_analysis.report import checks
 from gonio_analysis.report.blocks import plain
-from gonio_analysis.report.comparison import summarise
 from gonio_analysis.report.facts import DatasetSummary
 from gonio_analysis.result_records import as_json
 from gonio_analysis.selection.compare import examine
@@ -19,6 +18,7 @@ from gonio import measurement
 from gonio.acquisition.measure import RigChoice, carry_out, find_rig, load_sample
 from gonio.acquisition.plan import load_plan
 from tests.command_line import gonio
+from tests.gonio_analysis.synthetic import facts_of
 
 PLAN = """name = "p"
 wavelength_nm = [550]
@@ -60,8 +60,7 @@ def reduced(run: Path) -> tuple[pd.DataFrame, str]:
 
 
 def shown(table: pd.DataFrame) -> DatasetSummary:
-    (facts,) = summarise([examine(table, ["lambert"], name="x")], title="", normalise="mirror", command="").datasets
-    return facts
+    return facts_of(examine(table, ["lambert"], name="x"))
 
 
 def test_a_sound_run_is_told_so_in_two_lines(reduced: tuple[pd.DataFrame, str]) -> None:

@@ -8,14 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from gonio_analysis.report import figures, make
-from gonio_analysis.report.comparison import summarise
 from gonio_analysis.selection.compare import Dataset, examine
 from matplotlib.figure import Figure
 
 from gonio import measurement
 from gonio.formats.reader import table
 from gonio.models import build
-from tests.gonio_analysis.synthetic import measure
+from tests.gonio_analysis.synthetic import facts_of, measure
 
 
 def test_random_directions_leave_no_empty_panel(tmp_path: Path) -> None:
@@ -53,7 +52,7 @@ def test_models_that_coincide_are_drawn_once_and_both_named(gloss: Dataset) -> N
             np.testing.assert_allclose(gloss.fitted[name].fit.predicted, first.fit.predicted, rtol=figures.SAME_CURVE)
     # a forward lobe leaves Oren and Nayar's backscatter nothing: sigma is 0, which is Lambert's surface
     assert groups == [["lambert", "oren-nayar"], ["phong"]]
-    facts = summarise([gloss], title="x", normalise="mirror", command="").datasets[0]
+    facts = facts_of(gloss)
     drawn = [d for d in figures.draw(gloss, facts, 500) if d.kind == "polar"]
     assert len(drawn) == len(groups)
     assert "which coincide" in drawn[0].caption
@@ -61,7 +60,7 @@ def test_models_that_coincide_are_drawn_once_and_both_named(gloss: Dataset) -> N
 
 
 def test_all_models_stand_together_on_every_curve(gloss: Dataset) -> None:
-    facts = summarise([gloss], title="x", normalise="mirror", command="").datasets[0]
+    facts = facts_of(gloss)
     (overlay,) = [one for one in figures.draw(gloss, facts, 500) if one.kind == "overlay"]
     svg = overlay.rendered().svg
     for words in ("θi = 10°", "θi = 30°", "θi = 60°", "lambert = oren-nayar", "phong", "measurement"):
@@ -76,7 +75,7 @@ def test_all_models_stand_together_on_every_curve(gloss: Dataset) -> None:
 
 @pytest.mark.parametrize("kind", ["polar", "absolute", "overlay"])
 def test_legends_stand_near_their_axes_and_overprint_nothing(gloss: Dataset, kind: str) -> None:
-    facts = summarise([gloss], title="x", normalise="mirror", command="").datasets[0]
+    facts = facts_of(gloss)
     for one in [one for one in figures.draw(gloss, facts, 500) if one.kind == kind]:
         figure = Figure(figsize=one.inches)
         one.on(figure)

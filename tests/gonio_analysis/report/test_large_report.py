@@ -32,7 +32,7 @@ from gonio_analysis.selection.judging import Candidate
 from gonio import measurement
 from gonio.cli.pace import Say
 from gonio.models import Phong, build
-from tests.gonio_analysis.synthetic import measure
+from tests.gonio_analysis.synthetic import joined, measure
 
 pytestmark = pytest.mark.slow
 
@@ -50,9 +50,7 @@ def large(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for dphi in (30.0, 60.0, 90.0):
         part = measure(GLOSS, incidences=(30.0,), views=np.linspace(-85.0, 85.0, 3_000), noise=0.05, name="large")
         around.append(part.assign(phi_r_deg=(part["phi_r_deg"] + dphi) % 360.0))
-    table = pd.concat([flat, *around], ignore_index=True)
-    table.attrs = flat.attrs
-    measurement.write(table, folder / "large.csv")
+    measurement.write(joined(flat, *around), folder / "large.csv")
     make([str(folder / "large.csv")], folder / "out", models=["lambert", "phong"])
     return folder / "out"
 

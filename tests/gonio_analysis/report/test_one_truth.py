@@ -20,19 +20,14 @@ from gonio_analysis.report import figures
 from gonio_analysis.report.comparison import summarise
 from gonio_analysis.report.sample import fitted_words
 from gonio_analysis.result_records import RunFacts, SampleFacts
-from gonio_analysis.selection.compare import Dataset, examine, jump, jumps
+from gonio_analysis.selection.compare import examine, jump, jumps
 
 from gonio.errors import ConfigError
 from gonio.models import build
-from tests.gonio_analysis.synthetic import measure
+from tests.gonio_analysis.synthetic import facts_of, joined, measure
 
 MATTE = build("lambert", {"albedo": 0.5})
 GLOSS = build("phong", {"k_d": 0.3, "k_s": 0.4, "exponent": 40.0})
-
-
-def summary_of(d: Dataset) -> Any:
-    (facts,) = summarise([d], title="", normalise="mirror", command="").datasets
-    return facts
 
 
 def interval(low: float, high: float, *, open_low: bool = False, open_high: bool = False) -> Interval:
@@ -59,7 +54,7 @@ def test_a_bound_cuts_an_interval_and_contradicts_nothing() -> None:
 
 
 def test_the_page_shows_the_interval_alone_where_linearisation_fails() -> None:
-    facts = summary_of(examine(measure(GLOSS, noise=0.01), ["phong"], name="x"))
+    facts = facts_of(examine(measure(GLOSS, noise=0.01), ["phong"], name="x"))
     wrong = replace(facts.choice.intervals["k_s"], low=0.01, high=9.0)
     facts = replace(facts, choice=replace(facts.choice, intervals=facts.choice.intervals | {"k_s": wrong}))
     words = fitted_words(facts, "phong", facts.models["phong"])
@@ -84,9 +79,7 @@ def spectral(seed: int, colours: dict[float, float]) -> pd.DataFrame:
         measure(build("lambert", {"albedo": a}), wavelength_nm=nm, noise=0.01, seed=seed + k, incidences=(30.0,))
         for k, (nm, a) in enumerate(colours.items())
     ]
-    out = pd.concat(parts, ignore_index=True)
-    out.attrs = parts[0].attrs
-    return out
+    return joined(*parts)
 
 
 def test_change_heeds_the_wavelength() -> None:
@@ -110,7 +103,7 @@ def test_every_curve_without_its_mirror_direction_is_listed() -> None:
     """Of eight curves six are drawn; the note named those alone."""
     thetas = tuple(float(t) for t in range(6, 83, 11))
     views = np.arange(-80.0, 81.0, 20.0)  # none of these is within 0.6 degrees of a mirror direction
-    facts = summary_of(examine(measure(MATTE, incidences=thetas, views=views), ["lambert"], name="x"))
+    facts = facts_of(examine(measure(MATTE, incidences=thetas, views=views), ["lambert"], name="x"))
     (note,) = [n for n in facts.notes if n.startswith("The mirror direction was not measured")]
     assert all(f"θi = {t:g}°" in note for t in thetas)
     assert facts.curves_without_mirror == pytest.approx(thetas)
@@ -136,8 +129,7 @@ def test_a_jump_between_neighbouring_wavelengths_is_named() -> None:
 def test_a_series_that_starts_in_another_valley_is_brought_back(monkeypatch: pytest.MonkeyPatch) -> None:
     """A neighbour's start that ends elsewhere, at the same cost, gives way to a search that does not jump."""
     parts = [measure(GLOSS, noise=0.01, wavelength_nm=nm, seed=int(nm)) for nm in (540.0, 550.0, 560.0)]
-    table = pd.concat(parts, ignore_index=True)
-    table.attrs = parts[0].attrs
+    table = joined(*parts)
 
     def astray(data: Any, asked: Any, **options: Any) -> Any:
         found = fit(data, asked, **options)

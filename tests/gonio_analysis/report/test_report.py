@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 import pytest
 from gonio_analysis.report import make
 from gonio_analysis.report.files import staged
@@ -23,7 +22,7 @@ from gonio_analysis.report.text import difference, number, with_u
 from gonio import measurement
 from gonio.errors import ConfigError, DataError
 from gonio.models import build
-from tests.gonio_analysis.synthetic import measure
+from tests.gonio_analysis.synthetic import joined, measure
 
 GLOSS = build("phong", {"k_d": 0.3, "k_s": 0.5, "exponent": 30})
 
@@ -181,8 +180,7 @@ def test_a_spectrum_in_one_direction_is_reported_without_a_model(tmp_path: Path)
     """One value a wavelength, as BiRD's own example has it: no model follows from it, but the values are shown."""
     one = measure(build("lambert", {"albedo": 0.5}), incidences=(0.0,), views=np.array([10.0]), noise=0.0, floor=0.0)
     rows = [one.assign(wavelength_nm=nm, brdf=one["brdf"] * share) for nm, share in ((550.0, 1.0), (650.0, 1.2))]
-    table = pd.concat(rows, ignore_index=True)
-    table.attrs = one.attrs
+    table = joined(*rows)
     table[["u_brdf", "u_random"]] = np.nan
     measurement.write(table, tmp_path / "spectrum.csv")
     make([str(tmp_path / "spectrum.csv")], tmp_path / "out", models=["lambert", "oren-nayar"], command="gonio compare")

@@ -11,14 +11,13 @@ import pytest
 from gonio_analysis.fitting.fit import fit
 from gonio_analysis.report import model_choice
 from gonio_analysis.report.blocks import Table
-from gonio_analysis.report.comparison import summarise
 from gonio_analysis.report.facts import DatasetSummary
 from gonio_analysis.selection.compare import examine
 
 from gonio.errors import ConfigError
 from gonio.formats.reader import table
 from gonio.models import build
-from tests.gonio_analysis.synthetic import measure
+from tests.gonio_analysis.synthetic import facts_of, measure
 
 PAINT = build("cook-torrance", {"s": 0.1, "d": 0.9, "slopes": ((0.25, 1.0),), "diffuse_albedo": 0.4, "ior": 1.5})
 
@@ -31,9 +30,7 @@ def bare(model: Any = PAINT, **options: Any) -> pd.DataFrame:
 
 
 def headline(frame: pd.DataFrame, *models: str, **options: Any) -> DatasetSummary:
-    dataset = examine(frame, models, name="paint", **options)
-    (facts,) = summarise([dataset], title="", normalise="mirror", command="").datasets
-    return facts
+    return facts_of(examine(frame, models, name="paint", **options))
 
 
 def test_without_uncertainties_nothing_is_not_rejected() -> None:
@@ -205,8 +202,7 @@ def test_the_headline_and_the_choice_name_the_same_model_as_the_nearest() -> Non
 
 def test_the_column_of_misfits_says_what_it_ranks_by() -> None:
     for frame in (measure(PAINT, noise=0.03), bare(noise=0.03)):
-        dataset = examine(frame, ["lambert", "oren-nayar"], name="paint")
-        (facts,) = summarise([dataset], title="", normalise="mirror", command="").datasets
+        facts = headline(frame, "lambert", "oren-nayar")
         found = next(b for b in model_choice.section(facts.choice) if isinstance(b, Table))
         assert found.header[-1] == "farthest off, with the median there"
         of_misfit = list(found.header).index("misfit tau")

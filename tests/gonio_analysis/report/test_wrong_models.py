@@ -14,7 +14,6 @@ import pandas as pd
 import pytest
 from gonio_analysis.fitting.fit import fit
 from gonio_analysis.report import write
-from gonio_analysis.report.comparison import summarise
 from gonio_analysis.report.facts import DatasetSummary
 from gonio_analysis.report.verdict import of_fit
 from gonio_analysis.result_records import MisfitSummary, Reflectance
@@ -23,6 +22,7 @@ from gonio_analysis.selection.energy import combined
 
 from gonio.geometry import Directions
 
+from .. import synthetic
 from ..fitting.test_misfit import facets, of_facets
 from ..synthetic import measure
 from .test_verdict import PAINT
@@ -39,9 +39,7 @@ SAID = re.compile(
 
 
 def facts_of(table: pd.DataFrame, *models: str, **options: Any) -> DatasetSummary:
-    dataset = examine(table, models, name="facets", **options)
-    (facts,) = summarise([dataset], title="", normalise="mirror", command="").datasets
-    return facts
+    return synthetic.facts_of(examine(table, models, name="facets", **options))
 
 
 @pytest.fixture(scope="module")
