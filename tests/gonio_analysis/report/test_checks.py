@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from gonio_analysis.report import checks
-from gonio_analysis.report.blocks import plain
+from gonio_analysis.report.blocks import Table, plain
 from gonio_analysis.report.facts import DatasetSummary
 from gonio_analysis.result_records import as_json
 from gonio_analysis.selection.compare import examine
@@ -94,11 +94,11 @@ def test_the_page_has_both_uncertainties_of_a_reflectance_and_a_figure(reduced: 
     facts = shown(reduced[0])
     (drawing,) = checks.draw(facts.checks, facts.rho_dh, "x")
     figure = drawing.rendered()
-    tables = [block for block in checks.section(facts.checks, facts.rho_dh, [figure]) if block.kind == "table"]
+    tables = [block for block in checks.section(facts.checks, facts.rho_dh, [figure]) if isinstance(block, Table)]
     assert len(tables) == 2
     (first, second) = tables
-    assert len(first.rows) == len(NAMES)  # type: ignore[union-attr]
-    header = [plain(cell) for cell in second.header]  # type: ignore[union-attr]
+    assert len(first.rows) == len(NAMES)
+    header = [plain(cell) for cell in second.header]
     assert any("full covariance" in cell for cell in header)
     assert any("points independent" in cell for cell in header)
     (r, *_) = [one for one in facts.rho_dh if one.rho_dh is not None]
