@@ -41,7 +41,7 @@ def test_wrap_stays_below_a_turn(phi: float, expected: float) -> None:
 
 def test_the_normal_has_azimuth_zero() -> None:
     theta, phi = geometry.angles([0.0, 0.0, 2.0])
-    assert (theta, phi) == (0.0, 0.0)
+    assert (float(theta), float(phi)) == (0.0, 0.0)
 
 
 def test_signed_angle_is_positive_on_the_mirror_side() -> None:
