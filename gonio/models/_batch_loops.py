@@ -400,7 +400,10 @@ def by_blocks(derivatives, residual, numbers, spread, count):  # type: ignore[no
 
 
 @called
-def nearest(shade, affine, columns, values, u, z, w, small, relative, theta, free, lower, upper, f, work, numbers, spread, moves, count):  # type: ignore[no-untyped-def]
+def nearest(  # type: ignore[no-untyped-def]
+    shade, affine, columns, values, u, z, w, small, relative, theta, free, lower, upper, f, work, numbers, spread,
+    moves, count,
+):  # fmt: skip
     """The nearest model with a misfit of its own, where the data reject every one (`fit._nearest`): tau.
 
     `theta` begins where the stated uncertainties end; it and its covariance `spread` are changed.
@@ -426,7 +429,9 @@ def nearest(shade, affine, columns, values, u, z, w, small, relative, theta, fre
             break
         for j in range(count):
             w[j] = 1.0 / sqrt(variance[j] + tau * tau)
-        minimised(shade, affine, columns, z, w, small, relative, theta, free, lower, upper, f, work, matrix, moves, count)
+        minimised(
+            shade, affine, columns, z, w, small, relative, theta, free, lower, upper, f, work, matrix, moves, count
+        )
     # standard errors: by blocks, and no less than those of a misfit that is independent everywhere
     slopes_of_scale(f, small, slope, count)
     linearised(shade, affine, columns, theta, f, w, slope, free, lower, upper, trial, plain, count)
@@ -470,18 +475,19 @@ def nearest(shade, affine, columns, values, u, z, w, small, relative, theta, fre
     return tau
 
 
-F, I = types.float64, types.int64
+REAL, WHOLE = types.float64, types.int64
 RESULT = types.int64(
-    *(types.FunctionType(one) for one in (TAKE, SHADE, AFFINE, UNIT, LEVELS)), I, F[::1], F[::1], F[:, ::1], F[:, ::1],
-    F[:, ::1], F[:, ::1], F[:, ::1], I[::1], F[::1], F[::1], F[:, ::1], I, I[:, ::1], F[::1], F[:, ::1],
-    F[:, :, ::1], F[::1], F[::1], I[::1], I, I,
-)  # fmt: skip
+    *(types.FunctionType(one) for one in (TAKE, SHADE, AFFINE, UNIT, LEVELS)),
+    *(WHOLE, REAL[::1], REAL[::1], REAL[:, ::1], REAL[:, ::1], REAL[:, ::1], REAL[:, ::1], REAL[:, ::1]),
+    *(WHOLE[::1], REAL[::1], REAL[::1], REAL[:, ::1], WHOLE, WHOLE[:, ::1], REAL[::1]),
+    *(REAL[:, ::1], REAL[:, :, ::1], REAL[::1], REAL[::1], WHOLE[::1], WHOLE, WHOLE),
+)
 
 
 @njit(*RESULT.args, **OPTIONS)
 def fit_pixels(  # type: ignore[no-untyped-def]
-    take, shade, affine, unit, levels, count_of_columns, x, y, source, camera, values, u, common, free, lower, upper, grid, widths, numbers, critical, theta, spread, chi,
-    tau, used, start, stop,
+    take, shade, affine, unit, levels, count_of_columns, x, y, source, camera, values, u, common, free, lower, upper,
+    grid, widths, numbers, critical, theta, spread, chi, tau, used, start, stop,
 ):  # fmt: skip
     """Fit pixels `start` to `stop`, one after the other; see `gonio.models.batch.fit`."""
     n, k, r, size = values.shape[1], free.size, common.shape[0], grid.shape[1]
@@ -527,7 +533,22 @@ def fit_pixels(  # type: ignore[no-untyped-def]
             for a in range(size):
                 end[a] = min(max(starts[which, a], lower[a]), upper[a])
             found = minimised(
-                shade, affine, columns, z, w, 0.0, relative, end, free, lower, upper, f[:count], work, matrix, moves, count
+                shade,
+                affine,
+                columns,
+                z,
+                w,
+                0.0,
+                relative,
+                end,
+                free,
+                lower,
+                upper,
+                f[:count],
+                work,
+                matrix,
+                moves,
+                count,
             )
             if found < best:
                 best = found
@@ -539,8 +560,8 @@ def fit_pixels(  # type: ignore[no-untyped-def]
             end[:] = theta[p]
             measured = z[:count].copy()
             tau[p] = nearest(
-                shade, affine, columns, measured, own[:count], z[:count], w[:count], small, relative, end, free, lower, upper,
-                f[:count], work, block[:, :count], spread[p], moves, count,
+                shade, affine, columns, measured, own[:count], z[:count], w[:count], small, relative, end, free, lower,
+                upper, f[:count], work, block[:, :count], spread[p], moves, count,
             )  # fmt: skip
             theta[p] = end
     return 0

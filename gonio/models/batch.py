@@ -200,6 +200,8 @@ def _spread(low: float, high: float, count: int) -> tuple[float, ...]:
     return tuple(np.geomspace(low, high, count).tolist())
 
 
+SLOPES = (0.02, 0.05, 0.1, 0.17, 0.25, 0.35, 0.5, 0.8, 1.3)
+"""2 sigma0 / tau."""
 INDICES = ("ior", (1.5, 3.0, 20.0))
 MODELS = {
     "cook-torrance": Batched(
@@ -220,7 +222,7 @@ MODELS = {
     ),
     "he-torrance": Batched(
         ("sigma0_um", "diffuse_albedo", "tau_um", "ior", "k"), _htsg_kernels.lobe_state, 11, waves_constants,
-        base_affine, base_unit, base_levels, (INDICES, ("sigma0_um", (0.04, 0.15, 0.4, 1.5)), ("slope", (0.02, 0.05, 0.1, 0.17, 0.25, 0.35, 0.5, 0.8, 1.3))),
+        base_affine, base_unit, base_levels, (INDICES, ("sigma0_um", (0.04, 0.15, 0.4, 1.5)), ("slope", SLOPES)),
         lambda wavelength_nm: (2.0 * pi / (1e-3 * wavelength_nm), 1.0),
     ),
 }  # fmt: skip
@@ -322,8 +324,8 @@ def fit(
     which = np.array([model.names.index(one) for one in free])
     engine.in_parts(
         lambda start, stop: fit_pixels(
-            *parts, *given, r, which, lower, upper, grid, widths, cuts, _critical(n, len(free)), out.values, out.covariance,
-            out.chi_square, out.tau, out.used, start, stop,
+            *parts, *given, r, which, lower, upper, grid, widths, cuts, _critical(n, len(free)),
+            out.values, out.covariance, out.chi_square, out.tau, out.used, start, stop,
         ),
         pixels,
         WORTH,

@@ -1,0 +1,295 @@
+"""Map files: values of many pixels of a sample, in HDF5 as netCDF-4 has it (docs/maps.md).
+
+A map is made tile by tile. A finished tile is written whole into a folder beside the file to be; at the end the tiles
+become the file. What was killed goes on with the tiles that are missing, and the file is the same to the byte.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from gonio.disk import require_name, write_whole
+from gonio.documents import JsonObject
+from gonio.errors import ConfigError, DataError
+from gonio.typing import DataFrame, Floats
+
+FORMAT = "gonio-map-1"
+TILE = 64
+"""Pixels along a side of a tile."""
+FLAGS = ("outside", "saturated", "hot", "shadowed", "blurred")
+"""Why a value must not be used, by bits of `flag` from the lowest."""
+ANGLES = ("theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg")
+
+
+def library() -> Any:
+    """h5py; raises `ConfigError` where it is not installed."""
+    try:
+        import h5py
+    except ImportError:
+        raise ConfigError("map files need the package h5py: pip install gonio[hdf5]") from None
+    return h5py
+
+
+@dataclass(frozen=True)
+class Tile:
+    """Some rows and columns of a map."""
+
+    rows: slice
+    cols: slice
+
+    @property
+    def name(self) -> str:
+        """Of its file among the parts."""
+        return f"{self.rows.start:06d}-{self.cols.start:06d}.npz"
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        return self.rows.stop - self.rows.start, self.cols.stop - self.cols.start
+
+
+def tiles(rows: int, cols: int) -> Iterator[Tile]:
+    """All tiles of a map, row by row."""
+    for top in range(0, rows, TILE):
+        for left in range(0, cols, TILE):
+            yield Tile(slice(top, min(top + TILE, rows)), slice(left, min(left + TILE, cols)))
+
+
+@dataclass(frozen=True)
+class Variable:
+    """An array of a map file: either given, or put together from the tiles."""
+
+    dims: tuple[str, ...]
+    """Of "y", "x", "point" and others; those of tiles begin with y, x."""
+    data: npt.NDArray[Any] | None = None
+    """None: it comes from the tiles."""
+    dtype: str = "f8"
+    units: str = "1"
+    about: str = ""
+    """A few words, as `long_name`."""
+    attrs: Mapping[str, Any] | None = None
+
+
+class Parts:
+    """The tiles of a map that are done, in the folder `NAME.parts` beside the map file.
+
+    Parameters
+    ----------
+    path
+        The map file to be.
+    settings
+        What makes the tiles what they are; a folder that was begun with others is refused.
+
+    Raises
+    ------
+    ConfigError
+        The file exists, the folder holds tiles of other settings, or it cannot be written.
+    """
+
+    def __init__(self, path: Path, settings: JsonObject) -> None:
+        require_name(path)
+        self.path, self.folder = path, path.with_name(path.name + ".parts")
+        if path.exists() and not is_map(path):
+            raise ConfigError(f"{path}: is there already, and no map; choose another name")
+        text = json.dumps({"format": FORMAT, **settings}, sort_keys=True, indent=1)
+        known = self.folder / "settings.json"
+        try:
+            if known.exists():
+                if known.read_text(encoding="utf-8") != text:
+                    raise ConfigError(
+                        f"{self.folder}: holds parts of another map of this name; remove the folder, or choose"
+                        " another --out"
+                    )
+            else:
+                self.folder.mkdir(parents=True, exist_ok=True)
+                write_whole(known, text.encode())
+        except OSError as error:
+            raise ConfigError(f"{self.folder}: cannot be written: {error.strerror}") from None
+
+    def has(self, tile: Tile) -> bool:
+        """Whether a tile is done."""
+        return (self.folder / tile.name).is_file()
+
+    def write(self, tile: Tile, arrays: Mapping[str, npt.NDArray[Any]]) -> None:
+        """Keep a tile, whole; raises `OSError` where the disk is full."""
+        write_tile(self.folder / tile.name, arrays)
+
+    def read(self, tile: Tile) -> dict[str, npt.NDArray[Any]]:
+        """The arrays of a tile that is done."""
+        with np.load(self.folder / tile.name) as found:
+            return {name: found[name] for name in found.files}
+
+    def assemble(self, sizes: Mapping[str, int], variables: Mapping[str, Variable], attrs: Mapping[str, Any]) -> None:
+        """Make the file of all tiles, which then go. `sizes`: of every dimension, "y" and "x" among them."""
+        unfinished = self.folder / "whole.h5"
+        with library().File(unfinished, "w", libver="latest") as file:
+            _fill(file, sizes, variables, attrs)
+            for tile in tiles(sizes["y"], sizes["x"]):
+                for name, array in self.read(tile).items():
+                    file[name][tile.rows, tile.cols] = array
+        unfinished.replace(self.path)
+        shutil.rmtree(self.folder)
+
+
+def write_tile(path: Path, arrays: Mapping[str, npt.NDArray[Any]]) -> None:
+    """A tile's file, written whole; also by workers that know nothing but its path."""
+    import io
+
+    stream = io.BytesIO()
+    np.savez(stream, **arrays)  # type: ignore[arg-type]
+    write_whole(path, stream.getvalue())
+
+
+def _fill(file: Any, sizes: Mapping[str, int], variables: Mapping[str, Variable], attrs: Mapping[str, Any]) -> None:
+    """Dimensions, variables and attributes, as netCDF-4 has them."""
+    file.attrs.update({"format": FORMAT, "Conventions": "CF-1.10"} | {n: _attribute(v) for n, v in attrs.items()})
+    for name, variable in variables.items():
+        shape = tuple(sizes[d] for d in variable.dims)
+        options: dict[str, Any] = {"track_times": False}
+        if variable.data is None:
+            chunk = tuple(min(TILE, n) if d in ("y", "x") else n for d, n in zip(variable.dims, shape, strict=True))
+            options |= {"chunks": chunk, "compression": "gzip", "compression_opts": 1, "shuffle": True}
+        dataset = file.create_dataset(name, shape, variable.dtype, data=variable.data, **options)
+        dataset.attrs.update({"units": variable.units, "long_name": variable.about, **(variable.attrs or {})})
+    for name, size in sizes.items():
+        if name not in file:
+            file.create_dataset(name, data=np.arange(size), track_times=False)
+        file[name].make_scale(name)
+    for name, variable in variables.items():
+        if variable.dims != (name,):
+            for axis, dimension in enumerate(variable.dims):
+                file[name].dims[axis].attach_scale(file[dimension])
+
+
+def _attribute(value: Any) -> Any:
+    return value if isinstance(value, str | int | float) else json.dumps(value, ensure_ascii=False)
+
+
+def is_map(path: str | Path) -> bool:
+    """Whether a file is a map of ours, of values or of fits."""
+    if not str(path).endswith((".h5", ".nc", ".hdf5")) or not Path(path).is_file():
+        return False
+    try:
+        with library().File(path, "r") as file:
+            return bool(file.attrs.get("format") == FORMAT)
+    except OSError:
+        return False
+
+
+class MapFile:
+    """A map file that is read tile by tile.
+
+    Raises
+    ------
+    DataError
+        It cannot be read, or is no map.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+        try:
+            self._file = library().File(self.path, "r")
+        except OSError as error:
+            raise DataError(f"{path}: cannot be read as HDF5: {error}") from None
+        if self._file.attrs.get("format") != FORMAT:
+            raise DataError(f"{path}: is no map: it lacks the attribute format = {FORMAT}; see docs/maps.md")
+
+    def __enter__(self) -> MapFile:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._file.close()
+
+    @property
+    def attrs(self) -> dict[str, Any]:
+        """Attributes of the file; those that were lists or tables are again."""
+        out = {}
+        for name, value in self._file.attrs.items():
+            text = value if isinstance(value, str) else None
+            out[name] = json.loads(text) if text and text[0] in "{[" else value
+        return out
+
+    @property
+    def names(self) -> list[str]:
+        """Its variables."""
+        return list(self._file)
+
+    def array(self, name: str, tile: Tile | None = None) -> npt.NDArray[Any]:
+        """A variable, or a tile of it; raises `DataError` where there is none."""
+        if name not in self._file:
+            raise DataError(f"{self.path}: has no variable {name}")
+        found = self._file[name]
+        return np.asarray(found[()] if tile is None else found[tile.rows, tile.cols])
+
+    def dims(self, name: str) -> tuple[str, ...]:
+        """The dimensions of a variable."""
+        return tuple(d[0].name.strip("/") for d in self._file[name].dims if len(d))
+
+    @cached_property
+    def x_mm(self) -> Floats:
+        """Middle of the columns on the sample [mm]."""
+        return self.array("x").astype(float)
+
+    @cached_property
+    def y_mm(self) -> Floats:
+        """Middle of the rows on the sample [mm]."""
+        return self.array("y").astype(float)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        return len(self.y_mm), len(self.x_mm)
+
+    @cached_property
+    def causes(self) -> dict[str, Floats]:
+        """Relative changes of the values of each point (n,) for one standard deviation of causes that pixels share."""
+        return {name: self.array(name).astype(float) for name in self.names if name.startswith("s_")}
+
+    def tiles(self) -> list[Tile]:
+        """All tiles."""
+        return list(tiles(*self.shape))
+
+    def sha256(self) -> str:
+        """Of the whole file: what fits of it are held by."""
+        digest = hashlib.sha256()
+        with open(self.path, "rb") as file:
+            while block := file.read(1 << 22):
+                digest.update(block)
+        return digest.hexdigest()
+
+    def values(self, tile: Tile) -> tuple[Floats, Floats]:
+        """BRDF [1/sr] and its own standard uncertainty of a tile, shape (rows, columns, n); NaN where flagged."""
+        bad = self.array("flag", tile) != 0
+        return (
+            np.where(bad, np.nan, self.array("brdf", tile).astype(float)),
+            np.where(bad, np.nan, self.array("u_random", tile).astype(float)),
+        )
+
+    def table(self, row: int, col: int) -> DataFrame:
+        """The measurement table of one pixel, in its own directions (`gonio.measurement`)."""
+        import pandas as pd
+
+        from gonio.geometry import Directions
+
+        spot = np.array([self.x_mm[col], self.y_mm[row], 0.0])
+        at = Directions.from_vectors(self.array("source_mm") - spot, self.array("camera_mm") - spot)
+        tile = Tile(slice(row, row + 1), slice(col, col + 1))
+        brdf, u = (self.array(name, tile)[0, 0].astype(float) for name in ("brdf", "u_random"))
+        flags = [",".join(f for k, f in enumerate(FLAGS) if bits >> k & 1) for bits in self.array("flag", tile)[0, 0]]
+        columns: dict[str, Any] = dict(zip(ANGLES, np.degrees(np.array(at.angles)), strict=True))
+        columns |= {"wavelength_nm": self.array("wavelength_nm"), "polarisation": "unpolarised", "brdf": brdf}
+        common = {name: relative * brdf for name, relative in self.causes.items()}
+        total = np.sqrt(u**2 + sum((change**2 for change in common.values()), np.zeros(len(brdf))))
+        frame = pd.DataFrame(columns | {"u_brdf": total, "u_random": u, **common, "flag": flags})
+        frame.attrs = self.attrs | {"source_file": f"{self.path}, x = {spot[0]:g} mm, y = {spot[1]:g} mm"}
+        return frame
