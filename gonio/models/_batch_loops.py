@@ -7,14 +7,15 @@ Indices: j values, a and b parameters that move, c common causes, p pixels. numb
 
 from __future__ import annotations
 
-from math import asinh, log, sqrt
+from math import copysign, sqrt
 
 import numba
 import numpy as np
 from numba import types
 
 from gonio.compiled import njit
-from gonio.models._compile import FASTMATH
+from gonio.models import _math
+from gonio.models._compile import FASTMATH, jit
 
 ROW = types.float64[::1]
 TAKE = types.int64(ROW, ROW, ROW)
@@ -31,6 +32,8 @@ OPTIONS = {"error_model": "numpy", "nogil": True, "fastmath": set(FASTMATH)}
 called = numba.njit(**OPTIONS)
 summing = numba.njit(error_model="numpy", nogil=True, fastmath={*FASTMATH, "reassoc"})
 """Sums may be taken in any order, so that they vectorise."""
+inlined = numba.njit(inline="always", **OPTIONS)
+log = jit(_math.log)
 
 STEP = 1e-6
 """Of a parameter, relative, for a derivative by differences: its error is 1e-6 of the derivative."""
@@ -45,7 +48,11 @@ FREE_LEVELS, FREE_BASE = 1, 2
 """What of a model`s levels follows by linear least squares: both, the base alone, none."""
 LINEAR_BELOW = 0.05
 """Of the median value: below it the scale of logarithms is linear (`observations.LINEAR_BELOW`)."""
-LEAST_TAU, MOST_TAU = 1e-12, 1e3
+LEAST_TAU = 1e-12
+LOWEST, HIGHEST = -27.6, 6.9
+"""Between these ln tau is sought."""
+TOGETHER = 8
+"""Factors whose product has one logarithm; each lies between 1e-30 and 1e30."""
 LEAST_LEFT = 1e-3
 """Part of what is known of a parameter that is left without a block, at least (`misfit.block_spread`)."""
 
@@ -68,12 +75,11 @@ def weighted_dot(x, y, w, count):  # type: ignore[no-untyped-def]
     return out
 
 
-@called
+@inlined
 def on_scale(f, small):  # type: ignore[no-untyped-def]
-    """f, or where `small` is above 0 asinh(f/(2 small)): ln f for all but the smallest values."""
-    if small == 0.0:
-        return f
-    return asinh(f / (2.0 * small))
+    """asinh(f/(2 small)): ln f for all but the smallest values."""
+    x = abs(f) / (2.0 * small)
+    return copysign(log(x + sqrt(x * x + 1.0)), f)
 
 
 @called
@@ -299,12 +305,15 @@ def unlikely(log_tau, variance, raw, plain, relative, f, slope, causes, inner, t
     k, r = plain.shape[0], relative.shape[0]
     w, residual, column = work[0, :count], work[1, :count], work[2, :count]
     tau2 = np.exp(2.0 * log_tau)
-    value = 0.0
     for j in range(count):
         w[j] = 1.0 / sqrt(variance[j] + tau2)
         residual[j] = raw[j] * w[j]
-        value -= 2.0 * log(w[j])
-    value += dot(residual, residual, count)
+    value = dot(residual, residual, count)
+    for first in range(0, count, TOGETHER):
+        product = 1.0
+        for j in range(first, min(first + TOGETHER, count)):
+            product *= w[j]
+        value -= 2.0 * log(product)
     other, of_causes = np.empty(r), np.empty((k, r))
     if r:
         whitened_causes(relative, f, w, slope, causes, inner, count)
@@ -333,24 +342,24 @@ def unlikely(log_tau, variance, raw, plain, relative, f, slope, causes, inner, t
 
 @called
 def estimated_tau(variance, raw, plain, relative, f, slope, causes, inner, triangle, work, count):  # type: ignore[no-untyped-def]
-    """The misfit that makes residuals most probable: golden section over ln tau, around their scatter."""
-    scatter = dot(raw, raw, count) / count
-    middle = 0.5 * log(max(scatter, LEAST_TAU * LEAST_TAU))
-    low, high = max(middle - 6.0, log(LEAST_TAU)), min(middle + 1.0, log(MOST_TAU))
-    ratio = 0.6180339887498949
-    a, b = high - ratio * (high - low), low + ratio * (high - low)
-    at_a = unlikely(a, variance, raw, plain, relative, f, slope, causes, inner, triangle, work, count)
-    at_b = unlikely(b, variance, raw, plain, relative, f, slope, causes, inner, triangle, work, count)
-    while high - low > 2e-4:
-        if at_a < at_b:
-            high, b, at_b = b, a, at_a
-            a = high - ratio * (high - low)
-            at_a = unlikely(a, variance, raw, plain, relative, f, slope, causes, inner, triangle, work, count)
-        else:
-            low, a, at_a = a, b, at_b
-            b = low + ratio * (high - low)
-            at_b = unlikely(b, variance, raw, plain, relative, f, slope, causes, inner, triangle, work, count)
-    return np.exp(0.5 * (low + high))
+    """The misfit that makes residuals most probable: parabolas through three ln tau, from their scatter on."""
+    x = 0.5 * log(max(dot(raw, raw, count) / count, LEAST_TAU * LEAST_TAU))
+    width = 0.25
+    here = unlikely(x, variance, raw, plain, relative, f, slope, causes, inner, triangle, work, count)
+    for _ in range(MOST_STEPS):
+        below = unlikely(x - width, variance, raw, plain, relative, f, slope, causes, inner, triangle, work, count)
+        above = unlikely(x + width, variance, raw, plain, relative, f, slope, causes, inner, triangle, work, count)
+        bend = below + above - 2.0 * here
+        step = 0.5 * width * (below - above) / bend if bend > 0.0 else copysign(1.0, below - above)
+        step = min(max(step, -1.0), 1.0)
+        if x + step < LOWEST or x + step > HIGHEST:
+            break
+        x += step
+        if abs(step) < 1e-4:
+            break
+        width = min(max(0.5 * abs(step), 0.01), 0.25)
+        here = unlikely(x, variance, raw, plain, relative, f, slope, causes, inner, triangle, work, count)
+    return np.exp(x)
 
 
 @called
