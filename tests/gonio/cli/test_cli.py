@@ -30,14 +30,6 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-@pytest.fixture
-def folder(tmp_path: Path) -> Path:
-    """A folder with a plan (`plan.toml`) and a matt sample (`good.toml`)."""
-    (tmp_path / "plan.toml").write_text(PLAN)
-    (tmp_path / "good.toml").write_text('name = "grey"\nmodel = "lambert"\n')
-    return tmp_path
-
-
 def process(folder: Path, *arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         [sys.executable, "-c", "from gonio.cli import main; main()", *arguments],
