@@ -136,7 +136,9 @@ def watch(
 
 
 def fit(
-    table: Annotated[str, typer.Argument(metavar="TABLE", help="A table, a run, or FILE:SAMPLE.", show_default=False)],
+    table: Annotated[
+        str, typer.Argument(metavar="TABLE", help="A table, a run, FILE:SAMPLE, or a map.", show_default=False)
+    ],
     model: Annotated[str, typer.Option(help="Which model: he-torrance, cook-torrance, ...", show_default=False)],
     more: More = None,
     ior: IorOption = None,
@@ -158,12 +160,18 @@ def fit(
     separate: Separate = False,
     save: Save = None,
     residual: Residual = False,
+    out: Annotated[
+        Path | None, typer.Option(help="Of a map: the file of fits.", metavar="FITS.h5", show_default=False)
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
     columns: Columns = None,
     blank: Blank = None,
 ) -> None:
-    """Fit one model to measurements of a sample. With the table's covariance, and through the instrument's cones."""
-    from gonio_analysis.commands import carried_out
+    """Fit one model to measurements of a sample. With the table's covariance, and through the instrument's cones.
+
+    Of a map (gonio reduce --map) every pixel is fitted, without the cones.
+    """
+    from gonio_analysis.commands import carried_out, of_many
     from gonio_analysis.fitting.problem import FitRequest
 
     how = reading(columns, blank)
@@ -185,6 +193,9 @@ def fit(
         separate=separate,
     )
     wanted = carried_out.Wanted(u_ior, intervals, save, residual, as_json)
+    if of_many.is_map(table, out):
+        of_many.require_plain("a map", asked, wanted, {"MORE": more, "--columns": columns, "--blank": blank})
+        return of_many.fit_map(Path(table), out, asked, as_json=as_json)
     carried_out.fit([table, *(more or [])], asked, how, wanted)
 
 

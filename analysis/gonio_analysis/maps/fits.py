@@ -1,0 +1,189 @@
+"""A file of fits of every pixel of a map: tile by tile, and what it says in short."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from importlib.metadata import version
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import gonio
+from gonio.documents import JsonObject
+from gonio.errors import ConfigError, DataError
+from gonio.maps import MapFile, Parts, Tile, Variable
+from gonio_analysis.fitting.problem import FitRequest
+from gonio_analysis.maps.pixels import AT_BOUND, FLAGS, REJECTED, TOO_FEW, Arrays, Plan, fit_tile, plan, read_tile
+
+AHEAD = 2
+"""Tiles in work: one is read or written while the cores fit another."""
+KEPT = ("sample", "quantity", "simulated")
+"""Attributes of a map that its fits have, too."""
+
+Count = Callable[[int, int], None]
+
+
+def make(path: Path, out: Path, asked: FitRequest, *, count: Count, say: Callable[[str], None]) -> Plan:
+    """Fit every pixel of a map.
+
+    Parameters
+    ----------
+    path, out
+        The map, and the file of fits to be.
+    asked
+        Model, optical constants, fixed parameters and wavelength.
+    count, say
+        Told how many tiles are done, of how many; and lines for a person.
+
+    Raises
+    ------
+    ConfigError
+        The request does not fit the map, or `out` cannot be written.
+    DataError
+        The map is damaged, or lacks something.
+    """
+    if out.suffix not in (".h5", ".nc", ".hdf5"):
+        raise ConfigError(f"--out {out}: fits of a map are an HDF5 file; choose a name that ends in .h5")
+    if out.exists() and out.samefile(path):
+        raise ConfigError(f"--out {out}: is the map itself; choose another name")
+    with MapFile(path) as map_file:
+        if "brdf" not in map_file.names:
+            raise DataError(f"{path}: is a map without values (brdf); gonio fit takes what gonio reduce --map made")
+        wanted = plan(map_file, asked)
+        for text in wanted.notes:
+            say(text)
+        about = _about(map_file, wanted)
+        parts = Parts(out, about)
+        every = map_file.tiles()
+        todo = [tile for tile in every if not parts.has(tile)]
+        if len(todo) < len(every):
+            say(f"{len(every) - len(todo)} of {len(every)} tiles were done before")
+        try:
+            for done, (tile, arrays) in enumerate(_fitted_here(map_file, wanted, todo), 1):
+                parts.write(tile, arrays)
+                count(done, len(todo))
+            sizes, variables = _layout(map_file, wanted)
+            parts.assemble(sizes, variables, {n: map_file.attrs[n] for n in KEPT if n in map_file.attrs} | about)
+        except OSError as error:
+            raise ConfigError(
+                f"{out}: cannot be written: {error.strerror or error}; the tiles that are done stay, and the same"
+                " command goes on with the others"
+            ) from None
+    return wanted
+
+
+def _about(map_file: MapFile, wanted: Plan) -> JsonObject:
+    """What the fits are, as attributes; and what tiles of an earlier try have to agree with."""
+    versions = {"gonio": gonio.__version__, "python": platform.python_version()}
+    versions |= {name: version(name) for name in ("numpy", "numba", "scipy")}
+    return {
+        "map": map_file.path.name,
+        "map_sha256": map_file.sha256(),
+        "model": wanted.model,
+        "parameters": dict(zip(wanted.free, wanted.units, strict=True)),
+        "fixed": dict(wanted.fixed),
+        "wavelength_nm": float(wanted.wavelength_nm),
+        "versions": versions,
+    }
+
+
+def _fitted_here(map_file: MapFile, wanted: Plan, todo: list[Tile]) -> Iterator[tuple[Tile, Arrays]]:
+    """Tiles as they are fitted, by the threads of this process."""
+
+    def work(tile: Tile) -> Arrays:
+        return fit_tile(wanted, tile.shape, *read_tile(map_file, wanted.points, tile))
+
+    rest = iter(todo)
+    with ThreadPoolExecutor(AHEAD) as pool:
+        waiting = [(tile, pool.submit(work, tile)) for tile in islice(rest, AHEAD)]
+        while waiting:
+            tile, job = waiting.pop(0)
+            arrays = job.result()
+            waiting += [(later, pool.submit(work, later)) for later in islice(rest, 1)]
+            yield tile, arrays
+
+
+def _layout(map_file: MapFile, wanted: Plan) -> tuple[dict[str, int], dict[str, Variable]]:
+    """Dimensions and variables of a file of fits."""
+    rows, cols = map_file.shape
+    sizes, yx = {"y": rows, "x": cols}, ("y", "x")
+    out = {
+        "x": Variable(("x",), map_file.x_mm, units="mm", about="middle of the pixel in the sample's frame"),
+        "y": Variable(("y",), map_file.y_mm, units="mm", about="middle of the pixel in the sample's frame"),
+    }
+    for name, unit in zip(wanted.free, wanted.units, strict=True):
+        out[name] = Variable(
+            yx, units=unit, about=f"{name} of {wanted.model}", attrs={"ancillary_variables": f"u_{name}"}
+        )
+        out[f"u_{name}"] = Variable(yx, units=unit, about=f"standard uncertainty of {name}")
+    if wanted.pairs:
+        sizes["pair"] = len(wanted.pairs)
+        listed = " ".join(f"{wanted.free[a]}:{wanted.free[b]}" for a, b in wanted.pairs)
+        out["correlation"] = Variable(
+            (*yx, "pair"), None, "f4", about="correlation of parameters", attrs={"pairs": listed}
+        )
+    out["tau"] = Variable(yx, None, "f4", about="relative misfit of a model that is rejected")
+    out["chi_square"] = Variable(yx, None, "f4", about="chi-square with the stated uncertainties")
+    out["n_values"] = Variable(yx, None, "i4", about="values that were fitted")
+    masks = {"flag_masks": np.array([1 << k for k in range(len(FLAGS))], np.uint8), "flag_meanings": " ".join(FLAGS)}
+    out["flag"] = Variable(yx, None, "u1", about="what is to be known of the fit", attrs=masks)
+    return sizes, out
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One parameter over a map."""
+
+    median: float
+    spread: float
+    """Half the distance between its 16th and 84th percentile."""
+    u: float
+    """Median of its standard uncertainty."""
+    unit: str
+    undetermined: int
+    """Pixels where it is masked, for its uncertainty exceeds half of its range."""
+
+
+@dataclass(frozen=True)
+class Summary:
+    """What a file of fits says in short."""
+
+    pixels: int
+    fitted: int
+    rejected: int
+    at_bound: int
+    tau: float
+    """Median of the misfit of pixels that are rejected; NaN without any."""
+    parameters: dict[str, Parameter]
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain numbers; None for those that are not there."""
+        from gonio_analysis.result_records import as_json
+
+        return dict(as_json(self))
+
+
+def summary(path: Path) -> Summary:
+    """The summary of a file of fits."""
+    with MapFile(path) as fits:
+        flag = fits.array("flag")
+        fitted, rejected = (flag & TOO_FEW) == 0, (flag & REJECTED) != 0
+        tau = fits.array("tau")[rejected]
+        found = {}
+        for name, unit in fits.attrs["parameters"].items():
+            values, u = fits.array(name), fits.array(f"u_{name}")
+            known = np.isfinite(values)
+            low, middle, high = np.quantile(values[known], [0.16, 0.5, 0.84]) if known.any() else [np.nan] * 3
+            error = u[np.isfinite(u)]
+            typical = float(np.median(error)) if error.size else np.nan
+            spread, unknown = 0.5 * float(high - low), int((fitted & ~known).sum())
+            found[name] = Parameter(float(middle), spread, typical, unit, unknown)
+    return Summary(
+        flag.size, int(fitted.sum()), int(rejected.sum()), int(((flag & AT_BOUND) != 0).sum()),
+        float(np.median(tau)) if tau.size else np.nan, found,
+    )  # fmt: skip
