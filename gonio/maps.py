@@ -13,7 +13,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -28,6 +28,8 @@ TILE = 64
 """Pixels along a side of a tile."""
 FLAGS = ("outside", "saturated", "hot", "shadowed", "blurred")
 """Why a value must not be used, by bits of `flag` from the lowest."""
+FIT_FLAGS = ("too_few", "at_bound", "undetermined", "rejected")
+"""What is said of a fitted pixel, by bits of `flag` from the lowest."""
 ANGLES = ("theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg")
 
 
@@ -204,7 +206,7 @@ class MapFile:
         if self._file.attrs.get("format") != FORMAT:
             raise DataError(f"{path}: is no map: it lacks the attribute format = {FORMAT}; see docs/maps.md")
 
-    def __enter__(self) -> MapFile:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -293,3 +295,65 @@ class MapFile:
         frame = pd.DataFrame(columns | {"u_brdf": total, "u_random": u, **common, "flag": flags})
         frame.attrs = self.attrs | {"source_file": f"{self.path}, x = {spot[0]:g} mm, y = {spot[1]:g} mm"}
         return frame
+
+
+class FitFile(MapFile):
+    """A map file of fitted parameters: what `gonio fit MAP` writes.
+
+    Raises
+    ------
+    DataError
+        It cannot be read, is no map, or is one of values.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        super().__init__(path)
+        if not self.parameters:
+            self._file.close()
+            raise DataError(f"{path}: is a map of values, not of fits: gonio fit {path} --model M --out FITS.h5")
+
+    @cached_property
+    def parameters(self) -> list[str]:
+        """Fitted parameters: those that have a standard uncertainty."""
+        known = [name for name in self.names if f"u_{name}" in self.names and self.dims(name) == ("y", "x")]
+        order = self.attrs.get("parameters")
+        order = list(order) if isinstance(order, list | dict) else []
+        return sorted(known, key=lambda name: order.index(name) if name in order else len(order))
+
+    @property
+    def model(self) -> str:
+        """Which model was fitted."""
+        return str(self.attrs.get("model", "unknown"))
+
+    @cached_property
+    def fixed(self) -> dict[str, float]:
+        """Parameters that were not fitted, with their values."""
+        found = self.attrs.get("fixed", {})
+        return {name: float(value) for name, value in found.items()} if isinstance(found, dict) else {}
+
+    def unit(self, name: str) -> str:
+        """Of a parameter; "" where it has none."""
+        found = str(self._file[name].attrs.get("units", ""))
+        return "" if found == "1" else found
+
+    @cached_property
+    def flags(self) -> npt.NDArray[np.uint8]:
+        """Bits of `FIT_FLAGS`, shape (rows, columns)."""
+        return self.array("flag").astype(np.uint8)
+
+    def flagged(self, name: str) -> npt.NDArray[np.bool_]:
+        """Where a flag is set, shape (rows, columns)."""
+        return np.asarray(self.flags >> FIT_FLAGS.index(name) & 1 == 1)
+
+    def parameter(self, name: str) -> tuple[Floats, Floats]:
+        """Values and standard uncertainties of a parameter, shape (rows, columns); NaN where it is not determined.
+
+        A value at its bound stands without an uncertainty.
+        """
+        value, u = (self.array(one).astype(float) for one in (name, f"u_{name}"))
+        at_bound = self.flagged("at_bound") & ~(u > 0)
+        bad = (
+            self.flagged("too_few") | self.flagged("undetermined") | ~np.isfinite(value) | ~(np.isfinite(u) | at_bound)
+        )
+        u = np.where(at_bound, np.nan, u)
+        return np.where(bad, np.nan, value), np.where(bad, np.nan, u)

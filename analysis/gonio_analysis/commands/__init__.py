@@ -255,9 +255,17 @@ def compare(
 
 
 def report(
-    run: Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a reduced run.", show_default=False)],
+    run: Annotated[
+        Path, typer.Argument(metavar="RUN|MAP", help="Folder of a reduced run, or a map (.h5).", show_default=False)
+    ],
     out: Annotated[
         Path | None, typer.Option(help="Folder of the report; otherwise RUN/report.", show_default=False)
+    ] = None,
+    values: Annotated[
+        Path | None,
+        typer.Option(
+            "--map", metavar="MAP", help="Of a map of fits: the map of values that was fitted.", show_default=False
+        ),
     ] = None,
     models: Annotated[str, typer.Option(help=MODELS_HELP)] = MODELS,
     normalise: Annotated[Norm, typer.Option(help=f"{DIVISOR_HELP}.")] = Norm.mirror,
@@ -268,10 +276,18 @@ def report(
     energy: Energy = False,
     separate: Separate = False,
 ) -> None:
-    """Write the report of one run."""
+    """Write the report of one run, or of a map: what is in every pixel."""
     from gonio.errors import ConfigError
+    from gonio.maps import is_map
     from gonio_analysis.commands import carried_out
 
+    if is_map(run):
+        fitting = {"ior": ior, "wavelength-nm": wavelength_nm, "metric": metric, "u-rel": u_rel,
+                   "energy": energy or None, "separate": separate or None}  # fmt: skip
+        print(carried_out.map_report(run, out, values, [name for name, value in fitting.items() if value is not None]))
+        return
+    if values is not None:
+        raise ConfigError(f"--map {values}: goes with a map of fits; {run} is none")
     if not run.is_dir():
         raise ConfigError(f"{run}: there is no such folder; gonio report takes a run (for a file: gonio compare)")
     print(

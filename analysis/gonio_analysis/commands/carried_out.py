@@ -26,6 +26,7 @@ from gonio_analysis.fitting.spectrum import fit_table
 from gonio_analysis.report import appearance as appearance_page
 from gonio_analysis.report import change as change_page
 from gonio_analysis.report import laboratories as laboratories_page
+from gonio_analysis.report import map_page
 from gonio_analysis.report.model_choice import in_words
 from gonio_analysis.report.text import quantity, with_u
 from gonio_analysis.report.verdict import after_misfit, of_fit, reflectances
@@ -133,6 +134,15 @@ def report(specs: list[str], out: Path, models: list[str], *, ior: str | None, *
     return comparison.make(
         specs, out, models=models, ior=read_ior(ior), command=command_line(), progress=console.note, **options
     )  # fmt: skip
+
+
+def map_report(path: Path, out: Path | None, values: Path | None, unused: list[str]) -> Path:
+    """The report on a map; `unused` names options that belong to fits."""
+    if out is None:
+        raise ConfigError(f"{path}: the report on a map needs a folder: --out DIR")
+    if unused:
+        raise ConfigError(f"--{unused[0]}: {path} is a map, of which nothing is fitted here; leave it out")
+    return map_page.make(path, out, values=values, command=command_line(), progress=console.note)
 
 
 def check_one_way(*, change: bool, laboratories: bool, unused: list[str], shared: bool) -> None:

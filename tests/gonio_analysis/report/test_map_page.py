@@ -1,0 +1,126 @@
+"""The report on a map: its numbers are those of the file, and what is not determined is said."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from gonio_analysis.plots.pixels import round_length
+from gonio_analysis.report import map_layers, map_page
+from gonio_analysis.report.map_layers import PICTURE, Grid, block_medians
+
+from gonio.errors import DataError
+from gonio.maps import FitFile
+from tests.command_line import gonio, says
+from tests.gonio_analysis.map_files import axes, fits, values
+
+ROWS, COLS = 40, 70
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A gradient of m, where 5 rows have too few values, 30 pixels are undetermined, and 56 reject the model."""
+    y, x = np.mgrid[:ROWS, :COLS]
+    flag = np.where(y < 5, 1, np.where((y >= 35) & (x >= 64), 4, np.where((y >= 20) & (y < 22) & (x < 28), 8, 0)))
+    truth = {"s": 0.3 + 0.0 * x, "m": 0.1 + 0.01 * x, "ior": 1.5 + 0.0 * y}
+    u = {name: 0.02 * value for name, value in truth.items()}
+    tau = np.where(flag == 8, 0.05, 0.0)
+    path = tmp_path_factory.mktemp("map") / "plate.h5"
+    return fits(path, truth, u, flag=flag, tau=tau, attrs={"parameters": list(truth), "fixed": {"k": 0.0}})
+
+
+@pytest.fixture(scope="module")
+def report(file: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("report") / "out"
+    map_page.make(file, out)
+    return out
+
+
+@pytest.mark.slow
+def test_the_numbers_of_the_page_are_those_of_the_file(report: Path) -> None:
+    told = json.loads((report / "summary.json").read_text(encoding="utf-8"))
+    assert told["model"] == "cook-torrance"
+    assert told["fixed"] == {"k": 0.0}
+    assert (told["rows"], told["columns"]) == (ROWS, COLS)
+    assert told["pixel_mm"] == pytest.approx(0.1)
+    assert told["flags"] == {"too_few": 350, "at_bound": 0, "undetermined": 30, "rejected": 56}
+    m = told["parameters"]["m"]
+    assert m["determined"] == ROWS * COLS - 380
+    column = 0.1 + 0.01 * np.arange(COLS)
+    known = np.concatenate([np.repeat(column[:64], 35), np.repeat(column[64:], 30)])
+    assert m["median"] == pytest.approx(np.median(known))
+    assert m["quantile_0.995"] == pytest.approx(np.quantile(known, 0.995))
+    assert m["typical_u"] == pytest.approx(0.02 * m["median"])
+    assert f"determined in {ROWS * COLS - 380} of {ROWS * COLS} pixels of 0.1 mm" in told["conclusion"]
+    assert "2.3 % of them reject the model, where 1.0 % do by chance" in told["conclusion"]  # 56 of 2450
+
+
+@pytest.mark.slow
+def test_every_parameter_has_maps_with_stated_colours(report: Path) -> None:
+    told = json.loads((report / "summary.json").read_text(encoding="utf-8"))
+    captions = {one["name"]: one["caption"] for one in told["figures"]}
+    names = ["map-s", "map-u-s", "map-m", "map-u-m", "map-ior", "map-u-ior", "map-tau", "map-flags", "histograms"]
+    assert list(captions) == names
+    assert captions["map-m"].startswith("m: colours from 0.100 to 0.790, quantiles 0.005 and 0.995")
+    assert "Grey: not determined, 380 of 2800 pixels" in captions["map-m"]
+    page = (report / "index.html").read_text(encoding="utf-8")
+    assert page.count("<figure") == len(names)
+    assert (report / "report.pdf").read_bytes().startswith(b"%PDF")
+    with open(report / "tables" / "histograms.csv", encoding="utf-8") as stream:
+        counts = [int(row["pixels"]) for row in csv.DictReader(stream) if row["parameter"] == "m"]
+    assert sum(counts) == ROWS * COLS - 380  # the first and the last column have more than half a percent each
+
+
+def test_what_is_not_determined_is_nan_and_a_bound_has_no_uncertainty(tmp_path: Path) -> None:
+    m = np.full((2, 3), 0.2)
+    u = np.array([[0.01, 0.0, np.nan], [0.01, 0.01, 0.01]])
+    path = fits(tmp_path / "f.h5", {"m": m}, {"m": u}, flag=[[0, 2, 0], [1, 4, 8]])
+    with FitFile(path) as found:
+        value, uncertainty = found.parameter("m")
+    assert np.isfinite(value).tolist() == [[True, True, False], [False, False, True]]
+    assert np.isfinite(uncertainty).tolist() == [[True, False, False], [False, False, True]]
+
+
+def test_a_picture_has_medians_of_blocks_of_what_is_determined() -> None:
+    x, y = axes(2, 2 * PICTURE)
+    value = np.full((2, 2 * PICTURE), np.nan)
+    value[:, :4] = [[1.0, 2.0, 5.0, np.nan], [3.0, 10.0, 7.0, np.nan]]
+    picture = block_medians(Grid(x, y), value)
+    assert picture.shape == (1, PICTURE)
+    assert picture[0, :2].tolist() == [2.5, 6.0]
+    assert np.isnan(picture[0, 2:]).all()
+
+
+def test_pictures_have_ascending_axes() -> None:
+    x, y = axes(2, 3)
+    value = np.arange(6.0).reshape(2, 3)
+    assert block_medians(Grid(x[::-1], y[::-1]), value).tolist() == value[::-1, ::-1].tolist()
+
+
+def test_nothing_determined_is_a_spread_without_numbers() -> None:
+    spread = map_layers.spread(np.full((3, 3), np.nan))
+    assert spread.determined == 0
+    assert np.isnan(spread.median)
+
+
+@pytest.mark.parametrize(("most", "length"), [(1.0, 1.0), (0.99, 0.5), (0.21, 0.2), (7.0, 5.0), (30.0, 20.0)])
+def test_rulers_have_round_lengths(most: float, length: float) -> None:
+    assert round_length(most) == pytest.approx(length)
+
+
+def test_options_of_fits_and_a_missing_folder_are_refused(file: Path, tmp_path: Path) -> None:
+    said = gonio(tmp_path, "report", file, expect=2)
+    says(said.stderr, "needs a folder: --out DIR")
+    said = gonio(tmp_path, "report", file, "--out", "o", "--metric", "log", expect=2)
+    says(said.stderr, "--metric")
+    assert not (tmp_path / "o").exists()
+
+
+def test_a_map_of_values_is_no_map_of_fits(tmp_path: Path) -> None:
+    one, at = np.ones((2, 2, 3)), np.tile([0.0, 0.0, 1000.0], (3, 1))
+    path = values(tmp_path / "v.h5", one, 0.01 * one, at, at, np.zeros((4, 3)))
+    with pytest.raises(DataError, match="is a map of values, not of fits: gonio fit"):
+        FitFile(path)
