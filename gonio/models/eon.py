@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import pi, sqrt
 from typing import ClassVar
 
@@ -10,6 +10,7 @@ import numpy as np
 
 from gonio.models._compile import device, of_columns
 from gonio.models._math import atan_over
+from gonio.models.declaration import Declaration, Ior, plain
 from gonio.models.engine import Constants, Kernel
 from gonio.models.model import Model, store
 from gonio.models.parameters import Fitted, number
@@ -22,28 +23,31 @@ MEAN = 2.0 / 3.0 - 28.0 / (15.0 * pi)
 
 
 @device
-def albedo_rise(mu):  # type: ignore[no-untyped-def]
-    """G(mu)/pi of the exact albedo E = A (1 + r G/pi): (s (theta - s mu) + (2/3) (s/mu (1 - s^3) - s)) / pi."""
-    t2 = (1.0 - mu) / (1.0 + mu)
-    half = sqrt(t2)  # tan(theta/2)
-    theta, s = 2.0 * half * atan_over(t2), half * (1.0 + mu)
-    shade = s * mu * (1.0 + s + s * s) / (1.0 + s)  # s/mu (1 - s^3) without its quotient
-    return (s * (theta - s * mu) + (2.0 / 3.0) * (shade - s)) * (1.0 / pi)
+def albedo_lost(mu):  # type: ignore[no-untyped-def]
+    """FULL - G(mu)/pi, of positive terms; the exact albedo is E = 1 - A r (FULL - G/pi)."""
+    s = sqrt((1.0 - mu) * (1.0 + mu))
+    part = 1.0 / (1.0 + s)
+    elevation = mu * part
+    elevation *= 2.0 * atan_over(elevation * elevation)
+    low = mu * mu * part  # 1 - s
+    return (low * (pi * FULL - s * mu * (s + 2.0) * part * (1.0 / 3.0)) + s * elevation) * (1.0 / pi)
 
 
 @device
 def angular_terms(lx, ly, lz, vx, vy, vz):  # type: ignore[no-untyped-def]
-    """s/t of Fujii's form, and the albedo's rise for both directions."""
+    """1 + s/t of Fujii's form, and what the albedo lacks for both directions."""
     s = lx * vx + ly * vy
+    x, y = lx + vx, ly + vy
     widest = max(max(lz, vz), GRAZING)
-    return (s / widest if s > 0.0 else s), albedo_rise(min(lz, 1.0)), albedo_rise(min(vz, 1.0))
+    more = 1.0 + s / widest if s > 0.0 else 0.5 * (x * x + y * y + lz * lz + vz * vz)
+    return more, albedo_lost(min(lz, 1.0)), albedo_lost(min(vz, 1.0))
 
 
 @of_columns(angular_terms, 3)
-def eon(ratio, rise_l, rise_v, p):  # type: ignore[no-untyped-def]
+def eon(more, lost_l, lost_v, p):  # type: ignore[no-untyped-def]
     """Single and multiple scattering."""
     single, r, several = p
-    value = single * (1.0 + r * ratio) + several * (FULL - rise_l) * (FULL - rise_v)
+    value = single * (1.0 - r + r * more) + several * lost_l * lost_v
     return value if value < 1e60 else math.inf
 
 
@@ -72,10 +76,18 @@ class EON(Model):
     r: float = 0.5
     name: ClassVar[str] = "eon"
     rank: ClassVar[int] = 11
+    in_sums: ClassVar[str] = "base"
     fitted: ClassVar[Mapping[str, Fitted]] = {
         "rho": Fitted(1e-6, 1.0, starts="diffuse"),
         "r": Fitted(0.0, 1.0, starts=(0.1, 0.5, 0.9), geometry=True),
     }
+
+    @classmethod
+    def declaration(cls, ior: Ior = None, slopes: int = 1) -> Declaration:
+        """See `Model.declaration`."""
+        return replace(
+            plain(cls.name, cls.fitted), base_starts=lambda albedo: [{"rho": albedo, "r": r} for r in (0.2, 0.8)]
+        )
 
     def __post_init__(self) -> None:
         store(self, rho=number("rho", self.rho, 0.0, 1.0), r=number("r", self.r, 0.0, 1.0))
@@ -98,7 +110,8 @@ class EON(Model):
         self, theta: Floats, phi: Floats, wavelength_nm: float, viewer: bool, tolerance: float
     ) -> Floats:
         """In closed form, the same for both sides, as the model is reciprocal."""
-        s, mu = np.sin(theta), np.cos(theta)
-        rise = (s * (theta - s * mu) + (2.0 / 3.0) * (s * mu * (1.0 + s + s * s) / (1.0 + s) - s)) / pi
-        e = (1.0 + self.r * rise) / (1.0 + FULL * self.r)
+        s, mu = np.sin(theta), np.maximum(np.cos(theta), 0.0)
+        low = mu * mu / (1.0 + s)
+        lost = (low * (pi * FULL - s * mu * (s + 2.0) / (3.0 * (1.0 + s))) + s * (0.5 * pi - theta)) / pi
+        e = 1.0 - self.r * lost / (1.0 + FULL * self.r)
         return np.asarray(self.rho * e + self._several * (1.0 - e))

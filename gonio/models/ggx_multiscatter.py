@@ -10,9 +10,10 @@ from numpy.polynomial import chebyshev
 
 from gonio.models._compile import of_columns
 from gonio.models._facets import by_cosines
+from gonio.models._visible_facets import reflected
 from gonio.models.engine import Constants, Kernel
 from gonio.models.fresnel import reflectance
-from gonio.models.ggx import GGX, lobe, reflected
+from gonio.models.ggx import GGX, lobe
 from gonio.models.parameters import index_at
 from gonio.typing import Floats
 
@@ -99,5 +100,6 @@ def _lost_energy() -> Floats:
 def _lost(mu: float, a: float) -> float:
     """1 - E at one cosine, where F = 1."""
     x, w = np.polynomial.legendre.leggauss(NODES)
-    density, kept, _ = reflected(mu, a, x[:, None], x)
-    return 1.0 - float(w @ (density * kept) @ w)
+    p, share = np.sin(0.5 * pi * x)[:, None], np.cos(0.5 * pi * x)
+    kept, _ = reflected(mu, a, p, np.sqrt(1.0 - p * p) * np.sin(0.5 * pi * x))
+    return 1.0 - 0.25 * pi * float((w * share**2) @ kept @ (w * share))

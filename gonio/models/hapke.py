@@ -72,19 +72,22 @@ class Hapke(ArrayModel):
 
     def evaluate(self, omega_i: Floats, omega_r: Floats, wavelength_nm: float) -> Floats:
         cos_i, cos_r = (np.maximum(x[:, 2], GRAZING) for x in (omega_i, omega_r))
-        cosine = np.clip(np.sum(omega_i * omega_r, axis=1), -1.0, 1.0)
-        half = np.sqrt((1.0 - cosine) / np.maximum(1.0 + cosine, 1e-30))  # tan(g/2)
+        apart, beside = (np.sum(v * v, axis=1) for v in (omega_i - omega_r, omega_i + omega_r))
+        half = np.sqrt(apart / np.maximum(beside, 1e-30))  # tan(g/2)
         mu_i, mu_r, shade = self._rough(cos_i, cos_r, omega_i, omega_r)
-        surge = 1.0 + self.b0 / (1.0 + half / self.h)
-        braces = surge * (1.0 + self.b * cosine) + self._h(mu_i) * self._h(mu_r) - 1.0
+        lobe = 1.0 - abs(self.b) + 0.5 * abs(self.b) * (apart if self.b < 0.0 else beside)  # 1 + b cos(g)
+        one, other = self._several(mu_i), self._several(mu_r)
+        braces = (1.0 + self.b0 / (1.0 + half / self.h)) * lobe + one + other + one * other
         return np.asarray(self.w / (4.0 * math.pi) * mu_i * mu_r / (mu_i + mu_r) * braces * shade)
 
-    def _h(self, x: Floats) -> Floats:
+    def _several(self, x: Floats) -> Floats:
+        """H - 1."""
         gamma = math.sqrt(1.0 - self.w)
+        r0 = self.w / (1.0 + gamma) ** 2
         if self.h_function == "1981":
-            return (1.0 + 2.0 * x) / (1.0 + 2.0 * x * gamma)
-        r0 = (1.0 - gamma) / (1.0 + gamma)
-        return np.asarray(1.0 / (1.0 - self.w * x * (r0 + 0.5 * (1.0 - 2.0 * r0 * x) * np.log1p(1.0 / x))))
+            return np.asarray(2.0 * x * self.w / (1.0 + gamma) / (1.0 + 2.0 * x * gamma))
+        lit = self.w * x * (r0 + 0.5 * (1.0 - 2.0 * r0 * x) * np.log1p(1.0 / x))
+        return np.asarray(lit / (1.0 - lit))
 
     def _rough(self, ci: Floats, cr: Floats, omega_i: Floats, omega_r: Floats) -> tuple[Floats, Floats, Floats]:
         """Effective cosines, and S/(mu_0 mu_e), which exchanging both directions leaves as it is (eqs. 46 to 50)."""
@@ -92,11 +95,11 @@ class Hapke(ArrayModel):
         if tan < 1e-9:
             return ci, cr, 1.0 / (ci * cr)
         chi = 1.0 / math.sqrt(1.0 + math.pi * tan * tan)
-        flat = np.maximum(np.hypot(*omega_i[:, :2].T) * np.hypot(*omega_r[:, :2].T), 1e-300)
-        psi = np.arccos(np.clip(np.sum(omega_i[:, :2] * omega_r[:, :2], axis=1) / flat, -1.0, 1.0))
+        (x, y, _), (u, v, _) = omega_i.T, omega_r.T
+        psi, si, sr = np.abs(np.arctan2(x * v - y * u, x * u + y * v)), np.hypot(x, y), np.hypot(u, v)
         source = ci >= cr  # which of both has the smaller angle
         c1, c2 = np.where(source, ci, cr), np.where(source, cr, ci)
-        s1, s2 = np.sqrt(1.0 - c1 * c1), np.sqrt(1.0 - c2 * c2)
+        s1, s2 = np.where(source, si, sr), np.where(source, sr, si)
         cot1, cot2 = (c / np.maximum(s, 1e-30) / tan for c, s in ((c1, s1), (c2, s2)))
         a1, a2 = np.exp(-2.0 / math.pi * cot1), np.exp(-2.0 / math.pi * cot2)  # E_1
         b1, b2 = np.exp(-(cot1**2) / math.pi), np.exp(-(cot2**2) / math.pi)  # E_2
@@ -104,6 +107,6 @@ class Hapke(ArrayModel):
         m1 = chi * (c1 + s1 * tan * (np.cos(psi) * b2 + turn * b1) / down)
         m2 = chi * (c2 + s2 * tan * (b2 - turn * b1) / down)
         n1, n2 = (chi * (c + s * tan * b / (2.0 - a)) for c, s, a, b in ((c1, s1, a1, b1), (c2, s2, a2, b2)))
-        f = np.exp(-2.0 * np.tan(0.5 * np.minimum(psi, math.pi - 1e-9)))
+        f = np.exp(-2.0 * np.tan(0.5 * psi))
         shade = chi / (n1 * n2 * (1.0 - f + f * chi * c1 / n1))
         return np.where(source, m1, m2), np.where(source, m2, m1), shade

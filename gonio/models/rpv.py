@@ -63,9 +63,10 @@ class RPV(ArrayModel):
 
     def evaluate(self, omega_i: Floats, omega_r: Floats, wavelength_nm: float) -> Floats:
         mu_i, mu_r = (np.maximum(x[:, 2], GRAZING) for x in (omega_i, omega_r))
-        cosine = np.sum(omega_i * omega_r, axis=1)
         q = self.theta_g
-        lobe = (1.0 - q * q) / (1.0 + q * q + 2.0 * q * cosine) ** 1.5
+        way = omega_i - omega_r if q < 0.0 else omega_i + omega_r
+        square = (1.0 - abs(q)) ** 2 + abs(q) * np.sum(way * way, axis=1)  # 1 + q^2 + 2 q cos(g)
+        lobe = (1.0 - abs(q)) * (1.0 + abs(q)) / square**1.5
         apart = np.hypot(*(omega_i[:, :2] / mu_i[:, None] - omega_r[:, :2] / mu_r[:, None]).T)  # G
         bowl = (mu_i * mu_r * (mu_i + mu_r)) ** (self.k - 1.0)
         return np.asarray(self.rho_0 / math.pi * bowl * lobe * (1.0 + (1.0 - self.rho_0) / (1.0 + apart)))
