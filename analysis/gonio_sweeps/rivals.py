@@ -141,7 +141,7 @@ class Rivals(BudgetSampler[RivalSettings]):
 
     def _rival(self, name: str, folder: Path) -> Rival:
         if name.endswith(".toml"):
-            sample = load_sample(folder / name)
+            sample = load_sample(folder / name, uniform=True)
             return Rival(sample.name, None, sample)
         settings = ParameterSettings(model=name, ior=self._settings.ior)
         try:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 from gonio import plugins
 from gonio.acquisition.plan import Assessed, Plan, assess, said_beside
 from gonio.acquisition.progress import Progress, Silent
+from gonio.acquisition.samples import load_sample as load_sample
 from gonio.acquisition.schedule import going_on, reference_pose, schedule
 from gonio.config import Table, load, parse
 from gonio.errors import ConfigError, DeviceError, GonioError, Interrupted
@@ -146,24 +147,6 @@ def find_rig(name: str, *, without: str = "") -> RigChoice:
         raise ConfigError(f'the rig "{name}" needs a rig file: --rig my-{name}.toml, with rig = "{name}" in it')
 
     return RigChoice(plugin, parse(RigDescription, tomllib.loads(plugin.toml), f'rig file of "{name}"'), name)
-
-
-def load_sample(path: str | Path) -> SampleDescription:
-    """Read a sample file, and check that its model takes its parameters.
-
-    Raises
-    ------
-    ConfigError
-        The file, its model or one of its parameters is wrong; the message names file and key.
-    """
-    sample = load(SampleDescription, path)
-    from gonio import models
-
-    try:
-        models.build(sample.model, sample.parameters)
-    except ConfigError as error:
-        raise ConfigError(f"{path}: [parameters] of model = {sample.model!r}: {error}") from None
-    return sample
 
 
 def carry_out(

@@ -95,7 +95,7 @@ def _separate(seen: Prepared, samples: tuple[Path, Path], picture: Path | None) 
     from gonio import plugins
     from gonio.acquisition.measure import load_sample
 
-    a, b = (load_sample(path) for path in samples)
+    a, b = (load_sample(path, uniform=True) for path in samples)
     plugin = plugins.load("gonio.choosers", "models")
     found = plugin.separation(seen, a, b)
     said, rows = plugin.about(found)

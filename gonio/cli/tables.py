@@ -78,7 +78,7 @@ def _model(source: str, target: Path, to: str | None) -> tuple[list[str], str]:
 
     if to == "datacite":
         raise ConfigError(f"{source}: is a model; --to datacite takes a run, or its table")
-    given = load_sample(source)
+    given = load_sample(source, uniform=True)
     model = models.build(given.model, given.parameters)
     plain = _RENDERERS.get(to, to) if to else None
     return measurement.write_model(model, target, name=given.name, format=plain), given.name

@@ -16,7 +16,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from gonio.config import Strict, numbers_in
+from gonio.config import Strict, numbers_in, with_numbers
 from gonio.documents import TomlTable
 from gonio.errors import ConfigError
 from gonio.rig.bands import Bands
@@ -25,6 +25,7 @@ from gonio.rig.health import Reading
 from gonio.rig.laboratory import Laboratory
 from gonio.rig.light_and_camera import Camera, Lamp
 from gonio.rig.ranges import Fraction, NonNegative, Positive, SmallAngle
+from gonio.rig.textures import SampleTexture
 
 
 class Geometry(Strict):
@@ -497,6 +498,8 @@ class SampleDescription(Strict):
     name: str
     model: str
     parameters: TomlTable = Field(default_factory=dict)
+    texture: dict[str, SampleTexture] = Field(default_factory=dict)
+    """By the name of a number in [parameters]: how it changes over the sample."""
     diameter_mm: Positive | None = None
     integrate_band: bool = False
     """Render the integral over the band instead of the value at its centre."""
@@ -512,4 +515,15 @@ class SampleDescription(Strict):
                 f'uncertainty.parameters: there is no number "{missing[0]}" in [parameters]; there are'
                 f" {', '.join(known) or 'none'}"
             )
+        for name in self.texture:
+            if name not in known:
+                raise ValueError(
+                    f'texture: there is no number "{name}" in [parameters], which a texture needs; there are'
+                    f" {', '.join(known) or 'none'}"
+                )
         return self
+
+    def parameters_at(self, shares: dict[str, float]) -> TomlTable:
+        """The parameters where textures have certain shares of their `high`, by name."""
+        numbers = {n: t.low + (t.high - t.low) * shares[n] for n, t in self.texture.items()}
+        return dict(with_numbers(self.parameters, numbers))

@@ -99,6 +99,8 @@ class Camera(Strict):
     cos4: bool = False
     vignetting: Annotated[float, Field(ge=0, lt=1)] = 0.0
     """Relative loss of light at the corner of the frame beyond cos^4, growing as the fourth power of the radius."""
+    blur_px: Annotated[float, Field(ge=0, le=64)] = 0.0
+    """Standard deviation of the lens's blur on the sensor [pixels], a Gaussian."""
     pattern: Literal["mono", "RGGB", "BGGR", "GRBG", "GBRG"] = "mono"
     bits: Literal[8, 10, 12, 14, 16] = 12
     quantised: bool = True

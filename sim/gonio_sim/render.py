@@ -30,14 +30,17 @@ from gonio.rig.imaging import PixelMap, of_channel, pixel_map
 from gonio.rig.kinematics import View, directions, view
 from gonio.typing import Floats
 from gonio_sim import polarised
+from gonio_sim.textures import Textures
 from gonio_sim.world import InHolder, World
 
 if TYPE_CHECKING:
     import pandas as pd
 
     from gonio.models.model import Model
+    from gonio_sim.adaptive_grid import Function
 
 Floats32 = npt.NDArray[np.float32]
+Whole = npt.NDArray[np.int64]
 Mask = npt.NDArray[np.bool_]
 
 GRAZING = math.radians(89.99)
@@ -50,6 +53,8 @@ BRIGHTEST = 1e30
 """Electrons a second that stand for infinitely many."""
 FINER = 6
 """Spots across a pixel where it sees a printed marker."""
+PROBED = 3
+"""Spots across the sample at which levels of a texture are compared."""
 BAND_NODES = 5
 """Wavelengths that the integral over a band is made of."""
 
@@ -88,6 +93,7 @@ class Renderer:
     def __init__(self, world: World) -> None:
         self._world = world
         self._model = _build(world.sample) if world.sample is not None else None
+        self._textures = Textures(world.sample) if world.sample is not None and world.sample.texture else None
         lamp, camera = world.truth.lamp, world.truth.camera
         self._cones = {
             "source_solid_angle_sr": float(geometry.solid_angle_of_cone(math.radians(lamp.half_angle_deg))),
@@ -133,11 +139,15 @@ class Renderer:
         # grazing), or infinite; light is not.
         rate = np.empty(brdf.shape, np.float32)
         electrons_per_s(math.pi * description.camera.responsivity_e_per_s, seen.weight, brdf, BRIGHTEST, rate)
-        return self._with_stray_light(rate, band, seen)
+        return self._through_lens(rate, band, seen)
 
-    def _with_stray_light(self, rate: Floats32, band: Band, seen: PixelMap) -> Floats32:
-        """A band's own pixels, and what lens and sensor spread of their light; each colour of a mosaic for itself."""
+    def _through_lens(self, rate: Floats32, band: Band, seen: PixelMap) -> Floats32:
+        """The lens's blur, a band's own pixels, and what lens and sensor spread; each colour of a mosaic for itself."""
         camera = self._world.truth.camera
+        if camera.blur_px:
+            from scipy.ndimage import gaussian_filter
+
+            rate = gaussian_filter(rate, camera.blur_px, mode="nearest", output=np.float32)
         if band.channel != "mono":
             rate[~of_channel(camera.pattern, band.channel, seen.rows, seen.cols)] = 0.0
         if not camera.stray_light and not camera.stray_halo:
@@ -183,14 +193,23 @@ class Renderer:
 
     def _through(self, band: Band) -> Iterator[Disc]:
         """What lets light through: the sample alone, point by point without the cones of lamp and lens."""
-        model, waves = self._model, self._waves(band)
+        model, textures, waves = self._model, self._textures, self._waves(band)
         if model is None:
             return
 
         def paint(seen: PixelMap, scene: View, covered: Mask, brdf: Floats) -> None:
+            def of(model: Model, lit: Mask | tuple[Whole, Whole]) -> Floats:
+                at = geometry.Directions.from_vectors(seen.omega_i[lit], seen.omega_r[lit])
+                return np.asarray(sum(share * model.btdf(*at.angles, wavelength_nm=wave) for wave, share in waves))
+
             lit = covered & (seen.omega_i[..., 2] > 0.0)  # a back that is lit is black
-            at = geometry.Directions.from_vectors(seen.omega_i[lit], seen.omega_r[lit])
-            brdf[lit] = sum(share * model.btdf(*at.angles, wavelength_nm=wave) for wave, share in waves)
+            if textures is None:
+                brdf[lit] = of(model, lit)
+                return
+            rows, cols = np.nonzero(lit)
+            some = np.linspace(0, max(len(rows) - 1, 0), min(PROBED**2, len(rows))).astype(int)
+            for part in textures.parts(seen, lit, lambda one: of(one, (rows[some], cols[some]))[None]):
+                brdf[part.rows, part.cols] += part.weight * of(part.model, (part.rows, part.cols))
 
         yield Disc(paint, self._radius)
 
@@ -219,7 +238,7 @@ class Renderer:
         rate: Floats32 = np.minimum(math.pi * camera.responsivity_e_per_s * weight * shared, BRIGHTEST).astype(
             np.float32
         )
-        return self._with_stray_light(rate, band, seen)
+        return self._through_lens(rate, band, seen)
 
     def _reference(self, band: Band) -> float:
         """The white reference: its certificate times its true error; a table is read at the centre of the frame."""
@@ -241,34 +260,71 @@ class Renderer:
 
     def _sample(self, band: Band) -> Disc:
         """The sample: its model's lobe on a grid of nodes, and its spike pixel by pixel."""
-        from gonio import instrument
         from gonio_sim.adaptive_grid import sample_function
 
-        model, truth, radius, waves = self._model, self._world.truth, self._radius, self._waves(band)
+        model, radius, waves = self._model, self._radius, self._waves(band)
         if model is None:
             raise ConfigError(
-                f'the simulated rig "{truth.name}" has no sample to look at: name one with --sample S.toml'
+                f'the simulated rig "{self._world.truth.name}" has no sample to look at: name one with --sample S.toml'
             )
 
         def paint(seen: PixelMap, scene: View, covered: Mask, brdf: Floats) -> None:
-            def lobes(x: Floats, y: Floats) -> Floats:
-                at = _directions_at(scene, x, y)
-                out = np.zeros(x.shape)
-                for wave, share in waves:
-                    lobe = instrument.apparent_lobe(
-                        model, *at.angles, wavelength_nm=wave, tolerance=instrument.LOBE_TOLERANCE, **self._cones
-                    )
-                    if polarised.is_on(truth):
-                        lobe = lobe * polarised.of_lobe(truth, model, scene, at, wave)
-                    out += share * lobe
-                return out
-
-            grid = sample_function(lobes, radius, self._finest_mm)
+            grid = sample_function(self._lobes(model, scene, waves), radius, self._finest_mm)
             grid.paint(seen.x_mm, seen.y_mm, (0.0, 0.0), radius, brdf)
             if model.has_spike:
                 self._paint_spike(model, waves, seen, scene, covered, brdf)
 
-        return Disc(paint, radius)
+        return Disc(paint if self._textures is None else self._textured(self._textures, waves), radius)
+
+    def _lobes(self, model: Model, scene: View, waves: list[tuple[float, float]]) -> Function:
+        """A model's lobe [1/sr] over the sample, averaged over the cones of lamp and lens."""
+        from gonio import instrument
+
+        truth = self._world.truth
+
+        def lobes(x: Floats, y: Floats) -> Floats:
+            at = _directions_at(scene, x, y)
+            out = np.zeros(x.shape)
+            for wave, share in waves:
+                lobe = instrument.apparent_lobe(
+                    model, *at.angles, wavelength_nm=wave, tolerance=instrument.LOBE_TOLERANCE, **self._cones
+                )
+                if polarised.is_on(truth):
+                    lobe = lobe * polarised.of_lobe(truth, model, scene, at, wave)
+                out += share * lobe
+            return out
+
+        return lobes
+
+    def _textured(self, textures: Textures, waves: list[tuple[float, float]]) -> Painter:
+        """The sample with textures: as one model, level by level of these."""
+        from gonio_sim.adaptive_grid import sample_function
+
+        radius = self._radius
+
+        def paint(seen: PixelMap, scene: View, covered: Mask, brdf: Floats) -> None:
+            x, y = (each.ravel() for each in np.meshgrid(*2 * [np.linspace(-radius, radius, PROBED)]))
+
+            def probe(model: Model) -> Floats:
+                values = [self._lobes(model, scene, waves)(x, y)]
+                if model.has_spike:
+                    theta = _directions_at(scene, x, y).theta_i
+                    spikes = (share * model.specular_reflectivity(theta, wavelength_nm=nm) for nm, share in waves)
+                    values.append(sum(spikes))
+                return np.stack(values)
+
+            brdf[covered] = 0.0
+            for part in textures.parts(seen, covered, probe):
+                at = part.rows, part.cols
+                grid = sample_function(self._lobes(part.model, scene, waves), radius, self._finest_mm)
+                brdf[at] += part.weight * grid.at(seen.x_mm[at], seen.y_mm[at])
+                if part.model.has_spike:
+                    own, spike = np.zeros(covered.shape, dtype=bool), np.zeros(covered.shape)
+                    own[at] = True
+                    self._paint_spike(part.model, waves, seen, scene, own, spike)
+                    brdf[at] += part.weight * spike[at]
+
+        return paint
 
     def _edge(self, band: Band) -> Painter:
         """The white reference behind a black screen that ends with a knife edge at x = 0, and covers x > 0."""

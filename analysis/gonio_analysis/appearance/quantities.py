@@ -48,7 +48,7 @@ def of(spec: str, *, wavelength_nm: float | None = None, how: Reading | None = N
     if spec.endswith(".toml"):
         from gonio.acquisition.measure import load_sample
 
-        return of_sample(load_sample(spec), source=spec, wavelength_nm=wavelength_nm)
+        return of_sample(load_sample(spec, uniform=True), source=spec, wavelength_nm=wavelength_nm)
 
     found = measurement.tables(spec, how)
     if len(found) > 1:

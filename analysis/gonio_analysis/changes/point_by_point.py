@@ -166,7 +166,7 @@ def side(spec: str, how: Reading | None = None, u_rel: float | None = None) -> S
         from gonio import models
         from gonio.acquisition.measure import load_sample
 
-        sample = load_sample(Path(spec))
+        sample = load_sample(Path(spec), uniform=True)
         off = 0.0 if sample.uncertainty is None else sample.uncertainty.misfit
         return Side(sample.name, spec, model=models.build(sample.model, sample.parameters), misfit=off)
 

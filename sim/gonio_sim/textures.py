@@ -1,0 +1,200 @@
+"""A sample whose parameters change over it: which levels of its textures each pixel sees, and how much of each.
+
+The model is evaluated at levels of the textures alone. A texture of few values (a pattern, a picture of some shades)
+has those as its levels. Any other has equidistant ones, between which the BRDF is interpolated by cubics: their number
+is doubled until the new ones are predicted within `TOLERANCE`, and the finer levels are used, at most `MOST`.
+
+A pixel sees the mean over its own area: `SPOTS` of it, each with the weights of the levels around its value.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import product
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from gonio.errors import ConfigError
+from gonio.rig.description import SampleDescription
+from gonio.rig.imaging import PixelMap
+from gonio.typing import Floats
+from gonio_sim.adaptive_grid import DARK, FLOOR, TOLERANCE
+
+if TYPE_CHECKING:
+    from scipy import sparse
+
+    from gonio.models.model import Model
+
+SPOTS, TURN = 34, 21
+"""Spots in a pixel, on a lattice of Fibonacci's: across and down no two are alike, so that an edge along rows or
+columns divides a pixel to 1/68."""
+FEWEST, MOST = 5, 65
+"""Levels of a texture of many values."""
+MOST_TOGETHER = 65**2
+"""Levels of all textures together."""
+AT_ONCE = 1 << 20
+"""Weights that are counted together."""
+Mask = npt.NDArray[np.bool_]
+Whole = npt.NDArray[np.int64]
+Probe = Callable[["Model"], Floats]
+"""What a model shows in a view: values of one kind in each row."""
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """What some pixels see of one level of the textures."""
+
+    model: Model
+    rows: Whole
+    cols: Whole
+    weight: Floats
+    """Of the level in each of these pixels; over all levels they add up to 1, and some may be negative."""
+
+
+class Textures:
+    """The textures of a sample, and its models.
+
+    Raises
+    ------
+    ConfigError, DataError
+        A picture cannot be read, or a model does not take a value.
+    """
+
+    def __init__(self, sample: SampleDescription) -> None:
+        self._sample = sample
+        where = f'sample "{sample.name}", texture'
+        self._names = list(sample.texture)
+        self._loaded = [sample.texture[name].load(f"{where}.{name}") for name in self._names]
+        self._of_few = [one.occurring is not None and len(one.occurring) < MOST for one in self._loaded]
+        self._model = lru_cache(maxsize=MOST_TOGETHER)(self._built)
+        self._model((0.0,) * len(self._names))
+        self._model((1.0,) * len(self._names))
+
+    def _built(self, shares: tuple[float, ...]) -> Model:
+        """The model where textures have these values."""
+        from gonio import models
+
+        values = dict(zip(self._names, shares, strict=True))
+        try:
+            return models.build(self._sample.model, self._sample.parameters_at(values))
+        except ConfigError as error:
+            told = ", ".join(f"{name} at {share:g}" for name, share in values.items())
+            raise ConfigError(f'sample "{self._sample.name}", [texture] with {told}: {error}') from error
+
+    def parts(self, seen: PixelMap, covered: Mask, probe: Probe) -> Iterator[Part]:
+        """Level by level, the pixels that see it; `probe` tells how close levels must be in this view."""
+        from scipy import sparse
+
+        levels = self._levels(probe)
+        total = math.prod(map(len, levels))
+        if total > MOST_TOGETHER:
+            raise ConfigError(
+                f'sample "{self._sample.name}": its textures have {total} levels together, and at most {MOST_TOGETHER} '
+                "are rendered: let fewer of them be gradients or pictures of many shades"
+            )
+        rows, cols = np.nonzero(covered)
+        x, y = self._spots(seen, rows, cols)
+        step = max(1, AT_ONCE // (total * SPOTS))
+        weights = sparse.vstack(
+            [self._weights(levels, x(k, k + step), y(k, k + step)) for k in range(0, len(rows), step)]
+            or [sparse.csr_array((0, total))]
+        ).tocsc()
+        for level, shares in enumerate(product(*levels)):
+            here = slice(weights.indptr[level], weights.indptr[level + 1])
+            if here.start < here.stop:
+                at = weights.indices[here]
+                yield Part(self._model(tuple(map(float, shares))), rows[at], cols[at], weights.data[here])
+
+    @staticmethod
+    def _spots(seen: PixelMap, rows: Whole, cols: Whole) -> list[Callable[[int, int], Floats]]:
+        """x and y [mm] of the spots of pixels from one number up to another, (pixels, spots)."""
+        number = np.arange(SPOTS)
+        down, across = (((step * number) % SPOTS + 0.5) / SPOTS - 0.5 for step in (1, TURN))
+
+        def of(whole: Floats) -> Callable[[int, int], Floats]:
+            per_row, per_col = (np.nan_to_num(np.gradient(whole, axis=axis)[rows, cols]) for axis in (0, 1))
+            middle = whole[rows, cols]
+
+            def spots(first: int, end: int) -> Floats:
+                these = slice(first, end)
+                return np.asarray(
+                    middle[these, None] + per_row[these, None] * down + per_col[these, None] * across, dtype=float
+                )
+
+            return spots
+
+        return [of(seen.x_mm), of(seen.y_mm)]
+
+    def _weights(self, levels: list[Floats], x: Floats, y: Floats) -> sparse.csr_array:
+        """Of each level in each pixel (pixels, levels), from its spots (pixels, spots)."""
+        from scipy import sparse
+
+        place = np.zeros((*x.shape, 1), dtype=np.int64)
+        weight = np.ones(place.shape)
+        for one, of_few, own in zip(self._loaded, self._of_few, levels, strict=True):
+            value = one.shares(x, y)
+            if of_few:
+                nearest, share = np.searchsorted(own, value - 1e-9)[..., None], np.ones((*x.shape, 1))
+            else:
+                nearest, share = _cubic(value * (len(own) - 1), len(own))
+            place = (place[..., None] * len(own) + nearest[..., None, :]).reshape(*x.shape, -1)
+            weight = (weight[..., None] * share[..., None, :]).reshape(*x.shape, -1)
+        total = math.prod(map(len, levels))
+        place += total * np.arange(len(x))[:, None, None]
+        counted = np.bincount(place.ravel(), weight.ravel() / x.shape[1], total * len(x))
+        return sparse.csr_array(counted.reshape(len(x), total))
+
+    def _levels(self, probe: Probe) -> list[Floats]:
+        """The levels of each texture in a view."""
+        out = []
+        for number, (one, of_few) in enumerate(zip(self._loaded, self._of_few, strict=True)):
+            if of_few:
+                assert one.occurring is not None
+                out.append(one.occurring)
+                continue
+
+            def values(count: int, number: int = number) -> Floats:
+                ends = [[end] * len(self._names) for end in (0.0, 1.0)]
+                found = []
+                for share in np.linspace(0.0, 1.0, count):
+                    ats = [tuple([*end[:number], float(share), *end[number + 1 :]]) for end in ends]
+                    found.append(np.concatenate([probe(self._model(at)) for at in dict.fromkeys(ats)]))
+                return np.stack(found)
+
+            out.append(np.linspace(0.0, 1.0, _enough(values)))
+        return out
+
+
+def _enough(values: Callable[[int], Floats]) -> int:
+    """How many equidistant levels follow `values(count)`, (levels, kinds, values of a kind)."""
+    count, coarse = FEWEST, values(FEWEST)
+    while True:
+        finer = values(2 * count - 1)
+        new = np.arange(1, 2 * count - 1, 2)
+        nearest, weight = _cubic(np.asarray(0.5 * new, dtype=float), count)
+        told = np.einsum("lw,lwks->lks", weight, coarse[nearest])
+        size = np.abs(finer[new]) + FLOOR * np.abs(finer).max(axis=(0, 2), keepdims=True) + DARK
+        count, coarse = 2 * count - 1, finer
+        if count >= MOST or np.all(np.abs(told - finer[new]) <= TOLERANCE * size):
+            return count
+
+
+def _cubic(at: Floats, count: int) -> tuple[Whole, Floats]:
+    """Lagrange's cubic through the four nearest of `count` nodes at 0, 1 ...: which, and their weights, (..., 4)."""
+    first = np.clip(at.astype(np.int64) - 1, 0, count - 4)
+    f = at - first
+    weight = np.stack(
+        [
+            -(f - 1.0) * (f - 2.0) * (f - 3.0) / 6.0,
+            f * (f - 2.0) * (f - 3.0) / 2.0,
+            -f * (f - 1.0) * (f - 3.0) / 2.0,
+            f * (f - 1.0) * (f - 2.0) / 6.0,
+        ],
+        axis=-1,
+    )
+    return first[..., None] + np.arange(4), weight
