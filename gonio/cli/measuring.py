@@ -4,15 +4,19 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from gonio.cli import console, plans
+from gonio.errors import ConfigError
 
 if TYPE_CHECKING:
     import pandas as pd
+
+    from gonio.reduction.maps import Written
 
 
 def measure(
@@ -83,6 +87,14 @@ def reduce(
         ),
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the draws.")] = 0,
+    map_file: Annotated[
+        Path | None,
+        typer.Option("--map", metavar="OUT.h5", help="A BRDF in every pixel of the sample too.", show_default=False),
+    ] = None,
+    pixel_mm: Annotated[
+        float | None,
+        typer.Option(metavar="MM", help="Of the map; else the camera's, seen at normal view.", show_default=False),
+    ] = None,
 ) -> None:
     """Reduce a run's frames to BRDF with uncertainty: RUN/brdf.csv, and its parts in RUN/budget.csv."""
     from gonio.acquisition.run import Run
@@ -90,6 +102,12 @@ def reduce(
 
     opened = Run.open(run)
     opened.check_table()
+    if pixel_mm is not None and map_file is None:
+        raise ConfigError("--pixel-mm is the size of a map's pixels: give --map OUT.h5 with it")
+    if map_file is not None:
+        from gonio.reduction import maps
+
+        maps.require(opened, map_file, pixel_mm)
     with console.counter("reducing", lines=True) as progress:
         found = brdf.reduce_in_parts(opened, progress=progress)
     table, verdict = found.table, ""
@@ -118,6 +136,26 @@ def reduce(
         console.show(verdict)
     for line in _checks(table.attrs["provenance"]["checks"]):
         console.show(line)
+    if map_file is not None:
+        _show_map(map_file, maps.write(opened, found, map_file, pixel_mm, partial(console.counter, lines=True)))
+
+
+def _show_map(path: Path, written: Written) -> None:
+    """What a map has."""
+    rows, cols = written.shape
+    part = 100.0 * written.good / max(written.values, 1)
+    console.show(
+        f"{path}: {rows} x {cols} pixels of {written.pixel_mm:g} mm, {written.points} points;"
+        f" {part:.3g} % of the values on the sample without a flag"
+    )
+    if written.told:
+        console.show(
+            f"registered: the shifts of {written.told} points are told, the largest {written.largest_shift_mm:.2g} mm"
+        )
+    else:
+        console.show("not registered: the sample has too little texture to tell a shift")
+    for note in written.notes:
+        console.note(note)
 
 
 def _checks(found: Iterable[Mapping[str, Any]]) -> list[str]:

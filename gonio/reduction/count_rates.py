@@ -33,6 +33,7 @@ from gonio.rig.calibrated import known_parameters
 from gonio.rig.description import RigDescription
 from gonio.rig.dng import pixels_sha256, read_raw
 from gonio.rig.imaging import Channel, pixel_map
+from gonio.rig.light_and_camera import Camera
 from gonio.rig.regions import Roi, roi, straight_through_weight
 from gonio.rig.sensor_response import by_coefficients, linear_dn, read_maps, straightened
 from gonio.typing import Array, Bools, Floats
@@ -96,13 +97,13 @@ class RunFrames:
                 self.flags[step.point] = step.flag
             else:
                 self.lost_visits.append(step.flag)
-        self._usual = self._mean_of_monitor()
+        self.usual = self._mean_of_monitor()
         """Mean reading of the lamp's monitor: rates are those of a lamp at which it reads this."""
         camera = self.description.camera
         size = camera.height, camera.width
-        self._maps = read_maps(camera.maps, size) if camera.maps is not None else None
+        self.maps = read_maps(camera.maps, size) if camera.maps is not None else None
         self._parameters = tuple(camera_parameters(self.description))
-        self._spreads = any(name.startswith("camera.stray") for name in self._parameters)
+        self.spreads = any(name.startswith("camera.stray") for name in self._parameters)
         self._channels = tuple(dict.fromkeys(band.channel for band in run.bands))
         self.reference: dict[str, Roi] = {}
         """The region of the first visit, by channel."""
@@ -119,11 +120,11 @@ class RunFrames:
         """How many exposures the dark frames were taken with, and of how many some are left."""
         self.dark_hits = 0
         """Pixels of dark frames that were hit by cosmic radiation; where frames are merged by pixels."""
-        self._darks = self._read_darks([(step, f) for step in self._every if step.kind == "dark" for f in step.frames])
+        self._darks = self._read_darks(list(self.dark_frames()))
         self.prnu = camera.prnu
         """Relative standard deviation of the pixels' responsivities, after maps where there are any."""
-        if self._maps is not None:
-            u = np.concatenate([self._maps.u_responsivity[box].ravel() for box in self._boxes.values()])
+        if self.maps is not None:
+            u = np.concatenate([self.maps.u_responsivity[box].ravel() for box in self._boxes.values()])
             self.prnu = float(np.sqrt(np.mean(u.astype(float) ** 2)))
 
     def _mean_of_monitor(self) -> float:
@@ -137,6 +138,10 @@ class RunFrames:
             )
         return sum(readings) / len(readings)
 
+    def lamp(self, entry: FrameRecord) -> float:
+        """The lamp's level in a frame by its monitor, relative to its mean; 1 without a monitor."""
+        return entry.monitor / self.usual if self.description.lamp.monitor and entry.monitor else 1.0
+
     def _looked_at(self) -> tuple[dict[Target, tuple[slice, slice]], dict[Channel, list[Roi]]]:
         """What of the frames the steps look at, by target; and the regions of some points, by channel."""
         boxes: dict[Target, tuple[slice, slice]] = {}
@@ -145,7 +150,7 @@ class RunFrames:
         spacing = -(-len(self.points) // FEW)
         for step in self.steps():
             for channel in self._channels:
-                region = self._region(step, channel)
+                region = self.region(step, channel)
                 if region is None:
                     continue
                 boxes[region.target] = _around(region.roi, boxes.get(region.target))
@@ -163,13 +168,17 @@ class RunFrames:
         """The steps with frames of point or reference, each read when it is asked for: a run may have very many."""
         return (step for step in self._every if step.kind != "dark" and not step.flag)
 
+    def dark_frames(self) -> Iterator[tuple[StepRecord, FrameRecord]]:
+        """The dark frames, each with its step."""
+        return ((step, frame) for step in self._every if step.kind == "dark" for frame in step.frames)
+
     def knows(self, step: StepRecord) -> bool:
         """Whether the dark signal is known where a step looks."""
-        regions = (self._region(step, channel) for channel in self._channels)
+        regions = (self.region(step, channel) for channel in self._channels)
         boxes = ((region.roi, self._boxes.get(region.target)) for region in regions if region is not None)
         return all(box is not None and _around(roi, box) == box for roi, box in boxes)
 
-    def _region(self, step: StepRecord, channel: Channel) -> Region | None:
+    def region(self, step: StepRecord, channel: Channel) -> Region | None:
         """The region of a step; None where the source stands below the horizon, or the camera on the
         other side of the sample than it should."""
         target: Target = "reference" if step.kind == "reference" else "sample"
@@ -180,16 +189,16 @@ class RunFrames:
         region = roi(rig, view, target, channel)
         if beam:
             per_weight = 1.0 / straight_through_weight(rig, view, region, channel)
-            if self._maps is not None:  # none of the lamp's light may be left out, that on defects neither
-                known = np.where(self._maps.defects, 1.0, self._maps.responsivity)
+            if self.maps is not None:  # none of the lamp's light may be left out, that on defects neither
+                known = np.where(self.maps.defects, 1.0, self.maps.responsivity)
                 per_weight = per_weight / region.of(known).astype(float)
             return Region(region, target, per_weight, region)
         seen = pixel_map(rig, view, region.rows, region.cols)
-        if self._maps is not None:
-            region = _within(region, ~self._maps.defects[region.rows, region.cols])
+        if self.maps is not None:
+            region = _within(region, ~self.maps.defects[region.rows, region.cols])
         per_weight = beam_size.per_weight(rig, view, seen, region, channel)
-        if self._maps is not None:
-            per_weight = per_weight / np.asarray(region.of(self._maps.responsivity), dtype=float)
+        if self.maps is not None:
+            per_weight = per_weight / np.asarray(region.of(self.maps.responsivity), dtype=float)
         lit = _within(region, seen.lit > 0.5) if beam_size.filling(rig) == "under" else region
         return Region(region, target, per_weight, lit) if math.isfinite(per_weight.max()) else None
 
@@ -199,12 +208,12 @@ class RunFrames:
         camera, boxes = self.description.camera, self._boxes
         crops: dict[Target, list[Dark]] = {target: [] for target in boxes}
         means: list[tuple[float, list[float]]] = []
-        for frame in in_threads(lambda taken: self._read_or_note(*taken), frames):
+        for frame in in_threads(lambda taken: self.read_or_note(*taken), frames):
             if frame is not None:
                 values = linear_dn(camera, frame.mosaic)
                 for target, box in boxes.items():
                     crops[target].append((frame.exposure_s, values[box].copy()))
-                if self._spreads:
+                if self.spreads:
                     of = [stray_light.mean_of_channel(camera, values, channel) for channel in self._channels]
                     means.append((frame.exposure_s, of))
         if not all(crops.values()):
@@ -216,10 +225,10 @@ class RunFrames:
         rate = camera.dark_current_e_per_s / camera.electrons_per_dn
         self._dark_means = _lines(means, self._channels, rate)
         if self.description.acquisition.by_pixels:
-            crops = {target: self._without_hits(taken) for target, taken in crops.items()}
+            crops = {target: self.without_hits(taken) for target, taken in crops.items()}
         return {target: Darks(crops[target], *box, rate) for target, box in boxes.items()}
 
-    def _without_hits(self, taken: list[Dark]) -> list[Dark]:
+    def without_hits(self, taken: list[Dark]) -> list[Dark]:
         """Dark frames without hits of cosmic radiation."""
         out: list[Dark] = []
         for exposure_s in dict.fromkeys(t for t, _ in taken):
@@ -273,7 +282,7 @@ class RunFrames:
                 f"and {RETAKE}"
             )
 
-    def _read_or_note(self, step: StepRecord, entry: FrameRecord) -> Frame | None:
+    def read_or_note(self, step: StepRecord, entry: FrameRecord) -> Frame | None:
         """A frame that the journal names, or None where it is missing or damaged."""
         try:
             return self.read(step, entry)
@@ -290,10 +299,10 @@ class RunFrames:
         """The frames of a step in a band, each reduced to its region, without those that are damaged; None for a
         region below the horizon.
         """
-        region = self._region(step, band.channel)
+        region = self.region(step, band.channel)
         if region is None:
             return None
-        read = ((entry, self._read_or_note(step, entry)) for entry in _lit(step, band))
+        read = ((entry, self.read_or_note(step, entry)) for entry in lit_frames(step, band))
         return region, [self._shot(region, frame, entry, band.channel) for entry, frame in read if frame is not None]
 
     def _shot(self, region: Region, frame: Frame, entry: FrameRecord, channel: Channel) -> Shot:
@@ -301,7 +310,7 @@ class RunFrames:
         values = region.roi.of(linear_dn(camera, frame.mosaic)).astype(float)
         linear, by_camera = self._freed(region, frame, values, channel)
         gain, full = camera.electrons_per_dn, full_scale_dn(camera, frame)
-        lamp = entry.monitor / self._usual if self.description.lamp.monitor and entry.monitor else 1.0
+        lamp = self.lamp(entry)
         by_pixels = self.description.acquisition.by_pixels
         return Shot(
             rate=float(np.mean(linear * gain * region.per_weight)) / frame.exposure_s / lamp,
@@ -319,14 +328,11 @@ class RunFrames:
         """Used pixels [DN] without dark signal, nonlinearity and spread light; derivatives by `camera_parameters`."""
         camera = self.description.camera
         dark = self._darks[region.target].of(region.roi, frame.exposure_s)
-        linear = values - dark
+        linear, lit = without_dark(camera, values, dark, frame.black_level_dn)
         by_camera = np.zeros((len(self._parameters), linear.size))
         if camera.nonlinearity:
-            black = frame.black_level_dn
-            lit = straightened(camera, values - black)
-            linear = lit - straightened(camera, dark - black)
             by_camera[: len(camera.nonlinearity)] = by_coefficients(camera, lit)
-        if self._spreads:
+        if self.spreads:
             added, by = self._stray(region, frame, channel)
             linear = linear - added
             strays = [name for name in self._parameters if name.startswith("camera.stray")]
@@ -336,7 +342,13 @@ class RunFrames:
 
     def _stray(self, region: Region, frame: Frame, channel: Channel) -> tuple[Floats, Floats]:
         """What the light that a frame spreads adds to the used pixels [DN], and its derivatives by the fractions."""
-        camera, place = self.description.camera, region.roi
+        place = region.roi
+        rows, cols = np.nonzero(place.mask)
+        return self.spread(frame, channel).at(rows + place.rows.start, cols + place.cols.start)
+
+    def spread(self, frame: Frame, channel: Channel) -> stray_light.Spread:
+        """The light that a frame spreads."""
+        camera = self.description.camera
         level, slope = self._dark_means[channel]
         values, dark = linear_dn(camera, frame.mosaic), level + slope * frame.exposure_s
         full = frame.black_level_dn + full_scale_dn(camera, frame)
@@ -345,9 +357,7 @@ class RunFrames:
             black = frame.black_level_dn
             values = straightened(camera, values - black)
             dark = float(straightened(camera, np.array(dark - black)))
-        found = stray_light.spread(camera, values, dark, channel)
-        rows, cols = np.nonzero(place.mask)
-        return found.at(rows + place.rows.start, cols + place.cols.start)
+        return stray_light.spread(camera, values, dark, channel)
 
     def reduce(self, step: StepRecord, band: Band) -> Reduced | Rejected:
         """The rate of a step in a band, from its merged frames."""
@@ -355,7 +365,7 @@ class RunFrames:
         if found is None:
             return Rejected(step.point, "below_horizon")
         region, taken = found
-        lit = _lit(step, band)
+        lit = lit_frames(step, band)
         # a point can be taken again; of a visit to the reference the frames that are left count
         for flag, wrong in (("damaged", self.damaged), ("contradictory", self.contradictory)):
             if (step.kind == "point" or not taken) and any(frame.file in wrong for frame in lit):
@@ -391,6 +401,17 @@ class RunFrames:
         )
 
 
+def without_dark(camera: Camera, values: Floats, dark: Floats, black_dn: float) -> tuple[Floats, Floats]:
+    """The linear signal of pixels [DN] without their dark signal; and with it, above the black level.
+
+    `values` and `dark` are what `linear_dn` gives.
+    """
+    if not camera.nonlinearity:
+        return values - dark, values - black_dn
+    lit = straightened(camera, values - black_dn)
+    return lit - straightened(camera, dark - black_dn), lit
+
+
 def _within(region: Roi, chosen: Bools) -> Roi:
     """A region without the pixels that are not chosen; all of it, where none is."""
     kept = region.mask & chosen
@@ -402,7 +423,7 @@ def _alike(one: float, other: object) -> bool:
     return isinstance(other, Real) and abs(one - float(other)) <= 1e-3 * one + 1e-6
 
 
-def _lit(step: StepRecord, band: Band) -> list[FrameRecord]:
+def lit_frames(step: StepRecord, band: Band) -> list[FrameRecord]:
     """The frames of a step that were taken in a band, with the lamp lit."""
     return [frame for frame in step.frames if frame.band == band.name and frame.lamp]
 

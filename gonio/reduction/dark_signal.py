@@ -50,6 +50,11 @@ class Darks:
         return np.asarray(self._slope[rows, cols][region.mask])
 
     @property
+    def line(self) -> tuple[Floats, Floats, float]:
+        """Of every pixel of the rectangle: dark signal [DN] at an exposure, its slope [DN/s]; and that exposure [s]."""
+        return self._mean, self._slope, self._centre
+
+    @property
     def exposures_s(self) -> Floats:
         """Mean exposure of the shorter and of the longer dark frames (where there are several exposures)."""
         return np.array([group.mean() for group in self._groups])

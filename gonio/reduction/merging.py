@@ -101,7 +101,7 @@ def merge(description: RigDescription, stack: Stack) -> MergedPixels | None:
     """
     camera, lamp = description.camera, description.lamp.frame_noise
     rates = stack.electrons / stack.exposures_s[:, None]
-    bright = _levels_around(stack) >= _usable(camera)
+    bright = _levels_around(stack) >= usable(camera)
     used = ~bright & (stack.levels < SATURATED) & ~stack.hot
     # a full pixel among others that are not is out of order, or was hit
     if bool(np.any(bright.all(axis=0) & ~stack.hot)):
@@ -290,7 +290,7 @@ def _neighbours_mean(stack: Stack, charge: Floats, time: Floats) -> Floats:
     return np.asarray(np.maximum(near / stack.per_weight, 0.0))
 
 
-def _usable(camera: Camera) -> float:
+def usable(camera: Camera) -> float:
     """The level of neighbours up to which a pixel is used: its noise then does not reach `SATURATED`."""
     full = camera.saturation_e
     noise = float(sensor_noise.variance(camera, full, rounding=False))

@@ -1,0 +1,151 @@
+"""By how much the pictures of a sample lie beside where the geometry puts them, told from the pictures themselves.
+
+Each point's picture P on the sample's grid is compared with the mean M over all points of its band, both without what
+is smooth (the lobe's own course over the sample). Least squares of P = b (M - s . grad M) give contrast b and shift s;
+the pictures are looked up with the shift, the mean is made again, and so on. Standard uncertainties hold for
+residuals that are alike within blocks of the picture. The mean of all shifts is zero by definition: where the
+sample's frame lies is not told. Where the texture does not stand out of the noise, no shift is told.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from gonio.maps import Tile
+from gonio.reduction.map_grid import Grid, Lookup
+from gonio.reduction.map_planes import MapPoint, Planes
+from gonio.reduction.threads import in_threads
+from gonio.typing import Bools, Floats
+
+Means = tuple[Floats, Floats]
+"""The mean of pictures on the grid, and its variance."""
+WINDOW = 512
+"""Cells along a side, in the middle of the sample, that are compared."""
+SMOOTH = 6.0
+"""Standard deviation [cells] of the Gaussian that tells what is smooth."""
+ROUNDS = 3
+BLOCK = 16
+"""Cells along a side of a block."""
+FARTHEST = 3.0
+"""Cells: a larger shift in one round is no shift."""
+TOLD = 5.0
+"""Standard errors that the contrast of a picture stands above zero, at least."""
+UNSURE = 0.5
+"""Cells: a shift that is not known better is not told."""
+
+
+def window(grid: Grid) -> Tile:
+    """The cells that are compared."""
+    count = len(grid.places)
+    side = min(count, WINDOW)
+    start = (count - side) // 2
+    return Tile(slice(start, start + side), slice(start, start + side))
+
+
+def shifts(
+    planes: Planes, grid: Grid, points: Sequence[MapPoint], progress: Callable[[int, int], None] | None = None
+) -> tuple[Floats, Floats]:
+    """Shift along x and y [mm] of every point, and its standard uncertainty, each of shape (n, 2).
+
+    Where none is told the shift is 0 and its uncertainty NaN.
+    """
+    found, u = np.zeros((len(points), 2)), np.full((len(points), 2), np.nan)
+    rounds = _Rounds(planes, grid, found, u, progress, (ROUNDS + 1) * len(points))
+    for name in dict.fromkeys(point.band.name for point in points):
+        of_band = [point for point in points if point.band.name == name]
+        means = None
+        for _ in range(ROUNDS + 1):
+            means = rounds.go(of_band, means)
+    untold = np.isnan(u).any(axis=1)
+    found[untold], u[untold] = 0.0, np.nan
+    return found, u
+
+
+class _Rounds:
+    """Compares the pictures of a band with their mean, and makes the mean again."""
+
+    def __init__(
+        self, planes: Planes, grid: Grid, found: Floats, u: Floats,
+        progress: Callable[[int, int], None] | None, total: int,
+    ) -> None:  # fmt: skip
+        self._planes, self._grid, self._where = planes, grid, window(grid)
+        self._found, self._u = found, u
+        self._progress, self._done, self._total = progress, 0, total
+
+    def go(self, points: Sequence[MapPoint], means: Means | None) -> Means:
+        """Move every picture against the mean; the mean of the pictures as they were looked up, and its variance."""
+        total, spread, count = (np.zeros(self._where.shape) for _ in range(3))
+        steps: list[tuple[int, Floats, Floats]] = []
+        for point, (value, variance) in zip(points, in_threads(self._picture, points), strict=True):
+            there = np.isfinite(value)
+            if means is not None:
+                steps.append((point.number, *_step(means, value, variance)))
+            total[there] += value[there]
+            spread[there] += variance[there]
+            count[there] += 1.0
+            self._done += 1
+            if self._progress is not None:
+                self._progress(self._done, self._total)
+        for k, shift, u in steps:
+            self._found[k] += shift * self._grid.pixel_mm
+            self._u[k] = u * self._grid.pixel_mm
+        told = [k for k, _, u in steps if np.isfinite(u).all()]
+        if told:
+            self._found[told] -= self._found[told].mean(axis=0)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return total / count, spread / count**2
+
+    def _picture(self, point: MapPoint) -> tuple[Floats, Floats]:
+        """A picture over its median, and its variance; NaN where it is flagged."""
+        x, y = self._found[point.number].tolist()
+        value, variance, flag = Lookup(self._planes, self._grid, point).at(self._where, (x, y))
+        value = np.where(flag == 0, value, np.nan)
+        scale = float(np.median(value[flag == 0])) if (flag == 0).any() else math.nan
+        if not scale > 0.0:
+            return np.full(value.shape, np.nan), variance
+        return value / scale, variance / scale**2
+
+
+def _rough(values: Floats, there: Bools) -> Floats:
+    """A picture without what is smooth in it; 0 where it is not there."""
+    from scipy.ndimage import gaussian_filter
+
+    filled = gaussian_filter(np.where(there, values, 0.0), SMOOTH)
+    known = gaussian_filter(there.astype(float), SMOOTH)
+    return np.where(there, values - filled / np.maximum(known, 1e-12), 0.0)
+
+
+def _step(means: Means, value: Floats, variance: Floats) -> tuple[Floats, Floats]:
+    """Shift of a picture against the mean [cells], and its uncertainty; 0 and NaN where there is too little texture."""
+    from scipy.ndimage import binary_erosion
+
+    nothing = np.zeros(2), np.full(2, np.nan)
+    there = np.isfinite(value) & np.isfinite(means[0])
+    inner = binary_erosion(there, iterations=2)
+    if np.count_nonzero(inner) < BLOCK**2:
+        return nothing
+    mean, picture = _rough(means[0], there), _rough(value, there)
+    slopes = [np.asarray(slope) for slope in np.gradient(mean)]
+    noise = float(np.mean(means[1][inner]))
+    texture = [float(np.mean(slope[inner] ** 2)) for slope in slopes]
+    if min(texture) <= 2.0 * noise:  # of white noise the central difference has half the variance
+        return nothing
+    columns = np.stack([mean[inner], -slopes[1][inner], -slopes[0][inner]])
+    weights = 1.0 / (float(np.median(variance[inner])) + 1e-300)
+    normal = weights * columns @ columns.T
+    b, *shift = np.linalg.solve(normal, weights * columns @ picture[inner])
+    left = picture[inner] - np.array([b, *shift]) @ columns
+    rows, cols = np.nonzero(inner)
+    block = rows // BLOCK * (inner.shape[1] // BLOCK + 1) + cols // BLOCK
+    scores = np.stack([np.bincount(block, weights * column * left) for column in columns])
+    inverse = np.linalg.inv(normal)
+    covariance = inverse @ (scores @ scores.T) @ inverse
+    if b**2 <= TOLD**2 * covariance[0, 0]:
+        return nothing
+    found, u = np.array(shift) / b, np.sqrt(np.diag(covariance)[1:]) / abs(b)
+    if np.abs(found).max() > FARTHEST or u.max() > UNSURE:
+        return nothing
+    return found, u
