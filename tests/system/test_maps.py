@@ -8,10 +8,12 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+from gonio.acquisition.plan import ANGLES
 from gonio.acquisition.run import Run
 from gonio.maps import MapFile, Parts, Tile
 from gonio.measurement import read
@@ -63,7 +65,7 @@ def test_every_pixel_has_the_samples_brdf_within_its_uncertainty(folder: Path) -
         value, u = found.values(Tile(slice(0, found.shape[0]), slice(0, found.shape[1])))
         shared = found.array("u_point")
     region = np.hypot(x, y) < 0.8
-    for k, row in enumerate(table.itertuples()):
+    for k, (brdf, u_brdf) in enumerate(table[["brdf", "u_brdf"]].to_numpy(dtype=float)):
         good = np.isfinite(value[..., k])
         # outside of the disc of 10 mm nothing is good; inside 95 % of its radius everything is: a pixel is at most
         # 0.36 mm wide here, and the lens's blur at the edge 0.16 mm
@@ -76,9 +78,9 @@ def test_every_pixel_has_the_samples_brdf_within_its_uncertainty(folder: Path) -
         assert 0.9 < float(np.std(pulls)) < 1.1
         assert np.abs(pulls).max() < 6.0  # of 9000 normal numbers none lies beyond 6 (2e-5)
         # all pixels together: what they share, with the reference's certificate (0.2 %) and the drift; 4 u
-        assert abs(value[..., k][good].mean() / (ALBEDO / math.pi) - 1.0) < 4.0 * row.u_brdf / row.brdf
+        assert abs(value[..., k][good].mean() / (ALBEDO / math.pi) - 1.0) < 4.0 * u_brdf / brdf
         # 60 cells of 0.6 % noise that is theirs: the table's region has other weights at its rim; 4 of 0.1 %
-        assert abs(value[..., k][region].mean() / row.brdf - 1.0) < 0.004
+        assert abs(value[..., k][region].mean() / brdf - 1.0) < 0.004
 
 
 def test_directions_are_each_pixels_own(folder: Path) -> None:
@@ -88,11 +90,10 @@ def test_directions_are_each_pixels_own(folder: Path) -> None:
         row, col = 20, 70
         spot = np.array([found.x_mm[col], found.y_mm[row], 0.0])
         of_pixel = found.table(row, col)
-    for here, centre in zip(of_pixel.itertuples(), table.itertuples(), strict=True):
-        for theta, phi, own_theta, own_phi in (
-            (centre.theta_i_deg, centre.phi_i_deg, here.theta_i_deg, here.phi_i_deg),
-            (centre.theta_r_deg, centre.phi_r_deg, here.theta_r_deg, here.phi_r_deg),
-        ):
+    angles = [each[list(ANGLES)].to_numpy(dtype=float) for each in (table, of_pixel)]
+    for centre, here in zip(*angles, strict=True):
+        for k in (0, 2):
+            (theta, phi), (own_theta, own_phi) = centre[k : k + 2], here[k : k + 2]
             t, p = math.radians(theta), math.radians(phi)
             toward = 1000.0 * np.array([math.sin(t) * math.cos(p), math.sin(t) * math.sin(p), math.cos(t)]) - spot
             # tables keep nine decimals of a degree
@@ -149,7 +150,12 @@ def test_what_was_killed_goes_on_and_ends_the_same(folder: Path, monkeypatch: py
     made: list[str] = []
     write = Parts.write
     monkeypatch.setattr(Planes, "make", lambda self, point: made.append("picture"))
-    monkeypatch.setattr(Parts, "write", lambda self, tile, arrays: (made.append(tile.name), write(self, tile, arrays)))
+
+    def counted(parts: Parts, tile: Tile, arrays: dict[str, Any]) -> None:
+        made.append(tile.name)
+        write(parts, tile, arrays)
+
+    monkeypatch.setattr(Parts, "write", counted)
     gonio(folder, "reduce", "run", "--map", "again.h5", expect=0)
     assert len(made) == 4 - (len(done) - 5)  # of the four tiles those that were missing, and no picture
     assert (folder / "again.h5").read_bytes() == (folder / "map.h5").read_bytes()
