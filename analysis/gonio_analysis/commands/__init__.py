@@ -78,7 +78,11 @@ Prior = Annotated[
 ]
 Each = Annotated[
     list[str] | None,
-    typer.Option(metavar="NAME", help="With --joint: a value at each wavelength.", show_default=False),
+    typer.Option(
+        metavar="NAME|FOLDER|LIST",
+        help="With --joint: a value at each wavelength. Without TABLE: fit each table of a folder or a list.",
+        show_default=False,
+    ),
 ]
 More = Annotated[
     list[str] | None,
@@ -92,6 +96,10 @@ Save = Annotated[
 ]
 Measurements = Annotated[
     list[str], typer.Argument(metavar="A [B ...]", help="Tables, runs, or FILE:SAMPLE.", show_default=False)
+]
+Dask = Annotated[
+    str | None,
+    typer.Option(metavar="ADDRESS", help="Fit on the Dask cluster of this scheduler.", show_default=False),
 ]
 Shared = Annotated[
     list[str] | None,
@@ -136,10 +144,10 @@ def watch(
 
 
 def fit(
-    table: Annotated[
-        str, typer.Argument(metavar="TABLE", help="A table, a run, FILE:SAMPLE, or a map.", show_default=False)
-    ],
     model: Annotated[str, typer.Option(help="Which model: he-torrance, cook-torrance, ...", show_default=False)],
+    table: Annotated[
+        str | None, typer.Argument(metavar="TABLE", help="A table, a run, FILE:SAMPLE, or a map.", show_default=False)
+    ] = None,
     more: More = None,
     ior: IorOption = None,
     fix: Fix = None,
@@ -161,15 +169,17 @@ def fit(
     save: Save = None,
     residual: Residual = False,
     out: Annotated[
-        Path | None, typer.Option(help="Of a map: the file of fits.", metavar="FITS.h5", show_default=False)
+        Path | None,
+        typer.Option(help="Of a map: its fits (FITS.h5). Of --each: one row a table (TABLE.csv).", show_default=False),
     ] = None,
+    dask: Dask = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
     columns: Columns = None,
     blank: Blank = None,
 ) -> None:
     """Fit one model to measurements of a sample. With the table's covariance, and through the instrument's cones.
 
-    Of a map (gonio reduce --map) every pixel is fitted, without the cones.
+    Of a map (gonio reduce --map) every pixel is fitted, without the cones. With --each and no TABLE: very many tables.
     """
     from gonio_analysis.commands import carried_out, of_many
     from gonio_analysis.fitting.problem import FitRequest
@@ -182,7 +192,7 @@ def fit(
         free=free or (),
         slopes=slopes,
         wavelength_nm=wavelength_nm,
-        each=(each or []) if joint or each else None,
+        each=(each or []) if joint or (each and table is not None) else None,
         bounds=once("--bound", [read_bound(text) for text in bound or []]),
         priors=once("--prior", [read_prior(text) for text in prior or []]),
         loss=loss,
@@ -193,10 +203,9 @@ def fit(
         separate=separate,
     )
     wanted = carried_out.Wanted(u_ior, intervals, save, residual, as_json)
-    if of_many.is_map(table, out):
-        of_many.require_plain("a map", asked, wanted, {"MORE": more, "--columns": columns, "--blank": blank})
-        return of_many.fit_map(Path(table), out, asked, as_json=as_json)
-    carried_out.fit([table, *(more or [])], asked, how, wanted)
+    others = {"MORE": more, "--joint": joint}
+    if not of_many.fit(table, each, asked, how, wanted, out=out, dask=dask, others=others):
+        carried_out.fit([str(table), *(more or [])], asked, how, wanted)
 
 
 def compare(
@@ -215,10 +224,7 @@ def compare(
     u_rel: URel = None,
     energy: Energy = False,
     separate: Separate = False,
-    dask: Annotated[
-        str | None,
-        typer.Option(metavar="ADDRESS", help="Fit on the Dask cluster of this scheduler.", show_default=False),
-    ] = None,
+    dask: Dask = None,
     change: Annotated[
         bool, typer.Option("--change", help="Compare two point by point; a model is given by its sample file (.toml).")
     ] = False,

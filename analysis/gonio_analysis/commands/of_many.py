@@ -1,10 +1,10 @@
-"""What `gonio fit` does with a map: a fit of every pixel."""
+"""What `gonio fit` does with very many: every pixel of a map, every table of a folder."""
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,13 +13,41 @@ from gonio import maps
 from gonio.cli import console
 from gonio.errors import ConfigError
 from gonio_analysis.fitting.problem import FitRequest
+from gonio_analysis.maps import each as each_table
 from gonio_analysis.maps import fits
 
 if TYPE_CHECKING:
+    from gonio.measurement import Reading
     from gonio_analysis.commands.carried_out import Wanted
 
 PLAIN = ("model", "ior", "fix", "wavelength_nm")
 """What of a request maps are fitted by."""
+
+
+def fit(
+    table: str | None, each: list[str] | None, asked: FitRequest, how: Reading, wanted: Wanted, *, out: Path | None,
+    dask: str | None, others: Mapping[str, Any],
+) -> bool:  # fmt: skip
+    """Fit a map or each of many tables, where that is asked for; otherwise False.
+
+    Raises
+    ------
+    ConfigError
+        What is asked for does not go together; `others`: options that have no part in either.
+    """
+    if table is None:
+        if not each:
+            raise ConfigError("gonio fit: name a TABLE; or a folder or a list of tables with --each")
+        _require_plain("each of many tables", asked, wanted, {**others, "--json": wanted.as_json}, plain=None)
+        fit_each(each, out, asked, how, dask)
+        return True
+    if not is_map(table, out):
+        if dask is not None:
+            raise ConfigError("--dask: goes with a map, or with --each FOLDER|LIST; leave it out")
+        return False
+    _require_plain("a map", asked, wanted, {**others, "--columns": how.columns, "--blank": how.blank})
+    fit_map(Path(table), out, asked, dask, as_json=wanted.as_json)
+    return True
 
 
 def is_map(table: str, out: Path | None) -> bool:
@@ -37,11 +65,13 @@ def is_map(table: str, out: Path | None) -> bool:
     return found
 
 
-def require_plain(what: str, asked: FitRequest, wanted: Wanted, others: Mapping[str, Any]) -> None:
-    """`ConfigError` where an option is given that says nothing to a map."""
+def _require_plain(
+    what: str, asked: FitRequest, wanted: Wanted, others: Mapping[str, Any], plain: Sequence[str] | None = PLAIN
+) -> None:
+    """`ConfigError` where an option is given that has no part; `plain` of a request have one, or all for None."""
     usual = FitRequest(asked.model)
     given = {f"--{f.name.replace('_', '-')}": (getattr(asked, f.name) or None) != (getattr(usual, f.name) or None)
-             for f in fields(asked) if f.name not in PLAIN}  # fmt: skip
+             for f in fields(asked) if plain is not None and f.name not in plain}  # fmt: skip
     names = {"--bounds": "--bound", "--priors": "--prior", "--each": "--joint"}
     given |= {"--u-ior": wanted.u_ior, "--intervals": wanted.intervals, "--save": wanted.save,
               "--residual": wanted.residual, **others}  # fmt: skip
@@ -50,12 +80,35 @@ def require_plain(what: str, asked: FitRequest, wanted: Wanted, others: Mapping[
         raise ConfigError(f"{odd[0]}: has no part in the fit of {what}; leave it out")
 
 
-def fit_map(path: Path, out: Path | None, asked: FitRequest, *, as_json: bool) -> None:
+def fit_each(where: list[str], out: Path | None, asked: FitRequest, how: Reading, dask: str | None) -> None:
+    """Fit each table of a folder or a list, and print what came out."""
+    if len(where) > 1:
+        raise ConfigError("--each: name one folder or one list, or the TABLE whose wavelengths --each NAME is about")
+    if out is None:
+        raise ConfigError(f"--each {where[0]}: name the table of its fits with --out TABLE.csv")
+    if out.suffix != ".csv":
+        raise ConfigError(f"--out {out}: one row a table is written as CSV; choose a name that ends in .csv")
+    with console.counter("fitting tables", lines=True) as count:
+        found = each_table.make(where[0], out, asked, how, dask=dask, count=count)
+    if found.before:
+        console.note(f"{found.before} tables were done before")
+    flags = [row.get("flag") or "" for row in found.rows]
+    failed = [row["table"] for row, flag in zip(found.rows, flags, strict=True) if flag.startswith("not fitted")]
+    rejected = sum("rejected" in flag.split("; ") for flag in flags)
+    first = f", the first of them {failed[0]} (column flag says why)" if failed else ""
+    console.show(
+        f"{asked.model}: fitted {len(flags) - len(failed)} of {len(flags)}; the model is rejected in {rejected};"
+        f" {len(failed)} could not be fitted{first}"
+    )
+    print(out)
+
+
+def fit_map(path: Path, out: Path | None, asked: FitRequest, dask: str | None, *, as_json: bool) -> None:
     """Fit every pixel of a map, and print what came out."""
     if out is None:
         raise ConfigError(f"{path}: is a map; name the file of its fits with --out FITS.h5")
     with console.counter("fitting tiles", lines=True) as count:
-        fits.make(path, out, asked, count=count, say=console.note)
+        fits.make(path, out, asked, dask=dask, count=count, say=console.note)
     found = fits.summary(out)
     if as_json:
         print(json.dumps({"model": asked.model, "map": str(path), "out": str(out), **found.to_json()}, indent=1))

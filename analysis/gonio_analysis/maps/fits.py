@@ -19,6 +19,7 @@ from gonio.errors import ConfigError, DataError
 from gonio.maps import MapFile, Parts, Tile, Variable
 from gonio_analysis.fitting.problem import FitRequest
 from gonio_analysis.maps.pixels import AT_BOUND, FLAGS, REJECTED, TOO_FEW, Arrays, Plan, fit_tile, plan, read_tile
+from gonio_analysis.selection import parallel
 
 AHEAD = 2
 """Tiles in work: one is read or written while the cores fit another."""
@@ -28,7 +29,9 @@ KEPT = ("sample", "quantity", "simulated")
 Count = Callable[[int, int], None]
 
 
-def make(path: Path, out: Path, asked: FitRequest, *, count: Count, say: Callable[[str], None]) -> Plan:
+def make(
+    path: Path, out: Path, asked: FitRequest, *, dask: str | None = None, count: Count, say: Callable[[str], None]
+) -> Plan:
     """Fit every pixel of a map.
 
     Parameters
@@ -37,6 +40,9 @@ def make(path: Path, out: Path, asked: FitRequest, *, count: Count, say: Callabl
         The map, and the file of fits to be.
     asked
         Model, optical constants, fixed parameters and wavelength.
+    dask
+        Address of a Dask scheduler; its workers need this package, and neither the map nor a disk that is shared.
+        Otherwise the threads of this process fit, which are as fast as processes and start at once.
     count, say
         Told how many tiles are done, of how many; and lines for a person.
 
@@ -64,7 +70,7 @@ def make(path: Path, out: Path, asked: FitRequest, *, count: Count, say: Callabl
         if len(todo) < len(every):
             say(f"{len(every) - len(todo)} of {len(every)} tiles were done before")
         try:
-            for done, (tile, arrays) in enumerate(_fitted_here(map_file, wanted, todo), 1):
+            for done, (tile, arrays) in enumerate(_fitted(map_file, wanted, todo, dask), 1):
                 parts.write(tile, arrays)
                 count(done, len(todo))
             sizes, variables = _layout(map_file, wanted)
@@ -92,8 +98,12 @@ def _about(map_file: MapFile, wanted: Plan) -> JsonObject:
     }
 
 
-def _fitted_here(map_file: MapFile, wanted: Plan, todo: list[Tile]) -> Iterator[tuple[Tile, Arrays]]:
-    """Tiles as they are fitted, by the threads of this process."""
+def _fitted(map_file: MapFile, wanted: Plan, todo: list[Tile], dask: str | None) -> Iterator[tuple[Tile, Arrays]]:
+    """Tiles as they are fitted, by the threads of this process or by a cluster."""
+    if dask is not None:
+        jobs = ((wanted, tile.shape, *read_tile(map_file, wanted.points, tile)) for tile in todo)
+        yield from zip(todo, parallel.on_cluster(_sent, jobs, dask), strict=True)
+        return
 
     def work(tile: Tile) -> Arrays:
         return fit_tile(wanted, tile.shape, *read_tile(map_file, wanted.points, tile))
@@ -106,6 +116,11 @@ def _fitted_here(map_file: MapFile, wanted: Plan, todo: list[Tile]) -> Iterator[
             arrays = job.result()
             waiting += [(later, pool.submit(work, later)) for later in islice(rest, 1)]
             yield tile, arrays
+
+
+def _sent(job: tuple[Any, ...]) -> Arrays:
+    """What a worker of a cluster does."""
+    return fit_tile(*job)
 
 
 def _layout(map_file: MapFile, wanted: Plan) -> tuple[dict[str, int], dict[str, Variable]]:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import os
 import socket
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from multiprocessing import get_context, parent_process
@@ -19,6 +20,8 @@ from gonio.errors import ConfigError, DataError
 FEW = 4
 """Fewer jobs than this run here: to start a process and its imports takes longer than most fits."""
 
+LEAST_AHEAD = 8
+"""Jobs that a cluster has at a time, at least: workers may come while it works."""
 PATIENCE_S = 20.0
 """So long a Dask scheduler may take to answer."""
 
@@ -70,7 +73,7 @@ def each(
         A process died: most often for want of memory.
     """
     if dask is not None:
-        yield from _on_cluster(function, jobs, dask)
+        yield from on_cluster(function, jobs, dask)
     elif len(jobs) < FEW or workers == 1:
         yield from map(function, jobs)
     else:
@@ -108,7 +111,11 @@ def _stay_with_parent() -> None:
     threading.Thread(target=watch, daemon=True).start()
 
 
-def _on_cluster(function: Callable[[In], Out], jobs: Sequence[In], address: str) -> Iterator[Out]:
+def on_cluster(function: Callable[[In], Out], jobs: Iterable[In], address: str) -> Iterator[Out]:
+    """`each` on a Dask cluster. Jobs are taken when workers are near them, so that few are in memory at a time.
+
+    What a worker that is lost was at is done by another one.
+    """
     try:
         from distributed import Client
     except ImportError:
@@ -129,7 +136,14 @@ def _on_cluster(function: Callable[[In], Out], jobs: Sequence[In], address: str)
         reason = str(error) or f"nothing was said for {PATIENCE_S:g} s"
         raise ConfigError(f"--dask {address}: no scheduler answers there: {reason}") from None
     with client:
-        yield from client.gather(client.map(function, jobs, pure=False))
+        ahead = max(LEAST_AHEAD, 2 * sum(client.nthreads().values()))
+        waiting: deque[Any] = deque()
+        for job in jobs:
+            waiting.append(client.submit(function, job, pure=False))
+            if len(waiting) >= ahead:
+                yield waiting.popleft().result()
+        while waiting:
+            yield waiting.popleft().result()
 
 
 def _require_address(address: str) -> None:

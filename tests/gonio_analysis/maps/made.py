@@ -57,8 +57,8 @@ def write(
     that the model lacks. Without a `pixel_mm` all pixels lie in one place, which is quick.
     """
     rng = np.random.default_rng(seed)
-    x: Floats = (np.arange(cols) - 0.5 * (cols - 1)) * pixel_mm
-    y: Floats = (np.arange(rows) - 0.5 * (rows - 1)) * pixel_mm
+    x = np.asarray((np.arange(cols) - 0.5 * (cols - 1)) * pixel_mm, np.float64)
+    y = np.asarray((np.arange(rows) - 0.5 * (rows - 1)) * pixel_mm, np.float64)
     to_source, to_camera = poses()
     source, camera = np.tile(FAR_MM * to_source, (len(waves), 1)), np.tile(CAMERA_MM * to_camera, (len(waves), 1))
     wavelength = np.repeat(waves, len(to_source))

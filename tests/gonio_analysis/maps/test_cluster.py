@@ -1,0 +1,57 @@
+"""Maps and tables on a Dask cluster: the same bytes, whatever becomes of a worker."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from gonio_analysis.fitting.problem import FitRequest
+from gonio_analysis.maps import each, fits
+
+from gonio.measurement import Reading
+from tests.gonio_analysis.maps.made import write
+from tests.gonio_analysis.maps.test_each import tables
+
+pytestmark = pytest.mark.slow
+PLASTIC = {"s": 0.4, "d": 0.6, "m": 0.3, "diffuse_albedo": 0.5, "ior": 1.5}
+ASKED = FitRequest("cook-torrance")
+
+
+@pytest.fixture
+def cluster() -> Iterator[Any]:
+    """Two workers, processes of their own, on the loopback."""
+    distributed = pytest.importorskip("distributed", reason="the extra gonio[dask] is not installed")
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=True, protocol="tcp://", host="127.0.0.1", dashboard_address=None
+    ) as found:
+        yield found
+
+
+@pytest.mark.filterwarnings("default")
+@pytest.mark.skipif(sys.platform == "win32", reason="kill -9 is of POSIX")
+def test_a_lost_worker_costs_its_tile_and_the_bytes_are_those_of_one_process(tmp_path: Path, cluster: Any) -> None:
+    path, here, there = (tmp_path / name for name in ("map.h5", "here.h5", "there.h5"))
+    write(path, lambda x, y: PLASTIC, rows=256, cols=192, pixel_mm=0.0)
+    fits.make(path, here, ASKED, count=lambda done, total: None, say=lambda text: None)
+    lost = cluster.workers[0].process.process.pid
+
+    def kill(done: int, total: int) -> None:
+        assert total == 12
+        if done == 1:
+            os.kill(lost, signal.SIGKILL)
+
+    fits.make(path, there, ASKED, dask=cluster.scheduler_address, count=kill, say=lambda text: None)
+    assert there.read_bytes() == here.read_bytes()
+
+
+@pytest.mark.filterwarnings("default")
+def test_tables_on_a_cluster(tmp_path: Path, cluster: Any) -> None:
+    folder, asked = str(tables(tmp_path / "tables")), FitRequest("oren-nayar")
+    for name, dask in (("here", None), ("there", cluster.scheduler_address)):
+        each.make(folder, tmp_path / f"{name}.csv", asked, Reading(), dask=dask, count=lambda done, total: None)
+    assert (tmp_path / "there.csv").read_bytes() == (tmp_path / "here.csv").read_bytes()
