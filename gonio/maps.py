@@ -348,12 +348,15 @@ class FitFile(MapFile):
     def parameter(self, name: str) -> tuple[Floats, Floats]:
         """Values and standard uncertainties of a parameter, shape (rows, columns); NaN where it is not determined.
 
-        A value at its bound stands without an uncertainty.
+        A value at its bound has no uncertainty: NaN.
         """
         value, u = (self.array(one).astype(float) for one in (name, f"u_{name}"))
-        at_bound = self.flagged("at_bound") & ~(u > 0)
-        bad = (
-            self.flagged("too_few") | self.flagged("undetermined") | ~np.isfinite(value) | ~(np.isfinite(u) | at_bound)
-        )
-        u = np.where(at_bound, np.nan, u)
-        return np.where(bad, np.nan, value), np.where(bad, np.nan, u)
+        return value, np.where(np.isfinite(value) & (u > 0), u, np.nan)
+
+    def correlation(self, first: str, second: str) -> Floats:
+        """Of two parameters, shape (rows, columns); NaN where it is not known, 0 where the file has none."""
+        if "correlation" not in self.names:
+            return np.zeros(self.shape)
+        listed = str(self._file["correlation"].attrs.get("pairs", "")).split()
+        pair = next((k for k, one in enumerate(listed) if one in (f"{first}:{second}", f"{second}:{first}")), None)
+        return np.zeros(self.shape) if pair is None else np.asarray(self._file["correlation"][..., pair], float)

@@ -40,8 +40,9 @@ def fits(
     shape = next(iter(values.values())).shape
     x, y = axes(shape[0], shape[1], pixel_mm)
     pairs = list(combinations(values, 2))
+    listed = " ".join(f"{a}:{b}" for a, b in pairs)
     at = ("y", "x")
-    whole: dict[str, tuple[Variable, Any]] = {}
+    whole: dict[str, tuple[Variable, Any]] = dict(more or {})
     for name, value in values.items():
         unit = "deg" if name.endswith("_deg") else "um" if name.endswith("_um") else "1"
         whole |= {name: (Variable(at, units=unit), value), f"u_{name}": (Variable(at, units=unit), u[name])}
@@ -51,10 +52,12 @@ def fits(
         "chi_square": (Variable(at), np.ones(shape)),
         "n_values": (Variable(at, dtype="i4"), np.full(shape, 100)),
         "flag": (Variable(at, dtype="u1", attrs=meanings), np.broadcast_to(np.asarray(flag, np.uint8), shape)),
-        **(more or {}),
     }
     if pairs and "correlation" not in whole:
-        whole["correlation"] = Variable(("y", "x", "pair"), dtype="f4"), np.zeros((*shape, len(pairs)))
+        whole["correlation"] = (
+            Variable(("y", "x", "pair"), dtype="f4", attrs={"pairs": listed}),
+            np.zeros((*shape, len(pairs))),
+        )
     return _written(path, whole, x, y, {"pair": len(pairs), **sizes}, {"model": model, **(attrs or {})})
 
 

@@ -10,7 +10,7 @@ import platform
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from importlib.metadata import version
-from typing import Literal, TypedDict
+from typing import Any, Literal, TypedDict
 
 from gonio_analysis.report.drawings import Figure
 from gonio_analysis.report.text import cut, glued
@@ -162,6 +162,14 @@ class Viewer(Block):
 
     slug: str
     view: View = field(repr=False)
+
+
+@dataclass(frozen=True)
+class PixelViewer(Block):
+    """A map under the cursor, hidden until the page's program fills it; not printed."""
+
+    slug: str
+    view: dict[str, Any] = field(repr=False)
 
 
 @dataclass(frozen=True)

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cache
 from html import escape
 from importlib.resources import files
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from gonio_analysis.report.blocks import Block, Figures, Group, Page, Viewer, figures_of, spans
+from gonio_analysis.report.blocks import Block, Figures, Group, Page, PixelViewer, Viewer, figures_of, spans
 from gonio_analysis.report.text import glued
-from gonio_analysis.report.viewer import View
 
 if TYPE_CHECKING:
     from jinja2 import Template
@@ -20,7 +19,8 @@ if TYPE_CHECKING:
 
 def document(page: Page) -> str:
     """A page as HTML text."""
-    shown = program() if _has_viewer(page.blocks) else ""
+    shown = program() if _has(page.blocks, Viewer | PixelViewer) else ""
+    shown += _file("pixels.js") if _has(page.blocks, PixelViewer) else ""
     return _template("document").render(title=page.title, blocks=page.blocks, style=_file("style.css"), program=shown)
 
 
@@ -58,8 +58,8 @@ def _without_drawings(block: Block, named: set[str]) -> Block:
     return block
 
 
-def _has_viewer(blocks: Sequence[Block]) -> bool:
-    return any(isinstance(b, Viewer) or (isinstance(b, Group) and _has_viewer(b.blocks)) for b in blocks)
+def _has(blocks: Sequence[Block], kind: Any) -> bool:
+    return any(isinstance(b, kind) or (isinstance(b, Group) and _has(b.blocks, kind)) for b in blocks)
 
 
 @cache
@@ -98,6 +98,6 @@ def _labelled(svg: str, alt: str) -> str:
     return Markup(svg.replace("<svg", f'<svg role="img" aria-label="{escape(alt)}"', 1))
 
 
-def _embedded(view: View) -> str:
+def _embedded(view: Mapping[str, Any]) -> str:
     """Data inside of a script element."""
     return json.dumps(view, ensure_ascii=False, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from gonio.errors import ConfigError
 from gonio.maps import FIT_FLAGS, FitFile, MapFile
 from gonio.typing import Floats
 from gonio_analysis.plots.pixels import Extent
@@ -201,11 +202,20 @@ def flag_counts(file: FitFile) -> dict[str, int]:
 
 
 def map_of(file: FitFile, given: Path | None) -> Path | None:
-    """The map of values that was fitted: the one that is given, or where the file says it is, if it is there."""
-    if given is not None:
-        return given
-    said = str(file.attrs.get("map") or file.attrs.get("source_file") or "")
-    for path in (Path(said), file.path.parent / Path(said).name):
-        if said and path.is_file() and path != file.path:
-            return path
-    return None
+    """The map of values that was fitted: the one that is given, or the one of its name beside the fits.
+
+    Raises
+    ------
+    ConfigError
+        The one that is given is another.
+    """
+    path = given or file.path.parent / str(file.attrs.get("map", ""))
+    if not path.is_file():
+        if given is not None:
+            raise ConfigError(f"--map {given}: there is no such file")
+        return None
+    with MapFile(path) as values:
+        same = values.sha256() == file.attrs.get("map_sha256") if "map_sha256" in file.attrs else True
+    if given is not None and not same:
+        raise ConfigError(f"--map {given}: is not the map that was fitted ({file.attrs.get('map')}); name that one")
+    return path if same else None

@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
-from gonio.maps import FitFile
-from gonio_analysis.report import files, html, map_figures, map_layers
+from gonio.maps import FitFile, MapFile
+from gonio_analysis.report import files, html, map_figures, map_layers, map_view
 from gonio_analysis.report.blocks import (
     Block,
     Figures,
     Footer,
     Heading,
     Page,
+    PixelViewer,
     Stamp,
     Table,
     code,
@@ -71,6 +73,7 @@ class Told:
     """Pixels or values by flag."""
     drawings: list[Drawing]
     summary: dict[str, object]
+    view: map_view.View
     materials: Materials | None = None
 
 
@@ -116,7 +119,7 @@ def make(
         From reading and writing; then nothing is left behind.
     """
     with files.staged(out) as stage, figure_workers(FIGURES) as workers:
-        told = _of_fits(path, progress)
+        told = _of_fits(path, values, progress)
         figures = workers.draw(told.drawings, progress)
         (stage.work / "tables").mkdir()
         tables = _write_tables(told, stage.work / "tables")
@@ -130,7 +133,7 @@ def make(
 # --- what a map of fits says ------------------------------------------------------------------------------------------
 
 
-def _of_fits(path: Path, progress: Callable[[str], None]) -> Told:
+def _of_fits(path: Path, values: Path | None, progress: Callable[[str], None]) -> Told:
     with FitFile(path) as file:
         grid = Grid.of(file)
         layers = map_layers.of_fits(file, progress)
@@ -155,7 +158,16 @@ def _of_fits(path: Path, progress: Callable[[str], None]) -> Told:
         rows = [("file", str(path)), ("model", file.model), ("pixels", _pixels(grid))]
         if file.fixed:
             rows.append(("not fitted", ", ".join(f"{name} = {value:g}" for name, value in file.fixed.items())))
-        return Told(title, conclusion, grid, layers, rows, counts, drawings, told, materials)
+        measured = map_layers.map_of(file, values)
+        rows.append(("measured values", str(measured) if measured else "not at hand: --map MAP.h5 brings them"))
+        with ExitStack() as stack:
+            there = stack.enter_context(MapFile(measured)) if measured else None
+            nm = file.attrs.get("wavelength_nm")
+            view = map_view.of(
+                grid, layers, kind, model=file.model, fixed=file.fixed, values=there,
+                wavelength_nm=None if nm is None or np.isnan(nm) else float(nm),
+            )  # fmt: skip
+        return Told(title, conclusion, grid, layers, rows, counts, drawings, told, view, materials)
 
 
 def _said(flag: str) -> str:
@@ -252,6 +264,7 @@ def _page(told: Told, made: Stamp, figures: Sequence[Figure]) -> Page:
     first = [f for f in figures if f.kind == "map"]
     rest = [f for f in figures if f.kind != "map"]
     body: list[Block] = [header(told.title, sub), lead(told.conclusion), facts(told.facts)]
+    body += [Heading(3, "A pixel under the cursor"), PixelViewer("pixels", told.view)]
     after: list[Block] = [Heading(3, "Spread over the pixels"), *([Figures(tuple(rest))] if rest else [])]
     after += [_parameters(told), Heading(3, "Flags"), _flags(told)]
     if told.materials is not None:

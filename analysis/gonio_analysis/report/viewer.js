@@ -376,6 +376,7 @@
     }
   }
 
+  window.gonio = { digits, withU, degrees }; // for a program that fills such a plot
   for (const root of document.querySelectorAll(".viewer")) {
     const data = document.getElementById(`${root.id}-data`);
     if (data) new Viewer(root, JSON.parse(data.textContent));

@@ -26,6 +26,7 @@ def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     y, x = np.mgrid[:ROWS, :COLS]
     flag = np.where(y < 5, 1, np.where((y >= 35) & (x >= 64), 4, np.where((y >= 20) & (y < 22) & (x < 28), 8, 0)))
     truth = {"s": 0.3 + 0.0 * x, "m": 0.1 + 0.01 * x, "ior": 1.5 + 0.0 * y}
+    truth = {name: np.where(flag & 5, np.nan, value) for name, value in truth.items()}
     u = {name: 0.02 * value for name, value in truth.items()}
     tau = np.where(flag == 8, 0.05, 0.0)
     path = tmp_path_factory.mktemp("map") / "plate.h5"
@@ -75,9 +76,9 @@ def test_every_parameter_has_maps_with_stated_colours(report: Path) -> None:
 
 
 def test_what_is_not_determined_is_nan_and_a_bound_has_no_uncertainty(tmp_path: Path) -> None:
-    m = np.full((2, 3), 0.2)
-    u = np.array([[0.01, 0.0, np.nan], [0.01, 0.01, 0.01]])
-    path = fits(tmp_path / "f.h5", {"m": m}, {"m": u}, flag=[[0, 2, 0], [1, 4, 8]])
+    m = np.array([[0.2, 0.2, np.nan], [np.nan, np.nan, 0.2]])
+    u = np.array([[0.01, np.nan, np.nan], [np.nan, 0.01, 0.01]])
+    path = fits(tmp_path / "f.h5", {"m": m}, {"m": u}, flag=[[0, 2, 4], [1, 4, 8]])
     with FitFile(path) as found:
         value, uncertainty = found.parameter("m")
     assert np.isfinite(value).tolist() == [[True, True, False], [False, False, True]]
