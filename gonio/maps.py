@@ -345,18 +345,22 @@ class FitFile(MapFile):
         """Where a flag is set, shape (rows, columns)."""
         return np.asarray(self.flags >> FIT_FLAGS.index(name) & 1 == 1)
 
-    def parameter(self, name: str) -> tuple[Floats, Floats]:
-        """Values and standard uncertainties of a parameter, shape (rows, columns); NaN where it is not determined.
+    def parameter(self, name: str, tile: Tile | None = None) -> tuple[Floats, Floats]:
+        """Values and standard uncertainties of a parameter (or those of a tile), shape (rows, columns).
 
-        A value at its bound has no uncertainty: NaN.
+        What is not determined is NaN. A value at its bound has no uncertainty: NaN.
         """
-        value, u = (self.array(one).astype(float) for one in (name, f"u_{name}"))
+        value, u = (self.array(one, tile).astype(float) for one in (name, f"u_{name}"))
         return value, np.where(np.isfinite(value) & (u > 0), u, np.nan)
 
-    def correlation(self, first: str, second: str) -> Floats:
-        """Of two parameters, shape (rows, columns); NaN where it is not known, 0 where the file has none."""
-        if "correlation" not in self.names:
-            return np.zeros(self.shape)
-        listed = str(self._file["correlation"].attrs.get("pairs", "")).split()
-        pair = next((k for k, one in enumerate(listed) if one in (f"{first}:{second}", f"{second}:{first}")), None)
-        return np.zeros(self.shape) if pair is None else np.asarray(self._file["correlation"][..., pair], float)
+    def correlations(self, names: list[str], tile: Tile) -> Floats:
+        """Of parameters with each other, shape (rows, columns, k, k); 0 where the file has none."""
+        out = np.zeros((*tile.shape, len(names), len(names))) + np.eye(len(names))
+        if "correlation" in self.names:
+            found = np.nan_to_num(self.array("correlation", tile).astype(float))
+            for k, pair in enumerate(str(self._file["correlation"].attrs.get("pairs", "")).split()):
+                first, _, second = pair.partition(":")
+                if first in names and second in names:
+                    a, b = names.index(first), names.index(second)
+                    out[..., a, b] = out[..., b, a] = found[..., k]
+        return out

@@ -95,7 +95,8 @@ Save = Annotated[
     typer.Option(help="Write the fitted model as a sample file (.toml).", metavar="SAMPLE", show_default=False),
 ]
 Measurements = Annotated[
-    list[str], typer.Argument(metavar="A [B ...]", help="Tables, runs, or FILE:SAMPLE.", show_default=False)
+    list[str],
+    typer.Argument(metavar="A [B ...]", help="Tables, runs, FILE:SAMPLE, or two maps.", show_default=False),
 ]
 Dask = Annotated[
     str | None,

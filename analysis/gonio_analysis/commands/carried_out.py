@@ -12,6 +12,7 @@ from gonio.acquisition.run import command_line
 from gonio.cli import console
 from gonio.cli.options import remember
 from gonio.errors import ConfigError
+from gonio.maps import is_map
 from gonio.measurement import Reading
 from gonio_analysis import report as comparison
 from gonio_analysis import result_records as results
@@ -26,7 +27,7 @@ from gonio_analysis.fitting.spectrum import fit_table
 from gonio_analysis.report import appearance as appearance_page
 from gonio_analysis.report import change as change_page
 from gonio_analysis.report import laboratories as laboratories_page
-from gonio_analysis.report import map_page
+from gonio_analysis.report import map_change, map_page
 from gonio_analysis.report.model_choice import in_words
 from gonio_analysis.report.text import quantity, with_u
 from gonio_analysis.report.verdict import after_misfit, of_fit, reflectances
@@ -162,6 +163,13 @@ def change(specs: list[str], out: Path, wavelength_nm: float | None, u_rel: floa
     """The report on two things compared point by point."""
     if len(specs) != 2:
         raise ConfigError(f"--change compares two, A and B; {len(specs)} are named")
+    maps = [is_map(spec) for spec in specs]
+    if all(maps):
+        if u_rel is not None or wavelength_nm is not None:
+            raise ConfigError("--u-rel and --wavelength-nm: maps of fits have their own; leave them out")
+        return map_change.make(specs, out, command=command_line(), progress=console.note)
+    if any(maps):
+        raise ConfigError(f"--change compares two maps, or two tables: {specs[maps.index(False)]} is no map")
     check_u_rel(u_rel)
     return change_page.make(
         specs, out, wavelength_nm=wavelength_nm, u_rel=u_rel, how=how, command=command_line(), progress=console.note

@@ -149,7 +149,7 @@ def _of_fits(path: Path, values: Path | None, progress: Callable[[str], None]) -
             drawings.append(map_figures.kinds(grid, "materials", words, materials.kind, names))
         conclusion = _conclusion(file, grid, layers, counts)
         told = {
-            "source": str(path), "model": file.model, "fixed": file.fixed, **_grid(grid), "flags": counts,
+            "source": str(path), "model": file.model, "fixed": file.fixed, **facts_of_grid(grid), "flags": counts,
             "parameters": {one.name: {"unit": one.unit, **one.spread.summary()} for one in layers},
         }  # fmt: skip
         if materials is not None:
@@ -174,7 +174,8 @@ def _said(flag: str) -> str:
     return flag.replace("_", " ")
 
 
-def _grid(grid: Grid) -> dict[str, object]:
+def facts_of_grid(grid: Grid) -> dict[str, object]:
+    """Size of a map, for summary.json."""
     rows, cols = grid.shape
     left, right, low, high = grid.extent
     return {"rows": rows, "columns": cols, "pixel_mm": grid.pixel_mm, "width_mm": right - left, "height_mm": high - low}
