@@ -173,6 +173,10 @@ def fit(
         Path | None,
         typer.Option(help="Of a map: its fits (FITS.h5). Of --each: one row a table (TABLE.csv).", show_default=False),
     ] = None,
+    materials: Annotated[
+        str | None,
+        typer.Option(metavar="K|auto", help="Of a map: fit pixels that are alike together.", show_default=False),
+    ] = None,
     dask: Dask = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
     columns: Columns = None,
@@ -205,7 +209,7 @@ def fit(
     )
     wanted = carried_out.Wanted(u_ior, intervals, save, residual, as_json)
     others = {"MORE": more, "--joint": joint}
-    if not of_many.fit(table, each, asked, how, wanted, out=out, dask=dask, others=others):
+    if not of_many.fit(table, each, asked, how, wanted, out=out, dask=dask, materials=materials, others=others):
         carried_out.fit([str(table), *(more or [])], asked, how, wanted)
 
 

@@ -15,6 +15,7 @@ from gonio.errors import ConfigError
 from gonio_analysis.fitting.problem import FitRequest
 from gonio_analysis.maps import each as each_table
 from gonio_analysis.maps import fits
+from gonio_analysis.report.text import with_u
 
 if TYPE_CHECKING:
     from gonio.measurement import Reading
@@ -26,7 +27,7 @@ PLAIN = ("model", "ior", "fix", "wavelength_nm")
 
 def fit(
     table: str | None, each: list[str] | None, asked: FitRequest, how: Reading, wanted: Wanted, *, out: Path | None,
-    dask: str | None, others: Mapping[str, Any],
+    dask: str | None, materials: str | None, others: Mapping[str, Any],
 ) -> bool:  # fmt: skip
     """Fit a map or each of many tables, where that is asked for; otherwise False.
 
@@ -38,15 +39,23 @@ def fit(
     if table is None:
         if not each:
             raise ConfigError("gonio fit: name a TABLE; or a folder or a list of tables with --each")
-        _require_plain("each of many tables", asked, wanted, {**others, "--json": wanted.as_json}, plain=None)
+        _require_plain(
+            "each of many tables",
+            asked,
+            wanted,
+            {**others, "--json": wanted.as_json, "--materials": materials},
+            plain=None,
+        )
         fit_each(each, out, asked, how, dask)
         return True
     if not is_map(table, out):
+        if materials is not None:
+            raise ConfigError("--materials: goes with a map; leave it out")
         if dask is not None:
             raise ConfigError("--dask: goes with a map, or with --each FOLDER|LIST; leave it out")
         return False
     _require_plain("a map", asked, wanted, {**others, "--columns": how.columns, "--blank": how.blank})
-    fit_map(Path(table), out, asked, dask, as_json=wanted.as_json)
+    fit_map(Path(table), out, asked, dask, materials, as_json=wanted.as_json)
     return True
 
 
@@ -103,17 +112,21 @@ def fit_each(where: list[str], out: Path | None, asked: FitRequest, how: Reading
     print(out)
 
 
-def fit_map(path: Path, out: Path | None, asked: FitRequest, dask: str | None, *, as_json: bool) -> None:
+def fit_map(
+    path: Path, out: Path | None, asked: FitRequest, dask: str | None, materials: str | None, *, as_json: bool
+) -> None:
     """Fit every pixel of a map, and print what came out."""
     if out is None:
         raise ConfigError(f"{path}: is a map; name the file of its fits with --out FITS.h5")
     with console.counter("fitting tiles", lines=True) as count:
-        fits.make(path, out, asked, dask=dask, count=count, say=console.note)
+        fits.make(path, out, asked, materials=materials, dask=dask, count=count, say=console.note)
     found = fits.summary(out)
     if as_json:
         print(json.dumps({"model": asked.model, "map": str(path), "out": str(out), **found.to_json()}, indent=1))
         return
     _print(found, f"{asked.model} on {path.name}")
+    if found.materials:
+        _print_materials(found)
     print(out)
 
 
@@ -132,3 +145,11 @@ def _print(found: fits.Summary, title: str) -> None:
         f" a parameter is at its bound in {found.at_bound}",
         "spread: half the distance between the 16th and the 84th percentile over the map",
     )
+
+
+def _print_materials(found: fits.Summary) -> None:
+    rows = console.table("material", "pixels", "chi-square", *found.parameters, title="materials")
+    for k, one in enumerate(found.materials):
+        values = [with_u(one[f"material_{name}"], one[f"u_material_{name}"]) for name in found.parameters]
+        rows.add_row(str(k), f"{one['material_pixels']:.0f}", f"{one['material_chi_square']:.4g}", *values)
+    console.show(rows, "chi-square: a degree of freedom, of the values of a material's pixels fitted together")

@@ -18,11 +18,14 @@ from gonio.documents import JsonObject
 from gonio.errors import ConfigError, DataError
 from gonio.maps import MapFile, Parts, Tile, Variable
 from gonio_analysis.fitting.problem import FitRequest
+from gonio_analysis.maps import materials as shared
 from gonio_analysis.maps.pixels import AT_BOUND, FLAGS, REJECTED, TOO_FEW, Arrays, Plan, fit_tile, plan, read_tile
 from gonio_analysis.selection import parallel
 
 AHEAD = 2
 """Tiles in work: one is read or written while the cores fit another."""
+MOST_KINDS = 50
+"""Materials that may be asked for."""
 KEPT = ("sample", "quantity", "simulated")
 """Attributes of a map that its fits have, too."""
 
@@ -30,8 +33,9 @@ Count = Callable[[int, int], None]
 
 
 def make(
-    path: Path, out: Path, asked: FitRequest, *, dask: str | None = None, count: Count, say: Callable[[str], None]
-) -> Plan:
+    path: Path, out: Path, asked: FitRequest, *, materials: str | None = None, dask: str | None = None, count: Count,
+    say: Callable[[str], None],
+) -> Plan:  # fmt: skip
     """Fit every pixel of a map.
 
     Parameters
@@ -40,6 +44,8 @@ def make(
         The map, and the file of fits to be.
     asked
         Model, optical constants, fixed parameters and wavelength.
+    materials
+        How many materials the pixels share, or "auto"; None: each pixel is fitted alone.
     dask
         Address of a Dask scheduler; its workers need this package, and neither the map nor a disk that is shared.
         Otherwise the threads of this process fit, which are as fast as processes and start at once.
@@ -57,13 +63,14 @@ def make(
         raise ConfigError(f"--out {out}: fits of a map are an HDF5 file; choose a name that ends in .h5")
     if out.exists() and out.samefile(path):
         raise ConfigError(f"--out {out}: is the map itself; choose another name")
+    kinds = _count_of(materials)
     with MapFile(path) as map_file:
         if "brdf" not in map_file.names:
             raise DataError(f"{path}: is a map without values (brdf); gonio fit takes what gonio reduce --map made")
         wanted = plan(map_file, asked)
         for text in wanted.notes:
             say(text)
-        about = _about(map_file, wanted)
+        about = _about(map_file, wanted) | ({} if materials is None else {"materials": materials})
         parts = Parts(out, about)
         every = map_file.tiles()
         todo = [tile for tile in every if not parts.has(tile)]
@@ -74,6 +81,9 @@ def make(
                 parts.write(tile, arrays)
                 count(done, len(todo))
             sizes, variables = _layout(map_file, wanted)
+            if materials is not None:
+                more, found = shared.variables(map_file, parts, wanted, kinds, say)
+                sizes, variables = sizes | more, variables | found
             parts.assemble(sizes, variables, {n: map_file.attrs[n] for n in KEPT if n in map_file.attrs} | about)
         except OSError as error:
             raise ConfigError(
@@ -81,6 +91,19 @@ def make(
                 " command goes on with the others"
             ) from None
     return wanted
+
+
+def _count_of(materials: str | None) -> int | None:
+    """How many materials are asked for; None for "auto" or none at all."""
+    if materials in (None, "auto"):
+        return None
+    try:
+        count = int(materials or "")
+    except ValueError:
+        count = 0
+    if not 0 < count <= MOST_KINDS:
+        raise ConfigError(f"--materials {materials}: a number from 1 to {MOST_KINDS}, or auto")
+    return count
 
 
 def _about(map_file: MapFile, wanted: Plan) -> JsonObject:
@@ -175,6 +198,8 @@ class Summary:
     tau: float
     """Median of the misfit of pixels that are rejected; NaN without any."""
     parameters: dict[str, Parameter]
+    materials: list[dict[str, float]]
+    """Of each material: its pixels, chi-square a degree of freedom, and parameters with u."""
 
     def to_json(self) -> dict[str, Any]:
         """Plain numbers; None for those that are not there."""
@@ -198,7 +223,9 @@ def summary(path: Path) -> Summary:
             typical = float(np.median(error)) if error.size else np.nan
             spread, unknown = 0.5 * float(high - low), int((fitted & ~known).sum())
             found[name] = Parameter(float(middle), spread, typical, unit, unknown)
+        of_kinds = {name: fits.array(name) for name in fits.names if name.startswith(("material_", "u_material_"))}
+        kinds = [dict(zip(of_kinds, map(float, row), strict=True)) for row in zip(*of_kinds.values(), strict=True)]
     return Summary(
         flag.size, int(fitted.sum()), int(rejected.sum()), int(((flag & AT_BOUND) != 0).sum()),
-        float(np.median(tau)) if tau.size else np.nan, found,
+        float(np.median(tau)) if tau.size else np.nan, found, kinds,
     )  # fmt: skip
