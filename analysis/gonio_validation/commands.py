@@ -170,7 +170,10 @@ def _counted(what: str) -> Iterator[Callable[[int, int], None]]:
 @bench.command()
 def materials(
     sources: Annotated[
-        list[str], typer.Argument(metavar="FILE|FOLDER ...", help="Measurements of materials.", show_default=False)
+        list[str],
+        typer.Argument(
+            metavar="FILE|FOLDER ...", help="Measurements of materials, and published fits (*.fit).", show_default=False
+        ),
     ],
     out: Annotated[Path, typer.Option(help="Folder of the page and of the records.", show_default=False)],
     models: Annotated[str, typer.Option(metavar="A,B", help="Models; all without it.", show_default=False)] = "",

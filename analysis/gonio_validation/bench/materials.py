@@ -1,4 +1,7 @@
-"""What measured materials say of the models: every file in folders, every model, by the error of values left out."""
+"""What measured materials say of the models: every file in folders, every model, by the error of values left out.
+
+Published fits (`*.fit`) among them are a second list.
+"""
 
 from __future__ import annotations
 
@@ -32,6 +35,7 @@ from gonio_analysis.selection.choice import candidates, choose
 from gonio import measurement
 from gonio.config import Strict
 from gonio.errors import ConfigError, GonioError
+from gonio_validation.bench import published
 from gonio_validation.bench.campaigns import Campaigns, Record, Step, write
 
 FEWEST, MOST = 20, 1500
@@ -62,7 +66,7 @@ def make(
     Parameters
     ----------
     sources
-        Measurement files, and folders of them; what cannot be read is listed on the page.
+        Measurement files, published fits (`*.fit`), and folders of them; what cannot be read is listed on the page.
     out
         Folder of the page and of the records; what was done there before counts.
     models
@@ -81,39 +85,55 @@ def make(
     ------
     ConfigError
         Nothing can be read, a model is unknown, or the folder holds something else.
+    DataError
+        A line of published fits is none.
     Interrupted
         Somebody stopped it; the records that are there count.
     """
     tried = tuple(models) or declared()
     candidates(tried)  # which raises for an unknown one
     campaigns = Campaigns(Path(out), "materials", "records", Settings(models=tried))
+    fits = [fit for _, file in _files(sources) if file.suffix == ".fit" for fit in published.read(file)]
     samples, unread = _samples(sources)
-    if not samples:
+    if not samples and not fits:
         raise ConfigError(f"{', '.join(sources)}: no measurement there can be read and has {FEWEST} usable values")
     with campaigns.opened():
         wanted = {name: partial(judged, name, *place, tried) for name, place in samples.items()}
         records = campaigns.carried_out(wanted, jobs, step)
-        drawn = [_picture(records, tried)]
+        drawn, more = [_picture(records, tried)] if records else [], list[Block]()
         results = {"materials": records, "not_read": unread, **stamp(command)}
-        write(campaigns.folder, _page(records, tried, unread, drawn), results, drawn, {"materials.csv": _csv(records)})
+        if fits:
+            results["published"] = found = published.judged(fits)
+            widths = published.picture(fits)
+            more, every = published.section(found, [widths]), [*drawn, widths]
+        page = _page(records, tried, unread, drawn, more)
+        write(campaigns.folder, page, results, every if fits else drawn, {"materials.csv": _csv(records)})
     return campaigns.folder / "index.html"
 
 
 def _samples(sources: Sequence[str]) -> tuple[dict[str, tuple[str, str]], dict[str, str]]:
     """File and sample by a name of each, and why files were passed over."""
     found, unread = dict[str, tuple[str, str]](), dict[str, str]()
+    for label, file in _files(sources):
+        if file.suffix == ".fit":
+            continue
+        try:
+            for sample in measurement.tables(str(file)):
+                name = f"{label} {sample}" if sample not in label else label
+                found["".join(c if c.isalnum() or c in "-._" else "-" for c in name)] = str(file), sample
+        except (GonioError, ValueError) as error:
+            unread[label] = str(error).partition("\n")[0].removeprefix(f"{file}: ")
+    return found, unread
+
+
+def _files(sources: Sequence[str]) -> list[tuple[str, Path]]:
+    """All files, with what the page calls them."""
+    out = []
     for source in sources:
         given = Path(source)
         files = sorted(p for p in given.rglob("*") if p.is_file()) if given.is_dir() else [given]
-        for file in files:
-            label = str(file.relative_to(given)) if given.is_dir() else file.name
-            try:
-                for sample in measurement.tables(str(file)):
-                    name = f"{label} {sample}" if sample not in label else label
-                    found["".join(c if c.isalnum() or c in "-._" else "-" for c in name)] = str(file), sample
-            except (GonioError, ValueError) as error:
-                unread[label] = str(error).partition("\n")[0].removeprefix(f"{file}: ")
-    return found, unread
+        out += [(str(file.relative_to(given)) if given.is_dir() else file.name, file) for file in files]
+    return out
 
 
 def judged(name: str, file: str, sample: str, models: tuple[str, ...]) -> Record:
@@ -171,7 +191,10 @@ def _picture(records: Sequence[Record], models: Sequence[str]) -> Figure:
     return rendered("left_out", "materials", "", said, said, size, on)
 
 
-def _page(records: Sequence[Record], models: Sequence[str], unread: Mapping[str, str], drawn: Sequence[Figure]) -> Page:
+def _page(
+    records: Sequence[Record], models: Sequence[str], unread: Mapping[str, str], drawn: Sequence[Figure],
+    more: Sequence[Block],
+) -> Page:  # fmt: skip
     good = [record for record in records if _errors(record)]
     nearest = {r["name"]: min(_errors(r), key=_errors(r).__getitem__) for r in good}
     rows = []
@@ -190,10 +213,12 @@ def _page(records: Sequence[Record], models: Sequence[str], unread: Mapping[str,
         first = sum(best == m for best in nearest.values())
         families.append([m, str(len(own)), str(first), percent(float(np.median(own))) if own else "–", often])
     passed = [[str(r["name"]), str(r["why"])] for r in records if "why" in r] + [list(x) for x in unread.items()]
-    body: list[Block] = [
-        Group("header", (Heading(1, "Materials and models"), Paragraph(
-            f"{len(good)} materials, {len(models)} models. A value that a fit had not seen is off by so much: the"
-            " median of |ln(model/measured)|, with whole incidences or ranges of angle left out.", "sub"))),
+    said = (
+        f"{len(good)} materials, {len(models)} models. A value that a fit had not seen is off by so much: the median of"
+        " |ln(model/measured)|, with whole incidences or ranges of angle left out."
+    )
+    body: list[Block] = [Group("header", (Heading(1, "Materials and models"), Paragraph(said, "sub")))]
+    body += [] if not records else [
         Figures(tuple(drawn)),
         Heading(2, "Models"),
         table("", ["model", "materials", "nearest of all", "median left-out error", "most often farthest off"],
@@ -203,6 +228,7 @@ def _page(records: Sequence[Record], models: Sequence[str], unread: Mapping[str,
               ["material", "values", "nearest", "left-out error", "as near", "simplest not rejected"], rows,
               right=(1, 3), most=(MOST_ROWS, "materials.csv")),
     ]  # fmt: skip
+    body += more
     if passed:
         body += [Heading(2, "Passed over"), table("", ["file", "why"], passed, most=(MOST_ROWS, "results.json"))]
     return Page("Materials and models", (*body, FOOTER))
