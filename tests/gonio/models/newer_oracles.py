@@ -10,7 +10,7 @@ mp.mp.dps = 60
 
 
 def ggx(i: Any, a: Any, r: Any, b: Any, *, alpha: float, ior: complex, alpha_y: float | None = None) -> Any:
-    """D G F/(4 N.L N.V) [Walter2007, Heitz2014 eq. 99 for G, eq. 85 for the anisotropic D]."""
+    """D G F/(4 N.L N.V), G height-correlated [Walter2007, Heitz2014]."""
     ax, ay = mp.mpf(alpha), mp.mpf(alpha if alpha_y is None else alpha_y)
     light, view = direction(i, a), direction(r, b)
     s = [x + y for x, y in zip(light, view, strict=True)]
@@ -25,7 +25,7 @@ def ggx(i: Any, a: Any, r: Any, b: Any, *, alpha: float, ior: complex, alpha_y: 
 
 
 def eon(i: Any, a: Any, r: Any, b: Any, *, rho: float, r_: float) -> Any:
-    """Portsmouth, Kutz and Hill 2025, eqs. 14 to 18 and their appendix of the exact albedo."""
+    """Fujii's form and the light that it loses, with the exact albedo [Portsmouth2025]."""
     rho, rough = mp.mpf(rho), mp.mpf(r_)
     full = mp.mpf(1) / 2 - 2 / (3 * mp.pi)
     af = 1 / (1 + full * rough)
@@ -57,7 +57,7 @@ def phase(i: Any, a: Any, r: Any, b: Any) -> Any:
 
 
 def rpv(i: Any, a: Any, r: Any, b: Any, *, rho_0: float, theta_g: float, k: float) -> Any:
-    """Rahman, Pinty and Verstraete 1993, eqs. 2 to 6, their phase function with cos g of source and detector."""
+    """M F (1 + R), the phase function with cos g of source and detector [Rahman1993]."""
     rho, q, k_ = mp.mpf(rho_0), mp.mpf(theta_g), mp.mpf(k)
     m = (mp.cos(i) * mp.cos(r) * (mp.cos(i) + mp.cos(r))) ** (k_ - 1)
     f = (1 - q**2) / mp.power(1 + q**2 + 2 * q * phase(i, a, r, b), mp.mpf(3) / 2)
@@ -69,7 +69,7 @@ def hapke(
     i: Any, a: Any, r: Any, b: Any, *,
     w: float, h: float, b0: float, b_: float, theta_bar_deg: float = 0.0, h_function: str = "1981",
 ) -> Any:  # fmt: skip
-    """Hapke 1981 and 1984 (eqs. 46 to 50, by cases), H of 1981 or of 2002; r/mu_0."""
+    """r/mu_0 with macroscopic roughness by cases [Hapke1984], H the first or that of [Hapke2002]."""
     w, h, b0, b_ = (mp.mpf(x) for x in (w, h, b0, b_))
     g = mp.acos(min(phase(i, a, r, b), mp.mpf(1)))
     mu0, mu, shade = mp.cos(i), mp.cos(r), mp.mpf(1)
@@ -114,7 +114,7 @@ def _rough(i: Any, e: Any, psi: Any, slope: Any) -> tuple[Any, Any, Any]:
 def k_correlation(
     i: Any, a: Any, r: Any, b: Any, *, sigma_um: float, b_um: float, c: float, ior: complex, nm: float
 ) -> Any:
-    """Stover 2012, eqs. 4.1 to 4.9 and the ABC spectrum, with sigma^2 its integral over the plane of frequencies."""
+    """Vector perturbation theory and the ABC spectrum, sigma^2 its integral over the plane of frequencies [Stover2012]."""
     sigma, length, c, lam = mp.mpf(sigma_um), mp.mpf(b_um), mp.mpf(c), mp.mpf(nm) / 1000
     eps = mp.mpc(ior) ** 2
     turn = b - a - mp.pi  # his phi_s, 0 toward the mirror
