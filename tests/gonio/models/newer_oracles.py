@@ -114,7 +114,7 @@ def _rough(i: Any, e: Any, psi: Any, slope: Any) -> tuple[Any, Any, Any]:
 def k_correlation(
     i: Any, a: Any, r: Any, b: Any, *, sigma_um: float, b_um: float, c: float, ior: complex, nm: float
 ) -> Any:
-    """Vector perturbation theory and the ABC spectrum, sigma^2 its integral over the plane of frequencies [Stover2012]."""
+    """Vector perturbation theory and the ABC spectrum, sigma^2 its integral over all frequencies [Stover2012]."""
     sigma, length, c, lam = mp.mpf(sigma_um), mp.mpf(b_um), mp.mpf(c), mp.mpf(nm) / 1000
     eps = mp.mpc(ior) ** 2
     turn = b - a - mp.pi  # his phi_s, 0 toward the mirror
