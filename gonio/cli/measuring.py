@@ -24,7 +24,10 @@ def measure(
     rig: Annotated[str, typer.Option(help="A rig's name (gonio rig list), or a rig file.", show_default=False)],
     out: Annotated[Path, typer.Option(help="Folder of the run; made if it is absent.", show_default=False)],
     sample: Annotated[
-        Path | None, typer.Option(help="What a simulated rig measures: a sample.toml.", show_default=False)
+        Path | None,
+        typer.Option(
+            help="What a simulated rig measures: a sample.toml, or the name of a shipped one.", show_default=False
+        ),
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of a simulated rig.")] = 0,
     resume: Annotated[bool, typer.Option("--resume", help="Go on with a run that was cut short.")] = False,

@@ -1,10 +1,10 @@
 """A sample whose parameters change over it: which levels of its textures each pixel sees, and how much of each.
 
 The model is evaluated at levels of the textures alone. A texture of few values (a pattern, a picture of some shades)
-has those as its levels. Any other has equidistant ones, between which the BRDF is interpolated by cubics: their number
-is doubled until the new ones are predicted within `TOLERANCE`, and the finer levels are used, at most `MOST`.
+has those as its levels. Any other has levels between which the BRDF is interpolated by cubics: an interval is halved
+until its middle is predicted within `TOLERANCE`, or there are `MOST` levels; the worst intervals come first.
 
-A pixel sees the mean over its own area: `SPOTS` of it, each with the weights of the levels around its value.
+A pixel sees the mean over its own area: some spots of it, each with the weights of the levels around its value.
 """
 
 from __future__ import annotations
@@ -30,10 +30,12 @@ if TYPE_CHECKING:
 
     from gonio.models.model import Model
 
-SPOTS, TURN = 34, 21
-"""Spots in a pixel, on a lattice of Fibonacci's: across and down no two are alike, so that an edge along rows or
-columns divides a pixel to 1/68."""
-FEWEST, MOST = 5, 65
+SPOTS = 34, 21
+"""Spots in a pixel, on a lattice of Fibonacci's: how many, and its step. Across and down no two are alike, so that an
+edge along rows or columns divides a pixel to 1/68."""
+FEW_SPOTS = 5, 2
+"""The same where no texture has steps."""
+FEWEST, MOST = 9, 65
 """Levels of a texture of many values."""
 MOST_TOGETHER = 65**2
 """Levels of all textures together."""
@@ -71,6 +73,7 @@ class Textures:
         self._names = list(sample.texture)
         self._loaded = [sample.texture[name].load(f"{where}.{name}") for name in self._names]
         self._of_few = [one.occurring is not None and len(one.occurring) < MOST for one in self._loaded]
+        self._spots = FEW_SPOTS if all(one.occurring is None for one in self._loaded) else SPOTS
         self._model = lru_cache(maxsize=MOST_TOGETHER)(self._built)
         self._model((0.0,) * len(self._names))
         self._model((1.0,) * len(self._names))
@@ -98,8 +101,9 @@ class Textures:
                 "are rendered: let fewer of them be gradients or pictures of many shades"
             )
         rows, cols = np.nonzero(covered)
-        x, y = self._spots(seen, rows, cols)
-        step = max(1, AT_ONCE // (total * SPOTS))
+        x, y = self._places(seen, rows, cols)
+        of_spot = 4 ** self._of_few.count(False)
+        step = max(1, AT_ONCE // max(total, self._spots[0] * of_spot))
         weights = sparse.vstack(
             [self._weights(levels, x(k, k + step), y(k, k + step)) for k in range(0, len(rows), step)]
             or [sparse.csr_array((0, total))]
@@ -110,11 +114,10 @@ class Textures:
                 at = weights.indices[here]
                 yield Part(self._model(tuple(map(float, shares))), rows[at], cols[at], weights.data[here])
 
-    @staticmethod
-    def _spots(seen: PixelMap, rows: Whole, cols: Whole) -> list[Callable[[int, int], Floats]]:
+    def _places(self, seen: PixelMap, rows: Whole, cols: Whole) -> list[Callable[[int, int], Floats]]:
         """x and y [mm] of the spots of pixels from one number up to another, (pixels, spots)."""
-        number = np.arange(SPOTS)
-        down, across = (((step * number) % SPOTS + 0.5) / SPOTS - 0.5 for step in (1, TURN))
+        count, turn = self._spots
+        down, across = (((step * np.arange(count)) % count + 0.5) / count - 0.5 for step in (1, turn))
 
         def of(whole: Floats) -> Callable[[int, int], Floats]:
             per_row, per_col = (np.nan_to_num(np.gradient(whole, axis=axis)[rows, cols]) for axis in (0, 1))
@@ -141,7 +144,7 @@ class Textures:
             if of_few:
                 nearest, share = np.searchsorted(own, value - 1e-9)[..., None], np.ones((*x.shape, 1))
             else:
-                nearest, share = _cubic(value * (len(own) - 1), len(own))
+                nearest, share = _cubic(value, own)
             place = (place[..., None] * len(own) + nearest[..., None, :]).reshape(*x.shape, -1)
             weight = (weight[..., None] * share[..., None, :]).reshape(*x.shape, -1)
         total = math.prod(map(len, levels))
@@ -158,43 +161,44 @@ class Textures:
                 out.append(one.occurring)
                 continue
 
-            def values(count: int, number: int = number) -> Floats:
+            @lru_cache(maxsize=MOST)
+            def at(share: float, number: int = number) -> Floats:
+                """With all other textures at 0, and at 1."""
                 ends = [[end] * len(self._names) for end in (0.0, 1.0)]
-                found = []
-                for share in np.linspace(0.0, 1.0, count):
-                    ats = [tuple([*end[:number], float(share), *end[number + 1 :]]) for end in ends]
-                    found.append(np.concatenate([probe(self._model(at)) for at in dict.fromkeys(ats)]))
-                return np.stack(found)
+                ats = [tuple([*end[:number], share, *end[number + 1 :]]) for end in ends]
+                return np.concatenate([probe(self._model(each)) for each in dict.fromkeys(ats)])
 
-            out.append(np.linspace(0.0, 1.0, _enough(values)))
+            out.append(_enough(at))
         return out
 
 
-def _enough(values: Callable[[int], Floats]) -> int:
-    """How many equidistant levels follow `values(count)`, (levels, kinds, values of a kind)."""
-    count, coarse = FEWEST, values(FEWEST)
-    while True:
-        finer = values(2 * count - 1)
-        new = np.arange(1, 2 * count - 1, 2)
-        nearest, weight = _cubic(np.asarray(0.5 * new, dtype=float), count)
-        told = np.einsum("lw,lwks->lks", weight, coarse[nearest])
-        size = np.abs(finer[new]) + FLOOR * np.abs(finer).max(axis=(0, 2), keepdims=True) + DARK
-        count, coarse = 2 * count - 1, finer
-        if count >= MOST or np.all(np.abs(told - finer[new]) <= TOLERANCE * size):
-            return count
+def _enough(at: Callable[[float], Floats]) -> Floats:
+    """Levels that follow a function of a share, which gives an array (kinds, values of a kind)."""
+    levels = np.linspace(0.0, 1.0, FEWEST)
+    asked = 0.5 * (levels[1:] + levels[:-1])
+    while len(asked) and len(levels) < MOST:
+        known, new = (np.stack([at(float(share)) for share in shares]) for shares in (levels, asked))
+        nearest, weight = _cubic(asked, levels)
+        size = np.abs(new) + FLOOR * np.abs(known).max(axis=(0, 2), keepdims=True) + DARK
+        error = np.max(np.abs(np.einsum("lw,lwks->lks", weight, known[nearest]) - new) / size, axis=(1, 2))
+        worst = np.argsort(-error, kind="stable")[: MOST - len(levels)]
+        halved = asked[worst[error[worst] > TOLERANCE]]
+        levels = np.sort(np.concatenate([levels, halved]))
+        # the two halves of each interval that was too wide
+        after = np.searchsorted(levels, halved)
+        asked = np.concatenate([0.5 * (halved + levels[after + side]) for side in (-1, 1)])
+    return levels
 
 
-def _cubic(at: Floats, count: int) -> tuple[Whole, Floats]:
-    """Lagrange's cubic through the four nearest of `count` nodes at 0, 1 ...: which, and their weights, (..., 4)."""
-    first = np.clip(at.astype(np.int64) - 1, 0, count - 4)
-    f = at - first
-    weight = np.stack(
-        [
-            -(f - 1.0) * (f - 2.0) * (f - 3.0) / 6.0,
-            f * (f - 2.0) * (f - 3.0) / 2.0,
-            -f * (f - 1.0) * (f - 3.0) / 2.0,
-            f * (f - 1.0) * (f - 2.0) / 6.0,
-        ],
-        axis=-1,
-    )
-    return first[..., None] + np.arange(4), weight
+def _cubic(at: Floats, nodes: Floats) -> tuple[Whole, Floats]:
+    """Lagrange's cubic through the four nearest of some nodes in growing order: which, and their weights, (..., 4)."""
+    first = np.clip(np.searchsorted(nodes, at, side="right") - 2, 0, len(nodes) - 4)
+    four = np.arange(4)
+    apart = nodes[np.arange(len(nodes) - 3)[:, None] + four]
+    between = apart[:, :, None] - apart[:, None, :]
+    between[:, four, four] = 1.0
+    off = at[..., None] - apart[first]
+    a, b = off[..., 0] * off[..., 1], off[..., 2] * off[..., 3]
+    weight = np.stack([off[..., 1] * b, off[..., 0] * b, a * off[..., 3], a * off[..., 2]], axis=-1)
+    weight *= (1.0 / between.prod(axis=2))[first]
+    return first[..., None] + four, weight

@@ -80,6 +80,17 @@ POLISHED = textured(
 )
 
 
+WIDE = textured(
+    "cook-torrance",
+    {"s": 0.9, "m": 0.1, "diffuse_albedo": 0.3},
+    {"m": {"pattern": "gradient", "low": 0.05, "high": 0.5, "size_mm": [20, 20]}},
+)
+
+
+def wide(x: Floats, y: Floats) -> dict[str, Floats]:
+    return {"m": np.interp(x, [-10, 10], [0.05, 0.5])}
+
+
 def polished(x: Floats, y: Floats) -> dict[str, Floats]:
     return {"sigma0_um": np.interp(y, [-10, 10], [0.02, 0.12])}
 
@@ -95,6 +106,7 @@ def polished(x: Floats, y: Floats) -> dict[str, Floats]:
         ("rough-gradient", rough_gradient, deg(70, -75)),
         (POLISHED, polished, deg(30, -30)),
         (POLISHED, polished, deg(30, -38)),
+        (WIDE, wide, deg(30, -45)),
     ],
 )
 def test_pixels_equal_a_direct_evaluation_with_their_own_parameters(

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from gonio.acquisition.run import Run
-    from gonio.rig.description import Reference
+    from gonio.rig.description import Reference, SampleDescription
 
 REFERENCE = {
     "beside": "beside the sample",
@@ -100,12 +100,20 @@ def run_facts(path: Path) -> RunFacts | None:
         reference=_reference(folder, rig.reference),
         sample=None
         if settings.sample is None
-        else SampleFacts(settings.sample.name, settings.sample.model, dict(settings.sample.parameters)),
+        else SampleFacts(settings.sample.name, settings.sample.model, _given(settings.sample)),
         health=health,
         pauses=pauses,
         budget=run_budget(folder),
         sessions=run_sessions(run),
     )
+
+
+def _given(sample: SampleDescription) -> JsonObject:
+    """The parameters; of those that change over the sample, from where to where."""
+    changing = {
+        name: f"{one.low:g} to {one.high:g} ({one.pattern or 'picture'})" for name, one in sample.texture.items()
+    }
+    return sample.parameters | changing
 
 
 def _reference(folder: Path, reference: Reference) -> str:
