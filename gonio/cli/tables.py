@@ -18,14 +18,15 @@ if TYPE_CHECKING:
 
 def convert(
     source: Annotated[str, typer.Argument(
-        metavar="IN", help="A measurement file, a run, FILE:SAMPLE, or a model: sample.toml.", show_default=False)],
+        metavar="IN", help="A measurement file, a run, FILE:SAMPLE, a model: sample.toml, or a map of fits.",
+        show_default=False)],
     target: Annotated[Path, typer.Argument(
-        metavar="OUT", help="The file to write; - for standard output.", show_default=False)],
+        metavar="OUT", help="The file to write; - for standard output; for textures a folder.", show_default=False)],
     source_format: Annotated[str | None, typer.Option(
         "--from", help="Format of IN, where neither content nor ending tell.", show_default=False)] = None,
     target_format: Annotated[str | None, typer.Option(
-        "--to", help="Format of OUT, where its ending does not tell; mitsuba or radiance; datacite; of a run bluesky.",
-        show_default=False)] = None,
+        "--to", help="Format of OUT, where its ending does not tell; mitsuba or radiance; datacite; of a run bluesky;"
+        " of a map textures.", show_default=False)] = None,
     columns: Columns = None,
     blank: Blank = None,
     wavelength_nm: Annotated[float | None, typer.Option(
@@ -34,6 +35,9 @@ def convert(
     """Convert a measurement, or a model, to another file format. By file ending, or by a format's name."""
     from gonio import measurement, plugins
 
+    if target_format == _TEXTURES:
+        _textures(source, target, source_format or columns or blank or wavelength_nm)
+        return
     if target.is_dir():
         raise ConfigError(f"{target}: is a folder; name the file to write in it, as {target / 'table.csv'}")
     how = reading(columns, blank)
@@ -116,6 +120,20 @@ def _export(source: str, target: Path, name: str, more: object) -> None:
     _done(target, done)
 
 
+def _textures(source: str, target: Path, more: object) -> None:
+    """A map of fits as textures for renderers."""
+    from gonio.maps import is_map
+    from gonio.renderers import textures
+
+    if more is not None or not is_map(source):
+        what = "goes with --to alone" if more is not None else "is no map"
+        raise ConfigError(f"{source}: {what}; --to {_TEXTURES} takes a map of fits (.h5), and writes a folder")
+    *remarks, done = textures.write(source, target)
+    for remark in remarks:
+        console.note(remark)
+    _done(target, done)
+
+
 def _done(target: Path, what: str) -> None:
     """Say what was written, and where; beside standard output, where that has the data."""
     from gonio.disk import STDOUT
@@ -127,7 +145,7 @@ def _known() -> list[str]:
     """Every word of --to that is no export: formats, those that are only read too, renderers, and DataCite."""
     from gonio import formats
 
-    return [*formats.names(), *_RENDERERS, "datacite"]
+    return [*formats.names(), *_RENDERERS, "datacite", _TEXTURES]
 
 
 def _unknown(name: str, known: list[str], exports: list[str]) -> str:
@@ -139,9 +157,12 @@ def _unknown(name: str, known: list[str], exports: list[str]) -> str:
     return (
         f"--to {name}: there is no such format{f', did you mean {near[0]}?' if near else '.'} "
         f"There are {', '.join([*written, 'datacite'])}; for renderers {', '.join(_RENDERERS)}"
+        + f"; of a map of fits {_TEXTURES}"
         + (f"; of a whole run {', '.join(exports)}" if exports else "")
     )
 
 
+_TEXTURES = "textures"
+"""Of maps of fits."""
 _RENDERERS = {"mitsuba": "rgl", "radiance": "klems"}
 """What writes tables for a renderer -> the format that writes models for it."""
