@@ -293,7 +293,8 @@ class MapFile:
         common = {name: relative * brdf for name, relative in self.causes.items()}
         total = np.sqrt(u**2 + sum((change**2 for change in common.values()), np.zeros(len(brdf))))
         frame = pd.DataFrame(columns | {"u_brdf": total, "u_random": u, **common, "flag": flags})
-        frame.attrs = self.attrs | {"source_file": f"{self.path}, x = {spot[0]:g} mm, y = {spot[1]:g} mm"}
+        frame.attrs.update(self.attrs)
+        frame.attrs["source_file"] = f"{self.path}, x = {spot[0]:g} mm, y = {spot[1]:g} mm"
         return frame
 
 

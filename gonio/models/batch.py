@@ -249,7 +249,7 @@ class Fits:
     @property
     def u(self) -> Floats:
         """Standard uncertainties of the free parameters, shape (P, k)."""
-        return np.sqrt(np.einsum("paa->pa", self.covariance))
+        return np.asarray(np.sqrt(np.einsum("paa->pa", self.covariance)))
 
 
 def require(name: str) -> Batched:
