@@ -7,6 +7,7 @@ Indices: j values, a and b parameters that move, c common causes, p pixels. numb
 
 from __future__ import annotations
 
+import functools
 from math import copysign, sqrt
 
 import numba
@@ -493,7 +494,6 @@ RESULT = types.int64(
 )
 
 
-@njit(*RESULT.args, **OPTIONS)
 def fit_pixels(  # type: ignore[no-untyped-def]
     take, shade, affine, unit, levels, count_of_columns, x, y, source, camera, values, u, common, free, lower, upper,
     grid, widths, numbers, critical, theta, spread, chi, tau, used, start, stop,
@@ -574,3 +574,9 @@ def fit_pixels(  # type: ignore[no-untyped-def]
             )  # fmt: skip
             theta[p] = end
     return 0
+
+
+@functools.cache
+def engine():  # type: ignore[no-untyped-def]
+    """`fit_pixels`, compiled: half a minute where it is not on the disk."""
+    return njit(*RESULT.args, **OPTIONS)(fit_pixels)

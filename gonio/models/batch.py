@@ -318,12 +318,12 @@ def fit(
         np.empty(pixels), np.empty(pixels, np.int64),
     )  # fmt: skip
     given = [np.ascontiguousarray(a, float) for a in (x_mm, y_mm, source_mm, camera_mm, values, u)]
-    from gonio.models._batch_loops import fit_pixels
+    from gonio.models import _batch_loops
 
-    parts = _compiled(name)
+    parts, run = _compiled(name), _batch_loops.engine()
     which = np.array([model.names.index(one) for one in free])
     engine.in_parts(
-        lambda start, stop: fit_pixels(
+        lambda start, stop: run(
             *parts, *given, r, which, lower, upper, grid, widths, cuts, _critical(n, len(free)),
             out.values, out.covariance, out.chi_square, out.tau, out.used, start, stop,
         ),

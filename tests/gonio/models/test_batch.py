@@ -1,0 +1,157 @@
+"""Very many small fits at once, against scipy's least squares on the plain formulas and against what was drawn."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+
+from gonio.errors import ConfigError
+from gonio.geometry import Directions
+from gonio.models import batch, build
+from gonio.models.plain import cook_torrance as plain
+from gonio.typing import Floats
+
+pytestmark = pytest.mark.slow  # the engine compiles for a minute where it is not yet on the disk
+
+POINTS = 60
+DRAWN: dict[str, tuple[dict[str, tuple[float, float]], dict[str, float]]] = {
+    "cook-torrance": ({"s": (0.1, 0.8), "m": (0.1, 0.5), "diffuse_albedo": (0.1, 0.8)}, {"ior": 1.5}),
+    "ggx": ({"alpha": (0.1, 0.5), "diffuse_albedo": (0.1, 0.8), "ior": (1.4, 2.0)}, {}),
+    "blinn": ({"k_s": (0.1, 1.0), "k_d": (0.1, 0.6), "c": (0.1, 0.5)}, {"ior": 1.5}),
+    "oren-nayar": ({"albedo": (0.1, 0.9), "sigma_deg": (8.0, 40.0)}, {}),
+    "he-torrance": ({"sigma0_um": (0.06, 0.2), "tau_um": (1.0, 3.0), "diffuse_albedo": (0.1, 0.5)}, {"ior": 1.5}),
+}
+
+
+def geometry(rng: np.random.Generator) -> tuple[Floats, Floats]:
+    """Where source and camera stand [mm]: half of the points around the mirror direction."""
+    theta_i = np.radians(rng.choice([5.0, 20.0, 40.0, 60.0, 72.0], POINTS))
+    theta_r, phi = np.radians(rng.uniform(0.0, 75.0, POINTS)), rng.uniform(0.0, 2.0 * np.pi, POINTS)
+    near = np.arange(POINTS) % 2 == 0
+    theta_r[near] = np.clip(theta_i[near] + rng.normal(0.0, 0.2, near.sum()), 0.02, 1.4)
+    phi[near] = np.pi + rng.normal(0.0, 0.3, near.sum())
+    source = 500.0 * np.stack([np.sin(theta_i), 0.0 * theta_i, np.cos(theta_i)], axis=1)
+    camera = 600.0 * np.stack([np.sin(theta_r) * np.cos(phi), np.sin(theta_r) * np.sin(phi), np.cos(theta_r)], axis=1)
+    return source, camera
+
+
+def directions(source: Floats, camera: Floats, x: float, y: float) -> Directions:
+    spot = np.array([x, y, 0.0])
+    return Directions.from_vectors(source - spot, camera - spot)
+
+
+def drawn(name: str, pixels: int, seed: int, u_rel: float = 0.01) -> dict[str, Any]:
+    """Pixels of drawn parameters, with noise."""
+    rng = np.random.default_rng(seed)
+    source, camera = geometry(rng)
+    ranges, fixed = DRAWN[name]
+    x, y = rng.uniform(-10.0, 10.0, (2, pixels))
+    true = {one: rng.uniform(*limits, pixels) for one, limits in ranges.items()}
+    values = np.array([
+        build(name, {one: float(v[p]) for one, v in true.items()} | fixed).brdf(
+            *directions(source, camera, x[p], y[p]).angles, wavelength_nm=550.0)
+        for p in range(pixels)
+    ])  # fmt: skip
+    u = u_rel * values
+    noisy = values + u * rng.standard_normal(values.shape)
+    return {
+        "at": (x, y, source, camera),
+        "values": noisy,
+        "u": u,
+        "exact": values,
+        "true": true,
+        "fixed": fixed,
+        "rng": rng,
+    }
+
+
+def fitted(name: str, d: dict[str, Any], **more: Any) -> batch.Fits:
+    return batch.fit(name, *d["at"], d["values"], d["u"], fixed=d["fixed"], **more)
+
+
+@pytest.mark.parametrize("name", DRAWN)
+def test_what_was_drawn_is_found_within_its_uncertainty(name: str) -> None:
+    d = drawn(name, 60 if name == "he-torrance" else 400, 3)
+    found = fitted(name, d)
+    true = np.stack([d["true"][one] for one in found.free], axis=1)
+    at = [found.names.index(one) for one in found.free]
+    pulls = (found.values[:, at] - true) / found.u
+    # 400 pulls have a standard deviation of 1 +- 0.035, 60 of 1 +- 0.09: four of these
+    assert np.all(np.abs(pulls.std(axis=0) - 1.0) < (0.37 if name == "he-torrance" else 0.15))
+    assert np.mean(np.abs(pulls) > 4.0) < 0.01  # a few are far from linear: narrow lobes that few values lie in
+    misses = ((d["values"] - d["exact"]) / d["u"]) ** 2
+    assert np.all(found.chi_square <= misses.sum(axis=1) + 1e-6)  # the truth is no better: no valley is a wrong one
+    freedom = POINTS - len(found.free)
+    assert abs(found.chi_square.mean() / freedom - 1.0) < 4.0 * np.sqrt(2.0 / freedom / len(pulls))
+
+
+def test_minimum_and_covariance_are_those_of_least_squares_on_the_plain_formula() -> None:
+    d = drawn("cook-torrance", 6, 5)
+    found = fitted("cook-torrance", d)
+    for p in range(6):
+        at = directions(d["at"][2], d["at"][3], d["at"][0][p], d["at"][1][p])
+
+        def residual(t: Floats, at: Directions = at, p: int = p) -> Floats:
+            value = plain.brdf(*at.vectors, ((t[1], 1.0),), 1.5, t[0], 1.0 - t[0], t[2])
+            return np.asarray((value - d["values"][p]) / d["u"][p])
+
+        free = found.values[p, :3]
+        least = least_squares(residual, free * 1.02, xtol=1e-14, ftol=1e-14, gtol=1e-14)
+        spread = np.linalg.inv(least.jac.T @ least.jac)
+        # a last step below 1e-4 u; scipy's derivatives by differences are good to 1e-7
+        np.testing.assert_allclose(free, least.x, rtol=0, atol=2e-4 * np.sqrt(np.diag(spread)).min())
+        np.testing.assert_allclose(found.chi_square[p], 2.0 * least.cost, rtol=1e-7)
+        np.testing.assert_allclose(found.covariance[p], spread, rtol=1e-4)
+
+
+def test_common_causes_move_all_values_together() -> None:
+    d = drawn("oren-nayar", 300, 7)
+    common = np.stack([np.full(POINTS, 0.02), 0.01 * np.cos(np.arange(POINTS))])
+    d["values"] *= 1.0 + d["rng"].standard_normal((300, 2)) @ common
+    found = fitted("oren-nayar", d, common=common)
+    pulls = (found.values[:, 0] - d["true"]["albedo"]) / found.u[:, 0]
+    assert abs(pulls.std() - 1.0) < 0.17  # four standard errors of 300
+    plain = fitted("oren-nayar", d)
+    assert np.median(found.u[:, 0] / plain.u[:, 0]) > 3.0  # 2 % of scale for a level known to 0.3 %
+
+
+def test_values_without_uncertainty_are_left_out_and_too_few_are_said() -> None:
+    d = drawn("oren-nayar", 3, 9)
+    d["u"][0, 10:] = 0.0
+    d["values"][1, 2:] = np.nan
+    found = fitted("oren-nayar", d)
+    assert found.used.tolist() == [10, 2, POINTS]
+    assert np.isfinite(found.values[0]).all()
+    assert np.isnan(found.values[1]).all()
+    assert np.isnan(found.covariance[1]).all()
+
+
+def test_a_model_that_is_not_true_gets_a_misfit() -> None:
+    d = drawn("cook-torrance", 50, 11)
+    theta_i, _, theta_r, _ = directions(d["at"][2], d["at"][3], 0.0, 0.0).angles
+    d["values"] *= np.exp(0.06 * np.sin(6.0 * theta_i + 3.0 * theta_r))
+    found, first = fitted("cook-torrance", d), drawn("cook-torrance", 50, 11)
+    # the wave has 0.042 as its standard deviation, of which a fit takes up a part
+    assert np.all((found.tau > 0.01) & (found.tau < 0.05))
+    plain = batch.fit("cook-torrance", *first["at"], first["values"], first["u"], fixed=first["fixed"])
+    assert np.median(found.u / plain.u) > 1.5
+
+
+def test_the_same_pixels_give_the_same_bits_in_any_company() -> None:
+    d = drawn("ggx", 40, 13)
+    whole = fitted("ggx", d)
+    x, y, source, camera = d["at"]
+    part = batch.fit("ggx", x[17:29], y[17:29], source, camera, d["values"][17:29], d["u"][17:29])
+    np.testing.assert_array_equal(part.values, whole.values[17:29])
+    np.testing.assert_array_equal(part.covariance, whole.covariance[17:29])
+
+
+def test_unknown_names_are_refused() -> None:
+    d = drawn("oren-nayar", 1, 1)
+    with pytest.raises(ConfigError, match='"phong": maps are fitted with one of cook-torrance'):
+        batch.fit("phong", *d["at"], d["values"], d["u"])
+    with pytest.raises(ConfigError, match='no parameter "roughness"; it has: albedo, sigma_deg'):
+        batch.fit("oren-nayar", *d["at"], d["values"], d["u"], fixed={"roughness": 1.0})
