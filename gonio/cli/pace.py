@@ -46,6 +46,8 @@ class Pace:
         if self._first is None or now - self._told < QUIET_S or done >= self._total:
             return
         began, before = self._first
+        if done <= before:  # it began anew
+            return
         self._told = now
         left = duration((now - began) / (done - before) * (self._total - done))
         most = "at most " if self._at_most else ""

@@ -41,6 +41,8 @@ STEP = 1e-6
 SETTLED = 1e-8
 """Decrease of chi-square that a last step would bring: it is then shorter than 1e-4 standard errors."""
 MOST_STEPS, MOST_TRIALS = 60, 12
+NEAR_BOUND = 1e-4
+"""Of a parameter's range."""
 FAR_VALLEY = 100.0
 """A second start is tried where its chi-square is at most so many times that of the first, and so much more."""
 TURNS = 8
@@ -95,7 +97,7 @@ def solve(matrix, right, moves, damping, triangle, out):  # type: ignore[no-unty
             rest = matrix[a, b] * (1.0 + damping if a == b else 1.0)
             for c in range(b):
                 rest -= triangle[a, c] * triangle[b, c]
-            triangle[a, b] = sqrt(max(rest, 1e-14 * matrix[a, a])) if a == b else rest / triangle[b, b]
+            triangle[a, b] = sqrt(max(rest, 1e-14 * matrix[a, a], 1e-300)) if a == b else rest / triangle[b, b]
     for a in range(k):
         rest = right[a] if moves[a] else 0.0
         for c in range(a):
@@ -155,6 +157,15 @@ def residuals(f, z, w, small, out, count):  # type: ignore[no-untyped-def]
     else:
         for j in range(count):
             out[j] = (z[j] - on_scale(f[j], small)) * w[j]
+
+
+@inlined
+def toward(value, step, low, high):  # type: ignore[no-untyped-def]
+    """A step within bounds: onto a bound only from nearby, for there a slope may vanish (Oren-Nayar's at sigma = 0)."""
+    bound = low if step < 0.0 else high
+    if (value + step - bound) * step < 0.0:
+        return value + step
+    return bound if abs(bound - value) < NEAR_BOUND * (high - low) else value + 0.9 * (bound - value)
 
 
 @called
@@ -228,7 +239,7 @@ def minimised(shade, affine, columns, z, w, small, relative, theta, free, lower,
             gain = dot(step, right, k)
             new[:] = theta
             for a in range(k):
-                new[free[a]] = min(max(theta[free[a]] + step[a], lower[free[a]]), upper[free[a]])
+                new[free[a]] = toward(theta[free[a]], step[a], lower[free[a]], upper[free[a]])
             shade(columns, new, tried)
             if gain < SETTLED:
                 theta[:] = new

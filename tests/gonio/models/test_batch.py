@@ -112,10 +112,11 @@ def test_common_causes_move_all_values_together() -> None:
     common = np.stack([np.full(POINTS, 0.02), 0.01 * np.cos(np.arange(POINTS))])
     d["values"] *= 1.0 + d["rng"].standard_normal((300, 2)) @ common
     found = fitted("oren-nayar", d, common=common)
-    pulls = (found.values[:, 0] - d["true"]["albedo"]) / found.u[:, 0]
-    assert abs(pulls.std() - 1.0) < 0.17  # four standard errors of 300
+    inside = d["true"]["albedo"] < 0.8  # others may end at the bound, 1
+    pulls = ((found.values[:, 0] - d["true"]["albedo"]) / found.u[:, 0])[inside]
+    assert abs(pulls.std() - 1.0) < 0.2  # four standard errors of some 250
     plain = fitted("oren-nayar", d)
-    assert np.median(found.u[:, 0] / plain.u[:, 0]) > 3.0  # 2 % of scale for a level known to 0.3 %
+    assert np.median((found.u[:, 0] / plain.u[:, 0])[inside]) > 3.0  # 2 % of scale for a level known to 0.3 %
 
 
 def test_values_without_uncertainty_are_left_out_and_too_few_are_said() -> None:
