@@ -32,6 +32,10 @@ MOST_TOGETHER = 300
 MOST_MATERIALS = 8
 """Materials that are tried, where their number is sought."""
 TURNS, TRIES = 20, 8
+LEAST_OWN = 0.1
+"""Part of a value's uncertainty that counts as its own, at least."""
+EFFORT = 4e7
+"""Pixels times points cubed of a joint fit with a cause a point, about: half a second."""
 NOBODY = -1
 """Membership of a pixel without a fit."""
 
@@ -75,26 +79,31 @@ class Mixture:
         self._plan = plan
         wave = plan.wavelength_nm
         self._wave = DEFAULT_WAVELENGTH_NM if math.isnan(wave) else wave
+        most = int(EFFORT / max(len(plan.points), 1) ** 3) if plan.u_point.any() else MOST_TOGETHER
+        self._most = min(max(most, 4), MOST_TOGETHER)
         self._problem = pose(FitRequest(plan.model, fix={n: v for n, v in plan.fixed.items() if n not in ("ior", "k")}))
 
     def together(self, pixels: Pixels) -> Material:
         """One model fitted to all values of some pixels."""
         plan, count = self._plan, len(pixels.x_mm)
-        some = pixels[np.unique(np.linspace(0, count - 1, min(count, MOST_TOGETHER)).astype(int))]
+        some = pixels[np.unique(np.linspace(0, count - 1, min(count, self._most)).astype(int))]
         spots = np.stack([some.x_mm, some.y_mm, np.zeros_like(some.x_mm)], axis=1)[:, None]
         source, camera = ((place - spots).reshape(-1, 3) for place in (plan.source_mm, plan.camera_mm))
         times = len(some.x_mm)
+        # what all pixels of a point share is a cause of its own for each point: it does not average out
+        shared = np.diag(plan.u_point)[plan.u_point > 0]
+        own = np.sqrt(np.maximum(some.u**2 - (some.values * plan.u_point) ** 2, (LEAST_OWN * some.u) ** 2))
         found = batch.fit(
-            plan.model, np.zeros(1), np.zeros(1), source, camera, some.values.reshape(1, -1), some.u.reshape(1, -1),
-            common=np.tile(plan.common, times), fixed=plan.fixed, blocks=np.tile(plan.blocks, times),
-            wavelength_nm=self._wave,
+            plan.model, np.zeros(1), np.zeros(1), source, camera, some.values.reshape(1, -1), own.reshape(1, -1),
+            common=np.tile(np.concatenate([plan.common, shared]), times), fixed=plan.fixed,
+            blocks=np.tile(plan.blocks, times), wavelength_nm=self._wave,
         )  # fmt: skip
         if not math.isfinite(found.chi_square[0]):
             raise DataError("a material has too few values to be fitted; ask for fewer --materials")
         values = dict(zip(found.names, found.values[0], strict=True))
         freedom = found.used[0] - len(plan.free)
-        own = np.array([values[name] for name in plan.free])
-        return Material(own, found.u[0], float(found.chi_square[0] / freedom), self._model(values))
+        of_free = np.array([values[name] for name in plan.free])
+        return Material(of_free, found.u[0], float(found.chi_square[0] / freedom), self._model(values))
 
     def _model(self, values: dict[str, float]) -> Any:
         return self._problem.make(self._problem.family.arguments({**self._problem.fixed, **values}))

@@ -50,6 +50,8 @@ class Plan:
     camera_mm: Floats
     common: Floats
     """Relative changes by causes that pixels share, shape (r, n)."""
+    u_point: Floats
+    """Relative; the part of the values' own uncertainties that all pixels of a point share (n,)."""
     blocks: npt.NDArray[np.int64]
     notes: tuple[str, ...]
 
@@ -91,10 +93,11 @@ def plan(map_file: MapFile, asked: FitRequest) -> Plan:
     bounds = np.array([[math.log(b) if row.scale == "log" else b for b in (row.lower, row.upper)] for row in rows])
     source, camera = (map_file.array(name).astype(float)[points] for name in ("source_mm", "camera_mm"))
     common = np.array([changes[points] for changes in map_file.causes.values()]).reshape(-1, len(points))
+    u_point = map_file.array("u_point").astype(float)[points] if "u_point" in map_file.names else np.zeros(len(points))
     cuts = np.array(groupings(Directions.from_vectors(source, camera)), np.int64)
     return Plan(
         asked.model, known, free, tuple(row.unit or "1" for row in rows), bounds[:, 0], bounds[:, 1], log, wavelength,
-        points, source, camera, common, cuts, (*problem.notes, *notes),
+        points, source, camera, common, u_point, cuts, (*problem.notes, *notes),
     )  # fmt: skip
 
 

@@ -46,6 +46,7 @@ def write(
     cols: int = 64,
     noise: float = 0.01,
     common: float = 0.0,
+    point: float = 0.0,
     seed: int = 0,
     waves: tuple[float, ...] = (550.0,),
     wrong: Callable[[Directions], Floats] | None = None,
@@ -53,7 +54,8 @@ def write(
 ) -> dict[str, Floats]:
     """Write a map whose parameters are `of` (x, y) [mm], the arguments of `kind`; the true parameters (rows, cols).
 
-    `noise` is relative and independent, `common` relative and shared by all pixels and points. `wrong` is a factor
+    `noise` is relative and independent, `common` relative and shared by all pixels and points, `point` relative and
+    shared by all pixels of a point. `wrong` is a factor
     that the model lacks. Without a `pixel_mm` all pixels lie in one place, which is quick.
     """
     rng = np.random.default_rng(seed)
@@ -63,7 +65,7 @@ def write(
     source, camera = np.tile(FAR_MM * to_source, (len(waves), 1)), np.tile(CAMERA_MM * to_camera, (len(waves), 1))
     wavelength = np.repeat(waves, len(to_source))
     n = len(source)
-    shift = 1.0 + common * rng.normal()
+    shift = (1.0 + common * rng.normal()) * (1.0 + (point * rng.normal(size=n) if point else np.zeros(n)))
     parts = Parts(path, {"made": str(path)})
     truth: dict[str, Floats] = {}
     before: Mapping[str, Any] | None = None
@@ -84,15 +86,15 @@ def write(
                     before = arguments
                     true = np.asarray(kind(**arguments).brdf(*where.angles, wavelength_nm=wavelength))
                     true = true if wrong is None else true * wrong(where)
-                u[a, b] = noise * true
-                brdf[a, b] = true * shift + u[a, b] * rng.normal(size=n)
+                u[a, b] = np.hypot(noise, point) * true
+                brdf[a, b] = true * shift + noise * true * rng.normal(size=n)
         parts.write(tile, {"brdf": brdf, "u_random": u, "flag": np.zeros((*tile.shape, n), np.uint8)})
-    _finish(parts, x, y, source, camera, wavelength, common)
+    _finish(parts, x, y, source, camera, wavelength, common, point)
     return truth
 
 
 def _finish(
-    parts: Parts, x: Floats, y: Floats, source: Floats, camera: Floats, wavelength: Floats, common: float
+    parts: Parts, x: Floats, y: Floats, source: Floats, camera: Floats, wavelength: Floats, common: float, point: float
 ) -> None:
     at = Directions.from_vectors(source, camera)
     names = ("theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg")
@@ -107,6 +109,8 @@ def _finish(
         "u_random": Variable(("y", "x", "point"), None, "f4", units="sr-1"),
         "flag": Variable(("y", "x", "point"), None, "u1"),
     }
+    if point:
+        variables["u_point"] = Variable(("point",), np.full(len(source), point))
     if common:
         variables["s_reference"] = Variable(("point",), np.full(len(source), common))
     sizes = {"y": len(y), "x": len(x), "point": len(source), "xyz": 3}

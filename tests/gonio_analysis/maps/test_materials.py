@@ -65,6 +65,33 @@ def test_three_paints_are_told_apart_and_known(tmp_path: Path, materials: str, c
 
 
 @pytest.mark.slow
+def test_what_all_pixels_of_a_point_share_does_not_average_out(tmp_path: Path) -> None:
+    u: list[list[float]] = []
+    pulls: list[list[float]] = []
+    expected: list[float] = []
+    for seed in range(12):
+        folder = tmp_path / str(seed)
+        folder.mkdir()
+        write(folder / "map.h5", lambda x, y: PAINTS[0], rows=8, cols=16, noise=0.01, point=0.01, seed=seed)
+        fits.make(
+            folder / "map.h5", folder / "fits.h5", FitRequest("cook-torrance"), materials="1",
+            count=lambda a, b: None, say=lambda text: None,
+        )  # fmt: skip
+        with MapFile(folder / "fits.h5") as found:
+            u.append([found.array(f"u_material_{name}")[0] for name in NAMES])
+            pulls.append(
+                [(found.array(f"material_{name}")[0] - PAINTS[0][name]) / u[-1][k] for k, name in enumerate(NAMES)]
+            )
+            # a pixel knows m with both parts, each of 1 %: 1/sqrt(2) of that is left, and 1/sqrt(40) of the other;
+            # one fit in a hundred is rejected by chance and has a misfit besides
+            alone = float(np.median(found.array("u_m")))
+            expected.append(u[-1][1] / (alone * np.sqrt((1 + 1 / 40) / 2)))
+    assert np.median(expected) == pytest.approx(1.0, rel=0.03)
+    # of 48 pulls (some 30 that are independent) the mean square is uncertain by a quarter; without the causes: above 20
+    assert 0.4 < np.mean(np.square(pulls)) < 1.8
+
+
+@pytest.mark.slow
 def test_one_paint_is_one_material(tmp_path: Path) -> None:
     assert made(tmp_path, "auto", kinds=0)[-1].endswith("; 1 are taken")
     with MapFile(tmp_path / "fits.h5") as found:
