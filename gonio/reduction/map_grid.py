@@ -16,6 +16,7 @@ from gonio.rig import imaging
 from gonio.rig.description import RigDescription
 from gonio.rig.imaging import pixel_map
 from gonio.rig.kinematics import View
+from gonio.rig.light_and_camera import Camera
 from gonio.typing import Floats, Ints
 
 MEAN_FROM = 2.0
@@ -83,13 +84,21 @@ def blur_mm(description: RigDescription, view: View, x: Floats, y: Floats) -> Fl
     return np.asarray(2.0 * half * np.abs(axis[0] * x + axis[1] * y))
 
 
+def blurred_px(camera: Camera) -> float:
+    """Width of the lens's blur in the plane in focus [pixels]: an edge makes 95 % of its step within it."""
+    return 4.0 * camera.blur_px
+
+
 def footprint_mm(description: RigDescription, radius_mm: float, view: View) -> Floats:
-    """How far along x and y a pixel sees the sample [mm]: its own width, and the lens's blur at the sample's edge."""
+    """How far along x and y a pixel sees the sample [mm]: its own width, the lens's blur, and what is out of focus at
+    the sample's edge.
+    """
     axis = view.optical_axis
-    blur = radius_mm * math.hypot(axis[0], axis[1])
-    wide = 2.0 * math.tan(math.radians(description.camera.lens_half_angle_deg)) * blur
+    aside = radius_mm * math.hypot(axis[0], axis[1])
+    wide = 2.0 * math.tan(math.radians(description.camera.lens_half_angle_deg)) * aside
     stretch = np.sqrt(1.0 + (axis[:2] / axis[2]) ** 2)
-    return np.asarray(np.abs(jacobian(description, view)).sum(axis=1) + wide * stretch)
+    pixel = np.abs(jacobian(description, view)).sum(axis=1)
+    return np.asarray(pixel * (1.0 + blurred_px(description.camera)) + wide * stretch)
 
 
 class Lookup:
@@ -131,6 +140,7 @@ class Lookup:
         view = self._point.view
         blur = blur_mm(self._planes.description, view, x, y) / abs(float(view.optical_axis[2]))
         pixel = float(np.linalg.norm(jacobian(self._planes.description, view), axis=0).sum())
+        pixel *= 1.0 + blurred_px(self._planes.camera)
         return np.asarray(0.5 * (pixel + blur + (self._grid.pixel_mm if self.means else 0.0)))
 
     def _places(self, k: int, x: Floats, y: Floats) -> tuple[Floats, Floats]:

@@ -118,7 +118,7 @@ def write(run: Run, found: Reduction, path: Path, pixel_mm: float | None, counte
     attrs["notes"] = [*attrs.get("notes", []), *notes]
     sizes = {"y": len(cells.places), "x": len(cells.places), "point": len(points), "xyz": 3, "xy": 2}
     parts.assemble(sizes, _variables(tiling, table, rows // len(run.bands)), attrs)
-    told = np.isfinite(shift[1]).all(axis=1)
+    told = np.isfinite(shift[1]).any(axis=1)
     inside = int(np.count_nonzero(np.hypot(*np.meshgrid(cells.places, cells.places)) <= cells.radius_mm))
     return Written(
         shape=(sizes["y"], sizes["x"]),

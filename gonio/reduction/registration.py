@@ -4,7 +4,8 @@ Each point's picture P on the sample's grid is compared with the mean M over all
 is smooth (the lobe's own course over the sample). Least squares of P = b (M - s . grad M) give contrast b and shift s;
 the pictures are looked up with the shift, the mean is made again, and so on. Standard uncertainties hold for
 residuals that are alike within blocks of the picture. The mean of all shifts is zero by definition: where the
-sample's frame lies is not told. Where the texture does not stand out of the noise, no shift is told.
+sample's frame lies is not told. Where the texture does not stand out of the noise, no shift is told; of an edge or
+of streaks, the shift across them alone.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from gonio.maps import Tile
 from gonio.reduction.map_grid import Grid, Lookup
 from gonio.reduction.map_planes import MapPoint, Planes
 from gonio.reduction.threads import in_threads
-from gonio.typing import Bools, Floats
+from gonio.typing import Bools, Floats, Ints
 
 Means = tuple[Floats, Floats]
 """The mean of pictures on the grid, and its variance."""
@@ -50,7 +51,7 @@ def shifts(
 ) -> tuple[Floats, Floats]:
     """Shift along x and y [mm] of every point, and its standard uncertainty, each of shape (n, 2).
 
-    Where none is told the shift is 0 and its uncertainty NaN.
+    Where none is told the uncertainty is NaN.
     """
     found, u = np.zeros((len(points), 2)), np.full((len(points), 2), np.nan)
     rounds = _Rounds(planes, grid, found, u, progress, (ROUNDS + 1) * len(points))
@@ -59,8 +60,7 @@ def shifts(
         means = None
         for _ in range(ROUNDS + 1):
             means = rounds.go(of_band, means)
-    untold = np.isnan(u).any(axis=1)
-    found[untold], u[untold] = 0.0, np.nan
+    found[np.isnan(u).all(axis=1)] = 0.0
     return found, u
 
 
@@ -92,7 +92,7 @@ class _Rounds:
         for k, shift, u in steps:
             self._found[k] += shift * self._grid.pixel_mm
             self._u[k] = u * self._grid.pixel_mm
-        told = [k for k, _, u in steps if np.isfinite(u).all()]
+        told = [k for k, _, u in steps if np.isfinite(u).any()]
         if told:
             self._found[told] -= self._found[told].mean(axis=0)
         with np.errstate(invalid="ignore", divide="ignore"):
@@ -128,24 +128,35 @@ def _step(means: Means, value: Floats, variance: Floats) -> tuple[Floats, Floats
     if np.count_nonzero(inner) < BLOCK**2:
         return nothing
     mean, picture = _rough(means[0], there), _rough(value, there)
-    slopes = [np.asarray(slope) for slope in np.gradient(mean)]
+    slopes = np.stack([slope[inner] for slope in np.gradient(mean)[::-1]])  # along x, and along y
     noise = float(np.mean(means[1][inner]))
-    texture = [float(np.mean(slope[inner] ** 2)) for slope in slopes]
-    if min(texture) <= 2.0 * noise:  # of white noise the central difference has half the variance
-        return nothing
-    columns = np.stack([mean[inner], -slopes[1][inner], -slopes[0][inner]])
-    weights = 1.0 / (float(np.median(variance[inner])) + 1e-300)
-    normal = weights * columns @ columns.T
-    b, *shift = np.linalg.solve(normal, weights * columns @ picture[inner])
-    left = picture[inner] - np.array([b, *shift]) @ columns
+    # of white noise the central difference has half the variance
+    strength, axes = np.linalg.eigh(slopes @ slopes.T / slopes.shape[1] - 0.5 * noise * np.eye(2))
     rows, cols = np.nonzero(inner)
     block = rows // BLOCK * (inner.shape[1] // BLOCK + 1) + cols // BLOCK
-    scores = np.stack([np.bincount(block, weights * column * left) for column in columns])
-    inverse = np.linalg.inv(normal)
+    for kept in (strength > noise, strength >= max(strength[1], noise)):
+        if kept.any():
+            found, u = _along(axes[:, kept], mean[inner], slopes, picture[inner], block)
+            if np.isfinite(u).any():
+                return found, u
+    return nothing
+
+
+def _along(axes: Floats, mean: Floats, slopes: Floats, picture: Floats, block: Ints) -> tuple[Floats, Floats]:
+    """Shift along some axes (2, k) and its uncertainty along x and y: NaN where an axis is not told, or all is unsure.
+
+    Cells are given as lists, `block` numbers the part of the picture that each lies in.
+    """
+    columns = np.concatenate([mean[None], -(axes.T @ slopes)])
+    inverse = np.linalg.inv(columns @ columns.T)
+    values = inverse @ (columns @ picture)
+    left = picture - values @ columns
+    scores = np.stack([np.bincount(block, column * left) for column in columns])
     covariance = inverse @ (scores @ scores.T) @ inverse
-    if b**2 <= TOLD**2 * covariance[0, 0]:
-        return nothing
-    found, u = np.array(shift) / b, np.sqrt(np.diag(covariance)[1:]) / abs(b)
-    if np.abs(found).max() > FARTHEST or u.max() > UNSURE:
-        return nothing
-    return found, u
+    if values[0] ** 2 <= TOLD**2 * covariance[0, 0]:
+        return np.zeros(2), np.full(2, np.nan)
+    shift, spread = axes @ values[1:] / values[0], axes @ covariance[1:, 1:] @ axes.T / values[0] ** 2
+    u = np.sqrt(np.diag(spread))
+    if np.abs(shift).max() > FARTHEST or u.max() > UNSURE:
+        return np.zeros(2), np.full(2, np.nan)
+    return shift, np.where(np.sum(axes**2, axis=1) >= 0.5, u, np.nan)
