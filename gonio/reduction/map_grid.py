@@ -156,23 +156,15 @@ class Lookup:
 
     def _between(self, k: int, x: Floats, y: Floats) -> tuple[Floats, Floats, Ints]:
         """Linear interpolation between the four pixels around each spot."""
+        from gonio.reduction._map_loops import between
+
         (height, width), (row, col) = self._size(k), self._places(k, x, y)
-        i, j = (np.floor(np.nan_to_num(at, posinf=-9.0, neginf=-9.0)).astype(int) for at in (row, col))
-        there = (i >= 0) & (j >= 0) & (i < height - 1) & (j < width - 1)
+        there = (row >= 0.0) & (col >= 0.0) & (row < height - 1) & (col < width - 1)
         out = np.zeros(x.shape), np.zeros(x.shape), np.where(there, 0, OUTSIDE)
-        if not there.any():
-            return out
-        top, left = int(i[there].min()), int(j[there].min())
-        held = self._picture(k, slice(top, int(i[there].max()) + 2), slice(left, int(j[there].max()) + 2))
-        down, right = (row - i)[there], (col - j)[there]
-        for below, part_i in ((0, 1.0 - down), (1, down)):
-            for beside, part_j in ((0, 1.0 - right), (1, right)):
-                share = part_i * part_j
-                pixel = held[i[there] - top + below, j[there] - left + beside]
-                counts = share > 1e-6
-                out[0][there] += np.where(counts, share * pixel["brdf"], 0.0)
-                out[1][there] += np.where(counts, (share * pixel["u"].astype(float)) ** 2, 0.0)
-                out[2][there] |= np.where(counts, pixel["flag"].astype(int), 0)
+        if there.any():
+            top, left = int(row[there].min()), int(col[there].min())
+            held = self._picture(k, slice(top, int(row[there].max()) + 2), slice(left, int(col[there].max()) + 2))
+            between(held, row, col, top, left, there, *out)
         return out
 
     def _mean(self, k: int, x: Floats, y: Floats) -> tuple[Floats, Floats, Ints]:

@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gonio.acquisition.exposure import full_scale_dn
-from gonio.acquisition.records import FrameRecord, StepRecord
+from gonio.acquisition.records import StepRecord
 from gonio.errors import DataError
 from gonio.maps import FLAGS
 from gonio.reduction import merging
@@ -96,7 +96,8 @@ class Lit:
     """A frame of a point, and what of it all pixels share."""
 
     frame: Frame
-    entry: FrameRecord
+    full_dn: float
+    """Full scale above the black level."""
     spread: Spread | None
     effective_s: float
     """Exposure, times the lamp's level against that of the table's rate."""
@@ -230,8 +231,9 @@ class Planes:
             raise DataError(f"{self.frames.run.path}: no frame of step {point.step.step} is whole")
         spreads = [self.frames.spread(f, point.band.channel) if self.frames.spreads else None for _, f in whole]
         signals, usable, lamps = [], [], []
-        for (entry, frame), spread in zip(whole, spreads, strict=True):
-            electrons, levels = self._signal(frame, spread, region.roi.rows, region.roi.cols)
+        fulls = [full_scale_dn(self.camera, frame) for _, frame in whole]
+        for (entry, frame), full, spread in zip(whole, fulls, spreads, strict=True):
+            electrons, levels = self._signal(frame, full, spread, region.roi.rows, region.roi.cols)
             lamps.append(frame.exposure_s * self.frames.lamp(entry))
             signals.append(electrons[region.roi.mask] * region.per_weight / lamps[-1])
             usable.append(levels[region.roi.mask] < merging.usable(self.camera))
@@ -251,12 +253,14 @@ class Planes:
         told = np.array([bool((use & usable[best]).any()) for use in usable])
         shares = np.where(told, exposed, 0.0) / max(float(exposed[told].sum()), 1e-300)
         return [
-            Lit(frame, entry, spread, float(exposed[k] * level[k]), float(u_level[k]), float(shares[k]))
-            for k, ((entry, frame), spread) in enumerate(zip(whole, spreads, strict=True))
+            Lit(frame, fulls[k], spread, float(exposed[k] * level[k]), float(u_level[k]), float(shares[k]))
+            for k, ((_, frame), spread) in enumerate(zip(whole, spreads, strict=True))
             if told[k]
         ]
 
-    def _signal(self, frame: Frame, spread: Spread | None, rows: slice, cols: slice) -> tuple[Floats, Floats]:
+    def _signal(
+        self, frame: Frame, full_dn: float, spread: Spread | None, rows: slice, cols: slice
+    ) -> tuple[Floats, Floats]:
         """Electrons of the light in a rectangle, and raw levels as fractions of full scale."""
         camera = self.camera
         values = linear_dn(camera, frame.mosaic[rows, cols]).astype(float)
@@ -265,7 +269,7 @@ class Planes:
         if spread is not None:
             at = np.meshgrid(*(np.arange(s.start, s.stop, s.step) for s in (rows, cols)), indexing="ij")
             linear = linear - spread.at(at[0].ravel(), at[1].ravel())[0].reshape(linear.shape)
-        levels = (values - frame.black_level_dn) / full_scale_dn(camera, frame)
+        levels = (values - frame.black_level_dn) / full_dn
         return linear * camera.electrons_per_dn, levels
 
     def _strip(self, point: MapPoint, taken: list[Lit], lattice: Lattice, rows: slice, cols: slice) -> npt.NDArray[Any]:
@@ -303,7 +307,7 @@ class Planes:
     def _merged(self, taken: list[Lit], span: tuple[slice, slice]) -> tuple[Floats, Floats, Ints]:
         """The rate [e-/s] of every pixel of a rectangle over its frames, its variance, and flags."""
         camera = self.camera
-        found = [self._signal(lit.frame, lit.spread, *span) for lit in taken]
+        found = [self._signal(lit.frame, lit.full_dn, lit.spread, *span) for lit in taken]
         electrons, levels = np.stack([f[0] for f in found]), np.stack([f[1] for f in found])
         seconds = np.array([lit.effective_s for lit in taken])[:, None, None]
         exposed = np.array([lit.frame.exposure_s for lit in taken])[:, None, None]
@@ -312,7 +316,10 @@ class Planes:
         used, rates = ~bright, electrons / seconds
         limit = math.log(2.0 * max(used.size, 1) / merging.FALSE_ALARMS)
         for _ in range(2 if merging.noise_is_known(self.description) and len(taken) > 1 else 0):
-            used = used & ~_hits(camera, rates, seconds, used, limit)
+            hit = _hits(camera, rates, seconds, used, limit)
+            if not hit.any():
+                break
+            used = used & ~hit
         weights, noise = _weights(camera, electrons, seconds, exposed, dark_rate, used)
         total = weights.sum(axis=0)
         shares = weights / np.where(total > 0, total, 1.0)
@@ -377,8 +384,15 @@ def _hits(camera: Camera, rates: Floats, seconds: Floats, used: Bools, limit: fl
     """Pixels that are brighter in a frame than the other frames allow, as cosmic radiation leaves them."""
     time = np.where(used, seconds, 0.0)
     rest = time.sum(axis=0) - time
-    others = ((time * rates).sum(axis=0) - time * rates) / np.where(rest > 0, rest, 1.0)
-    charge = np.maximum(others, 0.0)
-    variance = sensor_noise.variance(camera, charge * seconds)
-    of_rest = sensor_noise.variance(camera, charge * rest) * (seconds / np.where(rest > 0, rest, 1.0)) ** 2
-    return np.asarray(used & (rest > 0) & (seconds * (rates - others) > bound(variance + of_rest, limit)))
+    safe = np.where(rest > 0.0, rest, 1.0)
+    others = ((time * rates).sum(axis=0) - time * rates) / safe
+    more = seconds * (rates - others)
+    # the bound is larger than sqrt(2 limit variance): only what exceeds that of the photons is looked at
+    shot = np.maximum(others, 0.0) * seconds if camera.photon_noise else 0.0
+    found = used & (rest > 0.0) & (more > 0.0) & (more**2 > 2.0 * limit * shot)
+    if found.any():
+        charge, length, part = np.maximum(others[found], 0.0), np.broadcast_to(seconds, found.shape)[found], safe[found]
+        variance = sensor_noise.variance(camera, charge * length)
+        variance += sensor_noise.variance(camera, charge * part) * (length / part) ** 2
+        found[found] = more[found] > bound(variance, limit)
+    return np.asarray(found)
