@@ -12,10 +12,10 @@ from typing import Literal
 import numpy as np
 from pydantic import model_validator
 
-from gonio import patterns
 from gonio.config import Strict
 from gonio.disk import read_file
 from gonio.errors import ConfigError
+from gonio.rig import patterns
 from gonio.rig.ranges import Positive
 from gonio.typing import Floats
 

@@ -11,11 +11,12 @@ import numpy as np
 from pydantic import Field, model_validator
 from scipy.interpolate import PchipInterpolator, RegularGridInterpolator
 
-from gonio import models, patterns
+from gonio import models
 from gonio.config import Strict, parse
 from gonio.errors import ConfigError, GonioError
 from gonio.models import Blinn, CookTorrance, HeTorrance, Lambert, Model, OrenNayar, Phong, Sum
 from gonio.models.parameters import Parameters, index_at
+from gonio.rig import patterns
 from gonio.typing import Floats
 from gonio_scenes import polarised
 from gonio_scenes.spectra import NonNegativeSpectrum, Spectral, Spectrum, is_table, table_or, values
