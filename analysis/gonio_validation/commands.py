@@ -190,3 +190,16 @@ def materials(
     with _counted("materials") as step:
         made = make(sources, out, models=asked, jobs=jobs, command=command_line(), step=step)
     print(made)
+
+
+@bench.command()
+def maps(
+    out: Annotated[Path, typer.Option(help="Folder of the report.", show_default=False)],
+    quick: Annotated[bool, typer.Option("--quick", help="Few pixels: errors are right, times are rough.")] = False,
+) -> None:
+    """Speed against error of fits of maps, beside fits of one table. Prints the report's path last."""
+    from gonio.acquisition.run import command_line
+    from gonio.cli import console
+    from gonio_validation.bench.maps import make
+
+    print(make(out, quick=quick, command=command_line(), progress=console.note))

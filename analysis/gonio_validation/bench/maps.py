@@ -1,0 +1,186 @@
+"""`gonio bench maps`: what a fit of a pixel takes, and how far it is from a fit of one table and from the truth."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from gonio_analysis.fitting.fit import fit
+from gonio_analysis.report import files
+from gonio_analysis.report.blocks import Footer, Heading, Page, Paragraph, code, header, provenance, stamp, table
+from gonio_analysis.report.text import number
+from scipy.optimize import least_squares
+
+from gonio.geometry import Directions
+from gonio.models import batch, build
+from gonio.typing import Floats
+
+POINTS, PIXELS, QUICK = 100, 20_000, 500
+"""Directions; drawn pixels of a model; those of a quick run."""
+COMPARED = 12
+"""Pixels that `gonio fit` and scipy fit as well."""
+NOISE = 0.01
+RANGES: dict[str, tuple[dict[str, tuple[float, float]], dict[str, float]]] = {
+    "cook-torrance": ({"s": (0.1, 0.8), "m": (0.1, 0.5), "diffuse_albedo": (0.1, 0.8)}, {"ior": 1.5}),
+    "ggx": ({"alpha": (0.1, 0.5), "diffuse_albedo": (0.1, 0.8)}, {"ior": 1.5}),
+    "oren-nayar": ({"albedo": (0.1, 0.9), "sigma_deg": (8.0, 40.0)}, {}),
+    "blinn": ({"k_s": (0.1, 1.0), "k_d": (0.1, 0.6), "c": (0.1, 0.5)}, {"ior": 1.5}),
+    "he-torrance": ({"sigma0_um": (0.06, 0.2), "tau_um": (1.0, 3.0), "diffuse_albedo": (0.1, 0.5)}, {"ior": 1.5}),
+}
+"""What is drawn of each model, and what is known."""
+FOOTER = Footer(("Every number is in ", code("summary.json"), "."))
+
+
+@dataclass(frozen=True)
+class Row:
+    """One model: processor time of one thread a pixel, and errors in standard uncertainties."""
+
+    model: str
+    pixels: int
+    own_us: float
+    """Each pixel with directions of its own [us]."""
+    shared_us: float
+    """All pixels with the same directions [us]."""
+    rejected_us: float
+    """Pixels whose model is not true, with tau and errors by blocks [us]."""
+    fit_ms: float
+    """`gonio fit` of one table [ms]."""
+    scipy_ms: float
+    """scipy's least squares from the truth, on the same kernel [ms]."""
+    from_fit: float
+    """Largest difference of a parameter from that of `gonio fit`, in u."""
+    pull_sd: list[float]
+    """Standard deviation of (found - true) / u, by free parameter."""
+    beyond_5: int
+    worse_than_truth: int
+    """Pixels whose chi-square is above that of the truth: fits in a wrong valley."""
+
+
+def drawn(name: str, pixels: int, seed: int) -> dict[str, Any]:
+    """Pixels of drawn parameters, half of their directions around the mirror direction, with noise of 1 %."""
+    rng = np.random.default_rng(seed)
+    theta_i = np.radians(rng.choice([5.0, 20.0, 40.0, 60.0, 72.0], POINTS))
+    theta_r, phi = np.radians(rng.uniform(0.0, 75.0, POINTS)), rng.uniform(0.0, 2.0 * np.pi, POINTS)
+    near = np.arange(POINTS) % 2 == 0
+    theta_r[near] = np.clip(theta_i[near] + rng.normal(0.0, 0.2, near.sum()), 0.02, 1.4)
+    phi[near] = np.pi + rng.normal(0.0, 0.3, near.sum())
+    source = 500.0 * np.stack([np.sin(theta_i), 0.0 * theta_i, np.cos(theta_i)], axis=1)
+    camera = 600.0 * np.stack([np.sin(theta_r) * np.cos(phi), np.sin(theta_r) * np.sin(phi), np.cos(theta_r)], axis=1)
+    ranges, fixed = RANGES[name]
+    x, y = rng.uniform(-10.0, 10.0, (2, pixels))
+    true = {one: rng.uniform(*limits, pixels) for one, limits in ranges.items()}
+    exact = np.empty((pixels, POINTS))
+    for p in range(pixels):
+        at = seen(source, camera, x[p], y[p])
+        exact[p] = build(name, {one: float(v[p]) for one, v in true.items()} | fixed).brdf(*at.angles)
+    values = exact * (1.0 + NOISE * rng.standard_normal(exact.shape))
+    return {"x": x, "y": y, "source": source, "camera": camera, "exact": exact, "values": values,
+            "u": NOISE * exact, "true": true, "fixed": fixed}  # fmt: skip
+
+
+def seen(source: Floats, camera: Floats, x: float, y: float) -> Directions:
+    """Directions from a spot of the sample [mm]."""
+    spot = np.array([x, y, 0.0])
+    return Directions.from_vectors(source - spot, camera - spot)
+
+
+def timed(work: Callable[[], Any], count: int) -> tuple[Any, float]:
+    """What comes out, and processor time of one of `count` [s]."""
+    began = time.process_time()
+    found = work()
+    return found, (time.process_time() - began) / count
+
+
+def measured(name: str, pixels: int) -> Row:
+    """One model."""
+    d = drawn(name, pixels, 1)
+    at = (d["source"], d["camera"])
+
+    def fitted(x: Floats, y: Floats, values: Floats) -> batch.Fits:
+        return batch.fit(name, x, y, *at, values, d["u"], fixed=d["fixed"])
+
+    fitted(d["x"], d["y"], d["values"])  # compiles
+    found, own = timed(lambda: fitted(d["x"], d["y"], d["values"]), pixels)
+    middle = seen(*at, 0.0, 0.0)
+    flat = np.array([0.0]).repeat(pixels)
+    _, shared = timed(lambda: fitted(flat, flat, d["values"]), pixels)
+    wave = np.exp(0.05 * np.sin(6.0 * middle.theta_i + 3.0 * middle.theta_r))
+    _, rejected = timed(lambda: fitted(d["x"], d["y"], d["values"] * wave), pixels)
+    columns = [found.names.index(one) for one in found.free]
+    pulls = (found.values[:, columns] - np.stack([d["true"][one] for one in found.free], axis=1)) / found.u
+    of_truth = (((d["values"] - d["exact"]) / d["u"]) ** 2).sum(axis=1)
+    off, fit_s, scipy_s = compared(name, d, found, columns)
+    return Row(
+        name, pixels, 1e6 * own, 1e6 * shared, 1e6 * rejected, 1e3 * fit_s, 1e3 * scipy_s, off,
+        np.nanstd(pulls, axis=0).tolist(), int((np.abs(pulls) > 5.0).any(axis=1).sum()),
+        int((found.chi_square > of_truth + 1e-6).sum()),
+    )  # fmt: skip
+
+
+def compared(name: str, d: dict[str, Any], found: batch.Fits, columns: list[int]) -> tuple[float, float, float]:
+    """The largest difference from `gonio fit` in u, and what it and scipy take for a table [s]."""
+    worst, times = 0.0, np.zeros((2, COMPARED))
+    for p in range(COMPARED):
+        at = seen(d["source"], d["camera"], d["x"][p], d["y"][p])
+        angles = dict(zip(("theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg"), np.degrees(at.angles), strict=True))
+        u = d["u"][p]
+        frame = pd.DataFrame(angles | {"wavelength_nm": 550.0, "brdf": d["values"][p], "u_brdf": u, "u_random": u})
+        frame["polarisation"], frame["flag"] = "unpolarised", ""
+        frame.attrs.update(source_solid_angle_sr=0.0, receiver_solid_angle_sr=0.0, quantity="brdf")
+        one, times[0, p] = timed(partial(fit, frame, name, ior=d["fixed"].get("ior")), 1)
+        for k, parameter in enumerate(found.free):
+            known = one.parameters[parameter]
+            if known.u:
+                worst = max(worst, abs(found.values[p, columns[k]] - known.value) / known.u)
+
+        def residual(t: Floats, at: Directions = at, p: int = p) -> Floats:
+            model = build(name, dict(zip(found.free, map(float, t), strict=True)) | d["fixed"])
+            return np.asarray((model.brdf(*at.angles) - d["values"][p]) / d["u"][p])
+
+        low = [0.5 * x for x in found.values[p, columns]]
+        high = [1.5 * x for x in found.values[p, columns]]
+        start = [float(d["true"][n][p]) for n in found.free]
+        least = partial(least_squares, residual, np.clip(start, low, high), bounds=(low, high))
+        _, times[1, p] = timed(least, 1)
+    fit_s, scipy_s = np.median(times, axis=1)
+    return worst, float(fit_s), float(scipy_s)
+
+
+def make(
+    out: str | Path, *, quick: bool = False, command: str = "", progress: Callable[[str], None] = lambda text: None
+) -> Path:
+    """Measure, and write the page: all of it or nothing. Arguments as of `gonio bench models`."""
+    rows = []
+    with files.staged(out) as stage:
+        for name in RANGES:
+            progress(f"{name} ...")
+            pixels = QUICK if quick or name == "he-torrance" else PIXELS
+            rows.append(measured(name, pixels))
+        made = stamp(command)
+        page = Page("Fits of maps: speed against error", (
+            header("Fits of maps: speed against error", f"{POINTS} directions, noise of {100 * NOISE:g} %."),
+            Heading(2, "Time"),
+            Paragraph("Processor time of one thread, in microseconds a pixel: starts, fit, standard errors. Rejected: "
+                      "the model is not true, so tau is found and errors come from leaving out blocks. scipy: least squares on the same "
+                      "kernel, from the truth on."),
+            table("", ["model", "pixels", "own directions", "shared", "rejected", "gonio fit", "scipy"], [
+                [r.model, str(r.pixels), *(f"{number(x, 3)} µs" for x in (r.own_us, r.shared_us, r.rejected_us)),
+                 *(f"{number(x, 3)} ms" for x in (r.fit_ms, r.scipy_ms))] for r in rows
+            ], right=(1, 2, 3, 4, 5, 6)),
+            Heading(2, "Error"),
+            Paragraph(f"From gonio fit: the largest difference of a parameter, of {COMPARED} pixels. A fit in a wrong"
+                      " valley would have a larger chi-square than the truth."),
+            table("", ["model", "from gonio fit", "pulls: standard deviation", "beyond 5 u", "worse than the truth"], [
+                [r.model, f"{number(r.from_fit, 2)} u", ", ".join(f"{x:.3f}" for x in r.pull_sd), str(r.beyond_5),
+                 str(r.worse_than_truth)] for r in rows
+            ], right=(1, 3, 4)),
+            provenance(made), FOOTER,
+        ))  # fmt: skip
+        files.write_page(stage.work, page, {"rows": [asdict(r) for r in rows], **made}, [])
+    return Path(out) / "index.html"
