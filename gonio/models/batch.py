@@ -21,7 +21,8 @@ import numpy.typing as npt
 
 from gonio.errors import ConfigError
 from gonio.models import _htsg_kernels, _loops, engine, ggx
-from gonio.models._compile import device, jit, loop
+from gonio.models._compile import device, jit, loop, with_others
+from gonio.models._facets import fresnel, fresnel_real
 from gonio.models._math import _LOG2_E
 from gonio.models.blinn import _BRDFS
 from gonio.models.cook_torrance import _KERNELS as COOK_TORRANCE
@@ -196,10 +197,19 @@ class Batched:
     """Numbers behind the parameters, for a wavelength [nm]."""
 
 
+def without_absorption(kernel: Kernel) -> Kernel:
+    """The same for k = 0, with a root less; He-Torrance's has it inside."""
+    return (
+        with_others(kernel, f"{kernel.__name__}_k0", {fresnel: fresnel_real}) if "columns" in vars(kernel) else kernel
+    )
+
+
 def _spread(low: float, high: float, count: int) -> tuple[float, ...]:
     return tuple(np.geomspace(low, high, count).tolist())
 
 
+ROUGH_TIER = 2.0
+"""Of He-Torrance's series, for starts: 1e-6."""
 SLOPES = (0.02, 0.05, 0.1, 0.17, 0.25, 0.35, 0.5, 0.8, 1.3)
 """2 sigma0 / tau."""
 INDICES = ("ior", (1.5, 3.0, 20.0))
@@ -320,7 +330,7 @@ def fit(
     given = [np.ascontiguousarray(a, float) for a in (x_mm, y_mm, source_mm, camera_mm, values, u)]
     from gonio.models import _batch_loops
 
-    parts, run = _compiled(name), _batch_loops.engine()
+    parts, run = _compiled(name, "k" in free or known["k"] > 0.0), _batch_loops.engine()
     which = np.array([model.names.index(one) for one in free])
     engine.in_parts(
         lambda start, stop: run(
@@ -341,7 +351,7 @@ def _grid(model: Batched, known: dict[str, float], own: Sequence[float]) -> tupl
         start = {one: 1.0 for one in model.names} | known | dict(zip((one for one, _ in axes), chosen, strict=True))
         if "slope" in start:
             start["tau_um"] = known.get("tau_um", 2.0 * start["sigma0_um"] / start["slope"])
-        rows.append([start[one] for one in model.names] + list(own))
+        rows.append([start[one] for one in model.names] + list(own[:-1]) + [ROUGH_TIER] * bool(own))
     return np.array(rows), len(axes[-1][1])
 
 
@@ -355,12 +365,13 @@ def _critical(n: int, free: int) -> Floats:
 
 
 @functools.cache
-def _compiled(name: str) -> tuple[Any, ...]:
+def _compiled(name: str, absorbs: bool) -> tuple[Any, ...]:
     """The five functions of a model that `_batch_loops.fit_pixels` calls, and how many columns its kernel has."""
     from gonio.compiled import njit
     from gonio.models import _batch_loops as loops
 
-    model, kernel, size = MODELS[name], MODELS[name].kernel, MODELS[name].size
+    model, size = MODELS[name], MODELS[name].size
+    kernel = model.kernel if absorbs else without_absorption(model.kernel)
     constants, affine_of, unit_of, levels_of = map(jit, (model.constants, model.affine, model.unit, model.levels))
     columns = int(kernel.__dict__.get("count", 6))
     if "columns" in kernel.__dict__:
@@ -396,10 +407,10 @@ def _compiled(name: str) -> tuple[Any, ...]:
         levels_of(theta, level, base)
         return 0
 
-    made = []
+    made, suffix = [], f"{name.replace('-', '_')}_{'nk' if absorbs else 'n'}"
     for function, signature in (
         (take, loops.TAKE), (shade, loops.SHADE), (affine, loops.AFFINE), (unit, loops.UNIT), (levels, loops.LEVELS)
     ):  # fmt: skip
-        function.__name__ = function.__qualname__ = f"{function.__name__}_{name.replace('-', '_')}"
+        function.__name__ = function.__qualname__ = f"{function.__name__}_{suffix}"
         made.append(njit(*signature.args, nogil=True, error_model="numpy")(function))
     return (*made, columns)

@@ -62,7 +62,7 @@ class Row:
     """Pixels whose chi-square is above that of the truth: fits in a wrong valley."""
 
 
-def drawn(name: str, pixels: int, seed: int) -> dict[str, Any]:
+def drawn(name: str, pixels: int, seed: int, reach_mm: float = 10.0) -> dict[str, Any]:
     """Pixels of drawn parameters, half of their directions around the mirror direction, with noise of 1 %."""
     rng = np.random.default_rng(seed)
     theta_i = np.radians(rng.choice([5.0, 20.0, 40.0, 60.0, 72.0], POINTS))
@@ -73,7 +73,7 @@ def drawn(name: str, pixels: int, seed: int) -> dict[str, Any]:
     source = 500.0 * np.stack([np.sin(theta_i), 0.0 * theta_i, np.cos(theta_i)], axis=1)
     camera = 600.0 * np.stack([np.sin(theta_r) * np.cos(phi), np.sin(theta_r) * np.sin(phi), np.cos(theta_r)], axis=1)
     ranges, fixed = RANGES[name]
-    x, y = rng.uniform(-10.0, 10.0, (2, pixels))
+    x, y = rng.uniform(-reach_mm, reach_mm, (2, pixels))
     true = {one: rng.uniform(*limits, pixels) for one, limits in ranges.items()}
     exact = np.empty((pixels, POINTS))
     for p in range(pixels):
@@ -99,19 +99,19 @@ def timed(work: Callable[[], Any], count: int) -> tuple[Any, float]:
 
 def measured(name: str, pixels: int) -> Row:
     """One model."""
-    d = drawn(name, pixels, 1)
-    at = (d["source"], d["camera"])
+    d, flat = drawn(name, pixels, 1), drawn(name, pixels, 1, 0.0)
 
-    def fitted(x: Floats, y: Floats, values: Floats) -> batch.Fits:
-        return batch.fit(name, x, y, *at, values, d["u"], fixed=d["fixed"])
+    def fitted(d: dict[str, Any], wave: Floats | float = 1.0) -> batch.Fits:
+        return batch.fit(
+            name, d["x"], d["y"], d["source"], d["camera"], d["values"] * wave, d["u"], fixed=d["fixed"]
+        )  # fmt: skip
 
-    fitted(d["x"], d["y"], d["values"])  # compiles
-    found, own = timed(lambda: fitted(d["x"], d["y"], d["values"]), pixels)
-    middle = seen(*at, 0.0, 0.0)
-    flat = np.array([0.0]).repeat(pixels)
-    _, shared = timed(lambda: fitted(flat, flat, d["values"]), pixels)
+    fitted(d)  # compiles
+    found, own = timed(lambda: fitted(d), pixels)
+    _, shared = timed(lambda: fitted(flat), pixels)
+    middle = seen(d["source"], d["camera"], 0.0, 0.0)
     wave = np.exp(0.05 * np.sin(6.0 * middle.theta_i + 3.0 * middle.theta_r))
-    _, rejected = timed(lambda: fitted(d["x"], d["y"], d["values"] * wave), pixels)
+    _, rejected = timed(lambda: fitted(d, wave), pixels)
     columns = [found.names.index(one) for one in found.free]
     pulls = (found.values[:, columns] - np.stack([d["true"][one] for one in found.free], axis=1)) / found.u
     of_truth = (((d["values"] - d["exact"]) / d["u"]) ** 2).sum(axis=1)
@@ -167,8 +167,8 @@ def make(
             header("Fits of maps: speed against error", f"{POINTS} directions, noise of {100 * NOISE:g} %."),
             Heading(2, "Time"),
             Paragraph("Processor time of one thread, in microseconds a pixel: starts, fit, standard errors. Rejected: "
-                      "the model is not true, so tau is found and errors come from leaving out blocks. scipy: least squares on the same "
-                      "kernel, from the truth on."),
+                      "the model is not true, so tau is found and errors come from leaving out "
+                      "blocks. scipy: least squares on the same kernel, from the truth on."),
             table("", ["model", "pixels", "own directions", "shared", "rejected", "gonio fit", "scipy"], [
                 [r.model, str(r.pixels), *(f"{number(x, 3)} µs" for x in (r.own_us, r.shared_us, r.rejected_us)),
                  *(f"{number(x, 3)} ms" for x in (r.fit_ms, r.scipy_ms))] for r in rows
