@@ -34,9 +34,10 @@ def fits(
     pixel_mm: float = 0.1,
     more: Mapping[str, tuple[Variable, Any]] | None = None,
     attrs: Mapping[str, Any] | None = None,
+    given: Mapping[str, Variable] | None = None,
     **sizes: int,
 ) -> Path:
-    """A file of fits of these parameters (rows, columns)."""
+    """A file of fits of these parameters (rows, columns); `given` are variables that do not come by tiles."""
     shape = next(iter(values.values())).shape
     x, y = axes(shape[0], shape[1], pixel_mm)
     pairs = list(combinations(values, 2))
@@ -58,7 +59,7 @@ def fits(
             Variable(("y", "x", "pair"), dtype="f4", attrs={"pairs": listed}),
             np.zeros((*shape, len(pairs))),
         )
-    return _written(path, whole, x, y, {"pair": len(pairs), **sizes}, {"model": model, **(attrs or {})})
+    return _written(path, whole, x, y, {"pair": len(pairs), **sizes}, {"model": model, **(attrs or {})}, given)
 
 
 def values(

@@ -28,8 +28,7 @@ from gonio_analysis.report.blocks import (
 )
 from gonio_analysis.report.drawing import figure_workers
 from gonio_analysis.report.drawings import Drawing, Figure
-from gonio_analysis.report.map_layers import Grid, block_medians, labelled
-from gonio_analysis.report.map_page import facts_of_grid
+from gonio_analysis.report.map_layers import Grid, block_medians, facts_of_grid, labelled
 from gonio_analysis.report.tables import write_columns, write_csv
 from gonio_analysis.report.text import number, percent, with_u
 

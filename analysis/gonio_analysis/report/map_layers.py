@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -13,6 +14,7 @@ from gonio.errors import ConfigError
 from gonio.maps import FIT_FLAGS, FitFile, MapFile
 from gonio.typing import Floats
 from gonio_analysis.plots.pixels import Extent
+from gonio_analysis.report.drawings import Drawing
 
 PICTURE, EMBEDDED = 256, 200
 """Pixels along the longer side of a picture, and of what a page holds for its program, at most."""
@@ -21,8 +23,6 @@ QUANTILES = (0.005, 0.995)
 BINS = 60
 SEVERE = ("too_few", "undetermined", "rejected", "at_bound")
 """Flags of a fit, the gravest first."""
-READ_MB = 64
-"""Of a map of values at once."""
 
 
 @dataclass(frozen=True)
@@ -120,6 +120,50 @@ class Layer:
         return labelled(self.name, self.unit)
 
 
+@dataclass(frozen=True)
+class Told:
+    """What a page says of a map."""
+
+    title: str
+    conclusion: str
+    layers: list[Layer]
+    facts: list[tuple[str, str]]
+    counts: dict[str, int]
+    """By flag."""
+    counted: str
+    """What was counted: pixels or values."""
+    total: int
+    drawings: list[Drawing]
+    summary: dict[str, object]
+    view: dict[str, Any]
+    """What the page holds for its program (`map_view`)."""
+    materials: Materials | None = None
+
+
+@dataclass(frozen=True)
+class Materials:
+    """Pixels that are alike, fitted together."""
+
+    kind: npt.NDArray[np.intp]
+    """Of every pixel the material, -1 where it belongs to none."""
+    rows: list[dict[str, float]]
+    """Their parameters."""
+
+
+def facts_of_grid(grid: Grid) -> dict[str, object]:
+    """Size of a map, for summary.json."""
+    rows, cols = grid.shape
+    left, right, low, high = grid.extent
+    return {"rows": rows, "columns": cols, "pixel_mm": grid.pixel_mm, "width_mm": right - left, "height_mm": high - low}
+
+
+def pixels_of(grid: Grid) -> str:
+    """Size of a map, in words."""
+    rows, cols = grid.shape
+    left, right, low, high = grid.extent
+    return f"{cols} × {rows} of {grid.pixel_mm:.3g} mm: {right - left:.4g} mm × {high - low:.4g} mm"
+
+
 def labelled(name: str, unit: str) -> str:
     """A name as people read it, with the unit."""
     for end in ("_deg", "_um"):
@@ -143,7 +187,8 @@ def spread(value: Floats, u: Floats | None = None) -> Spread:
     known = value[np.isfinite(value)]
     typical = u[np.isfinite(u)] if u is not None else np.empty(0)
     if not known.size:
-        return Spread(0, *([float("nan")] * 6), np.array([0.0, 1.0]), np.zeros(1, np.intp))
+        none = float("nan")
+        return Spread(0, none, none, none, none, none, none, np.array([0.0, 1.0]), np.zeros(1, np.intp))
     low, median, high = np.quantile(known, (QUANTILES[0], 0.5, QUANTILES[1])).tolist()
     ends = (low, high) if high > low else (low - 1e-3 * (abs(low) or 1.0), low + 1e-3 * (abs(low) or 1.0))
     counts, edges = np.histogram(known, BINS, ends)

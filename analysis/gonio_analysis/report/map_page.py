@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
+from gonio.errors import ConfigError
 from gonio.maps import FitFile, MapFile
-from gonio_analysis.report import files, html, map_figures, map_layers, map_view
+from gonio_analysis.report import files, html, map_figures, map_layers, map_values, map_view
 from gonio_analysis.report.blocks import (
     Block,
     Figures,
@@ -30,8 +29,8 @@ from gonio_analysis.report.blocks import (
     table,
 )
 from gonio_analysis.report.drawing import figure_workers
-from gonio_analysis.report.drawings import Drawing, Figure
-from gonio_analysis.report.map_layers import SEVERE, Grid, Layer
+from gonio_analysis.report.drawings import Figure
+from gonio_analysis.report.map_layers import SEVERE, Grid, Layer, Materials, Told
 from gonio_analysis.report.page import MOST_BYTES
 from gonio_analysis.report.tables import write_csv
 from gonio_analysis.report.text import number, percent, with_u
@@ -45,6 +44,11 @@ MEANINGS = {
     "undetermined": "the values do not tell the parameters",
     "rejected": "chi-square rejects the model (1 %)",
     "at_bound": "a parameter ended at its bound",
+    "outside": "the picture does not show the pixel",
+    "saturated": "the sensor was full",
+    "hot": "a defect of the sensor",
+    "shadowed": "an arm or the holder stood in the way",
+    "blurred": "the lens blurs it over an edge",
 }
 FOOTER = Footer(
     (
@@ -58,33 +62,6 @@ FOOTER = Footer(
         *(" and PNG in ", code("figures/"), ". The map itself opens with xarray.open_dataset."),
     )
 )
-
-
-@dataclass(frozen=True)
-class Told:
-    """What a page says of a map."""
-
-    title: str
-    conclusion: str
-    grid: Grid
-    layers: list[Layer]
-    facts: list[tuple[str, str]]
-    counts: dict[str, int]
-    """Pixels or values by flag."""
-    drawings: list[Drawing]
-    summary: dict[str, object]
-    view: map_view.View
-    materials: Materials | None = None
-
-
-@dataclass(frozen=True)
-class Materials:
-    """Pixels that are alike, fitted together."""
-
-    kind: npt.NDArray[np.intp]
-    """Of every pixel the material, -1 where it belongs to none."""
-    rows: list[dict[str, float]]
-    """Their parameters."""
 
 
 def make(
@@ -118,8 +95,12 @@ def make(
     ConfigError, DataError
         From reading and writing; then nothing is left behind.
     """
+    with MapFile(path) as file:
+        fitted = "brdf" not in file.names
+    if values is not None and not fitted:
+        raise ConfigError(f"--map {values}: {path} is a map of values itself; leave it out")
     with files.staged(out) as stage, figure_workers(FIGURES) as workers:
-        told = _of_fits(path, values, progress)
+        told = _of_fits(path, values, progress) if fitted else map_values.told(path, progress)
         figures = workers.draw(told.drawings, progress)
         (stage.work / "tables").mkdir()
         tables = _write_tables(told, stage.work / "tables")
@@ -149,13 +130,13 @@ def _of_fits(path: Path, values: Path | None, progress: Callable[[str], None]) -
             drawings.append(map_figures.kinds(grid, "materials", words, materials.kind, names))
         conclusion = _conclusion(file, grid, layers, counts)
         told = {
-            "source": str(path), "model": file.model, "fixed": file.fixed, **facts_of_grid(grid), "flags": counts,
-            "parameters": {one.name: {"unit": one.unit, **one.spread.summary()} for one in layers},
+            "source": str(path), "model": file.model, "fixed": file.fixed, **map_layers.facts_of_grid(grid),
+            "flags": counts, "parameters": {one.name: {"unit": one.unit, **one.spread.summary()} for one in layers},
         }  # fmt: skip
         if materials is not None:
             told["materials"] = [{"share": s, **row} for s, row in zip(_shares(materials), materials.rows, strict=True)]
         title = f"{file.attrs.get('sample') or file.path.stem}: {file.model} in every pixel"
-        rows = [("file", str(path)), ("model", file.model), ("pixels", _pixels(grid))]
+        rows = [("file", str(path)), ("model", file.model), ("pixels", map_layers.pixels_of(grid))]
         if file.fixed:
             rows.append(("not fitted", ", ".join(f"{name} = {value:g}" for name, value in file.fixed.items())))
         measured = map_layers.map_of(file, values)
@@ -164,28 +145,15 @@ def _of_fits(path: Path, values: Path | None, progress: Callable[[str], None]) -
             there = stack.enter_context(MapFile(measured)) if measured else None
             nm = file.attrs.get("wavelength_nm")
             view = map_view.of(
-                grid, layers, kind, model=file.model, fixed=file.fixed, values=there,
+                grid, layers, kind, ["none", *map(_said, SEVERE)], model=file.model, fixed=file.fixed, values=there,
                 wavelength_nm=None if nm is None or np.isnan(nm) else float(nm),
             )  # fmt: skip
-        return Told(title, conclusion, grid, layers, rows, counts, drawings, told, view, materials)
+        total = grid.shape[0] * grid.shape[1]
+        return Told(title, conclusion, layers, rows, counts, "pixels", total, drawings, told, view, materials)
 
 
 def _said(flag: str) -> str:
     return flag.replace("_", " ")
-
-
-def facts_of_grid(grid: Grid) -> dict[str, object]:
-    """Size of a map, for summary.json."""
-    rows, cols = grid.shape
-    left, right, low, high = grid.extent
-    return {"rows": rows, "columns": cols, "pixel_mm": grid.pixel_mm, "width_mm": right - left, "height_mm": high - low}
-
-
-def _pixels(grid: Grid) -> str:
-    rows, cols = grid.shape
-    left, right, low, high = grid.extent
-    size = f"{right - left:.4g} mm × {high - low:.4g} mm"
-    return f"{cols} × {rows} of {grid.pixel_mm:.3g} mm: {size}"
 
 
 def _conclusion(file: FitFile, grid: Grid, layers: Sequence[Layer], counts: dict[str, int]) -> str:
@@ -210,12 +178,11 @@ def _materials(file: FitFile) -> Materials | None:
     """The materials of a map that was fitted with some."""
     if "membership" not in file.names:
         return None
-    share = file.array("membership").astype(float)
-    known = np.isfinite(share).all(axis=-1)
-    kind = np.where(known, np.argmax(np.nan_to_num(share), axis=-1), -1)
-    found = file.attrs.get("materials", [])
-    rows = [dict(row) for row in found] if isinstance(found, list) else []
-    return Materials(kind, [rows[k] if k < len(rows) else {} for k in range(share.shape[-1])])
+    own = {name: file.array(f"material_{name}") for name in ("pixels", "chi_square")}
+    for name in file.parameters:
+        own |= {name: file.array(f"material_{name}"), f"u_{name}": file.array(f"u_material_{name}")}
+    rows = [dict(zip(own, map(float, row), strict=True)) for row in zip(*own.values(), strict=True)]
+    return Materials(file.array("membership").astype(np.intp), rows)
 
 
 def _shares(materials: Materials) -> list[float]:
@@ -233,7 +200,7 @@ def _write_tables(told: Told, folder: Path) -> list[str]:
         ("parameter", "unit", *first),
         ((one.name, one.unit, *one.spread.summary().values()) for one in told.layers),
     )
-    write_csv(folder / "flags.csv", ("flag", "pixels"), told.counts.items())
+    write_csv(folder / "flags.csv", ("flag", told.counted), told.counts.items())
     write_csv(
         folder / "histograms.csv",
         ("parameter", "from", "to", "pixels"),
@@ -287,15 +254,18 @@ def _parameters(told: Told) -> Table:
 
 
 def _flags(told: Told) -> Table:
-    total = told.grid.shape[0] * told.grid.shape[1]
-    rows = [[_said(k), MEANINGS.get(k, ""), str(n), percent(n / total)] for k, n in told.counts.items()]
-    return table("A pixel may have several.", ["flag", "meaning", "pixels", "share"], rows, right=(2, 3))
+    rows = [[_said(k), MEANINGS.get(k, ""), str(n), percent(n / told.total)] for k, n in told.counts.items()]
+    caption = f"{told.counted.capitalize()} may have several."
+    return table(caption, ["flag", "meaning", told.counted, "share"], rows, right=(2, 3))
 
 
 def _of_materials(materials: Materials) -> Table:
-    keys = list(dict.fromkeys(key for row in materials.rows for key in row))
+    names = [name for name in materials.rows[0] if f"u_{name}" in materials.rows[0]]
     rows = [
-        [f"material {k}", percent(share), *(number(row.get(key), 4) for key in keys)]
+        [f"material {k}", f"{row['pixels']:.0f}", percent(share), number(row["chi_square"], 3),
+         *(with_u(row[name], row[f"u_{name}"]) for name in names)]
         for k, (share, row) in enumerate(zip(_shares(materials), materials.rows, strict=True), 1)
-    ]
-    return table("", ["", "share", *keys], rows, right=tuple(range(1, len(keys) + 2)))
+    ]  # fmt: skip
+    caption = "Pixels that are alike, fitted together. Chi-square: a degree of freedom of that fit."
+    head = ["", "pixels", "share", "chi-square", *names]
+    return table(caption, head, rows, right=tuple(range(1, len(head))))

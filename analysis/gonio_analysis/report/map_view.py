@@ -14,7 +14,7 @@ from gonio.maps import MapFile
 from gonio.typing import Floats
 from gonio_analysis.curves.in_plane import evenly
 from gonio_analysis.plots import pixels
-from gonio_analysis.report.map_layers import SEVERE, Grid, Layer
+from gonio_analysis.report.map_layers import Grid, Layer
 
 MEASURED_VALUES = 125_000
 """On one page; each takes 4 bytes."""
@@ -31,8 +31,8 @@ View = dict[str, Any]
 
 
 def of(
-    grid: Grid, layers: Sequence[Layer], kind: npt.NDArray[np.intp], *, model: str, fixed: dict[str, float],
-    values: MapFile | None = None, wavelength_nm: float | None = None,
+    grid: Grid, layers: Sequence[Layer], kind: npt.NDArray[np.intp], names: Sequence[str], *, model: str,
+    fixed: dict[str, float], values: MapFile | None = None, wavelength_nm: float | None = None,
 ) -> View:  # fmt: skip
     """The data of the page's program.
 
@@ -41,7 +41,7 @@ def of(
     grid, layers
         The map.
     kind : (rows, columns) array
-        The gravest flag of each pixel, as `map_layers.gravest` has it.
+        What is to be said of each pixel, by the place of its name in `names`.
     model, fixed
         What was fitted, and the parameters that were not.
     values
@@ -66,8 +66,8 @@ def of(
         "palettes": {name: _palette(name) for name in (pixels.VALUES, pixels.UNCERTAINTIES)},
         "unknown": pixels.UNKNOWN,
         "kinds": {
-            "names": ["none", *(name.replace("_", " ") for name in SEVERE)],
-            "colours": list(pixels.KINDS[: len(SEVERE) + 1]),
+            "names": list(names),
+            "colours": list(pixels.KINDS[: len(names)]),
             "data": _bytes(kind[np.ix_(rows, cols)].astype(np.uint8)),
         },
         "layers": [_layer(one, at) for one in layers],
@@ -197,4 +197,4 @@ def _palette(name: str) -> str:
     from matplotlib import colormaps
 
     found = np.rint(255 * colormaps[name](np.linspace(0.0, 1.0, 64))[:, :3]).astype(np.uint8)
-    return found.tobytes().hex()
+    return str(found.tobytes().hex())

@@ -193,7 +193,8 @@
       const k = row * data.cols + col, p = { k: 0, ...data.fixed };
       for (const l of this.layers) p[l.name] = l.values[k];
       const whole = model && this.layers.every((l) => l.name === "tau" || !Number.isNaN(l.values[k]));
-      if (!model) where += ` No curve of ${data.model} is drawn here.`;
+      if (!data.model) where += "";
+      else if (!model) where += ` No curve of ${data.model} is drawn here.`;
       else if (!whole) where += " The model is not determined here.";
       this.where.textContent = where.trim();
       const incidences = measured ? measured.incidences : data.incidences;

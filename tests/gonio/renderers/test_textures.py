@@ -34,7 +34,7 @@ def written(folder: Path, **more: object) -> tuple[dict[str, Floats], Path]:
 def read(folder: Path, name: str) -> Floats:
     """A texture as its description says it is to be read, the lowest y first."""
     told = json.loads((folder / "textures.json").read_text(encoding="utf-8"))["textures"][name]
-    codes = cv2.imread(str(folder / told["file"]), cv2.IMREAD_UNCHANGED)
+    codes = np.asarray(cv2.imread(str(folder / told["file"]), cv2.IMREAD_UNCHANGED))
     assert codes.dtype == np.uint16
     return np.asarray(told["low"] + (told["high"] - told["low"]) * codes[::-1] / 65535)
 

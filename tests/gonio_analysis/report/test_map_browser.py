@@ -101,7 +101,7 @@ def test_a_pixel_under_the_cursor_says_what_the_file_says(page: Path, tab: Page)
         told = said(tab)
         place = re.fullmatch(r"x = (\S+) mm, y = (\S+) mm", told["place"])
         assert place
-        assert (float(place[1]), float(place[2])) == (pytest.approx(x[col]), pytest.approx(y[row]))
+        assert [float(place[1]), float(place[2])] == pytest.approx([x[col], y[row]])
         value, u = told["albedo"].split(" ± ")
         # half a unit of the last printed digit, the second one of the uncertainty
         assert float(value) == pytest.approx(0.2 + 0.03 * col, abs=0.05 * float(u) + 1e-12)

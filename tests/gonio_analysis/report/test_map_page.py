@@ -13,7 +13,8 @@ from gonio_analysis.report import map_layers, map_page
 from gonio_analysis.report.map_layers import PICTURE, Grid, block_medians
 
 from gonio.errors import DataError
-from gonio.maps import FitFile
+from gonio.geometry import direction
+from gonio.maps import FitFile, Variable
 from tests.command_line import gonio, says
 from tests.gonio_analysis.map_files import axes, fits, values
 
@@ -125,3 +126,56 @@ def test_a_map_of_values_is_no_map_of_fits(tmp_path: Path) -> None:
     path = values(tmp_path / "v.h5", one, 0.01 * one, at, at, np.zeros((4, 3)))
     with pytest.raises(DataError, match="is a map of values, not of fits: gonio fit"):
         FitFile(path)
+
+
+@pytest.mark.slow
+def test_materials_have_a_map_and_a_table(tmp_path: Path) -> None:
+    shape = (6, 10)
+    member = np.zeros(shape, np.int16)
+    member[:, 7:] = 1
+    member[0, 0] = -1
+    each = ("material",)
+    given = {
+        "membership": Variable(("y", "x"), member, "i2"),
+        "material_pixels": Variable(each, np.array([41, 18]), "i8"),
+        "material_chi_square": Variable(each, np.array([1.02, 0.97])),
+        "material_m": Variable(each, np.array([0.2, 0.4])),
+        "u_material_m": Variable(each, np.array([0.001, 0.002])),
+    }
+    m = np.where(member == 1, 0.4, 0.2)
+    path = fits(tmp_path / "f.h5", {"m": m}, {"m": 0.05 * m}, given=given, material=2)
+    map_page.make(path, tmp_path / "out")
+    told = json.loads((tmp_path / "out" / "summary.json").read_text(encoding="utf-8"))
+    first, second = told["materials"]
+    assert first == {"share": pytest.approx(41 / 60), "pixels": 41, "chi_square": 1.02, "m": 0.2, "u_m": 0.001}
+    assert second["share"] == pytest.approx(0.3)
+    assert "map-materials" in [f["name"] for f in told["figures"]]
+    page = (tmp_path / "out" / "index.html").read_text(encoding="utf-8")
+    assert "0.4000 ± 0.0020" in page.replace("\u00a0", " ")
+    assert "materials.csv" in told["tables"]
+
+
+@pytest.mark.slow
+def test_the_page_of_a_map_of_values(tmp_path: Path) -> None:
+    theta_r = np.arange(-60.0, 61.0, 10.0)
+    n = theta_r.size
+    nominal = np.array([np.full(n, 30.0), np.zeros(n), np.abs(theta_r), np.where(theta_r >= 0, 180.0, 0.0)])
+    at = np.radians(nominal)
+    brdf = np.full((5, 8, n), 0.25)
+    brdf[..., theta_r == 30.0] = 0.75
+    flag = np.zeros(brdf.shape, np.uint8)
+    flag[0, 0] = 1  # outside
+    flag[2, 3, :4] = 2  # saturated
+    path = values(
+        tmp_path / "v.h5", brdf, 0.02 * brdf, 500 * direction(*at[:2]), 500 * direction(*at[2:]), nominal, flag=flag
+    )
+    gonio(tmp_path, "report", path, "--out", "o", expect=0)
+    told = json.loads((tmp_path / "o" / "summary.json").read_text(encoding="utf-8"))
+    assert told["flags"] == {"outside": n, "saturated": 4, "hot": 0, "shadowed": 0, "blurred": 0}
+    assert told["usable"] == pytest.approx(1 - (n + 4) / (40 * n))
+    mirror = told["parameters"]["BRDF at θi = 30°, θr = 30°"]
+    assert (mirror["determined"], mirror["median"]) == (39, pytest.approx(0.75))
+    assert mirror["typical_u"] == pytest.approx(0.015, rel=1e-6)  # float32 in the file
+    assert "a standard uncertainty of its own of 2.0 %" in told["conclusion"]
+    said = gonio(tmp_path, "report", path, "--out", "p", "--map", path, expect=2)
+    says(said.stderr, "is a map of values itself")
