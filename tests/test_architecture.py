@@ -23,11 +23,12 @@ PACKAGES = {
     "gonio_bluesky": ROOT / "drivers" / "gonio_bluesky",
 }
 GROUND = {
-    f"gonio.{name}" for name in ("config", "disk", "documents", "errors", "geometry", "platform", "shown", "typing")
+    f"gonio.{name}"
+    for name in ("config", "disk", "documents", "errors", "geometry", "maps", "platform", "shown", "typing")
 }
 """What everything may stand on, and what is not counted."""
-ALLOWED = {"gonio": 45, "gonio_analysis": 30}
-"""Of 22 and 20 that there were when the rooms were made: room for what moves in, but not for a list once more."""
+ALLOWED = {"gonio": 45, "gonio_analysis": 34}
+"""Arrows among folders. It was 30 before `maps`, which stands on three folders and is used by the commands."""
 
 
 def tree() -> Iterator[Path]:
