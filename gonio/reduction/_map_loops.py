@@ -35,7 +35,7 @@ def between(
             down, right = math.floor(row[i, j]), math.floor(col[i, j])
             below, beside = row[i, j] - down, col[i, j] - right
             y, x = int(down) - top, int(right) - left
-            mean, spread, bits = 0.0, 0.0, 0
+            mean, spread, bits = 0.0, 0.0, np.int64(0)
             for k in range(2):
                 for m in range(2):
                     share = (below if k else 1.0 - below) * (beside if m else 1.0 - beside)
