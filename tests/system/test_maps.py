@@ -168,6 +168,8 @@ def test_coarse_cells_are_means_of_many_pixels(folder: Path) -> None:
     gonio(folder, "reduce", "run", "--map", "coarse.h5", "--pixel-mm", "1", expect=0)
     with MapFile(folder / "coarse.h5") as found, MapFile(folder / "map.h5") as fine:
         assert found.shape == (21, 21)
+        value_of_cells, u_of_cells = found.values(Tile(slice(0, 21), slice(0, 21)))
+        relative = found.array("u_point")
         own = []
         for each in (found, fine):
             middle = each.shape[0] // 2
@@ -178,6 +180,12 @@ def test_coarse_cells_are_means_of_many_pixels(folder: Path) -> None:
     single = math.sqrt(1.0 / electrons + 0.005**2)  # photons, and the pixels' responsivities; read noise is 1e-3 of it
     # at theta_r = 15 deg 29.9 pixels lie in a cell on average: 5 or 6 rows of as many columns
     assert 0.98 * single / 6.0 < own[0][1] < 1.02 * single / 5.0
+    for k in range(value_of_cells.shape[2]):
+        good = np.isfinite(value_of_cells[..., k])
+        shared = value_of_cells[..., k] * relative[k]
+        pulls = value_of_cells[..., k][good] / np.mean(value_of_cells[..., k][good]) - 1.0
+        pulls *= value_of_cells[..., k][good] / np.sqrt(u_of_cells[..., k] ** 2 - shared**2)[good]
+        assert 0.85 < float(np.std(pulls)) < 1.15  # 270 independent means: 1.00 +- 0.043
     # the camera's own cells lie between four pixels: at least the mean of all four, at most one alone
     assert 0.98 * single / 2.0 < own[1][1] < 1.02 * single
 
@@ -224,6 +232,46 @@ def test_pictures_that_lie_beside_are_found(folder: Path, tmp_path: Path) -> Non
     assert np.abs(wanted).max() > 0.1
     assert (np.abs(shift - wanted) < np.maximum(6.0 * u, 0.003)).all()
     assert u.max() < 0.3 * 0.18  # errors of 0.3 pixel are found
+
+
+OTHER = (
+    ('pattern = "mono"', 'pattern = "RGGB"\nnonlinearity = [0.01]\nstray_light = 0.01\nstray_halo = 0.02\n'
+     "stray_halo_px = 20.0\nhot_pixels = 0.002\nhot_pixel_e_per_s = 20000.0"),
+    ("tunable = { start_nm = 400.0, stop_nm = 700.0, step_nm = 10.0, fwhm_nm = 10.0 }",
+     'list = [{ name = "green", centre_nm = 550, fwhm_nm = 40, channel = "G" },'
+     ' { name = "red", centre_nm = 620, fwhm_nm = 40, channel = "R" }]'),
+    ("drift_per_hour = 0.005", "drift_per_hour = 0.005\nbeam_diameter_mm = 15.0\nmonitor = true\nmonitor_noise = 5e-4"),
+    ("# cosmic_per_s = 0.5", "cosmic_per_s = 5.0 #"),
+)  # fmt: skip
+
+
+def test_a_mosaic_with_hot_pixels_stray_light_and_the_edge_of_a_beam(folder: Path, tmp_path: Path) -> None:
+    rig = (folder / "rig.toml").read_text(encoding="utf-8")
+    for known, other in OTHER:
+        assert known in rig
+        rig = rig.replace(known, other)
+    plan = PLAN.partition("[[sweep]]\ntheta_i_deg = [40]")[0].replace("[550]", "[550, 620]")
+    for name, text in (("rig.toml", rig), ("plan.toml", plan), ("sample.toml", SAMPLE)):
+        (tmp_path / name).write_text(text, encoding="utf-8")
+    measured = ("--rig", "rig.toml", "--sample", "sample.toml", "--seed", "3", "--yes", "--out", "run")
+    gonio(tmp_path, "measure", "plan.toml", *measured, expect=0)
+    gonio(tmp_path, "reduce", "run", "--map", "map.h5", expect=0)
+    with MapFile(tmp_path / "map.h5") as found:
+        every = Tile(slice(0, found.shape[0]), slice(0, found.shape[1]))
+        (value, u), flag, shared = found.values(every), found.array("flag"), found.array("u_point")
+        x, y = np.meshgrid(found.x_mm, found.y_mm)
+    assert value.shape[2] == 6
+    assert 0.0 < np.mean(flag & 4 > 0) < 0.02  # hot: 0.2 % of the pixels, of which up to eight make a cell
+    # a beam of 7.5 mm radius at 30 deg reaches as far along y, and 8.6 to 8.7 mm along x
+    assert (flag[(np.abs(y) > 7.9) & (np.hypot(x, y) < 10.0)] & 8 > 0).all()
+    assert (flag[(np.hypot(x, y) < 6.8)] & 8 == 0).all()
+    for k in range(6):
+        good = np.isfinite(value[..., k])
+        own = np.sqrt(u[..., k] ** 2 - (value[..., k] * shared[k]) ** 2)[good]
+        pulls = (value[..., k][good] - value[..., k][good].mean()) / own
+        # 1300 values and more, some of which share pixels: 1.00 +- 0.03, within what is asked for
+        assert 0.9 < float(np.std(pulls)) < 1.1
+        assert np.abs(pulls).max() < 6.0  # a hit of cosmic radiation that stays in would be tens of u
 
 
 def test_bad_input_is_one_message(folder: Path) -> None:
