@@ -16,10 +16,10 @@ import numpy as np
 import gonio
 from gonio.documents import JsonObject
 from gonio.errors import ConfigError, DataError
-from gonio.maps import MapFile, Parts, Tile, Variable
+from gonio.maps import FIT_FLAGS, MapFile, Parts, Tile, Variable
 from gonio_analysis.fitting.problem import FitRequest
 from gonio_analysis.maps import materials as shared
-from gonio_analysis.maps.pixels import AT_BOUND, FLAGS, REJECTED, TOO_FEW, Arrays, Plan, fit_tile, plan, read_tile
+from gonio_analysis.maps.pixels import AT_BOUND, REJECTED, TOO_FEW, Arrays, Plan, fit_tile, plan, read_tile
 from gonio_analysis.selection import parallel
 
 AHEAD = 2
@@ -168,7 +168,10 @@ def _layout(map_file: MapFile, wanted: Plan) -> tuple[dict[str, int], dict[str, 
     out["tau"] = Variable(yx, None, "f4", about="relative misfit of a model that is rejected")
     out["chi_square"] = Variable(yx, None, "f4", about="chi-square with the stated uncertainties")
     out["n_values"] = Variable(yx, None, "i4", about="values that were fitted")
-    masks = {"flag_masks": np.array([1 << k for k in range(len(FLAGS))], np.uint8), "flag_meanings": " ".join(FLAGS)}
+    masks = {
+        "flag_masks": np.array([1 << k for k in range(len(FIT_FLAGS))], np.uint8),
+        "flag_meanings": " ".join(FIT_FLAGS),
+    }
     out["flag"] = Variable(yx, None, "u1", about="what is to be known of the fit", attrs=masks)
     return sizes, out
 

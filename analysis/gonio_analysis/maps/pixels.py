@@ -11,16 +11,14 @@ import numpy.typing as npt
 from gonio import materials
 from gonio.errors import ConfigError, DataError
 from gonio.geometry import Directions
-from gonio.maps import MapFile, Tile
+from gonio.maps import FIT_FLAGS, MapFile, Tile
 from gonio.models import batch
 from gonio.typing import Floats
 from gonio_analysis.fitting.misfit import groupings
 from gonio_analysis.fitting.observations import DEFAULT_WAVELENGTH_NM
 from gonio_analysis.fitting.problem import FitRequest, pose
 
-FLAGS = ("too_few", "at_bound", "undetermined", "rejected")
-"""What is to be known of a pixel's fit, by bits of `flag` from the lowest."""
-TOO_FEW, AT_BOUND, UNDETERMINED, REJECTED = 1, 2, 4, 8
+TOO_FEW, AT_BOUND, UNDETERMINED, REJECTED = (1 << k for k in range(len(FIT_FLAGS)))
 CLOSE = 1e-7
 """Of its range: nearer to a bound a parameter stands at it, as in `gonio fit`."""
 UNKNOWN = 0.5
