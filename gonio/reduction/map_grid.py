@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from gonio.errors import ConfigError
 from gonio.maps import Tile
-from gonio.reduction.map_planes import BLURRED, FULL, HOT, OUTSIDE, SHADOWED, MapPoint, Planes, lattices
+from gonio.reduction.map_planes import BLURRED, FULL, HOT, OUTSIDE, PIXEL, SHADOWED, MapPoint, Planes, lattices
 from gonio.rig import imaging
 from gonio.rig.description import RigDescription
 from gonio.rig.imaging import pixel_map
@@ -115,6 +115,12 @@ class Lookup:
         widest = float(np.linalg.norm(jacobian(planes.description, point.view), axis=0).max()) * self._lattices[0].pitch
         self.means = grid.pixel_mm >= MEAN_FROM * widest
         """Whether cells get means."""
+        self._pixel_mm = float(np.linalg.norm(jacobian(planes.description, point.view), axis=0).sum())
+        self._pixel_mm *= 1.0 + blurred_px(planes.camera)
+        axis = point.view.optical_axis
+        self._widest = float(self._half(*(grid.radius_mm * axis[:2] / max(math.hypot(axis[0], axis[1]), 1e-12))))
+        """How far what a cell sees may lie from its middle at most, anywhere on the sample [mm]."""
+        self._offsets: dict[int, int] = {}
 
     def at(self, tile: Tile, shift: Shift = (0.0, 0.0)) -> tuple[Floats, Floats, Ints]:
         """Value [1/sr], its variance, and flags of the cells of a tile, of a picture that lies `shift` [mm] beside."""
@@ -126,12 +132,10 @@ class Lookup:
         value = np.mean([part[0] for part in parts], axis=0)
         variance = np.mean([part[1] for part in parts], axis=0) / len(parts)
         flag = np.bitwise_or.reduce([part[2] for part in parts])
-        away = np.hypot(x, y)
-        flag = np.where(
-            away > self._grid.radius_mm,
-            OUTSIDE,
-            flag | np.where(away + self._half(x, y) > self._grid.radius_mm, BLURRED, 0),
-        )
+        away, edge = np.hypot(x, y), self._grid.radius_mm
+        if float(away.max()) + self._widest > edge:
+            flag = flag | np.where(away + self._half(x, y) > edge, BLURRED, 0)
+            flag = np.where(away > edge, OUTSIDE, flag)
         bad = (flag & (OUTSIDE | FULL | HOT | SHADOWED)) != 0
         return np.where(bad, np.nan, value), np.where(bad, np.nan, variance), flag
 
@@ -139,9 +143,7 @@ class Lookup:
         """How far from the middle of a cell what it sees may lie [mm]."""
         view = self._point.view
         blur = blur_mm(self._planes.description, view, x, y) / abs(float(view.optical_axis[2]))
-        pixel = float(np.linalg.norm(jacobian(self._planes.description, view), axis=0).sum())
-        pixel *= 1.0 + blurred_px(self._planes.camera)
-        return np.asarray(0.5 * (pixel + blur + (self._grid.pixel_mm if self.means else 0.0)))
+        return np.asarray(0.5 * (self._pixel_mm + blur + (self._grid.pixel_mm if self.means else 0.0)))
 
     def _places(self, k: int, x: Floats, y: Floats) -> tuple[Floats, Floats]:
         """Row and column of spots in a picture."""
@@ -151,8 +153,11 @@ class Lookup:
         return (row - lattice.row) / lattice.pitch - rows.start, (column - lattice.col) / lattice.pitch - cols.start
 
     def _picture(self, k: int, rows: slice, cols: slice) -> npt.NDArray[Any]:
-        held = np.load(self._planes.file(self._point, k), mmap_mode="r")
-        return np.array(held[rows, cols])
+        """A part of a picture, of which no more is kept: a map would count as memory."""
+        path = self._planes.file(self._point, k)
+        if k not in self._offsets:
+            self._offsets[k] = np.load(path, mmap_mode="r").offset
+        return np.array(np.memmap(path, PIXEL, "r", self._offsets[k], self._size(k))[rows, cols])
 
     def _between(self, k: int, x: Floats, y: Floats) -> tuple[Floats, Floats, Ints]:
         """Linear interpolation between the four pixels around each spot."""
