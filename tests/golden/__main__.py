@@ -9,7 +9,7 @@ from pathlib import Path
 
 from tests.golden.cases import CASES
 from tests.golden.comparison import difference, same_for_all
-from tests.golden.stored import carried_out, read, write
+from tests.golden.stored import MADE_ON, carried_out, processor, read, tolerance, write
 
 
 def main() -> None:
@@ -22,18 +22,19 @@ def main() -> None:
         with tempfile.TemporaryDirectory() as folder:
             now = carried_out(name, Path(folder))
         before = read(name)
-        tolerance = CASES[name].tolerance if name in CASES else 0.0
         changed = [
             file for file in sorted({*before, *now})
-            if file not in before or file not in now or difference(before[file], now[file], tolerance)
+            if file not in before or file not in now or difference(before[file], now[file], tolerance(name))
         ]  # fmt: skip
         print(f"{name}: {', '.join(changed) or 'the same'}")
         for file in changed:
             one, other = (same_for_all(texts.get(file, "")).splitlines() for texts in (before, now))
             lines = list(difflib.unified_diff(one, other, f"{name}/{file}, golden", "now", lineterm="", n=1))
             print("\n".join(line[:200] for line in lines[: asked.lines]))
-        if asked.update and changed:
+        if asked.update and (changed or not asked.cases):
             write(name, now)
+    if asked.update and not asked.cases:
+        MADE_ON.write_text(processor() + "\n", encoding="utf-8")
 
 
 main()

@@ -8,7 +8,7 @@ import pytest
 
 from tests.golden.cases import CASES
 from tests.golden.comparison import difference
-from tests.golden.stored import carried_out, read
+from tests.golden.stored import carried_out, read, tolerance
 
 pytestmark = pytest.mark.slow
 
@@ -17,8 +17,7 @@ pytestmark = pytest.mark.slow
 def test_a_case_gives_what_it_gave(name: str, tmp_path: Path) -> None:
     golden, now = read(name), carried_out(name, tmp_path)
     assert set(now) == set(golden)
-    tolerance = CASES[name].tolerance if name in CASES else 0.0
-    changed = {file: difference(golden[file], now[file], tolerance) for file in golden}
+    changed = {file: difference(golden[file], now[file], tolerance(name)) for file in golden}
     assert {file: how for file, how in changed.items() if how} == {}
 
 
