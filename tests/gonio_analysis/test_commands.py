@@ -33,7 +33,7 @@ def table(tmp_path: Path) -> Path:
 
 
 def test_fit_prints_json(table: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    commands.fit(str(table), "oren-nayar", as_json=True)
+    commands.fit("oren-nayar", str(table), as_json=True)
     out = json.loads(capsys.readouterr().out)
     assert out["model"] == "oren-nayar"
     # six standard errors
@@ -42,7 +42,7 @@ def test_fit_prints_json(table: Path, capsys: pytest.CaptureFixture[str]) -> Non
 
 
 def test_fit_prints_a_table(table: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    commands.fit(str(table), "oren-nayar", fix=["albedo=0.6"])
+    commands.fit("oren-nayar", str(table), fix=["albedo=0.6"])
     out = capsys.readouterr().out
     assert "sigma_deg" in out
     assert "fixed" in out
@@ -66,7 +66,7 @@ def test_unknown_model_is_told_before_anything_is_read(tmp_path: Path) -> None:
     (tmp_path / "run").mkdir()
     (tmp_path / "run" / "run.toml").write_text("")
     with pytest.raises(ConfigError, match="gonio reduce"):
-        commands.fit(str(tmp_path / "run"), "lambert")
+        commands.fit("lambert", str(tmp_path / "run"))
 
 
 @pytest.mark.parametrize(
@@ -100,7 +100,7 @@ def test_bounds_and_priors() -> None:
 
 
 def test_fit_prints_intervals(table: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    commands.fit(str(table), "oren-nayar", intervals=True, as_json=True)
+    commands.fit("oren-nayar", str(table), intervals=True, as_json=True)
     found = json.loads(capsys.readouterr().out)["intervals"]["sigma_deg"]
     assert found["low"] < 20.0 < found["high"]
 
@@ -179,9 +179,9 @@ def test_a_saved_fit_is_what_was_fitted(
 def test_what_cannot_be_saved_is_told_before_the_fit(table: Path, tmp_path: Path) -> None:
     for words, save in (("no folder", "absent/a.toml"), ("ending", "sample.txt")):
         with pytest.raises(ConfigError, match=words):
-            commands.fit(str(table), "oren-nayar", save=tmp_path / save)
+            commands.fit("oren-nayar", str(table), save=tmp_path / save)
     with pytest.raises(ConfigError, match="one value of albedo"):
-        commands.fit(str(table), "oren-nayar", each=["albedo"], save=tmp_path / "a.toml")
+        commands.fit("oren-nayar", str(table), each=["albedo"], save=tmp_path / "a.toml")
 
 
 def test_parameters_as_a_fit_names_them_make_a_cook_torrance_sample() -> None:

@@ -527,7 +527,7 @@ def test_the_commands_take_a_photograph_measure_it_and_fit_it(
     assert told["saturated_share"] == 0.0
     photograph(path, out / "photograph.dng", table)
     assert "values" in capsys.readouterr().out
-    fit(str(table), "oren-nayar", as_json=True)
+    fit("oren-nayar", str(table), as_json=True)
     found = json.loads(capsys.readouterr().out)
     for name, value in (("albedo", 0.6), ("sigma_deg", 20.0)):
         estimate = found["parameters"][name]

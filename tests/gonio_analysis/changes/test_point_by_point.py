@@ -280,7 +280,7 @@ def test_a_model_that_is_off_is_so_uncertain(tmp_path: Path) -> None:
     found = {}
     for residual in (False, True):
         file = tmp_path / f"{residual}.toml"
-        commands.fit(str(tmp_path / "t.csv"), "cook-torrance", save=file, residual=residual)
+        commands.fit("cook-torrance", str(tmp_path / "t.csv"), save=file, residual=residual)
         found[residual] = change(point_by_point.side(str(tmp_path / "t.csv")), point_by_point.side(str(file)))
         assert any("is a model that is off" in note for note in found[residual].notes)
     exact = replace(point_by_point.side(str(tmp_path / "False.toml")), misfit=0.0)

@@ -92,9 +92,9 @@ def test_the_command_takes_several_tables(tmp_path: Path, capsys: pytest.Capture
     for name, value in (("a", 0.20), ("b", 0.21)):
         measurement.write(flat(value, 1e-4, 0.002), tmp_path / f"{name}.csv")
         names.append(str(tmp_path / f"{name}.csv"))
-    commands.fit(names[0], "lambert", more=names[1:], as_json=True)
+    commands.fit("lambert", names[0], more=names[1:], as_json=True)
     out = json.loads(capsys.readouterr().out)
     assert out["table"] == names
     assert out["n_points"] == 80
     with pytest.raises(ConfigError, match="named twice"):
-        commands.fit(names[0], "lambert", more=names[:1])
+        commands.fit("lambert", names[0], more=names[:1])

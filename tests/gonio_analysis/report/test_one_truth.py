@@ -164,12 +164,12 @@ def test_options_reach_the_command(tmp_path: Any, capsys: pytest.CaptureFixture[
     frame = measure(MATTE, noise=0.03)
     frame[["u_brdf", "u_random"]] = np.nan
     measurement.write(frame, tmp_path / "t.csv")
-    commands.fit(str(tmp_path / "t.csv"), "lambert", u_rel=0.03, metric="weighted", as_json=True)
+    commands.fit("lambert", str(tmp_path / "t.csv"), u_rel=0.03, metric="weighted", as_json=True)
     out = json.loads(capsys.readouterr().out)
     assert out["u_rel_assumed"] == 0.03
     assert out["metric"] == "weighted"
     assert "assumed uncertainty of 3 %" in out["verdict"]
-    commands.fit(str(tmp_path / "t.csv"), "lambert", metric="ngan", as_json=True)
+    commands.fit("lambert", str(tmp_path / "t.csv"), metric="ngan", as_json=True)
     assert json.loads(capsys.readouterr().out)["metric"] == "ngan"
 
 
@@ -180,9 +180,9 @@ def test_a_fit_says_what_its_model_reflects(tmp_path: Any, capsys: pytest.Captur
 
     bright = build("phong", {"k_d": 0.4, "k_s": 40.0, "exponent": 60.0})
     measurement.write(measure(bright, noise=0.01, floor=0.0, incidences=(10.0, 30.0)), tmp_path / "t.csv")
-    commands.fit(str(tmp_path / "t.csv"), "phong")
+    commands.fit("phong", str(tmp_path / "t.csv"))
     assert "reflects more than it receives" in " ".join(capsys.readouterr().err.split())
-    commands.fit(str(tmp_path / "t.csv"), "phong", as_json=True)
+    commands.fit("phong", str(tmp_path / "t.csv"), as_json=True)
     found = json.loads(capsys.readouterr().out)["rho_dh"]
     assert [round(r["theta_i_deg"]) for r in found] == [8, 10, 30]
     assert all(r["u"] > 0 for r in found)

@@ -94,8 +94,8 @@ def test_appearance(files: tuple[Path, Path], tmp_path: Path) -> None:
 
 
 def test_a_fit_on_the_console_and_as_json(files: tuple[Path, Path], capsys: pytest.CaptureFixture[str]) -> None:
-    commands.fit(str(files[0]), "lambert")
+    commands.fit("lambert", str(files[0]))
     assert "made (simulated)" in " ".join(capsys.readouterr().out.split())
     for path, simulated in zip(files, (True, False), strict=True):
-        commands.fit(str(path), "lambert", as_json=True)
+        commands.fit("lambert", str(path), as_json=True)
         assert json.loads(capsys.readouterr().out)["simulated"] is simulated
