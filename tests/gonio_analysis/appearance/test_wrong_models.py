@@ -82,7 +82,7 @@ def test_a_saved_misfit_is_read_again(tmp_path: Path) -> None:
     table, _ = of_facets(42, "hemisphere")
     gonio.write(table, tmp_path / "t.csv")
     file = tmp_path / "sample.toml"
-    fit_command(str(tmp_path / "t.csv"), "cook-torrance", save=file, residual=True)
+    fit_command("cook-torrance", str(tmp_path / "t.csv"), save=file, residual=True)
     read = numbers(of_sample(load_sample(file)))
     of_it = numbers(of_fit(fit(gonio.read(tmp_path / "t.csv"), "cook-torrance"), name="", residual=True))
     for (value, u), (other, known) in zip(read, of_it, strict=True):
@@ -94,7 +94,7 @@ def test_a_saved_model_knows_that_it_is_off(tmp_path: Path) -> None:
     """Without the curve the size of the misfit is in the file, and every value is off by so much."""
     table, _ = of_facets(42, "hemisphere")
     gonio.write(table, tmp_path / "t.csv")
-    fit_command(str(tmp_path / "t.csv"), "lambert", save=tmp_path / "sample.toml")
+    fit_command("lambert", str(tmp_path / "t.csv"), save=tmp_path / "sample.toml")
     found = of_sample(load_sample(tmp_path / "sample.toml"))
     tau = fit(table, "lambert").misfit
     assert tau is not None
@@ -127,5 +127,5 @@ def test_where_there_is_no_misfit_to_keep_it_is_told(options: dict[str, Any], wo
     gonio.write(of_facets(42, "hemisphere")[0], tmp_path / "t.csv")
     save = tmp_path / "s.toml" if options else None
     with pytest.raises(ConfigError, match=words):
-        fit_command(str(tmp_path / "t.csv"), "lambert", residual=True, save=save, **options)
+        fit_command("lambert", str(tmp_path / "t.csv"), residual=True, save=save, **options)
     assert not (tmp_path / "s.toml").exists()
