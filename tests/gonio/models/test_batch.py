@@ -69,7 +69,8 @@ def drawn(name: str, pixels: int, seed: int, u_rel: float = 0.01) -> dict[str, A
 
 
 def fitted(name: str, d: dict[str, Any], **more: Any) -> batch.Fits:
-    return batch.fit(name, *d["at"], d["values"], d["u"], fixed=d["fixed"], **more)
+    x, y, source, camera = d["at"]
+    return batch.fit(name, x, y, source, camera, d["values"], d["u"], **({"fixed": d["fixed"]} | more))
 
 
 @pytest.mark.parametrize("name", DRAWN)
@@ -137,7 +138,7 @@ def test_a_model_that_is_not_true_gets_a_misfit() -> None:
     found, first = fitted("cook-torrance", d), drawn("cook-torrance", 50, 11)
     # the wave has 0.042 as its standard deviation, of which a fit takes up a part
     assert np.all((found.tau > 0.01) & (found.tau < 0.05))
-    plain = batch.fit("cook-torrance", *first["at"], first["values"], first["u"], fixed=first["fixed"])
+    plain = fitted("cook-torrance", first)
     assert np.median(found.u / plain.u) > 1.5
 
 
@@ -153,6 +154,6 @@ def test_the_same_pixels_give_the_same_bits_in_any_company() -> None:
 def test_unknown_names_are_refused() -> None:
     d = drawn("oren-nayar", 1, 1)
     with pytest.raises(ConfigError, match='"phong": maps are fitted with one of cook-torrance'):
-        batch.fit("phong", *d["at"], d["values"], d["u"])
+        fitted("phong", d)
     with pytest.raises(ConfigError, match='no parameter "roughness"; it has: albedo, sigma_deg'):
-        batch.fit("oren-nayar", *d["at"], d["values"], d["u"], fixed={"roughness": 1.0})
+        fitted("oren-nayar", d, fixed={"roughness": 1.0})
