@@ -253,8 +253,9 @@ def _warm_up(time_s: Floats, y: Floats, variance: Floats) -> Fitted | None:
 
 
 def _solved(design: Floats, y: Floats) -> tuple[Floats, Floats]:
-    """Least squares with columns scaled to one length, and the covariance."""
+    """Least squares with columns scaled to one length, and the covariance; a column of zeros gets 0."""
     length = np.linalg.norm(design, axis=0)
+    length[length == 0.0] = 1.0  # a warm-up that was over before the first value
     q, r = np.linalg.qr(design / length)
     inverse = np.linalg.pinv(r) / length[:, None]
     return inverse @ (q.T @ y), inverse @ inverse.T

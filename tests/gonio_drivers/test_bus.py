@@ -20,7 +20,7 @@ from gonio_drivers.dynamixel import Bus
 from gonio_sim.wire import protocol2 as p2
 
 from gonio.errors import DeviceError
-from tests.gonio_drivers.conftest import BAUD, HANGS_MS, Line, deaf_to
+from tests.gonio_drivers.conftest import BAUD, HANGS_S, Line, deaf_to
 
 
 @pytest.fixture
@@ -137,7 +137,7 @@ def test_what_lies_on_a_computer_that_was_held_up_is_heard(line: Line, monkeypat
         if not armed:
             return read(port, length)
         armed = False
-        assert select.select([port.ser.fileno()], [], [], HANGS_MS / 1e3)[0]
+        assert select.select([port.ser.fileno()], [], [], HANGS_S)[0]
         held_up_s = 1e3  # it looked just before the answer came, and comes to the clock long after
         return b""
 

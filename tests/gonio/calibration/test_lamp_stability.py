@@ -60,8 +60,9 @@ def test_the_warm_up_that_is_recommended_leaves_what_it_says() -> None:
     assert 0.5 * lamp_stability.SETTLED < left < 1.1 * lamp_stability.SETTLED
 
 
-def test_a_warm_lamp_has_a_drift_alone() -> None:
-    t = times(1800.0)
+@pytest.mark.parametrize("first_s", [0.0, 600.0])  # long after the shortest time constant that is tried
+def test_a_warm_lamp_has_a_drift_alone(first_s: float) -> None:
+    t = first_s + times(1800.0)
     found = lamp_stability.fit(t, noisy(t, 3, level(t, loss=0.0)), SHOT * level(t))
     assert found.loss == 0.0
     assert found.warm_up_s == 0.0

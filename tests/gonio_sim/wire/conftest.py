@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,10 +11,9 @@ from dynamixel_sdk import COMM_RX_TIMEOUT, COMM_SUCCESS, PacketHandler, PortHand
 from gonio_sim.wire import protocol2 as p2
 from gonio_sim.wire.bus import ServoBus
 from gonio_sim.wire.faults import Faults
-from gonio_sim.wire.peer import SerialPeer
 from gonio_sim.wire.servo import Servo
 
-from tests.gonio_drivers.conftest import BAUD, be_patient
+from tests.gonio_drivers.conftest import BAUD
 
 
 class HandClock:
@@ -33,13 +31,39 @@ class HandClock:
         return self.now_s
 
 
+class Cable(PortHandler):  # type: ignore[misc]  # the SDK has no types
+    """The SDK's end of a cable to servos in this process: they have answered when a write returns, or are silent."""
+
+    def __init__(self, bus: ServoBus) -> None:
+        super().__init__("cable")
+        self.bus, self._unread = bus, bytearray()
+
+    def setupPort(self, cflag_baud: int) -> bool:
+        self.tx_time_per_byte = 10_000.0 / cflag_baud
+        return True
+
+    def clearPort(self) -> None:
+        self._unread.clear()
+
+    def writePort(self, packet: list[int]) -> int:
+        self.bus.receive(bytes(packet), self.baudrate, self._unread.extend)
+        return len(packet)
+
+    def readPort(self, length: int) -> bytes:
+        data = bytes(self._unread[:length])
+        del self._unread[:length]
+        return data
+
+    def isPacketTimeout(self) -> bool:
+        return not self._unread
+
+
 @dataclass
 class ManualRig:
     """Servos on a line, the SDK at its other end, and the hands of who stands beside it."""
 
     port: Any
     ph: Any
-    peer: SerialPeer
     bus: ServoBus
     clock: HandClock
     servos: dict[int, Servo]
@@ -102,22 +126,17 @@ Build = Callable[..., ManualRig]
 
 
 @pytest.fixture
-def bench(monkeypatch: pytest.MonkeyPatch) -> Iterator[Build]:
+def bench() -> Build:
     """Builds a bench of servos of one model, with ids from 1 on, or with those given."""
-    with contextlib.ExitStack() as stack:
 
-        def build(model: str = "xm430-w350", *ids: int) -> ManualRig:
-            clock = HandClock()
-            servos = [Servo(k, clock, model=model, baud=BAUD, position=2000.0) for k in ids or (1,)]  # type: ignore[arg-type]
-            for servo in servos:
-                servo.registers.put("Return Delay Time", 0)
-            faults = Faults()
-            bus = ServoBus(servos, faults)
-            peer = stack.enter_context(SerialPeer(bus))
-            be_patient(peer, faults, monkeypatch)
-            port = PortHandler(peer.port)
-            port.setBaudRate(BAUD)
-            stack.callback(port.closePort)
-            return ManualRig(port, PacketHandler(2.0), peer, bus, clock, {s.id: s for s in servos})
+    def build(model: str = "xm430-w350", *ids: int) -> ManualRig:
+        clock = HandClock()
+        servos = [Servo(k, clock, model=model, baud=BAUD, position=2000.0) for k in ids or (1,)]  # type: ignore[arg-type]
+        for servo in servos:
+            servo.registers.put("Return Delay Time", 0)
+        bus = ServoBus(servos, Faults())
+        port = Cable(bus)
+        port.setBaudRate(BAUD)
+        return ManualRig(port, PacketHandler(2.0), bus, clock, {s.id: s for s in servos})
 
-        yield build
+    return build

@@ -23,7 +23,7 @@ from gonio_sim.wire.servo import Servo
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.gonio_drivers.conftest import BAUD, GAP_S, Counted
+from tests.gonio_drivers.conftest import BAUD
 from tests.gonio_sim.wire.conftest import Build, HandClock
 from tests.places import measured
 
@@ -101,17 +101,17 @@ def test_a_pattern_like_a_header_is_stuffed_in_both_directions(bench: Build) -> 
     assert b"\x55\x00\xff\xff\xfd\xfd\x00" in b.heard(p2.Packet(1, p2.READ, bytes([224, 0, 4, 0])))[0]
 
 
-def test_a_gap_in_a_packet_makes_a_servo_wait_for_the_next_header(bench: Build) -> None:
+@pytest.mark.parametrize(("gap_s", "result"), [(0.001, 1), (0.002, 0)])  # a servo waits 1.5 ms
+def test_a_gap_in_a_packet_makes_a_servo_wait_for_the_next_header(
+    bench: Build, monkeypatch: pytest.MonkeyPatch, gap_s: float, result: int
+) -> None:
     b = bench()
     packet = list(p2.Packet(1, p2.WRITE, bytes([65, 0, 1])).encode())
-    twin = b.peer.device
-    assert isinstance(twin, Counted)
-    for part, until in ((packet[:9], 9), (packet[9:], len(packet))):
-        b.port.writePort(part)
-        while twin.bytes < until:
-            time.sleep(0.001)
-        time.sleep(2 * GAP_S)  # twice what is allowed here; a servo waits 1.5 ms
-    assert b.get("LED") == 0
+    times = iter((10.0, *[10.0 + gap_s] * 2, *[20.0] * 9))
+    monkeypatch.setattr("gonio_sim.wire.bus.clock.monotonic", lambda: next(times))
+    b.port.writePort(packet[:9])
+    b.port.writePort(packet[9:])
+    assert b.get("LED") == result
     assert b.put("LED", 1) == 0
 
 
