@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from gonio.errors import ArgumentError
-from gonio.typing import ArrayLike, Bools, DataFrame, Floats
+from gonio.typing import ArrayLike, Bools, DataFrame, Floats, Ints
 
 TWO_PI = 2.0 * np.pi
 ANGLES = ("theta_i", "phi_i", "theta_r", "phi_r")
@@ -53,6 +53,8 @@ SAME_INCIDENCE = float(np.radians(2.0))
 """Angles of incidence make one row of a report's regions: files of scattered directions have no curves to go by."""
 AROUND_MIRROR = float(np.radians(12.0))
 """A value lies around the mirror direction: where the peaks of all but the roughest surfaces are."""
+FARTHEST = float(np.radians(15.0))
+"""Nothing is interpolated between directions farther apart than this."""
 
 
 def direction(theta: ArrayLike, phi: ArrayLike) -> Floats:
@@ -158,6 +160,24 @@ def mirrored(omega: ArrayLike) -> Floats:
 def angle_between(a: Floats, b: Floats) -> Floats:
     """Angle [rad] between unit vectors of shape (..., 3), without cancellation near 0 and near pi."""
     return np.asarray(2.0 * np.arctan2(np.linalg.norm(a - b, axis=-1), np.linalg.norm(a + b, axis=-1)))
+
+
+def groups(theta: Floats, phi: Floats, rows: Ints) -> list[Ints]:
+    """Rows of one direction each: chains of nearly equal polar angle, split where azimuths differ by `SAME_AZIMUTH`."""
+    out: list[Ints] = []
+    if not rows.size:
+        return out
+    order = rows[np.argsort(theta[rows], kind="stable")]
+    for chain in np.split(order, np.flatnonzero(np.diff(theta[order]) > SAME_ANGLE) + 1):
+        if theta[chain].max() < SAME_ANGLE:
+            out.append(chain)
+            continue
+        turn = np.exp(1j * phi[chain])
+        while chain.size:
+            near = np.abs(turn - turn[0]) <= SAME_AZIMUTH
+            out.append(chain[near])
+            chain, turn = chain[~near], turn[~near]
+    return out
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -52,7 +52,7 @@ def test_it_builds_without_a_warning_and_holds_what_it_should(tmp_path: Path, ho
         "gonio.measurement.read",
         "gonio.models.Model.brdf",
         "gonio.models.HeTorrance",
-        "gonio_analysis.notebook.fit",
+        "gonio_analysis.report.notebook.fit",
     ):
         assert f'id="{name}"' in reference
     assert not list(hooks.dead_links(site))

@@ -13,7 +13,7 @@ def __getattr__(name: str) -> Any:
         raise AttributeError(f"module 'gonio_analysis' has no attribute {name!r}")
     from importlib import import_module
 
-    return getattr(import_module("gonio_analysis.notebook"), name)
+    return getattr(import_module("gonio_analysis.report.notebook"), name)
 
 
 def __dir__() -> list[str]:

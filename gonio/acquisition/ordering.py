@@ -101,7 +101,7 @@ def _way(poses: Sequence[Pose], durations: Durations, home: Pose) -> list[int]:
     """The shortest way that is found through distinct points."""
     from scipy.spatial import cKDTree
 
-    from gonio.acquisition import _short_path
+    from gonio.rig import _short_path
 
     at = np.ascontiguousarray(durations.angles([*poses, home]))
     begin = np.ascontiguousarray(approach_starts(at, durations.approach, durations.limits))

@@ -432,12 +432,12 @@ class Run:
             The table is not valid.
         """
 
-        from gonio import measurement
+        from gonio.formats import native
 
         try:
             with tempfile.TemporaryDirectory(prefix=".table-", dir=self.path) as work:
                 try:
-                    measurement.write(table, Path(work) / TABLE[0])
+                    native.write(table, Path(work) / TABLE[0])
                 except ConfigError as error:
                     raise ConfigError(str(error).replace(work, str(self.path))) from None
                 tables = {

@@ -5,10 +5,14 @@ from __future__ import annotations
 import tomllib
 from importlib.resources import files
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from gonio.config import load, parse
 from gonio.errors import ConfigError
 from gonio.rig.description import SampleDescription
+
+if TYPE_CHECKING:
+    from gonio.models import Model
 
 
 def shipped_samples() -> dict[str, str]:
@@ -49,6 +53,14 @@ def load_sample(path: str | Path, *, uniform: bool = False) -> SampleDescription
         raise ConfigError(f"{path}: [parameters] of model = {sample.model!r}: {error}") from None
     _check_textures(sample, path)
     return sample
+
+
+def load_model(path: str | Path) -> tuple[Model, SampleDescription]:
+    """The model of a sample file without textures, and the file; raises as `load_sample`."""
+    from gonio import models
+
+    sample = load_sample(path, uniform=True)
+    return models.build(sample.model, sample.parameters), sample
 
 
 def _check_textures(sample: SampleDescription, path: Path) -> None:

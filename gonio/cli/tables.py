@@ -77,13 +77,12 @@ def convert(
 
 def _model(source: str, target: Path, to: str | None) -> tuple[list[str], str]:
     """Write a model; remarks, and what was written."""
-    from gonio import measurement, models
-    from gonio.acquisition.measure import load_sample
+    from gonio import measurement
+    from gonio.acquisition.samples import load_model
 
     if to == "datacite":
         raise ConfigError(f"{source}: is a model; --to datacite takes a run, or its table")
-    given = load_sample(source, uniform=True)
-    model = models.build(given.model, given.parameters)
+    model, given = load_model(source)
     plain = _RENDERERS.get(to, to) if to else None
     return measurement.write_model(model, target, name=given.name, format=plain), given.name
 
@@ -97,7 +96,8 @@ def _table(
     if to in _RENDERERS:
         from gonio.renderers import channels, measured
 
-        remarks = measured.write(channels.rows(table, name, wavelength_nm=wavelength_nm), target, to)
+        taken = table if "sample" in table.columns else measurement.unpolarised(table)
+        remarks = measured.write(channels.rows(taken, name, wavelength_nm=wavelength_nm), target, to)
     elif to == "datacite":
         from gonio.formats import datacite
 

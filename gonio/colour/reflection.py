@@ -5,10 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gonio import materials
 from gonio.colour.cie import weights, white
 from gonio.colour.display import SRGB, Primaries
 from gonio.models import fresnel
+from gonio.models.parameters import indices_at
 from gonio.typing import ArrayLike, Floats
 
 Index = str | ArrayLike | Callable[[Floats], ArrayLike]
@@ -49,9 +49,7 @@ def reflectance(theta: ArrayLike, wavelength_nm: ArrayLike, ior: Index) -> Float
         An angle or an index is out of range, or the material is not known at a wavelength.
     """
     nm = np.atleast_1d(np.asarray(wavelength_nm, dtype=np.float64))
-    given = materials.ior(ior)(nm) if isinstance(ior, str) else ior(nm) if callable(ior) else ior
-    index = np.broadcast_to(np.asarray(given), nm.shape)
-    return np.asarray(fresnel.reflectance(np.cos(np.asarray(theta, dtype=np.float64))[..., None], index))
+    return np.asarray(fresnel.reflectance(np.cos(np.asarray(theta, dtype=np.float64))[..., None], indices_at(ior, nm)))
 
 
 def reflected_xyz(theta: ArrayLike, wavelength_nm: ArrayLike, ior: Index, illuminant: str = "D65") -> Floats:

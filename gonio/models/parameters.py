@@ -9,8 +9,10 @@ from dataclasses import dataclass
 from typing import Any, Literal, cast
 
 import numpy as np
+import numpy.typing as npt
 
 from gonio.errors import ArgumentError, refuse_masked
+from gonio.typing import Floats
 
 Index = complex | str | Sequence[float] | Callable[[float], complex]
 """A complex refractive index n + ik, [n, k], a material's name, or a function of the wavelength in nm."""
@@ -154,3 +156,9 @@ def index_at(ior: Any, wavelength_nm: float, name: str = "ior") -> complex:
         return ior
     value = _material_at(ior, wavelength_nm) if isinstance(ior, str) else ior(wavelength_nm)
     return _valid_index(value, f"{name} at {wavelength_nm:g} nm")
+
+
+def indices_at(ior: Any, wavelength_nm: Floats) -> npt.NDArray[np.complex128]:
+    """n + ik at wavelengths [nm] (n,), of a material's name, a function of wavelengths, one number or n of them."""
+    index: Any = _material(ior) if isinstance(ior, str) else ior
+    return np.broadcast_to(np.asarray(index(wavelength_nm) if callable(index) else index), wavelength_nm.shape)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gonio import colour, geometry, measurement
+from gonio import colour, geometry
 from gonio.errors import ConfigError, DataError
 from gonio.formats.reader import ANGLES
 from gonio.typing import Floats
@@ -40,7 +40,7 @@ def rows(table: pd.DataFrame, name: str, *, wavelength_nm: float | None = None) 
     Parameters
     ----------
     table
-        A measurement table.
+        A measurement table, as `gonio.measurement.unpolarised` leaves it.
     name
         Of the sample.
     wavelength_nm
@@ -58,12 +58,11 @@ def rows(table: pd.DataFrame, name: str, *, wavelength_nm: float | None = None) 
     parts = {str(s).rpartition(" ")[2]: table[table["sample"] == s] for s in samples}
     if samples and (set(parts) != set(COLOURS) or len(samples) != 3):
         raise DataError(f"{name}: holds several samples; name one as FILE:SAMPLE: {'; '.join(map(str, samples))}")
-    frame = table if samples else measurement.unpolarised(table)
     key = list(ANGLES)
-    usable = (frame["flag"] == "") & (frame["polarisation"] == "unpolarised") & np.isfinite(frame["brdf"])
-    usable &= (frame["theta_i_deg"] < 90) & (frame["theta_r_deg"] < 90)
-    left_out = len(frame) - int(usable.sum())
-    frame = frame[usable]
+    usable = (table["flag"] == "") & (table["polarisation"] == "unpolarised") & np.isfinite(table["brdf"])
+    usable &= (table["theta_i_deg"] < 90) & (table["theta_r_deg"] < 90)
+    left_out = len(table) - int(usable.sum())
+    frame = table[usable]
     if left_out:
         notes.append(f"{left_out} rows are left out: flagged, polarised, at the horizon or in transmission")
     if frame.empty:

@@ -10,14 +10,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gonio import colour, measurement
-from gonio.errors import ConfigError
+from gonio import colour
 from gonio.measurement import is_simulated
 from gonio.typing import Floats
 from gonio_analysis.appearance import sampled, sampled_hemisphere
 from gonio_analysis.appearance.assembled import MULTI_ANGLE, RETRO, _assembled, _key, _Numbers
 from gonio_analysis.appearance.glossmeter import BOTH_COUNT, GLOSSMETERS, HAZEMETERS
-from gonio_analysis.appearance.of_models import _sum_of, of_sample
+from gonio_analysis.appearance.of_models import _sum_of
 from gonio_analysis.appearance.sampled import NotMeasured, Sampled
 from gonio_analysis.curves.in_plane import Curve, curves
 from gonio_analysis.fitting.observations import Observations, observations
@@ -26,7 +25,6 @@ from gonio_analysis.result_records import Appearance
 if TYPE_CHECKING:
     import pandas as pd
 
-    from gonio.measurement import Reading
 
 VISIBLE_NM = (380.0, 780.0)
 LARGEST_STEP_NM = 20.0
@@ -35,26 +33,6 @@ REACH_NM = (420.0, 680.0)
 EIGHT = math.radians(8.0)
 RETRO_GAP_DEG = 1.0
 """Between two values that one near the source is interpolated from."""
-
-
-def of(spec: str, *, wavelength_nm: float | None = None, how: Reading | None = None) -> Appearance:
-    """The quantities of what a command line names: a table, a run, `FILE:SAMPLE`, or a model as a sample file (.toml).
-
-    Raises
-    ------
-    ConfigError, DataError
-        From reading it; a file of several samples has to be narrowed to one.
-    """
-    if spec.endswith(".toml"):
-        from gonio.acquisition.measure import load_sample
-
-        return of_sample(load_sample(spec, uniform=True), source=spec, wavelength_nm=wavelength_nm)
-
-    found = measurement.tables(spec, how)
-    if len(found) > 1:
-        raise ConfigError(f"{spec} holds {len(found)} samples: name one as {spec}:SAMPLE, of: {'; '.join(found)}")
-    name, table = next(iter(found.items()))
-    return of_table(table, name=name, source=spec, wavelength_nm=wavelength_nm)
 
 
 def of_table(

@@ -11,10 +11,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from gonio.geometry import SAME_ANGLE, Directions
+from gonio.geometry import SAME_ANGLE, Directions, groups
 from gonio.typing import Floats
 from gonio_analysis.appearance.sampled import NotMeasured, Rows, Sampled, cone_response, mean
-from gonio_analysis.curves.in_plane import groups
 from gonio_analysis.fitting.observations import Observations
 
 LEAST_COVERED = 0.85

@@ -16,7 +16,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -163,12 +162,11 @@ def side(spec: str, how: Reading | None = None, u_rel: float | None = None) -> S
         From reading it; a file of several samples has to be narrowed to one.
     """
     if spec.endswith(".toml"):
-        from gonio import models
-        from gonio.acquisition.measure import load_sample
+        from gonio.acquisition.samples import load_model
 
-        sample = load_sample(Path(spec), uniform=True)
+        model, sample = load_model(spec)
         off = 0.0 if sample.uncertainty is None else sample.uncertainty.misfit
-        return Side(sample.name, spec, model=models.build(sample.model, sample.parameters), misfit=off)
+        return Side(sample.name, spec, model=model, misfit=off)
 
     found = measurement.tables(spec, how)
     if len(found) > 1:

@@ -25,9 +25,8 @@ import numpy as np
 import numpy.typing as npt
 
 from gonio.cli.pace import Pace, Say, silent
-from gonio.geometry import SAME_ANGLE, SAME_DIRECTION, Directions
-from gonio.typing import Floats
-from gonio_analysis.curves.in_plane import FARTHEST, Rows, groups
+from gonio.geometry import FARTHEST, SAME_ANGLE, SAME_DIRECTION, Directions, groups
+from gonio.typing import Floats, Ints
 from gonio_analysis.fitting.observations import SAME_BAND_NM, Observations
 
 if TYPE_CHECKING:
@@ -44,7 +43,7 @@ ON_EDGE = 1e-12
 class Carried:
     """Values of B in some of the directions of A."""
 
-    rows: Rows
+    rows: Ints
     """Which of A's values have a counterpart."""
     value: Floats
     """[1/sr]."""
@@ -192,7 +191,7 @@ class _Places:
         return self.points.tobytes() + self.signed.tobytes() + self.inside.tobytes()
 
 
-def _at(waves: Floats, wave: float) -> Rows:
+def _at(waves: Floats, wave: float) -> Ints:
     return np.flatnonzero(np.isnan(waves) if np.isnan(wave) else np.abs(waves - wave) <= SAME_BAND_NM)
 
 
@@ -229,17 +228,17 @@ class _Unused:
         here = _at(self.wavelength_nm, wave)
         return _Unused(self.wavelength_nm[here], self.directions[here], self.source[here])
 
-    def holes(self, b: Observations, rows: Rows, normal: float | None) -> _Places:
+    def holes(self, b: Observations, rows: Ints, normal: float | None) -> _Places:
         """Where those at the incidence of B's `rows` lie."""
         goal = b.directions[rows].vectors[0].mean(axis=0)
         here = np.linalg.norm(self.source - goal, axis=1) <= SAME_ANGLE
         return _places(self.directions[here], normal)
 
 
-def _partner(a: Observations, group: Rows, b: Observations, pool: list[Rows]) -> Rows | None:
+def _partner(a: Observations, group: Ints, b: Observations, pool: list[Ints]) -> Ints | None:
     """The rows of B with the incidence of a group of A."""
 
-    def incidence(data: Observations, rows: Rows) -> Floats:
+    def incidence(data: Observations, rows: Ints) -> Floats:
         return np.asarray(data.directions[rows].vectors[0].mean(axis=0))
 
     goal = incidence(a, group)
@@ -259,7 +258,7 @@ class Interpolation:
         from scipy.spatial import KDTree
 
         n = goal.signed.size
-        self.nodes: Rows = np.full((n, 3), -1)
+        self.nodes: Ints = np.full((n, 3), -1)
         """(n, 3) neighbours; -1 where a goal has none."""
         self.weights: Floats = np.zeros((n, 3))
         self._parts: list[_Along | _Across] = []
@@ -293,14 +292,14 @@ class Interpolation:
 class _Along:
     """Goals along the plane of incidence, between two neighbours."""
 
-    rows: Rows
-    nodes: Rows
+    rows: Ints
+    nodes: Ints
     weights: Floats
-    line: Rows
+    line: Ints
     """All known directions of the plane, in their order."""
     x: Floats
     """Their angles [rad]."""
-    left: Rows
+    left: Ints
     """Place of the left neighbour among them."""
 
     def parabola(self, values: Floats) -> Floats:
@@ -317,15 +316,15 @@ class _Along:
 class _Across:
     """Goals over the hemisphere, in the triangles around them."""
 
-    rows: Rows
-    nodes: Rows
+    rows: Ints
+    nodes: Ints
     weights: Floats
     turn: Floats
     """(n, 2, 2): of a triangle's plane."""
     step: Floats
     """(n, 3) distances to the neighbours."""
-    own: Rows
-    near: Rows
+    own: Ints
+    near: Ints
     """The edges of the triangulation, from node to node."""
     fit: Floats
     """(edges, 2): least-squares gradient at `own` for a rise of 1 along the edge."""
@@ -341,7 +340,7 @@ class _Across:
         return np.asarray(0.5 * (self.weights * curvature * self.step).sum(axis=1))
 
 
-def _along(goal: _Places, known: _Places, holes: _Places, rows: Rows, line: Rows) -> _Along | None:
+def _along(goal: _Places, known: _Places, holes: _Places, rows: Ints, line: Ints) -> _Along | None:
     x, first = np.unique(known.signed[line], return_index=True)
     line = line[first]
     if x.size < 2:
@@ -365,7 +364,7 @@ def _off_logarithms(values: Floats, weights: Floats) -> Floats:
     return np.where(positive, (weights * values).sum(axis=1) - np.exp((weights * logs).sum(axis=1)), 0.0)
 
 
-def _across(goal: _Places, known: _Places, holes: _Places, rows: Rows) -> _Across | None:
+def _across(goal: _Places, known: _Places, holes: _Places, rows: Ints) -> _Across | None:
     from scipy.spatial import Delaunay, QhullError
 
     flat = known.points[:, :2]
@@ -399,7 +398,7 @@ def _turns(corners: Floats) -> Floats:
     return np.asarray(np.moveaxis(np.array([[d, -c], [-b, a]]) / area, -1, 0))
 
 
-def _located(mesh: Any, turn: Floats, points: Floats) -> tuple[Rows, Floats]:
+def _located(mesh: Any, turn: Floats, points: Floats) -> tuple[Ints, Floats]:
     """The triangle around each point (-1: outside all), and the weights of its corners.
 
     By walking across the edge that a point lies farthest beyond, from a triangle at the nearest node. In a Delaunay
@@ -409,7 +408,7 @@ def _located(mesh: Any, turn: Floats, points: Floats) -> tuple[Rows, Floats]:
 
     flat, corner = mesh.points, mesh.simplices
 
-    def weights(points: Floats, triangle: Rows) -> Floats:
+    def weights(points: Floats, triangle: Ints) -> Floats:
         part = np.einsum("...ij,...j->...i", turn[triangle], points - flat[corner[triangle, 2]])
         return np.concatenate([part, 1 - part.sum(axis=-1, keepdims=True)], axis=-1)
 
@@ -432,7 +431,7 @@ def _located(mesh: Any, turn: Floats, points: Floats) -> tuple[Rows, Floats]:
     return found, weights(points, found)
 
 
-def _gradients(mesh: Any, flat: Floats) -> tuple[Rows, Rows, Floats]:
+def _gradients(mesh: Any, flat: Floats) -> tuple[Ints, Ints, Floats]:
     """The edges of a triangulation, and the gradient at their first node, by least squares, for a rise of 1 on each."""
     start, near = mesh.vertex_neighbor_vertices
     own = np.repeat(np.arange(len(flat)), np.diff(start))

@@ -16,10 +16,10 @@ from gonio.maps import is_map
 from gonio.measurement import Reading
 from gonio_analysis import report as comparison
 from gonio_analysis import result_records as results
-from gonio_analysis.appearance.quantities import of
 from gonio_analysis.commands.arguments import given_constants, once, read_ior, with_u_ior
 from gonio_analysis.fitting import fit as fitting
 from gonio_analysis.fitting import parameters, profile_likelihood, saving
+from gonio_analysis.fitting.energy import of_model
 from gonio_analysis.fitting.observations import Observations, check_u_rel, observations, together
 from gonio_analysis.fitting.problem import FitRequest, check_metric
 from gonio_analysis.fitting.profile_likelihood import Interval
@@ -31,8 +31,6 @@ from gonio_analysis.report import map_change, map_page
 from gonio_analysis.report.model_choice import in_words
 from gonio_analysis.report.text import quantity, with_u
 from gonio_analysis.report.verdict import after_misfit, of_fit, reflectances
-from gonio_analysis.selection.compare import check_models
-from gonio_analysis.selection.energy import of_model
 
 
 @dataclass(frozen=True)
@@ -129,7 +127,6 @@ def _print(result: fitting.FitResult, sample: str, walked: dict[str, Interval]) 
 
 def report(specs: list[str], out: Path, models: list[str], *, ior: str | None, **options: Any) -> Path:
     """The report on models fitted to measurements; options as `gonio_analysis.report.make`."""
-    check_models(models)
     check_metric(options["metric"])
     check_u_rel(options["u_rel"])
     return comparison.make(
@@ -193,7 +190,7 @@ def appearance(sample: str, wavelength_nm: float | None, out: Path | None, how: 
     """Print the quantities of a table or a model, and write a page with them."""
     if wavelength_nm is not None and not 0.0 < wavelength_nm < float("inf"):
         raise ConfigError(f"--wavelength-nm {wavelength_nm:g}: a wavelength is above 0 nm")
-    found = of(sample, wavelength_nm=wavelength_nm, how=how)
+    found = appearance_page.of(sample, wavelength_nm=wavelength_nm, how=how)
     page = None if out is None else appearance_page.make(found, out, command=command_line())
     remember([sample], how)
     if as_json:

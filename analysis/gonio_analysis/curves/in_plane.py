@@ -14,20 +14,16 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-import numpy.typing as npt
 
 from gonio import geometry
-from gonio.geometry import AT_MIRROR, IN_PLANE, SAME_ANGLE, SAME_AZIMUTH, Directions
-from gonio.typing import Floats
+from gonio.geometry import AT_MIRROR, IN_PLANE, SAME_ANGLE, Directions, groups
+from gonio.typing import Floats, Ints
 from gonio_analysis.fitting.forward import NO_WAVELENGTH_NM, seen
 from gonio_analysis.fitting.observations import Observations
 
-Rows = npt.NDArray[np.intp]
 Scanned = Literal["theta_r", "theta_i"]
 Normalise = Literal["mirror", "max", "model"]
 
-FARTHEST = float(np.radians(15.0))
-"""Nothing is interpolated between directions farther apart than this [rad]."""
 MOST_CURVES = 6
 DARK_MIRROR = 2.5
 """A curve that reaches so many times its mirror value is not divided by it if it peaks on the retro side, or if that
@@ -45,7 +41,7 @@ class Curve:
     """Mean azimuth of incidence [rad]."""
     angle: Floats
     """Signed angle of the direction that moves [rad]."""
-    rows: Rows
+    rows: Ints
     """Which of the observations these are."""
     brdf: Floats
     u: Floats
@@ -116,7 +112,7 @@ def curves(data: Observations) -> list[Curve]:
     return _curves(data, by_incidence, "theta_r", side)
 
 
-def _curves(data: Observations, groups: list[Rows], scanned: Scanned, side: Floats) -> list[Curve]:
+def _curves(data: Observations, groups: list[Ints], scanned: Scanned, side: Floats) -> list[Curve]:
     u = data.u
     out = []
     for group in groups:
@@ -146,24 +142,6 @@ def _curves(data: Observations, groups: list[Rows], scanned: Scanned, side: Floa
             )
         )
     return sorted(out, key=lambda c: (round(np.degrees(c.parameter), 1), c.phi_i))
-
-
-def groups(theta: Floats, phi: Floats, rows: Rows) -> list[Rows]:
-    """Rows of one direction each: chains of nearly equal polar angle, split where azimuths differ by `SAME_AZIMUTH`."""
-    out: list[Rows] = []
-    if not rows.size:
-        return out
-    order = rows[np.argsort(theta[rows], kind="stable")]
-    for chain in np.split(order, np.flatnonzero(np.diff(theta[order]) > SAME_ANGLE) + 1):
-        if theta[chain].max() < SAME_ANGLE:
-            out.append(chain)
-            continue
-        turn = np.exp(1j * phi[chain])
-        while chain.size:
-            near = np.abs(turn - turn[0]) <= SAME_AZIMUTH
-            out.append(chain[near])
-            chain, turn = chain[~near], turn[~near]
-    return out
 
 
 def _mean_azimuth(phi: Floats) -> float:

@@ -15,8 +15,8 @@ import numpy as np
 import numpy.typing as npt
 
 from gonio import geometry
-from gonio.typing import Floats
-from gonio_analysis.curves.in_plane import FARTHEST, Rows
+from gonio.geometry import FARTHEST
+from gonio.typing import Floats, Ints
 from gonio_analysis.curves.line import Line
 from gonio_analysis.fitting.observations import Observations
 from gonio_analysis.plots.in_plane import angle_axis, bars_above_0, log_axis, style
@@ -172,7 +172,7 @@ def significance(ax: Any, lines: Sequence[Line], limit: float) -> list[Any]:
     return artists
 
 
-def slices(data: Observations, rows: Rows) -> list[Line]:
+def slices(data: Observations, rows: Ints) -> list[Line]:
     """Values of one incidence out of the plane, by half-plane and its opposite, as lines for `polar.semilog`.
 
     The signed angle is positive where the receiver is on the mirror side of the plane across the plane of incidence.

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from gonio.typing import Floats
-from gonio_analysis.curves.in_plane import Curve, Rows
+from gonio.typing import Floats, Ints
+from gonio_analysis.curves.in_plane import Curve
 from gonio_analysis.curves.line import Line
 from gonio_analysis.plots.half_disc import xy
 
@@ -18,7 +18,7 @@ CELL_PT = 1.3
 POINTS_AN_INCH = 72.0
 
 
-def enough(x: Floats, y: Floats, *, most: int, keep: npt.NDArray[np.bool_] | None = None) -> Rows:
+def enough(x: Floats, y: Floats, *, most: int, keep: npt.NDArray[np.bool_] | None = None) -> Ints:
     """Which values to draw, in their order: one a square of the drawing, and the extremes.
 
     The squares have the side `CELL_PT`, and grow until at most `most` values are left. In each, a value of `keep` goes
@@ -98,7 +98,7 @@ def residuals(
     height_pt: float,
     most: int,
     keep: npt.NDArray[np.bool_] | None = None,
-) -> Rows:
+) -> Ints:
     """Which residuals to draw over the signed angle, where small and large ones share an axis."""
     height = np.arcsinh(value / 3.0)  # about what the axis does to values far beyond 3
     finite = height[np.isfinite(height)]
@@ -108,13 +108,13 @@ def residuals(
 
 def over_hemisphere(
     theta: Floats, dphi: Floats, value: Floats, radius_pt: float, most: int, keep: npt.NDArray[np.bool_] | None = None
-) -> Rows:
+) -> Ints:
     """Which directions to draw on a disc whose radius is the polar angle: the extreme values are among them."""
     x, y = xy(dphi, np.degrees(theta) * radius_pt / 90.0)
     return np.union1d(enough(x, y, most=most, keep=keep), ends(value)).astype(np.intp)
 
 
-def ends(value: Floats) -> Rows:
+def ends(value: Floats) -> Ints:
     """Where the smallest and the largest finite value are."""
     finite = np.flatnonzero(np.isfinite(value))
     if not finite.size:
@@ -160,7 +160,7 @@ def _across(angle: Floats, width_pt: float) -> Floats:
     return np.asarray(angle * width_pt / np.pi)
 
 
-def _taken(line: Line, rows: Rows) -> Line:
+def _taken(line: Line, rows: Ints) -> Line:
     if rows.size == line.angle.size:
         return line
     return replace(

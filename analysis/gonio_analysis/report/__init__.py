@@ -95,9 +95,9 @@ def make(
         From reading, fitting and writing; then nothing is left behind.
     """
 
+    check_models(models)
     with files.staged(out) as stage:
         found = [one for spec in specs for one in _read(spec, how)]
-        check_models(models)
         _cite([table for _, _, table, _ in found], stage.work, progress)
         transmission_only, found = _transmission_only(found, wavelength_nm, u_rel)
         names = _distinct([sample for sample, *_ in found], [source for _, source, *_ in found])

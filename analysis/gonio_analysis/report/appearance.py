@@ -1,4 +1,4 @@
-"""The page on a sample's quantities of appearance (`gonio appearance`), and their table in other pages."""
+"""A sample's quantities of appearance (`gonio appearance`): what is named, their page, their table in other pages."""
 
 from __future__ import annotations
 
@@ -9,8 +9,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from gonio import measurement
+from gonio.errors import ConfigError
+from gonio.measurement import Reading
 from gonio.typing import Floats
 from gonio_analysis.appearance.glossmeter import GLOSSMETERS, SOURCE_DEG
+from gonio_analysis.appearance.of_models import of_sample
+from gonio_analysis.appearance.quantities import of_table
 from gonio_analysis.plots import appearance as plots
 from gonio_analysis.report import files
 from gonio_analysis.report.blocks import (
@@ -47,6 +52,26 @@ class Listed(NamedTuple):
     remark: str
     """Why there is none, or what its value rests on."""
     after: str
+
+
+def of(spec: str, *, wavelength_nm: float | None = None, how: Reading | None = None) -> Appearance:
+    """The quantities of what a command line names: a table, a run, `FILE:SAMPLE`, or a model as a sample file (.toml).
+
+    Raises
+    ------
+    ConfigError, DataError
+        From reading it; a file of several samples has to be narrowed to one.
+    """
+    if spec.endswith(".toml"):
+        from gonio.acquisition.measure import load_sample
+
+        return of_sample(load_sample(spec, uniform=True), source=spec, wavelength_nm=wavelength_nm)
+
+    found = measurement.tables(spec, how)
+    if len(found) > 1:
+        raise ConfigError(f"{spec} holds {len(found)} samples: name one as {spec}:SAMPLE, of: {'; '.join(found)}")
+    name, table = next(iter(found.items()))
+    return of_table(table, name=name, source=spec, wavelength_nm=wavelength_nm)
 
 
 def listed(a: Appearance, *, reflectances: bool = True) -> list[Listed]:

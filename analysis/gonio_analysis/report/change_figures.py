@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from gonio.geometry import Directions
-from gonio.typing import Floats
+from gonio.geometry import Directions, groups
+from gonio.typing import Floats, Ints
 from gonio_analysis.changes.point_by_point import Change
 from gonio_analysis.changes.verdict import LEVEL
-from gonio_analysis.curves.in_plane import Curve, Rows, evenly, groups, labels
+from gonio_analysis.curves.in_plane import Curve, evenly, labels
 from gonio_analysis.curves.line import Line
 from gonio_analysis.fitting.observations import Observations
 from gonio_analysis.plots import in_plane, maps, thinning
@@ -143,7 +143,7 @@ def _change_maps(c: Change, at: Observations, where: str) -> list[Drawing]:
     return out
 
 
-def plane_rows(d: Directions, marked: maps.Marks, most: int) -> Rows:
+def plane_rows(d: Directions, marked: maps.Marks, most: int) -> Ints:
     """Which values of a map of the plane of incidence to draw; marked ones go before others."""
     tilts = np.round(np.degrees(d.theta_i), 1)
     # one row of the map a level: values overlap only along it
@@ -152,7 +152,7 @@ def plane_rows(d: Directions, marked: maps.Marks, most: int) -> Rows:
 
 
 def plane_map(
-    name: str, caption: str, d: Directions, value: Floats, marked: maps.Marks, kept: Rows, label: str, top: float
+    name: str, caption: str, d: Directions, value: Floats, marked: maps.Marks, kept: Ints, label: str, top: float
 ) -> Drawing:
     """A map over the signed angle and the incidences of directions in the plane, of which those `kept` are drawn."""
     tilts = np.round(np.degrees(d.theta_i), 1)

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from gonio import geometry
-from gonio.geometry import Directions
-from gonio.typing import Floats
-from gonio_analysis.curves.in_plane import Curve, Rows, evenly, groups, labels
+from gonio.geometry import Directions, groups
+from gonio.typing import Floats, Ints
+from gonio_analysis.curves.in_plane import Curve, evenly, labels
 from gonio_analysis.curves.line import Line
 from gonio_analysis.fitting.forward import NO_WAVELENGTH_NM, seen
 from gonio_analysis.fitting.profile_likelihood import Interval, rise
@@ -55,7 +55,7 @@ def draw(d: Dataset, facts: DatasetSummary, most: int) -> list[Drawing]:
     return [*out, _budget(d, facts, most)] if facts.budget and d.curves else out
 
 
-def _incidences(d: Dataset) -> list[Rows]:
+def _incidences(d: Dataset) -> list[Ints]:
     at = d.data.directions
     every = groups(at.theta_i, at.phi_i, np.arange(len(d.data)))
     enough = [g for g in every if np.count_nonzero(~at.in_plane[g]) >= FEWEST]
@@ -66,11 +66,11 @@ def _measured(d: Dataset) -> str:
     return "simulated" if d.simulated else "measured"
 
 
-def _theta(d: Dataset, rows: Rows) -> float:
+def _theta(d: Dataset, rows: Ints) -> float:
     return float(d.data.directions.theta_i[rows].mean())
 
 
-def _heat(d: Dataset, facts: DatasetSummary, rows: Rows, k: int, most: int) -> Drawing:
+def _heat(d: Dataset, facts: DatasetSummary, rows: Ints, k: int, most: int) -> Drawing:
     data, theta = d.data, _theta(d, rows)
     rows = rows[data.brdf[rows] > 0]
     at = data.directions[rows]
@@ -88,7 +88,7 @@ def _on_disc(figure: Any, *, theta_r: Floats, dphi: Floats, value: Floats, theta
     maps.heat_map(figure.add_axes((0.02, 0.04, 0.84, 0.94)), theta_r, dphi, value, label="BRDF [1/sr]", theta_i=theta_i)
 
 
-def _slices(d: Dataset, facts: DatasetSummary, rows: Rows, lines: list[Line], k: int, most: int) -> Drawing:
+def _slices(d: Dataset, facts: DatasetSummary, rows: Ints, lines: list[Line], k: int, most: int) -> Drawing:
     every = [lines[k] for k in evenly(len(lines), 6)]
     shown = thinning.on_logarithm(every, PANEL_PT, 0.5 * PANEL_PT, most)
     caption = (
@@ -107,7 +107,7 @@ def _on_slices(figure: Any, *, lines: list[Line]) -> None:
     _legend(figure, [(line.label, in_plane.style(i)) for i, line in enumerate(lines)])
 
 
-def _lobe(d: Dataset, facts: DatasetSummary, rows: Rows, most: int) -> Drawing:
+def _lobe(d: Dataset, facts: DatasetSummary, rows: Ints, most: int) -> Drawing:
     assert facts.best is not None
     best, data, theta = d.fitted[facts.best].fit, d.data, _theta(d, rows)
     nm = NO_WAVELENGTH_NM if np.isnan(data.wavelengths[0]) else data.wavelengths[0]

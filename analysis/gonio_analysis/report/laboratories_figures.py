@@ -10,9 +10,10 @@ from typing import Any
 
 import numpy as np
 
+from gonio.geometry import groups
 from gonio.typing import Floats
 from gonio_analysis.changes.laboratories import Comparison, Laboratory
-from gonio_analysis.curves.in_plane import Curve, curves, evenly, groups
+from gonio_analysis.curves.in_plane import Curve, curves, evenly
 from gonio_analysis.curves.line import Line
 from gonio_analysis.fitting.observations import Observations
 from gonio_analysis.plots import half_disc, in_plane, thinning

@@ -6,11 +6,11 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 
 from gonio.checks.symmetry import Pairs
+from gonio_analysis.fitting.energy import too_much
 from gonio_analysis.fitting.fit import FitResult
 from gonio_analysis.fitting.metrics import DESCRIPTIONS
 from gonio_analysis.report.text import angle, difference, number, percent, with_u
 from gonio_analysis.result_records import Reflectance
-from gonio_analysis.selection.energy import too_much
 from gonio_analysis.selection.misfit_regions import Region, farthest
 
 NOT_SMALL = 0.5

@@ -11,12 +11,12 @@ from typing import TypedDict
 import numpy as np
 
 from gonio import geometry
-from gonio.geometry import IN_PLANE, SAME_ANGLE, Directions
+from gonio.geometry import IN_PLANE, SAME_ANGLE, Directions, groups
 from gonio.live import working
 from gonio.live.provisional import ProvisionalValues
 from gonio.live.run_status import RunStatus, rounded
 from gonio.typing import Floats
-from gonio_analysis.curves.in_plane import MOST_CURVES, curves, groups, labels, selection
+from gonio_analysis.curves.in_plane import MOST_CURVES, curves, labels, selection
 from gonio_analysis.fitting.observations import Observations
 from gonio_analysis.fitting.value_covariance import independent
 from gonio_analysis.plots import thinning

@@ -23,13 +23,13 @@ from gonio.models.declaration import Ior
 from gonio.typing import Floats
 from gonio_analysis.curves.in_plane import NORM_WORDS, Curve, Norm, Normalise, curves, labels, norm, selection
 from gonio_analysis.curves.line import Line
-from gonio_analysis.fitting import parameters
+from gonio_analysis.fitting import energy, parameters
 from gonio_analysis.fitting.fit import FitResult, fit
 from gonio_analysis.fitting.metrics import metrics
 from gonio_analysis.fitting.observations import Observations, observations
 from gonio_analysis.fitting.spectrum import MOST_WAVELENGTHS, fit_shared, shares
 from gonio_analysis.result_records import Reflectance, RunFacts
-from gonio_analysis.selection import energy, parallel
+from gonio_analysis.selection import parallel
 from gonio_analysis.selection.choice import Choice, candidates, choose
 from gonio_analysis.selection.judging import DECISIVE, Judged, deviance
 from gonio_analysis.selection.misfit_regions import Region, farthest

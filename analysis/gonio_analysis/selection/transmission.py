@@ -9,9 +9,9 @@ import numpy as np
 
 from gonio import measurement, shown
 from gonio_analysis.curves.in_plane import Curve, curves, selection
+from gonio_analysis.fitting import energy
 from gonio_analysis.fitting.observations import Observations, describe_left_out, observations
 from gonio_analysis.result_records import Reflectance
-from gonio_analysis.selection import energy
 
 if TYPE_CHECKING:
     import pandas as pd

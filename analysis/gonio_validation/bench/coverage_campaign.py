@@ -17,10 +17,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
+from gonio_analysis.fitting.energy import of_model
 from gonio_analysis.fitting.fit import fit
 from gonio_analysis.fitting.profile_likelihood import walked
 from gonio_analysis.result_records import finite
-from gonio_analysis.selection.energy import of_model
 
 from gonio import instrument, measurement, models
 from gonio.acquisition.measure import carry_out, find_rig, load_sample

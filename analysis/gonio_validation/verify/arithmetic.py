@@ -9,7 +9,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from gonio_analysis.changes.consensus import consensus
 from gonio_analysis.fitting.solution import slopes_of
-from gonio_analysis.notebook import fit
+from gonio_analysis.report.notebook import fit
 
 from gonio.formats.reader import table
 from gonio.models import ArrayModel, Fitted

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gonio.acquisition import _short_path, ordering
+from gonio.acquisition import ordering
 from gonio.acquisition.duration import SAME_PLACE, SETTLE_S, Durations, approach_starts
 from gonio.acquisition.measure import RigChoice, carry_out
 from gonio.acquisition.ordering import ordered, shorter
@@ -20,7 +20,7 @@ from gonio.acquisition.plan import Plan, Point, assess, load_plan
 from gonio.acquisition.run import Run
 from gonio.acquisition.schedule import Schedule, reference_pose, schedule
 from gonio.errors import ConfigError, Interrupted
-from gonio.rig import Pose
+from gonio.rig import Pose, _short_path
 from gonio.rig.description import Acquisition, Body, Reference, RigDescription
 from tests.gonio.numpy_rig import BANDS, SAMPLE, Plugin, StopAfter, describe
 

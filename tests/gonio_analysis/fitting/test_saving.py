@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 import tomli_w
 from gonio_analysis.appearance.of_models import of_fit
-from gonio_analysis.appearance.quantities import of
 from gonio_analysis.fitting.fit import FitResult, fit
 from gonio_analysis.fitting.saving import save
+from gonio_analysis.report.appearance import of
 
 from gonio.acquisition.measure import load_sample
 from gonio.errors import ConfigError

@@ -85,7 +85,7 @@ def test_a_change(files: tuple[Path, Path], tmp_path: Path) -> None:
 
 
 def test_appearance(files: tuple[Path, Path], tmp_path: Path) -> None:
-    from gonio_analysis.appearance.quantities import of
+    from gonio_analysis.report.appearance import of
 
     report_on_appearance.make(of(str(files[0])), tmp_path / "out")
     html, _ = page(tmp_path / "out")

@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from gonio_analysis.fitting.energy import combined
 from gonio_analysis.fitting.fit import fit
 from gonio_analysis.report import write
 from gonio_analysis.report.facts import DatasetSummary
 from gonio_analysis.report.verdict import of_fit
 from gonio_analysis.result_records import MisfitSummary, Reflectance
 from gonio_analysis.selection.compare import examine
-from gonio_analysis.selection.energy import combined
 
 from gonio.geometry import Directions
 

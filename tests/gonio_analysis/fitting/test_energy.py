@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from gonio_analysis.fitting import energy
 from gonio_analysis.fitting.fit import fit
 from gonio_analysis.fitting.observations import observations
 from gonio_analysis.report.comparison import summarise
-from gonio_analysis.selection import energy
 from gonio_analysis.selection.compare import examine
 
 from gonio.checks.symmetry import symmetries
