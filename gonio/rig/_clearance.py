@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from gonio.compiled import njit
-from gonio.rig.bodies import TIED
 from gonio.typing import Floats
 
 BENCH, LIGHT, CAMERA, TILT, SPIN = range(5)
@@ -239,7 +238,7 @@ def between(a: Floats, count_a: int, b: Floats, count_b: int, least: float, enou
 
 @njit()
 def spare_of(
-    kind: int, on: Any, points: Floats, counts: Any, distance: float, angles: Floats, frames: Floats, room: Floats,
+    tied: bool, on: Any, points: Floats, counts: Any, distance: float, angles: Floats, frames: Floats, room: Floats,
     enough: float,
 ) -> Any:  # fmt: skip
     """How much room two bodies have at a pose beyond `distance` [mm]; below 0 too little.
@@ -248,7 +247,7 @@ def spare_of(
     """
     for one in range(2):
         placed(on[one], points[one], counts[one], angles, frames, room[one])
-    if kind == TIED:
+    if tied:
         return distance - math.sqrt(
             (room[0, 0, 0] - room[1, 0, 0]) ** 2
             + (room[0, 0, 1] - room[1, 0, 1]) ** 2
@@ -260,7 +259,7 @@ def spare_of(
 
 @njit()
 def _descended(
-    kind: int, on: Any, points: Floats, counts: Any, distance: float, frames: Floats, lows: Floats, highs: Floats,
+    tied: bool, on: Any, points: Floats, counts: Any, distance: float, frames: Floats, lows: Floats, highs: Floats,
     room: Floats, least: float, at: Floats,
 ) -> float:  # fmt: skip
     """The least room found by going downhill from angles in a box, along one axis at a time; `at` goes there."""
@@ -273,7 +272,7 @@ def _descended(
                 at[k] = min(max(before + sign * step[k], lows[k]), highs[k])
                 if at[k] == before:
                     continue
-                spare = spare_of(kind, on, points, counts, distance, at, frames, room, np.inf)
+                spare = spare_of(tied, on, points, counts, distance, at, frames, room, np.inf)
                 if spare < least:
                     least, better = spare, True
                 else:
@@ -287,15 +286,15 @@ def _descended(
 
 @njit()
 def too_close(
-    kind: int, on: Any, points: Floats, counts: Any, levers: Floats, distance: float, frames: Floats, finest: float,
+    tied: bool, on: Any, points: Floats, counts: Any, levers: Floats, distance: float, frames: Floats, finest: float,
     most: int, lows: Floats, highs: Floats,
 ) -> Any:  # fmt: skip
     """Angles in a box at which two bodies have too little room, or may; an empty array where they keep off.
 
     Parameters
     ----------
-    kind
-        `gonio.rig.bodies.APART` or `TIED`.
+    tied
+        The ends of a cable, which may come no further apart than the distance; else they keep it.
     on
         What carries the points of either body, shape (2, 2); see `placed`.
     points, counts
@@ -317,7 +316,7 @@ def too_close(
     closest, where = np.inf, middle.copy()
     for number in range(most):
         if number == SOON:  # where bodies do meet, this finds it sooner than halving does
-            closest = _descended(kind, on, points, counts, distance, frames, lows, highs, room, closest, where)
+            closest = _descended(tied, on, points, counts, distance, frames, lows, highs, room, closest, where)
             if closest <= 0.0:
                 return where
         if waiting == 0:
@@ -327,7 +326,7 @@ def too_close(
         middle = (low + high) / 2
         moves = levers * (high - low) / 2
         whole = moves.sum()
-        spare = spare_of(kind, on, points, counts, distance, middle, frames, room, whole)
+        spare = spare_of(tied, on, points, counts, distance, middle, frames, room, whole)
         if spare > whole:
             continue
         if spare <= 0.0 or whole < finest or waiting + 2 > DEEPEST:
@@ -345,7 +344,7 @@ def too_close(
 
 @njit()
 def first_too_close(
-    kinds: Any, on: Any, points: Floats, counts: Any, levers: Floats, distances: Floats, frames: Floats, finest: float,
+    tied: Any, on: Any, points: Floats, counts: Any, levers: Floats, distances: Floats, frames: Floats, finest: float,
     most: int, lows: Floats, highs: Floats,
 ) -> Any:  # fmt: skip
     """The first of several pairs of bodies that come too close in a box of angles, and where; -1 where none does.
@@ -354,7 +353,7 @@ def first_too_close(
     """
     for pair in range(len(on)):
         found = too_close(
-            kinds[pair], on[pair], points[pair], counts[pair], levers[pair], distances[pair], frames, finest, most,
+            tied[pair], on[pair], points[pair], counts[pair], levers[pair], distances[pair], frames, finest, most,
             lows, highs,
         )  # fmt: skip
         if len(found) > 0:
@@ -364,12 +363,12 @@ def first_too_close(
 
 @njit()
 def spares(
-    kinds: Any, on: Any, points: Floats, counts: Any, distances: Floats, frames: Floats, poses: Floats, out: Floats
+    tied: Any, on: Any, points: Floats, counts: Any, distances: Floats, frames: Floats, poses: Floats, out: Floats
 ) -> None:
     """The room of each pair of bodies at each pose, shape (poses, pairs) [mm]."""
     room = np.empty((2, points.shape[2], 3))
     for pose in range(len(poses)):
         for pair in range(len(on)):
             out[pose, pair] = spare_of(
-                kinds[pair], on[pair], points[pair], counts[pair], distances[pair], poses[pose], frames, room, np.inf
+                tied[pair], on[pair], points[pair], counts[pair], distances[pair], poses[pose], frames, room, np.inf
             )

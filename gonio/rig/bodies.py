@@ -11,12 +11,9 @@ import numpy as np
 
 from gonio.rig import misalignment
 from gonio.rig.description import Arms, Body, Cable, Geometry
-from gonio.typing import Floats
+from gonio.typing import Bools, Floats
 
-APART, TIED = 0, 1
-"""What is asked of two bodies: to keep a distance, or (the ends of a cable) to come no further than one."""
 CARRIERS = ("bench", "light", "camera", "tilt", "spin")
-NAMES = ("light", "camera", "tilt", "spin", "azimuth")
 FINEST_MM = 0.25
 """Gaps smaller than this beyond the clearance are none."""
 PLANNED_MM = FINEST_MM
@@ -61,7 +58,7 @@ class Pairs:
 
     axes: tuple[int, ...]
     shapes: tuple[tuple[Shape, Shape], ...]
-    kinds: np.ndarray
+    tied: Bools
     on: np.ndarray
     points: Floats
     counts: np.ndarray
@@ -76,7 +73,7 @@ class Pairs:
         from gonio.rig import _clearance
 
         out = np.empty((len(poses), len(self.shapes)))
-        _clearance.spares(self.kinds, self.on, self.points, self.counts, self.distances, frames, poses, out)
+        _clearance.spares(self.tied, self.on, self.points, self.counts, self.distances, frames, poses, out)
         return out
 
 
@@ -90,9 +87,9 @@ def placed(on: Sequence[str], points: Sequence[Vector], angles: Floats, frames: 
     return out
 
 
-def _together(axes: tuple[int, ...], pairs: list[tuple[int, Shape, Shape, float]], frames: Floats) -> Pairs:
-    kinds, distances = np.array([kind for kind, *_ in pairs]), np.array([distance for *_, distance in pairs])
-    points, levers = np.zeros((len(pairs), 2, 8, 3)), np.zeros((len(pairs), len(NAMES)))
+def _together(axes: tuple[int, ...], pairs: list[tuple[bool, Shape, Shape, float]], frames: Floats) -> Pairs:
+    tied, distances = np.array([tied for tied, *_ in pairs]), np.array([distance for *_, distance in pairs])
+    points, levers = np.zeros((len(pairs), 2, 8, 3)), np.zeros((len(pairs), len(misalignment.NAMES)))
     for number, (_, *shapes, _) in enumerate(pairs):
         for which, shape in enumerate(shapes):
             points[number, which, : len(shape.points)] = shape.points
@@ -101,30 +98,30 @@ def _together(axes: tuple[int, ...], pairs: list[tuple[int, Shape, Shape, float]
     return Pairs(
         axes=axes,
         shapes=tuple((one, other) for _, one, other, _ in pairs),
-        kinds=kinds,
+        tied=tied,
         on=np.array([[[CARRIERS.index(on) for on in shape.on] for shape in shapes] for _, *shapes, _ in pairs]),
         points=points,
         counts=np.array([[len(shape.points) for shape in shapes] for _, *shapes, _ in pairs]),
         levers=levers,
         distances=distances,
-        planned=distances + np.where(kinds == APART, PLANNED_MM, -PLANNED_MM),
+        planned=distances + np.where(tied, -PLANNED_MM, PLANNED_MM),
     )
 
 
 def _pairs(
     shapes: Sequence[Shape], cables: Sequence[Cable], geometry: Geometry
-) -> Iterator[tuple[int, Shape, Shape, float]]:
+) -> Iterator[tuple[bool, Shape, Shape, float]]:
     """Every two shapes that can move against each other, and the two ends of each cable.
 
     Cables may lie on each other, and on what carries their own ends.
     """
     for one, other in itertools.combinations(shapes, 2):
         if not ((one.cable and other.cable) or {*map(_carrier, one.on)} & {*map(_carrier, other.on)}):
-            yield APART, one, other, one.radius + other.radius + geometry.clearance_mm
+            yield False, one, other, one.radius + other.radius + geometry.clearance_mm
     for cable in cables:
         one = Shape(cable.name, (cable.from_on, cable.to_on), (cable.from_mm,), 0.0, cable=True)
         other = Shape(cable.name, (cable.to_on, cable.from_on), (cable.to_mm,), 0.0, cable=True)
-        yield TIED, one, other, cable.length_mm
+        yield True, one, other, cable.length_mm
 
 
 def _carrier(on: str) -> str:

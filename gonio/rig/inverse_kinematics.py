@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -32,6 +33,11 @@ from gonio.rig.motion_planning import Blocked, require_free
 from gonio.rig.protocols import Pose
 from gonio.typing import Floats
 
+FEW_STEPS, MANY_STEPS, BEST = 8, 200, 12
+"""Of `_poses_around`."""
+ALIKE = 1e-6
+"""Poses that differ by less [rad] are the same."""
+
 
 class Unreachable(ConfigError):
     """A direction that a rig cannot measure.
@@ -58,7 +64,7 @@ def _misaligned_poses(description: RigDescription, d: Angles, nearby: bool) -> l
     whole = len(description.axes()) >= misalignment.DIRECTIONS
     if whole and any(off > misalignment.CONVERGED for *_, off in found):
         # near a singular pose the way may end in a place from which every step leads away
-        exact, closest = misalignment.poses_around(description, _around(description, d), wanted)
+        exact, closest = _poses_around(description, _around(description, d), wanted)
         found = [each for each in found if each[2] <= misalignment.CONVERGED]
         found += [(pose, pose, 0.0) for pose in exact] or ([] if found else [(closest[0], *closest)])
     out: list[tuple[Pose, Pose | Unreachable]] = []
@@ -309,3 +315,49 @@ def _dot(a: Vector, b: Vector) -> float:
 def _unit(v: Vector) -> Vector:
     length = math.hypot(*v)
     return (v[0] / length, v[1] / length, v[2] / length)
+
+
+def _poses_around(
+    description: RigDescription, starts: Sequence[Pose], wanted: Floats
+) -> tuple[list[Pose], tuple[Pose, float]]:
+    """Where no way from the closed form leads to given directions: the poses that show them, and the closest found.
+
+    Close to retro the arms' plane may lie anyhow, and at a pole the azimuth; so the ways begin from many `starts`. All
+    of them go some steps, and the `BEST` go on to their ends.
+    """
+    from gonio.rig import _solving
+
+    axes = np.array([misalignment.NAMES.index(name) for name in description.axes()])
+    centre, surface = misalignment.patch(description.holder)
+    heads = np.array(
+        [
+            misalignment.head(description.arms.light, description.geometry.light_distance_mm),
+            misalignment.head(description.arms.camera, description.geometry.camera_distance_mm),
+        ]
+    )
+    at = misalignment.frames(description.arms, description.holder)
+    rig = wanted, at, heads, centre, np.ascontiguousarray(surface)
+    first = []
+    for start in starts:
+        place = np.empty(len(misalignment.NAMES))
+        left = _solving.closer(
+            np.array([getattr(start, name) for name in misalignment.NAMES]), axes, *rig, FEW_STEPS, AT_LIMIT, place
+        )
+        first.append((float(left), place))
+    exact: list[Pose] = []
+    closest: tuple[Pose, float] = starts[0], math.inf
+    for _, begun in sorted(first, key=lambda each: each[0])[:BEST]:
+        place = np.empty(len(misalignment.NAMES))
+        _solving.closer(begun, axes, *rig, MANY_STEPS, AT_LIMIT, place)
+        pose, left = Pose(**dict(zip(misalignment.NAMES, place.tolist(), strict=True))), np.empty(6)
+        _solving.beside(place, *rig, left)
+        off = max(float(np.linalg.norm(left[:3])), float(np.linalg.norm(left[3:])))
+        if off < closest[1]:
+            closest = pose, off
+        if off <= misalignment.CONVERGED and not any(_alike(pose, other) for other in exact):
+            exact.append(pose)
+    return exact, closest
+
+
+def _alike(one: Pose, other: Pose) -> bool:
+    return all(abs(math.remainder(getattr(one, n) - getattr(other, n), math.tau)) < ALIKE for n in misalignment.NAMES)

@@ -7,7 +7,6 @@ and z of the lab (docs/pose_to_pixel.md).
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
 
@@ -28,10 +27,6 @@ CONVERGED = 1e-9
 """Directions that differ by less [rad] are the same."""
 DIRECTIONS = 4
 """Numbers that two directions are made of: a rig with as many axes can show all of them."""
-FEW_STEPS, MANY_STEPS, BEST = 8, 200, 12
-"""Of `poses_around`."""
-ALIKE = 1e-6
-"""Poses that differ by less [rad] are the same."""
 NAMES = ("light", "camera", "tilt", "spin", "azimuth")
 FLAT = 1e-6
 """Combinations of axes that turn the directions less than this, per radian, are left alone."""
@@ -134,51 +129,6 @@ def closest_pose(description: RigDescription, start: Pose, wanted: Floats) -> tu
         replace(start, **dict(zip(names, at.tolist(), strict=True))),
         max(float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:]))),
     )
-
-
-def poses_around(
-    description: RigDescription, starts: Sequence[Pose], wanted: Floats
-) -> tuple[list[Pose], tuple[Pose, float]]:
-    """Where no way from the closed form leads to given directions: the poses that show them, and the closest found.
-
-    Close to retro the arms' plane may lie anyhow, and at a pole the azimuth; so the ways begin from many `starts`. All
-    of them go some steps, and the `BEST` go on to their ends.
-    """
-    from gonio.rig import _solving
-
-    axes = np.array([NAMES.index(name) for name in description.axes()])
-    centre, surface = patch(description.holder)
-    heads = np.array(
-        [
-            head(description.arms.light, description.geometry.light_distance_mm),
-            head(description.arms.camera, description.geometry.camera_distance_mm),
-        ]
-    )
-    rig = wanted, frames(description.arms, description.holder), heads, centre, np.ascontiguousarray(surface)
-    first = []
-    for start in starts:
-        place = np.empty(len(NAMES))
-        left = _solving.closer(
-            np.array([getattr(start, name) for name in NAMES]), axes, *rig, FEW_STEPS, AT_LIMIT, place
-        )
-        first.append((float(left), place))
-    exact: list[Pose] = []
-    closest: tuple[Pose, float] = starts[0], math.inf
-    for _, begun in sorted(first, key=lambda each: each[0])[:BEST]:
-        place = np.empty(len(NAMES))
-        _solving.closer(begun, axes, *rig, MANY_STEPS, AT_LIMIT, place)
-        pose, left = Pose(**dict(zip(NAMES, place.tolist(), strict=True))), np.empty(6)
-        _solving.beside(place, *rig, left)
-        off = max(float(np.linalg.norm(left[:3])), float(np.linalg.norm(left[3:])))
-        if off < closest[1]:
-            closest = pose, off
-        if off <= CONVERGED and not any(_alike(pose, other) for other in exact):
-            exact.append(pose)
-    return exact, closest
-
-
-def _alike(one: Pose, other: Pose) -> bool:
-    return all(abs(math.remainder(getattr(one, n) - getattr(other, n), math.tau)) < ALIKE for n in NAMES)
 
 
 def _carried(axis: ArmAxis, onto: Floats, distance_mm: float) -> Floats:

@@ -26,12 +26,9 @@ import numpy as np
 from gonio.errors import ConfigError
 from gonio.rig import misalignment
 from gonio.rig.bodies import (
-    APART,
     CARRIERS,
     FINEST_MM,
-    NAMES,
     PLANNED_MM,
-    TIED,
     Pairs,
     Shape,
     _pairs,
@@ -40,6 +37,7 @@ from gonio.rig.bodies import (
     placed,
 )
 from gonio.rig.description import Arms, Body, Cable, Geometry, Holder, RigDescription, approach_start
+from gonio.rig.misalignment import NAMES
 from gonio.rig.protocols import Pose
 from gonio.typing import Floats
 
@@ -225,10 +223,10 @@ def clearances(description: RigDescription, poses: Sequence[Pose]) -> list[dict[
     out: list[dict[tuple[str, str], float]] = [{} for _ in poses]
     for group in space.groups:
         for row, values in zip(out, group.spares(space.frames, angles).tolist(), strict=True):
-            for (one, other), kind, spare in zip(group.shapes, group.kinds.tolist(), values, strict=True):
-                names = _ends(one) if kind == TIED else (one.body, other.body)
-                gap = spare + (0.0 if kind == TIED else space.clearance)
-                solid = kind == APART and one.radius + other.radius == 0.0 and gap <= 0.0
+            for (one, other), tied, spare in zip(group.shapes, group.tied.tolist(), values, strict=True):
+                names = _ends(one) if tied else (one.body, other.body)
+                gap = spare + (0.0 if tied else space.clearance)
+                solid = not tied and one.radius + other.radius == 0.0 and gap <= 0.0
                 row[names] = min(row.get(names, math.inf), -SKIN_MM if solid else gap)
     return out
 
@@ -294,7 +292,7 @@ def _met(space: Space, start: Angles, goal: Angles, planned: bool) -> tuple[Pair
             if len(space.known) >= MOST_KEPT:
                 space.known.clear()
             pair, at = _clearance.first_too_close(
-                group.kinds, group.on, group.points, group.counts, group.levers,
+                group.tied, group.on, group.points, group.counts, group.levers,
                 group.planned if planned else group.distances, space.frames, FINEST_MM, MOST_BOXES,
                 np.array(lows), np.array(highs),
             )  # fmt: skip
@@ -308,7 +306,7 @@ def _met(space: Space, start: Angles, goal: Angles, planned: bool) -> tuple[Pair
 def _blocked(space: Space, start: Angles, goal: Angles, group: Pairs, pair: int, near: Sequence[float]) -> Blocked:
     """What is in the way from start to goal, by `_met`."""
     one, other = group.shapes[pair]
-    torn = group.kinds[pair] == TIED
+    torn = group.tied[pair]
     verb, bodies = ("tear the cable", one.body) if torn else ("touch:", f"{one.body} and {other.body}")
     spare = group.spares(space.frames, np.array([near]))[0, pair]
     would = "would" if spare <= FINEST_MM + PLANNED_MM else "may"
@@ -333,7 +331,7 @@ def _require_apart(space: Space, at: Angles) -> None:
         if found[pair] > 0.0:
             continue
         one, other = group.shapes[pair]
-        if group.kinds[pair] == TIED:
+        if group.tied[pair]:
             raise Blocked(
                 f"at {space.said(at)} the cable {one.body} is {-found[pair]:.1f} mm too short",
                 "where the point is measured, too short: the cable", one.body,
@@ -444,10 +442,10 @@ def _space(
     approach = {name: math.radians(value) for name, value in approach_deg}
     frames = misalignment.frames(arms, holder)
     shapes = _shapes(bodies, cables, geometry, arms)
-    by_axes: dict[tuple[int, ...], list[tuple[int, Shape, Shape, float]]] = {}
-    for kind, one, other, distance in _pairs(shapes, cables, geometry):
+    by_axes: dict[tuple[int, ...], list[tuple[bool, Shape, Shape, float]]] = {}
+    for tied, one, other, distance in _pairs(shapes, cables, geometry):
         axes = tuple(sorted({*one.levers(frames), *other.levers(frames)}))
-        by_axes.setdefault(axes, []).append((kind, one, other, distance))
+        by_axes.setdefault(axes, []).append((tied, one, other, distance))
     axes_of_arms = arms.axes()
     rows = [axes_of_arms[name].harmonics_deg if name in axes_of_arms else () for name in NAMES]
     return Space(
