@@ -10,7 +10,6 @@ from gonio_analysis.plots.in_plane import COLOURS
 from gonio_analysis.plots.style import FAINT, INK
 from gonio_analysis.report.blocks import (
     Block,
-    Contents,
     Figures,
     Footer,
     Group,
@@ -19,15 +18,14 @@ from gonio_analysis.report.blocks import (
     Paragraph,
     Text,
     code,
-    facts,
     section,
-    strong,
     table,
 )
 from gonio_analysis.report.drawings import Figure, rendered
 from gonio_analysis.report.text import number
 
 from gonio_validation.bench.coverage_results import LEVEL, Count, Coverage, Pulls
+from gonio_validation.bench.page import head, method, part, verdict
 
 FOOTER = Footer(
     (
@@ -49,13 +47,18 @@ def render(s: Coverage, figures: Sequence[Figure]) -> Page:
     """The page."""
     links = (("coverage", "Coverage"), ("pulls", "Pulls"), ("hidden", "What is hidden"), ("far", "Points far off"))
     what = (
-        f"{s.created[:10]}, gonio {s.machine.versions['gonio']}, seed {s.seed}: {s.campaigns} campaigns, {s.values} "
+        f", seed {s.seed}: {s.campaigns} campaigns, {s.values} "
         f"values of BRDF, {number(s.seconds / max(s.campaigns, 1), 2)} s of one process a campaign."
     )
     rough = " A quick run: few campaigns of few points." if s.quick else ""
-    contents = Contents(tuple((f"#{anchor}", name) for anchor, name in links))
-    head = Group("header", (Heading(1, s.title), Paragraph(what + rough, "sub"), contents))
-    body: list[Block] = [head, _lead(s), _coverage(s, figures), _pulls(s, figures), _hidden(s), _far(s)]
+    body: list[Block] = [
+        head(s, what + rough, links),
+        _lead(s),
+        _coverage(s, figures),
+        _pulls(s, figures),
+        _hidden(s),
+        _far(s),
+    ]
     return Page(s.title, (*body, *_failed(s), _method(s), FOOTER))
 
 
@@ -77,10 +80,6 @@ def _percent(value: float) -> str:
     return f"{100 * value:.1f} %"
 
 
-def _verdict(holds: bool) -> Text:
-    return "yes" if holds else strong("no")
-
-
 def _coverage(s: Coverage, figures: Sequence[Figure]) -> Group:
     words = (
         "Frequentist coverage: in how many campaigns the interval of 95 % holds the truth. All values of a campaign "
@@ -92,13 +91,13 @@ def _coverage(s: Coverage, figures: Sequence[Figure]) -> Group:
     rows: list[list[Text]] = [
         [
             KINDS[c.kind], _of(c), str(c.campaigns), str(c.inside), _percent(c.inside / c.campaigns),
-            _percent(c.low), _percent(c.high), _verdict(c.holds),
+            _percent(c.low), _percent(c.high), verdict(c.holds),
         ]
         for c in s.counts
     ]  # fmt: skip
     shown = table("", header, rows, right=(2, 3, 4, 5, 6))
     forest = Figures(tuple(f for f in figures if f.kind == "forest"))
-    return section([Heading(2, "Coverage"), Paragraph(words, "note"), forest, shown], "coverage")
+    return part("Coverage", "coverage", words, forest, shown)
 
 
 def _of(c: Count | Pulls) -> str:
@@ -128,7 +127,7 @@ def _pulls(s: Coverage, figures: Sequence[Figure]) -> Group:
         ["test", "campaigns", "uniform: p (Kolmogorov-Smirnov)", "campaigns a bin"], tests, right=(1, 2),
     )  # fmt: skip
     drawings = Figures(tuple(f for f in figures if f.kind != "forest"))
-    return section([Heading(2, "Pulls"), Paragraph(words, "note"), drawings, shown, uniform], "pulls")
+    return part("Pulls", "pulls", words, drawings, shown, uniform)
 
 
 def _hidden(s: Coverage) -> Group:
@@ -139,8 +138,9 @@ def _hidden(s: Coverage) -> Group:
         "Drawn anew for every campaign, and read by the simulated devices alone. Distances, the cones of lamp and "
         "lens, the beam, the wavelength, the kind of model and a metal's optical constants are known rightly."
     )
-    shown = table("", ["error", "hidden", "what the laboratory knows", "here"], rows)
-    return section([Heading(2, "What is hidden"), Paragraph(words, "note"), shown], "hidden")
+    return part(
+        "What is hidden", "hidden", words, table("", ["error", "hidden", "what the laboratory knows", "here"], rows)
+    )
 
 
 def _far(s: Coverage) -> Group:
@@ -157,8 +157,7 @@ def _far(s: Coverage) -> Group:
     words = (
         "The largest pull of a campaign, for the campaigns in which it is largest. Angles in degrees, values in 1/sr."
     )
-    shown = table("", header, rows, right=tuple(range(4, 11)))
-    return section([Heading(2, "Points far off"), Paragraph(words, "note"), shown], "far")
+    return part("Points far off", "far", words, table("", header, rows, right=tuple(range(4, 11))))
 
 
 def _failed(s: Coverage) -> list[Block]:
@@ -184,10 +183,8 @@ def _method(s: Coverage) -> Group:
         ),
         ("interval of a parameter", "profile likelihood, as gonio fit states it"),
         ("processor", f"{m.cpu}, {m.cpus} usable"),
-        ("system", f"{m.system}, Python {m.python}, " + ", ".join(f"{k} {v}" for k, v in m.versions.items())),
-        ("command", s.command or "–"),
     ]
-    return section([Heading(2, "Method and machine"), facts(rows)], "method")
+    return method(s, rows)
 
 
 # --- drawings -----------------------------------------------------------------------------------------------------

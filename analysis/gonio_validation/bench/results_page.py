@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from gonio_analysis.report.blocks import (
     Block,
-    Contents,
     Figures,
     Footer,
     Group,
@@ -15,12 +14,12 @@ from gonio_analysis.report.blocks import (
     code,
     facts,
     section,
-    strong,
     table,
 )
 from gonio_analysis.report.drawings import Figure
 from gonio_analysis.report.text import number, slug
 
+from gonio_validation.bench.page import head, method, part, verdict
 from gonio_validation.bench.results import (
     HandOverSummary,
     PeerTime,
@@ -58,10 +57,9 @@ def _header(s: SpeedAndError) -> Group:
     links = [("targets", "Targets"), *((slug(q.name), q.title) for q in s.families)]
     links += [("hard-cases", "Hard cases"), ("calls", "Calls and start-up"), ("method", "Method and machine")]
     machine = f"{s.machine.cpu}, {s.machine.cpus} threads"
-    what = f"{s.created[:10]}, gonio {s.machine.versions['gonio']}, {machine}, {_vectors(s)}."
+    what = f", {machine}, {_vectors(s)}."
     rough = " A quick run: errors are right, times are rough." if s.quick else ""
-    contents = Contents(tuple((f"#{anchor}", name) for anchor, name in links))
-    return Group("header", (Heading(1, s.title), Paragraph(what + rough, "sub"), contents))
+    return head(s, what + rough, links)
 
 
 def _vectors(s: SpeedAndError) -> str:
@@ -85,10 +83,6 @@ def _lead(s: SpeedAndError) -> Paragraph:
     return Paragraph(" ".join(words), "lead")
 
 
-def _verdict(met: bool) -> Text:
-    return "yes" if met else strong("no")
-
-
 def _error(value: float | None) -> str:
     return "not a number" if value is None else f"{number(value, 2)}"
 
@@ -96,10 +90,10 @@ def _error(value: float | None) -> str:
 def _target(t: TargetSummary, cpus: int) -> list[Text]:
     best = f"{number(t.achieved)} {t.unit}"
     if not isinstance(t, WayTargetSummary):
-        return [t.what, t.target, best, "", _verdict(t.time_met), "", "", ""]
+        return [t.what, t.target, best, "", verdict(t.time_met), "", "", ""]
     idle = f"{number(t.processor_ns / cpus)} ns"
-    errors = (number(t.target_error, 1), _error(t.achieved_error), _verdict(t.error_met))
-    return [t.what, t.target, best, idle, _verdict(t.time_met), *errors]
+    errors = (number(t.target_error, 1), _error(t.achieved_error), verdict(t.error_met))
+    return [t.what, t.target, best, idle, verdict(t.time_met), *errors]
 
 
 def _targets(s: SpeedAndError) -> Group:
@@ -112,8 +106,7 @@ def _targets(s: SpeedAndError) -> Group:
         "Ratios are of processor times. Errors are relative, over 1 + conditioning, the largest of grid and hard set."
     )
     header = ["", "target", "best", "idle", "met", "error: allowed", "largest", "held"]
-    shown = table("", header, rows, right=(1, 2, 3, 5, 6))
-    return section([Heading(2, "Targets"), Paragraph(words, "note"), shown], "targets")
+    return part("Targets", "targets", words, table("", header, rows, right=(1, 2, 3, 5, 6)))
 
 
 def _tolerances(s: SpeedAndError) -> Group:
@@ -123,7 +116,7 @@ def _tolerances(s: SpeedAndError) -> Group:
             number(t.stated, 1),
             _error(t.worst),
             str(t.points),
-            _verdict(t.holds),
+            verdict(t.holds),
         ]
         for t in s.tolerances
     ]
@@ -131,8 +124,13 @@ def _tolerances(s: SpeedAndError) -> Group:
         "Every accuracy that an evaluation of ours states (He-Torrance's tolerance= among them), against the largest "
         "error over 1 + conditioning on grid and hard set."
     )
-    shown = table("", ["", "stated", "largest", "points", "holds"], rows, right=(1, 2, 3))
-    return section([Heading(3, "Do the stated accuracies hold?"), Paragraph(words, "note"), shown], "tolerances")
+    return part(
+        "Do the stated accuracies hold?",
+        "tolerances",
+        words,
+        table("", ["", "stated", "largest", "points", "holds"], rows, right=(1, 2, 3)),
+        level=3,
+    )
 
 
 def _quantity(q: QuantitySummary, figure: Figure | None) -> Group:
@@ -175,7 +173,7 @@ def _hard(s: SpeedAndError) -> Group:
             str(c.infinite),
             str(c.negative),
             "yes" if c.warning else "no",
-            _verdict(c.holds),
+            verdict(c.holds),
             c.note,
         ]
         for c in s.hard_cases
@@ -197,8 +195,7 @@ def _hard(s: SpeedAndError) -> Group:
         "warning",
         "holds",
     ]
-    shown = table("", [*header, ""], rows, right=(2, 3, 4, 5, 6, 7))
-    return section([Heading(2, "Hard cases"), Paragraph(words, "note"), shown], "hard-cases")
+    return part("Hard cases", "hard-cases", words, table("", [*header, ""], rows, right=(2, 3, 4, 5, 6, 7)))
 
 
 def _calls(s: SpeedAndError) -> Group:
@@ -259,7 +256,5 @@ def _method(s: SpeedAndError) -> Group:
             "through the models' own loops, checks and compiler; He-Torrance's share all but the series",
         ),
         ("processor", f"{m.cpu}, {m.cpus} usable; {' '.join(m.flags) or 'flags unknown'}"),
-        ("system", f"{m.system}, Python {m.python}, " + ", ".join(f"{k} {v}" for k, v in m.versions.items())),
-        ("command", s.command or "–"),
     ]
-    return section([Heading(2, "Method and machine"), facts(rows)], "method")
+    return method(s, rows)

@@ -16,14 +16,13 @@ from gonio_analysis.report.blocks import (
     Paragraph,
     Text,
     code,
-    facts,
     section,
-    strong,
     table,
 )
 from gonio_analysis.report.drawings import Figure, rendered
 from gonio_analysis.report.text import number
 
+from gonio_validation.bench.page import head, method, part, verdict
 from gonio_validation.bench.scene_results import SceneBench
 
 FOOTER = Footer(
@@ -38,9 +37,17 @@ def render(s: SceneBench) -> Page:
     """The page."""
     rough = " A quick run: small pictures, nothing is precise." if s.quick else ""
     machine = f"{s.machine.cpu}, {s.machine.cpus} threads"
-    what = f"{s.created[:10]}, gonio {s.machine.versions['gonio']}, {machine}; pictures of {s.pixels} x {s.pixels}."
-    head = Group("header", (Heading(1, s.title), Paragraph(what + rough, "sub")))
-    body: list[Block] = [head, _lead(s), _samples(s), _tolerances(s), _bins(s), _ways(s), _shared(s), _peers(s)]
+    what = f", {machine}; pictures of {s.pixels} x {s.pixels}."
+    body: list[Block] = [
+        head(s, what + rough),
+        _lead(s),
+        _samples(s),
+        _tolerances(s),
+        _bins(s),
+        _ways(s),
+        _shared(s),
+        _peers(s),
+    ]
     return Page(s.title, (*body, _method(s), FOOTER))
 
 
@@ -63,8 +70,7 @@ def _samples(s: SceneBench) -> Group:
     ]
     words = "A Lambertian sphere on a floor. Errors are root mean squares over the picture's mean radiance."
     header = ["light", "rays a pixel", "ms", "error", "stated"]
-    shown = table("", header, rows, right=(1, 2, 3, 4))
-    return section([Heading(2, "Rays a pixel"), Paragraph(words, "note"), shown, Figures(tuple(drawn(s)))], "samples")
+    return part("Rays a pixel", "samples", words, table("", header, rows, right=(1, 2, 3, 4)), Figures(tuple(drawn(s))))
 
 
 def _tolerances(s: SceneBench) -> Group:
@@ -80,7 +86,7 @@ def _tolerances(s: SceneBench) -> Group:
             _percent(r.stated),
             _percent(r.beyond_three),
             str(r.above),
-            "yes" if r.holds else strong("no"),
+            verdict(r.holds),
         ]
         for r in s.tolerances
     ]
@@ -103,8 +109,7 @@ def _tolerances(s: SceneBench) -> Group:
         "above",
         "kept",
     ]
-    shown = table("", header, rows, right=tuple(range(1, 10)))
-    return section([Heading(2, "To a tolerance"), Paragraph(words, "note"), shown], "tolerances")
+    return part("To a tolerance", "tolerances", words, table("", header, rows, right=tuple(range(1, 10))))
 
 
 def _bins(s: SceneBench) -> Group:
@@ -124,13 +129,17 @@ def _bins(s: SceneBench) -> Group:
         "structure is not sampled: what is interpolated between wavelengths is the reflection. Colour differences are "
         "those of CIE 1976, over the pixels of the sphere."
     )
-    shown = table(
-        "",
-        ["sample", "wavelengths", "ms", "XYZ over white: largest", "ΔE: mean", "largest"],
-        rows,
-        right=(1, 2, 3, 4, 5),
+    return part(
+        "Wavelengths",
+        "bins",
+        words,
+        table(
+            "",
+            ["sample", "wavelengths", "ms", "XYZ over white: largest", "ΔE: mean", "largest"],
+            rows,
+            right=(1, 2, 3, 4, 5),
+        ),
     )
-    return section([Heading(2, "Wavelengths"), Paragraph(words, "note"), shown], "bins")
 
 
 def _ways(s: SceneBench) -> Group:
@@ -142,8 +151,7 @@ def _ways(s: SceneBench) -> Group:
         "radiance of the sphere, against the first way."
     )
     header = ["material", "way", "ms", "error", "largest", ""]
-    shown = table("", header, rows, right=(2, 3, 4))
-    return section([Heading(2, "Exact and approximate"), Paragraph(words, "note"), shown], "ways")
+    return part("Exact and approximate", "ways", words, table("", header, rows, right=(2, 3, 4)))
 
 
 def _shared(s: SceneBench) -> Group:
@@ -159,8 +167,7 @@ def _shared(s: SceneBench) -> Group:
     ]
     words = "The wavelengths of a picture share rays, hits and shadows, and in the models what does not depend on them."
     header = ["sample", "wavelengths", "ms together", "ms in a picture each", "times faster"]
-    shown = table("", header, rows, right=(1, 2, 3, 4))
-    return section([Heading(2, "Wavelengths together"), Paragraph(words, "note"), shown], "shared")
+    return part("Wavelengths together", "shared", words, table("", header, rows, right=(1, 2, 3, 4)))
 
 
 def _peers(s: SceneBench) -> Group:
@@ -196,10 +203,8 @@ def _method(s: SceneBench) -> Group:
     rows = [
         ("times", "wall-clock time of rendering in process, the best of the repeats; reading and writing are left out"),
         ("load", busy),
-        ("system", f"{m.system}, Python {m.python}, " + ", ".join(f"{k} {v}" for k, v in m.versions.items())),
-        ("command", s.command or "–"),
     ]
-    return section([Heading(2, "Method and machine"), facts(rows)], "method")
+    return method(s, rows)
 
 
 def drawn(s: SceneBench) -> list[Figure]:

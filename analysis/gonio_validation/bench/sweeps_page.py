@@ -9,23 +9,19 @@ from gonio_analysis.plots.in_plane import COLOURS
 from gonio_analysis.plots.style import FAINT, INK
 from gonio_analysis.report.blocks import (
     Block,
-    Contents,
     Figures,
     Footer,
     Group,
-    Heading,
     Page,
     Paragraph,
     Text,
     code,
-    facts,
-    section,
-    strong,
     table,
 )
 from gonio_analysis.report.drawings import Figure, rendered
 from gonio_analysis.report.text import number
 
+from gonio_validation.bench.page import head, method, part, verdict
 from gonio_validation.bench.sweeps_plans import AROUND_DEG, FLOOR, INCIDENCES, LARGEST_DEG, WAVELENGTH_NM
 from gonio_validation.bench.sweeps_results import ENOUGH, HELD, SHARE, Level, Sweeps
 
@@ -50,13 +46,18 @@ def render(s: Sweeps, figures: Sequence[Figure]) -> Page:
     links = (("time", "Rig time"), ("points", "Points"), ("intervals", "Intervals"), ("method", "Method"))
     runs = "1 run" if s.seeds == 1 else f"{s.seeds} runs"
     what = (
-        f"{s.created[:10]}, gonio {s.machine.versions['gonio']}: {runs} of every plan on every sample, each "
+        f": {runs} of every plan on every sample, each "
         f"with errors and noise of its own; {number(s.seconds / 60, 2)} min of one processor."
     )
     rough = " A quick run: two samples, in plane alone." if s.quick else ""
-    contents = Contents(tuple((f"#{anchor}", name) for anchor, name in links))
-    head = Group("header", (Heading(1, s.title), Paragraph(what + rough, "sub"), contents))
-    body: list[Block] = [head, _lead(s), _time(s, figures), _points(s), _intervals(s), _method(s)]
+    body: list[Block] = [
+        head(s, what + rough, links),
+        _lead(s),
+        _time(s, figures),
+        _points(s),
+        _intervals(s),
+        _method(s),
+    ]
     return Page(s.title, (*body, FOOTER))
 
 
@@ -83,10 +84,6 @@ def _percent(value: float) -> str:
     return f"{100 * value:.3g} %"
 
 
-def _verdict(holds: bool) -> Text:
-    return "yes" if holds else strong("no")
-
-
 def _time(s: Sweeps, figures: Sequence[Figure]) -> Group:
     words = (
         "Root mean square of the relative error of the curve, over rig time: frames, metering, ways, visits to the "
@@ -109,7 +106,7 @@ def _time(s: Sweeps, figures: Sequence[Figure]) -> Group:
                 )
     header = ["sample", "geometry", "plan", "points", "rig time [min]", "rms error", "largest", "in 95 % interval"]
     shown = table("The largest size of each plan; the adaptive one at its end.", header, rows, right=(3, 4, 5, 6, 7))
-    return section([Heading(2, "Rig time"), Paragraph(words, "note"), Figures(tuple(figures)), shown], "time")
+    return part("Rig time", "time", words, Figures(tuple(figures)), shown)
 
 
 def _of(s: Sweeps, geometry: str, sample: str, plan: str, way: str) -> list[Level]:
@@ -125,13 +122,12 @@ def _points(s: Sweeps) -> Group:
     rows: list[list[Text]] = [
         [
             *(b.sample, f"{b.uniform_points:.0f}", _percent(b.uniform_interpolated), _percent(b.uniform_process)),
-            *(f"{b.points:.0f}", _percent(b.adaptive), _verdict(b.holds)),
+            *(f"{b.points:.0f}", _percent(b.adaptive), verdict(b.holds)),
         ]
         for b in s.by_points
     ]
     header = ["sample", "uniform: points", "interpolated", "process", "adaptive: points", "error", "kept"]
-    shown = table("", header, rows, right=(1, 2, 3, 4, 5))
-    return section([Heading(2, "Points"), Paragraph(words, "note"), shown], "points")
+    return part("Points", "points", words, table("", header, rows, right=(1, 2, 3, 4, 5)))
 
 
 def _intervals(s: Sweeps) -> Group:
@@ -143,12 +139,16 @@ def _intervals(s: Sweeps) -> Group:
     rows: list[list[Text]] = [
         [
             *("all samples" if h.sample == "all" else h.sample, h.geometry, str(h.runs), _percent(h.inside)),
-            *(_percent(h.lowest), _verdict(h.holds) if h.sample == "all" else ""),
+            *(_percent(h.lowest), verdict(h.holds) if h.sample == "all" else ""),
         ]
         for h in s.held
     ]
-    shown = table("", ["sample", "geometry", "runs", "held", "lowest run", "kept"], rows, right=(2, 3, 4))
-    return section([Heading(2, "Intervals"), Paragraph(words, "note"), shown], "intervals")
+    return part(
+        "Intervals",
+        "intervals",
+        words,
+        table("", ["sample", "geometry", "runs", "held", "lowest run", "kept"], rows, right=(2, 3, 4)),
+    )
 
 
 def _method(s: Sweeps) -> Group:
@@ -163,10 +163,8 @@ def _method(s: Sweeps) -> Group:
         ("half-vector", "even in asinh(theta_h/4 deg)"),
         ("truth", "the sample through the cones of lamp and lens, in directions between those of the plans"),
         ("processor", f"{m.cpu}, {m.cpus} usable"),
-        ("system", f"{m.system}, Python {m.python}, " + ", ".join(f"{k} {v}" for k, v in m.versions.items())),
-        ("command", s.command or "–"),
     ]
-    return section([Heading(2, "Method and machine"), facts(rows)], "method")
+    return method(s, rows)
 
 
 # --- drawings -----------------------------------------------------------------------------------------------------
