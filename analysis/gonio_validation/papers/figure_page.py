@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from gonio_analysis.report import files
@@ -10,15 +10,16 @@ from gonio_analysis.report.blocks import (
     Block,
     Figures,
     Footer,
-    Group,
     Heading,
     Notes,
     Page,
     Paragraph,
     Span,
+    Stamp,
     Text,
     code,
-    facts,
+    header,
+    provenance,
     section,
     stamp,
     strong,
@@ -71,7 +72,7 @@ def render(page: PaperFigure, found: FigureSummary, drawn: list[Figure]) -> Page
     ]
     results, columns = page.results, tuple(range(1, len(page.results.header)))
     body: list[Block] = [
-        _header(page.title, f"{page.paper}. Made again", found.created, found.versions),
+        header(page.title, f"{page.paper}. Made again with gonio {found.versions['gonio']}, {found.created[:10]}."),
         Paragraph(_words(found.claims), "lead"),
         Figures(tuple(drawn)),
         section(
@@ -85,15 +86,15 @@ def render(page: PaperFigure, found: FigureSummary, drawn: list[Figure]) -> Page
     ]
     if page.notes:
         body.append(section([Heading(2, "Notes"), Notes(tuple(page.notes))]))
-    made = _provenance(found.command, found.created, found.versions)
-    body += [section([Heading(2, "Provenance"), facts([*page.facts, *made])]), FOOTER]
+    made = Stamp(created=found.created, command=found.command, versions=dict(found.versions))
+    body += [section([Heading(2, "Provenance"), provenance(made, *page.facts, called="made")]), FOOTER]
     return Page(page.title, tuple(body))
 
 
 def index(pages: Sequence[FigureSummary], command: str) -> Page:
     """The page that links all figures, from their summaries."""
     made = stamp(command)
-    created, versions = made["created"], made["versions"]
+    when = f"with gonio {made['versions']['gonio']}, {made['created'][:10]}."
     rows: list[Sequence[Text]] = []
     for f in pages:
         verdicts = [c.verdict for c in f.claims]
@@ -102,22 +103,17 @@ def index(pages: Sequence[FigureSummary], command: str) -> Page:
         [_link(f), c.claim, c.found] for f in pages for c in f.claims if c.verdict == "does not hold"
     ]
     body = (
-        _header(ALL, "Theory, simulated measurements and verdicts", created, versions),
+        header(ALL, f"Theory, simulated measurements and verdicts {when}"),
         Paragraph(_words([c for f in pages for c in f.claims]), "lead"),
         table("", ["figure", "what it shows", *VERDICTS], rows, right=(2, 3, 4)),
         section([Heading(2, "What does not hold"), table("", ["figure", "claim", "found"], failing)]),
-        section([Heading(2, "Provenance"), facts(_provenance(command, created, versions))]),
+        section([Heading(2, "Provenance"), provenance(made, called="made")]),
     )
     return Page(ALL, body)
 
 
 def _link(found: FigureSummary) -> Span:
     return Span(found.title.partition(":")[0], href=f"{found.figure}/index.html")
-
-
-def _header(title: str, sub: str, created: str, versions: Mapping[str, str]) -> Group:
-    words = f"{sub} with gonio {versions['gonio']}, {created[:10]}."
-    return Group("header", (Heading(1, title), Paragraph(words, "sub")))
 
 
 def _words(claims: Sequence[ClaimSummary]) -> str:
@@ -129,11 +125,3 @@ def _words(claims: Sequence[ClaimSummary]) -> str:
     if open_:
         words += f"; {open_} {'hangs on a value' if open_ == 1 else 'hang on values'} that the scan does not give"
     return words + "."
-
-
-def _provenance(command: str, created: str, versions: Mapping[str, str]) -> list[tuple[str, str]]:
-    return [
-        ("command", command or "–"),
-        ("made", created),
-        ("versions", ", ".join(f"{k} {v}" for k, v in versions.items())),
-    ]

@@ -12,7 +12,21 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from gonio_analysis.report import files, pdf
-from gonio_analysis.report.blocks import Block, Footer, Group, Heading, Page, Paragraph, code, facts, lead, stamp, table
+from gonio_analysis.report.blocks import (
+    Block,
+    Footer,
+    Heading,
+    Page,
+    Paragraph,
+    Stamp,
+    code,
+    facts,
+    header,
+    lead,
+    provenance,
+    stamp,
+    table,
+)
 from gonio_analysis.result_records import as_json
 
 from gonio.errors import GonioError
@@ -127,19 +141,18 @@ def _page(v: Verification) -> Page:
     rows = [[p.name, p.what, f"{sum(f.passed for f in p.findings)} of {len(p.findings)}",
              "passed" if p.passed else "FAILED", f"{p.seconds:.1f} s"] for p in v.parts]  # fmt: skip
     body: list[Block] = [
-        Group("header", (Heading(1, v.title), Paragraph(sub, "sub"))),
+        header(v.title, sub),
         lead(v.conclusion),
         table("", ["part", "what is checked", "checks", "verdict", "time"], rows, right=(4,)),
     ]
     for part in v.parts:
         shown = [[f.name, f.found, f.expected, f.tolerance, "passed" if f.passed else "FAILED"] for f in part.findings]
-        header = ["check", "found", "right", "tolerance", ""]
-        body += [Heading(3, part.name.capitalize()), table("", header, shown)]
+        columns = ["check", "found", "right", "tolerance", ""]
+        body += [Heading(3, part.name.capitalize()), table("", columns, shown)]
     body += [Heading(3, "What this does not say"), *(Paragraph(text) for text in v.limits)]
     blank = "_" * 40
     signed = [("verified by", blank), ("date", blank), ("signature", blank), ("instrument, computer", blank)]
     body += [Heading(3, "Signed off"), facts(signed)]
-    made = [("command", v.command or "–"), ("made", v.created)]
-    made.append(("versions", ", ".join(f"{k} {n}" for k, n in v.versions.items())))
+    made = Stamp(created=v.created, command=v.command, versions=v.versions)
     footer = Footer(("Every number on this page is in ", code("summary.json"), "."))
-    return Page(v.title, (*body, Heading(2, "Provenance"), facts(made), footer))
+    return Page(v.title, (*body, Heading(2, "Provenance"), provenance(made, called="made"), footer))
