@@ -220,7 +220,6 @@ def write(
     groups = _drawings(both)
     groups += [transmission.draw(t, (), slug) for t, slug in zip(transmission_only, slugs, strict=True)]
     wanted = [drawing for group in groups for drawing in group]
-    (folder / "tables").mkdir()
     room, listed = viewer.BYTES // max(len(datasets), 1), list[str]()
     views: list[viewer.View | None] = []
 

@@ -125,7 +125,6 @@ def _write(
     every = curves(at)
     drawn = selection(every)
     figures = workers.draw(change_figures.draw(c, at, drawn, shown), progress)
-    (folder / "tables").mkdir()
     write_columns(folder / "tables" / "change.csv", COLUMNS, _columns(c))
     tables = ["change.csv"]
     if len(waves) > 1:

@@ -99,7 +99,6 @@ def make(
         found = compared(sides, shared or {}, wavelength_nm=wavelength_nm, say=progress)
         progress(conclusion(found))
         drawn = workers.draw(laboratories_figures.draw(found), progress)
-        (stage.work / "tables").mkdir()
         last = {"figures": drawn, "tables": _write_tables(found, stage.work / "tables")}
         made = stamp(command)
         files.write_page(stage.work, _page(found, made, drawn), {**_summary(found, made), **last}, drawn, printed=True)

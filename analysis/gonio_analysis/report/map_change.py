@@ -84,7 +84,6 @@ def make(
         found = change(*specs)
         progress(conclusion(found))
         figures = workers.draw(_drawings(found), progress)
-        (stage.work / "tables").mkdir()
         tables = _write_tables(found, stage.work / "tables")
         made = stamp(command)
         summary = {**_summary(found, specs, made), "figures": figures, "tables": tables}

@@ -102,7 +102,6 @@ def make(
     with files.staged(out) as stage, figure_workers(FIGURES) as workers:
         told = _of_fits(path, values, progress) if fitted else map_values.told(path, progress)
         figures = workers.draw(told.drawings, progress)
-        (stage.work / "tables").mkdir()
         tables = _write_tables(told, stage.work / "tables")
         made = stamp(command)
         summary = {"title": told.title, **made, "conclusion": told.conclusion, **told.summary}

@@ -148,6 +148,7 @@ def _degrees(angle: Floats) -> Floats:
 
 def write_csv(path: Path, header: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
     """A CSV in which None and NaN are empty cells, floats keep every digit, and no text is a spreadsheet's formula."""
+    path.parent.mkdir(exist_ok=True)
     with open(path, "w", encoding="utf-8", newline="") as stream:
         out = csv.writer(stream, lineterminator="\n")
         out.writerow(header)
@@ -156,6 +157,7 @@ def write_csv(path: Path, header: Sequence[str], rows: Iterable[Sequence[Any]]) 
 
 def write_columns(path: Path, header: Sequence[str], columns: Sequence[Any]) -> None:
     """The same from arrays: numbers of 64 bits, or words. A million rows take seconds."""
+    path.parent.mkdir(exist_ok=True)
     with open(path, "w", encoding="utf-8", newline="") as stream:
         csv.writer(stream, lineterminator="\n").writerow(header)
         for begin in range(0, len(columns[0]), ROWS_AT_ONCE):

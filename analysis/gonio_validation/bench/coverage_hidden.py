@@ -9,6 +9,7 @@ from __future__ import annotations
 import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -332,28 +333,9 @@ CAUSES = (
 Sample = tuple[Tables, dict[str, float], complex | None]
 
 
-def _lambert(rng: np.random.Generator) -> Sample:
-    truth = {"albedo": _even(rng, 0.05, 0.95)}
-    return dict(truth), truth, None
-
-
-def _oren_nayar(rng: np.random.Generator) -> Sample:
-    truth = {"albedo": _even(rng, 0.1, 0.9), "sigma_deg": _even(rng, 3.0, 40.0)}
-    return dict(truth), truth, None
-
-
-def _phong(rng: np.random.Generator) -> Sample:
-    truth = {"k_d": _even(rng, 0.02, 0.2), "k_s": _even(rng, 0.05, 1.0), "exponent": _even(rng, 4.0, 50.0, 2)}
-    return dict(truth), truth, None
-
-
-def _blinn(rng: np.random.Generator) -> Sample:
-    truth = {
-        "k_d": _even(rng, 0.02, 0.2),
-        "k_s": _even(rng, 0.3, 2.0),
-        "c": _even(rng, 0.15, 0.5),
-        "ior": _even(rng, 1.35, 2.5),
-    }
+def _even_in(rng: np.random.Generator, **ranges: tuple[float, float] | tuple[float, float, int]) -> Sample:
+    """Parameters that are drawn apart from each other, as `_even` takes them."""
+    truth = {name: _even(rng, *of) for name, of in ranges.items()}
     return dict(truth), truth, None
 
 
@@ -380,10 +362,10 @@ def _he_torrance(rng: np.random.Generator) -> Sample:
 
 
 SAMPLES: dict[str, Callable[[np.random.Generator], Sample]] = {
-    "lambert": _lambert,
-    "oren-nayar": _oren_nayar,
-    "phong": _phong,
-    "blinn": _blinn,
+    "lambert": partial(_even_in, albedo=(0.05, 0.95)),
+    "oren-nayar": partial(_even_in, albedo=(0.1, 0.9), sigma_deg=(3.0, 40.0)),
+    "phong": partial(_even_in, k_d=(0.02, 0.2), k_s=(0.05, 1.0), exponent=(4.0, 50.0, 2)),
+    "blinn": partial(_even_in, k_d=(0.02, 0.2), k_s=(0.3, 2.0), c=(0.15, 0.5), ior=(1.35, 2.5)),
     "cook-torrance": _cook_torrance,
     "he-torrance": _he_torrance,
 }

@@ -142,7 +142,6 @@ def make(out: str | Path, *, quick: bool = False, command: str = "", step: Step 
     with files.staged(out) as stage:
         summary = collect(QUICK if quick else FULL, quick=quick, command=command, step=step)
         files.write_page(stage.work, scenes_page.render(summary), as_json(summary), scenes_page.drawn(summary))
-        (stage.work / "tables").mkdir()
         for name in ("samples", "tolerances", "bins", "ways", "shared", "peers"):
             rows = getattr(summary, name)
             if rows:

@@ -20,7 +20,7 @@ from gonio_analysis.report.blocks import (
     table,
 )
 from gonio_analysis.report.drawings import Figure, rendered
-from gonio_analysis.report.text import number
+from gonio_analysis.report.text import number, percent
 
 from gonio_validation.bench.page import head, method, part, verdict
 from gonio_validation.bench.scene_results import SceneBench
@@ -60,13 +60,9 @@ def _lead(s: SceneBench) -> Paragraph:
     return Paragraph(" ".join(words), "lead")
 
 
-def _percent(value: float | None) -> str:
-    return "–" if value is None else f"{number(100 * value, 2)} %"
-
-
 def _samples(s: SceneBench) -> Group:
     rows: list[list[Text]] = [
-        [r.scene, number(r.rays), number(1e3 * r.seconds), _percent(r.rms), _percent(r.stated)] for r in s.samples
+        [r.scene, number(r.rays), number(1e3 * r.seconds), percent(r.rms), percent(r.stated)] for r in s.samples
     ]
     words = "A Lambertian sphere on a floor. Errors are root mean squares over the picture's mean radiance."
     header = ["light", "rays a pixel", "ms", "error", "stated"]
@@ -77,14 +73,14 @@ def _tolerances(s: SceneBench) -> Group:
     rows: list[list[Text]] = [
         [
             r.scene,
-            _percent(r.tolerance),
+            percent(r.tolerance),
             number(r.rays),
             str(r.most),
             number(1e3 * r.seconds),
             number(1e3 * r.seconds_for_all),
-            _percent(r.rms),
-            _percent(r.stated),
-            _percent(r.beyond_three),
+            percent(r.rms),
+            percent(r.stated),
+            percent(r.beyond_three),
             str(r.above),
             verdict(r.holds),
         ]
@@ -178,8 +174,8 @@ def _peers(s: SceneBench) -> Group:
             f"{p.largest:.2f}",
             f"{p.rms:.2f}",
             f"{p.beyond_three} of {p.tiles}",
-            f"{number(1e3 * p.ours_s)} ms, {_percent(p.ours_rms)}",
-            f"{number(1e3 * p.theirs_s)} ms, {_percent(p.theirs_rms)}",
+            f"{number(1e3 * p.ours_s)} ms, {percent(p.ours_rms)}",
+            f"{number(1e3 * p.theirs_s)} ms, {percent(p.theirs_rms)}",
             number(p.ours_to_one_percent_s, 2),
             number(p.theirs_to_one_percent_s, 2),
         ]

@@ -126,7 +126,6 @@ def write(summary: SpeedAndError, folder: Path) -> None:
     """Write page, numbers, tables and figures into a folder that exists."""
     drawn = {q.name: pareto.draw(q) for q in summary.families if len(q.ways) > 2}
     files.write_page(folder, results_page.render(summary, drawn), as_json(summary), drawn.values())
-    (folder / "tables").mkdir()
     write_csv(folder / "tables" / "points.csv", POINT_COLUMNS, _points(summary))
     write_csv(
         folder / "tables" / "hard_cases.csv",
