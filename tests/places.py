@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from pathlib import Path
 
 import pytest
@@ -32,3 +33,11 @@ def measured(name: str) -> Path:
             pytest.fail(said)
         pytest.skip(said)
     return path
+
+
+def fenced(page: Path, language: str, holding: str) -> str:
+    """The one fenced block of a page that holds a text."""
+    text = page.read_text(encoding="utf-8")
+    blocks = re.findall(rf"^```{language}\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
+    (found,) = (block for block in blocks if holding in block)
+    return str(found)

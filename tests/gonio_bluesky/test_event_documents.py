@@ -21,7 +21,6 @@ from gonio import plugins
 from gonio.acquisition.journal import Journal, encode, now
 from gonio.acquisition.measure import RigChoice, carry_out
 from gonio.acquisition.plan import ANGLES, Assessed, Plan, load_plan
-from gonio.acquisition.progress import Live, Silent
 from gonio.acquisition.run import Run
 from gonio.acquisition.run_settings import Request
 from gonio.errors import ConfigError, DataError, DeviceError, Interrupted
@@ -30,7 +29,7 @@ from gonio.rig.dng import read_raw
 from tests.command_line import gonio
 from tests.gonio.acquisition.test_sampling import PLAN as GROWING
 from tests.gonio.acquisition.test_sampling import Chooses
-from tests.gonio.numpy_rig import PLAN, SAMPLE, Plugin, describe
+from tests.gonio.numpy_rig import PLAN, SAMPLE, Plugin, StopAfter, describe
 
 event_model = pytest.importorskip("event_model", reason="event-model is not installed (extra bluesky)")
 
@@ -158,19 +157,6 @@ def test_the_same_run_gives_the_same_bytes_compressed_too(folder: Path, tmp_path
     assert gzip.decompress(packed) == plain
     assert list(read(tmp_path / "a.jsonl.gz")) == list(read(tmp_path / "a.jsonl"))
     assert {path.name for path in tmp_path.iterdir()} == {"a.jsonl", "b.jsonl", "a.jsonl.gz", "c.jsonl.gz"}
-
-
-class StopAfter(Silent):
-    """Somebody who has a rig fail, by an error of the given kind, after so many steps."""
-
-    def __init__(self, steps: int) -> None:
-        self.left = steps
-
-    def step(self, live: Live) -> None:
-        """Count."""
-        self.left -= 1
-        if not self.left:
-            raise Interrupted("stopped")
 
 
 def test_an_unfinished_run_says_so_and_keeps_its_identity_when_it_has_grown(tmp_path: Path) -> None:

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from gonio.acquisition.plan import ANGLES as COLUMNS
-from gonio.acquisition.progress import Live, Silent
 from gonio.errors import DeviceError, Interrupted
 from gonio.instrument import apparent_brdf
 from gonio.models import HeTorrance
 from gonio.reduction import brdf
 from gonio.rig import Frame
 from gonio.rig.description import RigDescription, SampleDescription
+from tests.gonio.numpy_rig import StopAfter
 from tests.gonio_sim.conftest import describe, measured
 
 ANGLES = [20.0], [-50.0, 0.0, 40.0]
@@ -64,20 +64,6 @@ def test_a_polished_metal_over_seven_decades(tmp_path: Path) -> None:
     # the logarithms' slope: a standard uncertainty of 0.3 % over 17 logarithmic units of range
     slope = np.polyfit(np.log(true), np.log(table["brdf"]), 1)[0]
     assert slope == pytest.approx(1.0, abs=1e-3)
-
-
-class StopAfter(Silent):
-    """Ctrl-C after so many steps."""
-
-    def __init__(self, steps: int) -> None:
-        self.left = steps
-
-    def step(self, live: Live) -> None:
-        import signal
-
-        self.left -= 1
-        if self.left == 0:
-            signal.raise_signal(signal.SIGINT)
 
 
 def test_a_planned_run_resumes_to_the_same(tmp_path: Path) -> None:

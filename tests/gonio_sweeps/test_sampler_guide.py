@@ -7,6 +7,7 @@ import math
 import re
 import sys
 import tomllib
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,18 +22,12 @@ from gonio.rig import Frame
 from gonio.rig.description import RigDescription, SampleDescription
 from tests.gonio.cli.test_cli import installed, process
 from tests.gonio.numpy_rig import SAMPLE, NumpyRig, Plugin, StopAfter, describe
-from tests.places import ROOT
+from tests.places import ROOT, fenced
 
 pytestmark = pytest.mark.slow
 
 GUIDE = ROOT / "docs" / "writing_a_sampler.md"
-
-
-def block(language: str, holding: str) -> str:
-    """The one fenced block of the guide that holds a text."""
-    blocks = re.findall(rf"^```{language}\n(.*?)^```", GUIDE.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
-    (found,) = (text for text in blocks if holding in text)
-    return str(found)
+block = partial(fenced, GUIDE)
 
 
 @pytest.fixture

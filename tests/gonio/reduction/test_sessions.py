@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import math
-import signal
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -13,13 +12,13 @@ import pytest
 
 from gonio.acquisition.measure import RigChoice, carry_out
 from gonio.acquisition.plan import load_plan
-from gonio.acquisition.progress import Live, Silent
+from gonio.acquisition.progress import Silent
 from gonio.acquisition.run import Run
 from gonio.errors import Interrupted
 from gonio.reduction import brdf, white_reference
 from gonio.rig import Frame
 from gonio.rig.description import Reference, RigDescription, SampleDescription
-from tests.gonio.numpy_rig import NumpyRig, describe
+from tests.gonio.numpy_rig import NumpyRig, StopAfter, describe
 
 PLAN = """name = "days"
 wavelength_nm = [550]
@@ -61,16 +60,6 @@ class Days:
         rig = Lamp(description, seed, level=self.level, clock=itertools.count(self.now_s, 30.0))
         self.level, self.now_s = self.level * DAY_TO_DAY, self.now_s + 200 * 30.0 + self.gap_s
         return rig
-
-
-class StopAfter(Silent):
-    def __init__(self, steps: int) -> None:
-        self.left = steps
-
-    def step(self, live: Live) -> None:
-        self.left -= 1
-        if self.left == 0:
-            signal.raise_signal(signal.SIGINT)
 
 
 @pytest.mark.parametrize("gap_s", [43_200.0, 0.0], ids=["overnight", "soon"])

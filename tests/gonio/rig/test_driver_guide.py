@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 import tomllib
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -13,9 +14,10 @@ import pytest
 from gonio.acquisition.run import Run
 from gonio.measurement import read
 from tests.gonio.cli.test_cli import installed, process
-from tests.places import ROOT
+from tests.places import ROOT, fenced
 
 GUIDE = ROOT / "docs" / "writing_a_driver.md"
+block = partial(fenced, GUIDE)
 PLAN = """name = "tiny"
 wavelength_nm = [550]
 [[sweep]]
@@ -62,13 +64,6 @@ def open(port, timeout):
         raise FileNotFoundError(2, "no such port", port)
     return ManualRig()
 """
-
-
-def block(language: str, holding: str) -> str:
-    """The one fenced block of the guide that holds a text."""
-    blocks = re.findall(rf"^```{language}\n(.*?)^```", GUIDE.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
-    (found,) = (text for text in blocks if holding in text)
-    return str(found)
 
 
 @pytest.fixture
