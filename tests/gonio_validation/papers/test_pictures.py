@@ -78,18 +78,71 @@ def test_cylinders_differ_in_their_material_alone() -> None:
 # --- what the texts say -------------------------------------------------------------------------------------------
 
 
-def test_htsg_12_images_fade_and_stay_sharp() -> None:
-    judge(
-        "htsg-12",
-        {
-            "sharp specular image": True,
-            "is not blurred": True,
-            "spreads out": True,
-            "specular at grazing angles": True,
-            "blue shift": False,  # the highlight is neutral in its middle and redder around it
-            "red shift": OPEN,
-        },
-    )
+@pytest.mark.parametrize(
+    ("name", "verdicts", "rows"),
+    [
+        (
+            "htsg-12",
+            {
+                "sharp specular image": True,
+                "is not blurred": True,
+                "spreads out": True,
+                "specular at grazing angles": True,
+                "blue shift": False,  # the highlight is neutral in its middle and redder around it
+                "red shift": OPEN,
+            },
+            ROWS,
+        ),  # the highlight is neutral in its middle and redder around it
+        (
+            "htsg-13",
+            {"Fresnel reflectivity": True, "Specular images are apparent": True, "striking differences": True},
+            ROWS,
+        ),
+        ("htsg-14", {"faces of the cube": True, "table top": True, "glossy highlights": True}, ROWS),
+        ("cook-torrance-6", {"white specular component": True, "has a copper color": True, "color shift": True}, ROWS),
+        (
+            "cook-torrance-7",
+            {"color of the material": True, "Table I": True, "plastic appearance": True},
+            160,
+        ),  # a vase is a seventh of the picture high
+        (
+            "cook-torrance-8",
+            {"made of gold": True, "rougher surface": True, "640 nanometer": OPEN},
+            160,
+        ),  # a bar of a digit is one millimetre wide
+        ("blinn-7a", {"Both Models Essentially Same": True, "only for shallow angles": True}, ROWS),
+        (
+            "blinn-7b",
+            {
+                "Both Models Essentially Same": OPEN,
+                "almost perpendicularly": True,
+                "almost tangentially": True,
+                "much higher there": OPEN,
+            },
+            ROWS,
+        ),
+        ("blinn-8", {"Surface shininess varying": OPEN}, ROWS),
+        (
+            "oren-nayar-12",
+            {"nearly constant": True, "drops quickly to zero": False, "large brightness errors": True},
+            ROWS,
+        ),
+        ("oren-nayar-13", {"asymmetric": True, "drop much faster": True, "brightness peak": True}, ROWS),
+        ("oren-nayar-14", {"appears Lambertian": True, "appear flatter": True, "flat disc": OPEN}, ROWS),
+        (
+            "oren-nayar-15",
+            {
+                "strong brightness variations": True,
+                "distinctly different": OPEN,
+                "three faces of the cube [is] reduced": True,
+                "flat and curved sections": True,
+            },
+            ROWS,
+        ),
+    ],
+)
+def test_what_the_texts_say_of_a_picture(name: str, verdicts: dict[str, bool | None], rows: int) -> None:
+    judge(name, verdicts, rows=rows)
 
 
 def test_htsg_12_images_are_held_against_a_mirror_under_the_same_lights() -> None:
@@ -98,81 +151,9 @@ def test_htsg_12_images_are_held_against_a_mirror_under_the_same_lights() -> Non
     assert 0.42 < seen.strengths[0] < 0.57
 
 
-def test_htsg_13_three_limits() -> None:
-    judge("htsg-13", {"Fresnel reflectivity": True, "Specular images are apparent": True, "striking differences": True})
-
-
-def test_htsg_14_fresnel_on_the_cube_roughness_on_the_table() -> None:
-    judge("htsg-14", {"faces of the cube": True, "table top": True, "glossy highlights": True})
-
-
-def test_cook_torrance_6_plastic_and_metal() -> None:
-    judge("cook-torrance-6", {"white specular component": True, "has a copper color": True, "color shift": True})
-
-
 def test_cook_torrance_prints_too_much_ambient_light() -> None:
     # R_a I_ia against d R_d (N.L) I d omega: pi F_0 0.01 over 0.9 F_0 (2e-4 cos + 1e-4 cos) is more than 100
     assert ambient_as_printed(ROWS) > 50.0
-
-
-def test_cook_torrance_7_twelve_materials() -> None:
-    judge(
-        "cook-torrance-7",
-        {"color of the material": True, "Table I": True, "plastic appearance": True},
-        rows=160,  # a vase is a seventh of the picture high
-    )
-
-
-def test_cook_torrance_8_watch() -> None:
-    judge(
-        "cook-torrance-8",
-        {"made of gold": True, "rougher surface": True, "640 nanometer": OPEN},
-        rows=160,  # a bar of a digit is one millimetre wide
-    )
-
-
-def test_blinn_7a_aluminium() -> None:
-    judge("blinn-7a", {"Both Models Essentially Same": True, "only for shallow angles": True})
-
-
-def test_blinn_7b_ceramic_shines_edge_lit() -> None:
-    judge(
-        "blinn-7b",
-        {
-            "Both Models Essentially Same": OPEN,
-            "almost perpendicularly": True,
-            "almost tangentially": True,
-            "much higher there": OPEN,
-        },
-    )
-
-
-def test_blinn_8_textured_shininess() -> None:
-    judge("blinn-8", {"Surface shininess varying": OPEN})
-
-
-def test_oren_nayar_12_cross_section() -> None:
-    judge("oren-nayar-12", {"nearly constant": True, "drops quickly to zero": False, "large brightness errors": True})
-
-
-def test_oren_nayar_13_is_asymmetric() -> None:
-    judge("oren-nayar-13", {"asymmetric": True, "drop much faster": True, "brightness peak": True})
-
-
-def test_oren_nayar_14_full_moon() -> None:
-    judge("oren-nayar-14", {"appears Lambertian": True, "appear flatter": True, "flat disc": OPEN})
-
-
-def test_oren_nayar_15_contrasts() -> None:
-    judge(
-        "oren-nayar-15",
-        {
-            "strong brightness variations": True,
-            "distinctly different": OPEN,
-            "three faces of the cube [is] reduced": True,
-            "flat and curved sections": True,
-        },
-    )
 
 
 # --- measures -----------------------------------------------------------------------------------------------------
