@@ -89,18 +89,6 @@ def blurred_px(camera: Camera) -> float:
     return 4.0 * camera.blur_px
 
 
-def footprint_mm(description: RigDescription, radius_mm: float, view: View) -> Floats:
-    """How far along x and y a pixel sees the sample [mm]: its own width, the lens's blur, and what is out of focus at
-    the sample's edge.
-    """
-    axis = view.optical_axis
-    aside = radius_mm * math.hypot(axis[0], axis[1])
-    wide = 2.0 * math.tan(math.radians(description.camera.lens_half_angle_deg)) * aside
-    stretch = np.sqrt(1.0 + (axis[:2] / axis[2]) ** 2)
-    pixel = np.abs(jacobian(description, view)).sum(axis=1)
-    return np.asarray(pixel * (1.0 + blurred_px(description.camera)) + wide * stretch)
-
-
 class Lookup:
     """What the cells of the grid get from the picture of one point, one rule for all of its cells.
 
@@ -112,11 +100,12 @@ class Lookup:
         self._planes, self._grid, self._point = planes, grid, point
         self._lattices = lattices(planes.camera, point.band.channel)
         self._boxes = [planes.box(point.view, lattice) for lattice in self._lattices]
-        widest = float(np.linalg.norm(jacobian(planes.description, point.view), axis=0).max()) * self._lattices[0].pitch
+        self._jacobian = jacobian(planes.description, point.view)
+        widest = float(np.linalg.norm(self._jacobian, axis=0).max()) * self._lattices[0].pitch
         self.means = grid.pixel_mm >= MEAN_FROM * widest
         """Whether cells get means."""
-        self._pixel_mm = float(np.linalg.norm(jacobian(planes.description, point.view), axis=0).sum())
-        self._pixel_mm *= 1.0 + blurred_px(planes.camera)
+        self._apart = 0.0 if self.means else float(self._lattices[0].pitch)
+        """Pixels between those that a cell is interpolated from."""
         axis = point.view.optical_axis
         self._widest = float(self._half(*(grid.radius_mm * axis[:2] / max(math.hypot(axis[0], axis[1]), 1e-12))))
         """How far what a cell sees may lie from its middle at most, anywhere on the sample [mm]."""
@@ -139,11 +128,33 @@ class Lookup:
         bad = (flag & (OUTSIDE | FULL | HOT | SHADOWED)) != 0
         return np.where(bad, np.nan, value), np.where(bad, np.nan, variance), flag
 
+    def footprint_mm(self) -> Floats:
+        """Width along x and y of what a cell sees [mm]: an edge makes at least 95 % of its step within it.
+
+        A camera's pixel, the way to the next one where cells are interpolated (a cell's own width where they are
+        means), the lens's blur, and what is out of focus at the sample's edge.
+        """
+        axis, edge = self._point.view.optical_axis, self._grid.radius_mm
+        aside = edge * axis[:2] / max(math.hypot(axis[0], axis[1]), 1e-12)
+        wide = blur_mm(self._planes.description, self._point.view, aside[0], aside[1])
+        stretch = np.sqrt(1.0 + (axis[:2] / axis[2]) ** 2)
+        pixels = 1.0 + self._apart + blurred_px(self._planes.camera)
+        return np.asarray(pixels * np.abs(self._jacobian).sum(axis=1) + wide * stretch + self._own_mm)
+
+    @property
+    def _own_mm(self) -> float:
+        """Width of a cell that is a mean; 0 of one that is interpolated."""
+        return self._grid.pixel_mm if self.means else 0.0
+
     def _half(self, x: Floats, y: Floats) -> Floats:
-        """How far from the middle of a cell what it sees may lie [mm]."""
+        """How far outward from the middle of a cell what it sees reaches [mm]: all pixels that it is made of."""
         view = self._point.view
+        outward = np.stack([x, y], axis=-1) / np.maximum(np.hypot(x, y), 1e-12)[..., None]
+        pixel = np.abs(outward @ self._jacobian).sum(axis=-1) * (
+            0.5 + self._apart + 0.5 * blurred_px(self._planes.camera)
+        )
         blur = blur_mm(self._planes.description, view, x, y) / abs(float(view.optical_axis[2]))
-        return np.asarray(0.5 * (self._pixel_mm + blur + (self._grid.pixel_mm if self.means else 0.0)))
+        return np.asarray(pixel + 0.5 * blur + 0.5 * self._own_mm * np.abs(outward).sum(axis=-1))
 
     def _places(self, k: int, x: Floats, y: Floats) -> tuple[Floats, Floats]:
         """Row and column of spots in a picture."""

@@ -26,7 +26,7 @@ from gonio.errors import ConfigError, DataError
 from gonio.maps import ANGLES, FLAGS, Parts, Tile, Variable
 from gonio.reduction.brdf import Reduction
 from gonio.reduction.count_rates import RunFrames
-from gonio.reduction.map_grid import Grid, Lookup, footprint_mm, grid
+from gonio.reduction.map_grid import Grid, Lookup, grid
 from gonio.reduction.map_planes import OUTSIDE, PIXEL, MapPoint, Planes, lattices
 from gonio.reduction.registration import shifts
 from gonio.reduction.threads import in_threads
@@ -223,8 +223,8 @@ class _Tiling:
         self, planes: Planes, cells: Grid, points: Sequence[MapPoint], shift: tuple[Floats, Floats], u_point: Floats
     ) -> None:
         self.planes, self.cells, self.points, self.shift, self.u_point = planes, cells, points, shift, u_point
-        self._lookups = [Lookup(planes, cells, point) for point in points]
-        self.means = [lookup.means for lookup in self._lookups]
+        self.lookups = [Lookup(planes, cells, point) for point in points]
+        self.means = [lookup.means for lookup in self.lookups]
 
     def make(self, tile: Tile) -> dict[str, npt.NDArray[Any]]:
         """Values, uncertainties and flags of a tile, each of shape (rows, columns, points)."""
@@ -232,7 +232,7 @@ class _Tiling:
         value, variance = np.full(shape, np.nan), np.full(shape, np.nan)
         flag = np.full(shape, OUTSIDE, np.uint8)
         if np.hypot(*self.cells.cells(tile)).min() <= self.cells.radius_mm:
-            for k, lookup in enumerate(self._lookups):
+            for k, lookup in enumerate(self.lookups):
                 at = float(self.shift[0][k, 0]), float(self.shift[0][k, 1])
                 value[..., k], variance[..., k], flag[..., k] = lookup.at(tile, at)
             variance += (value * self.u_point) ** 2 + self._of_shifts(value)
@@ -284,8 +284,7 @@ def _make_tiles(tiling: _Tiling, parts: Parts, counter: Counter) -> int:
 def _variables(tiling: _Tiling, table: DataFrame, plan_rows: npt.NDArray[np.intp]) -> dict[str, Variable]:
     """What the file has beside dimensions."""
     cells, points = tiling.cells, tiling.points
-    views, rig = [point.view for point in points], tiling.planes.description
-    footprints = np.array([footprint_mm(rig, cells.radius_mm, view) for view in views])
+    views = [point.view for point in points]
     brdf = table["brdf"].to_numpy(dtype=float)
     out = {name: Variable((name,), cells.places, units="mm", about=f"{name} on the sample") for name in ("y", "x")}
     for name in (*ANGLES, "wavelength_nm"):
@@ -296,8 +295,8 @@ def _variables(tiling: _Tiling, table: DataFrame, plan_rows: npt.NDArray[np.intp
         "source_mm": Variable(("point", "xyz"), np.array([v.source_mm for v in views]), units="mm", about="source"),
         "camera_mm": Variable(("point", "xyz"), np.array([v.camera_mm for v in views]), units="mm", about="camera"),
         "footprint_mm": Variable(
-            ("point", "xy"), footprints,
-            units="mm", about="a camera pixel on the sample, and the blur of the lens at the sample's edge",
+            ("point", "xy"), np.array([lookup.footprint_mm() for lookup in tiling.lookups]),
+            units="mm", about="width of what a cell sees: an edge makes 95 % of its step within it",
         ),
         "shift_mm": Variable(("point", "xy"), tiling.shift[0], units="mm", about="by how much the picture lay beside"),
         "u_shift_mm": Variable(("point", "xy"), tiling.shift[1], units="mm", about="its uncertainty; NaN: not told"),
