@@ -1,11 +1,11 @@
 """By how much the pictures of a sample lie beside where the geometry puts them, told from the pictures themselves.
 
 Each point's picture P on the sample's grid is compared with the mean M over all points of its band, both without what
-is smooth (the lobe's own course over the sample). Least squares of P = b (M - s . grad M) give contrast b and shift s;
-the pictures are looked up with the shift, the mean is made again, and so on. Standard uncertainties hold for
-residuals that are alike within blocks of the picture. The mean of all shifts is zero by definition: where the
-sample's frame lies is not told. Where the texture does not stand out of the noise, no shift is told; of an edge or
-of streaks, the shift across them alone.
+is smooth (the lobe's own course over the sample). Least squares of P = (b + c . x) M - b s . grad M give contrast b,
+its slope c over the sample, and shift s; the pictures are looked up with the shift, the mean is made again, and so on.
+Standard uncertainties hold for residuals that are alike within strips of the picture, which run across its steepest
+axis: along streaks. The mean of all shifts is zero by definition: where the sample's frame lies is not told. Where
+the texture does not stand out of the noise, no shift is told; of an edge or of streaks, the shift across them alone.
 """
 
 from __future__ import annotations
@@ -28,12 +28,17 @@ WINDOW = 512
 SMOOTH = 6.0
 """Standard deviation [cells] of the Gaussian that tells what is smooth."""
 ROUNDS = 3
-BLOCK = 16
-"""Cells along a side of a block."""
+STRIP = 16.0
+"""Cells across a strip."""
+LEAST = 256
+"""Cells that a comparison needs."""
 FARTHEST = 3.0
 """Cells: a larger shift in one round is no shift."""
 TOLD = 5.0
 """Standard errors that the contrast of a picture stands above zero, at least."""
+PLAIN = 10.0
+"""Times the noise of the mean's slopes: below, its texture is not told from noise that neighbours and pictures share
+(a sample without texture gave up to 3)."""
 FAINT = 0.03
 """Of the squared slopes across a texture: an axis that has less is not told. The stairs that pixels make of a straight
 edge have 0.01 along it."""
@@ -128,7 +133,7 @@ def _step(means: Means, value: Floats, variance: Floats) -> tuple[Floats, Floats
     nothing = np.zeros(2), np.full(2, np.nan)
     there = np.isfinite(value) & np.isfinite(means[0])
     inner = binary_erosion(there, iterations=2)
-    if np.count_nonzero(inner) < BLOCK**2:
+    if np.count_nonzero(inner) < LEAST:
         return nothing
     mean, picture = _rough(means[0], there), _rough(value, there)
     slopes = np.stack([slope[inner] for slope in np.gradient(mean)[::-1]])  # along x, and along y
@@ -136,29 +141,34 @@ def _step(means: Means, value: Floats, variance: Floats) -> tuple[Floats, Floats
     # of white noise the central difference has half the variance
     strength, axes = np.linalg.eigh(slopes @ slopes.T / slopes.shape[1] - 0.5 * noise * np.eye(2))
     rows, cols = np.nonzero(inner)
-    block = rows // BLOCK * (inner.shape[1] // BLOCK + 1) + cols // BLOCK
-    for kept in (strength > max(noise, FAINT * strength[1]), strength >= max(strength[1], noise)):
+    strip = np.floor((axes[0, 1] * cols + axes[1, 1] * rows) / STRIP).astype(int)
+    strip -= strip.min()
+    # the contrast changes over the sample, with the directions; over its middle it is the first column's
+    place = np.stack([np.ones(rows.size), cols - cols.mean(), rows - rows.mean()])
+    contrast = mean[inner] * place / np.abs(place).max(axis=1, keepdims=True)
+    least = PLAIN * noise
+    for kept in (strength > max(least, FAINT * strength[1]), strength >= max(strength[1], least)):
         if kept.any():
-            found, u = _along(axes[:, kept], mean[inner], slopes, picture[inner], block)
+            found, u = _along(axes[:, kept], contrast, slopes, picture[inner], strip)
             if np.isfinite(u).any():
                 return found, u
     return nothing
 
 
-def _along(axes: Floats, mean: Floats, slopes: Floats, picture: Floats, block: Ints) -> tuple[Floats, Floats]:
+def _along(axes: Floats, contrast: Floats, slopes: Floats, picture: Floats, strip: Ints) -> tuple[Floats, Floats]:
     """Shift along some axes (2, k) and its uncertainty along x and y: NaN where an axis is not told, or all is unsure.
 
-    Cells are given as lists, `block` numbers the part of the picture that each lies in.
+    Cells are given as lists, `strip` numbers the part of the picture that each lies in.
     """
-    columns = np.concatenate([mean[None], -(axes.T @ slopes)])
+    columns = np.concatenate([contrast, -(axes.T @ slopes)])
     inverse = np.linalg.inv(columns @ columns.T)
     values = inverse @ (columns @ picture)
     left = picture - values @ columns
-    scores = np.stack([np.bincount(block, column * left) for column in columns])
+    scores = np.stack([np.bincount(strip, column * left) for column in columns])
     covariance = inverse @ (scores @ scores.T) @ inverse
     if values[0] ** 2 <= TOLD**2 * covariance[0, 0]:
         return np.zeros(2), np.full(2, np.nan)
-    shift, spread = axes @ values[1:] / values[0], axes @ covariance[1:, 1:] @ axes.T / values[0] ** 2
+    shift, spread = axes @ values[3:] / values[0], axes @ covariance[3:, 3:] @ axes.T / values[0] ** 2
     u = np.sqrt(np.diag(spread))
     if np.abs(shift).max() > FARTHEST or u.max() > UNSURE:
         return np.zeros(2), np.full(2, np.nan)
