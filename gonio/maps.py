@@ -2,14 +2,22 @@
 
 A map is made tile by tile. A finished tile is written whole into a folder beside the file to be; at the end the tiles
 become the file. What was killed goes on with the tiles that are missing, and the file is the same to the byte.
+
+A tile is a chunk of the file. Whoever makes or reads it packs and unpacks it, so that this goes on in all threads at
+once; the file itself only moves packed bytes.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
+import math
+import os
+import re
 import shutil
+import zlib
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -24,8 +32,12 @@ from gonio.errors import ConfigError, DataError
 from gonio.typing import DataFrame, Floats
 
 FORMAT = "gonio-map-1"
+ABOUT = "about"
+"""Of a tile's file: kinds and shapes of its packed arrays."""
 TILE = 64
 """Pixels along a side of a tile."""
+GZIP = 1
+"""Level of compression; higher ones take much longer, and noise does not get smaller."""
 FLAGS = ("outside", "saturated", "hot", "shadowed", "blurred")
 """Why a value must not be used, by bits of `flag` from the lowest."""
 FIT_FLAGS = ("too_few", "at_bound", "undetermined", "rejected")
@@ -65,6 +77,32 @@ def tiles(rows: int, cols: int) -> Iterator[Tile]:
     for top in range(0, rows, TILE):
         for left in range(0, cols, TILE):
             yield Tile(slice(top, min(top + TILE, rows)), slice(left, min(left + TILE, cols)))
+
+
+@dataclass(frozen=True)
+class Packed:
+    """An array as a chunk of the file has it: bytes of equal weight side by side (HDF5's shuffle), then deflated."""
+
+    dtype: str
+    shape: tuple[int, ...]
+    data: bytes
+
+    @classmethod
+    def of(cls, array: npt.NDArray[Any]) -> Self:
+        """Pack an array."""
+        flat = np.ascontiguousarray(array).reshape(-1)
+        bytes_of = flat.view(np.uint8).reshape(-1, flat.dtype.itemsize)
+        return cls(flat.dtype.str, array.shape, zlib.compress(bytes_of.T.tobytes(), GZIP))
+
+    def array(self) -> npt.NDArray[Any]:
+        """The array; raises `OSError` where the bytes are damaged."""
+        kind = np.dtype(self.dtype)
+        try:
+            whole = zlib.decompress(self.data, bufsize=max(kind.itemsize * math.prod(self.shape), 1))
+            bytes_of = np.frombuffer(whole, np.uint8).reshape(kind.itemsize, -1)
+            return np.ascontiguousarray(bytes_of.T).reshape(-1).view(kind).reshape(self.shape)
+        except (zlib.error, ValueError) as error:
+            raise OSError(f"a chunk is damaged: {error}") from None
 
 
 @dataclass(frozen=True)
@@ -124,32 +162,74 @@ class Parts:
 
     def write(self, tile: Tile, arrays: Mapping[str, npt.NDArray[Any]]) -> None:
         """Keep a tile, whole; raises `OSError` where the disk is full."""
-        write_tile(self.folder / tile.name, arrays)
+        packed = {name: Packed.of(array) for name, array in arrays.items()}
+        about = {name: (one.dtype, one.shape) for name, one in packed.items()}
+        held = {name: np.frombuffer(one.data, np.uint8) for name, one in packed.items()}
+        write_tile(self.folder / tile.name, held | {ABOUT: np.array(json.dumps(about))})
 
     def read(self, tile: Tile) -> dict[str, npt.NDArray[Any]]:
         """The arrays of a tile that is done."""
+        return {name: packed.array() for name, packed in self._packed(tile).items()}
+
+    def _packed(self, tile: Tile) -> dict[str, Packed]:
         with np.load(self.folder / tile.name) as found:
-            return {name: found[name] for name in found.files}
+            return {
+                name: Packed(dtype, tuple(shape), found[name].tobytes())
+                for name, (dtype, shape) in json.loads(str(found[ABOUT])).items()
+            }
 
     def assemble(self, sizes: Mapping[str, int], variables: Mapping[str, Variable], attrs: Mapping[str, Any]) -> None:
         """Make the file of all tiles, which then go. `sizes`: of every dimension, "y" and "x" among them."""
         unfinished = self.folder / "whole.h5"
-        with library().File(unfinished, "w", libver="latest") as file:
-            _fill(file, sizes, variables, attrs)
-            for tile in tiles(sizes["y"], sizes["x"]):
-                for name, array in self.read(tile).items():
-                    file[name][tile.rows, tile.cols] = array
+        try:
+            with library().File(unfinished, "w", libver="latest") as file:
+                _fill(file, sizes, variables, attrs)
+                for tile in tiles(sizes["y"], sizes["x"]):
+                    for name, packed in self._packed(tile).items():
+                        _put(file[name], tile, packed)
+        except (OSError, RuntimeError) as error:  # a file that HDF5 cannot close is a RuntimeError
+            unfinished.unlink(missing_ok=True)
+            raise _plain(error) from None
         unfinished.replace(self.path)
-        shutil.rmtree(self.folder)
+        for tile in tiles(sizes["y"], sizes["x"]):
+            (self.folder / tile.name).unlink()
+        shutil.rmtree(self.folder)  # what the tiles are of goes after them
+
+    @contextmanager
+    def kept(self) -> Iterator[None]:
+        """Turn what a disk that is full, or a folder that is gone, raises into a `ConfigError` that says what to do."""
+        try:
+            yield
+        except OSError as error:
+            raise ConfigError(
+                f"{self.path}: cannot be written: {error.strerror or error}; the tiles that are done stay, and the same"
+                " command goes on with the others"
+            ) from None
+
+
+def _plain(error: Exception) -> Exception:
+    """An error of HDF5 as the system has it, where it tells its number."""
+    number = re.search(r"errno = (\d+)", str(error))
+    if number is None:
+        return error
+    return OSError(int(number[1]), os.strerror(int(number[1])))
 
 
 def write_tile(path: Path, arrays: Mapping[str, npt.NDArray[Any]]) -> None:
-    """A tile's file, written whole; also by workers that know nothing but its path."""
+    """A tile's file, written whole."""
     import io
 
     stream = io.BytesIO()
     np.savez(stream, **arrays)  # type: ignore[arg-type]
     write_whole(path, stream.getvalue())
+
+
+def _put(dataset: Any, tile: Tile, packed: Packed) -> None:
+    """A tile into a variable of a file: as it is where it is a whole chunk."""
+    if packed.shape == dataset.chunks and packed.dtype == dataset.dtype.str:
+        dataset.id.write_direct_chunk((tile.rows.start, tile.cols.start, *(0,) * (len(packed.shape) - 2)), packed.data)
+    else:
+        dataset[tile.rows, tile.cols] = packed.array()
 
 
 def _fill(file: Any, sizes: Mapping[str, int], variables: Mapping[str, Variable], attrs: Mapping[str, Any]) -> None:
@@ -160,7 +240,7 @@ def _fill(file: Any, sizes: Mapping[str, int], variables: Mapping[str, Variable]
         options: dict[str, Any] = {"track_times": False}
         if variable.data is None:
             chunk = tuple(min(TILE, n) if d in ("y", "x") else n for d, n in zip(variable.dims, shape, strict=True))
-            options |= {"chunks": chunk, "compression": "gzip", "compression_opts": 1, "shuffle": True}
+            options |= {"chunks": chunk, "compression": "gzip", "compression_opts": GZIP, "shuffle": True}
         dataset = file.create_dataset(name, shape, variable.dtype, data=variable.data, **options)
         dataset.attrs.update({"units": variable.units, "long_name": variable.about, **(variable.attrs or {})})
     for name, size in sizes.items():
@@ -186,6 +266,43 @@ def is_map(path: str | Path) -> bool:
             return bool(file.attrs.get("format") == FORMAT)
     except OSError:
         return False
+
+
+@dataclass(frozen=True)
+class Held:
+    """Values of a tile as the file has them: so that the thread or the worker that uses them unpacks them."""
+
+    where: str
+    brdf: Packed | npt.NDArray[Any]
+    u: Packed | npt.NDArray[Any]
+    flag: Packed | npt.NDArray[Any]
+
+    def values(self, points: npt.NDArray[np.intp] | None = None) -> tuple[Floats, Floats]:
+        """BRDF [1/sr] and its own standard uncertainty, shape (rows, columns, n); NaN where flagged.
+
+        Parameters
+        ----------
+        points
+            Which points; None: all.
+
+        Raises
+        ------
+        DataError
+            The file is damaged there.
+        """
+        try:
+            brdf, u, flag = (
+                each.array() if isinstance(each, Packed) else each for each in (self.brdf, self.u, self.flag)
+            )
+        except OSError as error:
+            raise DataError(f"{self.where} cannot be read: {error}; make the map anew") from None
+        if points is not None and len(points) < brdf.shape[-1]:
+            brdf, u, flag = (each[..., points] for each in (brdf, u, flag))
+        out = brdf.astype(float), u.astype(float)
+        if flag.any():
+            for each in out:
+                each[flag != 0] = np.nan
+        return out
 
 
 class MapFile:
@@ -228,10 +345,25 @@ class MapFile:
 
     def array(self, name: str, tile: Tile | None = None) -> npt.NDArray[Any]:
         """A variable, or a tile of it; raises `DataError` where there is none."""
+        found = self._variable(name)
+        return np.asarray(found[()] if tile is None else found[tile.rows, tile.cols])
+
+    def chunk(self, name: str, tile: Tile) -> Packed | npt.NDArray[Any]:
+        """A tile of a variable: packed as the file has it where it is a chunk of it, otherwise as an array."""
+        found = self._variable(name)
+        packing = found.compression, found.shuffle, found.fletcher32, found.scaleoffset
+        if found.chunks == (*tile.shape, *found.shape[2:]) and packing == ("gzip", True, False, None):
+            begin = (tile.rows.start, tile.cols.start, *(0,) * (found.ndim - 2))
+            if not any(start % side for start, side in zip(begin, found.chunks, strict=True)):
+                mask, data = found.id.read_direct_chunk(begin)
+                if mask == 0:
+                    return Packed(found.dtype.str, found.chunks, bytes(data))
+        return np.asarray(found[tile.rows, tile.cols])
+
+    def _variable(self, name: str) -> Any:
         if name not in self._file:
             raise DataError(f"{self.path}: has no variable {name}")
-        found = self._file[name]
-        return np.asarray(found[()] if tile is None else found[tile.rows, tile.cols])
+        return self._file[name]
 
     def dims(self, name: str) -> tuple[str, ...]:
         """The dimensions of a variable."""
@@ -269,13 +401,18 @@ class MapFile:
                 digest.update(block)
         return digest.hexdigest()
 
+    def held(self, tile: Tile) -> Held:
+        """The values of a tile, which are not unpacked yet; raises `DataError` where they cannot be read."""
+        where = f"rows {tile.rows.start} to {tile.rows.stop}, columns {tile.cols.start} to {tile.cols.stop}"
+        where = f"{self.path}: {where}"
+        try:
+            return Held(where, *(self.chunk(name, tile) for name in ("brdf", "u_random", "flag")))
+        except OSError as error:
+            raise DataError(f"{where} cannot be read: {error}; make the map anew") from None
+
     def values(self, tile: Tile) -> tuple[Floats, Floats]:
         """BRDF [1/sr] and its own standard uncertainty of a tile, shape (rows, columns, n); NaN where flagged."""
-        bad = self.array("flag", tile) != 0
-        return (
-            np.where(bad, np.nan, self.array("brdf", tile).astype(float)),
-            np.where(bad, np.nan, self.array("u_random", tile).astype(float)),
-        )
+        return self.held(tile).values()
 
     def table(self, row: int, col: int) -> DataFrame:
         """The measurement table of one pixel, in its own directions (`gonio.measurement`)."""

@@ -9,6 +9,8 @@ import io
 import os
 import subprocess
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TypeVar
 
@@ -37,6 +39,19 @@ def gonio(folder: Path, *arguments: str | Path, expect: int | None = None) -> su
     done = subprocess.CompletedProcess(words, code or 0, *(stream.getvalue().decode() for stream in printed))
     assert expect in (None, done.returncode), f"exit code {done.returncode}: {done.stdout}\n{done.stderr}"
     return done
+
+
+@contextmanager
+def no_room_beyond(size: int) -> Iterator[None]:
+    """The system writes no file beyond `size` bytes, in the middle of whatever writes it: as on a disk that is full."""
+    import resource
+
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
 def says(text: str, *words: str) -> None:

@@ -139,7 +139,7 @@ class DarkPlane:
             for step, entry in frames.dark_frames():
                 frame = frames.read_or_note(step, entry)
                 if frame is not None:
-                    np.ascontiguousarray(frame.mosaic, np.uint16).tofile(file)
+                    file.write(np.ascontiguousarray(frame.mosaic, np.uint16).data)
                     out.append(frame.exposure_s)
         if not out:
             raise DataError(f"{frames.run.path}: the run has no dark frame that is whole; finish it with --resume")
@@ -214,13 +214,17 @@ class Planes:
             path = self.file(point, k)
             begun = path.with_name(f".{path.name}.new")
             shape = (rows.stop - rows.start, cols.stop - cols.start)
-            with open(begun, "wb") as file:  # not mapped: a disk that is full would end the process
-                np.lib.format.write_array_header_2_0(
-                    file, {"descr": np.lib.format.dtype_to_descr(PIXEL), "fortran_order": False, "shape": shape}
-                )
-                for strip in _strips(*shape) if 0 not in shape else ():
-                    part = slice(rows.start + strip.start, rows.start + strip.stop)
-                    file.write(self._strip(point, taken, lattice, part, cols).tobytes())
+            try:
+                with open(begun, "wb") as file:  # not mapped: a disk that is full would end the process
+                    np.lib.format.write_array_header_2_0(
+                        file, {"descr": np.lib.format.dtype_to_descr(PIXEL), "fortran_order": False, "shape": shape}
+                    )
+                    for strip in _strips(*shape) if 0 not in shape else ():
+                        part = slice(rows.start + strip.start, rows.start + strip.stop)
+                        file.write(self._strip(point, taken, lattice, part, cols).tobytes())
+            except OSError:
+                begun.unlink(missing_ok=True)
+                raise
             begun.replace(path)
 
     def _levels(self, point: MapPoint, region: Region) -> list[Lit]:

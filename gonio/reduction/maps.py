@@ -107,17 +107,17 @@ def write(run: Run, found: Reduction, path: Path, pixel_mm: float | None, counte
     parts = Parts(path, _settings(run, found.table, cells))
     planes = Planes(RunFrames(run), parts.folder, cells.radius_mm)
     _require_room(planes, points, cells, parts.folder)
-    _make_planes(planes, points, counter)
-    shift = _shifts(planes, cells, points, parts.folder, counter)
-    table = found.table.iloc[rows]
+    table, notes = found.table.iloc[rows], _notes(found.table, rows, cells)
     level = (table["u_random"] / table["brdf"].abs()).to_numpy(dtype=float)
-    tiling = _Tiling(planes, cells, points, shift, np.where(np.isfinite(level), level, 0.0))
-    good = _make_tiles(tiling, parts, counter)
-    notes = _notes(found.table, rows, cells)
     attrs = {str(name): value for name, value in found.table.attrs.items() if value is not None}
     attrs["notes"] = [*attrs.get("notes", []), *notes]
     sizes = {"y": len(cells.places), "x": len(cells.places), "point": len(points), "xyz": 3, "xy": 2}
-    parts.assemble(sizes, _variables(tiling, table, rows // len(run.bands)), attrs)
+    with parts.kept():
+        _make_planes(planes, points, counter)
+        shift = _shifts(planes, cells, points, parts.folder, counter)
+        tiling = _Tiling(planes, cells, points, shift, np.where(np.isfinite(level), level, 0.0))
+        good = _make_tiles(tiling, parts, counter)
+        parts.assemble(sizes, _variables(tiling, table, rows // len(run.bands)), attrs)
     told = np.isfinite(shift[1]).any(axis=1)
     inside = int(np.count_nonzero(np.hypot(*np.meshgrid(cells.places, cells.places)) <= cells.radius_mm))
     return Written(

@@ -87,10 +87,15 @@ class _Rounds:
         """Move every picture against the mean; the mean of the pictures as they were looked up, and its variance."""
         total, spread, count = (np.zeros(self._where.shape) for _ in range(3))
         steps: list[tuple[int, Floats, Floats]] = []
-        for point, (value, variance) in zip(points, in_threads(self._picture, points), strict=True):
+
+        def seen(point: MapPoint) -> tuple[Floats, Floats, tuple[Floats, Floats] | None]:
+            value, variance = self._picture(point)
+            return value, variance, None if means is None else _step(means, value, variance)
+
+        for point, (value, variance, step) in zip(points, in_threads(seen, points), strict=True):
             there = np.isfinite(value)
-            if means is not None:
-                steps.append((point.number, *_step(means, value, variance)))
+            if step is not None:
+                steps.append((point.number, *step))
             total[there] += value[there]
             spread[there] += variance[there]
             count[there] += 1.0

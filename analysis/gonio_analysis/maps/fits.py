@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import platform
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from importlib.metadata import version
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -17,13 +15,12 @@ import gonio
 from gonio.documents import JsonObject
 from gonio.errors import ConfigError, DataError
 from gonio.maps import FIT_FLAGS, MapFile, Parts, Tile, Variable
+from gonio.reduction.threads import in_threads
 from gonio_analysis.fitting.problem import FitRequest
 from gonio_analysis.maps import materials as shared
-from gonio_analysis.maps.pixels import AT_BOUND, REJECTED, TOO_FEW, Arrays, Plan, fit_tile, plan, read_tile
+from gonio_analysis.maps.pixels import AT_BOUND, REJECTED, TOO_FEW, Arrays, Places, Plan, fit_tile, plan, read_tile
 from gonio_analysis.selection import parallel
 
-AHEAD = 2
-"""Tiles in work: one is read or written while the cores fit another."""
 MOST_KINDS = 50
 """Materials that may be asked for."""
 KEPT = ("sample", "quantity", "simulated")
@@ -76,20 +73,14 @@ def make(
         todo = [tile for tile in every if not parts.has(tile)]
         if len(todo) < len(every):
             say(f"{len(every) - len(todo)} of {len(every)} tiles were done before")
-        try:
-            for done, (tile, arrays) in enumerate(_fitted(map_file, wanted, todo, dask), 1):
-                parts.write(tile, arrays)
+        with parts.kept():
+            for done, _ in enumerate(_fitted(map_file, wanted, parts, todo, dask), 1):
                 count(done, len(todo))
             sizes, variables = _layout(map_file, wanted)
             if materials is not None:
                 more, found = shared.variables(map_file, parts, wanted, kinds, say)
                 sizes, variables = sizes | more, variables | found
             parts.assemble(sizes, variables, {n: map_file.attrs[n] for n in KEPT if n in map_file.attrs} | about)
-        except OSError as error:
-            raise ConfigError(
-                f"{out}: cannot be written: {error.strerror or error}; the tiles that are done stay, and the same"
-                " command goes on with the others"
-            ) from None
     return wanted
 
 
@@ -121,27 +112,15 @@ def _about(map_file: MapFile, wanted: Plan) -> JsonObject:
     }
 
 
-def _fitted(map_file: MapFile, wanted: Plan, todo: list[Tile], dask: str | None) -> Iterator[tuple[Tile, Arrays]]:
-    """Tiles as they are fitted, by the threads of this process or by a cluster."""
-    if dask is not None:
-        jobs = ((wanted, tile.shape, *read_tile(map_file, wanted.points, tile)) for tile in todo)
-        yield from zip(todo, parallel.on_cluster(_sent, jobs, dask), strict=True)
-        return
-
-    def work(tile: Tile) -> Arrays:
-        return fit_tile(wanted, tile.shape, *read_tile(map_file, wanted.points, tile))
-
-    rest = iter(todo)
-    with ThreadPoolExecutor(AHEAD) as pool:
-        waiting = [(tile, pool.submit(work, tile)) for tile in islice(rest, AHEAD)]
-        while waiting:
-            tile, job = waiting.pop(0)
-            arrays = job.result()
-            waiting += [(later, pool.submit(work, later)) for later in islice(rest, 1)]
-            yield tile, arrays
+def _fitted(map_file: MapFile, wanted: Plan, parts: Parts, todo: list[Tile], dask: str | None) -> Iterator[None]:
+    """Fits tiles and keeps them, by the threads of this process or by a cluster; yields once a tile."""
+    if dask is None:
+        return in_threads(lambda tile: parts.write(tile, fit_tile(wanted, read_tile(map_file, tile))), todo)
+    jobs = ((wanted, read_tile(map_file, tile)) for tile in todo)
+    return in_threads(lambda one: parts.write(*one), zip(todo, parallel.on_cluster(_sent, jobs, dask), strict=True))
 
 
-def _sent(job: tuple[Any, ...]) -> Arrays:
+def _sent(job: tuple[Plan, Places]) -> Arrays:
     """What a worker of a cluster does."""
     return fit_tile(*job)
 

@@ -212,7 +212,7 @@ def variables(
         say(f"{len(materials)} materials are left of {wanted}: no pixel is nearest to the others")
     member, chi = np.full(map_file.shape, NOBODY, np.int16), np.full(map_file.shape, np.nan, np.float32)
     for tile in map_file.tiles():
-        some = Pixels(*read_tile(map_file, plan.points, tile))
+        some = Pixels(*read_tile(map_file, tile).values(plan.points))
         best, least = mixture.nearest(some, materials)
         used = (np.isfinite(some.values) & (some.u > 0)).sum(axis=1)
         there = used > len(plan.free)
@@ -259,7 +259,7 @@ def _drawn(map_file: MapFile, parts: Parts, plan: Plan) -> tuple[Pixels, Floats,
         of = kept[begin : begin + good.size]
         begin += good.size
         if of.any():
-            pixels.append(Pixels(*read_tile(map_file, plan.points, tile))[good[of]])
+            pixels.append(Pixels(*read_tile(map_file, tile).values(plan.points))[good[of]])
             owns.append(own[of])
             us.append(u[of])
     if not pixels:

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from gonio import materials
 from gonio.errors import ConfigError, DataError
 from gonio.geometry import Directions
-from gonio.maps import FIT_FLAGS, MapFile, Tile
+from gonio.maps import FIT_FLAGS, Held, MapFile, Tile
 from gonio.models import batch
 from gonio.typing import Floats
 from gonio_analysis.fitting.misfit import groupings
@@ -122,42 +122,43 @@ def _wavelength(map_file: MapFile, asked: float | None) -> tuple[npt.NDArray[np.
     return np.flatnonzero(waves == nearest), nearest, notes
 
 
-def read_tile(map_file: MapFile, points: npt.NDArray[np.intp], tile: Tile) -> tuple[Floats, Floats, Floats, Floats]:
-    """x, y (pixels,) [mm], values and u (pixels, n) [1/sr] of a tile; raises `DataError` where it is damaged."""
-    try:
-        values, u = map_file.values(tile)
-    except OSError as error:
-        raise DataError(
-            f"{map_file.path}: rows {tile.rows.start} to {tile.rows.stop}, columns {tile.cols.start} to"
-            f" {tile.cols.stop} cannot be read: {error}; make the map anew"
-        ) from None
-    y, x = np.meshgrid(map_file.y_mm[tile.rows], map_file.x_mm[tile.cols], indexing="ij")
-    if len(points) < values.shape[-1]:
-        values, u = values[..., points], u[..., points]
-    n = values.shape[-1]
-    return x.ravel(), y.ravel(), values.reshape(-1, n), u.reshape(-1, n)
+@dataclass(frozen=True)
+class Places:
+    """Pixels of a tile: where they lie, and their values, packed."""
+
+    x_mm: Floats
+    """Of the columns."""
+    y_mm: Floats
+    """Of the rows."""
+    held: Held
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        return len(self.y_mm), len(self.x_mm)
+
+    def values(self, points: npt.NDArray[np.intp]) -> tuple[Floats, Floats, Floats, Floats]:
+        """x, y (pixels,) [mm], values and u (pixels, n) [1/sr]; raises `DataError` where the file is damaged."""
+        y, x = np.meshgrid(self.y_mm, self.x_mm, indexing="ij")
+        values, u = self.held.values(points)
+        n = values.shape[-1]
+        return x.ravel(), y.ravel(), values.reshape(-1, n), u.reshape(-1, n)
 
 
-def fit_tile(plan: Plan, shape: tuple[int, int], x_mm: Floats, y_mm: Floats, values: Floats, u: Floats) -> Arrays:
-    """The arrays of a tile of a file of fits.
+def read_tile(map_file: MapFile, tile: Tile) -> Places:
+    """The pixels of a tile; raises `DataError` where it is damaged."""
+    return Places(map_file.x_mm[tile.cols], map_file.y_mm[tile.rows], map_file.held(tile))
 
-    Parameters
-    ----------
-    plan
-        What is fitted.
-    shape
-        Rows and columns.
-    x_mm, y_mm : (pixels,) array
-        Places [mm].
-    values, u : (pixels, n) array
-        BRDF and its own standard uncertainty [1/sr].
-    """
+
+def fit_tile(plan: Plan, pixels: Places) -> Arrays:
+    """The arrays of a tile of a file of fits."""
     wavelength = DEFAULT_WAVELENGTH_NM if math.isnan(plan.wavelength_nm) else plan.wavelength_nm
+    x_mm, y_mm, values, u = pixels.values(plan.points)
     fits = batch.fit(
         plan.model, x_mm, y_mm, plan.source_mm, plan.camera_mm, values, u, common=plan.common, fixed=plan.fixed,
         blocks=plan.blocks, wavelength_nm=wavelength,
     )  # fmt: skip
-    return {name: array.reshape(*shape, *array.shape[1:]) for name, array in _judged(plan, fits).items()}
+    return {name: array.reshape(*pixels.shape, *array.shape[1:]) for name, array in _judged(plan, fits).items()}
 
 
 def _judged(plan: Plan, fits: batch.Fits) -> Arrays:

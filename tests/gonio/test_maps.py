@@ -1,0 +1,101 @@
+"""Map files: chunks that are packed here, and those that other programs write."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from gonio.errors import DataError
+from gonio.maps import MapFile, Packed, Tile, tiles
+from tests.gonio_analysis import map_files
+
+ROWS, COLS, POINTS = 70, 130, 5
+
+
+def values() -> npt.NDArray[np.float32]:
+    """Numbers of all sizes, some of which are none."""
+    rng = np.random.default_rng(4)
+    out = rng.normal(size=(ROWS, COLS, POINTS)).astype(np.float32) * np.float32(10.0) ** rng.integers(-9, 9, POINTS)
+    out[rng.random(out.shape) < 0.1] = np.nan
+    return out.astype(np.float32)
+
+
+def write(path: Path) -> Any:
+    """A map of six tiles, of which one is a whole chunk along both sides."""
+    brdf: Any = values()
+    place = np.ones((POINTS, 3))
+    map_files.values(path, brdf, np.abs(brdf), place, place, np.zeros((4, POINTS)))
+    return brdf
+
+
+@pytest.mark.parametrize("array", [values(), np.arange(6, dtype="u1").reshape(2, 3), np.zeros((0, 3)), np.eye(3)])
+def test_what_is_packed_comes_back(array: npt.NDArray[Any]) -> None:
+    found = Packed.of(array).array()
+    assert found.dtype == array.dtype
+    np.testing.assert_array_equal(found, array)
+    with pytest.raises(OSError, match="damaged"):
+        Packed(array.dtype.str, array.shape, b"nothing").array()
+
+
+def test_chunks_are_read_as_hdf5_reads_them(tmp_path: Path) -> None:
+    """The library's own filters unpack what was packed here, and the other way round."""
+    brdf = write(tmp_path / "map.h5")
+    with h5py.File(tmp_path / "map.h5") as file:
+        np.testing.assert_array_equal(file["brdf"][()], brdf)
+        assert (file["brdf"].compression, file["brdf"].compression_opts, file["brdf"].shuffle) == ("gzip", 1, True)
+        with h5py.File(tmp_path / "other.h5", "w") as other:
+            other.attrs.update(file.attrs)
+            for name in ("x", "y"):
+                file.copy(name, other)
+            for name in ("brdf", "u_random", "flag"):
+                chunk = (64, 64, POINTS)
+                other.create_dataset(name, data=file[name][()], chunks=chunk, compression="gzip", shuffle=True)
+    for name in ("map.h5", "other.h5"):
+        with MapFile(tmp_path / name) as found:
+            packed = [isinstance(found.chunk("brdf", tile), Packed) for tile in tiles(ROWS, COLS)]
+            assert packed == [True, True, False, False, False, False]
+            for tile in tiles(ROWS, COLS):
+                wanted = brdf[tile.rows, tile.cols]
+                np.testing.assert_array_equal(found.values(tile)[0], wanted)
+                np.testing.assert_array_equal(found.held(tile).values(np.array([1, 4]))[0], wanted[..., [1, 4]])
+
+
+CHUNKS = {"chunks": (64, 64, POINTS)}
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {},
+        {"chunks": (32, 64, POINTS)},
+        {**CHUNKS, "compression": "lzf"},
+        {**CHUNKS, "compression": "gzip", "fletcher32": True},
+    ],
+)
+def test_files_of_other_programs_have_other_chunks(tmp_path: Path, options: dict[str, Any]) -> None:
+    brdf = write(tmp_path / "map.h5")
+    with h5py.File(tmp_path / "map.h5", "r+") as file:
+        del file["brdf"]
+        file.create_dataset("brdf", data=brdf, **options)
+    with MapFile(tmp_path / "map.h5") as found:
+        for tile in tiles(ROWS, COLS):
+            assert not isinstance(found.chunk("brdf", tile), Packed)
+            np.testing.assert_array_equal(found.values(tile)[0], brdf[tile.rows, tile.cols])
+
+
+def test_a_chunk_that_is_damaged_is_named(tmp_path: Path) -> None:
+    write(tmp_path / "map.h5")
+    with h5py.File(tmp_path / "map.h5") as file:
+        chunk = file["u_random"].id.get_chunk_info(1)
+    with open(tmp_path / "map.h5", "r+b") as stream:
+        stream.seek(chunk.byte_offset)
+        stream.write(bytes(chunk.size))
+    with MapFile(tmp_path / "map.h5") as found:
+        found.values(Tile(slice(0, 64), slice(0, 64)))
+        with pytest.raises(DataError, match=r"map.h5: rows 0 to 64, columns 64 to 128 cannot be read: .* make the map"):
+            found.values(Tile(slice(0, 64), slice(64, 128)))
