@@ -113,30 +113,41 @@ def test_a_cause_that_pixels_share_is_in_their_uncertainties_as_in_the_ordinary_
 KILLED = """
 import os, signal, sys
 from pathlib import Path
-from gonio.maps import Parts
+from gonio import maps
 from gonio_analysis.fitting.problem import FitRequest
 from gonio_analysis.maps import fits
-write, count = Parts.write, [0]
-def dies(self, tile, arrays):
-    write(self, tile, arrays)
-    count[0] += 1
-    if count[0] == 2:
+where, left = sys.argv[3], [int(sys.argv[4])]
+owner, name = {"tile": (maps.Parts, "write"), "file": (maps, "_put"), "name": (Path, "replace"),
+               "tidy": (Path, "unlink"), "end": (maps.shutil, "rmtree")}[where]
+work = getattr(owner, name)
+def dies(*arguments):
+    if left[0] == 0:
         os.kill(os.getpid(), signal.SIGKILL)
-Parts.write = dies
+    left[0] -= 1
+    return work(*arguments)
+setattr(owner, name, dies)
 fits.make(Path(sys.argv[1]), Path(sys.argv[2]), FitRequest("cook-torrance"), count=lambda a, b: None, say=print)
 """
+"""A fit that is killed when it begins a tile, a part of the file, its name, the removal of a tile or of the folder."""
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="kill -9 is of POSIX")
-def test_what_was_killed_goes_on_and_is_the_same_to_the_byte(small: Path) -> None:
+@pytest.mark.parametrize(
+    ("where", "after", "done"),
+    [("tile", 2, (1, 2)), ("file", 20, (6,)), ("name", 0, (6,)), ("tidy", 2, (4,)), ("end", 0, (0,))],
+)
+def test_what_was_killed_goes_on_and_is_the_same_to_the_byte(
+    small: Path, where: str, after: int, done: tuple[int, ...]
+) -> None:
     whole, broken = small.with_name("whole.h5"), small.with_name("broken.h5")
     made(small, whole)
-    ended = subprocess.run([sys.executable, "-c", KILLED, small, broken], check=False)
+    ended = subprocess.run([sys.executable, "-c", KILLED, small, broken, where, str(after)], check=False)
     assert ended.returncode == -9
-    assert not broken.exists()
-    again = made(small, broken)  # the other thread may have kept a third one
-    assert "2 of 6 tiles were done before" in again or "3 of 6 tiles were done before" in again
+    assert broken.exists() == (where in ("tidy", "end"))
+    assert not broken.exists() or broken.read_bytes() == whole.read_bytes()
+    said = " ".join(made(small, broken))  # of two threads one may be in the middle of a tile
+    assert any(f"{count} of 6 tiles were done before" in said for count in done) or done == (0,)
     assert broken.read_bytes() == whole.read_bytes()
     assert not list(small.parent.glob("*.parts"))
 
