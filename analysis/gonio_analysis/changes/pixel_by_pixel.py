@@ -10,8 +10,11 @@ import numpy.typing as npt
 
 from gonio.errors import DataError
 from gonio.maps import FitFile, Tile
+from gonio.reduction.threads import in_threads
 from gonio.typing import Bools, Floats
 
+Singles = npt.NDArray[np.float32]
+"""Of very many pixels: seven digits are more than a difference has."""
 FALSE_DISCOVERIES = 0.05
 """Share of the marked pixels that are marked by chance."""
 SAME_PLACE = 1e-3
@@ -24,9 +27,9 @@ class ParameterChange:
 
     name: str
     unit: str
-    difference: Floats
+    difference: Singles
     """B - A; NaN where either is not determined."""
-    z: Floats
+    z: Singles
     """In standard deviations of the difference."""
     marked: Bools
     """The pixels in which it changed, judged by itself."""
@@ -42,9 +45,9 @@ class MapChange:
     x_mm: Floats
     y_mm: Floats
     parameters: list[ParameterChange]
-    chi_square: Floats
+    chi_square: Singles
     """Of the differences of all parameters of a pixel together."""
-    freedom: npt.NDArray[np.intp]
+    freedom: npt.NDArray[np.uint8]
     """How many parameters were compared; 0: none."""
     p: Floats
     """Probability of a larger chi-square by chance; NaN where nothing was compared."""
@@ -75,41 +78,44 @@ def change(path_a: str | Path, path_b: str | Path) -> MapChange:
     DataError
         A file cannot be read, or their grids, models or parameters do not match.
     """
+    from scipy.special import chdtrc
+
     with FitFile(path_a) as a, FitFile(path_b) as b:
         names = _matching(a, b)
         shape = a.shape
-        maps = {name: np.full((2, *shape), np.nan) for name in names}
-        u = {name: np.full(shape, np.nan, np.float32) for name in names}
-        total, freedom = np.zeros(shape), np.zeros(shape, np.intp)
-        for tile in a.tiles():
+        found = {name: np.full((3, *shape), np.nan, np.float32) for name in names}
+        total, freedom = np.zeros(shape, np.float32), np.zeros(shape, np.uint8)
+        p = np.full(shape, np.nan)
+
+        def compare(tile: Tile) -> None:
             at = np.s_[tile.rows, tile.cols]
             difference, covariance = _of_tile(a, b, names, tile)
             error = np.sqrt(np.einsum("...aa->...a", covariance))
             for k, name in enumerate(names):
-                maps[name][0][at], maps[name][1][at] = difference[..., k], difference[..., k] / error[..., k]
-                u[name][at] = error[..., k]
-            total[at], freedom[at] = together(difference, covariance)
-        p = np.full(shape, np.nan)
-        there = freedom > 0
-        from scipy.special import chdtrc
+                for place, one in zip(found[name], (difference, difference / error, error), strict=True):
+                    place[at] = one[..., k]
+            chi_square, count = together(difference, covariance)
+            total[at], freedom[at] = chi_square, count
+            p[at] = np.where(count > 0, chdtrc(np.maximum(count, 1), chi_square), np.nan)
 
-        p[there] = chdtrc(freedom[there], total[there])
-        found = []
+        for _ in in_threads(compare, a.tiles()):
+            pass
+        changes = []
         for name in names:
-            difference, z = maps[name]
-            typical = float(np.nanmedian(u[name])) if np.isfinite(u[name]).any() else float("nan")
-            found.append(ParameterChange(name, a.unit(name), difference, z, marked(_two_sided(z)), typical))
-        return MapChange(a.model, a.x_mm, a.y_mm, found, total, freedom, p, marked(p))
+            difference, z, error = found.pop(name)
+            typical = float(np.nanmedian(error)) if np.isfinite(error).any() else float("nan")
+            changes.append(ParameterChange(name, a.unit(name), difference, z, marked(_two_sided(z)), typical))
+        return MapChange(a.model, a.x_mm, a.y_mm, changes, total, freedom, p, marked(p))
 
 
 def marked(p: Floats) -> Bools:
-    """Which probabilities are so small that about `FALSE_DISCOVERIES` of those marked are by chance; never NaN."""
-    from scipy.stats import false_discovery_control
+    """Which probabilities are so small that about `FALSE_DISCOVERIES` of those marked are by chance; never NaN.
 
-    out, known = np.zeros(p.shape, bool), np.isfinite(p)
-    if known.any():
-        out[known] = false_discovery_control(p[known]) <= FALSE_DISCOVERIES  # Benjamini and Hochberg (1995)
-    return out
+    After Benjamini and Hochberg (1995): those up to the largest that lies below its rank's share.
+    """
+    ordered = np.sort(p[np.isfinite(p)])
+    below = ordered <= FALSE_DISCOVERIES * np.arange(1, ordered.size + 1) / max(ordered.size, 1)
+    return np.asarray(p <= ordered[np.flatnonzero(below)[-1]] if below.any() else np.zeros(p.shape, bool))
 
 
 def together(difference: Floats, covariance: Floats) -> tuple[Floats, npt.NDArray[np.intp]]:
@@ -132,10 +138,10 @@ def together(difference: Floats, covariance: Floats) -> tuple[Floats, npt.NDArra
     return np.einsum("...a,...a->...", whitened, solved), known.sum(axis=-1)
 
 
-def _two_sided(z: Floats) -> Floats:
+def _two_sided(z: Singles) -> Floats:
     from scipy.special import ndtr
 
-    return np.asarray(2.0 * ndtr(-np.abs(z)))
+    return np.asarray(2.0 * ndtr(-np.abs(z.astype(float))))
 
 
 def _of_tile(a: FitFile, b: FitFile, names: list[str], tile: Tile) -> tuple[Floats, Floats]:

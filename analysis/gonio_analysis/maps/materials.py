@@ -18,8 +18,9 @@ import numpy.typing as npt
 
 from gonio.errors import DataError
 from gonio.geometry import Directions
-from gonio.maps import MapFile, Parts, Variable
+from gonio.maps import MapFile, Parts, Tile, Variable
 from gonio.models import batch
+from gonio.reduction.threads import in_threads
 from gonio.typing import Floats
 from gonio_analysis.fitting.observations import DEFAULT_WAVELENGTH_NM
 from gonio_analysis.fitting.problem import FitRequest, pose
@@ -211,13 +212,17 @@ def variables(
     if len(materials) < wanted:
         say(f"{len(materials)} materials are left of {wanted}: no pixel is nearest to the others")
     member, chi = np.full(map_file.shape, NOBODY, np.int16), np.full(map_file.shape, np.nan, np.float32)
-    for tile in map_file.tiles():
+
+    def assign(tile: Tile) -> None:
         some = Pixels(*read_tile(map_file, tile).values(plan.points))
         best, least = mixture.nearest(some, materials)
         used = (np.isfinite(some.values) & (some.u > 0)).sum(axis=1)
         there = used > len(plan.free)
         member[tile.rows, tile.cols] = np.where(there, best, NOBODY).reshape(tile.shape)
         chi[tile.rows, tile.cols] = np.where(there, least / np.maximum(used, 1), np.nan).reshape(tile.shape)
+
+    for _ in in_threads(assign, map_file.tiles()):
+        pass
     sizes = {"material": len(materials)}
     return sizes, _layout(plan, materials, member, chi)
 
@@ -244,21 +249,23 @@ def _layout(
 
 def _drawn(map_file: MapFile, parts: Parts, plan: Plan) -> tuple[Pixels, Floats, Floats]:
     """Some pixels whose parameters are known, evenly drawn over the map, with parameters and uncertainties."""
-    every = map_file.tiles()
-    chosen, total = [], 0
-    for tile in every:
+
+    def known(tile: Tile) -> tuple[Whole, Floats, Floats]:
         found = parts.read(tile)
         own, u = (np.stack([found[f"{p}{n}"].ravel() for n in plan.free], axis=1) for p in ("", "u_"))
         good = np.flatnonzero((np.isfinite(own) & np.isfinite(u)).all(axis=1))
-        chosen.append((tile, good, own[good], u[good]))
-        total += good.size
-    kept = np.zeros(total, bool)
-    kept[np.random.default_rng(0).permutation(total)[:MOST_DRAWN]] = True
+        return good, own[good], u[good]
+
+    every = map_file.tiles()
+    counts = [known(tile)[0].size for tile in every]
+    kept = np.zeros(sum(counts), bool)
+    kept[np.random.default_rng(0).permutation(kept.size)[:MOST_DRAWN]] = True
     begin, pixels, owns, us = 0, [], [], []
-    for tile, good, own, u in chosen:
-        of = kept[begin : begin + good.size]
-        begin += good.size
+    for tile, count in zip(every, counts, strict=True):
+        of = kept[begin : begin + count]
+        begin += count
         if of.any():
+            good, own, u = known(tile)
             pixels.append(Pixels(*read_tile(map_file, tile).values(plan.points))[good[of]])
             owns.append(own[of])
             us.append(u[of])

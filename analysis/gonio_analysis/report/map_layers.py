@@ -18,6 +18,7 @@ from gonio_analysis.report.drawings import Drawing
 
 PICTURE, EMBEDDED = 256, 200
 """Pixels along the longer side of a picture, and of what a page holds for its program, at most."""
+Real = npt.NDArray[np.floating[Any]]
 QUANTILES = (0.005, 0.995)
 """Between which colours are told apart."""
 BINS = 60
@@ -172,17 +173,17 @@ def labelled(name: str, unit: str) -> str:
     return name.replace("_", " ") + (f" [{unit}]" if unit else "")
 
 
-def layer(grid: Grid, name: str, unit: str, value: Floats, u: Floats | None = None) -> Layer:
+def layer(grid: Grid, name: str, unit: str, value: Real, u: Real | None = None) -> Layer:
     """What a page shows of values (rows, columns), NaN where they are not determined."""
     rows, cols = grid.embedded()
     at = np.ix_(rows, cols)
     return Layer(
         name, unit, spread(value, u), block_medians(grid, value), None if u is None else block_medians(grid, u),
-        value[at], None if u is None else u[at],
+        value[at].astype(float), None if u is None else u[at].astype(float),
     )  # fmt: skip
 
 
-def spread(value: Floats, u: Floats | None = None) -> Spread:
+def spread(value: Real, u: Real | None = None) -> Spread:
     """How values spread; of none all is NaN."""
     known = value[np.isfinite(value)]
     typical = u[np.isfinite(u)] if u is not None else np.empty(0)
@@ -196,19 +197,20 @@ def spread(value: Floats, u: Floats | None = None) -> Spread:
     return Spread(known.size, median, low, high, float(known.min()), float(known.max()), typical_u, edges, counts)
 
 
-def block_medians(grid: Grid, value: Floats) -> Floats:
+def block_medians(grid: Grid, value: Real) -> Floats:
     """A picture of at most `PICTURE` pixels along a side: medians of what is determined in square blocks."""
-    step = grid.step(PICTURE)
-    value = np.asarray(grid.up(value), float)
+    step, value = grid.step(PICTURE), grid.up(value)
     if step == 1:
-        return value
+        return np.asarray(value, float)
     rows, cols = (-(-n // step) for n in value.shape)
-    full = np.full((rows * step, cols * step), np.nan)
-    full[: value.shape[0], : value.shape[1]] = value
-    blocks = full.reshape(rows, step, cols, step).transpose(0, 2, 1, 3).reshape(rows, cols, step * step)
     out = np.full((rows, cols), np.nan)
-    some = np.isfinite(blocks).any(axis=-1)
-    out[some] = np.nanmedian(blocks[some], axis=-1)
+    for row, line in enumerate(out):
+        strip = np.full((step, cols * step), np.nan)
+        held = value[row * step : (row + 1) * step]
+        strip[: held.shape[0], : held.shape[1]] = held
+        blocks = strip.reshape(step, cols, step).transpose(1, 0, 2).reshape(cols, step * step)
+        some = np.isfinite(blocks).any(axis=-1)
+        line[some] = np.nanmedian(blocks[some], axis=-1)
     return out
 
 

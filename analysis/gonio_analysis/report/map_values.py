@@ -7,13 +7,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
 from gonio.geometry import Directions
-from gonio.maps import FLAGS, MapFile
-from gonio.typing import Floats
+from gonio.maps import FLAGS, MapFile, Tile
+from gonio.reduction.threads import in_threads
 from gonio_analysis.curves.in_plane import evenly
 from gonio_analysis.report import map_figures, map_layers, map_view
-from gonio_analysis.report.map_layers import Grid, Layer, Told
+from gonio_analysis.report.map_layers import Grid, Layer, Real, Told
 from gonio_analysis.report.text import number, percent
 
 SHOWN = 4
@@ -25,12 +26,12 @@ KINDS = ("all usable", "some flagged", "none usable")
 class _Found:
     """What one way through the file tells."""
 
-    brdf: Floats
+    brdf: Real
     """(points, rows, columns)"""
-    u: Floats
-    usable: Floats
+    u: Real
+    usable: Real
     """Values of each pixel."""
-    relative: Floats
+    relative: Real
     """Median over its values of u / brdf."""
     counts: dict[str, int]
 
@@ -97,10 +98,11 @@ def _name(at: Directions, k: int) -> str:
 
 def _read(file: MapFile, shown: list[int]) -> _Found:
     shape = file.shape
-    brdf, u = np.full((2, len(shown), *shape), np.nan)
-    usable, relative = np.zeros(shape), np.full(shape, np.nan)
-    counts = dict.fromkeys(FLAGS, 0)
-    for tile in file.tiles():
+    brdf, u = np.full((2, len(shown), *shape), np.nan, np.float32)
+    usable, relative = np.zeros(shape, np.float32), np.full(shape, np.nan, np.float32)
+    counts = np.zeros(len(FLAGS), int)
+
+    def look(tile: Tile) -> npt.NDArray[np.intp]:
         at = np.s_[tile.rows, tile.cols]
         values, error = file.values(tile)
         for j, k in enumerate(shown):
@@ -111,9 +113,11 @@ def _read(file: MapFile, shown: list[int]) -> _Found:
         some = np.isfinite(part).any(axis=-1)
         relative[at][some] = np.nanmedian(part[some], axis=-1)
         bits = file.array("flag", tile)
-        for k, name in enumerate(FLAGS):
-            counts[name] += int(np.count_nonzero(bits >> k & 1))
-    return _Found(brdf, u, usable, relative, counts)
+        return np.array([np.count_nonzero(bits >> k & 1) for k in range(len(FLAGS))])
+
+    for found in in_threads(look, file.tiles()):
+        counts += found
+    return _Found(brdf, u, usable, relative, dict(zip(FLAGS, counts.tolist(), strict=True)))
 
 
 def _facts(file: MapFile, grid: Grid) -> list[tuple[str, str]]:

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from gonio_analysis.changes.pixel_by_pixel import FALSE_DISCOVERIES, change, together
+from gonio_analysis.changes.pixel_by_pixel import FALSE_DISCOVERIES, change, marked, together
+from scipy.stats import false_discovery_control
 
 from gonio.errors import DataError
 from gonio.maps import FIT_FLAGS, Variable
@@ -63,6 +64,16 @@ def test_nothing_changed_marks_nothing_in_most_maps(tmp_path: Path) -> None:
     ]
     # each map marks any with a probability of 5 %: three of ten with 1 %
     assert sum(count > 0 for count in counts) <= 2
+
+
+@pytest.mark.parametrize("share", [0.0, 0.01, 0.3, 1.0])
+def test_what_is_marked_is_what_scipy_marks(share: float) -> None:
+    rng = np.random.default_rng(5)
+    p = rng.random((50, 40)) * np.where(rng.random((50, 40)) < share, 1e-3, 1.0)
+    p[3] = np.nan
+    wanted = false_discovery_control(p[np.isfinite(p)]) <= FALSE_DISCOVERIES
+    np.testing.assert_array_equal(marked(p)[np.isfinite(p)], wanted)
+    assert not marked(p)[3].any()
 
 
 def test_correlations_count() -> None:
