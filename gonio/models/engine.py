@@ -7,8 +7,9 @@ fails.
 import math
 import os
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from math import prod
 from typing import Any, Final
@@ -44,9 +45,22 @@ if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_forget_pool)
 
 
+_here = threading.local()
+
+
 def threads() -> int:
-    """How many threads large arrays are split over: the processors that this process may use."""
-    return platform.processors()
+    """How many threads large arrays are split over: the processors that this process may use, or one (`alone`)."""
+    return 1 if getattr(_here, "alone", False) else platform.processors()
+
+
+@contextmanager
+def alone() -> Iterator[None]:
+    """Let this thread split nothing: for one of many that work side by side."""
+    before, _here.alone = getattr(_here, "alone", False), True
+    try:
+        yield
+    finally:
+        _here.alone = before
 
 
 def in_parts(work: Callable[[int, int], int | None], count: int, split: int = SPLIT) -> int:

@@ -15,6 +15,7 @@ import gonio
 from gonio.documents import JsonObject
 from gonio.errors import ConfigError, DataError
 from gonio.maps import FIT_FLAGS, MapFile, Parts, Tile, Variable
+from gonio.models.engine import alone
 from gonio.reduction.threads import in_threads
 from gonio_analysis.fitting.problem import FitRequest
 from gonio_analysis.maps import materials as shared
@@ -121,8 +122,9 @@ def _fitted(map_file: MapFile, wanted: Plan, parts: Parts, todo: list[Tile], das
 
 
 def _sent(job: tuple[Plan, Places]) -> Arrays:
-    """What a worker of a cluster does."""
-    return fit_tile(*job)
+    """What a thread of a worker of a cluster does: its neighbours have the other processors."""
+    with alone():
+        return fit_tile(*job)
 
 
 def _layout(map_file: MapFile, wanted: Plan) -> tuple[dict[str, int], dict[str, Variable]]:

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
-from gonio.typing import Floats
 from gonio_analysis.changes.pixel_by_pixel import FALSE_DISCOVERIES, MapChange, ParameterChange, change
 from gonio_analysis.report import files, map_figures
 from gonio_analysis.report.blocks import (
@@ -28,7 +29,7 @@ from gonio_analysis.report.blocks import (
 )
 from gonio_analysis.report.drawing import figure_workers
 from gonio_analysis.report.drawings import Drawing, Figure
-from gonio_analysis.report.map_layers import Grid, block_medians, facts_of_grid, labelled
+from gonio_analysis.report.map_layers import Grid, Real, block_medians, facts_of_grid, labelled
 from gonio_analysis.report.tables import write_columns, write_csv
 from gonio_analysis.report.text import number, percent, with_u
 
@@ -107,7 +108,7 @@ def conclusion(c: MapChange) -> str:
 def _of(c: MapChange, x: ParameterChange) -> dict[str, float | int | str | None]:
     """Numbers of one parameter."""
 
-    def median(values: Floats) -> float | None:
+    def median(values: Real) -> float | None:
         known = values[np.isfinite(values)]
         return float(np.median(known)) if known.size else None
 
@@ -164,7 +165,7 @@ def _write_tables(c: MapChange, folder: Path) -> list[str]:
         folder / "parameters.csv", ("parameter", *next(iter(of.values()))), ((n, *o.values()) for n, o in of.items())
     )
     rows, cols = np.nonzero(c.changed)
-    columns = {"row": rows, "column": cols, "x_mm": c.x_mm[cols], "y_mm": c.y_mm[rows]}
+    columns: dict[str, npt.NDArray[Any]] = {"row": rows, "column": cols, "x_mm": c.x_mm[cols], "y_mm": c.y_mm[rows]}
     columns |= {"chi_square": c.chi_square[rows, cols], "freedom": c.freedom[rows, cols], "p": c.p[rows, cols]}
     for x in c.parameters:
         columns |= {f"change_{x.name}": x.difference[rows, cols], f"z_{x.name}": x.z[rows, cols]}

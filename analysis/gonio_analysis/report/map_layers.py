@@ -199,14 +199,14 @@ def spread(value: Real, u: Real | None = None) -> Spread:
 
 def block_medians(grid: Grid, value: Real) -> Floats:
     """A picture of at most `PICTURE` pixels along a side: medians of what is determined in square blocks."""
-    step, value = grid.step(PICTURE), grid.up(value)
+    step, upright = grid.step(PICTURE), grid.up(value)
     if step == 1:
-        return np.asarray(value, float)
+        return np.asarray(upright, float)
     rows, cols = (-(-n // step) for n in value.shape)
     out = np.full((rows, cols), np.nan)
     for row, line in enumerate(out):
         strip = np.full((step, cols * step), np.nan)
-        held = value[row * step : (row + 1) * step]
+        held = upright[row * step : (row + 1) * step]
         strip[: held.shape[0], : held.shape[1]] = held
         blocks = strip.reshape(step, cols, step).transpose(1, 0, 2).reshape(cols, step * step)
         some = np.isfinite(blocks).any(axis=-1)

@@ -101,6 +101,17 @@ def test_large_arrays_are_split_over_threads_without_a_trace(monkeypatch: pytest
         MODEL.brdf_vectors(light, view)
 
 
+def test_a_thread_that_is_alone_splits_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(engine.platform, "processors", lambda: 3)
+    light, view = pairs(3 * engine.SPLIT)
+    expected, parts = MODEL.brdf_vectors(light, view), list[tuple[int, int]]()
+    with engine.alone():
+        engine.in_parts(lambda start, stop: parts.append((start, stop)), 3 * engine.SPLIT)
+        np.testing.assert_array_equal(MODEL.brdf_vectors(light, view), expected)
+    assert parts == [(0, 3 * engine.SPLIT)]
+    assert engine.threads() == 3
+
+
 def test_several_python_threads_at_once() -> None:
     light, view = pairs(3 * engine.SPLIT)
     expected = MODEL.brdf_vectors(light, view)
