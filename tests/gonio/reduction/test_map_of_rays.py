@@ -102,9 +102,9 @@ def test_pixels_have_the_brdf_of_their_place_and_the_edge_is_as_wide_as_stated(m
             found.array(f"{name}_mm") for name in ("source", "camera", "footprint", "shift")
         )
     spots, beyond = np.stack([x, y, np.zeros(x.shape)], axis=-1), beyond_mm(x, y)
-    # the pictures lie where the geometry has them; a pixel is 0.14 mm wide, and its stairs along the edge are
-    # no shift
-    assert np.abs(shift).max() < 0.01 * 0.14
+    # the pictures lie where the geometry has them. A pixel is 0.14 mm wide, and three times wider seen from 70 degrees:
+    # its stairs look like shifts of up to 0.015 pixels
+    assert np.abs(shift).max() < 0.02 * 0.14
     for k in range(len(source)):
         ways = (source[k] - spots, camera[k] - spots)
         lamp, lens = (way / np.linalg.norm(way, axis=-1, keepdims=True) for way in ways)
