@@ -172,7 +172,7 @@ class Retroreflecting(Model):
             x = np.minimum(w2 * np.expm1(grown), 4.0)
             cosine, sine = 1.0 - 0.5 * x, np.sqrt(x * (1.0 - 0.25 * x))  # of the observation angle
             level, swing = cosine * lz, sine * lx
-            with np.errstate(divide="ignore", invalid="ignore"):
+            with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
                 horizon = np.arccos(np.fmin(np.fmax(-level / swing, -1.0), 1.0))
             rest = (1.0 - turn) ** 4  # V_z may enter with a broken power at the horizon
             vz = np.maximum(level + swing * np.cos(horizon * (1.0 - rest)), 0.0)

@@ -17,8 +17,8 @@ from gonio.measurement import read
 from gonio.rig.calibrated import Calibration, identity, write_calibration
 from gonio.rig.calibration_use import ParameterUncertainty
 from tests.command_line import gonio, says
+from tests.gonio.calibration.test_camera import small
 from tests.system.conftest import LAMBERT
-from tests.system.test_calibrate_camera import small
 
 PLAN = 'name = "p"\nwavelength_nm = [550]\n[[sweep]]\ntheta_i_deg = [20]\ntheta_r_deg = [-50, 5, 45]\n'
 MEASURE = ("measure", "p.toml", "--rig", "rig.toml", "--sample", "s.toml", "--out", "run")

@@ -15,9 +15,7 @@ from gonio_sim.rig import SIM, SimulatedRig
 from gonio.config import numbers_in, read_toml, to_toml
 from gonio.measurement import read
 from tests.command_line import gonio
-from tests.system.conftest import LAMBERT, Command
-
-pytestmark = pytest.mark.slow
+from tests.system.conftest import LAMBERT
 
 TRUTH: dict[str, Any] = {
     "arms": {
@@ -88,6 +86,7 @@ def test_each_arm_is_known_over_its_range(calibrated: Path) -> None:
         assert math.sqrt(float(np.mean((errors[0] - errors[1]) ** 2))) < 0.04, arm
 
 
+@pytest.mark.slow
 def test_kept_sightings_are_fitted_again_and_move_nothing(calibrated: Path) -> None:
     gonio(
         calibrated, "calibrate", "geometry", "--rig", "rig.toml", "--scans", "geometry-sightings", "--out",
@@ -160,7 +159,7 @@ def test_sightings_of_another_rig_are_refused(calibrated: Path, tmp_path: Path) 
     assert "was made with the axes" in refused(tmp_path, rig, "--scans", str(calibrated / "geometry-sightings"))
 
 
-def test_empty_pictures_show_no_board(here: Command, tmp_path: Path) -> None:
+def test_empty_pictures_show_no_board(tmp_path: Path) -> None:
     import cv2
 
     (tmp_path / "rig.toml").write_text(to_toml(tables()))
@@ -170,8 +169,8 @@ def test_empty_pictures_show_no_board(here: Command, tmp_path: Path) -> None:
     (tmp_path / "pictures").mkdir()
     for number in range(3):
         cv2.imwrite(str(tmp_path / "pictures" / f"{number}.png"), np.full((196, 260), 90, np.uint8))
-    done = here(
-        "calibrate", "geometry", "--rig", "rig.toml", "--images", "pictures", "--board", "board.toml",
+    done = gonio(
+        tmp_path, "calibrate", "geometry", "--rig", "rig.toml", "--images", "pictures", "--board", "board.toml",
         "--out", "g.toml", expect=1,
     )  # fmt: skip
     assert "board" in done.stderr
@@ -183,9 +182,12 @@ def test_empty_pictures_show_no_board(here: Command, tmp_path: Path) -> None:
     [
         ({"camera": {"responsivity_e_per_s": 1e-3}}, "mirror", "mirror", "all frames are dark: does the lamp shine"),
         ({}, "mirror", "reference", "flat on it; light is seen, so the lamp shines"),
-        ({"lamp": {"half_angle_deg": 2.0}}, "empty", "empty", "does not have the form of the lamp"),
+        pytest.param(
+            {"lamp": {"half_angle_deg": 2.0}}, "empty", "empty", "does not have the form of the lamp",
+            marks=pytest.mark.slow,
+        ),
     ],
-)
+)  # fmt: skip
 def test_what_is_missing_is_told_apart(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, truth: dict[str, Any], holder: str, lies: Any, said: str
 ) -> None:

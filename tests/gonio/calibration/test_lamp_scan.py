@@ -66,7 +66,6 @@ def series(t: Floats, signal: Floats) -> pd.DataFrame:
     return pd.DataFrame({"time_s": t, "signal_dn_per_s": signal, "u_shot_dn_per_s": 0.1, "exposure_s": 0.01})
 
 
-@pytest.mark.slow
 def test_what_is_true_of_the_lamp_is_found_and_can_be_used(tmp_path: Path) -> None:
     write(tmp_path)
     found, u, _ = found_in(tmp_path, "--minutes", "25", "--valid-days", "90")

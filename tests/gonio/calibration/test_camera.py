@@ -8,6 +8,7 @@ import re
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 from unittest.mock import MagicMock
@@ -23,7 +24,6 @@ from gonio.config import read_toml
 from gonio.measurement import read
 from gonio.rig.dng import read_raw, write_dng
 from tests.command_line import gonio
-from tests.system.conftest import Command
 
 TRUTH: dict[str, Any] = {
     "electrons_per_dn": 3.3,
@@ -275,7 +275,7 @@ def test_many_pairs_that_differ_are_refused(bench: Path, tmp_path: Path) -> None
     assert not list(tmp_path.glob("bad*"))
 
 
-def test_response_of_a_video_camera_goes_through_a_run(here: Command, tmp_path: Path) -> None:
+def test_response_of_a_video_camera_goes_through_a_run(tmp_path: Path) -> None:
     """A gamma of 2.2: the bracket gives the curve, and a run with it gives the sample's BRDF."""
     gamma = (255.0 * (np.arange(256) / 255.0) ** 2.2).tolist()
     gamma[-1] = 255.0
@@ -293,6 +293,7 @@ def test_response_of_a_video_camera_goes_through_a_run(here: Command, tmp_path: 
         cv2.imwrite(str(folder / f"{k}.png"), np.rint(values).astype(np.uint8))
         rows.append(f"{k}.png,flat,{float(t)!r}")
     (folder / "frames.csv").write_text("\n".join(rows) + "\n")
+    here = partial(gonio, tmp_path, expect=0)
     here("calibrate", "camera", "--rig", "rig.toml", "--frames", "bracket", "--response", "--out", "camera.toml")
     (tmp_path / "with.toml").write_text('truth = "truth.toml"\n' + rig + '\n[calibration]\nfiles = ["camera.toml"]\n')
     (tmp_path / "s.toml").write_text(SAMPLE)
