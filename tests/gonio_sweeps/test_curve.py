@@ -28,8 +28,6 @@ from gonio.rig.description import RigDescription
 from gonio.typing import Floats
 from tests.gonio.numpy_rig import SAMPLE, Plugin, StopAfter, describe
 
-pytestmark = pytest.mark.slow
-
 PLAN = """
 name = "a curve"
 wavelength_nm = [550]
@@ -82,6 +80,7 @@ def measured(
 # ---- what is known ----
 
 
+@pytest.mark.slow
 def test_a_lobe_is_found_between_the_points() -> None:
     def lobe(x: Floats) -> Floats:
         return 0.05 + np.exp(-0.5 * ((x - 30) / 8) ** 2)
@@ -114,6 +113,7 @@ def spiky(d: Directions) -> Floats:
     return np.asarray(seen)
 
 
+@pytest.mark.slow
 def test_a_spike_has_the_shape_of_the_cones() -> None:
     x = np.concatenate([np.arange(-20.0, 80.0, 4.0) + 1.0, MIRROR + np.array([-0.5, 0.0, 0.5])])
     d = in_plane(x, MIRROR)
@@ -149,6 +149,7 @@ def test_no_interval_lies_below_zero() -> None:
     assert (high > 0).all()
 
 
+@pytest.mark.slow
 def test_the_reference_is_in_the_interval_and_no_number_of_points_takes_it_out() -> None:
     x = np.linspace(-70, 70, 40)
     f = np.full(x.size, 0.2)
@@ -261,6 +262,7 @@ def test_a_steep_gap_is_bisected() -> None:
     assert 40 < at < 60, "where the flank was left out"
 
 
+@pytest.mark.slow
 def test_one_state_gives_one_choice_and_the_target_ends_it(tmp_path: Path) -> None:
     curve = sampler(tmp_path, PLAN + "u_rel = 0.01\n")
     rows = [curve.candidates.points.index(p) for p in curve.first(())]
@@ -278,6 +280,7 @@ def test_one_state_gives_one_choice_and_the_target_ends_it(tmp_path: Path) -> No
     assert decided.why["u_rel"] <= 0.01
 
 
+@pytest.mark.slow
 def test_the_budget_and_the_number_of_points_are_kept(tmp_path: Path) -> None:
     curve = sampler(tmp_path, PLAN + "most_points = 14\n")
     rows = [curve.candidates.points.index(p) for p in curve.first(())]
@@ -314,6 +317,7 @@ def test_a_budget_that_the_first_points_do_not_fit_into_is_refused(tmp_path: Pat
 # ---- a whole run ----
 
 
+@pytest.mark.slow
 def test_a_run_that_is_stopped_and_gone_on_with_is_the_same_run(tmp_path: Path) -> None:
     (tmp_path / "plan.toml").write_text(PLAN + "most_points = 19\n")
     plan = load_plan(tmp_path / "plan.toml")
