@@ -138,6 +138,25 @@ def over_columns(omega_i, omega_r, count, out):  # type: ignore[no-untyped-def]
     return 0
 
 
+@template("r1 i r1 i r1 i r1 i i w1")
+def over_angle_columns(theta_i, step_ti, phi_i, step_pi, theta_r, step_tr, phi_r, step_pr, count, out):  # type: ignore[no-untyped-def]
+    """The same of angles that are in range."""
+    pairs = out.size // count
+    for j in range(pairs):
+        lx, ly, lz, vx, vy, vz, _ = vectors_of_angles(
+            theta_i[j * step_ti], phi_i[j * step_pi], theta_r[j * step_tr], phi_r[j * step_pr]
+        )
+        numbers = kernel(lx, ly, lz, vx, vy, vz)  # type: ignore[name-defined]  # noqa: F821
+        for k in range(count):
+            out[k * pairs + j] = numbers[k]
+    return 0
+
+
+over_absolute_angle_columns = with_others(
+    over_angle_columns, "over_absolute_angle_columns", {vectors_of_angles: vectors_of_absolute_angles}
+)
+
+
 @template("r1 p w1 i i", columns=True)
 def at_2(columns, constants, out, start, stop):  # type: ignore[no-untyped-def]
     n = out.size

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import partial
 from math import prod
 from typing import Any, Final
 
@@ -192,16 +193,6 @@ def checked_out(out: Any, shape: tuple[int, ...], real: type[np.floating[Any]] =
         raise ArgumentError("out repeats one element along an axis (stride 0): every result needs a place of its own")
 
 
-def room(
-    out: Any, shape: tuple[int, ...], arrays: Sequence[NDArray[Any]], real: type[np.floating[Any]] = np.float64
-) -> NDArray[Any]:
-    """Where results go: `out` itself where it lies in one piece, away from the arguments; else a private array."""
-    checked_out(out, shape, real)
-    if out is None or not (out.flags.c_contiguous and out.flags.aligned and out.dtype.isnative):
-        return np.empty(shape, real)
-    return np.empty(shape, real) if any(np.may_share_memory(out, array) for array in arrays) else out
-
-
 def delivered(out: Any, values: Any) -> Any:
     """`values`, or `out` filled with them; raises `ArgumentError` where it has another shape or type."""
     if out is None:
@@ -233,16 +224,40 @@ def over_angles(
     """
     arrays, shape = angle_arrays(theta_i, phi_i, theta_r, phi_r)
     count = prod(shape)
-    values = room(out, shape, arrays)
-    if count == 0 or values is out:
+    checked_out(out, shape)
+    values = np.empty(shape)
+    if count == 0:
         check_angles(arrays)
-    if count:
+    else:
         run = loop(_loops.over_absolute_angles if absolute else _loops.over_angles, kernel, len(constants))
         (a, sa), (b, sb), (c, sc), (d, sd) = (flat(array, shape, count) for array in arrays)
         target = values.reshape(-1)
         if in_parts(lambda i, j: run(a, sa, b, sb, c, sc, d, sd, constants, target, i, j), count, split):
             raise explain(arrays)
     return delivered(out, values)
+
+
+def over_wavelengths(
+    evaluations: Sequence[tuple[Kernel, Constants]], arrays: list[Floats], *, absolute: bool, split: int = SPLIT
+) -> Floats:
+    """Kernels marked by `of_columns`, each over the same four arrays of checked angles of one shape.
+
+    Shape (evaluations, pairs). What the kernels make of the directions alone is made once.
+    """
+    count = arrays[0].size
+    kept: dict[Kernel, Floats] = {}
+    out = np.empty((len(evaluations), count))
+    for (kernel, constants), target in zip(evaluations, out, strict=True):
+        take, width = kernel.__dict__["columns"], kernel.__dict__["count"]
+        columns = kept.get(take)
+        if columns is None:
+            columns = kept[take] = np.empty(width * count)
+            make = loop(_loops.over_absolute_angle_columns if absolute else _loops.over_angle_columns, take, 0)
+            flats = (number for array in arrays for number in flat(array, array.shape, count))
+            make(*flats, width, columns)
+        shade = loop(_loops.AT[width], kernel, len(constants))
+        in_parts(partial(shade, columns, constants, target), count, split)
+    return out
 
 
 def over_vectors(
@@ -265,10 +280,11 @@ def over_vectors(
     real: type[np.floating[Any]] = np.float32 if single else np.float64
     arrays, shape = vector_arrays(omega_i, omega_r, real)
     count = prod(shape)
-    values = room(out, shape, arrays, real)
-    if count == 0 or values is out:
+    checked_out(out, shape, real)
+    values = np.empty(shape, real)
+    if count == 0:
         check_vectors(arrays)
-    if count:
+    else:
         run = loop(_loops.over_vectors, kernel, len(constants), in_single=single)
         (l, sl), (v, sv) = (flat(array, shape, count, (3,)) for array in arrays)  # noqa: E741
         target, numbers = values.reshape(-1), tuple(real(constant) for constant in constants) if single else constants
@@ -346,7 +362,8 @@ def geometry(theta_i: ArrayLike, phi_i: ArrayLike, theta_r: ArrayLike, phi_r: Ar
 
 def at_geometry(kernel: Kernel, constants: Constants, where: Geometry, *, split: int = SPLIT, out: Any = None) -> Any:
     """A kernel at a checked `Geometry`."""
-    values = room(out, where.shape, [where.omega_i, where.omega_r])
+    checked_out(out, where.shape)
+    values = np.empty(where.shape)
     target = values.reshape(-1)
     if target.size and "columns" in kernel.__dict__:
         columns = where.columns(kernel)

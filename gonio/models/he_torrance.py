@@ -200,7 +200,8 @@ class HeTorrance(Model):
         arrays, shape = engine.angle_arrays(theta_i, phi_i, theta_r, phi_r)
         lobe = np.asarray(engine.over_angles(kernels.lobe_state, bare, *arrays, split=self.grain))
         flat = [part for array in arrays for part in engine.flat(array, shape, lobe.size)]
-        values = engine.room(out, (*shape, 4, 4), arrays)
+        engine.checked_out(out, (*shape, 4, 4))
+        values = np.empty((*shape, 4, 4))
         run = loop(kernels.mueller_over_angles, kernels.jones, len(constants))
         factor, target = lobe.reshape(-1), values.reshape(-1)
         engine.in_parts(lambda i, j: run(*flat, constants, factor, target, i, j), lobe.size, self.grain)

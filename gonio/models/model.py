@@ -220,7 +220,13 @@ class Model(ABC):
 
     def _spectra(self, arguments: list[Any], waves: list[float]) -> Floats:
         """The BRDF (wavelengths, pairs) at four angles of one shape, or at two arrays of vectors."""
-        evaluate = self.brdf if len(arguments) == 4 else self.brdf_vectors
+        of_angles = len(arguments) == 4
+        if of_angles and type(self).brdf is Model.brdf and len(waves) > 1:
+            evaluations = [self._evaluation(wave) for wave in waves]
+            if all("columns" in kernel.__dict__ for kernel, _ in evaluations):
+                absolute = self.depends_on_azimuth
+                return engine.over_wavelengths(evaluations, arguments, absolute=absolute, split=self.grain)
+        evaluate = self.brdf if of_angles else self.brdf_vectors
         return np.stack([np.reshape(evaluate(*arguments, wavelength_nm=wave), -1) for wave in waves])
 
     @overload
