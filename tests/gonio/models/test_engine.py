@@ -102,7 +102,7 @@ def test_large_arrays_are_split_over_threads_without_a_trace(monkeypatch: pytest
 
 
 def test_a_thread_that_is_alone_splits_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(engine.platform, "processors", lambda: 3)
+    monkeypatch.setattr("gonio.platform.processors", lambda: 3)
     light, view = pairs(3 * engine.SPLIT)
     expected, parts = MODEL.brdf_vectors(light, view), list[tuple[int, int]]()
     with engine.alone():
