@@ -238,7 +238,7 @@ def _fill(file: Any, sizes: Mapping[str, int], variables: Mapping[str, Variable]
     for name, variable in variables.items():
         shape = tuple(sizes[d] for d in variable.dims)
         options: dict[str, Any] = {"track_times": False}
-        if variable.data is None:
+        if variable.data is None and 0 not in shape:
             chunk = tuple(min(TILE, n) if d in ("y", "x") else n for d, n in zip(variable.dims, shape, strict=True))
             options |= {"chunks": chunk, "compression": "gzip", "compression_opts": GZIP, "shuffle": True}
         dataset = file.create_dataset(name, shape, variable.dtype, data=variable.data, **options)

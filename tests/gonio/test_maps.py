@@ -11,7 +11,7 @@ import numpy.typing as npt
 import pytest
 
 from gonio.errors import DataError
-from gonio.maps import MapFile, Packed, Tile, tiles
+from gonio.maps import MapFile, Packed, Tile, Variable, tiles
 from tests.gonio_analysis import map_files
 
 ROWS, COLS, POINTS = 70, 130, 5
@@ -66,6 +66,15 @@ def test_chunks_are_read_as_hdf5_reads_them(tmp_path: Path) -> None:
 
 
 CHUNKS = {"chunks": (64, 64, POINTS)}
+
+
+def test_a_dimension_may_be_empty(tmp_path: Path) -> None:
+    one = {"m": np.full((2, 3), 0.3)}
+    empty = Variable(("y", "x", "pair"), dtype="f4"), np.zeros((2, 3, 0))
+    map_files.fits(tmp_path / "fits.h5", one, one, more={"correlation": empty})
+    with MapFile(tmp_path / "fits.h5") as found:
+        assert found.array("correlation").shape == (2, 3, 0)
+        assert found.array("pair").shape == (0,)
 
 
 @pytest.mark.parametrize(

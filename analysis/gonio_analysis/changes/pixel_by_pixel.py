@@ -111,7 +111,7 @@ def change(path_a: str | Path, path_b: str | Path) -> MapChange:
 def marked(p: Floats) -> Bools:
     """Which probabilities are so small that about `FALSE_DISCOVERIES` of those marked are by chance; never NaN.
 
-    After Benjamini and Hochberg (1995): those up to the largest that lies below its rank's share.
+    Benjamini and Hochberg (1995): those up to the largest that lies below its rank's share.
     """
     ordered = np.sort(p[np.isfinite(p)])
     below = ordered <= FALSE_DISCOVERIES * np.arange(1, ordered.size + 1) / max(ordered.size, 1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import platform
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -17,11 +18,14 @@ from gonio.errors import ConfigError, DataError
 from gonio.maps import FIT_FLAGS, MapFile, Parts, Tile, Variable
 from gonio.models.engine import alone
 from gonio.reduction.threads import in_threads
+from gonio.typing import Floats
 from gonio_analysis.fitting.problem import FitRequest
 from gonio_analysis.maps import materials as shared
 from gonio_analysis.maps.pixels import AT_BOUND, REJECTED, TOO_FEW, Arrays, Places, Plan, fit_tile, plan, read_tile
 from gonio_analysis.selection import parallel
 
+MOST_PIXELS = 4_000_000
+"""Whose values a summary orders."""
 MOST_KINDS = 50
 """Materials that may be asked for."""
 KEPT = ("sample", "quantity", "simulated")
@@ -193,23 +197,36 @@ class Summary:
 
 
 def summary(path: Path) -> Summary:
-    """The summary of a file of fits."""
+    """The summary of a file of fits; medians and percentiles are those of `MOST_PIXELS` evenly drawn ones, at most."""
     with MapFile(path) as fits:
-        flag = fits.array("flag")
-        fitted, rejected = (flag & TOO_FEW) == 0, (flag & REJECTED) != 0
-        tau = fits.array("tau")[rejected]
-        found = {}
-        for name, unit in fits.attrs["parameters"].items():
-            values, u = fits.array(name), fits.array(f"u_{name}")
-            known = np.isfinite(values)
-            low, middle, high = np.quantile(values[known], [0.16, 0.5, 0.84]) if known.any() else [np.nan] * 3
-            error = u[np.isfinite(u)]
-            typical = float(np.median(error)) if error.size else np.nan
-            spread, unknown = 0.5 * float(high - low), int((fitted & ~known).sum())
-            found[name] = Parameter(float(middle), spread, typical, unit, unknown)
+        units = fits.attrs["parameters"]
+        names = [column for name in units for column in (name, f"u_{name}")]
+        step, size = max(1, math.ceil(math.prod(fits.shape) / MOST_PIXELS)), math.prod(fits.shape)
+
+        def look(tile: Tile) -> tuple[list[int], dict[str, Floats]]:
+            flag = fits.array("flag", tile)
+            fitted, rejected = (flag & TOO_FEW) == 0, (flag & REJECTED) != 0
+            found = {name: fits.array(name, tile) for name in names}
+            unknown = [int((fitted & ~np.isfinite(found[name])).sum()) for name in units]
+            counts = [int(fitted.sum()), int(rejected.sum()), int(((flag & AT_BOUND) != 0).sum()), *unknown]
+            found["tau"] = np.where(rejected, fits.array("tau", tile), np.nan)
+            return counts, {name: array.ravel()[::step].astype(float) for name, array in found.items()}
+
+        seen = list(in_threads(look, fits.tiles()))
+        fitted, rejected, bound, *unknown = np.sum([counts for counts, _ in seen], axis=0).tolist()
+        some = {name: np.concatenate([arrays[name] for _, arrays in seen]) for name in (*names, "tau")}
+        some = {name: values[np.isfinite(values)] for name, values in some.items()}
+        parameters = {}
+        for (name, unit), masked in zip(units.items(), unknown, strict=True):
+            values = some[name]
+            low, middle, high = np.quantile(values, [0.16, 0.5, 0.84]) if values.size else [np.nan] * 3
+            parameters[name] = Parameter(
+                float(middle), 0.5 * float(high - low), _middle(some[f"u_{name}"]), unit, masked
+            )
         of_kinds = {name: fits.array(name) for name in fits.names if name.startswith(("material_", "u_material_"))}
         kinds = [dict(zip(of_kinds, map(float, row), strict=True)) for row in zip(*of_kinds.values(), strict=True)]
-    return Summary(
-        flag.size, int(fitted.sum()), int(rejected.sum()), int(((flag & AT_BOUND) != 0).sum()),
-        float(np.median(tau)) if tau.size else np.nan, found, kinds,
-    )  # fmt: skip
+    return Summary(size, fitted, rejected, bound, _middle(some["tau"]), parameters, kinds)
+
+
+def _middle(values: Floats) -> float:
+    return float(np.median(values)) if values.size else np.nan

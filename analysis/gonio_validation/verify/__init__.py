@@ -30,7 +30,7 @@ from gonio_analysis.report.blocks import (
 from gonio_analysis.result_records import as_json
 
 from gonio.errors import GonioError
-from gonio_validation.verify import arithmetic, digits, installation, line
+from gonio_validation.verify import arithmetic, digits, dome, installation, line
 from gonio_validation.verify.finding import Finding
 
 LIMITS = (
@@ -60,6 +60,7 @@ PARTS = (
     ),
     Part("colour", "white points and sums of the observer's tables, as CIE publishes them", digits.colour),
     Part("uncertainty", "GUM H.1 and H.2, NIST's reference datasets, consensus values", arithmetic.look),
+    Part("draws", "value and limits of La Coupole's example, as its package has them", dome.look),
     Part("formats", "a table written and read back in each format", line.formats),
     Part("measurement", "a sample that the simulated rig measures blindly, from frames to parameters", line.measured),
 )
