@@ -22,7 +22,7 @@ MOST_INPUTS = 21201
 """Of Sobol's sequence, as scipy has it."""
 TINY = 2.0**-40
 """Numbers are at least this far from 0 and 1, so that a normal number is finite."""
-HALVINGS = 60
+HALVINGS = 50
 """Of the range in which a limit lies."""
 
 Factor = tuple[Callable[[Floats], Floats], int]

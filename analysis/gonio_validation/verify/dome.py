@@ -74,7 +74,8 @@ class Errors:
         u = self.uniform(3)
         height, turn = 1.0 - 2.0 * u[:, 0], 2.0 * math.pi * u[:, 1]
         around = np.sqrt(1.0 - height**2)
-        return radius * np.cbrt(u[:, 2:]) * np.stack([around * np.cos(turn), around * np.sin(turn), height], axis=1)
+        way = np.stack([around * np.cos(turn), around * np.sin(turn), height], axis=1)
+        return np.asarray(radius * np.cbrt(u[:, 2:]) * way)
 
 
 class Exact(Errors):
@@ -173,7 +174,7 @@ def _irradiance(errors: Errors) -> Floats:
         across /= np.linalg.norm(across, axis=1, keepdims=True)
         total = total + np.arccos(np.sum(start * end, axis=1, keepdims=True)) * across
     toward = (light - place) / np.linalg.norm(light - place, axis=1, keepdims=True)
-    return np.abs(np.sum(total * normal, axis=1) * np.abs(np.sum(light_normal * toward, axis=1)))
+    return np.asarray(np.abs(np.sum(total * normal, axis=1) * np.sum(light_normal * toward, axis=1)))
 
 
 def example(draws: int = 2**16, seed: int = 0) -> Drawn:
