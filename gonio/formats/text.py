@@ -32,6 +32,17 @@ class Text:
         return f"{self.path}, line {line + 1}"
 
 
+def require_text(data: bytes, path: Path) -> None:
+    """`DataError` where bytes hold control characters, so that they are no text at all, or far too many lines."""
+    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        raise DataError(f"{path}, byte 0: is text in UTF-16; save it as UTF-8")
+    bad = re.search(rb"[\x00-\x08\x0e-\x1f\x7f]", data)
+    if bad:
+        raise DataError(f"{path}: byte {bad.start()} is {bad.group()[0]:#04x}: not a text file, or a damaged one")
+    if sum(data.count(end) for end in (b"\n", b"\r", b"\v", b"\f", b"\x85", b"\xe2\x80")) > 2 * MAX_LINES:
+        raise DataError(f"{path}: has more than {MAX_LINES} lines, the most that are read")
+
+
 def decode(data: bytes, path: Path) -> str:
     """Text as UTF-8, or as Latin-1 where it is not UTF-8 (old instruments' comments).
 
@@ -40,13 +51,7 @@ def decode(data: bytes, path: Path) -> str:
     DataError
         The bytes hold control characters, so they are no text at all; or far too many lines.
     """
-    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
-        raise DataError(f"{path}, byte 0: is text in UTF-16; save it as UTF-8")
-    bad = re.search(rb"[\x00-\x08\x0e-\x1f\x7f]", data)
-    if bad:
-        raise DataError(f"{path}: byte {bad.start()} is {bad.group()[0]:#04x}: not a text file, or a damaged one")
-    if sum(data.count(end) for end in (b"\n", b"\r", b"\v", b"\f", b"\x85", b"\xe2\x80")) > 2 * MAX_LINES:
-        raise DataError(f"{path}: has more than {MAX_LINES} lines, the most that are read")
+    require_text(data, path)
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError:
