@@ -23,7 +23,6 @@ from tests.command_line import gonio, no_room_beyond, says
 from tests.system.conftest import environment
 
 pytest.importorskip("h5netcdf")
-pytestmark = pytest.mark.slow
 ALBEDO = 0.6
 SAMPLE = f'name = "matt"\nmodel = "lambert"\n[parameters]\nalbedo = {ALBEDO}\n'
 PLAN = """name = "some"
@@ -138,6 +137,7 @@ main()
 """The command `gonio`, which is killed as soon as it begins a picture, or a tile, after some of them."""
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="there is no SIGKILL")
 def test_what_was_killed_goes_on_and_ends_the_same(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for where, after in (("picture", 3), ("tile", 2)):
@@ -163,6 +163,7 @@ def test_what_was_killed_goes_on_and_ends_the_same(folder: Path, monkeypatch: py
     assert not (folder / "again.h5.parts").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="limits of a process are of POSIX")
 def test_a_full_disk_is_one_message_and_costs_nothing(folder: Path) -> None:
     """In the middle of a picture (a pixel has nine bytes), and of the file."""
@@ -219,6 +220,7 @@ size_mm = [12.0, 12.0]
 POINTING_DEG = (0.015, -0.008)
 
 
+@pytest.mark.slow
 def test_pictures_that_lie_beside_are_found(folder: Path, tmp_path: Path) -> None:
     """A camera that points 0.015 deg aside, which nobody knows: 0.26 mm, stretched and turned from point to point."""
     rig = (folder / "rig.toml").read_text(encoding="utf-8")
@@ -261,6 +263,7 @@ OTHER = (
 )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_a_mosaic_with_hot_pixels_stray_light_and_the_edge_of_a_beam(folder: Path, tmp_path: Path) -> None:
     rig = (folder / "rig.toml").read_text(encoding="utf-8")
     for known, other in OTHER:
