@@ -19,6 +19,7 @@ from gonio.errors import DataError
 from gonio.geometry import Directions
 from gonio.reduction import brdf as radiometry
 from gonio.reduction import count_rates
+from gonio.reduction.table import angles_deg
 from gonio.rig import Frame, Pose
 from gonio.rig.bands import Band
 from gonio.rig.description import ArmAxis, Arms
@@ -486,3 +487,13 @@ def test_dark_frames_that_are_cut_off_at_zero_are_said(tmp_path: Path, black_lev
     description = describe(camera=NOISY | {"black_level_dn": black_level})
     table = reduce(Maker(tmp_path, description, glossy, np.random.default_rng(3)).make(POINTS[:2], (0.25,)))
     assert any("read 0 DN" in note for note in table.attrs["notes"]) is noted
+
+
+def test_angles_of_a_table_are_rounded_within_their_ranges() -> None:
+    """A grazing direction that rounds beyond 90 degrees is at 90; behind the sample the limit is 180."""
+    over = math.pi / 2 + 1e-11
+    points = [Directions.from_degrees(30.0, 350.0, 150.0, -10.0), Directions.from_degrees(60.0, 360.0, 90.0, 0.0),
+              Directions(np.float64(over), np.float64(0.0), np.float64(math.pi), np.float64(0.1))]  # fmt: skip
+    expected = [[30.0, 60.0, 90.0], [350.0, 0.0, 0.0], [150.0, 90.0, 180.0], [350.0, 0.0, round(math.degrees(0.1), 9)]]
+    np.testing.assert_allclose(angles_deg(points), expected, rtol=0, atol=1e-9)  # the last decimal of a table
+    assert angles_deg(points).max(axis=1).tolist()[0] == 90.0

@@ -8,13 +8,16 @@ from typing import Any, Literal
 import numpy as np
 import pytest
 from gonio_analysis.appearance.glossmeter import GLOSSMETERS, gloss
-from gonio_analysis.appearance.of_models import of_fit, of_model
+from gonio_analysis.appearance.of_models import _mean, of_fit, of_model, of_sample
 from gonio_analysis.appearance.quantities import of_table
 from gonio_analysis.fitting.fit import fit
 from gonio_analysis.report.appearance import listed
+from gonio_analysis.result_records import Quantity
 
 from gonio import colour
 from gonio.models import CookTorrance, HeTorrance, Lambert, Model, OrenNayar, Sum
+from gonio.rig.calibration_use import ParameterUncertainty
+from gonio.rig.description import SampleDescription
 from tests.gonio_analysis.appearance.simulated import hemisphere, measured, named, noisy, plane
 from tests.gonio_analysis.synthetic import known
 
@@ -294,3 +297,23 @@ def test_a_peak_between_the_values_is_no_lower_bound() -> None:
     assert "needed" in known_words(rho.why)
     # the share of the hemisphere that was measured, sin(60)^2; nobody knows how wide the peak is
     assert rho.at_least is None or rho.at_least <= 0.02 * math.pi * 0.75
+
+
+@pytest.mark.parametrize("albedo", [0.6, 1.0])
+def test_what_a_sample_file_knows_of_its_parameters_is_propagated(albedo: float) -> None:
+    """A Lambertian sample reflects its albedo at every incidence; at 1, its bound, the slope is of one side."""
+    known_of = ParameterUncertainty(parameters=["albedo"], u=[0.02], correlation=[[1.0]])
+    sample = SampleDescription(name="matt", model="lambert", parameters={"albedo": albedo}, uncertainty=known_of)
+    found = of_sample(sample).rho_dh_8
+    assert (known(found.value), known(found.u)) == (pytest.approx(albedo, rel=1e-6), pytest.approx(0.02, rel=1e-6))
+    exact = of_sample(sample.model_copy(update={"uncertainty": None})).rho_dh_8
+    assert (exact.value, exact.u) == (found.value, None)
+
+
+def test_of_several_models_the_scatter_among_them_counts() -> None:
+    weights, values, u = np.array([0.25, 0.75]), (1.0, 3.0), (0.3, 0.4)
+    mean = _mean(weights, [Quantity(v, s, None, "GU") for v, s in zip(values, u, strict=True)])
+    assert mean.value == 2.5
+    # the models' own variances, and 0.25 x 1.5^2 + 0.75 x 0.5^2 among them
+    assert mean.u == pytest.approx(math.sqrt(0.25 * 0.09 + 0.75 * 0.16 + 0.75))
+    assert _mean(weights, [Quantity(1.0, 0.1, None, "GU"), Quantity(None, None, None, "GU", "no spike")]).value is None
