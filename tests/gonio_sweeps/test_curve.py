@@ -133,6 +133,17 @@ def test_a_spike_has_the_shape_of_the_cones() -> None:
     assert rms(known(None).at(between)[0] / truth - 1) > 0.25, "no process over the half vector has such an edge"
 
 
+def test_the_scale_is_a_logarithm_far_above_the_noise_and_straight_near_zero() -> None:
+    x, f = np.array([-10.0, 0.0, 10.0]), np.array([0.5, -1e-3, 100.0])
+    link = Posterior(in_plane(x), f, np.full(3, 1e-4), np.zeros((3, 0))).link
+    assert link.e == pytest.approx(5.0 * np.hypot(1e-4, 2e-6 * 100.0))  # five uncertainties, with 2e-6 of the largest
+    np.testing.assert_allclose(link.brdf(link.z(f)), f, rtol=1e-12)
+    assert link.z(f)[2] == pytest.approx(np.log(100.0 / link.e), abs=1e-9)
+    tiny = 1e-6 * link.e
+    assert link.z(np.array([tiny]))[0] == pytest.approx(tiny / (2.0 * link.e))
+    np.testing.assert_allclose(link.slope(f), (link.z(f + 1e-7) - link.z(f - 1e-7)) / 2e-7, rtol=1e-5)  # differences
+
+
 def test_a_lobe_wider_than_the_cones_is_no_spike() -> None:
     x = np.concatenate([np.arange(-70.0, 71.0, 5.0), [29.5, 30.5]])
     f = satin(in_plane(x))
