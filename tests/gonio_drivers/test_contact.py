@@ -41,7 +41,7 @@ class Stop:
 
     def __init__(self, folder: Path) -> None:
         self.contact, self.latch, self.dark = Contact(), Latch(folder / "state" / "latch.json"), threading.Semaphore(0)
-        self.interlock = Interlock(self.contact, self.dark.release, self.latch)  # type: ignore[arg-type]
+        self.interlock = Interlock(self.contact, self.dark.release, self.latch)
 
 
 @pytest.fixture

@@ -56,7 +56,7 @@ def places(value: Any, at: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
 def forged(event: Event) -> Iterator[tuple[str, Event]]:
     """An event with something else at one place; the values in turn, so that the places together see all."""
     for count, at in enumerate(places(event)):
-        for value in [VALUES[(5 * count + k) % len(VALUES)] for k in range(5)]:
+        for value in [VALUES[(5 * count + k) % len(VALUES)] for k in range(3)]:
             out = copy.deepcopy(event)
             inner: Any = out
             for key in at[:-1]:

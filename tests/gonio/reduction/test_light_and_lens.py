@@ -105,7 +105,7 @@ def test_a_halo_has_the_width_that_the_rig_file_says() -> None:
     frame = np.zeros((320, 320))
     frame[156:164, 156:164] = 1000.0
     at = np.array([159.5, 167.5, 175.5, 191.5])
-    _, by = stray_light.spread(camera, frame, 0.0, "mono").at(np.full(4, 159.5), at)  # type: ignore[arg-type]
+    _, by = stray_light.spread(camera, frame, 0.0, "mono").at(np.full(4, 159.5), at)
     expected = 64_000.0 / (2 * np.pi * 256.0) * np.exp(-((at - 159.5) ** 2) / 512.0)
     # a square for a point, 1 %; bins that are interpolated, 2 %
     np.testing.assert_allclose(by[1], expected, rtol=0.06)

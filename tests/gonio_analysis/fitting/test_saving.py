@@ -36,10 +36,10 @@ def fitted(model: Model, name: str, **options: Any) -> FitResult:
 @pytest.mark.parametrize(
     ("model", "name", "options"),
     [
-        (PAINT, "he-torrance", {"ior": 1.5}),
+        pytest.param(PAINT, "he-torrance", {"ior": 1.5}, marks=pytest.mark.slow),
         (PAINT, "he-torrance", {}),  # n is fitted, too
         (FACETS, "cook-torrance", {"ior": 1.5}),  # d follows s, and m stands in a list
-        (BOTH, "lambert+he-torrance", {"ior": 1.5}),
+        pytest.param(BOTH, "lambert+he-torrance", {"ior": 1.5}, marks=pytest.mark.slow),
     ],
     ids=("paint", "index", "facets", "sum"),
 )

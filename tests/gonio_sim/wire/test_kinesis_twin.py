@@ -121,7 +121,7 @@ def test_an_arm_follows_its_shaft_behind_the_backlash(from_above: bool, places: 
 def test_a_lamp_cools_as_it_warms_up() -> None:
     clock = HandClock()
     clock.now_s = 0.0
-    world = twins.WireWorld(describe("sim", lamp={"warm_up_time_constant_s": 100.0}), None, 1, clock)
+    world = twins.WireWorld(describe("sim", lamp={"warm_up_time_constant_s": 100.0}), None, 1, clock)  # type: ignore[arg-type]
     world.switch(lit=True)
     for after_s, lit, cold in ((100.0, True, math.exp(-1.0)), (200.0, False, math.exp(-3.0))):
         clock.now_s += after_s
