@@ -12,16 +12,17 @@ import numpy as np
 import pytest
 from gonio_analysis import commands
 from gonio_analysis.changes.point_by_point import side
-from gonio_analysis.commands import arguments
+from gonio_analysis.commands import arguments, warm
 from gonio_analysis.fitting.fit import fit
 from gonio_analysis.fitting.forward import apparent
 from gonio_analysis.fitting.observations import observations
+from gonio_analysis.fitting.parameters import declared
 from gonio_analysis.fitting.saving import save as save_fit
 
 from gonio import measurement
 from gonio.errors import ConfigError
-from gonio.models import build
-from tests.command_line import gonio
+from gonio.models import batch, build
+from tests.command_line import gonio, says
 from tests.gonio_analysis.synthetic import measure
 
 
@@ -190,3 +191,10 @@ def test_parameters_as_a_fit_names_them_make_a_cook_torrance_sample() -> None:
     assert fitted == told
     with pytest.raises(ConfigError, match="both given"):
         build("cook-torrance", {"m": 0.25, "slopes": 0.3})
+
+
+@pytest.mark.slow
+def test_warm_compiles_a_fit_of_every_model_and_of_every_map(tmp_path: Path) -> None:
+    names = [job.keywords.get("name") or job.args[0] for job in warm.jobs()]
+    assert names == [*declared(), *batch.MODELS]
+    says(gonio(tmp_path, "warm", expect=0).stdout, f"{len(names)} kinds of fits are compiled")
