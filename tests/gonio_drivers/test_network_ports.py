@@ -122,7 +122,7 @@ def test_a_lamp_is_found_and_darkened_over_the_network(how: str) -> None:
         found = discovery.lamp_on(port)
         assert found is not None
         assert found[0] == "scpi"
-        with serial.serial_for_url(port, lamp.bauds[0], timeout=1.0) as line:
+        with serial.serial_for_url(port, lamp.bauds[0], timeout=60.0) as line:
             line.write(b"OUTP ON\n")
             line.write(b"*IDN?\n")
             assert line.read_until(b"\n")
