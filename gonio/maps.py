@@ -16,7 +16,7 @@ import os
 import re
 import shutil
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
@@ -167,15 +167,15 @@ class Parts:
         held = {name: np.frombuffer(one.data, np.uint8) for name, one in packed.items()}
         write_tile(self.folder / tile.name, held | {ABOUT: np.array(json.dumps(about))})
 
-    def read(self, tile: Tile) -> dict[str, npt.NDArray[Any]]:
-        """The arrays of a tile that is done."""
-        return {name: packed.array() for name, packed in self._packed(tile).items()}
+    def read(self, tile: Tile, *names: str) -> dict[str, npt.NDArray[Any]]:
+        """The arrays of a tile that is done: those of these names, or all."""
+        return {name: packed.array() for name, packed in self._packed(tile, names).items()}
 
-    def _packed(self, tile: Tile) -> dict[str, Packed]:
+    def _packed(self, tile: Tile, names: Sequence[str] = ()) -> dict[str, Packed]:
         with np.load(self.folder / tile.name) as found:
+            about = json.loads(str(found[ABOUT]))
             return {
-                name: Packed(dtype, tuple(shape), found[name].tobytes())
-                for name, (dtype, shape) in json.loads(str(found[ABOUT])).items()
+                name: Packed(about[name][0], tuple(about[name][1]), found[name].tobytes()) for name in names or about
             }
 
     def assemble(self, sizes: Mapping[str, int], variables: Mapping[str, Variable], attrs: Mapping[str, Any]) -> None:

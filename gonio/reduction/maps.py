@@ -281,7 +281,7 @@ def _make_tiles(tiling: _Tiling, parts: Parts, counter: Counter) -> int:
     with counter("tiles") as progress:
         for number, _ in enumerate(beside(work, missing)):
             progress(number + 1, len(missing))
-    return sum(int(np.count_nonzero(parts.read(tile)["flag"] == 0)) for tile in every)
+    return sum(int(np.count_nonzero(parts.read(tile, "flag")["flag"] == 0)) for tile in every)
 
 
 def _variables(tiling: _Tiling, table: DataFrame, plan_rows: npt.NDArray[np.intp]) -> dict[str, Variable]:

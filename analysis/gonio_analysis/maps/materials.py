@@ -251,7 +251,7 @@ def _drawn(map_file: MapFile, parts: Parts, plan: Plan) -> tuple[Pixels, Floats,
     """Some pixels whose parameters are known, evenly drawn over the map, with parameters and uncertainties."""
 
     def known(tile: Tile) -> tuple[Whole, Floats, Floats]:
-        found = parts.read(tile)
+        found = parts.read(tile, *(f"{p}{n}" for n in plan.free for p in ("", "u_")))
         own, u = (np.stack([found[f"{p}{n}"].ravel() for n in plan.free], axis=1) for p in ("", "u_"))
         good = np.flatnonzero((np.isfinite(own) & np.isfinite(u)).all(axis=1))
         return good, own[good], u[good]
