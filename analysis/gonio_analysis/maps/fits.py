@@ -24,7 +24,7 @@ from gonio_analysis.maps import materials as shared
 from gonio_analysis.maps.pixels import AT_BOUND, REJECTED, TOO_FEW, Arrays, Places, Plan, fit_tile, plan, read_tile
 from gonio_analysis.selection import parallel
 
-MOST_PIXELS = 4_000_000
+MOST_PIXELS = 1_000_000
 """Whose values a summary orders."""
 MOST_KINDS = 50
 """Materials that may be asked for."""
