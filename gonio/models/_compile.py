@@ -105,7 +105,7 @@ def _clone(
 
 
 @functools.cache
-def _sources(kernel_file: str) -> str:
+def sources(kernel_file: str) -> str:
     """A fingerprint of the models' and the kernel's source files: numba's cache watches only the file of the loop."""
     digest = hashlib.sha256()
     for path in sorted({*Path(__file__).parent.glob("*.py"), Path(kernel_file)}):  # plain/ is not compiled
@@ -190,8 +190,8 @@ def _loop(function: Callable[..., Any], kernel: Callable[..., Any], size: int, i
         whole = _clone(_of_directions, parts, kernel.__dict__.get("others", ()), in_single)
         names = {"kernel": numba.njit(forceinline=True, **options)(whole)}
     plain = _clone(function, names, function.__dict__.get("others", ()), in_single)
-    sources = _sources(kernel.__code__.co_filename) + ("" if whole_vectors() else "_stock")
-    plain.__name__ = f"{function.__name__}_{real}_{kernel.__module__.rsplit('.', 1)[-1]}_{kernel.__name__}_{sources}"
+    made_of = sources(kernel.__code__.co_filename) + ("" if whole_vectors() else "_stock")
+    plain.__name__ = f"{function.__name__}_{real}_{kernel.__module__.rsplit('.', 1)[-1]}_{kernel.__name__}_{made_of}"
     plain.__qualname__ = plain.__name__
     return njit(*signature, nogil=True, **options)(plain)
 

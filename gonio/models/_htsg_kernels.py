@@ -91,17 +91,21 @@ def vector_states(count, l, v, constants, factor, k, c, g):  # noqa: E741
 
 
 @device
-def scratch():
-    """Room for a block's pairs: their state, their order by class and their classes, and what `series` works in."""
-    state, work, powers = np.empty((6, BLOCK)), np.empty((8, EXPANDED)), np.empty((_ROWS, LANES))
-    return state, np.empty(BLOCK, np.int64), np.empty(BLOCK, np.int64), work, powers
+def scratch(pairs):
+    """Room for a block of `pairs`: their state, their order by class and their classes, and what `series` works in.
+
+    No more than they fill: small room stays with the process, and larger one goes back to the system each time.
+    """
+    pairs = min(pairs, BLOCK)
+    state, work, powers = np.empty((6, pairs)), np.empty((8, EXPANDED)), np.empty((_ROWS, LANES))
+    return state, np.empty(pairs, np.int64), np.empty(pairs, np.int64), work, powers
 
 
 @template("r1 i r1 i p w1 i i")
 def over_vectors(omega_i, step_i, omega_r, step_r, constants, out, start, stop):
     diffuse, tier = constants[DIFFUSE], int(constants[TIER])
     wrong = 0
-    state, order, kind_of, work, powers = scratch()
+    state, order, kind_of, work, powers = scratch(stop - start)
     for first in range(start, stop, BLOCK):
         count = min(BLOCK, stop - first)
         l, v = vector_part(omega_i, first, count, step_i), vector_part(omega_r, first, count, step_r)  # noqa: E741
@@ -118,7 +122,7 @@ def over_vectors(omega_i, step_i, omega_r, step_r, constants, out, start, stop):
 def over_angles(theta_i, step_ti, phi_i, step_pi, theta_r, step_tr, phi_r, step_pr, constants, out, start, stop):
     diffuse, tier = constants[DIFFUSE], int(constants[TIER])
     wrong = 0
-    state, order, kind_of, work, powers = scratch()
+    state, order, kind_of, work, powers = scratch(stop - start)
     factor, k, c, g = state[0], state[1], state[2], state[3]
     for first in range(start, stop, BLOCK):
         count = min(BLOCK, stop - first)
@@ -180,7 +184,7 @@ def spectrum_over_vectors(omega_i, step_i, omega_r, step_r, pairs, constants, wa
     diffuse, slope, printed, tier = constants[0], constants[1], constants[2], int(constants[3])
     wrong = 0
     shared = np.empty((5, BLOCK))
-    state, order, kind_of, work, powers = scratch()
+    state, order, kind_of, work, powers = scratch(stop - start)
     factor, k, g, c2, sxy2, base = state[0], state[1], state[3], shared[1], shared[2], shared[4]
     for first in range(start, stop, BLOCK):
         count = min(BLOCK, stop - first)
@@ -204,7 +208,7 @@ def spectrum_over_angles(
     diffuse, slope, printed, tier = constants[0], constants[1], constants[2], int(constants[3])
     wrong = 0
     shared = np.empty((5, BLOCK))
-    state, order, kind_of, work, powers = scratch()
+    state, order, kind_of, work, powers = scratch(stop - start)
     factor, k, g, c2, sxy2, base = state[0], state[1], state[3], shared[1], shared[2], shared[4]
     for first in range(start, stop, BLOCK):
         count = min(BLOCK, stop - first)

@@ -126,15 +126,38 @@ def over_lengths(vectors, start, stop):  # type: ignore[no-untyped-def]
     return wrong
 
 
-@template("r1 r1 i w1")
-def over_columns(omega_i, omega_r, count, out):  # type: ignore[no-untyped-def]
+@template("r1 r1 w1")
+def columns_2(omega_i, omega_r, out):  # type: ignore[no-untyped-def]
     """What the kernel needs of each pair of directions, column after column."""
-    pairs = omega_i.size // 3
-    for j in range(pairs):
-        i = 3 * j
-        numbers = kernel(omega_i[i], omega_i[i + 1], omega_i[i + 2], omega_r[i], omega_r[i + 1], omega_r[i + 2])  # type: ignore[name-defined]  # noqa: F821
-        for k in range(count):
-            out[k * pairs + j] = numbers[k]
+    n = out.size // 2
+    a, b = out[:n], out[n:]
+    for j in range(n):
+        k = 3 * j
+        a[j], b[j] = kernel(omega_i[k], omega_i[k + 1], omega_i[k + 2], omega_r[k], omega_r[k + 1], omega_r[k + 2])  # type: ignore[name-defined]  # noqa: F821
+    return 0
+
+
+@template("r1 r1 w1")
+def columns_3(omega_i, omega_r, out):  # type: ignore[no-untyped-def]
+    n = out.size // 3
+    a, b, c = out[:n], out[n : 2 * n], out[2 * n :]
+    for j in range(n):
+        k = 3 * j
+        a[j], b[j], c[j] = kernel(  # type: ignore[name-defined]  # noqa: F821
+            omega_i[k], omega_i[k + 1], omega_i[k + 2], omega_r[k], omega_r[k + 1], omega_r[k + 2]
+        )
+    return 0
+
+
+@template("r1 r1 w1")
+def columns_4(omega_i, omega_r, out):  # type: ignore[no-untyped-def]
+    n = out.size // 4
+    a, b, c, d = out[:n], out[n : 2 * n], out[2 * n : 3 * n], out[3 * n :]
+    for j in range(n):
+        k = 3 * j
+        a[j], b[j], c[j], d[j] = kernel(  # type: ignore[name-defined]  # noqa: F821
+            omega_i[k], omega_i[k + 1], omega_i[k + 2], omega_r[k], omega_r[k + 1], omega_r[k + 2]
+        )
     return 0
 
 
@@ -186,5 +209,6 @@ def at_4(columns, constants, out, start, stop):  # type: ignore[no-untyped-def]
     return 0
 
 
+COLUMNS: Final = {2: columns_2, 3: columns_3, 4: columns_4}
 AT: Final = {2: at_2, 3: at_3, 4: at_4}
-"""The loop for a kernel of so many columns."""
+"""The loops that make so many columns, and those over a kernel of so many."""

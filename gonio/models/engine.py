@@ -64,12 +64,14 @@ def alone() -> Iterator[None]:
         _here.alone = before
 
 
-def in_parts(work: Callable[[int, int], int | None], count: int, split: int = SPLIT) -> int:
+def in_parts(work: Callable[[int, int], int | None], count: int, split: int = SPLIT, most: int | None = None) -> int:
     """Run ``work(start, stop)`` over [0, count), split over threads of at least `split` each; the largest result.
+
+    `most` is how many threads there may be, `threads()` unless it is given.
 
     `work` must release the GIL. Safe from several Python threads at once.
     """
-    parts = 1 if count < 2 * split else min(threads(), count // split)
+    parts = 1 if count < 2 * split else min(threads() if most is None else most, count // split)
     if parts <= 1:
         return work(0, count) or 0
     global _pool
@@ -342,7 +344,7 @@ class Geometry:
         found = self._kept.get(take)
         if found is None:
             found = np.empty(count * (self.omega_i.size // 3))
-            loop(_loops.over_columns, take, 0)(self.omega_i, self.omega_r, count, found)
+            loop(_loops.COLUMNS[count], take, 0)(self.omega_i, self.omega_r, found)
             self._kept[take] = found
         return found
 

@@ -20,6 +20,7 @@ from scipy.optimize import least_squares
 from gonio.geometry import Directions
 from gonio.models import batch, build
 from gonio.typing import Floats
+from gonio_validation.bench import maps_jax
 
 POINTS, PIXELS, QUICK = 100, 20_000, 500
 """Directions; drawn pixels of a model; those of a quick run."""
@@ -53,6 +54,10 @@ class Row:
     """`gonio fit` of one table [ms]."""
     scipy_ms: float
     """scipy's least squares from the truth, on the same kernel [ms]."""
+    jax_us: float | None
+    """A batched fit by jax from the truth on, Cook-Torrance alone [us]; None where jax is not installed."""
+    from_jax: float | None
+    """Largest difference of a parameter from that of jax, in u."""
     from_fit: float
     """Largest difference of a parameter from that of `gonio fit`, in u."""
     pull_sd: list[float]
@@ -103,7 +108,7 @@ def measured(name: str, pixels: int) -> Row:
 
     def fitted(d: dict[str, Any], wave: Floats | float = 1.0) -> batch.Fits:
         return batch.fit(
-            name, d["x"], d["y"], d["source"], d["camera"], d["values"] * wave, d["u"], fixed=d["fixed"]
+            name, d["x"], d["y"], d["source"], d["camera"], d["values"] * wave, d["u"], fixed=d["fixed"], threads=1
         )  # fmt: skip
 
     fitted(d)  # compiles
@@ -116,8 +121,13 @@ def measured(name: str, pixels: int) -> Row:
     pulls = (found.values[:, columns] - np.stack([d["true"][one] for one in found.free], axis=1)) / found.u
     of_truth = (((d["values"] - d["exact"]) / d["u"]) ** 2).sum(axis=1)
     off, fit_s, scipy_s = compared(name, d, found, columns)
+    jax_us = from_jax = None
+    if name == "cook-torrance" and maps_jax.there():
+        start = np.stack([d["true"][one] for one in found.free], axis=1)
+        other, seconds = maps_jax.fitted(d["source"], d["camera"], d, start)
+        jax_us, from_jax = 1e6 * seconds, float(np.max(np.abs(other - found.values[:, columns]) / found.u))
     return Row(
-        name, pixels, 1e6 * own, 1e6 * shared, 1e6 * rejected, 1e3 * fit_s, 1e3 * scipy_s, off,
+        name, pixels, 1e6 * own, 1e6 * shared, 1e6 * rejected, 1e3 * fit_s, 1e3 * scipy_s, jax_us, from_jax, off,
         np.nanstd(pulls, axis=0).tolist(), int((np.abs(pulls) > 5.0).any(axis=1).sum()),
         int((found.chi_square > of_truth + 1e-6).sum()),
     )  # fmt: skip
@@ -180,7 +190,20 @@ def make(
                 [r.model, f"{number(r.from_fit, 2)} u", ", ".join(f"{x:.3f}" for x in r.pull_sd), str(r.beyond_5),
                  str(r.worse_than_truth)] for r in rows
             ], right=(1, 3, 4)),
+            Paragraph(_of_jax(rows)),
             provenance(made), FOOTER,
         ))  # fmt: skip
         files.write_page(stage.work, page, {"rows": [asdict(r) for r in rows], **made}, [])
     return Path(out) / "index.html"
+
+
+def _of_jax(rows: list[Row]) -> str:
+    """What a batched fit by jax comes to."""
+    for row in rows:
+        if row.jax_us is not None and row.from_jax is not None:
+            return (
+                f"A batched fit of {row.model} by jax ({maps_jax.STEPS} damped Gauss-Newton steps from the truth on,"
+                f" float64) takes {number(row.jax_us, 3)} µs of processor time a pixel; its parameters are within"
+                f" {number(row.from_jax, 2)} u of ours."
+            )
+    return "jax is not installed, so its batched fit is left out: pip install 'gonio[peers]'."

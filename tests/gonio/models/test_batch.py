@@ -151,6 +151,58 @@ def test_the_same_pixels_give_the_same_bits_in_any_company() -> None:
     np.testing.assert_array_equal(part.covariance, whole.covariance[17:29])
 
 
+@pytest.mark.parametrize("threads", [1, 3, 8])
+def test_the_number_of_threads_changes_no_bit(threads: int) -> None:
+    d = drawn("cook-torrance", 8 * batch.WORTH, 15)
+    d["values"][::7, 4] = np.nan
+    one, many = fitted("cook-torrance", d, threads=1), fitted("cook-torrance", d, threads=threads)
+    for name in ("values", "covariance", "chi_square", "tau", "used"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(many, name), err_msg=name)
+
+
+@pytest.mark.parametrize("name", [name for name in DRAWN if name != "he-torrance"])
+def test_derivatives_by_formula_are_those_of_the_values(name: str) -> None:
+    rng = np.random.default_rng(17)
+    source, camera = geometry(rng)
+    at = directions(source, camera, 0.0, 0.0)
+    omega_i, omega_r = (np.ascontiguousarray(v, float).reshape(-1) for v in at.vectors)
+    take, shade, derive, _, _, count = batch._compiled(name, False)
+    columns, f, formula = np.empty(count * POINTS), np.empty(POINTS), np.empty(POINTS)
+    take(omega_i, omega_r, columns)
+    ranges, fixed = DRAWN[name]
+    for _ in range(20):
+        values = {one: rng.uniform(*limits) for one, limits in ranges.items()} | {"k": 0.0} | fixed
+        theta = np.array([values[one] for one in batch.require(name).names])
+        shade(columns, theta, f)
+        for k, one in enumerate(batch.require(name).names):
+            if one in fixed or one in ("ior", "k"):
+                assert derive(columns, theta, k, f, formula) == 0
+                continue
+            assert derive(columns, theta, k, f, formula) == 1
+            step, ends = 1e-5 * theta[k], []
+            for sign in (1.0, -1.0):
+                moved, out = theta.copy(), np.empty(POINTS)
+                moved[k] += sign * step
+                shade(columns, moved, out)
+                ends.append(out)
+            # central differences: 1e-10 of the third derivative, and rounding 1e-16/1e-5 of the values
+            scale = np.abs(formula) + 1e-3 * f / theta[k]
+            assert np.max(np.abs((ends[0] - ends[1]) / (2.0 * step) - formula) / scale) < 1e-6
+
+
+def test_a_level_that_is_known_is_kept() -> None:
+    d = drawn("cook-torrance", 40, 19)
+    for p in range(40):
+        true = {one: float(v[p]) for one, v in d["true"].items()} | {"s": 0.3, "ior": 1.5}
+        x, y, source, camera = d["at"]
+        d["values"][p] = build("cook-torrance", true).brdf(*directions(source, camera, x[p], y[p]).angles)
+    found = fitted("cook-torrance", d, fixed={"ior": 1.5, "s": 0.3})
+    assert found.free == ("m", "diffuse_albedo")
+    np.testing.assert_array_equal(found.values[:, 0], 0.3)
+    # values without noise; the search ends within 1e-4 u, which are some 1e-3 of a parameter
+    np.testing.assert_allclose(found.values[:, 1], d["true"]["m"], rtol=1e-6)
+
+
 def test_unknown_names_are_refused() -> None:
     d = drawn("oren-nayar", 1, 1)
     with pytest.raises(ConfigError, match='"phong": maps are fitted with one of cook-torrance'):
