@@ -182,7 +182,7 @@ def fit_pixels(  # type: ignore[no-untyped-def]
         fresh = not same or x[p] != x[p - 1] or y[p] != y[p - 1]
         if fresh:
             seen_from(x[p], y[p], source, camera, at, count, omega_i, omega_r)
-            take(omega_i[: 3 * count], omega_r[: 3 * count], columns)
+            take(omega_i[: 3 * count], omega_r[: 3 * count], lower, columns)
         before = count
         chi[p] = lowest(
             shade, derive, unit, levels, columns, z, w, relative, grid, widths, free, lower, upper, critical[count],

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from math import pi, sqrt
+from math import inf, pi, sqrt
 from typing import Any
 
 import numpy as np
 
 from gonio.models import _htsg_kernels, ggx
-from gonio.models._compile import device, with_others
-from gonio.models._facets import fresnel, fresnel_real
-from gonio.models._math import _LOG2_E
+from gonio.models._compile import device, of_columns, with_others
+from gonio.models._facets import by_cosines, by_sxy2, by_tan2, fresnel, fresnel_real
+from gonio.models._math import _LOG2_E, exp2
 from gonio.models.blinn import _BRDFS
 from gonio.models.cook_torrance import _KERNELS as COOK_TORRANCE
 from gonio.models.engine import Kernel
@@ -59,6 +59,19 @@ def beckmann_bend(tan2, s2, sz, g, p):  # type: ignore[no-untyped-def]
 
 
 @device
+def cook_fold(tan2, s2, sz, g, p):  # type: ignore[no-untyped-def]
+    """What `cook_torrance.beckmann` has of the directions and a known index, besides the Gaussian."""
+    f_up, f_down = fresnel(0.25 * s2, p[0], p[1], p[2])
+    return (1.0 + tan2) * (1.0 + tan2) * (sz * f_up) / (f_down * g)
+
+
+@of_columns(by_tan2, 4)
+def cook_folded(tan2, folded, sz, g, p):  # type: ignore[no-untyped-def]
+    d = p[5] * exp2(tan2 * p[4])
+    return p[0] + (d * folded if d > 0.0 else 0.0)
+
+
+@device
 def cook_unit(t):  # type: ignore[no-untyped-def]
     t[0], t[2] = 1.0, 0.0
     return FREE_LEVELS
@@ -93,6 +106,23 @@ def smith_bend(sxy2, s2, lz, vz, p):  # type: ignore[no-untyped-def]
     smith = vz * l_root + lz * v_root
     turn = 0.5 * (vz * lt2 * v_root + lz * vt2 * l_root) / (l_root * v_root * smith)
     return twice * ((sxy2 / a2 - sz * sz) / (sxy2 + sz * sz * a2) - turn)
+
+
+@device
+def ggx_fold(sxy2, s2, lz, vz, p):  # type: ignore[no-untyped-def]
+    f_up, f_down = fresnel(0.25 * s2, p[0], p[1], p[2])
+    return s2 * s2 * f_up / f_down
+
+
+@of_columns(by_cosines, 4)
+def ggx_folded(sxy2, folded, lz, vz, p):  # type: ignore[no-untyped-def]
+    """`ggx.isotropic` with F inside the second column."""
+    a2, sz = p[5], lz + vz
+    lt2, vt2 = (1.0 - lz) * (1.0 + lz), (1.0 - vz) * (1.0 + vz)
+    smith = vz * sqrt(lz * lz + a2 * lt2) + lz * sqrt(vz * vz + a2 * vt2)
+    root = sxy2 * (1.0 / a2) + sz * sz
+    value = p[0] + p[1] * folded / (root * root * smith)
+    return value if value < 1e60 else inf
 
 
 @device
@@ -136,6 +166,19 @@ def blinn_bend(t, at):  # type: ignore[no-untyped-def]
 @device
 def trowbridge_bend(sxy2, s2, sz, g, p):  # type: ignore[no-untyped-def]
     return p[1] * sxy2 / (p[0] * (sz * sz) + sxy2)
+
+
+@device
+def blinn_fold(sxy2, s2, sz, g, p):  # type: ignore[no-untyped-def]
+    f_up, f_down = fresnel(0.25 * s2, p[0], p[1], p[2])
+    return s2 * s2 * sz * f_up / (f_down * g)
+
+
+@of_columns(by_sxy2, 4)
+def blinn_folded(sxy2, folded, sz, g, p):  # type: ignore[no-untyped-def]
+    """`blinn.brdf_d3` with all but k_s and D3's root inside the second column."""
+    root = sz * sz + sxy2 * (1.0 / (p[2] * p[2]))
+    return p[0] + (p[1] * folded / (root * root) if p[1] > 0.0 else 0.0)
 
 
 @device
@@ -243,6 +286,8 @@ class Batched:
     bend: tuple[Callable[..., Any], Kernel, int] | None = None
     """Parameters and which of them -> base, constants, and whether the derivative is known; what with so many constants
     is d ln(f - base), or d f where base < 0. Others are taken by differences."""
+    fold: tuple[Kernel, Kernel] | None = None
+    """For a known index: what takes the second column's place, of columns and Fresnel's constants; and the kernel."""
 
 
 def without_absorption(kernel: Kernel) -> Kernel:
@@ -264,15 +309,18 @@ INDICES = ("ior", (1.5, 3.0, 20.0))
 MODELS = {
     "cook-torrance": Batched(
         ("s", "m", "diffuse_albedo", "ior", "k"), COOK_TORRANCE["beckmann", "exact"], 6, cook_constants, cook_affine,
-        cook_unit, cook_levels, (INDICES, ("m", _spread(0.02, 1.0, 12))), bend=(cook_bend, beckmann_bend, 2),
+        cook_unit, cook_levels, (INDICES, ("m", _spread(0.02, 1.0, 12))),
+        bend=(cook_bend, beckmann_bend, 2), fold=(cook_fold, cook_folded),
     ),
     "ggx": Batched(
         ("alpha", "diffuse_albedo", "ior", "k"), ggx.isotropic, 6, ggx_constants, base_affine, base_unit, base_levels,
-        (("ior", (1.3, 1.6, 3.0, 20.0)), ("alpha", _spread(0.01, 0.9, 12))), bend=(ggx_bend, smith_bend, 2),
+        (("ior", (1.3, 1.6, 3.0, 20.0)), ("alpha", _spread(0.01, 0.9, 12))),
+        bend=(ggx_bend, smith_bend, 2), fold=(ggx_fold, ggx_folded),
     ),
     "blinn": Batched(
         ("k_s", "k_d", "c", "ior", "k"), _BRDFS["trowbridge-reitz"], 6, blinn_constants, blinn_affine, blinn_unit,
-        blinn_levels, (INDICES, ("c", _spread(0.02, 0.9, 12))), bend=(blinn_bend, trowbridge_bend, 2),
+        blinn_levels, (INDICES, ("c", _spread(0.02, 0.9, 12))),
+        bend=(blinn_bend, trowbridge_bend, 2), fold=(blinn_fold, blinn_folded),
     ),
     "oren-nayar": Batched(
         ("albedo", "sigma_deg"), functional, 4, grooves_constants, nothing_affine, grooves_unit, grooves_levels,

@@ -17,8 +17,8 @@ from gonio.models._batch_algebra import (
 )
 
 ROW = types.float64[::1]
-TAKE = types.int64(ROW, ROW, ROW)
-"""Unit vectors to source and to camera, three numbers a value -> the columns of the model's kernel."""
+TAKE = types.int64(ROW, ROW, ROW, ROW)
+"""Unit vectors to source and to camera, three numbers a value, what is known -> the columns of the model's kernel."""
 SHADE = types.int64(ROW, ROW, ROW)
 """Columns and parameters -> BRDF of each value [1/sr]."""
 DERIVE = types.int64(ROW, ROW, types.int64, ROW, ROW)

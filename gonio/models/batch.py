@@ -20,7 +20,7 @@ import numpy.typing as npt
 
 from gonio.errors import ConfigError
 from gonio.models import _loops, engine
-from gonio.models._batch_models import MODELS, ROUGH_TIER, Batched, without_absorption
+from gonio.models._batch_models import MODELS, ROUGH_TIER, Batched, fresnel_terms, without_absorption
 from gonio.models._compile import jit, loop, sources
 from gonio.models.engine import Kernel
 from gonio.typing import Floats
@@ -118,7 +118,8 @@ def fit(
         np.empty(pixels), np.empty(pixels, np.int64),
     )  # fmt: skip
     given = [np.ascontiguousarray(a, float) for a in (x_mm, y_mm, source_mm.T, camera_mm.T, values, u)]
-    parts, run = _compiled(name, "k" in free or known["k"] > 0.0), _batch_loops.engine()
+    absorbs, folded = "k" in free or known["k"] > 0.0, "ior" in known and "k" in known
+    parts, run = _compiled(name, absorbs and not folded, folded), _batch_loops.engine()
     which = np.array([model.names.index(one) for one in free])
     engine.in_parts(
         lambda start, stop: run(
@@ -168,31 +169,43 @@ def _critical(n: int, free: int) -> Floats:
     return np.where(freedom > 0, chi2.isf(SIGNIFICANCE, np.maximum(freedom, 1)), np.inf)
 
 
-def _over_columns(kernel: Kernel, size: int, constants: Any) -> tuple[Callable[..., Any], Callable[..., Any]]:
+def _over_columns(model: Batched, kernel: Kernel, folded: bool) -> tuple[Callable[..., Any], Callable[..., Any]]:
     """What makes a kernel's columns, and what evaluates it at them."""
+    constants = jit(model.constants)
     if "columns" not in kernel.__dict__:
-        whole = loop(_loops.over_vectors, kernel, size)
+        whole = loop(_loops.over_vectors, kernel, model.size)
 
-        def take_directions(omega_i, omega_r, out):  # type: ignore[no-untyped-def]
+        def take_directions(omega_i, omega_r, theta, out):  # type: ignore[no-untyped-def]
             out[: omega_i.size] = omega_i
             out[omega_i.size :] = omega_r
             return 0
 
-        def shade(found, theta, out):  # type: ignore[no-untyped-def]
+        def shade_directions(found, theta, out):  # type: ignore[no-untyped-def]
             half = found.size // 2
             return whole(found[:half], 1, found[half:], 1, constants(theta), out, 0, out.size)
 
-        return take_directions, shade
+        return take_directions, shade_directions
     count = int(kernel.__dict__["count"])
-    over, at = loop(_loops.COLUMNS[count], kernel.__dict__["columns"], 0), loop(_loops.AT[count], kernel, size)
+    over, at = loop(_loops.COLUMNS[count], kernel.__dict__["columns"], 0), loop(_loops.AT[count], kernel, model.size)
 
-    def take(omega_i, omega_r, out):  # type: ignore[no-untyped-def]
+    def take(omega_i, omega_r, theta, out):  # type: ignore[no-untyped-def]
         return over(omega_i, omega_r, out)
 
-    def shade_columns(found, theta, out):  # type: ignore[no-untyped-def]
+    def shade(found, theta, out):  # type: ignore[no-untyped-def]
         return at(found, constants(theta), out, 0, out.size)
 
-    return take, shade_columns
+    if not folded or model.fold is None:
+        return take, shade
+    fold, index, terms = loop(_loops.AT[count], model.fold[0], 3), model.names.index("ior"), jit(fresnel_terms)
+
+    def take_folded(omega_i, omega_r, theta, out):  # type: ignore[no-untyped-def]
+        over(omega_i, omega_r, out)
+        second = np.empty(out.size // count)
+        fold(out, terms(theta[index], theta[index + 1]), second, 0, second.size)
+        out[second.size : 2 * second.size] = second
+        return 0
+
+    return take_folded, shade
 
 
 def _derivative(model: Batched, count: int) -> Callable[..., Any]:
@@ -231,16 +244,18 @@ def _derivative(model: Batched, count: int) -> Callable[..., Any]:
 
 
 @functools.cache
-def _compiled(name: str, absorbs: bool) -> tuple[Any, ...]:
+def _compiled(name: str, absorbs: bool, folded: bool) -> tuple[Any, ...]:
     """The five functions of a model that `_batch_loops.fit_pixels` calls, and how many columns its kernel has."""
     from gonio.compiled import njit
     from gonio.models import _batch_steps as types
 
     model = MODELS[name]
     kernel = model.kernel if absorbs else without_absorption(model.kernel)
+    if folded and model.fold is not None:
+        kernel = model.fold[1]
     count = int(kernel.__dict__.get("count", 6))
     unit_of, levels_of = jit(model.unit), jit(model.levels)
-    take, shade = _over_columns(kernel, model.size, jit(model.constants))
+    take, shade = _over_columns(model, kernel, folded)
 
     def unit(theta):  # type: ignore[no-untyped-def]
         return unit_of(theta)
@@ -249,7 +264,7 @@ def _compiled(name: str, absorbs: bool) -> tuple[Any, ...]:
         levels_of(theta, level, base)
         return 0
 
-    made, suffix = [], f"{name.replace('-', '_')}_{'nk' if absorbs else 'n'}_{sources(__file__)}"
+    made, suffix = [], f"{name.replace('-', '_')}_{'nk' if absorbs else 'n'}{folded:d}_{sources(__file__)}"
     for function, signature in (
         (take, types.TAKE), (shade, types.SHADE), (_derivative(model, count), types.DERIVE), (unit, types.UNIT),
         (levels, types.LEVELS),

@@ -160,22 +160,24 @@ def test_the_number_of_threads_changes_no_bit(threads: int) -> None:
         np.testing.assert_array_equal(getattr(one, name), getattr(many, name), err_msg=name)
 
 
+@pytest.mark.parametrize("folded", [False, True], ids=["free index", "known index"])
 @pytest.mark.parametrize("name", [name for name in DRAWN if name != "he-torrance"])
-def test_derivatives_by_formula_are_those_of_the_values(name: str) -> None:
+def test_values_are_those_of_the_model_and_derivatives_by_formula_those_of_the_values(name: str, folded: bool) -> None:
     rng = np.random.default_rng(17)
     source, camera = geometry(rng)
     at = directions(source, camera, 0.0, 0.0)
     omega_i, omega_r = (np.ascontiguousarray(v, float).reshape(-1) for v in at.vectors)
-    take, shade, derive, _, _, count = batch._compiled(name, False)
+    take, shade, derive, _, _, count = batch._compiled(name, False, folded)
     columns, f, formula = np.empty(count * POINTS), np.empty(POINTS), np.empty(POINTS)
-    take(omega_i, omega_r, columns)
     ranges, fixed = DRAWN[name]
     for _ in range(20):
-        values = {one: rng.uniform(*limits) for one, limits in ranges.items()} | {"k": 0.0} | fixed
-        theta = np.array([values[one] for one in batch.require(name).names])
+        values = {one: rng.uniform(*limits) for one, limits in ranges.items()} | fixed
+        theta = np.array([(values | {"k": 0.0})[one] for one in batch.require(name).names])
+        take(omega_i, omega_r, theta, columns)
         shade(columns, theta, f)
+        np.testing.assert_allclose(f, build(name, values).brdf(*at.angles), rtol=1e-12)  # other roundings
         for k, one in enumerate(batch.require(name).names):
-            if one in fixed or one in ("ior", "k"):
+            if one in ("ior", "k"):
                 assert derive(columns, theta, k, f, formula) == 0
                 continue
             assert derive(columns, theta, k, f, formula) == 1
