@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 from gonio_validation.bench import maps, maps_jax
 
+from gonio.models import batch
+
 pytestmark = pytest.mark.slow  # the engine compiles for a minute where it is not yet on the disk
 
 
@@ -22,8 +24,6 @@ def test_a_batched_fit_by_jax_finds_the_same() -> None:
     d = maps.drawn("cook-torrance", 20, 3)
     start = np.stack([d["true"][one] for one in ("s", "m", "diffuse_albedo")], axis=1)
     found, _ = maps_jax.fitted(d["source"], d["camera"], d, start)
-    ours = maps.batch.fit(
-        "cook-torrance", d["x"], d["y"], d["source"], d["camera"], d["values"], d["u"], fixed=d["fixed"]
-    )
+    ours = batch.fit("cook-torrance", d["x"], d["y"], d["source"], d["camera"], d["values"], d["u"], fixed=d["fixed"])
     # eight steps from the truth on end within 1e-4 u, and so do ours
     assert np.max(np.abs(found - ours.values[:, :3]) / ours.u) < 1e-3
