@@ -124,8 +124,7 @@ def test_the_level_at_which_charge_clips_is_seen_and_nothing_else_is_taken_for_i
         frame = picture(shape, over * well, rng, gain=gain, well_e=well)
         # read noise and unevenness of 3.5 electrons, of which the middle is the level
         assert exposure.clipped_dn(CLIPS, frame) == pytest.approx(well / gain + 64.0, abs=2.0)
-        seen = exposure.level(CLIPS, frame, used)
-        assert seen >= exposure.SATURATED
+        assert exposure.level(CLIPS, frame, used) >= exposure.SATURATED
 
 
 def test_a_camera_without_photon_noise_is_not_judged_by_it() -> None:

@@ -208,8 +208,7 @@ def test_repeats_are_spread_over_the_run(tmp_path: Path) -> None:
     text = "[[sweep]]\ntheta_i_deg = [45]\ntheta_r_deg = { start = 0, stop = 60, step = 1 }\nrepeats = 3\n"
     found = plan(tmp_path, text)
     once = plan(tmp_path, text.replace("repeats = 3\n", ""))
-    assert found.points == once.points * 3
-    assert found.repeated == 0
+    assert (found.points, found.repeated) == (once.points * 3, 0)
     assert found.sha256 != once.sha256
 
 

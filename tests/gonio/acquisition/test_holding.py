@@ -111,8 +111,7 @@ def test_no_step_took_the_time_of_a_pause(measure: Measure, monkeypatch: pytest.
 
     rest = _Rest()
     rest.expects(Learns())  # type: ignore[arg-type]
-    person = Clocked(rest, 3, lambda: pause.ask("a key"), then)
-    run = measure("run", progress=person, pause=pause)
+    run = measure("run", progress=Clocked(rest, 3, lambda: pause.ask("a key"), then), pause=pause)
     assert names(run).count("paused") == 1
     assert len(told) == len(run.steps())
     assert max(told) < 1e3

@@ -31,9 +31,7 @@ from tests.gonio.numpy_rig import SAMPLE, NumpyRig, Plugin, StopAfter, describe
 def test_a_run_holds_what_was_asked_and_what_happened(measure: Measure) -> None:
     rig = Plugin()
     run = measure("run", rig=rig)
-    assert run.seed == 1
-    assert run.sample == SAMPLE
-    assert run.description == describe()
+    assert (run.seed, run.sample, run.description) == (1, SAMPLE, describe())
     assert [band.centre_nm for band in run.bands] == [550, 650]
     assert list(run.plan["flag"]) == ["", "blocked", "", "", "", ""]
     assert "around retro" in run.plan["reason"][1]
@@ -49,8 +47,7 @@ def test_frames_are_those_that_the_journal_names(run: Run) -> None:
     named = [frame for step in run.steps() for frame in step.frames]
     assert {path.name for path in (run.path / "frames").iterdir()} == {frame.file for frame in named}
     for frame in named:
-        data = run.frame_path(frame.file).read_bytes()
-        assert hashlib.sha256(data).hexdigest() == frame.sha256
+        assert hashlib.sha256(run.frame_path(frame.file).read_bytes()).hexdigest() == frame.sha256
     point = run.steps()[2]
     assert [f.file for f in point.frames] == [
         *[f"000002-green550-{k:02d}.dng" for k in (1, 2, 3)],
@@ -234,8 +231,7 @@ def test_a_laboratory_takes_fresh_darks_and_references(measure: Measure) -> None
     run = measure("run", rig=Plugin(options={"repeatable": False}), yes=True, resume=True)
     taken = [(e["step"], e["kind"]) for e in run.events() if e["event"] == "step"]
     assert taken[5:8] == [(9, "dark"), (10, "reference"), (5, "reference")]
-    assert len(taken) == 11
-    assert len(set(taken)) == 11
+    assert (len(taken), len(set(taken))) == (11, 11)
 
 
 def test_a_computer_s_clock_that_jumps_changes_nothing(

@@ -46,8 +46,7 @@ def test_a_picture_counts_all_points_and_shows_the_most_crowded_step(tmp_path: P
     figure.savefig(tmp_path / "out.svg")
     assert (tmp_path / "out.svg").stat().st_size > 10_000
     said = [text.get_text() for part in figure.subfigs for legend in part.legends for text in legend.get_texts()]
-    counted = [int(words.split()[0]) for words in said if words.split()[0].isdigit()]
-    assert sum(counted) == len(points)
+    assert sum([int(words.split()[0]) for words in said if words.split()[0].isdigit()]) == len(points)
     measured = sum(each.pose is not None for each in points)
     assert 0 < measured < len(points)
     assert f"{measured} measured" in said

@@ -85,8 +85,7 @@ def test_every_pose_is_written_with_its_own_digits() -> None:
     for values, told in (
         ((0.0,), "0.0"), ((-0.0,), "-0.0"), ((0,), "0"), ((np.float64(0.1),), "0.1"), ((1e-7,), "1e-07"),
     ):  # fmt: skip
-        goal = Pose(*values)
-        assert f'"goal":{{"light":{told},"camera"' in replace(base, goal=goal).text()
+        assert f'"goal":{{"light":{told},"camera"' in replace(base, goal=Pose(*values)).text()
     for number in (math.nan, math.inf):
         with pytest.raises(ValueError, match="not JSON compliant"):
             replace(base, pose=Pose(0.1, number)).text()
@@ -101,8 +100,7 @@ def test_a_line_of_an_older_journal_is_read_and_written_to_the_byte() -> None:
     event = decode(line, 3)
     assert event is not None
     record = StepRecord.from_json(event)
-    assert record.frames[0].exposure_s == 1.0
-    assert record.pose == Pose(-0.349, 0.351)
+    assert (record.frames[0].exposure_s, record.pose) == (1.0, Pose(-0.349, 0.351))
     assert encode({"n": 3, **record.to_json(), "wall": event["wall"]}) == line
 
 

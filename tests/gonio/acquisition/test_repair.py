@@ -39,14 +39,27 @@ def tree(folder: Path) -> dict[str, bytes]:
     return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
 
 
+def repaired(run: Run) -> repair.Repaired:
+    """What a repair of a run that needs one has done."""
+    done = repair.repair(run.path)
+    assert done is not None
+    return done
+
+
+def without_line(run: Run, line: int) -> None:
+    """Take a line out of the journal; the first is the session's."""
+    path = run.path / "journal.jsonl"
+    lines = path.read_bytes().splitlines(keepends=True)
+    path.write_bytes(b"".join([*lines[:line], *lines[line + 1 :]]))
+
+
 def test_every_frame_says_what_it_is(run: Run) -> None:
     for step in run.steps():
         for number, frame in enumerate(step.frames, 1):
             path = run.frame_path(frame.file)
             label = label_of(path, path.read_bytes())
             assert label is not None
-            assert label.run == run.key
-            assert (label.step, label.kind, label.point) == (step.step, step.kind, step.point)
+            assert (label.run, label.step, label.kind, label.point) == (run.key, step.step, step.kind, step.point)
             assert (label.number, label.count) == (number, len(step.frames))
             assert label.frame == replace(frame, sha256=None, bytes=None)
             if step.kind != "dark":
@@ -57,11 +70,9 @@ def test_every_frame_says_what_it_is(run: Run) -> None:
 
 def test_the_label_does_not_touch_the_picture(run: Run) -> None:
     path = run.frame_path(run.steps()[2].frames[0].file)
-    data = path.read_bytes()
-    assert read_record(data).isascii()
+    assert read_record(path.read_bytes()).isascii()
     frame = read_raw(path)
-    assert frame.exposure_s == run.steps()[2].frames[0].exposure_s
-    assert frame.mosaic.shape == (48, 64)
+    assert (frame.exposure_s, frame.mosaic.shape) == (run.steps()[2].frames[0].exposure_s, (48, 64))
 
 
 @pytest.mark.parametrize("journal", [None, b"", b"\0" * 4096, b'{"n":0,"event":"ses', b'{"n":0,"eve\xff'])
@@ -77,16 +88,13 @@ def test_frames_without_a_journal_are_refused_and_stay(
     with pytest.raises(DataError, match=r"gonio run repair"):
         measure(resume=resume)
     assert tree(run.path) == before
-    done = repair.repair(run.path)
-    assert done is not None
-    assert done.rebuilt == list(range(9))
-    assert not done.damaged
+    done = repaired(run)
+    assert (done.rebuilt, done.damaged) == (list(range(9)), [])
     assert list(Run.open(run.path).steps()) == whole
     kept = sorted(p.name for p in run.path.glob("journal.damaged*"))
     assert kept == (["journal.damaged.jsonl"] if journal else [])
     told = Told()
-    again = measure(resume=True, progress=told)
-    assert list(again.steps()) == whole
+    assert list(measure(resume=True, progress=told).steps()) == whole
     assert "every step is done" in told.text
     assert tree(run.path / "frames") == {k[7:]: v for k, v in before.items() if k.startswith("frames/")}
 
@@ -105,10 +113,8 @@ def test_a_journal_damaged_in_the_middle_keeps_what_is_readable(
     with pytest.raises(DataError, match=f"line {line + 1} is damaged.*gonio run repair"):
         measure(resume=True)
     assert path.read_bytes() == damaged
-    done = repair.repair(run.path)
-    assert done is not None
-    assert done.kept == len(lines) - 1
-    assert done.rebuilt == ([line - 1] if line else [])
+    done = repaired(run)
+    assert (done.kept, done.rebuilt) == (len(lines) - 1, [line - 1] if line else [])
     assert (run.path / "journal.damaged.jsonl").read_bytes() == damaged
     assert list(Run.open(run.path).steps()) == whole
     assert repair.repair(run.path) is None  # nothing is left to do
@@ -120,8 +126,7 @@ def test_a_step_that_is_not_provably_complete_is_taken_again(
     files = [frame.file for frame in run.steps()[3].frames]
     (run.path / "journal.jsonl").unlink()
     run.frame_path(files[-1]).unlink()  # its label held the record of the step
-    done = repair.repair(run.path)
-    assert done is not None
+    done = repaired(run)
     assert 3 not in done.rebuilt
     assert done.undetermined == files[:-1]
     assert list(measure(resume=True).steps()) == whole
@@ -132,10 +137,8 @@ def test_frames_of_an_older_version_are_kept_and_said_to_tell_nothing(run: Run, 
         path.write_bytes(path.read_bytes().replace(b"gonio-frame-1", b"another-one-1"))
     (run.path / "journal.jsonl").unlink()
     names = sorted(path.name for path in (run.path / "frames").iterdir())
-    done = repair.repair(run.path)
-    assert done is not None
-    assert done.undetermined == names
-    assert not done.rebuilt
+    done = repaired(run)
+    assert (done.undetermined, done.rebuilt) == (names, [])
     assert sorted(path.name for path in (run.path / "frames").iterdir()) == names
     measure(resume=True)
     assert sorted(path.name for path in (run.path / "set-aside").iterdir()) == names
@@ -151,10 +154,8 @@ def test_a_camera_s_own_files_have_their_labels_beside_them(
     run = measure()
     whole = list(run.steps())
     (run.path / "journal.jsonl").unlink()
-    done = repair.repair(run.path)
-    assert done is not None
-    assert done.rebuilt == list(range(9))
-    assert not done.undetermined
+    done = repaired(run)
+    assert (done.rebuilt, done.undetermined) == (list(range(9)), [])
     assert list(measure(resume=True).steps()) == whole
 
 
@@ -204,8 +205,7 @@ def test_a_change_among_very_many_frames_is_found_by_the_check(
     told = Told()
     measure(resume=True, progress=told)
     assert "only the size was compared" in told.text
-    found = repair.check(run.path)
-    assert first.name in found.damaged[0][0]
+    assert first.name in repair.check(run.path).damaged[0][0]
     last = run.frame_path(run.steps()[-1].frames[-1].file)
     lose(last, "changed")
     told = Told()
@@ -316,11 +316,8 @@ def test_damage_is_never_taken_for_what_was_measured(
     table = brdf.reduce(run)
     zero_half(run.frame_path(run.steps()[number].frames[-1].file))
     if line == "lost":
-        journal = run.path / "journal.jsonl"
-        lines = journal.read_bytes().splitlines(keepends=True)
-        journal.write_bytes(b"".join([*lines[: number + 1], *lines[number + 2 :]]))
-    done = repair.repair(run.path)
-    assert done is not None
+        without_line(run, number + 1)
+    done = repaired(run)
     assert done.rebuilt == []
     assert (done.damaged != []) == (line == "there")
     assert [step.step for step in Run.open(run.path).steps()] == [k for k in range(9) if k != number]
@@ -334,26 +331,20 @@ def test_a_byte_of_a_header_is_damage_too_where_no_line_is_left(run: Run) -> Non
     path = run.frame_path(run.steps()[3].frames[-1].file)
     data = path.read_bytes()
     journal = run.path / "journal.jsonl"
-    lines = journal.read_bytes().splitlines(keepends=True)
-    journal.write_bytes(b"".join([*lines[:4], *lines[5:]]))
+    without_line(run, 4)
     for at in (data.index(b'"pose":{"light":') + 20, data.index(b"gonio goniometer camera"), data.index(b'"of":') + 5):
         path.write_bytes(data[:at] + bytes([data[at] ^ 1]) + data[at + 1 :])
         kept = journal.read_bytes()
-        done = repair.repair(run.path)
-        assert done is not None
-        assert done.rebuilt == [], at
+        assert repaired(run).rebuilt == [], at
         journal.write_bytes(kept)
     path.write_bytes(data)
-    done = repair.repair(run.path)
-    assert done is not None
-    assert done.rebuilt == [3]
+    assert repaired(run).rebuilt == [3]
 
 
 def test_repair_finds_damage_and_resuming_mends_it(run: Run, measure: Measure, whole: list[StepRecord]) -> None:
     frame = run.frame_path(run.steps()[4].frames[1].file)
     lose(frame, "changed")
-    done = repair.repair(run.path)
-    assert done is not None
+    done = repaired(run)
     assert frame.name in done.damaged[0]
     assert frame.exists()
     assert [step.step for step in Run.open(run.path).steps()] == [0, 1, 2, 3, 5, 6, 7, 8]
@@ -522,9 +513,7 @@ def test_a_link_in_the_place_of_a_frame_is_moved_and_not_followed(
     kept = two.read_bytes()
     one.unlink()
     one.symlink_to(two.name)
-    journal = run.path / "journal.jsonl"
-    lines = journal.read_bytes().splitlines(keepends=True)
-    journal.write_bytes(b"".join([*lines[:5], *lines[6:]]))
+    without_line(run, 5)
     assert repair.repair(run.path) is not None
     again = measure(resume=True)
     assert list(again.steps()) == whole

@@ -49,8 +49,7 @@ def test_the_picture_before_is_known_while_it_is_measured(measure: Measure, tmp_
     with pytest.raises(DeviceError, match=r"step 4: the camera .* gives the same picture twice"):
         measure(rig=Plugin(kind=Stuck))
     assert list(Run.open(tmp_path / "run").steps().numbers) == [0, 1, 2, 3]
-    again = brdf.reduce(measure(resume=True))
-    assert again.equals(brdf.reduce(measure("other")))
+    assert brdf.reduce(measure(resume=True)).equals(brdf.reduce(measure("other")))
 
 
 @pytest.mark.slow

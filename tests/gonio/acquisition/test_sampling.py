@@ -90,8 +90,7 @@ def test_a_run_grows_until_its_chooser_has_enough(plan: Plan, tmp_path: Path) ->
     run = measure(plan, tmp_path / "run")
     assert [len(batch.points) for batch in run.batches] == [2, 2, 2]
     assert run.enough
-    assert len(run.planned.flags) == 3
-    assert len(run.plan) == 9
+    assert (len(run.planned.flags), len(run.plan)) == (3, 9)
     steps = list(run.steps())
     assert [step.step for step in steps] == list(range(len(steps)))
     assert [step.point for step in steps if step.kind == "point"] == list(range(9))

@@ -91,8 +91,7 @@ def test_the_centre_of_a_lamp_of_any_size_is_found(lamp: float, lens: float, cen
 
 def test_noise_and_an_even_field_are_no_spot() -> None:
     x, rng = np.linspace(-2, 2, 19), np.random.default_rng(1)
-    even = rng.normal(1000.0, 10.0, x.size)
-    assert peak(x, even, np.full(x.size, 10.0), 0.088) is None
+    assert peak(x, rng.normal(1000.0, 10.0, x.size), np.full(x.size, 10.0), 0.088) is None
     assert peak(x, rng.normal(0.0, 1.0, x.size), np.ones(x.size), 0.088) is None
 
 
@@ -117,8 +116,7 @@ def test_scans_without_a_spare_one_say_little_of_the_encoders() -> None:
     numbers = list(dict.fromkeys(scans["scan"]))
     straight = [n for n in numbers if (scans.loc[scans["scan"] == n, "holder"] != "mirror").any()]
     few = scans[scans["scan"].isin([numbers[0], straight[0]])]
-    found = align(few, described())
-    for zero in found.zeros.values():
+    for zero in align(few, described()).zeros.values():
         assert zero.parts["linearity"] > 3 * 0.088 / math.sqrt(12.0) / math.sqrt(2.0)  # three steps of one scan
 
 

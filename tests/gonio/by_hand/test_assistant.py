@@ -135,8 +135,7 @@ def test_a_spot_is_told_from_the_centre_in_pixels_and_on_the_sample(at_work: Ses
     device.at_mm, device.radius_mm = (1.0, -0.6), 4.0
     at_work.obey("go light 35 camera -25", "lamp on", "exposure 0.3")
     told = at_work.look()
-    pose = Pose(light=math.radians(35), camera=math.radians(-25))
-    view = kinematics.view(device.description, pose)
+    view = kinematics.view(device.description, Pose(light=math.radians(35), camera=math.radians(-25)))
     centre = imaging.place(device.description, view, "sample")
     spot = told["spot"]
     assert told["predicted"]["centre"] == pytest.approx(centre)
@@ -305,8 +304,7 @@ def test_zeros_go_into_a_copy_of_the_rig_file_one_after_the_other(tmp_path: Path
     file, out = tmp_path / "my.toml", tmp_path / "aligned.toml"
     text = to_toml(rig().model_dump(mode="json", exclude_none=True))
     file.write_text(f"# a rig\n{text}")
-    device = Scene(rig(), repeatable=False)
-    at_work = session(device, file, out)
+    at_work = session(Scene(rig(), repeatable=False), file, out)
     with at_work.manual:
         at_work.obey("go light 29.5 camera -31 tilt 2")
         said = at_work.obey("zero light 30", "zero camera -30")

@@ -122,8 +122,7 @@ def test_a_camera_that_comes_back_in_time_is_left_alone(clock: Clock) -> None:
 
 
 def test_a_lamp_that_cannot_be_darkened_leaves_that_to_its_owner(clock: Clock) -> None:
-    light = Plain(fails=True)
-    timer = DeadMansTimer(light, 60.0, clock)
+    timer = DeadMansTimer(Plain(fails=True), 60.0, clock)
     timer.light_up()
     clock.now += 61.0
     timer.look()

@@ -173,8 +173,7 @@ def test_advice_leads_to_the_target_within_the_cameras_limits(
     mosaic[0, 0] = 4095  # outside the region nothing counts
     frame = Frame(mosaic, exposure_s, 64.0, 4095.0, time_s=0.0)
     told = looking.advice(rig.model_copy(update={"camera": quiet}), frame, REGION)
-    assert told.text == text
-    assert told.target == 0.6
+    assert (told.text, told.target) == (text, 0.6)
     if advised_s is not None:
         assert told.exposure_s == pytest.approx(advised_s, rel=2e-3)  # of whole DN
 

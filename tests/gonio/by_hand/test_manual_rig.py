@@ -87,8 +87,7 @@ def test_a_strangers_rig_is_worked_on_by_the_protocols_alone(tmp_path: Path) -> 
         assert not manual.can_hold
         with pytest.raises(ConfigError, match="has no `hold`"):
             manual.hold()
-        moved = manual.move(light=0.3)
-        assert moved.landed == {"light": 0.3}
+        assert manual.move(light=0.3).landed == {"light": 0.3}
         assert manual.move(camera=-0.3).landed == {"camera": -0.3}
         assert manual.arms.read() == Pose(light=0.3, camera=-0.3)
         assert manual.read().of("light", "angle") == pytest.approx(math.degrees(0.3))

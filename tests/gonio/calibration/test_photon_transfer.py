@@ -47,8 +47,7 @@ def transfer(camera: Camera, seed: int) -> tuple[photon_transfer.PhotonTransfer,
     line = np.polyfit([p.exposure_s for p in darks], [p.mean_dn for p in darks], 1)
     levels = np.concatenate([np.linspace(0.03, 0.7, 14), np.linspace(0.75, 1.15, 9)])
     flats = manual.pairs(RATE, np.tile(levels * FULL_S, 3))
-    found = photon_transfer.photon_transfer(flats, darks, (line[1], line[0]), camera)
-    return found, flats, darks, line
+    return photon_transfer.photon_transfer(flats, darks, (line[1], line[0]), camera), flats, darks, line
 
 
 @pytest.fixture(scope="module")
@@ -82,8 +81,7 @@ def test_emva1288_package_gives_the_same_figures(plain: Any, monkeypatch: pytest
     last = int(np.argmax(total))
     oracle = results.Results1288({"temporal": data, "spatial": {}}, index_u_ysat=last, loglevel=50)
     # both solve the same least squares, the package by an iteration that ends at 1e-8
-    assert found.gain == pytest.approx(oracle.K, rel=1e-7)
-    assert found.saturation_dn == level[last]
+    assert (found.gain, found.saturation_dn) == (pytest.approx(oracle.K, rel=1e-7), level[last])
     assert found.dark_noise_dn == pytest.approx(oracle.sigma_y_dark, rel=1e-3)  # its own line over exposure
     assert found.threshold_e == pytest.approx(oracle.sigma_y_dark / oracle.K + 0.5, rel=1e-3)
     line = oracle.linearity()
@@ -95,8 +93,7 @@ def test_emva1288_package_gives_the_same_figures(plain: Any, monkeypatch: pytest
 def test_unevenness_is_that_of_the_standard(monkeypatch: pytest.MonkeyPatch) -> None:
     random = np.random.default_rng(3)
     rows, cols = random.normal(0, 2.0, (300, 1)), random.normal(0, 1.0, (1, 400))
-    picture = 50.0 + rows + cols + random.normal(0, 3.0, (300, 400))
-    found = pixel_statistics.unevenness(picture, 0.0)
+    found = pixel_statistics.unevenness(50.0 + rows + cols + random.normal(0, 3.0, (300, 400)), 0.0)
     # relative u of a standard deviation is 1/sqrt(2 n): 4 % of 300 rows, 3.5 % of 400 columns, 0.2 % of the pixels
     assert found.row == pytest.approx(2.0, rel=0.13)
     assert found.column == pytest.approx(1.0, rel=0.11)
@@ -162,8 +159,7 @@ def test_gamma_of_a_video_camera_is_found() -> None:
     found = np.array(response.curve(frames, exposures))
     # 8 bits: half a step is 1 % of the linear value at 100, 3 % at 40
     assert np.abs(found[40:] / curve[40:] - 1.0).max() < 0.01
-    assert found[0] == 0.0
-    assert found[-1] == pytest.approx(255.0, abs=1e-9)
+    assert (found[0], found[-1]) == (0.0, pytest.approx(255.0, abs=1e-9))
     with pytest.raises(DataError, match="3 exposures"):
         response.curve(frames[:2], exposures[:2])
     with pytest.raises(DataError, match="near 0 to near 255"):
