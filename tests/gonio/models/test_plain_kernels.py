@@ -9,7 +9,7 @@ import inspect
 import math
 import pkgutil
 from collections.abc import Callable, Iterator
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -36,7 +36,7 @@ from gonio.models import ggx as ggx_kernels
 from gonio.models import ggx_multiscatter as ggx_multiscatter_kernels
 from gonio.models.plain import anisotropic, blinn, cook_torrance, he_torrance, oren_nayar, retroreflecting
 from gonio.models.plain import fresnel as plain_fresnel
-from gonio.models.plain.vectors import direction, dot, length
+from gonio.models.plain.vectors import direction, dot
 from tests.gonio.models import test_closed_reference, test_htsg_reference, test_newer_models
 from tests.gonio.models.agreement import EPS, PI, Angles, agree, facet_loss, lobe_loss, pairs, vectors
 
@@ -230,29 +230,6 @@ def test_phong() -> None:
         model = Phong(0.5, 0.4, c1)
         agree(model.brdf_vectors(light, eye), blinn.brdf(s, light, 0.5, 0.4), (1.0 + steep) * loss)
         agree(model.highlight(*pairs(3)), s, (1.0 + steep) * loss)
-
-
-SURFACES = [  # sigma0 and tau [um], wavelength [um], index: Figs. 7, 8, 9 and 12
-    (0.28, 1.77, 2.0, 2.15 + 20.7j),
-    (0.28, 1.77, 0.5, 0.77 + 6.08j),
-    (1.45, 13.2, 0.5, 1.7),
-    (0.18, 3.0, 0.55, 0.96 + 6.69j),
-]
-
-
-@pytest.mark.parametrize("surface", SURFACES, ids=str)
-def test_he_torrance_polarised(surface: tuple[float, float, float, complex]) -> None:
-    sigma0, tau, lam, n = surface
-    at = cast(Angles, tuple(part[7:] for part in pairs(8, 40)))  # M is 0/0 along the normal and in retro-reflection
-    k_i, k_r = he_torrance.directions(*at)
-    apart = length(np.cross(k_r, k_i)) ** 2
-    polarised = 1.0 / apart / np.minimum(np.sin(at[0]), np.sin(at[2]))
-    model = HeTorrance(sigma0, tau, n, 0.2)
-    jones = model.jones(*at, wavelength_nm=1000.0 * lam)
-    agree(jones, he_torrance.J(k_i, k_r, n), polarised[:, None, None], scale=1.0)
-    plain = he_torrance.mueller(*at, sigma0, tau, lam, n, 0.2)
-    loss = (polarised + lobe_loss(*at, sigma0, tau, lam))[:, None, None]
-    agree(model.mueller(*at, wavelength_nm=1000.0 * lam), plain, loss, scale=np.abs(plain).max((1, 2), keepdims=True))
 
 
 ELSEWHERE: dict[Any, Callable[..., None]] = {
