@@ -52,7 +52,7 @@ def unopened(port: str, error: Exception, key: str) -> DeviceError:
 
 
 def require_free(port: str, key: str) -> None:
-    """Raise `DeviceError` where another process has a port open: few programs take or heed a lock."""
+    """Raise `DeviceError` where another process has a port open; a lock does not tell, as few programs take one."""
     if holder := _holder(port):
         raise DeviceError(f'{key} = "{port}": the port is taken{holder}; end what holds it, then try again')
 

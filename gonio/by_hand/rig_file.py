@@ -52,7 +52,7 @@ def with_values(path: str | Path, values: Values) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Zero:
-    """The zero of an axis, as somebody says it: what to write, and what to tell."""
+    """The zero of an axis as a person gives it: what to write into the rig file, and what to report."""
 
     axis: str
     read_deg: float

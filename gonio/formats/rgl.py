@@ -285,7 +285,7 @@ def write_model(model: Model, name: str, path: Path) -> None:
 
 
 def _slices(brdf: Callable[[Floats, Floats], Floats], half: Floats, theta_i: Floats) -> npt.NDArray[np.float32]:
-    """brdf cos(theta_r) of three channels at half vectors (3, m, n), an incidence after another."""
+    """brdf cos(theta_r) of three channels at half vectors (3, m, n), for one angle of incidence after another."""
     values = np.zeros((theta_i.size, 3, *half.shape[1:]), np.float32)
     for slice_, theta in zip(values, theta_i.tolist(), strict=True):
         incident = _vector(np.array(theta), np.zeros(()))[:, np.newaxis, np.newaxis]

@@ -56,7 +56,7 @@ def threads() -> int:
 
 @contextmanager
 def alone() -> Iterator[None]:
-    """Let this thread split nothing: for one of many that work side by side."""
+    """Within it this thread splits no work over other threads: for one of many that run side by side."""
     before, _here.alone = getattr(_here, "alone", False), True
     try:
         yield

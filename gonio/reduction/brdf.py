@@ -220,7 +220,7 @@ class Reference:
 
 
 def level(run: Run, wanted_s: Floats, visits: list[Reduced], band: Band) -> tuple[white_reference.Level, Reference]:
-    """The signal per unit BRDF at some times, and the reference's BRDF; see `reduce_in_parts` for what raises."""
+    """The signal per unit BRDF at some times, and the reference's BRDF; errors as of `reduce_in_parts`."""
     description, reference = run.description, run.description.reference
     if not visits:
         raise DataError(

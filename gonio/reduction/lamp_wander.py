@@ -133,7 +133,7 @@ class _Single(NamedTuple):
     """Variance of each visit."""
 
     def within(self, times: Floats) -> Floats:
-        """How much of the interval is over. A step at a time that nobody knows has the covariance of a walk over it."""
+        """The fraction of the interval gone by: a step at an unknown time in it has the covariance of a random walk."""
         return np.asarray(np.clip((times - self.begin) / (self.end - self.begin), 0.0, 1.0))
 
 

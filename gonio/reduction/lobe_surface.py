@@ -230,7 +230,7 @@ class Surface:
         return np.unique(np.array(out, dtype=np.intp))
 
     def _cost(self, logs: Floats) -> tuple[float, Floats]:
-        """-ln(likelihood times what is known before), and its derivatives."""
+        """-ln(likelihood times prior), and its derivatives."""
         covariance = self._pairs.of(logs)
         log, size = self._log[self._taught], logs.size
         away = (logs - USUAL[:size]) / SPREAD[:size]

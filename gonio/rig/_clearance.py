@@ -365,7 +365,7 @@ def first_too_close(
 def spares(
     tied: Any, on: Any, points: Floats, counts: Any, distances: Floats, frames: Floats, poses: Floats, out: Floats
 ) -> None:
-    """The room of each pair of bodies at each pose, shape (poses, pairs) [mm]."""
+    """The clearance of each pair of bodies at each pose, shape (poses, pairs) [mm]."""
     room = np.empty((2, points.shape[2], 3))
     for pose in range(len(poses)):
         for pair in range(len(on)):

@@ -69,7 +69,7 @@ class Pairs:
     """The same with `PLANNED_MM` to spare."""
 
     def spares(self, frames: Floats, poses: Floats) -> Floats:
-        """The room of each pair beyond its distance at each pose of true angles, shape (poses, pairs) [mm]."""
+        """Clearance of each pair beyond the one it must keep, at poses of true angles, shape (poses, pairs) [mm]."""
         from gonio.rig import _clearance
 
         out = np.empty((len(poses), len(self.shapes)))

@@ -144,7 +144,7 @@ def roi(description: RigDescription, view: View, target: Target = "sample", chan
 
 @lru_cache(1)
 def _ring() -> Floats:
-    """Cosines and sines of places once round the edge of a patch, shape (2, places)."""
+    """Cosines and sines of 64 equal steps around the edge of a patch, shape (2, 64)."""
     turn = np.linspace(0.0, 2 * np.pi, 64, endpoint=False)
     return np.stack([np.cos(turn), np.sin(turn)])
 

@@ -176,7 +176,7 @@ class Disc:
     polarisation: Floats | None = None
 
     def arrive(self, position: Floats, sample: int, shift: Floats | None) -> Arriving:
-        """The light of one point of the disc, at positions (n, 3); the mean over all points is the disc's.
+        """What arrives at positions (n, 3) from one point of the disc; the disc's light is the mean over its points.
 
         `sample` numbers the point, and `shift` (n, 2) moves each hit's points over the disc; without it they are the
         centre.

@@ -235,7 +235,7 @@ class _Walker:
         return min(starts, key=self._near.cost)
 
     def _elsewhere(self, k: int, x: Floats) -> list[Floats]:
-        """Other places to begin at: n and k replace each other along a bent valley, which one step cannot follow."""
+        """Other starting points: n and k trade off along a curved valley, which one step cannot follow."""
         problem = self._result.problem
         if not {"ior", "k"} <= set(problem.free):
             return []

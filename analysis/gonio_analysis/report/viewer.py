@@ -57,7 +57,7 @@ class WaveView(TypedDict):
 
 
 class View(TypedDict):
-    """What the page's program reads, as JSON."""
+    """The data that the page's script reads, as JSON."""
 
     name: str
     plot: NotRequired[str]

@@ -210,7 +210,7 @@ SHARED = ("Lambert", "He-Torrance, rough aluminium", "Cook-Torrance, copper")
 def _scene(
     pixels: int, material: SceneTables, light: Sequence[SceneTables], wavelength_nm: Sequence[float] = (550.0,)
 ) -> Scene:
-    """A sphere on a floor. Mirror rays are left out, which no renderer here has in common with another."""
+    """A sphere on a floor. Mirror rays are left out: no two renderers here treat them alike."""
     tables = {
         "name": "bench",
         "wavelength_nm": list(wavelength_nm),

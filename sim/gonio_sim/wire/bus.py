@@ -18,7 +18,7 @@ ById = dict[int, list[Servo]]
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """A status packet that a servo has to say."""
+    """A status packet that a servo is to send."""
 
     servo: Servo
     status: bytes
