@@ -138,7 +138,7 @@ class GenICamCamera:
         try:
             while True:
                 left = end - clock.monotonic()
-                # `fetch` waits for ever for a whole frame; and what lies here when the time is over is taken yet
+                # `fetch` would wait without limit for a whole frame; one that has arrived when time is up still counts
                 buffer = self._camera.try_fetch(timeout=max(left, ONCE_MORE_S), is_raw=True)
                 arrived = clock.monotonic()
                 if buffer is None and left <= 0:

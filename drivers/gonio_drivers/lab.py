@@ -333,7 +333,7 @@ class LabPlugin(ServoService):
     def open(
         self, description: RigDescription, *, sample: SampleDescription | None, seed: int, confirm: bool
     ) -> LabRig:
-        """Build the rig; what lies in the holder is the user's to know, so `sample` and `seed` change nothing.
+        """Build the rig; `sample` and `seed` change nothing, since only the user knows what lies in the holder.
 
         Raises
         ------

@@ -65,7 +65,7 @@ class ExclusivePort(PortHandler):  # type: ignore[misc]
         return len(packet)
 
     def clearPort(self) -> None:
-        """Drop what nobody has asked for."""
+        """Drop bytes that answer no question."""
         self.received = self.ser.in_waiting
         super().clearPort()
 

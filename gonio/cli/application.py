@@ -30,7 +30,7 @@ FORMER = {"wavelength": "wavelength-nm"}
 
 
 class _Remarks(io.FileIO):
-    """Standard error: where nobody takes it (a full disk, a reader that has gone) what is said is dropped."""
+    """Standard error that drops its text where nothing takes it (a full disk, a reader that has gone)."""
 
     def write(self, text: Any) -> int:
         try:

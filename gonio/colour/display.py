@@ -156,7 +156,7 @@ def display_1982(xyz: ArrayLike, primaries: Primaries = MONITOR_1982) -> Floats:
 
 
 def exposure(xyz: ArrayLike, share: float = 0.99) -> float:
-    """The factor for which a share of what is lit in a picture is at most as bright as the screen's white.
+    """The factor that leaves a share of a picture's lit pixels no brighter than the screen's white.
 
     Parameters
     ----------

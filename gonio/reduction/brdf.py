@@ -129,8 +129,8 @@ def _reduce_band(frames: RunFrames, band: Band, steps: list[Reduced | Rejected])
     visits = [step for step in steps if isinstance(step, Reduced) and step.point is None]
     rejected = [step for step in steps if isinstance(step, Rejected)]
     fitted, reference = level(frames.run, np.array([point.time_s for point in points]), visits, band)
-    # curves on both sides of the sample have nothing to do with each other; behind it lobes move with the straight
-    # direction as they do before it with the mirror's
+    # curves on the two sides of the sample are independent; lobes behind it follow the direction straight through, as
+    # those before it follow the mirror direction
     behind = np.array([is_behind(point.directions) for point in points], dtype=bool)
     sides = [there for there in (False, True) if np.any(behind == there)] or [False]
     rows = [np.flatnonzero(behind == there) for there in sides]

@@ -135,7 +135,7 @@ class _Writer:
         scenes = {}
         for first in range(0, waves.size, CHANNELS):
             shown = tuple(map(float, waves[first : first + CHANNELS]))
-            # the channels that are left over hold the last wavelength once more
+            # the remaining channels repeat the last wavelength
             channels = np.minimum(np.arange(first, first + CHANNELS), waves.size - 1)
             suffix = "" if waves.size <= CHANNELS else "-" + "-".join(f"{wave:g}" for wave in shown) + "nm"
             bsdfs = [

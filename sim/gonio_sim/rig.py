@@ -107,7 +107,7 @@ class SimulatedRig:
         self.world.target = target
 
     def put(self, what: InHolder) -> bool:
-        """A mirror, a trap, an edge or nothing into the holder, or the sample back: nobody has to do it."""
+        """Put a mirror, a trap, an edge or nothing into the holder, or the sample back: no person is needed."""
         self.world.target = what
         return True
 
