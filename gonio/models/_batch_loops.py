@@ -24,6 +24,8 @@ FAR_VALLEY = 100.0
 """A second start is tried where its chi-square is at most so many times that of the first, and so much more."""
 CLOSE_VALLEY = 3.0
 """It is tried as well where the first ends acceptably, if its chi-square is at most so many times that; and 20 more."""
+WRONG_VALLEY = 2.0
+"""Other rows of the grid are tried where chi-square is so many times what is acceptable."""
 LINEAR_BELOW = 0.05
 """Of the median value: below it the scale of logarithms is linear (`observations.LINEAR_BELOW`)."""
 
@@ -48,11 +50,22 @@ def levels_of(how, s0, sz, sg, sgg, sgz):  # type: ignore[no-untyped-def]
 
 
 @called
-def valleys(shade, unit, levels, columns, z, w, grid, widths, starts, profile, weight, weighted, lobes, fresh, count):  # type: ignore[no-untyped-def]
-    """The two lowest valleys of chi-square over the grid's widths, and what stands there in `starts`; -1 for none.
+def lowest_row(profile, first, step):  # type: ignore[no-untyped-def]
+    """Where chi-square is lowest of rows `first`, `first + step`, ...; a number wins over NaN."""
+    best = first
+    for row in range(first + step, profile.size, step):
+        if profile[row] < profile[best] or profile[best] != profile[best]:
+            best = row
+    return best
 
-    Rows of `grid` run over the width fastest. Where levels are solved for, the model is a lobe times a level and a
-    base: both follow by linear least squares. `lobes` has the lobe of each row; it is made anew for `fresh` directions.
+
+@called
+def valleys(shade, unit, levels, columns, z, w, grid, widths, starts, profile, weight, weighted, lobes, fresh, count):  # type: ignore[no-untyped-def]
+    """The rows of the two lowest valleys of chi-square over the grid's widths; -1 for none.
+
+    `starts` and `profile` get parameters and chi-square of each row. Rows of `grid` run over the width fastest. Where
+    levels are solved for, the model is a lobe times a level and a base: both follow by linear least squares. `lobes`
+    has the lobe of each row; it is made anew for `fresh` directions.
     """
     theta = np.empty(grid.shape[1])
     profile[:] = np.inf
@@ -72,17 +85,18 @@ def valleys(shade, unit, levels, columns, z, w, grid, widths, starts, profile, w
         sg, sgg, sgz = moments(g, weight, weighted, count)
         level, base = levels_of(how, s0, sz, sg, sgg, sgz)
         chi = szz + level * level * sgg + base * base * s0 + 2.0 * (level * base * sg - level * sgz - base * sz)
-        if chi < profile[row % widths]:
-            profile[row % widths] = chi
-            levels(theta, level, base)
-            starts[row % widths] = theta
+        profile[row] = chi
+        levels(theta, level, base)
+        starts[row] = theta
     first, second = -1, -1
     for a in range(widths):
-        low = (a == 0 or profile[a] <= profile[a - 1]) and (a == widths - 1 or profile[a] < profile[a + 1])
-        if low and (first < 0 or profile[a] < profile[first]):
-            first, second = a, first
-        elif low and (second < 0 or profile[a] < profile[second]):
-            second = a
+        here = lowest_row(profile, a, widths)
+        low = a == 0 or profile[here] <= profile[lowest_row(profile, a - 1, widths)]
+        low = low and (a == widths - 1 or profile[here] < profile[lowest_row(profile, a + 1, widths)])
+        if low and (first < 0 or profile[here] < profile[first]):
+            first, second = here, first
+        elif low and (second < 0 or profile[here] < profile[second]):
+            second = here
     if second >= 0 and profile[second] > FAR_VALLEY * (profile[first] + 1.0):
         second = -1
     return first, second
@@ -135,7 +149,8 @@ def lowest(  # type: ignore[no-untyped-def]
     first, second = valleys(
         shade, unit, levels, columns, z, w, grid, widths, starts, profile, weight, weighted, lobes, fresh, count
     )
-    best, which = np.inf, first
+    best, which, later = np.inf, first, second
+    nearby = profile[second] if second >= 0 else np.inf
     while which >= 0:
         for a in range(end.size):
             end[a] = min(max(starts[which, a], lower[a]), upper[a])
@@ -146,9 +161,13 @@ def lowest(  # type: ignore[no-untyped-def]
             best = found
             theta[:] = end
             inverted(matrix, moves, triangle, spread)
-        again = which == first and second >= 0
-        alone = best <= acceptable and profile[second] > CLOSE_VALLEY * best + 20.0
-        which = second if again and not alone else -1
+        profile[which - which % widths : which - which % widths + widths] = np.inf
+        which, later = later, -1
+        if which >= 0 and best <= acceptable and nearby > CLOSE_VALLEY * best + 20.0:
+            which = -1
+        elif which < 0 and best > WRONG_VALLEY * acceptable:
+            which = lowest_row(profile, 0, 1)  # of another index, or another sigma
+            which = which if profile[which] < np.inf else -1
     return best
 
 
@@ -161,8 +180,8 @@ def fit_pixels(  # type: ignore[no-untyped-def]
     omega_i, omega_r, packed = np.empty(3 * n), np.empty(3 * n), np.empty(count_of_columns * n)
     z, w, own, at = np.empty(n), np.empty(n), np.empty(n), np.full(n, -1, np.int64)
     of_causes, of_blocks, rows = np.empty(r * n), np.empty(numbers.shape[0] * n, np.int64), np.empty((3, n))
-    work, starts, matrix = np.empty((k + r + 4, n)), np.empty((widths, size)), np.empty((k, k))
-    triangle, moves, end, profile = np.empty((k, k)), np.empty(k, np.bool_), np.empty(size), np.empty(widths)
+    work, starts, matrix = np.empty((k + r + 4, n)), np.empty((grid.shape[0], size)), np.empty((k, k))
+    triangle, moves, end, profile = np.empty((k, k)), np.empty(k, np.bool_), np.empty(size), np.empty(grid.shape[0])
     lobes, before = np.empty((grid.shape[0], n)), -1
     for p in range(start, stop):
         count, same = taken(values[p], u[p], z, own, w, at)

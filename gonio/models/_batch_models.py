@@ -79,7 +79,7 @@ def cook_unit(t):  # type: ignore[no-untyped-def]
 
 @device
 def cook_levels(t, level, base):  # type: ignore[no-untyped-def]
-    t[0] = min(level, 1.0 - 1e-6)
+    t[0] = min(level, 0.9)
     t[2] = min(base * pi / (1.0 - t[0]), 1.0)
 
 

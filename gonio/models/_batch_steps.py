@@ -32,7 +32,7 @@ STEP = 1e-6
 """Of a parameter, relative, for a derivative by differences: its error is 1e-6 of the derivative."""
 SETTLED = 1e-8
 """Decrease of chi-square that a last step would bring: it is then shorter than 1e-4 standard errors."""
-MOST_STEPS, MOST_TRIALS = 60, 12
+MOST_STEPS, MOST_TRIALS = 400, 12
 FIRST_DAMPING = 1e-3
 NEAR_BOUND = 1e-4
 """Of a parameter's range."""

@@ -21,7 +21,8 @@ from gonio_analysis.fitting.saving import save as save_fit
 
 from gonio import measurement
 from gonio.errors import ConfigError
-from gonio.models import batch, build
+from gonio.models import build
+from gonio.models._batch_models import MODELS
 from tests.command_line import gonio, says
 from tests.gonio_analysis.synthetic import measure
 
@@ -196,5 +197,5 @@ def test_parameters_as_a_fit_names_them_make_a_cook_torrance_sample() -> None:
 @pytest.mark.slow
 def test_warm_compiles_a_fit_of_every_model_and_of_every_map(tmp_path: Path) -> None:
     names = [job.keywords.get("name") or job.args[0] for job in warm.jobs()]
-    assert names == [*declared(), *batch.MODELS]
+    assert names == [*declared(), *MODELS]
     says(gonio(tmp_path, "warm", expect=0).stdout, f"{len(names)} kinds of fits are compiled")

@@ -27,6 +27,7 @@ def jobs() -> list[partial[Any]]:
     from gonio import geometry
     from gonio.formats.reader import attributes, table
     from gonio.models import CookTorrance, batch
+    from gonio.models._batch_models import MODELS
     from gonio_analysis.fitting.parameters import declared
     from gonio_analysis.fitting.problem import FitRequest
     from gonio_analysis.fitting.spectrum import fit_table
@@ -43,5 +44,5 @@ def jobs() -> list[partial[Any]]:
     origin, values = np.zeros(1), brdf[None]
     return [
         *(partial(fit_table, made, FitRequest(name), name=name) for name in declared()),
-        *(partial(batch.fit, name, origin, origin, source, camera, values, 0.01 * values) for name in batch.MODELS),
+        *(partial(batch.fit, name, origin, origin, source, camera, values, 0.01 * values) for name in MODELS),
     ]
