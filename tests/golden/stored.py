@@ -13,9 +13,11 @@ from tests.golden.comparison import same_for_all
 
 FOLDER = Path(__file__).parent / "data"
 MADE_ON = FOLDER / "processor.txt"
-ACROSS = 1e-5
+ACROSS = 1e-4
 """Tolerance on another kind of processor than that of the set: ends of optimisers move. The largest that was seen is
-3e-7 in tables (derivatives of lobes) and 1.5e-6 in fits (standard errors of a rejected model)."""
+3e-7 in tables (derivatives of lobes), 1.5e-6 in fits (standard errors of a rejected model), and 5.8e-5 in a photograph
+(a standard error there, by differences of rendered pictures; the tree that made the set gives the same on a processor
+with AVX-512)."""
 EPOCH = (2026, 1, 1, 0, 0, 0)
 """Of every file in an archive: an archive of the same texts is the same file."""
 
