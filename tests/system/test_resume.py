@@ -86,12 +86,62 @@ def test_killed_run_resumes_to_the_same_table(gonio: Command, here: Command, fil
     assert (whole["flag"] == cut["flag"]).all()
 
 
+ADAPTIVE = """
+name = "chosen"
+wavelength_nm = [550]
+[adaptive]
+how = "parameters"
+budget_h = 0.06
+model = "lambert"
+u_rel = { albedo = 1e-4 }
+theta_i_deg = [20, 50]
+theta_r_deg = [-60, -30, 0, 10, 35, 65]
+"""
+
+
+@pytest.mark.slow
+def test_a_killed_run_that_chooses_its_points_chooses_the_same(here: Command, files: Path) -> None:
+    (files / "plan.toml").write_text(ADAPTIVE)
+    here(*MEASURE, "--out", "whole")
+    events = list(map(json.loads, (files / "whole" / "journal.jsonl").read_bytes().splitlines()))
+    chosen = [event for event in events if event["event"] == "chosen"]
+    assert chosen, "the budget has room for a batch"
+    within = sum(event["event"] == "step" for event in events[: events.index(chosen[0])]) + 2
+    assert kill_after(files, "cut", within, signal.SIGKILL) == -signal.SIGKILL
+    here(*MEASURE, "--out", "cut", "--resume")
+    assert steps_in(files, "cut") == steps_in(files, "whole")
+    for out in ("whole", "cut"):
+        here("reduce", out)
+    assert (files / "cut" / "brdf.csv").read_bytes() == (files / "whole" / "brdf.csv").read_bytes()
+
+
 @pytest.mark.slow
 def test_interrupt_finishes_the_step_and_exits_130(gonio: Command, files: Path) -> None:
     assert kill_after(files, "run", 3, signal.SIGINT) == 130
-    assert len(steps_in(files, "run")) >= 3
+    done = steps_in(files, "run")
+    assert len(done) >= 3
     gonio(*MEASURE, "--out", "run", "--resume")
     assert len(set(steps_in(files, "run"))) == len(steps_in(files, "run"))
+
+
+def test_a_run_with_events_needs_resume(here: Command, files: Path) -> None:
+    here(*MEASURE, "--out", "run")
+    before = (files / "run" / "journal.jsonl").read_bytes()
+    assert "--resume" in here(*MEASURE, "--out", "run", expect=2).stderr
+    assert (files / "run" / "journal.jsonl").read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new", "word"),
+    [("plan.toml", "20, 50", "20, 55", "plan"), ("sample.toml", "0.5", "0.6", "sample")],
+    ids=["another plan", "another sample"],
+)
+def test_resuming_something_else_is_refused(
+    here: Command, files: Path, name: str, old: str, new: str, word: str
+) -> None:
+    here(*MEASURE, "--out", "run")
+    (files / name).write_text((files / name).read_text().replace(old, new))
+    assert word in here(*MEASURE, "--out", "run", "--resume", expect=2).stderr
 
 
 def test_a_lost_journal_is_made_again_and_a_damaged_frame_is_taken_again(here: Command, files: Path) -> None:
