@@ -3,6 +3,7 @@
 A table made by hand may leave out what it does not know: the four angles and `brdf` are enough.
 """
 
+import codecs
 import contextlib
 import csv
 import io
@@ -112,6 +113,7 @@ def _read_at_once(data: bytes) -> DataFrame | None:
     """
     import pandas as pd
 
+    data = data.removeprefix(codecs.BOM_UTF8)
     if not data.isascii():
         return None
     header = data.partition(b"\n")[0].decode().split(",")

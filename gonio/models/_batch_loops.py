@@ -25,7 +25,7 @@ FAR_VALLEY = 100.0
 CLOSE_VALLEY = 3.0
 """It is tried as well where the first ends acceptably, if its chi-square is at most so many times that; and 20 more."""
 WRONG_VALLEY = 2.0
-"""Other rows of the grid are tried where chi-square is so many times what is acceptable."""
+"""Other tiers of the grid (indices, He-Torrance's sigma) are tried where chi-square is so many times acceptable."""
 LINEAR_BELOW = 0.05
 """Of the median value: below it the scale of logarithms is linear (`observations.LINEAR_BELOW`)."""
 

@@ -53,6 +53,8 @@ PLAIN = 0.4
 FAINT = 0.03
 """Of the squared slopes across a texture: an axis that has less is not told. The stairs that pixels make of a straight
 edge have 0.01 along it."""
+SURE = 1e-4
+"""Cells: no comparison is surer, so that pictures that are equal to the bit can be told."""
 UNSURE = 0.5
 """Cells: a shift that is not known better is not told."""
 
@@ -215,7 +217,7 @@ def _along(columns: Floats, picture: Floats, strip: Ints) -> tuple[Floats, Float
     covariance = inverse @ (scores @ scores.T) @ inverse
     if values[0] ** 2 <= TOLD**2 * covariance[0, 0]:
         return None
-    shift, u = values[3:] / values[0], np.sqrt(np.diag(covariance)[3:]) / abs(values[0])
+    shift, u = values[3:] / values[0], np.maximum(np.sqrt(np.diag(covariance)[3:]) / abs(values[0]), SURE)
     return None if np.abs(shift).max() > FARTHEST or u.max() > UNSURE else (shift, u)
 
 

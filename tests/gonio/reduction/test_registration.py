@@ -104,6 +104,13 @@ def test_without_texture_nothing_is_told(monkeypatch: pytest.MonkeyPatch) -> Non
     assert np.isnan(u).all()
 
 
+def test_pictures_that_are_equal_to_the_bit_lie_in_one_place(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(np.random, "default_rng", lambda seed, make=np.random.default_rng: make(0))
+    shift, u = found(monkeypatch, leather, np.zeros((4, 2)), CONTRASTS["alike"])
+    assert np.abs(shift).max() < 1e-9
+    assert (u > 0.0).all()  # and no NaN
+
+
 def test_a_picture_like_no_other_is_not_told(monkeypatch: pytest.MonkeyPatch) -> None:
     """The last one lies eight cells aside: of waves of 9 to 21 cells nothing is where it was."""
     lie = drawn(6, 0.5)
