@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+from collections.abc import Iterator
 
 import pytest
 from hypothesis import settings
@@ -29,3 +30,10 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 def _no_waiting_for_the_disk(monkeypatch: pytest.MonkeyPatch) -> None:
     """Files are written without waiting until a busy disk has them: no test cuts the power. Commands do wait."""
     monkeypatch.setattr("os.fsync", lambda descriptor: None)
+
+
+@pytest.fixture(autouse=True)
+def _hears_its_signals() -> Iterator[None]:
+    """A test that left this process deaf to Ctrl-C would make the programs deaf that later tests start."""
+    yield
+    assert signal.getsignal(signal.SIGINT) is not signal.SIG_IGN

@@ -9,7 +9,6 @@ import pytest
 from gonio_sim.rig import SIM_IDEAL
 from gonio_sim.world import World
 
-from gonio.cli import main
 from tests.command_line import gonio as run
 from tests.command_line import says
 
@@ -73,14 +72,19 @@ def test_nothing_is_touched_on_the_ways_of_a_run(folder: Path, monkeypatch: pyte
         begin(world, step)
 
     monkeypatch.setattr(World, "begin", kept)
-    monkeypatch.chdir(folder)
-    monkeypatch.setattr(
-        "sys.argv",
-        ["gonio", "measure", "plan.toml", "--rig", "rig.toml", "--sample", "sample.toml", "--out", "RUN", "--yes"],
+    run(
+        folder,
+        "measure",
+        "plan.toml",
+        "--rig",
+        "rig.toml",
+        "--sample",
+        "sample.toml",
+        "--out",
+        "RUN",
+        "--yes",
+        expect=0,
     )
-    with pytest.raises(SystemExit) as done:
-        main()
-    assert done.value.code in (0, None)
     assert worlds
     assert worlds[-1].touched == []
 
