@@ -42,7 +42,7 @@ NEAR_BOUND = 1e-4
 def toward(value, step, low, high):  # type: ignore[no-untyped-def]
     """A step within bounds: onto a bound only from nearby, for there a slope may vanish (Oren-Nayar's at sigma = 0)."""
     bound = low if step < 0.0 else high
-    if (value + step - bound) * step < 0.0:
+    if step == 0.0 or (value + step - bound) * step < 0.0:
         return value + step
     return bound if abs(bound - value) < NEAR_BOUND * (high - low) else value + 0.9 * (bound - value)
 
