@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any
 
@@ -105,32 +105,67 @@ def fit(
     """
     from gonio.models import _batch_loops
 
-    model, known = require(name), {"k": 0.0, **(fixed or {})}
-    own = model.own(wavelength_nm)
-    lower, upper = _bounds(name, model, known, fixed or {}, own)
-    free = tuple(one for one in model.names if one not in known)
-    grid, widths = _grid(model, known, own)
+    posed = pose(name, x_mm, y_mm, source_mm, camera_mm, values, u, common, fixed, blocks, wavelength_nm)
+    grid, widths = _grid(posed.model, posed.known, posed.own)
     pixels, n = values.shape
-    r = np.ascontiguousarray(np.zeros((0, n)) if common is None else common, float)
-    cuts = np.arange(n, dtype=np.int64)[None] if blocks is None else np.ascontiguousarray(blocks, np.int64)
     out = Fits(
-        model.names, free, np.empty((pixels, lower.size)), np.empty((pixels, len(free), len(free))), np.empty(pixels),
-        np.empty(pixels), np.empty(pixels, np.int64),
+        posed.model.names, posed.free, np.empty((pixels, posed.lower.size)),
+        np.empty((pixels, len(posed.free), len(posed.free))), np.empty(pixels), np.empty(pixels),
+        np.empty(pixels, np.int64),
     )  # fmt: skip
-    given = [np.ascontiguousarray(a, float) for a in (x_mm, y_mm, source_mm.T, camera_mm.T, values, u)]
-    absorbs, folded = "k" in free or known["k"] > 0.0, "ior" in known and "k" in known
-    parts, run = _compiled(name, absorbs and not folded, folded), _batch_loops.engine()
-    which = np.array([model.names.index(one) for one in free])
+    run = _batch_loops.engine()
     engine.in_parts(
         lambda start, stop: run(
-            *parts, *given, r, which, lower, upper, grid, widths, cuts, _critical(n, len(free)),
-            out.values, out.covariance, out.chi_square, out.tau, out.used, start, stop,
+            *posed.compiled, *posed.given, posed.common, posed.which, posed.lower, posed.upper, grid, widths,
+            posed.blocks, _critical(n, len(posed.free)), out.values, out.covariance, out.chi_square, out.tau, out.used,
+            start, stop,
         ),
         pixels,
         WORTH,
         threads,
     )  # fmt: skip
-    return Fits(out.names, free, out.values[:, : len(model.names)], out.covariance, out.chi_square, out.tau, out.used)
+    return replace(out, values=out.values[:, : len(out.names)])
+
+
+@dataclass(frozen=True)
+class Posed:
+    """What the compiled engines take of a fit."""
+
+    model: Batched
+    known: dict[str, float]
+    own: tuple[float, ...]
+    """Numbers behind the parameters, which are known."""
+    free: tuple[str, ...]
+    which: npt.NDArray[np.int64]
+    """Where `free` stand among all numbers."""
+    lower: Floats
+    """Bounds of all numbers; both are the value of what is known."""
+    upper: Floats
+    compiled: tuple[Any, ...]
+    """`_compiled`."""
+    given: tuple[Floats, ...]
+    """Places, source, camera, values, uncertainties."""
+    common: Floats
+    blocks: npt.NDArray[np.int64]
+
+
+def pose(
+    name: str, x_mm: Floats, y_mm: Floats, source_mm: Floats, camera_mm: Floats, values: Floats, u: Floats,
+    common: Floats | None, fixed: dict[str, float] | None, blocks: npt.NDArray[np.int64] | None, wavelength_nm: float,
+) -> Posed:  # fmt: skip
+    """The arguments of `fit` for compiled code; raises `ConfigError` where the model or a parameter is unknown."""
+    model, known, n = require(name), {"k": 0.0, **(fixed or {})}, values.shape[1]
+    own = model.own(wavelength_nm)
+    lower, upper = _bounds(name, model, known, fixed or {}, own)
+    free = tuple(one for one in model.names if one not in known)
+    absorbs, folded = "k" in free or known["k"] > 0.0, "ior" in known and "k" in known
+    return Posed(
+        model, known, own, free, np.array([model.names.index(one) for one in free]), lower, upper,
+        _compiled(name, absorbs and not folded, folded),
+        tuple(np.ascontiguousarray(a, float) for a in (x_mm, y_mm, source_mm.T, camera_mm.T, values, u)),
+        np.ascontiguousarray(np.zeros((0, n)) if common is None else common, float),
+        np.arange(n, dtype=np.int64)[None] if blocks is None else np.ascontiguousarray(blocks, np.int64),
+    )  # fmt: skip
 
 
 def _bounds(

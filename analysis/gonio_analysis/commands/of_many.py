@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from gonio.measurement import Reading
     from gonio_analysis.commands.carried_out import Wanted
 
-PLAIN = ("model", "ior", "fix", "wavelength_nm")
+PLAIN = ("model", "ior", "fix", "wavelength_nm", "separate")
 """What of a request maps are fitted by."""
 
 

@@ -107,7 +107,8 @@ def fit_shared(
     problem = first.problem
     common = geometry(problem)
     own = len(problem.free) - len(common)
-    whole = {w: data.at(w) for w in _picked(data, first.wavelength_nm)}
+    known = [w for w in data.wavelengths if not math.isnan(w)]
+    whole = {w: data.at(w) for w in picked(known, first.wavelength_nm)}
     whole = {w: one for w, one in whole.items() if len(one) > own + 1}
     if len(whole) < 2:
         return [first]
@@ -124,11 +125,11 @@ def fit_shared(
     if not whitened:
         spread = spread * max(total / max(shared.n_points - shared.n_free, 1), ROUNDING)
     nearest = problem.asked.metric is None and (not whitened or _rejected(shared))
-    known: dict[float, float] = {}
+    stated: dict[float, float] = {}
     if nearest and whitened:
         for block in task.blocks:
             residual = block.residual(vector[block.index], whole[block.wavelength_nm])
-            known[block.wavelength_nm] = float(residual @ residual)
+            stated[block.wavelength_nm] = float(residual @ residual)
         task, vector = _nearest(first, common, taken, pace.step)
         vector, jacobian, _ = task.settle(vector)
         spread, condition = covariance(jacobian)
@@ -139,7 +140,7 @@ def fit_shared(
         found = at_solution(problem, of_one, goal, x, block.wavelength_nm)
         found = replace(found, condition=condition, shared=shared, wall_s=time.perf_counter() - began)
         if goal.whitened:  # by the stated uncertainties, where the block has a misfit
-            found = replace(found, chi_square=known.get(block.wavelength_nm, found.chi_square))
+            found = replace(found, chi_square=stated.get(block.wavelength_nm, found.chi_square))
         fits.append(found.known_to(spread[np.ix_(block.index, block.index)]))
     return [_told(first, result) for result in (_known_by_blocks(fits) if nearest else fits)]
 
@@ -216,10 +217,10 @@ def _known_by_blocks(fits: Sequence[FitResult]) -> list[FitResult]:
     return [f.known_to(f.spread * np.outer(s, s)) for f, s in zip(found, scale, strict=True)]
 
 
-def _picked(data: Observations, keep: float) -> list[float]:
-    waves = [w for w in data.wavelengths if not math.isnan(w)]
+def picked(waves: Sequence[float], keep: float) -> list[float]:
+    """The wavelengths that are fitted together, ascending: all, or `MOST_WAVELENGTHS` of more; `keep` among them."""
     if len(waves) <= MOST_WAVELENGTHS:
-        return waves
+        return list(waves)
     even = {waves[k] for k in np.linspace(0, len(waves) - 1, MOST_WAVELENGTHS - 1).round().astype(int)}
     return sorted(even | {keep})
 

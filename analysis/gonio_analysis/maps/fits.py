@@ -110,8 +110,9 @@ def _about(map_file: MapFile, wanted: Plan) -> JsonObject:
         "map": map_file.path.name,
         "map_sha256": map_file.sha256(),
         "model": wanted.model,
-        "parameters": dict(zip(wanted.free, wanted.units, strict=True)),
-        "fixed": dict(wanted.fixed),
+        "parameters": wanted.columns,
+        "fixed": wanted.fixed
+        | {other.column(n): v for other in wanted.others for n, v in other.fixed.items() if v != wanted.fixed[n]},
         "wavelength_nm": float(wanted.wavelength_nm),
         "versions": versions,
     }
@@ -139,14 +140,14 @@ def _layout(map_file: MapFile, wanted: Plan) -> tuple[dict[str, int], dict[str, 
         "x": Variable(("x",), map_file.x_mm, units="mm", about="middle of the pixel in the sample's frame"),
         "y": Variable(("y",), map_file.y_mm, units="mm", about="middle of the pixel in the sample's frame"),
     }
-    for name, unit in zip(wanted.free, wanted.units, strict=True):
+    for name, unit in wanted.columns.items():
         out[name] = Variable(
             yx, units=unit, about=f"{name} of {wanted.model}", attrs={"ancillary_variables": f"u_{name}"}
         )
         out[f"u_{name}"] = Variable(yx, units=unit, about=f"standard uncertainty of {name}")
     if wanted.pairs:
-        sizes["pair"] = len(wanted.pairs)
-        listed = " ".join(f"{wanted.free[a]}:{wanted.free[b]}" for a, b in wanted.pairs)
+        sizes["pair"] = len(wanted.related)
+        listed = " ".join(f"{a}:{b}" for a, b in wanted.related)
         out["correlation"] = Variable(
             (*yx, "pair"), None, "f4", about="correlation of parameters", attrs={"pairs": listed}
         )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -12,11 +12,12 @@ from gonio import materials
 from gonio.errors import ConfigError, DataError
 from gonio.geometry import Directions
 from gonio.maps import FIT_FLAGS, Held, MapFile, Tile
-from gonio.models import batch
+from gonio.models import batch, batch_spectra
 from gonio.typing import Floats
 from gonio_analysis.fitting.misfit import groupings
 from gonio_analysis.fitting.observations import DEFAULT_WAVELENGTH_NM
 from gonio_analysis.fitting.problem import FitRequest, pose
+from gonio_analysis.fitting.spectrum import geometry, picked
 
 TOO_FEW, AT_BOUND, UNDETERMINED, REJECTED = (1 << k for k in range(len(FIT_FLAGS)))
 CLOSE = 1e-7
@@ -52,11 +53,40 @@ class Plan:
     """Relative; the part of the values' own uncertainties that all pixels of a point share (n,)."""
     blocks: npt.NDArray[np.int64]
     notes: tuple[str, ...]
+    geometry: tuple[str, ...] = ()
+    """Free parameters that are the same at all wavelengths."""
+    others: tuple[Plan, ...] = ()
+    """What is fitted together with it: the same model at other wavelengths."""
 
     @property
     def pairs(self) -> list[tuple[int, int]]:
         """Pairs of free parameters, in the order of `correlation`."""
         return [(a, b) for b in range(len(self.free)) for a in range(b)]
+
+    def column(self, name: str) -> str:
+        """A parameter's name at another wavelength than the one that is shown."""
+        return name if name in self.geometry else f"{name}@{self.wavelength_nm:g}"
+
+    @property
+    def columns(self) -> dict[str, str]:
+        """Every fitted parameter of a file of fits, and its unit."""
+        out = dict(zip(self.free, self.units, strict=True))
+        for other in self.others:
+            out |= dict(zip(map(other.column, self.free), self.units, strict=True))
+        return out
+
+    @property
+    def related(self) -> list[tuple[str, str]]:
+        """Pairs of them whose correlation a file of fits has."""
+        out = [(self.free[a], self.free[b]) for a, b in self.pairs]
+        for one in self.others:
+            out += [(one.column(self.free[a]), one.column(self.free[b])) for a, b in one.own_pairs]
+        return out
+
+    @property
+    def own_pairs(self) -> list[tuple[int, int]]:
+        """Those of `pairs` that are not of two shared parameters."""
+        return [(a, b) for a, b in self.pairs if not {self.free[a], self.free[b]} <= set(self.geometry)]
 
 
 def plan(map_file: MapFile, asked: FitRequest) -> Plan:
@@ -73,11 +103,22 @@ def plan(map_file: MapFile, asked: FitRequest) -> Plan:
     problem = pose(asked)
     if problem.words:
         raise ConfigError(f"--fix {next(iter(problem.words))}=...: maps are fitted with numbers alone; leave it out")
-    points, wavelength, notes = _wavelength(map_file, asked.wavelength_nm)
-    known = {name: value for name, value in problem.fixed.items() if name in model.names}
     odd = [name for name, value in (asked.fix or {}).items() if name not in model.names]
     if odd:
         raise ConfigError(f"--fix {odd[0]}=...: maps of {asked.model} have {', '.join(model.names)}")
+    shown, others, notes = _wavelengths(map_file, asked, geometry(problem))
+    made = _at(map_file, asked, *shown)
+    if not others:
+        return replace(made, notes=(*problem.notes, *notes))
+    same = geometry(problem)
+    together = tuple(replace(_at(map_file, asked, *other), geometry=same) for other in others)
+    return replace(made, notes=(*problem.notes, *notes), geometry=same, others=together)
+
+
+def _at(map_file: MapFile, asked: FitRequest, points: npt.NDArray[np.intp], wavelength: float) -> Plan:
+    """What a request comes to at one wavelength."""
+    model, problem = batch.require(asked.model), pose(asked)
+    known = {name: value for name, value in problem.fixed.items() if name in model.names}
     if isinstance(problem.ior, str):
         if math.isnan(wavelength):
             raise ConfigError(f"--ior {problem.ior}: the map's band has no wavelength; give --wavelength-nm")
@@ -95,31 +136,44 @@ def plan(map_file: MapFile, asked: FitRequest) -> Plan:
     cuts = np.array(groupings(Directions.from_vectors(source, camera)), np.int64)
     return Plan(
         asked.model, known, free, tuple(row.unit or "1" for row in rows), bounds[:, 0], bounds[:, 1], log, wavelength,
-        points, source, camera, common, u_point, cuts, (*problem.notes, *notes),
+        points, source, camera, common, u_point, cuts, (),
     )  # fmt: skip
 
 
-def _wavelength(map_file: MapFile, asked: float | None) -> tuple[npt.NDArray[np.intp], float, list[str]]:
-    """Which points are fitted, their wavelength [nm], and what is said of it."""
-    if asked is not None and not 0.0 < asked < math.inf:
-        raise ConfigError(f"--wavelength-nm {asked:g}: a wavelength is above 0 nm")
+Points = tuple[npt.NDArray[np.intp], float]
+"""Points of a map, and their wavelength [nm]."""
+
+
+def _wavelengths(map_file: MapFile, asked: FitRequest, same: tuple[str, ...]) -> tuple[Points, list[Points], list[str]]:
+    """Points that are fitted and shown, points that are fitted with them, and what is said of it."""
+    if asked.wavelength_nm is not None and not 0.0 < asked.wavelength_nm < math.inf:
+        raise ConfigError(f"--wavelength-nm {asked.wavelength_nm:g}: a wavelength is above 0 nm")
     waves = map_file.array("wavelength_nm").astype(float)
     if not waves.size:
         raise DataError(f"{map_file.path}: has no points")
     if np.isnan(waves).any():
         if not np.isnan(waves).all():
             raise DataError(f"{map_file.path}: wavelength_nm is missing for some points, and given for others")
-        return np.arange(waves.size), math.nan if asked is None else asked, []
+        return (np.arange(waves.size), math.nan if asked.wavelength_nm is None else asked.wavelength_nm), [], []
     several = np.unique(waves)
-    wanted = DEFAULT_WAVELENGTH_NM if asked is None else asked
+    wanted = DEFAULT_WAVELENGTH_NM if asked.wavelength_nm is None else asked.wavelength_nm
     nearest = float(several[np.argmin(np.abs(several - wanted))])
-    notes = []
-    if asked is None and several.size > 1:
-        listed = ", ".join(f"{one:g}" for one in several)
-        notes.append(f"The map has values at {listed} nm; those at {nearest:g} nm are fitted (--wavelength-nm).")
-    elif asked is not None and nearest != asked:
-        notes.append(f"The map has no values at {asked:g} nm; those at {nearest:g} nm are fitted.")
-    return np.flatnonzero(waves == nearest), nearest, notes
+    shown = np.flatnonzero(waves == nearest), nearest
+    if asked.wavelength_nm is not None or several.size == 1:
+        missed = asked.wavelength_nm is not None and nearest != asked.wavelength_nm
+        said = f"The map has no values at {wanted:g} nm; those at {nearest:g} nm are fitted."
+        return shown, [], [said] if missed else []
+    listed = ", ".join(f"{one:g}" for one in several)
+    if asked.separate or not same:
+        said = f"The map has values at {listed} nm; those at {nearest:g} nm are fitted (--wavelength-nm)."
+        return shown, [], [said]
+    others = [wave for wave in picked(several.tolist(), nearest) if wave != nearest]
+    said = f"{len(others) + 1} wavelengths ({listed} nm) are fitted together:"
+    if len(others) + 1 < several.size:
+        said = f"{len(others) + 1} of {several.size} wavelengths are fitted together:"
+    said += f" {', '.join(same)} {'is' if len(same) == 1 else 'are'} the same at all. Of {nearest:g} nm are the"
+    said += " parameters without a wavelength in their name; --separate fits these alone."
+    return shown, [(np.flatnonzero(waves == wave), wave) for wave in others], [said]
 
 
 @dataclass(frozen=True)
@@ -152,13 +206,26 @@ def read_tile(map_file: MapFile, tile: Tile) -> Places:
 
 def fit_tile(plan: Plan, pixels: Places) -> Arrays:
     """The arrays of a tile of a file of fits."""
-    wavelength = DEFAULT_WAVELENGTH_NM if math.isnan(plan.wavelength_nm) else plan.wavelength_nm
-    x_mm, y_mm, values, u = pixels.values(plan.points)
-    fits = batch.fit(
-        plan.model, x_mm, y_mm, plan.source_mm, plan.camera_mm, values, u, common=plan.common, fixed=plan.fixed,
-        blocks=plan.blocks, wavelength_nm=wavelength,
-    )  # fmt: skip
-    return {name: array.reshape(*pixels.shape, *array.shape[1:]) for name, array in _judged(plan, fits).items()}
+    plans = (plan, *plan.others)
+    bands = []
+    for one in plans:
+        wavelength = DEFAULT_WAVELENGTH_NM if math.isnan(one.wavelength_nm) else one.wavelength_nm
+        x_mm, y_mm, values, u = pixels.values(one.points)
+        bands.append(batch_spectra.Band(
+            one.source_mm, one.camera_mm, values, u, one.common, one.fixed, one.blocks, wavelength))  # fmt: skip
+    found = batch_spectra.fit(plan.model, x_mm, y_mm, bands, plan.geometry)
+    out = _judged(plan, found[0])
+    relations = [out.pop("correlation")] if plan.pairs else []
+    for one, fits in zip(plan.others, found[1:], strict=True):
+        more = _judged(one, fits)
+        places = [one.pairs.index(pair) for pair in one.own_pairs]
+        relations += [more["correlation"][:, places]] if places else []
+        out["flag"] = np.bitwise_or(out["flag"], more["flag"])
+        own = [name for name in one.free if name not in plan.geometry]
+        out |= {f"{u}{one.column(name)}": more[f"{u}{name}"] for name in own for u in ("", "u_")}
+    if relations:
+        out["correlation"] = np.concatenate(relations, axis=1)
+    return {name: array.reshape(*pixels.shape, *array.shape[1:]) for name, array in out.items()}
 
 
 def _judged(plan: Plan, fits: batch.Fits) -> Arrays:

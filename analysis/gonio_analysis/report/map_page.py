@@ -136,16 +136,20 @@ def _of_fits(path: Path, values: Path | None, progress: Callable[[str], None]) -
             told["materials"] = [{"share": s, **row} for s, row in zip(_shares(materials), materials.rows, strict=True)]
         title = f"{file.attrs.get('sample') or file.path.stem}: {file.model} in every pixel"
         rows = [("file", str(path)), ("model", file.model), ("pixels", map_layers.pixels_of(grid))]
+        told_nm = float(file.attrs.get("wavelength_nm", np.nan))
+        nm = None if np.isnan(told_nm) else told_nm
+        if nm is not None:
+            others = any("@" in name for name in file.parameters)
+            rows.append(("wavelength", f"{nm:g} nm" + ("; of others where a name says so" if others else "")))
         if file.fixed:
             rows.append(("not fitted", ", ".join(f"{name} = {value:g}" for name, value in file.fixed.items())))
         measured = map_layers.map_of(file, values)
         rows.append(("measured values", str(measured) if measured else "not at hand: --map MAP.h5 brings them"))
         with ExitStack() as stack:
             there = stack.enter_context(MapFile(measured)) if measured else None
-            nm = file.attrs.get("wavelength_nm")
             view = map_view.of(
                 grid, layers, kind, ["none", *map(_said, SEVERE)], model=file.model, fixed=file.fixed, values=there,
-                wavelength_nm=None if nm is None or np.isnan(nm) else float(nm),
+                wavelength_nm=nm,
             )  # fmt: skip
         total = grid.shape[0] * grid.shape[1]
         return Told(title, conclusion, layers, rows, counts, "pixels", total, drawings, told, view, materials)

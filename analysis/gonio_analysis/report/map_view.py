@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,8 @@ from gonio.geometry import Directions
 from gonio.maps import MapFile
 from gonio.typing import Floats
 from gonio_analysis.curves.in_plane import evenly
+from gonio_analysis.fitting.observations import DEFAULT_WAVELENGTH_NM
+from gonio_analysis.fitting.problem import FitRequest, pose
 from gonio_analysis.plots import pixels
 from gonio_analysis.report.map_layers import Grid, Layer
 
@@ -22,6 +24,12 @@ CURVES = 4
 """Angles of incidence of the polar plot."""
 DRAWN_DEG = (15.0, 45.0, 65.0)
 """Incidences of the model where no map of values tells which were measured."""
+DRAWN_PIXELS = 2500
+"""Whose curves a page holds, of a model that its program does not evaluate, where no measured values are there."""
+OF_THE_PAGE = ("", "cook-torrance", "ggx", "blinn", "oren-nayar")
+"""Models that its program evaluates (`pixels.js`); the first is no model."""
+STEP_DEG = 2.5
+"""Of other models' curves."""
 LEVELS = 65534
 """Of 16 bits: 0 is what is not determined."""
 FINE = 1e-5
@@ -54,6 +62,11 @@ def of(
     right = np.argsort(grid.x_mm[cols], kind="stable")
     rows, cols = rows[down], cols[right]
     at = np.ix_(down, right)
+    measured = None if values is None else _measured(values, rows, cols, wavelength_nm)
+    drawn = None
+    if model not in OF_THE_PAGE:
+        found = {one.name: one.embedded[at] for one in layers} | {n: np.array(v) for n, v in fixed.items()}
+        drawn = _drawn(model, found, (rows.size, cols.size), measured, wavelength_nm)
     return {
         "rows": rows.size,
         "cols": cols.size,
@@ -72,7 +85,8 @@ def of(
         },
         "layers": [_layer(one, at) for one in layers],
         "incidences": list(DRAWN_DEG),
-        "measured": None if values is None else _measured(values, rows, cols, wavelength_nm),
+        "measured": measured,
+        "drawn": drawn,
     }
 
 
@@ -167,6 +181,32 @@ def _measured(
         "u": _bytes(np.where(np.isfinite(place), np.minimum(place, 255), 0).astype(np.uint8)),
         "fine": FINE,
     }
+
+
+def _drawn(
+    model: str, found: Mapping[str, Floats], shape: tuple[int, int], measured: View | None, wavelength_nm: float | None
+) -> View:
+    """A model's curves in the plane of incidence: of the pixels with measured values, or of every few."""
+    stride = max(1, int(np.ceil(np.sqrt(shape[0] * shape[1] / DRAWN_PIXELS))))
+    first = (stride - 1) // 2
+    tilts = DRAWN_DEG
+    if measured is not None:
+        first, stride, tilts = measured["first"], measured["stride"], measured["incidences"]
+    problem = pose(FitRequest(model))
+    names = [name for name in ("k", *problem.family.parameters) if name in found]
+    some = [np.broadcast_to(found[name], shape)[first::stride, first::stride] for name in names]
+    view = np.union1d(np.arange(-85.0, 85.1, STEP_DEG), tilts)
+    tilt, angle = (np.radians(a) for a in np.meshgrid(tilts, view, indexing="ij"))
+    to_camera = np.abs(angle), np.where(angle > 0.0, np.pi, 0.0)
+    out = np.full((*some[0].shape, *tilt.shape), np.nan)
+    for row, col in np.argwhere(np.isfinite(np.sum(some, axis=0))).tolist():
+        values = {name: float(one[row, col]) for name, one in zip(names, some, strict=True)}
+        made = problem.make(problem.family.arguments(problem.fixed | values))
+        out[row, col] = made.brdf(tilt, 0.0, *to_camera, wavelength_nm=wavelength_nm or DEFAULT_WAVELENGTH_NM)
+    return {
+        "first": first, "stride": stride, "rows": out.shape[0], "cols": out.shape[1],
+        "angles": view.tolist(), "brdf": packed(np.where(out > 0.0, out, np.nan), None),
+    }  # fmt: skip
 
 
 def _picked(

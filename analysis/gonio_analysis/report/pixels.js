@@ -72,6 +72,7 @@
         const m = data.measured;
         this.measured = { ...m, values: unpacked(m.brdf), us: bytes(m.u) };
       }
+      this.drawn = data.drawn && { ...data.drawn, values: unpacked(data.drawn.brdf) };
       this.plot = root.querySelector(".viewer");
       this.build();
       root.hidden = false;
@@ -180,21 +181,21 @@
 
     /** The model of a pixel, and what was measured there, as curves of the interactive plot. */
     curves(row, col) {
-      const { data, measured } = this, model = MODELS[data.model];
-      let where = "";
-      if (measured) { // the nearest pixel whose values are here
-        const near = (t, n) => Math.min(n - 1, Math.max(0, Math.round((t - measured.first) / measured.stride)));
-        const [r, c] = [near(row, measured.rows), near(col, measured.cols)];
+      const { data, measured, drawn } = this, model = MODELS[data.model] || drawn, some = measured || drawn;
+      let where = "", cell = 0;
+      if (some) { // the nearest pixel whose values are here
+        const near = (t, n) => Math.min(n - 1, Math.max(0, Math.round((t - some.first) / some.stride)));
+        const [r, c] = [near(row, some.rows), near(col, some.cols)];
         const old = [row, col];
-        [row, col] = [measured.first + r * measured.stride, measured.first + c * measured.stride];
-        where = row !== old[0] || col !== old[1] ? `The plot: ${this.place(row, col)}, the nearest pixel with measured values here.` : "";
-        this.spots = this.values(r, c, data.x[col], data.y[row]);
+        [row, col] = [some.first + r * some.stride, some.first + c * some.stride];
+        where = row !== old[0] || col !== old[1] ? `The plot: ${this.place(row, col)}, the nearest pixel with ${measured ? "measured values" : "curves"} here.` : "";
+        if (measured) this.spots = this.values(r, c, data.x[col], data.y[row]);
+        cell = r * some.cols + c;
       }
       const k = row * data.cols + col, p = { k: 0, ...data.fixed };
       for (const l of this.layers) p[l.name] = l.values[k];
       const whole = model && this.layers.every((l) => l.name === "tau" || !Number.isNaN(l.values[k]));
       if (!data.model) where += "";
-      else if (!model) where += ` No curve of ${data.model} is drawn here.`;
       else if (!whole) where += " The model is not determined here.";
       this.where.textContent = where.trim();
       const incidences = measured ? measured.incidences : data.incidences;
@@ -204,7 +205,10 @@
         const ti = spots.length ? spots.reduce((sum, s) => sum + s.incidence, 0) / spots.length : nominal * RAD;
         const series = [];
         if (measured) series.push(series_of("measured", spots.map((s) => [s.angle, s.brdf, s.u]), ti, false));
-        if (model) series.push(series_of(data.model, whole ? angles(ti).map((a) => [a, model(p, ti, a), null]) : [], ti, true));
+        const curve = () => drawn
+          ? drawn.angles.map((a, n) => [a * RAD, drawn.values[(cell * incidences.length + j) * drawn.angles.length + n], null])
+          : angles(ti).map((a) => [a, model(p, ti, a), null]);
+        if (model) series.push(series_of(data.model, whole ? curve() : [], ti, true));
         const own = series.find((s) => s.name === data.model);
         for (const s of series) s.by.model = own && own.by.mirror;
         return { label: `θi = ${degrees(Math.round(nominal * 10) / 10)}`, mirror: ti / RAD, series };

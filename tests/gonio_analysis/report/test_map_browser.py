@@ -156,6 +156,31 @@ def test_curves_are_those_of_the_models(page: Path, tab: Page, name: str) -> Non
             assert found == pytest.approx(python(name, MODELS[name], theta_i, signed), rel=1e-11)
 
 
+@needs_browser
+@pytest.mark.slow
+def test_curves_of_a_model_that_the_page_does_not_evaluate_are_those_of_their_pixel(tab: Page, tmp_path: Path) -> None:
+    sigma0 = 0.1 + 0.01 * np.arange(60.0) + np.zeros((60, 1))
+    whole = {"sigma0_um": sigma0, "tau_um": 2.0 + 0 * sigma0, "diffuse_albedo": 0.3 + 0 * sigma0}
+    attrs = {"parameters": {"sigma0_um": "um", "tau_um": "um", "diffuse_albedo": "1"}, "map": "map.h5",
+             "fixed": {"ior": 1.5, "k": 0.0}, "wavelength_nm": 650.0}  # fmt: skip
+    fits(tmp_path / "fits.h5", whole, {n: 0.01 * v for n, v in whole.items()}, model="he-torrance", attrs=attrs)
+    tab.open(map_page.make(tmp_path / "fits.h5", tmp_path / "out"), 1280)
+    curve = tab.run("document.querySelector('.pixels .viewer').viewer.data.waves[0].curves")[1]
+    assert curve["label"] == "θi = 45°"
+    (drawn,) = curve["series"]
+    # every second pixel has curves: row and column 30 show those of 30, the first one being 0
+    model = build("he-torrance", {"sigma0_um": float(sigma0[30, 30]), "tau_um": 2.0, "diffuse_albedo": 0.3, "ior": 1.5})
+    signed = np.radians(drawn["angle"])
+    azimuth = np.where(signed > 0, np.pi, 0.0)
+    expected = model.brdf(np.radians(45.0), 0.0, np.abs(signed), azimuth, wavelength_nm=650.0)
+    # 16 bits of logarithms: half of 1/65534 of the range of all pixels' values, less than a factor of e^8
+    assert drawn["brdf"] == pytest.approx(expected, rel=8.0 / 65534 / 2 * 1.1)
+    tab.run("document.querySelector('.pixels .map .stage').focus()")
+    tab.press("ArrowRight")
+    assert "nearest pixel with curves here" in tab.run("document.querySelector('.pixels .at .note').textContent")
+    assert tab.complaints == []
+
+
 def test_sixteen_bits_cost_little_of_the_uncertainty() -> None:
     rng = np.random.default_rng(7)
     value = np.exp(rng.normal(0.0, 2.0, 5000))
