@@ -20,7 +20,6 @@ TWO_PI = 2.0 * np.pi
 ANGLES = ("theta_i", "phi_i", "theta_r", "phi_r")
 
 # When angles agree, from rounding to what a person calls one direction: the one table of angular tolerances [rad].
-# docs/conventions.md says who uses which.
 PARALLEL = 1e-14
 """Two directions are one: below this their plane is lost in the rounding of their vectors."""
 AT_LIMIT = 1e-12

@@ -464,7 +464,7 @@ def test_fact(bench: Build, name: str) -> None:
 
 
 def test_every_fact_of_the_page_has_its_test_and_every_test_its_fact() -> None:
-    named = re.findall(r"(?m)^\| .+ \| .+ \| `test_(\w+)` \|$", PAGE.read_text())
+    named = re.findall(r"(?m)^\| `test_(\w+)` \| .*\| .+ \|$", PAGE.read_text())
     assert len(named) >= 70
     assert set(FACTS) <= set(named)
     elsewhere = (ROOT / "tests/gonio_sim/wire/test_twin_protocol.py").read_text()
