@@ -52,7 +52,8 @@ def only_file(path: str, flags: int) -> int:
 def read_file(path: str | Path, most: int = -1) -> bytes:
     """The bytes of a file, `most` of them at most; raises `OSError` as `only_file` does."""
     with open(path, "rb", opener=only_file) as file:
-        return file.read(most)
+        size = os.fstat(file.fileno()).st_size  # 0 of what is no file; for `most` bytes room would be made at once
+        return file.read(min(most, size + 1) if most >= 0 and size else most)
 
 
 def write_whole(path: Path, data: bytes) -> None:

@@ -39,7 +39,7 @@ from gonio.disk import is_stream, read_file
 from gonio.errors import ConfigError, DataError
 from gonio.formats import native, own_columns, rt300s
 from gonio.formats.native import check, check_columns, meta_path, uncertainty
-from gonio.formats.reader import ANGLES, COLUMNS, MAX_BYTES, MUELLER, U_ANGLES, U_MUELLER, Format, reflection_only
+from gonio.formats.reader import ANGLES, COLUMNS, LARGEST, MUELLER, U_ANGLES, U_MUELLER, Format, reflection_only
 from gonio.typing import DataFrame
 
 if TYPE_CHECKING:
@@ -414,7 +414,7 @@ def _table_of_run(folder: Path) -> Path:
 
 def _load(path: Path) -> bytes:
     try:
-        data = read_file(path, MAX_BYTES + 1)
+        data = read_file(path, LARGEST + 1)
     except FileNotFoundError:
         raise ConfigError(f"{path}: there is no such file") from None
     except OSError as error:
@@ -423,6 +423,6 @@ def _load(path: Path) -> bytes:
         raise ConfigError(f"{str(path)!r}: is not a file name") from None
     if not data.strip():
         raise DataError(f"{path}: is empty")
-    if len(data) > MAX_BYTES:
-        raise DataError(f"{path}: is larger than {MAX_BYTES >> 20} MiB, the largest file that is read")
+    if len(data) > LARGEST:
+        raise DataError(f"{path}: is larger than {LARGEST >> 20} MiB, the largest file that is read")
     return data

@@ -13,7 +13,7 @@ import math
 import os
 import re
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +25,7 @@ from gonio.formats.column_hints import column_hints
 from gonio.formats.reader import (
     COLUMNS,
     EXTRA,
+    LARGEST,
     MUELLER,
     POLARISATIONS,
     SIDES,
@@ -51,8 +52,12 @@ _DEFAULTS: dict[str, float | str] = {
     "flag": "",
 }
 """What a file that lacks the column means."""
+_CHUNK = 200_000
+"""Rows that pandas reads at once: what it needs beside the table is of so many."""
 _WIDE = 1000
 """From so many columns on pandas takes longer than the reader that goes line by line."""
+MOST_ROWS = 20_000_000
+"""Of a table that is read at once."""
 NEEDED = tuple(name for name in COLUMNS if name not in _DEFAULTS)
 
 
@@ -67,7 +72,7 @@ def meta_path(path: str | Path) -> Path:
 
 def read(data: bytes, path: Path, stored: Any = None) -> DataFrame:
     """The table, its numbers to the last bit, and its attributes: `stored`, or those that lie beside the file."""
-    require_text(data, path)
+    require_text(data, path, MOST_ROWS)
     frame = _read_at_once(data)
     if frame is None:
         frame = _read_line_by_line(decode(data, path), path)
@@ -129,21 +134,51 @@ def _read_at_once(data: bytes) -> DataFrame | None:
         empty: Any = {name: ["", "nan", "NaN"] for name in header if name not in words}
         # exact by default since pandas 3.1, which asks not to say so
         exact: Any = {"float_precision": "round_trip"} if pd.__version__ < "3.1" else {}
-        frame: DataFrame = pd.read_csv(
+        chunks = pd.read_csv(
             io.BytesIO(data),
             dtype=kinds,
             index_col=False,
             keep_default_na=False,
             na_values=empty,
             skip_blank_lines=False,
+            chunksize=_CHUNK,
             **exact,
         )
+        frame = _together(chunks, header, lines - 1)
+        if frame is None:
+            return None
         whole = frame.assign(**{name: value for name, value in _DEFAULTS.items() if name not in header})
         flag_holes(whole)
         check(whole, str)
     except (DataError, ValueError, OverflowError, pd.errors.ParserWarning):
         return None  # the slow reader says what is wrong, and where
     return frame
+
+
+def _together(chunks: Iterable[DataFrame], header: Sequence[str], rows: int) -> DataFrame | None:
+    """Pieces of a table as one, which holds nothing twice meanwhile; None where they have not so many rows."""
+    import pandas as pd
+
+    columns: dict[str, Any] = {name: np.empty(rows, np.intp if name in _WORDS else np.float64) for name in header}
+    words: dict[str, dict[str, int]] = {name: {} for name in header if name in _WORDS}
+    end = 0
+    for chunk in chunks:
+        begin, end = end, end + len(chunk)
+        if end > rows:
+            return None
+        for name in header:
+            if name in words:
+                codes, found = pd.factorize(chunk[name])
+                known = words[name]
+                places = np.array([known.setdefault(word, len(known)) for word in found], np.intp)
+                columns[name][begin:end] = places[codes]
+            else:
+                columns[name][begin:end] = chunk[name].to_numpy()
+    if end != rows or not rows:
+        return None
+    for name, known in words.items():
+        columns[name] = pd.Series(list(known), dtype=str).take(columns[name]).reset_index(drop=True)
+    return pd.DataFrame(columns, copy=False)
 
 
 def _read_line_by_line(text: str, path: Path) -> DataFrame:
@@ -356,6 +391,7 @@ FORMAT = Format(
     sniff=lambda head: {"theta_i_deg", "brdf"} <= column_names(head),
     read=read,
     write=write,
+    max_bytes=LARGEST,
     carries=frozenset({"uncertainty", "flag", "solid angle", "transmission", "mueller"}),
 )
 

@@ -39,8 +39,10 @@ U_ANGLES = "u_angles"
 """The part of `u_random` that errors of the angles make: of tables whose points are too few to tell it themselves."""
 EXTRA = ("sample", "side", *MUELLER, *U_MUELLER, U_ANGLES)
 """Columns that only some tables have."""
+LARGEST = 2**30
+"""No file above this size is opened: CSV tables of this program may have it."""
 MAX_BYTES = 2**28
-"""No file above this size is opened; formats whose readers need many bytes of memory a byte have less."""
+"""Of other formats; those whose readers need many bytes of memory a byte have less."""
 RGB_NM = {"red": 610.0, "green": 550.0, "blue": 465.0}
 """Where a model is evaluated for a file that has colours."""
 

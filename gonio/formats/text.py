@@ -18,6 +18,7 @@ from gonio.errors import DataError
 from gonio.typing import Floats
 
 MAX_LINES = 5_000_000
+"""Of a text that is read line by line."""
 
 
 class Text:
@@ -32,15 +33,16 @@ class Text:
         return f"{self.path}, line {line + 1}"
 
 
-def require_text(data: bytes, path: Path) -> None:
+def require_text(data: bytes, path: Path, most: int | None = None) -> None:
     """`DataError` where bytes hold control characters, so that they are no text at all, or far too many lines."""
     if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
         raise DataError(f"{path}, byte 0: is text in UTF-16; save it as UTF-8")
     bad = re.search(rb"[\x00-\x08\x0e-\x1f\x7f]", data)
     if bad:
         raise DataError(f"{path}: byte {bad.start()} is {bad.group()[0]:#04x}: not a text file, or a damaged one")
-    if sum(data.count(end) for end in (b"\n", b"\r", b"\v", b"\f", b"\x85", b"\xe2\x80")) > 2 * MAX_LINES:
-        raise DataError(f"{path}: has more than {MAX_LINES} lines, the most that are read")
+    most = MAX_LINES if most is None else most
+    if sum(data.count(end) for end in (b"\n", b"\r", b"\v", b"\f", b"\x85", b"\xe2\x80")) > 2 * most:
+        raise DataError(f"{path}: has more than {most} lines, the most that are read")
 
 
 def decode(data: bytes, path: Path) -> str:

@@ -310,6 +310,13 @@ def test_a_table_longer_than_a_chunk_of_the_reader() -> None:
         measurement.parse(frame.to_csv(index=False).encode(), Path("big.csv"))
 
 
+def test_a_table_that_is_read_in_pieces_is_the_table(monkeypatch: pytest.MonkeyPatch) -> None:
+    frame = example(1000).assign(flag=[("", "hot", "blocked")[k % 3 if k > 700 else 0] for k in range(1000)])
+    monkeypatch.setattr(native, "_CHUNK", 300)
+    back = measurement.parse(frame.to_csv(index=False).encode(), Path("big.csv"))
+    pd.testing.assert_frame_equal(back, frame, check_exact=True)
+
+
 def test_sizes_are_bounded_before_anything_is_built(monkeypatch: pytest.MonkeyPatch) -> None:
     from gonio.formats import text
 

@@ -25,7 +25,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gonio.cli.pace import Pace, Say, silent
-from gonio.geometry import FARTHEST, SAME_ANGLE, SAME_DIRECTION, Directions, groups
+from gonio.geometry import FARTHEST, SAME_ANGLE, SAME_DIRECTION, Directions, direction, groups
 from gonio.typing import Floats, Ints
 from gonio_analysis.fitting.observations import SAME_BAND_NM, Observations
 
@@ -69,13 +69,12 @@ class Carried:
 
 def common_wavelengths(a: Observations, b: Observations, within_nm: float = 0.5) -> list[tuple[float, float]]:
     """Wavelengths [nm] of A with the nearest one of B, where they agree; (NaN, NaN) for two broad bands."""
-    out = []
+    out, others = [], np.array(b.wavelengths)
     for wave in a.wavelengths:
+        known = others[np.isnan(others) if np.isnan(wave) else np.abs(others - wave) <= within_nm].tolist()
         if np.isnan(wave):
-            out += [(wave, w) for w in b.wavelengths if np.isnan(w)]
-            continue
-        known = [w for w in b.wavelengths if abs(w - wave) <= within_nm]
-        if known:
+            out += [(wave, w) for w in known]
+        elif known:
             out.append((wave, min(known, key=lambda w: abs(w - wave))))
     return out
 
@@ -101,18 +100,20 @@ def carry(a: Observations, b: Observations, b_table: pd.DataFrame, say: Say = si
     kept: dict[tuple[bytes, ...], Interpolation] = {}
     common_waves = common_wavelengths(a, b)
     pace = Pace("comparing: wavelengths", len(common_waves), say)
+    rows_a, rows_b, rows_unused = (_Waves(x.wavelength_nm) for x in (a, b, unused))
     for k_wave, (wave_a, wave_b) in enumerate(common_waves):
         pace.step(k_wave)
-        here_a, here_b = _at(a.wavelength_nm, wave_a), _at(b.wavelength_nm, wave_b)
+        here_a, here_b = rows_a.at(wave_a), rows_b.at(wave_b)
         missing["at another wavelength"] -= here_a.size
         pool = groups(b.directions.theta_i, b.directions.phi_i, here_b)
-        gone = unused.at(wave_b)
+        gone = unused.take(rows_unused.at(wave_b))
+        incidences = [_incidence(b, rows) for rows in pool]
         for group in groups(a.directions.theta_i, a.directions.phi_i, here_a):
-            partner = _partner(a, group, b, pool)
-            if partner is None:
+            off = [float(np.linalg.norm(one - _incidence(a, group))) for one in incidences]
+            if not off or min(off) > SAME_ANGLE:
                 missing["at another incidence"] = missing.get("at another incidence", 0) + group.size
                 continue
-            incident = a.directions[group]
+            partner, incident = pool[int(np.argmin(off))], a.directions[group]
             normal = float(incident.phi_i[0]) if incident.theta_i.max() < SAME_ANGLE else None
             holes = gone.holes(b, partner, normal)
             goal, known = _places(incident, normal), _places(b.directions[partner], normal)
@@ -191,8 +192,18 @@ class _Places:
         return self.points.tobytes() + self.signed.tobytes() + self.inside.tobytes()
 
 
-def _at(waves: Floats, wave: float) -> Ints:
-    return np.flatnonzero(np.isnan(waves) if np.isnan(wave) else np.abs(waves - wave) <= SAME_BAND_NM)
+class _Waves:
+    """Which rows have a wavelength."""
+
+    def __init__(self, waves: Floats) -> None:
+        self._order = np.argsort(waves, kind="stable")
+        self._sorted = waves[self._order]
+
+    def at(self, wave: float) -> Ints:
+        """Rows of a wavelength [nm], ascending; of NaN, those without one."""
+        low, high = (np.inf, np.nan) if np.isnan(wave) else (wave - SAME_BAND_NM, wave + SAME_BAND_NM)
+        first = np.searchsorted(self._sorted, low, side="right" if np.isnan(wave) else "left")
+        return np.asarray(np.sort(self._order[first : np.searchsorted(self._sorted, high, side="right")]))
 
 
 def _places(d: Directions, normal: float | None) -> _Places:
@@ -223,9 +234,8 @@ class _Unused:
         waves = table["wavelength_nm"].to_numpy(np.float64)[unused][known]
         return cls(waves, found[known], found[known].vectors[0])
 
-    def at(self, wave: float) -> _Unused:
-        """Those at a wavelength [nm]."""
-        here = _at(self.wavelength_nm, wave)
+    def take(self, here: Ints) -> _Unused:
+        """Some of them."""
         return _Unused(self.wavelength_nm[here], self.directions[here], self.source[here])
 
     def holes(self, b: Observations, rows: Ints, normal: float | None) -> _Places:
@@ -235,17 +245,10 @@ class _Unused:
         return _places(self.directions[here], normal)
 
 
-def _partner(a: Observations, group: Ints, b: Observations, pool: list[Ints]) -> Ints | None:
-    """The rows of B with the incidence of a group of A."""
-
-    def incidence(data: Observations, rows: Ints) -> Floats:
-        return np.asarray(data.directions[rows].vectors[0].mean(axis=0))
-
-    goal = incidence(a, group)
-    off = [float(np.linalg.norm(incidence(b, rows) - goal)) for rows in pool]
-    if not off or min(off) > SAME_ANGLE:
-        return None
-    return pool[int(np.argmin(off))]
+def _incidence(data: Observations, rows: Ints) -> Floats:
+    """Mean unit vector toward the source."""
+    at = data.directions
+    return np.asarray(direction(at.theta_i[rows], at.phi_i[rows]).mean(axis=0))
 
 
 class Interpolation:

@@ -109,7 +109,7 @@ class Observations:
         """Combined standard uncertainty [1/sr]; NaN where the table states none."""
         return self.covariance.total if self.covariance is not None else np.full(len(self), np.nan)
 
-    @property
+    @cached_property
     def wavelengths(self) -> list[float]:
         """The wavelengths [nm] that occur, ascending; NaN (last) stands for a broad band."""
         return [float(w) for w in np.unique(self.wavelength_nm)]
@@ -181,22 +181,34 @@ class Observations:
         return self.at(chosen), chosen
 
 
-def _why_left_out(table: pd.DataFrame, directions: Directions, brdf: Floats) -> npt.NDArray[np.object_]:
-    """Why each row of a table is not used; "" for those that may be.
+Some = npt.NDArray[np.intp] | slice
+"""Rows of a table."""
+
+
+def _why_left_out(table: pd.DataFrame, directions: Directions, brdf: Floats) -> tuple[npt.NDArray[np.int32], list[str]]:
+    """Why each row of a table is not used, by its place among the reasons; 0 for those that may be.
 
     Transmission, which no model here describes; flagged and polarised rows; values that are not finite or are beyond
     any mirror; directions at or below the horizon.
     """
-    flags = table["flag"].fillna("").astype(str).to_numpy()
-    why = np.where(flags == "", "", np.char.add("flagged ", flags.astype(str))).astype(object)
+    import pandas as pd
+
+    codes, flags = pd.factorize(table["flag"])
+    empty = np.array([str(flag) == "" for flag in flags] + [True])  # the last: a row without a flag
+    why, reasons = np.where(empty[codes], 0, codes + 1).astype(np.int32), ["", *(f"flagged {flag}" for flag in flags)]
+
+    def leave_out(which: npt.NDArray[np.bool_], reason: str) -> None:
+        why[which] = len(reasons)
+        reasons.append(reason)
+
     if "side" in table.columns:
-        why[(table["side"] == "transmission").to_numpy()] = TRANSMISSION
-    why[(why == "") & (table["polarisation"] != "unpolarised").to_numpy()] = "polarised"
-    why[(why == "") & ~np.isfinite(brdf)] = "without a value"
-    why[(why == "") & (np.abs(brdf) > LARGEST)] = f"beyond {LARGEST:g} 1/sr"
+        leave_out((table["side"] == "transmission").to_numpy(), TRANSMISSION)
+    leave_out((why == 0) & (table["polarisation"] != "unpolarised").to_numpy(), "polarised")
+    leave_out((why == 0) & ~np.isfinite(brdf), "without a value")
+    leave_out((why == 0) & (np.abs(brdf) > LARGEST), f"beyond {LARGEST:g} 1/sr")
     horizon = np.maximum(directions.theta_i, directions.theta_r) >= np.pi / 2 - AT_HORIZON
-    why[(why == "") & horizon] = "at the horizon"
-    return why
+    leave_out((why == 0) & horizon, "at the horizon")
+    return why, reasons
 
 
 def _none_left(name: str, rows: int, omitted: Mapping[str, Floats]) -> DataError:
@@ -229,19 +241,21 @@ def observations(table: pd.DataFrame, name: str = "the table", u_rel: float | No
     check_u_rel(u_rel)
     directions = Directions.from_table(table)
     brdf, wavelength = (table[name].to_numpy(np.float64) for name in ("brdf", "wavelength_nm"))
-    why = _why_left_out(table, directions, brdf)
-    known, stated = _stated(table, brdf, why == "")
+    why, reasons = _why_left_out(table, directions, brdf)
+    known, stated = _stated(table, brdf, why == 0)
     notes = of_reader(table)
-    if stated[why == ""].any() and (lacking := (why == "") & ~stated).any():
-        why[lacking] = "without an uncertainty"
+    if stated[why == 0].any() and (lacking := (why == 0) & ~stated).any():
+        why[lacking] = len(reasons)
+        reasons.append("without an uncertainty")
         notes.append(_lacking(np.flatnonzero(lacking)))
-    keep = np.flatnonzero(why == "")
-    omitted = {str(reason): wavelength[why == reason] for reason in sorted(set(why) - {""})}
+    keep = np.flatnonzero(why == 0)
+    omitted = {reasons[k]: wavelength[why == k] for k in sorted(set(why.tolist()) - {0}, key=reasons.__getitem__)}
     if not keep.size:
         raise _none_left(name, len(table), omitted)
+    some: Some = keep if keep.size < len(table) else slice(None)  # nothing is copied where all are used
     covariance = None
     if stated[keep].any():
-        covariance = known(keep)
+        covariance = known(some)
         if u_rel is not None:
             notes.append(f"The table states its own uncertainties; the assumed {100 * u_rel:g} % is not used.")
     elif u_rel is not None:
@@ -255,9 +269,9 @@ def observations(table: pd.DataFrame, name: str = "the table", u_rel: float | No
     if unknown := " and of the ".join(["source"] * (source is None) + ["receiver"] * (receiver is None)):
         notes.append(f"The solid angle of the {unknown} is unknown: models are evaluated for a single direction there.")
     return Observations(
-        directions=directions[keep],
-        wavelength_nm=wavelength[keep],
-        brdf=brdf[keep],
+        directions=directions[some],
+        wavelength_nm=wavelength[some],
+        brdf=brdf[some],
         covariance=covariance,
         rows=keep,
         source_solid_angle_sr=source or 0.0,
@@ -271,7 +285,7 @@ def observations(table: pd.DataFrame, name: str = "the table", u_rel: float | No
 
 def _stated(
     table: pd.DataFrame, brdf: Floats, used: npt.NDArray[np.bool_]
-) -> tuple[Callable[[npt.NDArray[np.intp]], Covariance], npt.NDArray[np.bool_]]:
+) -> tuple[Callable[[Some], Covariance], npt.NDArray[np.bool_]]:
     """What gives the covariance of some rows of a table, and which rows state an uncertainty that can weigh them."""
     from gonio import measurement
 
@@ -282,7 +296,7 @@ def _stated(
         size = np.maximum(np.abs(brdf), np.median(np.abs(brdf[used])) if used.any() else 0.0)
         stated = np.isfinite(total) & (total > RESOLUTION * size)
 
-    def covariance(rows: npt.NDArray[np.intp]) -> Covariance:
+    def covariance(rows: Some) -> Covariance:
         # a value whose independent part is 0 (an ideal rig) would have infinite weight
         return Covariance(np.maximum(random[rows], 1e-6 * total[rows]), common[rows], tuple(causes))
 
