@@ -149,7 +149,7 @@ class Light(Strict):
     """Controller channel by band name, for a lamp with one emitter a band; other bands use `channel`."""
     settle_s: NonNegative = 0.5
     monitor_tolerance: Annotated[float, Field(gt=0)] | None = None
-    """Compare the monitor photodiode with the level that was set, and refuse a larger relative deviation."""
+    """Largest relative deviation of the monitor photodiode from its first reading after the lamp was lit."""
 
 
 class Trigger(Strict):
