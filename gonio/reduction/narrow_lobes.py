@@ -5,6 +5,10 @@ one, a broad one, and a matte ground, which is one without an end. Over t, the s
 direction, such a sum is convex in its logarithm. So at a point it falls no faster than between the point and the next
 one nearer to the mirror direction. Where there is none, the lobe could be as narrow as the instrument's cones, as far
 as it reflects no more light than there is (docs/radiometry.md, "Narrow lobes and coarse steps").
+
+Only what a point has beyond the trend of those farther out is bounded so. The trend is the logarithm going on straight
+over t, above no base or above the lowest value farther out; between the two points next to the mirror direction also
+the cubic through the logarithms of two points a side.
 """
 
 import math
