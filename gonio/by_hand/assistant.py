@@ -99,7 +99,6 @@ class Assistant:
         self._level: float | bool = True
         self._failures = 0
         self._confirmed = True  # by its owner, since it was lit: that the lamp is dark
-        self._pose: Pose | None = None
         self._target: Target = "sample"
         self._sight = Sight(manual.description, clock)
         self._shown: JsonObject = {}
@@ -169,9 +168,9 @@ class Assistant:
         """Take a frame, and tell what it shows."""
         self._mind_lamp()
         camera = self._manual.description.camera
-        self._stand()
+        pose = self._stand()
         if not self.exposure_s:
-            expected = exposure.expected_exposure_s(self._manual.description, self._pose or Pose(), 1.0)
+            expected = exposure.expected_exposure_s(self._manual.description, pose, 1.0)
             self.exposure_s = max(min(expected, START_S), camera.exposure_limits_s[0])
         try:
             frame = self._capture(self.exposure_s)
@@ -200,10 +199,11 @@ class Assistant:
         self._shown = told
         self._tell(told | self._session(), made)
 
-    def _stand(self) -> None:
-        """Where the axes are, and so what is seen."""
-        self._pose = self._manual.pose()
-        self._sight.stand(self._pose, self._manual.band, self._target)
+    def _stand(self) -> Pose:
+        """Where the axes are, and so what is seen; normal incidence where they do not say."""
+        pose = self._manual.pose()
+        self._sight.stand(pose, self._manual.band, self._target)
+        return pose or Pose()
 
     def _session(self) -> JsonObject:
         """What there is to show beside the frame."""
@@ -349,9 +349,9 @@ class Assistant:
         if self.timer.left_s is None:
             raise ConfigError("auto needs light: lamp on")
         self._busy("looking for the exposure")
-        self._stand()
+        pose = self._stand()
         description, region = self._manual.description, self._sight.region
-        expected = exposure.expected_level_per_s(description, self._pose or Pose(), 1.0)
+        expected = exposure.expected_level_per_s(description, pose, 1.0)
         used = region.of if region is not None else np.ravel
         failed = []
 

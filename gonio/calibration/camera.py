@@ -151,7 +151,7 @@ class _Work(Passes):
             names.append("vignetting")
             blocks.append(np.array([[lens.u**2]]))
             measured["field_residual"] = lens.residual
-        law = self._temperature(gain)
+        law = self._temperature()
         if law is not None:
             measured |= {"dark_doubling_c": law.doubling_c, "dark_energy_ev": law.energy_ev, "dark_at_c": law.at_c}
         if not self.of["edge"] and stray is not None:
@@ -355,7 +355,7 @@ class _Work(Passes):
             pictures.append((np.where(self.defects, math.nan, signal), pose))
         return vignetting.fit(pictures, self.description, self.channel)
 
-    def _temperature(self, gain: float) -> pixel_statistics.DarkTemperature | None:
+    def _temperature(self) -> pixel_statistics.DarkTemperature | None:
         """Arrhenius' law, where the dark frames say their temperatures."""
         from scipy.stats import linregress
 
@@ -365,7 +365,7 @@ class _Work(Passes):
             here = t == one
             if np.ptp(exposures[here]) > 0:
                 line = linregress(exposures[here], means[here])
-                found.append((one, line.slope * gain, max(line.stderr, 1e-6) * gain))
+                found.append((one, line.slope, max(line.stderr, 1e-6)))
         return pixel_statistics.temperature_law(*np.array(found).T) if found else None
 
 

@@ -134,14 +134,14 @@ class DarkTemperature:
     at_c: float
 
 
-def temperature_law(temperatures_c: Floats, rates_e_per_s: Floats, u_rates: Floats) -> DarkTemperature | None:
-    """Arrhenius' law through dark currents at several temperatures; None where they differ by less than 2 K."""
-    use = np.isfinite(temperatures_c) & (rates_e_per_s > 0)
+def temperature_law(temperatures_c: Floats, rates: Floats, u_rates: Floats) -> DarkTemperature | None:
+    """Arrhenius' law through dark currents (any unit); None where temperatures differ by less than 2 K."""
+    use = np.isfinite(temperatures_c) & (rates > 0)
     if np.count_nonzero(use) < 2 or float(np.ptp(temperatures_c[use])) < 2.0:
         return None
     kelvin = temperatures_c[use] + 273.15
-    x, y = 1.0 / (BOLTZMANN_EV * kelvin), np.log(rates_e_per_s[use])
-    w = (rates_e_per_s[use] / np.maximum(u_rates[use], 1e-12)) ** 2
+    x, y = 1.0 / (BOLTZMANN_EV * kelvin), np.log(rates[use])
+    w = (rates[use] / np.maximum(u_rates[use], 1e-12)) ** 2
     centre = float(np.sum(w * x) / np.sum(w))
     energy, middle = -float(np.sum(w * (x - centre) * y) / np.sum(w * (x - centre) ** 2)), float(np.mean(kelvin))
     doubling = math.log(2.0) * BOLTZMANN_EV * middle**2 / energy if energy > 0 else math.inf

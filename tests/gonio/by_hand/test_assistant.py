@@ -39,8 +39,11 @@ class Scene(NumpyRig):
     does: list[Any] = field(default_factory=list)
     """What the next frames do before they come: raise it, or call it."""
     fails_to_darken: bool = False
+    asked_s: list[float] = field(default_factory=list)
+    """Exposures of all frames."""
 
     def capture(self, exposure_s: float) -> Frame:
+        self.asked_s.append(exposure_s)
         if self.does and (what := self.does.pop(0)) is not None:
             if isinstance(what, Exception):
                 raise what
@@ -267,6 +270,24 @@ def test_an_order_that_is_wrong_is_said_and_changes_nothing(at_work: Session, or
     assert message in at_work.obey(order)
     assert (at_work.device.pose, at_work.device.lit) == (pose, False)
     assert "move" not in at_work.device.log
+
+
+@pytest.mark.parametrize(
+    ("angle_deg", "shortest_s", "first_s"), [(0, 1e-3, 0.165), (60, 1e-3, 0.33), (75, 1e-3, 0.5), (0, 0.2, 0.2)]
+)
+def test_the_first_exposure_suits_a_matt_white_and_is_no_longer_than_half_a_second(
+    angle_deg: float, shortest_s: float, first_s: float
+) -> None:
+    """A white under normal incidence gives 40 000 e-/s: 0.6 of 11 000 e- take 0.165 s, and obliquely 1/cos of that."""
+    camera = CAMERA.model_copy(update={"exposure_limits_s": (shortest_s, 10.0)})
+    with working(
+        rig().model_copy(update={"camera": camera}), pose=Pose(light=math.radians(angle_deg), camera=-0.5)
+    ) as at_work:
+        assert at_work.look()["exposure_s"] == pytest.approx(first_s)
+        at_work.obey("lamp on", "auto")
+        assert at_work.device.asked_s[1] == pytest.approx(
+            max(0.165 / math.cos(math.radians(angle_deg)), shortest_s), abs=1e-6
+        )
 
 
 def test_auto_finds_the_exposure_that_advice_calls_good(at_work: Session) -> None:

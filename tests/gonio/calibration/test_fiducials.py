@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 import tomllib
+import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 from gonio_sim.rig import SIM, SimulatedRig
 
@@ -64,16 +66,41 @@ def test_a_spoiled_corner_is_left_out() -> None:
     assert 0.05 < scatter < 0.15
 
 
-def test_the_sheet_shows_the_markers_that_are_looked_for(tmp_path: Path) -> None:
+def drawn_svg(file: Path, scale: float) -> npt.NDArray[np.uint8]:
+    """The rectangles of a drawing in millimetres, at so many pixels a millimetre."""
+    root = ElementTree.parse(file).getroot()
+    left, top, width, height = (float(x) for x in root.attrib["viewBox"].split())
+    assert (root.attrib["width"], root.attrib["height"]) == (f"{width:g}mm", f"{height:g}mm"), "printed at 100 %"
+    grey = np.full((round(height * scale), round(width * scale)), 90, np.uint8)
+    for each in root.iter("{http://www.w3.org/2000/svg}rect"):
+        x, y, w, h = (float(each.attrib[name]) for name in ("x", "y", "width", "height"))
+        columns, rows = (
+            slice(round(a * scale), round(b * scale)) for a, b in ((x - left, x + w - left), (y - top, y + h - top))
+        )
+        grey[rows, columns] = 255 if each.attrib.get("fill") == "white" else 0
+    assert grey.min() == 0
+    assert not (grey == 90).any(), "the paper is white all over"
+    (circle,) = root.iter("{http://www.w3.org/2000/svg}circle")
+    assert float(circle.attrib["r"]) == 10.0, "the hole of 20 mm"
+    (ruler,) = root.iter("{http://www.w3.org/2000/svg}path")
+    _, _, y, _, _ = ruler.attrib["d"].split()
+    assert ruler.attrib["d"] == f"M -10 {y} H 10", "20 mm"
+    below = grey[round((float(y) - top - 0.5) * scale) :]
+    assert 0 < len(below) < len(grey) / 4
+    assert (below == 255).all(), "on the sheet, and beside the markers"
+    return grey
+
+
+@pytest.mark.parametrize("name", ["sheet.png", "sheet.svg"])
+def test_the_sheet_shows_the_markers_that_are_looked_for(tmp_path: Path, name: str) -> None:
     """The picture of the sheet, found by OpenCV, has the corners of the rig file at 600 pixels an inch."""
     import cv2
 
-    marks, file = Fiducials(), tmp_path / "sheet.png"
+    marks, file, scale = Fiducials(), tmp_path / name, 600 / 25.4
     fiducials.print_sheet(marks, 20.0, file)
-    grey = some(cv2.imread(str(file), cv2.IMREAD_GRAYSCALE))
+    grey = drawn_svg(file, scale) if name.endswith("svg") else some(cv2.imread(str(file), cv2.IMREAD_GRAYSCALE))
     numbers, pixels = fiducials.detect(grey, marks)
     assert len(numbers) == 4 * marks.count
-    scale = 600 / 25.4
     middle = 0.5 * (np.array(grey.shape[::-1]) - 1.0)
     there = middle + scale * corners_mm(marks).reshape(-1, 2)[numbers] * [1.0, -1.0]
     assert np.abs(pixels - there).max() < 2.0  # of 142 pixels a side: matplotlib rounds the page to whole pixels

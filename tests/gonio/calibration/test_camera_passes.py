@@ -1,0 +1,149 @@
+"""Frames of a made sensor: flats too dim, the parts of the picture, pairs of a lamp that flickers, what all tell."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import pytest
+
+from gonio.calibration.camera import calibrate
+from gonio.calibration.camera_passes import Passes
+from gonio.errors import DataError
+from gonio.rig.description import RigDescription
+from gonio.rig.light_and_camera import Camera, Lamp
+from tests.gonio.calibration.test_dark_unevenness import SHAPE, Dark
+from tests.gonio.numpy_rig import describe
+
+BLACK_DN, DARK_DN_PER_S, READ_DN, E_PER_DN = 100.0, 30.0, 3.0, 3.0
+RANGE_DN = 4095.0 - BLACK_DN
+DARK_S, FRAMES = (0.1, 2.0), 4
+DSNU_DN, PRNU, DOUBLING_K = 4.0, 0.02, 8.0
+RELATIVE = np.where(np.arange(SHAPE[1]) < 40, 1.0, 0.3)
+"""The picture: five eighths of it are white, the rest is three tenths as bright."""
+
+
+def frames(
+    parts: Sequence[float], second: Sequence[float] = (), temperatures_c: Sequence[float] = (20.0,), uneven: float = 0.0
+) -> list[Dark]:
+    """Darks, and pairs of flats that reach parts of the range, the second frame of each times a factor.
+
+    The pixels are uneven by so many times `DSNU_DN` and `PRNU`.
+    """
+    rng = np.random.default_rng(3)
+    level = BLACK_DN + uneven * DSNU_DN * rng.standard_normal(SHAPE)
+    relative = RELATIVE * (1.0 + uneven * PRNU * rng.standard_normal(SHAPE))
+
+    def taken(kind: Literal["dark", "flat"], t: float, signal: float, temperature_c: float = 20.0) -> Dark:
+        dark = DARK_DN_PER_S * 2 ** ((temperature_c - 20.0) / DOUBLING_K)
+        charge = rng.poisson(E_PER_DN * (signal * relative + dark * t), SHAPE) / E_PER_DN
+        image = np.rint(level + charge + READ_DN * rng.standard_normal(SHAPE)).clip(0, 4095)
+        return Dark(Path(f"{kind}-{t:g}"), kind, t, temperature_c=temperature_c, image=image.astype(np.uint16))
+
+    out = [taken("dark", t, 0.0, celsius) for celsius in temperatures_c for t in DARK_S for _ in range(FRAMES)]
+    for part, factor in zip(parts, second or [1.0] * len(parts), strict=True):
+        out += [taken("flat", part, part * RANGE_DN), taken("flat", part, factor * part * RANGE_DN)]
+    return out
+
+
+def rig(noise: float = 0.0) -> RigDescription:
+    return describe(camera=Camera(height=SHAPE[0], width=SHAPE[1]), lamp=Lamp(noise=noise))
+
+
+def passed(parts: Sequence[float], second: Sequence[float] = (), noise: float = 0.0) -> Passes:
+    work = Passes(frames(parts, second), rig(noise), "mono")
+    work.darks()
+    work.flats()
+    return work
+
+
+def test_a_sensor_of_known_numbers_is_found() -> None:
+    parts = (0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.6, 0.85)
+    dark_e = DARK_DN_PER_S * E_PER_DN
+    done = calibrate(frames(parts, uneven=1.0), rig())
+    true = {
+        "electrons_per_dn": E_PER_DN, "black_level_dn": BLACK_DN, "read_noise_e": READ_DN * E_PER_DN,
+        "dark_current_e_per_s": dark_e, "dsnu_e": DSNU_DN * E_PER_DN, "prnu": PRNU,
+    }  # fmt: skip
+    u = dict(zip(done.names, np.sqrt(np.diag(done.covariance)), strict=True))
+    for name, value in true.items():
+        assert done.values[name] == pytest.approx(value, abs=4 * u[name]), name  # eight numbers, a fixed seed
+        assert u[name] < 0.05 * value, name
+    for k, c in enumerate(done.values["nonlinearity"]):
+        assert c == pytest.approx(0.0, abs=4 * u[f"nonlinearity[{k}]"])
+    assert "full_well_e" not in done.values
+    assert any("no flat frame saturates" in note for note in done.notes)
+    # the brightest flats in electrons, over their noise, and over the electrons that the dark noise comes to
+    full = parts[-1] * RANGE_DN * E_PER_DN
+    least = math.hypot(READ_DN, math.sqrt(1 / 12)) * E_PER_DN + 0.5
+    for name, value in (
+        ("gain_dn_per_e", 1 / E_PER_DN), ("saturation_capacity_e", full), ("snr_max", math.sqrt(full)),
+        ("absolute_threshold_e", least), ("dynamic_range_db", 20 * math.log10(full / least)),
+        ("dsnu1288_e", DSNU_DN * E_PER_DN),
+    ):  # fmt: skip
+        assert done.measured[name] == pytest.approx(value, rel=0.04), name
+    assert "dark_doubling_c" not in done.measured, "one temperature"
+    # the map tells pixels from each other: what it leaves is less than half of them
+    assert done.maps is not None
+
+
+def test_dark_frames_at_two_temperatures_tell_what_doubles_the_dark_current() -> None:
+    done = calibrate(frames((0.02, 0.05, 0.1, 0.2, 0.3, 0.4, 0.8), temperatures_c=(16.0, 28.0)), rig())
+    assert done.measured["dark_at_c"] == pytest.approx(22.0)
+    # means of 12 000 pixels tell each current to a few tenths of a per cent
+    assert done.measured["dark_doubling_c"] == pytest.approx(DOUBLING_K, rel=0.01)
+    ratio, kelvin = 2.0 ** (12.0 / DOUBLING_K), (16.0 + 273.15, 28.0 + 273.15)
+    energy = 8.617333e-5 * math.log(ratio) / (1 / kelvin[0] - 1 / kelvin[1])
+    assert done.measured["dark_energy_ev"] == pytest.approx(energy, rel=0.01)
+
+
+def test_flats_must_reach_a_twentieth_of_the_range_below_seven_tenths_of_the_brightest() -> None:
+    passed((0.01, 0.02, 0.03, 0.04, 0.06, 0.09))
+    with pytest.raises(DataError, match=r"reach 7\.. % of full scale: light the white reference more"):
+        passed((0.01, 0.02, 0.03, 0.04, 0.045, 0.07))
+    with pytest.raises(DataError, match="every flat frame is full"):
+        passed((0.95, 0.96, 0.97, 0.98, 0.99))
+
+
+def test_parts_of_the_picture_and_their_levels_are_those_that_were_put_in() -> None:
+    parts = (0.05, 0.1, 0.15, 0.25, 0.4, 0.6, 0.75, 0.85)
+    work = passed(parts)
+    bright, dim = work.masks
+    assert np.array_equal(bright, work.bright)
+    # the border is blurred over a few columns, and belongs to neither
+    assert bright[:, :37].all()
+    assert dim[:, 44:].all()
+    assert not bright[:, 40:].any()
+    assert not dim[:, :40].any()
+    true = np.repeat(parts, 2) * RANGE_DN
+    variance = true / E_PER_DN + READ_DN**2 + 1 / 12 + DARK_DN_PER_S * np.repeat(parts, 2) / E_PER_DN
+    # a variance of 2000 pixels is known to 3 %, so its root to 1.6 %: four of them
+    assert work.u_dn[0] == pytest.approx(np.sqrt(variance / np.count_nonzero(bright)), rel=0.07)
+    # a pixel's dark level is the intercept of its line through the dark frames, a weighted sum of them
+    t = np.repeat(DARK_S, FRAMES)
+    weights = np.linalg.pinv(np.stack([np.ones(t.size), t], axis=1))[0]
+    of_line = float(weights**2 @ (READ_DN**2 + 1 / 12 + DARK_DN_PER_S * t / E_PER_DN))
+    assert work.u_dark_dn[0] ** 2 * np.count_nonzero(bright) == pytest.approx(of_line, rel=0.07)
+    for mask, level, share in ((bright, work.level_dn[0], 1.0), (dim, work.level_dn[1], 0.3)):
+        u = np.sqrt((variance + of_line) / np.count_nonzero(mask))
+        assert np.all(np.abs(level - share * true) < 4 * u)
+    middle = [part for part in parts if 0.2 * 0.85 <= part <= 0.8 * 0.85 for _ in range(2)]
+    assert (work.map_count, work.map_exposure) == (len(middle), pytest.approx(np.mean(middle)))
+    assert work.map_sum[bright].mean() == pytest.approx(sum(middle) * RANGE_DN, rel=1e-3)  # 1000 times less noise
+
+
+@pytest.mark.parametrize(("noise", "kept", "dropped"), [(0.0, 1.005, 1.01), (0.01, 1.073, 1.085)])
+def test_a_pair_may_differ_by_five_standard_deviations_of_the_lamp_and_half_a_per_cent(
+    noise: float, kept: float, dropped: float
+) -> None:
+    """The lamp's two frames differ by sqrt(2) of its noise; photon noise of the means adds 0.2 % here."""
+    parts = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6)
+    work = passed(parts, [1.0, 1.0, 1.0, 1.0, kept, dropped], noise)
+    assert {p.exposure_s for p in work.pairs} == set(parts[:-1])
+    assert np.isnan(work.level_dn[:, -2:]).all()
+    assert np.isfinite(work.level_dn[:, :-2]).all()
+    (note,) = work.notes
+    assert f"within {100 * (5 * math.sqrt(2) * noise + 0.005):.2g} %" in note
