@@ -205,7 +205,7 @@ def take_flats(
 def _poses(description: RigDescription) -> list[Pose]:
     out = []
     for light, camera in beam.camera_angles(description):
-        phi = math.pi if camera >= 0 else 0.0
+        phi = 0.0 if camera >= 0 else math.pi  # the light's side, where both count from the normal
         try:
             out.append(
                 inverse_kinematics.reach(

@@ -10,12 +10,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gonio.acquisition.duration import SETTLE_S, Durations, Parts
-from gonio.acquisition.exposure import expected_bracket, expected_exposure_s
+from gonio.acquisition.exposure import dark_exposures_s, expected_bracket, expected_exposure_s
 from gonio.acquisition.plan import Plan, Point
-from gonio.acquisition.schedule import schedule
+from gonio.acquisition.schedule import reference_pose, schedule
+from gonio.errors import ConfigError
 from gonio.rig import Pose, Step
-from gonio.rig.description import Acquisition, ArmAxis, Arms, Body, Cable, RigDescription
-from gonio.rig.light_and_camera import Lamp
+from gonio.rig.description import Acquisition, ArmAxis, Arms, Body, Cable, Reference, RigDescription
+from gonio.rig.light_and_camera import Camera, Lamp
 from gonio.rig.motion_planning import route
 from tests.gonio.numpy_rig import BANDS, describe
 
@@ -145,3 +146,62 @@ def test_time_grows_with_bands_and_with_darker_samples() -> None:
     assert one.step_s(Pose(), step) < two.step_s(Pose(), step) < 2 * one.step_s(Pose(), step)
     assert one.step_s(Pose(), step, 0.01) > one.step_s(Pose(), step, 0.5)
     assert one.step_s(Pose(), replace(step, kind="dark")) == one.frames_s(replace(step, kind="dark"))
+
+
+def test_frames_that_are_kept_are_those_of_the_rig_file_in_every_band() -> None:
+    """Darks at two exposures, whatever the bands; points end with a shorter frame, visits do not."""
+    dark, visit, point = (Step(0, kind, 0, deg(light=20)) for kind in ("dark", "reference", "point"))
+    description = rig(reference=Reference(frames=7))
+    durations = Durations(description, BANDS)
+    assert [durations.frames(step) for step in (dark, visit, point)] == [4 * 2, 2 * 7, 2 * (3 + 1)]
+    overhead = description.camera.frame_overhead_s
+    assert durations.frames_s(dark) == pytest.approx(4 * sum(t + overhead for t in dark_exposures_s(description)))
+    one = expected_exposure_s(description, visit.pose, 1.0)
+    assert durations.frames_s(visit) == pytest.approx(2 * (7 + 1) * (one + overhead)), "one of them meters"
+    planned = rig(acquisition=Acquisition(u_rel_target=0.002, dark_frames=4))
+    for step, albedo in ((visit, 1.0), (point, 0.5)):
+        assert Durations(planned, BANDS).frames(step) == 2 * len(expected_bracket(planned, step.pose, albedo))
+
+
+def test_a_visit_that_looks_into_the_lamp_takes_the_exposure_of_the_lamp_through_its_filter() -> None:
+    """White paper sends back the lamp's radiance times its solid angle over pi; half-angles of 2 deg: 1 / 820."""
+    camera = Camera(lens_half_angle_deg=1.0, responsivity_e_per_s=4000.0, full_well_e=10_000.0)
+    description = rig(
+        reference=Reference(how="beam", attenuation=0.01, frames=7), lamp=Lamp(half_angle_deg=2.0), camera=camera
+    )
+    durations, step = Durations(description, BANDS), Step(0, "reference", 0, deg(light=90, camera=-90))
+    level_per_s = 0.4 * 0.01 / math.radians(2.0) ** 2  # of small cones; 2 deg are small to 1e-3
+    one = description.acquisition.exposure_target / level_per_s
+    assert durations.frames_s(step) == pytest.approx(2 * 8 * (one + camera.frame_overhead_s), rel=1e-3)
+    bright = rig(
+        reference=Reference(how="beam", attenuation=1.0, frames=7),
+        lamp=Lamp(half_angle_deg=0.1),
+        camera=camera.model_copy(update={"lens_half_angle_deg": 0.1, "exposure_limits_s": (0.01, 10.0)}),
+    )
+    assert Durations(bright, BANDS).frames_s(step) == pytest.approx(2 * 8 * (0.01 + camera.frame_overhead_s))
+
+
+@pytest.mark.parametrize(
+    ("light", "camera", "stands"),
+    [
+        ((-100, 100), (-100, 100), (90, -90)),
+        ((-60, 60), (-130, 130), (58, -122)),
+        ((-100, 40), (-100, 145), (-90, 90)),
+        ((-80, 60), (-60, 128), (-78, 102)),
+        ((0, 170), (-40, 60), (142, -38)),
+        ((-80, 80), (-80, 80), None),
+        ((-91, 91), (-91, 91), None),
+    ],
+)
+def test_arms_face_each_other_as_near_to_a_right_angle_as_their_limits_allow(
+    light: tuple[float, float], camera: tuple[float, float], stands: tuple[float, float] | None
+) -> None:
+    """Less the room of an approach, 2 deg."""
+    arms = Arms(light=ArmAxis(limits_deg=light), camera=ArmAxis(limits_deg=camera))
+    description = rig(arms=arms, reference=Reference(how="beam", attenuation=0.01))
+    if stands is None:
+        with pytest.raises(ConfigError, match="needs arms that stand 180 deg apart"):
+            reference_pose(description)
+        return
+    pose = reference_pose(description)
+    assert (math.degrees(pose.light), math.degrees(pose.camera)) == pytest.approx(stands)

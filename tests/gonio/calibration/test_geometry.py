@@ -250,3 +250,17 @@ def test_a_zero_that_is_not_determined_stays_as_filed_and_is_named(
 
 def test_a_measured_zero_counts_alone_where_nothing_is_claimed(whole: geometry.Fit) -> None:
     assert whole.warnings == ()
+
+
+@pytest.mark.parametrize("wrong", [1, 7])
+def test_a_sighting_that_is_far_off_is_left_out_but_not_a_third_of_them(
+    true: RigDescription, sighted: Callable[..., list[Sighting]], wrong: int
+) -> None:
+    sightings = sighted(mirror=16, straight=4)
+    for k in range(0, 2 * wrong, 2):
+        column, row = sightings[k].spot_px or (math.nan, math.nan)
+        sightings[k] = replace(sightings[k], spot_px=(column + 60.0 + 20.0 * k, row))
+    zeros = [u for u in geometry.unknowns(true, sightings) if u.path.endswith("zero_offset_deg")]
+    *_, kept, dropped = geometry._solved(true, sightings, zeros, None)
+    assert len(dropped) == (1 if wrong == 1 else 0)
+    assert kept == sightings[len(dropped) :]

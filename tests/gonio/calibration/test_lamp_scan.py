@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import math
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -89,6 +90,15 @@ def test_what_is_true_of_the_lamp_is_found_and_can_be_used(tmp_path: Path) -> No
 
 ZEROS = {"arms": {"light": {"zero_offset_deg": 2.37}, "camera": {"zero_offset_deg": -2.02}}}
 BEAM = ("--only", "beam", "--seed", "2")
+
+
+@pytest.mark.parametrize("theta_i_deg", [0.0, 8.0, 20.0, 45.0])
+def test_flats_are_taken_from_both_sides_of_the_light_and_never_through_it(theta_i_deg: float) -> None:
+    description = describe("sim", reference={"theta_i_deg": theta_i_deg})
+    apart = [round(math.degrees(p.camera - p.light), 6) for p in lamp_scan._poses(description)]
+    assert all(p.light == pytest.approx(math.radians(theta_i_deg)) for p in lamp_scan._poses(description))
+    reached = [a for a in (12.0, -12.0, 35.0, -35.0, 50.0, -50.0, 62.0, -62.0) if abs(theta_i_deg + a) < 90.0]
+    assert apart == pytest.approx(reached)
 
 
 def test_a_zero_that_nobody_has_measured_is_no_beam_that_is_tilted(tmp_path: Path) -> None:
