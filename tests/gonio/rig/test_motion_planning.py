@@ -14,10 +14,10 @@ from scipy.spatial.distance import cdist
 from gonio.config import parse
 from gonio.errors import ConfigError
 from gonio.geometry import Directions
-from gonio.rig import Pose, Step, motion_planning
-from gonio.rig.description import ArmAxis, Arms, Body, Cable, Geometry, Holder, RigDescription
+from gonio.rig import Pose, Step, kinematics, motion_planning
+from gonio.rig.description import Acquisition, ArmAxis, Arms, Body, Cable, Geometry, Holder, RigDescription
 from gonio.rig.inverse_kinematics import Unreachable, reach
-from gonio.rig.light_and_camera import Lamp
+from gonio.rig.light_and_camera import Camera, Lamp
 from gonio.rig.motion_planning import Blocked
 from tests.gonio.numpy_rig import describe
 from tests.gonio.rig.plain_rig import rotation
@@ -321,3 +321,45 @@ def test_the_simulated_bench_tells_collisions_and_a_rig_that_looks_ahead_has_non
                 rig.arms.move(leg)
         assert rig.world.touched == []
     assert rig.world.touched == []
+
+
+@pytest.mark.parametrize("pose", [Pose(light=0.7, camera=-0.4), Pose(light=-0.3, camera=0.9, tilt=0.3, spin=-1.2)])
+def test_light_goes_from_a_disc_of_the_lamp_s_size_to_the_patch_and_on_to_one_of_the_lens_s(pose: Pose) -> None:
+    description = describe(
+        lamp=Lamp(half_angle_deg=2.0),
+        camera=Camera(lens_half_angle_deg=1.0),
+        acquisition=Acquisition(roi_radius_mm=3.0),
+    )
+    g, view = description.geometry, kinematics.view(description, pose)
+    ends = []
+    for hull, distance, half_angle_deg in (
+        (motion_planning.beams(description, pose)[0], g.light_distance_mm, 2.0),
+        (motion_planning.beams(description, pose)[1], g.camera_distance_mm, 1.0),
+    ):
+        patch, disc = np.split(hull, 2)
+        middle, end = patch.mean(axis=0), disc.mean(axis=0)
+        around = 1.0 / math.cos(math.pi / motion_planning.RIM)  # a polygon that holds the disc
+        assert np.linalg.norm(patch - middle, axis=1) == pytest.approx(3.0 * around)
+        radius = distance * math.tan(math.radians(half_angle_deg))
+        assert np.linalg.norm(disc - end, axis=1) == pytest.approx(radius * around)
+        # the patch is lifted by less than a tenth of a millimetre off the surface
+        assert np.linalg.norm(end - middle) == pytest.approx(distance, abs=0.1)
+        assert (disc - end) @ (end - middle) == pytest.approx(0.0, abs=0.1 * radius)
+        ends.append(end - middle)
+    # as the rig's own kinematics has them, in the frame of the sample
+    assert ends[0] @ ends[1] == pytest.approx(float(np.asarray(view.source_mm) @ np.asarray(view.camera_mm)), rel=1e-3)
+
+
+def test_an_axis_stands_beyond_no_bound_that_its_encoder_s_errors_are_said_to_have() -> None:
+    """Errors so large that angle and reading do not grow together: the bound holds for every reading below it."""
+    for rows in ([(1, 5.0, 3.0)], [(2, 40.0, 10.0), (3, 15.0, 0.0)]):
+        arms = Arms(light=ArmAxis(harmonics_deg=rows))
+        space = motion_planning._space_of(describe(arms=arms))
+        axis = motion_planning.NAMES.index("light")
+        read = np.radians(np.linspace(-90.0, 90.0, 181))
+        true = np.array([space.true(axis, float(at)) for at in read])
+        at = float(read[100])
+        expected = at - sum(math.radians(c) * math.cos(k * at) + math.radians(s) * math.sin(k * at) for k, c, s in rows)
+        assert space.true(axis, at) == pytest.approx(expected)
+        assert true[:101].max() <= space.true(axis, at, 1.0) + 1e-12
+        assert true[100:].min() >= space.true(axis, at, -1.0) - 1e-12

@@ -54,6 +54,21 @@ def test_whitened_noise_is_white() -> None:
     np.testing.assert_allclose(np.cov(c.whiten(draws)), np.eye(12), atol=0.035)
 
 
+def test_a_value_alone_is_compared_with_what_all_others_predict_of_it() -> None:
+    """By conditioning a dense normal distribution on the others."""
+    c = some(9, size=12, causes=2)
+    covariance, r = dense(c), np.random.default_rng(10).normal(size=12)
+    for i, z in enumerate(c.alone(r)):
+        others = np.delete(np.arange(12), i)
+        by = np.linalg.solve(covariance[np.ix_(others, others)], covariance[others, i])
+        # the condition number is about 1e3
+        assert z == pytest.approx(
+            (r[i] - by @ r[others]) / np.sqrt(covariance[i, i] - by @ covariance[others, i]), rel=1e-9
+        )
+    assert c.log_determinant == pytest.approx(np.linalg.slogdet(covariance)[1])
+    assert c.apart(r) == pytest.approx(c.random * np.linalg.solve(covariance, r))
+
+
 def test_total_scaled_and_take() -> None:
     c = some(8)
     np.testing.assert_allclose(c.total, np.sqrt(np.diag(dense(c))), rtol=1e-14)  # a few roundings
