@@ -14,7 +14,7 @@ import pytest
 from gonio_sim.rig import SIM
 
 from gonio.calibration import geometry
-from gonio.calibration.geometry_problem import CORNER_FLOOR_PX, INK, Predictor, Sighting, start_values
+from gonio.calibration.geometry_problem import CORNER_FLOOR_PX, INK, Predictor, Sighting, start_values, unknowns
 from gonio.config import numbers_in, parse
 from gonio.errors import DataError
 from gonio.rig.calibrated import with_keys
@@ -260,7 +260,7 @@ def test_a_sighting_that_is_far_off_is_left_out_but_not_a_third_of_them(
     for k in range(0, 2 * wrong, 2):
         column, row = sightings[k].spot_px or (math.nan, math.nan)
         sightings[k] = replace(sightings[k], spot_px=(column + 60.0 + 20.0 * k, row))
-    zeros = [u for u in geometry.unknowns(true, sightings) if u.path.endswith("zero_offset_deg")]
+    zeros = [u for u in unknowns(true, sightings) if u.path.endswith("zero_offset_deg")]
     *_, kept, dropped = geometry._solved(true, sightings, zeros, None)
     assert len(dropped) == (1 if wrong == 1 else 0)
     assert kept == sightings[len(dropped) :]

@@ -5,9 +5,11 @@ from __future__ import annotations
 import datetime
 import math
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 import pytest
 
 from gonio.documents import TomlTable
@@ -131,7 +133,7 @@ def test_where_axes_stand_is_said_once_they_are_at_rest(monkeypatch: pytest.Monk
 def test_a_picture_s_greys_are_fractions_of_white_with_its_first_row_on_top(
     tmp_path: Path, kind: type, top: int, channels: int
 ) -> None:
-    grey = np.array([[0, top // 5, top], [top // 3, 0, 0]], kind)
+    grey: npt.NDArray[Any] = np.array([[0, top // 5, top], [top // 3, 0, 0]], kind)
     cv2.imwrite(str(tmp_path / "p.png"), grey if channels == 1 else np.repeat(grey[..., None], 3, axis=2))
     value, levels = picture(tmp_path / "p.png", "file")
     at = np.array([[0.1, 0.9], [0.5, 0.6], [0.9, 0.51], [0.1, 0.49], [0.999999999, 0.0]])
