@@ -7,7 +7,8 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from gonio_sweeps.candidates import fill, places
+import pytest
+from gonio_sweeps.candidates import fill, from_mirror_deg, places, signed_deg, spread
 from gonio_sweeps.covering import Curves, by_errors, evenly
 
 from gonio.acquisition.plan import Point, canonical
@@ -118,3 +119,21 @@ def test_a_finer_step_takes_more_of_every_curve() -> None:
         for step in (30, 10, 3)
     ]
     assert numbers == [[7, 6], [18, 16], [58, 50]]  # ceil(170 / step) + 1, ceil(145 / step) + 1
+
+
+@pytest.mark.parametrize("turn", [0.0, 80.0, 190.0, 350.0])
+def test_the_side_of_the_mirror_direction_does_not_depend_on_where_azimuths_count_from(turn: float) -> None:
+    """And one in the plane, but on the light's side, lies beyond the normal; one outside is in no curve with it."""
+    sides = {180.0: 1, 100.0: 1, 265.0: 1, 0.0: -1, 80.0: -1, 300.0: -1}
+    points = {dphi: Point(30.0, turn, 40.0, (turn + dphi) % 360.0) for dphi in sides}
+    assert {dphi: signed_deg(point) / 40.0 for dphi, point in points.items()} == sides
+    assert [from_mirror_deg(points[dphi]) for dphi in (180.0, 0.0, 100.0)] == [10.0, 70.0, 180.0]
+
+
+def test_the_farthest_place_is_next() -> None:
+    """Of a line: the other end, the middle, the quarters; a dear one later, and none twice."""
+    line = np.stack([np.arange(9.0), np.zeros(9), np.zeros(9)], axis=1)
+    assert spread(line, 5, [0]) == [0, 8, 4, 2, 6]
+    assert spread(line, 3, [], among=line[:1]) == [8, 4, 2]
+    assert spread(line, 2, [0], cost=np.where(np.arange(9) > 6, 4.0, 1.0)) == [0, 6], "49/4 and 64/4 are less than 36"
+    assert sorted(spread(np.concatenate([line, line]), 20, [0])) == list(range(9))

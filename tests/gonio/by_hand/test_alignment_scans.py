@@ -13,11 +13,10 @@ import pytest
 from gonio.by_hand.alignment_scans import DIMMED, LONGEST_S, Scans
 from gonio.rig import Frame, Pose
 from gonio.rig.description import RigDescription
-from tests.gonio.by_hand.test_alignment import described
 from tests.gonio.numpy_rig import describe
 
-SUM_DEG, DIFFERENCE_DEG = 2.3, -3.1
-"""What the angles read where the lamp is seen: in a mirror their sum, face to face their difference, beside 180."""
+SUM_DEG = 2.3
+"""Of both angles as they are read, where the lamp is seen in a mirror."""
 
 
 @dataclass
@@ -27,10 +26,8 @@ class Bench:
     description: RigDescription
     fwhm_deg: float = 1.4
     level_per_s: float = 50.0
-    straight: bool = False
     at: Pose = field(default_factory=Pose)
     dimmed: float = 1.0
-    asked_s: list[float] = field(default_factory=list)
     light = SimpleNamespace(dim=None)
 
     @property
@@ -47,18 +44,10 @@ class Bench:
         self.at = replace(self.at, **goals)
         return SimpleNamespace(landed=goals)
 
-    def off_deg(self) -> float:
-        """How far from the lamp the camera looks."""
-        light, camera = math.degrees(self.at.light), math.degrees(self.at.camera)
-        if self.straight:
-            return (camera - light - DIFFERENCE_DEG) % 360.0 - 180.0
-        return math.hypot(camera + light - SUM_DEG, 2.0 * math.degrees(self.at.tilt))
-
     def capture(self, exposure_s: float) -> Frame:
-        self.asked_s.append(exposure_s)
-        camera = self.description.camera
+        camera, off_deg = self.description.camera, math.degrees(self.at.camera + self.at.light) - SUM_DEG
         width = self.fwhm_deg / 2.0 / math.log(2.0) ** (1 / 3)
-        level = exposure_s * self.dimmed * self.level_per_s * math.exp(-(abs(self.off_deg() / width) ** 3))
+        level = exposure_s * self.dimmed * self.level_per_s * math.exp(-(abs(off_deg / width) ** 3))
         full = camera.saturation_e / camera.electrons_per_dn
         dn = np.full((camera.height, camera.width), camera.black_level_dn + min(level, 1.0) * full)
         return Frame(
@@ -104,26 +93,3 @@ def test_metering_ends_between_a_quarter_and_what_is_aimed_at(level_per_s: float
     else:
         assert 0.24 < level < 1.02 * target
     assert (bench.dimmed < 1.0) == (level_per_s * bench.description.camera.exposure_limits_s[0] >= 0.9)
-
-
-@pytest.mark.parametrize("straight", [False, True])
-def test_the_lamp_is_found_degrees_away_and_followed_to_every_angle(straight: bool) -> None:
-    """The camera begins degrees beside it; every scan is centred where the law of the arms says."""
-    description = described()
-    bench = Bench(description, straight=straight, level_per_s=5.0)
-    work = scans(bench)
-    work.straight_through() if straight else work.mirror()
-    table = work.table
-    assert set(table["holder"]) == {"empty" if straight else "mirror"}
-    lights = set()
-    for _, one in table[table["axis"] == "camera"].groupby("scan"):
-        light, x, y = (one[name].to_numpy() for name in ("light_encoder_deg", "camera_encoder_deg", "signal"))
-        centre = np.average(x, weights=y)
-        there = light[0] + DIFFERENCE_DEG - math.copysign(180.0, light[0]) if straight else SUM_DEG - light[0]
-        assert centre == pytest.approx(there, abs=0.1)
-        lights.add(round(float(light[0]), 6))
-    limits = description.limits_deg()["camera"]
-    assert len(lights) == (4 if straight else 6)
-    assert {math.copysign(1.0, at) for at in lights} == {-1.0, 1.0}
-    assert table["camera_encoder_deg"].between(*limits).all()
-    assert max(bench.asked_s) <= LONGEST_S

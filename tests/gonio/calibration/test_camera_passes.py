@@ -62,11 +62,10 @@ def passed(parts: Sequence[float], second: Sequence[float] = (), noise: float = 
 
 def test_a_sensor_of_known_numbers_is_found() -> None:
     parts = (0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.6, 0.85)
-    dark_e = DARK_DN_PER_S * E_PER_DN
     done = calibrate(frames(parts, uneven=1.0), rig())
     true = {
         "electrons_per_dn": E_PER_DN, "black_level_dn": BLACK_DN, "read_noise_e": READ_DN * E_PER_DN,
-        "dark_current_e_per_s": dark_e, "dsnu_e": DSNU_DN * E_PER_DN, "prnu": PRNU,
+        "dark_current_e_per_s": DARK_DN_PER_S * E_PER_DN, "dsnu_e": DSNU_DN * E_PER_DN, "prnu": PRNU,
     }  # fmt: skip
     u = dict(zip(done.names, np.sqrt(np.diag(done.covariance)), strict=True))
     for name, value in true.items():
@@ -74,7 +73,6 @@ def test_a_sensor_of_known_numbers_is_found() -> None:
         assert u[name] < 0.05 * value, name
     for k, c in enumerate(done.values["nonlinearity"]):
         assert c == pytest.approx(0.0, abs=4 * u[f"nonlinearity[{k}]"])
-    assert "full_well_e" not in done.values
     assert any("no flat frame saturates" in note for note in done.notes)
     # the brightest flats in electrons, over their noise, and over the electrons that the dark noise comes to
     full = parts[-1] * RANGE_DN * E_PER_DN
@@ -86,8 +84,6 @@ def test_a_sensor_of_known_numbers_is_found() -> None:
     ):  # fmt: skip
         assert done.measured[name] == pytest.approx(value, rel=0.04), name
     assert "dark_doubling_c" not in done.measured, "one temperature"
-    # the map tells pixels from each other: what it leaves is less than half of them
-    assert done.maps is not None
 
 
 def test_dark_frames_at_two_temperatures_tell_what_doubles_the_dark_current() -> None:
@@ -114,10 +110,9 @@ def test_parts_of_the_picture_and_their_levels_are_those_that_were_put_in() -> N
     bright, dim = work.masks
     assert np.array_equal(bright, work.bright)
     # the border is blurred over a few columns, and belongs to neither
-    assert bright[:, :37].all()
-    assert dim[:, 44:].all()
-    assert not bright[:, 40:].any()
-    assert not dim[:, :40].any()
+    for part, columns in ((bright, slice(0, 37)), (dim, slice(44, 64))):
+        assert part[:, columns].all()
+    assert not bright[:, 40:].any() | dim[:, :40].any()
     true = np.repeat(parts, 2) * RANGE_DN
     variance = true / E_PER_DN + READ_DN**2 + 1 / 12 + DARK_DN_PER_S * np.repeat(parts, 2) / E_PER_DN
     # a variance of 2000 pixels is known to 3 %, so its root to 1.6 %: four of them

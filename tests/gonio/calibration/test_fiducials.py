@@ -83,9 +83,9 @@ def drawn_svg(file: Path, scale: float) -> npt.NDArray[np.uint8]:
     (circle,) = root.iter("{http://www.w3.org/2000/svg}circle")
     assert float(circle.attrib["r"]) == 10.0, "the hole of 20 mm"
     (ruler,) = root.iter("{http://www.w3.org/2000/svg}path")
-    _, _, y, _, _ = ruler.attrib["d"].split()
-    assert ruler.attrib["d"] == f"M -10 {y} H 10", "20 mm"
-    below = grey[round((float(y) - top - 0.5) * scale) :]
+    level = ruler.attrib["d"].split()[2]
+    assert ruler.attrib["d"] == f"M -10 {level} H 10", "20 mm"
+    below = grey[round((float(level) - top - 0.5) * scale) :]
     assert 0 < len(below) < len(grey) / 4
     assert (below == 255).all(), "on the sheet, and beside the markers"
     return grey

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gonio.reduction import camera_errors, light_and_lens, maps
+from gonio.reduction import camera_errors, light_and_lens
 from gonio.reduction.count_rates import _around, _lines, _widened
 from gonio.reduction.dark_signal import Darks
 from gonio.reduction.geometry_errors import GeometryErrors, zero_u_deg
@@ -114,23 +114,6 @@ def test_a_slope_of_the_beam_counts_by_how_far_reference_and_sample_lie_apart_in
     apart = math.hypot(1e-3 * shift_mm[0], 2e-3 * shift_mm[1])
     # pixels are counted whole: a region's middle is known to a hundredth of its 3 mm
     assert total == pytest.approx(brdf * apart, abs=brdf.max() * 2e-3 * 0.05)
-
-
-def test_the_registration_moves_values_along_the_slopes_of_their_mean() -> None:
-    """A ramp of 2 and -1 per cent a millimetre, at two points of which one is twice as bright and one not known."""
-    y, x = np.indices((7, 9)) * 0.5
-    ramp = 1.0 + 0.02 * (x - 2.0) - 0.01 * (y - 1.5)
-    value = np.stack([ramp, 2.0 * ramp], axis=-1)
-    value[3, 4, 0] = np.nan
-    made: Any = SimpleNamespace(
-        shift=(None, np.array([[0.3, 0.4], [0.1, np.nan]])), cells=SimpleNamespace(pixel_mm=0.5)
-    )
-    variance = maps._Tiling._of_shifts(made, value)
-    assert variance[1, 1] == pytest.approx([(0.02 * 0.3) ** 2 + (0.01 * 0.4) ** 2, (2 * 0.02 * 0.1) ** 2], rel=1e-6)
-    assert maps._median(np.array([[1.0, np.nan, -2.0], [3.0, np.nan, -1.0], [9.0, np.nan, 0.0]])).tolist() == [3, 1, 1]
-    assert maps._mean(np.array([[1.0, np.nan], [2.0, 4.0], [np.nan, np.nan]])) == pytest.approx(
-        [1, 3, math.nan], nan_ok=True
-    )
 
 
 @pytest.mark.parametrize(("pattern", "pixel_mm"), [("mono", 0.36), ("RGGB", 0.72)])

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gonio.errors import ConfigError, DeviceError
-from gonio.rig import Frame, Pose, imaging, kinematics, regions
+from gonio.errors import ConfigError
+from gonio.rig import Pose, imaging, kinematics, regions
 from gonio.rig.description import Acquisition, Reference, RigDescription
 from gonio.rig.light_and_camera import Beam, Camera, Lamp
 from tests.gonio.numpy_rig import describe
@@ -141,19 +141,3 @@ def test_a_lens_that_hardly_bends_shows_the_same_region_and_one_that_bends_the_s
     assert extent == pytest.approx((columns.min(), columns.max(), rows.min(), rows.max()), abs=0.02)
     # its edge lies 36 pixels beside the middle, 0.0194 of the way to the lens's image: drawn in by 30 times the cube
     assert regions.patch_extent(straight, view)[1] - extent[1] == pytest.approx(36 * 30 * 0.0194**2, rel=0.03)
-
-
-def test_a_frame_that_is_not_the_rig_file_s_is_refused() -> None:
-    good = Frame(np.full((120, 160), 100, np.uint16), 0.1, 64.0, 4095.0, time_s=0.0)
-    regions.require_raw(CAMERA, good, "f")
-    for changed, said in (
-        ({"pattern": "RGGB"}, 'has the colour pattern "RGGB"'),
-        ({"mosaic": np.full((120, 160), 4096, np.uint16)}, "a pixel holds 4096 DN"),
-        ({"mosaic": np.full((160, 120), 9, np.uint16)}, "the frame has 120 x 160 pixels"),
-        ({"mosaic": np.full((120, 160), 9.0)}, "holds float64"),
-        ({"mosaic": np.zeros((120, 160, 3), np.uint16)}, "has 3 dimensions"),
-    ):
-        fields = {"mosaic": good.mosaic, "pattern": "mono"} | changed
-        bad = Frame(fields["mosaic"], 0.1, 64.0, 4095.0, fields["pattern"], time_s=0.0)  # type: ignore[arg-type]
-        with pytest.raises(DeviceError, match=said):
-            regions.require_raw(CAMERA, bad, "f")

@@ -1,4 +1,4 @@
-"""Residuals of every metric by hand, their derivatives against differences, and what is assumed of tables without u."""
+"""Residuals of every metric by hand, their derivatives against differences, and intervals."""
 
 from __future__ import annotations
 
@@ -6,9 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from gonio_analysis.fitting.misfit import estimated_tau
-from gonio_analysis.fitting.objective import LOSSES, METRICS, Objective
-from gonio_analysis.fitting.observations import _assumed
+from gonio_analysis.fitting.objective import METRICS, Objective
 from gonio_analysis.fitting.profile_likelihood import Interval
 from gonio_analysis.fitting.value_covariance import Covariance
 
@@ -54,33 +52,6 @@ def test_derivatives_are_those_of_the_residuals(metric: str, stated: bool) -> No
     some = goal.take(np.array([2, 0]))
     assert some.measured.tolist() == MEASURED[[2, 0]].tolist()
     assert (some.cosine is None, some.weights is None) == (goal.cosine is None, goal.weights is None)
-
-
-@pytest.mark.parametrize("loss", LOSSES)
-def test_weights_of_a_loss_are_the_root_of_its_derivative_and_small_residuals_count_by_their_square(loss: str) -> None:
-    goal, z = Objective(MEASURED, None, loss=loss), np.array([0.003, 0.5, 1.7, 30.0])
-    for one in z:
-        up, down = (goal.total(np.sqrt([one**2 * (1 + h)])) for h in (1e-5, -1e-5))
-        assert goal.robust_weights(np.array([one]))[0] ** 2 == pytest.approx((up - down) / (2e-5 * one**2), rel=1e-4)
-    assert goal.total(np.array([0.003])) == pytest.approx(9e-6, rel=1e-4)
-    assert goal.total(z) == pytest.approx(sum(goal.total(np.array([one])) for one in z))
-
-
-def test_values_far_below_the_median_of_their_wavelength_are_assumed_to_be_known_as_a_tenth_of_it() -> None:
-    brdf = np.array([1.0, 1.0, -1.0, 0.0, 1e6, 40.0, 40.0])
-    waves = np.array([450.0, 450, 450, 450, 450, 550, 550])
-    u = _assumed(brdf, waves, 0.03)
-    assert u[3] == pytest.approx(0.03 * 0.1, rel=1e-6)
-    assert u[[0, 1, 2]] == pytest.approx(0.03, rel=6e-3)  # a tenth, added in squares
-    assert u[4] == pytest.approx(3e4)
-    assert u[5:] == pytest.approx(0.03 * 40 * math.hypot(1.0, 0.1), rel=1e-6)
-
-
-def test_a_misfit_without_uncertainties_is_the_scatter_about_the_fit() -> None:
-    """Of 40 residuals and 4 parameters: chi-square has 36 degrees of freedom."""
-    rng, columns = np.random.default_rng(2), np.random.default_rng(3).normal(size=(40, 4))
-    z = 0.1 * rng.standard_normal(40)
-    assert estimated_tau(z, columns, None) == pytest.approx(math.sqrt(z @ z / 36))
 
 
 def test_an_interval_agrees_with_a_standard_error_within_a_factor_of_two_on_sides_that_no_bound_ends() -> None:
