@@ -333,8 +333,10 @@ def require_own(folder: Path, names: Iterable[str], own: Manifest | None = None)
         )
 
 
-def write_own(folder: Path, files: Mapping[str, bytes]) -> None:
+def write_own(folder: Path, files: Mapping[str, bytes | Path]) -> None:
     """Write files into a folder that exists, each whole; one that is there is replaced only where it is our own.
+
+    What is given as a path is a file of the same disk, which is moved.
 
     Raises
     ------
@@ -345,10 +347,16 @@ def write_own(folder: Path, files: Mapping[str, bytes]) -> None:
     """
     own = read_manifest(folder)
     require_own(folder, files, own)
-    new = {name: {hashlib.sha256(data).hexdigest()} for name, data in files.items()}
+    new = {
+        name: {sha256_of(data) if isinstance(data, Path) else hashlib.sha256(data).hexdigest()}
+        for name, data in files.items()
+    }
     write_manifest(folder, own | {name: own.get(name, set()) | new[name] for name in new})
     for name, data in files.items():
-        write_whole(folder / name, data)
+        if isinstance(data, Path):
+            platform.replace(data, folder / name)
+        else:
+            write_whole(folder / name, data)
     write_manifest(folder, own | new)
 
 

@@ -9,7 +9,6 @@ once; the file itself only moves packed bytes.
 
 from __future__ import annotations
 
-import hashlib
 import json
 import math
 import os
@@ -26,7 +25,7 @@ from typing import Any, Self
 import numpy as np
 import numpy.typing as npt
 
-from gonio.disk import require_name, write_whole
+from gonio.disk import require_name, sha256_of, write_whole
 from gonio.documents import JsonObject
 from gonio.errors import ConfigError, DataError
 from gonio.typing import DataFrame, Floats
@@ -395,11 +394,7 @@ class MapFile:
 
     def sha256(self) -> str:
         """Of the whole file: what fits of it are held by."""
-        digest = hashlib.sha256()
-        with open(self.path, "rb") as file:
-            while block := file.read(1 << 22):
-                digest.update(block)
-        return digest.hexdigest()
+        return sha256_of(self.path)
 
     def held(self, tile: Tile) -> Held:
         """The values of a tile, which are not unpacked yet; raises `DataError` where they cannot be read."""

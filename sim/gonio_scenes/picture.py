@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-import io
 import json
 import math
+import os
 import tempfile
+import zipfile
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -39,7 +41,8 @@ def write(scene: Scene, picture: Picture, out: Path, *, exr: bool = False, comma
     """
     shown, white = display(scene, picture.radiance)
     told = summary(scene, picture, white, command)
-    files = {"radiance.npz": _npz(scene, picture), "picture.png": _png(shown)}
+    files: dict[str, bytes | Path] = {"picture.png": _png(shown)}
+    del shown
     if _photographed(scene):
         frame = photograph(scene, picture)
         files["photograph.dng"] = encode_dng(frame)
@@ -49,7 +52,10 @@ def write(scene: Scene, picture: Picture, out: Path, *, exr: bool = False, comma
         files["picture.exr"] = _exr(scene, picture)
     try:
         out.mkdir(parents=True, exist_ok=True)
-        write_own(out, files)
+        with tempfile.TemporaryDirectory(dir=out, prefix=".radiance") as folder:
+            whole = Path(folder, "radiance.npz")
+            _write_npz(picture, whole)
+            write_own(out, files | {"radiance.npz": whole})
     except OSError as error:
         raise ConfigError(f"{out}: cannot be written: {error.strerror}") from None
 
@@ -106,7 +112,10 @@ def display(scene: Scene, radiance: Floats) -> tuple[Image, float]:
     if visible.sum() < 2:
         grey = radiance[..., waves.size // 2]
         white = white or _white(grey)
-        shown = colour.SRGB.encode(np.repeat(grey[..., None] / white, 3, axis=-1))
+        out = np.empty((*grey.shape, 3), np.uint8)
+        for row, values in zip(out, grey, strict=True):
+            row[:] = np.rint(255.0 * colour.SRGB.encode(values / white))[:, None]
+        return out, white
     else:
         xyz, illuminant = tristimulus(scene, radiance)
         white = white or 1.0 / colour.exposure(xyz, WHITE_SHARE)
@@ -141,30 +150,53 @@ def tristimulus(scene: Scene, radiance: Floats) -> tuple[Floats, str | None]:
 
 
 def _white(radiance: Floats) -> float:
-    lit = radiance[radiance > 0.0]
-    return float(np.quantile(lit, WHITE_SHARE)) if lit.size else 1.0
+    """The quantile `WHITE_SHARE` of what is lit, between neighbours linearly; 1 where nothing is."""
+    count = int(np.count_nonzero(radiance > 0.0))
+    if not count:
+        return 1.0
+    place = (count - 1) * WHITE_SHARE
+    most = count - int(place)
+    largest = np.zeros(0)
+    for row in radiance:  # the largest so far: a copy of all of them would be as large as the picture
+        largest = np.concatenate([largest, row[row > 0.0]])
+        if largest.size > 4 * most + 4096:
+            largest = np.partition(largest, -most)[-most:]
+    largest = np.sort(largest)[-most:]
+    return float(largest[0] + (place - int(place)) * (largest[min(1, most - 1)] - largest[0]))
 
 
-def _npz(scene: Scene, picture: Picture) -> bytes:
-    arrays: JsonObject = {
-        "radiance": picture.radiance,
-        "wavelength_nm": scene.wavelength_nm,
-        "shape": picture.shape,
-        "position_mm": picture.position,
-        "normal": picture.normal,
-        "samples": picture.samples,
+def _write_npz(picture: Picture, path: Path) -> None:
+    """The arrays of a picture, block by block, as `numpy.savez` would write them."""
+    size = picture.radiance.shape[:2]
+    members: dict[str, tuple[tuple[int, ...], str, Iterable[npt.NDArray[Any]]]] = {
+        "radiance": (picture.radiance.shape, "<f8", picture.radiance),
+        "wavelength_nm": (picture.scene.wavelength_nm.shape, "<f8", [picture.scene.wavelength_nm]),
+        "shape": (size, "<i8", (hits.shape for hits in picture.centres())),
+        "position_mm": ((*size, 3), "<f8", (hits.position for hits in picture.centres())),
+        "normal": ((*size, 3), "<f8", (hits.normal for hits in picture.centres())),
+        "samples": (size, "<i8", picture.samples),
     }
     if picture.error is not None:
-        arrays["u_radiance"] = picture.error
-    file = io.BytesIO()
-    np.savez(file, **arrays)
-    return file.getvalue()
+        members["u_radiance"] = (picture.error.shape, "<f8", picture.error)
+    with open(path, "wb") as raw:
+        with zipfile.ZipFile(raw, "w") as file:
+            for name, (shape, kind, blocks) in members.items():
+                with file.open(f"{name}.npy", "w", force_zip64=True) as member:
+                    header = {"descr": kind, "fortran_order": False, "shape": shape}
+                    np.lib.format.write_array_header_1_0(member, header)
+                    for block in blocks:
+                        member.write(np.ascontiguousarray(block, kind).tobytes())
+        raw.flush()
+        os.fsync(raw.fileno())
 
 
 def _png(image: Image) -> bytes:
+    """As a PNG; the image's colours change places."""
     import cv2
 
-    done, data = cv2.imencode(".png", np.ascontiguousarray(image[..., ::-1]))
+    for row in image:
+        row[:] = row[:, ::-1].copy()
+    done, data = cv2.imencode(".png", image)
     assert done
     return bytes(data)
 
@@ -241,7 +273,6 @@ def left_out(scene: Scene) -> list[dict[str, str]]:
 
 def summary(scene: Scene, picture: Picture, white: float, command: str) -> JsonObject:
     """The numbers of a rendered scene, as `summary.json` holds them."""
-    hit = picture.shape >= 0
     out: JsonObject = {
         "name": scene.name,
         "gonio": __version__,
@@ -252,7 +283,7 @@ def summary(scene: Scene, picture: Picture, white: float, command: str) -> JsonO
         "height": scene.camera.height,
         "wavelength_nm": scene.wavelength_nm.tolist(),
         "samples": {"mean": float(picture.samples.mean()), "most": int(picture.samples.max())},
-        "share_of_pixels_on_shapes": float(hit.mean()),
+        "share_of_pixels_on_shapes": picture.share_on_shapes,
         "radiance": {
             "largest": picture.radiance.max(axis=(0, 1)).tolist(),
             "mean": picture.radiance.mean(axis=(0, 1)).tolist(),

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import itertools
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import cached_property
+from typing import Self
 
 import numpy as np
 import numpy.typing as npt
@@ -15,6 +17,7 @@ from gonio.errors import ConfigError
 from gonio.typing import Floats
 from gonio_scenes.integrator import Integrator
 from gonio_scenes.scene import Scene
+from gonio_scenes.world import Hits
 
 BLOCK = 1 << 16
 """Rays that are followed together: enough to keep two cores busy, few enough to stay in the cache."""
@@ -38,20 +41,39 @@ Step = Callable[[int, int], None]
 class Picture:
     """A rendered scene. Arrays are (height, width, ...), row 0 at the top."""
 
+    scene: Scene
     radiance: Floats
     """(height, width, wavelengths)."""
     error: Floats | None
     """Standard error of the radiance, (height, width, wavelengths); None where one ray a pixel is all."""
     samples: npt.NDArray[np.int64]
     """Rays a pixel."""
-    shape: npt.NDArray[np.int64]
-    """What the ray through the pixel's centre meets: the number of the shape, from 0, or -1."""
-    position: Floats
-    normal: Floats
     seconds: float
     rays: dict[str, int]
     above_tolerance: int
     """Pixels that `MAX_RAYS` did not bring to the tolerance."""
+    share_on_shapes: float
+    """Of the pixels, those whose centre sees a shape."""
+
+    def centres(self) -> Iterator[Hits]:
+        """What the rays through the pixels' centres meet, some rows of pixels after the other; traced anew."""
+        for pixel in _blocks(self.scene):
+            yield self.scene.world.hit(*self.scene.camera.rays(pixel, 0, None))
+
+    @cached_property
+    def shape(self) -> npt.NDArray[np.int64]:
+        """What the ray through the pixel's centre meets: the number of the shape, from 0, or -1."""
+        return np.concatenate([hits.shape for hits in self.centres()]).reshape(self.radiance.shape[:2])
+
+    @cached_property
+    def position(self) -> Floats:
+        """Where it meets that [mm]."""
+        return np.concatenate([hits.position for hits in self.centres()]).reshape(*self.radiance.shape[:2], 3)
+
+    @cached_property
+    def normal(self) -> Floats:
+        """Its normal there."""
+        return np.concatenate([hits.normal for hits in self.centres()]).reshape(*self.radiance.shape[:2], 3)
 
 
 def render(scene: Scene, *, step: Step | None = None) -> Picture:
@@ -65,32 +87,30 @@ def render(scene: Scene, *, step: Step | None = None) -> Picture:
     began = time.perf_counter()
     camera, waves = scene.camera, scene.wavelength_nm.size
     integrator = Integrator(scene)
-    count = camera.pixels
-    radiance = np.zeros((count, waves))
-    shape = np.full(count, -1, dtype=np.int64)
-    position, normal = np.zeros((count, 3)), np.zeros((count, 3))
+    count, seen = camera.pixels, 0
     noisy = camera.lens_radius > 0 or camera.samples > 1 or scene.tolerance > 0 or _soft(scene)
     told = step or (lambda done, of: None)
     one_ray = camera.samples == 1 and scene.tolerance == 0.0
-    for first in range(0, count, BLOCK):
-        pixel = np.arange(first, min(first + BLOCK, count))
-        block = slice(first, first + pixel.size)
+    through_centres = one_ray and camera.lens_radius == 0
+    radiance = np.zeros((count if through_centres else 0, waves))
+    for pixel in _blocks(scene):
         origin, direction = camera.rays(pixel, 0, None)
-        if one_ray and camera.lens_radius == 0:
-            radiance[block], hits = integrator.radiance(origin, direction, _random(scene, 0, first) if noisy else None)
+        if through_centres:
+            random = _random(scene, 0, int(pixel[0])) if noisy else None
+            radiance[pixel[0] : pixel[-1] + 1], hits = integrator.radiance(origin, direction, random)
         else:
             hits = scene.world.hit(origin, direction)
-        shape[block], position[block], normal[block] = hits.shape, hits.position, hits.normal
-        told(min(first + BLOCK, count), count * (1 if one_ray else camera.samples))
-    if not (shape >= 0).any():
+        seen += int((hits.shape >= 0).sum())
+        told(int(pixel[-1]) + 1, count * (1 if one_ray else camera.samples))
+    if not seen:
         raise ConfigError(
             f"{scene.source}: camera: no ray through a pixel's centre meets a shape: look_at_mm, vertical_field_deg, "
             "or the shapes' places are not what they should be"
         )
     error: Floats | None = None
-    samples = np.ones(count, dtype=np.int64)
+    samples: Indices = np.broadcast_to(np.int64(1), count)
     above = 0
-    if not (one_ray and camera.lens_radius == 0):
+    if not through_centres:
         radiance, error, samples, above = _averaged(scene, integrator, told)
     with np.errstate(over="ignore"):
         finite = bool(np.isfinite(radiance.sum()))
@@ -101,16 +121,21 @@ def render(scene: Scene, *, step: Step | None = None) -> Picture:
         )
     size = (camera.height, camera.width)
     return Picture(
+        scene=scene,
         radiance=radiance.reshape(*size, waves),
         error=None if error is None else error.reshape(*size, waves),
         samples=samples.reshape(size),
-        shape=shape.reshape(size),
-        position=position.reshape(*size, 3),
-        normal=normal.reshape(*size, 3),
         seconds=time.perf_counter() - began,
         rays=dict(integrator.rays),
         above_tolerance=above,
+        share_on_shapes=seen / count,
     )
+
+
+def _blocks(scene: Scene) -> Iterator[Indices]:
+    """All pixels, by their numbers, block by block."""
+    count = scene.camera.pixels
+    return (np.arange(first, min(first + BLOCK, count)) for first in range(0, count, BLOCK))
 
 
 def _soft(scene: Scene) -> bool:
@@ -131,22 +156,13 @@ def _averaged(scene: Scene, integrator: Integrator, told: Step) -> tuple[Floats,
     as it had at most before it is looked at again.
     """
     camera, count = scene.camera, scene.camera.pixels
-    size, sizes = BATCH, [BATCH] * FIRST_BATCHES if scene.tolerance > 0 else _batches(camera.samples)
-    batches = len(sizes)
-    sums = _Sums(
-        np.zeros((count, scene.wavelength_nm.size)),
-        np.zeros((count, scene.wavelength_nm.size)),
-        np.zeros(count, np.int64),
-        np.zeros(count, np.int64),
-    )
-    for batch in range(batches):
-        for first in range(0, count, BLOCK):
-            pixel = np.arange(first, min(first + BLOCK, count))
-            sums.add(scene, integrator, pixel, sizes[batch], _random(scene, batch + 1, first))
-            if scene.tolerance == 0:
-                told(batch * count + int(pixel[-1]) + 1, batches * count)
     if scene.tolerance == 0:
-        return sums.mean, sums.error(), sums.rays, 0
+        return _even(scene, integrator, told)
+    size, batches = BATCH, FIRST_BATCHES
+    sums = _Sums.of(count, scene.wavelength_nm.size)
+    for batch in range(batches):
+        for pixel in _blocks(scene):
+            sums.add(scene, integrator, pixel, size, _random(scene, batch + 1, int(pixel[0])))
     for turn in itertools.count(batches + 1):
         error = sums.error(camera.height, camera.width)
         wanted = sums.batches * _excess(scene, sums.mean, error)
@@ -163,6 +179,20 @@ def _averaged(scene: Scene, integrator: Integrator, told: Step) -> tuple[Floats,
     return sums.mean, error, sums.rays, above
 
 
+def _even(scene: Scene, integrator: Integrator, told: Step) -> tuple[Floats, Floats, Indices, int]:
+    """`_averaged`, with as many rays in every pixel: block by block."""
+    sizes, count = _batches(scene.camera.samples), scene.camera.pixels
+    mean, error = (np.empty((count, scene.wavelength_nm.size)) for _ in range(2))
+    for pixel in _blocks(scene):
+        sums = _Sums.of(pixel.size, scene.wavelength_nm.size)
+        for batch, size in enumerate(sizes, 1):
+            sums.add(scene, integrator, pixel, size, _random(scene, batch, int(pixel[0])), first=int(pixel[0]))
+        block = slice(int(pixel[0]), int(pixel[-1]) + 1)
+        mean[block], error[block] = sums.mean, sums.error()
+        told(block.stop, count)
+    return mean, error, np.broadcast_to(np.int64(scene.camera.samples), count), 0
+
+
 @dataclass(frozen=True)
 class _Sums:
     """What batches of rays gave so far, pixel by pixel."""
@@ -174,19 +204,30 @@ class _Sums:
     batches: Indices
     rays: Indices
 
+    @classmethod
+    def of(cls, pixels: int, waves: int) -> Self:
+        """Of no rays."""
+        return cls(np.zeros((pixels, waves)), np.zeros((pixels, waves)), *np.zeros((2, pixels), np.int64))
+
     @property
     def mean(self) -> Floats:
         return np.asarray(self.total / self.rays[:, None])
 
-    def add(self, scene: Scene, integrator: Integrator, pixel: Indices, size: int, random: np.random.Generator) -> None:
-        """Follow a batch of rays for each entry of `pixel`, which grows and may name a pixel several times."""
+    def add(
+        self, scene: Scene, integrator: Integrator, pixel: Indices, size: int, random: np.random.Generator,
+        first: int = 0,
+    ) -> None:  # fmt: skip
+        """Follow a batch of rays for each entry of `pixel`, which grows and may name a pixel several times.
+
+        These sums begin with the pixel `first`.
+        """
         shift = random.random((pixel.size, 4))
         mean = np.zeros((pixel.size, scene.wavelength_nm.size))
         for sample in range(size):
             mean += integrator.radiance(*scene.camera.rays(pixel, sample, shift), random)[0]
         mean /= size
         starts = np.flatnonzero(np.diff(pixel, prepend=-1))
-        at = pixel[starts]
+        at = pixel[starts] - first
         again = np.diff(starts, append=pixel.size)
         self.total[at] += size * np.add.reduceat(mean, starts)
         self.squares[at] += size * np.add.reduceat(mean * mean, starts)
