@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from gonio_analysis.fitting.forward import apparent, averaging, seen
+from gonio_analysis.fitting.forward import apparent, averaging, rho_angles, seen
 from gonio_analysis.fitting.observations import observations
 from gonio_analysis.fitting.problem import FitRequest, pose
 from gonio_analysis.fitting.search import STEP, derivatives
@@ -85,3 +85,14 @@ def test_with_cones_it_is_the_average_over_them_spike_included() -> None:
     spike = MODEL.specular_reflectivity(THETA_I[0], wavelength_nm=550.0) / (np.cos(THETA_I[0]) * cone)
     # 1 %: the cosine over half a degree at 30 degrees, and the lobe over the cones
     np.testing.assert_allclose(got[0], lobe[0] + spike, rtol=0.01)
+
+
+def test_energy_is_asked_for_at_the_incidences_of_a_table_and_at_8_degrees_once() -> None:
+    def asked_deg(*incidences_deg: float) -> list[float]:
+        data = observations(measure(build("lambert", {"albedo": 0.4}), incidences=incidences_deg))
+        return np.degrees(rho_angles(data)).round(1).tolist()
+
+    assert asked_deg(30.0, 60.0) == [8.0, 30.0, 60.0]
+    assert asked_deg(8.0, 30.0) == [8.0, 30.0]
+    many = asked_deg(*np.arange(5.0, 85.0, 5.0))
+    assert (len(many), many[0], many[-1]) == (10, 5.0, 80.0), "nine of sixteen, evenly, and 8"
