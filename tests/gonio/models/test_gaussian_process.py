@@ -58,6 +58,29 @@ def test_what_is_known_is_the_conditional_distribution() -> None:
     np.testing.assert_allclose(covariance, prior - cross @ np.linalg.solve(k, cross.T), atol=1e-5)
 
 
+def test_variances_are_the_diagonals_of_the_covariances_with_and_without_values() -> None:
+    rng = np.random.default_rng(6)
+    at, there = Coordinates.of(directions(12, 4)), Coordinates.of(directions(5, 5))
+    there = there.seen(rng.uniform(0.2, 1.0, 5), rng.uniform(0.2, 1.0, 5))
+    values = Training(at, rng.normal(0, 1, 12), rng.uniform(0.01, 0.1, 12), rng.normal(0, 0.05, (12, 2)))
+    process = Process(values, OF_CURVES.centres + rng.normal(0, 0.5, len(NAMES)), 0.3)
+    effects = rng.normal(0, 0.1, (5, 2))
+    # the smallest is a thousandth of the largest
+    prior = np.diag(Pairs(there, there, OF_CURVES).kernel(process.p))
+    np.testing.assert_allclose(process.prior_variance_at(there), prior, rtol=1e-9)
+    for more in (None, effects):
+        known = np.diag(process.covariance_at(there, more))
+        np.testing.assert_allclose(process.variance_at(there, more), known, rtol=1e-6)
+    assert process.mean_at(there) == pytest.approx(0.3 + process.changes_at(there))
+    lobe, base = np.array([0.3, -2.0]), np.array([-1.0, 1.5])
+    step = 1e-6
+    by = [
+        (gp.total(lobe + step * a, base + step * b) - gp.total(lobe - step * a, base - step * b)) / (2 * step)
+        for a, b in ((1, 0), (0, 1))
+    ]
+    np.testing.assert_allclose(gp.shares(lobe, base), by, rtol=1e-7)
+
+
 def test_a_value_left_out_is_predicted_by_the_others() -> None:
     rng = np.random.default_rng(6)
     d = directions(10, 7)
