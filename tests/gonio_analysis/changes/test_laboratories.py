@@ -97,6 +97,8 @@ def test_honest_laboratories_agree_and_the_consensus_is_the_truth(shape: Any) ->
         found = compared({name: measured(rng, shape=shape) for name in "ABCDE"})
         assert found.agree
         assert found.scales.method == "weighted"
+        # nobody is left out: the mean of all is the reference, which is 1 by definition
+        assert found.methods["weighted"] == pytest.approx((1.0, found.scales.reference.u, 0.0))
         d = found.at.directions
         true = shape(np.degrees(d.theta_i), np.degrees(d.signed)).mean()
         pulls.append((found.mean / true - 1.0) / found.scales.reference.u)
