@@ -45,3 +45,18 @@ def test_gradient_of_a_reflectance_is_exact() -> None:
     (found,) = sampled_hemisphere.reflectances(data).values()
     assert isinstance(found, sampled.Sampled)
     assert found.value == pytest.approx(float(found.gradient @ data.brdf), rel=1e-12)  # linear in every value
+
+
+def test_reflectance_at_8_degrees_is_that_of_an_even_function_of_the_angle_between_two_others() -> None:
+    """rho = a + b theta^2 exactly; what is seen nearer by is taken as it is, and nothing beyond 30 degrees."""
+
+    def known(*degrees: float) -> dict[float, sampled.Sampled | sampled.NotMeasured]:
+        rho = {t: 0.3 + 1e-4 * t**2 for t in degrees}
+        return {np.radians(t): sampled.Sampled(r, np.array([r, 1.0]), 0.001) for t, r in rho.items()}
+
+    mixed = sampled_hemisphere.reflectance_at_8(known(2.0, 20.0, 60.0))
+    assert mixed.value == mixed.gradient[0] == pytest.approx(0.3 + 1e-4 * 64.0)
+    assert mixed.error == pytest.approx(0.001 + 1e-4 * (400.0 - 4.0) / 4.0), "a quarter of what lies between"
+    assert sampled_hemisphere.reflectance_at_8(known(2.0, 10.4, 20.0)).value == pytest.approx(0.3 + 1e-4 * 10.4**2)
+    with pytest.raises(sampled.NotMeasured):
+        sampled_hemisphere.reflectance_at_8(known(2.0, 31.0))
