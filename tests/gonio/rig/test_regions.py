@@ -91,6 +91,8 @@ def test_the_lamp_straight_through_weighs_as_a_unit_brdf(pattern: Any, channel: 
         ({}, 4.0, "align the arms"),
         ({}, -4.0, "align the arms"),
         ({}, 3.7, ""),
+        *[({"camera": {"principal_point_px": (0.0, sign * 39.0)}}, 0.0, "") for sign in (1, -1)],
+        *[({"camera": {"principal_point_px": (0.0, sign * 43.0)}}, 0.0, "align the arms") for sign in (1, -1)],
     ],
 )
 def test_a_lamp_that_cannot_be_seen_whole_is_refused(changes: dict[str, Any], turned_deg: float, said: str) -> None:
@@ -141,3 +143,31 @@ def test_a_lens_that_hardly_bends_shows_the_same_region_and_one_that_bends_the_s
     assert extent == pytest.approx((columns.min(), columns.max(), rows.min(), rows.max()), abs=0.02)
     # its edge lies 36 pixels beside the middle, 0.0194 of the way to the lens's image: drawn in by 30 times the cube
     assert regions.patch_extent(straight, view)[1] - extent[1] == pytest.approx(36 * 30 * 0.0194**2, rel=0.03)
+
+
+def test_a_region_is_every_pixel_that_sees_the_patch_however_oblique_the_camera_is() -> None:
+    """Counted over the whole frame; and what two of them share, pixel by pixel."""
+    description = describe(camera=CAMERA, reference=Reference(how="beside", offset_mm=(12.0, -5.0)))
+    counted = []
+    for target, camera_deg, centre in (
+        ("sample", -10.0, (0, 0)),
+        ("sample", 75.0, (0, 0)),
+        ("reference", 0.0, (12, -5)),
+    ):
+        view = kinematics.view(description, Pose(light=0.2, camera=math.radians(camera_deg)))
+        seen = imaging.pixel_map(description, view)
+        whole = np.hypot(seen.x_mm - centre[0], seen.y_mm - centre[1]) <= description.acquisition.roi_radius_mm
+        region = regions.roi(description, view, target)  # type: ignore[arg-type]
+        assert region.count == np.count_nonzero(whole) > 5
+        assert region.of(np.arange(whole.size).reshape(whole.shape)).tolist() == np.flatnonzero(whole).tolist()
+        counted.append((region, whole))
+    for one, in_one in counted:
+        for other, in_other in counted:
+            assert one.shared(other) == np.count_nonzero(in_one & in_other)
+    # from 89.9 degrees a column is 309 mm long, and the radius grows to that: the two about the middle
+    view = kinematics.view(description, Pose(light=0.2, camera=math.radians(89.9)))
+    assert np.count_nonzero(regions.roi(description, view).mask.any(axis=0)) == 2
+    assert [
+        regions.always_holds_sample(describe(camera=CAMERA, acquisition=Acquisition(roi_radius_mm=r)))
+        for r in (30.0, 33.0)
+    ] == [True, False], "the frame holds 32.4 mm from 1 m, and 31.4 from 31.4 mm nearer"
