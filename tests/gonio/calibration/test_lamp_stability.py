@@ -32,7 +32,7 @@ def noisy(t: Floats, seed: int, clean: Floats) -> Floats:
 
 
 def test_pulls_of_forty_series_have_unit_spread() -> None:
-    """Of loss, time constant, drift and noise. Forty pulls have a spread of 1 +- 0.11 and a mean of 0 +- 0.16."""
+    """Of level, loss, time constant, drift, noise. Forty pulls have a spread of 1 +- 0.11 and a mean of 0 +- 0.16."""
     pulls = []
     for seed in range(40):
         t = times()
@@ -40,6 +40,7 @@ def test_pulls_of_forty_series_have_unit_spread() -> None:
         u = np.sqrt(np.diag(found.covariance))
         pulls.append(
             [
+                (found.level - 1000.0) / u[0],
                 (found.loss - LOSS) / u[1],
                 (found.time_constant_s - TAU) / u[2],
                 (3600 * found.drift_per_s - DRIFT) / (3600 * u[3]),

@@ -16,7 +16,7 @@ from gonio.reduction.dark_signal import Darks
 from gonio.reduction.geometry_errors import GeometryErrors, zero_u_deg
 from gonio.reduction.light_and_lens import BEAM
 from gonio.reduction.map_grid import grid
-from gonio.rig import Pose
+from gonio.rig import Pose, kinematics
 from gonio.rig.calibration_use import Calibrated, CalibrationUse
 from gonio.rig.description import Reference, RigDescription
 from gonio.rig.light_and_camera import Beam, Camera, Lamp
@@ -77,8 +77,17 @@ def test_distances_change_the_lamp_straight_through_as_its_formula_says() -> Non
     assert errors.count == 2
     changed = errors.straight_through(Pose(light=math.pi / 2, camera=-math.pi / 2))
     assert np.sum(half(changed) ** 2) == pytest.approx(slopes @ covariance @ slopes, rel=1e-3)
-    # over its own distance the sample's centre has as much light as before, and a spot beside it hardly less
+    # over its own distance the sample's centre has as much light as before; a spot beside it has (d/|S - x|)^2
     assert errors.at(Pose(light=0.3, camera=-0.5), "sample").relative_distance_factor == pytest.approx(1.0)
+    pose = Pose(light=0.6, camera=-0.5)
+    beside = calibrated(
+        {"geometry.light_distance_mm": 0.5}, 0.0, reference=Reference(how="beside", offset_mm=(8.0, 0.0))
+    )
+    sights, lamp = GeometryErrors(beside).at(pose, "reference"), np.asarray(kinematics.view(beside, pose).source_mm)
+    way = lamp - [8.0, 0.0, 0.0]
+    assert sights.known[[0, 4]] == pytest.approx([math.acos(way[2] / np.linalg.norm(way)), di**2 / (way @ way)])
+    slope = 2 / di - 2 * (way @ lamp) / di / (way @ way)
+    assert abs(half(sights.relative_distance_factor)) == pytest.approx([0.5 * abs(slope)], rel=1e-3)
 
 
 def test_causes_of_the_camera_are_its_covariance() -> None:
