@@ -325,7 +325,9 @@ def test_the_simulated_bench_tells_collisions_and_a_rig_that_looks_ahead_has_non
 
 @pytest.mark.parametrize("pose", [Pose(light=0.7, camera=-0.4), Pose(light=-0.3, camera=0.9, tilt=0.3, spin=-1.2)])
 def test_light_goes_from_a_disc_of_the_lamp_s_size_to_the_patch_and_on_to_one_of_the_lens_s(pose: Pose) -> None:
+    crooked = ArmAxis(axis_tilt_deg=(5.0, -4.0), elevation_deg=8.0)
     description = describe(
+        arms=Arms(light=crooked, camera=crooked),
         lamp=Lamp(half_angle_deg=2.0),
         camera=Camera(lens_half_angle_deg=1.0),
         acquisition=Acquisition(roi_radius_mm=3.0),
