@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import io
 import os
+import signal
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -16,6 +17,7 @@ from typing import TypeVar
 
 import pytest
 
+from gonio import platform
 from gonio.cli import application
 from gonio.cli.signals import Ending
 
@@ -34,8 +36,12 @@ def gonio(folder: Path, *arguments: str | Path, expect: int | None = None) -> su
         for name, stream in (("stdin", nothing), ("stdout", out), ("stderr", err)):
             patch.setattr(sys, name, stream)
         patch.setattr(sys, "argv", ["gonio", *words])
-        patch.setattr(application, "deafen", lambda: None)  # this process goes on, and has to hear its signals
-        code = application.run(Ending())
+        heard = {number: signal.getsignal(number) for number in platform.ENDING}
+        try:
+            code = application.run(Ending())
+        finally:  # a process that ends is deaf to its signals; this one goes on
+            for number, handler in heard.items():
+                signal.signal(number, handler)
     done = subprocess.CompletedProcess(words, code or 0, *(stream.getvalue().decode() for stream in printed))
     assert expect in (None, done.returncode), f"exit code {done.returncode}: {done.stdout}\n{done.stderr}"
     return done

@@ -129,6 +129,7 @@ FITTED: dict[str, tuple[dict[str, Any], str | None]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", FITTED)
 def test_a_saved_fit_is_the_sample_of_another_measurement(name: str, tmp_path: Path) -> None:
     truth, given = FITTED[name]

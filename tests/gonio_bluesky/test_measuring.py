@@ -167,6 +167,7 @@ def test_points_without_a_plan_file(tmp_path: Path) -> None:
     assert len(brdf.reduce(Run.open(tmp_path / "B"))) == 2
 
 
+@pytest.mark.slow
 def test_a_step_that_is_taken_again_passes_the_gate_once(plan: Path, tmp_path: Path) -> None:
     tables = []
     for target in (None, 0.01):  # planned brackets have as many frames as they need

@@ -443,6 +443,7 @@ def test_squares_do_not_mix_facets(nodes: int, samples: int, seed: int, tmp_path
     assert np.abs(error).max() < 1e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("normals", ["facet", "smooth"])
 def test_causes_of_a_height_field_are_in_its_columns(normals: str, tmp_path: Path) -> None:
     """The scatter that is left beside the columns of light and place, with both displaced."""

@@ -149,6 +149,7 @@ def test_a_narrow_beam_has_the_cosine_of_the_camera_in_a_calibrated_geometry_too
     np.testing.assert_allclose(abs(one["s_geometry_1"]), abs(expected), rtol=0.02, atol=2e-6)
 
 
+@pytest.mark.slow
 def test_pixels_that_a_narrow_beam_does_not_light_do_not_average_its_pixels_responsivities(tmp_path: Path) -> None:
     pulls = []
     for seed in range(10):

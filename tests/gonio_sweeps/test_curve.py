@@ -182,6 +182,7 @@ def test_values_below_zero_are_values() -> None:
     assert np.isfinite(u).all()
 
 
+@pytest.mark.slow
 def test_errors_of_angles_count_where_the_curve_is_steep() -> None:
     x = np.linspace(0, 60, 31)
     f = 0.05 + np.exp(-(((x - 30) / 6) ** 2))

@@ -94,6 +94,7 @@ def test_bad_argument(here: Command, files: Path, arguments: tuple[str, ...], co
     assert not (files / "x").exists()
 
 
+@pytest.mark.slow
 def test_a_terminal_that_knows_no_plus_minus_shows_something_else(
     gonio: Command, files: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

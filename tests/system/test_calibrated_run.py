@@ -64,6 +64,7 @@ def test_a_run_tells_of_its_calibrations_and_is_reduced_without_their_files(benc
     assert gonio(bench, "run", "check", "run").returncode == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("changed", "why"),
     [

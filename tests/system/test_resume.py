@@ -144,6 +144,7 @@ def test_resuming_something_else_is_refused(
     assert word in here(*MEASURE, "--out", "run", "--resume", expect=2).stderr
 
 
+@pytest.mark.slow
 def test_a_lost_journal_is_made_again_and_a_damaged_frame_is_taken_again(here: Command, files: Path) -> None:
     here(*MEASURE, "--out", "run")
     here("reduce", "run")

@@ -182,6 +182,7 @@ def test_a_point_whose_frame_is_no_file_is_flagged(whole: Path, tmp_path: Path, 
     assert step.step not in Run.open(run).steps().numbers  # it counts no more
 
 
+@pytest.mark.slow
 def test_a_record_that_is_a_pipe_is_named(whole: Path, tmp_path: Path, call: Call) -> None:
     shutil.copytree(whole, tmp_path / "w")
     run = tmp_path / "w" / "run"

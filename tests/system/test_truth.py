@@ -71,6 +71,7 @@ def test_lambertian_sample_on_the_noisy_rig(here: Command, tmp_path: Path) -> No
     np.testing.assert_allclose(used["u_brdf"], total, rtol=1e-12)  # an identity, up to rounding
 
 
+@pytest.mark.slow
 def test_lambertian_sample_on_the_ideal_rig(here: Command, tmp_path: Path) -> None:
     table = run(here, tmp_path, "sim-ideal", LAMBERT, LAMBERT_PLAN, 1)
     used = table[table["flag"] == ""]
@@ -100,6 +101,7 @@ def test_rough_aluminium_is_recovered_through_the_instrument(here: Command, tmp_
     assert mirror > 10 * beside  # the spike stands out of the lobe, He1991 Fig. 8
 
 
+@pytest.mark.slow
 def test_a_hidden_zero_offset_is_a_bias_that_the_budget_does_not_know(here: Command, tmp_path: Path) -> None:
     shipped = here("rig", "show", "sim-ideal").stdout
     marked = shipped.replace("[arms.light]", "[arms.light]\nzero_offset_deg = 1.0\nzero_offset_known = false", 1)
@@ -141,6 +143,7 @@ diffuse_albedo = 0.15
 """
 
 
+@pytest.mark.slow
 def test_a_brushed_sample_at_three_spins_is_described_by_the_anisotropic_model_alone(
     here: Command, tmp_path: Path
 ) -> None:

@@ -123,6 +123,7 @@ def test_every_reader_names_a_forged_line_or_can_do_with_it(measured: Path, tmp_
     assert refused >= len(READERS), "nothing was forged"
 
 
+@pytest.mark.slow
 def test_commands_say_one_thing_of_a_forged_line(measured: Path, tmp_path: Path) -> None:
     lines = (measured / "journal.jsonl").read_bytes().splitlines(keepends=True)
     event = json.loads(lines[4])

@@ -105,6 +105,7 @@ def test_a_run_grows_until_its_chooser_has_enough(plan: Plan, tmp_path: Path) ->
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stopped_after", [1, 5, 6, 8, 11, 14])
 def test_stopping_it_anywhere_changes_nothing(plan: Plan, tmp_path: Path, stopped_after: int) -> None:
     whole = measure(plan, tmp_path / "whole")
@@ -162,6 +163,7 @@ def test_reasons_in_numpy_s_types_are_kept_as_plain_ones(
     assert json.loads((tmp_path / "run" / "chosen.json").read_text())[0]["why"]["n"] == 3
 
 
+@pytest.mark.slow
 def test_a_reason_that_no_journal_keeps_is_named_and_the_run_goes_on_when_it_is_mended(
     plan: Plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -61,6 +61,7 @@ def calibrated(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_the_file_holds_the_truth_within_its_uncertainties(calibrated: Path) -> None:
     file = read_toml(calibrated / "geometry.toml")
     known, values, true = file["uncertainty"], numbers_in(file["values"]), numbers_in(TRUTH)
@@ -203,6 +204,7 @@ def test_what_is_missing_is_told_apart(
     assert not (tmp_path / "g.toml").exists()
 
 
+@pytest.mark.slow
 def test_zeros_that_the_rig_file_knows_are_kept_and_said(tmp_path: Path) -> None:
     """The shipped `sim`: arms that cannot face each other, and no markers."""
     out = tomllib.loads(SIM.toml)

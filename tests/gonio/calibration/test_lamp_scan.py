@@ -101,6 +101,7 @@ def test_flats_are_taken_from_both_sides_of_the_light_and_never_through_it(theta
     assert apart == pytest.approx(reached)
 
 
+@pytest.mark.slow
 def test_a_zero_that_nobody_has_measured_is_no_beam_that_is_tilted(tmp_path: Path) -> None:
     """The rig file claims zeros to 0.02 deg. The light's is 2 deg off, and no beam is tilted."""
     write(tmp_path, ZEROS, camera={"width": 320, "height": 240, "pixel_um": 10.0}, lamp={"noise": 0.0002})

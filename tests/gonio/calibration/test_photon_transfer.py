@@ -111,6 +111,7 @@ def test_nonlinearity_and_its_inverse() -> None:
     assert straightened(CAMERA, x) is x
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lamp_noise", [0.0, 0.01])
 def test_nonlinearity_of_one_per_cent_is_found_though_the_lamp_flickers(lamp_noise: float) -> None:
     true = CAMERA.model_copy(update={"nonlinearity": (-0.014, 0.003), "full_well_e": 9500.0})

@@ -161,6 +161,7 @@ def test_a_run_that_states_nothing_is_converted_as_ever_and_says_so(tmp_path: Pa
     assert "[laboratory]" in done.stderr
 
 
+@pytest.mark.slow
 def test_a_later_session_may_state_more_and_changes_no_step(tmp_path: Path) -> None:
     run = measured(tmp_path, PLAN)
     steps, table = list(run.steps()), (run.path / "brdf.csv").read_bytes()

@@ -189,6 +189,7 @@ def test_the_file_beside_a_workbook_is_its_own_where_no_csv_has_its_name(tmp_pat
     assert_plain(measurement.read(tmp_path / "mine.xlsx"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ending", ["csv", "xlsx"])
 def test_fit_compare_and_appearance_take_them(tmp_path: Path, ending: str) -> None:
     rows: list[list[object]] = [["inc", "az", "det", "azd", "R"]]

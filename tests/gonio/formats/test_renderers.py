@@ -55,6 +55,7 @@ def test_klems_holds_averages_over_patches(tmp_path: Path) -> None:
     assert peak["brdf"] == pytest.approx(drawn.mean(), rel=0.01)
 
 
+@pytest.mark.slow
 def test_merl_cells_hold_the_model(tmp_path: Path) -> None:
     measurement.write_model(GLOSSY, tmp_path / "g.binary", name="glossy")
     frame = measurement.read(tmp_path / "g.binary", sample="g green").iloc[::997]

@@ -114,6 +114,7 @@ def test_damage_is_named(data: bytes, told: str) -> None:
     assert "m.bsdf" in str(caught.value)
 
 
+@pytest.mark.slow
 def test_damaged_files(survives: Callable[..., None]) -> None:
     survives(material(), "m.bsdf", format="rgl", most_rows=60_000)  # the table is a fixed grid
 

@@ -232,6 +232,7 @@ def test_loops_over_kernels_are_vectors(model: Model, tmp_path: Path, monkeypatc
     assert re.search(r"fdiv [a-z ]*<\d+ x double>", code)
 
 
+@pytest.mark.slow
 def test_loops_over_columns_and_in_float32_are_vectors(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     import numba
 

@@ -51,6 +51,7 @@ def test_appearance_says_it() -> None:
     assert not any("reflects" in note for note in of_model(models.EON(), name="dull").notes)
 
 
+@pytest.mark.slow
 def test_a_class_in_a_file_is_fitted_saved_and_used(tmp_path: Path) -> None:
     name = ward(tmp_path)
     made = build("ggx", {"alpha": 0.2, "ior": 1.5, "diffuse_albedo": 0.2})
@@ -74,6 +75,7 @@ def test_what_is_wrong_with_a_file_is_said(tmp_path: Path, monkeypatch: pytest.M
         build("./broken.py:Ward", {})
 
 
+@pytest.mark.slow
 def test_the_normalisation_stands_beside_s(tmp_path: Path) -> None:
     measurement.write(measure(models.CookTorrance(s=0.3, m=0.2, ior=1.5, diffuse_albedo=0.3)), tmp_path / "t.csv")
     printed = gonio(tmp_path, "fit", "t.csv", "--model", "cook-torrance", "--ior", "1.5")

@@ -93,6 +93,7 @@ def test_a_value_left_out_is_predicted_by_the_others() -> None:
     assert left_out[4] == pytest.approx(expected, rel=1e-5)  # jitter of 1e-10 beside a noise of 1e-2
 
 
+@pytest.mark.slow
 def test_a_search_with_some_values_ends_where_one_with_all_does(monkeypatch: pytest.MonkeyPatch) -> None:
     """A smooth curve with noise of 1 %; the parameters of a third of the values lie elsewhere."""
     rng = np.random.default_rng(8)

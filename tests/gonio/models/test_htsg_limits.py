@@ -119,6 +119,7 @@ def test_energy_of_a_perfect_reflector(theta: float) -> None:
     assert surface.directional_hemispherical(theta, wavelength_nm=500.0) == pytest.approx(1.0, abs=3e-3)
 
 
+@pytest.mark.slow
 def test_diffuse_albedo_is_an_albedo() -> None:
     """Erratum of eq. 72: rho_ud = a/pi; Fig. 11's text (rho_dh = 0.195 with a = 0.15) needs it."""
     bare, painted = HeTorrance(ior=1.5), HeTorrance(ior=1.5, diffuse_albedo=0.15)

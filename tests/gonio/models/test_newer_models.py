@@ -54,6 +54,7 @@ def test_the_digits_of_vlidort_s_kernels() -> None:
         assert found == pytest.approx(digits, abs=6e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("model", ALL, ids=NAMES)
 def test_exchanging_both_directions_changes_nothing(model: Any) -> None:
     rng = np.random.default_rng(1)

@@ -136,6 +136,7 @@ def test_oren_nayar_groove_digits() -> None:
         assert around == pytest.approx(float(out["isotropic_L1"]), rel=2e-3)
 
 
+@pytest.mark.slow
 def test_oren_nayar_integral_digits() -> None:
     tried = 0
     for case in cases("oren_nayar_exact")[::2]:

@@ -73,6 +73,7 @@ def test_mirror_offset(theta: float) -> None:
 GRID = [at(i, float(r)) for i in (20.0, 25.0, 30.0, 35.0, 40.0) for r in range(-70, 71, 5)]
 
 
+@pytest.mark.slow
 def test_a_matt_sample_feels_the_cosine_alone() -> None:
     model, u = curves(lambda d: 0.25, GRID), math.radians(0.05)
     for k, d in enumerate(GRID):
@@ -88,6 +89,7 @@ def lobe(d: Directions) -> float:
     return (1 + math.cos(d.theta_i)) * math.exp(-(((signed - 1.1 * d.theta_i) / 0.4) ** 2)) + 0.1
 
 
+@pytest.mark.slow
 def test_a_lobe_that_follows_the_mirror_direction() -> None:
     """Not symmetric, and changing with theta_i: both derivatives within the error of 5 degrees' differences."""
     model, u = curves(lobe, GRID), math.radians(0.02)

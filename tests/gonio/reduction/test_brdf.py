@@ -317,6 +317,7 @@ def test_zeros_of_the_arms_are_common_causes_with_their_cosine(tmp_path: Path) -
     np.testing.assert_allclose(table["s_reference"], 0.004 * table["brdf"], rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_zero_that_is_off_shifts_the_table_by_its_column(tmp_path: Path) -> None:
     """The light truly stands 0.05 deg off; a smooth lobe: the column tells the shift of every value."""
     off = math.radians(0.05)

@@ -71,6 +71,7 @@ def test_scattered_points_tell_the_slopes_of_a_lobe_and_how_uncertain_they_are(c
     assert np.sqrt(np.median(left)) < (1.0 if count == 25 else 0.5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [1, 2, 5])
 def test_with_few_points_slopes_are_as_uncertain_as_lobes_are_steep(count: int) -> None:
     rng, pulls = np.random.default_rng(11), []
@@ -92,6 +93,7 @@ def test_a_matte_sample_has_no_slope_to_speak_of() -> None:
     assert np.all(np.sqrt(slope**2 + np.einsum("nii->ni", covariance)) * step < NOISE / 30)
 
 
+@pytest.mark.slow
 def test_many_points_in_blocks_tell_what_all_together_do(monkeypatch: pytest.MonkeyPatch) -> None:
     rng = np.random.default_rng(5)
     places = anywhere(rng, 300)
@@ -158,6 +160,7 @@ def test_an_azimuth_that_passes_half_a_turn_makes_no_slope() -> None:
     np.testing.assert_allclose(slopes, slopes[:1].repeat(3, axis=0), rtol=1e-5, atol=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [1, 3, 40, 150])
 @pytest.mark.parametrize("u", [0.0, 0.3])
 def test_values_that_are_all_alike_or_read_twice_have_finite_slopes(count: int, u: float) -> None:

@@ -192,6 +192,7 @@ def test_visits_that_cannot_be_used_are_counted_by_their_flags() -> None:
     assert alone.startswith("one visit to the white reference only")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("loss", "most"), [(0.03, 1e-3), (0.01, 7e-4)])
 def test_a_lamp_that_warms_up_is_followed_between_the_visits(loss: float, most: float) -> None:
     """By 3 % with a time constant of 400 s, visits every 300 s that know the level to 0.05 %."""

@@ -24,6 +24,7 @@ def moved(data: Observations, row: int, step: float) -> Observations:
     return replace(data, brdf=brdf)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("around", [False, True], ids=("plane", "around"))
 def test_gradient_of_gloss(around: bool) -> None:
     directions = plane(60.0, np.arange(0.0, 87.6, 2.5))

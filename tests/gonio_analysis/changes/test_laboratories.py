@@ -89,6 +89,7 @@ def test_a_reference_a_zero_and_an_understatement_are_found_and_nobody_else_is_a
         assert found[honest].consistent, honest
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shape", [lobe, matt])
 def test_honest_laboratories_agree_and_the_consensus_is_the_truth(shape: Any) -> None:
     pulls = []

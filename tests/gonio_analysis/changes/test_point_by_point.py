@@ -168,6 +168,7 @@ def test_a_change_of_scale_is_found_by_its_own_test(sigma: float, least: int, mo
     assert all(v.changed == bool(v.found_by) for v in found)
 
 
+@pytest.mark.slow
 def test_each_test_is_named_where_it_finds_something(tmp_path: Path) -> None:
     a = measure(GLOSS, noise=0.003, reference=0.002, seed=3)
     other, spot = measure(GLOSS, noise=0.003, reference=0.002, seed=4), measure(GLOSS, noise=0.003, seed=4)
@@ -273,6 +274,7 @@ def test_every_direction_of_a_certificate_counts() -> None:
         assert (len(found.at), found.onto) == (3, onto)
 
 
+@pytest.mark.slow
 def test_a_model_that_is_off_is_so_uncertain(tmp_path: Path) -> None:
     """What a sample file says of its misfit counts: the sample that the model was fitted to does not disagree."""
     frame = measure(GLOSS, noise=0.003)

@@ -74,6 +74,7 @@ def test_a_sound_run_is_told_so_in_two_lines(reduced: tuple[pd.DataFrame, str]) 
     assert "check bad" not in printed
 
 
+@pytest.mark.slow
 def test_a_fault_stands_on_the_page_and_in_the_summary(reduced: tuple[pd.DataFrame, str]) -> None:
     """One side is brighter: the page and the summary say so, with the place of the difference."""
     table = reduced[0].copy()

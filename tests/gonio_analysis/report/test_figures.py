@@ -43,6 +43,7 @@ def gloss() -> Dataset:
     return examine(table, ["lambert", "oren-nayar", "phong"], name="gloss")
 
 
+@pytest.mark.slow
 def test_models_that_coincide_are_drawn_once_and_both_named(gloss: Dataset) -> None:
     groups = figures.coinciding(gloss)
     assert sorted(name for group in groups for name in group) == sorted(gloss.fitted)

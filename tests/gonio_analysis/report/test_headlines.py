@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
 from gonio_analysis.report import make
 
 from gonio import measurement
@@ -23,6 +24,7 @@ def text_of(page: Path) -> str:
     return page.read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_samples_have_a_line_each_and_what_tells_them_apart(tmp_path: Path) -> None:
     specs = [table(tmp_path, "dark", 0.2, 20.0), table(tmp_path, "bright", 0.8, 20.0)]
     page = text_of(make(specs, tmp_path / "out", models=["lambert", "oren-nayar"]))
@@ -36,6 +38,7 @@ def test_samples_have_a_line_each_and_what_tells_them_apart(tmp_path: Path) -> N
     assert "The brightest value of bright is " in page
 
 
+@pytest.mark.slow
 def test_one_sample_twice_is_not_told_apart(tmp_path: Path) -> None:
     specs = [table(tmp_path, "one", 0.5, 25.0), table(tmp_path, "other", 0.5, 25.0)]
     page = text_of(make(specs, tmp_path / "out", models=["oren-nayar"]))

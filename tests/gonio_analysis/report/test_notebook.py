@@ -210,6 +210,7 @@ def test_a_class_that_cannot_be_found_again_is_refused(table: pd.DataFrame) -> N
     assert not plugins._added
 
 
+@pytest.mark.slow
 def test_a_comparison_assumes_an_uncertainty_and_takes_a_metric(table: pd.DataFrame) -> None:
     bare = table.assign(u_brdf=np.nan, u_random=np.nan)
     bare.attrs = table.attrs

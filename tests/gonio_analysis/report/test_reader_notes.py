@@ -31,6 +31,7 @@ def noted(folder: Path, name: str, note: str = NOTE, *, waves: tuple[float, ...]
     return path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "command",
     [

@@ -194,6 +194,7 @@ def test_a_spectrum_in_one_direction_is_reported_without_a_model(tmp_path: Path)
     assert ">0.6<" in text or ">0.6000<" in text
 
 
+@pytest.mark.slow
 def test_a_report_is_replaced_and_anything_else_is_left_alone(tmp_path: Path) -> None:
     measurement.write(measure(GLOSS, incidences=(30.0,), views=np.arange(-60.0, 61.0, 15.0)), tmp_path / "t.csv")
     for _ in range(2):

@@ -182,6 +182,7 @@ def test_reads_without_javascript(report: Path, tab: Page) -> None:
     assert tab.run("document.querySelectorAll('figure svg').length") >= 4
 
 
+@pytest.mark.slow
 def test_change_report_shows_both(tab: Page, tmp_path: Path) -> None:
     gloss = build("phong", {"k_d": 0.3, "k_s": 0.5, "exponent": 30})
     for name, seed in (("before", 1), ("after", 2)):

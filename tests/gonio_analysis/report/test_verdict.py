@@ -33,6 +33,7 @@ def headline(frame: pd.DataFrame, *models: str, **options: Any) -> DatasetSummar
     return facts_of(examine(frame, models, name="paint", **options))
 
 
+@pytest.mark.slow
 def test_without_uncertainties_nothing_is_not_rejected() -> None:
     facts = headline(bare(noise=0.03), "lambert", "cook-torrance")
     words = facts.conclusion + facts.choice.words
@@ -46,6 +47,7 @@ def test_without_uncertainties_nothing_is_not_rejected() -> None:
     assert f"describes this sample to {misfit.words}, worst " in facts.conclusion
 
 
+@pytest.mark.slow
 def test_models_that_are_far_off_do_not_describe_the_sample() -> None:
     mirror = build("cook-torrance", {"s": 0.9, "d": 0.1, "slopes": ((0.1, 1.0),), "diffuse_albedo": 0.05, "ior": 3.0})
     facts = headline(bare(mirror), "lambert", "oren-nayar")
@@ -68,6 +70,7 @@ def test_a_missing_lobe_is_named_though_the_typical_factor_is_small() -> None:
     assert "around the mirror direction" in facts.conclusion
 
 
+@pytest.mark.slow
 def test_metrics_that_disagree_are_named() -> None:
     # the base of the truth is Oren-Nayar's, its peak Phong's: logarithms follow the one, differences the other
     matte = {"weight": 1, "albedo": 0.5, "sigma_deg": 50}
@@ -81,6 +84,7 @@ def test_metrics_that_disagree_are_named() -> None:
     assert "is nearest by" in facts.conclusion
 
 
+@pytest.mark.slow
 def test_the_assumption_stands_among_the_notes_whatever_the_file_says() -> None:
     frame = bare(noise=0.03)
     frame.attrs["notes"] = ["the format states no uncertainties"]
@@ -177,6 +181,7 @@ def test_ngan_s_nickel_comes_out_by_ngan_s_metric() -> None:
     assert by["log"] > 2 * 0.04256
 
 
+@pytest.mark.slow
 def test_the_headline_and_the_choice_name_the_same_model_as_the_nearest() -> None:
     """Phong's lobe takes up some scatter of a matte sample; AIC counts its parameters, a bare metric does not."""
     frame = bare(build("lambert", {"albedo": 0.5}), noise=0.2)
@@ -200,6 +205,7 @@ def test_the_headline_and_the_choice_name_the_same_model_as_the_nearest() -> Non
     assert by.conclusion.startswith(f"{by.best} is the nearest")
 
 
+@pytest.mark.slow
 def test_the_column_of_misfits_says_what_it_ranks_by() -> None:
     for frame in (measure(PAINT, noise=0.03), bare(noise=0.03)):
         facts = headline(frame, "lambert", "oren-nayar")

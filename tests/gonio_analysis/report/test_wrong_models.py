@@ -27,6 +27,8 @@ from ..fitting.test_misfit import facets, of_facets
 from ..synthetic import measure
 from .test_verdict import PAINT
 
+pytestmark = pytest.mark.slow  # a report of eight models is made once for all
+
 MODELS = ("lambert", "oren-nayar", "blinn", "cook-torrance")
 OFF = r"(off by )?[\d.]+ % (too high|too low|either way,)"
 SAID = re.compile(

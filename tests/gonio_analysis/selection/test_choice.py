@@ -136,6 +136,7 @@ def test_too_few_values_are_no_choice_and_no_error() -> None:
         decide(broad, ("he-torrance",))
 
 
+@pytest.mark.slow
 def test_intervals_of_a_model_without_absorption_let_k_follow_where_the_data_do_not_tell_it() -> None:
     """Iron's n + ik and n = 4.6 reflect alike up to 60 degrees; the share of the gloss hangs on which it is."""
     iron = {"s": 0.3, "d": 0.7, "slopes": ((0.25, 1.0),), "diffuse_albedo": 0.4, "ior": 2.9 + 3.05j}
@@ -178,6 +179,7 @@ def test_a_retroreflecting_sample_is_described_by_its_own_model_and_by_no_other(
         assert abs(e.value - value) < 4 * known(e.u), name  # by chance once in 16 000
 
 
+@pytest.mark.slow
 def test_the_tape_of_cea_is_nearest_to_the_retroreflecting_model() -> None:
     data = observations(read(measured("brdf/cea_retro/retro-3M-jaune.dat")))
     near = data.take(np.arange(0, len(data), 4))

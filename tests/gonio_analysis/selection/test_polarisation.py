@@ -38,6 +38,7 @@ def table() -> pd.DataFrame:
     return frame.assign(wavelength_nm=WAVELENGTH_NM)
 
 
+@pytest.mark.slow
 def test_the_models_own_matrices_leave_noise(table: pd.DataFrame) -> None:
     dataset = examine(table, ["lambert", "he-torrance"], name="metal", ior=INDEX)
     found = known(dataset.polarisation)
@@ -60,6 +61,7 @@ def test_a_wrong_sign_is_seen(table: pd.DataFrame) -> None:
     assert max(value for name, value in chi.items() if name != "m22" and value is not None) < 3
 
 
+@pytest.mark.slow
 def test_without_the_model_the_matrices_stand_alone(table: pd.DataFrame, tmp_path: Path) -> None:
     measurement.write(table, tmp_path / "metal.csv")
     make([str(tmp_path / "metal.csv")], tmp_path / "out", models=["lambert"])

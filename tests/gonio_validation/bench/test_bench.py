@@ -81,6 +81,7 @@ def test_a_wrong_result_breaks_its_case() -> None:
     assert right.summary("x").holds
 
 
+@pytest.mark.slow
 def test_every_hard_case_holds() -> None:
     found = hard_cases.judged(evaluators.quantities(), huge=200_000)  # two threads begin at 131 072
     assert [c for c in found if not c.holds] == []
