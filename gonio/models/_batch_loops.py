@@ -24,8 +24,8 @@ FAR_VALLEY = 100.0
 """A second start is tried where its chi-square is at most so many times that of the first, and so much more."""
 CLOSE_VALLEY = 3.0
 """It is tried as well where the first ends acceptably, if its chi-square is at most so many times that; and 20 more."""
-WRONG_VALLEY = 2.0
-"""Other tiers of the grid (indices, He-Torrance's sigma) are tried where chi-square is so many times acceptable."""
+FEWEST_OF_SOME = 25
+"""Values that tell the start at least, where some of them do (`Batched.every`)."""
 LINEAR_BELOW = 0.05
 """Of the median value: below it the scale of logarithms is linear (`observations.LINEAR_BELOW`)."""
 
@@ -134,23 +134,24 @@ REAL, WHOLE = types.float64, types.int64
 RESULT = types.int64(
     *(types.FunctionType(one) for one in (TAKE, SHADE, DERIVE, UNIT, LEVELS)),
     *(WHOLE, REAL[::1], REAL[::1], REAL[:, ::1], REAL[:, ::1], REAL[:, ::1], REAL[:, ::1], REAL[:, ::1]),
-    *(WHOLE[::1], REAL[::1], REAL[::1], REAL[:, ::1], WHOLE, WHOLE[:, ::1], REAL[::1]),
+    *(WHOLE[::1], REAL[::1], REAL[::1], REAL[:, ::1], WHOLE, WHOLE[:, ::1], REAL[::1], WHOLE),
     *(REAL[:, ::1], REAL[:, :, ::1], REAL[::1], REAL[::1], WHOLE[::1], WHOLE, WHOLE),
 )
 
 
 @called
 def lowest(  # type: ignore[no-untyped-def]
-    shade, derive, unit, levels, columns, z, w, relative, grid, widths, free, lower, upper, acceptable, rows, lobes,
-    fresh, work, starts, profile, matrix, moves, triangle, end, theta, spread, count,
+    shade, derive, unit, levels, columns, z, w, some, some_z, some_w, relative, grid, widths, free, lower, upper,
+    acceptable, rows, lobes, fresh, work, starts, profile, matrix, moves, triangle, end, theta, spread, count,
 ):  # fmt: skip
     """Chi-square of the lowest valley; its parameters in `theta`, their covariance in `spread`."""
     f, weight, weighted = rows[0, :count], rows[1], rows[2]
     first, second = valleys(
-        shade, unit, levels, columns, z, w, grid, widths, starts, profile, weight, weighted, lobes, fresh, count
-    )
+        shade, unit, levels, some, some_z, some_w, grid, widths, starts, profile, weight, weighted, lobes, fresh,
+        some_z.size,
+    )  # fmt: skip
     best, which, later = np.inf, first, second
-    nearby = profile[second] if second >= 0 else np.inf
+    nearby = profile[second] * count / some_z.size if second >= 0 else np.inf
     while which >= 0:
         for a in range(end.size):
             end[a] = min(max(starts[which, a], lower[a]), upper[a])
@@ -165,7 +166,7 @@ def lowest(  # type: ignore[no-untyped-def]
         which, later = later, -1
         if which >= 0 and best <= acceptable and nearby > CLOSE_VALLEY * best + 20.0:
             which = -1
-        elif which < 0 and best > WRONG_VALLEY * acceptable:
+        elif which < 0 and best > acceptable:
             which = lowest_row(profile, 0, 1)  # of another index, or another sigma
             which = which if profile[which] < np.inf else -1
     return best
@@ -173,7 +174,7 @@ def lowest(  # type: ignore[no-untyped-def]
 
 def fit_pixels(  # type: ignore[no-untyped-def]
     take, shade, derive, unit, levels, count_of_columns, x, y, source, camera, values, u, common, free, lower, upper,
-    grid, widths, numbers, critical, theta, spread, chi, tau, used, start, stop,
+    grid, widths, numbers, critical, every, theta, spread, chi, tau, used, start, stop,
 ):  # fmt: skip
     """Fit pixels `start` to `stop`, one after the other; see `gonio.models.batch.fit`."""
     n, k, r, size = values.shape[1], free.size, common.shape[0], grid.shape[1]
@@ -183,6 +184,8 @@ def fit_pixels(  # type: ignore[no-untyped-def]
     work, starts, matrix = np.empty((k + r + 4, n)), np.empty((grid.shape[0], size)), np.empty((k, k))
     triangle, moves, end, profile = np.empty((k, k)), np.empty(k, np.bool_), np.empty(size), np.empty(grid.shape[0])
     lobes, before = np.empty((grid.shape[0], n)), -1
+    few_i, few_r, few = np.empty(3 * n), np.empty(3 * n), np.empty(count_of_columns * n)
+    few_z, few_w = np.empty(n), np.empty(n)
     for p in range(start, stop):
         count, same = taken(values[p], u[p], z, own, w, at)
         used[p] = count
@@ -203,9 +206,21 @@ def fit_pixels(  # type: ignore[no-untyped-def]
             seen_from(x[p], y[p], source, camera, at, count, omega_i, omega_r)
             take(omega_i[: 3 * count], omega_r[: 3 * count], lower, columns)
         before = count
+        step = every if count >= FEWEST_OF_SOME * every else 1
+        some, some_z, some_w = columns, z[:count], w[:count]
+        if step > 1:
+            m = (count + step - 1) // step
+            some, some_z, some_w = few[: count_of_columns * m], few_z[:m], few_w[:m]
+            for j in range(m):
+                some_z[j], some_w[j] = z[j * step], w[j * step]
+                few_i[3 * j : 3 * j + 3] = omega_i[3 * j * step : 3 * j * step + 3]
+                few_r[3 * j : 3 * j + 3] = omega_r[3 * j * step : 3 * j * step + 3]
+            if fresh:
+                take(few_i[: 3 * m], few_r[: 3 * m], lower, some)
         chi[p] = lowest(
-            shade, derive, unit, levels, columns, z, w, relative, grid, widths, free, lower, upper, critical[count],
-            rows, lobes, fresh, work, starts, profile, matrix, moves, triangle, end, theta[p], spread[p], count,
+            shade, derive, unit, levels, columns, z, w, some, some_z, some_w, relative, grid, widths, free, lower,
+            upper, critical[count], rows, lobes, fresh, work, starts, profile, matrix, moves, triangle, end, theta[p],
+            spread[p], count,
         )  # fmt: skip
         if chi[p] > critical[count]:
             small = max(LINEAR_BELOW * np.median(np.abs(z[:count])), 1e-300)

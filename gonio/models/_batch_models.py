@@ -281,6 +281,8 @@ class Batched:
     """Sets parameters from a level and a base [1/sr]."""
     grid: tuple[tuple[str, tuple[float, ...]], ...]
     """Starts: every combination; the last one is the width whose valleys are told apart."""
+    every: int = 1
+    """One of so many values tells where to start."""
     own: Callable[[float], tuple[float, ...]] = lambda wavelength_nm: ()
     """Numbers behind the parameters, for a wavelength [nm]."""
     bend: tuple[Callable[..., Any], Kernel, int] | None = None
@@ -328,8 +330,8 @@ MODELS = {
     ),
     "he-torrance": Batched(
         ("sigma0_um", "diffuse_albedo", "tau_um", "ior", "k"), _htsg_kernels.lobe_state, 11, waves_constants,
-        base_affine, base_unit, base_levels, (INDICES, ("sigma0_um", (0.04, 0.15, 0.4, 1.5)), ("slope", SLOPES)),
-        lambda wavelength_nm: (2.0 * pi / (1e-3 * wavelength_nm), 1.0),
+        base_affine, base_unit, base_levels, (INDICES, ("sigma0_um", (0.04, 0.1, 0.2, 0.4, 1.5)), ("slope", SLOPES)),
+        every=3, own=lambda wavelength_nm: (2.0 * pi / (1e-3 * wavelength_nm), 1.0),
     ),
 }  # fmt: skip
 """By the names of the command line."""

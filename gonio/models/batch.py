@@ -117,8 +117,8 @@ def fit(
     engine.in_parts(
         lambda start, stop: run(
             *posed.compiled, *posed.given, posed.common, posed.which, posed.lower, posed.upper, grid, widths,
-            posed.blocks, _critical(n, len(posed.free)), out.values, out.covariance, out.chi_square, out.tau, out.used,
-            start, stop,
+            posed.blocks, _critical(n, len(posed.free)), posed.model.every, out.values, out.covariance, out.chi_square,
+            out.tau, out.used, start, stop,
         ),
         pixels,
         WORTH,
