@@ -7,8 +7,6 @@ A tile is a chunk of the file. Whoever makes or reads it packs and unpacks it, s
 once; the file itself only moves packed bytes.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import os
@@ -23,12 +21,11 @@ from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
-import numpy.typing as npt
 
 from gonio.disk import require_name, sha256_of, write_whole
 from gonio.documents import JsonObject
 from gonio.errors import ConfigError, DataError
-from gonio.typing import DataFrame, Floats
+from gonio.typing import Array, Bools, DataFrame, Floats, Ints, NDArray
 
 FORMAT = "gonio-map-1"
 ABOUT = "about"
@@ -87,13 +84,13 @@ class Packed:
     data: bytes
 
     @classmethod
-    def of(cls, array: npt.NDArray[Any]) -> Self:
+    def of(cls, array: Array) -> Self:
         """Pack an array."""
         flat = np.ascontiguousarray(array).reshape(-1)
         bytes_of = flat.view(np.uint8).reshape(-1, flat.dtype.itemsize)
         return cls(flat.dtype.str, array.shape, zlib.compress(bytes_of.T.tobytes(), GZIP))
 
-    def array(self) -> npt.NDArray[Any]:
+    def array(self) -> Array:
         """The array; raises `OSError` where the bytes are damaged."""
         kind = np.dtype(self.dtype)
         try:
@@ -110,7 +107,7 @@ class Variable:
 
     dims: tuple[str, ...]
     """Of "y", "x", "point" and others; those of tiles begin with y, x."""
-    data: npt.NDArray[Any] | None = None
+    data: Array | None = None
     """None: it comes from the tiles."""
     dtype: str = "f8"
     units: str = "1"
@@ -159,14 +156,14 @@ class Parts:
         """Whether a tile is done."""
         return (self.folder / tile.name).is_file()
 
-    def write(self, tile: Tile, arrays: Mapping[str, npt.NDArray[Any]]) -> None:
+    def write(self, tile: Tile, arrays: Mapping[str, Array]) -> None:
         """Keep a tile, whole; raises `OSError` where the disk is full."""
         packed = {name: Packed.of(array) for name, array in arrays.items()}
         about = {name: (one.dtype, one.shape) for name, one in packed.items()}
         held = {name: np.frombuffer(one.data, np.uint8) for name, one in packed.items()}
         write_tile(self.folder / tile.name, held | {ABOUT: np.array(json.dumps(about))})
 
-    def read(self, tile: Tile, *names: str) -> dict[str, npt.NDArray[Any]]:
+    def read(self, tile: Tile, *names: str) -> dict[str, Array]:
         """The arrays of a tile that is done: those of these names, or all."""
         return {name: packed.array() for name, packed in self._packed(tile, names).items()}
 
@@ -214,7 +211,7 @@ def _plain(error: Exception) -> Exception:
     return OSError(int(number[1]), os.strerror(int(number[1])))
 
 
-def write_tile(path: Path, arrays: Mapping[str, npt.NDArray[Any]]) -> None:
+def write_tile(path: Path, arrays: Mapping[str, Array]) -> None:
     """A tile's file, written whole."""
     import io
 
@@ -272,11 +269,11 @@ class Held:
     """Values of a tile as the file has them: so that the thread or the worker that uses them unpacks them."""
 
     where: str
-    brdf: Packed | npt.NDArray[Any]
-    u: Packed | npt.NDArray[Any]
-    flag: Packed | npt.NDArray[Any]
+    brdf: Packed | Array
+    u: Packed | Array
+    flag: Packed | Array
 
-    def values(self, points: npt.NDArray[np.intp] | None = None) -> tuple[Floats, Floats]:
+    def values(self, points: Ints | None = None) -> tuple[Floats, Floats]:
         """BRDF [1/sr] and its own standard uncertainty, shape (rows, columns, n); NaN where flagged.
 
         Parameters
@@ -342,12 +339,12 @@ class MapFile:
         """Its variables."""
         return list(self._file)
 
-    def array(self, name: str, tile: Tile | None = None) -> npt.NDArray[Any]:
+    def array(self, name: str, tile: Tile | None = None) -> Array:
         """A variable, or a tile of it; raises `DataError` where there is none."""
         found = self._variable(name)
         return np.asarray(found[()] if tile is None else found[tile.rows, tile.cols])
 
-    def chunk(self, name: str, tile: Tile) -> Packed | npt.NDArray[Any]:
+    def chunk(self, name: str, tile: Tile) -> Packed | Array:
         """A tile of a variable: packed as the file has it where it is a chunk of it, otherwise as an array."""
         found = self._variable(name)
         packing = found.compression, found.shuffle, found.fletcher32, found.scaleoffset
@@ -470,11 +467,11 @@ class FitFile(MapFile):
         return "" if found == "1" else found
 
     @cached_property
-    def flags(self) -> npt.NDArray[np.uint8]:
+    def flags(self) -> NDArray[np.uint8]:
         """Bits of `FIT_FLAGS`, shape (rows, columns)."""
         return self.array("flag").astype(np.uint8)
 
-    def flagged(self, name: str) -> npt.NDArray[np.bool_]:
+    def flagged(self, name: str) -> Bools:
         """Where a flag is set, shape (rows, columns)."""
         return np.asarray(self.flags >> FIT_FLAGS.index(name) & 1 == 1)
 

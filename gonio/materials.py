@@ -35,10 +35,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from gonio.errors import ArgumentError, ConfigError, DataError, refuse_masked
-from gonio.typing import ArrayLike, Floats
+from gonio.typing import ArrayLike, Floats, NDArray
 
 _PMMA = "organic/(C5H8O2)n - poly(methyl methacrylate)/nk"
 _PC = "organic/(C16H14O3)n - polycarbonate/nk"
@@ -87,7 +86,7 @@ class Material:
     k: Curve | None
     """None where the source gives no absorption, which is then zero."""
 
-    def __call__(self, wavelength_nm: ArrayLike) -> npt.NDArray[np.complex128]:
+    def __call__(self, wavelength_nm: ArrayLike) -> NDArray[np.complex128]:
         """Complex index n + ik of the wavelengths' shape, k >= 0 where light is absorbed.
 
         Raises

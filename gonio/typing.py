@@ -1,4 +1,4 @@
-"""Array types that every package names, and the table's type without loading pandas."""
+"""Array types that every package names, and those of tables and drawings without loading pandas or matplotlib."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -8,11 +8,13 @@ from numpy.typing import NDArray as NDArray
 
 if TYPE_CHECKING:
     import pandas as pd
+    from matplotlib.axes import Axes as Axes
+    from matplotlib.figure import Figure as Figure
 
     DataFrame = pd.DataFrame
     Series = pd.Series[Any]
-else:  # pandas takes a third of a second to load: only functions that use it import it
-    DataFrame = Series = Any
+else:  # pandas takes a third of a second to load, matplotlib more: only functions that use them import them
+    DataFrame = Series = Axes = Figure = Any
 
 ArrayLike = npt.ArrayLike
 Array = npt.NDArray[Any]

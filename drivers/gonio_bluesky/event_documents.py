@@ -14,8 +14,6 @@ those that it gave, and more. Nothing of Bluesky is needed to write them. Where 
 document is checked against its models. docs/interchange.md says what each key holds.
 """
 
-from __future__ import annotations
-
 import datetime
 import hashlib
 import json
@@ -29,7 +27,7 @@ from functools import partial
 from itertools import islice
 from operator import itemgetter
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
 import numpy as np
 
@@ -39,10 +37,7 @@ from gonio.acquisition.run import TABLE, Run
 from gonio.disk import is_own, read_file, read_manifest
 from gonio.documents import JsonObject
 from gonio.rig.dng import read_raw
-
-if TYPE_CHECKING:
-    import numpy as np
-    import numpy.typing as npt
+from gonio.typing import NDArray
 
 Document = tuple[str, JsonObject]
 """Its kind (start, descriptor, event, ...), and what it holds."""
@@ -73,7 +68,7 @@ class Frames:
     def __init__(self, folder: str | Path, **_: object) -> None:
         self._folder = Path(folder)
 
-    def __call__(self, files: Sequence[str], **_: object) -> npt.NDArray[np.uint16]:
+    def __call__(self, files: Sequence[str], **_: object) -> NDArray[np.uint16]:
         """The raw frames of a step [DN], shape (frames, height, width); none have the shape (0, 0, 0)."""
 
         frames = [read_raw(self._folder / name).mosaic for name in files]

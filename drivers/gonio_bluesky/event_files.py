@@ -1,7 +1,5 @@
 """Event documents as files: a line each, checked against the event model."""
 
-from __future__ import annotations
-
 import gzip
 import io
 import json

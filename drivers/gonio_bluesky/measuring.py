@@ -11,15 +11,13 @@ triggered: then the engine drives the arms, finds the exposures and takes the fr
 the white reference come between the points where they belong.
 """
 
-from __future__ import annotations
-
 import math
 import threading
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Self, cast
+from typing import Any, Self, cast
 
 from gonio.acquisition import measure
 from gonio.acquisition.measure import RigChoice, find_rig, load_sample
@@ -28,13 +26,10 @@ from gonio.acquisition.run import Run, command_line
 from gonio.acquisition.run_folder import begun
 from gonio.documents import JsonObject
 from gonio.errors import ArgumentError, ConfigError, Interrupted
-from gonio.rig import Frame, Pose, Step
+from gonio.rig import Frame, Pose, Rig, Step
+from gonio.rig.description import RigDescription, SampleDescription
 from gonio_bluesky.devices import Plotted, Reading, number
 from gonio_bluesky.status import Status
-
-if TYPE_CHECKING:
-    from gonio.rig import Rig
-    from gonio.rig.description import RigDescription, SampleDescription
 
 DIRECTIONS = ("theta_i", "phi_i", "theta_r", "phi_r")
 DIGITS = 7
@@ -44,7 +39,7 @@ DIGITS = 7
 class Direction(Plotted):
     """One of the four angles of a point [deg]: movable, readable, locatable, stoppable; used at the next trigger."""
 
-    def __init__(self, measurement: Measurement, name: str) -> None:
+    def __init__(self, measurement: "Measurement", name: str) -> None:
         super().__init__(name)
         self._measurement = measurement
         self.value = 0.0
@@ -82,7 +77,7 @@ class Direction(Plotted):
 class StepCamera(Plotted):
     """Triggering it takes the whole step of the point that the directions name."""
 
-    def __init__(self, measurement: Measurement) -> None:
+    def __init__(self, measurement: "Measurement") -> None:
         super().__init__("camera", "camera_level_per_s")
         self._measurement = measurement
 

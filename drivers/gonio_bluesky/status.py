@@ -1,7 +1,5 @@
 """One thread that owns the devices of a rig, and what Bluesky waits for: `bluesky.protocols.Status`."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any, TypeVar
@@ -16,7 +14,7 @@ class Status:
         self._ended: Future[None] = Future()
 
     @classmethod
-    def finished(cls) -> Status:
+    def finished(cls) -> "Status":
         """Of what takes no time."""
         status = cls()
         status.finish(None)
@@ -31,7 +29,7 @@ class Status:
         else:
             self._ended.set_exception(error)
 
-    def add_callback(self, callback: Callable[[Status], None]) -> None:
+    def add_callback(self, callback: "Callable[[Status], None]") -> None:
         """Have somebody told when it is done; at once where it is."""
         self._ended.add_done_callback(lambda _: callback(self))
 

@@ -1,7 +1,5 @@
 """What arms of servos and arms of stages have in common: what is refused, moves, parking, failures."""
 
-from __future__ import annotations
-
 import logging
 import math
 from abc import ABC, abstractmethod

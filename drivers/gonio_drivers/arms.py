@@ -8,8 +8,6 @@ What does not land stops every axis. The encoder's readback is what is returned,
 readings, since encoders flicker.
 """
 
-from __future__ import annotations
-
 import logging
 import math
 import statistics

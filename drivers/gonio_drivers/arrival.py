@@ -6,8 +6,6 @@ of its latest readings has to be that of its earlier ones; the mean of all is it
 it is known.
 """
 
-from __future__ import annotations
-
 import math
 import statistics
 from dataclasses import dataclass, field

@@ -5,8 +5,6 @@ An entry point names a callable `(description, settings) -> camera`: the rig's d
 `gonio.rig.CameraDevice`; it touches no device before it is entered. docs/writing_a_driver.md shows one.
 """
 
-from __future__ import annotations
-
 from types import TracebackType
 from typing import Protocol, Self
 

@@ -1,7 +1,5 @@
 """The control tables of Dynamixel servos, from the SDK's own files: which item lies where, and how it is coded."""
 
-from __future__ import annotations
-
 import difflib
 from dataclasses import dataclass
 from functools import cache

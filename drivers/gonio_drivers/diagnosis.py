@@ -1,20 +1,15 @@
 """What `gonio rig check` says of a laboratory rig's devices, beyond the checks that every rig goes through."""
 
-from __future__ import annotations
-
 import math
 import statistics
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 from gonio.rig import clock
 from gonio_drivers.any_arms import AXES
+from gonio_drivers.arms import ServoArms
+from gonio_drivers.joints import Joint
+from gonio_drivers.light import SerialLight
 from gonio_drivers.stages import StageArms
-
-if TYPE_CHECKING:
-    from gonio_drivers.arms import ServoArms
-    from gonio_drivers.joints import Joint
-    from gonio_drivers.light import SerialLight
 
 Row = tuple[str, str, bool]
 

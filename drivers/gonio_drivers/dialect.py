@@ -1,7 +1,5 @@
 """The language of a lamp controller, as data: shipped ones in `dialects/`, others from a file of the user's."""
 
-from __future__ import annotations
-
 import re
 from importlib.resources import files
 from pathlib import Path
@@ -97,7 +95,7 @@ class Dialect(Strict):
         return command
 
     @model_validator(mode="after")
-    def _read_back(self) -> Dialect:
+    def _read_back(self) -> "Dialect":
         if (self.select is None) != (self.selected is None):
             raise ValueError("select and selected go together: a wavelength that is set must be read back")
         return self

@@ -3,8 +3,6 @@
 Nothing here lights anything. A lamp is only asked for its name, in each shipped dialect in turn.
 """
 
-from __future__ import annotations
-
 import contextlib
 import re
 

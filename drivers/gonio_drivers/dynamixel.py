@@ -16,8 +16,6 @@ What is handled, and where:
 - it drops bytes that belong to no answer without a word: `ExclusivePort` counts them, and they are told.
 """
 
-from __future__ import annotations
-
 import contextlib
 import logging
 import math

@@ -9,8 +9,6 @@ files an exposure is refused, by their count: a file that comes after it was giv
 move into the subfolder `taken`, where the last of them stay until the run has copied them.
 """
 
-from __future__ import annotations
-
 import contextlib
 import hashlib
 import logging

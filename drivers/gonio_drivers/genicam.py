@@ -5,15 +5,12 @@ file that ends with .cti and comes with a maker's software. The camera stands st
 started for one frame, and stopped after it, with every automatic function off.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
-import numpy.typing as npt
 
 from gonio.config import Strict, parse
 from gonio.documents import TomlTable
@@ -21,6 +18,7 @@ from gonio.errors import ConfigError, DeviceError, PassingFault
 from gonio.rig import Frame, clock
 from gonio.rig.description import RigDescription
 from gonio.rig.ranges import NonNegative, Positive
+from gonio.typing import NDArray
 
 OFF = {
     "AcquisitionFrameRateEnable": False, "ExposureAuto": "Off", "GainAuto": "Off", "BlackLevelAuto": "Off",
@@ -130,7 +128,7 @@ class GenICamCamera:
 
     # ---- inside ----
 
-    def _fresh(self, exposure_s: float, begun: float) -> npt.NDArray[np.uint16]:
+    def _fresh(self, exposure_s: float, begun: float) -> NDArray[np.uint16]:
         """The first whole frame that came late enough to have begun after the call."""
         end = begun + 2 * exposure_s + self._settings.timeout_s
         incomplete = 0
@@ -159,7 +157,7 @@ class GenICamCamera:
         finally:
             self._camera.stop()
 
-    def _mosaic(self, buffer: Any) -> npt.NDArray[np.uint16]:
+    def _mosaic(self, buffer: Any) -> NDArray[np.uint16]:
         camera = self._description
         if (buffer.height, buffer.width) != (camera.height, camera.width):
             raise DeviceError(
@@ -301,7 +299,7 @@ def row_bytes(name: str, width: int) -> int:
     return width * bits // 8
 
 
-def unpack(lines: npt.NDArray[np.uint8], name: str, width: int) -> npt.NDArray[np.uint16]:
+def unpack(lines: NDArray[np.uint8], name: str, width: int) -> NDArray[np.uint16]:
     """Values of pixels from the bytes of lines, shape (height, bytes), in a pixel format: shape (height, width) [DN].
 
     "Mono12p" has its pixels' bits one after the other, lowest first (PFNC 2.0); "Mono12Packed" and "Mono10Packed" have

@@ -13,8 +13,6 @@ order to darken of an earlier lighting comes after it. The answer says whether t
 be lit before it is set anew.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import queue

@@ -9,8 +9,6 @@ a mark is not homed, and its angle is not known. No file holds the mark, so that
 Firmware can be told to restore its RAM at the start (Startup Configuration, bit 1): a mark means nothing there.
 """
 
-from __future__ import annotations
-
 from gonio.errors import ConfigError, DeviceError
 from gonio_drivers import dynamixel, settings, watchdog
 from gonio_drivers.joints import Joint

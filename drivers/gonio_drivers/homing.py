@@ -7,8 +7,6 @@ refused as ambiguous. While the angle is not known the soft limits cannot be kep
 than the range between its hard stops (or limits).
 """
 
-from __future__ import annotations
-
 import contextlib
 import statistics
 from collections.abc import Callable, Iterator, Mapping
@@ -140,7 +138,7 @@ class Search:
             + ("; it does not move at all: is it jammed, or `current` too small?" if moved < BACK_OFF_DEG else "")
         )
 
-    def _sent_on(self, still: _Still) -> bool:
+    def _sent_on(self, still: "_Still") -> bool:
         """Whether the servo had stopped by its bus watchdog, because this program was held up; it goes on."""
         late = watchdog.send_on(self.joint, self._goal)
         if late:

@@ -7,8 +7,6 @@ process or in a later one: a file keeps it. It stands beside a hard-wired interl
 none: a program is no safety device.
 """
 
-from __future__ import annotations
-
 import contextlib
 import hashlib
 import json
@@ -158,7 +156,7 @@ class Latch:
     path: Path
 
     @classmethod
-    def of(cls, contact: str) -> Latch:
+    def of(cls, contact: str) -> "Latch":
         """That of a contact, in the user's folder for the state of programs."""
         state = Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state")
         return cls(state / "gonio" / f"interlock-{hashlib.sha256(contact.encode()).hexdigest()[:12]}.json")
@@ -227,7 +225,7 @@ class Interlock:
         if self._why:
             raise Tripped(_stopped(self._why))
 
-    def __enter__(self) -> Interlock:
+    def __enter__(self) -> "Interlock":
         self.contact.open()
         kept = self.latch.why()
         self._why = f"not acknowledged yet: {kept}" if kept else ""

@@ -3,8 +3,6 @@
 `gonio_drivers.preparation` makes joints from a rig file, and brings their servos into the state that moves rely on.
 """
 
-from __future__ import annotations
-
 import logging
 import math
 from collections.abc import Iterable, Mapping

@@ -5,8 +5,6 @@ a PRM1-Z8, KBD101 with a DDR100, KST101. The Kinesis software's setting of the s
 set here.
 """
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import struct

@@ -4,8 +4,6 @@ Entering opens the lamp first and darkens it. Leaving, however that happens, dar
 that have failed, or that somebody has stopped, are left where they stand.
 """
 
-from __future__ import annotations
-
 import contextlib
 import logging
 from collections.abc import Callable, Mapping

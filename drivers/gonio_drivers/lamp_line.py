@@ -3,8 +3,6 @@
 What an answer means is the driver's affair (`gonio_drivers.light`).
 """
 
-from __future__ import annotations
-
 import contextlib
 import logging
 import re

@@ -5,8 +5,6 @@ only when its controller says so. It is darkened when the port is opened, when i
 `guard` darkens it when the program is killed.
 """
 
-from __future__ import annotations
-
 import contextlib
 import logging
 import re

@@ -3,8 +3,6 @@
 What "landed" means of a single axis is `gonio_drivers.arrival`'s.
 """
 
-from __future__ import annotations
-
 import logging
 import math
 from collections.abc import Callable, Mapping

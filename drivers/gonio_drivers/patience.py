@@ -5,8 +5,6 @@ that it has seen. Here a gap between two looks counts as `LATE_S` at most, so th
 many looks at least, and ends after a bounded number of them.
 """
 
-from __future__ import annotations
-
 from gonio.rig import clock
 
 LATE_S = 0.05

@@ -4,8 +4,6 @@ A port is what pyserial opens: `COM3`, `/dev/ttyUSB0`, `socket://host:port` (a r
 `gonio sim serve --tcp`), `rfc2217://host:port` (one that knows line speeds too).
 """
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import os

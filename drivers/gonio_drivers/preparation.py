@@ -4,8 +4,6 @@ A servo is brought into Position mode with its own offset off, gets a profile ve
 rig file has one, a current limit; its goal is set to where it stands before its torque comes on, so that nothing turns.
 """
 
-from __future__ import annotations
-
 import logging
 
 from gonio.errors import ConfigError, DeviceError

@@ -1,7 +1,5 @@
 """Port and packets of the ROBOTIS SDK, mended where they have to be: locking, waiting, clock, byte stuffing."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 from dynamixel_sdk import PortHandler, Protocol2PacketHandler

@@ -5,8 +5,6 @@ like one servo must not be given an id. Servos are therefore told apart by a blo
 position, temperature), and by every byte that comes over the line.
 """
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 

@@ -1,7 +1,5 @@
 """Signals while devices are open: what would end the process leaves the rig in order first."""
 
-from __future__ import annotations
-
 import contextlib
 import signal
 import threading

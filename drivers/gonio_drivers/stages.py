@@ -10,8 +10,6 @@ every axis stands still within the tolerance; what does not land stops every axi
 never the goal.
 """
 
-from __future__ import annotations
-
 import contextlib
 import logging
 import math

@@ -4,8 +4,6 @@ A survey changes nothing: no torque comes or goes, no lamp is lit or darkened, n
 restart when their port is opened, and are dark then.)
 """
 
-from __future__ import annotations
-
 import math
 import statistics
 

@@ -5,19 +5,17 @@ balance bend its response. So every setting is read back, queued frames are thro
 after the call, and without a response calibration the camera does not open for measurements.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
 import numpy as np
-import numpy.typing as npt
 
 from gonio.errors import ConfigError, DeviceError, PassingFault
 from gonio.rig import Frame, clock
 from gonio.rig.description import RigDescription
+from gonio.typing import Array, NDArray
 from gonio_drivers import settings
 from gonio_drivers.patience import LATE_S, Patience
 
@@ -89,7 +87,7 @@ class UvcCamera:
         self._open = capture
         self._capture: Any = None
         self._dtype: np.dtype[Any] | None = None
-        self._response: npt.NDArray[np.uint16] | None = None
+        self._response: NDArray[np.uint16] | None = None
         if camera.response is not None and self._description.response:
             raise ConfigError(
                 "devices.camera.response and camera.response (of a calibration) both make the frames linear: take one "
@@ -161,7 +159,7 @@ class UvcCamera:
         mosaic = np.ascontiguousarray(raw.astype(np.uint16))
         return Frame(mosaic, exposure_s, black, white, self._description.pattern, time_s=begun)
 
-    def _fresh(self, exposure_s: float) -> npt.NDArray[Any]:
+    def _fresh(self, exposure_s: float) -> Array:
         """A frame that began after now: queued ones are dropped by count and by time."""
         import cv2
 
@@ -209,7 +207,7 @@ class UvcCamera:
             )
 
 
-def read_response(path: Path) -> npt.NDArray[np.uint16]:
+def read_response(path: Path) -> NDArray[np.uint16]:
     """Linear level for every 8-bit value, from a CSV with the columns `dn` and `relative_exposure`.
 
     Returns

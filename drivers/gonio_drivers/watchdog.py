@@ -8,8 +8,6 @@ A firmware of 2022 that was stopped so made for a wrong goal where it had a homi
 driver keeps homing offsets at 0, and gives a goal of its own wherever it clears the watchdog.
 """
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Iterable, Sequence
 

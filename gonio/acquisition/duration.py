@@ -4,8 +4,6 @@ Everything follows from the rig file: speeds, the side from which axes approach,
 really taken corrects it (`gonio.acquisition.remaining`).
 """
 
-from __future__ import annotations
-
 import contextlib
 import itertools
 import math
@@ -47,7 +45,7 @@ class Parts:
         """Their sum."""
         return math.fsum(astuple(self))
 
-    def __add__(self, other: Parts) -> Parts:
+    def __add__(self, other: "Parts") -> "Parts":
         return Parts(*(a + b for a, b in zip(astuple(self), astuple(other), strict=True)))
 
 

@@ -7,15 +7,12 @@ Every decision is a function of the frames of its own step and of one predicted 
 the same. The level is written as a fraction of full scale: 0 at the black level, 1 where the sensor saturates.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from numbers import Real
 
 import numpy as np
-import numpy.typing as npt
 
 from gonio.errors import DeviceError
 from gonio.geometry import solid_angle_of_cone
@@ -24,10 +21,10 @@ from gonio.rig.description import RigDescription
 from gonio.rig.imaging import pixel_on_sample_mm
 from gonio.rig.kinematics import view
 from gonio.rig.light_and_camera import Camera
-from gonio.typing import Floats
+from gonio.typing import Floats, NDArray
 
 Shot = Callable[[float], Frame]
-Used = Callable[[npt.NDArray[np.uint16]], npt.NDArray[np.generic]]
+Used = Callable[[NDArray[np.uint16]], NDArray[np.generic]]
 
 SATURATED = 0.98
 """Levels above this are taken for saturated: a full pixel scatters around full scale by its noise."""

@@ -7,8 +7,6 @@ The label says which step of which run a frame belongs to. That of the last fram
 will say of the step, so that a journal that was lost can be made again (`gonio.acquisition.repair`).
 """
 
-from __future__ import annotations
-
 import contextlib
 import hashlib
 import os

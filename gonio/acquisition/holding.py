@@ -1,7 +1,5 @@
 """Waits between two steps: a person asks for one, the disk is full, or a fault may pass. The lamp is dark meanwhile."""
 
-from __future__ import annotations
-
 import time
 import zlib
 from collections.abc import Callable, Sequence

@@ -7,8 +7,6 @@ written, and the next writer cuts it off. Damage anywhere else is an error, beca
 The order of events is that of their lines. `wall` is for people: a computer's clock may be set while a run is measured.
 """
 
-from __future__ import annotations
-
 import contextlib
 import datetime
 import errno
@@ -70,7 +68,7 @@ def now() -> str:
 class Events(Sequence[Event]):
     """The events of a journal, in order. They are read from the file when they are asked for: a long run's are many."""
 
-    def __init__(self, path: Path, starts: array[int]) -> None:
+    def __init__(self, path: Path, starts: "array[int]") -> None:
         self.path, self._starts = path, starts
 
     def __len__(self) -> int:
@@ -114,7 +112,7 @@ class Events(Sequence[Event]):
             raise DataError(f"{self.path}: cannot be read: {error.strerror}") from None
 
 
-def _scan(path: Path) -> tuple[array[int], int]:
+def _scan(path: Path) -> "tuple[array[int], int]":
     """Where the lines of a journal start, and the length of the part that they fill; the rest is a torn last line.
 
     Raises

@@ -4,8 +4,6 @@ The loop knows rigs by their protocols alone. Whatever happens, the rig's contex
 parked; a step is in the journal if, and only if, all of its frames are on the disk.
 """
 
-from __future__ import annotations
-
 import contextlib
 import logging
 from collections.abc import Iterator, Sequence

@@ -3,21 +3,18 @@
 The order is that of plan.csv, so that a run goes on by the order that it was begun with.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
 from gonio.acquisition.duration import SAME_PLACE, SETTLE_S, Durations, approach_starts
 from gonio.acquisition.plan import Assessed, Plan, Point
 from gonio.rig import Pose
-from gonio.typing import Floats
+from gonio.typing import Floats, NDArray
 
-Ints = npt.NDArray[np.int64]
+Ints = NDArray[np.int64]
 NEIGHBOURS = 12
 """Poses that a way may go on to from a pose."""
 PROMISING = 1.5

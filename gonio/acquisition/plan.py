@@ -4,8 +4,6 @@ A plan knows nothing of a rig, so that one plan can run on several. `assess` say
 and why not the others; `schedule` makes the fixed list of steps that a run begins with (docs/acquisition.md).
 """
 
-from __future__ import annotations
-
 import csv
 import functools
 import hashlib
@@ -95,7 +93,7 @@ class PlanFile(Strict):
         return value
 
     @model_validator(mode="after")
-    def _something(self) -> PlanFile:
+    def _something(self) -> "PlanFile":
         if not (self.sweep or self.half_vector or self.hemisphere or self.points or self.adaptive):
             raise ValueError(
                 "the plan has no points; add a [[sweep]], [[half_vector]], [[hemisphere]] or [[points]] table, or "
@@ -271,7 +269,7 @@ def read_points(path: Path) -> list[Point]:
         raise ConfigError(f"{path}: line {lines.line_num}: cannot be read as a table of points: {error}") from None
 
 
-def _points_of(path: Path, lines: csv.DictReader[str]) -> list[Point]:
+def _points_of(path: Path, lines: "csv.DictReader[str]") -> list[Point]:
     columns = [name.strip() for name in lines.fieldnames or ()]
     for name in ANGLES:
         if name not in columns:

@@ -3,14 +3,12 @@
 Drawn by matplotlib, which is imported when a picture is asked for.
 """
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import astuple
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -21,10 +19,7 @@ from gonio.rig.description import RigDescription
 from gonio.rig.kinematics import blocked_cone
 from gonio.rig.motion_planning import Blocked
 from gonio.rig.outlines import Outline
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+from gonio.typing import Axes, Figure
 
 COLOURS = {"light": "#e69f00", "camera": "#0072b2", "tilt": "#009e73", "spin": "#009e73", "bench": "#7f7f7f"}
 """Of what carries a body: Okabe and Ito's colours, which all eyes tell apart."""

@@ -11,15 +11,14 @@ from functools import partial
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import AfterValidator, BeforeValidator, Field, ValidationError, model_validator
 
 from gonio.config import Strict
 from gonio.geometry import AT_HORIZON, EXACTLY_IN_PLANE, angles, direction, half_angle_of_cone, solid_angle_of_cone
-from gonio.typing import Floats
+from gonio.typing import Bools, Floats
 
 Side = Literal["reflection", "transmission"]
-Flags = npt.NDArray[np.bool_]
+Flags = Bools
 DIGITS = 12
 """Of angles of grids in degrees: 40.0 and not 39.99999999999999, at 2e-14 rad."""
 MAX_POINTS = 1_000_000

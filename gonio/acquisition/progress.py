@@ -1,16 +1,12 @@
 """Who watches a measurement, and what they are told."""
 
-from __future__ import annotations
-
 import contextlib
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
+from gonio.acquisition.records import StepRecord
+from gonio.acquisition.remaining import Remaining
 from gonio.rig import Step
-
-if TYPE_CHECKING:
-    from gonio.acquisition.records import StepRecord
-    from gonio.acquisition.remaining import Remaining
 
 
 @dataclass(frozen=True, slots=True)

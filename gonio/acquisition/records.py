@@ -8,8 +8,6 @@ A line that is whole may still be forged, or come from another version. Numbers 
 computed with.
 """
 
-from __future__ import annotations
-
 import datetime
 import json
 import math
@@ -224,7 +222,7 @@ class FrameRecord(_Record):
     monitor: float | None = field(default=None, metadata=_key(Finite, _number))
     """Reading of the lamp's monitor during the exposure, in its own unit; None where there is none."""
 
-    def stored(self, file: FrameFile) -> FrameRecord:
+    def stored(self, file: FrameFile) -> "FrameRecord":
         """This frame, with what its file is."""
         return FrameRecord(
             self.file, self.band, self.exposure_s, self.time_s, self.lamp, file.sha256, file.bytes, self.monitor
@@ -290,7 +288,7 @@ class StepRecord(_Record):
         """As it stands in the journal, without the line's number, time and checksum."""
         return f'{{"event":"step",{self.members()}}}'
 
-    def stored(self, files: Sequence[FrameFile]) -> StepRecord:
+    def stored(self, files: Sequence[FrameFile]) -> "StepRecord":
         """This step, with what the files of its first frames are."""
         first = [frame.stored(file) for frame, file in zip(self.frames, files, strict=False)]
         return replace(self, frames=(*first, *self.frames[len(files) :]))

@@ -5,8 +5,6 @@ clock is no watch, and what is computed there takes no time to travel: steps of 
 wall.
 """
 
-from __future__ import annotations
-
 import math
 from bisect import bisect_left
 from collections import deque
@@ -123,7 +121,7 @@ class Remaining:
         self._sampled: tuple[Sequence[int], list[Mapping[str, float]]] = (), []
 
     @classmethod
-    def of_run(cls, run: Run, planned: Sequence[Step] | None = None, *, simulated: bool | None = None) -> Remaining:
+    def of_run(cls, run: Run, planned: Sequence[Step] | None = None, *, simulated: bool | None = None) -> "Remaining":
         """That of a run as its folder has it, after the steps that are in its journal.
 
         On a laboratory rig it has learnt from the last of them already.

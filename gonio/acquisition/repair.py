@@ -4,8 +4,6 @@ Nothing that was measured is removed: a frame that does not count any more is mo
 journal is kept beside the one that is made again.
 """
 
-from __future__ import annotations
-
 import contextlib
 import hashlib
 import json
@@ -17,7 +15,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from gonio import platform
 from gonio.acquisition.frame_writer import BESIDE, NAME, label_of, pixels_of
@@ -29,6 +26,7 @@ from gonio.acquisition.run_folder import begun
 from gonio.disk import half_written, is_own, read_file, read_manifest, set_aside, write_whole
 from gonio.errors import ConfigError, DataError
 from gonio.rig.dng import encode_dng, read_raw, read_record
+from gonio.typing import NDArray
 
 LOOKED_INTO = 2_500
 """When a run is resumed, at most so many of its last frames are read from end to end."""
@@ -39,7 +37,7 @@ ASIDE = "set-aside"
 CHANGED = "is damaged: its pixels are not those that it was written with"
 
 Progress = Callable[[int, int], None]
-Integers = npt.NDArray[np.int64]
+Integers = NDArray[np.int64]
 
 
 @dataclass(slots=True)
@@ -263,7 +261,7 @@ def _done(events: Iterable[Event]) -> dict[int, StepRecord]:
     return done
 
 
-def _judged(run: Run, frames: _Frames, done: dict[int, StepRecord]) -> tuple[list[StepRecord], dict[int, list[str]]]:
+def _judged(run: Run, frames: "_Frames", done: dict[int, StepRecord]) -> tuple[list[StepRecord], dict[int, list[str]]]:
     """Steps that the frames tell anew, and what is wrong with those that are lost."""
     rebuilt: list[StepRecord] = []
     lost: dict[int, list[str]] = {}

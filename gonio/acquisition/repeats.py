@@ -2,8 +2,6 @@
 makes that impossible.
 """
 
-from __future__ import annotations
-
 import math
 from array import array
 from collections.abc import Iterable

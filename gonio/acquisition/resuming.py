@@ -1,7 +1,5 @@
 """Going on with a run: what its frames and its journal are worth is found first, and acted on when nothing refuses."""
 
-from __future__ import annotations
-
 import os
 from dataclasses import dataclass
 from pathlib import Path

@@ -11,8 +11,6 @@ A run whose journal holds no complete line, and that has no frames, counts as no
 journal are not touched: `gonio.acquisition.repair` makes the journal again.
 """
 
-from __future__ import annotations
-
 import contextlib
 import csv
 import hashlib
@@ -28,10 +26,9 @@ from functools import cached_property
 from itertools import islice
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
 import numpy as np
-import numpy.typing as npt
 
 from gonio.acquisition.frame_writer import NAME, label_of
 from gonio.acquisition.journal import Event, Events, Index, Journal, Steps, read_events
@@ -61,9 +58,7 @@ from gonio.rig import Step
 from gonio.rig.bands import Band
 from gonio.rig.description import RigDescription, SampleDescription
 from gonio.rig.laboratory import Laboratory
-
-if TYPE_CHECKING:
-    import pandas as pd
+from gonio.typing import DataFrame, Floats
 
 ROWS = 4096
 """So many rows of a plan.csv are read at once."""
@@ -83,7 +78,7 @@ RESTORE = "restore it, or move it away: `gonio measure ... --resume` writes it a
 class Points:
     """A plan.csv."""
 
-    angles_deg: npt.NDArray[np.float64]
+    angles_deg: Floats
     """theta_i, phi_i, theta_r, phi_r of each point, shape (points, 4)."""
     flags: list[str]
     """"" for a point that is measured, or why not."""
@@ -104,7 +99,7 @@ class Run:
     """The events of a run that was written by this object, and is closed."""
 
     @classmethod
-    def create(cls, path: str | Path, request: Request) -> Run:
+    def create(cls, path: str | Path, request: Request) -> "Run":
         """Start a run in an empty or absent folder; where that fails nothing is left behind.
 
         Raises
@@ -144,7 +139,7 @@ class Run:
         return cls(path, resolved(settings, path), journal)
 
     @classmethod
-    def open(cls, path: str | Path) -> Run:
+    def open(cls, path: str | Path) -> "Run":
         """A run to read from.
 
         Raises
@@ -212,7 +207,7 @@ class Run:
         return tuple(known[name] for name in self.settings.run.bands)
 
     @property
-    def plan(self) -> pd.DataFrame:
+    def plan(self) -> DataFrame:
         """The points in order: columns theta_i_deg, phi_i_deg, theta_r_deg, phi_r_deg, flag ("" or a word), reason.
 
         Those of the plan, and after them those that were chosen.
@@ -291,7 +286,7 @@ class Run:
         own = read_manifest(self.path).get("plan.csv")
         if own is not None and path.is_file() and not is_own(path, own):
             raise DataError(f"{path}: was changed after it was written (its checksum differs); {RESTORE}")
-        angles: list[npt.NDArray[np.float64]] = [np.empty((0, len(ANGLES)))]
+        angles: list[Floats] = [np.empty((0, len(ANGLES)))]
         flags: list[str] = []
         reasons: list[str] = []
         try:
@@ -413,7 +408,7 @@ class Run:
         require_own(self.path, (*TABLE, *BESIDE_TABLE))
         check_writable(self.path)
 
-    def write_table(self, table: pd.DataFrame, beside: Mapping[str, pd.DataFrame | bytes] | None = None) -> Path:
+    def write_table(self, table: DataFrame, beside: Mapping[str, DataFrame | bytes] | None = None) -> Path:
         """Write the measurement table of the run, brdf.csv; one that is there is replaced only if it was written so.
 
         Parameters

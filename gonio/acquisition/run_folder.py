@@ -1,7 +1,5 @@
 """Whether a folder takes a run, and making and emptying one; what this program did not write stays untouched."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import tempfile

@@ -1,7 +1,5 @@
 """What a run was asked to be, as its run.toml holds it, and what keeps it from being resumed with something else."""
 
-from __future__ import annotations
-
 import contextlib
 import datetime
 import hashlib

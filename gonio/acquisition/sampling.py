@@ -1,7 +1,5 @@
 """Runs that grow: what a sampler is, and how a plan finds its own (docs/campaigns.md)."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace

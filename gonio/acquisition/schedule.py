@@ -1,7 +1,5 @@
 """The steps of a run in their order."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """One session at the rig: the state of lamp and target, and the frames that wait for the disk."""
 
-from __future__ import annotations
-
 import logging
 import math
 import time

@@ -1,7 +1,5 @@
 """Stopping a measurement by a signal: once finishes the step, twice stops at once. Pausing it, and letting it go on."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import signal

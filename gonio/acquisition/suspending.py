@@ -1,7 +1,5 @@
 """The health of a rig at every step, and what `[suspend]` in the rig file makes of it: the run waits, and goes on."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence

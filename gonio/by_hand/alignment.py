@@ -11,25 +11,17 @@ scanned over the mirror's reflection, which is brightest where they stand at 0. 
 person reads, and what stands in the file of scans.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
 from gonio.disk import put
 from gonio.errors import DataError
 from gonio.rig.description import RigDescription
-from gonio.typing import Floats
-
-if TYPE_CHECKING:
-    import pandas as pd
-    from matplotlib.figure import Figure
+from gonio.typing import DataFrame, Figure, Floats
 
 HOLDERS = ("mirror", "empty")
 ALIGNED = ("light", "camera", "tilt", "azimuth")
@@ -99,14 +91,14 @@ class Alignment:
     """Of the axes that are determined."""
     axes: tuple[str, ...]
     """Of the rows and columns of `covariance`, which is that of the scans alone [deg^2]."""
-    covariance: npt.NDArray[np.float64]
+    covariance: Floats
     rank: int
     departure_deg: float
     """Standard deviation of the scans about the zeros, beyond what their fits explain: encoders that are not linear,
     landings that do not repeat."""
     open: tuple[str, ...]
     """In words, what remains undetermined."""
-    scans: pd.DataFrame
+    scans: DataFrame
     """A row a scan: `holder, axis, at_deg` (light), `centre_deg, u_deg, fwhm_deg, residual_deg`."""
     peaks: dict[int, Peak] = field(default_factory=dict)
 
@@ -169,9 +161,7 @@ def peak(x: Floats, signal: Floats, u_signal: Floats, step_deg: float) -> Peak |
     return Peak(centre, u, width, power, height * span, background * span + low)
 
 
-def _equation(
-    axes: Sequence[str], axis: str, holder: str, at: float, centre: float
-) -> tuple[npt.NDArray[np.float64], float]:
+def _equation(axes: Sequence[str], axis: str, holder: str, at: float, centre: float) -> tuple[Floats, float]:
     """What a peak at `centre` says of the zeros: how they add up, and to what [deg]; `at` is where the light stood."""
     row = np.zeros(len(axes))
     if axis != "camera":
@@ -182,7 +172,7 @@ def _equation(
     return row, centre + (at if holder == "mirror" else math.copysign(180.0, at - centre) - at)
 
 
-def align(table: pd.DataFrame, description: RigDescription) -> Alignment:
+def align(table: DataFrame, description: RigDescription) -> Alignment:
     """The zeros that a table of scans leads to.
 
     Parameters
@@ -272,7 +262,7 @@ def _backlash_deg(description: RigDescription, name: str) -> float:
 
 
 def _open(
-    description: RigDescription, scans: pd.DataFrame, zeros: dict[str, Zero], y: Floats, own: Floats
+    description: RigDescription, scans: DataFrame, zeros: dict[str, Zero], y: Floats, own: Floats
 ) -> tuple[str, ...]:
     out = []
     if "light" not in zeros:
@@ -317,7 +307,7 @@ def zero_values(alignment: Alignment, description: RigDescription) -> dict[tuple
     return out
 
 
-def draw(table: pd.DataFrame, alignment: Alignment) -> Figure:
+def draw(table: DataFrame, alignment: Alignment) -> Figure:
     """Every scan about its centre with the fitted spot, and how far each scan is from the zeros."""
     from matplotlib.figure import Figure
 
@@ -361,12 +351,12 @@ def draw(table: pd.DataFrame, alignment: Alignment) -> Figure:
     return figure
 
 
-def write(table: pd.DataFrame, path: Path) -> None:
+def write(table: DataFrame, path: Path) -> None:
     """Write scans, so that the fit can be done again."""
     put(path, table.to_csv(index=False).encode())
 
 
-def read(path: Path) -> pd.DataFrame:
+def read(path: Path) -> DataFrame:
     """Scans that `write` has written.
 
     Raises

@@ -1,22 +1,17 @@
 """Scans for an alignment: find the spot, choose exposure and lamp level, scan until the spot lies whole in the scan."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
 
 from gonio.acquisition import exposure
 from gonio.by_hand.alignment import ALIGNED, COLUMNS, Peak, peak
+from gonio.by_hand.manual_rig import ManualRig
 from gonio.errors import ConfigError, DeviceError
 from gonio.rig import Frame, Pose, kinematics, regions
-
-if TYPE_CHECKING:
-    from gonio.by_hand.manual_rig import ManualRig
 
 MIRROR_LIGHT_DEG = (30.0, -30.0, 45.0, -45.0, 60.0, -60.0)
 STRAIGHT = 4

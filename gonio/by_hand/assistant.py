@@ -9,29 +9,25 @@ that runs the loop. So drivers that are used by one thread alone need nothing el
 (`gonio.by_hand.lamp_timer`), and `alive` is the sign of life.
 """
 
-from __future__ import annotations
-
 import math
 import queue
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from gonio.acquisition import exposure
 from gonio.by_hand.lamp_timer import DeadMansTimer, LampTimeOver
 from gonio.by_hand.live_picture import Pictures, pictures
+from gonio.by_hand.manual_rig import ManualRig
 from gonio.by_hand.rig_file import read_zero, with_values, write_values
 from gonio.by_hand.sight import Sight
 from gonio.disk import put
 from gonio.documents import JsonObject
 from gonio.errors import ConfigError, DataError, DeviceError, Disturbed, EmergencyStop
 from gonio.rig import Frame, Pose, Target, regions
-
-if TYPE_CHECKING:
-    from gonio.by_hand.manual_rig import ManualRig
 
 Tell = Callable[[JsonObject, Pictures | None], None]
 """Takes what is to be shown (what JSON can hold), and the pictures of a new frame."""

@@ -5,19 +5,15 @@ does not come to it: in a long exposure, a move, or a camera that has stopped an
 then by `darken_at_once` alone, where the driver has that; otherwise it calls `off`.
 """
 
-from __future__ import annotations
-
 import contextlib
 import threading
 import time
 from collections.abc import Callable, Iterator
 from types import TracebackType
-from typing import TYPE_CHECKING, Self
+from typing import Self
 
 from gonio.errors import DeviceError
-
-if TYPE_CHECKING:
-    from gonio.rig import LightDevice
+from gonio.rig import LightDevice
 
 OWNER_S = 0.5
 """What the owner is given to darken the lamp by itself."""

@@ -1,18 +1,15 @@
 """Pictures of raw frames for a screen: the whole frame made smaller, and its middle pixel by pixel."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from gonio.acquisition import exposure
 from gonio.by_hand import looking
 from gonio.rig import Frame
 from gonio.rig.light_and_camera import Camera
+from gonio.typing import Array, Bools, NDArray
 
 WIDEST = 960
 """Columns of the picture, at most."""
@@ -80,14 +77,14 @@ def _part(middle: float, size: int) -> slice:
     return slice(first, first + length)
 
 
-def _shown(signal: npt.NDArray[Any], over: npt.NDArray[np.bool_], white: float) -> npt.NDArray[np.uint8]:
+def _shown(signal: Array, over: Bools, white: float) -> NDArray[np.uint8]:
     grey = np.rint(255.0 * np.clip(signal / white, 0.0, 1.0) ** SRGB_GAMMA).astype(np.uint8)
     out = np.repeat(grey[..., None], 3, axis=2)
     out[over] = SATURATED_BGR
     return out
 
 
-def _encoded(suffix: str, image: npt.NDArray[np.uint8], options: list[int]) -> bytes:
+def _encoded(suffix: str, image: NDArray[np.uint8], options: list[int]) -> bytes:
     import cv2
 
     good, data = cv2.imencode(suffix, image, options)

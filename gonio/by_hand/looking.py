@@ -4,14 +4,11 @@ Signals are linear, in DN above the black level. Places are columns and rows of 
 from k - 1/2 to k + 1/2). Nothing of a device is in here.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from gonio.acquisition import exposure
 from gonio.rig import Frame, sensor_noise
@@ -20,9 +17,10 @@ from gonio.rig.imaging import Channel
 from gonio.rig.light_and_camera import Camera
 from gonio.rig.regions import Roi
 from gonio.rig.sensor_response import linear_dn
+from gonio.typing import Array, Bools, NDArray
 
-Floats32 = npt.NDArray[np.float32]
-Mask = npt.NDArray[np.bool_]
+Floats32 = NDArray[np.float32]
+Mask = Bools
 Box = tuple[slice, slice]
 """Rows and columns."""
 
@@ -57,20 +55,20 @@ CORNERS = 96
 BINS = 64
 
 
-def signal(camera: Camera, frame: Frame, pixels: npt.NDArray[Any] | None = None) -> Floats32:
+def signal(camera: Camera, frame: Frame, pixels: Array | None = None) -> Floats32:
     """The linear signal above the black level [DN] of some pixels of a frame's mosaic; without them, of all."""
     values = frame.mosaic if pixels is None else pixels
     return np.asarray(linear_dn(camera, values), dtype=np.float32) - np.float32(frame.black_level_dn)
 
 
-def saturated(camera: Camera, frame: Frame, pixels: npt.NDArray[Any] | None = None) -> Mask:
+def saturated(camera: Camera, frame: Frame, pixels: Array | None = None) -> Mask:
     """Which pixels lie above `exposure.SATURATED` of full scale."""
     values = frame.mosaic if pixels is None else pixels
     top = frame.black_level_dn + exposure.SATURATED * exposure.full_scale_dn(camera, frame)
     return np.asarray(linear_dn(camera, values) >= top)
 
 
-def cells(pattern: str, image: npt.NDArray[np.float32]) -> Floats32:
+def cells(pattern: str, image: NDArray[np.float32]) -> Floats32:
     """The mean of each cell of a mosaic, so that its colours are no structure; the image itself without a mosaic."""
     if pattern == "mono":
         return image
@@ -388,7 +386,7 @@ def spot(camera: Camera, frame: Frame) -> tuple[Spot | None, str]:
     return found, _said(found)
 
 
-def _form(mine: npt.NDArray[np.bool_], above: npt.NDArray[np.float32], scale: float) -> dict[str, Any]:
+def _form(mine: Bools, above: NDArray[np.float32], scale: float) -> dict[str, Any]:
     """Place, axes and outline of a spot, whose pixels count by `above`: zero at the outline, so that none is halved."""
     import cv2
 

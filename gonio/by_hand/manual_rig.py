@@ -23,15 +23,26 @@ from gonio.acquisition.measure import RigChoice, find_rig, load_sample
 from gonio.by_hand.moved import Moved
 from gonio.errors import ArgumentError, ConfigError, DeviceError, GonioError
 from gonio.geometry import Directions
-from gonio.rig import Device, Health, Pose, Reading, Step, Target, inverse_kinematics, motion_planning
+from gonio.rig import (
+    ArmsDevice,
+    CameraDevice,
+    Device,
+    Health,
+    LightDevice,
+    Pose,
+    Reading,
+    Rig,
+    Step,
+    Target,
+    inverse_kinematics,
+    motion_planning,
+)
 from gonio.rig.bands import Band
 from gonio.rig.description import RigDescription, SampleDescription
+from gonio.typing import DataFrame
 
 if TYPE_CHECKING:
-    import pandas as pd
-
     from gonio.by_hand.snapshot import Snapshot
-    from gonio.rig import ArmsDevice, CameraDevice, LightDevice, Rig
 
 log = logging.getLogger("gonio.devices")
 
@@ -290,8 +301,8 @@ class ManualRig:
 
     def scan(
         self, axis: str, angles: Sequence[float], *, frames: int = 2, exposure_s: float | None = None,
-        progress: Callable[[pd.DataFrame, int], None] = lambda table, total: None,
-    ) -> pd.DataFrame:  # fmt: skip
+        progress: Callable[[DataFrame, int], None] = lambda table, total: None,
+    ) -> DataFrame:  # fmt: skip
         """A signal against an angle; see `gonio.by_hand.scan.scan`. The lamp is dark after it, whatever happens."""
         from gonio.by_hand import scan
 

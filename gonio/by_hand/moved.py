@@ -1,7 +1,5 @@
 """What scans and snapshots take of a rig that a person moves: `gonio.by_hand.manual_rig.ManualRig` has it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Protocol
 

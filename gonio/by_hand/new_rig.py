@@ -3,22 +3,17 @@
 The file that the driver ships is the form that is filled in, so that its comments stand beside the values.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 from gonio.config import parse
 from gonio.documents import TomlTable
 from gonio.errors import ConfigError, DeviceError
 from gonio.rig import FoundServo, RigDiscovery, RigPlugin, RigService
 from gonio.rig.description import RigDescription
-
-if TYPE_CHECKING:
-    pass
 
 Check = Callable[[str], Any]
 """What an answer means; raises `ValueError` that says what is wrong with it, and how it should be."""

@@ -1,22 +1,18 @@
 """Values into a rig file, with everything else in it, comments included, as it was."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from gonio.by_hand.manual_rig import ManualRig
 from gonio.config import parse, read_toml
 from gonio.disk import write_whole
 from gonio.errors import ConfigError, DataError, DeviceError, GonioError
+from gonio.rig import Health
 from gonio.rig.description import RigDescription
-
-if TYPE_CHECKING:
-    from gonio.by_hand.manual_rig import ManualRig
-    from gonio.rig import Health
 
 Values = Mapping[tuple[str, ...], Any]
 """By the path of a key, as ("arms", "light", "zero_offset_deg"); None takes a key out."""

@@ -5,14 +5,11 @@ by the exposure. Every angle has an exposure of its own unless one is given, so 
 are both in scale.
 """
 
-from __future__ import annotations
-
 import contextlib
 import math
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
@@ -23,10 +20,7 @@ from gonio.disk import put, put_picture
 from gonio.errors import ArgumentError, ConfigError, DataError
 from gonio.rig import Frame, Pose, kinematics, regions, sensor_noise
 from gonio.rig.description import RigDescription
-from gonio.typing import Floats
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+from gonio.typing import Axes, Floats
 
 DARK_FRAMES = 4
 LONGEST = 8.0

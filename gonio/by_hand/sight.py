@@ -3,8 +3,6 @@
 All of it as numbers that JSON can hold, for a page. Devices are not asked here.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from collections.abc import Callable

@@ -1,14 +1,10 @@
 """One frame, what is in it, and a picture of it with the outline of the patch that a measurement would use."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
 from gonio.acquisition import exposure
 from gonio.by_hand import looking
@@ -18,9 +14,7 @@ from gonio.errors import ConfigError, DataError
 from gonio.rig import Frame, Pose, dng, kinematics, regions
 from gonio.rig.description import RigDescription
 from gonio.rig.light_and_camera import Camera
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from gonio.typing import Array, Figure, Floats
 
 EIGHT_BITS = 256
 ROUNDING_DN = 1 / math.sqrt(12)
@@ -39,7 +33,7 @@ class Snapshot:
     """Where the axes stood [rad]; None where that is not known."""
     patch: regions.Roi | None
     """The pixels that a measurement of the sample would use, from that pose."""
-    outline: tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]] | None
+    outline: tuple[Floats, Floats] | None
     """Columns and rows of its edge."""
     without: str
     """Why there is no patch; "" where there is one."""
@@ -53,7 +47,7 @@ class Snapshot:
             out |= {"patch_pixels": float(self.patch.count)} | self._of("patch_", self.patch.of(self.frame.mosaic))
         return out
 
-    def _of(self, prefix: str, pixels: npt.NDArray[Any]) -> dict[str, float]:
+    def _of(self, prefix: str, pixels: Array) -> dict[str, float]:
         full = exposure.full_scale_dn(self.camera, self.frame)
         levels = looking.signal(self.camera, self.frame, pixels) / full
         return {
@@ -140,7 +134,7 @@ def take(manual: Movable, file: Path | None, *, exposure_s: float | None) -> Sna
 
 def _patch(
     description: RigDescription, pose: Pose | None, frame: Frame
-) -> tuple[regions.Roi | None, tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]] | None, str]:
+) -> tuple[regions.Roi | None, tuple[Floats, Floats] | None, str]:
     if pose is None:
         return None, None, "the arms do not say where they stand"
     camera = description.camera

@@ -8,11 +8,8 @@ the more obliquely the camera looks. So flats at several camera angles tell the 
 The lens is taken for round. Across the plane of the arms all flats look alike, and only that tells lens and beam apart.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,11 +18,7 @@ from gonio.errors import DataError
 from gonio.rig import Pose, imaging, kinematics
 from gonio.rig.description import RigDescription
 from gonio.rig.light_and_camera import Beam
-from gonio.typing import Floats
-
-if TYPE_CHECKING:
-    import pandas as pd
-    from matplotlib.figure import Figure
+from gonio.typing import DataFrame, Figure, Floats
 
 COLUMNS = (
     "flat",
@@ -65,7 +58,7 @@ class Profile:
     """Largest distance from the centre that a flat shows [mm]."""
 
 
-def blocks(description: RigDescription, pose: Pose, mean: Floats, noise: Floats, number: int) -> pd.DataFrame:
+def blocks(description: RigDescription, pose: Pose, mean: Floats, noise: Floats, number: int) -> DataFrame:
     """One flat as means over blocks of pixels that see the white.
 
     Parameters
@@ -110,7 +103,7 @@ def blocks(description: RigDescription, pose: Pose, mean: Floats, noise: Floats,
     return pd.DataFrame(out, columns=list(COLUMNS))
 
 
-def read_flats(path: str | Path) -> pd.DataFrame:
+def read_flats(path: str | Path) -> DataFrame:
     """Flats from a CSV with the columns of `COLUMNS`; raises `DataError` where it is damaged."""
     table = read_numbers(path, COLUMNS)
     for name in ("geometry", "signal_dn_per_s", "u_signal_dn_per_s"):
@@ -120,7 +113,7 @@ def read_flats(path: str | Path) -> pd.DataFrame:
     return table
 
 
-def fit(table: pd.DataFrame) -> Profile:
+def fit(table: DataFrame) -> Profile:
     """Fit beam and lens to flats.
 
     Raises
@@ -161,7 +154,7 @@ def fit(table: pd.DataFrame) -> Profile:
     )
 
 
-def by_zero(description: RigDescription, table: pd.DataFrame, found: Profile, axis: str) -> Floats:
+def by_zero(description: RigDescription, table: DataFrame, found: Profile, axis: str) -> Floats:
     """How much each of the five numbers changes where the zero of an axis is larger by 1 deg.
 
     Light that falls obliquely is brighter on the nearer side of the white, as a tilted beam is.
@@ -181,7 +174,7 @@ def by_zero(description: RigDescription, table: pd.DataFrame, found: Profile, ax
     return (np.array(fit(moved).beam.terms()) - found.beam.terms()) / ZERO_STEP_DEG
 
 
-def _whitened(table: pd.DataFrame, design: Floats, target: Floats) -> tuple[Floats, Floats]:
+def _whitened(table: DataFrame, design: Floats, target: Floats) -> tuple[Floats, Floats]:
     """Rows of independent unit variance: a block of pixels responds alike in every flat, whatever that is."""
     noise = (table["u_signal_dn_per_s"] / table["signal_dn_per_s"]).to_numpy()
     pixels, block = table["u_pixels"].to_numpy(), table["block"].to_numpy()
@@ -200,7 +193,7 @@ def camera_angles(description: RigDescription) -> list[tuple[float, float]]:
     return [(light, light + sign * angle) for angle in (max(near, 12.0), 35.0, 50.0, 62.0) for sign in (1.0, -1.0)]
 
 
-def draw(table: pd.DataFrame, found: Profile) -> Figure:
+def draw(table: DataFrame, found: Profile) -> Figure:
     """The beam along x and along y, and the flats with lens and levels taken off."""
     from matplotlib.figure import Figure
 

@@ -4,8 +4,6 @@ What a black part reads above the dark frames was spread there by lens and senso
 the frame's mean, and with a Gaussian halo around bright parts where an edge shows one.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

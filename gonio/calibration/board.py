@@ -1,7 +1,5 @@
 """A ChArUco board as it was printed, from a file of ours or of OpenCV's."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated, Any
 

@@ -1,14 +1,11 @@
 """From frames of dark, white, trap and edge to the camera's keys of the rig file (docs/calibrate_camera.md)."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from scipy.linalg import block_diag
 
 from gonio.calibration import black_frames, linearity, photon_transfer, pixel_statistics, response, vignetting
@@ -25,10 +22,7 @@ from gonio.rig.imaging import Channel
 from gonio.rig.light_and_camera import Camera
 from gonio.rig.sensor_response import PixelMaps, straightened
 from gonio.shown import with_u
-from gonio.typing import Floats
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from gonio.typing import Bools, Figure, Floats
 
 UNDETERMINED = 0.05
 """Standard uncertainty of `vignetting` from which on it is not: lenses lose a tenth or two at the corners."""
@@ -387,7 +381,7 @@ def _rounded(value: Any) -> Any:
     return float(f"{value:.6g}") if isinstance(value, float) else value
 
 
-def black_rectangle(mask: npt.NDArray[np.bool_]) -> tuple[slice, slice] | None:
+def black_rectangle(mask: Bools) -> tuple[slice, slice] | None:
     """The rows and columns of a region that is a rectangle, or nearly one; None for an empty one."""
     rows, cols = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
     if not rows.size:

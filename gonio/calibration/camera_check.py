@@ -4,12 +4,9 @@ Pairs of frames of whatever is lit, at ten exposures, make a photon transfer of 
 rig file of another camera, or of another setting of its gain. `gonio calibrate camera` measures.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
-import numpy.typing as npt
 
 from gonio.acquisition import exposure
 from gonio.by_hand.alignment_scans import LONGEST_S
@@ -19,7 +16,7 @@ from gonio.errors import DataError
 from gonio.rig import Frame
 from gonio.rig.calibrated import covariance_of
 from gonio.rig.light_and_camera import Camera
-from gonio.typing import Floats
+from gonio.typing import Bools, Floats
 
 LIGHT_DEG, CAMERA_DEG = 30.0, 0.0
 """Where a mirror in the holder shows no lamp, and the holder around it is lit."""
@@ -103,7 +100,7 @@ def _level(camera: Camera, frame: Frame) -> float:
     return bright / exposure.full_scale_dn(camera, frame)
 
 
-def _values(frame: Frame, region: npt.NDArray[np.bool_]) -> Floats:
+def _values(frame: Frame, region: Bools) -> Floats:
     return np.asarray(frame.mosaic[region], float)
 
 

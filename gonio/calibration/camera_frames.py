@@ -6,8 +6,6 @@ nothing but black. Field needs `pose_deg` = light,camera, the angles of both arm
 exposures, and their names begin with the kind.
 """
 
-from __future__ import annotations
-
 import csv
 import io
 import math
@@ -16,13 +14,13 @@ from pathlib import Path
 from typing import Literal, cast, get_args
 
 import numpy as np
-import numpy.typing as npt
 
 from gonio.disk import read_file, write_whole
 from gonio.errors import ConfigError, DataError, DeviceError
 from gonio.rig import Frame, Pose, dng
 from gonio.rig.light_and_camera import Camera
 from gonio.rig.regions import require_raw
+from gonio.typing import NDArray
 
 Kind = Literal["dark", "flat", "trap", "edge", "field"]
 LIST = "frames.csv"
@@ -47,7 +45,7 @@ class CameraFrame:
     pose: Pose | None = None
     """Where the arms stood [rad]."""
 
-    def read(self, camera: Camera) -> npt.NDArray[np.uint16]:
+    def read(self, camera: Camera) -> NDArray[np.uint16]:
         """The mosaic [DN], checked against the rig file.
 
         Raises

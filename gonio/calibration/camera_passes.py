@@ -1,7 +1,5 @@
 """The passes over the frames that a camera is calibrated from, and what each leaves for the next: darks, then flats."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """What a rig is asked for to calibrate its camera: dark frames, flats of the white reference, a trap, a knife edge."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
@@ -9,7 +7,6 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
 from gonio.acquisition import exposure
 from gonio.by_hand.manual_rig import ManualRig
@@ -20,6 +17,7 @@ from gonio.errors import ConfigError, DeviceError
 from gonio.rig import Frame, Pose, dng, kinematics
 from gonio.rig.imaging import pixel_map
 from gonio.rig.regions import require_raw
+from gonio.typing import Floats
 
 Put = Literal["reference", "trap", "edge", "sample"]
 
@@ -106,7 +104,7 @@ class Scan:
                 self._take("field", t, pose=pose)
         self._manual.lamp(False)
 
-    def _times(self, wanted: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    def _times(self, wanted: Floats) -> Floats:
         shortest, longest = self._manual.description.camera.exposure_limits_s
         return np.unique(np.clip(np.round(wanted, exposure.MICROSECONDS), shortest, longest))
 

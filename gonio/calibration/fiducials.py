@@ -4,21 +4,18 @@ Poses of the holder from single frames are biased by some hundredths of a degree
 calibration fits corners themselves, those of all frames at once (`gonio.calibration.geometry`).
 """
 
-from __future__ import annotations
-
 import io
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from gonio.calibration.intrinsics import refine, stretched
 from gonio.disk import put
 from gonio.errors import ConfigError
 from gonio.rig.description import Fiducials
 from gonio.rig.fiducials import RIM, cells, centres_mm, corners_mm, dictionary_of
-from gonio.typing import Floats
+from gonio.typing import Array, Floats, Ints, NDArray
 
 SMALLEST_PX = 24.0
 """Side of a marker in the frame, at its shortest: below 3 pixels a cell the window of a corner holds its neighbours,
@@ -116,7 +113,7 @@ def _png(marks: Fiducials, aperture_mm: float, half: float) -> bytes:
     return drawn.getvalue()
 
 
-def detect(frame: npt.NDArray[Any], marks: Fiducials) -> tuple[npt.NDArray[np.intp], Floats]:
+def detect(frame: Array, marks: Fiducials) -> tuple[Ints, Floats]:
     """The corners of markers in a frame.
 
     Returns
@@ -159,7 +156,7 @@ def detect(frame: npt.NDArray[Any], marks: Fiducials) -> tuple[npt.NDArray[np.in
     return np.array(numbers, np.intp), np.concatenate(pixels) if pixels else np.zeros((0, 2))
 
 
-def _edges_meet(frame: npt.NDArray[np.float32], square: Floats, n: int) -> Floats:
+def _edges_meet(frame: NDArray[np.float32], square: Floats, n: int) -> Floats:
     """The corners of a black square on white, `n` cells wide, from about where they are; NaN where edges are not seen.
 
     Across each edge brightness rises from black to white within a pixel or two. The area under the rise says where the
@@ -203,9 +200,7 @@ def _edges_meet(frame: npt.NDArray[np.float32], square: Floats, n: int) -> Float
     return np.array(out)
 
 
-def consistent(
-    marks: Fiducials, numbers: npt.NDArray[np.intp], pixels: Floats
-) -> tuple[npt.NDArray[np.intp], Floats, float]:
+def consistent(marks: Fiducials, numbers: Ints, pixels: Floats) -> tuple[Ints, Floats, float]:
     """The corners that lie as on one plane, and how far they scatter about it [px]; none of less than three markers.
 
     Corners that a shadow, a reflection or a neighbour has moved are left out, `FAR` standard deviations off the rest.
@@ -228,7 +223,7 @@ def consistent(
     return nothing
 
 
-def _off_plane(marks: Fiducials, plane: Any, numbers: npt.NDArray[np.intp], pixels: Floats) -> Floats:
+def _off_plane(marks: Fiducials, plane: Any, numbers: Ints, pixels: Floats) -> Floats:
     """Corners less where a plane has them, less what all are shifted outward from their own markers' middles: ink."""
     import cv2
 
@@ -239,7 +234,7 @@ def _off_plane(marks: Fiducials, plane: Any, numbers: npt.NDArray[np.intp], pixe
     return np.asarray(off - np.mean(np.sum(off * outward, axis=1)) * outward)
 
 
-def middle(marks: Fiducials, numbers: npt.NDArray[np.intp], pixels: Floats) -> Floats:
+def middle(marks: Fiducials, numbers: Ints, pixels: Floats) -> Floats:
     """Where the centre of the markers' circle is in the frame [px], from corners that are `consistent`."""
     import cv2
 
@@ -247,7 +242,7 @@ def middle(marks: Fiducials, numbers: npt.NDArray[np.intp], pixels: Floats) -> F
     return np.asarray(cv2.perspectiveTransform(np.zeros((1, 1, 2)), plane)[0, 0])
 
 
-def on_plane(marks: Fiducials, numbers: npt.NDArray[np.intp], pixels: Floats, size: tuple[int, int]) -> Floats:
+def on_plane(marks: Fiducials, numbers: Ints, pixels: Floats, size: tuple[int, int]) -> Floats:
     """How far from the centre each pixel looks at the markers' plane [mm], for a frame of `size` rows and columns."""
     import cv2
 

@@ -5,15 +5,12 @@ the rig file's value (`Unknown.within`). A direction that the sightings tell les
 number is known where its uncertainty is less than half of that range.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import reduce
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -33,10 +30,7 @@ from gonio.calibration.geometry_problem import (
 from gonio.documents import TomlTable
 from gonio.errors import DataError
 from gonio.rig.description import RigDescription
-from gonio.typing import Floats
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from gonio.typing import Figure, Floats
 
 ZERO_KNOWN = 0.15
 """As `KNOWN`, of zeros, of which next to nothing is expected: 1.5 deg. A rig without markers reaches about 1 deg, as

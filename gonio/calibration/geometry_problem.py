@@ -9,8 +9,6 @@ Between two counts an encoder tells nothing: at every pose each axis is off by u
 sighting by its axes, its covariance is S = sigma^2 1 + D diag(step^2 / 12) D^T, common to all that it shows.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

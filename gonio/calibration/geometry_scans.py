@@ -4,31 +4,26 @@ The search for the lamp, its exposure and its centring are those of an alignment
 Every sighting is kept as it is made: a line of `sightings.jsonl`, and the frames that it was found in.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Callable
 from dataclasses import asdict, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import TypeAdapter
 
 from gonio.acquisition import exposure
 from gonio.by_hand.alignment_scans import BRIGHT, Scans
+from gonio.by_hand.manual_rig import ManualRig
 from gonio.calibration import fiducials
 from gonio.calibration.geometry_problem import Sighting
 from gonio.errors import ConfigError, DataError, DeviceError
 from gonio.geometry import overlap_of_discs
 from gonio.rig import Pose, imaging, kinematics
 from gonio.rig.description import RigDescription
-from gonio.typing import Floats
-
-if TYPE_CHECKING:
-    from gonio.by_hand.manual_rig import ManualRig
+from gonio.typing import Array, Bools, Floats, Ints
 
 FILE = "sightings.jsonl"
 MIRROR_POSES = 96
@@ -79,7 +74,7 @@ class GeometryScans(Scans):
 
     def __init__(
         self, manual: ManualRig, *, search_deg: float, say: Callable[[str], None],
-        keep: Callable[[Sighting, dict[str, npt.NDArray[Any]]], None],
+        keep: Callable[[Sighting, dict[str, Array]], None],
     ) -> None:  # fmt: skip
         super().__init__(manual, search_deg=search_deg, say=say)
         self._keep_sighting = keep
@@ -227,9 +222,9 @@ class GeometryScans(Scans):
 
     def _look(
         self, holder: str, *, spot: bool = True, marks: bool = True, against: tuple[str, ...] = (), keep: bool = True
-    ) -> tuple[Sighting, dict[str, npt.NDArray[Any]]] | None:
+    ) -> tuple[Sighting, dict[str, Array]] | None:
         """Frames at the present pose, and what they show; None where they show nothing."""
-        rig, frames, pose = self._description, dict[str, npt.NDArray[Any]](), self._pose()
+        rig, frames, pose = self._description, dict[str, Array](), self._pose()
         numbers, pixels, u_corner = np.zeros(0, np.intp), np.zeros((0, 2)), 0.0
         if marks and rig.holder.fiducials is not None:
             wanted = exposure.expected_exposure_s(rig, pose, rig.holder.fiducials.albedo)
@@ -270,7 +265,7 @@ class GeometryScans(Scans):
         """Where the sample's centre would be in the frame, by the rig file."""
         return np.array(imaging.project(self._description, kinematics.view(self._description, pose), np.zeros(3)))
 
-    def _mirror(self, pose: Pose, numbers: npt.NDArray[np.intp] | None, pixels: Floats) -> npt.NDArray[np.bool_]:
+    def _mirror(self, pose: Pose, numbers: Ints | None, pixels: Floats) -> Bools:
         """Pixels that surely see the mirror: as corners of markers in this frame show it; or, where they do not (None),
         as the rig file has it, shifted to where markers have last shown its middle."""
         rig, camera = self._description, self._description.camera
@@ -317,9 +312,7 @@ def reversed_approach(description: RigDescription) -> RigDescription:
     return RigDescription.model_validate(tables)
 
 
-def spot_of(
-    light: Floats, description: RigDescription, inside: npt.NDArray[np.bool_] | None
-) -> tuple[float, float, float] | None:
+def spot_of(light: Floats, description: RigDescription, inside: Bools | None) -> tuple[float, float, float] | None:
     """Column, row and standard uncertainty [px] of the middle of the lamp in a frame; None where it shows none.
 
     Parameters
@@ -344,7 +337,7 @@ def spot_of(
     size = max(1, round(math.sqrt(np.count_nonzero(inside) / PIXELS)))
     rows, cols = camera.height // size, camera.width // size
 
-    def binned(image: npt.NDArray[Any]) -> Floats:
+    def binned(image: Array) -> Floats:
         return np.asarray(image[: rows * size, : cols * size].reshape(rows, size, cols, size).mean(axis=(1, 3)))
 
     whole = binned(inside) == 1.0
@@ -405,7 +398,7 @@ class Kept:
         except OSError as error:
             raise DataError(f"{folder}: cannot be made: {error.strerror}") from None
 
-    def keep(self, sighting: Sighting, frames: dict[str, npt.NDArray[Any]]) -> None:
+    def keep(self, sighting: Sighting, frames: dict[str, Array]) -> None:
         """Write the frames, then the line that tells of them."""
         import cv2
 

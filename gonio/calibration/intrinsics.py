@@ -10,26 +10,20 @@ f, c_x, c_y in pixels, the middle of the first pixel at (0, 0). Corners are refi
 all together; a corner that lies further than `FAR` standard deviations from the fit is left out, and counted.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from gonio.calibration.board import BoardFile
 from gonio.errors import DataError, GonioError
 from gonio.rig.fiducials import dictionary_of
-from gonio.typing import Floats
+from gonio.typing import Array, Figure, Floats, NDArray
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-Grey = npt.NDArray[np.uint8]
+Grey = NDArray[np.uint8]
 
 NAMES = ("f", "c_x", "c_y", "k1", "k2", "p1", "p2")
 FEWEST_IMAGES = 3
@@ -184,7 +178,7 @@ def read_grey(file: Path) -> Grey:
         if file.suffix.lower() == ".dng":
             from gonio.rig import dng
 
-            picture: npt.NDArray[Any] | None = np.asarray(dng.read_raw(file).mosaic)
+            picture: Array | None = np.asarray(dng.read_raw(file).mosaic)
         else:
             picture = cv2.imdecode(
                 np.frombuffer(file.read_bytes(), np.uint8), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH
@@ -196,7 +190,7 @@ def read_grey(file: Path) -> Grey:
     return stretched(picture)
 
 
-def stretched(picture: npt.NDArray[Any]) -> Grey:
+def stretched(picture: Array) -> Grey:
     """Grey values in 8 bits, as what finds markers wants them; those with 8 bits stay as they are."""
     if picture.dtype == np.uint8:
         return picture
@@ -229,7 +223,7 @@ def _corners(grey: Grey, board: BoardFile, dictionary: Any, file: Path) -> tuple
     return on_board, refine(grey, pixels, _half_window(pixels, on_board, board.square_mm)), np.array([ratio])
 
 
-def refine(grey: Grey, corners: npt.NDArray[Any], half: int) -> Floats:
+def refine(grey: Grey, corners: Array, half: int) -> Floats:
     """Corners of black and white to parts of a pixel: where gradients meet in a window of 2 `half` + 1 pixels."""
     import cv2
 
@@ -238,7 +232,7 @@ def refine(grey: Grey, corners: npt.NDArray[Any], half: int) -> Floats:
     return np.asarray(cv2.cornerSubPix(grey, shaped, (half, half), (-1, -1), stop), float).reshape(-1, 2)
 
 
-def _half_window(pixels: npt.NDArray[Any], on_board: Floats, square_mm: float) -> int:
+def _half_window(pixels: Array, on_board: Floats, square_mm: float) -> int:
     """So large that no neighbouring corner or marker comes in: a fifth of the shortest square in view."""
     apart = np.linalg.norm(on_board[:, None] - on_board[None], axis=-1)
     pairs = np.argwhere(np.triu(np.abs(apart - square_mm) < 1e-6 * square_mm))
@@ -331,7 +325,7 @@ class _Fit:
         poses = [np.concatenate([np.ravel(r), np.ravel(t)]) for r, t in zip(turns, shifts, strict=True)]
         self.x = np.concatenate([[matrix[0, 0], matrix[0, 2], matrix[1, 2], 0, 0, 0, 0], *poses])
 
-    def _without(self, k: int) -> _Fit:
+    def _without(self, k: int) -> "_Fit":
         """A fit that starts from this one, without a picture."""
         rest = [i for i in range(len(self.pixels)) if i != k]
         one = object.__new__(_Fit)

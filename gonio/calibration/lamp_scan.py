@@ -1,17 +1,14 @@
 """Series and flats of a white, taken on an open rig by hand (`gonio.by_hand.manual_rig`)."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
 from gonio.acquisition import exposure
 from gonio.acquisition.schedule import reference_pose
 from gonio.acquisition.suspending import wait
+from gonio.by_hand.manual_rig import ManualRig
 from gonio.calibration import beam
 from gonio.calibration.lamp_stability import COLUMNS
 from gonio.errors import ConfigError, DataError, DeviceError
@@ -20,12 +17,7 @@ from gonio.reduction import stray_light
 from gonio.rig import Frame, Pose, Step, imaging, inverse_kinematics, kinematics, regions, sensor_noise
 from gonio.rig.description import RigDescription
 from gonio.rig.sensor_response import linear_dn, straightened
-from gonio.typing import Floats
-
-if TYPE_CHECKING:
-    import pandas as pd
-
-    from gonio.by_hand.manual_rig import ManualRig
+from gonio.typing import Array, DataFrame, Floats
 
 DARK_FRAMES = 8
 BURST = 4
@@ -51,7 +43,7 @@ def take_series(
     duration_s: float,
     every_s: float,
     *,
-    keep: Callable[[pd.DataFrame], None],
+    keep: Callable[[DataFrame], None],
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> None:
     """Frames of the white from the moment that the lamp is lit.
@@ -132,7 +124,7 @@ class _Series:
         row = {"time_s": max(time_s, 0.0), "mean_dn": mean, "exposure_s": frame.exposure_s}
         self.rows.append(row | ({} if monitor is None else {"monitor": monitor}))
 
-    def table(self, dark_dn: float) -> pd.DataFrame:
+    def table(self, dark_dn: float) -> DataFrame:
         """With the columns of `lamp_stability.COLUMNS`."""
         import pandas as pd
 
@@ -147,7 +139,7 @@ class _Series:
 def take_flats(
     manual: ManualRig,
     *,
-    keep: Callable[[pd.DataFrame], None],
+    keep: Callable[[DataFrame], None],
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> None:
     """Flats of the white at several camera angles.
@@ -258,7 +250,7 @@ def _require(description: RigDescription, frame: Frame, pixels: Floats) -> None:
         )
 
 
-def _linear(description: RigDescription, frame: Frame, values: npt.NDArray[Any]) -> Floats:
+def _linear(description: RigDescription, frame: Frame, values: Array) -> Floats:
     """What pixels read [DN], with the camera's response curve and nonlinearity taken out."""
     camera = description.camera
     above = np.asarray(linear_dn(camera, values), float) - frame.black_level_dn

@@ -7,21 +7,14 @@ is estimated from neighbouring frames without any model. So the model itself can
 means of stretches of the series.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from gonio.errors import DataError
-from gonio.typing import Floats
-
-if TYPE_CHECKING:
-    import pandas as pd
-    from matplotlib.figure import Figure
+from gonio.typing import DataFrame, Figure, Floats, Series
 
 COLUMNS = ("time_s", "signal_dn_per_s", "u_shot_dn_per_s", "exposure_s")
 FEWEST = 24
@@ -103,7 +96,7 @@ class Stability:
         )
 
 
-def read_series(path: str | Path) -> pd.DataFrame:
+def read_series(path: str | Path) -> DataFrame:
     """A series from a CSV with the columns of `COLUMNS`, and `monitor` where there is one.
 
     Raises
@@ -122,7 +115,7 @@ def read_series(path: str | Path) -> pd.DataFrame:
     return table
 
 
-def _require(table: pd.DataFrame, column: str, good: pd.Series[bool], path: str | Path, what: str) -> None:
+def _require(table: DataFrame, column: str, good: Series, path: str | Path, what: str) -> None:
     if not good.all():
         row = int(np.flatnonzero(~good.to_numpy())[0])
         raise DataError(f"{path}: row {row + 1}: {column} = {table[column].iloc[row]:g} {what}")
@@ -291,7 +284,7 @@ def values(found: Stability) -> tuple[dict[str, float], list[str], Floats]:
     return out, ["noise", *names], covariance
 
 
-def draw(table: pd.DataFrame, found: Stability) -> Figure:
+def draw(table: DataFrame, found: Stability) -> Figure:
     """The series with the model, and what it departs by."""
     from matplotlib.figure import Figure
 

@@ -9,8 +9,6 @@ is fitted by least squares. The factors l_j lie around a straight line over time
 lamp) that the fit estimates too. Frames of one brightness alone then still tell c, as well as the lamp is steady.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -4,19 +4,16 @@ Two frames of one setting differ by temporal noise alone: sigma^2 = mean((a - b)
 the dark frames' it grows with the mean as K, the gain [DN/e-]. Sections named here are those of the standard.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from gonio.errors import DataError
 from gonio.rig.light_and_camera import Camera
 from gonio.rig.sensor_response import straightened
-from gonio.typing import Floats
+from gonio.typing import Floats, NDArray
 
 FIT_RANGE = 0.7
 """Of saturation: the points of the gain's line (6.6)."""
@@ -45,7 +42,7 @@ class Pair:
         return self.variance_dn2 * math.sqrt(2.0 / max(self.pixels - 1, 1))
 
 
-def pair(a: npt.NDArray[np.generic], b: npt.NDArray[np.generic], exposure_s: float) -> Pair:
+def pair(a: NDArray[np.generic], b: NDArray[np.generic], exposure_s: float) -> Pair:
     """The statistics of two frames, or of the same pixels of two (6.4)."""
     first, second = np.asarray(a, dtype=float).ravel(), np.asarray(b, dtype=float).ravel()
     means = float(first.mean()), float(second.mean())

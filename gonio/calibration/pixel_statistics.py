@@ -1,14 +1,11 @@
 """Dark current, DSNU, PRNU and defects: what dark and flat frames say of single pixels (EMVA 1288, 8 and 9)."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from gonio.typing import Floats
+from gonio.typing import Bools, Floats
 
 DEFECT = 8.0
 """Robust standard deviations from the median beyond which a pixel is a defect: of normal noise none in 1e15."""
@@ -56,14 +53,14 @@ def unevenness(picture: Floats, temporal_variance: float) -> Unevenness:
     return Unevenness(*(math.sqrt(max(part, 0.0)) for part in parts))
 
 
-def outliers(picture: Floats, least: float = 0.0) -> npt.NDArray[np.bool_]:
+def outliers(picture: Floats, least: float = 0.0) -> Bools:
     """Pixels far from the median, in robust standard deviations, and by `least` at least."""
     away = np.abs(picture - float(np.nanmedian(picture)))
     scale = 1.4826 * float(np.nanmedian(away))
     return np.asarray(np.isfinite(picture) & (away > max(DEFECT * scale, least)))
 
 
-def smooth(picture: Floats, where: npt.NDArray[np.bool_], sigma: float = SMOOTH_PX) -> Floats:
+def smooth(picture: Floats, where: Bools, sigma: float = SMOOTH_PX) -> Floats:
     """A picture blurred by a Gaussian, over the pixels of a region alone; NaN far from it."""
     from scipy.ndimage import gaussian_filter
 
@@ -73,7 +70,7 @@ def smooth(picture: Floats, where: npt.NDArray[np.bool_], sigma: float = SMOOTH_
         return np.asarray(np.where(weight > 1e-3, values / weight, math.nan))
 
 
-def inside(region: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+def inside(region: Bools) -> Bools:
     """A region without the pixels near its edge, which see what lies beside it; dark single pixels do not count."""
     from scipy.ndimage import binary_closing, binary_erosion
 
@@ -81,7 +78,7 @@ def inside(region: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
     return np.asarray(binary_erosion(closed, iterations=EDGE_PX, border_value=True))
 
 
-def trend(picture: Floats, where: npt.NDArray[np.bool_]) -> Floats:
+def trend(picture: Floats, where: Bools) -> Floats:
     """The polynomial of fourth degree in rows and columns through the pixels of a region: vignetting and beam."""
     y, x = (2.0 * index / max(size - 1, 1) - 1.0 for index, size in zip(np.indices(picture.shape), picture.shape,
                                                                        strict=True))  # fmt: skip
@@ -93,7 +90,7 @@ def trend(picture: Floats, where: npt.NDArray[np.bool_]) -> Floats:
     return np.asarray(np.where(where, fitted, 1.0))
 
 
-def evened(signal: Floats, region: npt.NDArray[np.bool_]) -> tuple[Floats, npt.NDArray[np.bool_], float]:
+def evened(signal: Floats, region: Bools) -> tuple[Floats, Bools, float]:
     """A picture of a white over its own smooth course, the part of a region that tells pixels, and their variance.
 
     The variance is that of neighbours, by second differences both ways (`SECOND`). The rim of a white that does not

@@ -1,7 +1,5 @@
 """Degree and azimuth of polarisation, from a polariser that is turned (docs/calibrate_light.md)."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from pathlib import Path

@@ -3,16 +3,12 @@
 Pixels of one still scene at several exposures read Z_ij, and g(Z_ij) = ln E_i + ln t_j with one smooth g for all.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from gonio.errors import DataError
-from gonio.typing import Floats
+from gonio.typing import Array, Floats, NDArray
 
 VALUES = 256
 SMOOTHNESS = 30.0
@@ -27,7 +23,7 @@ def hat(values: Floats, low: float = 0.01, high: float = 0.99) -> Floats:
     return np.asarray(weight / weight.max())
 
 
-def solve(values: npt.NDArray[np.integer], log_exposures: Floats, smoothness: float = SMOOTHNESS) -> Floats:
+def solve(values: NDArray[np.integer], log_exposures: Floats, smoothness: float = SMOOTHNESS) -> Floats:
     """g of every value, with g(128) = 0: the least squares of Debevec and Malik, eq. 3; 0 where no frame tells it.
 
     Parameters
@@ -57,7 +53,7 @@ def solve(values: npt.NDArray[np.integer], log_exposures: Floats, smoothness: fl
     return np.asarray(np.linalg.pinv(normal, rcond=1e-14, hermitian=True) @ right)
 
 
-def curve(frames: Sequence[npt.NDArray[Any]], exposures_s: Floats, pixels: int = 400) -> Floats:
+def curve(frames: Sequence[Array], exposures_s: Floats, pixels: int = 400) -> Floats:
     """`camera.response` from frames of one still scene: 256 linear values [DN] that grow from 0 to 255.
 
     Raises

@@ -3,8 +3,6 @@
 Derived in docs/calibrate_light.md.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from pathlib import Path

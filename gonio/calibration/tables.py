@@ -1,22 +1,17 @@
 """Tables of numbers that a calibration reads."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from gonio.errors import DataError
-
-if TYPE_CHECKING:
-    import pandas as pd
+from gonio.typing import DataFrame
 
 
 def read_numbers(
     path: str | Path, needed: Sequence[str], optional: Sequence[str] = (), words: Sequence[str] = ()
-) -> pd.DataFrame:
+) -> DataFrame:
     """A CSV with some columns, whose values are finite numbers; columns in `words` stay as they are.
 
     Raises

@@ -4,8 +4,6 @@ Vignetting stays with the pixels, beam and reference stay with the sample. Seen 
 other pixels. So ln(signal / known geometry) = level of the direction + ln(1 - v rho^4) + polynomial in x and y.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

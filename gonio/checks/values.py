@@ -1,7 +1,5 @@
 """The values of one wavelength that checks are about, with their covariance in factors."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from itertools import pairwise
@@ -40,7 +38,7 @@ class CheckedValues:
     def _common(self) -> Floats:
         return np.zeros((len(self), 0)) if self.common is None else self.common
 
-    def take(self, rows: Rows | Bools) -> CheckedValues:
+    def take(self, rows: Rows | Bools) -> "CheckedValues":
         """Some of them."""
         random, common = (None if a is None else a[rows] for a in (self.random, self.common))
         return CheckedValues(self.directions[rows], self.brdf[rows], random, common)

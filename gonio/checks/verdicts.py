@@ -1,7 +1,5 @@
 """Checks with a figure of merit and a verdict, each limit with its reason (docs/checks.md)."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Sequence
@@ -53,7 +51,7 @@ class Check:
     """"" for all bands."""
 
     @classmethod
-    def from_json(cls, values: Any) -> Check | None:
+    def from_json(cls, values: Any) -> "Check | None":
         """Inverse of `to_json`; None for anything else, which a file may hold under the same name."""
         names = {one.name for one in fields(cls)}
         if not isinstance(values, dict) or values.keys() != names:

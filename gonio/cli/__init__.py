@@ -3,8 +3,6 @@
 This module imports next to nothing: from its `main` on a signal ends in one line, and before that it kills.
 """
 
-from __future__ import annotations
-
 import os
 import sys
 

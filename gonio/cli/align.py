@@ -1,7 +1,5 @@
 """`gonio rig align`: the zeros of the axes, from scans over a mirror and straight through an empty holder."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

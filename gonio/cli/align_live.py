@@ -1,7 +1,5 @@
 """`gonio rig align --live`: a live picture on a page, and a prompt that jogs, lights the lamp and sets zeros."""
 
-from __future__ import annotations
-
 import contextlib
 import shutil
 import sys

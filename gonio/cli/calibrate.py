@@ -1,7 +1,5 @@
 """`gonio calibrate geometry | camera | light`: what they take; `calibrate_geometry.py` and its like do the work."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated, Literal
 

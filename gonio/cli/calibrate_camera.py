@@ -1,7 +1,5 @@
 """`gonio calibrate camera`: gain, noise, linearity, dark current, maps and stray light of a rig's camera."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`gonio calibrate geometry`: lens, zeros, encoders, axes and holder of a rig, with their covariance."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

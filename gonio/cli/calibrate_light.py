@@ -1,7 +1,5 @@
 """`gonio calibrate light`: warm-up, drift and noise of the lamp, its beam, its bands, its polarisation."""
 
-from __future__ import annotations
-
 import contextlib
 import math
 from dataclasses import astuple, dataclass, field

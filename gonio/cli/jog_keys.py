@@ -1,7 +1,5 @@
 """Keys of a terminal that is read one by one: a line that is typed, and arrows that jog."""
 
-from __future__ import annotations
-
 import codecs
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """What long work says of itself: how far it is, and how long the rest may take."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 

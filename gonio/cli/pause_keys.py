@@ -1,7 +1,5 @@
 """Keys that pause a measurement, heard while it runs; prompts of the rig have the terminal for themselves meanwhile."""
 
-from __future__ import annotations
-
 import threading
 from types import TracebackType
 from typing import Self

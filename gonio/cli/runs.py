@@ -1,7 +1,5 @@
 """`gonio run`: is a run whole, and what can be made again."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

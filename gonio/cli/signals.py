@@ -1,7 +1,5 @@
 """The signals that end a command: heard, deafened, or held off while what was measured is written."""
 
-from __future__ import annotations
-
 import contextlib
 import signal
 import threading

@@ -1,18 +1,14 @@
 """The curves of a table, for files that hold each by itself: NeXus and workbooks."""
 
-from __future__ import annotations
-
 from collections.abc import Hashable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from gonio.errors import DataError
 from gonio.typing import DataFrame, Floats
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 MOST = 500
 """Curves in one file: beyond, a table of all values is what a reader wants."""

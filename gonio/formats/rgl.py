@@ -21,12 +21,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
 from gonio import geometry
 from gonio.errors import DataError
 from gonio.formats.reader import RGB_NM, Format, table, write_bytes
-from gonio.typing import Array, Bools, DataFrame, Floats, Ints
+from gonio.typing import Array, Bools, DataFrame, Floats, Ints, NDArray
 
 if TYPE_CHECKING:
     from gonio.models import Model
@@ -284,7 +283,7 @@ def write_model(model: Model, name: str, path: Path) -> None:
     write_bytes(path, sliced(brdf, name))
 
 
-def _slices(brdf: Callable[[Floats, Floats], Floats], half: Floats, theta_i: Floats) -> npt.NDArray[np.float32]:
+def _slices(brdf: Callable[[Floats, Floats], Floats], half: Floats, theta_i: Floats) -> NDArray[np.float32]:
     """brdf cos(theta_r) of three channels at half vectors (3, m, n), for one angle of incidence after another."""
     values = np.zeros((theta_i.size, 3, *half.shape[1:]), np.float32)
     for slice_, theta in zip(values, theta_i.tolist(), strict=True):

@@ -8,14 +8,13 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from gonio import geometry
 from gonio.instrument import spherical_caps
 from gonio.models import Model
-from gonio.typing import Floats
+from gonio.typing import Floats, NDArray
 
-Rules = npt.NDArray[np.int8]
+Rules = NDArray[np.int8]
 """One number a geometry: 0 to `_caps.LEVELS` - 1 the product rule of that level, or one of those below."""
 
 EXPANSION, NARROW_LOBE, CUT = -1, -2, -3

@@ -4,15 +4,14 @@ import functools
 import math
 
 import numpy as np
-import numpy.typing as npt
 
 from gonio.instrument import spherical_caps
 from gonio.instrument.lobe import CUT_ORDERS, cap_nodes
 from gonio.models import Model, engine
 from gonio.models._compile import loop
-from gonio.typing import Floats
+from gonio.typing import Floats, Ints
 
-Places = npt.NDArray[np.intp]
+Places = Ints
 
 STEPS = 8192
 """Steps of the table of rho_s from cos(theta) = 0 to 1."""

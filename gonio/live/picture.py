@@ -1,25 +1,25 @@
 """A raw frame as a picture: grey with a soft curve, the region of interest outlined, saturated pixels painted."""
 
 import numpy as np
-import numpy.typing as npt
 
 from gonio.acquisition.exposure import SATURATED, full_scale_dn
 from gonio.acquisition.records import StepRecord
 from gonio.rig import Frame, kinematics, regions
 from gonio.rig.description import RigDescription
+from gonio.typing import NDArray
 
 WIDTH = 640
 """A picture is not much wider."""
 OUTLINE, TOO_BRIGHT = (64, 200, 255), (255, 64, 48)
 
 
-def levels(description: RigDescription, frame: Frame) -> npt.NDArray[np.float32]:
+def levels(description: RigDescription, frame: Frame) -> NDArray[np.float32]:
     """A mosaic as levels: 0 at the black level, 1 where the sensor saturates."""
     full = full_scale_dn(description.camera, frame)
     return ((frame.mosaic.astype(np.float32) - frame.black_level_dn) / full).astype(np.float32)
 
 
-def rgb(level: npt.NDArray[np.float32]) -> tuple[npt.NDArray[np.uint8], int]:
+def rgb(level: NDArray[np.float32]) -> tuple[NDArray[np.uint8], int]:
     """A grey picture of levels with saturated pixels painted, and by how much it is smaller.
 
     A picture's pixel is the brightest of those that it stands for: a small highlight must not get lost.

@@ -11,7 +11,6 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from gonio.acquisition.records import StepRecord
 from gonio.acquisition.run import Run
@@ -21,7 +20,7 @@ from gonio.reduction.count_rates import RunFrames
 from gonio.reduction.growing import of_rates
 from gonio.reduction.rates import Reduced
 from gonio.rig.bands import Band
-from gonio.typing import Floats
+from gonio.typing import Floats, NDArray
 
 COLUMNS = 8
 SPARE = 0.5
@@ -34,7 +33,7 @@ class ProvisionalValues:
 
     band: Band
     steps: list[int]
-    points: npt.NDArray[np.int_]
+    points: NDArray[np.int_]
     directions: Directions
     brdf: Floats
     """1/sr."""

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
 import numpy as np
-import numpy.typing as npt
 
 from gonio.errors import ArgumentError
 from gonio.geometry import ANGLES, Directions
@@ -17,7 +16,7 @@ from gonio.models.arrays import ArrayModel
 from gonio.models.gaussian_process import NAMES, OF_CURVES, Coordinates, Prior, Process, Training
 from gonio.models.model import Model
 from gonio.models.parameters import Parameters, number
-from gonio.typing import ArrayLike, Floats
+from gonio.typing import ArrayLike, Floats, Ints
 
 AZIMUTHS = 128
 """Angles of a grid over the hemisphere, either way; a lobe narrower than its cells keeps its middle."""
@@ -208,7 +207,7 @@ def reflected(model: Model, theta_i: float, phi_i: float, wavelength_nm: float) 
     return Directions(theta_i * same, phi_i * same, theta_r[picked], phi_r[picked]), light[picked]
 
 
-def evenly(light: Floats, count: int) -> npt.NDArray[np.intp]:
+def evenly(light: Floats, count: int) -> Ints:
     """Which of many places stand for equal parts of the light from all; none where there is no light."""
     if not light.sum() > 0:
         return np.zeros(0, np.intp)

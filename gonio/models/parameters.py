@@ -9,10 +9,9 @@ from dataclasses import dataclass
 from typing import Any, Literal, cast
 
 import numpy as np
-import numpy.typing as npt
 
 from gonio.errors import ArgumentError, refuse_masked
-from gonio.typing import Floats
+from gonio.typing import Floats, NDArray
 
 Index = complex | str | Sequence[float] | Callable[[float], complex]
 """A complex refractive index n + ik, [n, k], a material's name, or a function of the wavelength in nm."""
@@ -158,7 +157,7 @@ def index_at(ior: Any, wavelength_nm: float, name: str = "ior") -> complex:
     return _valid_index(value, f"{name} at {wavelength_nm:g} nm")
 
 
-def indices_at(ior: Any, wavelength_nm: Floats) -> npt.NDArray[np.complex128]:
+def indices_at(ior: Any, wavelength_nm: Floats) -> NDArray[np.complex128]:
     """n + ik at wavelengths [nm] (n,), of a material's name, a function of wavelengths, one number or n of them."""
     index: Any = _material(ior) if isinstance(ior, str) else ior
     return np.broadcast_to(np.asarray(index(wavelength_nm) if callable(index) else index), wavelength_nm.shape)

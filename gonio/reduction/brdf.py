@@ -6,16 +6,14 @@ a second. Frames of one point are merged with the inverse of the variance that E
 signal. A rate over the signal per unit BRDF, which visits to the white reference tell, is the BRDF.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from gonio.acquisition.run import Run
 from gonio.documents import JsonObject
 from gonio.errors import ConfigError, DataError
 from gonio.reduction import angle_errors, budget, camera_errors, light_and_lens, white_reference
@@ -31,9 +29,6 @@ from gonio.reduction.values import BandResult, Cause, MeasuredBand, Values, join
 from gonio.rig import calibrated
 from gonio.rig.bands import Band
 from gonio.typing import DataFrame, Floats
-
-if TYPE_CHECKING:
-    from gonio.acquisition.run import Run
 
 
 @dataclass(frozen=True, slots=True)

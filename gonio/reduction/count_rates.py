@@ -3,15 +3,12 @@
 The formulas are explained in docs/radiometry.md, sections 1 to 3.
 """
 
-from __future__ import annotations
-
 import hashlib
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from numbers import Real
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,6 +16,7 @@ from gonio.acquisition.exposure import contradiction, full_scale_dn
 from gonio.acquisition.frame_writer import label_of
 from gonio.acquisition.records import FrameRecord, StepRecord
 from gonio.acquisition.repeats import REPEATED, Pictures, repeated
+from gonio.acquisition.run import Run
 from gonio.disk import read_file
 from gonio.errors import ContradictoryFrame, DamagedFrame, DataError
 from gonio.reduction import merging, stray_light
@@ -37,9 +35,6 @@ from gonio.rig.light_and_camera import Camera
 from gonio.rig.regions import Roi, roi, straight_through_weight
 from gonio.rig.sensor_response import by_coefficients, linear_dn, read_maps, straightened
 from gonio.typing import Array, Bools, Floats
-
-if TYPE_CHECKING:
-    from gonio.acquisition.run import Run
 
 Dark = tuple[float, Array]
 """Exposure [s] and mosaic [DN] of a dark frame."""

@@ -5,8 +5,6 @@ factors have no input in common, as a camera's signal and a geometry. Each draw 
 draw of the other, so that n draws of both stand for n^2 values. Several scramblings tell how well limits are known.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

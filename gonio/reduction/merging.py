@@ -8,13 +8,12 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from gonio.reduction.rates import Merged
 from gonio.rig import sensor_noise
 from gonio.rig.description import RigDescription
 from gonio.rig.light_and_camera import Camera
-from gonio.typing import Bools, Floats
+from gonio.typing import Bools, Floats, NDArray
 
 Mask = Bools
 
@@ -36,7 +35,7 @@ ROUNDS = 4
 """Hits that hide behind larger ones are found one round later."""
 
 
-def without_hits(camera: Camera, frames: npt.NDArray[np.uint16], black_dn: float) -> tuple[Floats, int]:
+def without_hits(camera: Camera, frames: NDArray[np.uint16], black_dn: float) -> tuple[Floats, int]:
     """Dark frames of one exposure [DN], shape (F, rows, columns), and how many pixels were hit.
 
     A pixel that was hit in one frame takes the mean of the others. It is known by the middle one of its values, of two

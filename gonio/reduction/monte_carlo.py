@@ -5,22 +5,21 @@ reference, BRDF, and what the angles' errors do to it along curves through the m
 columns is drawn, except those that `Check.as_columns` names. docs/budget.md says what is drawn, and how.
 """
 
-from __future__ import annotations
-
 import io
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from operator import attrgetter
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from gonio.acquisition.plan import ANGLES
+from gonio.acquisition.run import Run
 from gonio.geometry import Directions
 from gonio.reduction.angle_errors import angle_axes, is_behind, turned_over, zero_uncertainties
 from gonio.reduction.angle_sensitivity import NARROWEST, from_above
+from gonio.reduction.brdf import Reduction
 from gonio.reduction.rates import Reduced
 from gonio.reduction.spike_overlap import over_patch, overlap
 from gonio.reduction.table import COMMON, DARK, LAMP
@@ -29,10 +28,6 @@ from gonio.rig import Pose, kinematics
 from gonio.rig.beam_size import filling
 from gonio.rig.description import RigDescription
 from gonio.typing import ArrayLike, DataFrame, Floats
-
-if TYPE_CHECKING:
-    from gonio.acquisition.run import Run
-    from gonio.reduction.brdf import Reduction
 
 FEWEST = 100
 """With fewer draws the ends of a 95 % interval are not told."""

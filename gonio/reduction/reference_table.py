@@ -1,7 +1,5 @@
 """The BRDF of a white reference where a visit looks at it, from the table of its certificate."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 
@@ -68,7 +66,7 @@ def stated(table: DataFrame) -> tuple[float, float] | None:
     return (float(known.min()), float(known.max())) if known.size else None
 
 
-def _certificate(table: DataFrame, directions: Directions) -> _Certificate:
+def _certificate(table: DataFrame, directions: Directions) -> "_Certificate":
     source = table.attrs.get("source_file") or "the table of the white reference"
     if not _in_plane(directions):
         raise DataError(f"{source}: holds curves in the plane of incidence; the visit to the reference lies out of it")

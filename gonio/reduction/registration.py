@@ -13,21 +13,18 @@ told. Where the texture does not stand out of the noise, no shift is told; of an
 them alone.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 
 import numpy as np
-import numpy.typing as npt
 
 from gonio.maps import Tile
 from gonio.reduction.map_grid import Grid, Lookup
 from gonio.reduction.map_planes import MapPoint, Planes
 from gonio.reduction.threads import in_threads
-from gonio.typing import Bools, Floats, Ints
+from gonio.typing import Bools, Floats, Ints, NDArray
 
 WINDOW = 512
 """Cells along a side, in the middle of the sample, that are compared: fewer where all pictures had more than `HELD`."""
@@ -104,14 +101,14 @@ def shifts(
 class _Picture:
     """A picture over its median, without noise and what is smooth."""
 
-    rough: npt.NDArray[np.float32]
+    rough: NDArray[np.float32]
     """0 where it is not there."""
     there: Bools
     noise: float
     """Variance of a cell before."""
 
     @cached_property
-    def slopes(self) -> npt.NDArray[np.float32]:
+    def slopes(self) -> NDArray[np.float32]:
         """Along x and y, shape (2, rows, columns)."""
         along_y, along_x = np.gradient(self.rough)
         return np.stack([along_x, along_y])
@@ -122,7 +119,7 @@ class _Picture:
         return np.asarray(np.einsum("iyx,jyx->ij", self.slopes, self.slopes, dtype=float))
 
     @classmethod
-    def of(cls, value: Floats, variance: Floats, flag: Ints) -> _Picture:
+    def of(cls, value: Floats, variance: Floats, flag: Ints) -> "_Picture":
         from scipy.ndimage import gaussian_filter
 
         there = flag == 0

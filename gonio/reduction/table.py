@@ -1,19 +1,16 @@
 """The measurement table of a run's reduced bands, and the notes that a reader of it needs."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
 import gonio
 from gonio import geometry
 from gonio.acquisition.plan import ANGLES
+from gonio.acquisition.run import Run
 from gonio.checks.values import values_of
 from gonio.checks.verdicts import Check, Taken, VisitsOfBand, of_run, of_values
 from gonio.geometry import Directions
@@ -25,11 +22,7 @@ from gonio.reduction.values import BandResult
 from gonio.rig import kinematics
 from gonio.rig.beam_size import filling
 from gonio.rig.description import RigDescription
-from gonio.typing import DataFrame, Floats
-
-if TYPE_CHECKING:
-    from gonio.acquisition.run import Run
-
+from gonio.typing import DataFrame, Floats, NDArray
 
 CLIPPED = 1e-3
 """Dark frames with a larger part of their pixels at 0 DN are cut off there."""
@@ -95,7 +88,7 @@ def assemble(run: Run, results: list[BandResult], notes: list[str], clipped: flo
     return frame
 
 
-def _rows(run: Run, results: list[BandResult], *, of_angles: bool) -> tuple[DataFrame, npt.NDArray[np.object_]]:
+def _rows(run: Run, results: list[BandResult], *, of_angles: bool) -> tuple[DataFrame, NDArray[np.object_]]:
     """Angles, numbers and flags of every point of the plan and every band; and the flags, shape (points, bands)."""
     import pandas as pd
 
@@ -129,7 +122,7 @@ def _rows(run: Run, results: list[BandResult], *, of_angles: bool) -> tuple[Data
 
 
 def _checks(
-    run: Run, frame: DataFrame, results: list[BandResult], flags: npt.NDArray[np.object_], clipped: float
+    run: Run, frame: DataFrame, results: list[BandResult], flags: NDArray[np.object_], clipped: float
 ) -> list[Check]:
     """What is judged of frames, visits, points and values."""
     reachable = [not flag for flag in run.plan["flag"]]

@@ -1,20 +1,14 @@
 """The channels of a renderer's file: one grey, or linear sRGB from colours or from a spectrum."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from gonio import colour, geometry
 from gonio.errors import ConfigError, DataError
 from gonio.formats.reader import ANGLES
-from gonio.typing import Floats
-
-if TYPE_CHECKING:
-    import pandas as pd
+from gonio.typing import DataFrame, Floats
 
 COLOURS = ("red", "green", "blue")
 
@@ -31,7 +25,7 @@ class Rows:
     notes: tuple[str, ...]
 
 
-def rows(table: pd.DataFrame, name: str, *, wavelength_nm: float | None = None) -> Rows:
+def rows(table: DataFrame, name: str, *, wavelength_nm: float | None = None) -> Rows:
     """The unflagged, unpolarised reflection of a table in a renderer's channels.
 
     One wavelength, or one broad band, is grey. Samples named red, green and blue are the channels. A spectrum becomes
@@ -89,7 +83,7 @@ def rows(table: pd.DataFrame, name: str, *, wavelength_nm: float | None = None) 
     return _in_colour(name, wide, waves, notes)
 
 
-def _in_colour(name: str, wide: pd.DataFrame, waves: Floats, notes: list[str]) -> Rows:
+def _in_colour(name: str, wide: DataFrame, waves: Floats, notes: list[str]) -> Rows:
     """Directions that were measured at several wavelengths, a column each, in linear sRGB."""
     whole = wide.notna().all(axis=1)
     wide = wide[whole]
@@ -107,7 +101,7 @@ def _in_colour(name: str, wide: pd.DataFrame, waves: Floats, notes: list[str]) -
     return _rows(name, wide, values, notes)
 
 
-def _rows(name: str, wide: pd.DataFrame, values: Floats, notes: Sequence[str]) -> Rows:
+def _rows(name: str, wide: DataFrame, values: Floats, notes: Sequence[str]) -> Rows:
     known = np.isfinite(values).all(axis=1)
     index = np.deg2rad(np.array(wide.index.tolist(), dtype=np.float64).reshape(-1, 4))[known]
     values = values[known]

@@ -21,12 +21,11 @@ import math
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from gonio import geometry
 from gonio.errors import DataError
 from gonio.renderers.channels import Rows
-from gonio.typing import Floats
+from gonio.typing import Bools, Floats, Ints
 
 FEWEST = 3
 """Values that make a slice of an angle of incidence."""
@@ -84,7 +83,7 @@ class Interpolated:
             total[here] += part
         return out / total
 
-    def measured(self, omega_i: Floats, omega_r: Floats) -> npt.NDArray[np.bool_]:
+    def measured(self, omega_i: Floats, omega_r: Floats) -> Bools:
         """Whether directions lie among measured ones, or else are extrapolated.
 
         Among: between two measured angles of incidence, and there in the plane of incidence (within half a step of the
@@ -97,10 +96,10 @@ class Interpolated:
             out[here] &= (weight < 1e-9) | self.slices[k].measured(theta_h[here], phi_h[here])
         return np.asarray(out)
 
-    def _around(self, theta_i: Floats) -> dict[int, tuple[npt.NDArray[np.intp], Floats]]:
+    def _around(self, theta_i: Floats) -> dict[int, tuple[Ints, Floats]]:
         """The places and weights of each slice that one of the angles lies at, or beside."""
         nodes = self.incidences
-        out: dict[int, tuple[npt.NDArray[np.intp], Floats]] = {}
+        out: dict[int, tuple[Ints, Floats]] = {}
         for k in range(nodes.size):
             weight = np.interp(theta_i, nodes, np.eye(nodes.size)[k])
             here = np.flatnonzero(weight > 0)
@@ -229,7 +228,7 @@ class Slice:
         beyond = np.maximum(theta_h - common, 0.0)[:, np.newaxis]
         return np.asarray(self.line(longer * theta_h) + (swung - there) * np.exp(-beyond / _FADE))
 
-    def measured(self, theta_h: Floats, phi_h: Floats) -> npt.NDArray[np.bool_]:
+    def measured(self, theta_h: Floats, phi_h: Floats) -> Bools:
         """Whether half vectors [rad] lie among those of the values."""
         x, y = theta_h * np.cos(phi_h), theta_h * np.abs(np.sin(phi_h))
         out = np.zeros(x.shape, dtype=bool)

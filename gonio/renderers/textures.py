@@ -4,8 +4,6 @@ A picture is linear: its value v in [0, 1] stands for low + (high - low) v. Para
 (albedos, widths) have the range [0, 1], so that v is the parameter. Row 0 is the largest y, as pictures have it.
 """
 
-from __future__ import annotations
-
 import csv
 import io
 import json
@@ -13,12 +11,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from gonio.disk import require_name, require_own, write_own
 from gonio.errors import ConfigError, DataError
 from gonio.maps import FitFile
-from gonio.typing import Bools, Floats
+from gonio.typing import Bools, Floats, NDArray
 
 LEVELS = 65535
 """Of 16 bits."""
@@ -151,7 +148,7 @@ def _table(runs: list[tuple[Any, ...]]) -> bytes:
     return stream.getvalue().encode()
 
 
-def _png(codes: npt.NDArray[np.uint16]) -> bytes:
+def _png(codes: NDArray[np.uint16]) -> bytes:
     import cv2
 
     return cv2.imencode(".png", codes)[1].tobytes()

@@ -3,8 +3,6 @@
 A body is all that lies within a radius of the convex hull of some points: a ball has one, a capsule two, a box eight.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

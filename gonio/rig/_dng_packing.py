@@ -1,7 +1,5 @@
 """Compiled loops that pack and unpack the 12-bit rows of a DNG (TIFF 6.0)."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -4,17 +4,14 @@ Moves take another time there than back, because axes arrive from one side. So n
 round.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from gonio.compiled import njit
-from gonio.typing import Floats
+from gonio.typing import Floats, NDArray
 
-Ints = npt.NDArray[np.int64]
+Ints = NDArray[np.int64]
 LONGEST = 3
 """Poses that are moved to another place of the way together."""
 GAIN_S = 1e-9

@@ -1,7 +1,5 @@
 """The compiled loop over the pixels of a frame: where each line of sight meets the sample, and how it is lit there."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

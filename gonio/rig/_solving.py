@@ -1,7 +1,5 @@
 """The pose of a rig with errors of alignment that comes closest to given directions: compiled, from many starts."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

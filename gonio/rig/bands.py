@@ -1,7 +1,5 @@
 """The spectral bands of a rig file: listed, or of a tunable filter."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 from typing import Literal
 
@@ -32,7 +30,7 @@ class Tunable(Strict):
     fwhm_nm: Positive
 
     @model_validator(mode="after")
-    def _sound(self) -> Tunable:
+    def _sound(self) -> "Tunable":
         if self.stop_nm < self.start_nm:
             raise ValueError("a tunable source needs start_nm <= stop_nm")
         if (self.stop_nm - self.start_nm) / self.step_nm >= MAX_BANDS:
@@ -60,7 +58,7 @@ class Bands(Strict):
     tunable: Tunable | None = None
 
     @model_validator(mode="after")
-    def _some(self) -> Bands:
+    def _some(self) -> "Bands":
         if not self.all():
             raise ValueError("a rig needs at least one band: give `list` or `tunable`")
         names = [band.name for band in self.all()]

@@ -5,8 +5,6 @@ Underfilled: the whole spot lies inside the region, and what is known is the flu
 pixels are then summed over the area that each sees (docs/exposure.md, "The beam and the region").
 """
 
-from __future__ import annotations
-
 import math
 from typing import Literal
 

@@ -1,7 +1,5 @@
 """The bodies of a rig as shapes that move with its axes, and which pairs of them may meet."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Iterator, Sequence

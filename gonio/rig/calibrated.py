@@ -19,8 +19,6 @@ correlation = [[1.0]]
 [measured]                            # what else was found: figures for people, and for reports
 """
 
-from __future__ import annotations
-
 import datetime
 import hashlib
 from collections.abc import Sequence
@@ -72,7 +70,7 @@ class Calibration(Strict):
     def made_today(
         cls, kind: Literal["geometry", "camera", "light"], description: RigDescription, valid_days: int | None,
         *, values: TomlTable, uncertainty: ParameterUncertainty, measured: TomlTable, notes: Sequence[str],
-    ) -> Calibration:  # fmt: skip
+    ) -> "Calibration":  # fmt: skip
         """A calibration of a rig, valid from today on for some days, or for ever (None)."""
         today = datetime.date.today()
         return cls(
@@ -82,7 +80,7 @@ class Calibration(Strict):
         )  # fmt: skip
 
     @model_validator(mode="after")
-    def _names_are_there(self) -> Calibration:
+    def _names_are_there(self) -> "Calibration":
         known = numbers_in(self.values)
         if missing := [name for name in self.uncertainty.parameters if name not in known]:
             raise ValueError(f'uncertainty.parameters: there is no number "{missing[0]}" in [values]')

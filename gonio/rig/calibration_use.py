@@ -1,7 +1,5 @@
 """What a rig file says of the calibrations it takes, and what is known of each number."""
 
-from __future__ import annotations
-
 import datetime
 from typing import Annotated, Literal
 
@@ -30,7 +28,7 @@ class ParameterUncertainty(Strict):
     """Of a model that is not true: the relative standard deviation of measurements from it (docs/misfit.md)."""
 
     @classmethod
-    def of(cls, parameters: list[str], covariance: Floats) -> ParameterUncertainty:
+    def of(cls, parameters: list[str], covariance: Floats) -> "ParameterUncertainty":
         """Of numbers with a covariance; those without a variance are correlated with none."""
         u = np.sqrt(np.maximum(np.diag(covariance), 0.0))
         size = np.where(u > 0.0, u, 1.0)
@@ -40,7 +38,7 @@ class ParameterUncertainty(Strict):
         return cls(parameters=parameters, u=u.tolist(), correlation=correlation.tolist())
 
     @model_validator(mode="after")
-    def _fits_together(self) -> ParameterUncertainty:
+    def _fits_together(self) -> "ParameterUncertainty":
 
         n = len(self.parameters)
         if len(set(self.parameters)) < n or len(self.u) != n or [len(row) for row in self.correlation] != [n] * n:

@@ -5,8 +5,6 @@ monochrome LinearRaw image, 12-bit packed where the white level allows it and 16
 exact rational of the EXIF directory.
 """
 
-from __future__ import annotations
-
 import contextlib
 import datetime
 import hashlib
@@ -20,11 +18,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from gonio.disk import read_file, write_whole
 from gonio.errors import ArgumentError, DataError
 from gonio.rig.protocols import Frame
+from gonio.typing import NDArray
 
 BAYER = ("RGGB", "BGGR", "GRBG", "GBRG")
 _ORDERS = {b"II*\0": "<", b"MM\0*": ">"}
@@ -91,7 +89,7 @@ def _check(frame: Frame) -> None:
         raise ArgumentError(f"mosaic holds {top} DN, above white_level_dn = {frame.white_level_dn:g}")
 
 
-def pixels_sha256(mosaic: npt.NDArray[np.uint16]) -> str:
+def pixels_sha256(mosaic: NDArray[np.uint16]) -> str:
     """SHA-256 of a mosaic's pixels in raster order, two bytes each, the lower one first: whatever packs them."""
     return hashlib.sha256(np.ascontiguousarray(mosaic, dtype="<u2").data).hexdigest()
 
@@ -268,7 +266,7 @@ def read_raw(path: str | Path, data: bytes | None = None) -> Frame:
     return Frame(mosaic, exposure, level, white, pattern, time_s=tags.time_s, file=path)
 
 
-def _read_own(tags: _Tags, data: bytes) -> tuple[npt.NDArray[np.uint16], str, float] | None:
+def _read_own(tags: "_Tags", data: bytes) -> tuple[NDArray[np.uint16], str, float] | None:
     """Mosaic, pattern and white level [DN] of a file as `encode_dng` makes it; None where anything is otherwise."""
     one = {tag: values[0] for tag, values in tags.own.items() if isinstance(values, list) and len(values) == 1}
     columns, rows, bits, start, size, white = (one.get(tag, 0) for tag in (256, 257, 258, 273, 279, 50717))

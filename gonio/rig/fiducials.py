@@ -1,16 +1,13 @@
 """Printed markers around the holder's aperture: where they lie, and what is black of them."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from gonio.errors import ConfigError
 from gonio.rig.description import Fiducials
-from gonio.typing import Floats
+from gonio.typing import Bools, Floats, NDArray
 
 RIM = 0.2
 """White around each marker, of its side: without it the black square has no edge."""
@@ -49,7 +46,7 @@ def corners_mm(marks: Fiducials) -> Floats:
 
 
 @lru_cache(maxsize=4)
-def cells(name: str, first_id: int, count: int) -> npt.NDArray[np.bool_]:
+def cells(name: str, first_id: int, count: int) -> Bools:
     """What is white of each marker, shape (count, n, n) from its top row down, the black border of one cell included.
 
     Raises
@@ -69,7 +66,7 @@ def cells(name: str, first_id: int, count: int) -> npt.NDArray[np.bool_]:
     return np.array([cv2.aruco.generateImageMarker(dictionary, first_id + k, n) for k in range(count)]) > 127
 
 
-def white(marks: Fiducials, x_mm: Floats, y_mm: Floats) -> npt.NDArray[np.int8]:
+def white(marks: Fiducials, x_mm: Floats, y_mm: Floats) -> NDArray[np.int8]:
     """What is printed at spots of the sample's plane: 1 paper (marker's white or rim), 0 ink, -1 the bare plate."""
     pattern = cells(marks.dictionary, marks.first_id, marks.count)
     n = pattern.shape[1]

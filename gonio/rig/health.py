@@ -1,7 +1,5 @@
 """What the devices of a rig say of themselves: angles, temperatures, currents, voltages, lamp and camera."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 LANDING_DEG = 0.25
@@ -47,5 +45,5 @@ class Health:
         """A value, or None where it was not read."""
         return next((r.value for r in self.readings if (r.device, r.quantity) == (device, quantity)), None)
 
-    def __add__(self, other: Health) -> Health:
+    def __add__(self, other: "Health") -> "Health":
         return Health(self.readings + other.readings, self.silent | other.silent)

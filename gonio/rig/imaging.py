@@ -5,21 +5,18 @@ with the true view, the reduction with the view that the encoders read, so that 
 and differ only in what they know. Everything is in the sample's frame: origin at its centre, z its normal.
 """
 
-from __future__ import annotations
-
 import math
 from functools import cached_property, lru_cache
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
 from gonio.errors import ConfigError
 from gonio.rig.description import RigDescription
 from gonio.rig.kinematics import View
 from gonio.rig.light_and_camera import Camera
 from gonio.rig.protocols import Target
-from gonio.typing import Floats
+from gonio.typing import Bools, Floats
 
 Channel = Literal["mono", "R", "G", "B"]
 EDGE_PARTS = 4
@@ -117,7 +114,7 @@ class PixelMap:
         return self._spots[3]
 
     @property
-    def sees_plane(self) -> npt.NDArray[np.bool_]:
+    def sees_plane(self) -> Bools:
         """True where the pixel sees the plane of the sample."""
         return np.isfinite(self.x_mm)
 
@@ -380,9 +377,7 @@ def spot(description: RigDescription, view: View, column: float, row: float) -> 
     return np.asarray((view.camera_mm - line * (view.camera_mm[2] / line[2]))[:2])
 
 
-def of_channel(
-    pattern: str, channel: Channel, rows: slice = slice(None), cols: slice = slice(None)
-) -> npt.NDArray[np.bool_]:
+def of_channel(pattern: str, channel: Channel, rows: slice = slice(None), cols: slice = slice(None)) -> Bools:
     """Which pixels of a rectangle (with a start and a stop) carry a colour of a Bayer pattern in raster order.
 
     Every pixel does for the channel "mono", and on a sensor without a mosaic.

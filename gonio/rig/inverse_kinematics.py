@@ -1,7 +1,5 @@
 """From directions to poses of the axes: which there are, and which is taken."""
 
-from __future__ import annotations
-
 import contextlib
 import math
 from collections.abc import Sequence

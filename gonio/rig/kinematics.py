@@ -15,8 +15,6 @@ with them, and the inverse starts from the closed form and goes on by Newton's m
 is what encoders read, less their zeros; `true_pose` takes out what else is wrong with them.
 """
 
-from __future__ import annotations
-
 import math
 from collections import OrderedDict
 from dataclasses import dataclass, replace

@@ -4,8 +4,6 @@ Nothing here changes a measurement. It goes from the run into the table, and fro
 Every key is optional: what a record needs and nobody has stated is named when that record is asked for.
 """
 
-from __future__ import annotations
-
 from typing import Annotated
 
 from pydantic import Field, StringConstraints, field_validator

@@ -1,7 +1,5 @@
 """The lamp and the camera of a rig file, with what polarises and how the beam falls off."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 from typing import Annotated, Literal
 
@@ -148,7 +146,7 @@ class Camera(Strict):
         return min(self.full_well_e, (self.white_level_dn - self.black_level_dn) * self.electrons_per_dn)
 
     @model_validator(mode="after")
-    def _sound(self) -> Camera:
+    def _sound(self) -> "Camera":
         if self.exposure_limits_s[0] >= self.exposure_limits_s[1]:
             raise ValueError("exposure_limits_s must be [shortest, longest] with shortest < longest")
         if self.black_level_dn >= self.white_level_dn:

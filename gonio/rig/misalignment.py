@@ -4,8 +4,6 @@ Angles here are true angles of the axes (`kinematics.true_pose`). Rotations are 
 and z of the lab (docs/pose_to_pixel.md).
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from functools import lru_cache

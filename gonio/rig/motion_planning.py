@@ -13,8 +13,6 @@ What is planned has a little more to spare than what is driven (`PLANNED_MM`, `L
 a run was planned is found again from where the axes landed.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Collection, Mapping, Sequence

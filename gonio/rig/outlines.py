@@ -1,7 +1,5 @@
 """Outlines of a rig's bodies at a pose, for pictures."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from gonio.rig.bodies import placed

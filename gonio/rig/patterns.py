@@ -1,7 +1,5 @@
 """Patterns and pictures: numbers in [0, 1] over a plane, by which parameters change over a surface."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What a rig asks of the person beside it, on the terminal."""
 
-from __future__ import annotations
-
 import sys
 
 from gonio.errors import DeviceError

@@ -5,8 +5,6 @@ rig's context opens its devices with the lamp dark; leaving it, however that hap
 arms.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,11 +12,11 @@ from types import TracebackType
 from typing import Literal, Protocol, Self
 
 import numpy as np
-import numpy.typing as npt
 
 from gonio.rig.bands import Band
 from gonio.rig.description import RigDescription, SampleDescription
 from gonio.rig.health import Health
+from gonio.typing import NDArray
 
 Target = Literal["sample", "reference"]
 Device = Literal["arms", "light", "camera"]
@@ -48,7 +46,7 @@ class Frame:
     "mono" or a Bayer pattern in raster order.
     """
 
-    mosaic: npt.NDArray[np.uint16]
+    mosaic: NDArray[np.uint16]
     exposure_s: float
     black_level_dn: float
     white_level_dn: float

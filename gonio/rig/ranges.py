@@ -1,7 +1,5 @@
 """Ranges of numbers that keys of a rig file share."""
 
-from __future__ import annotations
-
 from typing import Annotated
 
 from pydantic import Field

@@ -1,13 +1,10 @@
 """The region of interest of a frame: which pixels show the patch that is read, or the lamp straight through."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-import numpy.typing as npt
 
 from gonio.errors import ConfigError, DeviceError
 from gonio.rig.description import RigDescription
@@ -28,7 +25,7 @@ from gonio.rig.imaging import (
 from gonio.rig.kinematics import View
 from gonio.rig.light_and_camera import Camera
 from gonio.rig.protocols import Frame, Target
-from gonio.typing import Floats
+from gonio.typing import Bools, Floats, NDArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +34,7 @@ class Roi:
 
     rows: slice
     cols: slice
-    mask: npt.NDArray[np.bool_]
+    mask: Bools
     """Shape of the rectangle."""
 
     @property
@@ -45,11 +42,11 @@ class Roi:
         """Number of pixels used; at least one."""
         return int(np.count_nonzero(self.mask))
 
-    def of(self, image: npt.NDArray[np.generic]) -> npt.NDArray[np.generic]:
+    def of(self, image: NDArray[np.generic]) -> NDArray[np.generic]:
         """The used pixels of a whole frame, one-dimensional."""
         return np.asarray(image[self.rows, self.cols][self.mask])
 
-    def shared(self, other: Roi) -> int:
+    def shared(self, other: "Roi") -> int:
         """How many pixels two regions have in common."""
         top, bottom = max(self.rows.start, other.rows.start), min(self.rows.stop, other.rows.stop)
         left, right = max(self.cols.start, other.cols.start), min(self.cols.stop, other.cols.stop)

@@ -1,15 +1,12 @@
 """The noise of a camera's pixels by the linear model of EMVA 1288 (release 4.0, section 2.4)."""
 
-from __future__ import annotations
-
 import numpy as np
-import numpy.typing as npt
 
 from gonio.rig.light_and_camera import Camera
-from gonio.typing import Floats
+from gonio.typing import ArrayLike, Floats
 
 
-def variance(camera: Camera, charge_e: npt.ArrayLike, *, rounding: bool = True) -> Floats:
+def variance(camera: Camera, charge_e: ArrayLike, *, rounding: bool = True) -> Floats:
     """Variance [e-^2] of pixels from frame to frame: photons, dark electrons, read noise and rounding to whole DN.
 
     Parameters
@@ -25,18 +22,18 @@ def variance(camera: Camera, charge_e: npt.ArrayLike, *, rounding: bool = True) 
     return np.asarray(shot + steady)
 
 
-def deviation_dn(camera: Camera, charge_e: npt.ArrayLike, *, rounding: bool = True) -> Floats:
+def deviation_dn(camera: Camera, charge_e: ArrayLike, *, rounding: bool = True) -> Floats:
     """Standard deviation of the same [DN]."""
     return np.asarray(np.sqrt(variance(camera, charge_e, rounding=rounding)) / camera.electrons_per_dn)
 
 
-def spread(camera: Camera, charge_e: npt.ArrayLike) -> Floats:
+def spread(camera: Camera, charge_e: ArrayLike) -> Floats:
     """Variance [e-^2] among the pixels of one frame before rounding: noise, and what differs by nature."""
     fixed = camera.dsnu_e**2 + (camera.prnu * np.asarray(charge_e, dtype=float)) ** 2
     return np.asarray(variance(camera, charge_e, rounding=False) + fixed)
 
 
-def rounding_of_mean(camera: Camera, charge_e: npt.ArrayLike, count: int) -> Floats:
+def rounding_of_mean(camera: Camera, charge_e: ArrayLike, count: int) -> Floats:
     """Variance [e-^2] of the mean of `count` pixels of about the same charge, from rounding to whole DN.
 
     Pixels round independently where they differ by half a DN or more, from noise or by nature (Widrow's condition: the

@@ -3,27 +3,23 @@
 Signals are in DN. With none of the keys (`camera.response`, `camera.nonlinearity`, `camera.maps`) nothing is changed.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from gonio.disk import read_file, write_whole
 from gonio.errors import ConfigError
 from gonio.rig.light_and_camera import Camera
-from gonio.typing import Floats
+from gonio.typing import Array, Bools, Floats, NDArray
 
 FORMAT = 1
 STEPS = 12
 """Newton's steps at most; three or four do for a nonlinearity of some per cent."""
 
 
-def linear_dn(camera: Camera, values: npt.NDArray[Any]) -> npt.NDArray[Any]:
+def linear_dn(camera: Camera, values: Array) -> Array:
     """Linear values [DN] of what pixels read, by `camera.response`; the same array where there is none."""
     if not camera.response:
         return values
@@ -65,13 +61,13 @@ def by_coefficients(camera: Camera, linear: Floats) -> Floats:
 class PixelMaps:
     """What is known of single pixels; arrays of shape (height, width)."""
 
-    responsivity: npt.NDArray[np.float32]
+    responsivity: NDArray[np.float32]
     """Relative to the mean of the pixels around; 1 where it was not measured."""
-    u_responsivity: npt.NDArray[np.float32]
+    u_responsivity: NDArray[np.float32]
     """Its standard uncertainty; of a pixel that was not measured, the standard deviation of pixels (PRNU)."""
-    defects: npt.NDArray[np.bool_]
+    defects: Bools
     """Pixels that are not to be used: hot, dead or noisy."""
-    dark_offset_e: npt.NDArray[np.float32]
+    dark_offset_e: NDArray[np.float32]
     """Dark signal of each pixel at no exposure, less the mean [e-]. For people: a run has dark frames of its own."""
 
     def write(self, path: str | Path) -> None:

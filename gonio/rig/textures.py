@@ -1,7 +1,5 @@
 """Parameters that change over a sample: tables [texture.NAME] of a sample file, in mm on its surface."""
 
-from __future__ import annotations
-
 import hashlib
 import math
 from collections.abc import Callable
@@ -56,14 +54,14 @@ class SampleTexture(Strict):
     """Of u, from the sample's x toward its y."""
 
     @model_validator(mode="after")
-    def _whole(self) -> SampleTexture:
+    def _whole(self) -> "SampleTexture":
         if (self.file is None) == (self.pattern is None):
             raise ValueError("a texture needs either file or pattern")
         if (self.size_mm is None) != (self.pattern == "edge"):
             raise ValueError("size_mm = [along u, along v] goes with every texture but an edge")
         return self
 
-    def beside(self, sample_file: Path, where: str) -> SampleTexture:
+    def beside(self, sample_file: Path, where: str) -> "SampleTexture":
         """The texture with its picture's whole path and SHA-256; raises `ConfigError` where it cannot be read."""
         if self.file is None:
             return self

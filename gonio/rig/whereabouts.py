@@ -1,7 +1,5 @@
 """Where the axes of a rig stand after it was left, and whether they hold: read back from the devices, never assumed."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 
 from gonio.rig import clock

@@ -1,20 +1,17 @@
 """Rays of a camera: a pinhole, a thin lens, or the camera of a described rig at a pose."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import Field, model_validator
 
 from gonio.config import Strict
 from gonio.rig.description import RigDescription
 from gonio.rig.kinematics import view
 from gonio.rig.protocols import Pose
-from gonio.typing import Floats
+from gonio.typing import Floats, NDArray
 from gonio_scenes.shapes.shape import LARGEST_MM, Length, Point
 from gonio_scenes.world import toward_plane
 
@@ -56,7 +53,7 @@ class CameraTable(Strict):
     pose: PoseTable | None = None
 
     @model_validator(mode="after")
-    def _sound(self) -> CameraTable:
+    def _sound(self) -> "CameraTable":
         if self.rig is not None:
             odd = [n for n in ("position_mm", "vertical_field_deg", "focus_mm") if getattr(self, n) is not None]
             if odd:
@@ -111,7 +108,7 @@ class Camera:
         """Whether one ray a pixel is all: through its centre, from a pinhole."""
         return self.samples == 1 and self.lens_radius == 0.0
 
-    def rays(self, pixel: npt.NDArray[np.int64], sample: int, shift: Floats | None) -> tuple[Floats, Floats]:
+    def rays(self, pixel: NDArray[np.int64], sample: int, shift: Floats | None) -> tuple[Floats, Floats]:
         """Origins and unit directions (n, 3) of one ray through each of some pixels, numbered row by row.
 
         Parameters

@@ -9,18 +9,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
 from gonio.documents import JsonObject
 from gonio.errors import ConfigError, DataError
-from gonio.typing import Floats
+from gonio.typing import Array, Bools, Floats
 from gonio_scenes.sensor import SATURATED, falloff
 from gonio_scenes.shapes.shape import content
 
 if TYPE_CHECKING:
     from gonio_scenes.scene import PhotographTable, Scene
 
-Mask = npt.NDArray[np.bool_]
+Mask = Bools
 PILE = 100
 """Pixels that are more at an end of what a frame holds than noise of half a DN leaves there: it was cut off."""
 SAME_NM = 1e-3
@@ -126,7 +125,7 @@ def _raw(scene: Scene, table: PhotographTable, path: Path, data: bytes) -> Expos
     )
 
 
-def _piled(values: npt.NDArray[Any], end: float, inside: float, variance: float) -> bool:
+def _piled(values: Array, end: float, inside: float, variance: float) -> bool:
     """Whether more pixels have the value at an end than the one inside of it though they scatter: noise was cut off."""
     at, beside = (int(np.count_nonzero(values == value)) for value in (end, inside))
     return variance > 0.25 and at >= PILE and at - beside > 3.0 * np.sqrt(at + beside)

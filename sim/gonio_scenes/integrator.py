@@ -1,13 +1,10 @@
 """From rays to radiances: direct light, ambient light, and mirror rays (He et al. 1991, eq. 12)."""
 
-from __future__ import annotations
-
 from collections import Counter
 
 import numpy as np
-import numpy.typing as npt
 
-from gonio.typing import Floats
+from gonio.typing import Bools, Floats, NDArray
 from gonio_scenes.lights import Disc
 from gonio_scenes.material import Material
 from gonio_scenes.scene import Scene
@@ -16,7 +13,7 @@ from gonio_scenes.world import Hits, local
 FAINT = 1e-9
 """A mirror ray that carries less than this share of what it sees is not followed."""
 
-Indices = npt.NDArray[np.int64]
+Indices = NDArray[np.int64]
 
 
 class Integrator:
@@ -178,7 +175,7 @@ class Integrator:
         return [(material, part) for material, part in parts if part.size]
 
 
-def _lights_facet(direction: Floats, hits: Hits, here: Indices) -> npt.NDArray[np.bool_]:
+def _lights_facet(direction: Floats, hits: Hits, here: Indices) -> Bools:
     """Whether light comes to the side of the surface that is seen; a smoothed normal alone would let light through."""
     toward, normal, facing = (a.take(here, axis=0) if a.ndim == 2 else a for a in (direction, hits.normal, hits.facing))
     # on a surface that is not smoothed this asks for n.l > 0 once more, which rounding must not tell the other way

@@ -1,7 +1,5 @@
 """What shines in a scene: directional light, points, discs of finite size, and uniform ambient light."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from typing import Annotated, Literal
@@ -55,7 +53,7 @@ class DirectionalTable(_Light):
     """On a surface that faces the light."""
 
     @model_validator(mode="after")
-    def _sound(self) -> DirectionalTable:
+    def _sound(self) -> "DirectionalTable":
         _some_direction("toward", self.toward)
         if self.polarisation is not None:
             refuse_parallel("toward", self.toward, self.polarisation, "polarisation")
@@ -85,7 +83,7 @@ class DiscTable(_Light):
     """Whether the camera sees the disc itself; mirror rays always do."""
 
     @model_validator(mode="after")
-    def _sound(self) -> DiscTable:
+    def _sound(self) -> "DiscTable":
         _some_direction("normal", self.normal)
         return self
 

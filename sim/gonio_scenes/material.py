@@ -1,7 +1,5 @@
 """What a shape is made of: a model, whose parameters may be spectra, and textures by which they change over it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -48,7 +46,7 @@ class Texture(Strict):
     """How often the texture fits into u and into v."""
 
     @model_validator(mode="after")
-    def _one(self) -> Texture:
+    def _one(self) -> "Texture":
         if (self.file is None) == (self.pattern is None):
             raise ValueError("a texture needs either file or pattern")
         return self

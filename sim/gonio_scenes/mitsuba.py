@@ -7,8 +7,6 @@ Mitsuba's spectral variants draw wavelengths at random and interpolate between t
 What the two renderers compute alike is direct light. `Export.left_out` names what a file cannot carry.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Iterator, Sequence
@@ -18,7 +16,6 @@ from typing import Any, Protocol, cast, runtime_checkable
 from xml.etree import ElementTree
 
 import numpy as np
-import numpy.typing as npt
 
 from gonio import __version__
 from gonio.disk import require_own, write_own
@@ -26,7 +23,7 @@ from gonio.errors import ConfigError
 from gonio.formats import rgl
 from gonio.models import HeTorrance, Lambert
 from gonio.models.parameters import index_at
-from gonio.typing import Floats
+from gonio.typing import Array, Floats, Ints
 from gonio_scenes.lights import Directional, Disc, PointLight, across
 from gonio_scenes.material import Material
 from gonio_scenes.scene import Scene
@@ -35,7 +32,7 @@ from gonio_scenes.shapes.analytic import Analytic
 from gonio_scenes.shapes.shape import Placement
 
 CHANNELS = 3
-Channels = npt.NDArray[np.intp]
+Channels = Ints
 """Numbers of the scene's wavelengths that the channels of a file hold."""
 GRID = 64
 """Rays across the picture, and down it, that say how far the scene reaches."""
@@ -51,7 +48,7 @@ class _Triangular(Protocol):
     """A shape of triangles: vertices (n, 3), faces (m, 3), and normals at the corners where it is smooth."""
 
     vertices: Floats
-    faces: npt.NDArray[Any]
+    faces: Array
     normals: Any
 
 
@@ -339,7 +336,7 @@ def _extent(scene: Scene) -> tuple[float, float, dict[int, float]]:
     return 0.1 * closest, 10.0 * farthest, reach
 
 
-def _triangles(shape: Shape, kind: str) -> tuple[Floats, Floats | None, npt.NDArray[Any]] | None:
+def _triangles(shape: Shape, kind: str) -> tuple[Floats, Floats | None, Array] | None:
     """Vertices, normals there or None, and faces, of a shape that is written as triangles; None for another one."""
     if isinstance(shape, _Triangular):
         corners = shape.vertices[shape.faces].reshape(-1, 3)
@@ -357,7 +354,7 @@ def _triangles(shape: Shape, kind: str) -> tuple[Floats, Floats | None, npt.NDAr
     return None
 
 
-def _turned(place: Placement, points: Floats, slopes: Floats) -> tuple[Floats, Floats, npt.NDArray[Any]]:
+def _turned(place: Placement, points: Floats, slopes: Floats) -> tuple[Floats, Floats, Array]:
     """A surface of revolution as triangles: each frustum with normals of its own at both ends."""
     if not len(slopes):  # straight pieces
         slopes = np.zeros((len(points) - 1, 2, 3))
@@ -386,7 +383,7 @@ def _turned(place: Placement, points: Floats, slopes: Floats) -> tuple[Floats, F
     )
 
 
-def _ply(vertices: Floats, normals: Floats | None, faces: npt.NDArray[Any]) -> bytes:
+def _ply(vertices: Floats, normals: Floats | None, faces: Array) -> bytes:
     names = ["x", "y", "z"] + (["nx", "ny", "nz"] if normals is not None else [])
     columns = vertices if normals is None else np.hstack([vertices, normals])
     head = ["ply", "format binary_little_endian 1.0", f"element vertex {len(vertices)}"]

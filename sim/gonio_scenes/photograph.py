@@ -3,20 +3,17 @@
 See docs/photograph.md for the design, and for what is neglected and how small that is.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from gonio import __version__, geometry
 from gonio.errors import ConfigError, DataError
 from gonio.formats.reader import ANGLES, Attributes, attributes
-from gonio.typing import Floats
+from gonio.typing import Bools, DataFrame, Floats, NDArray
 from gonio_scenes import exposures
 from gonio_scenes.exposures import Exposure
 from gonio_scenes.scene import Scene
@@ -27,9 +24,6 @@ from gonio_scenes.shapes.triangles import Triangles
 from gonio_scenes.squares import FLAGS, RING, Mask, Pixels, Squares, common, require_light
 from gonio_scenes.vantage import Seen, Vantage, displaced
 from gonio_scenes.world import Hits, World
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 ROWS = 4000
 """About so many squares are made where the file does not say how large they are."""
@@ -48,7 +42,7 @@ SEVERAL, ALIKE = 20, 0.01
 """Pixels that have the same value though their light differs by this much: it was cut off there."""
 
 
-def reduce(scene: Scene, image: str | Path) -> pd.DataFrame:
+def reduce(scene: Scene, image: str | Path) -> DataFrame:
     """The measurement table of a photograph of a scene.
 
     Parameters
@@ -246,7 +240,7 @@ def _table(
     moved: dict[str, tuple[Vantage, Vantage]],
     squares: Squares,
     theta_max_deg: float,
-) -> pd.DataFrame:
+) -> DataFrame:
     import pandas as pd
 
     given = scene.tables.photograph
@@ -298,9 +292,7 @@ def _table(
     return frame
 
 
-def _notes(
-    scene: Scene, size: int, hidden: npt.NDArray[np.object_], causes: Iterable[str], unseen_deg: float
-) -> list[str]:
+def _notes(scene: Scene, size: int, hidden: NDArray[np.object_], causes: Iterable[str], unseen_deg: float) -> list[str]:
     aside = {str(word): int(np.count_nonzero(hidden == word)) for word in sorted(set(hidden))}
     notes = [f"Each row is the mean over {size} x {size} pixels, brought to its middle."]
     notes += [f"{count} more squares have no directions above the horizon: {word}." for word, count in aside.items()]
@@ -320,7 +312,7 @@ def _attributes(
     exposure: Exposure,
     squares: Squares,
     cones: tuple[Floats, float],
-    good: npt.NDArray[np.bool_],
+    good: Bools,
 ) -> Attributes:
     """All but the notes; `cones` are half-angles [rad], of the source as each square sees it and of the lens."""
     given = scene.tables.photograph

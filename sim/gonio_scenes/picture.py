@@ -1,7 +1,5 @@
 """What `gonio render` writes: radiance.npz, picture.png, summary.json; picture.exr and photograph.dng if asked for."""
 
-from __future__ import annotations
-
 import json
 import math
 import os
@@ -12,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from gonio import __version__
 from gonio.disk import require_own, write_own
@@ -20,13 +17,13 @@ from gonio.documents import JsonObject
 from gonio.errors import ConfigError
 from gonio.rig.dng import encode_dng
 from gonio.rig.protocols import Frame
-from gonio.typing import Floats
+from gonio.typing import Floats, NDArray
 from gonio_scenes.lights import Disc, relative_power
 from gonio_scenes.render import Picture
 from gonio_scenes.scene import Scene
 from gonio_scenes.sensor import SATURATED, expose
 
-Image = npt.NDArray[np.uint8]
+Image = NDArray[np.uint8]
 WHITE_SHARE = 0.99
 """Where the file gives no white, this share of the picture's lit pixels is at most white."""
 
@@ -168,7 +165,7 @@ def _white(radiance: Floats) -> float:
 def _write_npz(picture: Picture, path: Path) -> None:
     """The arrays of a picture, block by block, as `numpy.savez` would write them."""
     size = picture.radiance.shape[:2]
-    members: dict[str, tuple[tuple[int, ...], str, Iterable[npt.NDArray[Any]]]] = {
+    members: dict[str, tuple[tuple[int, ...], str, Iterable[NDArray[Any]]]] = {
         "radiance": (picture.radiance.shape, "<f8", picture.radiance),
         "wavelength_nm": (picture.scene.wavelength_nm.shape, "<f8", [picture.scene.wavelength_nm]),
         "shape": (size, "<i8", (hits.shape for hits in picture.centres())),

@@ -5,8 +5,6 @@ the light travels and z the surface's normal. A linear polariser whose axis make
 (I + Q cos 2 chi + U sin 2 chi)/2.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from gonio.errors import ConfigError

@@ -1,7 +1,5 @@
 """A scene's picture: every pixel's radiance, from as many rays as it needs."""
 
-from __future__ import annotations
-
 import itertools
 import time
 from collections.abc import Callable, Iterator
@@ -10,11 +8,10 @@ from functools import cached_property
 from typing import Self
 
 import numpy as np
-import numpy.typing as npt
 from scipy.ndimage import uniform_filter
 
 from gonio.errors import ConfigError
-from gonio.typing import Floats
+from gonio.typing import Floats, NDArray
 from gonio_scenes.integrator import Integrator
 from gonio_scenes.scene import Scene
 from gonio_scenes.world import Hits
@@ -32,7 +29,7 @@ as many as an edge in its own corner needs not to be missed."""
 MAX_RAYS = 4096
 """Of a pixel that is brought to a tolerance; one that stays above it is counted."""
 
-Indices = npt.NDArray[np.int64]
+Indices = NDArray[np.int64]
 Step = Callable[[int, int], None]
 """Told how much is done, of how much."""
 
@@ -46,7 +43,7 @@ class Picture:
     """(height, width, wavelengths)."""
     error: Floats | None
     """Standard error of the radiance, (height, width, wavelengths); None where one ray a pixel is all."""
-    samples: npt.NDArray[np.int64]
+    samples: NDArray[np.int64]
     """Rays a pixel."""
     seconds: float
     rays: dict[str, int]
@@ -61,7 +58,7 @@ class Picture:
             yield self.scene.world.hit(*self.scene.camera.rays(pixel, 0, None))
 
     @cached_property
-    def shape(self) -> npt.NDArray[np.int64]:
+    def shape(self) -> NDArray[np.int64]:
         """What the ray through the pixel's centre meets: the number of the shape, from 0, or -1."""
         return np.concatenate([hits.shape for hits in self.centres()]).reshape(self.radiance.shape[:2])
 

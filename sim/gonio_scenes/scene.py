@@ -1,7 +1,5 @@
 """The scene file: checked tables, and the scene that they describe."""
 
-from __future__ import annotations
-
 import difflib
 import itertools
 from dataclasses import dataclass, field
@@ -88,7 +86,7 @@ class PhotographTable(Strict):
     uncertainty: UncertaintyTable = UncertaintyTable()
 
     @model_validator(mode="after")
-    def _sound(self) -> PhotographTable:
+    def _sound(self) -> "PhotographTable":
         if self.exposure_s is not None and self.sensor is None:
             raise ValueError("exposure_s is that of a simulated raw frame, which needs the table [photograph.sensor]")
         return self
@@ -118,7 +116,7 @@ class SceneFile(Strict):
     seed: Annotated[int, Field(ge=0, lt=1 << 63)] = 0
 
     @model_validator(mode="after")
-    def _sound(self) -> SceneFile:
+    def _sound(self) -> "SceneFile":
         waves = self.waves()
         if not waves or len(waves) > MAX_WAVELENGTHS:
             raise ValueError(f"wavelength_nm holds {len(waves)} wavelengths: 1 to {MAX_WAVELENGTHS} are rendered")

@@ -1,7 +1,5 @@
 """The sensor and the lens behind a photograph, and its simulated raw frame."""
 
-from __future__ import annotations
-
 from typing import Annotated, Literal
 
 import numpy as np
@@ -42,7 +40,7 @@ class SensorTable(Strict):
     """Relative loss at the picture's corner beyond cos^4, growing as the fourth power of the radius."""
 
     @model_validator(mode="after")
-    def _sound(self) -> SensorTable:
+    def _sound(self) -> "SensorTable":
         black, white = 64.0 if self.black_level_dn is None else self.black_level_dn, float(2**self.bits - 1)
         if black >= white:
             raise ValueError(

@@ -1,7 +1,5 @@
 """Numbers of a scene file that may depend on the wavelength: a number, or a table of wavelengths and values."""
 
-from __future__ import annotations
-
 import itertools
 from typing import Annotated, Any
 
@@ -25,7 +23,7 @@ class Spectrum(Strict):
     value: tuple[float, ...]
 
     @model_validator(mode="after")
-    def _sound(self) -> Spectrum:
+    def _sound(self) -> "Spectrum":
         if len(self.wavelength_nm) != len(self.value) or not self.value:
             raise ValueError(
                 f"wavelength_nm has {len(self.wavelength_nm)} entries and value {len(self.value)}: "
@@ -56,7 +54,7 @@ class NonNegativeSpectrum(Spectrum):
     """A spectrum without a value below 0: of a light, or of a reflectance."""
 
     @model_validator(mode="after")
-    def _not_negative(self) -> NonNegativeSpectrum:
+    def _not_negative(self) -> "NonNegativeSpectrum":
         if min(self.value) < 0:
             raise ValueError(f"value holds {min(self.value):g}: must be at least 0")
         return self
@@ -96,7 +94,7 @@ class Range(Strict):
     step: Annotated[float, Field(gt=0)]
 
     @model_validator(mode="after")
-    def _sound(self) -> Range:
+    def _sound(self) -> "Range":
         if self.stop < self.start:
             raise ValueError("needs start <= stop")
         if (self.stop - self.start) / self.step >= MAX_WAVELENGTHS:

@@ -1,7 +1,5 @@
 """Squares of pixels of a photograph: means over them, what makes these uncertain, and what cannot be used."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -9,12 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from gonio.errors import DataError
 from gonio.shown import with_u
-from gonio.typing import Floats
+from gonio.typing import Array, Bools, Floats, Ints, NDArray
 from gonio_scenes.exposures import Exposure
 from gonio_scenes.vantage import Seen, Vantage
 
@@ -22,7 +19,7 @@ UNSURE = 0.1
 """Share of a square's correction for its curvature that is taken as uncertain: what the next order may be."""
 FLAGS = ("limb", "facets", "below_horizon", "blocked", "saturated", "clamped")
 """Why a pixel is not used; a square takes the first that one of its pixels has."""
-Mask = npt.NDArray[np.bool_]
+Mask = Bools
 MIXED = 1 + FLAGS.index("facets")
 RING = tuple((down, right) for down in (-1, 0, 1) for right in (-1, 0, 1) if (down, right) != (0, 0))
 """Steps to the eight neighbours."""
@@ -51,9 +48,9 @@ class Pixels:
 
     received: Floats
     """Irradiance on the surface, NaN off the shape."""
-    why: npt.NDArray[np.int8]
+    why: NDArray[np.int8]
     """1 + the place in `FLAGS` of why a pixel is not used, 0 where it is, -1 off the shape."""
-    piece: npt.NDArray[np.intp] | None
+    piece: Ints | None
     """The facet, or the frustum, that a pixel sees, numbered; None where the shape has no creases."""
     flat: bool
     """Whether there are so many facets that they are looked at together."""
@@ -78,14 +75,14 @@ class Squares:
         self.size, self.flat = size, pixels.flat
         height, width = (n // size for n in pixels.why.shape)
 
-        def cut(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        def cut(array: Array) -> Array:
             whole = array[: height * size, : width * size].reshape(height, size, width, size)
             return whole.swapaxes(1, 2).reshape(height, width, size * size)
 
         used = cut(exposure.used)
         self.of_shape = (np.where(used, cut(pixels.why), -1) >= 0).any(axis=2)
         """Squares that see something of the shape."""
-        self.piece: npt.NDArray[np.intp] | None = None
+        self.piece: Ints | None = None
         """What most of a square's pixels see of a shape with creases, -1 where none can be used; only they count."""
         if pixels.piece is not None:
             self.piece = _most(np.where(used & (cut(pixels.why) == 0), cut(pixels.piece), -1))
@@ -107,7 +104,7 @@ class Squares:
         per_value = np.where(good, gain.sum(axis=2) / self.count, np.nan)
         row, column = (n.reshape(1, 1, -1) for n in np.divmod(np.arange(size * size), size))
 
-        def over(place: npt.NDArray[Any]) -> Floats:
+        def over(place: Array) -> Floats:
             return np.asarray((used * place).sum(axis=2) / self.count)
 
         y, x = over(row), over(column)
@@ -213,7 +210,7 @@ def _around(mean: Floats) -> Floats:
     return np.asarray(sum(_shifted(mean, *step) for step in RING) / len(RING))
 
 
-def _most(piece: npt.NDArray[np.intp]) -> npt.NDArray[np.intp]:
+def _most(piece: Ints) -> Ints:
     """The number that most of each square's pixels have (rows, columns, pixels); -1 where all have that."""
     height, width, pixels = piece.shape
     of = np.repeat(np.arange(height * width), pixels)
@@ -267,7 +264,7 @@ def _slopes(squares: Squares, used: Mask, normal: Floats, across: Floats) -> _Sl
     )
 
 
-def _over_facets(piece: npt.NDArray[np.intp], normal: Floats, log: Floats, across: Floats) -> tuple[Floats, Floats]:
+def _over_facets(piece: Ints, normal: Floats, log: Floats, across: Floats) -> tuple[Floats, Floats]:
     """Gradient (n, 2) and Hessian (n, 3) by quadratics through the facets of the nearest normals."""
 
     _, facet = np.unique(piece, return_inverse=True)

@@ -1,18 +1,15 @@
 """What a place of a picture sees: directions in the surface's frame and irradiance, as described or displaced."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from gonio.errors import ConfigError
 from gonio.geometry import angle_between
-from gonio.typing import Floats
+from gonio.typing import Bools, Floats
 from gonio_scenes.camera import Camera
 from gonio_scenes.lights import Directional, Disc, Light, PointLight
 from gonio_scenes.scene import UncertaintyTable
@@ -29,7 +26,7 @@ RIM_POINTS = 16
 class Seen:
     """What rays meet of one shape, under one light. Arrays are of the rays' length, NaN where the shape is missed."""
 
-    met: npt.NDArray[np.bool_]
+    met: Bools
     omega_i: Floats
     """Unit vectors (n, 3) toward the light's centre, in the surface's frame."""
     omega_r: Floats

@@ -3,17 +3,14 @@
 The compiled loops read and write every number once. Rays are shared by threads as the shapes' own loops share them.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from gonio.typing import Floats
+from gonio.typing import Bools, Floats, NDArray
 from gonio_scenes.shapes import Shape
 from gonio_scenes.shapes._kernels import compiled
 from gonio_scenes.shapes.shape import over_rays
@@ -21,7 +18,7 @@ from gonio_scenes.shapes.shape import over_rays
 CLOSE = 1e-9
 """A ray that leaves a surface ignores that surface up to this share of its size: rounding of the hit's position."""
 
-Indices = npt.NDArray[np.int64]
+Indices = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -39,7 +36,7 @@ class Hits:
     """Unit vectors (n, 3) along growing u, across `facing`: the x axis of the material."""
     uv: Floats
 
-    def picked(self, here: Indices) -> Hits:
+    def picked(self, here: Indices) -> "Hits":
         """Some of the hits."""
         return Hits(*(getattr(self, each.name).take(here, axis=0) for each in fields(self)))
 
@@ -73,9 +70,7 @@ class World:
                 primitive[place] = part[nearer]
         return self._surfaces(origin, direction, nearest, which, primitive)
 
-    def blocked(
-        self, direction: Floats, distance: Floats | float, leaving: Hits, here: Indices
-    ) -> npt.NDArray[np.bool_]:
+    def blocked(self, direction: Floats, distance: Floats | float, leaving: Hits, here: Indices) -> Bools:
         """Whether a shape stands between each of the hits `here` and a light.
 
         Parameters

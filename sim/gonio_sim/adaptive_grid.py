@@ -6,20 +6,17 @@ spacing is halved until every new node is predicted from the old ones within `TO
 own error is smaller still, by about 16 where the function is smooth.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from gonio.compiled import njit
 from gonio.models._compile import jit
 from gonio.models._math import cubic
-from gonio.typing import Floats
+from gonio.typing import Bools, Floats
 
 TOLERANCE = 1e-4
 """Largest error of a prediction, relative to the value, that ends the refinement."""
@@ -82,7 +79,7 @@ def _predicts(grid: NodeGrid, finer: NodeGrid) -> bool:
     return bool(np.all(error <= TOLERANCE * size))
 
 
-def _new_nodes(count: int, reach: float, every: bool = False) -> tuple[npt.NDArray[np.bool_], Floats, Floats]:
+def _new_nodes(count: int, reach: float, every: bool = False) -> tuple[Bools, Floats, Floats]:
     """Nodes that a grid of half as many does not have (or all of them): which, and where they are."""
     x, y = np.meshgrid(*2 * [-reach + np.linspace(0.0, 2 * reach, count)])
     new = np.ones(x.shape, dtype=bool)

@@ -16,8 +16,6 @@ The approach never leaves the limits, and is shorter near them. What is left is
 The first offset is the true one (`World.truth`), the second what the rig file or a calibration says.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import fields, replace

@@ -9,18 +9,18 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
 from gonio.errors import ConfigError, DeviceError
 from gonio.rig import Frame
 from gonio.rig.bands import Band
 from gonio.rig.light_and_camera import Camera
+from gonio.typing import Floats, NDArray
 from gonio_sim.world import Stream, World
 
 if TYPE_CHECKING:
     from gonio_sim.render import Renderer
 
-Floats32 = npt.NDArray[np.float32]
+Floats32 = NDArray[np.float32]
 THREADS = max(1, min(2, os.cpu_count() or 1))
 HIT_E = 3000.0
 """Mean charge that a hit of cosmic radiation leaves in a pixel of its track [e-]: some 80 e- in a micrometre."""
@@ -52,7 +52,7 @@ class Sensor:
         self._maps: tuple[Floats32, Floats32] | None = None
         self._dark = np.zeros(self._size, np.float32)
         self._plain = not (camera.nonlinearity or camera.response or camera.hot_pixels)
-        self._hot: npt.NDArray[np.float64] | None = None
+        self._hot: Floats | None = None
 
     def close(self) -> None:
         """End the threads; the next frame starts new ones."""
@@ -60,9 +60,7 @@ class Sensor:
             self._pool.shutdown()
             self._pool = None
 
-    def read_out(
-        self, rate: Floats32 | None, exposure_s: float, level: float, key: np.uint64
-    ) -> npt.NDArray[np.uint16]:
+    def read_out(self, rate: Floats32 | None, exposure_s: float, level: float, key: np.uint64) -> NDArray[np.uint16]:
         """The mosaic of one frame [DN].
 
         Parameters
@@ -97,7 +95,7 @@ class Sensor:
         self._in_parts(lambda first, last: expose(flat, gain, offset, out, first, last, key, *single))
         return out.reshape(camera.height, camera.width)
 
-    def _read_out_bent(self, rate: Floats32, exposure_s: float, level: float, key: np.uint64) -> npt.NDArray[np.uint16]:
+    def _read_out_bent(self, rate: Floats32, exposure_s: float, level: float, key: np.uint64) -> NDArray[np.uint16]:
         """The same chain with hot pixels, a signal that is not linear before the converter, and a response curve."""
         camera, (gain, offset) = self._camera, self._fixed_maps()
         random = np.random.default_rng(int(key))
@@ -114,10 +112,10 @@ class Sensor:
         signal += camera.black_level_dn
         if camera.response:
             signal = np.interp(signal, camera.response, np.arange(len(camera.response), dtype=float))
-        levels: npt.NDArray[np.uint16] = np.clip(np.floor(signal + 0.5), 0.0, camera.white_level_dn).astype(np.uint16)
+        levels: NDArray[np.uint16] = np.clip(np.floor(signal + 0.5), 0.0, camera.white_level_dn).astype(np.uint16)
         return levels
 
-    def _dark_current(self) -> npt.NDArray[np.float64]:
+    def _dark_current(self) -> Floats:
         """Of each pixel [e-/s]; hot pixels have more, by an exponential distribution."""
         if self._hot is None:
             random = np.random.default_rng(int(self._key(Stream.HOT)))
@@ -200,7 +198,7 @@ class SimulatedCamera:
             time_s=time_s,
         )
 
-    def _hit(self, mosaic: npt.NDArray[np.uint16], exposure_s: float) -> None:
+    def _hit(self, mosaic: NDArray[np.uint16], exposure_s: float) -> None:
         """Add the charge of cosmic radiation: tracks of one to three pixels, thousands of electrons in each."""
         world, camera = self._world, self._world.truth.camera
         rng = world.generator(Stream.COSMIC, world.step, world.frame)

@@ -19,7 +19,6 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
 from gonio import geometry
 from gonio.errors import ConfigError
@@ -28,20 +27,18 @@ from gonio.rig.bands import Band
 from gonio.rig.description import Fiducials, Holder, SampleDescription
 from gonio.rig.imaging import PixelMap, of_channel, pixel_map
 from gonio.rig.kinematics import View, directions, view
-from gonio.typing import Floats
+from gonio.typing import Bools, DataFrame, Floats, NDArray
 from gonio_sim import polarised
 from gonio_sim.textures import Textures
 from gonio_sim.world import InHolder, World
 
 if TYPE_CHECKING:
-    import pandas as pd
-
     from gonio.models.model import Model
     from gonio_sim.adaptive_grid import Function
 
-Floats32 = npt.NDArray[np.float32]
-Whole = npt.NDArray[np.int64]
-Mask = npt.NDArray[np.bool_]
+Floats32 = NDArray[np.float32]
+Whole = NDArray[np.int64]
+Mask = Bools
 
 GRAZING = math.radians(89.99)
 """Nodes of a grid beyond this polar angle take the BRDF at it; pixels there see next to nothing."""
@@ -251,7 +248,7 @@ class Renderer:
         return self._world.reference_scale * brdf_of_reference(self._table, at_centre, band.centre_nm)
 
     @cached_property
-    def _table(self) -> pd.DataFrame:
+    def _table(self) -> DataFrame:
         """The certificate, where it is a table."""
         from gonio.measurement import read
 

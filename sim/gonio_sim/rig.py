@@ -3,8 +3,6 @@
 `sim-uncalibrated` has a hidden truth, for `gonio calibrate`.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -11,17 +11,15 @@ References: splitmix64, Steele, Lea and Flood (2014); the expansion, Giles (2016
 (1977); the chain of effects, EMVA Standard 1288, release 4.0, section 2.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
 import numba
 import numpy as np
-import numpy.typing as npt
 
 from gonio.compiled import njit
+from gonio.typing import NDArray
 
 FEW_ELECTRONS = 25.0
 """Expected electrons below which a table is drawn from. From here on the expansion's distribution is the Poisson one
@@ -61,7 +59,7 @@ _MANTISSA = _i4(0x7FFFFF)
 Kernel = TypeVar("Kernel", bound=Callable[..., Any])
 
 
-def _alias_table() -> tuple[npt.NDArray[np.float32], npt.NDArray[np.int32]]:
+def _alias_table() -> tuple[NDArray[np.float32], NDArray[np.int32]]:
     """Walker's tables of Poisson distributions: of a uniform column, how likely it stays, and where it goes if not.
 
     Each of shape (means, COUNTS); row n is for the mean n / PER_ELECTRON. Column `COUNTS` - 1 holds all counts from it

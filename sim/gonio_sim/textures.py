@@ -17,12 +17,11 @@ from itertools import product
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
 from gonio.errors import ConfigError
 from gonio.rig.description import SampleDescription
 from gonio.rig.imaging import PixelMap
-from gonio.typing import Floats
+from gonio.typing import Bools, Floats, NDArray
 from gonio_sim.adaptive_grid import DARK, FLOOR, TOLERANCE
 
 if TYPE_CHECKING:
@@ -41,8 +40,8 @@ MOST_TOGETHER = 65**2
 """Levels of all textures together."""
 AT_ONCE = 1 << 20
 """Weights that are counted together."""
-Mask = npt.NDArray[np.bool_]
-Whole = npt.NDArray[np.int64]
+Mask = Bools
+Whole = NDArray[np.int64]
 Probe = Callable[["Model"], Floats]
 """What a model shows in a view: values of one kind in each row."""
 

@@ -5,8 +5,6 @@ and the clock are functions of (seed, step, frame within the step) and of nothin
 gives the same frames whenever it is run.
 """
 
-from __future__ import annotations
-
 import math
 import tomllib
 from enum import IntEnum

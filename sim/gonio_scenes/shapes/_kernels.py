@@ -7,8 +7,6 @@ costs no digits: only the sum at the end is large. A convex solid is the stretch
 bounds, so that no rounding opens a gap at an edge.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -4,8 +4,6 @@ Embree names a triangle. Here the ray is met with it again, in float64; with its
 edge; and with all triangles, where float32 was too coarse to tell (a few rays in a million, at silhouettes).
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Shapes of formulas: plane, disc, sphere, cylinder and box."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -9,9 +7,8 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-import numpy.typing as npt
 
-from gonio.typing import Floats
+from gonio.typing import ArrayLike, Floats
 from gonio_scenes.shapes import _kernels
 from gonio_scenes.shapes.shape import AxisTable, FlatTable, Ints, Length, Placement, Surface, over_rays, rays
 
@@ -61,7 +58,7 @@ class Analytic:
         over_rays(self.describe, len(origin), ray, place, *self.constants, hits, out)
         return Surface(*out)
 
-    def contains(self, point: npt.ArrayLike) -> bool:
+    def contains(self, point: ArrayLike) -> bool:
         """See `Shape`."""
         return self.inside is not None and self.inside(*self.place.local(point))
 

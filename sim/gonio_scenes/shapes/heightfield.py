@@ -1,7 +1,5 @@
 """A rectangle whose heights a picture gives."""
 
-from __future__ import annotations
-
 import io
 import struct
 import zlib

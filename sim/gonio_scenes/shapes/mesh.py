@@ -1,17 +1,14 @@
 """A triangle mesh from a file: read, checked, turned and placed."""
 
-from __future__ import annotations
-
 import io
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import Field
 
 from gonio.errors import ConfigError, DataError
-from gonio.typing import Floats
+from gonio.typing import ArrayLike, Floats, NDArray
 from gonio_scenes.shapes.shape import (
     BESIDE_SCENE,
     LARGEST_MM,
@@ -32,7 +29,7 @@ SLIVER = 1e-14
 """Area, in squares of the longest side, below which a triangle is a line that no ray meets."""
 NO_AREA = "all of its triangles are points or lines: export it again from the program that made it"
 
-Parts = tuple[Floats, npt.NDArray[np.int64], Floats | None, Floats | None]
+Parts = tuple[Floats, NDArray[np.int64], Floats | None, Floats | None]
 """Vertices, faces, and normals and uv of each vertex."""
 
 
@@ -215,7 +212,7 @@ def _checked(parts: Parts, where: str) -> Parts:
     return parts
 
 
-def _welded(vertices: Floats, faces: npt.NDArray[np.int64]) -> tuple[Floats, npt.NDArray[np.int64]]:
+def _welded(vertices: Floats, faces: NDArray[np.int64]) -> tuple[Floats, NDArray[np.int64]]:
     """The mesh with one vertex where several have the same place, and without those that no face names."""
     used, place = np.unique(faces, return_inverse=True)
     points = vertices[used] + 0.0  # no negative zeros
@@ -226,7 +223,7 @@ def _welded(vertices: Floats, faces: npt.NDArray[np.int64]) -> tuple[Floats, npt
     return points[order[new]], number[place.reshape(faces.shape)]
 
 
-def _is_closed(vertices: Floats, faces: npt.NDArray[np.int64], where: str, open_: bool, normals: str) -> bool:
+def _is_closed(vertices: Floats, faces: NDArray[np.int64], where: str, open_: bool, normals: str) -> bool:
     """Whether each side of a triangle is that of another which runs the other way."""
     count = len(vertices)
     start, end = faces.reshape(-1), np.roll(faces, -1, axis=1).reshape(-1)
@@ -255,7 +252,7 @@ def _edge(vertices: Floats, side: int) -> str:
     return f"from ({', '.join(f'{x:.4g}' for x in one)}) to ({', '.join(f'{x:.4g}' for x in other)}) mm"
 
 
-def _rotation(axis: npt.ArrayLike, angle: float) -> Floats:
+def _rotation(axis: ArrayLike, angle: float) -> Floats:
     """The matrix of a right-handed turn about an axis (Rodrigues)."""
     x, y, z = unit(axis)
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

@@ -1,17 +1,14 @@
 """A surface of revolution: exact frusta between the points of its profile, or a smooth curve through them."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import Field, model_validator
 
 from gonio.errors import ConfigError
-from gonio.typing import Floats
+from gonio.typing import Floats, NDArray
 from gonio_scenes.shapes import _kernels
 from gonio_scenes.shapes.analytic import Analytic
 from gonio_scenes.shapes.shape import AxisTable, Coordinate
@@ -47,7 +44,7 @@ class Revolution(AxisTable):
     smooth: bool = False
 
     @model_validator(mode="after")
-    def _is_a_profile(self) -> Revolution:
+    def _is_a_profile(self) -> "Revolution":
         points = np.array(self.profile_mm)
         for k, (r, _) in enumerate(points):
             if r < 0.0:
@@ -179,7 +176,7 @@ def _reversed(slopes: Floats) -> Floats:
     return np.stack([-a, 2.0 * a + b, -(a + b + c)], axis=-1)
 
 
-def _tree(points: Floats, margin: float) -> tuple[npt.NDArray[np.int64], Floats]:
+def _tree(points: Floats, margin: float) -> tuple[NDArray[np.int64], Floats]:
     """Frusta by halves: first, last and the first of two children (0 for none); bounds of r and z."""
     nodes = [[0, len(points) - 1, 0]]
     for node in nodes:  # which grows

@@ -1,23 +1,20 @@
 """What a shape is: where rays meet it, and what its surface is there; where it stands, and the keys that all share."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Protocol
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import AfterValidator, Field, model_validator
 
 from gonio.config import Strict
 from gonio.disk import read_file
 from gonio.errors import ConfigError, GonioError
 from gonio.models.engine import in_parts
-from gonio.typing import Floats
+from gonio.typing import ArrayLike, Floats, NDArray
 
-Ints = npt.NDArray[np.int64]
+Ints = NDArray[np.int64]
 
 LARGEST_MM = 1e9
 """No length in a scene file is longer: a thousand kilometres."""
@@ -75,7 +72,7 @@ class Shape(Protocol):
     def surface(self, origin: Floats, direction: Floats, distance: Floats, primitive: Ints) -> Surface:
         """The surface at hits that `intersect` found."""
 
-    def contains(self, point: npt.ArrayLike) -> bool:
+    def contains(self, point: ArrayLike) -> bool:
         """Whether a closed shape has a point (3,) [mm] inside; False where it is not closed."""
 
 
@@ -86,7 +83,7 @@ class Placement:
     center: Floats
     axes: Floats
 
-    def local(self, point: npt.ArrayLike) -> tuple[float, float, float]:
+    def local(self, point: ArrayLike) -> tuple[float, float, float]:
         """A point in the shape's own frame."""
         x, y, z = self.axes @ (np.asarray(point, np.float64) - self.center)
         return float(x), float(y), float(z)
@@ -139,14 +136,14 @@ Axis = Annotated[tuple[Coordinate, Coordinate, Coordinate], AfterValidator(_not_
 """A direction of any length but 0."""
 
 
-def unit(vector: npt.ArrayLike) -> Floats:
+def unit(vector: ArrayLike) -> Floats:
     """A vector of length 1; of any length but 0 before."""
     array = np.asarray(vector, np.float64)
     array = array / np.max(np.abs(array))
     return np.asarray(array / np.linalg.norm(array))
 
 
-def placement(center: npt.ArrayLike, axis: npt.ArrayLike, x_axis: npt.ArrayLike | None) -> Placement:
+def placement(center: ArrayLike, axis: ArrayLike, x_axis: ArrayLike | None) -> Placement:
     """A frame whose z is `axis` and whose x is what `x_axis` has perpendicular to it.
 
     Without `x_axis`, x is (0, 1, 0) x z: a texture stands upright where y is up. Where the axis is y itself, x is
@@ -170,7 +167,7 @@ PARALLEL = 1e-6
 """Sine of the angle below which two axes of a scene file span no plane."""
 
 
-def refuse_parallel(name: str, axis: npt.ArrayLike, other: npt.ArrayLike | None, called: str = "x_axis") -> None:
+def refuse_parallel(name: str, axis: ArrayLike, other: ArrayLike | None, called: str = "x_axis") -> None:
     """Raise ValueError, for pydantic, where a vector, `called` so in the file, is along the axis called `name`."""
     if other is not None and np.linalg.norm(np.cross(unit(axis), unit(other))) < PARALLEL:
         raise ValueError(f"{called} = {np.asarray(other).tolist()} is parallel to {name}: give one that is not")
@@ -218,7 +215,7 @@ class AxisTable(ShapeTable):
         return placement(self.center_mm, self.axis, self.x_axis)
 
     @model_validator(mode="after")
-    def _axes_differ(self) -> AxisTable:
+    def _axes_differ(self) -> "AxisTable":
         refuse_parallel("axis", self.axis, self.x_axis)
         return self
 
@@ -235,6 +232,6 @@ class FlatTable(ShapeTable):
         return placement(self.center_mm, self.normal, self.x_axis)
 
     @model_validator(mode="after")
-    def _axes_differ(self) -> FlatTable:
+    def _axes_differ(self) -> "FlatTable":
         refuse_parallel("normal", self.normal, self.x_axis)
         return self

@@ -1,20 +1,17 @@
 """Triangles: Embree says which one a ray meets, float64 says where."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from gonio.errors import ConfigError
 from gonio.models.engine import in_parts
-from gonio.typing import Floats
+from gonio.typing import ArrayLike, Floats, NDArray
 from gonio_scenes.shapes import _triangle_kernels as kernels
 from gonio_scenes.shapes.shape import Ints, Surface, over_rays, rays
 
-Faces = npt.NDArray[np.int32]
+Faces = NDArray[np.int32]
 
 ROUNDS = 8
 """Searches along a ray; one that still meets only what does not count is met with all triangles."""
@@ -122,7 +119,7 @@ class Triangles:
         since: Floats,
         distance: Floats,
         primitive: Ints,
-        state: npt.NDArray[np.int8],
+        state: NDArray[np.int8],
     ) -> None:
         """One search along the rays `left`, each from where `since` says."""
         origin_32, direction_32 = np.empty((2, left.size, 3), np.float32)
@@ -149,7 +146,7 @@ class Triangles:
         )  # fmt: skip
         return Surface(*out)
 
-    def contains(self, point: npt.ArrayLike) -> bool:
+    def contains(self, point: ArrayLike) -> bool:
         """See `Shape`: the solid angles of the triangles, with their signs, add up to 4 pi inside and to 0 outside."""
         if not self.closed:
             return False

@@ -1,7 +1,5 @@
 """A bus of Dynamixel servos at the end of one cable."""
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass

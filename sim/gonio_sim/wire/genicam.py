@@ -4,17 +4,15 @@ It stands in for `harvesters.core.Harvester`. Frames from before the stream was 
 may come with parts missing, which harvesters throws away.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from gonio.rig import clock
+from gonio.typing import NDArray
 
 FORMATS = {
     "Mono8": 0x01080001, "Mono10": 0x01100003, "Mono10p": 0x010A0046, "Mono10Packed": 0x010C0004, "Mono12": 0x01100005,
@@ -57,7 +55,7 @@ def described(formats: tuple[str, ...], shortest_us: float = 10.0, without: tupl
     )
 
 
-def packed(image: npt.NDArray[np.uint16], name: str, padding: int = 0) -> bytes:
+def packed(image: NDArray[np.uint16], name: str, padding: int = 0) -> bytes:
     """An image as its bytes in a pixel format, each line followed by some that mean nothing."""
     lines = (_line([int(value) for value in line], name) for line in image)
     return b"".join(line + b"\xee" * padding for line in lines)
@@ -85,7 +83,7 @@ class GenICamTwin:
         The scene: what the sensor sees of it in an exposure [s], at the time of the call [DN].
     """
 
-    see: Callable[[float], npt.NDArray[np.uint16]]
+    see: Callable[[float], NDArray[np.uint16]]
     xml: str = field(default_factory=lambda: described(tuple(FORMATS)))
     serials: tuple[str, ...] = ("22180001",)
     padding: int = 0
@@ -103,12 +101,12 @@ class GenICamTwin:
         self.nodes = NodeMap()
         self.nodes.load_xml_from_string(self.xml)
         self.remote_device = SimpleNamespace(node_map=self.nodes)
-        self._queue: list[npt.NDArray[np.uint16]] = []
-        self._waiting: list[npt.NDArray[np.uint16]] = []
+        self._queue: list[NDArray[np.uint16]] = []
+        self._waiting: list[NDArray[np.uint16]] = []
 
     # ---- Harvester ----
 
-    def __call__(self) -> GenICamTwin:
+    def __call__(self) -> "GenICamTwin":
         return self
 
     def add_file(self, path: str) -> None:
@@ -122,7 +120,7 @@ class GenICamTwin:
         """The cameras that there are."""
         return [SimpleNamespace(serial_number=serial, model="Twin") for serial in self.serials]
 
-    def create(self, wanted: dict[str, str]) -> GenICamTwin:
+    def create(self, wanted: dict[str, str]) -> "GenICamTwin":
         """Open one of them."""
         self.opened = wanted["serial_number"]
         return self

@@ -5,8 +5,6 @@ is set, the parameters are the length of data that follow. What the stage does e
 for (MOT_MOVE_COMPLETED and its like): it stands before the next answer.
 """
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Callable
 

@@ -4,8 +4,6 @@
 the simulated rig through `changed` what they do: lit or dark, band, level.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from dataclasses import dataclass

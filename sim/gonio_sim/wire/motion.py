@@ -1,7 +1,5 @@
 """Motion of a servo's shaft in closed form: position and velocity at any time, without a simulation loop."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """What is plugged in at the other end of a cable: a device on a pseudo-terminal, or behind a port of the network."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import select

@@ -3,8 +3,6 @@
 Written from the protocol's documentation (ROBOTIS e-Manual, "Protocol 2.0"), from the side of the device.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 

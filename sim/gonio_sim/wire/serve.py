@@ -1,7 +1,5 @@
 """`gonio sim serve`: the twins of a laboratory rig, for rehearsal without hardware."""
 
-from __future__ import annotations
-
 import signal
 import threading
 from pathlib import Path

@@ -4,8 +4,6 @@ Written from the e-Manual, from the device's side. Motion and health run on the 
 the bus watchdog, which belong to the wire, run on wall time.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

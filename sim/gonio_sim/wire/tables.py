@@ -4,8 +4,6 @@ And the table as it lies in a servo's memory: bytes, items, indirect addresses. 
 value means, and whether it is allowed, the servo knows.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cache
 

@@ -4,8 +4,6 @@
 name and renamed, as a careful tethering program does.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

@@ -5,8 +5,6 @@ where the axes really stand; and the camera renders what the world looks like wh
 stands in for other kinds, which another process could not open; a sequence needs no twin, and is replayed as it is.
 """
 
-from __future__ import annotations
-
 import contextlib
 import math
 import threading

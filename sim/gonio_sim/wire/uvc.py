@@ -4,8 +4,6 @@ It keeps a queue of frames that were exposed before anybody asked, as V4L2 does,
 cameras are.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Callable, Iterable
 from itertools import cycle
@@ -13,11 +11,11 @@ from typing import Any
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from gonio.rig import clock
+from gonio.typing import Array
 
-Image = npt.NDArray[Any]
+Image = Array
 QUEUE = 4
 AUTOMATIC = 3.0
 
@@ -59,7 +57,7 @@ class VideoStandIn:
         self._stamp = 0.0
         self.opened_with: tuple[Any, ...] = ()
 
-    def __call__(self, *arguments: Any) -> VideoStandIn:
+    def __call__(self, *arguments: Any) -> "VideoStandIn":
         """Open it, as `cv2.VideoCapture(device, api)` does."""
         self.opened_with = arguments
         return self
