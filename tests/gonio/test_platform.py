@@ -25,6 +25,7 @@ NAMES = re.compile(
 )
 
 
+@pytest.mark.slow
 def test_nothing_else_knows_what_a_system_has() -> None:
     wrong = []
     for file in PRODUCT:

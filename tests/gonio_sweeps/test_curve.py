@@ -170,6 +170,7 @@ def test_the_reference_is_in_the_interval_and_no_number_of_points_takes_it_out()
     np.testing.assert_allclose(with_scale / f, 0.005, rtol=0.1)  # the noise adds a tenth of that at most
 
 
+@pytest.mark.slow
 def test_values_below_zero_are_values() -> None:
     x = np.linspace(-70, 70, 21)
     noise = np.random.default_rng(1).standard_normal(x.size)

@@ -13,6 +13,8 @@ import pytest
 from gonio import measurement
 from tests.system.conftest import HANGS_S, Command, command_line, environment
 
+pytestmark = pytest.mark.slow  # the whole line is walked once for all
+
 
 @pytest.fixture(scope="module")
 def quick_demo(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:

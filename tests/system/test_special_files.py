@@ -113,6 +113,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_only_files_are_opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str) -> None:
     monkeypatch.chdir(tmp_path)
@@ -156,6 +157,7 @@ def test_nothing_waits_for_what_is_no_file(
             assert "irectory" in text or "not a file" in text, (command, text)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["pipe", "device"])
 def test_a_point_whose_frame_is_no_file_is_flagged(whole: Path, tmp_path: Path, call: Call, kind: str) -> None:
     shutil.copytree(whole, tmp_path / "w")

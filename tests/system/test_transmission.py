@@ -84,6 +84,7 @@ def test_a_fit_sees_reflection_alone_and_says_so(folder: Path) -> None:
     assert any("10 rows are transmission" in note for note in result.data.notes)
 
 
+@pytest.mark.slow
 def test_the_report_has_a_section_of_its_own(folder: Path) -> None:
     make([str(folder / "run")], folder / "report", models=["lambert"])
     summary = json.loads((folder / "report" / "summary.json").read_text(encoding="utf-8"))

@@ -88,6 +88,7 @@ def test_the_truth_of_the_camera_is_found(bench: Path) -> None:
     assert file["measured"]["defects"] >= 20  # 38 of 19 200 are hot, some of them hardly
 
 
+@pytest.mark.slow
 def test_frames_that_were_kept_give_the_same_file(bench: Path) -> None:
     gonio(
         bench, "calibrate", "camera", "--rig", "rig.toml", "--frames", "camera-frames", "--out", "again.toml", expect=0

@@ -17,6 +17,8 @@ from gonio.measurement import read
 from tests.command_line import gonio
 from tests.system.conftest import LAMBERT
 
+pytestmark = pytest.mark.slow  # one calibration is made for all
+
 TRUTH: dict[str, Any] = {
     "arms": {
         "light": {

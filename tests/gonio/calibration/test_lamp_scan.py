@@ -212,6 +212,7 @@ def test_a_beam_is_found_behind_a_camera_that_bends_and_spreads_light_as_far_as_
     )  # nobody knows of it: the note says so
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["camera", "light"])
 def test_a_calibration_that_is_out_of_date_does_not_keep_its_successor_from_being_made(
     tmp_path: Path, kind: str

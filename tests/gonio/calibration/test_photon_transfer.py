@@ -141,6 +141,7 @@ def test_flats_of_nearly_one_level_tell_no_curve() -> None:
         linearity.fit(np.full((1, 6), 100.0), np.ones((1, 6)), np.ones(1), np.ones(6), np.full(6, math.nan), CAMERA)
 
 
+@pytest.mark.slow
 def test_debevec_and_malik_of_a_photographed_bracket() -> None:
     folder = measured("camera/hdr_bracket")
     samples = np.load(folder / "test_samples_Grossberg2003.npy").astype(int)

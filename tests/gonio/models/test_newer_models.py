@@ -77,6 +77,7 @@ def test_eon_loses_no_light(rho: float, r: float) -> None:
     assert summed == pytest.approx(closed, rel=1e-6)  # the rule's tolerance, ten times
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("alpha", [1e-3, 0.01, 0.05, 0.3, 0.7, 1.0])
 def test_a_mirror_s_facets_lose_no_light_between_them(alpha: float) -> None:
     """n = 1e-3, k = 1e4 reflects all but 4e-7. The stated error of the energy is 1e-3."""

@@ -155,6 +155,7 @@ def spiked(d: Directions) -> float:
     return lobe(d) + (40.0 * share if d.theta_i > 1.2 else 0.0)
 
 
+@pytest.mark.slow
 def test_a_spike_is_told_from_its_lobe_and_has_its_own_shape() -> None:
     model = curves(spiked, SPIKED)
     top = next(k for k, d in enumerate(SPIKED) if d.mirror_offset < 1e-9 and d.theta_i > 1.2)

@@ -85,6 +85,7 @@ def test_between_visits_without_noise_u_is_that_of_a_brownian_bridge() -> None:
         assert np.all((over > 0.85) & (over < 1.6))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("visits", [BLOCK, BLOCK + 1, 70])
 def test_many_visits_are_looked_at_in_parts(visits: int) -> None:
     pulls, _, _ = drawn("walk", 2e-3, visits, 10, 7)

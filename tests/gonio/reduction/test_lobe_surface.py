@@ -106,6 +106,7 @@ def test_many_points_in_blocks_tell_what_all_together_do(monkeypatch: pytest.Mon
     assert np.sqrt(np.mean(off**2)) < 1.0
 
 
+@pytest.mark.slow
 def test_values_say_whether_the_sample_has_a_direction() -> None:
     rng = np.random.default_rng(8)
     places = anywhere(rng, 100)
@@ -150,6 +151,7 @@ def test_derivatives_of_the_covariance_against_differences(size: int) -> None:
             np.testing.assert_allclose(_of_slopes(at, logs)[:, a, b], expected, atol=0.02)
 
 
+@pytest.mark.slow
 def test_an_azimuth_that_passes_half_a_turn_makes_no_slope() -> None:
     """The half vector's azimuth jumps there by a whole turn."""
     surface, _, _ = told(brushed, anywhere(np.random.default_rng(4), 60), np.random.default_rng(4))

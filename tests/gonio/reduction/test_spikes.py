@@ -117,6 +117,7 @@ def shares(goals: list[Directions], u: float) -> list[OverlapFraction]:
     ]
 
 
+@pytest.mark.slow
 def test_neighbouring_incidences_tell_a_spike_that_one_point_cannot() -> None:
     """Amplitudes cos(theta)^-1 exp(-30 cos(theta)^2), as a rough surface has them; at 70 degrees the top alone."""
 

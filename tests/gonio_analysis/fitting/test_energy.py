@@ -87,6 +87,7 @@ def test_reciprocity_and_both_sides_are_compared() -> None:
     assert {s.kind for s in symmetries(observations(frame).checked) if s.broken} >= {"left and right"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("u_rel", [0.0, 0.01])
 def test_anisotropy_is_seen_in_the_azimuth_of_incidence(u_rel: float) -> None:
     frame = hemisphere(ROUGH, phi_i=(0.0, 45.0, 90.0), u_rel=u_rel)

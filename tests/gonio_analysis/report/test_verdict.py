@@ -60,6 +60,7 @@ def test_models_that_are_far_off_do_not_describe_the_sample() -> None:
     assert f"{zone} at {where}" in facts.conclusion
 
 
+@pytest.mark.slow
 def test_a_missing_lobe_is_named_though_the_typical_factor_is_small() -> None:
     """A narrow lobe is few of the values: the typical factor alone would overlook it."""
     shiny = build("cook-torrance", {"s": 0.4, "d": 0.6, "slopes": ((0.03, 1.0),), "diffuse_albedo": 0.5, "ior": 1.5})
@@ -91,6 +92,7 @@ def test_the_assumption_stands_among_the_notes_whatever_the_file_says() -> None:
     assert any("ASSUMED" in n for n in headline(frame, "lambert", u_rel=0.03).notes)
 
 
+@pytest.mark.slow
 def test_an_assumed_uncertainty_judges_and_is_called_assumed() -> None:
     facts = headline(bare(noise=0.03), "lambert", "cook-torrance", u_rel=0.03)
     assert facts.u_rel_assumed == 0.03
