@@ -13,18 +13,23 @@ These are the devices and no more: no reference, no dark frames, no uncertaintie
 BRDFs.
 """
 
+from __future__ import annotations
+
 import logging
 import math
 import time
-from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Generic, Self, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, Self, TypeVar
 
-from gonio.by_hand.manual_rig import ManualRig
 from gonio.documents import JsonObject
 from gonio.errors import ArgumentError, ConfigError, DeviceError
 from gonio_bluesky.status import Owner, Status
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from gonio.by_hand.manual_rig import ManualRig
 
 log = logging.getLogger("gonio.devices")
 
@@ -70,7 +75,7 @@ class Brake:
     Bluesky stops every axis that it has moved when a run ends, well or not, when it pauses and when it is suspended.
     """
 
-    def __init__(self, owner: Owner, rig: ManualRig, lamp: "Lamp") -> None:
+    def __init__(self, owner: Owner, rig: ManualRig, lamp: Lamp) -> None:
         self._owner, self._rig, self._lamp = owner, rig, lamp
         self._moves: list[Status] = []
         self._stops = 0
