@@ -1,7 +1,5 @@
 """The site of docs/: it builds without a warning, no link is dead, and nothing comes from the network."""
 
-from __future__ import annotations
-
 import importlib.util
 import os
 import re

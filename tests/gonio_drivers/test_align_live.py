@@ -1,7 +1,5 @@
 """Live alignment over the twins: the real drivers, and a lamp that is dark whatever happens to the program."""
 
-from __future__ import annotations
-
 import signal
 import subprocess
 import threading

@@ -1,7 +1,5 @@
 """Cameras: RAW files from a folder with everything that can go wrong, a video camera, an image sequence."""
 
-from __future__ import annotations
-
 import itertools
 import subprocess
 import sys

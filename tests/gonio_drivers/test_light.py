@@ -1,7 +1,5 @@
 """The lamp driver against a twin in each dialect: exchanges, readback, faults, and darkness whatever happens."""
 
-from __future__ import annotations
-
 import fcntl
 import os
 import re

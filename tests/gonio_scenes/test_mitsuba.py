@@ -1,7 +1,5 @@
 """Scenes as files for Mitsuba 3: what is in them, and what is said of what is not. Nothing here needs Mitsuba."""
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import dataclass, field, replace

@@ -1,7 +1,5 @@
 """Photographs as measurements: values, uncertainties, flags, and what is refused."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path

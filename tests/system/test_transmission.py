@@ -1,7 +1,5 @@
 """A white diffuser on the simulated rig, before and behind: plan, measure, reduce, fit, report."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

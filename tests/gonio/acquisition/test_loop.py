@@ -1,7 +1,5 @@
 """The loop on a rig of numpy: what a run holds, and that stopping it anywhere changes nothing."""
 
-from __future__ import annotations
-
 import hashlib
 import math
 import signal

@@ -1,7 +1,5 @@
 """A run whose journal or frames were lost: nothing is removed, what can be told is told, the rest is taken again."""
 
-from __future__ import annotations
-
 import gc
 import json
 import os

@@ -1,7 +1,5 @@
 """Measures of a live frame, against scenes that are known."""
 
-from __future__ import annotations
-
 import math
 from itertools import pairwise
 

@@ -1,7 +1,5 @@
 """`gonio calibrate light` on a simulated bench whose truth nobody who measures there knows."""
 
-from __future__ import annotations
-
 import datetime
 import math
 import tomllib

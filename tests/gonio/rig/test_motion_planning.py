@@ -1,7 +1,5 @@
 """Ways on which no two bodies of a rig touch: distances, proofs against sampled motion, splits, branches."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Quantities of appearance of models that are not true: their uncertainties hold the misfit, or its curve is kept."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The checks of a run in its table, on its page and in summary.json."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

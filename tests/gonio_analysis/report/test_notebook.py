@@ -1,7 +1,5 @@
 """What scripts and notebooks take from `gonio` and `gonio_analysis`."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """One number, one truth: what a page says twice, it says alike."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """What a headline may say where nobody stated an uncertainty."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

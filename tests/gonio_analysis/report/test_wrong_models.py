@@ -1,7 +1,5 @@
 """A report of a sample that no model has: how far off models are, on its first line, in its tables and on its plots."""
 
-from __future__ import annotations
-
 import html
 import json
 import math
