@@ -19,7 +19,7 @@ import numpy.typing as npt
 from gonio.errors import DataError
 from gonio.geometry import Directions
 from gonio.maps import MapFile, Parts, Tile, Variable
-from gonio.models import batch
+from gonio.models import batch_spectra
 from gonio.reduction.threads import in_threads
 from gonio.typing import Floats
 from gonio_analysis.fitting.observations import DEFAULT_WAVELENGTH_NM
@@ -50,7 +50,7 @@ class Pixels:
     x_mm: Floats
     y_mm: Floats
     values: Floats
-    """BRDF [1/sr], shape (P, n); NaN where flagged."""
+    """BRDF [1/sr] of one wavelength after the other, shape (P, n); NaN where flagged."""
     u: Floats
 
     def __getitem__(self, which: Any) -> Pixels:
@@ -66,21 +66,25 @@ class Material:
     """A model that pixels share."""
 
     values: Floats
-    """Of the free parameters."""
+    """Of the free parameters, in the order of `Plan.columns`."""
     u: Floats
     chi_square: float
     """A degree of freedom, of the joint fit."""
-    model: Any
+    models: list[Any]
+    """One a wavelength."""
 
 
 class Mixture:
     """Finds materials of pixels under a plan."""
 
     def __init__(self, plan: Plan) -> None:
-        self._plan = plan
-        wave = plan.wavelength_nm
-        self._wave = DEFAULT_WAVELENGTH_NM if math.isnan(wave) else wave
-        most = int(EFFORT / max(len(plan.points), 1) ** 3) if plan.u_point.any() else MOST_TOGETHER
+        self._plan, self._plans = plan, (plan, *plan.others)
+        self._ends = np.cumsum([len(one.points) for one in self._plans])
+        self._common = np.concatenate([one.common for one in self._plans], axis=1)
+        # what all pixels of a point share is a cause of its own for each point: it does not average out
+        self._u_point = np.concatenate([one.u_point for one in self._plans])
+        self._of_points = np.diag(self._u_point)[self._u_point > 0]
+        most = int(EFFORT / max(self._u_point.size, 1) ** 3) if self._u_point.any() else MOST_TOGETHER
         self._most = min(max(most, 4), MOST_TOGETHER)
         self._problem = pose(FitRequest(plan.model, fix={n: v for n, v in plan.fixed.items() if n not in ("ior", "k")}))
 
@@ -89,39 +93,43 @@ class Mixture:
         plan, count = self._plan, len(pixels.x_mm)
         some = pixels[np.unique(np.linspace(0, count - 1, min(count, self._most)).astype(int))]
         spots = np.stack([some.x_mm, some.y_mm, np.zeros_like(some.x_mm)], axis=1)[:, None]
-        source, camera = ((place - spots).reshape(-1, 3) for place in (plan.source_mm, plan.camera_mm))
-        times = len(some.x_mm)
-        # what all pixels of a point share is a cause of its own for each point: it does not average out
-        shared = np.diag(plan.u_point)[plan.u_point > 0]
-        own = np.sqrt(np.maximum(some.u**2 - (some.values * plan.u_point) ** 2, (LEAST_OWN * some.u) ** 2))
-        found = batch.fit(
-            plan.model, np.zeros(1), np.zeros(1), source, camera, some.values.reshape(1, -1), own.reshape(1, -1),
-            common=np.tile(np.concatenate([plan.common, shared]), times), fixed=plan.fixed,
-            blocks=np.tile(plan.blocks, times), wavelength_nm=self._wave,
-        )  # fmt: skip
-        if not math.isfinite(found.chi_square[0]):
+        own = np.sqrt(np.maximum(some.u**2 - (some.values * self._u_point) ** 2, (LEAST_OWN * some.u) ** 2))
+        common, times = np.concatenate([self._common, self._of_points]), len(some.x_mm)
+        bands = []
+        for one, end in zip(self._plans, self._ends, strict=True):
+            at = slice(end - len(one.points), end)
+            source, camera = ((place - spots).reshape(-1, 3) for place in (one.source_mm, one.camera_mm))
+            bands.append(batch_spectra.Band(
+                source, camera, some.values[:, at].reshape(1, -1), own[:, at].reshape(1, -1),
+                np.tile(common[:, at], times), one.fixed, np.tile(one.blocks, times), _known(one.wavelength_nm),
+            ))  # fmt: skip
+        found = batch_spectra.fit(plan.model, np.zeros(1), np.zeros(1), bands, plan.geometry)
+        values = [dict(zip(one.names, one.values[0], strict=True)) for one in found]
+        u = [dict(zip(one.free, one.u[0], strict=True)) for one in found]
+        of_free, of_u = (np.array([each[k][name] for k, name in plan.numbered]) for each in (values, u))
+        if not np.isfinite(of_free).all():
             raise DataError("a material has too few values to be fitted; ask for fewer --materials")
-        values = dict(zip(found.names, found.values[0], strict=True))
-        freedom = found.used[0] - len(plan.free)
-        of_free = np.array([values[name] for name in plan.free])
-        return Material(of_free, found.u[0], float(found.chi_square[0] / freedom), self._model(values))
+        freedom = found[0].used[0] - len(plan.columns)
+        return Material(of_free, of_u, float(found[0].chi_square[0] / freedom), [self._model(one) for one in values])
 
     def _model(self, values: dict[str, float]) -> Any:
         return self._problem.make(self._problem.family.arguments({**self._problem.fixed, **values}))
 
     def chi_square(self, pixels: Pixels, material: Material) -> Floats:
         """Chi-square of each pixel's values with the model of a material (P,)."""
-        plan = self._plan
         spots = np.stack([pixels.x_mm, pixels.y_mm, np.zeros_like(pixels.x_mm)], axis=1)[:, None]
-        at = Directions.from_vectors(plan.source_mm - spots, plan.camera_mm - spots)
-        model = np.asarray(material.model.brdf(*at.angles, wavelength_nm=self._wave))
+        of_each = []
+        for plan, one in zip(self._plans, material.models, strict=True):
+            at = Directions.from_vectors(plan.source_mm - spots, plan.camera_mm - spots)
+            of_each.append(np.asarray(one.brdf(*at.angles, wavelength_nm=_known(plan.wavelength_nm))))
+        model = np.concatenate(of_each, axis=1)
         used = np.isfinite(pixels.values) & (pixels.u > 0)
         weight = np.where(used, 1.0 / np.where(used, pixels.u, 1.0), 0.0)
         residual = np.where(used, pixels.values - model, 0.0) * weight
         total = np.einsum("pn,pn->p", residual, residual)
-        if len(plan.common):
-            causes = plan.common * (model * weight)[:, None]
-            inner = np.eye(len(plan.common)) + np.einsum("prn,psn->prs", causes, causes)
+        if len(self._common):
+            causes = self._common * (model * weight)[:, None]
+            inner = np.eye(len(self._common)) + np.einsum("prn,psn->prs", causes, causes)
             seen = np.einsum("prn,pn->pr", causes, residual)
             total -= np.einsum("pr,pr->p", seen, np.linalg.solve(inner, seen[..., None])[..., 0])
         return np.asarray(total)
@@ -153,6 +161,11 @@ class Mixture:
             every = np.array([self.chi_square(pixels.only(half), one) for one in materials])
             total += every[member, np.arange(member.size)]
         return total
+
+
+def _known(wavelength_nm: float) -> float:
+    """A wavelength [nm], or the one that stands for a band without any."""
+    return DEFAULT_WAVELENGTH_NM if math.isnan(wavelength_nm) else wavelength_nm
 
 
 def _k_means(own: Floats, u: Floats, count: int) -> Whole:
@@ -214,10 +227,10 @@ def variables(
     member, chi = np.full(map_file.shape, NOBODY, np.int16), np.full(map_file.shape, np.nan, np.float32)
 
     def assign(tile: Tile) -> None:
-        some = Pixels(*read_tile(map_file, tile).values(plan.points))
+        some = _pixels(map_file, tile, plan)
         best, least = mixture.nearest(some, materials)
         used = (np.isfinite(some.values) & (some.u > 0)).sum(axis=1)
-        there = used > len(plan.free)
+        there = used > len(plan.columns)
         member[tile.rows, tile.cols] = np.where(there, best, NOBODY).reshape(tile.shape)
         chi[tile.rows, tile.cols] = np.where(there, least / np.maximum(used, 1), np.nan).reshape(tile.shape)
 
@@ -239,7 +252,7 @@ def _layout(
         "material_chi_square": Variable(each, np.array([one.chi_square for one in materials]),
                                         about="chi-square a degree of freedom of the joint fit"),
     }  # fmt: skip
-    for k, (name, unit) in enumerate(zip(plan.free, plan.units, strict=True)):
+    for k, (name, unit) in enumerate(plan.columns.items()):
         about = f"{name} of the material, of its pixels together"
         out[f"material_{name}"] = Variable(each, np.array([m.values[k] for m in materials]), units=unit, about=about)
         error = np.array([m.u[k] if m.u[k] > 0 else np.nan for m in materials])
@@ -247,12 +260,20 @@ def _layout(
     return out
 
 
+def _pixels(map_file: MapFile, tile: Tile, plan: Plan) -> Pixels:
+    """Those of a tile, with the values of all wavelengths."""
+    places = read_tile(map_file, tile)
+    bands = [Pixels(*places.values(one.points)) for one in (plan, *plan.others)]
+    values, u = (np.concatenate([getattr(band, name) for band in bands], axis=1) for name in ("values", "u"))
+    return replace(bands[0], values=values, u=u)
+
+
 def _drawn(map_file: MapFile, parts: Parts, plan: Plan) -> tuple[Pixels, Floats, Floats]:
     """Some pixels whose parameters are known, evenly drawn over the map, with parameters and uncertainties."""
 
     def known(tile: Tile) -> tuple[Whole, Floats, Floats]:
-        found = parts.read(tile, *(f"{p}{n}" for n in plan.free for p in ("", "u_")))
-        own, u = (np.stack([found[f"{p}{n}"].ravel() for n in plan.free], axis=1) for p in ("", "u_"))
+        found = parts.read(tile, *(f"{p}{n}" for n in plan.columns for p in ("", "u_")))
+        own, u = (np.stack([found[f"{p}{n}"].ravel() for n in plan.columns], axis=1) for p in ("", "u_"))
         good = np.flatnonzero((np.isfinite(own) & np.isfinite(u)).all(axis=1))
         return good, own[good], u[good]
 
@@ -266,7 +287,7 @@ def _drawn(map_file: MapFile, parts: Parts, plan: Plan) -> tuple[Pixels, Floats,
         begin += count
         if of.any():
             good, own, u = known(tile)
-            pixels.append(Pixels(*read_tile(map_file, tile).values(plan.points))[good[of]])
+            pixels.append(_pixels(map_file, tile, plan)[good[of]])
             owns.append(own[of])
             us.append(u[of])
     if not pixels:

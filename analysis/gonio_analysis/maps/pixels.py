@@ -70,10 +70,14 @@ class Plan:
     @property
     def columns(self) -> dict[str, str]:
         """Every fitted parameter of a file of fits, and its unit."""
-        out = dict(zip(self.free, self.units, strict=True))
-        for other in self.others:
-            out |= dict(zip(map(other.column, self.free), self.units, strict=True))
-        return out
+        units, plans = dict(zip(self.free, self.units, strict=True)), (self, *self.others)
+        return {(plans[k].column(name) if k else name): units[name] for k, name in self.numbered}
+
+    @property
+    def numbered(self) -> list[tuple[int, str]]:
+        """Of each of `columns` the wavelength, by number (0: the one that is shown), and the parameter."""
+        own = [name for name in self.free if name not in self.geometry]
+        return [(0, name) for name in self.free] + [(k, name) for k in range(1, len(self.others) + 1) for name in own]
 
     @property
     def related(self) -> list[tuple[str, str]]:

@@ -120,3 +120,27 @@ def test_numbers_of_materials_that_are_none(tmp_path: Path) -> None:
                 count=lambda a, b: None, say=print,
             )  # fmt: skip
     assert not (tmp_path / "fits.h5.parts").exists()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("materials", ["2", "auto"])
+def test_paints_that_differ_at_another_wavelength_alone_are_told_apart(tmp_path: Path, materials: str) -> None:
+    def of(x: float, y: float) -> dict[str, Any]:
+        return PAINTS[0] | {"ior": lambda wave: np.where(np.asarray(wave) < 500.0, 1.5 if x < -0.4 else 1.56, 1.5)}
+
+    path, out, said = tmp_path / "map.h5", tmp_path / "fits.h5", list[str]()
+    write(path, of, rows=16, cols=16, noise=0.03, waves=(450.0, 550.0), common=0.005)
+    asked = FitRequest("cook-torrance")
+    fits.make(path, out, asked, materials=materials, count=lambda a, b: None, say=said.append)
+    with MapFile(out) as found:
+        # n at 450 nm is known to 0.01 in a pixel's own fit
+        assert found.array("material_pixels").tolist() == [192, 64]
+        assert (found.array("membership") == np.array([1] * 4 + [0] * 12)).all()
+        # of 3200 values or more: uncertain by 2.5 % at most
+        assert found.array("material_chi_square") == pytest.approx(np.ones(2), abs=0.08)
+        for kind, blue in enumerate((1.56, 1.5)):
+            for name, value in (("ior", 1.5), ("ior@450", blue), ("m", 0.3), ("s@450", 0.4)):
+                # eight numbers within four standard errors
+                error = found.array(f"material_{name}")[kind] - value
+                assert abs(error) < 4 * found.array(f"u_material_{name}")[kind], name
+    gonio(tmp_path, "report", "fits.h5", "--out", "page", expect=0)
