@@ -1,5 +1,7 @@
 """Where tests find what is not beside them."""
 
+from __future__ import annotations
+
 import os
 import re
 from pathlib import Path

@@ -1,5 +1,7 @@
 """The site of docs/: it builds without a warning, no link is dead, and nothing comes from the network."""
 
+from __future__ import annotations
+
 import importlib.util
 import os
 import re
@@ -10,7 +12,6 @@ from types import ModuleType
 
 import pytest
 
-from tests.command_line import some
 from tests.places import ROOT
 
 pytestmark = pytest.mark.slow
@@ -18,9 +19,11 @@ pytestmark = pytest.mark.slow
 
 def tool(name: str) -> ModuleType:
     """A script of tools/ as a module."""
-    spec = some(importlib.util.spec_from_file_location(name, ROOT / "tools" / f"{name}.py"))
+    spec = importlib.util.spec_from_file_location(name, ROOT / "tools" / f"{name}.py")
+    assert spec is not None
+    assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
-    some(spec.loader).exec_module(module)
+    spec.loader.exec_module(module)
     return module
 
 

@@ -75,13 +75,13 @@ class HeTorrance(Model):
         """See `Model.declaration`."""
 
         def starts(levels: Levels) -> list[Values]:
-            wave, albedos = levels.wavelength_um, {0.0, min(levels.diffuse, 1.0)}
+            wave, albedo = levels.wavelength_um, min(levels.diffuse, 1.0)
             roughness = (0.01, 0.03, 0.06, 0.1, 0.16, 0.25, 0.4, 0.6, 1.0, 2.0, 5.0)
             slope = (0.02, 0.05, 0.1, 0.17, 0.25, 0.35, 0.5, 0.8, 1.3)
             indices = (1.5,) if ior is not None else (1.3, 1.5, 3.0, 20.0)
             return [
-                {"sigma0_um": r * wave, "tau_um": 2 * r * wave / m, "diffuse_albedo": a, "ior": n}
-                for r, m, a, n in product(roughness, slope, albedos, indices)
+                {"sigma0_um": r * wave, "tau_um": 2 * r * wave / m, "diffuse_albedo": albedo, "ior": n}
+                for r, m, n in product(roughness, slope, indices)
             ]
 
         rows = {

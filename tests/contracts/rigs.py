@@ -1,5 +1,7 @@
 """The rigs that the contracts are tried on: ours, the twins of a laboratory, and a stranger's."""
 
+from __future__ import annotations
+
 import contextlib
 import importlib.util
 import re

@@ -1,5 +1,7 @@
 """`python -m tests.golden [CASE ...]`: what changed since the golden set was made; `--update` makes it again."""
 
+from __future__ import annotations
+
 import argparse
 import difflib
 import tempfile

@@ -1,5 +1,7 @@
 """The golden files: one archive a case, of texts without times, versions and folders."""
 
+from __future__ import annotations
+
 import io
 import zipfile
 from pathlib import Path

@@ -1,5 +1,7 @@
 """Map files: chunks that are packed here, and those that other programs write."""
 
+from __future__ import annotations
+
 from pathlib import Path
 from typing import Any
 

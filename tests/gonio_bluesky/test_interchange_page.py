@@ -1,5 +1,7 @@
 """What docs/interchange.md shows can be typed in."""
 
+from __future__ import annotations
+
 import json
 import re
 import tomllib

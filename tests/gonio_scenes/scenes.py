@@ -1,5 +1,7 @@
 """Scene files of tests, as tables."""
 
+from __future__ import annotations
+
 import copy
 from pathlib import Path
 from typing import Any

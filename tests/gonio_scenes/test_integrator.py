@@ -1,5 +1,7 @@
 """Radiances against what radiometry says of simple scenes."""
 
+from __future__ import annotations
+
 import math
 from typing import Any
 

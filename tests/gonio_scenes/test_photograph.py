@@ -1,5 +1,7 @@
 """Photographs as measurements: values, uncertainties, flags, and what is refused."""
 
+from __future__ import annotations
+
 import json
 import math
 from pathlib import Path
@@ -24,7 +26,6 @@ from gonio.geometry import Directions
 from gonio.rig.dng import encode_dng, read_raw
 from gonio.rig.protocols import Frame
 from gonio.typing import Floats
-from tests.command_line import some
 from tests.gonio_scenes.scenes import scene
 
 ROOT = Path(__file__).parents[2]
@@ -564,9 +565,11 @@ def test_a_photograph_has_one_wavelength_and_room_for_a_raw_file(tmp_path: Path)
 def test_blind_spheres_joined_with_sweeps_cover_the_truth(tmp_path: Path) -> None:
     import importlib.util
 
-    spec = some(importlib.util.spec_from_file_location("campaign", ROOT / "tools" / "photograph_campaign.py"))
+    spec = importlib.util.spec_from_file_location("campaign", ROOT / "tools" / "photograph_campaign.py")
+    assert spec is not None
+    assert spec.loader is not None
     campaign = importlib.util.module_from_spec(spec)
-    some(spec.loader).exec_module(campaign)
+    spec.loader.exec_module(campaign)
     pulls = []
     for number in range(3):
         results, true, _ = campaign.case(tmp_path, 11, number)

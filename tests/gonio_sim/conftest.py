@@ -1,3 +1,5 @@
+from __future__ import annotations
+
 import tomllib
 from collections.abc import Callable, Iterable
 from pathlib import Path

@@ -1,5 +1,7 @@
 """Encoders, backlash and zeros: what a reading says about where the arm is."""
 
+from __future__ import annotations
+
 import math
 from collections.abc import Callable
 

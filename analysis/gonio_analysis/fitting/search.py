@@ -16,6 +16,7 @@ import numpy as np
 
 from gonio.checks.values import Rows
 from gonio.cli.pace import Pace, Say, silent
+from gonio.models.batch import SIGNIFICANCE
 from gonio.models.declaration import Values
 from gonio.typing import Floats
 from gonio_analysis.fitting import parameters
@@ -37,12 +38,18 @@ HIGHEST = ("ngan", "cube-root", "relative")
 """Metrics whose valleys are sought apart from that of the logarithms."""
 AT_BOUND = 1e-3
 """Closer to a bound than this part of its range a parameter has come to its end."""
+APART = 0.05
+"""On the search scale: starts that are nearer to each other are one."""
 SHORT = 12
 """Steps of a search that begins again inside a bound: enough to see which of several goes lowest."""
 STEP = 1e-4
 """Central differences, on the search scale: an error of 1e-8 relative, far above the rounding of the models."""
 SMALL_STEP = 1e-6
 """One-sided differences, on the search scale: good to about 1e-6, which is enough for the way to the solution."""
+LARGEST = 1e6
+"""Residual that counts, at most, where starts are judged."""
+LEVELLED = 3
+"""Steps to the level of a Lambertian part."""
 LONGEST = 0.1
 """Of the last step, on the search scale."""
 
@@ -65,15 +72,13 @@ def search(problem: Problem, data: Observations, say: Say = silent) -> Floats:
     few = data if len(data) <= GRID_POINTS else data.take(np.arange(len(data))[:: -(-len(data) // GRID_POINTS)])
     soft = softened(few, COARSE_U)
     starts = _starts(problem, data)
-    candidates: list[tuple[float, Floats]] = []
+    candidates = []
     pace = Pace("fitting: starts tried", len(starts), say)
     for k, vector in enumerate(starts):
         pace.step(k)
-        residual = soft.residual(apparent(problem.model(vector), few, quick=True))
-        # large residuals count by their logarithm: a lobe in the right place must win over one that is merely low
-        candidates.append((float(np.log1p(np.minimum(residual**2, 1e12)).sum()), vector))
+        candidates.append(_levelled(problem, few, soft, vector))
     coarse = _coarse(problem, few, soft, candidates)
-    others = [vector for vector, _ in coarse[1:] if np.abs(vector - coarse[0][0]).max() > 0.05]
+    others = [vector for vector, _ in coarse[1:] if np.abs(vector - coarse[0][0]).max() > APART]
     begin = [coarse[0][0], *others[: max(asked.searches // 4, 1)]]
     if asked.metric in HIGHEST:  # its valley may be another one than that of the logarithms
         brightest = _with_brightest(few, data)
@@ -87,7 +92,60 @@ def search(problem: Problem, data: Observations, say: Say = silent) -> Floats:
         short = [refine(problem, few, goal, vector, quick=True, limit=SHORT) for vector in inside]
         again = approach(problem, data, min(short, key=lambda f: f[1])[0], say)
         found = min(found, again, key=lambda f: f[1])
+    if asked.metric is None and asked.loss == "linear" and data.covariance is not None and data.u_rel_assumed is None:
+        found = _beyond(problem, data, few, found, candidates, say)
     return found[0]
+
+
+def _beyond(
+    problem: Problem, data: Observations, few: Observations, found: tuple[Floats, float],
+    candidates: Sequence[tuple[float, Floats]], say: Say,
+) -> tuple[Floats, float]:  # fmt: skip
+    """As long as the data reject what was found: the best of searches that begin at the best start of each width."""
+    from scipy.special import chdtrc
+
+    soft, goal = softened(few, COARSE_U), alone(few)
+    width = next((k for k, n in enumerate(problem.free) if problem.parameter(n).geometry), None)
+    starts: dict[float, Floats] = {}
+    for _, vector in sorted(candidates, key=lambda c: c[0]) if width is not None else ():
+        starts.setdefault(float(vector[width]), vector)
+    best, ends = refine(problem, few, goal, found[0], quick=True), [found[0]]
+    for vector in starts.values():
+        if chdtrc(len(few) - vector.size, 2.0 * best[1]) >= SIGNIFICANCE:
+            break
+        vector = refine(problem, few, soft, vector, quick=True, limit=SHORT)[0]
+        if min(np.abs(vector - end).max() for end in ends) > APART:
+            ends.append(vector)
+            best = min(best, refine(problem, few, goal, vector, quick=True), key=lambda f: f[1])
+    if np.abs(best[0] - found[0]).max() <= APART:
+        return found
+    return min(found, approach(problem, data, best[0], say), key=lambda f: f[1])
+
+
+def _levelled(problem: Problem, data: Observations, goal: Objective, start: Floats) -> tuple[float, Floats]:
+    """What a start costs, and the start, with the level of a Lambertian part that costs least.
+
+    Large residuals count by their logarithm: a lobe in the right place must win over one that is merely low.
+    """
+    lower, upper = problem.bounds
+    predicted, vector = apparent(problem.model(start), data, quick=True), start
+
+    def cost() -> tuple[float, Floats, Floats]:
+        residual = np.clip(goal.residual(predicted), -LARGEST, LARGEST)
+        return float(np.log1p(residual**2).sum()), vector, residual
+
+    found = latest = cost()
+    for name, slope in problem.known_slopes(start).items():
+        k = problem.free.index(name)
+        for _ in range(LEVELLED):
+            column = goal.jacobian(predicted, np.full((len(data), 1), slope))[:, 0]
+            weight = column / (1.0 + latest[2] ** 2)
+            best = vector[k] - float(weight @ latest[2]) / max(float(weight @ column), 1e-300)
+            moved = np.where(np.arange(vector.size) == k, np.clip(best, lower[k], upper[k]), vector)
+            predicted, vector = predicted + slope * (moved[k] - vector[k]), moved
+            latest = cost()
+            found = min(found, latest, key=lambda f: f[0])
+    return found[:2]
 
 
 def _starts(problem: Problem, data: Observations) -> list[Floats]:

@@ -1,5 +1,7 @@
 """Planned brackets: the wanted uncertainty, within the camera's limits and the time."""
 
+from __future__ import annotations
+
 import math
 from typing import Any
 

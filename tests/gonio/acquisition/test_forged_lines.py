@@ -2,6 +2,8 @@
 can do with what stands there. A forged line has the right checksum.
 """
 
+from __future__ import annotations
+
 import copy
 import json
 import shutil

@@ -1,5 +1,7 @@
 """Rigs and samples by the names that a user gives."""
 
+from __future__ import annotations
+
 from pathlib import Path
 
 import pytest

@@ -1,5 +1,7 @@
 """The picture of a plan on a rig: what is drawn where, and what is said."""
 
+from __future__ import annotations
+
 from pathlib import Path
 
 import numpy as np

@@ -1,5 +1,7 @@
 """`gonio calibrate geometry` on a simulated rig whose geometry is not what the rig file says, and what it refuses."""
 
+from __future__ import annotations
+
 import math
 import subprocess
 import tomllib

@@ -1,5 +1,7 @@
 """Bands from spectra and from lines."""
 
+from __future__ import annotations
+
 import math
 from pathlib import Path
 

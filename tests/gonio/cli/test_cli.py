@@ -1,5 +1,7 @@
 """The command line: help, messages, exit codes, commands of other packages."""
 
+from __future__ import annotations
+
 import csv
 import os
 import re

@@ -1,5 +1,7 @@
 """What keys of a terminal mean."""
 
+from __future__ import annotations
+
 import os
 import pty
 import re

@@ -20,7 +20,6 @@ from gonio.models import plain
 from gonio.models.plain import blinn, cook_torrance, fresnel, he_torrance, oren_nayar
 from gonio.models.plain import he_torrance_appendix_a as appendix
 from gonio.models.plain.vectors import N, direction, dot, length, polar
-from tests.command_line import some
 from tests.places import ROOT
 
 PI = math.pi
@@ -43,9 +42,11 @@ def test_the_specification_shares_nothing_with_the_kernels() -> None:
 
 
 def _tool() -> Any:
-    spec = some(importlib.util.spec_from_file_location("equations", ROOT / "tools" / "equations.py"))
+    spec = importlib.util.spec_from_file_location("equations", ROOT / "tools" / "equations.py")
+    assert spec is not None
+    assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
-    some(spec.loader).exec_module(module)
+    spec.loader.exec_module(module)
     return module
 
 

@@ -1,5 +1,7 @@
 """Poses and directions of rigs with different axes: an independent rotation-matrix oracle, and the inverse."""
 
+from __future__ import annotations
+
 import math
 from dataclasses import replace
 

@@ -1,5 +1,7 @@
 """Random rigs: an independent look finds no collision, and no refusal without a reason."""
 
+from __future__ import annotations
+
 import numpy as np
 import pytest
 

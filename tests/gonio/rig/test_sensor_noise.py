@@ -1,5 +1,7 @@
 """Rounding and noise of pixels against made ones, and what is known of numbers."""
 
+from __future__ import annotations
+
 import math
 
 import numpy as np

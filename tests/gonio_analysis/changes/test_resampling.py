@@ -1,5 +1,7 @@
 """Values of one measurement in the directions of another."""
 
+from __future__ import annotations
+
 from typing import Any
 
 import numpy as np

@@ -52,3 +52,20 @@ def test_a_search_that_ends_on_a_bound_begins_again_inside(seed: int) -> None:
     # a tenth of what one parameter may cost
     assert known(found.chi_square) == pytest.approx(known(near.chi_square), abs=0.1)
     assert not found.parameters["ior"].at_bound
+
+
+@pytest.mark.parametrize(
+    ("sigma0_um", "tau_um", "albedo", "ior"),
+    [(0.238, 0.592, 0.396, 2.18 + 6.18j), (0.177, 0.675, 0.601, 2.24 + 0j), (0.128, 0.278, 0.102, 2.59 + 3.67j)],
+)
+def test_waves_on_a_steep_surface_are_found_beside_a_wrong_valley(
+    sigma0_um: float, tau_um: float, albedo: float, ior: complex
+) -> None:
+    """A rougher or a nearly smooth surface describes these to a chi-square of 240 and more."""
+    truth = {"sigma0_um": sigma0_um, "tau_um": tau_um, "diffuse_albedo": albedo}
+    table = measure(
+        build("he-torrance", truth | {"ior": ior}), incidences=(10.0, 30.0, 50.0, 65.0), views=np.arange(-70.0, 71.0, 7)
+    )
+    found, near = fit(table, "he-torrance", ior=ior), fit(table, "he-torrance", ior=ior, start=[truth])
+    # both end where a step changes the sum by 1e-8 of it
+    assert known(found.chi_square) == pytest.approx(known(near.chi_square), rel=1e-6)

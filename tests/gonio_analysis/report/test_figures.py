@@ -1,5 +1,7 @@
 """Figures hold what their captions say, and no panel stays empty."""
 
+from __future__ import annotations
+
 import re
 from pathlib import Path
 

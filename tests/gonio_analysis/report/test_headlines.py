@@ -1,5 +1,7 @@
 """A page of several samples opens with a line each, and with what tells them apart."""
 
+from __future__ import annotations
+
 from pathlib import Path
 
 import pytest

@@ -1,5 +1,7 @@
 """Reports on large tables: pages that a browser takes, figures by several processes, and all values in files."""
 
+from __future__ import annotations
+
 import csv
 import json
 import os

@@ -1,5 +1,7 @@
 """Meshes against their own facets by Moeller and Trumbore's test of all of them, in float64."""
 
+from __future__ import annotations
+
 from pathlib import Path
 
 import numpy as np
