@@ -1,7 +1,5 @@
 """Chromium without a window, driven through its debugging pipe (file descriptors 3 and 4, no network, no library)."""
 
-from __future__ import annotations
-
 import base64
 import fcntl
 import json

@@ -3,8 +3,6 @@
 For what a command says and does. Signals, closed streams, imports and strangers' packages need a process of its own.
 """
 
-from __future__ import annotations
-
 import io
 import os
 import signal

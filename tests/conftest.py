@@ -1,7 +1,5 @@
 """What holds for every test: none is timed, because machines that run them are busy with others."""
 
-from __future__ import annotations
-
 import signal
 from collections.abc import Iterator
 

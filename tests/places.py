@@ -1,7 +1,5 @@
 """Where tests find what is not beside them."""
 
-from __future__ import annotations
-
 import os
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The house is what docs/architecture.md shows, and its folders hang together by few imports and no circle."""
 
-from __future__ import annotations
-
 import graphlib
 import re
 from collections.abc import Iterator

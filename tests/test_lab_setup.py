@@ -1,7 +1,5 @@
 """The set-up guide: every message of its table occurs in the code, every picture is there, every command exists."""
 
-from __future__ import annotations
-
 import ast
 import re
 from functools import cache

@@ -1,7 +1,5 @@
 """`make test-oldest` tests the lower bounds that pyproject.toml states, and no others."""
 
-from __future__ import annotations
-
 import re
 import tomllib
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Tests on measured data skip where the data are missing, and fail in continuous integration where they are broken."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

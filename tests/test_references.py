@@ -4,8 +4,6 @@ Citations are keys ("He1991 eq. 25"), names and a year in prose ("Benjamini and 
 year make the key), and standards and databases by their names.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The site of docs/: it builds without a warning, no link is dead, and nothing comes from the network."""
 
-from __future__ import annotations
-
 import importlib.util
 import os
 import re
@@ -12,6 +10,7 @@ from types import ModuleType
 
 import pytest
 
+from tests.command_line import some
 from tests.places import ROOT
 
 pytestmark = pytest.mark.slow
@@ -19,11 +18,9 @@ pytestmark = pytest.mark.slow
 
 def tool(name: str) -> ModuleType:
     """A script of tools/ as a module."""
-    spec = importlib.util.spec_from_file_location(name, ROOT / "tools" / f"{name}.py")
-    assert spec is not None
-    assert spec.loader is not None
+    spec = some(importlib.util.spec_from_file_location(name, ROOT / "tools" / f"{name}.py"))
     module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
+    some(spec.loader).exec_module(module)
     return module
 
 

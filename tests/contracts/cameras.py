@@ -1,7 +1,5 @@
 """The cameras that the contracts are tried on by themselves, without a rig around them."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass

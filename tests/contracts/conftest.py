@@ -4,8 +4,6 @@
 test of how a rig is entered and left builds its own from `case`, in a file where no test uses `rig`.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 

@@ -1,7 +1,5 @@
 """The rigs that the contracts are tried on: ours, the twins of a laboratory, and a stranger's."""
 
-from __future__ import annotations
-
 import contextlib
 import importlib.util
 import re

@@ -1,7 +1,5 @@
 """What every set of arms has to do."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """What every camera has to do, in a rig and by itself."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """A rig is dark before and after its use, whatever ends it."""
 
-from __future__ import annotations
-
 import pytest
 
 from gonio.errors import DeviceError

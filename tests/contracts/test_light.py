@@ -1,7 +1,5 @@
 """What every lamp has to do."""
 
-from __future__ import annotations
-
 import pytest
 
 from gonio.rig import Rig

@@ -1,7 +1,5 @@
 """What every rig has to do, whoever wrote it (docs/writing_a_driver.md): `python -m pytest tests/contracts --rig R`."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

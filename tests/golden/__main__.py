@@ -1,7 +1,5 @@
 """`python -m tests.golden [CASE ...]`: what changed since the golden set was made; `--update` makes it again."""
 
-from __future__ import annotations
-
 import argparse
 import difflib
 import tempfile

@@ -1,7 +1,5 @@
 """The cases: files that a user writes, commands, and which of what they write is kept."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

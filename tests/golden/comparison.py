@@ -1,7 +1,5 @@
 """Whether two texts are the same: words to the letter, numbers to a tolerance, and what changes from run to run not."""
 
-from __future__ import annotations
-
 import math
 import re
 

@@ -1,7 +1,5 @@
 """The golden files: one archive a case, of texts without times, versions and folders."""
 
-from __future__ import annotations
-
 import io
 import zipfile
 from pathlib import Path

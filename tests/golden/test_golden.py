@@ -1,7 +1,5 @@
 """Nothing that a user gets has changed since the golden set was made: `python -m tests.golden` shows what has."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

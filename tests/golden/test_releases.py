@@ -1,7 +1,5 @@
 """What each release wrote is read by this version: one run, with its table, an archive a release."""
 
-from __future__ import annotations
-
 import tarfile
 from pathlib import Path
 

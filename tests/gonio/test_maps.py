@@ -1,7 +1,5 @@
 """Map files: chunks that are packed here, and those that other programs write."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Map files for tests: written with `gonio.maps.Parts`, as docs/maps.md describes them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from itertools import combinations
 from pathlib import Path

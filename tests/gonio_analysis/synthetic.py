@@ -1,7 +1,5 @@
 """Measurement tables made from a model, with noise whose covariance is known."""
 
-from __future__ import annotations
-
 from typing import Any, TypeVar
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The commands as functions: options, output, and light imports."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Reports of other laboratories' measurements, where these lie beside the project."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

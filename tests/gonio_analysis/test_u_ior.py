@@ -1,7 +1,5 @@
 """Optical constants that are known only so well: a cause in the fit and in what follows from it."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """docs/wrong_models.md says what its commands print, where the measured files lie beside the project."""
 
-from __future__ import annotations
-
 import re
 import shlex
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A rig's axes, lamp and camera as Bluesky's devices."""
 
-from __future__ import annotations
-
 import contextlib
 import math
 import threading

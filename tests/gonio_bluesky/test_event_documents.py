@@ -1,7 +1,5 @@
 """A run as documents of Bluesky's event model: whole, checked, the same every time, and read back bit for bit."""
 
-from __future__ import annotations
-
 import gzip
 import json
 import math

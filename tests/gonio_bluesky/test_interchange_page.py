@@ -1,7 +1,5 @@
 """What docs/interchange.md shows can be typed in."""
 
-from __future__ import annotations
-
 import json
 import re
 import tomllib

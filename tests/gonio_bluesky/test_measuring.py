@@ -1,7 +1,5 @@
 """A run that Bluesky drives is the run that `gonio measure` makes: the same steps, the same table."""
 
-from __future__ import annotations
-
 import contextlib
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """A run's documents go into a Tiled server and come back, where Tiled is installed (it is large, and in no extra)."""
 
-from __future__ import annotations
-
 import copy
 import math
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Twins at the other end of the cable, for the drivers and for the unmodified SDK."""
 
-from __future__ import annotations
-
 import json
 import math
 import select

@@ -1,7 +1,5 @@
 """The rig file of a laboratory whose axes hang on motorised stages."""
 
-from __future__ import annotations
-
 import tomllib
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Live alignment over the twins: the real drivers, and a lamp that is dark whatever happens to the program."""
 
-from __future__ import annotations
-
 import signal
 import subprocess
 import threading
@@ -15,6 +13,7 @@ from gonio.by_hand.assistant import CAMERA_S, Assistant
 from gonio.by_hand.manual_rig import ManualRig
 from gonio.errors import DeviceError
 from gonio.rig import Frame
+from tests.command_line import some
 from tests.gonio.by_hand.test_lamp_timer import Clock
 from tests.gonio_drivers.conftest import COMMAND, LONGEST_S, angle, bench, opened, written
 from tests.gonio_drivers.test_by_hand import LANDED_DEG, goes_dark
@@ -55,8 +54,7 @@ def test_no_order_of_the_guard_comes_after_a_new_lighting(lamp: Plugged) -> None
             assert not lamp.twin.shine.lit
         light.keep(1000.0)
         light.on()
-        assert light._guard is not None
-        assert not light._guard.over()
+        assert not some(light._guard).over()
         light.check()  # after whatever lay on the line before this question
         assert lamp.twin.shine.lit
     assert not lamp.twin.shine.lit
@@ -145,12 +143,10 @@ def test_every_end_of_the_command_leaves_the_lamp_dark_and_the_arms_holding(
     pipes: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
     with subprocess.Popen(command, **pipes, text=True, cwd=tmp_path) as child:
         assert child.stdin is not None
-        assert child.stdout is not None
-        assert child.stderr is not None
-        assert "?token=" in child.stdout.readline()
+        assert "?token=" in some(child.stdout).readline()
         child.stdin.write("go light 25\nlamp on\n")
         child.stdin.flush()
-        while "lamp lit" not in (line := child.stderr.readline()):
+        while "lamp lit" not in (line := some(child.stderr).readline()):
             assert line, "it ended"
         assert twins.lamp.shine.lit
         if isinstance(ends, signal.Signals):

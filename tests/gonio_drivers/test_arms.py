@@ -1,7 +1,5 @@
 """The servo arms through the real SDK against the twin: opening, limits, landing, approach, readback, health."""
 
-from __future__ import annotations
-
 import contextlib
 import functools
 import itertools

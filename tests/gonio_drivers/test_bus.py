@@ -1,7 +1,5 @@
 """The servo bus over the real SDK against the twin: every pitfall of the SDK."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import pty

@@ -1,7 +1,5 @@
 """Work by hand on a laboratory rig, over the twins: every device missing or mute in turn, and what is left standing."""
 
-from __future__ import annotations
-
 import json
 import math
 import re

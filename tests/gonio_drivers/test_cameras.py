@@ -1,7 +1,5 @@
 """Cameras: RAW files from a folder with everything that can go wrong, a video camera, an image sequence."""
 
-from __future__ import annotations
-
 import itertools
 import subprocess
 import sys
@@ -31,6 +29,7 @@ from gonio.rig.description import RigDescription
 from gonio.rig.dng import read_raw, write_dng
 from gonio.rig.light_and_camera import Camera
 from gonio.rig.regions import require_frame
+from tests.command_line import some
 
 SIZE = (48, 64)
 DESCRIPTION = RigDescription(
@@ -122,8 +121,7 @@ def test_frames_come_in_order_with_the_exposure_and_levels_of_their_files(tether
             # the file holds the exposure as a rational of 32-bit integers
             assert frame.exposure_s == pytest.approx(exposure_s, rel=1e-9)
             assert (frame.black_level_dn, frame.white_level_dn, frame.pattern) == (64.0, 4095.0, "RGGB")
-            assert frame.file is not None
-            assert frame.file.exists()
+            assert some(frame.file).exists()
 
 
 def test_used_files_are_deleted_on_leaving_unless_they_are_to_be_kept(tethered: Tether) -> None:
@@ -279,9 +277,8 @@ def test_a_file_is_not_damaged_while_its_writer_is_held_up(tmp_path: Path, monke
         opened(tmp_path, PATIENCE_S) as camera,
     ):
         assert writer.stdin is not None
-        assert writer.stdout is not None
         camera._seen.clear()
-        assert writer.stdout.readline() == "half\n"
+        assert some(writer.stdout).readline() == "half\n"
         read = folder_camera._read
 
         def look(path: Path, data: bytes) -> Frame | DataError:

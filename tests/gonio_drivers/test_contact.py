@@ -1,7 +1,5 @@
 """The interlock with a contact that a test opens and closes: what stops, what is kept, what a person may forget."""
 
-from __future__ import annotations
-
 import stat
 import threading
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What hangs at unknown ports, over the twins: nothing lights, and a servo that was wiggled stands where it stood."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """GenICam cameras: the committee's own virtual camera through the unmodified harvesters, and a twin that misbehaves."""
 
-from __future__ import annotations
-
 import math
 import time
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The stage of docs/writing_a_driver.md, as it stands there, against a peer written from Newport's SMC100 manual."""
 
-from __future__ import annotations
-
 import math
 import re
 import sys

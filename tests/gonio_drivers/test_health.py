@@ -1,7 +1,5 @@
 """The health of a laboratory rig over its twins: journalled, waited for; an interlock that stops it at once."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import threading

@@ -1,7 +1,5 @@
 """Axes that turn further than their servos count: homing by stall, switch and index, and how the turn is lost."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable
 from pathlib import Path

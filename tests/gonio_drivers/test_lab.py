@@ -1,7 +1,5 @@
 """The laboratory rig as a whole, over the twins: measurements, faults in the middle of them, checks, messages."""
 
-from __future__ import annotations
-
 import functools
 import math
 import os

@@ -1,7 +1,5 @@
 """Landings on a computer that is held up: judged by what was seen, on a clock that nobody waits for."""
 
-from __future__ import annotations
-
 import random
 from collections.abc import Callable, Iterable, Iterator
 

@@ -1,7 +1,5 @@
 """The lamp driver against a twin in each dialect: exchanges, readback, faults, and darkness whatever happens."""
 
-from __future__ import annotations
-
 import fcntl
 import os
 import re
@@ -27,6 +25,7 @@ from gonio.rig import clock
 from gonio.rig.bands import Band, Bands
 from gonio.rig.description import RigDescription
 from gonio.rig.light_and_camera import Lamp
+from tests.command_line import some
 from tests.places import ROOT
 
 BANDS = (Band(name="blue", centre_nm=460, fwhm_nm=20), Band(name="red", centre_nm=630, fwhm_nm=20))
@@ -132,8 +131,7 @@ def test_dark_after_kill_9(lamp: Plugged, tmp_path: Path) -> None:
     )
     command = [sys.executable, "-c", program]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=ROOT) as killed:
-        assert killed.stdout is not None
-        assert killed.stdout.readline() == "lit\n"
+        assert some(killed.stdout).readline() == "lit\n"
         assert lamp.twin.shine.lit
         killed.kill()
     lamp.goes_dark()
@@ -234,8 +232,7 @@ def test_a_lamp_that_falls_silent_while_lit_is_an_error_that_says_to_switch_it_o
     light.__enter__()
     light.select(BANDS[0])
     light.on()
-    assert light._line._port is not None
-    light._line._port.timeout = SHORT_S
+    some(light._line._port).timeout = SHORT_S
     lamp.twin.faults.arm("lamp-silent", times=10_000)
     with pytest.raises(DeviceError, match="switch it off by hand"):
         light.__exit__(None, None, None)

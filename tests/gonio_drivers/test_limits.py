@@ -1,7 +1,5 @@
 """Soft limits and sides of approach: no goal that a servo is given lies beyond a limit, on the way either."""
 
-from __future__ import annotations
-
 import logging
 import math
 from typing import Any

@@ -1,7 +1,5 @@
 """Ports of the network: the same drivers, and the same twins, over a raw socket and over RFC 2217."""
 
-from __future__ import annotations
-
 import contextlib
 import selectors
 import socket

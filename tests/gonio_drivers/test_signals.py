@@ -1,7 +1,5 @@
 """Signals that come at whatever moment end nothing undetermined, and print nothing of Python's own."""
 
-from __future__ import annotations
-
 import signal
 import subprocess
 import sys

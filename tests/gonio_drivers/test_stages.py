@@ -1,7 +1,5 @@
 """Axes of Thorlabs stages: the unmodified pylablib over the twin, faults in the middle of moves, messages."""
 
-from __future__ import annotations
-
 import math
 import time
 import tomllib

@@ -1,7 +1,5 @@
 """Every way out of a laboratory rig, over the twins: what is said of lamp and arms is what the twins are."""
 
-from __future__ import annotations
-
 import math
 import os
 import re

@@ -1,7 +1,5 @@
 """Scene files of tests, as tables."""
 
-from __future__ import annotations
-
 import copy
 from pathlib import Path
 from typing import Any

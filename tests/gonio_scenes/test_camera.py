@@ -1,7 +1,5 @@
 """Rays of cameras: where they start, where they point, and that a rig's camera is the one that it has."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Radiances against what radiometry says of simple scenes."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

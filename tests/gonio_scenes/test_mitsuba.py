@@ -1,7 +1,5 @@
 """Scenes as files for Mitsuba 3: what is in them, and what is said of what is not. Nothing here needs Mitsuba."""
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import dataclass, field, replace
@@ -20,6 +18,7 @@ from gonio.errors import ConfigError
 from gonio.formats.rgl import RglMeasured
 from gonio.models import Phong
 from gonio.typing import Floats
+from tests.command_line import some
 from tests.gonio_scenes.scenes import SPHERE, scene
 
 SMALL = {"nodes": 24, "incidences": 12}
@@ -88,8 +87,7 @@ def test_slices_hold_the_light_where_mitsuba_looks_for_it() -> None:
 def test_a_smooth_metal_is_a_conductor() -> None:
     mirror = {"model": "he-torrance", "parameters": {"sigma0_um": 0.0, "tau_um": 2.0, "ior": [0.2, 3.5]}}
     made = mitsuba.export(scene(material={"m": mirror}))
-    plugin = xml(made).find("bsdf/bsdf[@type='conductor']")
-    assert plugin is not None
+    plugin = some(xml(made).find("bsdf/bsdf[@type='conductor']"))
     assert numbers(plugin.find("rgb[@name='eta']")) == [0.2] * 3
     assert numbers(plugin.find("rgb[@name='k']")) == [3.5] * 3
     assert "other shapes in its mirror" in told(made)
@@ -182,8 +180,7 @@ def test_triangles_are_written_with_the_normals_that_they_have(smooth: bool) -> 
     up = PerCorner(np.array([[0.0, 0.0, 1.0]]), np.zeros((1, 3), np.int64))
     world = World([Triangles(up if smooth else None)], np.zeros(3))
     made = mitsuba.export(replace(scene(), world=world))
-    flat = xml(made).find("shape[@type='ply']/boolean[@name='face_normals']")
-    assert flat is not None
+    flat = some(xml(made).find("shape[@type='ply']/boolean[@name='face_normals']"))
     assert flat.attrib["value"] == ("false" if smooth else "true")
     body = made.files["shape-1.ply"].partition(b"end_header\n")[2]
     rows = np.frombuffer(body, "<f4", 18 if smooth else 9).reshape(3, -1)

@@ -1,7 +1,5 @@
 """Photographs as measurements: values, uncertainties, flags, and what is refused."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path
@@ -26,6 +24,7 @@ from gonio.geometry import Directions
 from gonio.rig.dng import encode_dng, read_raw
 from gonio.rig.protocols import Frame
 from gonio.typing import Floats
+from tests.command_line import some
 from tests.gonio_scenes.scenes import scene
 
 ROOT = Path(__file__).parents[2]
@@ -565,11 +564,9 @@ def test_a_photograph_has_one_wavelength_and_room_for_a_raw_file(tmp_path: Path)
 def test_blind_spheres_joined_with_sweeps_cover_the_truth(tmp_path: Path) -> None:
     import importlib.util
 
-    spec = importlib.util.spec_from_file_location("campaign", ROOT / "tools" / "photograph_campaign.py")
-    assert spec is not None
-    assert spec.loader is not None
+    spec = some(importlib.util.spec_from_file_location("campaign", ROOT / "tools" / "photograph_campaign.py"))
     campaign = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(campaign)
+    some(spec.loader).exec_module(campaign)
     pulls = []
     for number in range(3):
         results, true, _ = campaign.case(tmp_path, 11, number)

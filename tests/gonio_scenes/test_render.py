@@ -1,7 +1,5 @@
 """Pictures: what noise is left, that a tolerance is kept, and that a seed gives one picture."""
 
-from __future__ import annotations
-
 import tracemalloc
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Scene files: what is wrong with one is said in one message that names file, key and remedy."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

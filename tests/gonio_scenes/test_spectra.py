@@ -1,7 +1,5 @@
 """Spectra of scene files, and pixels whose noise was cut off."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from gonio_scenes.exposures import _piled

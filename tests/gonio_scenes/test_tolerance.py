@@ -1,7 +1,5 @@
 """How many rays a picture takes to a tolerance, and what it says of its error."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What the simulated camera sees of a mirror, and of the lamp through an empty holder: one is the other, unfolded."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Encoders, backlash and zeros: what a reading says about where the arm is."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

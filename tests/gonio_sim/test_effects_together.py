@@ -1,7 +1,5 @@
 """Effects of 1 to 14 % that meet in one run: each of them alone is corrected, and so must they be together."""
 
-from __future__ import annotations
-
 import copy
 import datetime
 import math

@@ -1,7 +1,5 @@
 """Runs of a simulated rig whose light has what a laboratory's has: what the reduction makes of it, and the truth."""
 
-from __future__ import annotations
-
 import datetime
 import math
 from dataclasses import replace

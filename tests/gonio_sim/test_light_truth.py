@@ -1,7 +1,5 @@
 """What the light of a simulated bench truly is: warm-up, profile, polarisation, bands, and the reference's error."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A simulated rig with errors of alignment that its rig file knows, does not know, or knows with a covariance."""
 
-from __future__ import annotations
-
 import datetime
 import math
 from pathlib import Path

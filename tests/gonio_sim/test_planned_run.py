@@ -1,7 +1,5 @@
 """Runs with planned brackets on the simulated rig: uncertainty, resuming, hits of cosmic radiation."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The rendered scene against the measurement equation, pixel by pixel, and against what a mirror must show."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any

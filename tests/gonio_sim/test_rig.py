@@ -1,7 +1,5 @@
 """The rig as a whole: lamp and arms at entry and exit, steps that repeat, clock, lamp level, swaps, rig files."""
 
-from __future__ import annotations
-
 import io
 import math
 from collections.abc import Callable

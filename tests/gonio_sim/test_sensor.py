@@ -5,8 +5,6 @@ sigma/sqrt(N) and a variance to sqrt(2/N) of itself; every tolerance is five of 
 in two million tests (the seeds are fixed, so a test that passes keeps passing).
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Samples whose parameters change over them, against values worked out pixel by pixel without the renderer's levels."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The simulated lamp's random walk: Brownian motion, alike whatever was asked before."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from gonio_sim.world import World

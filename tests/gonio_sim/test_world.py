@@ -1,7 +1,5 @@
 """The clock of the simulated rig: frames have growing times, and no step reaches into the next one."""
 
-from __future__ import annotations
-
 import itertools
 
 import pytest

@@ -8,8 +8,6 @@ sides, by logarithms. Oren-Nayar's exact integral is taken from tests/reference 
 Nothing of the package's own arithmetic enters.
 """
 
-from __future__ import annotations
-
 import itertools
 import json
 import math

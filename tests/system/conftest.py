@@ -1,7 +1,5 @@
 """The bench as a user runs it: the `gonio` command, in a process of its own where that is what counts."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

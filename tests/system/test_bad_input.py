@@ -1,7 +1,5 @@
 """Bad input ends with one clear message, the right exit code, and nothing left behind."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """A plan on a rig with bodies: what is blocked is left out and said, the rest is measured, and nothing is touched."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pandas as pd

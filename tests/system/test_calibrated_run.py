@@ -1,7 +1,5 @@
 """Runs on a rig whose file names calibrations: what they say of these, and what they need of them later."""
 
-from __future__ import annotations
-
 import datetime
 import json
 import math

@@ -1,7 +1,5 @@
 """`gonio demo`: one command from nothing to a report that opens in a browser."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

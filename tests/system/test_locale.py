@@ -1,7 +1,5 @@
 """A decimal comma of the system's language changes no digit of what is written."""
 
-from __future__ import annotations
-
 import locale
 import os
 import re

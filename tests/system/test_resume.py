@@ -1,7 +1,5 @@
 """A measurement that is killed at any moment resumes: every point once, none lost, the same table."""
 
-from __future__ import annotations
-
 import json
 import signal
 import subprocess

@@ -1,7 +1,5 @@
 """A pipe, socket, device or folder where a file belongs: a named error at once, and nothing waits for it."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

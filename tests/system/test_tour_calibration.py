@@ -1,7 +1,5 @@
 """The tour's "Calibrate", word for word: its commands and files find what is true of the bench and hidden."""
 
-from __future__ import annotations
-
 import re
 import shlex
 import tomllib

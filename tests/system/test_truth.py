@@ -1,7 +1,5 @@
 """The whole line against a truth that a laboratory never has."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path

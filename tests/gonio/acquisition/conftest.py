@@ -1,7 +1,5 @@
 """A small run on a rig of numpy: measured once, and copied for every test that damages one or goes on with it."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Planned brackets: the wanted uncertainty, within the camera's limits and the time."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -2,8 +2,6 @@
 no flag; and no frame that lay on the disk is gone afterwards.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os

@@ -1,7 +1,5 @@
 """How long moves, steps and runs take, by the rig file: against times that were worked out by hand."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import astuple, replace
 

@@ -1,7 +1,5 @@
 """Metering: from any brightness, within limits, without a saturated pixel."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

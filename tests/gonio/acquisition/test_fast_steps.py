@@ -1,7 +1,5 @@
 """Steps that come faster than the disk takes them one by one: fewer syncs, the same record, nothing lost."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

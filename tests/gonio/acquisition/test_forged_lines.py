@@ -2,8 +2,6 @@
 can do with what stands there. A forged line has the right checksum.
 """
 
-from __future__ import annotations
-
 import copy
 import json
 import shutil

@@ -1,7 +1,5 @@
 """What a frame's label says does not depend on when the thread that writes it comes to it."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from concurrent.futures import Future

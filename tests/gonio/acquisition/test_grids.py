@@ -1,7 +1,5 @@
 """Grids of a plan: half vectors against rotations in thirty digits, caps against the solid angle of their parts."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What a run waits for between two steps: a person, room on the disk, a fault that passes. The result is the same."""
 
-from __future__ import annotations
-
 import os
 import signal
 import time

@@ -1,7 +1,5 @@
 """The journal: cut anywhere it loses at most its last line; damaged anywhere it says so."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

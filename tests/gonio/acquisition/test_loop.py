@@ -1,7 +1,5 @@
 """The loop on a rig of numpy: what a run holds, and that stopping it anywhere changes nothing."""
 
-from __future__ import annotations
-
 import hashlib
 import math
 import signal
@@ -24,6 +22,7 @@ from gonio.reduction import brdf
 from gonio.rig import Frame, Pose, Step
 from gonio.rig.description import Body, Geometry, Holder, Reference, RigDescription
 from gonio.rig.dng import read_raw
+from tests.command_line import some
 from tests.gonio.acquisition.conftest import Measure
 from tests.gonio.numpy_rig import SAMPLE, NumpyRig, Plugin, StopAfter, describe
 
@@ -72,14 +71,11 @@ def test_darks_are_dark_and_the_lamp_is_lit_for_the_rest(measure: Measure) -> No
 
 def test_readbacks_before_and_after_the_frames_are_recorded_with_their_times(measure: Measure) -> None:
     dark, *others = measure("run").steps()
-    assert dark.pose_time_s is not None
-    assert dark.pose_time_s >= dark.frames[-1].time_s
+    assert some(dark.pose_time_s) >= dark.frames[-1].time_s
     for step in others:
         assert step.pose == step.pose_after == step.goal  # this rig has no errors
         times = [frame.time_s for frame in step.frames]
-        assert step.pose_time_s is not None
-        assert step.pose_after_time_s is not None
-        assert step.pose_time_s <= times[0] < times[-1] <= step.pose_after_time_s
+        assert some(step.pose_time_s) <= times[0] < times[-1] <= some(step.pose_after_time_s)
 
 
 def test_a_step_during_which_an_arm_was_pushed_is_taken_again(measure: Measure, whole: list[StepRecord]) -> None:

@@ -1,7 +1,5 @@
 """Rigs and samples by the names that a user gives."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """Orders that save travel: never worse than the plan's, of the same points, and the one that a run was begun with."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections import Counter

@@ -1,7 +1,5 @@
 """Plans: their points in canonical angles, the steps they become, and what is said of a wrong one."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

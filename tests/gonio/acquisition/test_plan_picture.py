@@ -1,7 +1,5 @@
 """The picture of a plan on a rig: what is drawn where, and what is said."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

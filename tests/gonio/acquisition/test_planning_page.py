@@ -1,7 +1,5 @@
 """docs/planning.md: every plan that it shows is one, and has as many points as it says."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

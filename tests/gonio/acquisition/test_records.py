@@ -1,7 +1,5 @@
 """What a journal says of a step: typed values whose JSON comes back to the byte."""
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The time that is left of a run: learnt from steps whose true times are drawn, and compared with what comes then."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path

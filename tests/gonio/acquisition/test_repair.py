@@ -1,7 +1,5 @@
 """A run whose journal or frames were lost: nothing is removed, what can be told is told, the rest is taken again."""
 
-from __future__ import annotations
-
 import gc
 import json
 import os
@@ -23,6 +21,7 @@ from gonio.reduction import brdf, count_rates, threads
 from gonio.rig import Frame
 from gonio.rig.description import Reference
 from gonio.rig.dng import read_raw, read_record
+from tests.command_line import some
 from tests.gonio.acquisition.conftest import Measure
 from tests.gonio.numpy_rig import NumpyRig, Plugin, describe
 
@@ -41,8 +40,7 @@ def tree(folder: Path) -> dict[str, bytes]:
 
 def repaired(run: Run) -> repair.Repaired:
     """What a repair of a run that needs one has done."""
-    done = repair.repair(run.path)
-    assert done is not None
+    done = some(repair.repair(run.path))
     return done
 
 
@@ -57,8 +55,7 @@ def test_every_frame_says_what_it_is(run: Run) -> None:
     for step in run.steps():
         for number, frame in enumerate(step.frames, 1):
             path = run.frame_path(frame.file)
-            label = label_of(path, path.read_bytes())
-            assert label is not None
+            label = some(label_of(path, path.read_bytes()))
             assert (label.run, label.step, label.kind, label.point) == (run.key, step.step, step.kind, step.point)
             assert (label.number, label.count) == (number, len(step.frames))
             assert label.frame == replace(frame, sha256=None, bytes=None)
@@ -223,8 +220,7 @@ def test_reduction_leaves_out_what_is_damaged(run: Run, how: str) -> None:
     step = run.steps()[3]
     lose(run.frame_path(step.frames[0].file), how)  # of the first band
     table = brdf.reduce(run)
-    assert step.point is not None
-    row = 2 * step.point
+    row = 2 * some(step.point)
     assert table["flag"][row] == "damaged"
     assert np.isnan(table["brdf"][row])
     rest = [k for k in range(len(table)) if k != row]

@@ -2,8 +2,6 @@
 and nothing else is taken for it.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path

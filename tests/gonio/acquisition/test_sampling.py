@@ -1,7 +1,5 @@
 """Runs that grow by batches: a choice follows from the run on the disk, so stopping anywhere changes nothing."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """The health of a run: what is journalled at each step, and what pauses a run."""
 
-from __future__ import annotations
-
 import json
 import math
 import signal

@@ -1,7 +1,5 @@
 """Frames whose contents are known: a scene of photo-electrons through a sensor of numpy."""
 
-from __future__ import annotations
-
 import numpy as np
 import numpy.typing as npt
 

@@ -1,7 +1,5 @@
 """Zeros from scans: the centre of a spot, what one kind of scan leaves open, and whole alignments of hidden rigs."""
 
-from __future__ import annotations
-
 import math
 import tomllib
 from collections.abc import Callable

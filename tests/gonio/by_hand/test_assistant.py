@@ -1,7 +1,5 @@
 """A session of live alignment on a rig of numpy: one step after the other, with a clock that is the test's."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import math

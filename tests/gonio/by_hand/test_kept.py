@@ -1,7 +1,5 @@
 """What was measured by hand is kept, whatever fails afterwards."""
 
-from __future__ import annotations
-
 import signal
 from pathlib import Path
 from typing import Any

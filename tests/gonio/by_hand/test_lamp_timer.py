@@ -1,7 +1,5 @@
 """The lamp is dark unless somebody keeps it lit; time is the test's own."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field
 

@@ -1,7 +1,5 @@
 """Hands on rigs: simulated ones, and a stranger's whose driver offers nothing beside the protocols."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

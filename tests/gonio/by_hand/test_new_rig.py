@@ -1,7 +1,5 @@
 """The wizard of rig files, with a driver that finds what the test says."""
 
-from __future__ import annotations
-
 import tomllib
 from collections.abc import Callable, Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Values into a rig file: comments, order and line endings stay, and nothing is lost."""
 
-from __future__ import annotations
-
 import tomllib
 from pathlib import Path
 

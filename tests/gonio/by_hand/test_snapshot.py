@@ -1,7 +1,5 @@
 """What is said of a single frame."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The beam's profile from flats: told from the lens by several camera angles, and refused from one."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """`gonio calibrate camera` on a simulated bench whose camera is not what the rig file says, and on bad frames."""
 
-from __future__ import annotations
-
 import csv
 import math
 import re

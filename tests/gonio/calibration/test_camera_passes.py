@@ -1,7 +1,5 @@
 """Frames of a made sensor: flats too dim, the parts of the picture, pairs of a lamp that flickers, what all tell."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The unevenness of dark frames against the truth, where the frames' own noise is larger than it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Printed markers: what the simulated camera shows of them, and OpenCV finds."""
 
-from __future__ import annotations
-
 import math
 import tomllib
 import xml.etree.ElementTree as ElementTree

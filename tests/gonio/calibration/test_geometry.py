@@ -1,7 +1,5 @@
 """The fit of a rig's geometry: sightings of a rig that is known, and what each missing ingredient leaves open."""
 
-from __future__ import annotations
-
 import math
 import re
 import tomllib

@@ -1,7 +1,5 @@
 """`gonio calibrate geometry` on a simulated rig whose geometry is not what the rig file says, and what it refuses."""
 
-from __future__ import annotations
-
 import math
 import subprocess
 import tomllib

@@ -1,7 +1,5 @@
 """Camera intrinsics from pictures of a ChArUco board, drawn by OpenCV, and photographed."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

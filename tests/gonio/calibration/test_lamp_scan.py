@@ -1,7 +1,5 @@
 """`gonio calibrate light` on a simulated bench whose truth nobody who measures there knows."""
 
-from __future__ import annotations
-
 import datetime
 import math
 import tomllib
@@ -22,7 +20,7 @@ from gonio.rig import Frame
 from gonio.rig.calibrated import Calibration, identity, read_calibration, write_calibration
 from gonio.rig.calibration_use import ParameterUncertainty
 from gonio.typing import Floats
-from tests.command_line import gonio
+from tests.command_line import gonio, some
 from tests.gonio_sim.conftest import describe
 
 TRUTH = {
@@ -80,8 +78,7 @@ def test_what_is_true_of_the_lamp_is_found_and_can_be_used(tmp_path: Path) -> No
         assert (tmp_path / name).stat().st_size > 1000
     use(tmp_path, "light.toml")
     used = find_rig(str(tmp_path / "rig.toml")).description
-    assert used.lamp.beam is not None
-    assert used.lamp.beam.x_per_mm == values["lamp.beam.x_per_mm"]
+    assert some(used.lamp.beam).x_per_mm == values["lamp.beam.x_per_mm"]
     # the same data again, without the bench
     again, _, _ = found_in(tmp_path, "--series", "light-series.csv", out="again.toml")
     assert again.values["lamp"]["noise"] == pytest.approx(values["lamp.noise"])

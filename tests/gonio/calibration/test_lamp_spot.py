@@ -1,7 +1,5 @@
 """The middle of the lamp in a frame, whose image is counted out here: lamp and pupil as discs, one over the other."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Warm-up, drift and noise of a lamp: recovered with honest uncertainties, refused where the model does not hold."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Photon transfer, linearity and response curves against sensors of known truth, and other people's programs."""
 
-from __future__ import annotations
-
 import functools
 import math
 from typing import Any

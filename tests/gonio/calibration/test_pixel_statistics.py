@@ -1,7 +1,5 @@
 """What flat frames say of single pixels, whatever of the frame the white fills."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter

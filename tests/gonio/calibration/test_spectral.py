@@ -1,7 +1,5 @@
 """Bands from spectra and from lines."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

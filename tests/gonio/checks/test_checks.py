@@ -14,6 +14,7 @@ from gonio.checks.values import CheckedValues, incidences, values_of
 from gonio.checks.verdicts import Taken, VisitsOfBand, of_energy, of_pairs, of_run, of_values
 from gonio.geometry import Directions
 from gonio.typing import Floats
+from tests.command_line import some
 from tests.places import measured
 
 OVER = VisitsOfBand(
@@ -47,8 +48,7 @@ def test_pairs_of_a_true_surface_scatter_as_their_covariance_says() -> None:
     ratios = {"reciprocity": [], "left and right": []}  # type: dict[str, list[float]]
     for seed in range(40):
         for pairs in symmetries(drawn(seed, at, matte(at))):
-            assert pairs.reduced_chi_square is not None
-            ratios[pairs.kind].append(pairs.reduced_chi_square)
+            ratios[pairs.kind].append(some(pairs.reduced_chi_square))
     for found in ratios.values():
         # 36 and 60 pairs and more, 40 times: the mean is known to 4 % or better; three of these
         assert np.mean(found) == pytest.approx(1.0, abs=0.12)
@@ -63,8 +63,7 @@ def test_what_is_common_to_both_values_of_a_pair_does_not_excuse_a_difference() 
     bent = replace(values, brdf=np.where(left, 1.02, 1.0) * values.brdf)
     check = of_values(bent)[1]
     assert (check.name, check.verdict) == ("left and right", "bad")
-    assert check.value is not None
-    assert check.value > 10  # (2 % / (0.3 % sqrt 2))^2 = 22
+    assert some(check.value) > 10  # (2 % / (0.3 % sqrt 2))^2 = 22
     # were that certificate's error independent from value to value, it would be no difference
     loose = CheckedValues(bent.directions, bent.brdf, np.hypot(0.003, 0.02) * matte(at), np.zeros((len(bent), 0)))
     assert of_values(loose)[1].verdict == "ok"
@@ -101,12 +100,10 @@ def test_repeats_are_found_among_other_points_and_judged() -> None:
     at = grid()
     again = Directions(*(np.concatenate([a, a[:12] + 1e-5]) for a in at.angles))
     values = drawn(3, again, matte(again))
-    found = repeats(values)
-    assert found is not None
+    found = some(repeats(values))
     assert (found.pairs, of_pairs("repeats", found, "").verdict) == (12, "ok")
     moved = np.concatenate([np.ones(len(at.theta_i)), np.full(12, 1.03)])
-    off = repeats(replace(values, brdf=values.brdf * moved))
-    assert off is not None
+    off = some(repeats(replace(values, brdf=values.brdf * moved)))
     assert of_pairs("repeats", off, "").verdict == "bad"
     assert repeats(drawn(3, at, matte(at))) is None
 
@@ -219,10 +216,8 @@ def test_visits_to_few_directions_are_compared_two_by_two(directions: int, visit
     once = np.stack([np.full(directions, 0.7), np.zeros(directions), rng.uniform(0, 1.2, directions),
                      rng.uniform(0, 6.0, directions)])  # fmt: skip
     at = Directions(*np.tile(once, visits))
-    found = repeats(drawn(4, at, matte(at)))
-    assert found is not None
+    found = some(repeats(drawn(4, at, matte(at))))
     assert found.pairs == pairs
     moved = Directions(at.theta_i, at.phi_i, at.theta_r + rng.uniform(0, np.radians(0.01), at.theta_r.size), at.phi_r)
-    again = repeats(drawn(4, moved, matte(moved)))
-    assert again is not None
+    again = some(repeats(drawn(4, moved, matte(moved))))
     assert again.pairs == pairs

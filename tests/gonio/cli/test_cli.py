@@ -1,7 +1,5 @@
 """The command line: help, messages, exit codes, commands of other packages."""
 
-from __future__ import annotations
-
 import csv
 import os
 import re

@@ -1,7 +1,5 @@
 """What keys of a terminal mean."""
 
-from __future__ import annotations
-
 import os
 import pty
 import re

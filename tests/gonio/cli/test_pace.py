@@ -1,7 +1,5 @@
 """What long work says of itself."""
 
-from __future__ import annotations
-
 import pandas as pd
 import pytest
 from gonio_analysis.changes.point_by_point import Side, change

@@ -1,7 +1,5 @@
 """Keys that pause a measurement, on a terminal of the test's own."""
 
-from __future__ import annotations
-
 import os
 import pty
 import select

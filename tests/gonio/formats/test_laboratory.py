@@ -19,7 +19,7 @@ from gonio.errors import ConfigError
 from gonio.reduction import brdf
 from gonio.rig.description import RigDescription
 from gonio.rig.laboratory import Laboratory, merged
-from tests.command_line import gonio
+from tests.command_line import gonio, some
 from tests.gonio.formats.test_bird_json import validator
 from tests.gonio.numpy_rig import PLAN, SAMPLE, Plugin, describe
 
@@ -84,8 +84,7 @@ def test_a_plan_lies_over_the_rig_file_key_by_key(tmp_path: Path) -> None:
     stated = measurement.read(run.path).attrs["provenance"]["laboratory"]
     assert stated == kept["laboratory"] | {"measured": kept["run"]["created"], "plan": "small"}
     below = parse(Laboratory, {"sample": {"name": "a", "width_mm": 1.0}}, "rig.toml")
-    both = merged(below, parse(Laboratory, {"sample": {"name": "b", "height_mm": 1.0}}, "plan.toml"))
-    assert both is not None
+    both = some(merged(below, parse(Laboratory, {"sample": {"name": "b", "height_mm": 1.0}}, "plan.toml")))
     assert both.stated() == {"sample": {"name": "b", "width_mm": 1.0, "height_mm": 1.0}}
 
 

@@ -16,7 +16,7 @@ from gonio import measurement
 from gonio.cli.tables import convert
 from gonio.errors import ConfigError, DataError
 from gonio.formats import own_columns, workbook_cells
-from tests.command_line import gonio
+from tests.command_line import gonio, some
 
 PLAIN = """theta_i_deg,phi_i_deg,theta_r_deg,phi_r_deg,wavelength_nm,brdf,u_brdf
 10,180,20,0,550,0.25,0.01
@@ -169,14 +169,12 @@ def test_the_names_are_remembered_and_never_written_over(tmp_path: Path) -> None
     table, file = tmp_path / "mine.csv", tmp_path / "mine.columns.toml"
     table.write_text(mine())
     columns = own_columns.pairs(SPEC)
-    said = own_columns.remember(table, columns)
-    assert said is not None
+    said = some(own_columns.remember(table, columns))
     assert "mine.columns.toml now names these columns" in said
     assert_plain(measurement.read(table))
     assert own_columns.remember(table, columns) is None  # it says the same
     before = file.read_bytes()
-    said = own_columns.remember(table, {**columns, "brdf": "R"})
-    assert said is not None
+    said = some(own_columns.remember(table, {**columns, "brdf": "R"}))
     assert "says otherwise than --columns" in said
     assert file.read_bytes() == before
     (tmp_path / "mine.xlsx").write_bytes(xlsx(ROWS))

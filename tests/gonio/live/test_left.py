@@ -6,6 +6,7 @@ from gonio.acquisition.remaining import Remaining
 from gonio.acquisition.run import Run
 from gonio.live import working as module
 from gonio.live.working import Left
+from tests.command_line import some
 from tests.gonio.live.runs import Played
 
 
@@ -30,13 +31,11 @@ def test_the_rest_takes_as_long_as_steps_like_it_did(played: Played) -> None:
     played.go_on(10)
     left = Left(played.path)
     fed(left, played, range(10))
-    found = left.now()
-    assert found is not None
+    found = some(left.now())
     assert found.seconds == pytest.approx(2.0 * (24 - 9), rel=1e-9), "every step took 2 s"
     played.go_on(5)
     fed(left, played, range(10, 15))
-    again = left.now()
-    assert again is not None
+    again = some(left.now())
     assert again.seconds == pytest.approx(2.0 * (24 - 14), rel=1e-9)
 
 

@@ -20,6 +20,7 @@ from gonio.models import plain
 from gonio.models.plain import blinn, cook_torrance, fresnel, he_torrance, oren_nayar
 from gonio.models.plain import he_torrance_appendix_a as appendix
 from gonio.models.plain.vectors import N, direction, dot, length, polar
+from tests.command_line import some
 from tests.places import ROOT
 
 PI = math.pi
@@ -42,11 +43,9 @@ def test_the_specification_shares_nothing_with_the_kernels() -> None:
 
 
 def _tool() -> Any:
-    spec = importlib.util.spec_from_file_location("equations", ROOT / "tools" / "equations.py")
-    assert spec is not None
-    assert spec.loader is not None
+    spec = some(importlib.util.spec_from_file_location("equations", ROOT / "tools" / "equations.py"))
     module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
+    some(spec.loader).exec_module(module)
     return module
 
 

@@ -1,7 +1,5 @@
 """Limits of values by drawing: known distributions, and the example of another laboratory's package."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

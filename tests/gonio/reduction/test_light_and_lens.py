@@ -1,7 +1,5 @@
 """Effects of light and lens on a value, by their formulas: bands, polarisation, stray light, hot pixels."""
 
-from __future__ import annotations
-
 import math
 from types import SimpleNamespace
 from typing import Any

@@ -1,7 +1,5 @@
 """`gonio reduce RUN --map`: a simulated plate whose BRDF is known, seen pixel by pixel."""
 
-from __future__ import annotations
-
 import math
 import shutil
 import signal

@@ -11,6 +11,7 @@ from gonio.reduction import merging
 from gonio.rig.calibration_use import Calibrated, CalibrationUse
 from gonio.rig.description import RigDescription
 from gonio.typing import Floats
+from tests.command_line import some
 from tests.gonio.reduction.made_run import describe
 
 SHAPE = (16, 16)
@@ -59,8 +60,7 @@ def trials(description: RigDescription, rate: Any, exposures_s: list[float], cou
     rng, out = np.random.default_rng(5), []
     true = float(np.mean(rate))
     for _ in range(count):
-        merged = merging.merge(description, frames(description, rate, exposures_s, rng, hits))
-        assert merged is not None
+        merged = some(merging.merge(description, frames(description, rate, exposures_s, rng, hits)))
         out.append((merged.rate / true - 1.0, (merged.rate - true) / math.sqrt(merged.variance), merged.hits))
     return np.array(out).T
 
@@ -138,8 +138,7 @@ def test_steps_without_a_hit_lose_no_pixel() -> None:
 def test_the_lamp_s_flicker_makes_frames_count_alike() -> None:
     """Bright frames: the lamp is the only noise that matters, whatever their exposure."""
     description = rig(lamp=0.01)
-    merged = merging.merge(description, frames(description, 4e5, [0.02, 0.02, 0.005], np.random.default_rng(2)))
-    assert merged is not None
+    merged = some(merging.merge(description, frames(description, 4e5, [0.02, 0.02, 0.005], np.random.default_rng(2))))
     np.testing.assert_allclose(merged.frame_weights, 1 / 3, atol=0.01)
     assert math.sqrt(merged.variance) / merged.rate == pytest.approx(0.01 / math.sqrt(3), rel=0.02)
     error, pull, _ = trials(description, 4e5, [0.02, 0.02, 0.005], 400)
@@ -150,8 +149,7 @@ def test_the_lamp_s_flicker_makes_frames_count_alike() -> None:
 def test_the_rate_is_linear_in_the_frames() -> None:
     description = rig(lamp=0.01)
     stack = frames(description, 4e4, [0.02, 0.005], np.random.default_rng(2))
-    merged = merging.merge(description, stack)
-    assert merged is not None
+    merged = some(merging.merge(description, stack))
     assert merged.rate == pytest.approx(np.sum(merged.shares * stack.electrons / stack.exposures_s[:, None]), rel=1e-12)
     assert merged.shares.sum() == pytest.approx(1.0, abs=0.02)  # but for what the lamp's prior takes
 
@@ -164,8 +162,7 @@ def test_noise_that_nobody_measured_is_poisson() -> None:
     known = Calibrated(parameters=[], u=[], correlation=[], kind="camera", file="camera.toml", sha256="", made=day)
     assert merging.noise_is_known(description.model_copy(update={"calibration": CalibrationUse(known=(known,))}))
     assert merging.noise_is_known(rig())
-    merged = merging.merge(description, frames(description, 1e5, [0.02, 0.005], np.random.default_rng(2)))
-    assert merged is not None
+    merged = some(merging.merge(description, frames(description, 1e5, [0.02, 0.005], np.random.default_rng(2))))
     np.testing.assert_allclose(merged.frame_weights, [0.8, 0.2], atol=1e-3)
 
 

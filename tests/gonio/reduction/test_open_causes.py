@@ -1,7 +1,5 @@
 """What calibrations leave open: the causes together are the covariance that they are made of, carried to values."""
 
-from __future__ import annotations
-
 import datetime
 import math
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """Textures of a map: read back they are the parameters, and what was filled in is listed."""
 
-from __future__ import annotations
-
 import csv
 import json
 from pathlib import Path

@@ -5,8 +5,6 @@ directions. What looks at the result shares nothing with the planner but the rig
 projecting to and fro, and moves whose axes go each at a speed of its own, from places beside those that were meant.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections import Counter

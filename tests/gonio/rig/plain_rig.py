@@ -3,8 +3,6 @@
 It shares nothing with `gonio.rig.kinematics` and `gonio.rig.misalignment` but the meaning of the keys.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

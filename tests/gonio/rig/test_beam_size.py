@@ -1,7 +1,5 @@
 """Beams larger and smaller than the region: both give the sample's BRDF; an edge in the region is refused."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Calibration files: values over a rig file's, for one rig and for a time."""
 
-from __future__ import annotations
-
 import datetime
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Distances between bodies beside a least-squares solver that shares nothing with them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.optimize import nnls

@@ -1,7 +1,5 @@
 """Raw frames on disk: what is written comes back bit for bit, and what is damaged is said to be."""
 
-from __future__ import annotations
-
 import struct
 from fractions import Fraction
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The rig of docs/writing_a_driver.md as a stranger would install it: its code, its rig file, its entry point."""
 
-from __future__ import annotations
-
 import math
 import re
 import tomllib

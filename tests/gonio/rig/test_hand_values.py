@@ -1,7 +1,5 @@
 """Small parts of a rig file against values by hand: sensor, patterns, markers, rules that pause a run."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Pixel geometry against rays that are traced one by one in the lab's frame."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

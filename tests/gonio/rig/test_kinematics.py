@@ -1,7 +1,5 @@
 """Poses and directions of rigs with different axes: an independent rotation-matrix oracle, and the inverse."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Rigs with errors of alignment and of encoders: against a plain implementation, and there and back."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Ways on which no two bodies of a rig touch: distances, proofs against sampled motion, splits, branches."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from dataclasses import replace
@@ -19,6 +17,7 @@ from gonio.rig.description import Acquisition, ArmAxis, Arms, Body, Cable, Geome
 from gonio.rig.inverse_kinematics import Unreachable, reach
 from gonio.rig.light_and_camera import Camera, Lamp
 from gonio.rig.motion_planning import Blocked
+from tests.command_line import some
 from tests.gonio.numpy_rig import describe
 from tests.gonio.rig.plain_rig import rotation
 
@@ -49,9 +48,9 @@ def points_of(body: Body, pose: Pose) -> tuple[np.ndarray, float]:
         a, b = np.array(body.from_mm), np.array(body.to_mm)
         points, around = a + np.linspace(0, 1, 60)[:, None] * (b - a), body.radius_mm
     else:
-        assert body.centre_mm is not None
-        assert body.size_mm is not None
-        sides = [c + np.linspace(-s / 2, s / 2, 6) for c, s in zip(body.centre_mm, body.size_mm, strict=True)]
+        sides = [
+            c + np.linspace(-s / 2, s / 2, 6) for c, s in zip(some(body.centre_mm), some(body.size_mm), strict=True)
+        ]
         points, around = np.array(list(itertools.product(*sides))), 0.0
     turned = {
         "bench": np.eye(3),

@@ -1,7 +1,5 @@
 """What a rig asks of a person, where nobody can answer."""
 
-from __future__ import annotations
-
 import io
 
 import pytest

@@ -1,7 +1,5 @@
 """Random rigs: an independent look finds no collision, and no refusal without a reason."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Regions of a frame against geometry that is worked out here: the lamp straight through, the beam, a bent lens."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Rounding and noise of pixels against made ones, and what is known of numbers."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

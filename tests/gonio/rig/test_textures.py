@@ -1,7 +1,5 @@
 """Tables [texture.NAME] of a sample file: where what lies, and what is refused."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Tables of known samples, in the directions that quantities of appearance need, with a known covariance."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The command `gonio appearance`: JSON, terminal, page, and what it says of bad input."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

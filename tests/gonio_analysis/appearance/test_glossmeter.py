@@ -1,7 +1,5 @@
 """Gloss through a glossmeter's apertures, against surfaces of which it is known."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

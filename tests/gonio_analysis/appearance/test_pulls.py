@@ -3,8 +3,6 @@
 `GONIO_PULLS=200 pytest -s tests/gonio_analysis/appearance/test_pulls.py` prints them for 200 tables a sample.
 """
 
-from __future__ import annotations
-
 import math
 import os
 from typing import Any

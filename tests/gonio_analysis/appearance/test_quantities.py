@@ -1,7 +1,5 @@
 """Quantities of tables and models: right, with uncertainties that hold, and refused where angles are missing."""
 
-from __future__ import annotations
-
 import math
 from typing import Any, Literal
 

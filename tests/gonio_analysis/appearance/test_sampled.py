@@ -1,7 +1,5 @@
 """Gradients of sampled quantities are their difference quotients, value by value."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Quantities of appearance of models that are not true: their uncertainties hold the misfit, or its curve is kept."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any
@@ -19,6 +17,7 @@ from gonio.errors import ConfigError
 from gonio.geometry import Directions
 from gonio.models import ArrayModel
 from gonio.typing import Floats
+from tests.command_line import some
 
 from ..fitting.test_misfit import facets, of_facets
 
@@ -96,16 +95,11 @@ def test_a_saved_model_knows_that_it_is_off(tmp_path: Path) -> None:
     gonio.write(table, tmp_path / "t.csv")
     fit_command("lambert", str(tmp_path / "t.csv"), save=tmp_path / "sample.toml")
     found = of_sample(load_sample(tmp_path / "sample.toml"))
-    tau = fit(table, "lambert").misfit
-    assert tau is not None
+    tau = some(fit(table, "lambert").misfit)
     factor = found.radiance_factor_45_0
-    assert factor.u is not None
-    assert factor.value is not None
-    assert factor.u >= tau.tau * factor.value * 0.99
+    assert some(factor.u) >= tau.tau * some(factor.value) * 0.99
     light = found.lab[0].L
-    assert light.u is not None
-    assert light.value is not None
-    assert light.u >= tau.tau * (light.value + 16.0) / 3.0 * 0.99
+    assert some(light.u) >= tau.tau * (some(light.value) + 16.0) / 3.0 * 0.99
 
 
 def test_beyond_the_measured_angles_it_is_said() -> None:

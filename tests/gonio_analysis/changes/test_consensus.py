@@ -1,7 +1,5 @@
 """One value from several laboratories, against digits of R's metRology and against drawn comparisons."""
 
-from __future__ import annotations
-
 import json
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Laboratories compared: drawn tables whose errors are known, and the command."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

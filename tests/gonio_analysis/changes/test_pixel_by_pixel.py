@@ -1,7 +1,5 @@
 """Maps compared pixel by pixel: planted changes are found, and few of what is marked is chance."""
 
-from __future__ import annotations
-
 import csv
 import json
 from pathlib import Path

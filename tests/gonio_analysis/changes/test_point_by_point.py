@@ -1,7 +1,5 @@
 """Two things point by point: alignment that invents nothing, and verdicts that are as rare as they say."""
 
-from __future__ import annotations
-
 import csv
 import json
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Remount scatter: scale, zero and the rest are found where they were put in; measured mounts; the budget."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path

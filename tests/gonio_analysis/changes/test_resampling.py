@@ -1,7 +1,5 @@
 """Values of one measurement in the directions of another."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

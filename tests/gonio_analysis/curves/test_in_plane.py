@@ -1,7 +1,5 @@
 """In-plane curves: signs, tolerances, the mirror direction, and what a curve is divided by."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

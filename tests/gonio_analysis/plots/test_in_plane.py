@@ -1,7 +1,5 @@
 """Plot functions draw on the axes that they are given and leave matplotlib's settings alone."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import matplotlib

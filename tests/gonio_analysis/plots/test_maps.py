@@ -1,7 +1,5 @@
 """Plots out of plane and of diagnostics: what is drawn is what was measured, on the axes that were given."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

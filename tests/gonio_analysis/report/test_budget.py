@@ -1,7 +1,5 @@
 """The budget in a report: its words, and its figure."""
 
-from __future__ import annotations
-
 import pytest
 from gonio_analysis.report import budget
 from gonio_analysis.report.blocks import Paragraph, Table

@@ -1,7 +1,5 @@
 """The DataCite record beside a report: written where all that it needs is stated, and said where it is not."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

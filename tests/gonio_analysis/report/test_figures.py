@@ -1,7 +1,5 @@
 """Figures hold what their captions say, and no panel stays empty."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A page of several samples opens with a line each, and with what tells them apart."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """The health of a run in its report: extremes in words, a figure that keeps them, little weight."""
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Reports on large tables: pages that a browser takes, figures by several processes, and all values in files."""
 
-from __future__ import annotations
-
 import csv
 import json
 import os

@@ -1,7 +1,5 @@
 """The page of a map in a real browser: the values of a pixel are the file's, its curve is the model's."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """The report on a map: its numbers are those of the file, and what is not determined is said."""
 
-from __future__ import annotations
-
 import csv
 import json
 from pathlib import Path

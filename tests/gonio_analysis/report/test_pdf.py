@@ -1,7 +1,5 @@
 """The blocks of a report as HTML and on A4: every text and figure, no character lost."""
 
-from __future__ import annotations
-
 import io
 import json
 import re

@@ -1,7 +1,5 @@
 """What the reader of a file has to say of it reaches whoever looks at a result made from it."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The report: self-contained, every number in summary.json, honest about what is missing, and all or nothing."""
 
-from __future__ import annotations
-
 import csv
 import json
 import os

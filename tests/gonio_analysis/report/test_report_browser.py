@@ -1,7 +1,5 @@
 """The report in a real browser: no complaints, right numbers, reachable by keyboard, fits the window and the paper."""
 
-from __future__ import annotations
-
 import csv
 import re
 from collections.abc import Iterator

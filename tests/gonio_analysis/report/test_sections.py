@@ -1,7 +1,5 @@
 """A part of the page of one's own: numbers, a drawing and words, by one object and one line."""
 
-from __future__ import annotations
-
 import json
 from functools import partial
 from pathlib import Path

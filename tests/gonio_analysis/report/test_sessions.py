@@ -1,7 +1,5 @@
 """A run of several days: its report says when it was measured, how far each session came, what the reference said."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

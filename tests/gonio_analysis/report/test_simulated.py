@@ -1,7 +1,5 @@
 """Simulated values are called simulated: in titles, captions, legends, the interactive plot and on the console."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What a headline may say where nobody stated an uncertainty."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 
@@ -17,6 +15,7 @@ from gonio_analysis.selection.compare import examine
 from gonio.errors import ConfigError
 from gonio.formats.reader import table
 from gonio.models import build
+from tests.command_line import some
 from tests.gonio_analysis.synthetic import facts_of, measure
 
 PAINT = build("cook-torrance", {"s": 0.1, "d": 0.9, "slopes": ((0.25, 1.0),), "diffuse_albedo": 0.4, "ior": 1.5})
@@ -41,8 +40,7 @@ def test_without_uncertainties_nothing_is_not_rejected() -> None:
     assert "do not reject" not in words
     assert facts.conclusion.startswith("cook-torrance is the nearest of the 2 models")
     assert "--u-rel 0.03" in facts.conclusion
-    misfit = facts.models["cook-torrance"].fit.tau
-    assert misfit is not None
+    misfit = some(facts.models["cook-torrance"].fit.tau)
     assert misfit.value == pytest.approx(0.03, rel=0.3)  # the noise, which nobody stated; of 95 it is known to 7 %
     assert f"describes this sample to {misfit.words}, worst " in facts.conclusion
 
@@ -55,8 +53,7 @@ def test_models_that_are_far_off_do_not_describe_the_sample() -> None:
     assert best.fit.tau is not None
     assert best.fit.tau.value > math.log(2)
     assert f"misses this sample by a factor of {math.exp(best.fit.tau.value):.2g} (" in facts.conclusion
-    assert best.missed is not None
-    where, zone = best.missed.words.split(", ")
+    where, zone = some(best.missed).words.split(", ")
     assert f"{zone} at {where}" in facts.conclusion
 
 
@@ -134,8 +131,7 @@ def test_metrics_minimise_what_they_are_named_for() -> None:
     table = bare(noise=0.05)
     found = {m: headline(table, "phong", metric=m).models["phong"] for m in ("log", "ngan", "cube-root", "relative")}
     for name, key in {"log": "log_ratio", "ngan": "ngan", "cube-root": "cube_root", "relative": "relative"}.items():
-        own = found[name].metrics[key]
-        assert own is not None
+        own = some(found[name].metrics[key])
         # a thousandth: the logarithmic fit bends into differences where values are small
         assert all(own <= 1.001 * (f.metrics[key] or math.inf) for f in found.values()), name
         assert found[name].fit.goal.metric == name
@@ -193,8 +189,7 @@ def test_the_headline_and_the_choice_name_the_same_model_as_the_nearest() -> Non
     assert min(aic, key=aic.__getitem__) != min(logs, key=logs.__getitem__)  # else there is nothing to tell apart
     first = next(iter(facts.choice.near))
     assert set(facts.choice.near) == set(facts.models)  # noise of 20 % hides what tells them apart
-    named = facts.choice.named
-    assert named is not None
+    named = some(facts.choice.named)
     assert facts.best == named.candidate.label == "lambert", "the simplest of them"
     said = f"lambert is the simplest of the models that cannot be told apart from the nearest, {first}: it describes"
     if first == "lambert":
@@ -220,8 +215,7 @@ def test_the_column_of_misfits_says_what_it_ranks_by() -> None:
                 assert one.fails.words in cell.replace("\u00a0", " ")
         assert any(cells)
         for row, one in zip(found.rows, facts.choice.judged, strict=True):
-            assert one.fit.tau is not None
-            assert str(row[of_misfit]).replace("\u00a0", " ") == one.fit.tau.words
+            assert str(row[of_misfit]).replace("\u00a0", " ") == some(one.fit.tau).words
 
 
 def test_a_value_of_zero_does_not_make_a_table_silent() -> None:

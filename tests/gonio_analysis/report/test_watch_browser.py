@@ -1,7 +1,5 @@
 """The page of `gonio watch` in a real browser: what it shows, how soon, and what it does when its server goes."""
 
-from __future__ import annotations
-
 import fcntl
 import json
 import os

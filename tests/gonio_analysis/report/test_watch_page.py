@@ -1,7 +1,5 @@
 """What `gonio watch` serves, and to whom: the routes of a run's page, asked as a browser and as an attacker asks."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace

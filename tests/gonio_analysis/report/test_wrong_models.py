@@ -1,7 +1,5 @@
 """A report of a sample that no model has: how far off models are, on its first line, in its tables and on its plots."""
 
-from __future__ import annotations
-
 import html
 import json
 import math
@@ -21,6 +19,7 @@ from gonio_analysis.result_records import MisfitSummary, Reflectance
 from gonio_analysis.selection.compare import examine
 
 from gonio.geometry import Directions
+from tests.command_line import some
 
 from .. import synthetic
 from ..fitting.test_misfit import facets, of_facets
@@ -97,13 +96,11 @@ def test_plots_have_a_band_of_tau(page: tuple[Any, str]) -> None:
 
 def test_a_true_model_has_no_band_and_says_what_would_go_unnoticed() -> None:
     facts = facts_of(measure(PAINT, noise=0.01, seed=3), "lambert", "cook-torrance")
-    assert facts.choice.named is not None
-    assert facts.best == facts.choice.named.candidate.label == "cook-torrance"
+    assert facts.best == some(facts.choice.named).candidate.label == "cook-torrance"
     assert facts.conclusion.startswith(
         "cook-torrance is the simplest of the models tried that the data do not reject: "
     )
-    misfit = facts.models["cook-torrance"].fit.tau
-    assert misfit is not None
+    misfit = some(facts.models["cook-torrance"].fit.tau)
     assert (misfit.value, misfit.interval[0]) == (0.0, 0.0)
     assert re.search(r"a misfit of at most 0\.\d+ % would go unnoticed\.", facts.conclusion)
     assert facts.rho_dh_combined == []

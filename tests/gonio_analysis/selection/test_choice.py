@@ -1,7 +1,5 @@
 """Which model: the simplest that the data do not reject, and where the others fail."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """The region of angles where a model is farthest from the data."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 from typing import cast
 

@@ -1,7 +1,5 @@
 """Samples on several processes, and on a Dask cluster."""
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 import pickle

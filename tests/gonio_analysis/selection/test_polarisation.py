@@ -1,7 +1,5 @@
 """Measured Mueller matrices against He-Torrance's: the model's own matrices come back, and errors are what they are."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What a page says of a run's white reference is what went into its budget."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Rays, and a slow way to say where they meet a solid that knows only which points are inside."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

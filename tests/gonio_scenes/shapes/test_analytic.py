@@ -1,7 +1,5 @@
 """Planes, discs, spheres, cylinders and boxes: distances, normals and uv against formulas that are not theirs."""
 
-from __future__ import annotations
-
 import itertools
 from typing import Any
 

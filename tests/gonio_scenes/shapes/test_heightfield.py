@@ -1,7 +1,5 @@
 """Height fields: where the picture's values lie, smooth normals, and pictures that are none."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Meshes against their own facets by Moeller and Trumbore's test of all of them, in float64."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

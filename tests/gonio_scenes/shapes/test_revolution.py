@@ -1,7 +1,5 @@
 """Surfaces of revolution against bisection in their profile, against cylinder and sphere, and smooth ones."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

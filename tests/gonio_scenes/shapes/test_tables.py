@@ -1,7 +1,5 @@
 """Bad input: one message that names the key or the file, and what to do."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 from typing import Any

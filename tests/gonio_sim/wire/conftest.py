@@ -1,7 +1,5 @@
 """Servos at one end of a line, the unmodified SDK at the other, and the hands of who stands beside them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """Twins whose clock runs faster: what a rehearsal of the calibrations needs of them."""
 
-from __future__ import annotations
-
 import datetime
 import math
 from pathlib import Path

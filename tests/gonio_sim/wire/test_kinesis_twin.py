@@ -1,7 +1,5 @@
 """The stage's twin against its maker's protocol (APT, Issue 37): bytes by hand, and times of a trapezoid by hand."""
 
-from __future__ import annotations
-
 import math
 import struct
 

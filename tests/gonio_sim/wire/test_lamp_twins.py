@@ -1,7 +1,5 @@
 """What the lamps' twins answer."""
 
-from __future__ import annotations
-
 from gonio_sim.wire.lamps import LAMPS
 
 from gonio.rig.bands import Band

@@ -1,7 +1,5 @@
 """What the manual says of the servos, asked of the twin by the unmodified SDK; docs/twin_facts.md lists the facts."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from typing import Any

@@ -1,7 +1,5 @@
 """The twin of the servo bus: published packets, the unmodified SDK, and what each model of servo has."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import time
