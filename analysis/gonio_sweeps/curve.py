@@ -195,7 +195,7 @@ class Curve(BudgetSampler[CurveSettings]):
         starts = before if before is not None and len(before) == len(usable) else [None] * len(usable)
         known = [self.known(v, p) for v, p in zip(usable, starts, strict=True)]
         count, most = min(max(round(GROWTH * n), SMALLEST), LARGEST), self._settings.most_points
-        seen = [self._expected.visits(p.at(self._directions)[0]) for p in known]
+        seen = [self._expected.visits(p.brdf_at(self._directions)) for p in known]
         seconds = np.mean([s.seconds for s in seen], axis=0)
         cost = seconds + self._ways_s
         if most is not None:

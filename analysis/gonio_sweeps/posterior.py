@@ -179,9 +179,9 @@ class Posterior:
         p = learned(values, self.before)
         for number in range(SEARCHES):
             p = learned(values, p, on=True) if number else p
+            process = _process(values, p)
             for k in range(STEPS):
-                process = _process(values, p)
-                ends = process.summands_at(at)
+                ends = process.summands_at()
                 if (np.abs(total(*ends) - total(lobe, base)) < SETTLED * values.u).all():
                     break
                 # a summand that values hardly tell of swings to and fro if it is let
@@ -190,6 +190,7 @@ class Posterior:
                     old + np.clip(part * (end - old), -1.0, 1.0) for end, old in zip(ends, (lobe, base), strict=True)
                 )
                 values, gain = self._near(lobe, base, by, spike)
+                process = _process(values, p, process.parts)
             else:
                 return None
             if spike is not None:
@@ -347,18 +348,17 @@ class Posterior:
         size = np.maximum(np.abs(f), floor * float(np.abs(self.brdf).max()))
         return np.asarray(np.hypot(by_detector, across) / (self.link.slope(f) * size))
 
+    def brdf_at(self, directions: Directions) -> Floats:
+        """BRDF [1/sr], zero or more: what `at` gives first, without what uncertainties take."""
+        return np.maximum(self._mean(self._process, directions)[0], 0.0)
+
     def at(self, directions: Directions) -> tuple[Floats, Floats, Floats, Floats]:
         """BRDF, standard uncertainty, and the interval of 95 % [1/sr], common causes included.
 
         The BRDF is zero or more; an interval may begin below zero.
         """
         at, process = Coordinates.of(directions), self._process
-        lobe = self.link.brdf(process.mean_at(at))
-        f, effects = lobe, None
-        if self.spike is not None:
-            added, _ = self.spike.effects(directions)
-            effects = added * self.link.slope(lobe)[:, None]
-            f = lobe + added @ (self.spike.base + process.causes[: added.shape[1]])
+        f, lobe, effects = self._mean(process, directions)
         # near the most probable curve: a faint summand that is hardly known counts by its share
         seen = process.seen(at)
         variance, changes = process.variance_at(seen, effects), process.changes_at(seen)
@@ -380,22 +380,26 @@ class Posterior:
         low, high = (self.link.brdf(z + k * sd) for k in (-K95, K95))
         return np.maximum(f, 0.0), sd / self.link.slope(f), low, high
 
+    def _mean(self, process: Process, d: Directions) -> tuple[Floats, Floats, Floats | None]:
+        """BRDF [1/sr] with the spike and without; what the spike's unknowns change on the scale of the link."""
+        lobe = self.link.brdf(process.mean_at(Coordinates.of(d)))
+        if self.spike is None:
+            return lobe, lobe, None
+        added, _ = self.spike.effects(d)
+        f = lobe + added @ (self.spike.base + process.causes[: added.shape[1]])
+        return f, lobe, added * self.link.slope(lobe)[:, None]
+
     def _curve(self, process: Process, d: Directions) -> tuple[Floats, Floats, Floats, Floats]:
         """BRDF [1/sr] with the spike; covariance on the scale of the link; what one unit of the process is there;
         standard deviation [1/sr] of a new value by what errors of its angles do to a spike.
         """
-        at = Coordinates.of(d)
-        lobe = self.link.brdf(process.mean_at(at))
+        f, lobe, effects = self._mean(process, d)
+        covariance = process.covariance_at(Coordinates.of(d), effects)
         if self.spike is None:
-            return lobe, process.covariance_at(at), np.ones(d.shape), np.zeros(d.shape)
-        effects, _ = self.spike.effects(d)
+            return f, covariance, np.ones(d.shape), np.zeros(d.shape)
         _, scatter = self.spike.effects(d, 0.0 if self.angles is None else self.angles.read)
-        base = self.spike.base
-        slope = self.link.slope(lobe)
-        f = lobe + effects @ (base + process.causes[: base.size])
         # a unit of the process is 1/slope there, and slope(f) on the scale of the link
-        gain = self.link.slope(f) / slope
-        covariance = process.covariance_at(at, effects * slope[:, None])
+        gain = self.link.slope(f) / self.link.slope(lobe)
         return f, covariance * gain * gain[:, None], gain, scatter
 
 
@@ -414,9 +418,9 @@ class _Learned:
         return cls(values, p, objective(p, values, float(np.median(values.z)))[0] + jacobian, spike)
 
 
-def _process(values: Training, p: Floats) -> Process:
+def _process(values: Training, p: Floats, parts: tuple[Floats, Floats] | None = None) -> Process:
     """With the median as its mean."""
-    return Process(values, p, float(np.median(values.z)))
+    return Process(values, p, float(np.median(values.z)), parts)
 
 
 def _moved(d: Directions, by: float) -> Directions:

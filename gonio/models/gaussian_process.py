@@ -30,7 +30,6 @@ LIMB = 1.5
 CURVATURE_STEP = 1e-3
 """Of the parameters' logarithms."""
 JITTER = 1e-10
-SQRT5 = np.sqrt(5.0)
 
 
 @dataclass(frozen=True)
@@ -114,92 +113,69 @@ class Coordinates:
         )
 
 
-def _apart(a: Floats, b: Floats) -> Floats:
-    """Distances between rows of two numbers."""
-    x, y = np.subtract.outer(a[:, 0], b[:, 0]), np.subtract.outer(a[:, 1], b[:, 1])
-    return np.asarray(np.sqrt(x * x + y * y))
+@dataclass(frozen=True)
+class Scaled:
+    """Parameters of the kernel as its loops take them."""
+
+    lengths: tuple[float, ...]
+    sizes: tuple[float, ...]
+    h: float
+    d0: float
+
+    @classmethod
+    def of(cls, p: Floats) -> Scaled:
+        """From the parameters' logarithms."""
+        h, lobe, l_lobe, own, l_own, view, l_view, l_incidence, retro, d0, facets = (float(x) for x in np.exp(p[:11]))
+        sizes = (lobe**2, (own * lobe) ** 2, view**2, retro**2, facets**2)
+        return cls((l_lobe, l_own, l_view, l_incidence), sizes, h, d0)
+
+    def columns(self, at: Coordinates, prior: Prior) -> Floats:
+        """What the kernel is a function of, (11, n)."""
+        rho, turned = np.arcsinh(at.theta_h / self.h), np.arcsinh(at.apart / self.d0)
+        fixed = [np.tan(at.theta_h) ** 2, np.full(rho.shape, prior.level), prior.cosine * at.log_cos]
+        return np.array([rho, *(rho * at.toward.T), turned, *at.view.T, *at.incidence.T, *fixed])
 
 
-def _matern(r: Floats) -> Floats:
-    """Matern's function of 5/2."""
-    return np.asarray((1.0 + SQRT5 * r + 5.0 / 3.0 * r * r) * np.exp(-SQRT5 * r))
-
-
-def _slope(r: Floats) -> Floats:
-    """-(1/r) times its derivative."""
-    return np.asarray(5.0 / 3.0 * (1.0 + SQRT5 * r) * np.exp(-SQRT5 * r))
-
-
+@dataclass(frozen=True)
 class Pairs:
-    """Distances between two sets of places that no parameter of the kernel changes."""
+    """Pairs of places."""
 
-    def __init__(self, a: Coordinates, b: Coordinates, prior: Prior = OF_CURVES) -> None:
-        self.a, self.b = a, b
-        self.view = _apart(a.view, b.view)
-        self.incidence = _apart(a.incidence, b.incidence)
-        self.lobe, self.base = np.outer(a.lobe, b.lobe), np.outer(a.base, b.base)
-        self.level = prior.level**2 + prior.cosine**2 * np.outer(a.log_cos, b.log_cos)
-        self.squares = np.outer(np.tan(a.theta_h) ** 2, np.tan(b.theta_h) ** 2)
-        self.one_incidence = not bool(self.incidence.any())
+    a: Coordinates
+    b: Coordinates
+    prior: Prior = OF_CURVES
 
     def kernel(self, p: Floats) -> Floats:
         """Prior covariance."""
-        of_lobe, of_base = self.of_parts(p)
-        return self.lobe * of_lobe + self.base * of_base
+        return self.seen(*self.of_parts(p))
+
+    def seen(self, of_lobe: Floats, of_base: Floats) -> Floats:
+        """Covariance of the values, from those of lobe and base, by what is seen of both."""
+        return np.outer(self.a.lobe, self.b.lobe) * of_lobe + np.outer(self.a.base, self.b.base) * of_base
 
     def of_parts(self, p: Floats) -> tuple[Floats, Floats]:
         """Prior covariances of the logarithms of lobe and base, whatever their shares are."""
-        h, lobe, l_lobe, own, l_own, view, l_view, l_inc, retro, d0, facets = np.exp(p[:11])
-        a, b = self.a, self.b
-        rho_a, rho_b = np.arcsinh(a.theta_h / h), np.arcsinh(b.theta_h / h)
-        of_lobe = lobe**2 * _matern(np.abs(np.subtract.outer(rho_a, rho_b)) / l_lobe)
-        own_part = (own * lobe) ** 2 * _matern(_apart(rho_a[:, None] * a.toward, rho_b[:, None] * b.toward) / l_own)
-        smooth = view**2 * np.exp(-0.5 * (self.view / l_view) ** 2)
-        if not self.one_incidence:
-            inc = _matern(self.incidence / l_inc)
-            own_part, smooth = own_part * inc, smooth * inc
-        s_a, s_b = np.arcsinh(a.apart / d0), np.arcsinh(b.apart / d0)
-        of_base = retro**2 * _matern(np.abs(np.subtract.outer(s_a, s_b)))
-        smooth = smooth + self.level
-        return of_lobe + own_part + facets**2 * self.squares + smooth, of_base + smooth
+        from gonio.models._process_loops import covariances
 
-    def gradient(self, p: Floats) -> tuple[Floats, list[Floats]]:
-        """Prior covariance, and its derivatives by the logarithms of the parameters but the last."""
-        h, lobe, l_lobe, own, l_own, view, l_view, l_inc, retro, d0, facets = np.exp(p[:11])
-        own = own * lobe
-        a, b, both = self.a, self.b, self.lobe + self.base
-        rho_a, rho_b = np.arcsinh(a.theta_h / h), np.arcsinh(b.theta_h / h)
-        r1 = np.abs(np.subtract.outer(rho_a, rho_b)) / l_lobe
-        w_a, w_b = rho_a[:, None] * a.toward, rho_b[:, None] * b.toward
-        r2, r3 = _apart(w_a, w_b) / l_own, self.view / l_view
-        s_a, s_b = np.arcsinh(a.apart / d0), np.arcsinh(b.apart / d0)
-        r4 = np.abs(np.subtract.outer(s_a, s_b))
-        ri = self.incidence / l_inc
-        inc = 1.0 if self.one_incidence else _matern(ri)
-        k1, k2, k3, k4 = (
-            lobe**2 * _matern(r1) * self.lobe,
-            own**2 * _matern(r2) * self.lobe,
-            view**2 * np.exp(-0.5 * r3**2) * both,
-            retro**2 * _matern(r4) * self.base,
-        )
-        k5 = facets**2 * self.squares * self.lobe
-        total = self.level * both + k1 + (k2 + k3) * inc + k4 + k5
+        q = Scaled.of(p)
+        a, b = (q.columns(at, self.prior) for at in (self.a, self.b))
+        of_lobe, of_base = np.empty((2, a.shape[1], b.shape[1]))
+        covariances(a, b, q.lengths, q.sizes, of_lobe, of_base)
+        return of_lobe, of_base
+
+    def slopes(self, p: Floats, weights: Floats) -> Floats:
+        """Sums of `weights` (n, n) times the derivatives by the logarithms of the parameters but the last, (11,).
+
+        Of places with themselves; of the weights the upper triangle counts.
+        """
+        from gonio.models._process_loops import slopes
+
+        q = Scaled.of(p)
+        a = q.columns(self.a, self.prior)
         # d asinh(x/h)/d ln h = -(x/h)/sqrt(1 + (x/h)^2) = -tanh(asinh(x/h))
-        t_a, t_b = -np.tanh(rho_a), -np.tanh(rho_b)
-        d1 = lobe**2 * _slope(r1) * self.lobe
-        d2 = own**2 * _slope(r2) * inc * self.lobe
-        by_h = -d1 * np.subtract.outer(rho_a, rho_b) * np.subtract.outer(t_a, t_b) / l_lobe**2
-        away_a, away_b = t_a[:, None] * a.toward, t_b[:, None] * b.toward
-        for k in (0, 1):
-            turned = np.subtract.outer(w_a[:, k], w_b[:, k]) * np.subtract.outer(away_a[:, k], away_b[:, k])
-            by_h = by_h - d2 * turned / l_own**2
-        v_a, v_b = -np.tanh(s_a), -np.tanh(s_b)
-        by_d0 = -(retro**2) * self.base * _slope(r4) * np.subtract.outer(s_a, s_b) * np.subtract.outer(v_a, v_b)
-        by_inc = np.zeros_like(total) if self.one_incidence else (k2 + k3) * _slope(ri) * ri**2
-        return total, [
-            by_h, 2.0 * (k1 + k2 * inc), d1 * r1**2, 2.0 * k2 * inc, d2 * r2**2, 2.0 * k3 * inc, k3 * r3**2 * inc,
-            by_inc, 2.0 * k4, by_d0, 2.0 * k5,
-        ]  # fmt: skip
+        bent = -np.tanh(a[[0, 0, 0, 3]])
+        bent[1:3] *= self.a.toward.T
+        shares = np.array([self.a.lobe, self.a.base])
+        return np.array(slopes(a, shares, bent, weights, q.lengths, q.sizes))
 
 
 @dataclass(frozen=True)
@@ -233,7 +209,7 @@ class Training:
         """The values less what the mean of the process gives them."""
         return self.z - mean * (self.at.lobe + self.at.base if self.summed else 1.0)
 
-    @property
+    @cached_property
     def common(self) -> Floats:
         """Covariance of the common causes."""
         return np.asarray(self.causes @ self.causes.T)
@@ -241,23 +217,25 @@ class Training:
 
 def objective(p: Floats, data: Training, mean: float) -> tuple[float, Floats]:
     """-ln of likelihood times prior of the parameters' logarithms, and its gradient."""
-    from scipy.linalg import cho_factor, cho_solve
+    from scipy.linalg import cho_factor, cho_solve, lapack
 
-    k, by = data.pairs.gradient(p)
+    k = data.pairs.kernel(p) + data.common
     noise = np.exp(2.0 * p[11]) * data.u**2
-    n = data.z.size
-    k = k + data.common
-    k[np.diag_indices(n)] += noise + JITTER
+    on_diagonal = np.diag_indices(data.z.size)
+    k[on_diagonal] += noise + JITTER
     away = (p - data.prior.centres) / data.prior.spreads
     try:
-        factor = cho_factor(k, lower=True)
+        factor = cho_factor(k.T, lower=True, overwrite_a=True)
     except np.linalg.LinAlgError:
         return 1e10, np.zeros_like(p)
     y = data.beside(mean)
     alpha = cho_solve(factor, y)
-    inner = cho_solve(factor, np.eye(n)) - np.outer(alpha, alpha)
     value = 0.5 * y @ alpha + np.log(np.diag(factor[0])).sum() + 0.5 * away @ away
-    slope = np.array([0.5 * (inner * d).sum() for d in by] + [(np.diag(inner) * noise).sum()])
+    # the inverse less alpha alpha': derivatives are symmetric, so that one triangle is enough
+    weights = lapack.dpotri(factor[0], lower=1, overwrite_c=1)[0].T
+    weights -= np.outer(alpha, alpha)
+    weights[on_diagonal] *= 0.5
+    slope = np.append(data.pairs.slopes(p, weights), 2.0 * weights[on_diagonal] @ noise)
     return float(value), slope + away / data.prior.spreads
 
 
@@ -273,35 +251,31 @@ def starts(seen: Floats | None, prior: Prior) -> list[Floats]:
 
 ENOUGH = 200
 """Values that tell where the most probable parameters are, nearly: a search's time grows with their cube."""
-POLISH = 8
-"""Steps with all values."""
+POLISH = 4
+"""Steps with all values, at most: a batch adds few values to many, and the next one goes on from there."""
 
 
 def learned(data: Training, before: Floats | None = None, *, on: bool = False) -> Floats:
     """The most probable parameters of the kernel (logarithms), from several starts; `on` from those before alone.
 
-    Of more than `ENOUGH` values so many are searched, evenly in their order; all of them in a few last steps.
+    Of more than `ENOUGH` values so many are searched, evenly in their order, where there are no parameters before; all
+    of them in a few last steps.
     """
     from scipy.optimize import minimize
 
-    mean, bounds = float(np.median(data.z)), data.prior.bounds
+    mean, bounds, many = float(np.median(data.z)), data.prior.bounds, data.z.size > ENOUGH
 
     def search(values: Training, start: Floats, steps: int) -> Any:
         options = {"maxiter": steps}
         return minimize(objective, start, (values, mean), jac=True, method="L-BFGS-B", bounds=bounds, options=options)
 
-    begin = [before] if on and before is not None else starts(before, data.prior)
-    few = data
-    if (count := data.z.size) > ENOUGH:
-        kept = np.zeros(count, dtype=bool)
-        kept[np.linspace(0, count - 1, ENOUGH).astype(int)] = True
-        few = data.only(kept)
-    best: Any = None
-    for start in begin:
-        found = search(few, start, 60)
-        if best is None or found.fun < best.fun - 1e-6:
-            best = found
-    return np.asarray(best.x if few is data else search(data, best.x, POLISH).x)
+    best = before
+    if best is None or not (many or on):
+        kept = np.linspace(0, data.z.size - 1, min(data.z.size, ENOUGH)).astype(int)
+        few = data.only(kept) if many else data
+        found = [search(few, start, 60) for start in starts(before, data.prior)]
+        best = min(found, key=lambda one: round(float(one.fun), 6)).x
+    return np.asarray(search(data, best, POLISH if many else 60).x if many or on else best)
 
 
 def nearby(p: Floats, data: Training, mean: float) -> list[tuple[Floats, Floats]]:
@@ -336,20 +310,26 @@ class Process:
     data: Training
     p: Floats
     mean: float = field(default=0.0)
+    begun: tuple[Floats, Floats] | None = field(default=None, repr=False)
+    """`parts`, where they are known: shares of lobe and base do not change them."""
+
+    @cached_property
+    def parts(self) -> tuple[Floats, Floats]:
+        """Prior covariances of lobe and base among the values."""
+        return self.data.pairs.of_parts(self.p) if self.begun is None else self.begun
 
     @cached_property
     def _factor(self) -> tuple[Any, Floats]:
         from scipy.linalg import cho_factor, cho_solve
 
-        k = self.data.pairs.kernel(self.p)
-        k = k + self.data.common
+        k = self.data.pairs.seen(*self.parts) + self.data.common
         k[np.diag_indices(self.data.z.size)] += np.exp(2.0 * self.p[11]) * self.data.u**2 + JITTER
         factor = cho_factor(k, lower=True)
         return factor, cho_solve(factor, self.data.beside(self.mean))
 
-    def summands_at(self, places: Coordinates) -> tuple[Floats, Floats]:
-        """The logarithms of lobe and base where these are summands."""
-        of_lobe, of_base = self.data.pairs_with(places).of_parts(self.p)
+    def summands_at(self, places: Coordinates | None = None) -> tuple[Floats, Floats]:
+        """The logarithms of lobe and base where these are summands; without places those of the values."""
+        of_lobe, of_base = self.parts if places is None else self.data.pairs_with(places).of_parts(self.p)
         alpha = self._factor[1]
         return (
             np.asarray(self.mean + of_lobe @ (self.data.at.lobe * alpha)),

@@ -103,6 +103,10 @@ def test_a_search_with_some_values_ends_where_one_with_all_does(monkeypatch: pyt
     whole = gp.objective(gp.learned(data), data, mean)[0]
     monkeypatch.setattr(gp, "ENOUGH", 30)
     # a difference of 0.5 in the logarithm is one standard deviation of a parameter
-    assert gp.objective(gp.learned(data), data, mean)[0] < whole + 0.5
+    found = gp.learned(data)
+    assert gp.objective(found, data, mean)[0] < whole + 0.5
+    with monkeypatch.context() as patched:
+        patched.setattr(gp, "starts", lambda *_: pytest.fail("many values go on from the parameters before"))
+        assert gp.objective(gp.learned(data, found), data, mean)[0] < whole + 0.5
     monkeypatch.setattr(gp, "POLISH", 0)
     assert gp.objective(gp.learned(data), data, mean)[0] > whole + 0.5
