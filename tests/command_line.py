@@ -8,7 +8,7 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Container, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TypeVar
@@ -58,8 +58,8 @@ def no_room_beyond(size: int) -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
-def says(text: str, *words: str) -> None:
-    """A text has all these words in it."""
+def says(text: Container[str], *words: str) -> None:
+    """A text has all these words in it; a list, all these texts."""
     for word in words:
         assert word in text, f"{word!r} is not in\n{text}"
 

@@ -3,7 +3,7 @@
 numba's pip build has no vector mathematics library, so one call of `math.exp` keeps a whole loop scalar. These are
 argument reductions in two or three exact parts (Cody and Waite) followed by polynomials, with exponents built from
 integer bits. Coefficients: sine, cosine and logarithm from FreeBSD's msun; exponential and arc tangent are Chebyshev
-interpolants computed to 60 digits. `tests/gonio/models/test_closed_math.py` holds each against mpmath.
+interpolants computed to 60 digits. `tests/gonio/models/test_closed_hard.py` holds each against mpmath.
 """
 
 import math

@@ -145,8 +145,7 @@ class Case:
             if callable(words):
                 words(folder)
                 continue
-            done = gonio(folder, *words)
-            assert done.returncode == 0, f"{' '.join(words)}: {done.stderr}"
+            done = gonio(folder, *words, expect=0)
             out[f"printed-{k}.txt"] = done.stdout
         for name in self.kept:
             out[name.replace("/", "-")] = (folder / name).read_text(encoding="utf-8")
@@ -170,8 +169,7 @@ def cut_short(folder: Path) -> None:
     journal = folder / "run" / "journal.jsonl"
     lines = journal.read_bytes().splitlines(keepends=True)
     journal.write_bytes(b"".join(lines[: len(lines) // 2]))
-    done = gonio(folder, *(("sim" if word == "RIG" else word) for word in MEASURE), "--resume")
-    assert done.returncode == 0, done.stderr
+    gonio(folder, *(("sim" if word == "RIG" else word) for word in MEASURE), "--resume", expect=0)
 
 
 def shown(rig: str, change: Callable[[str], str] = str) -> Callable[[Path], None]:

@@ -20,6 +20,7 @@ from gonio.acquisition.measure import RigChoice, carry_out
 from gonio.acquisition.plan import load_plan
 from gonio.acquisition.run import Run
 from gonio.errors import ConfigError, GonioError
+from tests.command_line import says
 from tests.gonio.numpy_rig import PLAN, SAMPLE, Plugin, describe
 
 Measure = Callable[..., Run]
@@ -322,9 +323,7 @@ def test_output_without_a_manifest_is_refused_in_words_that_help(
     with pytest.raises(ConfigError) as raised:
         write(out)
     told = str(raised.value)
-    assert "not written by this version of gonio" in told
-    assert "or was changed since" in told
-    assert "move it away, or " in told
+    says(told, "not written by this version of gonio", "or was changed since", "move it away, or ")
     assert "\n" not in told
     assert named in told
     assert tree(out) == before

@@ -20,8 +20,7 @@ def aluminium(tmp_path: Path) -> Path:
 
 
 def fitted(folder: Path, *more: str) -> dict[str, Any]:
-    done = gonio(folder, "fit", "al.csv", "--model", "he-torrance", "--ior", "Al", "--json", *more)
-    assert done.returncode == 0, done.stderr
+    done = gonio(folder, "fit", "al.csv", "--model", "he-torrance", "--ior", "Al", "--json", *more, expect=0)
     found: dict[str, Any] = json.loads(done.stdout)
     return found
 
@@ -60,8 +59,7 @@ def test_sources_of_a_material_differ_and_one_alone_says_nothing() -> None:
     ],
 )
 def test_what_cannot_be_meant_is_said(aluminium: Path, more: tuple[str, ...], said: str) -> None:
-    done = gonio(aluminium, "fit", "al.csv", "--model", "he-torrance", "--ior", "Al", *more)
-    assert done.returncode == 2
+    done = gonio(aluminium, "fit", "al.csv", "--model", "he-torrance", "--ior", "Al", *more, expect=2)
     assert said in done.stderr.replace("\n", " ")
 
 

@@ -160,8 +160,7 @@ def test_an_open_contact_at_a_servo_stops_everything_until_a_person_says_so(serv
         measure(twins, tmp_path)
     assert twins.quiet
     assert not twins.lamp.shine.lit
-    run = Run.open(tmp_path / "run")
-    assert "emergency stop" in said(run, "device_error")[0]
+    assert "emergency stop" in said(Run.open(tmp_path / "run"), "device_error")[0]
     time.sleep(PASSES_S / SCALE)  # the contact is closed again by then, and that is not enough
     with pytest.raises(Tripped, match="not acknowledged yet: the contact at external port 2"):
         measure(twins, tmp_path, resume=True)
@@ -391,6 +390,5 @@ def test_after_a_cut_supply_the_arms_have_fallen_and_the_run_goes_on(serve: Serv
         servo.powered = True
         servo._path = motion.rest(servo._clock(), servo.shaft()[0] - 250)  # counts: 22 deg, with no torque to hold it
         servo.restart()
-    run = measure(twins, tmp_path, resume=True)
-    assert_true(run, points=4)
+    assert_true(measure(twins, tmp_path, resume=True), points=4)
     assert twins.quiet

@@ -34,6 +34,7 @@ from gonio.errors import ConfigError, DeviceError, Interrupted
 from gonio.reduction import brdf
 from gonio.rig import Pose, Step
 from gonio.rig.description import RigDescription
+from tests.command_line import says
 from tests.gonio_drivers.conftest import COMMAND, LONGEST_S, SAMPLE, SCALE, opened, small
 
 pytestmark = pytest.mark.slow
@@ -345,8 +346,7 @@ def test_a_push_during_an_exposure_costs_the_step_and_no_more(
     run = measure(twins, tmp_path)
     assert_true(run, points=4)
     (remark,) = [remark for remark in remarks(run) if "moved by itself" in remark]  # a busy machine makes others
-    assert "axis camera has moved by itself" in remark
-    assert "it is taken again" in remark
+    says(remark, "axis camera has moved by itself", "it is taken again")
 
 
 def test_a_target_is_changed_by_its_servo(twins: Twins) -> None:
@@ -422,8 +422,7 @@ def test_missing_ports_end_with_exit_code_3_and_one_message(tmp_path: Path) -> N
     rig.write_text(LAB.toml)
     done = subprocess.run([*COMMAND, "rig", "park", "--rig", rig], capture_output=True, text=True, check=False)
     assert done.returncode == 3
-    assert f"{rig}: devices.light.port" in done.stderr
-    assert "there is no such port" in done.stderr
+    says(done.stderr, f"{rig}: devices.light.port", "there is no such port")
     assert "Traceback" not in done.stderr
 
 

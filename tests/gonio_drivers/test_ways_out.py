@@ -292,8 +292,7 @@ def test_an_axis_turned_by_hand_past_a_turn_is_opened_where_it_is(twins: Twins, 
     assert tilt.read(132, 4) == round(here + turns * tables.COUNTS).to_bytes(4, "little", signed=True)
     by_hand(written(twins, tmp_path), "read")
     with opened(twins) as rig:
-        before = math.degrees(rig.arms.read().tilt)
-        assert before == pytest.approx(1.0, abs=SAID_DEG)
+        assert math.degrees(rig.arms.read().tilt) == pytest.approx(1.0, abs=SAID_DEG)
         assert tilt.shaft()[0] == pytest.approx(here, abs=1)
         rig.arms.move(Pose(light=math.radians(-40), camera=math.radians(40), tilt=math.radians(3)))
     assert twins.quiet

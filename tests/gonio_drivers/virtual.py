@@ -243,8 +243,7 @@ def virtual_time(monkeypatch: pytest.MonkeyPatch) -> Iterator[VirtualClock]:
         return peer
 
     def leave(peer: SerialPeer, kind: object, error: BaseException | None, trace: object) -> None:
-        line = lines.pop(peer.port)
-        end(line)
+        end(lines.pop(peer.port))
         if peer._link is not None:
             with contextlib.suppress(OSError):
                 peer._link.unlink()

@@ -67,8 +67,7 @@ def test_moved_sequences_are_uniform_and_even(dimensions: int) -> None:
     assert points.shape == (64, dimensions, 200)
     # each sequence of 64 points has 32 in either half of every axis, to a few; random ones would scatter by 4, and
     # the worst of these 200 by 11 or more
-    below = (points < 0.5).sum(axis=0)
-    assert np.abs(below - 32).max() <= 6
+    assert np.abs((points < 0.5).sum(axis=0) - 32).max() <= 6
     # and over all shifts the mean is one half: 200 shifts of 64 even points, sd 0.001
     assert np.abs(points.mean(axis=(0, 2)) - 0.5).max() < 0.005
 

@@ -14,8 +14,7 @@ def test_wavelengths_and_values_go_together(wavelengths: tuple[float, ...], valu
 
 
 def test_noise_is_cut_off_where_an_end_has_more_pixels_than_the_value_inside_it() -> None:
-    alike = np.repeat([0.0, 1.0], [400, 400])
-    assert not _piled(alike, 0.0, 1.0, 1.0)
+    assert not _piled(np.repeat([0.0, 1.0], [400, 400]), 0.0, 1.0, 1.0)
     assert not _piled(np.repeat([0.0, 1.0], [430, 370]), 0.0, 1.0, 1.0)  # 60 of sqrt(800) = 28: two sigma
     assert _piled(np.repeat([0.0, 1.0], [500, 300]), 0.0, 1.0, 1.0)
     assert not _piled(np.repeat([0.0, 1.0], [500, 300]), 0.0, 1.0, 0.1)  # hardly any noise: one value holds all

@@ -116,8 +116,7 @@ def test_a_killed_run_that_chooses_its_points_chooses_the_same(here: Command, fi
 @pytest.mark.slow
 def test_interrupt_finishes_the_step_and_exits_130(gonio: Command, files: Path) -> None:
     assert kill_after(files, "run", 3, signal.SIGINT) == 130
-    done = steps_in(files, "run")
-    assert len(done) >= 3
+    assert len(steps_in(files, "run")) >= 3
     gonio(*MEASURE, "--out", "run", "--resume")
     assert len(set(steps_in(files, "run"))) == len(steps_in(files, "run"))
 

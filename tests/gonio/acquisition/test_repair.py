@@ -40,8 +40,7 @@ def tree(folder: Path) -> dict[str, bytes]:
 
 def repaired(run: Run) -> repair.Repaired:
     """What a repair of a run that needs one has done."""
-    done = some(repair.repair(run.path))
-    return done
+    return some(repair.repair(run.path))
 
 
 def without_line(run: Run, line: int) -> None:
@@ -340,8 +339,7 @@ def test_a_byte_of_a_header_is_damage_too_where_no_line_is_left(run: Run) -> Non
 def test_repair_finds_damage_and_resuming_mends_it(run: Run, measure: Measure, whole: list[StepRecord]) -> None:
     frame = run.frame_path(run.steps()[4].frames[1].file)
     lose(frame, "changed")
-    done = repaired(run)
-    assert frame.name in done.damaged[0]
+    assert frame.name in repaired(run).damaged[0]
     assert frame.exists()
     assert [step.step for step in Run.open(run.path).steps()] == [0, 1, 2, 3, 5, 6, 7, 8]
     assert list(measure(resume=True).steps()) == whole

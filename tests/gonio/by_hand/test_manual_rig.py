@@ -1,14 +1,21 @@
 """Hands on rigs: simulated ones, and a stranger's whose driver offers nothing beside the protocols."""
 
 import math
+import signal
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
+from matplotlib.figure import Figure
 
 import gonio
+from gonio.by_hand import scan
 from gonio.by_hand.manual_rig import ManualRig
-from gonio.errors import ConfigError
+from gonio.cli.signals import undisturbed
+from gonio.disk import write_whole
+from gonio.errors import ConfigError, DataError
 from gonio.rig import Health, Pose, Reading
 from gonio.rig.description import SampleDescription
 from tests.command_line import gonio as run
@@ -131,3 +138,48 @@ def test_a_number_beyond_its_limits_is_not_good() -> None:
 def test_commands_on_a_simulated_rig(tmp_path: Path, words: list[str], code: int, message: str) -> None:
     done = run(tmp_path, "rig", *words, "--rig", "sim")
     assert (done.returncode, message in done.stdout + done.stderr) == (code, True), done.stdout + done.stderr
+
+
+# ---- what was measured by hand is kept, whatever fails afterwards ----
+
+
+TABLE = pd.DataFrame(
+    {"angle_deg": [0.0, 1.0], "signal_dn_per_s": [1.0, 2.0], "u_signal_dn_per_s": [0.1, 0.1], "flag": ["", ""]}
+)
+TABLE.attrs |= {"axis": "camera", "rig": "a rig", "band": "550 nm"}
+
+
+def _no_pictures(path: Any, data: bytes) -> None:
+    if Path(path).name.endswith("view.png") or Path(path).name == "s.png":
+        raise OSError(28, "No space left on device")
+    write_whole(path, data)
+
+
+def test_a_table_is_on_the_disk_before_its_plot_is_drawn(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(*a: object, **k: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Figure, "savefig", broken)
+    with pytest.raises(KeyboardInterrupt):
+        scan.write(TABLE, tmp_path / "s.csv")
+    assert len(pd.read_csv(tmp_path / "s.csv")) == 2
+
+
+def test_a_full_disk_is_blamed_on_the_file_that_did_not_fit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("gonio.disk.write_whole", _no_pictures)
+    with pytest.raises(DataError, match=r"s\.png: cannot be written: No space.*whole, in .*s\.csv"):
+        scan.write(TABLE, tmp_path / "s.csv")
+    with (
+        gonio.open_rig("sim-ideal") as rig,
+        pytest.raises(DataError, match=r"a-view\.png: cannot be written: No space.*whole, in .*a\.dng"),
+    ):
+        rig.snap(tmp_path / "a.dng", exposure_s=0.01)
+    assert (tmp_path / "a.dng").exists()
+
+
+def test_signals_wait_while_something_is_written() -> None:
+    before = signal.getsignal(signal.SIGINT)
+    with undisturbed():
+        signal.raise_signal(signal.SIGINT)
+        signal.raise_signal(signal.SIGQUIT)
+    assert signal.getsignal(signal.SIGINT) is before

@@ -17,6 +17,7 @@ from gonio.config import numbers_in, parse
 from gonio.errors import DataError
 from gonio.rig.calibrated import with_keys
 from gonio.rig.description import RigDescription
+from tests.command_line import says
 
 STEP_DEG = 0.088
 NOISE_PX = 0.1
@@ -230,8 +231,7 @@ def test_a_rig_file_that_is_wrong_is_contradicted_aloud_and_not_believed(
 ) -> None:
     fit = geometry.weighed(whole, claiming(filed, whole.value(ZERO) - 0.5, 0.02))
     (said,) = fit.warnings
-    assert "They contradict each other by" in said
-    assert "the measured one is taken" in said
+    says(said, "They contradict each other by", "the measured one is taken")
     assert (fit.value(ZERO), fit.u(ZERO)) == (whole.value(ZERO), whole.u(ZERO))
 
 
@@ -242,8 +242,7 @@ def test_a_zero_that_is_not_determined_stays_as_filed_and_is_named(
     (said,) = fit.warnings
     assert "is not replaced, and it was not checked" in said
     assert ZERO not in geometry.values_of(fit, filed)[1]
-    assert "printed markers" in fit.open[-1]
-    assert "face each other" in fit.open[-1]
+    says(fit.open[-1], "printed markers", "face each other")
 
 
 def test_a_measured_zero_counts_alone_where_nothing_is_claimed(whole: geometry.Fit) -> None:

@@ -7,11 +7,14 @@ from typing import Any
 import numpy as np
 import pytest
 from gonio_sim.camera import Sensor
+from scipy.ndimage import gaussian_filter
 
 from gonio.calibration import linearity, photon_transfer, pixel_statistics, response
+from gonio.calibration.pixel_statistics import CORRELATED, evened, inside
 from gonio.errors import DataError
 from gonio.rig.light_and_camera import Camera
 from gonio.rig.sensor_response import bent, straightened
+from gonio.typing import Floats
 from tests.command_line import some
 from tests.places import measured
 
@@ -176,3 +179,34 @@ def test_dark_current_doubles_where_arrhenius_says() -> None:
     assert law.energy_ev == pytest.approx(0.6, rel=1e-9)
     assert law.doubling_c == pytest.approx(math.log(2) * pixel_statistics.BOLTZMANN_EV * 288.15**2 / 0.6, rel=1e-3)
     assert pixel_statistics.temperature_law(t[:1], rate[:1], rate[:1]) is None
+
+
+# ---- what flat frames say of single pixels, whatever of the frame the white fills ----
+
+
+PRNU = 0.005
+
+
+def flat(radius_px: float, blur_px: float, seed: int) -> Floats:
+    """A white disc with a dark mark on it, out of focus, with vignetting, seen by uneven pixels."""
+    y, x = np.indices((120, 160)) - np.array([60, 80])[:, None, None]
+    white = (np.hypot(x, y) < radius_px).astype(float)
+    white[(np.abs(x - 15) < 4) & (np.abs(y) < 4)] = 0.3
+    course = 1.0 - 1e-5 * (x**2 + y**2)
+    pixels = 1.0 + PRNU * np.random.default_rng(seed).normal(size=white.shape)
+    return np.asarray(1000.0 * gaussian_filter(white, blur_px) * course * pixels)
+
+
+@pytest.mark.parametrize("radius_px", [30.0, 45.0, 300.0])
+@pytest.mark.parametrize("blur_px", [1.0, 4.0])
+def test_rims_and_marks_are_no_uneven_pixels(radius_px: float, blur_px: float) -> None:
+    for seed in range(4):
+        signal = flat(radius_px, blur_px, seed)
+        ratio, region, variance = evened(signal, inside(signal > 500.0))
+        count = np.count_nonzero(region)
+        # 4 standard deviations of a standard deviation by second differences
+        assert np.sqrt(variance) == pytest.approx(PRNU, rel=4 * CORRELATED / np.sqrt(2 * max(int(count), 1000)))
+        if count:  # of a small disc that is wholly blurred nothing is left
+            assert float(np.std(ratio[region])) == pytest.approx(
+                PRNU, rel=0.15
+            )  # local means of 1.5 times the variance

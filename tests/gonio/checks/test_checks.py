@@ -216,8 +216,6 @@ def test_visits_to_few_directions_are_compared_two_by_two(directions: int, visit
     once = np.stack([np.full(directions, 0.7), np.zeros(directions), rng.uniform(0, 1.2, directions),
                      rng.uniform(0, 6.0, directions)])  # fmt: skip
     at = Directions(*np.tile(once, visits))
-    found = some(repeats(drawn(4, at, matte(at))))
-    assert found.pairs == pairs
+    assert some(repeats(drawn(4, at, matte(at)))).pairs == pairs
     moved = Directions(at.theta_i, at.phi_i, at.theta_r + rng.uniform(0, np.radians(0.01), at.theta_r.size), at.phi_r)
-    again = some(repeats(drawn(4, moved, matte(moved))))
-    assert again.pairs == pairs
+    assert some(repeats(drawn(4, moved, matte(moved)))).pairs == pairs

@@ -2,6 +2,7 @@
 
 import os
 import pty
+import re
 import select
 import signal
 import subprocess
@@ -12,6 +13,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+
+from gonio.cli.jog_keys import End, Jog, JogKeys, Line
+from tests.command_line import gonio
 
 SCRIPT = """
 import sys, time
@@ -146,3 +150,95 @@ def test_the_terminal_is_as_it_was_however_a_run_ends(terminal: Terminal, how: s
     terminal.until("ENDED 130")
     terminal.process.wait(120)
     assert terminal.as_before
+
+
+# ---- what keys of a terminal mean ----
+
+
+AXES = ("light", "camera", "tilt")
+PATIENCE_S = 60.0
+"""For what comes: a busy machine may take seconds to start the program."""
+
+
+def test_a_line_is_what_was_typed_when_it_ends() -> None:
+    keys = JogKeys(AXES)
+    assert keys.feed(b"lamp onn") == []
+    assert keys.typed == "lamp onn"
+    assert keys.feed(b"\x7f\n") == [Line("lamp on")]
+    assert keys.feed(b"rubbish\x15help\r") == [Line("help")]
+    assert keys.feed(b"\n") == [Line("")]
+    assert keys.feed(b"\x04") == [End()]
+
+
+def test_arrows_jog_and_choose_the_step_and_tab_the_axis() -> None:
+    keys = JogKeys(AXES)
+    assert keys.feed(b"\x1b[C\x1b[D") == [Jog("light", 0.5), Jog("light", -0.5)]
+    assert keys.feed(b"\x1b[A\x1b[C") == [Jog("light", 1.0)]
+    assert keys.feed(b"\x1b[B\x1b[B\t\x1bOC") == [Jog("camera", 0.2)]
+    assert keys.feed(20 * b"\x1b[B" + b"\x1b[D") == [Jog("camera", -0.01)]
+    assert keys.feed(20 * b"\x1b[A" + b"\x1b[D") == [Jog("camera", -10.0)]
+    assert keys.feed(b"\t\t\x1b[C") == [Jog("light", 10.0)]
+
+
+def test_sequences_may_come_in_parts_and_unknown_ones_mean_nothing() -> None:
+    keys = JogKeys(AXES)
+    assert keys.feed(b"\x1b") == []
+    assert keys.feed(b"[") == []
+    assert keys.feed(b"C") == [Jog("light", 0.5)]
+    assert keys.feed(b"\x1b[3~\x1b[1;5H\x1bxab\xc3") == []
+    assert keys.feed(b"\xa9\n") == [Line("ab\xe9")]
+    assert keys.feed(b"\x1b[Z\xff\n") == [Line("\ufffd")]
+
+
+def test_wrong_wishes_are_refused_before_anything_is_opened(tmp_path: Path) -> None:
+    (tmp_path / "there.toml").write_text("")
+    for words, message in (
+        (["--out", "there.toml"], "there.toml: is there already"),
+        (["--out", "aligned.txt"], "must end with .toml"),
+        (["--out", "no/aligned.toml"], "lie in a folder that is there"),
+        (["--from", "scans.csv"], "--from belongs to scans"),
+        (["--host", "no.such.host.invalid"], "cannot be served"),
+        (["--wavelength-nm", "9000"], "lies in no band"),
+    ):
+        done = gonio(tmp_path, "rig", "align", "--live", "--rig", "sim", *words)
+        assert (done.returncode, message in done.stderr) == (2, True), done.stderr
+        assert done.stdout == ""
+
+
+@pytest.mark.slow
+def test_a_terminal_is_read_key_by_key_and_is_as_it_was_afterwards(tmp_path: Path) -> None:
+    """A pseudo-terminal: an arrow jogs, the status line counts down, and the settings come back."""
+    import termios
+
+    (tmp_path / "s.toml").write_text('name = "matt"\nmodel = "lambert"\n[parameters]\nalbedo = 0.5\n')
+    ours, theirs = pty.openpty()
+    before = termios.tcgetattr(theirs)
+    command = [sys.executable, "-c", "from gonio.cli import main; main()"]
+    command += ["rig", "align", "--live", "--rig", "sim", "--sample", "s.toml"]
+    with subprocess.Popen(
+        command, stdin=theirs, stderr=theirs, stdout=subprocess.PIPE, cwd=tmp_path, env=os.environ | {"COLUMNS": "180"}
+    ) as child:
+        said = b""
+
+        def until(pattern: bytes) -> None:
+            nonlocal said
+            end = time.monotonic() + PATIENCE_S  # the status line is drawn again and again: silence ends nothing
+            while not re.search(pattern, said):
+                left = end - time.monotonic()
+                if left <= 0 or not select.select([ours], [], [], left)[0]:
+                    child.kill()
+                    raise AssertionError(f"{pattern!r} does not come: {said[-2000:]!r}")
+                said += os.read(ours, 4096)
+
+        until(rb"\[light 0.5 deg\] > ")
+        os.write(ours, b"go light 30\n")
+        until(rb"lamp dark [^\r]*light (29|30)\.\d+")  # at rest: an arrow that comes during a move counts for nothing
+        os.write(ours, b"\x1b[Clamp on\n")
+        until(rb"light 30\.[3-7]\d* deg")
+        until(rb"dark in \d+ s")
+        os.write(ours, b"\x04")
+        until(rb"the lamp is dark")
+        assert child.wait() == 0
+    assert termios.tcgetattr(theirs)[:4] == before[:4]
+    os.close(ours)
+    os.close(theirs)

@@ -32,8 +32,7 @@ def table_of(folder: Path, *, u: bool = True, flag: bool = False) -> Path:
 
 def test_gtc_computes_our_uncertainty_of_the_hemisphere(tmp_path: Path) -> None:
     table = measurement.read(table_of(tmp_path))
-    done = gonio(tmp_path, "convert", "t.csv", "x.gtc.json")
-    assert done.returncode == 0, done.stderr
+    gonio(tmp_path, "convert", "t.csv", "x.gtc.json", expect=0)
     with (tmp_path / "x.gtc.json").open() as stream:
         archive = GTC.persistence.load_json(stream)
     random, common, _ = measurement.uncertainty(table)

@@ -93,8 +93,7 @@ def test_bird_json_without_a_placeholder_fits_the_schema_and_reads_back(
 ) -> None:
     schema = validator(shared)
     for source in ("RUN", "RUN/brdf.csv", run_of_a_bench(tmp_path).name):
-        done = gonio(tmp_path, "convert", source, "out.json", "--to", "bird-json")
-        assert done.returncode == 0, done.stderr
+        done = gonio(tmp_path, "convert", source, "out.json", "--to", "bird-json", expect=0)
         assert "unknown" not in done.stderr
         text = (tmp_path / "out.json").read_text(encoding="utf-8")
         assert '"unknown' not in text
@@ -122,8 +121,7 @@ def test_a_range_of_wavelengths_rises() -> None:
 
 def test_every_missing_key_is_named_and_nothing_is_written(tmp_path: Path) -> None:
     measured(tmp_path, PLAN + '\n[laboratory]\norganisation = "Institute"\n[laboratory.sample]\nshape = "disc"\n')
-    done = gonio(tmp_path, "convert", "RUN", "out.json", "--to", "bird-json")
-    assert done.returncode == 2
+    done = gonio(tmp_path, "convert", "RUN", "out.json", "--to", "bird-json", expect=2)
     assert [line.strip() for line in done.stderr.splitlines() if line.startswith("  laboratory.")] == [
         *(f"laboratory.{key}" for key in ("contact", "email")),
         *(f"laboratory.address.{key}" for key in ("country", "city", "street", "building", "postal_code")),
@@ -132,8 +130,7 @@ def test_every_missing_key_is_named_and_nothing_is_written(tmp_path: Path) -> No
         "laboratory.sample.zero_azimuth",
     ]
     assert "[laboratory] of the plan or of the rig file" in done.stderr
-    done = gonio(tmp_path, "convert", "RUN", "out.json", "--to", "datacite")
-    assert done.returncode == 2
+    done = gonio(tmp_path, "convert", "RUN", "out.json", "--to", "datacite", expect=2)
     named = [line.strip() for line in done.stderr.splitlines() if line.startswith("  laboratory.")]
     assert named == ["laboratory.creators", "laboratory.publication_year"]
     assert not (tmp_path / "out.json").exists()
@@ -152,11 +149,9 @@ def test_a_run_that_states_nothing_is_converted_as_ever_and_says_so(tmp_path: Pa
     measured(tmp_path, PLAN)
     assert "laboratory" not in (tmp_path / "RUN" / "run.toml").read_text()
     assert "laboratory" not in (tmp_path / "RUN" / "brdf.meta.json").read_text()
-    done = gonio(tmp_path, "convert", "RUN", "out.json", "--to", "bird-json")
-    assert done.returncode == 0
+    done = gonio(tmp_path, "convert", "RUN", "out.json", "--to", "bird-json", expect=0)
     assert 'stand as "unknown"' in " ".join(done.stderr.split())
-    done = gonio(tmp_path, "convert", "RUN", "dc.json", "--to", "datacite")
-    assert done.returncode == 2
+    done = gonio(tmp_path, "convert", "RUN", "dc.json", "--to", "datacite", expect=2)
     assert "[laboratory]" in done.stderr
 
 
@@ -176,8 +171,7 @@ def test_a_later_session_may_state_more_and_changes_no_step(tmp_path: Path) -> N
 
 def test_a_datacite_record_has_what_is_required(tmp_path: Path) -> None:
     measured(tmp_path, PLAN + OF_PLAN + '[[laboratory.funding]]\nfunder = "A fund"\naward = "7"\n', RIG)
-    done = gonio(tmp_path, "convert", "RUN", "dc.json", "--to", "datacite")
-    assert done.returncode == 0, done.stderr
+    done = gonio(tmp_path, "convert", "RUN", "dc.json", "--to", "datacite", expect=0)
     assert "no DOI yet" in done.stderr
     content = json.loads((tmp_path / "dc.json").read_text(encoding="utf-8"))
     assert content["creators"][0]["familyName"] == "Doe"

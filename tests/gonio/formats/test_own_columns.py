@@ -16,7 +16,7 @@ from gonio import measurement
 from gonio.cli.tables import convert
 from gonio.errors import ConfigError, DataError
 from gonio.formats import own_columns, workbook_cells
-from tests.command_line import gonio, some
+from tests.command_line import gonio, says, some
 
 PLAIN = """theta_i_deg,phi_i_deg,theta_r_deg,phi_r_deg,wavelength_nm,brdf,u_brdf
 10,180,20,0,550,0.25,0.01
@@ -50,8 +50,7 @@ def test_names_and_units_of_ones_own(mark: str, point: str) -> None:
     columns = own_columns.pairs(SPEC)
     frame = measurement.parse(mine(mark, point).encode(), Path("mine.csv"), columns=columns)
     assert_plain(frame)
-    assert "brdf is the file's column 'R' [factor]" in frame.attrs["notes"]
-    assert "columns left out: 'run'" in frame.attrs["notes"]
+    says(frame.attrs["notes"], "brdf is the file's column 'R' [factor]", "columns left out: 'run'")
 
 
 def test_the_file_beside_the_table_is_read_by_every_command(tmp_path: Path) -> None:
@@ -197,18 +196,14 @@ def test_fit_compare_and_appearance_take_them(tmp_path: Path, ending: str) -> No
     text = "\n".join(",".join(map(str, row)) for row in rows) + "\n"
     table.write_bytes(xlsx(rows) if ending == "xlsx" else text.encode())
     spec = "theta_i=inc,phi_i=az,theta_r=det,phi_r=azd,brdf=R:percent"
-    done = gonio(tmp_path, "fit", table.name, "--model", "lambert", "--columns", spec, "--json")
-    assert done.returncode == 0, done.stderr
+    done = gonio(tmp_path, "fit", table.name, "--model", "lambert", "--columns", spec, "--json", expect=0)
     assert json.loads(done.stdout)["parameters"]["albedo"]["value"] == pytest.approx(0.5, rel=1e-9)
     assert "mine.columns.toml now names these columns" in " ".join(done.stderr.split())
     (tmp_path / "mine.columns.toml").unlink()
-    done = gonio(tmp_path, "compare", table.name, "--models", "lambert", "--columns", spec, "--out", "page")
-    assert done.returncode == 0, done.stderr
-    done = gonio(tmp_path, "appearance", table.name, "--json")  # remembered
-    assert done.returncode == 0, done.stderr
+    done = gonio(tmp_path, "compare", table.name, "--models", "lambert", "--columns", spec, "--out", "page", expect=0)
+    done = gonio(tmp_path, "appearance", table.name, "--json", expect=0)  # remembered
     assert json.loads(done.stdout)["lab"][0]["theta_i_deg"] == 45.0
-    done = gonio(tmp_path, "fit", table.name, "--model", "lambert", "--columns", "theta_i=inc")
-    assert done.returncode == 1
+    done = gonio(tmp_path, "fit", table.name, "--model", "lambert", "--columns", "theta_i=inc", expect=1)
     assert "no column is named for phi_i_deg" in done.stderr
 
 

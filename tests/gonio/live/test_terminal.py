@@ -9,6 +9,7 @@ import gonio
 from gonio.acquisition.journal import encode
 from gonio.live import terminal
 from gonio.live.watching import Watched
+from tests.command_line import says
 from tests.gonio.live.runs import Played
 from tests.gonio.live.test_watching import until
 from tests.gonio.live.test_working import worked
@@ -31,14 +32,17 @@ def test_the_panel_shows_steps_values_flags_drift_and_events(ended: Watched) -> 
     with console.capture() as shown:
         console.print(terminal.render(ended))
     text = shown.get()
-    assert "ended: step 24 of 24, 1 flagged" in text
-    assert "[moved]" in text
-    assert "since the first visit" in text
-    assert "1/sr" in text
-    assert " ± " in text
-    assert "provisional" in text
-    assert "session: a session begins: 24 steps to take" in text
-    assert "camera" in text
+    says(
+        text,
+        "ended: step 24 of 24, 1 flagged",
+        "[moved]",
+        "since the first visit",
+        "1/sr",
+        " ± ",
+        "provisional",
+        "session: a session begins: 24 steps to take",
+        "camera",
+    )
 
 
 def test_a_step_in_a_line(ended: Watched) -> None:
@@ -48,8 +52,7 @@ def test_a_step_in_a_line(ended: Watched) -> None:
     assert lines[1].startswith("step 1: reference; ")
     point = next(event for event in steps if event["kind"] == "point")
     theta_r = point["angles_deg"][2]
-    assert f"theta_i 30, theta_r {theta_r:g}, dphi 0 deg; " in terminal.step_line(point)
-    assert "% of full scale in" in terminal.step_line(point)
+    says(terminal.step_line(point), f"theta_i 30, theta_r {theta_r:g}, dphi 0 deg; ", "% of full scale in")
 
 
 def test_a_summary_in_a_line() -> None:

@@ -56,11 +56,9 @@ def test_a_class_in_a_file_is_fitted_saved_and_used(tmp_path: Path) -> None:
     name = ward(tmp_path)
     made = build("ggx", {"alpha": 0.2, "ior": 1.5, "diffuse_albedo": 0.2})
     measurement.write(measure(made), tmp_path / "t.csv")
-    done = gonio(tmp_path, "fit", "t.csv", "--model", name, "--save", "ward.toml")
-    assert done.returncode == 0, done.stderr
+    done = gonio(tmp_path, "fit", "t.csv", "--model", name, "--save", "ward.toml", expect=0)
     assert "rho_d" in done.stdout + done.stderr
-    again = gonio(tmp_path, "appearance", "ward.toml")
-    assert again.returncode == 0, again.stderr
+    gonio(tmp_path, "appearance", "ward.toml", expect=0)
 
 
 def test_what_is_wrong_with_a_file_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

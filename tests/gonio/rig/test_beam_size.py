@@ -44,8 +44,7 @@ def test_an_edge_that_cuts_through_the_region_is_flagged_in_the_plan(tmp_path: P
     run = measured(tmp_path, rig(1.0), [0.0, 40.0, 48.0, 56.0, 70.0], [20.0])
     assert run.plan["flag"].tolist() == ["", "", "", "partly_filled", "partly_filled"]
     assert "cuts through" in run.plan["reason"].iloc[3]
-    table = brdf.reduce(run)
-    assert table["brdf"].notna().tolist() == [True, True, True, False, False]
+    assert brdf.reduce(run)["brdf"].notna().tolist() == [True, True, True, False, False]
 
 
 @pytest.mark.parametrize(("beam_mm", "message"), [(0.7, "lies beside"), (20.0, "reaches 11.8"), (24.0, "")])

@@ -131,8 +131,7 @@ def test_no_way_that_is_found_touches_whatever_the_speeds_of_the_axes() -> None:
 
 def test_one_arm_goes_first_where_both_together_could_meet() -> None:
     start, goal = deg(-60, -20), deg(10, 50)
-    legs = motion_planning.route(RIG, start, goal)
-    assert legs == [deg(-60, 50), deg(10, 50)]
+    assert motion_planning.route(RIG, start, goal) == [deg(-60, 50), deg(10, 50)]
     assert motion_planning.route(RIG.model_copy(update={"bodies": ()}), start, goal) == [goal]
 
 

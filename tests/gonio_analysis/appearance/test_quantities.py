@@ -1,14 +1,17 @@
 """Quantities of tables and models: right, with uncertainties that hold, and refused where angles are missing."""
 
 import math
+from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
 import pytest
+from gonio_analysis.appearance import sampled, sampled_hemisphere
 from gonio_analysis.appearance.glossmeter import GLOSSMETERS, gloss
 from gonio_analysis.appearance.of_models import _mean, of_fit, of_model, of_sample
 from gonio_analysis.appearance.quantities import of_table
 from gonio_analysis.fitting.fit import fit
+from gonio_analysis.fitting.observations import Observations, observations
 from gonio_analysis.report.appearance import listed
 from gonio_analysis.result_records import Quantity
 
@@ -16,6 +19,7 @@ from gonio import colour
 from gonio.models import CookTorrance, HeTorrance, Lambert, Model, OrenNayar, Sum
 from gonio.rig.calibration_use import ParameterUncertainty
 from gonio.rig.description import SampleDescription
+from gonio.typing import Floats
 from tests.gonio_analysis.appearance.simulated import hemisphere, measured, named, noisy, plane
 from tests.gonio_analysis.synthetic import known
 
@@ -66,7 +70,7 @@ def test_the_error_of_a_gloss_from_one_plane_covers_what_it_assumes() -> None:
     sample = of_table(measured(model, swept(*GLOSSY)), name="sampled")
     for meter, q in zip(GLOSSMETERS, (sample.gloss_20_gu, sample.gloss_60_gu, sample.gloss_85_gu), strict=True):
         if q.value is None:
-            assert "the measured directions do not say enough" in known_words(q.why)
+            assert "the measured directions do not say enough" in known(q.why)
         else:
             assert abs(q.value - gloss(model, meter, 550.0)[0]) <= known(q.error) + 0.01
     assert sample.gloss_85_gu.value is None
@@ -85,13 +89,7 @@ def test_gloss_at_85_of_facets_is_stated_within_its_error(
     assert known(found.error) < 0.07 * known(found.value)  # what depends on the half vector is told from the values
     flat = of_table(measured(model, plane(85.0, SIGNED)), name="facets").gloss_85_gu
     assert flat.value is None
-    assert "values out of the plane of incidence within 25° of the mirror direction may tell" in known_words(flat.why)
-
-
-def known_words(text: str | None) -> str:
-    """A text that has to be there."""
-    assert text is not None
-    return text
+    assert "values out of the plane of incidence within 25° of the mirror direction may tell" in known(flat.why)
 
 
 @pytest.mark.parametrize("model", [Lambert(0.8), OrenNayar(0.9, 30.0), PAINT], ids=("white", "plaster", "paint"))
@@ -113,7 +111,7 @@ def test_a_spike_is_in_the_reflectance() -> None:
 def test_half_a_hemisphere_gives_a_lower_bound() -> None:
     sample = of_table(measured(Lambert(0.8), hemisphere(8.0, end=60.0)), name="cut")
     assert sample.rho_dh_8.value is None
-    assert "% of the projected hemisphere was measured" in known_words(sample.rho_dh_8.why)
+    assert "% of the projected hemisphere was measured" in known(sample.rho_dh_8.why)
     assert known(sample.rho_dh_8.at_least) == pytest.approx(0.8 * math.sin(math.radians(60.0)) ** 2, rel=0.05)
 
 
@@ -124,7 +122,7 @@ def test_roughness_is_that_of_a_smooth_surface(sigma_um: float) -> None:
     assert known(of_model(smooth, name="smooth").rms_roughness_nm.value) == pytest.approx(1e3 * sigma_um, rel=0.04)
     rough = of_model(PAINT, name="paint")
     assert rough.rms_roughness_nm.value is None
-    assert "is scattered" in known_words(rough.rms_roughness_nm.why)
+    assert "is scattered" in known(rough.rms_roughness_nm.why)
 
 
 def test_colours_are_those_of_the_spectrum() -> None:
@@ -176,9 +174,9 @@ def test_without_a_spectrum_there_is_neither_a_colour_nor_a_lightness(waves: tup
     )
     for c in sample.lab:
         assert c.L.value is c.a.value is c.b.value is None
-        assert "steps of at most 20 nm" in known_words(c.L.why)
-        assert known_words(c.L.why).endswith(words)
-    assert known_words(sample.flop_index.why) == known_words(sample.lab[0].L.why)
+        assert "steps of at most 20 nm" in known(c.L.why)
+        assert known(c.L.why).endswith(words)
+    assert known(sample.flop_index.why) == known(sample.lab[0].L.why)
     (row,) = (one for one in listed(sample) if "L*" in one.label)
     assert row.value == "–"
     assert row.remark.endswith(words)
@@ -190,7 +188,7 @@ def test_a_lightness_above_that_of_white_is_explained() -> None:
     assert {(c.theta_i_deg, c.aspecular_deg) for c in above} >= {(45.0, 15.0), (45.0, -15.0)}
     for c in sample.lab:
         assert (c.L.note is not None) == (c in above)
-    assert all("brighter than a perfect white diffuser" in known_words(c.L.note) for c in above)
+    assert all("brighter than a perfect white diffuser" in known(c.L.note) for c in above)
     # 116 (Y/Y_n)^(1/3) - 16 of a surface whose radiance factor is above 1
     assert known(sample.lab[1].L.value) > 116.0 * 1.0 - 16.0
 
@@ -202,8 +200,8 @@ def test_what_is_not_known_to_be_visible_has_no_lightness(nm: float) -> None:
     sample = of_table(frame, name="infrared")
     for c in sample.lab:
         assert c.L.value is None
-        assert "a colour needs a spectrum" in known_words(c.L.why)
-        assert known_words(c.L.why).endswith("states none" if math.isnan(nm) else "has one, 3500 nm")
+        assert "a colour needs a spectrum" in known(c.L.why)
+        assert known(c.L.why).endswith("states none" if math.isnan(nm) else "has one, 3500 nm")
     assert any("visible light" in note for note in sample.notes)
 
 
@@ -220,8 +218,8 @@ def test_what_the_angles_do_not_give_is_null_and_says_why() -> None:
     for key, q in named(sample):
         assert q.value is None, key
         assert q.u is None
-        assert known_words(q.why), key
-    assert "no in-plane curve at 20°" in known_words(sample.gloss_20_gu.why)
+        assert known(q.why), key
+    assert "no in-plane curve at 20°" in known(sample.gloss_20_gu.why)
     assert sample.haze_gu.why == sample.gloss_60_gu.why
 
 
@@ -236,7 +234,7 @@ def test_a_table_without_uncertainties_states_none() -> None:
 def test_haze_of_a_matt_surface_is_none() -> None:
     haze = of_model(Lambert(0.9), name="white").haze_gu
     assert haze.value is haze.u is haze.error is None
-    assert "above 70 GU" in known_words(haze.why)
+    assert "above 70 GU" in known(haze.why)
 
 
 @pytest.mark.parametrize(
@@ -253,7 +251,7 @@ def test_haze_of_a_metal_is_none(metal: Model) -> None:
     for sample in (of_model(metal, name="metal"), of_table(measured(metal, swept(20.0, 60.0)), name="metal")):
         assert known(sample.gloss_20_gu.value) > known(sample.gloss_60_gu.value)  # else there is nothing to refuse
         assert sample.haze_gu.value is None
-        assert "non-metals" in known_words(sample.haze_gu.why)
+        assert "non-metals" in known(sample.haze_gu.why)
     assert known(of_model(metal, name="metal").haze_e430_20.value) >= 0.0  # which is a flux, and has no such limit
 
 
@@ -292,7 +290,7 @@ def test_a_peak_between_the_values_is_no_lower_bound() -> None:
     frame.loc[far.idxmin(), ["brdf", "u_brdf", "u_random"]] = [600.0, 6.0, 6.0]
     (rho,) = of_table(frame, name="paint").rho_dh
     assert rho.value is None
-    assert "needed" in known_words(rho.why)
+    assert "needed" in known(rho.why)
     # the share of the hemisphere that was measured, sin(60)^2; nobody knows how wide the peak is
     assert rho.at_least is None or rho.at_least <= 0.02 * math.pi * 0.75
 
@@ -315,3 +313,52 @@ def test_of_several_models_the_scatter_among_them_counts() -> None:
     # the models' own variances, and 0.25 x 1.5^2 + 0.75 x 0.5^2 among them
     assert mean.u == pytest.approx(math.sqrt(0.25 * 0.09 + 0.75 * 0.16 + 0.75))
     assert _mean(weights, [Quantity(1.0, 0.1, None, "GU"), Quantity(None, None, None, "GU", "no spike")]).value is None
+
+
+# ---- gradients of sampled quantities are their difference quotients, value by value ----
+
+
+def moved(data: Observations, row: int, step: float) -> Observations:
+    """The observations with one value changed."""
+    brdf: Floats = data.brdf.copy()
+    brdf[row] += step
+    return replace(data, brdf=brdf)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("around", [False, True], ids=("plane", "around"))
+def test_gradient_of_gloss(around: bool) -> None:
+    directions = plane(60.0, np.arange(0.0, 87.6, 2.5))
+    if around:
+        directions = np.unique(np.vstack([directions, hemisphere(60.0, 5.0, 10.0)]), axis=0)
+    data = observations(measured(PAINT, directions))
+    found = sampled.gloss(data, GLOSSMETERS[1])
+    strongest = np.argsort(-np.abs(found.gradient) * data.brdf)[:12]
+    assert around == bool(np.any(~data.directions.in_plane[strongest]))
+    for row in strongest:
+        step = 1e-5 * data.brdf[row]
+        ahead, behind = (sampled.gloss(moved(data, row, s * step), GLOSSMETERS[1]).value for s in (1.0, -1.0))
+        # the logarithm's curvature over a step of 1e-5, and rounding over it
+        assert found.gradient[row] == pytest.approx((ahead - behind) / (2.0 * step), rel=1e-5), row
+
+
+def test_gradient_of_a_reflectance_is_exact() -> None:
+    data = observations(measured(PAINT, hemisphere(8.0)))
+    (found,) = sampled_hemisphere.reflectances(data).values()
+    assert isinstance(found, sampled.Sampled)
+    assert found.value == pytest.approx(float(found.gradient @ data.brdf), rel=1e-12)  # linear in every value
+
+
+def test_reflectance_at_8_degrees_is_that_of_an_even_function_of_the_angle_between_two_others() -> None:
+    """rho = a + b theta^2 exactly; what is seen nearer by is taken as it is, and nothing beyond 30 degrees."""
+
+    def known(*degrees: float) -> dict[float, sampled.Sampled | sampled.NotMeasured]:
+        rho = {t: 0.3 + 1e-4 * t**2 for t in degrees}
+        return {np.radians(t): sampled.Sampled(r, np.array([r, 1.0]), 0.001) for t, r in rho.items()}
+
+    mixed = sampled_hemisphere.reflectance_at_8(known(2.0, 20.0, 60.0))
+    assert mixed.value == mixed.gradient[0] == pytest.approx(0.3 + 1e-4 * 64.0)
+    assert mixed.error == pytest.approx(0.001 + 1e-4 * (400.0 - 4.0) / 4.0), "a quarter of what lies between"
+    assert sampled_hemisphere.reflectance_at_8(known(2.0, 10.4, 20.0)).value == pytest.approx(0.3 + 1e-4 * 10.4**2)
+    with pytest.raises(sampled.NotMeasured):
+        sampled_hemisphere.reflectance_at_8(known(2.0, 31.0))

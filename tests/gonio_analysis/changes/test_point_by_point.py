@@ -275,8 +275,7 @@ def test_every_direction_of_a_certificate_counts() -> None:
 @pytest.mark.slow
 def test_a_model_that_is_off_is_so_uncertain(tmp_path: Path) -> None:
     """What a sample file says of its misfit counts: the sample that the model was fitted to does not disagree."""
-    frame = measure(GLOSS, noise=0.003)
-    measurement.write(frame, tmp_path / "t.csv")
+    measurement.write(measure(GLOSS, noise=0.003), tmp_path / "t.csv")
     found = {}
     for residual in (False, True):
         file = tmp_path / f"{residual}.toml"
@@ -333,8 +332,7 @@ def test_models_compare_with_files_and_with_each_other() -> None:
     both = change(same, other)
     assert both.verdict is None
     assert both.metrics["log_ratio"]
-    twice = change(same, same)
-    assert np.all(twice.difference == 0)
+    assert np.all(change(same, same).difference == 0)
 
 
 @pytest.mark.slow
@@ -380,8 +378,7 @@ def test_unused_rows_are_looked_up_once_whatever_the_number_of_wavelengths(monke
     monkeypatch.setattr(pd.Series, "to_numpy", counted)
     data = observations(table, "a")
     read.clear()
-    carried = carry(data, data, table)
-    assert carried.rows.size == len(data) == len(table) - 2
+    assert carry(data, data, table).rows.size == len(data) == len(table) - 2
     assert len(read) <= 10
 
 

@@ -17,6 +17,7 @@ from gonio.acquisition.measure import carry_out, find_rig, load_sample
 from gonio.acquisition.plan import load_plan
 from gonio.acquisition.records import StepRecord
 from gonio.rig import Pose, Reading
+from tests.command_line import some
 
 STEPS = 10_000
 HOT, SAGGED = 4321, 8750
@@ -67,9 +68,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def facts(run: Path) -> RunFacts:
-    found = run_facts(run)
-    assert found is not None
-    return found
+    return some(run_facts(run))
 
 
 def test_extremes_are_found_and_drawn_among_ten_thousand_steps(facts: RunFacts) -> None:

@@ -19,7 +19,7 @@ from gonio import plugins, shown
 from gonio.errors import ConfigError, DataError
 from gonio.models import ArrayModel, Fitted, Lambert, OrenNayar, build
 from gonio.typing import Floats
-from tests.command_line import some
+from tests.command_line import says, some
 from tests.gonio_analysis.synthetic import joined, measure
 
 CLAY = OrenNayar(0.6, 20.0)
@@ -81,11 +81,9 @@ def test_a_fit_from_a_table_a_file_and_a_class(table: pd.DataFrame, tmp_path: Pa
         assert r.parameters["albedo"].value == results[0].parameters["albedo"].value
     text = repr(results[0])
     assert len(text) < 250
-    assert "albedo = 0.6" in text
-    assert "reduced chi-square" in text
+    says(text, "albedo = 0.6", "reduced chi-square")
     cells = _Cells(results[0]._repr_html_()).cells
-    assert "sigma_deg" in cells
-    assert "fitted" in cells
+    says(cells, "sigma_deg", "fitted")
     with pytest.raises(ConfigError, match="did you mean"):
         gonio_analysis.fit(table, "oren-nayer")
 

@@ -9,7 +9,7 @@ from gonio_analysis.fitting.observations import observations, of_reader
 
 from gonio import measurement
 from gonio.models import build
-from tests.command_line import gonio
+from tests.command_line import gonio, says
 from tests.gonio_analysis.synthetic import measure
 
 MODEL = build("lambert", {"albedo": 0.5})
@@ -44,8 +44,7 @@ def noted(folder: Path, name: str, note: str = NOTE, *, waves: tuple[float, ...]
 def test_a_reader_s_note_is_said_once(tmp_path: Path, command: tuple[str, ...]) -> None:
     noted(tmp_path, "a", waves=(450.0, 550.0, 650.0))
     noted(tmp_path, "b", waves=(450.0, 550.0, 650.0))
-    done = gonio(tmp_path, *command)
-    assert done.returncode == 0, done.stderr
+    done = gonio(tmp_path, *command, expect=0)
     if "--change" not in command:
         assert done.stderr.count(SAID) == 1, done.stderr
     if "--out" in command:
@@ -56,8 +55,7 @@ def test_a_reader_s_note_is_said_once(tmp_path: Path, command: tuple[str, ...]) 
 
 def test_a_note_of_transmission_alone_is_on_its_page(tmp_path: Path) -> None:
     noted(tmp_path, "a", side="transmission")
-    done = gonio(tmp_path, "compare", "a.csv", "--out", "out")
-    assert done.returncode == 0, done.stderr
+    done = gonio(tmp_path, "compare", "a.csv", "--out", "out", expect=0)
     assert SAID in done.stderr
     assert (tmp_path / "out" / "index.html").read_text(encoding="utf-8").count(SAID) == 1
 
@@ -65,11 +63,9 @@ def test_a_note_of_transmission_alone_is_on_its_page(tmp_path: Path) -> None:
 def test_notes_of_tables_that_are_fitted_together_keep_their_names(tmp_path: Path) -> None:
     noted(tmp_path, "a")
     noted(tmp_path, "b", "values were percent")
-    done = gonio(tmp_path, "fit", "a.csv", "b.csv", "--model", "lambert", "--json")
-    assert done.returncode == 0, done.stderr
+    done = gonio(tmp_path, "fit", "a.csv", "b.csv", "--model", "lambert", "--json", expect=0)
     notes = json.loads(done.stdout)["notes"]
-    assert f"a: {SAID}" in notes
-    assert "b: Values were percent." in notes
+    says(notes, f"a: {SAID}", "b: Values were percent.")
 
 
 def test_a_table_that_a_reader_calls_silent_is_not_called_so_again() -> None:

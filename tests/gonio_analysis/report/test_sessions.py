@@ -16,6 +16,7 @@ from gonio.acquisition.run import Run
 from gonio.errors import DeviceError, Interrupted
 from gonio.reduction import brdf
 from gonio.rig.description import RigDescription, SampleDescription
+from tests.command_line import says, some
 from tests.gonio.numpy_rig import PLAN, SAMPLE, NumpyRig, Plugin, StopAfter, describe
 
 DIMMER = 0.97
@@ -61,9 +62,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def facts(folder: Path) -> RunFacts:
-    found = run_facts(folder)
-    assert found is not None
-    return found
+    return some(run_facts(folder))
 
 
 def test_sessions_have_their_days_steps_ends_and_levels(folder: Path, facts: RunFacts) -> None:
@@ -100,6 +99,4 @@ def test_a_run_of_one_session_says_nothing_of_it(facts: RunFacts) -> None:
 def test_a_session_over_midnight_and_one_that_was_killed(facts: RunFacts) -> None:
     one = replace(facts.sessions[0], ended="2026-03-03T06:10:00.000Z", ending="no word of an end", levels=[])
     said = repr(sessions.section(replace(facts, sessions=[one, facts.sessions[2]])))
-    assert "22:05 – 06:10 (+1 d)" in said
-    assert "no word of an end" in said
-    assert "no visit" in said
+    says(said, "22:05 – 06:10 (+1 d)", "no word of an end", "no visit")

@@ -12,6 +12,7 @@ from gonio_analysis.report import change, make
 
 from gonio import measurement
 from gonio.models import build
+from tests.command_line import says
 from tests.gonio_analysis.synthetic import measure
 
 MATTE = build("lambert", {"albedo": 0.5})
@@ -46,8 +47,7 @@ def test_a_report_of_a_copied_table(files: tuple[Path, Path], tmp_path: Path) ->
     make([str(files[0])], tmp_path / "out", models=["lambert", "oren-nayar"])
     html, facts = page(tmp_path / "out")
     assert facts["title"] == "made (simulated)"
-    assert "<title>made (simulated)" in html
-    assert "What was simulated, and how" in html
+    says(html, "<title>made (simulated)", "What was simulated, and how")
     embedded = re.search(r"<script[^>]*application/json[^>]*>(.*?)</script>", html, re.DOTALL)
     assert embedded is not None
     view = json.loads(embedded[1])
@@ -64,19 +64,16 @@ def test_a_report_of_both_marks_one(files: tuple[Path, Path], tmp_path: Path) ->
     html, facts = page(tmp_path / "out")
     assert facts["title"] == "made (simulated) and real"
     headings = re.findall(r"<h2[^>]*>(.*?)</h2>", html)
-    assert "made (simulated)" in headings
-    assert "real" in headings
+    says(headings, "made (simulated)", "real")
 
 
 def test_a_change(files: tuple[Path, Path], tmp_path: Path) -> None:
     change.make([str(f) for f in files], tmp_path / "out")
     html, facts = page(tmp_path / "out")
     assert facts["title"] == "real against made (simulated)"
-    assert "A: made (simulated)" in html
-    assert " simulated values, with uncertainties" in html
+    says(html, "A: made (simulated)", " simulated values, with uncertainties")
     values = (tmp_path / "out" / "figures" / "values.svg").read_text(encoding="utf-8")
-    assert ">A: made (simulated)<" in values
-    assert ">B: real<" in values
+    says(values, ">A: made (simulated)<", ">B: real<")
     for figure in ("change", "map-plane"):
         caption = next(f["caption"] for f in facts["figures"] if f["name"] == figure)  # type: ignore[attr-defined]
         assert "Simulated: A." in caption
@@ -87,8 +84,7 @@ def test_appearance(files: tuple[Path, Path], tmp_path: Path) -> None:
 
     report_on_appearance.make(of(str(files[0])), tmp_path / "out")
     html, _ = page(tmp_path / "out")
-    assert "Appearance of a simulated measurement" in html
-    assert "<h1>made (simulated)</h1>" in html
+    says(html, "Appearance of a simulated measurement", "<h1>made (simulated)</h1>")
 
 
 def test_a_fit_on_the_console_and_as_json(files: tuple[Path, Path], capsys: pytest.CaptureFixture[str]) -> None:

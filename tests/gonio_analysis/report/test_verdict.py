@@ -15,7 +15,7 @@ from gonio_analysis.selection.compare import examine
 from gonio.errors import ConfigError
 from gonio.formats.reader import table
 from gonio.models import build
-from tests.command_line import some
+from tests.command_line import says, some
 from tests.gonio_analysis.synthetic import facts_of, measure
 
 PAINT = build("cook-torrance", {"s": 0.1, "d": 0.9, "slopes": ((0.25, 1.0),), "diffuse_albedo": 0.4, "ior": 1.5})
@@ -78,8 +78,7 @@ def test_metrics_that_disagree_are_named() -> None:
     log = {m: f.metrics["log_ratio"] or 0 for m, f in facts.models.items()}
     high = {m: f.metrics["ngan"] or 0 for m, f in facts.models.items()}
     assert min(log, key=log.__getitem__) != min(high, key=high.__getitem__)  # else there is nothing to say
-    assert "metrics disagree" in facts.conclusion
-    assert "is nearest by" in facts.conclusion
+    says(facts.conclusion, "metrics disagree", "is nearest by")
 
 
 @pytest.mark.slow

@@ -39,8 +39,7 @@ def misfitting(away_deg: float) -> FitResult:
 @pytest.mark.parametrize(("away_deg", "in_plane"), [(1.4, True), (1.6, False), (4.0, False)])
 def test_in_plane_means_the_same_in_regions_and_in_curves(away_deg: float, in_plane: bool) -> None:
     result = misfitting(away_deg)
-    found = known(farthest(result))
-    assert ("out of plane" not in found.words) == in_plane
+    assert ("out of plane" not in known(farthest(result)).words) == in_plane
     (curve,) = curves(result.data)
     assert curve.rows.size == (10 if in_plane else 5)
 
