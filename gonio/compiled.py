@@ -140,6 +140,14 @@ if FunctionCache is not None:
                 tell(f"{self.cache_path}: compiled code on disk cannot be used ({error!r:.100}); it is compiled again")
                 return None
 
+        def _index_key(self, signature: Any, codegen: Any) -> Any:
+            """Compiled functions that a closure holds count by their names: numba's own differ in each process."""
+            function: Any = self.__dict__["_py_func"]
+            if function.__closure__ is None:
+                return super()._index_key(signature, codegen)
+            held = [getattr(cell.cell_contents, "__qualname__", cell.cell_contents) for cell in function.__closure__]
+            return signature, codegen.magic_tuple(), DIGEST(function.__code__.co_code + repr(held).encode()).hexdigest()
+
         def save_overload(self, signature: Any, data: Any) -> None:
             try:
                 super().save_overload(signature, data)

@@ -198,10 +198,10 @@ def _grid(model: Batched, known: dict[str, float], own: Sequence[float]) -> tupl
 @functools.lru_cache(maxsize=16)
 def _critical(n: int, free: int) -> Floats:
     """Chi-square beyond which a model is rejected, by the number of values."""
-    from scipy.stats import chi2
+    from scipy.special import chdtri
 
     freedom = np.arange(n + 1) - free
-    return np.where(freedom > 0, chi2.isf(SIGNIFICANCE, np.maximum(freedom, 1)), np.inf)
+    return np.where(freedom > 0, chdtri(np.maximum(freedom, 1), SIGNIFICANCE), np.inf)
 
 
 def _over_columns(model: Batched, kernel: Kernel, folded: bool) -> tuple[Callable[..., Any], Callable[..., Any]]:

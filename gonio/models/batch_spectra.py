@@ -95,14 +95,14 @@ class _Together:
 
     def fit(self, which: npt.NDArray[np.intp]) -> None:
         """Fit some pixels."""
-        from scipy.stats import chi2
+        from scipy.special import chdtri
 
         from gonio.models import _batch_gram as gram
 
         which = which[self._there[which].any(axis=1)]
         used = np.where(self._there, np.stack([one.used for one in self._alone], axis=1), 0)[which].sum(axis=1)
         freedom = used - self._geometry.size - self._own.size * self._there[which].sum(axis=1)
-        critical = np.where(freedom > 0, chi2.isf(SIGNIFICANCE, np.maximum(freedom, 1)), np.inf)
+        critical = np.where(freedom > 0, chdtri(np.maximum(freedom, 1), SIGNIFICANCE), np.inf)
         mean, surest = self._starts(which)
         separate = self._x[which]
         self._begin(which, separate, mean)

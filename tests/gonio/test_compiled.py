@@ -55,6 +55,24 @@ def test_code_is_kept_and_loaded_without_a_word(cache: Path, capfd: pytest.Captu
     assert capfd.readouterr() == ("", "")
 
 
+@pytest.mark.parametrize(("other", "same"), [(_half, True), (_third, False)])
+def test_a_closure_is_kept_by_the_names_of_compiled_functions_in_it(
+    cache: Path, other: Callable[[float], float], same: bool
+) -> None:
+    def twice(function: Callable[[float], float]) -> Any:
+        inner = numba.njit(numba.float64(numba.float64))(function)  # in each process another object
+
+        def outer(x: float) -> float:
+            return 2.0 * inner(x)
+
+        return make(outer)
+
+    assert not loaded(twice(_half))
+    again = twice(other)
+    assert loaded(again) == same
+    assert again(3.0) == (3.0 if same else 2.0)
+
+
 def _cut(size: int, path: Path) -> None:
     path.write_bytes(path.read_bytes()[:size])
 
