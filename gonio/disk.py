@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from gonio import platform
-from gonio.errors import ConfigError, DataError
+from gonio.errors import ConfigError, DataError, GonioError, os_error_as
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -56,6 +56,24 @@ def read_file(path: str | Path, most: int = -1) -> bytes:
         return file.read(min(most, size + 1) if most >= 0 and size else most)
 
 
+def content(path: Path, where: str, hint: str = "", unreadable: type[GonioError] = ConfigError) -> bytes:
+    """The bytes of a file that another file names; `where` begins messages, and `hint` says where files are looked for.
+
+    Raises
+    ------
+    ConfigError
+        There is no such file.
+    GonioError
+        It cannot be read: an error of the type `unreadable`.
+    """
+    try:
+        return read_file(path)
+    except FileNotFoundError:
+        raise ConfigError(f"{where}: there is no such file{hint}") from None
+    except OSError as error:
+        raise unreadable(f"{where}: cannot be read: {error.strerror or error}") from None
+
+
 def write_whole(path: Path, data: bytes) -> None:
     """Write a file under a temporary name in its folder, sync it to the disk, and rename it.
 
@@ -81,10 +99,8 @@ def write_whole(path: Path, data: bytes) -> None:
 
 def put(path: Path, data: bytes) -> None:
     """Write a file as `write_whole`; raises `DataError`, which names it, where it cannot be written."""
-    try:
+    with os_error_as(DataError, f"{path}: cannot be written"):
         write_whole(path, data)
-    except OSError as error:
-        raise DataError(f"{path}: cannot be written: {error.strerror or error}") from None
 
 
 def put_picture(path: Path, figure: "Figure") -> None:

@@ -4,6 +4,8 @@ A message says what was asked (with its unit), what is allowed, where it came fr
 and what to do. Each class carries the exit code that the command line ends with.
 """
 
+import contextlib
+from collections.abc import Iterator
 from typing import Literal
 
 
@@ -89,3 +91,12 @@ def refuse_masked(name: str, value: object) -> None:
 
     if ma.is_masked(value):
         raise ArgumentError(f"{name} is a masked array: hidden values have no result; pass the others: .compressed()")
+
+
+@contextlib.contextmanager
+def os_error_as(error: type[GonioError], what: str) -> Iterator[None]:
+    """Raise `error` where the system refuses: `what`, as in "a.csv: cannot be written", and the system's reason."""
+    try:
+        yield
+    except OSError as refused:
+        raise error(f"{what}: {refused.strerror or refused}") from None

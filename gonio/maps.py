@@ -24,7 +24,7 @@ import numpy as np
 
 from gonio.disk import require_name, sha256_of, write_whole
 from gonio.documents import JsonObject
-from gonio.errors import ConfigError, DataError
+from gonio.errors import ConfigError, DataError, os_error_as
 from gonio.typing import Array, Bools, DataFrame, Floats, Ints, NDArray
 
 FORMAT = "gonio-map-1"
@@ -139,7 +139,7 @@ class Parts:
             raise ConfigError(f"{path}: is there already, and no map; choose another name")
         text = json.dumps({"format": FORMAT, **settings}, sort_keys=True, indent=1)
         known = self.folder / "settings.json"
-        try:
+        with os_error_as(ConfigError, f"{self.folder}: cannot be written"):
             if known.exists():
                 if known.read_text(encoding="utf-8") != text:
                     raise ConfigError(
@@ -149,8 +149,6 @@ class Parts:
             else:
                 self.folder.mkdir(parents=True, exist_ok=True)
                 write_whole(known, text.encode())
-        except OSError as error:
-            raise ConfigError(f"{self.folder}: cannot be written: {error.strerror}") from None
 
     def has(self, tile: Tile) -> bool:
         """Whether a tile is done."""

@@ -33,7 +33,6 @@ import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path, PureWindowsPath
-from types import TracebackType
 from typing import Any, NamedTuple, Self
 
 try:
@@ -365,9 +364,7 @@ class Keys:
             termios.tcsetattr(self._handle, termios.TCSADRAIN, changed)
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         if self._before is not None:
             with contextlib.suppress(*TERMINAL_ERRORS):  # the terminal has gone
                 termios.tcsetattr(self._handle, termios.TCSADRAIN, self._before)

@@ -19,7 +19,6 @@ import logging
 import math
 import time
 from pathlib import Path
-from types import TracebackType
 from typing import TYPE_CHECKING, Any, Generic, Self, TypeVar
 
 from gonio.documents import JsonObject
@@ -349,11 +348,9 @@ class Devices:
             raise
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *how: Any) -> None:
         try:
-            self._owner.ask(lambda: self._rig.__exit__(kind, error, trace))
+            self._owner.ask(lambda: self._rig.__exit__(*how))
         finally:
             self._owner.close()
 

@@ -25,7 +25,7 @@ import numpy as np
 import serial
 
 from gonio import platform
-from gonio.errors import ConfigError, DataError, DeviceError, PassingFault
+from gonio.errors import ConfigError, DataError, DeviceError, PassingFault, os_error_as
 from gonio.rig import Frame, clock
 from gonio.rig.description import RigDescription
 from gonio.rig.dng import read_raw
@@ -225,15 +225,13 @@ class FolderCamera:
     def _files(self) -> dict[Path, int]:
         """RAW files that are there now, by name, with their inodes: a program may write the same name again."""
         out = {}
-        try:
+        with os_error_as(DeviceError, f"{self._folder}: cannot be looked into"):
             for path in sorted(self._folder.iterdir(), key=lambda p: p.name):
                 if path.suffix.lower() in self._camera.suffixes and not path.name.startswith("."):
                     with contextlib.suppress(FileNotFoundError):  # a temporary name
                         status = path.stat()
                         if stat.S_ISREG(status.st_mode):
                             out[path] = status.st_ino
-        except OSError as error:
-            raise DeviceError(f"{self._folder}: cannot be looked into: {error.strerror}") from None
         return out
 
     def _new(self) -> dict[Path, int]:

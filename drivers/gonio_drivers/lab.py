@@ -15,7 +15,7 @@ from typing import Self
 
 from gonio.config import Strict, parse
 from gonio.disk import write_whole
-from gonio.errors import ArgumentError, ConfigError, DeviceError, GonioError, Interrupted, PassingFault
+from gonio.errors import ArgumentError, ConfigError, DeviceError, GonioError, Interrupted, PassingFault, os_error_as
 from gonio.rig import Device, Frame, Health, Step, Target, ask_for, clock
 from gonio.rig.description import RigDescription, SampleDescription
 from gonio.rig.light_and_camera import Camera
@@ -154,10 +154,8 @@ class LabRig:
         if self._target_file is None:
             return False
         path = Path(self._target_file)
-        try:
+        with os_error_as(DeviceError, f'devices.holder.target_file = "{path}": cannot be written'):
             write_whole(path, f"{what}\n".encode())
-        except OSError as error:
-            raise DeviceError(f'devices.holder.target_file = "{path}": cannot be written: {error.strerror}') from None
         return True
 
     def time_s(self) -> float:

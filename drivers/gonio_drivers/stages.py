@@ -17,7 +17,7 @@ import statistics
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import TracebackType
-from typing import Protocol, Self
+from typing import Any, Protocol, Self
 
 from gonio import plugins
 from gonio.errors import ConfigError, DeviceError, Disturbed, GonioError
@@ -243,10 +243,8 @@ class StageArms(Arms[Joint]):
             self._stack = stack.pop_all()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._stack.__exit__(kind, error, trace)
+    def __exit__(self, *how: Any) -> None:
+        self._stack.__exit__(*how)
         self.joints = {}
 
     def _prepare(self, joint: Joint) -> None:

@@ -18,14 +18,13 @@ from array import array
 from collections.abc import Iterator, Sequence
 from itertools import accumulate
 from pathlib import Path
-from types import TracebackType
 from typing import Any, BinaryIO, Self, overload
 
 from gonio import platform
 from gonio.acquisition.records import StepRecord, compact, event_of
 from gonio.disk import only_file
 from gonio.documents import JsonObject
-from gonio.errors import ConfigError, DataError
+from gonio.errors import ConfigError, DataError, os_error_as
 
 Event = JsonObject
 """A line: its `event` says what kind it is. Those of steps are `gonio.acquisition.records.StepRecord`."""
@@ -106,10 +105,8 @@ class Events(Sequence[Event]):
                 yield line
 
     def _open(self) -> BinaryIO:
-        try:
+        with os_error_as(DataError, f"{self.path}: cannot be read"):
             return open(self.path, "rb", opener=only_file)
-        except OSError as error:
-            raise DataError(f"{self.path}: cannot be read: {error.strerror}") from None
 
 
 def _scan(path: Path) -> "tuple[array[int], int]":
@@ -184,10 +181,8 @@ def locked(path: Path) -> Iterator[BinaryIO]:
 
 
 def _lock(path: Path) -> Any:
-    try:
+    with os_error_as(ConfigError, f"{path}: cannot be written"):
         file = open(path, "a+b", buffering=0, opener=only_file)  # noqa: SIM115
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be written: {error.strerror}") from None
     if not platform.lock(file):
         file.close()
         raise ConfigError(f"{path.parent}: another process is measuring into this folder") from None
@@ -271,9 +266,7 @@ class Journal:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
 

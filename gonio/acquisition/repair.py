@@ -24,7 +24,7 @@ from gonio.acquisition.repeats import Pictures, repeated
 from gonio.acquisition.run import CHOSEN, Run
 from gonio.acquisition.run_folder import begun
 from gonio.disk import half_written, is_own, read_file, read_manifest, set_aside, write_whole
-from gonio.errors import ConfigError, DataError
+from gonio.errors import ConfigError, DataError, os_error_as
 from gonio.rig.dng import encode_dng, read_raw, read_record
 from gonio.typing import NDArray
 
@@ -165,17 +165,14 @@ def _named(steps: Steps) -> tuple[Integers, Integers, Integers]:
 def _listed(folder: Path) -> tuple[Integers, Integers]:
     """Hashes of the names in a folder, in order, and the sizes of the files."""
     names, sizes, foreign = array("q"), array("q"), []
-    try:
-        with platform.entries(folder) as entries:
-            for entry in entries:
-                link = entry.is_symlink() and NAME.fullmatch(entry.name) is not None
-                if not entry.is_file() and not link:
-                    foreign.append(entry.name)
-                    continue
-                names.append(hash(os.fsencode(entry.name)))
-                sizes.append(-1 if link else entry.stat().st_size)  # of a link the file is looked at
-    except OSError as error:
-        raise ConfigError(f"{folder}: cannot be read: {error.strerror}") from None
+    with os_error_as(ConfigError, f"{folder}: cannot be read"), platform.entries(folder) as entries:
+        for entry in entries:
+            link = entry.is_symlink() and NAME.fullmatch(entry.name) is not None
+            if not entry.is_file() and not link:
+                foreign.append(entry.name)
+                continue
+            names.append(hash(os.fsencode(entry.name)))
+            sizes.append(-1 if link else entry.stat().st_size)  # of a link the file is looked at
     if foreign:
         raise ConfigError(
             f'{folder}: holds "{min(foreign)}", which is not a file (or a link that leads nowhere); move it out of '
@@ -358,10 +355,8 @@ def _held(journal: Path) -> Iterator[bytes]:
         yield b""
         return
     with locked(journal):
-        try:
+        with os_error_as(DataError, f"{journal}: cannot be read"):
             data = read_file(journal)
-        except OSError as error:
-            raise DataError(f"{journal}: cannot be read: {error.strerror}") from None
         yield data
 
 

@@ -10,7 +10,7 @@ from gonio.acquisition.repair import ASIDE, Found, find_damage, require_frames_o
 from gonio.acquisition.run import Run
 from gonio.acquisition.run_settings import Request, differences, settings_for
 from gonio.disk import write_own
-from gonio.errors import ConfigError
+from gonio.errors import ConfigError, os_error_as
 from gonio.rig.laboratory import Laboratory
 
 
@@ -39,7 +39,7 @@ class Resumed:
             The folder cannot be written.
         """
         run, orphans = self.run, self.found.orphans
-        try:
+        with os_error_as(ConfigError, f"{run.path}: cannot be written"):
             run.state(self.stated)
             set_orphans_aside(run, self.found)
             run.take_back(self.found.damaged)
@@ -47,8 +47,6 @@ class Resumed:
                 names = ", ".join(orphans[:5]) + (" ..." if len(orphans) > 5 else "")
                 text = f"{len(orphans)} files of no step that is done were moved to {ASIDE}/: {names}"
                 run.append({"event": "remark", "message": text})
-        except OSError as error:
-            raise ConfigError(f"{run.path}: cannot be written: {error.strerror}") from None
         return orphans
 
 

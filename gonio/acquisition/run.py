@@ -25,7 +25,6 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import islice
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
@@ -52,7 +51,7 @@ from gonio.disk import (
     write_own,
 )
 from gonio.documents import JsonObject
-from gonio.errors import ConfigError, DataError
+from gonio.errors import ConfigError, DataError, os_error_as
 from gonio.platform import sync_folder
 from gonio.rig import Step
 from gonio.rig.bands import Band
@@ -381,10 +380,8 @@ class Run:
         points = [[float(getattr(point, name)) for name in ANGLES] for point in batch.points]
         event = {"event": "chosen", "first_step": batch.first_step, "points": points, "why": dict(why)}
         kept = [*({k: v for k, v in e.items() if k in event} for e in self._indexed.chosen), event]
-        try:
+        with os_error_as(DataError, f"{self.path / CHOSEN}: cannot be written"):
             write_own(self.path, {CHOSEN: json.dumps(kept).encode()})
-        except OSError as error:
-            raise DataError(f"{self.path / CHOSEN}: cannot be written: {error.strerror}") from None
         self.append(event)
 
     def state(self, laboratory: Laboratory | None) -> None:
@@ -429,7 +426,7 @@ class Run:
 
         from gonio.formats import native
 
-        try:
+        with os_error_as(ConfigError, f"{self.path / TABLE[0]}: cannot be written"):
             with tempfile.TemporaryDirectory(prefix=".table-", dir=self.path) as work:
                 try:
                     native.write(table, Path(work) / TABLE[0])
@@ -444,16 +441,12 @@ class Run:
             for name in BESIDE_TABLE:
                 if name not in tables and is_own(self.path / name, own.get(name, ())):
                     (self.path / name).unlink()
-        except OSError as error:
-            raise ConfigError(f"{self.path / TABLE[0]}: cannot be written: {error.strerror}") from None
         return self.path / TABLE[0]
 
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         if self.journal is not None:
             self.journal.close()
             self._closed, self.journal = self.journal.events, None

@@ -8,7 +8,7 @@ from pathlib import Path
 from gonio.acquisition.frame_writer import NAME
 from gonio.acquisition.journal import has_lines, read_events
 from gonio.disk import MANIFEST, Manifest, half_written, is_manifest, is_own, read_manifest, require_name
-from gonio.errors import ConfigError, DataError
+from gonio.errors import ConfigError, DataError, os_error_as
 
 OURS = (
     "run.toml",
@@ -40,10 +40,8 @@ def check_new(path: Path) -> None:
     if path.exists() and not path.is_dir():
         raise ConfigError(f"{path}: is not a folder")
     if path.is_dir():
-        try:
+        with os_error_as(ConfigError, f"{path}: cannot be read"):
             _check_holds_nothing(path)
-        except OSError as error:
-            raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
     check_writable(path)
 
 

@@ -9,7 +9,6 @@ import contextlib
 import threading
 import time
 from collections.abc import Callable, Iterator
-from types import TracebackType
 from typing import Self
 
 from gonio.errors import DeviceError
@@ -142,9 +141,7 @@ class DeadMansTimer:
         self._watch.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """The rig is about to be left, which darkens the lamp."""
         self._ended.set()
         self.dark()

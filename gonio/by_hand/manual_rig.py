@@ -16,7 +16,6 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
-from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
 from gonio.acquisition.measure import RigChoice, find_rig, load_sample
@@ -100,11 +99,9 @@ class ManualRig:
         self._open = self.entered = True
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *how: Any) -> None:
         self._open = False
-        self._rig.__exit__(kind, error, trace)
+        self._rig.__exit__(*how)
 
     def __getattr__(self, name: str) -> Any:
         """What is declared above, and whatever else the rig has."""

@@ -19,7 +19,7 @@ from gonio.by_hand.alignment_scans import BRIGHT, Scans
 from gonio.by_hand.manual_rig import ManualRig
 from gonio.calibration import fiducials
 from gonio.calibration.geometry_problem import Sighting
-from gonio.errors import ConfigError, DataError, DeviceError
+from gonio.errors import ConfigError, DataError, DeviceError, os_error_as
 from gonio.geometry import overlap_of_discs
 from gonio.rig import Pose, imaging, kinematics
 from gonio.rig.description import RigDescription
@@ -393,10 +393,8 @@ class Kept:
 
     def __init__(self, folder: Path) -> None:
         self.folder, self.sightings = folder, []  # type: tuple[Path, list[Sighting]]
-        try:
+        with os_error_as(DataError, f"{folder}: cannot be made"):
             folder.mkdir()
-        except OSError as error:
-            raise DataError(f"{folder}: cannot be made: {error.strerror}") from None
 
     def keep(self, sighting: Sighting, frames: dict[str, Array]) -> None:
         """Write the frames, then the line that tells of them."""
@@ -404,7 +402,7 @@ class Kept:
 
         number = len(self.sightings)
         names = {}
-        try:
+        with os_error_as(DataError, f"{self.folder}: cannot be written"):
             for what, mosaic in frames.items():
                 name = f"{number:04d}-{what}.png"
                 good, data = cv2.imencode(".png", mosaic, [cv2.IMWRITE_PNG_COMPRESSION, 1])
@@ -414,8 +412,6 @@ class Kept:
                 names[what] = name
             with (self.folder / FILE).open("a", encoding="utf-8", newline="\n") as file:
                 file.write(json.dumps(asdict(sighting) | {"frames": names}) + "\n")
-        except OSError as error:
-            raise DataError(f"{self.folder}: cannot be written: {error.strerror}") from None
         self.sightings.append(sighting)
 
 

@@ -20,7 +20,7 @@ from gonio.cli.align import PROMPTS
 from gonio.config import numbers_in
 from gonio.disk import put_picture
 from gonio.documents import TomlTable
-from gonio.errors import ConfigError, DataError
+from gonio.errors import ConfigError, DataError, os_error_as
 from gonio.rig import Device, Step
 from gonio.rig.calibrated import Calibration, with_keys, write_calibration
 from gonio.rig.calibration_use import ParameterUncertainty
@@ -248,10 +248,8 @@ def _finish(
         put_picture(picture, geometric.draw(fit))
     elif lens is not None:
         put_picture(picture, intrinsics.draw(lens))
-    try:
+    with os_error_as(DataError, f"{out}: cannot be written"):
         write_calibration(calibration, out)
-    except OSError as error:
-        raise DataError(f"{out}: cannot be written: {error.strerror}") from None
     _show_numbers(filed, tables, dict(zip(paths, known.u, strict=True)))
     if lens is not None:
         console.show(f"lens: rms reprojection error {lens.rms_px:.3f} px, {lens.corners} corners of "

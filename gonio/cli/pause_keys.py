@@ -1,8 +1,7 @@
 """Keys that pause a measurement, heard while it runs; prompts of the rig have the terminal for themselves meanwhile."""
 
 import threading
-from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
 from gonio import platform
 from gonio.acquisition.stop import Pause
@@ -31,16 +30,14 @@ class PauseKeys:
             self._thread.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *how: Any) -> None:
         if self._thread is None:
             return
         thread, self._thread = self._thread, None
         self._pause.attended = False
         self._ended.set()
         thread.join()
-        self._keys.__exit__(kind, error, trace)
+        self._keys.__exit__(*how)
 
     def _listen(self) -> None:
         while not self._ended.is_set():

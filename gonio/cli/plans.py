@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from gonio.cli import console
-from gonio.errors import ConfigError
+from gonio.errors import ConfigError, os_error_as
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -119,10 +119,8 @@ def _draw(seen: Prepared, file: Path, step: int | None) -> None:
 
 def _saved(figure: Figure, file: Path) -> None:
 
-    try:
+    with os_error_as(ConfigError, f"{file}: cannot be written"):
         figure.savefig(file, dpi=150)
-    except OSError as error:
-        raise ConfigError(f"{file}: cannot be written: {error.strerror}") from None
     console.show(f"picture: {file}")
 
 
@@ -229,10 +227,8 @@ def _write_left_out(points: list[Assessed], path: Path) -> int:
     lines = csv.writer(text, lineterminator="\n")
     lines.writerow([*ANGLES, "flag", "reason"])
     lines.writerows([*(repr(getattr(a.point, name)) for name in ANGLES), a.flag, a.reason] for a in lost)
-    try:
+    with os_error_as(ConfigError, f"--left-out: {path}: cannot be written"):
         write_whole(path, text.getvalue().encode())
-    except OSError as error:
-        raise ConfigError(f"--left-out: {path}: cannot be written: {error.strerror}") from None
     return len(lost)
 
 

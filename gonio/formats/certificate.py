@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree
 
-from gonio.errors import ConfigError
+from gonio.errors import ConfigError, os_error_as
 
 _RATIOS = {"\\one": 1.0, "1": 1.0, "": 1.0, "\\percent": 0.01, "%": 0.01}
 _LENGTHS = {"\\nano\\metre": 1.0, "\\nano\\meter": 1.0, "\\micro\\metre": 1e3, "\\metre": 1e9, "\\milli\\metre": 1e6}
@@ -72,10 +72,8 @@ def reflectance(path: Path, wanted: str | None = None) -> Reflectance:
 
 
 def _root(path: Path) -> ElementTree.Element:
-    try:
+    with os_error_as(ConfigError, f"{path}: reference.certificate cannot be read"):
         data = path.read_bytes()
-    except OSError as error:
-        raise ConfigError(f"{path}: reference.certificate cannot be read: {error.strerror}") from None
     if re.search(rb"<!(DOCTYPE|ENTITY)", data):
         raise ConfigError(f"{path}: reference.certificate: the XML declares entities, which no certificate needs")
     try:

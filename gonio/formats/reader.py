@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, NotRequired, TypedDict, cast
 import numpy as np
 
 from gonio.disk import write_whole
-from gonio.errors import ConfigError, DataError, refuse_masked
+from gonio.errors import ConfigError, DataError, os_error_as, refuse_masked
 from gonio.typing import Array, ArrayLike, DataFrame, Floats
 
 if TYPE_CHECKING:
@@ -312,7 +312,5 @@ def write_bytes(path: str | Path, data: bytes) -> None:
     path = Path(path)
     if not path.parent.is_dir():
         raise ConfigError(f"{path}: cannot be written: there is no folder {path.parent}")
-    try:
+    with os_error_as(ConfigError, f"{path}: cannot be written"):
         write_whole(path, data)
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be written: {error.strerror}") from None

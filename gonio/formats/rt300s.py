@@ -22,7 +22,7 @@ from pathlib import Path
 import numpy as np
 
 from gonio.disk import read_file
-from gonio.errors import ConfigError, DataError
+from gonio.errors import ConfigError, DataError, os_error_as
 from gonio.formats import workbook
 from gonio.formats.reader import MAX_BYTES, Format, fold, table
 from gonio.formats.workbook_cells import OLD, Sheet, worksheets
@@ -115,10 +115,8 @@ def _measurements(sheets: Sequence[Sheet], path: Path) -> Floats:
 
 def _blank(path: Path) -> Floats:
     """The measurements of a blank."""
-    try:
+    with os_error_as(ConfigError, f"{path}: the blank cannot be read"):
         return _measurements(worksheets(read_file(path, MAX_BYTES), path), path)
-    except OSError as error:
-        raise ConfigError(f"{path}: the blank cannot be read: {error.strerror}") from None
 
 
 def _repeats(rows: Floats) -> dict[tuple[float, ...], list[float]]:

@@ -18,7 +18,7 @@ from gonio.acquisition.records import FrameRecord, StepRecord
 from gonio.acquisition.repeats import REPEATED, Pictures, repeated
 from gonio.acquisition.run import Run
 from gonio.disk import read_file
-from gonio.errors import ContradictoryFrame, DamagedFrame, DataError
+from gonio.errors import ContradictoryFrame, DamagedFrame, DataError, os_error_as
 from gonio.reduction import merging, stray_light
 from gonio.reduction.dark_signal import FEW, PATTERNS, Darks, Patterns
 from gonio.reduction.geometry_errors import GeometryErrors
@@ -236,10 +236,8 @@ class RunFrames:
     def read(self, step: StepRecord, entry: FrameRecord) -> Frame:
         """A frame of a step that the journal names, checked."""
         path = Path(self.run.frame_path(entry.file))
-        try:
+        with os_error_as(DamagedFrame, f"{path}: a frame of the run cannot be read"):
             data = read_file(path)
-        except OSError as error:
-            raise DamagedFrame(f"{path}: a frame of the run cannot be read: {error.strerror or error}") from None
         if hashlib.sha256(data).hexdigest() != entry.sha256:
             raise DamagedFrame(
                 f"{path}: is not the frame that the journal names (its checksum differs): it was changed"

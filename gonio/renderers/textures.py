@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from gonio.disk import require_name, require_own, write_own
-from gonio.errors import ConfigError, DataError
+from gonio.errors import ConfigError, DataError, os_error_as
 from gonio.maps import FitFile
 from gonio.typing import Bools, Floats, NDArray
 
@@ -75,12 +75,10 @@ def write(source: str, folder: Path) -> list[str]:
         about = _about(file, told)
     pictures["extrapolated.csv"] = _table(runs)
     pictures["textures.json"] = (json.dumps(about, indent=1, ensure_ascii=False) + "\n").encode()
-    try:
+    with os_error_as(ConfigError, f"{folder}: cannot be written"):
         folder.mkdir(parents=True, exist_ok=True)
         require_own(folder, pictures)
         write_own(folder, pictures)
-    except OSError as error:
-        raise ConfigError(f"{folder}: cannot be written: {error.strerror or error}") from None
     return [*remarks, f"{len(told)} textures of {about['width']} x {about['height']} pixels"]
 
 

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from gonio.disk import read_file, write_whole
-from gonio.errors import ArgumentError, DataError
+from gonio.errors import ArgumentError, DataError, os_error_as
 from gonio.rig.protocols import Frame
 from gonio.typing import NDArray
 
@@ -61,10 +61,8 @@ def write_dng(frame: Frame, path: str | Path) -> None:
         The file cannot be written.
     """
     path = Path(path)
-    try:
+    with os_error_as(DataError, f"{path}: the frame cannot be written"):
         write_whole(path, encode_dng(frame))
-    except OSError as error:
-        raise DataError(f"{path}: the frame cannot be written: {error.strerror or error}") from None
 
 
 def _check(frame: Frame) -> None:
@@ -231,10 +229,8 @@ def read_raw(path: str | Path, data: bytes | None = None) -> Frame:
     """
     path = Path(path)
     if data is None:
-        try:
+        with os_error_as(DataError, f"{path}: cannot be read"):
             data = read_file(path)
-        except OSError as error:
-            raise DataError(f"{path}: cannot be read: {error.strerror or error}") from None
     tags = _read_directories(data, path)
     own = _read_own(tags, data)
     if own is not None and tags.exposure_s and tags.black_level_dn is not None:

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from gonio.disk import read_file
-from gonio.errors import ConfigError, DataError
+from gonio.disk import content
+from gonio.errors import DataError
 from gonio.typing import Floats
 
 MAX_TEXELS = 1 << 26
@@ -42,12 +42,7 @@ def picture(path: Path, where: str) -> tuple[Pattern, Floats]:
 def _texels(path: Path, where: str) -> Floats:
     """The values of a texture's file, (height, width), in [0, 1]."""
     where = f"{where} = {str(path)!r}"
-    try:
-        data = read_file(path)
-    except FileNotFoundError:
-        raise ConfigError(f"{where}: there is no such file") from None
-    except OSError as error:
-        raise ConfigError(f"{where}: cannot be read: {error.strerror or error}") from None
+    data = content(path, where)
     texels = _of_npy(data, where) if path.suffix.lower() == ".npy" else _of_png(data, where)
     if texels.ndim != 2 or not 0 < texels.size <= MAX_TEXELS:
         raise DataError(

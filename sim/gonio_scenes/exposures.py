@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from gonio.disk import content
 from gonio.documents import JsonObject
 from gonio.errors import ConfigError, DataError
 from gonio.typing import Array, Bools, Floats
 from gonio_scenes.sensor import SATURATED, falloff
-from gonio_scenes.shapes.shape import content
 
 if TYPE_CHECKING:
     from gonio_scenes.scene import PhotographTable, Scene

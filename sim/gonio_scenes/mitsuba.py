@@ -19,7 +19,7 @@ import numpy as np
 
 from gonio import __version__
 from gonio.disk import require_own, write_own
-from gonio.errors import ConfigError
+from gonio.errors import ConfigError, os_error_as
 from gonio.formats import rgl
 from gonio.models import HeTorrance, Lambert
 from gonio.models.parameters import index_at
@@ -102,11 +102,9 @@ def write(scene: Scene, out: Path, command: str = "") -> Export:
         "left_out": list(made.left_out),
     }
     files = made.files | {"summary.json": (json.dumps(summary, indent=2) + "\n").encode()}
-    try:
+    with os_error_as(ConfigError, f"{out}: cannot be written"):
         out.mkdir(parents=True, exist_ok=True)
         write_own(out, files)
-    except OSError as error:
-        raise ConfigError(f"{out}: cannot be written: {error.strerror}") from None
     return made
 
 

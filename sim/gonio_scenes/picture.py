@@ -14,7 +14,7 @@ import numpy as np
 from gonio import __version__
 from gonio.disk import require_own, write_own
 from gonio.documents import JsonObject
-from gonio.errors import ConfigError
+from gonio.errors import ConfigError, os_error_as
 from gonio.rig.dng import encode_dng
 from gonio.rig.protocols import Frame
 from gonio.typing import Floats, NDArray
@@ -47,14 +47,12 @@ def write(scene: Scene, picture: Picture, out: Path, *, exr: bool = False, comma
     files["summary.json"] = (json.dumps(told, indent=2) + "\n").encode()
     if exr:
         files["picture.exr"] = _exr(scene, picture)
-    try:
+    with os_error_as(ConfigError, f"{out}: cannot be written"):
         out.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=out, prefix=".radiance") as folder:
             whole = Path(folder, "radiance.npz")
             _write_npz(picture, whole)
             write_own(out, files | {"radiance.npz": whole})
-    except OSError as error:
-        raise ConfigError(f"{out}: cannot be written: {error.strerror}") from None
 
 
 def require_free(scene: Scene, out: Path, *, exr: bool) -> None:

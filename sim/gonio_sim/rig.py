@@ -7,7 +7,6 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.resources import files
-from types import TracebackType
 from typing import Self
 
 from gonio.errors import ConfigError
@@ -147,9 +146,7 @@ class SimulatedRig:
         self.world.open, self.world.lamp_on, self._stays = True, False, False
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.light.off()
         if not self._stays:
             self.arms.park()

@@ -9,9 +9,10 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
+from gonio.disk import content
 from gonio.errors import ConfigError, DataError
 from gonio.typing import Floats
-from gonio_scenes.shapes.shape import BESIDE_SCENE, LARGEST_MM, Coordinate, FlatTable, Length, content
+from gonio_scenes.shapes.shape import BESIDE_SCENE, LARGEST_MM, Coordinate, FlatTable, Length
 from gonio_scenes.shapes.triangles import PerCorner, Triangles
 
 MAX_NODES = 1_200_000

@@ -7,6 +7,7 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import Field
 
+from gonio.disk import content
 from gonio.errors import ConfigError, DataError
 from gonio.typing import ArrayLike, Floats, NDArray
 from gonio_scenes.shapes.shape import (
@@ -16,7 +17,6 @@ from gonio_scenes.shapes.shape import (
     Coordinate,
     Length,
     ShapeTable,
-    content,
     unit,
 )
 from gonio_scenes.shapes.triangles import Faces, PerCorner, Triangles

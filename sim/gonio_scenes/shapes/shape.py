@@ -9,8 +9,6 @@ import numpy as np
 from pydantic import AfterValidator, Field, model_validator
 
 from gonio.config import Strict
-from gonio.disk import read_file
-from gonio.errors import ConfigError, GonioError
 from gonio.models.engine import in_parts
 from gonio.typing import ArrayLike, Floats, NDArray
 
@@ -100,24 +98,6 @@ def over_rays(kernel: Callable[..., None], count: int, *arguments: Any) -> None:
 
 
 # --- files and keys of the scene file ----------
-
-
-def content(path: Path, where: str, hint: str = "", unreadable: type[GonioError] = ConfigError) -> bytes:
-    """The bytes of a file that a scene names; `where` begins messages, and `hint` says where a file is looked for.
-
-    Raises
-    ------
-    ConfigError
-        There is no such file.
-    GonioError
-        It cannot be read: an error of the type `unreadable`.
-    """
-    try:
-        return read_file(path)
-    except FileNotFoundError:
-        raise ConfigError(f"{where}: there is no such file{hint}") from None
-    except OSError as error:
-        raise unreadable(f"{where}: cannot be read: {error.strerror or error}") from None
 
 
 BESIDE_SCENE = "; paths count from the folder of the scene file"

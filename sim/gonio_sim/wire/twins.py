@@ -11,14 +11,13 @@ import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
-from typing import Literal, Self
+from typing import Any, Literal, Self
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from gonio.config import to_toml
-from gonio.errors import ConfigError
+from gonio.errors import ConfigError, os_error_as
 from gonio.rig import Frame, Pose
 from gonio.rig.calibrated import uncalibrated
 from gonio.rig.description import Axis, RigDescription, SampleDescription
@@ -268,11 +267,9 @@ class Twins:
             self.followers[name], twin.leaving = arm, arm.follow
 
     def __enter__(self) -> Self:
-        try:
+        with os_error_as(ConfigError, f"{self._folder}: cannot be made"):
             (self._folder / "frames").mkdir(parents=True, exist_ok=True)
             (self._folder / TARGET_FILE).unlink(missing_ok=True)
-        except OSError as error:
-            raise ConfigError(f"{self._folder}: cannot be made: {error.strerror}") from None
         self.world.open = True
         self._warm_up()
         with contextlib.ExitStack() as stack:
@@ -284,11 +281,9 @@ class Twins:
             self._stack = stack.pop_all()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *how: Any) -> None:
         try:
-            self._stack.__exit__(kind, error, trace)
+            self._stack.__exit__(*how)
         finally:
             self._render.close()
             self.world.open = False
