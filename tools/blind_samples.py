@@ -10,8 +10,6 @@ the data's uncertainty everywhere (2.58 u: the 1 % level). Intervals are counted
 A folder that holds measured samples already is not measured again: only the choice is made anew.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import math

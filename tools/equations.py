@@ -3,8 +3,6 @@
 python tools/equations.py
 """
 
-from __future__ import annotations
-
 import inspect
 import re
 from pathlib import Path

@@ -6,8 +6,6 @@ Blocks run in the order of the page in one folder, which is removed afterwards: 
 written under the name in its first line. A picture's title says which file it was.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import shutil

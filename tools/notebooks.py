@@ -6,8 +6,6 @@ Each runs in a folder of its own that is removed afterwards. What changes from r
 (times, the kernel's name, identifiers of cells, addresses in memory) is left out, so that a second run changes nothing.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import sys

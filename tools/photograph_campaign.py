@@ -14,8 +14,6 @@ With `--alone` no sweep is measured. Height fields and meshes are bumpy, drawn a
 A folder that holds a measured case already is not measured again: only the reduction and the fits are made anew.
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 import tomllib

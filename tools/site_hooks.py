@@ -4,8 +4,6 @@ README.md becomes the first page, executed notebooks become pages, folders that 
 their pages, and every link of the finished site is followed. A warning here ends `mkdocs build --strict`.
 """
 
-from __future__ import annotations
-
 import base64
 import json
 import logging

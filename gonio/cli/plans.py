@@ -138,7 +138,7 @@ def describe(plan: Plan, seen: Prepared | None, *, out: Path | None = None, left
     left_out
         A file for the points that the rig cannot measure.
     """
-    from gonio.acquisition.plan import Assessed, said_beside
+    from gonio.acquisition.plan import Assessed, count_reasons, said_beside
     from gonio.acquisition.sampling import about
 
     if plan.adaptive is not None and seen is None:
@@ -165,7 +165,7 @@ def describe(plan: Plan, seen: Prepared | None, *, out: Path | None = None, left
         console.show(f"wavelengths: {', '.join(f'{w:g} nm' for w in plan.wavelength_nm)}")
         return
     bands = plan.bands(rig.description)
-    for (flag, cause), count in _reasons(points):
+    for (flag, cause), count in count_reasons(points):
         console.show(f"{count} {flag}: {cause}")
     console.show(*said_beside(points, rig.description))
     if left_out is not None:
@@ -267,12 +267,6 @@ def calibrations(description: RigDescription) -> list[str]:
 def unfit(description: RigDescription) -> list[str]:
     """A warning of each calibration that is used although it is unfit."""
     return [f"warning: calibration {remark}; it is used all the same" for remark in description.calibration.remarks]
-
-
-def _reasons(points: list[Assessed]) -> list[tuple[tuple[str, str], int]]:
-    from gonio.acquisition.plan import count_reasons
-
-    return count_reasons(points)
 
 
 def _missing(group: list[_Place]) -> str:

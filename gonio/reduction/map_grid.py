@@ -1,7 +1,5 @@
 """From the pictures of the camera to the grid on the sample: where a cell lies in a picture, and what it gets."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any

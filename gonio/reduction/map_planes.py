@@ -6,8 +6,6 @@ told by the table's own region in that frame. So a picture's mean over that regi
 uncertainty all pixels of a point share. The formulas are explained in docs/maps.md.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
