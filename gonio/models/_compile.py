@@ -30,6 +30,12 @@ def device(function: Callable[..., Any]) -> Callable[..., Any]:
     return function
 
 
+def in_double(function: F) -> F:
+    """Mark a function whose arithmetic is float64 in a kernel of float32, too."""
+    function.__dict__.update(__device__=True, __double__=True)
+    return function
+
+
 def instead_of(double: Callable[..., Any]) -> Callable[[F], F]:
     """Mark what takes the place of a function where a kernel's arithmetic is float32."""
 
@@ -96,7 +102,8 @@ def _clone(
         value = next((other for one, other in others if one is value), value)
         value = value.__dict__.get("single", value) if in_single and hasattr(value, "__dict__") else value
         if getattr(value, "__device__", False):
-            called[name] = _jit(value, value.__dict__.get("others", others), in_single)
+            single = in_single and "__double__" not in value.__dict__
+            called[name] = _jit(value, value.__dict__.get("others", others), single)
         elif getattr(value, "__table__", False):
             called[name] = value()
         elif name in names:

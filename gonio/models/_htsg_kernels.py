@@ -10,7 +10,7 @@ import math
 import numpy as np
 
 from gonio.models._compile import device, template
-from gonio.models._facets import fresnel
+from gonio.models._facets import SINGLE_RANGE, fresnel
 from gonio.models._htsg_expansion import TERMS, scaled_erfcx
 from gonio.models._htsg_series import BLOCK, EXPANDED, LANES, exp2_over, lambert_w, narrow, series
 from gonio.models._loops import part, unit_vectors, vector_part, vectors_of_angles
@@ -22,7 +22,7 @@ _ROWS = max(TERMS) + 1
 # The constants of a model at a wavelength, in order: a/pi, k0^4 sigma0^2 tau^2/(16 pi), (k0 sigma0)^2, (k0 tau)^2/4,
 # tau/(2 sigma0), 1 for eq. 25 as printed, |n~^2 - 1|^2, n^2 - k^2 - 1, n k, the tier of the series, 1 without Fresnel.
 DIFFUSE = 0
-TIER = 9
+TIER, ROUGHEST = 9, 2
 
 
 @device
@@ -103,7 +103,8 @@ def scratch(pairs):
 
 @template("r1 i r1 i p w1 i i")
 def over_vectors(omega_i, step_i, omega_r, step_r, constants, out, start, stop):
-    diffuse, tier = constants[DIFFUSE], int(constants[TIER])
+    # a state of float32 is not worth more than the series for 1e-6, which are float64
+    diffuse, tier = constants[DIFFUSE], ROUGHEST if out.itemsize == 4 else int(constants[TIER])
     wrong = 0
     state, order, kind_of, work, powers = scratch(stop - start)
     for first in range(start, stop, BLOCK):
@@ -225,7 +226,7 @@ def spectrum_over_angles(
     return wrong
 
 
-lobe_state.__dict__.update(over_vectors=over_vectors, over_angles=over_angles)
+lobe_state.__dict__.update(over_vectors=over_vectors, over_angles=over_angles, single_range=SINGLE_RANGE)
 
 
 # --- the specular spike and the Jones matrix ---------------------------------------------------------------------

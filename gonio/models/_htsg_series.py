@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from gonio.models._compile import device
+from gonio.models._compile import device, in_double, instead_of
 from gonio.models._htsg_expansion import (
     FULL,
     LIMITS_FULL,
@@ -38,6 +38,7 @@ from gonio.models._math import (
     _TWO_52,
     _TWO_52_BITS,
     exp,
+    exp2,
 )
 
 BLOCK = 2048  # pairs sorted at a time: their state stays in the cache
@@ -160,6 +161,12 @@ def exp2_over(c, r, quick):
     return scale * (exp2_micro(f) if quick else exp2_full(f))
 
 
+@instead_of(exp2_over)
+def exp2_over_single(c, r, quick):
+    """The same in float32."""
+    return exp2(-(c * r))
+
+
 @device
 def sum_terms(terms, n, quick, g, c, total, powers):
     """T(g, c) = sum over m = 1..terms of exp(-g) g^(m-1)/(m! m) exp(-c/m), for n <= LANES pairs; c in units of ln 2.
@@ -228,7 +235,7 @@ def expand(tier, band, n, x, spread, value, work):
 # --- a block of pairs: the rows of its state are factor, K, c and g of each, and room for two numbers more ------------
 
 
-@device
+@in_double
 def narrow(n, state):
     """Factor and g of a block of n states from sigma0 to sigma: both times narrowing = (sigma/sigma0)^2."""
     factor, k, g = state[0], state[1], state[3]
@@ -298,7 +305,7 @@ def sort_by_class(n, kind_of, order):
     return starts
 
 
-@device
+@in_double
 def series(n, tier, state, out, order, kind_of, work, powers):
     """out = factor * T(g, c) for a block of n states, class by class: the series of He1991 eq. 78, T = S(g, c)/g."""
     factor, spread, c, g, m0, phi = state[0], state[1], state[2], state[3], state[4], state[5]

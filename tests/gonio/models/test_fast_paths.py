@@ -36,10 +36,12 @@ CLOSED = [
     CookTorrance(f0=0.04, fresnel="schlick"),
     OrenNayar(),
     OrenNayar(form="qualitative"),
+    HeTorrance(),
+    HeTorrance(sigma0_um=0.16, tau_um=1.5, ior="Al", diffuse_albedo=0.0),
 ]
 PATHS = [CookTorrance(), HeTorrance(), OrenNayar(form="single-slope", slope_deg=20, groove_azimuth_deg=30)]
 """One model for each way through the engine: by columns, in several passes, by absolute azimuths."""
-ALL = [*CLOSED, HeTorrance(), OrenNayar(form="single-slope", slope_deg=20, groove_azimuth_deg=30)]
+ALL = [*CLOSED, OrenNayar(form="single-slope", slope_deg=20, groove_azimuth_deg=30)]
 
 
 pairs = partial(drawn_vectors, RNG)
@@ -79,7 +81,8 @@ def test_float32_vectors_give_float32_results_within_the_stated_error(model: Mod
     random_lit = lit & (grazing > 0.01)
     random_lit[20_000:] = False
     assert error[random_lit].max() < 3e-5
-    assert np.median(error[random_lit]) < 4e-7
+    # He-Torrance's exponents are rounded, too, and its series is the one for 1e-6
+    assert np.median(error[random_lit]) < (6e-7 if isinstance(model, HeTorrance) else 4e-7)
     # hard directions: 3e-5 away from grazing, and toward it what rounding does to a cosine, 1e-6 / cos (docs)
     hard = lit & np.isfinite(expected)
     hard[:20_000] = False
@@ -92,7 +95,7 @@ def test_float32_is_evaluated_in_float64_where_its_range_does_not_hold() -> None
         CookTorrance(slopes=50.0),
         Blinn(c=1e-3),
         CookTorrance(ior=1e7),
-        HeTorrance(),
+        HeTorrance(tau_um=1e6),
         AnisotropicFacets(0.2, 0.5, 30.0),
         OrenNayar(form="exact"),
     ):
