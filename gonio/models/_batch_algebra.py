@@ -15,11 +15,20 @@ from gonio.models import _math
 from gonio.models._compile import FASTMATH, jit
 
 OPTIONS = {"error_model": "numpy", "nogil": True, "fastmath": set(FASTMATH)}
-called = numba.njit(**OPTIONS)
+called = numba.njit(**OPTIONS, _nrt=True)
+viewing = numba.njit(**OPTIONS, _nrt=False)
+"""Makes no arrays, and views only of those that its caller holds: counting references to them took a quarter of all."""
 summing = numba.njit(error_model="numpy", nogil=True, fastmath={*FASTMATH, "reassoc"})
 """Sums may be taken in any order, so that they vectorise."""
 inlined = numba.njit(inline="always", **OPTIONS)
 log = jit(_math.log)
+
+
+@viewing
+def copied(x, out, first, count):  # type: ignore[no-untyped-def]
+    """The first `count` numbers into `out`, from `first` on; an assignment to a slice looks for overlap first."""
+    for j in range(count):
+        out[first + j] = x[j]
 
 
 @summing
@@ -28,6 +37,24 @@ def dot(x, y, count):  # type: ignore[no-untyped-def]
     out = 0.0
     for j in range(count):
         out += x[j] * y[j]
+    return out
+
+
+@summing
+def sum_of(x, count):  # type: ignore[no-untyped-def]
+    """Sum of the first `count` numbers."""
+    out = 0.0
+    for j in range(count):
+        out += x[j]
+    return out
+
+
+@summing
+def cross(x, a, y, b, count):  # type: ignore[no-untyped-def]
+    """`dot` of a row of x and a row of y, without the views that a slice makes."""
+    out = 0.0
+    for j in range(count):
+        out += x[a, j] * y[b, j]
     return out
 
 
@@ -43,6 +70,19 @@ def moments(x, w, wz, count):  # type: ignore[no-untyped-def]
     return first, second, other
 
 
+@summing
+def slope_moments(x, d, w, wz, count):  # type: ignore[no-untyped-def]
+    """Sums of w d, w d d, w d x and wz d."""
+    first, second, mixed, other = 0.0, 0.0, 0.0, 0.0
+    for j in range(count):
+        weighted = w[j] * d[j]
+        first += weighted
+        second += weighted * d[j]
+        mixed += weighted * x[j]
+        other += wz[j] * d[j]
+    return first, second, mixed, other
+
+
 @inlined
 def on_scale(f, small):  # type: ignore[no-untyped-def]
     """asinh(f/(2 small)): ln f for all but the smallest values."""
@@ -50,7 +90,7 @@ def on_scale(f, small):  # type: ignore[no-untyped-def]
     return copysign(log(x + sqrt(x * x + 1.0)), f)
 
 
-@called
+@viewing
 def solve(matrix, right, moves, damping, triangle, out):  # type: ignore[no-untyped-def]
     """Solve (matrix + damping times its diagonal) out = right by Cholesky; 0 for parameters that do not move."""
     k = out.size
@@ -88,7 +128,7 @@ def inverted(matrix, moves, triangle, out):  # type: ignore[no-untyped-def]
             out[b, a] = column[b] if moves[a] else 0.0
 
 
-@called
+@viewing
 def whitened_causes(relative, f, w, slope, causes, inner, count):  # type: ignore[no-untyped-def]
     """Common causes in units of the values' own uncertainties, and Cholesky's triangle of 1 + causes causes'."""
     r = relative.shape[0]
@@ -103,7 +143,7 @@ def whitened_causes(relative, f, w, slope, causes, inner, count):  # type: ignor
             inner[c, e] = sqrt(inner[c, e]) if c == e else inner[c, e] / inner[e, e]
 
 
-@called
+@viewing
 def seen_by_causes(causes, inner, x, count, out):  # type: ignore[no-untyped-def]
     """What Woodbury's formula takes from products with x: inner^-1 causes x."""
     for c in range(causes.shape[0]):
@@ -113,7 +153,7 @@ def seen_by_causes(causes, inner, x, count, out):  # type: ignore[no-untyped-def
         out[c] /= inner[c, c]
 
 
-@called
+@viewing
 def residuals(f, z, w, small, out, count):  # type: ignore[no-untyped-def]
     """(z - f) w on the scale; z is on it already."""
     if small == 0.0:
@@ -124,7 +164,7 @@ def residuals(f, z, w, small, out, count):  # type: ignore[no-untyped-def]
             out[j] = (z[j] - on_scale(f[j], small)) * w[j]
 
 
-@called
+@viewing
 def slopes_of_scale(f, small, out, count):  # type: ignore[no-untyped-def]
     """d scale / d f."""
     for j in range(count):

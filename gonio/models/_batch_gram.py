@@ -21,7 +21,7 @@ from gonio.models._batch_algebra import (
 )
 from gonio.models._batch_loops import LINEAR_BELOW, REAL, WHOLE, seen_from, taken
 from gonio.models._batch_misfit import errors, estimated_tau
-from gonio.models._batch_steps import DERIVE, SHADE, TAKE, linearised, normal
+from gonio.models._batch_steps import DERIVE, SHADE, TAKE, by_differences, linearised, normal, shaded
 from gonio.models._compile import sources
 
 GRAM, GRAM_OF_LOGARITHMS, TAU, ERRORS = range(4)
@@ -66,8 +66,11 @@ def examine(  # type: ignore[no-untyped-def]
     n, k, r = values.shape[1], free.size, common.shape[0]
     omega_i, omega_r, packed = np.empty(3 * n), np.empty(3 * n), np.empty(count_of_columns * n)
     z, w, own, at = np.empty(n), np.empty(n), np.empty(n), np.full(n, -1, np.int64)
-    whole, slope, variance, residual = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
-    work, rows, trial, inner = np.empty((3, n)), np.empty((k + r + 1, n)), np.empty(theta.shape[1]), np.empty((r, r))
+    differs = by_differences(derive, packed, free, lower, upper)
+    sets = 1 + differs.sum()
+    whole, trials = np.empty(sets * n), np.empty(sets * theta.shape[1])
+    slope, variance, residual = np.empty(n), np.empty(n), np.empty(n)
+    work, rows, inner = np.empty((3, n)), np.empty((k + r + 1, n)), np.empty((r, r))
     triangle, matrix, spread = np.empty((k, k)), np.empty((k, k)), np.empty((k, k))
     right, other, of_causes, moves = np.empty(k), np.empty(r), np.empty((k, r)), np.empty(k, np.bool_)
     for q in range(start, stop):
@@ -85,11 +88,13 @@ def examine(  # type: ignore[no-untyped-def]
         seen_from(x[p], y[p], source, camera, at, count, omega_i, omega_r)
         take(omega_i[: 3 * count], omega_r[: 3 * count], lower, columns)
         small = on_logarithms(z, own, tau[p], w, variance, count) if job != GRAM else 0.0
-        shade(columns, theta[p], f)
+        shaded(shade, columns, theta[p], free, lower, upper, differs, trials, whole, count)
         slopes_of_scale(f, small, slope, count)
         if job == TAU:
             w[:count] = 1.0
-        linearised(shade, derive, columns, theta[p], f, w, slope, free, lower, upper, trial, derivatives, count)
+        linearised(
+            shade, derive, columns, theta[p], whole, w, slope, free, lower, upper, differs, trials, derivatives, count
+        )
         residuals(f, z, w, small, residual, count)
         if job == TAU:
             out[q, 0, 0] = estimated_tau(

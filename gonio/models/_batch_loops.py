@@ -14,23 +14,25 @@ import numpy as np
 from numba import types
 
 from gonio.compiled import njit
-from gonio.models._batch_algebra import OPTIONS, called, inverted, moments
+from gonio.models._batch_algebra import OPTIONS, copied, inverted, moments, slope_moments, sum_of, viewing
 from gonio.models._batch_misfit import nearest
 from gonio.models._batch_models import FREE_BASE, FREE_LEVELS, FREE_LOBE
-from gonio.models._batch_steps import DERIVE, LEVELS, SHADE, TAKE, UNIT, minimised
+from gonio.models._batch_steps import DERIVE, LEVELS, SHADE, TAKE, UNIT, by_differences, minimised, room_for
 from gonio.models._compile import sources
 
 FAR_VALLEY = 100.0
 """A second start is tried where its chi-square is at most so many times that of the first, and so much more."""
-CLOSE_VALLEY = 3.0
+CLOSE_VALLEY = 10.0
 """It is tried as well where the first ends acceptably, if its chi-square is at most so many times that; and 20 more."""
+NARROWINGS = 3
+"""Steps of the width alone, before all parameters are fitted."""
 FEWEST_OF_SOME = 25
 """Values that tell the start at least, where some of them do (`Batched.every`)."""
 LINEAR_BELOW = 0.05
 """Of the median value: below it the scale of logarithms is linear (`observations.LINEAR_BELOW`)."""
 
 
-@called
+@viewing
 def levels_of(how, s0, sz, sg, sgg, sgz):  # type: ignore[no-untyped-def]
     """Level of a lobe and base by least squares, both at least 0, from sums over the values."""
     level, base = 1.0, 0.0
@@ -49,7 +51,7 @@ def levels_of(how, s0, sz, sg, sgg, sgz):  # type: ignore[no-untyped-def]
     return level, base
 
 
-@called
+@viewing
 def lowest_row(profile, first, step):  # type: ignore[no-untyped-def]
     """Where chi-square is lowest of rows `first`, `first + step`, ...; a number wins over NaN."""
     best = first
@@ -59,16 +61,18 @@ def lowest_row(profile, first, step):  # type: ignore[no-untyped-def]
     return best
 
 
-@called
-def valleys(shade, unit, levels, columns, z, w, grid, widths, starts, profile, weight, weighted, lobes, fresh, count):  # type: ignore[no-untyped-def]
-    """The rows of the two lowest valleys of chi-square over the grid's widths; -1 for none.
+@viewing
+def levelled(how, g, weight, weighted, s0, sz, count):  # type: ignore[no-untyped-def]
+    """The best level and base of a lobe, by how much they lower chi-square below that of nothing, and the sums."""
+    sg, sgg, sgz = moments(g, weight, weighted, count)
+    level, base = levels_of(how, s0, sz, sg, sgg, sgz)
+    gain = 2.0 * (level * sgz + base * sz - level * base * sg) - level * level * sgg - base * base * s0
+    return level, base, gain, sg, sgg, sgz
 
-    `starts` and `profile` get parameters and chi-square of each row. Rows of `grid` run over the width fastest. Where
-    levels are solved for, the model is a lobe times a level and a base: both follow by linear least squares. `lobes`
-    has the lobe of each row; it is made anew for `fresh` directions.
-    """
-    theta = np.empty(grid.shape[1])
-    profile[:] = np.inf
+
+@viewing
+def weighed(z, w, weight, weighted, count):  # type: ignore[no-untyped-def]
+    """Weights and weighted values; their sums, and that of weighted squares."""
     s0, sz, szz = 0.0, 0.0, 0.0
     for j in range(count):
         weight[j] = w[j] * w[j]
@@ -76,18 +80,26 @@ def valleys(shade, unit, levels, columns, z, w, grid, widths, starts, profile, w
         s0 += weight[j]
         sz += weighted[j]
         szz += weighted[j] * z[j]
+    return s0, sz, szz
+
+
+@viewing
+def valleys(levels, how, z, w, grid, widths, starts, profile, weight, weighted, lobes, count):  # type: ignore[no-untyped-def]
+    """The rows of the two lowest valleys of chi-square over the grid's widths; -1 for none.
+
+    `starts` and `profile` get parameters and chi-square of each row. Rows of `grid` run over the width fastest. Where
+    levels are solved for, the model is a lobe times a level and a base: both follow by linear least squares. `lobes`
+    has the lobes, row after row.
+    """
+    profile[:] = np.inf
+    s0, sz, szz = weighed(z, w, weight, weighted, count)
     for row in range(grid.shape[0]):
-        theta[:] = grid[row]
-        how = unit(theta)
-        g = lobes[row, :count]
-        if fresh:
-            shade(columns, theta, g)
-        sg, sgg, sgz = moments(g, weight, weighted, count)
-        level, base = levels_of(how, s0, sz, sg, sgg, sgz)
-        chi = szz + level * level * sgg + base * base * s0 + 2.0 * (level * base * sg - level * sgz - base * sz)
-        profile[row] = chi
-        levels(theta, level, base)
-        starts[row] = theta
+        g = lobes[row * count : row * count + count]
+        level, base, gain, _, _, _ = levelled(how, g, weight, weighted, s0, sz, count)
+        profile[row] = szz - gain
+        start = starts[row]
+        copied(grid[row], start, 0, start.size)
+        levels(start, level, base)
     first, second = -1, -1
     for a in range(widths):
         here = lowest_row(profile, a, widths)
@@ -102,7 +114,40 @@ def valleys(shade, unit, levels, columns, z, w, grid, widths, starts, profile, w
     return first, second
 
 
-@called
+@viewing
+def narrowed(shade, derive, unit, levels, columns, start, width, low, high, weight, weighted, lobe, g, d, trial, count):  # type: ignore[no-untyped-def]
+    """Brings the width of a start towards the lowest chi-square by Gauss-Newton steps, each with the best levels.
+
+    That is variable projection (Golub and Pereyra 1973) with Kaufman's derivative: levels are taken out of the values
+    and of the derivative by linear least squares. `lobe` is that of the start; `g`, `d` and `trial` are changed.
+    """
+    s0, sz, best = sum_of(weight, count), sum_of(weighted, count), -np.inf
+    copied(start, trial, 0, start.size)
+    for turn in range(NARROWINGS + 1):
+        how = unit(trial)
+        if turn:
+            shade(columns, trial, 1, g)
+        else:
+            copied(lobe, g, 0, count)
+        level, base, gain, sg, sgg, _ = levelled(how, g, weight, weighted, s0, sz, count)
+        if not gain > best:
+            break
+        best = gain
+        if turn < NARROWINGS:
+            derive(columns, trial, width, g, d)
+        levels(trial, level, base)
+        copied(trial, start, 0, start.size)
+        sd, sdd, sgd, sdz = slope_moments(g, d, weight, weighted, count)
+        if base > 0.0:
+            sdd, sgd, sgg, sdz = sdd - sd * sd / s0, sgd - sg * sd / s0, sgg - sg * sg / s0, sdz - sd * sz / s0
+        bend = sdd if how == FREE_BASE else sdd - sgd * sgd / sgg
+        if not (level > 0.0 and bend > 0.0):
+            break
+        step = (sdz - level * sgd) / (level * bend)
+        trial[width] = min(max(start[width] + step, low, 0.5 * start[width]), high, 2.0 * start[width])
+
+
+@viewing
 def seen_from(x, y, source, camera, at, count, omega_i, omega_r):  # type: ignore[no-untyped-def]
     """Unit vectors from a place to source and camera of the values that are used."""
     for j in range(count):
@@ -115,7 +160,7 @@ def seen_from(x, y, source, camera, at, count, omega_i, omega_r):  # type: ignor
         omega_r[3 * j], omega_r[3 * j + 1], omega_r[3 * j + 2] = dx * inverse, dy * inverse, dz * inverse
 
 
-@called
+@viewing
 def taken(values, u, z, own, w, at):  # type: ignore[no-untyped-def]
     """Packs the values that have an uncertainty: how many there are, and whether they are those of before."""
     count, same = 0, True
@@ -134,47 +179,55 @@ REAL, WHOLE = types.float64, types.int64
 RESULT = types.int64(
     *(types.FunctionType(one) for one in (TAKE, SHADE, DERIVE, UNIT, LEVELS)),
     *(WHOLE, REAL[::1], REAL[::1], REAL[:, ::1], REAL[:, ::1], REAL[:, ::1], REAL[:, ::1], REAL[:, ::1]),
-    *(WHOLE[::1], REAL[::1], REAL[::1], REAL[:, ::1], WHOLE, WHOLE[:, ::1], REAL[::1], WHOLE),
+    *(WHOLE[::1], REAL[::1], REAL[::1], REAL[:, ::1], WHOLE, WHOLE[:, ::1], REAL[::1], WHOLE, WHOLE),
     *(REAL[:, ::1], REAL[:, :, ::1], REAL[::1], REAL[::1], WHOLE[::1], WHOLE, WHOLE),
 )
 
 
-@called
+@viewing
 def lowest(  # type: ignore[no-untyped-def]
-    shade, derive, unit, levels, columns, z, w, some, some_z, some_w, relative, grid, widths, free, lower, upper,
-    acceptable, rows, lobes, fresh, work, starts, profile, matrix, moves, triangle, end, theta, spread, count,
+    shade, derive, unit, levels, columns, z, w, some_z, some_w, relative, grid, axis, free, lower, upper, acceptable,
+    rows, lobes, work, starts, profile, matrix, moves, triangle, end, theta, spread, room, count,
 ):  # fmt: skip
-    """Chi-square of the lowest valley; its parameters in `theta`, their covariance in `spread`."""
+    """Chi-square of the lowest valley; its parameters in `theta`, their covariance in `spread`.
+
+    `axis`: what `unit` tells, how many widths the grid has, and which parameter the width is, or -1.
+    """
+    how, widths, width = axis
     f, weight, weighted = rows[0, :count], rows[1], rows[2]
     first, second = valleys(
-        shade, unit, levels, some, some_z, some_w, grid, widths, starts, profile, weight, weighted, lobes, fresh,
-        some_z.size,
-    )  # fmt: skip
-    best, which, later = np.inf, first, second
-    nearby = profile[second] * count / some_z.size if second >= 0 else np.inf
+        levels, how, some_z, some_w, grid, widths, starts, profile, weight, weighted, lobes, some_z.size
+    )
+    best, which = np.inf, first
     while which >= 0:
+        if best <= acceptable and profile[which] * count / some_z.size > CLOSE_VALLEY * best + 20.0:
+            break
+        if width >= 0:
+            narrowed(
+                shade, derive, unit, levels, columns, starts[which], width, lower[width], upper[width], weight,
+                weighted, lobes[which * count : which * count + count], f, work[0, :count], end, count,
+            )  # fmt: skip
         for a in range(end.size):
             end[a] = min(max(starts[which, a], lower[a]), upper[a])
         found = minimised(
-            shade, derive, columns, z, w, 0.0, relative, end, free, lower, upper, f, work, matrix, moves, count
+            shade, derive, columns, z, w, 0.0, relative, end, free, lower, upper, f, work, matrix, moves, room, count
         )
         if found < best:
             best = found
-            theta[:] = end
+            copied(end, theta, 0, end.size)
             inverted(matrix, moves, triangle, spread)
+        nearby = profile[second] if second >= 0 and which == first else np.inf
         profile[which - which % widths : which - which % widths + widths] = np.inf
-        which, later = later, -1
-        if which >= 0 and best <= acceptable and nearby > CLOSE_VALLEY * best + 20.0:
-            which = -1
-        elif which < 0 and best > acceptable:
-            which = lowest_row(profile, 0, 1)  # of another index, or another sigma
-            which = which if profile[which] < np.inf else -1
+        if nearby < np.inf:
+            profile[second] = nearby
+        which = lowest_row(profile, 0, 1)  # the second valley, or one of another index or another sigma
+        which = which if profile[which] < np.inf else -1
     return best
 
 
 def fit_pixels(  # type: ignore[no-untyped-def]
     take, shade, derive, unit, levels, count_of_columns, x, y, source, camera, values, u, common, free, lower, upper,
-    grid, widths, numbers, critical, every, theta, spread, chi, tau, used, start, stop,
+    grid, widths, numbers, critical, every, width, theta, spread, chi, tau, used, start, stop,
 ):  # fmt: skip
     """Fit pixels `start` to `stop`, one after the other; see `gonio.models.batch.fit`."""
     n, k, r, size = values.shape[1], free.size, common.shape[0], grid.shape[1]
@@ -183,9 +236,12 @@ def fit_pixels(  # type: ignore[no-untyped-def]
     of_causes, of_blocks, rows = np.empty(r * n), np.empty(numbers.shape[0] * n, np.int64), np.empty((3, n))
     work, starts, matrix = np.empty((k + r + 4, n)), np.empty((grid.shape[0], size)), np.empty((k, k))
     triangle, moves, end, profile = np.empty((k, k)), np.empty(k, np.bool_), np.empty(size), np.empty(grid.shape[0])
-    lobes, before = np.empty((grid.shape[0], n)), -1
+    lobes, units, how, before = np.empty(grid.shape[0] * n), grid.copy(), 0, -1
     few_i, few_r, few = np.empty(3 * n), np.empty(3 * n), np.empty(count_of_columns * n)
     few_z, few_w = np.empty(n), np.empty(n)
+    room = room_for(k, r, size, n, by_differences(derive, packed, free, lower, upper))
+    for row in range(grid.shape[0]):
+        how = unit(units[row])
     for p in range(start, stop):
         count, same = taken(values[p], u[p], z, own, w, at)
         used[p] = count
@@ -217,17 +273,19 @@ def fit_pixels(  # type: ignore[no-untyped-def]
                 few_r[3 * j : 3 * j + 3] = omega_r[3 * j * step : 3 * j * step + 3]
             if fresh:
                 take(few_i[: 3 * m], few_r[: 3 * m], lower, some)
+        if fresh:
+            shade(some, units.ravel(), grid.shape[0], lobes[: grid.shape[0] * some_z.size])
         chi[p] = lowest(
-            shade, derive, unit, levels, columns, z, w, some, some_z, some_w, relative, grid, widths, free, lower,
-            upper, critical[count], rows, lobes, fresh, work, starts, profile, matrix, moves, triangle, end, theta[p],
-            spread[p], count,
+            shade, derive, unit, levels, columns, z, w, some_z, some_w, relative, grid, (how, widths, width), free,
+            lower, upper, critical[count], rows, lobes, work, starts, profile, matrix, moves, triangle, end, theta[p],
+            spread[p], room, count,
         )  # fmt: skip
         if chi[p] > critical[count]:
             small = max(LINEAR_BELOW * np.median(np.abs(z[:count])), 1e-300)
             measured = z[:count].copy()
             tau[p] = nearest(
                 shade, derive, columns, measured, own[:count], z[:count], w[:count], small, relative, theta[p], free,
-                lower, upper, rows[0, :count], work, block, spread[p], moves, count,
+                lower, upper, rows[0, :count], work, block, spread[p], moves, room, count,
             )  # fmt: skip
     return 0
 

@@ -18,7 +18,7 @@ from gonio.models._batch_algebra import (
     solve,
     whitened_causes,
 )
-from gonio.models._batch_steps import MOST_STEPS, linearised, minimised
+from gonio.models._batch_steps import MOST_STEPS, linearised, minimised, shaded
 
 TURNS = 8
 """Parameters and misfit are found in turn, so often at most."""
@@ -187,26 +187,32 @@ def errors(plain, raw, causes, inner, numbers, moves, spread, count):  # type: i
 @called
 def nearest(  # type: ignore[no-untyped-def]
     shade, derive, columns, values, u, z, w, small, relative, theta, free, lower, upper, f, work, numbers, spread,
-    moves, count,
+    moves, room, count,
 ):  # fmt: skip
     """The nearest model with a misfit of its own, where the data reject every one (`fit._nearest`): tau.
 
     `theta` begins where the stated uncertainties end; it and its covariance `spread` are changed.
     """
-    k, r, size = free.size, relative.shape[0], theta.size
+    k, r = free.size, relative.shape[0]
     matrix, triangle, inner = np.empty((k, k)), np.empty((k, k)), np.empty((r, r))
     variance, raw, slope = np.empty(count), np.empty(count), np.empty(count)
-    plain, causes, trial, nothing = np.empty((k, count)), np.empty((r, count)), np.empty(size), np.empty((0, count))
+    plain, causes, nothing = np.empty((k, count)), np.empty((r, count)), np.empty((0, count))
+    _, _, _, _, _, _, _, trials, whole, _, differs = room
     for j in range(count):
         variance[j] = (u[j] / sqrt(values[j] * values[j] + 4.0 * small * small)) ** 2
         z[j] = on_scale(values[j], small)
         w[j] = 1.0
-    minimised(shade, derive, columns, z, w, small, nothing, theta, free, lower, upper, f, work, matrix, moves, count)
+    minimised(
+        shade, derive, columns, z, w, small, nothing, theta, free, lower, upper, f, work, matrix, moves, room, count
+    )
     tau = 0.0
     for turn in range(TURNS):
         slopes_of_scale(f, small, slope, count)
         raw_w = np.ones(count)
-        linearised(shade, derive, columns, theta, f, raw_w, slope, free, lower, upper, trial, plain, count)
+        shaded(shade, columns, theta, free, lower, upper, differs, trials, whole, count)
+        linearised(
+            shade, derive, columns, theta, whole, raw_w, slope, free, lower, upper, differs, trials, plain, count
+        )
         residuals(f, z, raw_w, small, raw, count)
         before = tau
         tau = estimated_tau(before, variance, raw, plain, relative, f, slope, causes, inner, triangle, work, count)
@@ -215,10 +221,27 @@ def nearest(  # type: ignore[no-untyped-def]
         for j in range(count):
             w[j] = 1.0 / sqrt(variance[j] + tau * tau)
         minimised(
-            shade, derive, columns, z, w, small, relative, theta, free, lower, upper, f, work, matrix, moves, count
+            shade,
+            derive,
+            columns,
+            z,
+            w,
+            small,
+            relative,
+            theta,
+            free,
+            lower,
+            upper,
+            f,
+            work,
+            matrix,
+            moves,
+            room,
+            count,
         )
     slopes_of_scale(f, small, slope, count)
-    linearised(shade, derive, columns, theta, f, w, slope, free, lower, upper, trial, plain, count)
+    shaded(shade, columns, theta, free, lower, upper, differs, trials, whole, count)
+    linearised(shade, derive, columns, theta, whole, w, slope, free, lower, upper, differs, trials, plain, count)
     residuals(f, z, w, small, raw, count)
     inverted(matrix, moves, triangle, spread)
     if r:

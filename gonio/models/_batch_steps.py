@@ -7,20 +7,23 @@ from numba import types
 
 from gonio.models._batch_algebra import (
     called,
+    copied,
+    cross,
     dot,
     inlined,
     residuals,
     seen_by_causes,
     slopes_of_scale,
     solve,
+    viewing,
     whitened_causes,
 )
 
 ROW = types.float64[::1]
 TAKE = types.int64(ROW, ROW, ROW, ROW)
 """Unit vectors to source and to camera, three numbers a value, what is known -> the columns of the model's kernel."""
-SHADE = types.int64(ROW, ROW, ROW)
-"""Columns and parameters -> BRDF of each value [1/sr]."""
+SHADE = types.int64(ROW, ROW, types.int64, ROW)
+"""Columns, sets of parameters one after the other, how many sets -> BRDF of each value [1/sr], set after set."""
 DERIVE = types.int64(ROW, ROW, types.int64, ROW, ROW)
 """Columns, parameters, which of them, BRDF -> 1 and its derivative where a formula gives it; else 0."""
 UNIT = types.int64(ROW)
@@ -48,25 +51,59 @@ def toward(value, step, low, high):  # type: ignore[no-untyped-def]
 
 
 @called
-def linearised(shade, derive, columns, theta, f, w, slope, free, lower, upper, trial, derivatives, count):  # type: ignore[no-untyped-def]
-    """Derivatives of the weighted values by the parameters that move."""
+def by_differences(derive, columns, free, lower, upper):  # type: ignore[no-untyped-def]
+    """Which of the free parameters have no derivative by formula, in the middle of their ranges."""
+    out, nothing = np.empty(free.size, np.bool_), columns[:0]
+    for a in range(free.size):
+        out[a] = derive(nothing, 0.5 * (lower + upper), free[a], nothing, nothing) == 0
+    return out
+
+
+@inlined
+def difference(value, low, high):  # type: ignore[no-untyped-def]
+    """The step for a derivative by differences, within bounds."""
+    step = STEP * max(abs(value), 1e-3 * (high - low))
+    return -step if value + step > high else step
+
+
+@viewing
+def shaded(shade, columns, theta, free, lower, upper, differs, trials, out, count):  # type: ignore[no-untyped-def]
+    """The model, and after it the model a step further along each parameter that `differs`."""
+    size, sets = theta.size, 1
+    copied(theta, trials, 0, size)
+    for a in range(free.size):
+        if differs[a]:
+            copied(theta, trials, sets * size, size)
+            trials[sets * size + free[a]] += difference(theta[free[a]], lower[free[a]], upper[free[a]])
+            sets += 1
+    shade(columns, trials[: sets * size], sets, out[: sets * count])
+
+
+@viewing
+def linearised(  # type: ignore[no-untyped-def]
+    shade, derive, columns, theta, values, w, slope, free, lower, upper, differs, trials, derivatives, count
+):
+    """Derivatives of the weighted values by the parameters that move, from what `shaded` gives."""
+    f, sets = values[:count], 1
     for a in range(free.size):
         at = free[a]
         d = derivatives[a, :count]
-        step = 1.0
-        if derive(columns, theta, at, f, d) == 0:
-            step = STEP * max(abs(theta[at]), 1e-3 * (upper[at] - lower[at]))
-            step = -step if theta[at] + step > upper[at] else step
-            trial[:] = theta
-            trial[at] += step
-            shade(columns, trial, d)
+        step = difference(theta[at], lower[at], upper[at])
+        if differs[a]:
+            for j in range(count):
+                d[j] = (values[sets * count + j] - f[j]) / step
+            sets += 1
+        elif derive(columns, theta, at, f, d) == 0:
+            copied(theta, trials, 0, theta.size)
+            trials[at] += step
+            shade(columns, trials[: theta.size], 1, d)
             for j in range(count):
                 d[j] = (d[j] - f[j]) / step
         for j in range(count):
             d[j] *= w[j] * slope[j]
 
 
-@called
+@viewing
 def missed(f, z, w, small, r, causes, inner, residual, other, count):  # type: ignore[no-untyped-def]
     """Chi-square; `residual` and what the causes see of it."""
     residuals(f, z, w, small, residual, count)
@@ -77,7 +114,7 @@ def missed(f, z, w, small, r, causes, inner, residual, other, count):  # type: i
     return chi
 
 
-@called
+@viewing
 def normal(derivatives, residual, causes, inner, other, of_causes, matrix, right, count):  # type: ignore[no-untyped-def]
     """The normal equations, with the causes by Woodbury's formula."""
     k, r = right.size, other.size
@@ -87,32 +124,45 @@ def normal(derivatives, residual, causes, inner, other, of_causes, matrix, right
             seen_by_causes(causes, inner, derivatives[a], count, of_causes[a])
             right[a] -= dot(of_causes[a], other, r)
         for b in range(a + 1):
-            matrix[a, b] = dot(derivatives[a], derivatives[b], count)
+            matrix[a, b] = cross(derivatives, a, derivatives, b, count)
             if r:
                 matrix[a, b] -= dot(of_causes[a], of_causes[b], r)
             matrix[b, a] = matrix[a, b]
 
 
 @called
-def minimised(shade, derive, columns, z, w, small, relative, theta, free, lower, upper, f, work, matrix, moves, count):  # type: ignore[no-untyped-def]
+def room_for(k, r, size, n, differs):  # type: ignore[no-untyped-def]
+    """Memory that `minimised` works in, for all its calls."""
+    sets = 1 + differs.sum()
+    return (
+        np.empty((k, k)), np.empty((r, r)), np.empty(k), np.empty(k), np.empty((k, r)), np.empty(r), np.empty(size),
+        np.empty(sets * size), np.empty(sets * n), np.empty(sets * n), differs,
+    )  # fmt: skip
+
+
+@viewing
+def minimised(  # type: ignore[no-untyped-def]
+    shade, derive, columns, z, w, small, relative, theta, free, lower, upper, f, work, matrix, moves, room, count
+):
     """Levenberg and Marquardt's least squares from `theta` on, which is moved; chi-square at the end.
 
-    `matrix` becomes the normal matrix at the end, `work` rows: derivatives, causes, then residual, slope and a trial.
+    `f` becomes the model at the end, `matrix` the normal matrix; `work` has rows for derivatives, causes, residual
+    and slope.
     """
-    k, r, size = free.size, relative.shape[0], theta.size
+    k, r = free.size, relative.shape[0]
     derivatives, causes = work[:k], work[k : k + r]
-    residual, slope, tried = work[k + r, :count], work[k + r + 1, :count], work[k + r + 2, :count]
-    triangle, inner = np.empty((k, k)), np.empty((r, r))
-    right, step, of_causes, other = np.empty(k), np.empty(k), np.empty((k, r)), np.empty(r)
-    trial, new = np.empty(size), np.empty(size)
+    residual, slope = work[k + r, :count], work[k + r + 1, :count]
+    triangle, inner, right, step, of_causes, other, new, trials, values, tried, differs = room
     damping, chi = FIRST_DAMPING, np.inf
-    shade(columns, theta, f)
+    shaded(shade, columns, theta, free, lower, upper, differs, trials, values, count)
     for _ in range(MOST_STEPS):
-        slopes_of_scale(f, small, slope, count)
-        linearised(shade, derive, columns, theta, f, w, slope, free, lower, upper, trial, derivatives, count)
+        slopes_of_scale(values, small, slope, count)
+        linearised(
+            shade, derive, columns, theta, values, w, slope, free, lower, upper, differs, trials, derivatives, count
+        )
         if r:
-            whitened_causes(relative, f, w, slope, causes, inner, count)
-        chi = missed(f, z, w, small, r, causes, inner, residual, other, count)
+            whitened_causes(relative, values, w, slope, causes, inner, count)
+        chi = missed(values, z, w, small, r, causes, inner, residual, other, count)
         normal(derivatives, residual, causes, inner, other, of_causes, matrix, right, count)
         for a in range(k):
             at = free[a]
@@ -121,19 +171,20 @@ def minimised(shade, derive, columns, z, w, small, relative, theta, free, lower,
         ended = True
         for _ in range(MOST_TRIALS):
             solve(matrix, right, moves, damping, triangle, step)
-            gain = dot(step, right, k)
-            new[:] = theta
+            if dot(step, right, k) < SETTLED:
+                break
+            copied(theta, new, 0, theta.size)
             for a in range(k):
                 new[free[a]] = toward(theta[free[a]], step[a], lower[free[a]], upper[free[a]])
-            shade(columns, new, tried)
-            found = chi if gain < SETTLED else missed(tried, z, w, small, r, causes, inner, residual, other, count)
-            if found <= chi:
-                theta[:] = new
-                f[:count] = tried
+            shaded(shade, columns, new, free, lower, upper, differs, trials, tried, count)
+            if missed(tried, z, w, small, r, causes, inner, residual, other, count) <= chi:
+                copied(new, theta, 0, theta.size)
+                values, tried = tried, values
                 damping = max(0.1 * damping, 1e-12)
-                ended = gain < SETTLED
+                ended = False
                 break
             damping = max(10.0 * damping, 1e-6)
         if ended:
             break
+    copied(values, f, 0, count)
     return chi

@@ -191,6 +191,7 @@ def _loop(function: Callable[..., Any], kernel: Callable[..., Any], size: int, i
     function = kernel.__dict__.get(function.__name__, function)  # a kernel of several passes brings its own loops
     signature = tuple(kind(code) for code in function.__dict__["__layout__"])
     options = _options(function.__dict__["__side_by_side__"], in_single)
+    options["_nrt"] = not function.__dict__["__columns__"]  # those make no arrays: without counts of references
     names: dict[str, object] = {"kernel": kernel}
     if "columns" in kernel.__dict__ and not function.__dict__["__columns__"]:
         parts = {"shade": kernel, "take": kernel.__dict__["columns"]}

@@ -119,6 +119,32 @@ def over_vectors(omega_i, step_i, omega_r, step_r, constants, out, start, stop):
     return wrong
 
 
+@template("r1 r1 r2 w1")
+def over_sets(omega_i, omega_r, sets, out):
+    """BRDF of unit vectors for many sets of constants of one tier, set after set.
+
+    All go through the series together, so that its classes are full: a class takes its time even for a single pair.
+    """
+    n = omega_i.size // 3
+    state, order, kind_of, work, powers = scratch(out.size)
+    for first in range(0, out.size, BLOCK):
+        stop = min(first + BLOCK, out.size)
+        for row in range(first // n, (stop + n - 1) // n):
+            c = sets[row]
+            constants = (c[0], c[1], c[2], c[3], c[4], c[5], c[6], c[7], c[8], c[9], c[10])
+            begin, end = max(first, row * n), min(stop, row * n + n)
+            a, b, j = begin - first, end - first, begin - row * n
+            l, v = vector_part(omega_i, j, b - a, 1), vector_part(omega_r, j, b - a, 1)  # noqa: E741
+            vector_states(b - a, l, v, constants, state[0, a:b], state[1, a:b], state[2, a:b], state[3, a:b])
+        narrow(stop - first, state)
+        series(stop - first, int(sets[0, TIER]), state, out[first:stop], order, kind_of, work, powers)
+    for row in range(len(sets)):
+        for j in range(n):
+            lit = omega_i[3 * j + 2] >= 0.0 and omega_r[3 * j + 2] >= 0.0
+            out[row * n + j] += sets[row, DIFFUSE] if lit else 0.0
+    return 0
+
+
 @template("r1 i r1 i r1 i r1 i p w1 i i")
 def over_angles(theta_i, step_ti, phi_i, step_pi, theta_r, step_tr, phi_r, step_pr, constants, out, start, stop):
     diffuse, tier = constants[DIFFUSE], int(constants[TIER])
@@ -226,7 +252,9 @@ def spectrum_over_angles(
     return wrong
 
 
-lobe_state.__dict__.update(over_vectors=over_vectors, over_angles=over_angles, single_range=SINGLE_RANGE)
+lobe_state.__dict__.update(
+    over_vectors=over_vectors, over_angles=over_angles, over_sets=over_sets, single_range=SINGLE_RANGE
+)
 
 
 # --- the specular spike and the Jones matrix ---------------------------------------------------------------------

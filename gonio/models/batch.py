@@ -114,11 +114,12 @@ def fit(
         np.empty(pixels, np.int64),
     )  # fmt: skip
     run = _batch_loops.engine()
+    width = posed.model.names.index(posed.model.grid[-1][0]) if posed.model.grid[-1][0] in posed.free else -1
     engine.in_parts(
         lambda start, stop: run(
             *posed.compiled, *posed.given, posed.common, posed.which, posed.lower, posed.upper, grid, widths,
-            posed.blocks, _critical(n, len(posed.free)), posed.model.every, out.values, out.covariance, out.chi_square,
-            out.tau, out.used, start, stop,
+            posed.blocks, _critical(n, len(posed.free)), posed.model.every, width, out.values, out.covariance,
+            out.chi_square, out.tau, out.used, start, stop,
         ),
         pixels,
         WORTH,
@@ -208,16 +209,20 @@ def _over_columns(model: Batched, kernel: Kernel, folded: bool) -> tuple[Callabl
     """What makes a kernel's columns, and what evaluates it at them."""
     constants = jit(model.constants)
     if "columns" not in kernel.__dict__:
-        whole = loop(_loops.over_vectors, kernel, model.size)
+        whole, size = loop(kernel.__dict__["over_sets"], kernel, model.size), model.size
 
         def take_directions(omega_i, omega_r, theta, out):  # type: ignore[no-untyped-def]
             out[: omega_i.size] = omega_i
             out[omega_i.size :] = omega_r
             return 0
 
-        def shade_directions(found, theta, out):  # type: ignore[no-untyped-def]
-            half = found.size // 2
-            return whole(found[:half], 1, found[half:], 1, constants(theta), out, 0, out.size)
+        def shade_directions(found, thetas, sets, out):  # type: ignore[no-untyped-def]
+            half, m, made = found.size // 2, thetas.size // sets, np.empty((sets, size))
+            for row in range(sets):
+                one = constants(thetas[row * m : row * m + m])
+                for c in range(size):
+                    made[row, c] = one[c]
+            return whole(found[:half], found[half:], made, out)
 
         return take_directions, shade_directions
     count = int(kernel.__dict__["count"])
@@ -226,8 +231,11 @@ def _over_columns(model: Batched, kernel: Kernel, folded: bool) -> tuple[Callabl
     def take(omega_i, omega_r, theta, out):  # type: ignore[no-untyped-def]
         return over(omega_i, omega_r, out)
 
-    def shade(found, theta, out):  # type: ignore[no-untyped-def]
-        return at(found, constants(theta), out, 0, out.size)
+    def shade(found, thetas, sets, out):  # type: ignore[no-untyped-def]
+        n, m = out.size // sets, thetas.size // sets
+        for row in range(sets):
+            at(found, constants(thetas[row * m : row * m + m]), out[row * n : row * n + n], 0, n)
+        return 0
 
     if not folded or model.fold is None:
         return take, shade
@@ -305,5 +313,6 @@ def _compiled(name: str, absorbs: bool, folded: bool) -> tuple[Any, ...]:
         (levels, types.LEVELS),
     ):  # fmt: skip
         function.__name__ = function.__qualname__ = f"{function.__name__}_{suffix}"
-        made.append(njit(*signature.args, nogil=True, error_model="numpy")(function))
+        lean = function is not take and "columns" in kernel.__dict__  # what makes no arrays
+        made.append(njit(*signature.args, nogil=True, error_model="numpy", _nrt=not lean)(function))
     return (*made, count)

@@ -227,7 +227,7 @@ def test_values_are_those_of_the_model_and_derivatives_by_formula_those_of_the_v
         values = {one: rng.uniform(*limits) for one, limits in ranges.items()} | fixed
         theta = np.array([(values | {"k": 0.0})[one] for one in batch.require(name).names])
         take(omega_i, omega_r, theta, columns)
-        shade(columns, theta, f)
+        shade(columns, theta, 1, f)
         np.testing.assert_allclose(f, build(name, values).brdf(*at.angles), rtol=1e-12)  # other roundings
         for k, one in enumerate(batch.require(name).names):
             if one in ("ior", "k"):
@@ -238,11 +238,31 @@ def test_values_are_those_of_the_model_and_derivatives_by_formula_those_of_the_v
             for sign in (1.0, -1.0):
                 moved, out = theta.copy(), np.empty(POINTS)
                 moved[k] += sign * step
-                shade(columns, moved, out)
+                shade(columns, moved, 1, out)
                 ends.append(out)
             # central differences: 1e-10 of the third derivative, and rounding 1e-16/1e-5 of the values
             scale = np.abs(formula) + 1e-3 * f / theta[k]
             assert np.max(np.abs((ends[0] - ends[1]) / (2.0 * step) - formula) / scale) < 1e-6
+
+
+@pytest.mark.parametrize("name", DRAWN)
+def test_many_sets_at_once_give_what_each_gives_alone(name: str) -> None:
+    rng = np.random.default_rng(18)
+    source, camera = geometry(rng)
+    at = directions(source, camera, 0.0, 0.0)
+    omega_i, omega_r = (np.ascontiguousarray(v, float).reshape(-1) for v in at.vectors)
+    model = batch.require(name)
+    take, shade, _, _, _, count = batch._compiled(name, False, "ior" in DRAWN[name][1])
+    columns, sets = np.empty(count * POINTS), 30  # He-Torrance works 2048 values at a time
+    ranges, fixed = DRAWN[name]
+    drawn_sets = [{one: rng.uniform(*limits) for one, limits in ranges.items()} | fixed for _ in range(sets)]
+    own = model.own(550.0)
+    thetas = np.array([[*((one | {"k": 0.0})[n] for n in model.names), *own] for one in drawn_sets])
+    take(omega_i, omega_r, thetas[0], columns)
+    found = np.empty(sets * POINTS)
+    shade(columns, thetas.ravel(), sets, found)
+    for one, values in zip(drawn_sets, found.reshape(sets, POINTS), strict=True):
+        np.testing.assert_allclose(values, build(name, one).brdf(*at.angles), rtol=1e-9)  # He-Torrance's second tier
 
 
 def test_a_level_that_is_known_is_kept() -> None:
