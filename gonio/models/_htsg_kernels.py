@@ -119,6 +119,20 @@ def over_vectors(omega_i, step_i, omega_r, step_r, constants, out, start, stop):
     return wrong
 
 
+@device
+def of_equal_slope(sets, row, first):
+    """The nearest set before a row, not before `first`, that differs in sigma0 and tau alone, at one slope; else -1."""
+    c = sets[row]
+    for other in range(row - 1, first - 1, -1):
+        o = sets[other]
+        equal = o[1] > 0.0 and o[2] > 0.0 and o[3] > 0.0 and abs(o[4] - c[4]) <= 1e-15 * c[4]  # it is tau/(2 sigma0)
+        for k in range(5, 11):
+            equal = equal and o[k] == c[k]
+        if equal:
+            return other
+    return -1
+
+
 @template("r1 r1 r2 w1")
 def over_sets(omega_i, omega_r, sets, out):
     """BRDF of unit vectors for many sets of constants of one tier, set after set.
@@ -134,6 +148,14 @@ def over_sets(omega_i, omega_r, sets, out):
             constants = (c[0], c[1], c[2], c[3], c[4], c[5], c[6], c[7], c[8], c[9], c[10])
             begin, end = max(first, row * n), min(stop, row * n + n)
             a, b, j = begin - first, end - first, begin - row * n
+            other = of_equal_slope(sets, row, (first + n - 1) // n)
+            if j == 0 and other >= 0:  # Fresnel and shadowing are the same
+                o, back = sets[other], (row - other) * n
+                scale, width, phase = c[1] / o[1], c[3] / o[3], c[2] / o[2]
+                for i in range(a, b):
+                    state[0, i], state[1, i] = scale * state[0, i - back], state[1, i - back]
+                    state[2, i], state[3, i] = width * state[2, i - back], phase * state[3, i - back]
+                continue
             l, v = vector_part(omega_i, j, b - a, 1), vector_part(omega_r, j, b - a, 1)  # noqa: E741
             vector_states(b - a, l, v, constants, state[0, a:b], state[1, a:b], state[2, a:b], state[3, a:b])
         narrow(stop - first, state)

@@ -256,6 +256,8 @@ def test_many_sets_at_once_give_what_each_gives_alone(name: str) -> None:
     columns, sets = np.empty(count * POINTS), 30  # He-Torrance works 2048 values at a time
     ranges, fixed = DRAWN[name]
     drawn_sets = [{one: rng.uniform(*limits) for one, limits in ranges.items()} | fixed for _ in range(sets)]
+    for one in drawn_sets[::2]:  # one slope: geometry, Fresnel and shadowing are taken from the set before
+        one |= {"tau_um": 20.0 * one["sigma0_um"]} if "tau_um" in one else {}
     own = model.own(550.0)
     thetas = np.array([[*((one | {"k": 0.0})[n] for n in model.names), *own] for one in drawn_sets])
     take(omega_i, omega_r, thetas[0], columns)
