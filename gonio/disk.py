@@ -6,8 +6,10 @@ import hashlib
 import itertools
 import os
 import re
+import shutil
 import stat
 import sys
+import tempfile
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from io import BytesIO
 from pathlib import Path
@@ -207,6 +209,23 @@ class Staged:
         except BaseException:
             self.drop()
             raise
+
+
+@contextlib.contextmanager
+def work_folder(parent: Path, name: str) -> Iterator[Path]:
+    """A hidden folder to work in, which goes at the end; those that processes left there when they died go, too.
+
+    Raises
+    ------
+    OSError
+        It cannot be made or removed.
+    """
+    for left in list(parent.iterdir()):
+        found = re.fullmatch(rf"\.{re.escape(name)}\.(\d+)\.\w+\.work", left.name)
+        if found and left.is_dir() and not left.is_symlink() and not platform.is_alive(int(found[1])):
+            shutil.rmtree(left)
+    with tempfile.TemporaryDirectory(prefix=f".{name}.{os.getpid()}.", suffix=".work", dir=parent) as made:
+        yield Path(made)
 
 
 def half_written(name: str, of: Collection[str] | re.Pattern[str]) -> bool:

@@ -18,7 +18,6 @@ import json
 import os
 import re
 import sys
-import tempfile
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -48,6 +47,7 @@ from gonio.disk import (
     require_name,
     require_own,
     sha256_of,
+    work_folder,
     write_own,
 )
 from gonio.documents import JsonObject
@@ -427,16 +427,16 @@ class Run:
         from gonio.formats import native
 
         with os_error_as(ConfigError, f"{self.path / TABLE[0]}: cannot be written"):
-            with tempfile.TemporaryDirectory(prefix=".table-", dir=self.path) as work:
+            with work_folder(self.path, "table") as work:
                 try:
-                    native.write(table, Path(work) / TABLE[0])
+                    native.write(table, work / TABLE[0])
                 except ConfigError as error:
-                    raise ConfigError(str(error).replace(work, str(self.path))) from None
+                    raise ConfigError(str(error).replace(str(work), str(self.path))) from None
                 tables = {
                     name: held if isinstance(held, bytes) else held.to_csv(index=False).encode()
                     for name, held in (beside or {}).items()
                 }
-                write_own(self.path, {name: (Path(work) / name).read_bytes() for name in TABLE} | tables)
+                write_own(self.path, {name: (work / name).read_bytes() for name in TABLE} | tables)
             own = read_manifest(self.path)
             for name in BESIDE_TABLE:
                 if name not in tables and is_own(self.path / name, own.get(name, ())):

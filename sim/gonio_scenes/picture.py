@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from gonio import __version__
-from gonio.disk import require_own, write_own
+from gonio.disk import require_own, work_folder, write_own
 from gonio.documents import JsonObject
 from gonio.errors import ConfigError, os_error_as
 from gonio.rig.dng import encode_dng
@@ -49,8 +49,8 @@ def write(scene: Scene, picture: Picture, out: Path, *, exr: bool = False, comma
         files["picture.exr"] = _exr(scene, picture)
     with os_error_as(ConfigError, f"{out}: cannot be written"):
         out.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=out, prefix=".radiance") as folder:
-            whole = Path(folder, "radiance.npz")
+        with work_folder(out, "radiance") as folder:
+            whole = folder / "radiance.npz"
             _write_npz(picture, whole)
             write_own(out, files | {"radiance.npz": whole})
 

@@ -2,6 +2,8 @@
 
 import hashlib
 import os
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -357,3 +359,18 @@ def test_a_manifest_names_files_of_its_own_folder_alone(measure: Measure, tmp_pa
     with pytest.raises(GonioError, match=r"gonio\.sha256"):
         Run.open(run.path)
     assert tree(tmp_path) == before
+
+
+def test_a_folder_to_work_in_goes_at_its_end_and_those_of_dead_processes_go_with_it(tmp_path: Path) -> None:
+    child = subprocess.Popen([sys.executable, "-c", ""])
+    child.wait()
+    dead, alive = tmp_path / f".radiance.{child.pid}.ab_1.work", tmp_path / f".radiance.{os.getpid()}.ab_1.work"
+    others = [tmp_path / f".table.{child.pid}.ab_1.work", tmp_path / ".radiance.work"]
+    for folder in (dead, alive, *others):
+        folder.mkdir()
+        (folder / "radiance.npz").write_bytes(b"begun")
+    with disk.work_folder(tmp_path, "radiance") as work:
+        assert work.parent == tmp_path
+        assert work.name.startswith(f".radiance.{os.getpid()}.")
+        (work / "radiance.npz").write_bytes(b"whole")
+    assert sorted(tmp_path.iterdir()) == sorted([alive, *others])
