@@ -1,7 +1,5 @@
 """The points that a sampler may choose from, and how far they lie from what was measured."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Collection, Sequence

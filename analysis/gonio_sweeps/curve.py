@@ -5,8 +5,6 @@ points are those that are expected to lower the variance of the whole curve most
 covers: they look where nothing was measured. docs/adaptive_sweeps.md has the method.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

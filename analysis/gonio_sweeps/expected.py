@@ -1,7 +1,5 @@
 """What a visit to a point will tell and cost: noise and time of its frames, by the level that a model expects there."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

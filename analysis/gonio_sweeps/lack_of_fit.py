@@ -6,8 +6,6 @@ are fitted to them, and what chi-square falls by has a chi-square distribution o
 long before single values stand out.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

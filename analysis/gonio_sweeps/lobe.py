@@ -1,7 +1,5 @@
 """A first guess of what of a curve is a lobe, and what is the base under it."""
 
-from __future__ import annotations
-
 import numpy as np
 import numpy.typing as npt
 

@@ -5,8 +5,6 @@ white reference over time, is fitted again each time. A reduction at the end (`g
 errors of the angles do to each value. Samplers have models of the sample, and know that from these.
 """
 
-from __future__ import annotations
-
 from bisect import bisect_right
 from dataclasses import dataclass, field
 from functools import partial

@@ -6,8 +6,6 @@ them. A rival's own parameters, and the common causes of the run, may imitate a 
 A rival without free parameters is a sample file. docs/adaptive_sweeps.md has the method.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

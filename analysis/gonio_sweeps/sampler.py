@@ -1,7 +1,5 @@
 """What the samplers here share: their keys, a budget of rig time, candidates, and batches in an order of short ways."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from functools import cached_property

@@ -1,7 +1,5 @@
 """The commands `gonio figures` and `gonio bench ...`. Nothing heavy is imported before one runs."""
 
-from __future__ import annotations
-
 import contextlib
 import sys
 from collections.abc import Callable, Iterator

@@ -4,8 +4,6 @@ Indices: j values, a and b parameters that move, c common causes. numba is impor
 imports at its first fit.
 """
 
-from __future__ import annotations
-
 from math import copysign, sqrt
 
 import numba

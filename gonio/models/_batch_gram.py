@@ -1,7 +1,5 @@
 """The compiled part of `gonio.models.batch_spectra`: what one wavelength of a pixel says near given parameters."""
 
-from __future__ import annotations
-
 import functools
 from math import sqrt
 

@@ -5,8 +5,6 @@ all models. Indices: j values, a parameters that move, c common causes, p pixels
 which `batch` imports at its first fit.
 """
 
-from __future__ import annotations
-
 import functools
 from math import sqrt
 

@@ -1,7 +1,5 @@
 """The misfit of a pixel whose values reject the model: tau, the nearest model, and its errors by blocks."""
 
-from __future__ import annotations
-
 from math import copysign, sqrt
 
 import numpy as np

@@ -1,7 +1,5 @@
 """How models are fitted to very many pixels (`gonio.models.batch`): constants, levels, derivatives and starts."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from math import inf, pi, sqrt

@@ -1,7 +1,5 @@
 """Levenberg and Marquardt's least squares of one pixel, on a model that comes in as compiled functions (`SHADE`...)."""
 
-from __future__ import annotations
-
 import numpy as np
 from numba import types
 

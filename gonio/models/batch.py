@@ -7,8 +7,6 @@ standard errors. Common causes act through Woodbury's formula. Where the data re
 own, as in docs/misfit.md. docs/maps.md has the formulas and what differs from a fit of one table.
 """
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace

@@ -7,8 +7,6 @@ Causes that values share are parameters with a standard deviation of 1. docs/map
 gets its misfits and errors.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """The compiled loop over the cells of a map: what lies between the four pixels around a spot."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """All quantities of appearance of one sample, from what its table or its model gives."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

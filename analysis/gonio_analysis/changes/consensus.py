@@ -6,8 +6,6 @@ and Laird (Control. Clin. Trials 7, 177, 1986), Mandel and Paule (J. Res. NBS 87
 Variance Components, ch. 6), and the largest consistent subset of Cox (Metrologia 44, 187, 2007).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

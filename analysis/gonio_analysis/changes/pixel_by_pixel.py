@@ -1,7 +1,5 @@
 """Two maps of fits, pixel by pixel: what changed, where false discoveries are a bounded share of what is marked."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

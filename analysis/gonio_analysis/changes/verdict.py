@@ -1,7 +1,5 @@
 """Whether two measurements differ: tests of all points together."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -4,8 +4,6 @@ Nothing heavy is imported before a command runs: `gonio --help` has to answer at
 options are read stands in `gonio_analysis.commands.carried_out`.
 """
 
-from __future__ import annotations
-
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated

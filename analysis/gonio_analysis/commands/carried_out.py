@@ -1,7 +1,5 @@
 """What the commands `fit`, `compare`, `report` and `appearance` do, once their options are read."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import dataclass, replace
 from pathlib import Path

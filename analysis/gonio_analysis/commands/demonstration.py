@@ -1,7 +1,5 @@
 """`gonio demo`: the whole line on one simulated sample, each step a file that can be run again."""
 
-from __future__ import annotations
-
 import os
 import sys
 import time

@@ -1,7 +1,5 @@
 """`gonio remounts`."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Annotated

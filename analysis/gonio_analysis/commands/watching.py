@@ -1,7 +1,5 @@
 """`gonio watch`: a run on a page and in the terminal, while it is measured or afterwards."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import sys

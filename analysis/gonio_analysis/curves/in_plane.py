@@ -8,8 +8,6 @@ Usually the detector moves and theta_i is the curve's parameter. Where an instru
 the source, a curve is what that instrument scanned: its parameter is theta_r, and the source's angle runs.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any, Literal
 

@@ -1,7 +1,5 @@
 """One curve of a plot: theory, measurement, or both."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from gonio.typing import Floats

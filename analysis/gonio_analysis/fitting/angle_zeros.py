@@ -8,8 +8,6 @@ slopes. The provenance of such a table names the uncertainties of the zeros (`ze
 (`readings_rad`), and its column `u_angles` says what readings have added to `u_random`.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """Directional-hemispherical reflectance rho_dh, of a fitted model and of a measurement itself."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

@@ -5,8 +5,6 @@ eigenvector of the covariance with the largest variance, on a relative scale for
 determine is the combination across the valley, as sigma0/tau of a very rough surface (He et al. 1991, eq. 78: g >> 1).
 """
 
-from __future__ import annotations
-
 import math
 from fractions import Fraction
 

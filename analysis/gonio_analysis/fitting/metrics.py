@@ -12,8 +12,6 @@ With f the measured and F the model's BRDF [1/sr] in the same directions:
 The directions are the measured ones, each counted once: no sample has been resampled to a uniform grid.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from gonio.typing import Floats

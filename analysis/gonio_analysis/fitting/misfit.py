@@ -7,8 +7,6 @@ directions. A Gaussian process describes it, whose amplitudes are held near tau 
 model's place. See docs/misfit.md.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Models by name, as fits see them: what their classes declare (`gonio.models.declaration`), and sums of two."""
 
-from __future__ import annotations
-
 import difflib
 import math
 from collections.abc import Callable, Mapping

@@ -1,7 +1,5 @@
 """A fitted model as a sample file, for `gonio measure`, `convert`, `render`, `compare` and `appearance`."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path

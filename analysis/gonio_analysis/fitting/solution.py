@@ -1,7 +1,5 @@
 """What a fit has found: parameters with their errors, how far the model is off, and what is said of both."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace

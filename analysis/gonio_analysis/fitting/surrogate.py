@@ -4,8 +4,6 @@ Near the solution the model through the instrument's cones is the quick model (t
 spike) times a ratio that hardly changes. The ratio is taken from the solution.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from gonio.checks.values import Rows

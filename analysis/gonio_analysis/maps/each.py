@@ -1,7 +1,5 @@
 """One model fitted to each of very many tables, in one process: one row a table."""
 
-from __future__ import annotations
-
 import csv
 import hashlib
 import io

@@ -1,7 +1,5 @@
 """A file of fits of every pixel of a map: tile by tile, and what it says in short."""
 
-from __future__ import annotations
-
 import math
 import platform
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """Colour over angle, and the beams of a glossmeter, on axes that are given."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Any

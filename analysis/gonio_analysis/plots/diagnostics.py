@@ -1,7 +1,5 @@
 """Plots about a fit and about the data's uncertainties: each draws on the `ax` that it is given."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any, TypedDict
 

@@ -1,7 +1,5 @@
 """The half disc of normalised polar plots."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

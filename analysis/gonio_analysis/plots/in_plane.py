@@ -5,8 +5,6 @@ with error bars, as in He et al. 1991; colours are those of Okabe and Ito (2008)
 own.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Any, TypedDict

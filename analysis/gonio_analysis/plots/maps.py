@@ -5,8 +5,6 @@ and azimuths run counterclockwise. What was not measured stays empty: colours ar
 measured directions only where its corners are at most `FARTHEST` apart.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any

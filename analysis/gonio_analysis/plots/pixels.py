@@ -1,7 +1,5 @@
 """Maps of a sample's pixels: values in colours, kinds in colours, a ruler in mm, and how values spread."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Any

@@ -1,7 +1,5 @@
 """Mueller matrices over the angle: a grid of four by four panels."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

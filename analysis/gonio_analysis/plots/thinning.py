@@ -1,7 +1,5 @@
 """Which of many values are enough to draw: where markers would cover each other, some of them show the same."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

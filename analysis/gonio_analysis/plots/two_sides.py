@@ -1,7 +1,5 @@
 """Polar plots of what a sample reflects, in the upper half, and of what it lets through, in the lower one."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

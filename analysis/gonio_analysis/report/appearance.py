@@ -1,7 +1,5 @@
 """A sample's quantities of appearance (`gonio appearance`): what is named, their page, their table in other pages."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path

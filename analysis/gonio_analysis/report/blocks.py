@@ -3,8 +3,6 @@
 `gonio_analysis.report.html` and `gonio_analysis.report.pdf` write the same blocks; neither reads what the other wrote.
 """
 
-from __future__ import annotations
-
 import datetime
 import platform
 from collections.abc import Iterable, Sequence

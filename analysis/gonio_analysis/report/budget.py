@@ -3,8 +3,6 @@
 Of a run it is the budget: every part of it in words and numbers, and which of them matters where.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import partial
 from typing import Any

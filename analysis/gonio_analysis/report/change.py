@@ -1,7 +1,5 @@
 """The report on two things compared point by point (`gonio compare A B --change`)."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace

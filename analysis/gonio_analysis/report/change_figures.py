@@ -1,7 +1,5 @@
 """The figures of a comparison point by point, and maps of signed values, which other comparisons have too."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from functools import partial

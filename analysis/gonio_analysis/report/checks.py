@@ -1,7 +1,5 @@
 """The checks of a measurement: each with its figure of merit and verdict, and what they rest on as small figures."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Sequence
 from functools import partial

@@ -1,7 +1,5 @@
 """Figures beyond the plane of incidence, of a fit's parameters, and of the uncertainty over the angle."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import partial
 from typing import Any

@@ -7,8 +7,6 @@ nothing else, in no relation to the program that runs here: a script needs no gu
 process that was spawned may have such processes of its own.
 """
 
-from __future__ import annotations
-
 import importlib
 import os
 import pickle

@@ -1,7 +1,5 @@
 """Drawings of a page, and the figures that they become."""
 
-from __future__ import annotations
-
 import hashlib
 import io
 import re

@@ -1,7 +1,5 @@
 """What the pages of a comparison are printed from, and `summary.json` holds: samples with their fits, in numbers."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any

@@ -1,7 +1,5 @@
 """The health of a run: temperatures, currents and voltages against time, and for what the run waited."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import partial
 from typing import Any

@@ -1,7 +1,5 @@
 """The report on laboratories compared (`gonio compare --laboratories A B C`)."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The report on two maps of fits compared pixel by pixel (`gonio compare A.h5 B.h5 --change`)."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any

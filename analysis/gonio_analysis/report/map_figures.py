@@ -1,7 +1,5 @@
 """The figures of a map: parameters, their uncertainties, the misfit, flags, materials and histograms."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from functools import partial

@@ -1,7 +1,5 @@
 """The report on a map: what was fitted to every pixel of a sample, or what was measured there."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What the page of a map of values shows: values towards the mirror direction, their u, and what cannot be used."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What the page of a map holds for its program: every few pixels of its layers, in 16 bits, and measured values."""
 
-from __future__ import annotations
-
 import base64
 from collections.abc import Mapping, Sequence
 from typing import Any

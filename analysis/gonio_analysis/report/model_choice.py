@@ -1,7 +1,5 @@
 """The section "Which model" of a report: what was tried, from the simplest up, and what the data say of it."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping, Sequence
 

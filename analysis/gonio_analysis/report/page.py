@@ -1,7 +1,5 @@
 """The pages of a comparison: its summary and its figures as blocks."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 

@@ -1,7 +1,5 @@
 """Measured Mueller matrices: their part of a page."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import partial
 from typing import Any

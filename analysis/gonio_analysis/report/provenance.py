@@ -1,7 +1,5 @@
 """The section "Provenance" of a report: when and how it was made, and where its values come from."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from typing import Any
 

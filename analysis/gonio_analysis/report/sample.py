@@ -1,7 +1,5 @@
 """One sample's section of the page: what was measured, which models were fitted, how far they are off."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

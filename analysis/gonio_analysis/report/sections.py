@@ -1,7 +1,5 @@
 """The parts that a sample's page ends with, in their order. To add one: its file, and its name here."""
 
-from __future__ import annotations
-
 from gonio_analysis.report import (
     appearance,
     budget,

@@ -1,7 +1,5 @@
 """The sessions of a run: when somebody measured, how far it came, and what the white reference said each time."""
 
-from __future__ import annotations
-
 from datetime import datetime, timedelta
 
 from gonio.shown import with_u

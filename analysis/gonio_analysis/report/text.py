@@ -1,7 +1,5 @@
 """Numbers in words: how a report prints them."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Sequence

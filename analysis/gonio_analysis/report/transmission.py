@@ -1,7 +1,5 @@
 """What a sample lets through: its part of a page."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from functools import partial

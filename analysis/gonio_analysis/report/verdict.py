@@ -1,7 +1,5 @@
 """What a report's headline says of the nearest model: how far off, where, and by which metric."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Mapping, Sequence
 

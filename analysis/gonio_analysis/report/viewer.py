@@ -1,7 +1,5 @@
 """What the interactive plot of a page shows: the JSON embedded in the page, which is also written as a table."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any, NotRequired, TypedDict
 

@@ -1,7 +1,5 @@
 """What the plots of the page of `gonio watch` show of a run so far."""
 
-from __future__ import annotations
-
 import json
 import sys
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """Parameters over the wavelength, where several were fitted: their part of a page."""
 
-from __future__ import annotations
-
 from gonio_analysis.report.blocks import Block, Figures, Heading
 from gonio_analysis.report.facts import DatasetSummary
 from gonio_analysis.report.section import Figures as ByKind

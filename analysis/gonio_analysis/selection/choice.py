@@ -9,8 +9,6 @@ On a real sample all are rejected. Then the nearest is the one that best predict
 logarithms; models whose difference in that lies within twice its own uncertainty cannot be told apart.
 """
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence

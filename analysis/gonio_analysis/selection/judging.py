@@ -1,7 +1,5 @@
 """How candidates are judged: errors of values held out, rejection, and who comes near."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """Regions of angles: where a model fails, and blocks of values for held-out errors."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """Many samples at once: on the processors here, or on a Dask cluster whose scheduler is named."""
 
-from __future__ import annotations
-
 import os
 import socket
 import threading

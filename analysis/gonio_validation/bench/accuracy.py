@@ -1,7 +1,5 @@
 """Errors of the ways against the reference samples."""
 
-from __future__ import annotations
-
 import warnings
 from dataclasses import dataclass
 

@@ -4,8 +4,6 @@ Every run leaves one record, written whole. So a command that was cut short goes
 of runs adds to those that are there.
 """
 
-from __future__ import annotations
-
 import contextlib
 import csv
 import io

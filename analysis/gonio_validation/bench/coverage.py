@@ -1,7 +1,5 @@
 """Blind campaigns, as many as are asked for, and the report of `gonio bench coverage`."""
 
-from __future__ import annotations
-
 import datetime
 import shutil
 from collections.abc import Sequence

@@ -4,8 +4,6 @@ All values of one campaign share its errors: its zeros, its reference, its drift
 count, by one value that is chosen at random and beforehand, or by one test of all its values together.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any

@@ -1,7 +1,5 @@
 """`index.html` of `gonio bench coverage`, and its drawings."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

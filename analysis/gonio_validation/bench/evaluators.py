@@ -1,7 +1,5 @@
 """Every way of evaluating every quantity: ours, and what they are compared with in this process."""
 
-from __future__ import annotations
-
 import functools
 import math
 from collections.abc import Callable

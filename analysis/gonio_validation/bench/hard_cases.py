@@ -1,7 +1,5 @@
 """The hard cases: expected and achieved digits, and whether anything came out that must not."""
 
-from __future__ import annotations
-
 import math
 import warnings
 from collections.abc import Callable, Iterable

@@ -1,7 +1,5 @@
 """`gonio bench maps`: what a fit of a pixel takes, and how far it is from a fit of one table and from the truth."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass

@@ -1,7 +1,5 @@
 """Cook-Torrance fits of pixels by jax, as one would write them there: batched, with its own derivatives."""
 
-from __future__ import annotations
-
 import importlib.util
 import time
 from typing import Any

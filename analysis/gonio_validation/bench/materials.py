@@ -3,8 +3,6 @@
 Published fits (`*.fit`) among them are a second list.
 """
 
-from __future__ import annotations
-
 import csv
 import io
 from collections.abc import Mapping, Sequence

@@ -3,8 +3,6 @@
 Mitsuba runs in a process of its own, as every peer does (`peers`).
 """
 
-from __future__ import annotations
-
 import importlib.util
 import tempfile
 import time

@@ -5,8 +5,6 @@ He-Torrance's geometry, shadowing and Fresnel factors are those of the model; on
 
 # mypy: allow-untyped-defs, allow-untyped-calls
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What the pages of all benches have: a head, parts with a note, verdicts, and the machine they were made on."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from typing import Literal
 

@@ -1,7 +1,5 @@
 """Speed against error: the Pareto front of the ways of evaluating a quantity, and its drawing."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Any

@@ -5,8 +5,6 @@ workers of Dr.Jit and Mitsuba spin and slow down what is measured after them, an
 find an LLVM that they cannot use. So each first evaluates a few pairs there.
 """
 
-from __future__ import annotations
-
 import importlib.util
 import math
 import os

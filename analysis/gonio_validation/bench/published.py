@@ -3,8 +3,6 @@
 A line is one material: `name = Aggregate(Lambertian(albedo = [r, g, b]), NganHe(albedo = [r, g, b], roughness = ...))`.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """What is compared: a quantity, its reference samples, and the ways of evaluating it."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

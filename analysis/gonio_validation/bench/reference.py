@@ -1,7 +1,5 @@
 """The reference values of `reference.json` (written by tests/reference/bench_reference.py), and samples of them."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Mapping
 from importlib.resources import files

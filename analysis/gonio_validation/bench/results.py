@@ -1,7 +1,5 @@
 """What `summary.json` of `gonio bench models` holds, key by key: page, drawings and tables are made from these."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal

@@ -1,7 +1,5 @@
 """`index.html` of `gonio bench models`: targets, a section a quantity, hard cases, calls, and the machine."""
 
-from __future__ import annotations
-
 from gonio_analysis.report.blocks import (
     Block,
     Figures,

@@ -1,7 +1,5 @@
 """What `summary.json` of `gonio bench scenes` holds, key by key: page, drawing and table are made from these."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Measure what error a picture of a scene has for its time, and write the report of `gonio bench scenes`."""
 
-from __future__ import annotations
-
 import datetime
 import tempfile
 import time

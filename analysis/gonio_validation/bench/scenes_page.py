@@ -1,7 +1,5 @@
 """`index.html` of `gonio bench scenes`, and its drawing."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from gonio_analysis.plots.in_plane import COLOURS

@@ -1,7 +1,5 @@
 """The closed models as their specification in plain numpy has them (`gonio.models.plain`), by vectors."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from gonio import geometry

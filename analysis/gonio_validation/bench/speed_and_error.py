@@ -1,7 +1,5 @@
 """Measure speed against error of every way of evaluating the models, judge it, and write the report."""
 
-from __future__ import annotations
-
 import datetime
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import fields

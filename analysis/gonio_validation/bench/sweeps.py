@@ -1,7 +1,5 @@
 """`gonio bench sweeps`: rig time against the error of the curves that come of it, for fixed and for adaptive plans."""
 
-from __future__ import annotations
-
 import datetime
 from collections.abc import Sequence
 from dataclasses import asdict

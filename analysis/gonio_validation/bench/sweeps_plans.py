@@ -1,7 +1,5 @@
 """The plans and samples that `gonio bench sweeps` compares, and how a curve is made of their points."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """What `results.json` of `gonio bench sweeps` holds, key by key: the page and its drawings are made from these."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -8,8 +8,6 @@ that is wrong by the reference's and by the mean of its visits. `tests/gonio_val
 against runs of the simulated rig with its frames.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """One comparison of plans: a sample, a geometry, a seed; every plan measured, every curve held against the truth."""
 
-from __future__ import annotations
-
 import time
 from dataclasses import asdict, dataclass
 

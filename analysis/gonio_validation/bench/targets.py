@@ -1,7 +1,5 @@
 """What is judged: speeds and errors against their targets, and the accuracies that ways state."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from gonio_validation.bench.results import (

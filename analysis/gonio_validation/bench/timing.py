@@ -1,7 +1,5 @@
 """How long the ways take, single calls, handing over to threads, and the start of a process."""
 
-from __future__ import annotations
-
 import os
 import platform
 import subprocess

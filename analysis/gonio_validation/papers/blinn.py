@@ -1,7 +1,5 @@
 """Blinn (1977), Figs. 5 and 6: Phong's and Torrance and Sparrow's highlights at 30 and 70 degrees."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

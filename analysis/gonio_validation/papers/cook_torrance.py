@@ -1,7 +1,5 @@
 """Cook and Torrance (1982), Figs. 3 to 5: the spectrum of copper, its colour (Fig. 3: a file of its own)."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass

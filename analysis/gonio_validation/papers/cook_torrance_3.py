@@ -1,7 +1,5 @@
 """Cook and Torrance (1982), Fig. 3: Beckmann's and the Gaussian facet distribution."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

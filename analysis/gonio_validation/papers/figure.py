@@ -1,7 +1,5 @@
 """What the page of a paper's figure consists of: parameters, claims, drawings, results."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal

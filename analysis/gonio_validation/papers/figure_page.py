@@ -1,7 +1,5 @@
 """`index.html`, `summary.json`, the drawings and the curves of a paper's figure; the index of all of them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

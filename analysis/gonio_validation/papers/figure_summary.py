@@ -1,7 +1,5 @@
 """What `summary.json` of a paper's figure holds, key by key."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 

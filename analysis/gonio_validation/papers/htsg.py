@@ -1,7 +1,5 @@
 """He, Torrance, Sillion and Greenberg (1991), Figs. 7 to 9: normalised polar curves of aluminium and a ceramic."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from typing import Any

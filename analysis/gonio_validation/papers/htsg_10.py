@@ -1,7 +1,5 @@
 """He, Torrance, Sillion and Greenberg (1991), Fig. 10: sandpaper at normal incidence."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """He, Torrance, Sillion and Greenberg (1991), Fig. 11: absolute BRDF of a smooth blue plastic."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any

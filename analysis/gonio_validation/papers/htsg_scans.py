@@ -1,7 +1,5 @@
 """Scans of a He-Torrance surface in the plane of incidence, as HTSG's figures show them: numbers and drawings."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Oren and Nayar (1994), Figs. 5 and 6: radiance and BRDF of a rough diffuse surface, in and out of the plane."""
 
-from __future__ import annotations
-
 import functools
 import math
 from collections.abc import Callable, Sequence

@@ -4,8 +4,6 @@ The scan has lost the samples' parameters, and the measured points are nowhere p
 assumed values, and a claim gets a verdict where it holds, or fails, for all of those that are tried.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The dashed curves of a figure: the simulated goniometer measures its surface, frames and reduction included."""
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ The digits that results are held against were computed or published by others. E
 by itself: an error in one is that part's result, and the others are still looked at.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from dataclasses import dataclass

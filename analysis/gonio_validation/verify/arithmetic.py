@@ -1,7 +1,5 @@
 """Propagation of uncertainty, fits and consensus values against published numbers."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple

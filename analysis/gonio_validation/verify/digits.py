@@ -1,7 +1,5 @@
 """Digits that others computed or published: models and colour."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Callable

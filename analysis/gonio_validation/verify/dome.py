@@ -4,8 +4,6 @@ Another laboratory's instrument: a camera over a sample, LEDs on a dome, a scan 
 draws 10^8 random numbers a value. Positions are in metres, the BRDF in 1/sr.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Versions, and whether the files are those that were released."""
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import platform

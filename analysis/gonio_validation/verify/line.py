@@ -1,7 +1,5 @@
 """The line itself: files written and read back, and a blind measurement on the simulated rig."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -4,10 +4,10 @@ import math
 from dataclasses import astuple, replace
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
-from gonio.acquisition.duration import SETTLE_S, Durations, Parts
+from gonio.acquisition.duration import SAME_PLACE, SETTLE_S, Durations, Parts
 from gonio.acquisition.exposure import dark_exposures_s, expected_bracket, expected_exposure_s
 from gonio.acquisition.plan import Plan, Point
 from gonio.acquisition.schedule import reference_pose, schedule
@@ -60,13 +60,17 @@ def test_an_axis_that_comes_from_above_is_slow_on_its_way_up() -> None:
 angle = st.floats(-80, 80)
 
 
+@example(1.0, 0.0, 6e-8, 0.0)
 @given(angle, angle, angle, angle)
 def test_a_way_by_a_third_pose_is_never_quicker(light: float, camera: float, other: float, another: float) -> None:
     """Else an order of points could be bettered by going nowhere; approaches cost the same on the way."""
     durations = Durations(rig(acquisition=Acquisition(approach_deg=0.0)), BANDS[:1])
     start, goal, third = deg(), deg(light=light, camera=camera), deg(light=other, camera=another)
     direct, around = (durations.move_s(start, goal), durations.move_s(start, third) + durations.move_s(third, goal))
-    assert direct <= around + ROUNDING
+    unseen = (
+        math.degrees(SAME_PLACE) / 10.0
+    )  # an axis stands within so much of its goal, which takes no time: once a leg
+    assert direct <= around + 2.0 * unseen + ROUNDING
 
 
 LAMP_AND_LENS = (

@@ -1,7 +1,5 @@
 """What Blinn says of Figs. 7 and 8, measured in the pictures."""
 
-from __future__ import annotations
-
 import numpy as np
 from gonio_analysis.report.text import number
 

@@ -1,7 +1,5 @@
 """Which pictures there are: the papers' figures, the scene files that make them, and what the texts call them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Pictures of one ray a pixel, through its centre: radiances, and where they come from, are exact there."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property

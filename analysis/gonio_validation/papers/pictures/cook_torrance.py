@@ -1,7 +1,5 @@
 """What Cook and Torrance say of Figs. 6 to 8, measured in the pictures."""
 
-from __future__ import annotations
-
 import numpy as np
 from gonio_analysis.report.text import number
 from gonio_scenes.picture import tristimulus

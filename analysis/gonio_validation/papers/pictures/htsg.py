@@ -1,7 +1,5 @@
 """What He, Torrance, Sillion and Greenberg say of Figs. 12 to 14, measured in the pictures."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import pairwise
 

@@ -1,7 +1,5 @@
 """What Oren and Nayar say of Figs. 12 to 15, measured in the pictures."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """The contact sheet: every picture small, under the name of its figure and what its text's claims came to."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Mapping, Sequence
 from typing import Any
