@@ -85,8 +85,13 @@ class Campaigns:
             write_whole(file, to_toml(self.settings.model_dump(mode="json")).encode())
         (self.folder / self.runs).mkdir(exist_ok=True)
 
-    def carried_out(self, wanted: Mapping[str, Callable[[], Record]], jobs: int | None, step: Step) -> list[Record]:
+    def carried_out(
+        self, wanted: Mapping[str, Callable[[], Record]], jobs: int | None, step: Step, dask: str | None = None
+    ) -> list[Record]:
         """The records of the runs that are wanted, by name; those that are missing are carried out.
+
+        Here a process keeps the record of its run itself, so that none waits for another; workers of a Dask cluster,
+        whose scheduler has the address `dask`, send theirs.
 
         Raises
         ------
@@ -97,8 +102,10 @@ class Campaigns:
         done = len(wanted) - len(missing)
         step(done, len(wanted))
         try:
-            every = [partial(_recorded, wanted[name], self._path(name)) for name in missing]
-            for _ in parallel.each(_called, every, workers=jobs):
+            every = [wanted[name] if dask else partial(_recorded, wanted[name], self._path(name)) for name in missing]
+            for name, record in zip(missing, parallel.each(_called, every, workers=jobs, dask=dask), strict=True):
+                if record is not None:
+                    _keep(record, self._path(name))
                 done += 1
                 step(done, len(wanted))
         except (KeyboardInterrupt, Interrupted):
@@ -123,11 +130,15 @@ class Campaigns:
 
 
 def _recorded(run: Callable[[], Record], path: Path) -> None:
-    write_whole(path, json.dumps(run(), ensure_ascii=False, allow_nan=False).encode())
+    _keep(run(), path)
 
 
-def _called(job: Callable[[], None]) -> None:
-    job()
+def _keep(record: Record, path: Path) -> None:
+    write_whole(path, json.dumps(record, ensure_ascii=False, allow_nan=False).encode())
+
+
+def _called(job: Callable[[], Record | None]) -> Record | None:
+    return job()
 
 
 def _said(value: object) -> str:
