@@ -18,6 +18,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numba
+import numba.core.options
 
 try:
     from numba.core.caching import FunctionCache, IndexDataCacheFile
@@ -59,6 +60,12 @@ def njit(*signature: Any, **options: Any) -> Callable[[Callable[..., Any]], Any]
         return dispatcher
 
     return compiled
+
+
+def counting(references: bool) -> dict[str, bool]:
+    """An option of `njit`: whether code counts references to arrays; without, it makes none. Nothing where numba has no
+    such option."""
+    return {"_nrt": references} if hasattr(numba.core.options.DefaultOptions, "_nrt") else {}
 
 
 def tell(text: str) -> None:

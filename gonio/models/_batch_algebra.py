@@ -9,12 +9,13 @@ from math import copysign, sqrt
 import numba
 import numpy as np
 
+from gonio.compiled import counting
 from gonio.models import _math
 from gonio.models._compile import FASTMATH, jit
 
 OPTIONS = {"error_model": "numpy", "nogil": True, "fastmath": set(FASTMATH)}
-called = numba.njit(**OPTIONS, _nrt=True)
-viewing = numba.njit(**OPTIONS, _nrt=False)
+called = numba.njit(**OPTIONS, **counting(True))
+viewing = numba.njit(**OPTIONS, **counting(False))
 """Makes no arrays, and views only of those that its caller holds: counting references to them took a quarter of all."""
 summing = numba.njit(error_model="numpy", nogil=True, fastmath={*FASTMATH, "reassoc"})
 """Sums may be taken in any order, so that they vectorise."""

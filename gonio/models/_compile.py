@@ -176,7 +176,7 @@ def template(layout: str, *, side_by_side: int = 4, columns: bool = False) -> Ca
 def _loop(function: Callable[..., Any], kernel: Callable[..., Any], size: int, in_single: bool = False) -> Any:
     import numba
 
-    from gonio.compiled import njit
+    from gonio.compiled import counting, njit
 
     types = numba.types
     real = types.float32 if in_single else types.float64
@@ -191,7 +191,7 @@ def _loop(function: Callable[..., Any], kernel: Callable[..., Any], size: int, i
     function = kernel.__dict__.get(function.__name__, function)  # a kernel of several passes brings its own loops
     signature = tuple(kind(code) for code in function.__dict__["__layout__"])
     options = _options(function.__dict__["__side_by_side__"], in_single)
-    options["_nrt"] = not function.__dict__["__columns__"]  # those make no arrays: without counts of references
+    options |= counting(not function.__dict__["__columns__"])  # those make no arrays
     names: dict[str, object] = {"kernel": kernel}
     if "columns" in kernel.__dict__ and not function.__dict__["__columns__"]:
         parts = {"shade": kernel, "take": kernel.__dict__["columns"]}

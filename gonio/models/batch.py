@@ -287,7 +287,7 @@ def _derivative(model: Batched, count: int) -> Callable[..., Any]:
 @functools.cache
 def _compiled(name: str, absorbs: bool, folded: bool) -> tuple[Any, ...]:
     """The five functions of a model that `_batch_loops.fit_pixels` calls, and how many columns its kernel has."""
-    from gonio.compiled import njit
+    from gonio.compiled import counting, njit
     from gonio.models import _batch_steps as types
 
     model = MODELS[name]
@@ -312,5 +312,5 @@ def _compiled(name: str, absorbs: bool, folded: bool) -> tuple[Any, ...]:
     ):  # fmt: skip
         function.__name__ = function.__qualname__ = f"{function.__name__}_{suffix}"
         lean = function is not take and "columns" in kernel.__dict__  # what makes no arrays
-        made.append(njit(*signature.args, nogil=True, error_model="numpy", _nrt=not lean)(function))
+        made.append(njit(*signature.args, nogil=True, error_model="numpy", **counting(not lean))(function))
     return (*made, count)
