@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from gonio_analysis.commands import Dask
 
 NAME_HELP = 'A figure, as htsg-8; "all" of them; "pictures", the rendered ones; or "list", which names them.'
 
@@ -103,7 +102,6 @@ def sweeps(
         typer.Option(help="Runs of every plan; those that are there already count. [default: 3]", show_default=False),
     ] = None,
     jobs: Annotated[int | None, typer.Option(help="Processes. [default: one a processor]", show_default=False)] = None,
-    dask: Dask = None,
     quick: Annotated[bool, typer.Option("--quick", help="Two samples, in plane: all is run.")] = False,
 ) -> None:
     """Rig time against error of curves: uniform, mirror-dense, half-vector, adaptive plans. Prints the report's path.
@@ -114,7 +112,7 @@ def sweeps(
     from gonio_validation.bench.sweeps import make
 
     with _counted("comparisons") as step:
-        made = make(out, seeds=seeds, jobs=jobs, dask=dask, quick=quick, command=command_line(), step=step)
+        made = make(out, seeds=seeds, jobs=jobs, quick=quick, command=command_line(), step=step)
     print(made)
 
 
@@ -127,7 +125,6 @@ def coverage(
     ] = None,
     seed: Annotated[int, typer.Option(help="What is hidden follows from it.")] = 1,
     jobs: Annotated[int | None, typer.Option(help="Processes. [default: one a processor]", show_default=False)] = None,
-    dask: Dask = None,
     only: Annotated[
         str,
         typer.Option(metavar="A,B", help="Errors that the benches have; all of them without it.", show_default=False),
@@ -144,9 +141,8 @@ def coverage(
     names = [name.strip() for name in only.split(",") if name.strip()]
     with _counted("campaigns") as step:
         made = make(
-            out, campaigns=campaigns, seed=seed, jobs=jobs, dask=dask, only=names, quick=quick, command=command_line(),
-            step=step,
-        )  # fmt: skip
+            out, campaigns=campaigns, seed=seed, jobs=jobs, only=names, quick=quick, command=command_line(), step=step
+        )
     print(made)
 
 

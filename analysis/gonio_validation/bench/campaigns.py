@@ -85,13 +85,8 @@ class Campaigns:
             write_whole(file, to_toml(self.settings.model_dump(mode="json")).encode())
         (self.folder / self.runs).mkdir(exist_ok=True)
 
-    def carried_out(
-        self, wanted: Mapping[str, Callable[[], Record]], jobs: int | None, step: Step, dask: str | None = None
-    ) -> list[Record]:
+    def carried_out(self, wanted: Mapping[str, Callable[[], Record]], jobs: int | None, step: Step) -> list[Record]:
         """The records of the runs that are wanted, by name; those that are missing are carried out.
-
-        Here a process keeps the record of its run itself, so that none waits for another; workers of a Dask cluster,
-        whose scheduler has the address `dask`, send theirs.
 
         Raises
         ------
@@ -102,10 +97,8 @@ class Campaigns:
         done = len(wanted) - len(missing)
         step(done, len(wanted))
         try:
-            every = [wanted[name] if dask else partial(_recorded, wanted[name], self._path(name)) for name in missing]
-            for name, record in zip(missing, parallel.each(_called, every, workers=jobs, dask=dask), strict=True):
-                if record is not None:
-                    _keep(record, self._path(name))
+            every = [partial(_recorded, wanted[name], self._path(name)) for name in missing]
+            for _ in parallel.each(_called, every, workers=jobs):
                 done += 1
                 step(done, len(wanted))
         except (KeyboardInterrupt, Interrupted):
@@ -130,15 +123,11 @@ class Campaigns:
 
 
 def _recorded(run: Callable[[], Record], path: Path) -> None:
-    _keep(run(), path)
+    write_whole(path, json.dumps(run(), ensure_ascii=False, allow_nan=False).encode())
 
 
-def _keep(record: Record, path: Path) -> None:
-    write_whole(path, json.dumps(record, ensure_ascii=False, allow_nan=False).encode())
-
-
-def _called(job: Callable[[], Record | None]) -> Record | None:
-    return job()
+def _called(job: Callable[[], None]) -> None:
+    job()
 
 
 def _said(value: object) -> str:

@@ -2,7 +2,6 @@
 
 import datetime
 import shutil
-import tempfile
 from collections.abc import Sequence
 from functools import partial
 from importlib.metadata import version
@@ -36,7 +35,6 @@ def make(
     campaigns: int | None = None,
     seed: int = 1,
     jobs: int | None = None,
-    dask: str | None = None,
     only: Sequence[str] = (),
     quick: bool = False,
     command: str = "",
@@ -54,8 +52,6 @@ def make(
         At least 0.
     jobs
         Processes; one for each processor by default.
-    dask
-        Address of a Dask scheduler, whose workers carry them out.
     only
         Names of the errors that the benches have; all by default.
     quick
@@ -85,9 +81,8 @@ def make(
     every = Campaigns(folder, "coverage", "campaigns", settings)
     with every.opened():
         shutil.rmtree(folder / "work", ignore_errors=True)  # of campaigns that were cut short
-        work = None if dask else folder / "work"
-        wanted = {f"{k:05d}": partial(_carried_out, k, settings, work) for k in range(total)}
-        records = every.carried_out(wanted, jobs, step, dask)
+        wanted = {f"{k:05d}": partial(_carried_out, k, settings, folder / "work" / f"{k:05d}") for k in range(total)}
+        records = every.carried_out(wanted, jobs, step)
         shutil.rmtree(folder / "work", ignore_errors=True)
         found = summary(records, settings, quick=quick, command=command)
         drawn = coverage_page.drawn(found)
@@ -96,13 +91,9 @@ def make(
     return folder / "index.html"
 
 
-def _carried_out(number: int, settings: CoverageSettings, work: Path | None) -> Record:
-    """One campaign, whose files lie in `work` meanwhile; without it, in the folder for them of a worker elsewhere."""
+def _carried_out(number: int, settings: CoverageSettings, work: Path) -> Record:
     drawn = coverage_hidden.campaign(settings.seed, number, settings.errors, settings.points)
-    if work is not None:
-        return coverage_campaign.carried_out(drawn, work / f"{number:05d}")
-    with tempfile.TemporaryDirectory(prefix="gonio-coverage-") as made:
-        return coverage_campaign.carried_out(drawn, Path(made) / "campaign")
+    return coverage_campaign.carried_out(drawn, work)
 
 
 def summary(

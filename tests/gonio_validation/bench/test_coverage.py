@@ -220,21 +220,6 @@ def test_goes_on_where_it_was_stopped(tmp_path: Path, monkeypatch: pytest.Monkey
     assert kept == whole
 
 
-@pytest.mark.filterwarnings("default")  # those of the cluster's own packages
-def test_campaigns_of_a_cluster_are_those_of_one_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    distributed = pytest.importorskip("distributed", reason="the extra gonio[dask] is not installed")
-    done, (here, there) = faked(monkeypatch), (tmp_path / "here", tmp_path / "there")
-    coverage.make(here, campaigns=6, jobs=1)
-    with distributed.LocalCluster(
-        n_workers=1, threads_per_worker=1, processes=False, protocol="tcp://", host="127.0.0.1", dashboard_address=None
-    ) as cluster:
-        coverage.make(there, campaigns=2, dask=cluster.scheduler_address)
-        coverage.make(there, campaigns=6, dask=cluster.scheduler_address)
-    assert sorted(done) == sorted([*range(6), *range(6)])
-    assert (there / "campaigns.csv").read_bytes() == (here / "campaigns.csv").read_bytes()
-    assert not (there / "work").exists()
-
-
 def test_two_commands_do_not_work_in_one_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     faked(monkeypatch)
     out = tmp_path / "found"
