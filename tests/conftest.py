@@ -2,6 +2,7 @@
 
 import signal
 from collections.abc import Iterator
+from typing import Any
 
 import pytest
 from hypothesis import settings
@@ -35,3 +36,13 @@ def _hears_its_signals() -> Iterator[None]:
     """A test that left this process deaf to Ctrl-C would make the programs deaf that later tests start."""
     yield
     assert signal.getsignal(signal.SIGINT) is not signal.SIG_IGN
+
+
+@pytest.fixture
+def cluster() -> Iterator[Any]:
+    """A Dask cluster of two workers, processes of their own, on the loopback."""
+    distributed = pytest.importorskip("distributed", reason="the extra gonio[dask] is not installed")
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=True, protocol="tcp://", host="127.0.0.1", dashboard_address=None
+    ) as found:
+        yield found

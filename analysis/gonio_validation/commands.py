@@ -7,7 +7,9 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from gonio_analysis.commands import Dask
 
+Jobs = Annotated[int | None, typer.Option(help="Processes. [default: one a processor]", show_default=False)]
 NAME_HELP = 'A figure, as htsg-8; "all" of them; "pictures", the rendered ones; or "list", which names them.'
 
 bench = typer.Typer(help="Measure the workbench itself.", no_args_is_help=True)
@@ -101,7 +103,8 @@ def sweeps(
         int | None,
         typer.Option(help="Runs of every plan; those that are there already count. [default: 3]", show_default=False),
     ] = None,
-    jobs: Annotated[int | None, typer.Option(help="Processes. [default: one a processor]", show_default=False)] = None,
+    jobs: Jobs = None,
+    dask: Dask = None,
     quick: Annotated[bool, typer.Option("--quick", help="Two samples, in plane: all is run.")] = False,
 ) -> None:
     """Rig time against error of curves: uniform, mirror-dense, half-vector, adaptive plans. Prints the report's path.
@@ -112,7 +115,7 @@ def sweeps(
     from gonio_validation.bench.sweeps import make
 
     with _counted("comparisons") as step:
-        made = make(out, seeds=seeds, jobs=jobs, quick=quick, command=command_line(), step=step)
+        made = make(out, seeds=seeds, jobs=jobs, dask=dask, quick=quick, command=command_line(), step=step)
     print(made)
 
 
@@ -124,7 +127,8 @@ def coverage(
         typer.Option(help="How many; those that are there already count. [default: 200]", show_default=False),
     ] = None,
     seed: Annotated[int, typer.Option(help="What is hidden follows from it.")] = 1,
-    jobs: Annotated[int | None, typer.Option(help="Processes. [default: one a processor]", show_default=False)] = None,
+    jobs: Jobs = None,
+    dask: Dask = None,
     only: Annotated[
         str,
         typer.Option(metavar="A,B", help="Errors that the benches have; all of them without it.", show_default=False),
@@ -141,8 +145,9 @@ def coverage(
     names = [name.strip() for name in only.split(",") if name.strip()]
     with _counted("campaigns") as step:
         made = make(
-            out, campaigns=campaigns, seed=seed, jobs=jobs, only=names, quick=quick, command=command_line(), step=step
-        )
+            out, campaigns=campaigns, seed=seed, jobs=jobs, dask=dask, only=names, quick=quick, command=command_line(),
+            step=step,
+        )  # fmt: skip
     print(made)
 
 
@@ -175,7 +180,8 @@ def materials(
     ],
     out: Annotated[Path, typer.Option(help="Folder of the page and of the records.", show_default=False)],
     models: Annotated[str, typer.Option(metavar="A,B", help="Models; all without it.", show_default=False)] = "",
-    jobs: Annotated[int | None, typer.Option(help="Processes. [default: one a processor]", show_default=False)] = None,
+    jobs: Jobs = None,
+    dask: Dask = None,
 ) -> None:
     """Every model on every measured material, by the error of values left out. Prints the page's path.
 
@@ -186,7 +192,7 @@ def materials(
 
     asked = [name.strip() for name in models.split(",") if name.strip()]
     with _counted("materials") as step:
-        made = make(sources, out, models=asked, jobs=jobs, command=command_line(), step=step)
+        made = make(sources, out, models=asked, jobs=jobs, dask=dask, command=command_line(), step=step)
     print(made)
 
 

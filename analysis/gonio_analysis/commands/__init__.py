@@ -98,7 +98,7 @@ Measurements = Annotated[
 ]
 Dask = Annotated[
     str | None,
-    typer.Option(metavar="ADDRESS", help="Fit on the Dask cluster of this scheduler.", show_default=False),
+    typer.Option(metavar="ADDRESS", help="Work on the Dask cluster of this scheduler.", show_default=False),
 ]
 Shared = Annotated[
     list[str] | None,

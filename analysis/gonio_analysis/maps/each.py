@@ -107,11 +107,10 @@ def make(where: str, out: Path, asked: FitRequest, how: Reading, *, dask: str | 
             part, _csv(names, [row for job in jobs for row in done.get((job.table, job.digest), ())], head=True)
         )
         with open(part, "ab", buffering=0) as file:
-            found = parallel.each(_rows, todo, dask=dask)
-            for k, (job, rows) in enumerate(zip(todo, found, strict=True), 1):
+            for many, (k, rows) in enumerate(parallel.each(_rows, todo, dask=dask), 1):
                 file.write(_csv(names, rows))
-                done[job.table, job.digest] = rows
-                count(k, len(todo))
+                done[todo[k].table, todo[k].digest] = rows
+                count(many, len(todo))
         every = [row for job in jobs for row in done[job.table, job.digest]]
         write_whole(out, _csv(names, every, head=True))
         part.unlink()

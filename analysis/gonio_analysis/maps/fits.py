@@ -121,7 +121,8 @@ def _fitted(map_file: MapFile, wanted: Plan, parts: Parts, todo: list[Tile], das
     if dask is None:
         return in_threads(lambda tile: parts.write(tile, fit_tile(wanted, read_tile(map_file, tile))), todo)
     jobs = ((wanted, read_tile(map_file, tile)) for tile in todo)
-    return in_threads(lambda one: parts.write(*one), zip(todo, parallel.on_cluster(_sent, jobs, dask), strict=True))
+    found = parallel.each(_sent, jobs, dask=dask)
+    return in_threads(lambda one: parts.write(todo[one[0]], one[1]), found)
 
 
 def _sent(job: tuple[Plan, Places]) -> Arrays:

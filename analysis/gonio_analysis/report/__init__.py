@@ -114,13 +114,14 @@ def make(
         tried = len(candidates(models, ior))
         # the workers get ready while models are fitted
         with figure_workers(2 * len(jobs) * tried, modules=FITTING) as workers:
-            datasets: list[Dataset] = []
             if len(jobs) < parallel.FEW and dask is None:
                 datasets = [job(progress=progress, share=workers.share) for job in jobs]
             else:
-                for dataset in parallel.each(_examined, jobs, dask=dask):
-                    datasets.append(dataset)
-                    progress(f"{dataset.name}: fitted ({len(datasets)} of {len(jobs)})")
+                fitted = dict[int, Dataset]()
+                for k, dataset in parallel.each(_examined, jobs, dask=dask):
+                    fitted[k] = dataset
+                    progress(f"{dataset.name}: fitted ({len(fitted)} of {len(jobs)})")
+                datasets = [fitted[k] for k in range(len(jobs))]
             every = names + [t.name for t in transmission_only]
             write(
                 datasets,

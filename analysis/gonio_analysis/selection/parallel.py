@@ -1,11 +1,10 @@
-"""Many samples at once: on the processors here, or on a Dask cluster whose scheduler is named."""
+"""Many independent jobs at once: on the processors here, or on a Dask cluster whose scheduler is named."""
 
 import os
 import socket
 import threading
-from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures import CancelledError, Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from multiprocessing import get_context, parent_process
 from multiprocessing.connection import wait
@@ -48,9 +47,11 @@ def here(jobs: Sequence[Callable[[Say], Out]], what: str = "", say: Say = silent
 
 
 def each(
-    function: Callable[[In], Out], jobs: Sequence[In], *, dask: str | None = None, workers: int | None = None
-) -> Iterator[Out]:
-    """The function's results for every job, in their order, as they become ready.
+    function: Callable[[In], Out], jobs: Iterable[In], *, dask: str | None = None, workers: int | None = None
+) -> Iterator[tuple[int, Out]]:
+    """The number of every job and the function's result for it, as they become ready.
+
+    Who calls keeps the results, so that whatever ends this process leaves those that are done.
 
     Parameters
     ----------
@@ -59,7 +60,8 @@ def each(
     jobs
         One argument each. Fewer than `FEW` run here, unless a scheduler is named.
     dask
-        Address of a Dask scheduler, as in "tcp://127.0.0.1:8786"; its workers need this package.
+        Address of a Dask scheduler, as in "tcp://127.0.0.1:8786"; its workers need this package. What a lost worker was
+        at is done by another one. Jobs are taken when workers are near them, so that few are in memory at a time.
     workers
         Processes, where no scheduler is named: one for each processor by default. With 1 all jobs run here.
 
@@ -68,23 +70,26 @@ def each(
     ConfigError
         The optional package `distributed` is missing, or the scheduler does not answer.
     DataError
-        A process died: most often for want of memory.
+        A process died: most often for want of memory. Or a job ended several workers, or the scheduler went.
     """
     if dask is not None:
-        yield from on_cluster(function, jobs, dask)
-    elif len(jobs) < FEW or workers == 1:
-        yield from map(function, jobs)
+        yield from _on_cluster(function, jobs, dask)
+        return
+    jobs = list(jobs)
+    if len(jobs) < FEW or workers == 1:
+        yield from enumerate(map(function, jobs))
     else:
         yield from _on_processors(function, jobs, min(len(jobs), workers or os.cpu_count() or 1))
 
 
-def _on_processors(function: Callable[[In], Out], jobs: Sequence[In], workers: int) -> Iterator[Out]:
+def _on_processors(function: Callable[[In], Out], jobs: Sequence[In], workers: int) -> Iterator[tuple[int, Out]]:
     """Whatever ends this, an error, a signal or the death of this process, ends the other processes at once."""
     pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_stay_with_parent)
     try:
         with platform.deaf_children():
-            waiting = [pool.submit(function, job) for job in jobs]
-        yield from map(Future.result, waiting)
+            waiting = {pool.submit(function, job): k for k, job in enumerate(jobs)}
+        for future in as_completed(waiting):
+            yield waiting.pop(future), future.result()
     except BrokenProcessPool:
         raise DataError(
             "a process that worked on a sample has died: most often for want of memory; give fewer samples at once"
@@ -109,13 +114,10 @@ def _stay_with_parent() -> None:
     threading.Thread(target=watch, daemon=True).start()
 
 
-def on_cluster(function: Callable[[In], Out], jobs: Iterable[In], address: str) -> Iterator[Out]:
-    """`each` on a Dask cluster. Jobs are taken when workers are near them, so that few are in memory at a time.
-
-    What a worker that is lost was at is done by another one.
-    """
+def _on_cluster(function: Callable[[In], Out], jobs: Iterable[In], address: str) -> Iterator[tuple[int, Out]]:
     try:
-        from distributed import Client
+        from distributed import Client, KilledWorker
+        from distributed import as_completed as as_completed_there
     except ImportError:
         raise ConfigError("--dask needs the package distributed: pip install 'gonio[dask]'") from None
     _require_address(address)
@@ -135,13 +137,21 @@ def on_cluster(function: Callable[[In], Out], jobs: Iterable[In], address: str) 
         raise ConfigError(f"--dask {address}: no scheduler answers there: {reason}") from None
     with client:
         ahead = max(LEAST_AHEAD, 2 * sum(client.nthreads().values()))
-        waiting: deque[Any] = deque()
-        for job in jobs:
-            waiting.append(client.submit(function, job, pure=False))
-            if len(waiting) >= ahead:
-                yield waiting.popleft().result()
-        while waiting:
-            yield waiting.popleft().result()
+        waiting: dict[Any, int] = {}
+        ready = as_completed_there(loop=client.loop)
+        try:
+            for k, job in enumerate(jobs):
+                future = client.submit(function, job, pure=False)
+                waiting[future] = k
+                ready.add(future)
+                if len(waiting) >= ahead:
+                    future = next(ready)
+                    yield waiting.pop(future), future.result()
+            for future in ready:
+                yield waiting.pop(future), future.result()
+        except (KilledWorker, CancelledError) as error:
+            reason = str(error).partition("\n")[0]
+            raise DataError(f"--dask {address}: the cluster has given up: {reason}") from None
 
 
 def _require_address(address: str) -> None:

@@ -1,4 +1,4 @@
-"""Runs of a bench that are drawn, carried out, recorded, gone on with and reported: coverage and sweeps.
+"""Runs of a bench that are drawn, carried out, recorded, gone on with and reported: coverage, sweeps, materials.
 
 Every run leaves one record, written whole. So a command that was cut short goes on where it stood, and a larger number
 of runs adds to those that are there.
@@ -10,7 +10,6 @@ import io
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -85,24 +84,33 @@ class Campaigns:
             write_whole(file, to_toml(self.settings.model_dump(mode="json")).encode())
         (self.folder / self.runs).mkdir(exist_ok=True)
 
-    def carried_out(self, wanted: Mapping[str, Callable[[], Record]], jobs: int | None, step: Step) -> list[Record]:
+    def carried_out(
+        self, wanted: Mapping[str, Callable[[], Record]], jobs: int | None, dask: str | None, step: Step
+    ) -> list[Record]:
         """The records of the runs that are wanted, by name; those that are missing are carried out.
+
+        A run is a function of a module with its arguments, so that it can travel: to `jobs` processes here, or to the
+        workers of the Dask scheduler at the address `dask`.
 
         Raises
         ------
+        ConfigError
+            No scheduler answers at `dask`, or `jobs` are given with it.
         Interrupted
             Somebody stopped it; the records that are there count.
         """
+        if dask is not None and jobs is not None:
+            raise ConfigError("--jobs: counts processes here, and --dask names a cluster; leave one of them out")
         missing = [name for name in wanted if self.record(name) is None]
         done = len(wanted) - len(missing)
         step(done, len(wanted))
         try:
-            every = [partial(_recorded, wanted[name], self._path(name)) for name in missing]
-            for _ in parallel.each(_called, every, workers=jobs):
+            every = [wanted[name] for name in missing]
+            for k, found in parallel.each(_called, every, dask=dask, workers=jobs):
+                write_whole(self._path(missing[k]), json.dumps(found, ensure_ascii=False, allow_nan=False).encode())
                 done += 1
                 step(done, len(wanted))
         except (KeyboardInterrupt, Interrupted):
-            done = sum(self.record(name) is not None for name in wanted)
             raise Interrupted(
                 f"{self.folder}: {done} of {len(wanted)} {self.runs} are done and kept; the same command goes on with "
                 "the others"
@@ -122,12 +130,8 @@ class Campaigns:
         return self.folder / self.runs / f"{name}.json"
 
 
-def _recorded(run: Callable[[], Record], path: Path) -> None:
-    write_whole(path, json.dumps(run(), ensure_ascii=False, allow_nan=False).encode())
-
-
-def _called(job: Callable[[], None]) -> None:
-    job()
+def _called(run: Callable[[], Record]) -> Record:
+    return run()
 
 
 def _said(value: object) -> str:

@@ -2,6 +2,7 @@
 
 import datetime
 import shutil
+import tempfile
 from collections.abc import Sequence
 from functools import partial
 from importlib.metadata import version
@@ -35,6 +36,7 @@ def make(
     campaigns: int | None = None,
     seed: int = 1,
     jobs: int | None = None,
+    dask: str | None = None,
     only: Sequence[str] = (),
     quick: bool = False,
     command: str = "",
@@ -52,6 +54,8 @@ def make(
         At least 0.
     jobs
         Processes; one for each processor by default.
+    dask
+        Address of a Dask scheduler whose workers carry out the campaigns, in folders of their own disks.
     only
         Names of the errors that the benches have; all by default.
     quick
@@ -81,8 +85,9 @@ def make(
     every = Campaigns(folder, "coverage", "campaigns", settings)
     with every.opened():
         shutil.rmtree(folder / "work", ignore_errors=True)  # of campaigns that were cut short
-        wanted = {f"{k:05d}": partial(_carried_out, k, settings, folder / "work" / f"{k:05d}") for k in range(total)}
-        records = every.carried_out(wanted, jobs, step)
+        work = folder / "work" if dask is None else None
+        wanted = {f"{k:05d}": partial(_carried_out, k, settings, work) for k in range(total)}
+        records = every.carried_out(wanted, jobs, dask, step)
         shutil.rmtree(folder / "work", ignore_errors=True)
         found = summary(records, settings, quick=quick, command=command)
         drawn = coverage_page.drawn(found)
@@ -91,9 +96,15 @@ def make(
     return folder / "index.html"
 
 
-def _carried_out(number: int, settings: CoverageSettings, work: Path) -> Record:
+def _carried_out(number: int, settings: CoverageSettings, work: Path | None) -> Record:
     drawn = coverage_hidden.campaign(settings.seed, number, settings.errors, settings.points)
-    return coverage_campaign.carried_out(drawn, work)
+    if work is not None:
+        return coverage_campaign.carried_out(drawn, work / f"{number:05d}")
+    from distributed import get_worker
+
+    # what a killed worker leaves in its folder, Dask removes when the next one starts
+    with tempfile.TemporaryDirectory(dir=get_worker().local_directory) as own:
+        return coverage_campaign.carried_out(drawn, Path(own, "campaign"))
 
 
 def summary(

@@ -56,6 +56,7 @@ def make(
     *,
     models: Sequence[str] = (),
     jobs: int | None = None,
+    dask: str | None = None,
     command: str = "",
     step: Step = lambda done, total: None,
 ) -> Path:
@@ -71,6 +72,8 @@ def make(
         Names on the command line; all that can be fitted by default.
     jobs
         Processes; one for each processor by default.
+    dask
+        Address of a Dask scheduler whose workers fit; they read the files at the paths that they have here.
     command, step
         The command line, for the record; told how many materials are done, of how many.
 
@@ -97,7 +100,7 @@ def make(
         raise ConfigError(f"{', '.join(sources)}: no measurement there can be read and has {FEWEST} usable values")
     with campaigns.opened():
         wanted = {name: partial(judged, name, *place, tried) for name, place in samples.items()}
-        records = campaigns.carried_out(wanted, jobs, step)
+        records = campaigns.carried_out(wanted, jobs, dask, step)
         drawn, more = [_picture(records, tried)] if records else [], list[Block]()
         results = {"materials": records, "not_read": unread, **stamp(command)}
         if fits:

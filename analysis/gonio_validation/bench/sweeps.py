@@ -30,6 +30,7 @@ def make(
     *,
     seeds: int | None = None,
     jobs: int | None = None,
+    dask: str | None = None,
     quick: bool = False,
     command: str = "",
     step: Step = lambda done, total: None,
@@ -44,6 +45,8 @@ def make(
         Runs of every plan, each with errors and noise of its own; 3 by default, or 1 of a quick run.
     jobs
         Processes; one for each processor by default.
+    dask
+        Address of a Dask scheduler whose workers make the comparisons.
     quick
         Two samples, in plane alone.
     command
@@ -75,7 +78,7 @@ def make(
     }
     every = Campaigns(folder, "sweeps", "comparisons", SweepsSettings(gonio=version("gonio")))
     with every.opened():
-        records = every.carried_out(wanted, jobs, step)
+        records = every.carried_out(wanted, jobs, dask, step)
         write(summary(records, seeds=count, quick=quick, command=command), folder)
     return folder / "index.html"
 

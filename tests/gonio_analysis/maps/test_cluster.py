@@ -6,7 +6,6 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -21,16 +20,6 @@ from tests.gonio_analysis.maps.test_each import tables
 pytestmark = pytest.mark.slow
 PLASTIC = {"s": 0.4, "d": 0.6, "m": 0.3, "diffuse_albedo": 0.5, "ior": 1.5}
 ASKED = FitRequest("cook-torrance")
-
-
-@pytest.fixture
-def cluster() -> Iterator[Any]:
-    """Two workers, processes of their own, on the loopback."""
-    distributed = pytest.importorskip("distributed", reason="the extra gonio[dask] is not installed")
-    with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, processes=True, protocol="tcp://", host="127.0.0.1", dashboard_address=None
-    ) as found:
-        yield found
 
 
 @pytest.mark.filterwarnings("default")

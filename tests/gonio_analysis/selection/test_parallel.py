@@ -7,7 +7,9 @@ import signal
 import socket
 import subprocess
 import sys
+import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -30,9 +32,27 @@ def test_a_fit_goes_to_another_process_and_back() -> None:
     assert again.problem.model(again.vector) == result.model
 
 
-def test_results_come_in_the_order_of_the_jobs() -> None:
-    assert list(parallel.each(abs, [-3])) == [3]
-    assert list(parallel.each(abs, [-3, 2, -1, 5])) == [3, 2, 1, 5]
+@pytest.mark.slow
+@pytest.mark.parametrize("way", ["here", "processes", "cluster"])
+def test_results_come_with_their_numbers_as_they_become_ready(way: str, request: pytest.FixtureRequest) -> None:
+    dask = request.getfixturevalue("cluster").scheduler_address if way == "cluster" else None
+    jobs = [1.5, 0.0, 0.1, 0.2]  # seconds
+    done = list(parallel.each(_after, jobs, dask=dask, workers=1 if way == "here" else 2))
+    assert sorted(done) == list(enumerate(jobs))
+    assert [k for k, _ in done][-1] == (3 if way == "here" else 0)
+
+
+def _after(seconds: float) -> float:
+    time.sleep(seconds)
+    return seconds
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("default")
+def test_a_job_that_ends_every_worker_is_an_error(cluster: Any) -> None:
+    with pytest.raises(DataError, match=r"the cluster has given up: .*exit") as raised:
+        list(parallel.each(os._exit, [3], dask=cluster.scheduler_address))
+    assert "\n" not in str(raised.value)
 
 
 def test_an_examined_sample_comes_back_whole() -> None:
@@ -47,7 +67,7 @@ def test_on_a_cluster() -> None:
     with distributed.LocalCluster(
         n_workers=1, threads_per_worker=1, processes=False, protocol="tcp://", host="127.0.0.1", dashboard_address=None
     ) as cluster:
-        assert list(parallel.each(abs, [-3, 2], dask=cluster.scheduler_address)) == [3, 2]
+        assert list(parallel.each(abs, [-3, 2], dask=cluster.scheduler_address)) == [(0, 3), (1, 2)]
 
 
 def test_a_cluster_without_its_package_or_scheduler_is_an_error() -> None:

@@ -5,7 +5,11 @@ from __future__ import annotations
 import fcntl
 import json
 import math
+import os
 import re
+import signal
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -218,6 +222,45 @@ def test_goes_on_where_it_was_stopped(tmp_path: Path, monkeypatch: pytest.Monkey
     coverage.make(other, campaigns=10, jobs=1)
     kept, whole = ((folder / "campaigns.csv").read_bytes() for folder in (out, other))
     assert kept == whole
+
+
+CLIENT = """
+import os, signal, sys
+from gonio_validation.bench import coverage
+def dies(done, total):
+    if done == 1:
+        os.kill(os.getpid(), signal.SIGKILL)
+coverage.make(sys.argv[1], campaigns=4, only=["drift"], quick=True, dask=sys.argv[2], step=dies)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("default")
+def test_a_cluster_finds_the_same_whatever_becomes_of_client_and_worker(tmp_path: Path, cluster: Any) -> None:
+    here, there = tmp_path / "here", tmp_path / "there"
+    asked = ["coverage", "--quick", "--campaigns", "4", "--only", "drift", "--out"]
+    assert CliRunner().invoke(app, [*asked, str(here)]).exit_code == 0
+    command = [sys.executable, "-c", CLIENT, str(there), cluster.scheduler_address]
+    assert subprocess.run(command, check=False).returncode == -signal.SIGKILL
+    lost, kept = cluster.workers[0].process.process.pid, (there / "campaigns").glob("*.json")
+    assert len(list(kept)) == 1
+
+    def kill(done: int, total: int) -> None:
+        if done == 2:
+            os.kill(lost, signal.SIGKILL)
+
+    coverage.make(there, campaigns=4, only=["drift"], quick=True, dask=cluster.scheduler_address, step=kill)
+    for k in range(4):
+        one, other = (json.loads((folder / "campaigns" / f"0000{k}.json").read_text()) for folder in (here, there))
+        assert one.pop("seconds") > 0.0
+        assert other.pop("seconds") > 0.0
+        assert json.dumps(one) == json.dumps(other)
+    assert not (there / "work").exists()
+    again = CliRunner().invoke(app, [*asked, str(there), "--dask", cluster.scheduler_address])
+    assert again.exit_code == 0
+    assert again.stdout.strip() == str(there / "index.html")
+    with pytest.raises(ConfigError, match="--jobs: counts processes here"):
+        coverage.make(there, campaigns=4, only=["drift"], quick=True, jobs=2, dask=cluster.scheduler_address)
 
 
 def test_two_commands_do_not_work_in_one_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
