@@ -43,6 +43,11 @@ def cluster() -> Iterator[Any]:
     """A Dask cluster of two workers, processes of their own, on the loopback."""
     distributed = pytest.importorskip("distributed", reason="the extra gonio[dask] is not installed")
     with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, processes=True, protocol="tcp://", host="127.0.0.1", dashboard_address=None
+        n_workers=2,
+        threads_per_worker=1,
+        processes=True,
+        protocol="tcp://",
+        host="127.0.0.1",
+        dashboard_address="127.0.0.1:0",
     ) as found:
         yield found

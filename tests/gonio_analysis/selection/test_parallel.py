@@ -33,6 +33,7 @@ def test_a_fit_goes_to_another_process_and_back() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.filterwarnings("default")
 @pytest.mark.parametrize("way", ["here", "processes", "cluster"])
 def test_results_come_with_their_numbers_as_they_become_ready(way: str, request: pytest.FixtureRequest) -> None:
     dask = request.getfixturevalue("cluster").scheduler_address if way == "cluster" else None
@@ -65,7 +66,12 @@ def test_an_examined_sample_comes_back_whole() -> None:
 def test_on_a_cluster() -> None:
     distributed = pytest.importorskip("distributed", reason="the extra gonio[dask] is not installed")
     with distributed.LocalCluster(
-        n_workers=1, threads_per_worker=1, processes=False, protocol="tcp://", host="127.0.0.1", dashboard_address=None
+        n_workers=1,
+        threads_per_worker=1,
+        processes=False,
+        protocol="tcp://",
+        host="127.0.0.1",
+        dashboard_address="127.0.0.1:0",
     ) as cluster:
         assert list(parallel.each(abs, [-3, 2], dask=cluster.scheduler_address)) == [(0, 3), (1, 2)]
 
