@@ -7,7 +7,6 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
-from scipy.interpolate import PchipInterpolator, RegularGridInterpolator
 
 from gonio import models
 from gonio.config import Strict, parse
@@ -267,6 +266,8 @@ class Material:
         """rho_hd from a table over the viewer's direction, made once, on the first use of a level."""
         oriented = any(model.depends_on_azimuth for model in self._level(level).at)
         if level not in self._ambient:
+            from scipy.interpolate import PchipInterpolator, RegularGridInterpolator  # they take 26 MB
+
             # nodes close up toward grazing, where reflectances change fastest
             theta = np.pi / 2 * np.sin(np.linspace(0.0, np.pi / 2, AMBIENT_NODES))
             phi = np.linspace(-np.pi, np.pi, AMBIENT_AZIMUTHS) if oriented else np.zeros(1)

@@ -34,6 +34,14 @@ def test_a_seed_gives_one_picture_and_another_seed_another() -> None:
     assert (pictures[0] != pictures[2]).any()
 
 
+def test_without_random_numbers_it_does_not_matter_how_many_rays_go_together(monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = rendered()
+    monkeypatch.setattr(rendering, "FEWER", 7)
+    parts = rendered()
+    np.testing.assert_array_equal(parts.radiance, whole.radiance)
+    np.testing.assert_array_equal(parts.position, whole.position)
+
+
 @pytest.mark.slow
 def test_stated_errors_are_the_scatter_about_the_converged_picture() -> None:
     truth = rendered(camera=SMALL | {"samples": 1024}, shape=TWO, light=[LAMP], seed=99)
