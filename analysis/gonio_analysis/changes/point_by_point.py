@@ -323,6 +323,7 @@ def _measurements(a: Side, b: Side, say: Say) -> Change:
     forth, back = carry(a.measured, data, table, say), carry(data, a.measured, a.whole, say)
     onto = _still(forth, back, len(a.measured), len(data))
     carried, other = (forth, "B") if onto == "A" else (back, "A")
+    del forth, back  # one of them is not needed any more
     if not carried.rows.size:
         why = describe_left_out(carried.missing)
         raise DataError(f"{a.source} and {b.source} share no direction: of the values of {a.source}, {why}")

@@ -35,6 +35,9 @@ if TYPE_CHECKING:
 TURN = float(np.radians(0.25))
 """By which directions are turned for the slope along the plane of incidence [rad]."""
 
+AT_ONCE = 1 << 16
+"""Directions that are turned together: their vectors take 200 bytes each."""
+
 ON_EDGE = 1e-12
 """A point so little outside a triangle, as a share of its height, lies on its edge."""
 
@@ -79,7 +82,7 @@ def common_wavelengths(a: Observations, b: Observations, within_nm: float = 0.5)
     return out
 
 
-def carry(a: Observations, b: Observations, b_table: pd.DataFrame, say: Say = silent) -> Carried:
+def carry(a: Observations, b: Observations, b_table: pd.DataFrame | None, say: Say = silent) -> Carried:
     """B's values in the directions of A, at their common wavelengths.
 
     Parameters
@@ -87,7 +90,7 @@ def carry(a: Observations, b: Observations, b_table: pd.DataFrame, say: Say = si
     a, b
         The usable values of two tables.
     b_table
-        The whole table of B: its rows that are not in `b` are holes.
+        The whole table of B: its rows that are not in `b` are holes. None: there are no others.
     say
         Called with a line now and then, where it takes long.
     """
@@ -137,6 +140,12 @@ def carry(a: Observations, b: Observations, b_table: pd.DataFrame, say: Say = si
 def turned_in_plane(directions: Directions, by: float) -> tuple[Directions, Any]:
     """Receivers turned in the plane of incidence, toward the mirror direction, by an angle [rad]; which are above the
     surface."""
+    blocks = range(0, len(directions), AT_ONCE)
+    turned, above = zip(*(_turned(directions[k : k + AT_ONCE], by) for k in blocks), strict=True)
+    return Directions(*np.concatenate([one.angles for one in turned], axis=1)), np.concatenate(above)
+
+
+def _turned(directions: Directions, by: float) -> tuple[Directions, Any]:
     source, receiver = directions.vectors
     across = np.column_stack([-np.cos(directions.phi_i), -np.sin(directions.phi_i)])
     along = np.sum(receiver[:, :2] * across, axis=1)
@@ -151,28 +160,18 @@ def turned_in_plane(directions: Directions, by: float) -> tuple[Directions, Any]
 
 def slope_in_plane(shape: Observations) -> Floats:
     """Change of the shape's values with the receiver's angle in the plane of incidence [1/(sr rad)]."""
-    alone = replace(shape, covariance=None, rows=np.arange(len(shape)), u_angles=np.zeros(0))
-    table = _table_of(alone)
+    alone = replace(shape, covariance=None, u_angles=np.zeros(0))
     ends = []
     for by in (TURN, -TURN):
         directions, above = turned_in_plane(alone.directions, by)
         kept = np.flatnonzero(above)
-        carried = carry(replace(alone.take(kept), directions=directions[kept]), alone, table)
+        carried = carry(replace(alone, directions=directions).take(kept), alone, None)
         values = np.full(len(shape), np.nan)
         values[kept[carried.rows]] = carried.value
         ends.append(values)
     ahead, behind = (ends[0] - shape.brdf) / TURN, (shape.brdf - ends[1]) / TURN
     both = np.where(np.isnan(ahead), behind, np.where(np.isnan(behind), ahead, 0.5 * (ahead + behind)))
     return np.nan_to_num(both)
-
-
-def _table_of(alone: Observations) -> pd.DataFrame:
-    """A table without holes, as `carry` asks for one."""
-    import pandas as pd
-
-    angles = [np.degrees(x) for x in alone.directions.angles]
-    names = ("theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg")
-    return pd.DataFrame({**dict(zip(names, angles, strict=True)), "wavelength_nm": alone.wavelength_nm})
 
 
 @dataclass(frozen=True)
@@ -225,14 +224,16 @@ class _Unused:
     """(n, 3) unit vectors toward the source."""
 
     @classmethod
-    def of(cls, b: Observations, table: pd.DataFrame) -> _Unused:
+    def of(cls, b: Observations, table: pd.DataFrame | None) -> _Unused:
         """Those of B's table that are not in `b`; an angle that is not finite is nowhere, and leaves no hole."""
+        if table is None:
+            return cls(np.zeros(0), Directions(*np.zeros((4, 0))), np.zeros((0, 3)))
         unused = np.ones(len(table), dtype=bool)
         unused[b.rows] = False
-        found = Directions.from_table(table)[unused]
+        left = table[unused]
+        found = Directions.from_table(left)
         known = np.isfinite(found.angles).all(axis=0)
-        waves = table["wavelength_nm"].to_numpy(np.float64)[unused][known]
-        return cls(waves, found[known], found[known].vectors[0])
+        return cls(left["wavelength_nm"].to_numpy(np.float64)[known], found[known], found[known].vectors[0])
 
     def take(self, here: Ints) -> _Unused:
         """Some of them."""

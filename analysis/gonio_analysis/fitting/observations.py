@@ -157,7 +157,9 @@ class Observations:
         return {key: value for key, value in self.__dict__.items() if key != "cones"}  # made again where it is needed
 
     def take(self, rows: npt.NDArray[np.bool_] | npt.NDArray[np.intp]) -> Observations:
-        """Some of the values."""
+        """Some of the values; of all of them nothing is copied."""
+        if rows.all() if rows.dtype == bool else np.array_equal(rows, np.arange(len(self))):
+            return self
         some = [name for name in ("part", "u_angles") if getattr(self, name).size]
         taken = {name: getattr(self, name)[rows] for name in ("directions", "wavelength_nm", "brdf", "rows", *some)}
         return replace(self, covariance=self.covariance and self.covariance.take(rows), **taken)

@@ -269,7 +269,7 @@ def _columns(c: Change) -> list[Any]:
     v, n = c.verdict, len(c.at)
     angles = [np.round(np.degrees(x), 10) for x in c.at.directions.angles]
     z = v.z if v is not None else np.full(n, np.nan)
-    marked = v.marked.astype(object) if v is not None else np.full(n, "", dtype=object)
+    marked = v.marked if v is not None else np.full(n, "", dtype=object)
     return [c.at.wavelength_nm, *angles, c.value_a, c.value_b, c.error, c.difference, c.u, z, marked]
 
 

@@ -15,7 +15,7 @@ from gonio_analysis.report.comparison import VALUES, usable
 from gonio_analysis.report.facts import DatasetSummary, Summary
 from gonio_analysis.selection.compare import Dataset, Drawn
 
-ROWS_AT_ONCE = 100_000
+ROWS_AT_ONCE = 10_000
 
 
 def write(
