@@ -32,20 +32,33 @@ def test_a_fit_goes_to_another_process_and_back() -> None:
     assert again.problem.model(again.vector) == result.model
 
 
+def test_in_this_process_results_come_in_the_order_of_the_jobs() -> None:
+    assert list(parallel.each(abs, [-3, 2, -1, 5], workers=1)) == [(0, 3), (1, 2), (2, 1), (3, 5)]
+
+
 @pytest.mark.slow
 @pytest.mark.filterwarnings("default")
-@pytest.mark.parametrize("way", ["here", "processes", "cluster"])
-def test_results_come_with_their_numbers_as_they_become_ready(way: str, request: pytest.FixtureRequest) -> None:
+@pytest.mark.parametrize("way", ["processes", "cluster"])
+def test_a_result_that_is_ready_waits_for_none_before_it(
+    way: str, tmp_path: Path, request: pytest.FixtureRequest
+) -> None:
     dask = request.getfixturevalue("cluster").scheduler_address if way == "cluster" else None
-    jobs = [1.5, 0.0, 0.1, 0.2]  # seconds
-    done = list(parallel.each(_after, jobs, dask=dask, workers=1 if way == "here" else 2))
-    assert sorted(done) == list(enumerate(jobs))
-    assert [k for k, _ in done][-1] == (3 if way == "here" else 0)
+    another_came = tmp_path / "another came"
+    jobs, found = [str(another_came), "", "", ""], dict[int, str]()
+    for k, result in parallel.each(_held, jobs, dask=dask, workers=2):
+        another_came.touch()
+        found[k] = result
+    assert found == dict(enumerate(jobs))
 
 
-def _after(seconds: float) -> float:
-    time.sleep(seconds)
-    return seconds
+def _held(until: str) -> str:
+    """A job that ends when a path exists, if it is given one; within ten minutes, so that a failure ends."""
+    ends = time.monotonic() + 600.0
+    while until and not Path(until).exists():
+        if time.monotonic() > ends:
+            raise TimeoutError(until)
+        time.sleep(0.05)
+    return until
 
 
 @pytest.mark.slow
