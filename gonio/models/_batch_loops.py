@@ -19,9 +19,9 @@ from gonio.models._batch_steps import DERIVE, LEVELS, SHADE, TAKE, UNIT, by_diff
 from gonio.models._compile import sources
 
 FAR_VALLEY = 100.0
-"""A second start is tried where its chi-square is at most so many times that of the first, and so much more."""
+"""The second valley counts where its chi-square is at most so many times that of the first, and so much more."""
 CLOSE_VALLEY = 10.0
-"""It is tried as well where the first ends acceptably, if its chi-square is at most so many times that; and 20 more."""
+"""An acceptable fit is followed by another start whose chi-square is at most so many times its own, and 20 more."""
 NARROWINGS = 3
 """Steps of the width alone, before all parameters are fitted."""
 FEWEST_OF_SOME = 25
@@ -121,8 +121,8 @@ def narrowed(shade, derive, unit, levels, columns, start, width, low, high, weig
     """
     s0, sz, best = sum_of(weight, count), sum_of(weighted, count), -np.inf
     copied(start, trial, 0, start.size)
+    how = unit(trial)
     for turn in range(NARROWINGS + 1):
-        how = unit(trial)
         if turn:
             shade(columns, trial, 1, g)
         else:
@@ -131,10 +131,11 @@ def narrowed(shade, derive, unit, levels, columns, start, width, low, high, weig
         if not gain > best:
             break
         best = gain
-        if turn < NARROWINGS:
-            derive(columns, trial, width, g, d)
-        levels(trial, level, base)
         copied(trial, start, 0, start.size)
+        levels(start, level, base)
+        if turn == NARROWINGS:
+            break
+        derive(columns, trial, width, g, d)
         sd, sdd, sgd, sdz = slope_moments(g, d, weight, weighted, count)
         if base > 0.0:
             sdd, sgd, sgg, sdz = sdd - sd * sd / s0, sgd - sg * sd / s0, sgg - sg * sg / s0, sdz - sd * sz / s0
@@ -142,7 +143,7 @@ def narrowed(shade, derive, unit, levels, columns, start, width, low, high, weig
         if not (level > 0.0 and bend > 0.0):
             break
         step = (sdz - level * sgd) / (level * bend)
-        trial[width] = min(max(start[width] + step, low, 0.5 * start[width]), high, 2.0 * start[width])
+        trial[width] = min(max(trial[width] + step, low, 0.5 * trial[width]), high, 2.0 * trial[width])
 
 
 @viewing
@@ -232,7 +233,7 @@ def fit_pixels(  # type: ignore[no-untyped-def]
     omega_i, omega_r, packed = np.empty(3 * n), np.empty(3 * n), np.empty(count_of_columns * n)
     z, w, own, at = np.empty(n), np.empty(n), np.empty(n), np.full(n, -1, np.int64)
     of_causes, of_blocks, rows = np.empty(r * n), np.empty(numbers.shape[0] * n, np.int64), np.empty((3, n))
-    work, starts, matrix = np.empty((k + r + 4, n)), np.empty((grid.shape[0], size)), np.empty((k, k))
+    work, starts, matrix = np.empty((k + r + 3, n)), np.empty((grid.shape[0], size)), np.empty((k, k))
     triangle, moves, end, profile = np.empty((k, k)), np.empty(k, np.bool_), np.empty(size), np.empty(grid.shape[0])
     lobes, units, how, before = np.empty(grid.shape[0] * n), grid.copy(), 0, -1
     few_i, few_r, few = np.empty(3 * n), np.empty(3 * n), np.empty(count_of_columns * n)

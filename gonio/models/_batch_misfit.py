@@ -195,7 +195,7 @@ def nearest(  # type: ignore[no-untyped-def]
     matrix, triangle, inner = np.empty((k, k)), np.empty((k, k)), np.empty((r, r))
     variance, raw, slope = np.empty(count), np.empty(count), np.empty(count)
     plain, causes, nothing = np.empty((k, count)), np.empty((r, count)), np.empty((0, count))
-    _, _, _, _, _, _, _, trials, whole, _, differs = room
+    trials, whole, _, differs = room[7:]
     for j in range(count):
         variance[j] = (u[j] / sqrt(values[j] * values[j] + 4.0 * small * small)) ** 2
         z[j] = on_scale(values[j], small)
@@ -219,24 +219,9 @@ def nearest(  # type: ignore[no-untyped-def]
         for j in range(count):
             w[j] = 1.0 / sqrt(variance[j] + tau * tau)
         minimised(
-            shade,
-            derive,
-            columns,
-            z,
-            w,
-            small,
-            relative,
-            theta,
-            free,
-            lower,
-            upper,
-            f,
-            work,
-            matrix,
-            moves,
-            room,
+            shade, derive, columns, z, w, small, relative, theta, free, lower, upper, f, work, matrix, moves, room,
             count,
-        )
+        )  # fmt: skip
     slopes_of_scale(f, small, slope, count)
     shaded(shade, columns, theta, free, lower, upper, differs, trials, whole, count)
     linearised(shade, derive, columns, theta, whole, w, slope, free, lower, upper, differs, trials, plain, count)

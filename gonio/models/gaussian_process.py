@@ -154,7 +154,7 @@ class Pairs:
 
     def of_parts(self, p: Floats) -> tuple[Floats, Floats]:
         """Prior covariances of the logarithms of lobe and base, whatever their shares are."""
-        from gonio.models._process_loops import covariances
+        from gonio.models._gaussian_process_loops import covariances
 
         q = Scaled.of(p)
         a, b = (q.columns(at, self.prior) for at in (self.a, self.b))
@@ -167,7 +167,7 @@ class Pairs:
 
         Of places with themselves; of the weights the upper triangle counts.
         """
-        from gonio.models._process_loops import slopes
+        from gonio.models._gaussian_process_loops import slopes
 
         q = Scaled.of(p)
         a = q.columns(self.a, self.prior)

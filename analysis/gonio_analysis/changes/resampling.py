@@ -140,7 +140,7 @@ def carry(a: Observations, b: Observations, b_table: pd.DataFrame | None, say: S
 def turned_in_plane(directions: Directions, by: float) -> tuple[Directions, Any]:
     """Receivers turned in the plane of incidence, toward the mirror direction, by an angle [rad]; which are above the
     surface."""
-    blocks = range(0, len(directions), AT_ONCE)
+    blocks = range(0, max(len(directions), 1), AT_ONCE)  # of none there is one, too
     turned, above = zip(*(_turned(directions[k : k + AT_ONCE], by) for k in blocks), strict=True)
     return Directions(*np.concatenate([one.angles for one in turned], axis=1)), np.concatenate(above)
 

@@ -6,10 +6,11 @@ import numpy as np
 import pandas as pd
 import pytest
 import scipy.spatial
-from gonio_analysis.changes.resampling import _located, _turns, carry, common_wavelengths
+from gonio_analysis.changes.resampling import AT_ONCE, _located, _turns, carry, common_wavelengths, turned_in_plane
 from gonio_analysis.fitting.observations import observations
 
 from gonio.formats import reader
+from gonio.geometry import Directions
 from gonio.models import OrenNayar
 from gonio.typing import Floats
 from tests.gonio_analysis.synthetic import measure
@@ -90,3 +91,12 @@ def _hemisphere(seed: int, wavelength_nm: float) -> pd.DataFrame:
 
 def _by_wavelength(frame: pd.DataFrame) -> list[pd.DataFrame]:
     return [part for _, part in frame.groupby("wavelength_nm")]
+
+
+@pytest.mark.parametrize("count", [0, 1, AT_ONCE + 1])
+def test_directions_turn_in_the_plane_of_incidence_however_many_they_are(count: int) -> None:
+    angles = np.radians([30.0, 0.0, 20.0, 180.0])
+    turned, above = turned_in_plane(Directions(*np.repeat(angles[:, None], count, axis=1)), np.radians(5.0))
+    # toward the mirror direction, at 30 degrees; 1e-9 rad: an angle is an arc cosine
+    np.testing.assert_allclose(turned.theta_r, np.full(count, np.radians(25.0)), rtol=0.0, atol=1e-9)
+    np.testing.assert_array_equal(above, np.ones(count, bool))
