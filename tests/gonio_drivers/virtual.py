@@ -40,7 +40,8 @@ class Waiting:
 
     until_s: float
     ready: Callable[[], bool]
-    woken: threading.Event = field(default_factory=threading.Event)
+    asleep: threading.Lock = field(default_factory=threading.Lock)
+    """Taken until the thread is woken: a tenth of the work of a `threading.Event`."""
 
 
 class VirtualClock:
@@ -71,13 +72,14 @@ class VirtualClock:
     def wait(self, ready: Callable[[], bool], seconds: float = float("inf")) -> None:
         """Let time pass until something is so, or for so long."""
         me = Waiting(self.now_s + max(seconds, 0.0), ready)
+        me.asleep.acquire()
         member = threading.get_ident() in self._members
         with self._lock:
             self._waiting.append(me)
             self._running -= member
             self._wake()
         try:
-            while not me.woken.wait(HANGS_S):
+            while not me.asleep.acquire(timeout=HANGS_S):
                 if seconds < float("inf"):
                     raise RuntimeError("nothing ends a wait on the virtual clock: does something wait otherwise?")
         except BaseException:  # an interrupt, say
@@ -120,7 +122,7 @@ class VirtualClock:
             self.now_s = max(self.now_s, first.until_s)
         self._waiting.remove(first)
         self._running += 1
-        first.woken.set()
+        first.asleep.release()
 
 
 class VirtualPort:
