@@ -1,11 +1,15 @@
 """What holds for every test: none is timed, because machines that run them are busy with others."""
 
+import os
 import signal
 from collections.abc import Iterator
 from typing import Any
 
 import pytest
 from hypothesis import settings
+
+# as the command has it: threads of BLAS that wait for each other cost more than they save; numpy is not imported yet
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 # the same examples in every run; `pytest --hypothesis-profile=default` draws others
 settings.register_profile("gonio", deadline=None, derandomize=True)
