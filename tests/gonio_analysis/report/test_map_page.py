@@ -19,6 +19,11 @@ from tests.gonio_analysis.map_files import axes, fits, values
 ROWS, COLS = 40, 70
 
 
+@pytest.fixture(scope="module", autouse=True)
+def no_pdf() -> None:
+    """Here a PDF is written."""
+
+
 @pytest.fixture(scope="module")
 def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A gradient of m, where 5 rows have too few values, 30 pixels are undetermined, and 56 reject the model."""

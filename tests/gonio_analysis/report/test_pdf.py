@@ -30,6 +30,11 @@ from gonio_analysis.report.drawings import Figure
 from gonio_analysis.report.viewer import View
 
 
+@pytest.fixture(scope="module", autouse=True)
+def no_pdf() -> None:
+    """Here a PDF is written."""
+
+
 def png(shape: tuple[int, int]) -> bytes:
     from PIL import Image
 

@@ -31,12 +31,6 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     return folder / "made.csv", folder / "real.csv"
 
 
-@pytest.fixture(autouse=True)
-def _no_pdf(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A third of a report's time, and what it says is what the page says (tests of `pdf` hold that)."""
-    monkeypatch.setattr("gonio_analysis.report.pdf.write", lambda *given, **named: None)
-
-
 def page(folder: Path) -> tuple[str, dict[str, object]]:
     return (folder / "index.html").read_text(encoding="utf-8"), json.loads(
         (folder / "summary.json").read_text(encoding="utf-8")
