@@ -15,7 +15,8 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -162,7 +163,9 @@ def fit(
         first = fit(data, replace(asked, each=None, loss="linear", start=None, searches=STARTS), name=name, say=say)
         problem, data, notes = _together(problem, data, asked.each, name)
         wavelength = math.nan
-        start = [{n: first.problem.values(first.vector)[n.partition("@")[0]] for n in problem.free}]
+        alone = [first, *elsewhere(first, {w: data.at(w) for w in data.wavelengths}, name)]
+        known = [one.problem.values(one.vector) for one in alone]
+        start = [{n: values[n.partition("@")[0]] for n in problem.free} for values in known]
     else:
         data, wavelength, notes = _one_wavelength(data, asked.wavelength_nm, problem.family, name)
     _require_enough(data, problem.free, wavelength, name)
@@ -182,6 +185,16 @@ def fit(
         notes.append("Standard errors come from the scatter of the residuals; there is no chi-square.")
     notes += remarks(result)
     return replace(result, notes=[*data.notes, *notes], wall_s=time.perf_counter() - began)
+
+
+def elsewhere(first: FitResult, by_wavelength: Mapping[float, Observations], name: str) -> list[FitResult]:
+    """Fits of other wavelengths alone to begin at: one wavelength may prefer a valley that the others refute."""
+    asked, out = replace(first.problem.asked, wavelength_nm=None), []
+    for wave in (min(by_wavelength), max(by_wavelength)) if first.problem.family.needs_wavelength else ():
+        if wave != first.wavelength_nm:
+            with suppress(DataError):  # too few values at this wavelength alone
+                out.append(fit(by_wavelength[wave], asked, name=name))
+    return out
 
 
 def _result(

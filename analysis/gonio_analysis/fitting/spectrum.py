@@ -14,17 +14,15 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from gonio.cli.pace import Pace, Say, silent
-from gonio.errors import DataError
 from gonio.typing import Floats
-from gonio_analysis.fitting.fit import FitResult, at_solution, fit, known_by_blocks, remarks
+from gonio_analysis.fitting.fit import FitResult, at_solution, elsewhere, fit, known_by_blocks, remarks
 from gonio_analysis.fitting.forward import apparent
 from gonio_analysis.fitting.misfit import estimated_tau
 from gonio_analysis.fitting.observations import Observations, observations
@@ -117,7 +115,7 @@ def fit_shared(
     task = _Task(problem, common, taken)
     words = f"{name}: {label or first.name}, {len(whole)} wavelengths together, trial points"
     pace = Pace(words, TRIALS, say, at_most=True)
-    begun = (task.begin(s) for s in [first, *_elsewhere(first, taken, name)])
+    begun = (task.begin(s) for s in [first, *elsewhere(first, taken, name)])
     task, vector = _solved(task, min(begun, key=lambda found: found[1])[0], pace.step)
     vector, jacobian, total = task.settle(vector)
     shared, whitened = _facts(task, list(taken), common, total)
@@ -143,16 +141,6 @@ def fit_shared(
             found = replace(found, chi_square=stated.get(block.wavelength_nm, found.chi_square))
         fits.append(found.known_to(spread[np.ix_(block.index, block.index)]))
     return [_told(first, result) for result in (_known_by_blocks(fits) if nearest else fits)]
-
-
-def _elsewhere(first: FitResult, taken: Mapping[float, Observations], name: str) -> list[FitResult]:
-    """Fits of other wavelengths alone to begin at: one wavelength may prefer a valley that the others refute."""
-    asked, out = replace(first.problem.asked, wavelength_nm=None), []
-    for wave in (min(taken), max(taken)) if first.problem.family.needs_wavelength else ():
-        if wave != first.wavelength_nm:
-            with suppress(DataError):  # too few values at this wavelength alone
-                out.append(fit(taken[wave], asked, name=name))
-    return out
 
 
 def _solved(task: _Task, start: Floats, step: Callable[[int], None]) -> tuple[_Task, Floats]:
