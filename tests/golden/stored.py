@@ -28,7 +28,7 @@ def carried_out(name: str, folder: Path) -> dict[str, str]:
 def processor() -> str:
     """The kind of this computer's processor."""
     found = machine()
-    return " ".join([found.cpu, *found.flags])
+    return " ".join([found["cpu"], *found["flags"]])
 
 
 def tolerance(name: str) -> float:

@@ -7,8 +7,7 @@ import numpy as np
 from gonio_analysis.result_records import finite
 
 from gonio.typing import Floats
-from gonio_validation.bench.quantity import Quantity, Sample, Way
-from gonio_validation.bench.results import SETS, ErrorSummary, Set
+from gonio_validation.bench.quantity import SETS, ErrorSummary, Quantity, Sample, Set, Way
 
 NOTHING = 1e-290
 """References below this count as 0."""

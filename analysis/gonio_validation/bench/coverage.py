@@ -1,6 +1,5 @@
 """Blind campaigns, as many as are asked for, and the report of `gonio bench coverage`."""
 
-import datetime
 import shutil
 import tempfile
 from collections.abc import Sequence
@@ -9,10 +8,11 @@ from importlib.metadata import version
 from pathlib import Path
 
 from gonio.config import Strict
+from gonio.documents import JsonObject
 from gonio_validation.bench import coverage_campaign, coverage_hidden, coverage_judgement, coverage_page, timing
 from gonio_validation.bench.campaigns import Campaigns, Record, Step, as_csv, at_least, write
 from gonio_validation.bench.coverage_campaign import FORMAT
-from gonio_validation.bench.coverage_results import CauseSummary, Coverage
+from gonio_validation.bench.page import begun
 
 CAMPAIGNS, FEW = 200, 12
 """Without a number; and of a quick run."""
@@ -109,27 +109,27 @@ def _carried_out(number: int, settings: CoverageSettings, work: Path | None) -> 
 
 def summary(
     records: Sequence[Record], settings: CoverageSettings, *, quick: bool = False, command: str = ""
-) -> Coverage:
+) -> JsonObject:
     """Every number of the report, as `results.json` holds it."""
     counts, pulls, uniform = coverage_judgement.judged(records)
     measured = [r for r in records if r["points"] and r["points"]["brdf"]]
     drawn = [coverage_judgement.chosen_parameter(r) for r in records if r["fit"]]
-    return Coverage(
-        title="Do the stated intervals hold the truth?",
-        created=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
-        command=command,
-        quick=quick,
-        seed=settings.seed,
-        campaigns=len(records),
-        values=sum(len(r["points"]["brdf"]) for r in measured),
-        seconds=sum(r["seconds"] for r in records),
-        machine=timing.machine(),
-        causes=[CauseSummary(c.name, c.hidden, c.learned, c.name in settings.errors) for c in coverage_hidden.CAUSES],
-        counts=counts,
-        pulls=pulls,
-        uniform=uniform,
-        single_pulls=coverage_judgement.single_points(measured),
-        parameter_pulls=coverage_judgement.known_pulls(drawn),
-        worst=coverage_judgement.worst(records),
-        failed=coverage_judgement.failed(records),
-    )
+    causes = [
+        {"name": c.name, "hidden": c.hidden, "learned": c.learned, "on": c.name in settings.errors}
+        for c in coverage_hidden.CAUSES
+    ]
+    return begun("Do the stated intervals hold the truth?", command, quick) | {
+        "seed": settings.seed,
+        "campaigns": len(records),
+        "values": sum(len(r["points"]["brdf"]) for r in measured),
+        "seconds": sum(r["seconds"] for r in records),
+        "machine": timing.machine(),
+        "causes": causes,
+        "counts": counts,
+        "pulls": pulls,
+        "uniform": uniform,
+        "single_pulls": coverage_judgement.single_points(measured),
+        "parameter_pulls": coverage_judgement.known_pulls(drawn),
+        "worst": coverage_judgement.worst(records),
+        "failed": coverage_judgement.failed(records),
+    }

@@ -6,15 +6,18 @@ count, by one value that is chosen at random and beforehand, or by one test of a
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
+from zlib import crc32
 
 import numpy as np
 
 from gonio.documents import JsonObject
 from gonio.typing import Floats
-from gonio_validation.bench.coverage_results import LEVEL, Count, Failed, Pulls, Uniform, Worst
 
 Record = Mapping[str, Any]
+LEVEL = 0.95
+"""Of every interval that is judged, and of those of what is counted here."""
 REACH = 1.959963984540054
 """Standard deviations on either side of a normal interval of 95 %."""
 RESAMPLES = 2000
@@ -23,10 +26,60 @@ FEWEST = 5
 WORST = 15
 
 
+@dataclass(frozen=True)
+class Count:
+    """In how many campaigns an interval of 95 % holds the truth."""
+
+    kind: str
+    """"points", "joint", "parameters", "joint parameters", "wrong" or "calibrated"."""
+    what: str
+    """The quantity."""
+    group: str
+    """Of which campaigns: "all", or those of a model, a plan or a region; of "parameters" model and parameter."""
+    campaigns: int
+    inside: int
+    low: float
+    """Clopper-Pearson interval (95 %) of the coverage."""
+    high: float
+
+    @property
+    def holds(self) -> bool:
+        """Whether the interval contains 95 %."""
+        return self.low <= LEVEL <= self.high
+
+
+@dataclass(frozen=True)
+class Pulls:
+    """(found - true) / u, one number a campaign."""
+
+    kind: str
+    what: str
+    group: str
+    campaigns: int
+    mean: float
+    u_mean: float
+    """Standard error of the mean."""
+    sd: float
+    sd_low: float
+    """Interval (95 %) of the standard deviation: campaigns drawn again with replacement."""
+    sd_high: float
+    largest: float
+
+
+@dataclass(frozen=True)
+class Uniform:
+    """Probabilities that are uniform between 0 and 1 where the stated covariance is right, one a campaign."""
+
+    what: str
+    campaigns: int
+    p_uniform: float
+    """Kolmogorov and Smirnov's test of that."""
+    bins: Sequence[int]
+    """Campaigns in ten equal bins."""
+
+
 def chosen(record: Record, what: str, among: Sequence[int]) -> int:
     """One of several values of a campaign: chosen by its number and a name alone, not by what came out."""
-    from zlib import crc32
-
     rng = np.random.default_rng([int(record["campaign"]), crc32(what.encode())])
     return int(among[int(rng.integers(len(among)))])
 
@@ -190,7 +243,7 @@ def known_pulls(parameters: Iterable[Mapping[str, Any]]) -> list[float]:
     return [(p["value"] - p["true"]) / p["u"] for p in parameters if p["u"] and not p["at_bound"]]
 
 
-def worst(records: Sequence[Record], most: int = WORST) -> list[Worst]:
+def worst(records: Sequence[Record], most: int = WORST) -> list[JsonObject]:
     """The points that are farthest off in their own uncertainty."""
     out = []
     for r in records:
@@ -198,17 +251,16 @@ def worst(records: Sequence[Record], most: int = WORST) -> list[Worst]:
             continue
         p, z = r["points"], point_pulls(r)
         k = int(np.argmax(abs(z)))
-        out.append(
-            Worst(r["campaign"], r["model"], r["plan"], p["region"][k], p["theta_i_deg"][k], p["theta_r_deg"][k],
-                  p["dphi_deg"][k], p["brdf"][k], p["truth"][k], p["u_brdf"][k], float(z[k]))
-        )  # fmt: skip
-    return sorted(out, key=lambda w: -abs(w.pull))[:most]
+        one = {name: r[name] for name in ("campaign", "model", "plan")}
+        one |= {name: p[name][k] for name in ("region", "theta_i_deg", "theta_r_deg", "dphi_deg", "brdf", "truth")}
+        out.append(one | {"u_brdf": p["u_brdf"][k], "pull": float(z[k])})
+    return sorted(out, key=lambda w: -abs(w["pull"]))[:most]
 
 
-def failed(records: Sequence[Record]) -> list[Failed]:
+def failed(records: Sequence[Record]) -> list[JsonObject]:
     """Campaigns that a program refused."""
     return [
-        Failed(r["campaign"], r["model"], r["plan"], r["failed"]["step"], r["failed"]["message"])
+        {name: r[name] for name in ("campaign", "model", "plan")} | r["failed"]
         for r in records
         if r["failed"] is not None
     ]

@@ -5,25 +5,14 @@ from typing import Any
 
 import numpy as np
 from gonio_analysis.plots.in_plane import COLOURS
-from gonio_analysis.plots.style import FAINT, INK
-from gonio_analysis.report.blocks import (
-    Block,
-    Figures,
-    Footer,
-    Group,
-    Heading,
-    Page,
-    Paragraph,
-    Text,
-    code,
-    section,
-    table,
-)
+from gonio_analysis.plots.style import INK
+from gonio_analysis.report.blocks import Block, Figures, Footer, Group, Page, Paragraph, Text, code, table
 from gonio_analysis.report.drawings import Figure, rendered
 from gonio_analysis.report.text import number
 
-from gonio_validation.bench.coverage_results import LEVEL, Count, Coverage, Pulls
-from gonio_validation.bench.page import head, method, part, verdict
+from gonio.documents import JsonObject
+from gonio_validation.bench.coverage_judgement import LEVEL, Count, Pulls
+from gonio_validation.bench.page import Column, Part, head, method, of_part, part, plain_axes, two_digits, verdict
 
 FOOTER = Footer(
     (
@@ -39,46 +28,87 @@ KINDS = {
     "wrong": "a model that the sample does not have",
     "calibrated": "calibrated",
 }
-
-
-def render(s: Coverage, figures: Sequence[Figure]) -> Page:
-    """The page."""
-    links = (("coverage", "Coverage"), ("pulls", "Pulls"), ("hidden", "What is hidden"), ("far", "Points far off"))
-    what = (
-        f", seed {s.seed}: {s.campaigns} campaigns, {s.values} "
-        f"values of BRDF, {number(s.seconds / max(s.campaigns, 1), 2)} s of one process a campaign."
-    )
-    rough = " A quick run: few campaigns of few points." if s.quick else ""
-    body: list[Block] = [
-        head(s, what + rough, links),
-        _lead(s),
-        _coverage(s, figures),
-        _pulls(s, figures),
-        _hidden(s),
-        _far(s),
-    ]
-    return Page(s.title, (*body, *_failed(s), _method(s), FOOTER))
-
-
-def _lead(s: Coverage) -> Paragraph:
-    words: list[str] = []
-    for kind in ("points", "joint", "parameters", "joint parameters"):
-        c = s.count(kind)
-        if c is not None:
-            words.append(
-                f"{KINDS[kind]}: {c.inside} of {c.campaigns} ({_percent(c.inside / c.campaigns)}; 95 % of intervals "
-                f"{'is' if c.holds else 'is NOT'} within {_percent(c.low)} to {_percent(c.high)})."
-            )
-    if s.failed:
-        words.append(f"{len(s.failed)} campaigns were refused by a program, and count nowhere.")
-    return Paragraph(" ".join(words), "lead")
+METHOD = (
+    ("truth of a point", "the true sample through the cones of lamp and lens, in the directions that the row states"),
+    ("interval of a point", "brdf - 1.96 u_brdf to brdf + 1.96 u_brdf"),
+    (
+        "all points together",
+        "chi-square with diag(u_random^2) + sum of s s^T; inside where its probability is above 5 %",
+    ),
+    ("interval of a parameter", "profile likelihood, as gonio fit states it"),
+)
 
 
 def _percent(value: float) -> str:
     return f"{100 * value:.1f} %"
 
 
-def _coverage(s: Coverage, figures: Sequence[Figure]) -> Group:
+def _of(c: Count | Pulls) -> str:
+    return "all campaigns" if c.group == "all" else c.group
+
+
+HIDDEN = Part(
+    "What is hidden", "hidden", "causes",
+    "Drawn anew for every campaign, and read by the simulated devices alone. Distances, the cones of lamp and "
+    "lens, the beam, the wavelength, the kind of model and a metal's optical constants are known rightly.",
+    (
+        Column("error", "name"), Column("hidden", "hidden"),
+        Column("what the laboratory knows", "learned", lambda text: text.replace("`", "")),
+        Column("here", "on", lambda on: "yes" if on else "off"),
+    ),
+    (),
+)  # fmt: skip
+FAR = Part(
+    "Points far off", "far", "worst",
+    "The largest pull of a campaign, for the campaigns in which it is largest. Angles in degrees, values in 1/sr.",
+    (
+        Column("campaign", "campaign"), Column("model", "model"), Column("plan", "plan"), Column("region", "region"),
+        Column("theta_i", "theta_i_deg", "{:.2f}".format), Column("theta_r", "theta_r_deg", "{:.2f}".format),
+        Column("dphi", "dphi_deg", "{:.2f}".format), Column("BRDF", "brdf", lambda x: number(x, 4)),
+        Column("true", "truth", lambda x: number(x, 4)), Column("u", "u_brdf", two_digits),
+        Column("pull", "pull", "{:+.2f}".format),
+    ),
+    tuple(range(4, 11)),
+)  # fmt: skip
+REFUSED = Part(
+    "Campaigns that were refused", "refused", "failed",
+    "A program refused these, and said why. They count nowhere above.",
+    tuple(Column(name, name) for name in ("campaign", "model", "plan", "step", "message")),
+    (),
+)  # fmt: skip
+
+
+def render(s: JsonObject, figures: Sequence[Figure]) -> Page:
+    """The page."""
+    links = (("coverage", "Coverage"), ("pulls", "Pulls"), ("hidden", "What is hidden"), ("far", "Points far off"))
+    what = (
+        f", seed {s['seed']}: {s['campaigns']} campaigns, {s['values']} "
+        f"values of BRDF, {number(s['seconds'] / max(s['campaigns'], 1), 2)} s of one process a campaign."
+    )
+    rough = " A quick run: few campaigns of few points." if s["quick"] else ""
+    body: list[Block] = [head(s, what + rough, links), _lead(s), _coverage(s, figures), _pulls(s, figures)]
+    body += [of_part(s, p) for p in (HIDDEN, FAR, *([REFUSED] if s["failed"] else []))]
+    m = s["machine"]
+    rows = (*METHOD, ("processor", f"{m['cpu']}, {m['cpus']} usable"))
+    return Page(s["title"], (*body, method(s, rows), FOOTER))
+
+
+def _lead(s: JsonObject) -> Paragraph:
+    words: list[str] = []
+    of_all = {c.kind: c for c in s["counts"] if c.group == "all"}
+    for kind in ("points", "joint", "parameters", "joint parameters"):
+        c = of_all.get(kind)
+        if c is not None:
+            words.append(
+                f"{KINDS[kind]}: {c.inside} of {c.campaigns} ({_percent(c.inside / c.campaigns)}; 95 % of intervals "
+                f"{'is' if c.holds else 'is NOT'} within {_percent(c.low)} to {_percent(c.high)})."
+            )
+    if s["failed"]:
+        words.append(f"{len(s['failed'])} campaigns were refused by a program, and count nowhere.")
+    return Paragraph(" ".join(words), "lead")
+
+
+def _coverage(s: JsonObject, figures: Sequence[Figure]) -> Group:
     words = (
         "Frequentist coverage: in how many campaigns the interval of 95 % holds the truth. All values of a campaign "
         "share its errors, so each campaign counts once in a row: by one value that was chosen at random beforehand, "
@@ -91,18 +121,14 @@ def _coverage(s: Coverage, figures: Sequence[Figure]) -> Group:
             KINDS[c.kind], _of(c), str(c.campaigns), str(c.inside), _percent(c.inside / c.campaigns),
             _percent(c.low), _percent(c.high), verdict(c.holds),
         ]
-        for c in s.counts
+        for c in s["counts"]
     ]  # fmt: skip
     shown = table("", header, rows, right=(2, 3, 4, 5, 6))
     forest = Figures(tuple(f for f in figures if f.kind == "forest"))
     return part("Coverage", "coverage", words, forest, shown)
 
 
-def _of(c: Count | Pulls) -> str:
-    return "all campaigns" if c.group == "all" else c.group
-
-
-def _pulls(s: Coverage, figures: Sequence[Figure]) -> Group:
+def _pulls(s: JsonObject, figures: Sequence[Figure]) -> Group:
     words = (
         "A pull is (found - true) / u, one a campaign. Its standard deviation should be 1: larger, and uncertainties "
         "are too small; smaller, and they are too large. Intervals are 95 %, of campaigns drawn again. Probabilities "
@@ -114,10 +140,10 @@ def _pulls(s: Coverage, figures: Sequence[Figure]) -> Group:
             *(KINDS[p.kind], _of(p), str(p.campaigns)),
             *(f"{x:.2f}" for x in (p.mean, p.u_mean, p.sd, p.sd_low, p.sd_high, p.largest)),
         ]
-        for p in s.pulls
+        for p in s["pulls"]
     ]
     tests: list[list[Text]] = [
-        [u.what, str(u.campaigns), number(u.p_uniform, 2), " ".join(map(str, u.bins))] for u in s.uniform
+        [u.what, str(u.campaigns), number(u.p_uniform, 2), " ".join(map(str, u.bins))] for u in s["uniform"]
     ]
     shown = table("", header, rows, right=tuple(range(2, 9)))
     uniform = table(
@@ -128,78 +154,21 @@ def _pulls(s: Coverage, figures: Sequence[Figure]) -> Group:
     return part("Pulls", "pulls", words, drawings, shown, uniform)
 
 
-def _hidden(s: Coverage) -> Group:
-    rows: list[list[Text]] = [
-        [c.name, c.hidden, c.learned.replace("`", ""), "yes" if c.on else "off"] for c in s.causes
-    ]
-    words = (
-        "Drawn anew for every campaign, and read by the simulated devices alone. Distances, the cones of lamp and "
-        "lens, the beam, the wavelength, the kind of model and a metal's optical constants are known rightly."
-    )
-    return part(
-        "What is hidden", "hidden", words, table("", ["error", "hidden", "what the laboratory knows", "here"], rows)
-    )
-
-
-def _far(s: Coverage) -> Group:
-    header = ["campaign", "model", "plan", "region", "theta_i", "theta_r", "dphi", "BRDF", "true", "u", "pull"]
-    rows: list[list[Text]] = [
-        [
-            *(str(w.campaign), w.model, w.plan, w.region),
-            *(f"{x:.2f}" for x in (w.theta_i_deg, w.theta_r_deg, w.dphi_deg)),
-            *(number(x, 4) for x in (w.brdf, w.truth)),
-            *(number(w.u_brdf, 2), f"{w.pull:+.2f}"),
-        ]
-        for w in s.worst
-    ]
-    words = (
-        "The largest pull of a campaign, for the campaigns in which it is largest. Angles in degrees, values in 1/sr."
-    )
-    return part("Points far off", "far", words, table("", header, rows, right=tuple(range(4, 11))))
-
-
-def _failed(s: Coverage) -> list[Block]:
-    if not s.failed:
-        return []
-    rows: list[list[Text]] = [[str(f.campaign), f.model, f.plan, f.step, f.message] for f in s.failed]
-    words = "A program refused these, and said why. They count nowhere above."
-    shown = table("", ["campaign", "model", "plan", "step", "message"], rows)
-    return [section([Heading(2, "Campaigns that were refused"), Paragraph(words, "note"), shown], "refused")]
-
-
-def _method(s: Coverage) -> Group:
-    m = s.machine
-    rows = [
-        (
-            "truth of a point",
-            "the true sample through the cones of lamp and lens, in the directions that the row states",
-        ),
-        ("interval of a point", "brdf - 1.96 u_brdf to brdf + 1.96 u_brdf"),
-        (
-            "all points together",
-            "chi-square with diag(u_random^2) + sum of s s^T; inside where its probability is above 5 %",
-        ),
-        ("interval of a parameter", "profile likelihood, as gonio fit states it"),
-        ("processor", f"{m.cpu}, {m.cpus} usable"),
-    ]
-    return method(s, rows)
-
-
 # --- drawings -----------------------------------------------------------------------------------------------------
 
 
-def drawn(s: Coverage) -> list[Figure]:
+def drawn(s: JsonObject) -> list[Figure]:
     """Every figure of the page that there are campaigns for."""
-    out = [_forest(s)] if s.counts else []
-    if s.single_pulls:
+    out = [_forest(s)] if s["counts"] else []
+    if s["single_pulls"]:
         out.append(_histograms(s))
-    if s.uniform:
+    if s["uniform"]:
         out.append(_probabilities(s))
     return out
 
 
-def _forest(s: Coverage) -> Figure:
-    rows = list(s.counts)
+def _forest(s: JsonObject) -> Figure:
+    rows = list(s["counts"])
     height = 0.9 + 0.19 * len(rows)
 
     def on(figure: Any) -> None:
@@ -216,7 +185,7 @@ def _forest(s: Coverage) -> Figure:
         low = min(100 * c.low for c in rows)
         ax.set_xlim(max(0.0, min(80.0, 5.0 * np.floor(low / 5.0))), 100.5)
         ax.set_xlabel("campaigns whose interval of 95 % holds the truth [%]", fontsize=8)
-        _plain(ax)
+        plain_axes(ax, "x")
 
     caption = (
         "Coverage with its binomial interval (95 %, Clopper and Pearson). Dashed: 95 %. Orange: the interval does not "
@@ -228,51 +197,44 @@ def _forest(s: Coverage) -> Figure:
     return rendered("coverage", "forest", "", caption, alt, (7.2, height), on)
 
 
-def _histograms(s: Coverage) -> Figure:
+def _histograms(s: JsonObject) -> Figure:
     def on(figure: Any) -> None:
         left, right = figure.subplots(1, 2, sharey=True)
         figure.subplots_adjust(0.1, 0.19, 0.985, 0.9, wspace=0.06)
         edges = np.arange(-4.0, 4.01, 0.5)
         x = np.linspace(-4.0, 4.0, 200)
         for ax, values, title in (
-            (left, s.single_pulls, "one point a campaign"),
-            (right, s.parameter_pulls, "one parameter a campaign"),
+            (left, s["single_pulls"], "one point a campaign"),
+            (right, s["parameter_pulls"], "one parameter a campaign"),
         ):
             ax.hist(np.clip(values, -3.999, 3.999), edges, color=COLOURS[0], alpha=0.75)
             ax.plot(x, 0.5 * len(values) * np.exp(-0.5 * x**2) / np.sqrt(2.0 * np.pi), color=INK, lw=1.0)
             ax.set_title(title, fontsize=8, loc="left", color=INK)
             ax.set_xlabel("(found - true) / u", fontsize=8)
-            _plain(ax)
+            plain_axes(ax, "x")
         left.set_ylabel("campaigns", fontsize=8)
 
     caption = "Pulls, with the normal distribution of standard deviation 1. Those beyond 4 stand in the last bin."
-    alt = f"Histograms of {len(s.single_pulls)} pulls of points and {len(s.parameter_pulls)} of parameters."
+    alt = f"Histograms of {len(s['single_pulls'])} pulls of points and {len(s['parameter_pulls'])} of parameters."
     return rendered("pulls", "histogram", "", caption, alt, (5.4, 2.6), on)
 
 
-def _probabilities(s: Coverage) -> Figure:
+def _probabilities(s: JsonObject) -> Figure:
     def on(figure: Any) -> None:
-        axes = figure.subplots(1, len(s.uniform), squeeze=False)[0]
+        axes = figure.subplots(1, len(s["uniform"]), squeeze=False)[0]
         figure.subplots_adjust(0.09, 0.19, 0.985, 0.9, wspace=0.22)
-        for ax, u in zip(axes, s.uniform, strict=True):
+        for ax, u in zip(axes, s["uniform"], strict=True):
             width = 1.0 / len(u.bins)
             ax.bar((np.arange(len(u.bins)) + 0.5) * width, u.bins, 0.92 * width, color=COLOURS[0], alpha=0.75)
             ax.axhline(u.campaigns / len(u.bins), color=INK, lw=1.0)
             ax.set_title(u.what, fontsize=8, loc="left", color=INK)
             ax.set_xlabel("probability", fontsize=8)
-            _plain(ax)
+            plain_axes(ax, "x")
         axes[0].set_ylabel("campaigns", fontsize=8)
 
     caption = (
         "Probability of a larger chi-square. It is uniform (line) where the stated covariance is right; many at 0 mean "
         "that it is too small, many at 1 that it is too large."
     )
-    alt = " ".join(f"{u.what}: {', '.join(map(str, u.bins))} campaigns in ten bins." for u in s.uniform)
+    alt = " ".join(f"{u.what}: {', '.join(map(str, u.bins))} campaigns in ten bins." for u in s["uniform"])
     return rendered("probabilities", "histogram", "", caption, alt, (7.2, 2.6), on)
-
-
-def _plain(ax: Any) -> None:
-    ax.grid(True, color=FAINT, lw=0.4, axis="x")
-    ax.tick_params(labelsize=7.5, length=2.5)
-    for side in ("top", "right"):
-        ax.spines[side].set_visible(False)

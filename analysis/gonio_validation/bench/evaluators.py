@@ -13,9 +13,18 @@ from gonio.models._compile import loop
 from gonio.models._facets import fresnel_constants
 from gonio.typing import Floats
 from gonio_validation.bench import naive, specification
-from gonio_validation.bench.quantity import Evaluate, Inputs, Parameters, Quantity, Sample, Way, directions, to_angles
+from gonio_validation.bench.quantity import (
+    Evaluate,
+    Inputs,
+    Parameters,
+    Quantity,
+    Sample,
+    Set,
+    Way,
+    directions,
+    to_angles,
+)
 from gonio_validation.bench.reference import FresnelValues, ModelValues, reference, samples
-from gonio_validation.bench.results import Set
 
 EVEN = "directions even over the hemisphere"
 

@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
+from gonio.documents import JsonObject
 from gonio.models import Blinn, CookTorrance, HeTorrance, Lambert, Model, OrenNayar, Phong, fresnel, htsg
 from gonio_validation.bench.accuracy import NOTHING
 from gonio_validation.bench.quantity import Quantity, Sample, directions
 from gonio_validation.bench.reference import reference
-from gonio_validation.bench.results import HardCaseSummary
 
 EXACT = 16.0
 """Digits where results are identical."""
@@ -64,24 +64,25 @@ class _Case:
         if not achieved - digits >= self.spare:
             self.spare, self.expected, self.achieved = achieved - digits, digits, achieved
 
-    def summary(self, name: str) -> HardCaseSummary:
+    def summary(self, name: str) -> JsonObject:
+        """Digits at the point with the least to spare, and what must not come out."""
         good = self.spare >= 0.0 and not (self.nan or self.infinite or self.negative or self.warned)
-        return HardCaseSummary(
-            case=name,
-            models=sorted(self.models),
-            points=self.points,
-            expected_digits=self.expected,
-            achieved_digits=round(self.achieved, 1),
-            nan=self.nan,
-            infinite=self.infinite,
-            negative=self.negative,
-            warning=self.warned,
-            holds=good,
-            note=self.note,
-        )
+        return {
+            "case": name,
+            "models": sorted(self.models),
+            "points": self.points,
+            "expected_digits": self.expected,
+            "achieved_digits": round(self.achieved, 1),
+            "nan": self.nan,
+            "infinite": self.infinite,
+            "negative": self.negative,
+            "warning": self.warned,
+            "holds": good,
+            "note": self.note,
+        }
 
 
-def judged(found: list[Quantity], huge: int) -> list[HardCaseSummary]:
+def judged(found: list[Quantity], huge: int) -> list[JsonObject]:
     """Every hard case.
 
     Parameters

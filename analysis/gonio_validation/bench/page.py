@@ -1,34 +1,78 @@
-"""What the pages of all benches have: a head, parts with a note, verdicts, and the machine they were made on."""
+"""What the pages of all benches have: a head, parts with a note and a table, verdicts, and the machine.
 
-from collections.abc import Iterable, Sequence
-from typing import Literal
+A bench's results are a JSON object with `title`, `created`, `command` and `machine`, and lists of rows; a row is a JSON
+object, or an object of a class of its own. A `Part` says which list a table shows, and each `Column` which value of a row, and how.
+"""
 
+import datetime
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, Literal, NamedTuple
+
+from gonio_analysis.plots.style import FAINT
 from gonio_analysis.report.blocks import (
     Block,
     Contents,
     Group,
     Heading,
     Paragraph,
+    Table,
     Text,
     facts,
     header,
     section,
     strong,
+    table,
 )
+from gonio_analysis.report.text import number
 
-from gonio_validation.bench.coverage_results import Coverage
-from gonio_validation.bench.results import SpeedAndError
-from gonio_validation.bench.scene_results import SceneBench
-from gonio_validation.bench.sweeps_results import Sweeps
-
-Results = Coverage | SceneBench | SpeedAndError | Sweeps
+from gonio.documents import JsonObject
 
 
-def head(s: Results, what: str, links: Iterable[tuple[str, str]] = ()) -> Group:
+class Column(NamedTuple):
+    """A column of a table."""
+
+    header: str
+    key: str
+    """Of the rows' value; "" for the whole row."""
+    shown: Callable[[Any], Text] = str
+
+
+class Part(NamedTuple):
+    """A section of a page with one table."""
+
+    title: str
+    slug: str
+    rows: str
+    """Under which name the results have them."""
+    words: str
+    """What is to know before reading."""
+    columns: Sequence[Column]
+    right: tuple[int, ...]
+    """Columns of numbers."""
+
+
+def begun(title: str, command: str, quick: bool) -> JsonObject:
+    """What the results of every bench begin with."""
+    created = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
+    return {"title": title, "created": created, "command": command, "quick": quick}
+
+
+def head(s: JsonObject, what: str, links: Iterable[tuple[str, str]] = ()) -> Group:
     """Title, day and version, `what` was done, and links to parts by their names."""
     contents = tuple((f"#{anchor}", name) for anchor, name in links)
-    made = f"{s.created[:10]}, gonio {s.machine.versions['gonio']}{what}"
-    return header(s.title, made, *([Contents(contents)] if contents else []))
+    made = f"{s['created'][:10]}, gonio {s['machine']['versions']['gonio']}{what}"
+    return header(s["title"], made, *([Contents(contents)] if contents else []))
+
+
+def listed(rows: Iterable[Any], columns: Sequence[Column], right: tuple[int, ...], caption: str = "") -> Table:
+    """A table of rows."""
+    cells = [[c.shown(row[c.key] if c.key else row) for c in columns] for row in rows]
+    return table(caption, [c.header for c in columns], cells, right=right)
+
+
+def of_part(s: JsonObject, p: Part, *figures: Block) -> Group:
+    """A section: its note, figures, and the table of its rows."""
+    return part(p.title, p.slug, p.words, *figures, listed(s[p.rows], p.columns, p.right))
 
 
 def part(title: str, slug: str, words: str, *blocks: Block, level: Literal[2, 3] = 2) -> Group:
@@ -41,9 +85,27 @@ def verdict(holds: bool) -> Text:
     return "yes" if holds else strong("no")
 
 
-def method(s: Results, rows: Sequence[tuple[str, str]]) -> Group:
+def milliseconds(seconds: float) -> str:
+    """A time [s] in ms."""
+    return number(1e3 * seconds)
+
+
+def two_digits(value: float) -> str:
+    """A number with two significant digits."""
+    return number(value, 2)
+
+
+def method(s: JsonObject, rows: Sequence[tuple[str, str]]) -> Group:
     """How it was done, and on what."""
-    m = s.machine
-    system = f"{m.system}, Python {m.python}, " + ", ".join(f"{k} {v}" for k, v in m.versions.items())
-    shown = facts([*rows, ("system", system), ("command", s.command or "–")])
+    m = s["machine"]
+    system = f"{m['system']}, Python {m['python']}, " + ", ".join(f"{k} {v}" for k, v in m["versions"].items())
+    shown = facts([*rows, ("system", system), ("command", s["command"] or "–")])
     return section([Heading(2, "Method and machine"), shown], "method")
+
+
+def plain_axes(ax: Any, grid: Literal["x", "both"] = "both") -> None:
+    """Small ticks, a faint grid, and no frame above and at the right."""
+    ax.grid(True, color=FAINT, lw=0.4, axis=grid)
+    ax.tick_params(labelsize=7.5, length=2.5)
+    for side in ("top", "right"):
+        ax.spines[side].set_visible(False)

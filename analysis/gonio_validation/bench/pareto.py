@@ -5,10 +5,11 @@ from collections.abc import Sequence
 from typing import Any
 
 from gonio_analysis.plots.in_plane import COLOURS
-from gonio_analysis.plots.style import FAINT, INK
+from gonio_analysis.plots.style import INK
 from gonio_analysis.report.drawings import Figure, rendered
 
-from gonio_validation.bench.results import QuantitySummary, Set, WaySummary
+from gonio_validation.bench.page import plain_axes
+from gonio_validation.bench.quantity import QuantitySummary, Set, WaySummary
 
 FLOOR = 1e-17
 """Where an error of 0 is drawn."""
@@ -109,7 +110,4 @@ def _panel(ax: Any, ways: list[tuple[int, WaySummary]], kind: Set, columns: int)
     ax.xaxis.set_minor_locator(NullLocator())
     ax.xaxis.set_minor_formatter(NullFormatter())
     ax.xaxis.set_major_formatter(FuncFormatter(lambda t, _: f"{t:,.6g}".replace(",", " ")))
-    ax.grid(True, color=FAINT, lw=0.4)
-    ax.tick_params(labelsize=7.5, length=2.5)
-    for side in ("top", "right"):
-        ax.spines[side].set_visible(False)
+    plain_axes(ax)

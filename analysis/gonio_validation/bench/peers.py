@@ -19,12 +19,21 @@ from typing import Any
 import numpy as np
 from pydantic import TypeAdapter
 
+from gonio.documents import JsonObject
 from gonio.errors import DataError
 from gonio.typing import Floats
 from gonio_validation.bench import accuracy, timing
 from gonio_validation.bench.evaluators import quantities
-from gonio_validation.bench.quantity import Evaluate, Parameters, Way, directions, to_angles
-from gonio_validation.bench.results import ErrorSummary, PeerState, PeerTime, Set
+from gonio_validation.bench.quantity import (
+    ErrorSummary,
+    Evaluate,
+    Parameters,
+    PeerTime,
+    Set,
+    Way,
+    directions,
+    to_angles,
+)
 
 PACKAGES = {"Dr.Jit": "drjit", "Mitsuba": "mitsuba", "pySCATMECH": "pySCATMECH"}
 LLVM = "DRJIT_LIBLLVM_PATH"
@@ -53,9 +62,9 @@ QUANTITY = "cook-torrance"
 """What the peers evaluate."""
 
 
-def find() -> tuple[list[PeerState], list[Peer]]:
+def find() -> tuple[list[JsonObject], list[Peer]]:
     """What was found of each peer, in words, and those that work."""
-    words, found = [], []
+    words, found = list[JsonObject](), []
     for peer, package in PACKAGES.items():
         if importlib.util.find_spec(package) is None:
             state = "not installed"
@@ -63,7 +72,7 @@ def find() -> tuple[list[PeerState], list[Peer]]:
             state, environment = _usable(peer)
             if environment is not None:
                 found.append(Peer(peer, _ways()[peer], environment))
-        words.append(PeerState(f"{peer} {_version(package)}".strip(), state))
+        words.append({"peer": f"{peer} {_version(package)}".strip(), "state": state})
     return words, found
 
 

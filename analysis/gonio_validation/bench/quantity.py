@@ -1,15 +1,17 @@
-"""What is compared: a quantity, its reference samples, and the ways of evaluating it."""
+"""What is compared: a quantity, its reference samples, and the ways of evaluating it; and what came of each way."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from gonio.typing import Floats
-from gonio_validation.bench.results import Set
 
+Set = Literal["grid", "hard"]
+"""The stated grid of directions, and the hard cases."""
+SETS: tuple[Set, ...] = ("grid", "hard")
 Parameters = dict[str, Any]
 """What a model is evaluated with, as the reference values name it: other names for every model."""
 Evaluate = Callable[..., Any]
@@ -81,3 +83,84 @@ def to_angles(omega_i: Floats, omega_r: Floats) -> tuple[Floats, ...]:
         theta = np.arctan2(np.hypot(v[..., 0], v[..., 1]), v[..., 2])
         out += [theta, np.arctan2(v[..., 1], v[..., 0])]
     return tuple(out)
+
+
+# --- what came of each way, as `summary.json` has it ----------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class ErrorSummary:
+    """Relative errors on one set; None where a result is not finite."""
+
+    points: int
+    max: float | None
+    p99: float | None
+    median: float | None
+    max_scaled: float | None
+    """The largest over 1 + conditioning."""
+    not_finite: int
+    warning: bool
+
+
+@dataclass(frozen=True)
+class TimeSummary:
+    """What an evaluation takes [ns]."""
+
+    best_ns: float
+    median_ns: float
+    processor_ns: float
+    """Summed over threads, the least of the repeats."""
+    pairs: int
+    """Evaluations a repeat."""
+    repeats: int
+
+
+@dataclass(frozen=True)
+class PeerTime(TimeSummary):
+    """The same of a peer, in a process of its own."""
+
+    threads: int | None
+    """Of its process, idle ones included; None where the system does not say."""
+
+
+@dataclass(frozen=True)
+class WaySummary:
+    """Errors and times of one way of evaluating a quantity."""
+
+    way: str
+    ours: bool
+    peer: bool
+    note: str
+    stated: float | None
+    """The accuracy that it promises: relative error over 1 + conditioning."""
+    errors: dict[Set, ErrorSummary]
+    """Nothing where its results are not comparable."""
+    time: TimeSummary
+    on_front_grid: bool
+    on_front_hard: bool
+
+    def on_front(self, kind: Set) -> bool:
+        """Whether no other way is faster and better on this set."""
+        return self.on_front_grid if kind == "grid" else self.on_front_hard
+
+    @property
+    def worst(self) -> float | None:
+        """The largest error over 1 + conditioning on all sets; None where a result is not finite."""
+        found = [e.max_scaled for e in self.errors.values()]
+        return None if None in found else max(x for x in found if x is not None)
+
+
+@dataclass(frozen=True)
+class QuantitySummary:
+    """Every way of evaluating one quantity."""
+
+    name: str
+    title: str
+    about: str
+    inputs: str
+    ways: Sequence[WaySummary]
+
+    @property
+    def sets(self) -> list[Set]:
+        """The sets that a way was held against."""
+        return [kind for kind in SETS if any(kind in w.errors for w in self.ways)]

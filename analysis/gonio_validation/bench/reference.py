@@ -7,8 +7,7 @@ from importlib.resources import files
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from gonio_validation.bench.quantity import Parameters, Sample
-from gonio_validation.bench.results import Set
+from gonio_validation.bench.quantity import Parameters, Sample, Set
 
 Vector = tuple[float, float, float]
 

@@ -1,35 +1,25 @@
 """Measure what error a picture of a scene has for its time, and write the report of `gonio bench scenes`."""
 
-import datetime
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from gonio_analysis.report import files
 from gonio_analysis.report.tables import write_csv
-from gonio_analysis.result_records import as_json
 from gonio_scenes import mitsuba, picture
 from gonio_scenes.render import Picture, render
 from gonio_scenes.scene import Scene, SceneFile, build
 
 from gonio import colour
 from gonio.config import parse
-from gonio.documents import TomlTable
+from gonio.documents import JsonObject, TomlTable
 from gonio.typing import Floats
 from gonio_validation.bench import mitsuba_pictures, scenes_page, timing
-from gonio_validation.bench.scene_results import (
-    BinsRow,
-    PeerRow,
-    SamplesRow,
-    SceneBench,
-    SharedRow,
-    ToleranceRow,
-    WayRow,
-)
+from gonio_validation.bench.page import begun
 
 SceneTables = TomlTable
 """A scene file or a part of it, as tables of TOML."""
@@ -139,19 +129,16 @@ def make(out: str | Path, *, quick: bool = False, command: str = "", step: Step 
     """
     with files.staged(out) as stage:
         summary = collect(QUICK if quick else FULL, quick=quick, command=command, step=step)
-        files.write_page(stage.work, scenes_page.render(summary), as_json(summary), scenes_page.drawn(summary))
+        drawn = scenes_page.drawn(summary)
+        files.write_page(stage.work, scenes_page.render(summary, drawn), summary, [drawn])
         for name in ("samples", "tolerances", "bins", "ways", "shared", "peers"):
-            rows = getattr(summary, name)
-            if rows:
-                columns = [f.name for f in fields(rows[0])]
-                write_csv(
-                    stage.work / "tables" / f"{name}.csv", columns, ([getattr(r, c) for c in columns] for r in rows)
-                )
+            if rows := summary[name]:
+                write_csv(stage.work / "tables" / f"{name}.csv", list(rows[0]), (list(row.values()) for row in rows))
     return Path(out) / "index.html"
 
 
-def collect(effort: Effort, *, quick: bool, command: str, step: Step) -> SceneBench:
-    """Every number of the report."""
+def collect(effort: Effort, *, quick: bool, command: str, step: Step) -> JsonObject:
+    """Every number of the report, as `summary.json` holds it."""
     started = timing.machine()
     found, variants = mitsuba_pictures.find()
     lights = {"parallel light": [SUN], "disc of light": [LAMP]}
@@ -174,8 +161,8 @@ def collect(effort: Effort, *, quick: bool, command: str, step: Step) -> SceneBe
             step(done, total)
             yield row
 
-    samples: list[SamplesRow] = []
-    tolerances: list[ToleranceRow] = []
+    samples: list[JsonObject] = []
+    tolerances: list[JsonObject] = []
     for name, light in lights.items():
         scene = _scene(effort.pixels, MATERIALS["Lambert"], light)
         truth = render(_with(scene, samples=effort.truth, seed=1)).radiance
@@ -185,21 +172,10 @@ def collect(effort: Effort, *, quick: bool, command: str, step: Step) -> SceneBe
     ways = [*counted(row for n, w in WAYS.items() for row in _ways(n, w, effort)), *counted(map(_shift, SHIFTED))]
     shared = list(counted(_shared(name, m, effort) for name, m in shared_by.items()))
     rows = list(counted(_peer(m, n, lights[n], v, effort) for m, n, v in peers))
-    return SceneBench(
-        title="Scenes: speed against error",
-        created=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
-        command=command,
-        quick=quick,
-        machine=started,
-        pixels=effort.pixels,
-        samples=samples,
-        tolerances=tolerances,
-        bins=bins,
-        ways=ways,
-        shared=shared,
-        mitsuba=found,
-        peers=rows,
-    )
+    return begun("Scenes: speed against error", command, quick) | {
+        "machine": started, "pixels": effort.pixels, "samples": samples, "tolerances": tolerances, "bins": bins,
+        "ways": ways, "shared": shared, "mitsuba": found, "peers": rows,
+    }  # fmt: skip
 
 
 SHARED = ("Lambert", "He-Torrance, rough aluminium", "Cook-Torrance, copper")
@@ -235,15 +211,16 @@ def _rms(values: Floats) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def _samples(name: str, scene: Scene, truth: Floats, effort: Effort) -> Iterator[SamplesRow]:
+def _samples(name: str, scene: Scene, truth: Floats, effort: Effort) -> Iterator[JsonObject]:
     level = truth.mean()
     for rays in effort.samples:
         made, seconds = _timed(_with(scene, samples=rays, seed=2), effort.repeats)
         stated = None if made.error is None else _rms(made.error / level)
-        yield SamplesRow(name, rays, seconds, _rms((made.radiance - truth) / level), stated)
+        off = _rms((made.radiance - truth) / level)
+        yield {"scene": name, "rays": rays, "seconds": seconds, "rms": off, "stated": stated}
 
 
-def _tolerances(name: str, scene: Scene, truth: Floats, effort: Effort) -> Iterator[ToleranceRow]:
+def _tolerances(name: str, scene: Scene, truth: Floats, effort: Effort) -> Iterator[JsonObject]:
     level = np.maximum(truth, truth.mean())
     for tolerance in effort.tolerances:
         made, seconds = _timed(_with(scene, tolerance=tolerance, seed=2), effort.repeats)
@@ -252,22 +229,16 @@ def _tolerances(name: str, scene: Scene, truth: Floats, effort: Effort) -> Itera
         error, stated, beyond = _rms(off), _rms(made.error / level), float((off > 3.0 * tolerance).mean())
         most = int(made.samples.max())
         for_all = render(_with(scene, samples=32, seed=2))
-        yield ToleranceRow(
-            scene=name,
-            tolerance=tolerance,
-            rays=float(made.samples.mean()),
-            most=most,
-            seconds=seconds,
-            rms=error,
-            stated=stated,
-            above=made.above_tolerance,
-            beyond_three=beyond,
-            holds=stated <= tolerance and error <= 1.5 * stated and beyond <= 0.01,
-            seconds_for_all=for_all.seconds * most / 32,
-        )
+        # kept: stated is at most the tolerance, the error at most half as large again, and few lie beyond three
+        yield {
+            "scene": name, "tolerance": tolerance, "rays": float(made.samples.mean()), "most": most,
+            "seconds": seconds, "rms": error, "stated": stated, "above": made.above_tolerance, "beyond_three": beyond,
+            "holds": stated <= tolerance and error <= 1.5 * stated and beyond <= 0.01,
+            "seconds_for_all": for_all.seconds * most / 32,
+        }  # fmt: skip
 
 
-def _bins(name: str, material: SceneTables, effort: Effort) -> list[BinsRow]:
+def _bins(name: str, material: SceneTables, effort: Effort) -> list[JsonObject]:
     def seen(waves: Sequence[float]) -> tuple[Floats, float]:
         scene = _scene(effort.pixels, material, [SUN | {"spectrum": "D65"}], waves)
         made, seconds = _timed(scene, effort.repeats)
@@ -281,25 +252,25 @@ def _bins(name: str, material: SceneTables, effort: Effort) -> list[BinsRow]:
         waves = (450.0, 550.0, 650.0) if count == 3 else tuple(np.linspace(400.0, 700.0, count))
         xyz, seconds = seen(waves)
         off = np.linalg.norm(colour.lab(exposure * xyz) - colour.lab(exposure * truth), axis=-1)
-        out.append(
-            BinsRow(
-                name, count, seconds, float(np.abs((xyz - truth) / white).max()), float(off.mean()), float(off.max())
-            )
-        )
+        worst = float(np.abs((xyz - truth) / white).max())
+        out.append({
+            "scene": name, "wavelengths": count, "seconds": seconds, "xyz": worst, "delta_e": float(off.mean()),
+            "delta_e_worst": float(off.max()),
+        })  # fmt: skip
     return out
 
 
-def _ways(name: str, ways: dict[str, SceneTables], effort: Effort) -> Iterator[WayRow]:
+def _ways(name: str, ways: dict[str, SceneTables], effort: Effort) -> Iterator[JsonObject]:
     truth: Floats | None = None
     for way, material in ways.items():
         made, seconds = _timed(_scene(effort.shared, material, [SUN]), effort.repeats + 1)
         seen = made.radiance[made.shape == 1]
         truth = seen if truth is None else truth
         off = (seen - truth) / truth.mean()
-        yield WayRow(name, way, seconds, _rms(off), float(np.abs(off).max()))
+        yield _way(name, way, seconds, _rms(off), float(np.abs(off).max()))
 
 
-def _shift(metal: str) -> WayRow:
+def _shift(metal: str) -> JsonObject:
     """Cook and Torrance's short procedure: the colour at grazing from that at normal incidence."""
     waves, angles = np.array(REFERENCE_NM), np.linspace(0.0, np.pi / 2, 10_000)
     taken = []
@@ -309,20 +280,25 @@ def _shift(metal: str) -> WayRow:
         taken.append(time.perf_counter() - began)
     error = colour.shift_error(waves, metal)
     note = f"10 000 angles; the full procedure takes {taken[0] * 1e3:.3g} ms. Error of linear RGB, in units of white"
-    return WayRow(f"reflectance of {metal}", "colour shift", taken[1], error.rms, error.largest, note)
+    return _way(f"reflectance of {metal}", "colour shift", taken[1], error.rms, error.largest, note)
 
 
-def _shared(name: str, material: SceneTables, effort: Effort) -> SharedRow:
+def _way(material: str, way: str, seconds: float, rms: float, worst: float, note: str = "") -> JsonObject:
+    """A way of evaluating a material against the exact one; errors over the picture's mean radiance."""
+    return {"material": material, "way": way, "seconds": seconds, "rms": rms, "worst": worst, "note": note}
+
+
+def _shared(name: str, material: SceneTables, effort: Effort) -> JsonObject:
     waves = tuple(np.linspace(400.0, 700.0, 31))
     _, together = _timed(_scene(effort.shared, material, [SUN], waves), effort.repeats)
     each = [_scene(effort.shared, material, [SUN], [wave]) for wave in waves]
     began = [render(scene).seconds for scene in each]
-    return SharedRow(name, len(waves), together, sum(began))
+    return {"material": name, "wavelengths": len(waves), "together_s": together, "apart_s": sum(began)}
 
 
 def _peer(
     material: str, name: str, light: Sequence[SceneTables], variant: mitsuba_pictures.Variant, effort: Effort
-) -> PeerRow:
+) -> JsonObject:
     # other random numbers for each material: the floor's noise would be the same in all pictures
     seed = 10 + list(MATERIALS).index(material)
     scene = _with(_scene(effort.pixels, MATERIALS[material], light), samples=effort.peer_samples, seed=seed)
@@ -344,20 +320,20 @@ def _peer(
     # of one run, which is what is timed
     ours_rms, theirs_rms = _rms(ours.error) / level, _rms(theirs.error[..., 0]) * np.sqrt(effort.peer_runs) / level
     native = made.materials["sample"]
-    return PeerRow(
-        scene=f"{material}, {name}",
-        variant=variant.name,
-        tiles=score.size,
-        largest=float(np.abs(score).max()),
-        rms=_rms(score[score != 0.0]),
-        beyond_three=int((np.abs(score) > 3.0).sum()),
-        ours_s=ours_s,
-        ours_rays=effort.peer_samples,
-        ours_rms=ours_rms,
-        theirs_s=theirs_s,
-        theirs_rays=effort.peer_samples,
-        theirs_rms=float(theirs_rms),
-        ours_to_one_percent_s=ours_s * (ours_rms / 0.01) ** 2,
-        theirs_to_one_percent_s=float(theirs_s * (theirs_rms / 0.01) ** 2),
-        note="the file of slices" if native == "measured" else f'the plug-in "{native}"',
-    )
+    return {
+        "scene": f"{material}, {name}",
+        "variant": variant.name,
+        "tiles": score.size,
+        "largest": float(np.abs(score).max()),
+        "rms": _rms(score[score != 0.0]),
+        "beyond_three": int((np.abs(score) > 3.0).sum()),
+        "ours_s": ours_s,
+        "ours_rays": effort.peer_samples,
+        "ours_rms": ours_rms,
+        "theirs_s": theirs_s,
+        "theirs_rays": effort.peer_samples,
+        "theirs_rms": float(theirs_rms),
+        "ours_to_one_percent_s": ours_s * (ours_rms / 0.01) ** 2,
+        "theirs_to_one_percent_s": float(theirs_s * (theirs_rms / 0.01) ** 2),
+        "note": "the file of slices" if native == "measured" else f'the plug-in "{native}"',
+    }

@@ -1,30 +1,21 @@
 """Measure speed against error of every way of evaluating the models, judge it, and write the report."""
 
-import datetime
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import fields
 from pathlib import Path
 
 from gonio_analysis.report import files
 from gonio_analysis.report.tables import write_csv
-from gonio_analysis.result_records import as_json
 
+from gonio.documents import JsonObject
 from gonio_validation.bench import accuracy, evaluators, hard_cases, pareto, peers, results_page, targets, timing
-from gonio_validation.bench.quantity import Quantity
+from gonio_validation.bench.page import begun
+from gonio_validation.bench.quantity import Quantity, QuantitySummary, Set, WaySummary
 from gonio_validation.bench.reference import reference
-from gonio_validation.bench.results import (
-    HardCaseSummary,
-    QuantitySummary,
-    Set,
-    SpeedAndError,
-    WaySummary,
-)
 
 POINT_COLUMNS = (
     *("family", "way", "ours", "set", "points", "max", "p99", "median", "max_scaled", "not_finite", "warning"),
     *("best_ns", "median_ns", "processor_ns", "pairs", "note"),
 )
-HARD_COLUMNS = tuple(f.name for f in fields(HardCaseSummary))
 
 
 def make(
@@ -65,7 +56,7 @@ def make(
 
 def collect(
     *, quick: bool = False, command: str = "", progress: Callable[[str], None] = lambda text: None
-) -> SpeedAndError:
+) -> JsonObject:
     """Every number of the report, as `summary.json` holds it; parameters as `make`."""
     effort = timing.Effort(20_000, 3, 0.02) if quick else timing.Effort(1_000_000, 9, 0.4)
     started = timing.machine()
@@ -82,22 +73,18 @@ def collect(
     single = timing.single_calls(200 if quick else 3000)
     handed = timing.hand_over(50 if quick else 1000)
     start = timing.start_up(1 if quick else 4)
-    return SpeedAndError(
-        title="Models: speed against error",
-        created=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
-        command=command,
-        quick=quick,
-        machine=started,
-        reference=reference().made,
-        families=rows,
-        targets=targets.judged(rows, single, start),
-        tolerances=targets.tolerances(rows),
-        hard_cases=cases,
-        single_calls=single,
-        hand_over=handed,
-        start_up=start,
-        peers=states,
-    )
+    return begun("Models: speed against error", command, quick) | {
+        "machine": started,
+        "reference": reference().made,
+        "families": rows,
+        "targets": targets.judged(rows, single, start),
+        "tolerances": targets.tolerances(rows),
+        "hard_cases": cases,
+        "single_calls": single,
+        "hand_over": handed,
+        "start_up": start,
+        "peers": states,
+    }
 
 
 def _measured(quantity: Quantity, others: Sequence[peers.Peer], effort: timing.Effort) -> QuantitySummary:
@@ -120,21 +107,18 @@ def _measured(quantity: Quantity, others: Sequence[peers.Peer], effort: timing.E
     return QuantitySummary(quantity.name, quantity.title, quantity.about, quantity.inputs, summaries)
 
 
-def write(summary: SpeedAndError, folder: Path) -> None:
+def write(summary: JsonObject, folder: Path) -> None:
     """Write page, numbers, tables and figures into a folder that exists."""
-    drawn = {q.name: pareto.draw(q) for q in summary.families if len(q.ways) > 2}
-    files.write_page(folder, results_page.render(summary, drawn), as_json(summary), drawn.values())
-    write_csv(folder / "tables" / "points.csv", POINT_COLUMNS, _points(summary))
-    write_csv(
-        folder / "tables" / "hard_cases.csv",
-        HARD_COLUMNS,
-        (list({**vars(c), "models": " ".join(c.models)}.values()) for c in summary.hard_cases),
-    )
+    drawn = {q.name: pareto.draw(q) for q in summary["families"] if len(q.ways) > 2}
+    files.write_page(folder, results_page.render(summary, drawn), summary, drawn.values())
+    write_csv(folder / "tables" / "points.csv", POINT_COLUMNS, _points(summary["families"]))
+    hard = [c | {"models": " ".join(c["models"])} for c in summary["hard_cases"]]
+    write_csv(folder / "tables" / "hard_cases.csv", list(hard[0]), (list(c.values()) for c in hard))
 
 
-def _points(summary: SpeedAndError) -> Iterator[list[object]]:
+def _points(families: Sequence[QuantitySummary]) -> Iterator[list[object]]:
     """The rows of `points.csv`: a way on a set, or a way without comparable results."""
-    for quantity in summary.families:
+    for quantity in families:
         for way in quantity.ways:
             facts = {"family": quantity.name, **vars(way), **vars(way.time)}
             rows = [facts | {"set": kind} | vars(errors) for kind, errors in way.errors.items()] or [facts]

@@ -1,19 +1,27 @@
 """`gonio bench sweeps`: rig time against the error of the curves that come of it, for fixed and for adaptive plans."""
 
-import datetime
+import time
 from collections.abc import Sequence
-from dataclasses import asdict
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 
-from gonio.config import Strict
-from gonio_validation.bench import campaigns, sweeps_page, sweeps_results, timing
-from gonio_validation.bench.campaigns import Campaigns, Record, Step, as_csv, at_least
-from gonio_validation.bench.sweeps_plans import INCIDENCES, SAMPLES, Geometry
-from gonio_validation.bench.sweeps_results import Sweeps
-from gonio_validation.bench.sweeps_run import FORMAT, carried_out
+import numpy as np
+from gonio_sweeps.posterior import Posterior
 
+from gonio.acquisition.measure import find_rig
+from gonio.config import Strict
+from gonio.documents import JsonObject
+from gonio.typing import Floats
+from gonio_validation.bench import campaigns, sweeps_page, sweeps_plans, sweeps_results, timing
+from gonio_validation.bench.campaigns import Campaigns, Record, Step, as_csv, at_least
+from gonio_validation.bench.page import begun
+from gonio_validation.bench.sweeps_plans import FLOOR, INCIDENCES, SAMPLES, SIZES, WAVELENGTH_NM, Geometry, Places
+from gonio_validation.bench.sweeps_results import SHARE
+from gonio_validation.bench.sweeps_rig import FrameFreeRig, MeasuredSweep, in_order
+
+FORMAT = 3
+FIXED = ("uniform", "mirror-dense", "half-vector")
 SEEDS = 3
 QUICK = ("rough aluminium", "matte")
 
@@ -83,25 +91,128 @@ def make(
     return folder / "index.html"
 
 
-def summary(records: Sequence[Record], *, seeds: int, quick: bool = False, command: str = "") -> Sweeps:
+def summary(records: Sequence[Record], *, seeds: int, quick: bool = False, command: str = "") -> JsonObject:
     """Every number of the report, as `results.json` holds it."""
     found = sweeps_results.levels(records)
-    return Sweeps(
-        title="Rig time against error of curves",
-        created=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
-        command=command,
-        quick=quick,
-        seeds=seeds,
-        seconds=sum(r["seconds"] for r in records),
-        machine=timing.machine(),
-        levels=found,
-        by_points=sweeps_results.by_points(found),
-        held=sweeps_results.held(records),
-    )
+    return begun("Rig time against error of curves", command, quick) | {
+        "seeds": seeds,
+        "seconds": sum(r["seconds"] for r in records),
+        "machine": timing.machine(),
+        "levels": found,
+        "by_points": sweeps_results.by_points(found),
+        "held": sweeps_results.held(records),
+    }
 
 
-def write(s: Sweeps, folder: Path) -> None:
+def write(s: JsonObject, folder: Path) -> None:
     """Write page, numbers and figures into a folder that exists."""
     drawn = sweeps_page.drawn(s)
-    points = {"points.csv": as_csv([asdict(level) for level in s.levels])}
+    points = {"points.csv": as_csv(s["levels"])}
     campaigns.write(folder, sweeps_page.render(s, drawn), s, drawn, points)
+
+
+# --- one comparison: a sample, a geometry, a seed; every plan measured, every curve held against the truth ------------
+
+
+def carried_out(name: str, geometry: Geometry, seed: int) -> JsonObject:
+    """The record of a comparison, as JSON has it."""
+    began = time.perf_counter()
+    description = find_rig("sim").description
+    band = description.bands.containing(WAVELENGTH_NM)
+    model = sweeps_plans.sample(name)
+    number = list(sweeps_plans.SAMPLES).index(name)
+    places = sweeps_plans.judged(geometry, description)
+
+    def rig(kind: int) -> FrameFreeRig:
+        # all plans of one comparison have the same errors of zeros and scale, and noise of their own
+        return FrameFreeRig(description, band, model, (seed, number), kind)
+
+    truth = rig(0).truth(places.directions)
+    # what the values' uncertainties are made of is the rig's, and alike in all plans
+    known = sweeps_plans.sampler(geometry, description, None).known
+    results: list[JsonObject] = []
+    for kind, plan in enumerate(FIXED):
+        for size in SIZES[geometry]:
+            points = sweeps_plans.fixed(plan, geometry, size, description)
+            poses = [a.pose for a in points if a.pose is not None]
+            measured = rig(10 * size + kind).measure(in_order([a.point for a in points], poses))
+            results.append(_simple(plan, measured, places, truth))
+            results.append(_by_process(plan, measured, known(measured.values), places, truth))
+    most = max(SIZES[geometry]) * len(INCIDENCES[geometry])
+    results += _adaptive("adaptive", rig(1), geometry, None, round(0.6 * most), places, truth)
+    if geometry == "in plane":
+        # of those that the blocked cone leaves
+        by_points = int(SHARE * max(r["points"] for r in results if r["plan"] == "uniform"))
+        results += _adaptive("adaptive by points", rig(2), geometry, by_points, by_points, places, truth)[-1:]
+    seconds = time.perf_counter() - began
+    return {
+        "format": FORMAT, "sample": name, "geometry": geometry, "seed": seed, "seconds": seconds,
+        "results": results,
+    }  # fmt: skip
+
+
+def _adaptive(
+    plan: str, rig: FrameFreeRig, geometry: Geometry, most: int | None, stop: int, places: Places, truth: Floats
+) -> list[JsonObject]:
+    """After every batch: what is known by then."""
+    sampler = sweeps_plans.sampler(geometry, rig.description, most)
+    out: list[JsonObject] = []
+    measured: MeasuredSweep | None = None
+    kernel: list[list[float]] | None = None
+    wanted = list(sampler.first(()))
+    rows = [sampler.candidates.points.index(point) for point in wanted]
+    while rows:
+        measured = rig.measure([sampler.candidates.poses[k] for k in rows], measured)
+        decided = sampler.decided([measured.values], measured.seconds, kernel)
+        before, kernel = kernel, decided.why["kernel"]
+        posterior = sampler.known(measured.values, None if before is None else before[0])
+        out.append(_by_process(plan, measured, posterior, places, truth))
+        rows = decided.picked if len(measured.values) < stop else []
+    return out
+
+
+def _relative(f: Floats, truth: Floats) -> Floats:
+    return np.asarray((f - truth) / np.maximum(truth, FLOOR * truth.max()))
+
+
+def _simple(plan: str, measured: MeasuredSweep, places: Places, truth: Floats) -> JsonObject:
+    error = _relative(sweeps_plans.interpolated(measured.values, places.directions), truth)
+    return _result(plan, "interpolated", measured, error, places)
+
+
+def _by_process(plan: str, measured: MeasuredSweep, known: Posterior, places: Places, truth: Floats) -> JsonObject:
+    f, u, low, high = known.at(places.directions)
+    inside = float(places.weight @ ((low <= truth) & (truth <= high)))
+    u_rel = float(np.median(u / np.maximum(truth, FLOOR * truth.max())))
+    return _result(plan, "process", measured, _relative(f, truth), places, inside, u_rel)
+
+
+def _result(
+    plan: str,
+    way: str,
+    measured: MeasuredSweep,
+    error: Floats,
+    places: Places,
+    inside: float | None = None,
+    u_rel: float | None = None,
+) -> JsonObject:
+    """A plan, measured and made into a curve.
+
+    Parameters
+    ----------
+    plan
+        "uniform", "mirror-dense", "half-vector", "adaptive" (by rig time) or "adaptive by points".
+    way
+        "interpolated" or "process": how the curve was made of the points.
+    error
+        Of the curve, relative.
+    inside
+        Part of the curve whose interval of 95 % holds the truth.
+    u_rel
+        Median stated relative standard uncertainty.
+    """
+    return {
+        "plan": plan, "way": way, "points": len(measured.values), "seconds": measured.seconds,
+        "rms": float(np.sqrt(places.weight @ error**2)), "largest": float(np.abs(error).max()), "inside": inside,
+        "u_rel": u_rel,
+    }  # fmt: skip

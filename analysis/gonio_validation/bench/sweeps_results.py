@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 from gonio.documents import JsonObject
 from gonio_validation.bench.campaigns import Record
-from gonio_validation.bench.results import Machine
 
 ENOUGH = 0.005
 """An error that is small enough, whatever a uniform grid has: 0.5 %."""
@@ -14,27 +13,6 @@ SHARE = 0.45
 """At most so many of a uniform grid's points."""
 HELD = (0.93, 0.97)
 """Between these lies the part of curves that intervals of 95 % hold, over all runs."""
-
-
-@dataclass(frozen=True)
-class Level:
-    """A plan at one size, over the seeds of one sample in one geometry."""
-
-    sample: str
-    geometry: str
-    plan: str
-    way: str
-    """"interpolated" or "process"."""
-    runs: int
-    points: float
-    seconds: float
-    """Rig time."""
-    rms: float
-    """Of the relative error, over the curve and the runs."""
-    largest: float
-    """The largest relative error of any run."""
-    inside: float | None
-    """Part of the curve within its intervals of 95 %, over all runs."""
 
 
 @dataclass(frozen=True)
@@ -79,24 +57,12 @@ class Held:
         return HELD[0] <= self.inside <= HELD[1]
 
 
-@dataclass(frozen=True)
-class Sweeps:
-    """Every number of the report."""
+def levels(records: Sequence[Record]) -> list[JsonObject]:
+    """Results of a plan's size, put together over seeds; of the adaptive plan batch by batch.
 
-    title: str
-    created: str
-    command: str
-    quick: bool
-    seeds: int
-    seconds: float
-    machine: Machine
-    levels: Sequence[Level]
-    by_points: Sequence[ByPoints]
-    held: Sequence[Held]
-
-
-def levels(records: Sequence[Record]) -> list[Level]:
-    """Results of a plan's size, put together over seeds; of the adaptive plan batch by batch."""
+    `seconds` is rig time, `rms` the relative error over the curve and the runs, `largest` that of any run, and `inside`
+    the part of the curve within its intervals of 95 %.
+    """
     groups: dict[tuple[str, str, str, str, int], list[JsonObject]] = {}
     for record in records:
         count: dict[tuple[str, str], int] = {}
@@ -104,29 +70,40 @@ def levels(records: Sequence[Record]) -> list[Level]:
             place = count[r["plan"], r["way"]] = count.get((r["plan"], r["way"]), -1) + 1
             groups.setdefault((record["sample"], record["geometry"], r["plan"], r["way"], place), []).append(r)
     return [
-        Level(
-            *key[:4], len(rs), _mean([r["points"] for r in rs]), _mean([r["seconds"] for r in rs]),
-            math.sqrt(_mean([r["rms"] ** 2 for r in rs])), max(r["largest"] for r in rs),
-            None if rs[0]["inside"] is None else _mean([r["inside"] for r in rs]),
-        )
+        dict(zip(("sample", "geometry", "plan", "way"), key[:4], strict=True)) | {
+            "runs": len(rs), "points": _mean([r["points"] for r in rs]), "seconds": _mean([r["seconds"] for r in rs]),
+            "rms": math.sqrt(_mean([r["rms"] ** 2 for r in rs])), "largest": max(r["largest"] for r in rs),
+            "inside": None if rs[0]["inside"] is None else _mean([r["inside"] for r in rs]),
+        }
         for key, rs in groups.items()
     ]  # fmt: skip
 
 
-def by_points(found: Sequence[Level]) -> list[ByPoints]:
+def of_plan(found: Sequence[JsonObject], geometry: str, sample: str, plan: str, way: str) -> list[JsonObject]:
+    """The levels of one plan."""
+    wanted = {"geometry": geometry, "sample": sample, "plan": plan, "way": way}
+    return [level for level in found if wanted.items() <= level.items()]
+
+
+def by_points(found: Sequence[JsonObject]) -> list[ByPoints]:
     """For each sample in plane."""
     out = []
-    for sample in dict.fromkeys(level.sample for level in found):
-        own = [level for level in found if level.sample == sample and level.geometry == "in plane"]
-        adaptive = [level for level in own if level.plan == "adaptive by points"]
-        uniform = {
-            way: max((v for v in own if (v.plan, v.way) == ("uniform", way)), key=lambda v: v.points, default=None)
-            for way in ("interpolated", "process")
-        }
-        simple, process = uniform["interpolated"], uniform["process"]
-        if adaptive and simple is not None and process is not None:
-            last = adaptive[-1]
-            out.append(ByPoints(sample, last.runs, simple.points, last.points, simple.rms, process.rms, last.rms))
+    for sample in dict.fromkeys(level["sample"] for level in found):
+        adaptive, simple, process = (
+            of_plan(found, "in plane", sample, plan, way)
+            for plan, way in (
+                ("adaptive by points", "process"),
+                ("uniform", "interpolated"),
+                ("uniform", "process"),
+            )
+        )
+        if adaptive and simple and process:
+            last, grid, again = adaptive[-1], *(max(v, key=lambda v: float(v["points"])) for v in (simple, process))
+            out.append(
+                ByPoints(
+                    sample, last["runs"], grid["points"], last["points"], grid["rms"], again["rms"], last["rms"],
+                )
+            )  # fmt: skip
     return out
 
 

@@ -2,15 +2,8 @@
 
 from collections.abc import Sequence
 
-from gonio_validation.bench.results import (
-    QuantitySummary,
-    SingleCallSummary,
-    StartUpSummary,
-    TargetSummary,
-    ToleranceSummary,
-    WaySummary,
-    WayTargetSummary,
-)
+from gonio.documents import JsonObject
+from gonio_validation.bench.quantity import QuantitySummary, WaySummary
 
 TARGETS = (
     ("cook-torrance", "ours, vectors", 2.0, 1e-13),
@@ -29,32 +22,25 @@ TARGETS = (
 
 
 def judged(
-    quantities: Sequence[QuantitySummary], single: Sequence[SingleCallSummary], start: Sequence[StartUpSummary]
-) -> list[TargetSummary]:
-    """Every target with what was achieved."""
+    quantities: Sequence[QuantitySummary], single: Sequence[JsonObject], start: Sequence[JsonObject]
+) -> list[JsonObject]:
+    """Every target with what was achieved: a time or a ratio of times, and the error of a way."""
     ways = {q.name: {w.way: w for w in q.ways} for q in quantities}
     titles = {q.name: q.title for q in quantities}
-    out: list[TargetSummary] = []
+    out: list[JsonObject] = []
     for name, way, ns, error in TARGETS:
         w = ways[name][way]
-        out.append(
-            WayTargetSummary(
-                what=f"{titles[name]}: {way}",
-                target=f"{ns:,g} ns".replace(",", " "),
-                achieved=w.time.best_ns,
-                unit="ns",
-                time_met=w.time.best_ns <= ns,
-                processor_ns=w.time.processor_ns,
-                target_error=error,
-                achieved_error=w.worst,
-                error_met=w.worst is not None and w.worst <= error,
-            )
-        )
+        target = f"{ns:,g} ns".replace(",", " ")
+        found = _target(f"{titles[name]}: {way}", target, w.time.best_ns, "ns", w.time.best_ns <= ns)
+        errors = {
+            "processor_ns": w.time.processor_ns, "target_error": error, "achieved_error": w.worst,
+            "error_met": w.worst is not None and w.worst <= error,
+        }  # fmt: skip
+        out.append(found | errors)
 
     def ratio(what: str, name: str, slow: float, fast: float, least: float) -> None:
         factor = slow / fast
-        target = f"at least {least:g} times"
-        out.append(TargetSummary(f"{titles[name]}: {what}", target, factor, "times", factor >= least))
+        out.append(_target(f"{titles[name]}: {what}", f"at least {least:g} times", factor, "times", factor >= least))
 
     for name in ("he-torrance common", "he-torrance whole"):
         if "64 terms" in ways.get(name, {}):
@@ -65,29 +51,33 @@ def judged(
         # by wall clock: both use all processors, and what Dr.Jit's threads take is not in its processor time
         slow, fast = (ways["cook-torrance"][way].time.best_ns for way in ("Dr.Jit, float64", "ours, vectors"))
         ratio("Dr.Jit in float64 / ours, wall", "cook-torrance", slow, fast, 1.0)
-    slowest = max((s for s in single if s.model != "oren-nayar exact"), key=lambda s: s.best_us)
-    out.append(_at_most(f"One geometry from Python ({slowest.model})", slowest.best_us, 20.0, "µs"))
-    out.append(_at_most("import gonio.models", max(s.import_s for s in start), 0.3, "s"))
-    out.append(_at_most("Import and first evaluation, once cached", max(s.together_s for s in start), 1.2, "s"))
+    slowest = max((s for s in single if s["model"] != "oren-nayar exact"), key=lambda s: float(s["best_us"]))
+    for what, achieved, most, unit in (
+        (f"One geometry from Python ({slowest['model']})", slowest["best_us"], 20.0, "µs"),
+        ("import gonio.models", max(s["import_s"] for s in start), 0.3, "s"),
+        ("Import and first evaluation, once cached", max(s["together_s"] for s in start), 1.2, "s"),
+    ):
+        out.append(_target(what, f"{most:g} {unit}", achieved, unit, achieved <= most))
     return out
 
 
-def _at_most(what: str, achieved: float, most: float, unit: str) -> TargetSummary:
-    return TargetSummary(what, f"{most:g} {unit}", achieved, unit, achieved <= most)
+def _target(what: str, target: str, achieved: float, unit: str, met: bool) -> JsonObject:
+    return {"what": what, "target": target, "achieved": achieved, "unit": unit, "time_met": met}
 
 
-def tolerances(quantities: Sequence[QuantitySummary]) -> list[ToleranceSummary]:
-    """Every accuracy that a way states, with its largest error."""
-    return [tolerance(q.title, w, w.stated) for q in quantities for w in q.ways if w.stated is not None]
+def tolerances(quantities: Sequence[QuantitySummary]) -> list[JsonObject]:
+    """Every accuracy that a way states, with its largest error over 1 + conditioning."""
+    return [
+        {
+            "family": q.title, "way": w.way, "stated": w.stated, "points": sum(e.points for e in w.errors.values()),
+            "worst": w.worst, "holds": holds(w, w.stated),
+        }
+        for q in quantities
+        for w in q.ways
+        if w.stated is not None
+    ]  # fmt: skip
 
 
-def tolerance(title: str, way: WaySummary, stated: float) -> ToleranceSummary:
+def holds(way: WaySummary, stated: float) -> bool:
     """A stated accuracy holds where the largest error on every set is finite and not larger."""
-    return ToleranceSummary(
-        family=title,
-        way=way.way,
-        stated=stated,
-        points=sum(e.points for e in way.errors.values()),
-        worst=way.worst,
-        holds=way.worst is not None and way.worst <= stated,
-    )
+    return way.worst is not None and way.worst <= stated

@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 
 from gonio import models
+from gonio.documents import JsonObject
 from gonio.models import engine
-from gonio_validation.bench.quantity import Inputs, Quantity, Way, directions
-from gonio_validation.bench.results import HandOverSummary, Machine, SingleCallSummary, StartUpSummary, TimeSummary
+from gonio_validation.bench.quantity import Inputs, Quantity, TimeSummary, Way, directions
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ def _job(way: Way, inputs: Inputs) -> Callable[[], None]:
     return job
 
 
-def single_calls(repeats: int) -> list[SingleCallSummary]:
+def single_calls(repeats: int) -> list[JsonObject]:
     """us of one evaluation of one geometry from Python."""
     chosen: dict[str, models.Model] = {
         "lambert": models.Lambert(),
@@ -82,7 +82,7 @@ def single_calls(repeats: int) -> list[SingleCallSummary]:
         "oren-nayar exact": models.OrenNayar(form="exact"),
         "he-torrance": models.HeTorrance(),
     }
-    out = []
+    out: list[JsonObject] = []
     vectors = np.array([0.6, 0.0, 0.8]), np.array([-0.48, 0.36, 0.8])
     for name, model in chosen.items():
         for call, arguments in (("brdf", (0.7, 0.1, 0.6, 3.0)), ("brdf_vectors", vectors)):
@@ -93,11 +93,12 @@ def single_calls(repeats: int) -> list[SingleCallSummary]:
                 start = time.perf_counter()
                 function(*arguments)
                 taken.append((time.perf_counter() - start) * 1e6)
-            out.append(SingleCallSummary(name, call, min(taken), float(np.median(taken))))
+            median = float(np.median(taken))
+            out.append({"model": name, "call": call, "best_us": min(taken), "median_us": median})
     return out
 
 
-def hand_over(repeats: int) -> HandOverSummary | None:
+def hand_over(repeats: int) -> JsonObject | None:
     """What it costs to hand half of a call to a second thread; None where this process may use one processor only.
 
     The smallest call that two threads share takes longer than a call of half as many pairs, which one thread does
@@ -116,15 +117,15 @@ def hand_over(repeats: int) -> HandOverSummary | None:
             taken[count].append((time.perf_counter() - start) * 1e6)
     alone, shared = (float(np.median(taken[count][1:])) for count in (half, 2 * half))
     cost = max(shared - alone, 0.0)
-    return HandOverSummary(
-        model="cook-torrance",
-        pairs=2 * half,
-        shared_us=shared,
-        half_alone_us=alone,
-        hand_over_us=cost,
-        share=cost / shared,
-        repeats=repeats,
-    )
+    return {
+        "model": "cook-torrance",
+        "pairs": 2 * half,
+        "shared_us": shared,
+        "half_alone_us": alone,
+        "hand_over_us": cost,
+        "share": cost / shared,
+        "repeats": repeats,
+    }
 
 
 _START = """
@@ -139,9 +140,9 @@ print(b - a, c - b)
 """
 
 
-def start_up(repeats: int) -> list[StartUpSummary]:
+def start_up(repeats: int) -> list[JsonObject]:
     """Seconds that importing takes, and the first evaluation once it is cached, each in a process of its own."""
-    out = []
+    out: list[JsonObject] = []
     for model in ("CookTorrance", "HeTorrance"):
         taken = []
         for _ in range(repeats + 1):
@@ -150,11 +151,11 @@ def start_up(repeats: int) -> list[StartUpSummary]:
             )
             taken.append([float(x) for x in made.stdout.split()])
         best = min(taken[1:], key=sum)
-        out.append(StartUpSummary(model, best[0], best[1], together_s=sum(best)))
+        out.append({"model": model, "import_s": best[0], "first_evaluation_s": best[1], "together_s": sum(best)})
     return out
 
 
-def machine() -> Machine:
+def machine() -> JsonObject:
     """What the times are taken on, and how busy it is."""
     cpu, flags = platform.processor() or "unknown", ""
     info = Path("/proc/cpuinfo")
@@ -162,12 +163,12 @@ def machine() -> Machine:
         lines = {k.strip(): v.strip() for k, _, v in (x.partition(":") for x in info.read_text().splitlines())}
         cpu, flags = lines.get("model name", cpu), lines.get("flags", "")
     wanted = [f for f in flags.split() if f in ("avx2", "fma", "bmi2") or f.startswith("avx512")]
-    return Machine(
-        cpu=cpu,
-        cpus=engine.threads(),
-        flags=wanted,
-        load=list(os.getloadavg()) if hasattr(os, "getloadavg") else None,
-        system=f"{platform.system()} {platform.machine()}",
-        python=platform.python_version(),
-        versions={name: version(name) for name in ("gonio", "numpy", "numba", "llvmlite", "scipy")},
-    )
+    return {
+        "cpu": cpu,
+        "cpus": engine.threads(),
+        "flags": wanted,
+        "load": list(os.getloadavg()) if hasattr(os, "getloadavg") else None,
+        "system": f"{platform.system()} {platform.machine()}",
+        "python": platform.python_version(),
+        "versions": {name: version(name) for name in ("gonio", "numpy", "numba", "llvmlite", "scipy")},
+    }

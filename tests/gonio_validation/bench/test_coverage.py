@@ -305,4 +305,4 @@ def test_a_refused_campaign_is_named(tmp_path: Path) -> None:
     counts, _, _ = coverage_judgement.judged([found, *(record(k) for k in range(1, 20))])
     assert next(c for c in counts if c.group == "all").campaigns == 19
     (named,) = coverage_judgement.failed([found])
-    assert named.campaign == 0
+    assert named["campaign"] == 0
