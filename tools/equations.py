@@ -15,10 +15,9 @@ OUT = Path(__file__).resolve().parents[1] / "docs" / "equations.md"
 
 HEAD = """# The papers' equations
 
-Every formula stands once in `gonio/models/plain/`: one module a paper, in the paper's order and
-symbols. Its docstring says what it is, or why nothing compiled stands for it. The models evaluate
-the same formulas by compiled kernels, which `tests/gonio/models/test_plain_*.py` hold against the
-plain ones.
+Every formula stands once in `gonio/models/plain/`, in the paper's order and symbols. The models
+evaluate them by compiled kernels, which `tests/gonio/models/test_plain_*.py` hold against the plain
+ones.
 
 Equations without a number go by the letter on their left, as "Cook1982 R_s". Names such as He1991
 are keys of [references.bib](references.bib). A dagger marks formulas whose print is wrong or must
@@ -98,24 +97,28 @@ def _row(first: str, f: Formula) -> str:
     return f"| {first}{' †' if f.in_doubt else ''} | `{module}.{f.name}` | {compiled} |"
 
 
+def _numbered(found: list[Formula]) -> list[str]:
+    """A row a function with all its equations, by the first of them; then those without a number."""
+    numbered = sorted((f for f in found if f.numbers), key=lambda f: f.numbers[0])
+    rows = [_row(", ".join(str(number) for number in sorted(f.numbers)), f) for f in numbered]
+    return rows + [_row(f.where, f) for f in found if not f.numbers]
+
+
 def page() -> str:
     """The whole page."""
     head = "\n| {} | plain | compiled |\n|---|---|---|"
     he = formulas(plain.he_torrance) + formulas(plain.he_torrance_appendix_a)
     oren = formulas(plain.oren_nayar)
     lines = [HEAD, "## He1991: He, Torrance, Sillion and Greenberg", head.format("eq.")]
-    for number in range(1, 87):
-        here = [_row(str(number), f) for f in he if number in f.numbers]
-        lines += here or [f"| {number} | no function: {STEPS[number]} | none |"]
-    lines += [_row(f.where, f) for f in he if not f.numbers]
+    lines += _numbered(he)
+    lines += ["\nNo function stands for steps of the derivation:\n"]
+    lines += [f"- {number}: {what}" for number, what in STEPS.items()]
     lines += ["\n## Cook1982: Cook and Torrance", head.format("equation")]
     lines += [_row(f.where, f) for f in formulas(plain.cook_torrance)]
     lines += ["\n## Blinn1977: Blinn", head.format("equation")]
     lines += [_row(f.where, f) for f in formulas(plain.blinn)]
     lines += ["\n## Oren1994: Oren and Nayar", head.format("eq.")]
-    for number in range(1, 19):
-        lines += [_row(str(number), f) for f in oren if number in f.numbers]
-    lines += [_row(f.where, f) for f in oren if not f.numbers]
+    lines += _numbered(oren)
     lines += ["\n## Reflection at a smooth surface", head.format("equation")]
     lines += [_row(f"{f.paper}, {f.where}", f) for f in formulas(plain.fresnel)]
     lines += ["\n## Anisotropic facets, retroreflection", head.format("equation")]
