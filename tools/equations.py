@@ -111,8 +111,8 @@ def page() -> str:
     oren = formulas(plain.oren_nayar)
     lines = [HEAD, "## He1991: He, Torrance, Sillion and Greenberg", head.format("eq.")]
     lines += _numbered(he)
-    lines += ["\nNo function stands for steps of the derivation:\n"]
-    lines += [f"- {number}: {what}" for number, what in STEPS.items()]
+    steps = ", ".join(str(number) for number in STEPS)
+    lines += [f"\nNo function stands for steps of the derivation: {steps}."]
     lines += ["\n## Cook1982: Cook and Torrance", head.format("equation")]
     lines += [_row(f.where, f) for f in formulas(plain.cook_torrance)]
     lines += ["\n## Blinn1977: Blinn", head.format("equation")]

@@ -22,6 +22,8 @@ from gonio.documents import JsonObject
 log = logging.getLogger("mkdocs.gonio")
 ROOT = Path(__file__).resolve().parents[1]
 ENTRY_POINT = re.compile(r"(?m)^# (.+)$")
+RULES = '    options: {filters: ["!^_|^[a-z]|^[A-Z][a-z]"]}'
+"""What pages of methods show of a module that they say no more about: its own words and its constants."""
 
 
 # --- before: files that mkdocs does not have by itself ---------------------------------------------------------------
@@ -73,9 +75,11 @@ def listed(folder: Path) -> str:
 
 
 def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
-    """Links to notebooks lead to their pages, and those to README.md to the first page."""
+    """Links to notebooks lead to their pages, and those to README.md to the first page; methods are filtered."""
     if page.file.src_uri.startswith("notebooks/"):
         return markdown
+    if page.file.src_uri.startswith("reference/methods"):
+        markdown = re.sub(r"(?m)^(::: \S+)$(?!\n    options)", rf"\1\n{RULES}", markdown)
     markdown = markdown.replace("](../README.md", "](index.md")
     return re.sub(r"(\]\([\w/.-]*)\.ipynb\)", r"\1.md)", markdown)
 
