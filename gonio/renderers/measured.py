@@ -102,12 +102,15 @@ def _vectors(rows: Rows) -> tuple[Floats, Floats]:
 def _views(interpolated: Interpolated) -> Floats:
     """Viewing directions [rad] of the slices: the table's own, and even ones in the gaps between them."""
     even = np.deg2rad(np.linspace(0.0, 89.0, _VIEWS))
-    own = interpolated.receivers
-    own = own[np.concatenate([[True], np.diff(own) > geometry.SAME_ANGLE])]
+    kept = [float(interpolated.receivers[0])]
+    for receiver in interpolated.receivers[1:]:  # from the last one that is kept: a fine table is a chain of near ones
+        if receiver - kept[-1] > geometry.SAME_ANGLE:
+            kept.append(float(receiver))
+    own = np.array(kept)
     if own.size > _MOST_VIEWS:
         own = own[np.linspace(0, own.size - 1, _MOST_VIEWS).astype(int)]
-    apart = np.abs(even[:, np.newaxis] - own).min(axis=1) > 0.4 * (even[1] - even[0])
-    keep = apart | (even == even[0]) & (own[0] > 1e-3) | (even == even[-1]) & (own[-1] < even[-1])
+    in_gap = np.abs(even[:, np.newaxis] - own).min(axis=1) > 0.4 * (even[1] - even[0])
+    keep = in_gap | (even == even[0]) & (own[0] > 1e-3) | (even == even[-1]) & (own[-1] < even[-1])
     return np.unique(np.concatenate([even[keep], own]))
 
 

@@ -3,6 +3,8 @@
 import json
 import math
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 from xml.etree import ElementTree
 
 import numpy as np
@@ -158,6 +160,33 @@ def test_a_tensor_file_gives_the_table_back_and_carries_the_remarks(tmp_path: Pa
     # the file's first direction is the viewer's
     f, _ = RglMeasured(data, tmp_path / "o.bsdf").brdf(theta_r, 0 * dphi, theta_i, dphi)
     np.testing.assert_allclose(f[:, 1], rows.values[:, 0], rtol=0.005)  # where rows share nodes, they are averaged
+
+
+@pytest.mark.parametrize(
+    ("own", "first", "last"),
+    [
+        (np.arange(0.0, 81.0, 10.0), 0.0, 89.0),
+        (np.array([1.0, 30.0, 88.5]), 0.0, 89.0),  # the ends stay, however near the table comes to them
+        (np.array([0.0, 50.0, 89.5]), 0.0, 89.5),
+        (np.array([20.0, 20.0, 20.0 + 1e-7]), 0.0, 89.0),  # one direction
+    ],
+)
+def test_views_are_the_tables_own_and_even_ones_in_their_gaps(own: Floats, first: float, last: float) -> None:
+    views = np.rad2deg(measured._views(cast(Interpolated, SimpleNamespace(receivers=np.deg2rad(own)))))
+    step = 89.0 / 32.0
+    beside = [k * step for k in range(1, 32) if all(abs(k * step - angle) > 0.4 * step for angle in own)]
+    expected = sorted({round(angle, 6) for angle in (first, *beside, *own, last)})
+    np.testing.assert_allclose(views, expected, atol=1e-6)
+
+
+@pytest.mark.parametrize("count", [179, 500, 5000])
+def test_of_very_many_directions_a_hundred_are_views(count: int) -> None:
+    """In steps of half a degree, and in steps so fine that each direction is the same as the next one."""
+    own = np.linspace(0.0, 89.0, count)
+    views = np.rad2deg(measured._views(cast(Interpolated, SimpleNamespace(receivers=np.deg2rad(own)))))
+    assert views.size in (100, 101)  # the end besides, where the last of the table's is not kept
+    assert np.abs(views[:, None] - own).min(axis=1).max() < 1e-9
+    assert np.diff(views).max() < 1.5  # even: 89 / 99 degrees, to half a degree
 
 
 def flat(mitsuba: object, path: Path, theta_i: float, theta_r: float, dphi: float) -> Floats:

@@ -1,5 +1,6 @@
 """Which model: the simplest that the data do not reject, and where the others fail."""
 
+import itertools
 import json
 import math
 from collections.abc import Sequence
@@ -12,6 +13,7 @@ import pytest
 from gonio_analysis.fitting.observations import observations
 from gonio_analysis.fitting.profile_likelihood import profiles
 from gonio_analysis.result_records import as_json
+from gonio_analysis.selection import choice as choosing
 from gonio_analysis.selection.choice import Choice, candidates, choose
 from gonio_analysis.selection.compare import jump
 from gonio_analysis.selection.judging import Candidate
@@ -119,6 +121,28 @@ def test_blocks_to_leave_out_are_neighbours() -> None:
     assert sorted(np.concatenate(groups)) == list(range(len(one)))
     signed = np.where(one.directions.phi_r > 1, one.directions.theta_r, -one.directions.theta_r)
     assert all(np.ptp(signed[g]) < np.radians(160 / 4) for g in groups)
+
+
+def test_models_are_counted_while_they_are_fitted_and_the_time_left_is_in_proportion(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """By a clock that goes on by 10 s whenever it is read: once at the start, and three times a model."""
+    clock = itertools.count(0.0, 10.0)
+    monkeypatch.setattr(choosing, "time", SimpleNamespace(perf_counter=lambda: next(clock)))
+    said: list[str] = []
+    models = ("lambert", "oren-nayar", "phong")
+    decide(measure(MATTE, noise=0.01, seed=2), models, name="matte", all_of_them=True, progress=said.append)
+    assert said[:3] == [
+        "matte: fitting lambert (1 of 3)",
+        "matte: fitting oren-nayar (2 of 3, about 80 s left)",  # 40 s for one, and two are left
+        "matte: fitting phong (3 of 3, about 35 s left)",  # 70 s for two, and one is left
+    ]
+
+
+def test_one_model_is_not_counted() -> None:
+    said: list[str] = []
+    decide(measure(MATTE, noise=0.01), ("lambert",), name="matte", progress=said.append)
+    assert said[0] == "matte: fitting lambert"
 
 
 def test_too_few_values_are_no_choice_and_no_error() -> None:
