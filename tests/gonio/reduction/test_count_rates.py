@@ -1,0 +1,70 @@
+"""Counts of a step from its frames: what is taken off, and what a region spans."""
+
+import math
+
+import numpy as np
+import pytest
+
+from gonio.reduction.count_rates import _alike, _lines, without_dark
+from gonio.rig.light_and_camera import Camera
+
+BLACK, WHITE = 64.0, 4095
+
+
+def camera(*nonlinearity: float) -> Camera:
+    return Camera(
+        width=32, height=32, pixel_um=10.0, exposure_limits_s=(1e-3, 1.0), black_level_dn=BLACK,
+        nonlinearity=nonlinearity,
+    )  # fmt: skip
+
+
+LIGHT = np.array([[100.0, 1000.0], [2000.0, 3000.0]])
+DARK = np.array([[20.0, 50.0], [80.0, 200.0]])
+
+
+def test_without_a_curve_the_dark_signal_is_a_difference() -> None:
+    alone, with_dark = without_dark(camera(), BLACK + LIGHT + DARK, BLACK + DARK, BLACK)
+    np.testing.assert_allclose(alone, LIGHT, rtol=1e-12)
+    np.testing.assert_allclose(with_dark, LIGHT + DARK, rtol=1e-12)
+
+
+def test_with_a_curve_it_is_a_difference_of_what_is_straightened() -> None:
+    """Signals above the black level read y (1 + c1 y / white + c2 (y / white)^2)."""
+
+    def read(y: np.ndarray) -> np.ndarray:
+        return BLACK + y * (1.0 - 0.1 * y / WHITE + 0.05 * (y / WHITE) ** 2)
+
+    alone, with_dark = without_dark(camera(-0.1, 0.05), read(LIGHT + DARK), read(DARK), BLACK)
+    np.testing.assert_allclose(alone, LIGHT, rtol=1e-10)
+    np.testing.assert_allclose(with_dark, LIGHT + DARK, rtol=1e-10)
+
+
+@pytest.mark.parametrize(
+    ("other", "alike"),
+    [(0.5, True), (0.50049, True), (0.49951, True), (0.50051, False), (0.49949, False), ("0.5", False), (None, False)],
+)
+def test_exposures_agree_to_a_thousandth(other: object, alike: bool) -> None:
+    assert _alike(0.5, other) is alike
+
+
+def test_very_short_exposures_agree_to_a_microsecond() -> None:
+    assert _alike(1e-6, 2e-6)
+    assert not _alike(1e-6, 2.2e-6)
+
+
+def test_dark_frames_lie_on_a_line_of_each_channel() -> None:
+    times = (1.0, 2.0, 6.0)
+    means = [(t, [64.0 + 3.0 * t, 70.0 - 0.5 * t]) for t in times]
+    found = _lines(means, ("R", "B"), rate=9.0)
+    assert found["R"] == pytest.approx((64.0, 3.0), rel=1e-12)
+    assert found["B"] == pytest.approx((70.0, -0.5), rel=1e-12)
+    assert _lines([], ("R", "B"), rate=9.0) == {}
+
+
+@pytest.mark.parametrize(("apart", "slope"), [(0.0, 9.0), (0.98e-3, 9.0), (1.02e-3, 3.0)])
+def test_one_exposure_takes_the_slope_that_is_given(apart: float, slope: float) -> None:
+    """So do two of them that lie closer than a thousandth of the mean to it, together: a square sum of 1e-6."""
+    times = [2.0 * (1.0 - apart / math.sqrt(2.0)), 2.0 * (1.0 + apart / math.sqrt(2.0))]
+    level, found = _lines([(t, [64.0 + 3.0 * t]) for t in times], ("mono",), rate=9.0)["mono"]
+    assert found == pytest.approx(slope, rel=1e-9)
+    assert level == pytest.approx(64.0 + (3.0 - slope) * 2.0, rel=1e-9)
