@@ -1,8 +1,9 @@
 """Drivers and twins on one clock that nobody waits for: everything in this process, and no terminal between them.
 
-Each twin has a thread of its own. One thread runs at a time: when all wait, the clock jumps to the moment that the
-first of them waits for. So nothing hangs on how busy this computer is. What another process opens, or what waits
-otherwise than by `gonio.rig.clock`, needs the real clock.
+A twin answers in the thread of who writes to it: what it waits for meanwhile is on a time of its own, and what it
+says comes out of the cable when the clock is there. Where several threads are on the clock one runs at a time: when
+all wait, the clock jumps to the moment that the first of them waits for. So nothing hangs on how busy this computer
+is. What another process opens, or what waits otherwise than by `gonio.rig.clock`, needs the real clock.
 """
 
 from __future__ import annotations
@@ -57,17 +58,38 @@ class VirtualClock:
         self.lines: dict[str, Line] = {}
         """Cables that are plugged in, by port."""
         self._running = 1
+        self._twin = threading.local()
+        """`now_s` in a thread that does the work of a twin: the twin's own time."""
 
     def monotonic(self) -> float:
+        if hasattr(self._twin, "now_s"):
+            self._twin.now_s += LOOK_S
+            return float(self._twin.now_s)
         self.now_s += LOOK_S
         return self.now_s
 
     def sleep(self, seconds: float) -> None:
-        self.wait(lambda: False, seconds)
+        if hasattr(self._twin, "now_s"):
+            self._twin.now_s += max(seconds, 0.0)
+        else:
+            self.wait(lambda: False, seconds)
 
     def nap(self, seconds: float) -> None:
         """The same for a program that shares its computer."""
         self.sleep(seconds + self.held_up())
+
+    def from_then(self, then_s: float, work: Callable[[], None]) -> float:
+        """Do a twin's work now, as if it were begun at a time; the time at which it is done."""
+        self._twin.now_s = then_s
+        try:
+            work()
+            return float(self._twin.now_s)
+        finally:
+            del self._twin.now_s
+
+    def twin_s(self) -> float:
+        """The time of the twin whose work is being done; the clock's where there is none."""
+        return float(getattr(self._twin, "now_s", self.now_s))
 
     def wait(self, ready: Callable[[], bool], seconds: float = float("inf")) -> None:
         """Let time pass until something is so, or for so long."""
@@ -93,32 +115,21 @@ class VirtualClock:
                 self._running -= 1
                 self._wake()
 
-    def run(self, work: Callable[[], None]) -> None:
-        """Do work in a thread on this clock."""
-
-        def go() -> None:
-            self._members.add(threading.get_ident())
-            try:
-                work()
-            finally:
-                with self._lock:
-                    self._members.discard(threading.get_ident())
-                    self._running -= 1
-                    self._wake()
-
-        with self._lock:
-            self._running += 1
-        threading.Thread(target=go, daemon=True).start()
-
     def _wake(self) -> None:
         """Let one thread go on where none runs."""
         if self._running > 0 or not self._waiting:
             return
-        first = next((one for one in self._waiting if one.ready()), None)
-        if first is None:
+        while (first := next((one for one in self._waiting if one.ready()), None)) is None:
             first = min(self._waiting, key=lambda one: one.until_s)
-            if first.until_s == float("inf"):
-                return
+            comes_s = min((line.coming[0][0] for line in self.lines.values() if line.coming), default=float("inf"))
+            if first.until_s <= comes_s:
+                break
+            self.now_s = max(self.now_s, comes_s)
+            for line in self.lines.values():
+                line.arrive()
+        if first.until_s == float("inf") and not first.ready():
+            return
+        if not first.ready():
             self.now_s = max(self.now_s, first.until_s)
         self._waiting.remove(first)
         self._running += 1
@@ -133,11 +144,11 @@ class VirtualPort:
             raise serial.SerialException("Could not exclusively lock port")
         self._line, self.baudrate, self.timeout = line, baud, timeout_s
         self.is_open = line.held = True
-        line.inbox.append(None)
+        line.opened()
 
     @property
     def in_waiting(self) -> int:
-        return len(self._line.outbox)
+        return len(self._line.arrive())
 
     def __enter__(self) -> VirtualPort:
         return self
@@ -152,44 +163,73 @@ class VirtualPort:
         """Nothing is on its way."""
 
     def reset_input_buffer(self) -> None:
-        self._line.outbox.clear()
+        self._line.arrive().clear()
 
     def write(self, data: bytes) -> int:
-        self._line.inbox.append((bytes(data), self.baudrate))
+        self._line.receive(bytes(data), self.baudrate)
         return len(data)
 
     def read(self, length: int = 1) -> bytes:
-        box = self._line.outbox
-        if self.timeout:
+        box = self._line.arrive()
+        if self.timeout and len(box) < length:
             self._line.clock.wait(lambda: len(box) >= length, self.timeout)
-        data = bytes(box[:length])
-        del box[:length]
-        return data
+        return self.read_now(length)
 
     def read_until(self, ending: bytes = b"\n") -> bytes:
-        box = self._line.outbox
-        self._line.clock.wait(lambda: ending in box, self.timeout)
+        box = self._line.arrive()
+        if ending not in box:
+            self._line.clock.wait(lambda: ending in box, self.timeout)
         return self.read_now(box.find(ending) + len(ending) if ending in box else len(box))
 
     readline = read_until
 
     def read_now(self, length: int) -> bytes:
-        data = bytes(self._line.outbox[:length])
-        del self._line.outbox[:length]
+        box = self._line.arrive()
+        data = bytes(box[:length])
+        del box[:length]
         return data
 
 
-@dataclass
+@dataclass(eq=False)
 class Line:
-    """A cable: what goes to the twin, and what comes from it."""
+    """A cable, and the twin at its end."""
 
     clock: VirtualClock
-    inbox: deque[tuple[bytes, int] | None] = field(default_factory=deque)
-    """None where somebody has opened the port."""
+    peer: SerialPeer
+    coming: deque[tuple[float, bytes]] = field(default_factory=deque)
+    """What the twin says, and when it comes out of the cable."""
     outbox: bytearray = field(default_factory=bytearray)
+    """What came out, and nobody has read."""
     held: bool = False
-    ends: bool = False
-    ended: bool = False
+    done_s: float = 0.0
+    """When the twin has done what it was told."""
+
+    def opened(self) -> None:
+        """Somebody has opened the port."""
+        if self.peer._tells_opening:
+            self._at_work(lambda: self.peer.device.opened(self.send))
+
+    def receive(self, data: bytes, baud: int) -> None:
+        """Bytes go to the twin."""
+        self._at_work(lambda: self.peer.device.receive(data, baud, self.send))
+
+    def _at_work(self, work: Callable[[], None]) -> None:
+        if self.peer.failure is not None:
+            return
+        try:
+            self.done_s = self.clock.from_then(max(self.clock.now_s, self.done_s), work)
+        except BaseException as failure:  # as `SerialPeer` has it
+            self.peer.failure = failure
+
+    def send(self, data: bytes) -> None:
+        """The twin says something."""
+        self.coming.append((self.clock.twin_s(), bytes(data)))
+
+    def arrive(self) -> bytearray:
+        """What has come out of the cable by now."""
+        while self.coming and self.coming[0][0] <= self.clock.now_s:
+            self.outbox.extend(self.coming.popleft()[1])
+        return self.outbox
 
 
 class Unneeded:
@@ -219,42 +259,21 @@ def virtual_time(monkeypatch: pytest.MonkeyPatch) -> Iterator[VirtualClock]:
     lines = hours.lines
     numbers = itertools.count()
 
-    def serve(peer: SerialPeer, line: Line) -> None:
-        try:
-            while True:
-                hours.wait(lambda: bool(line.inbox) or line.ends)
-                if line.ends:
-                    return
-                came = line.inbox.popleft()
-                if came is not None:
-                    peer.device.receive(*came, line.outbox.extend)
-                elif peer._tells_opening:
-                    peer.device.opened(line.outbox.extend)
-        except BaseException as failure:  # as `SerialPeer` has it
-            peer.failure = failure
-        finally:
-            line.ended = True
-
     def enter(peer: SerialPeer) -> SerialPeer:
         peer.port = str(peer._link) if peer._link is not None else f"{PORT}{next(numbers) or ''}"
         if peer._link is not None:
             peer._link.unlink(missing_ok=True)
             peer._link.touch()
-        line = lines[peer.port] = Line(hours)
-        hours.run(lambda: serve(peer, line))
+        lines[peer.port] = Line(hours, peer)
         return peer
 
     def leave(peer: SerialPeer, kind: object, error: BaseException | None, trace: object) -> None:
-        end(lines.pop(peer.port))
+        del lines[peer.port]
         if peer._link is not None:
             with contextlib.suppress(OSError):
                 peer._link.unlink()
         if peer.failure is not None and error is None:
             raise peer.failure
-
-    def end(line: Line) -> None:
-        line.ends = True
-        hours.wait(lambda: line.ended)
 
     by_terminal = ports.opened
 
@@ -266,7 +285,7 @@ def virtual_time(monkeypatch: pytest.MonkeyPatch) -> Iterator[VirtualClock]:
     monkeypatch.setattr(platform, "holders_of", lambda port: [])
     for name, method in (("__enter__", enter), ("__exit__", leave)):
         monkeypatch.setattr(SerialPeer, name, method)
-    monkeypatch.setattr(SerialPeer, "send", lambda peer, data: lines[peer.port].outbox.extend(data))
+    monkeypatch.setattr(SerialPeer, "send", lambda peer, data: lines[peer.port].send(data))
     monkeypatch.setattr(guard, "Guard", Unneeded)
     monkeypatch.setattr(clock, "monotonic", hours.monotonic)
     monkeypatch.setattr(clock, "sleep", hours.sleep)
@@ -276,8 +295,6 @@ def virtual_time(monkeypatch: pytest.MonkeyPatch) -> Iterator[VirtualClock]:
     for module in (holding, suspending):
         monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=hours.monotonic, sleep=hours.sleep))
     yield hours
-    for line in lines.values():
-        end(line)
 
 
 def servo_bus(built: Callable[[], Iterable[Servo]]) -> ServoBus:
