@@ -130,7 +130,7 @@ def test_an_encoder_that_trembles_lands_by_the_mean_of_its_readings() -> None:
 
 
 def test_a_mean_that_is_not_known_well_enough_waits_for_more_readings() -> None:
-    """0.26 degrees beside the goal, with a tolerance of 0.2; 20 readings of 5 counts' scatter make u = 0.098 degrees."""
+    """0.26 degrees beside the goal, with a tolerance of 0.2: 20 readings that scatter by 5 counts have u = 0.098."""
     verdicts = looked(landing(), *[GOAL + 3 - 5, GOAL + 3 + 5] * 12)
     assert first(verdicts, "short") == pytest.approx(19 * LOOKS_S)
 
