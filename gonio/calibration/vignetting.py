@@ -60,7 +60,8 @@ def fit(pictures: Sequence[tuple[Floats, Pose]], description: RigDescription, ch
         radius = 0.5 * reference.diameter_mm
         good = (x**2 + y**2 <= (RIM * radius) ** 2) & np.isfinite(signal) & (seen.weight > 0)
         good &= of_channel(camera.pattern, channel, seen.rows, seen.cols)
-        good &= np.nan_to_num(signal) > 0.2 * np.nanpercentile(np.where(good, signal, math.nan), 50.0)
+        if good.any():
+            good &= np.nan_to_num(signal) > 0.2 * np.median(signal[good])
         at = np.flatnonzero(good)[:: max(np.count_nonzero(good) // MOST, 1)]
         if at.size < 100:
             raise DataError(
