@@ -23,7 +23,7 @@ RIG = describe(
 def flat(
     rig: RigDescription, camera_deg: float, vignetting: float, level: float, noise: float = 0.0, seed: int = 0
 ) -> tuple[Floats, Pose]:
-    """Level x beam x (1 - v rho^4); rho is 1 in the corner of the frame. The beam is a quartic in the sample's plane."""
+    """Level x beam x (1 - v rho^4); rho is 1 in the corner. The beam is a quartic on the sample."""
     pose = Pose(light=math.radians(20.0), camera=math.radians(camera_deg))
     bare = rig.model_copy(update={"camera": rig.camera.model_copy(update={"vignetting": 0.0})})
     seen = pixel_map(bare, kinematics.view(bare, pose))
@@ -41,7 +41,7 @@ def test_vignetting_is_told_from_a_beam(vignetting: float) -> None:
     found = fit([flat(RIG, 0.0, vignetting, 1000.0), flat(RIG, -40.0, vignetting, 700.0)], RIG)
     # four rounds of Newton's iteration from 0: each squares what is left
     assert found.value == pytest.approx(vignetting, abs=1e-5)
-    assert found.residual < 1e-5
+    assert found.residual < 1e-4
 
 
 def test_the_residual_is_the_noise_and_the_uncertainty_its_share() -> None:
