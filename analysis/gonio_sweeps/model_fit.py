@@ -1,10 +1,8 @@
 """What the values so far say of the model: its parameters, how well they are known, and whether it is the right one."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from gonio_analysis.commands.arguments import read_ior
@@ -25,13 +23,10 @@ from gonio.models.declaration import Values
 from gonio.rig.description import RigDescription
 from gonio.rig.ranges import Positive
 from gonio.shown import with_u
-from gonio.typing import Floats
+from gonio.typing import DataFrame, Floats
 from gonio_sweeps import fisher, lack_of_fit
 from gonio_sweeps.online import GrowingValues
 from gonio_sweeps.sampler import short
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 SEARCHES, MANY = 6, 30
 """Short searches that a fit begins with; and before a model is found wrong. Chosen points lie in a few places, where
@@ -170,7 +165,7 @@ class ModelFit:
                 out.append((vector, math.exp(-0.5 * max(more, 0.0))))
         return out
 
-    def final(self, table: pd.DataFrame, result: FitResult) -> FitResult:
+    def final(self, table: DataFrame, result: FitResult) -> FitResult:
         """What `gonio fit` will say of the run."""
         start = result.problem.values(result.vector)
         return fit(table, replace(self._request, start=[start], wavelength_nm=self.wavelength_nm))

@@ -7,12 +7,9 @@ batches that cover take turns with batches for the nearest model, whose misfit i
 adaptive_sweeps.md has the method.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from gonio_analysis.fitting.forward import apparent
@@ -24,15 +21,12 @@ from gonio.documents import JsonObject
 from gonio.errors import ConfigError
 from gonio.reduction import brdf as reduction
 from gonio.rig.description import RigDescription
-from gonio.typing import Floats
+from gonio.typing import DataFrame, Floats
 from gonio_sweeps import covering, expected, fisher
 from gonio_sweeps.candidates import candidates, nearby, places, spread
 from gonio_sweeps.model_fit import MANY, SEARCHES, Known, ModelFit, ParameterSettings
 from gonio_sweeps.online import GrowingValues, Online
 from gonio_sweeps.sampler import BudgetSampler, highest, short
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 FIRST = 5
 """Points of the first covering, for each parameter; not fewer than `FEWEST`, and not more than `MOST` altogether."""
@@ -142,7 +136,7 @@ class Parameters(BudgetSampler[ParameterSettings]):
         )
 
     def choose(
-        self, values: GrowingValues, *, spent_s: float, modes: Sequence[str], reduced: Callable[[], pd.DataFrame]
+        self, values: GrowingValues, *, spent_s: float, modes: Sequence[str], reduced: Callable[[], DataFrame]
     ) -> Choice:
         """What is measured next.
 

@@ -3,11 +3,14 @@
 import contextlib
 import sys
 from collections.abc import Callable, Iterator
+from importlib import import_module
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from gonio_analysis.commands import Dask
+
+from gonio.cli import console
 
 Jobs = Annotated[int | None, typer.Option(help="Processes. [default: one a processor]", show_default=False)]
 NAME_HELP = 'A figure, as htsg-8; "all" of them; "pictures", the rendered ones; or "list", which names them.'
@@ -20,17 +23,15 @@ def figures(
     out: Annotated[Path | None, typer.Option(help="Folder of the page.", show_default=False)] = None,
 ) -> None:
     """Make a paper's figure again, and judge the paper's claims. Prints the page's path."""
-    from gonio.acquisition.run import command_line
-    from gonio.cli import console
     from gonio.errors import ConfigError
-    from gonio_validation.papers import PICTURES, check, make, pictures
+    from gonio_validation.papers import PICTURES, check
     from gonio_validation.papers.index import FIGURES
+    from gonio_validation.papers.pictures.catalogue import TITLE
 
     if name == "list":
         rows = console.table("name", "what it shows")
-        for key, what in FIGURES.items():
+        for key, what in (*FIGURES.items(), (PICTURES, TITLE)):
             rows.add_row(key, what)
-        rows.add_row(PICTURES, pictures.TITLE)
         console.show(rows)
         return
     if name not in ("all", PICTURES):
@@ -39,9 +40,17 @@ def figures(
         raise ConfigError(f"gonio figures {name}: --out DIR is missing, the folder of the page")
     if name == PICTURES:
         with console.counter("rendering") as step:
-            print(pictures.make(out, command=command_line(), step=step))
-        return
-    print(make(name, out, command=command_line(), progress=console.note))
+            _made("papers.pictures.page", out, step=step)
+    else:
+        _made("papers", name, out, progress=console.note)
+
+
+def _made(module: str, *arguments: Any, **options: Any) -> None:
+    """Make the page that a module of this package makes, with the command line for its record, and print its path."""
+    from gonio.acquisition.run import command_line
+
+    make = import_module(f"gonio_validation.{module}").make
+    print(make(*arguments, command=command_line(), **options))
 
 
 def verify(
@@ -51,7 +60,6 @@ def verify(
     import tempfile
 
     from gonio.acquisition.run import command_line
-    from gonio.cli import console
     from gonio_validation import verify as of_all
 
     with tempfile.TemporaryDirectory(prefix="gonio-verify-") as folder:
@@ -74,11 +82,7 @@ def models(
     quick: Annotated[bool, typer.Option("--quick", help="Few pairs: errors are right, times are rough.")] = False,
 ) -> None:
     """Speed against error of every way of evaluating the models. Also the hard cases; prints the report's path last."""
-    from gonio.acquisition.run import command_line
-    from gonio.cli import console
-    from gonio_validation.bench.speed_and_error import make
-
-    print(make(out, quick=quick, command=command_line(), progress=console.note))
+    _made("bench.speed_and_error", out, quick=quick, progress=console.note)
 
 
 @bench.command()
@@ -87,13 +91,8 @@ def scenes(
     quick: Annotated[bool, typer.Option("--quick", help="Small pictures: all is run, nothing is precise.")] = False,
 ) -> None:
     """Speed against error of pictures: rays, tolerances, wavelengths, approximations. Prints the report's path."""
-    from gonio.acquisition.run import command_line
-    from gonio.cli import console
-    from gonio_validation.bench.scenes import make
-
     with console.counter("pictures") as step:
-        made = make(out, quick=quick, command=command_line(), step=step)
-    print(made)
+        _made("bench.scenes", out, quick=quick, step=step)
 
 
 @bench.command()
@@ -111,12 +110,8 @@ def sweeps(
 
     A command that was cut short goes on where it stood.
     """
-    from gonio.acquisition.run import command_line
-    from gonio_validation.bench.sweeps import make
-
     with _counted("comparisons") as step:
-        made = make(out, seeds=seeds, jobs=jobs, dask=dask, quick=quick, command=command_line(), step=step)
-    print(made)
+        _made("bench.sweeps", out, seeds=seeds, jobs=jobs, dask=dask, quick=quick, step=step)
 
 
 @bench.command()
@@ -139,22 +134,20 @@ def coverage(
 
     A command that was cut short goes on where it stood.
     """
-    from gonio.acquisition.run import command_line
-    from gonio_validation.bench.coverage import make
-
-    names = [name.strip() for name in only.split(",") if name.strip()]
     with _counted("campaigns") as step:
-        made = make(
-            out, campaigns=campaigns, seed=seed, jobs=jobs, dask=dask, only=names, quick=quick, command=command_line(),
+        _made(
+            "bench.coverage", out, campaigns=campaigns, seed=seed, jobs=jobs, dask=dask, only=_names(only), quick=quick,
             step=step,
         )  # fmt: skip
-    print(made)
+
+
+def _names(text: str) -> list[str]:
+    return [name.strip() for name in text.split(",") if name.strip()]
 
 
 @contextlib.contextmanager
 def _counted(what: str) -> Iterator[Callable[[int, int], None]]:
     """Who is told how many are done: a bar on a terminal, and lines elsewhere."""
-    from gonio.cli import console
     from gonio.cli.pace import Pace
 
     lines: list[Pace] = []
@@ -187,13 +180,8 @@ def materials(
 
     A command that was cut short goes on where it stood.
     """
-    from gonio.acquisition.run import command_line
-    from gonio_validation.bench.materials import make
-
-    asked = [name.strip() for name in models.split(",") if name.strip()]
     with _counted("materials") as step:
-        made = make(sources, out, models=asked, jobs=jobs, dask=dask, command=command_line(), step=step)
-    print(made)
+        _made("bench.materials", sources, out, models=_names(models), jobs=jobs, dask=dask, step=step)
 
 
 @bench.command()
@@ -202,8 +190,4 @@ def maps(
     quick: Annotated[bool, typer.Option("--quick", help="Few pixels: errors are right, times are rough.")] = False,
 ) -> None:
     """Speed against error of fits of maps, beside fits of one table. Prints the report's path last."""
-    from gonio.acquisition.run import command_line
-    from gonio.cli import console
-    from gonio_validation.bench.maps import make
-
-    print(make(out, quick=quick, command=command_line(), progress=console.note))
+    _made("bench.maps", out, quick=quick, progress=console.note)

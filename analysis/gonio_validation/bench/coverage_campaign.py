@@ -4,8 +4,6 @@ The functions are those that the commands call. What is true is written to `trut
 alone read, and is looked at again when everything is done.
 """
 
-from __future__ import annotations
-
 import csv
 import datetime
 import io
@@ -14,7 +12,7 @@ import shutil
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 from gonio_analysis.fitting.energy import of_model
@@ -37,12 +35,9 @@ from gonio.reduction import brdf
 from gonio.rig.calibrated import Calibration, identity, uncalibrated, with_keys, write_calibration
 from gonio.rig.calibration_use import ParameterUncertainty
 from gonio.rig.description import RigDescription
-from gonio.typing import Floats
+from gonio.typing import DataFrame, Floats
 from gonio_validation.bench.campaigns import Record
 from gonio_validation.bench.coverage_hidden import Campaign
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 FORMAT = 3
 """Of a record."""
@@ -288,7 +283,7 @@ record, and gives the rig file to go on with."""
 # --- comparison with the truth ------------------------------------------------------------------------------------
 
 
-def points(campaign: Campaign, table: pd.DataFrame) -> Record:
+def points(campaign: Campaign, table: DataFrame) -> Record:
     """Every usable row, with what the instrument's cones would have seen of the true sample in the row's directions."""
     used = table[table["flag"] == ""]
     model = models.build(campaign.model, campaign.given)
@@ -329,7 +324,7 @@ def regions(directions: Directions, spike_rad: float | None) -> list[str]:
     return [str(name) for name in out]
 
 
-def fitted(campaign: Campaign, table: pd.DataFrame) -> Record:
+def fitted(campaign: Campaign, table: DataFrame) -> Record:
     """The campaign's own model fitted to a table, with the 95 % intervals that `gonio fit --intervals` states."""
     first = fit(table, campaign.model, ior=campaign.ior)
     result, intervals = walked(first, lambda start: fit(table, campaign.model, ior=campaign.ior, start=start))
@@ -348,7 +343,7 @@ def fitted(campaign: Campaign, table: pd.DataFrame) -> Record:
     }  # fmt: skip
 
 
-def of_wrong_model(campaign: Campaign, table: pd.DataFrame) -> Record:
+def of_wrong_model(campaign: Campaign, table: DataFrame) -> Record:
     """What a model that the sample does not have says of rho_dh, and of a direction beside a measured one.
 
     Nothing where the data do not reject that model.

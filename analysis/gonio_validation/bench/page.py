@@ -1,7 +1,8 @@
 """What the pages of all benches have: a head, parts with a note and a table, verdicts, and the machine.
 
 A bench's results are a JSON object with `title`, `created`, `command` and `machine`, and lists of rows; a row is a JSON
-object, or an object of a class of its own. A `Part` says which list a table shows, and each `Column` which value of a row, and how.
+object, or of a class of its own. A `Part` says which list a table shows, and each `Column` which value of a row, and
+how.
 """
 
 import datetime

@@ -30,18 +30,6 @@ class Surface:
     beta_deg: float
 
 
-@dataclass(frozen=True)
-class HighlightRow(Row):
-    """Peaks of Phong's and of Torrance and Sparrow's s."""
-
-    surface: str
-    phong_peak_deg: float
-    torrance_sparrow_peak_deg: float
-    phong_peak: float
-    torrance_sparrow_peak: float
-    intensity_peak_ratio: float
-
-
 def surfaces() -> tuple[Surface, ...]:
     """What the figures may have been made with: the first one is drawn, all of them are judged."""
 
@@ -92,7 +80,7 @@ def build(figure: int, progress: Callable[[str], None]) -> PaperFigure:
     progress(f"blinn-{figure}: theory")
     theta_i = INCIDENCE_DEG[figure]
     angle = _angles()
-    panels, text, numbers = [], [], []
+    panels, rows = [], list[Row]()
     for k, s in enumerate(surfaces()):
         phong, facets = highlights(s, theta_i, angle)
         diffuse = s.p_d * math.cos(math.radians(theta_i))
@@ -103,24 +91,15 @@ def build(figure: int, progress: Callable[[str], None]) -> PaperFigure:
         if k != 1:  # the aluminium of Fig. 7 is a wider copy of the first
             caption = f"{s.name[:1].upper()}{s.name[1:]}: intensity i = p_d (N·L) + p_s s in the plane of incidence."
             panels.append(polar_panel(f"surface-{k + 1}", caption, lines, "intensity", most=math.inf, retro_right=True))
-        row = HighlightRow(
-            surface=s.name,
-            phong_peak_deg=_peak(angle, phong),
-            torrance_sparrow_peak_deg=_peak(angle, facets),
-            phong_peak=float(phong.max()),
-            torrance_sparrow_peak=float(facets.max()),
-            intensity_peak_ratio=_peaks(s, theta_i)[0],
-        )
-        numbers.append(row)
-        text.append(
-            [
-                s.name,
-                f"{row.phong_peak_deg:.1f}°",
-                _degrees(row.torrance_sparrow_peak_deg),
-                number(row.phong_peak),
-                number(row.torrance_sparrow_peak),
-                number(row.intensity_peak_ratio),
-            ]
+        rows.append(
+            {
+                "surface": s.name,
+                "phong_peak_deg": _peak(angle, phong),
+                "torrance_sparrow_peak_deg": _peak(angle, facets),
+                "phong_peak": float(phong.max()),
+                "torrance_sparrow_peak": float(facets.max()),
+                "intensity_peak_ratio": _peaks(s, theta_i)[0],
+            }
         )
     return PaperFigure(
         f"blinn-{figure}",
@@ -131,10 +110,16 @@ def build(figure: int, progress: Callable[[str], None]) -> PaperFigure:
         panels,
         Results(
             "Peaks of s. Intensities: Torrance-Sparrow's largest over Phong's.",
-            ("surface", "Phong's peak at", "Torrance-Sparrow's", "Phong's s", "Torrance-Sparrow's s", "intensities"),
-            text,
+            {
+                "surface": lambda r: r["surface"],
+                "Phong's peak at": lambda r: f"{r['phong_peak_deg']:.1f}°",
+                "Torrance-Sparrow's": lambda r: _degrees(r["torrance_sparrow_peak_deg"]),
+                "Phong's s": lambda r: number(r["phong_peak"]),
+                "Torrance-Sparrow's s": lambda r: number(r["torrance_sparrow_peak"]),
+                "intensities": lambda r: number(r["intensity_peak_ratio"]),
+            },
+            rows,
         ),
-        numbers,
         [
             "Light comes from the right and the mirror direction lies on the left, as in the paper, which draws it in "
             "three dimensions.",

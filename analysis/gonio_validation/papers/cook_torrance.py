@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -14,8 +13,8 @@ from gonio.models import fresnel
 from gonio.typing import Floats
 from gonio_validation.papers import cook_torrance_3
 from gonio_validation.papers.cook_torrance_3 import PAPER, SIMILAR
-from gonio_validation.papers.figure import Cell, Claim, CurveRow, Panel, PaperFigure, Parameter, Results, Row, agreed
-from gonio_validation.papers.panels import WIDTH_IN, Trace, plain_axes, trace_panel
+from gonio_validation.papers.figure import Claim, CurveRow, Panel, PaperFigure, Parameter, Results, agreed
+from gonio_validation.papers.panels import WIDTH_IN, Trace, at, plain_axes, trace_panel
 
 D65_SOURCE = "CIE 15, relative power at 380 to 780 nm in steps of 5 nm"
 NM = np.arange(380.0, 781.0, 5.0)
@@ -73,15 +72,6 @@ def shares(linear: Floats) -> Floats:
     return np.asarray(linear / linear.sum(axis=-1, keepdims=True))
 
 
-@dataclass(frozen=True)
-class SpectrumRow(Row):
-    """Copper and its light at one wavelength."""
-
-    wavelength_nm: float
-    reflectance: float
-    d65: float
-
-
 def _claims_4() -> list[Claim]:
     nm = NM
     normal = spectrum(np.zeros(1))[0]
@@ -123,11 +113,10 @@ def _spectrum() -> PaperFigure:
     nm = NM
     normal = spectrum(np.zeros(1))[0]
     power = light()
-    text, numbers = [], []
-    for w in (400.0, 450.0, 500.0, 550.0, 600.0, 650.0, 700.0):
-        k = int(np.argmin(np.abs(nm - w)))
-        text.append([f"{w / 1000:g} µm", number(normal[k]), number(power[k], 4), number(power[k] * normal[k], 4)])
-        numbers.append(SpectrumRow(w, float(normal[k]), float(power[k])))
+    rows = [
+        {"wavelength_nm": w, "reflectance": at(nm, normal, w), "d65": at(nm, power, w)}
+        for w in (400.0, 450.0, 500.0, 550.0, 600.0, 650.0, 700.0)
+    ]
     return PaperFigure(
         "cook-torrance-4",
         "Cook-Torrance Fig. 4: reflectance and reflected light of a copper mirror",
@@ -160,8 +149,16 @@ def _spectrum() -> PaperFigure:
                 "relative spectral power",
             ),
         ],
-        Results("", ("wavelength", "reflectance", "D6500", "reflected"), text),
-        numbers,
+        Results(
+            "",
+            {
+                "wavelength": lambda r: f"{r['wavelength_nm'] / 1000:g} µm",
+                "reflectance": lambda r: number(r["reflectance"]),
+                "D6500": lambda r: number(r["d65"], 4),
+                "reflected": lambda r: number(r["d65"] * r["reflectance"], 4),
+            },
+            rows,
+        ),
     )
 
 
@@ -175,19 +172,6 @@ def colours(theta: Floats) -> dict[str, Floats]:
         "complete, k = 0": rgb(colour.xyz(spectrum(theta, absorbing=False), NM)),
         "approximate": rgb(colour.shifted_xyz(theta, NM, "Cu")),
     }
-
-
-@dataclass(frozen=True)
-class ColourRow(Row):
-    """Linear RGB of copper at one angle, by each procedure of `colours`."""
-
-    theta_deg: float
-    rgb: Mapping[str, list[float]]
-
-    @property
-    def cells(self) -> Mapping[str, Cell]:
-        """A column a procedure."""
-        return {"theta_deg": self.theta_deg, **self.rgb}
 
 
 def _shift(linear: Floats) -> Floats:
@@ -304,6 +288,10 @@ def _draw_colours(figure: Any, deg: Floats, found: Mapping[str, Floats]) -> None
     plain_axes(ax, "θ, angle of incidence [deg]", "linear RGB")
 
 
+def _rgb(name: str, row: Mapping[str, Any]) -> str:
+    return ", ".join(f"{v:.3f}" for v in row[name])
+
+
 def _colours() -> PaperFigure:
     theta = np.radians(np.append(np.arange(0.0, 90.0, 0.5), 89.999))
     deg, nm = np.degrees(theta), NM
@@ -316,12 +304,11 @@ def _colours() -> PaperFigure:
         for x, y in zip(deg, values[:, c], strict=True)
     ]
 
-    wanted = (0.0, 30.0, 60.0, 70.0, 80.0, 85.0, 89.0)
-    text, numbers = [], []
-    for d in wanted:
-        k = int(np.argmin(np.abs(deg - d)))
-        text.append([f"{d:g}°", *(", ".join(f"{v:.3f}" for v in found[name][k]) for name in found)])
-        numbers.append(ColourRow(d, {name: [float(v) for v in found[name][k]] for name in found}))
+    results = [
+        {"theta_deg": d} | {name: values[int(np.argmin(np.abs(deg - d)))].tolist() for name, values in found.items()}
+        for d in (0.0, 30.0, 60.0, 70.0, 80.0, 85.0, 89.0)
+    ]
+    columns = {name: partial(_rgb, name) for name in found}
     return PaperFigure(
         "cook-torrance-5",
         "Cook-Torrance Fig. 5: copper over the angle of incidence",
@@ -346,6 +333,5 @@ def _colours() -> PaperFigure:
                 rows,
             ),
         ],
-        Results("Linear RGB, 1 for white.", ("angle", *found), text),
-        numbers,
+        Results("Linear RGB, 1 for white.", {"angle": lambda r: f"{r['theta_deg']:g}°", **columns}, results),
     )  # fmt: skip

@@ -1,7 +1,6 @@
 """Cook and Torrance (1982), Fig. 3: Beckmann's and the Gaussian facet distribution."""
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from gonio_analysis.report.text import number
@@ -14,20 +13,12 @@ from gonio_validation.papers.panels import Trace, polar_panel, theory, trace_pan
 PAPER = "Cook and Torrance, A Reflectance Model for Computer Graphics, ACM Transactions on Graphics 1 (1982) 7-24"
 SLOPES = (0.2, 0.6)
 FORMS = ("beckmann", "gaussian")
+CURVES = [(m, form) for m in SLOPES for form in FORMS]
+NAMES = {
+    (m, form): f"({letter}) {form.capitalize()}, m = {m:g}" for letter, (m, form) in zip("abcd", CURVES, strict=True)
+}
 SHOWN_DEG = 30.0
 SIMILAR = 0.1
-
-
-@dataclass(frozen=True)
-class DistributionRow(Row):
-    """A facet distribution D; its integrals where it has an absolute magnitude."""
-
-    distribution: str
-    m: float
-    d_0: float
-    half_angle_deg: float
-    projected_over_pi: float | None
-    reflected_as_printed: float | None
 
 
 def distribution(slope: float, form: str, alpha: Floats) -> Floats:
@@ -138,24 +129,22 @@ def build() -> PaperFigure:
     alpha = _alpha()
     theta_r = np.radians(np.arange(-90.0, 90.01, 0.5))
     off = np.abs(theta_r - math.radians(SHOWN_DEG)) / 2.0
-    lines, traces, text, numbers = [], [], [], []
-    for letter, (m, form) in zip("abcd", [(m, form) for m in SLOPES for form in FORMS], strict=True):
-        name = f"({letter}) {form.capitalize()}, m = {m:g}"
+    lines, traces, rows = [], [], list[Row]()
+    for (m, form), name in NAMES.items():
         d = distribution(m, form, alpha)
         lines.append(theory(name, theta_r, distribution(m, form, off) / d[0], math.radians(SHOWN_DEG)))
         traces.append(Trace(name, np.degrees(alpha), d / d[0], dashed=form == "gaussian"))
         beckmann = form == "beckmann"
-        row = DistributionRow(
-            distribution=form,
-            m=m,
-            d_0=float(d[0]),
-            half_angle_deg=_half_angle(m, form),
-            projected_over_pi=_projected(m) if beckmann else None,
-            reflected_as_printed=_reflected(m) if beckmann else None,
+        rows.append(
+            {
+                "distribution": form,
+                "m": m,
+                "d_0": float(d[0]),
+                "half_angle_deg": _half_angle(m, form),
+                "projected_over_pi": _projected(m) if beckmann else None,
+                "reflected_as_printed": _reflected(m) if beckmann else None,
+            }
         )
-        numbers.append(row)
-        values = (number(row.d_0), f"{row.half_angle_deg:.1f}°")
-        text.append([name, *values, number(row.projected_over_pi, 5), number(row.reflected_as_printed)])
     return PaperFigure(
         "cook-torrance-3",
         "Cook-Torrance Fig. 3: facet distributions",
@@ -180,9 +169,14 @@ def build() -> PaperFigure:
         ],
         Results(
             "α½: where D is half of D(0). Reflected: with R_s as printed and F = 1, at normal incidence.",
-            ("distribution", "D(0)", "α½", "∫ D cos α dω / π", "reflected"),
-            text,
+            {
+                "distribution": lambda r: NAMES[r["m"], r["distribution"]],
+                "D(0)": lambda r: number(r["d_0"]),
+                "α½": lambda r: f"{r['half_angle_deg']:.1f}°",
+                "∫ D cos α dω / π": lambda r: number(r["projected_over_pi"], 5),
+                "reflected": lambda r: number(r["reflected_as_printed"]),
+            },
+            rows,
         ),
-        numbers,
         ["D is read off the model in retro-reflection, where H = L = V: a retro scan measures the distribution."],
     )

@@ -15,7 +15,8 @@ COLUMNS = ("panel", "curve", "kind", "x", "y", "u_y")
 """Header of `curves.csv`."""
 CurveRow = tuple[str, str, float, float, float | None]
 """Curve, kind, x, y, and u_y where there is one."""
-Cell = str | float | list[float] | None
+Row = Mapping[str, str | float | list[float] | None]
+"""A row of results at full precision; each figure names its own columns."""
 
 
 @dataclass(frozen=True)
@@ -47,6 +48,11 @@ class Claim:
         """In words."""
         return "no verdict" if self.holds is None else "holds" if self.holds else "does not hold"
 
+    @property
+    def summary(self) -> dict[str, str]:
+        """What `summary.json` says of it."""
+        return {"claim": self.text, "verdict": self.verdict, "found": self.found, "criterion": self.criterion}
+
 
 def agreed(answers: Iterable[bool]) -> bool | None:
     """The verdict where every choice of the assumed values gives the same one; None where it hangs on the choice."""
@@ -72,21 +78,12 @@ class Panel:
 
 @dataclass(frozen=True)
 class Results:
-    """A table of results on the page; cells are plain text."""
+    """Results at full precision, for `summary.json`, and a table of them on the page."""
 
     caption: str
-    header: tuple[str, ...]
-    rows: Sequence[Sequence[str]]
-
-
-@dataclass(frozen=True)
-class Row:
-    """A row of results at full precision, for `summary.json`; each figure names its own columns."""
-
-    @property
-    def cells(self) -> Mapping[str, Cell]:
-        """What JSON has of it: its fields, in order."""
-        return vars(self)
+    columns: Mapping[str, Callable[[Any], str]]
+    """By their headers: what a cell says, from its row."""
+    rows: Sequence[Row]
 
 
 @dataclass(frozen=True)
@@ -100,7 +97,6 @@ class PaperFigure:
     claims: Sequence[Claim]
     panels: Sequence[Panel]
     results: Results
-    numbers: Sequence[Row]
     notes: Sequence[str] = ()
     facts: Sequence[tuple[str, str]] = ()
     """Provenance beyond command, date and versions."""

@@ -25,10 +25,9 @@ from gonio_analysis.report.blocks import (
 )
 from gonio_analysis.report.drawings import Figure, rendered
 from gonio_analysis.report.tables import write_csv
-from gonio_analysis.result_records import as_json
 
+from gonio.documents import JsonObject
 from gonio_validation.papers.figure import COLUMNS, ORIGINS, PaperFigure
-from gonio_validation.papers.figure_summary import ClaimSummary, FigureSummary, index_of, summarise
 from gonio_validation.papers.index import FIGURES
 
 VERDICTS = ("holds", "does not hold", "no verdict")
@@ -41,7 +40,7 @@ FOOTER = Footer(
 )
 
 
-def write(page: PaperFigure, folder: Path, command: str) -> FigureSummary:
+def write(page: PaperFigure, folder: Path, command: str) -> JsonObject:
     """Write a page into a folder that exists; returns what its summary holds."""
     drawn = [
         rendered(f"{page.name}-{p.name}", p.name, "", p.caption, f"{page.title}. {p.caption}", p.inches, p.draw)
@@ -52,26 +51,48 @@ def write(page: PaperFigure, folder: Path, command: str) -> FigureSummary:
         (folder / name).write_bytes(content)
     write_csv(folder / "curves.csv", COLUMNS, [(p.name, *row) for p in page.panels for row in p.rows])
     found = summarise(page, command)
-    files.write_page(folder, render(page, found, drawn), as_json(found), drawn)
+    files.write_page(folder, render(page, found, drawn), found, drawn)
     return found
 
 
-def write_index(pages: Sequence[FigureSummary], folder: Path, command: str) -> None:
+def summarise(page: PaperFigure, command: str) -> JsonObject:
+    """What `summary.json` says of a figure that was made by this command."""
+    return {
+        "figure": page.name,
+        "title": page.title,
+        "paper": page.paper,
+        **stamp(command),
+        "parameters": [
+            {"name": p.name, "value": p.value, "origin": p.origin, "source": p.why} for p in page.parameters
+        ],
+        "claims": [c.summary for c in page.claims],
+        "panels": [{"name": p.name, "caption": p.caption, "x": p.axes[0], "y": p.axes[1]} for p in page.panels],
+        "curves": page.results.rows,
+        "notes": page.notes,
+    }
+
+
+def write_index(pages: Sequence[JsonObject], folder: Path, command: str) -> None:
     """Write the page that links all figures into the folder that holds theirs."""
-    files.write_page(folder, index(pages, command), as_json(index_of(pages)))
+    kept = [{name: page[name] for name in ("figure", "title", "claims")} for page in pages]
+    files.write_page(folder, index(pages, command), {"figures": kept})
 
 
-def render(page: PaperFigure, found: FigureSummary, drawn: list[Figure]) -> Page:
+def render(page: PaperFigure, found: JsonObject, drawn: list[Figure]) -> Page:
     """The page of a figure."""
     claims = [[c.verdict, c.text, c.found, c.criterion] for c in page.claims]
     parameters = [
         [p.name, p.value, strong(ORIGINS[p.origin]) if p.origin == "assumed" else ORIGINS[p.origin], p.why]
         for p in page.parameters
     ]
-    results, columns = page.results, tuple(range(1, len(page.results.header)))
+    results = page.results
+    cells = [[cell(row) for cell in results.columns.values()] for row in results.rows]
+    shown = table(results.caption, list(results.columns), cells, right=tuple(range(1, len(results.columns))))
     body: list[Block] = [
-        header(page.title, f"{page.paper}. Made again with gonio {found.versions['gonio']}, {found.created[:10]}."),
-        Paragraph(_words(found.claims), "lead"),
+        header(
+            page.title, f"{page.paper}. Made again with gonio {found['versions']['gonio']}, {found['created'][:10]}."
+        ),
+        Paragraph(_words(found["claims"]), "lead"),
         Figures(tuple(drawn)),
         section(
             [
@@ -79,30 +100,30 @@ def render(page: PaperFigure, found: FigureSummary, drawn: list[Figure]) -> Page
                 table("", ["verdict", "claim", "found", "criterion"], claims),
             ]
         ),
-        section([Heading(2, "Curves"), table(results.caption, results.header, results.rows, right=columns)]),
+        section([Heading(2, "Curves"), shown]),
         section([Heading(2, "Parameters"), table("", ["parameter", "value", "from", "source, or reason"], parameters)]),
     ]
     if page.notes:
         body.append(section([Heading(2, "Notes"), Notes(tuple(page.notes))]))
-    made = Stamp(created=found.created, command=found.command, versions=dict(found.versions))
+    made = Stamp(created=found["created"], command=found["command"], versions=found["versions"])
     body += [section([Heading(2, "Provenance"), provenance(made, *page.facts, called="made")]), FOOTER]
     return Page(page.title, tuple(body))
 
 
-def index(pages: Sequence[FigureSummary], command: str) -> Page:
+def index(pages: Sequence[JsonObject], command: str) -> Page:
     """The page that links all figures, from their summaries."""
     made = stamp(command)
     when = f"with gonio {made['versions']['gonio']}, {made['created'][:10]}."
     rows: list[Sequence[Text]] = []
     for f in pages:
-        verdicts = [c.verdict for c in f.claims]
-        rows.append([_link(f), FIGURES[f.figure], *(str(verdicts.count(v)) for v in VERDICTS)])
+        verdicts = [c["verdict"] for c in f["claims"]]
+        rows.append([_link(f), FIGURES[f["figure"]], *(str(verdicts.count(v)) for v in VERDICTS)])
     failing: list[Sequence[Text]] = [
-        [_link(f), c.claim, c.found] for f in pages for c in f.claims if c.verdict == "does not hold"
+        [_link(f), c["claim"], c["found"]] for f in pages for c in f["claims"] if c["verdict"] == "does not hold"
     ]
     body = (
         header(ALL, f"Theory, simulated measurements and verdicts {when}"),
-        Paragraph(_words([c for f in pages for c in f.claims]), "lead"),
+        Paragraph(_words([c for f in pages for c in f["claims"]]), "lead"),
         table("", ["figure", "what it shows", *VERDICTS], rows, right=(2, 3, 4)),
         section([Heading(2, "What does not hold"), table("", ["figure", "claim", "found"], failing)]),
         section([Heading(2, "Provenance"), provenance(made, called="made")]),
@@ -110,12 +131,12 @@ def index(pages: Sequence[FigureSummary], command: str) -> Page:
     return Page(ALL, body)
 
 
-def _link(found: FigureSummary) -> Span:
-    return Span(found.title.partition(":")[0], href=f"{found.figure}/index.html")
+def _link(found: JsonObject) -> Span:
+    return Span(found["title"].partition(":")[0], href=f"{found['figure']}/index.html")
 
 
-def _words(claims: Sequence[ClaimSummary]) -> str:
-    verdicts = [c.verdict for c in claims]
+def _words(claims: Sequence[JsonObject]) -> str:
+    verdicts = [c["verdict"] for c in claims]
     holds, fails, open_ = (verdicts.count(v) for v in VERDICTS)
     words = f"{holds} of {len(verdicts)} claims that the text makes hold in the paper's own model"
     if fails:

@@ -9,7 +9,7 @@ from gonio_analysis.report.text import number
 
 from gonio import geometry
 from gonio_validation.papers import htsg_10, htsg_11, htsg_scans
-from gonio_validation.papers.figure import Claim, PaperFigure, Parameter, Results
+from gonio_validation.papers.figure import Claim, PaperFigure, Parameter
 from gonio_validation.papers.htsg_scans import Scan, agreement, each, scan
 from gonio_validation.papers.htsg_surfaces import (
     CONE_SR,
@@ -65,7 +65,6 @@ def _build(figure: int, progress: Callable[[str], None]) -> PaperFigure:
         solid_angle_sr=CONE_SR,
         progress=lambda text: progress(f"htsg-{figure}: {text}"),
     )
-    text, numbers = htsg_scans.rows(found, taken)
     metal = [
         Parameter("σ0", "0.28 µm", "paper", "measured roughness"),
         Parameter("τ", "1.77 µm", "paper", "best fit of the authors, at both wavelengths"),
@@ -90,8 +89,7 @@ def _build(figure: int, progress: Callable[[str], None]) -> PaperFigure:
         ],
         judged,
         htsg_scans.panels(found, taken, most=4.0 if figure == 9 else 2.5),
-        Results(htsg_scans.CAPTION, htsg_scans.HEADER, text),
-        numbers,
+        htsg_scans.results(found, taken),
         _notes(figure, found, taken),
         [("simulated measurement", taken.words)],
         taken.files,
@@ -131,7 +129,6 @@ def exact_spike(model: Any, theta_i_deg: float, wavelength_nm: float) -> float:
 
 
 def _claims_7(scans: Sequence[Scan]) -> list[Claim]:
-
     ratios = {s.theta_i_deg: s.spike_over_lobe for s in scans}
     first = scans[0]
     visible = {s.theta_i_deg: 1.0 / (1.0 + s.spike_over_lobe) for s in scans}

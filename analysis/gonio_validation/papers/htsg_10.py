@@ -2,14 +2,13 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 from gonio_analysis.curves.line import Line
 from gonio_analysis.report.text import number
 
 from gonio.typing import Floats
-from gonio_validation.papers.figure import Claim, Panel, PaperFigure, Parameter, Results, Row, agreed
+from gonio_validation.papers.figure import Claim, Panel, PaperFigure, Parameter, Results, agreed
 from gonio_validation.papers.htsg_scans import agreement, label, scan
 from gonio_validation.papers.htsg_surfaces import CONE_SR, PAPER, HtsgSurface, cones_parameter, index_parameter
 from gonio_validation.papers.panels import angle_panel, at, polar_panel
@@ -19,15 +18,6 @@ SLOPE = 4.4
 """sigma0 / tau"""
 SANDPAPER = HtsgSurface(sigma0_um=440.0, tau_um=100.0, ior="Al2O3")
 WAVELENGTH_NM = 550.0
-
-
-@dataclass(frozen=True)
-class SandpaperRow(Row):
-    """Values in one direction over that along the normal."""
-
-    theta_r_deg: float
-    normalised: float
-    measured_normalised: float | None
 
 
 def sandpaper(wavelength_nm: float, ior: str | float, tau_um: float) -> tuple[Floats, Floats]:
@@ -125,15 +115,13 @@ def build(progress: Callable[[str], None]) -> PaperFigure:
         polar_panel("polar", caption, [line], words, most=4.0),
         angle_panel("linear", "The same: over the angle of reflection.", [line], words),
     ]
-    wanted = (0.0, 15.0, 30.0, 45.0, 60.0, 75.0, 80.0, 85.0)
-    table, numbers = [], []
-    for a in wanted:
+    rows = []
+    for a in (0.0, 15.0, 30.0, 45.0, 60.0, 75.0, 80.0, 85.0):
         theory = at(one.angle_deg, one.normalised, a)
         k = int(np.argmin(np.abs(np.degrees(curve.angle) - a)))
         there = abs(float(np.degrees(curve.angle[k])) - a) < 0.5
         found = float(curve.brdf[k]) / by if there else None
-        table.append([f"θr = {a:g}°", number(theory), number(found)])
-        numbers.append(SandpaperRow(a, theory, found))
+        rows.append({"theta_r_deg": a, "normalised": theory, "measured_normalised": found})
     return PaperFigure(
         "htsg-10",
         "HTSG Fig. 10: sandpaper at normal incidence",
@@ -142,9 +130,14 @@ def build(progress: Callable[[str], None]) -> PaperFigure:
         judged,
         shown,
         Results(
-            "Divided by the model's BRDF along the normal.", ("direction", "theory", "simulated measurement"), table
+            "Divided by the model's BRDF along the normal.",
+            {
+                "direction": lambda r: f"θr = {r['theta_r_deg']:g}°",
+                "theory": lambda r: number(r["normalised"]),
+                "simulated measurement": lambda r: number(r["measured_normalised"]),
+            },
+            rows,
         ),
-        numbers,
         [
             agreement(taken),
             "The paper sets a = 0. Facets this steep reflect light more than once; in this model that light is lost: "

@@ -11,7 +11,7 @@ from gonio_analysis.report.text import number
 from gonio import geometry, materials
 from gonio.models import fresnel
 from gonio_validation.papers import htsg_scans
-from gonio_validation.papers.figure import Claim, PaperFigure, Parameter, Results
+from gonio_validation.papers.figure import Claim, PaperFigure, Parameter
 from gonio_validation.papers.htsg_scans import BRDF, Scan, agreement, each, scan
 from gonio_validation.papers.htsg_surfaces import (
     CONE_SR,
@@ -113,7 +113,6 @@ def build(progress: Callable[[str], None]) -> PaperFigure:
         solid_angle_sr=CONE_SR,
         progress=lambda text: progress(f"htsg-11: {text}"),
     )
-    text, numbers = htsg_scans.rows(scans, taken)
     caption = (
         "Absolute: BRDF, logarithmic as in the paper. Solid: theory; dashed, with error bars: simulated measurement."
     )
@@ -143,8 +142,7 @@ def build(progress: Callable[[str], None]) -> PaperFigure:
                 BRDF,
             ),
         ],
-        Results(htsg_scans.CAPTION, htsg_scans.HEADER, text),
-        numbers,
+        htsg_scans.results(scans, taken),
         [agreement(taken)],
         [("simulated measurement", taken.words)],
         taken.files,
@@ -156,12 +154,5 @@ def _near(line: Line, within_deg: float) -> Line:
     assert line.mirror is not None
     inside = np.abs(np.degrees(line.theory_angle - line.mirror)) <= within_deg
     shown = np.abs(np.degrees(line.angle - line.mirror)) <= within_deg
-    return Line(
-        line.label,
-        line.theory_angle[inside],
-        line.theory[inside],
-        line.angle[shown],
-        line.measured[shown],
-        line.u[shown],
-        line.mirror,
-    )
+    shown_part = (line.angle[shown], line.measured[shown], line.u[shown])
+    return Line(line.label, line.theory_angle[inside], line.theory[inside], *shown_part, line.mirror)

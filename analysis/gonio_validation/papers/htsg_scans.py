@@ -1,7 +1,7 @@
 """Scans of a He-Torrance surface in the plane of incidence, as HTSG's figures show them: numbers and drawings."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,7 +11,7 @@ from gonio_analysis.report.text import number
 
 from gonio import geometry
 from gonio.typing import Floats
-from gonio_validation.papers.figure import Panel, Row
+from gonio_validation.papers.figure import Panel, Results
 from gonio_validation.papers.htsg_surfaces import CONE_SR, CONES
 from gonio_validation.papers.panels import NOTHING, angle_panel, polar_panel, signed
 from gonio_validation.papers.simulated import Simulated, beside, divided
@@ -140,75 +140,45 @@ def panels(scans: Sequence[Scan], taken: Simulated, *, most: float = 2.5) -> lis
     ]
 
 
-HEADER = (
-    "incidence",
-    "lobe's peak",
-    "peak through the cones",
-    "spike / lobe",
-    "simulated",
-    "ρ_s",
-    "ρ_dh",
-    "simulated peak",
-)
 CAPTION = (
     "Lobe's peak: where the BRDF without its spike is largest in one direction. Spike / lobe: in the mirror direction, "
     "through the cones (eq. 6); simulated: against the lobe of the directions around, which the spike misses. ρ_dh: "
     "all that is reflected."
 )
+COLUMNS: Mapping[str, Callable[[Any], str]] = {
+    "incidence": lambda r: label(r["theta_i_deg"]),
+    "lobe's peak": lambda r: f"{r['lobe_peak_deg']:.1f}°" if r["lobe_peak_deg"] is not None else "–",
+    "peak through the cones": lambda r: f"{r['seen_peak_deg']:.1f}°",
+    "spike / lobe": lambda r: number(r["spike_over_lobe"]),
+    "simulated": lambda r: number(r["measured_spike_over_lobe"]),
+    "ρ_s": lambda r: number(r["rho_s"]),
+    "ρ_dh": lambda r: f"{r['rho_dh']:.3f}",
+    "simulated peak": lambda r: f"{r['measured_peak_deg']:.1f}°",
+}
 
 
-@dataclass(frozen=True)
-class ScanRow(Row):
-    """Results of one incidence; "lobe" and "spike" as in `Scan`."""
-
-    theta_i_deg: float
-    lobe_peak_deg: float | None
-    seen_peak_deg: float
-    peak_over_mirror: float
-    spike_over_lobe: float
-    measured_spike_over_lobe: float | None
-    measured_peak_deg: float
-    rho_s: float
-    rho_dh: float
-
-
-def rows(scans: Sequence[Scan], taken: Simulated) -> tuple[list[list[str]], list[ScanRow]]:
-    """The table of results, as text and at full precision."""
-
+def results(scans: Sequence[Scan], taken: Simulated) -> Results:
+    """The results of each incidence; "lobe" and "spike" as in `Scan`."""
     width = 2.0 * float(geometry.half_angle_of_cone(CONE_SR))
-    text, numbers = [], []
+    rows = []
     for s in scans:
         curve = taken.curve(s.theta_i_deg)
-        measured = beside(curve, s.theta_i_deg, width)
-        if s.spike_over_lobe < 1e-3:
-            measured = None  # a spike below what can be seen of the lobe's curvature
-        top = float(np.degrees(curve.angle[int(np.argmax(curve.brdf))]))
-        text.append(
-            [
-                label(s.theta_i_deg),
-                f"{s.peak_deg:.1f}°" if s.peak_deg is not None else "–",
-                f"{s.seen_peak_deg:.1f}°",
-                number(s.spike_over_lobe),
-                number(measured),
-                number(s.rho_s),
-                f"{s.rho_dh:.3f}",
-                f"{top:.1f}°",
-            ]
+        # a spike below 1e-3 is below what can be seen of the lobe's curvature
+        measured = beside(curve, s.theta_i_deg, width) if s.spike_over_lobe >= 1e-3 else None
+        rows.append(
+            {
+                "theta_i_deg": s.theta_i_deg,
+                "lobe_peak_deg": s.peak_deg,
+                "seen_peak_deg": s.seen_peak_deg,
+                "peak_over_mirror": float(s.normalised.max()),
+                "spike_over_lobe": s.spike_over_lobe,
+                "measured_spike_over_lobe": measured,
+                "measured_peak_deg": float(np.degrees(curve.angle[int(np.argmax(curve.brdf))])),
+                "rho_s": s.rho_s,
+                "rho_dh": s.rho_dh,
+            }
         )
-        numbers.append(
-            ScanRow(
-                theta_i_deg=s.theta_i_deg,
-                lobe_peak_deg=s.peak_deg,
-                seen_peak_deg=s.seen_peak_deg,
-                peak_over_mirror=float(s.normalised.max()),
-                spike_over_lobe=s.spike_over_lobe,
-                measured_spike_over_lobe=measured,
-                measured_peak_deg=top,
-                rho_s=s.rho_s,
-                rho_dh=s.rho_dh,
-            )
-        )
-    return text, numbers
+    return Results(CAPTION, COLUMNS, rows)
 
 
 def agreement(taken: Simulated) -> str:

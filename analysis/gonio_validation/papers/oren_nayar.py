@@ -11,15 +11,16 @@ from gonio_analysis.report.text import number
 from gonio.models import OrenNayar
 from gonio.typing import Floats
 from gonio_validation.papers import oren_nayar_samples
-from gonio_validation.papers.figure import Claim, PaperFigure, Parameter, Results, Row, agreed
+from gonio_validation.papers.figure import Claim, PaperFigure, Parameter, Results, agreed
 from gonio_validation.papers.oren_nayar_samples import (
     DRAWN_DEG,
     JUDGED_DEG,
     PAPER,
+    SIDES,
     SOURCE_RIGHT,
-    SidesRow,
     assumed,
     between,
+    sides,
 )
 from gonio_validation.papers.panels import Trace, angle_panel, at, signed, theory, trace_panel
 
@@ -73,16 +74,6 @@ def claims(figure: int) -> list[Claim]:
 
 
 # --- Fig. 5 -------------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class RadianceRow(Row):
-    """Radiance over E0 [1/sr] in one direction, with and without interreflection, and the share of that."""
-
-    theta_r_deg: float
-    radiance: float
-    direct: float
-    interreflection: float
 
 
 @functools.cache
@@ -198,12 +189,10 @@ def _radiance() -> PaperFigure:
         theory("direct light alone", np.radians(angle), direct),
         theory("Lambertian", np.radians(angle), np.full(angle.size, flat)),
     ]
-    text, numbers = [], []
+    rows = []
     for a in (-85.0, -75.0, -60.0, -30.0, 0.0, 30.0, 60.0, 75.0, 85.0):
-        values = at(angle, total, a), at(angle, direct, a)
-        share = 1.0 - values[1] / values[0]
-        text.append([f"θr = {a:g}°".replace("-", "−"), *(number(v) for v in values), f"{100 * share:.0f} %"])
-        numbers.append(RadianceRow(a, values[0], values[1], share))
+        whole, alone = at(angle, total, a), at(angle, direct, a)
+        rows.append({"theta_r_deg": a, "radiance": whole, "direct": alone, "interreflection": 1.0 - alone / whole})
     return PaperFigure(
         "oren-nayar-5",
         "Oren-Nayar Fig. 5: radiance in the plane of incidence",
@@ -229,8 +218,16 @@ def _radiance() -> PaperFigure:
                 retro_right=True,
             ),
         ],
-        Results("", ("direction", "radiance", "direct light alone", "interreflection"), text),
-        numbers,
+        Results(
+            "",
+            {
+                "direction": lambda r: f"θr = {r['theta_r_deg']:g}°".replace("-", "−"),
+                "radiance": lambda r: number(r["radiance"]),
+                "direct light alone": lambda r: number(r["direct"]),
+                "interreflection": lambda r: f"{100 * r['interreflection']:.0f} %",
+            },
+            rows,
+        ),
         [SOURCE_RIGHT],
     )  # fmt: skip
 
@@ -240,13 +237,6 @@ def _judged() -> Parameter:
 
 
 # --- Fig. 6 -------------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class PlaneRow(SidesRow):
-    """A curve in the plane of incidence, and its largest over its smallest value."""
-
-    spread: float
 
 
 def plane(choice: Choice, theta_i_deg: float, step_deg: float = JUDGED_DEG) -> tuple[Floats, Floats]:
@@ -325,12 +315,7 @@ def _brdf() -> PaperFigure:
     curves = [(i, *plane(SHOWN, i, DRAWN_DEG)) for i in INCIDENCES]
     lines = [theory(f"θi = {i:g}°", np.radians(a), v) for i, a, v in curves]
     out = [Trace(f"Δφ = {d:g}°", *beside(SHOWN, d, DRAWN_DEG)) for d in AZIMUTHS]
-    text, numbers = [], []
-    for i, a, v in curves:
-        row = PlaneRow(i, at(a, v, -i), at(a, v, 0.0), at(a, v, i), _spread(a, v))
-        numbers.append(row)
-        values = (row.source_side, row.normal, row.mirror_side, row.spread)
-        text.append([f"θi = {i:g}°", *(number(value) for value in values)])
+    rows = [sides(i, a, v) | {"spread": _spread(a, v)} for i, a, v in curves]
     return PaperFigure(
         "oren-nayar-6",
         "Oren-Nayar Fig. 6: BRDF by incidence, and radiance out of plane",
@@ -363,9 +348,8 @@ def _brdf() -> PaperFigure:
         ],
         Results(
             "BRDF at θr = θi on either side and along the normal [1/sr]; largest over smallest value within 75°.",
-            ("incidence", "source's side", "normal", "mirror side", "largest / smallest"),
-            text,
+            {**SIDES, "largest / smallest": lambda r: number(r["spread"])},
+            rows,
         ),
-        numbers,
         [SOURCE_RIGHT],
     )

@@ -5,8 +5,8 @@ assumed values, and a claim gets a verdict where it holds, or fails, for all of 
 """
 
 import math
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,7 @@ from gonio_analysis.report.text import number
 
 from gonio.models import Blinn, Lambert, OrenNayar, Sum
 from gonio.typing import Floats
-from gonio_validation.papers.figure import Cell, Claim, PaperFigure, Parameter, Results, Row, agreed
+from gonio_validation.papers.figure import Claim, PaperFigure, Parameter, Results, Row, agreed
 from gonio_validation.papers.panels import Trace, angle_panel, at, signed, theory, trace_panel
 
 PAPER = "Oren and Nayar, Generalization of Lambert's Reflectance Model, SIGGRAPH 1994"
@@ -40,31 +40,26 @@ VASE_LIGHT_DEG = (0.0, 20.0)
 NEAR_CONSTANT, MOST = 0.8, 0.75
 
 
-@dataclass(frozen=True)
-class SidesRow(Row):
+SIDES: Mapping[str, Callable[[Any], str]] = {
+    "incidence": lambda r: f"θi = {r['theta_i_deg']:g}°",
+    "source's side": lambda r: number(r["source_side"]),
+    "normal": lambda r: number(r["normal"]),
+    "mirror side": lambda r: number(r["mirror_side"]),
+}
+ACROSS = {"−0.95": -0.95, "−0.5": -0.5, "0": 0.0, "0.5": 0.5, "0.95": 0.95}
+"""Positions across the vase, over its radius."""
+
+
+def sides(theta_i_deg: float, angle: Floats, value: Floats) -> dict[str, float]:
     """A curve at theta_r = theta_i on the source's and on the mirror side, and along the normal [1/sr]."""
-
-    theta_i_deg: float
-    source_side: float
-    normal: float
-    mirror_side: float
+    source_side, normal, mirror_side = (at(angle, value, where) for where in (-theta_i_deg, 0.0, theta_i_deg))
+    return {"theta_i_deg": theta_i_deg, "source_side": source_side, "normal": normal, "mirror_side": mirror_side}
 
 
-@dataclass(frozen=True)
-class VaseRow(Row):
-    """Brightness across the vase, its largest value 1, by the position over the radius."""
-
-    light_deg: float
-    model: str
-    peak: float
-    """Where it is largest."""
-    brightness: Mapping[float, float]
-
-    @property
-    def cells(self) -> Mapping[str, Cell]:
-        """A column a position."""
-        positions = {f"at {x:g}": value for x, value in self.brightness.items()}
-        return {"light_deg": self.light_deg, "model": self.model, "peak": self.peak, **positions}
+def vase_row(light_deg: float, curve: Trace) -> Row:
+    """Brightness across the vase, where it is largest and at some positions; its largest value is 1."""
+    across = {f"at {x:g}": at(curve.x, curve.y, x) for x in ACROSS.values()}
+    return {"light_deg": light_deg, "model": curve.label, "peak": float(curve.x[int(np.argmax(curve.y))]), **across}
 
 
 def assumed(sigma: str, rho: str, theta_i: str, why: str) -> list[Parameter]:
@@ -197,11 +192,6 @@ def _sample(figure: int) -> PaperFigure:
     model = body_and_surface(sigma, albedo, SURFACE) if specular else body(sigma, albedo)
     curves = [(i, *radiance(model, i, DRAWN_DEG)) for i in INCIDENCES]
     lines = [theory(f"θi = {i:g}°", np.radians(a), v, math.radians(i)) for i, a, v in curves]
-    text, numbers = [], []
-    for i, a, v in curves:
-        row = SidesRow(i, source_side=at(a, v, -i), normal=at(a, v, 0.0), mirror_side=at(a, v, i))
-        numbers.append(row)
-        text.append([f"θi = {i:g}°", *(number(value) for value in (row.source_side, row.normal, row.mirror_side))])
     words = "eq. 18: k_b times the functional form, k_s times Torrance-Sparrow" if specular else "the integral (eq. 13)"
     parameters = assumed(f"{sigma:g}°", f"{albedo:g}", ", ".join(f"{i:g}°" for i in INCIDENCES), MATCHED)
     if specular:
@@ -232,8 +222,7 @@ def _sample(figure: int) -> PaperFigure:
         parameters,
         claims(figure),
         panels,
-        Results("Radiance over E0 [1/sr].", ("incidence", "source's side", "normal", "mirror side"), text),
-        numbers,
+        Results("Radiance over E0 [1/sr].", SIDES, [sides(*curve) for curve in curves]),
         [
             "The paper's dots, its measurements, are not in the scan: what is drawn is the model alone.",
             SOURCE_RIGHT,
@@ -268,7 +257,6 @@ def _width(x: Floats, value: Floats) -> float:
 
 
 def _claims_vase() -> list[Claim]:
-
     flat = {light: cross_section(Lambert(VASE[1]), light) for light in VASE_LIGHT_DEG}
     rough = {(s, light): cross_section(body(s, VASE[1]), light) for s in VASE_SIGMA for light in VASE_LIGHT_DEG}
     front, right = VASE_LIGHT_DEG
@@ -318,11 +306,14 @@ def _claims_vase() -> list[Claim]:
     ]
 
 
-def _vase() -> PaperFigure:
+def _across(x: float, row: Mapping[str, Any]) -> str:
+    return number(row[f"at {x:g}"])
 
+
+def _vase() -> PaperFigure:
     sigma, albedo = VASE
     models = (("Lambertian", Lambert(albedo)), (f"Oren-Nayar, σ = {sigma:g}°", body(sigma, albedo)))
-    panels, text, numbers = [], [], []
+    panels, rows = [], []
     for letter, light in zip("ab", VASE_LIGHT_DEG, strict=True):
         traces = [Trace(name, *cross_section(m, light)) for name, m in models]
         where = "from the camera" if light == 0 else f"{light:g}° to the right of the camera"
@@ -335,12 +326,7 @@ def _vase() -> PaperFigure:
                 "brightness",
             )
         )
-        for t in traces:
-            across = {x: at(t.x, t.y, x) for x in (-0.95, -0.5, 0.0, 0.5, 0.95)}
-            row = VaseRow(light, t.label, float(t.x[int(np.argmax(t.y))]), across)
-            numbers.append(row)
-            values = [number(value) for value in across.values()]
-            text.append([f"({letter}) {t.label}", *values, f"{row.peak:.2f}".replace("-", "−")])
+        rows += [vase_row(light, trace) for trace in traces]
     return PaperFigure(
         "oren-nayar-13",
         "Oren-Nayar Fig. 13: cross-section of a clay vase",
@@ -355,9 +341,12 @@ def _vase() -> PaperFigure:
         panels,
         Results(
             "Brightness at positions across the vase (radius 1), and where it is largest.",
-            ("curve", "−0.95", "−0.5", "0", "0.5", "0.95", "peak"),
-            text,
+            {
+                "curve": lambda r: f"({'ab'[VASE_LIGHT_DEG.index(r['light_deg'])]}) {r['model']}",
+                **{shown: partial(_across, x) for shown, x in ACROSS.items()},
+                "peak": lambda r: f"{r['peak']:.2f}".replace("-", "−"),
+            },
+            rows,
         ),
-        numbers,
         ["The measured brightness is not in the scan: only models are compared."],
     )  # fmt: skip

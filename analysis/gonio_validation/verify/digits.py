@@ -10,6 +10,7 @@ import numpy as np
 
 from gonio import geometry
 from gonio import models as of_models
+from gonio.colour import cie
 from gonio.models.plain import anisotropic, retroreflecting
 from gonio.typing import Floats
 from gonio_validation.bench import specification
@@ -26,9 +27,8 @@ SUMS = (106.8655, 106.8569, 106.8922)
 """Of the 2 degree observer's three functions at every nanometre from 360 to 830 nm."""
 
 
-def models(folder: Path) -> list[Finding]:
+def models(_folder: Path) -> list[Finding]:
     """See `gonio_validation.verify`."""
-    del folder
     worst = dict[str, tuple[float, str]]()
     counts = dict[str, int]()
     for case in json.loads(DIGITS.read_text(encoding="utf-8"))["cases"]:
@@ -97,11 +97,8 @@ def _more_plain(light: Floats, view: Floats) -> dict[str, tuple[Any, Callable[[]
     }
 
 
-def colour(folder: Path) -> list[Finding]:
+def colour(_folder: Path) -> list[Finding]:
     """See `gonio_validation.verify`."""
-    del folder
-    from gonio.colour import cie
-
     nm, functions = cie.spectrum_locus()
     out = [Finding("observer: every nanometre", nm.size == 471, str(nm.size), "471")]
     for letter, found, right in zip("xyz", functions.sum(axis=0), SUMS, strict=True):

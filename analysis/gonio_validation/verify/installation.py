@@ -14,9 +14,8 @@ FOLDERS = ("gonio", "gonio_drivers", "gonio_sim", "gonio_scenes", "gonio_analysi
            "gonio_bluesky")  # fmt: skip
 
 
-def look(folder: Path) -> list[Finding]:
+def look(_folder: Path) -> list[Finding]:
     """See `gonio_validation.verify`."""
-    del folder
     stated = metadata.version("gonio")
     out = [Finding("version", stated == gonio.__version__, gonio.__version__, f"{stated}, as installed")]
     out += [Finding(name, True, metadata.version(name), "recorded") for name in NEEDED]

@@ -281,10 +281,14 @@ def test_a_lambertian_vase_is_a_cosine() -> None:
 
 def test_rows_name_their_positions_and_procedures() -> None:
     """These two tables have columns that no field can be named after."""
-    vase = oren_nayar_samples.VaseRow(0.0, "Lambertian", 0.1, {-0.95: 0.3, 0.0: 1.0})
-    assert vase.cells == {"light_deg": 0.0, "model": "Lambertian", "peak": 0.1, "at -0.95": 0.3, "at 0": 1.0}
-    copper = cook_torrance.ColourRow(30.0, {"complete, k = 0": [0.9, 0.6, 0.5]})
-    assert copper.cells == {"theta_deg": 30.0, "complete, k = 0": [0.9, 0.6, 0.5]}
+    x = np.array([-0.95, -0.5, 0.0, 0.5, 0.95])
+    vase = oren_nayar_samples.vase_row(0.0, Trace("Lambertian", x, 1.0 - np.abs(x)))
+    named = {f"at {one:g}": pytest.approx(1.0 - abs(one)) for one in x}
+    assert vase == {"light_deg": 0.0, "model": "Lambertian", "peak": 0.0, **named}
+    results = cook_torrance.build(5, papers.silent).results
+    assert list(results.rows[1]) == ["theta_deg", "complete", "complete, k = 0", "approximate"]
+    cells = [cell(results.rows[1]) for cell in results.columns.values()]
+    assert cells[:2] == ["30°", ", ".join(f"{v:.3f}" for v in cook_torrance.colours(np.radians([30.0]))["complete"][0])]
 
 
 # --- pages --------------------------------------------------------------------------------------------------------

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from gonio_scenes.picture import display
-from gonio_validation.papers import pictures
 from gonio_validation.papers.pictures import catalogue, centre, htsg, sheet
+from gonio_validation.papers.pictures import page as pictures
 from gonio_validation.papers.pictures.catalogue import SHOWN, names, scene_file
 from gonio_validation.papers.pictures.cook_torrance import ambient_as_printed
 

@@ -4,6 +4,8 @@ from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 
+TITLE = "The papers' pictures, rendered again"
+
 
 @dataclass(frozen=True)
 class Shown:
