@@ -41,7 +41,7 @@ def test_vignetting_is_told_from_a_beam(vignetting: float) -> None:
     found = fit([flat(RIG, 0.0, vignetting, 1000.0), flat(RIG, -40.0, vignetting, 700.0)], RIG)
     # four rounds of Newton's iteration from 0: each squares what is left
     assert found.value == pytest.approx(vignetting, abs=1e-5)
-    assert found.residual < 1e-4
+    assert found.residual < 1e-3
 
 
 def test_the_residual_is_the_noise_and_the_uncertainty_its_share() -> None:
