@@ -276,18 +276,6 @@ def test_rapid_ctrl_c_ends_with_130_and_one_message(twins: Twins, tmp_path: Path
     assert twins.quiet
 
 
-@pytest.mark.usefixtures("real_time")
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGUSR1])  # background jobs are deaf to SIGQUIT
-def test_a_signal_leaves_the_rig_dark(twins: Twins, number: signal.Signals) -> None:
-    with pytest.raises(Interrupted, match=number.name), opened(twins) as rig:  # noqa: PT012
-        rig.light.select(rig.description.bands.all()[0])
-        rig.light.on()
-        assert twins.lamp.shine.lit
-        os.kill(os.getpid(), number)
-    assert twins.quiet
-    assert signal.getsignal(number) is signal.SIG_DFL
-
-
 def test_a_second_ctrl_c_while_leaving_still_darkens_and_frees(twins: Twins, monkeypatch: pytest.MonkeyPatch) -> None:
     rig = opened(twins)
     rig.__enter__()
@@ -374,14 +362,6 @@ def test_rig_check_reports_every_device_with_a_verdict(twins: Twins) -> None:
     bad = [what for what, (_, good) in rows.items() if not good]
     assert bad in ([], ["bus latency"])  # a busy machine is slow
     assert twins.quiet
-
-
-def test_rig_check_without_moves_moves_nothing(twins: Twins) -> None:
-    before = [servo.shaft()[0] for servo in twins.servos.values()]
-    rows = {what for what, _, _ in checks(RigChoice(LAB, twins.description, "twin"), move=False)}
-    assert {"light servo", "bus latency", "lamp dark"} <= rows
-    assert "repeatability" not in rows
-    assert [servo.shaft()[0] for servo in twins.servos.values()] == before
 
 
 # ---- messages ----

@@ -201,6 +201,8 @@ def test_a_check_without_moves_leaves_the_arms_as_they_were_found(twins: Twins, 
     at = {name: servo.shaft()[0] for name, servo in twins.servos.items()}
     rows = checks(RigChoice(LAB, twins.description, "twin"), move=False)
     assert rows[-1] == ("lamp dark", "yes", True)
+    assert {"light servo", "bus latency"} <= {what for what, *_ in rows}
+    assert "repeatability" not in {what for what, *_ in rows}
     assert {servo.torque for servo in twins.servos.values()} == {held}
     assert {name: servo.shaft()[0] for name, servo in twins.servos.items()} == at
     if held:
