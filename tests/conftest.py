@@ -42,6 +42,15 @@ def _hears_its_signals() -> Iterator[None]:
     assert signal.getsignal(signal.SIGINT) is not signal.SIG_IGN
 
 
+@pytest.fixture(scope="module")
+def tab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+    """A browser's tab, for tests that are skipped where there is no browser (`tests.browser.CHROMIUM`)."""
+    from tests.browser import browser  # not on every system
+
+    with browser(tmp_path_factory.mktemp("profile")) as page:
+        yield page
+
+
 @pytest.fixture
 def cluster() -> Iterator[Any]:
     """A Dask cluster of two workers, processes of their own, on the loopback."""

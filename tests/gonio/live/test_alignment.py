@@ -8,16 +8,10 @@ import pytest
 from gonio.live.alignment import AlignmentPage
 from gonio.live.server import Request, Server
 from gonio.rig.light_and_camera import Lamp
-from tests.browser import CHROMIUM, Page, browser
+from tests.browser import CHROMIUM, Page
 from tests.gonio.by_hand.test_assistant import Scene, Session, rig, session
 
 needs_chromium = pytest.mark.skipif(CHROMIUM is None, reason="Chromium is not installed")
-
-
-@pytest.fixture(scope="module")
-def tab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
-    with browser(tmp_path_factory.mktemp("profile")) as page:
-        yield page
 
 
 @pytest.fixture

@@ -2,7 +2,6 @@
 
 import json
 import re
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +11,7 @@ from gonio_analysis.report.map_view import packed, unpacked
 
 from gonio.geometry import direction
 from gonio.models import build
-from tests.browser import CHROMIUM, Page, browser
+from tests.browser import CHROMIUM, Page
 from tests.gonio_analysis.map_files import axes, fits, values
 from tests.gonio_analysis.report.test_report_browser import plain
 
@@ -59,12 +58,6 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
     attrs = {"parameters": {"albedo": "1", "sigma_deg": "deg"}, "map": "map.h5"}
     fits(folder / "fits.h5", whole, u, model="oren-nayar", flag=flag | 2, pixel_mm=PIXEL_MM, attrs=attrs)
     return map_page.make(folder / "fits.h5", folder / "out")
-
-
-@pytest.fixture(scope="module")
-def tab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
-    with browser(tmp_path_factory.mktemp("profile")) as one:
-        yield one
 
 
 def said(tab: Page) -> dict[str, str]:

@@ -2,7 +2,6 @@
 
 import csv
 import re
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +11,7 @@ from PIL import Image
 
 from gonio import measurement
 from gonio.models import build
-from tests.browser import CHROMIUM, Page, browser
+from tests.browser import CHROMIUM, Page
 from tests.gonio_analysis.synthetic import measure
 
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no chromium on this machine: the report is not rendered")
@@ -27,12 +26,6 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
     measurement.write(measure(gloss, noise=0.01, reference=0.005, name="gloss"), folder / "gloss.csv")
     make([str(folder / "gloss.csv")], folder / "out", models=["lambert", "phong"])
     return folder / "out"
-
-
-@pytest.fixture(scope="module")
-def tab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
-    with browser(tmp_path_factory.mktemp("profile")) as page:
-        yield page
 
 
 def rows(report: Path) -> list[dict[str, str]]:

@@ -20,7 +20,7 @@ from gonio.acquisition import repair
 from gonio.acquisition.journal import encode
 from gonio.acquisition.run import Run
 from gonio.live.server import Server
-from tests.browser import CHROMIUM, Page, browser
+from tests.browser import CHROMIUM, Page
 from tests.gonio.live.runs import Played, measured
 
 pytestmark = [
@@ -41,12 +41,6 @@ def state_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return measured(tmp_path_factory.mktemp("whole"))
-
-
-@pytest.fixture(scope="module")
-def tab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
-    with browser(tmp_path_factory.mktemp("profile")) as page:
-        yield page
 
 
 @pytest.fixture
