@@ -11,8 +11,9 @@ from hypothesis import strategies as st
 
 from gonio.acquisition import exposure
 from gonio.errors import DeviceError
-from gonio.rig import Frame, Pose
-from gonio.rig.description import RigDescription
+from gonio.rig import Frame, Pose, regions
+from gonio.rig.description import Acquisition, RigDescription
+from gonio.rig.kinematics import view
 from gonio.rig.light_and_camera import Camera
 from tests.gonio.numpy_rig import describe
 
@@ -116,6 +117,55 @@ def test_brackets_repeat() -> None:
 def test_estimates_follow() -> None:
     fine, coarse = (sum(exposure.expected_bracket(rig(u), Pose(camera=0.5), 0.5)) for u in (0.0002, 0.01))
     assert fine > 10 * coarse
+
+
+@pytest.mark.parametrize(
+    ("changes", "longest_s"),
+    [
+        # half of 10 800 electrons; in 12.5 s
+        ({"dark_current_e_per_s": 1000.0, "longest_point_s": 12.5, "frame_overhead_s": 0.0}, 5.4),
+        # two and a quarter of it
+        (
+            {"dark_current_e_per_s": 0.0, "longest_point_s": 9.0, "frame_overhead_s": 0.0},
+            4.0,
+        ),  # two and a quarter of it
+        ({"dark_current_e_per_s": 0.0}, 120.0 / 2.25),
+        ({"dark_current_e_per_s": 0.0, "exposure_limits_s": (1e-5, 20.0)}, 20.0),
+    ],
+)
+def test_the_longest_frame_of_the_dimmest_light(changes: dict[str, Any], longest_s: float) -> None:
+    dim = np.full(8, 0.01)
+    found = exposure._Planned(rig(1e-6, **changes), dim, dim, COUNT).exposures(60.0, 2)
+    assert max(found) == pytest.approx(longest_s, abs=1e-6)
+    assert found[-1] == pytest.approx(longest_s / 4.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("camera_deg", [0.0, 40.0, -60.0, 75.0])
+def test_the_pixels_that_are_expected_are_those_of_the_region(camera_deg: float) -> None:
+    description, pose = describe(), Pose(camera=math.radians(camera_deg))
+    count = regions.roi(description, view(description, pose)).count
+    # the edge of a disc of 7 to 15 pixels across
+    assert exposure.expected_pixels(description, pose) == pytest.approx(count, rel=0.08)
+
+
+def test_a_region_smaller_than_a_pixel_has_one() -> None:
+    small = describe(acquisition=Acquisition(roi_radius_mm=0.05))
+    assert exposure.expected_pixels(small, Pose()) == 1
+
+
+def test_lamps_that_flicker_take_more_frames_and_not_longer_ones() -> None:
+    """The lamp's part of the variance is that of a mean: (0.008 / 0.002)^2 = 16 frames, of bright light."""
+    bright = np.full(8, 1e6)
+    found = exposure._Planned(rig(0.002, lamp=0.008), bright, bright, 10**9).exposures(0.005, 2)
+    assert len(found) in (17, 18)  # 16 frames without the rest of the noise, and the shorter one
+
+
+def test_what_responsivities_leave_is_not_exposed_for() -> None:
+    """Half of the target is left to noise at least: 1 % of 25 pixels is the target itself."""
+    uneven = exposure._Planned(rig(0.002, prnu=0.01), np.full(8, 1e3), np.full(8, 1e3), 25)
+    assert uneven._wanted == pytest.approx(0.25 * 0.002**2)
+    uneven = exposure._Planned(rig(0.002, prnu=0.01), np.full(8, 1e3), np.full(8, 1e3), 100)
+    assert uneven._wanted == pytest.approx(0.002**2 - 0.01**2 / 100)
 
 
 FRAME = Frame(np.full((32, 32), 100, np.uint16), 0.1, 64.0, 4095.0, time_s=0.0)
