@@ -36,6 +36,26 @@ def test_in_this_process_results_come_in_the_order_of_the_jobs() -> None:
     assert list(parallel.each(abs, [-3, 2, -1, 5], workers=1)) == [(0, 3), (1, 2), (2, 1), (3, 5)]
 
 
+@pytest.mark.parametrize(
+    ("count", "asked", "started"),
+    [(3, None, None), (3, 2, None), (4, 1, None), (4, 2, 2), (4, None, 4), (4, 9, 4), (20, None, 16)],
+)
+def test_processes_are_started_for_four_jobs_or_more(
+    count: int, asked: int | None, started: int | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On 16 processors; no more processes than jobs."""
+    found: list[int] = []
+
+    def elsewhere(function: Any, jobs: list[int], workers: int) -> Any:
+        found.append(workers)
+        return enumerate(map(function, jobs))
+
+    monkeypatch.setattr(parallel, "_on_processors", elsewhere)
+    monkeypatch.setattr(parallel.os, "cpu_count", lambda: 16)
+    assert list(parallel.each(abs, [-k for k in range(count)], workers=asked)) == [(k, k) for k in range(count)]
+    assert found == ([] if started is None else [started])
+
+
 @pytest.mark.slow
 @pytest.mark.filterwarnings("default")
 @pytest.mark.parametrize("way", ["processes", "cluster"])
