@@ -2,14 +2,17 @@
 
 import math
 from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import pytest
-from gonio_drivers import home_mark, survey
+from gonio_drivers import home_mark, homing, survey
 from gonio_drivers.arms import ServoArms
+from gonio_drivers.joints import Joint
 from gonio_drivers.service import ServoService
-from gonio_drivers.settings import Servos
+from gonio_drivers.settings import Homing, Servos
 from gonio_sim.wire import motion
 from gonio_sim.wire.peer import scaled_clock
 from gonio_sim.wire.servo import Servo
@@ -224,3 +227,147 @@ def test_homing_by_the_command_line(line: Line, tmp_path: Path) -> None:
 def test_homing_tables_are_whole(line: Line, homing: dict[str, Any], said: str) -> None:
     with pytest.raises(ConfigError, match=said):
         ServoService().home(rig(line, homing), ["light"], lambda told: None)
+
+
+# ---- the search alone, count by count ----
+
+
+@dataclass
+class Axis:
+    """An axis that goes 20 counts from one look to the next, toward its goal, and no further than to a stop."""
+
+    stops: tuple[int, int] = (-(10**6), 10**6)
+    closed: tuple[int, int] = (10**6, 10**6)
+    """Where the switch is closed: from one count to below another one."""
+    position: int = 5000
+    goal: int = 5000
+    turns: int = 0
+    name: str = "spin"
+    key: str = "devices.servos.axes.spin"
+    counts_per_deg: float = 4096 / 360
+    speed_deg_per_s: float = 5.0
+    hard_stops_deg: tuple[float, float] | None = None
+    limits_deg: tuple[float, float] = (-170.0, 170.0)
+    count_limits: tuple[int, int] = (-100_000, 100_000)
+
+    def write(self, name: str, value: int) -> None:
+        assert name == "Goal Position"
+        self.goal = value
+
+    def look(self) -> int:
+        there = self.position + max(-20, min(20, self.goal - self.position))
+        self.position = max(self.stops[0], min(self.stops[1], there))
+        return self.position
+
+    def to_count(self, angle_deg: float) -> float:
+        return 2048 + angle_deg * self.counts_per_deg
+
+    def is_closed(self) -> bool:
+        return self.closed[0] <= self.position < self.closed[1]
+
+
+@pytest.fixture
+def left(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """The turns that are left in the servo as its mark; looks are 50 ms apart, and no watchdog runs out."""
+    marks: list[int] = []
+
+    class Looks:
+        """0.05 s from one look to the next."""
+
+        def __init__(self) -> None:
+            self.count = 0
+
+        def __call__(self) -> float:
+            self.count += 1
+            return 0.05 * self.count
+
+    monkeypatch.setattr(homing.Search, "_look", lambda self: self.joint.look())
+    monkeypatch.setattr(homing, "Patience", Looks)
+    monkeypatch.setattr(homing, "watchdog", SimpleNamespace(
+        arm=lambda joints: None, call_off=lambda joints: None, send_on=lambda joint, goal: False))  # fmt: skip
+    monkeypatch.setattr(homing, "clock", SimpleNamespace(sleep=lambda seconds: None))
+    monkeypatch.setattr(home_mark, "at_deg", lambda joint, of: of.at_deg)
+    monkeypatch.setattr(home_mark, "leave", lambda joint, turns: marks.append(turns))
+    return marks
+
+
+def searched(axis: Axis, **table: Any) -> Homed:
+    usual = {"how": "stall", "current": 100, "at_deg": -90.0}
+    of = Homing.model_validate(usual | table)
+    return homing.Search(cast(Joint, axis), of, axis.is_closed, lambda: None).run()
+
+
+SWITCH = {"how": "switch", "current": None, "external_port": 1}
+
+
+@pytest.mark.parametrize(("toward", "turns"), [(-1, 0), (1, 0), (-1, 2), (-1, -3)])
+@pytest.mark.parametrize("beside", [0, 700, -1023, 1023])
+def test_a_stop_is_found_to_a_count_and_its_turn_is_the_nearest(
+    toward: int, turns: int, beside: int, left: list[int]
+) -> None:
+    """At -90 degrees the servo reads 2048 - 1024; up to a quarter of a turn off its turn is certain."""
+    stop = 1024 + beside + 4096 * turns
+    stops = (stop, 10**6) if toward < 0 else (-(10**6), stop)
+    found = searched(Axis(stops=stops, position=stop - 400 * toward), toward=toward)
+    assert left == [turns]
+    assert (found.at_deg, found.spread_deg, found.found) == (-90.0, 0.0, 3)
+    assert found.off_deg == pytest.approx(beside * 360 / 4096)
+
+
+@pytest.mark.parametrize("beside", [1026, -1026, 2000])
+def test_a_quarter_of_a_turn_off_the_turn_is_not_certain(beside: int, left: list[int]) -> None:
+    with pytest.raises(DeviceError, match=f"lies {abs(beside) * 360 / 4096:.1f} deg off -90 deg"):
+        searched(Axis(stops=(1024 + beside, 10**6), position=1424 + beside))
+    assert left == []
+
+
+@pytest.mark.parametrize("toward", [-1, 1])
+def test_a_switch_lies_between_two_looks(toward: int, left: list[int]) -> None:
+    axis = Axis(closed=(800, 1000) if toward < 0 else (1000, 1200), position=1000 - 405 * toward)
+    found = searched(axis, **SWITCH, toward=toward, repeats=4)
+    assert found.off_deg == pytest.approx(-24 * 360 / 4096, abs=10.5 * 360 / 4096)  # half a step
+    assert found.found == 4
+    assert axis.position == pytest.approx(1000 - toward * 34, abs=41), "3 degrees clear of the switch"
+
+
+def test_a_mark_lies_between_its_edges(left: list[int]) -> None:
+    """Both are met from outside, half a step late or early alike."""
+    for toward in (-1, 1):
+        found = searched(Axis(closed=(900, 1100), position=1000 - 405 * toward), **SWITCH | {"how": "index"},
+                         toward=toward)  # fmt: skip
+        assert found.off_deg == pytest.approx(-24 * 360 / 4096, abs=10.5 * 360 / 4096)
+
+
+def test_a_search_that_begins_on_the_switch_leaves_it_first(left: list[int]) -> None:
+    found = searched(Axis(closed=(700, 1000), position=900), **SWITCH)
+    assert found.off_deg == pytest.approx(-24 * 360 / 4096, abs=10.5 * 360 / 4096)
+
+
+@pytest.mark.parametrize(("spread_deg", "sound"), [(1.8, True), (1.7, False)])
+def test_places_that_lie_apart_are_refused(spread_deg: float, sound: bool, left: list[int], monkeypatch: Any) -> None:
+    """A stop that gives by 10 counts whenever it is met: 20 counts, 1.76 degrees of the axis, between three of them."""
+    places = iter([1024.0, 1034.0, 1044.0])
+    monkeypatch.setattr(homing.Search, "_place", lambda self: next(places))
+    if sound:
+        assert searched(Axis(), spread_deg=spread_deg).spread_deg == pytest.approx(20 * 360 / 4096)
+        return
+    with pytest.raises(DeviceError, match=r"found 1\.76 deg apart \(0\.00, 0\.88, 1\.76 deg\)"):
+        searched(Axis(), spread_deg=spread_deg)
+
+
+def test_nothing_is_looked_for_beyond_the_travel(left: list[int]) -> None:
+    """A tenth more than the range, and twice what it backs off by: 1.1 x 100 + 6 degrees."""
+    axis = Axis(hard_stops_deg=(-60.0, 40.0), closed=(-(10**6), -(10**6)))
+    with pytest.raises(DeviceError, match=r"no switch was found in 116\.0 deg of travel toward negative"):
+        searched(axis, **SWITCH)
+    axis = Axis(limits_deg=(-10.0, 10.0), count_limits=(0, 5100))
+    with pytest.raises(DeviceError, match=r"no switch was found in 8\.8 deg of travel toward positive"):
+        searched(axis, **SWITCH, toward=1)  # 100 counts, to where the servo counts no further
+
+
+def test_an_axis_that_does_not_move_is_called_jammed(left: list[int]) -> None:
+    with pytest.raises(DeviceError, match="does not move at all"):
+        searched(Axis(stops=(5000, 5000)), **SWITCH)
+    with pytest.raises(DeviceError, match=r"no switch was found in 5\.3 deg of travel toward negative angles") as told:
+        searched(Axis(stops=(4940, 10**6)), **SWITCH)
+    assert "does not move" not in str(told.value)
