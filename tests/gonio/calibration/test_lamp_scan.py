@@ -15,12 +15,15 @@ from gonio.by_hand.manual_rig import ManualRig
 from gonio.calibration import lamp_scan
 from gonio.config import numbers_in, to_toml
 from gonio.disk import write_whole
-from gonio.errors import DeviceError
+from gonio.errors import DataError, DeviceError
 from gonio.rig import Frame
 from gonio.rig.calibrated import Calibration, identity, read_calibration, write_calibration
 from gonio.rig.calibration_use import ParameterUncertainty
+from gonio.rig.light_and_camera import Camera
+from gonio.rig.regions import Roi
 from gonio.typing import Floats
 from tests.command_line import gonio, some
+from tests.gonio.numpy_rig import describe as numpy_rig
 from tests.gonio_sim.conftest import describe
 
 TRUTH = {
@@ -242,3 +245,76 @@ def test_a_file_that_cannot_be_written_is_named_as_its_user_knows_it(tmp_path: P
     with pytest.raises(OSError, match=r"light\.toml") as caught:
         write_whole(tmp_path / "nowhere" / "light.toml", b"")
     assert ".new" not in str(caught.value)
+
+
+# ---- of single frames ----
+
+
+BENCH = numpy_rig(
+    camera=Camera(
+        width=64, height=48, pixel_um=40.0, exposure_limits_s=(1e-4, 10.0), photon_noise=True, electrons_per_dn=2.0,
+        read_noise_e=3.0, full_well_e=20_000.0, dark_current_e_per_s=50.0, black_level_dn=64.0,
+    )
+)  # fmt: skip
+"""A camera of 12 bits that saturates by its converter: 4031 DN above its black level."""
+
+
+def frame(level_dn: int, exposure_s: float = 0.5, time_s: float = 1.0) -> Frame:
+    """Each column is 1 DN darker than the one before: pixels of one level would be taken for full ones."""
+    mosaic = np.broadcast_to(level_dn - np.arange(64), (48, 64)).astype(np.uint16)
+    return Frame(mosaic, exposure_s, 64.0, 4095.0, time_s=time_s)
+
+
+@pytest.mark.parametrize(
+    ("made", "said"),
+    [
+        (frame(64 + 3950), ""),  # 98 % of 4031 are 3950.4
+        (frame(64 + 3951), "saturates"),
+        (frame(100, exposure_s=0.0), "its exposure was 0.0 s"),
+        (frame(100, exposure_s=math.inf), "its exposure was inf s"),
+        (frame(100, time_s=math.nan), "has no time"),
+    ],
+)
+def test_a_frame_that_says_nothing_of_the_lamp_is_refused(made: Frame, said: str) -> None:
+    pixels = made.mosaic.astype(float)
+    if not said:
+        lamp_scan._require(BENCH, made, pixels)
+        return
+    with pytest.raises(DataError, match=said):
+        lamp_scan._require(BENCH, made, pixels)
+
+
+def test_a_series_is_a_signal_by_its_exposure_with_the_noise_of_its_pixels() -> None:
+    """1000 DN of 2 electrons, and 25 of dark current: photons, read noise and rounding, over the pixels of a region."""
+    region = Roi(slice(10, 20), slice(10, 30), np.ones((10, 20), dtype=bool))
+    taken = lamp_scan._Series(BENCH)
+    for k in range(3):
+        taken.add(frame(1100, time_s=5.0 + k), region, 5.0, None)
+    found = taken.table(80.5)  # columns 10 to 29 lie 19.5 DN lower on average
+    assert found["time_s"].tolist() == [0.0, 1.0, 2.0]
+    assert found["signal_dn_per_s"].tolist() == [2000.0] * 3
+    noise_dn = math.sqrt(2000.0 + 25.0 + 3.0**2 + 2.0**2 / 12.0) / 2.0
+    np.testing.assert_allclose(found["u_shot_dn_per_s"], noise_dn / math.sqrt(200) / 0.5, rtol=1e-12)
+    assert taken.black_level_dn == 64.0
+    with pytest.raises(DataError, match="times must grow"):
+        taken.add(frame(1100, time_s=7.0), region, 5.0, None)
+
+
+def test_monitors_are_kept_beside_the_signal() -> None:
+    region = Roi(slice(10, 20), slice(10, 30), np.ones((10, 20), dtype=bool))
+    taken = lamp_scan._Series(BENCH)
+    taken.add(frame(1100), region, 0.0, 0.98)
+    assert taken.table(100.0)["monitor"].tolist() == [0.98]
+
+
+def test_curve_and_stray_light_are_taken_out_of_a_frame() -> None:
+    """Read as x (1 - 0.1 x / white) above the black level; an even share adds so much of the mean to each pixel."""
+    bent = BENCH.model_copy(update={"camera": BENCH.camera.model_copy(update={"nonlinearity": (-0.1,)})})
+    x = np.array([100.0, 1000.0, 3000.0])
+    read = 64.0 + x * (1.0 - 0.1 * x / 4095.0)
+    np.testing.assert_allclose(lamp_scan._linear(bent, frame(0), read), 64.0 + x, rtol=1e-10)
+    spread = BENCH.model_copy(update={"camera": BENCH.camera.model_copy(update={"stray_light": 0.05})})
+    scene = np.random.default_rng(1).uniform(0.0, 2000.0, (48, 64))
+    np.testing.assert_allclose(
+        lamp_scan._without_stray_light(spread, scene + 0.05 * scene.mean(), "mono"), scene, rtol=1e-10, atol=1e-9
+    )
