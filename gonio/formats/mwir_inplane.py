@@ -2,7 +2,6 @@
 
 Columns: `sample_de`, `sample_en` (one of them is enough), `theta_o_deg` (receiver) and `theta_i_deg` (source), which
 lie in one plane on opposite sides of the normal, and the reflected radiance `L_reflected_W_m-2_sr-1` in the band
-from gonio.typing import DataFrame
 from 2 to 5.7 um. With the source's radiance L_s in that band and its disc of 5 mm radius at 315 mm distance
 
     brdf = L / (L_s cos(theta_i) w_s),    L_s = 3463.986 W m^-2 sr^-1,    w_s = pi (5/315)^2 sr

@@ -191,6 +191,30 @@ def test_reflectance_factor_table(shared: Callable[[str], Path]) -> None:
         assert peak["phi_r_deg"] == 180.0
 
 
+@pytest.mark.parametrize(
+    ("text", "name", "old", "good", "bad", "told"),
+    [
+        (MWIR, "metals.csv", ",15,60,", (",90,60,", ",-90,60,"), (",90.01,60,", ",-90.01,60,"), "theta_o_deg"),
+        (MWIR, "metals.csv", ",15,60,", (",15,89.99,", ",15,-89.99,"), (",15,89.9995,", ",15,-90,"), "theta_i_deg"),
+        (FACTOR, "paint.csv", "10,-30,", ("10,-90,", "10,90,"), ("10,-90.01,", "10,90.01,"), "Measure_angle"),
+        (FACTOR, "paint.csv", "10,-30,", ("90,-30,", "-90,-30,"), ("90.01,-30,", "-90.01,-30,"), "Incident_angle"),
+        (NIST, "ptfe.csv", "-45,0,30,", ("-90,0,30,",), ("-90.01,0,30,", "90.01,0,30,"), "thetai"),
+        (NIST, "ptfe.csv", "-45,0,30,", ("-45,0,90,", "-45,0,-90,"), ("-45,0,90.01,",), "thetar"),
+        (NIST, "ptfe.csv", "0.351,", ("999.9,", "1e-3,"), ("1000,", "0,", "-0.3,"), "lambda"),
+        (ASTM, "tile.astm", "0.785398,0", ("1.570796,0",), ("1.58,0",), "theta_i"),
+    ],
+)
+def test_angles_and_wavelengths_have_their_limits(
+    text: str, name: str, old: str, good: tuple[str, ...], bad: tuple[str, ...], told: str
+) -> None:
+    assert old in text
+    for new in good:
+        measurement.parse(text.replace(old, new, 1).encode(), Path(name))
+    for new in bad:
+        with pytest.raises(DataError, match=rf"line \d+: {told} = "):
+            measurement.parse(text.replace(old, new, 1).encode(), Path(name))
+
+
 def semicolons(text: str) -> str:
     """As a spreadsheet of a country with decimal commas saves it."""
     return text.replace(",", ";").replace(".", ",")
