@@ -4,12 +4,14 @@ import itertools
 import json
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pandas as pd
 import pytest
+from gonio_analysis.fitting.fit import FitResult
 from gonio_analysis.fitting.observations import observations
 from gonio_analysis.fitting.profile_likelihood import profiles
 from gonio_analysis.result_records import as_json
@@ -137,6 +139,40 @@ def test_models_are_counted_while_they_are_fitted_and_the_time_left_is_in_propor
         "matte: fitting oren-nayar (2 of 3, about 80 s left)",  # 40 s for one, and two are left
         "matte: fitting phong (3 of 3, about 35 s left)",  # 70 s for two, and one is left
     ]
+
+
+def fitted(**values: float) -> FitResult:
+    """What a fit has found."""
+    return cast(FitResult, SimpleNamespace(problem=SimpleNamespace(values=lambda vector: values), vector=None))
+
+
+def test_sums_begin_at_the_fit_of_their_gloss() -> None:
+    """With the level of its Lambertian part, of which Cook and Torrance take the share d = 1 - s."""
+    gloss = fitted(s=0.2, diffuse_albedo=0.5, m=0.1)
+    found = choosing._starts(Candidate("oren-nayar+cook-torrance"), {Candidate("cook-torrance"): gloss})
+    known = {"s": 0.2, "diffuse_albedo": 0.5, "m": 0.1}
+    assert found[0] is None, "a search of its own besides"
+    for start, sigma_deg in zip(known_list(found[1]), (5.0, 25.0), strict=True):
+        assert start == pytest.approx(known | {"albedo": 0.4, "sigma_deg": sigma_deg})
+    found = choosing._starts(Candidate("oren-nayar+phong"), {Candidate("phong"): fitted(k_d=0.3, k_s=0.2, exponent=9)})
+    assert known_list(found[1])[0]["albedo"] == 0.3
+    assert choosing._starts(Candidate("oren-nayar+phong"), {}) == [None]
+    assert choosing._starts(Candidate("phong"), {}) == [None]
+
+
+def known_list(found: Any) -> list[dict[str, float]]:
+    assert found is not None
+    return list(found)
+
+
+def test_an_absorbing_index_is_looked_for_from_four_metals_and_the_fit_without() -> None:
+    model = Candidate("cook-torrance")
+    found = choosing._starts(replace(model, free=("k",)), {model: fitted(ior=1.4, m=0.1)})
+    (starts,) = map(known_list, found)
+    assert starts[0] == {"ior": 1.4, "m": 0.1}
+    assert [(start["ior"], start["k"], start["m"]) for start in starts[1:]] == [
+        (1.5, 0.3, 0.1), (0.3, 3.0, 0.1), (1.0, 7.0, 0.1), (3.0, 3.5, 0.1),
+    ]  # fmt: skip
 
 
 def test_one_model_is_not_counted() -> None:
