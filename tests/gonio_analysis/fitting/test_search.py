@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
+from gonio_analysis.fitting import search
 from gonio_analysis.fitting.fit import fit
-from gonio_analysis.fitting.problem import FitRequest, pose
+from gonio_analysis.fitting.problem import FitRequest, Problem, pose
 
 from gonio.models import build
 from tests.gonio_analysis.synthetic import known, measure
@@ -69,3 +72,43 @@ def test_waves_on_a_steep_surface_are_found_beside_a_wrong_valley(
     found, near = fit(table, "he-torrance", ior=ior), fit(table, "he-torrance", ior=ior, start=[truth])
     # both end where a step changes the sum by 1e-8 of it
     assert known(found.chi_square) == pytest.approx(known(near.chi_square), rel=1e-6)
+
+
+# ---- parts of a search ----
+
+
+def bounded(*levels: str) -> Problem:
+    """Of a slope in [0, 1] and an index in [1, 3]; some of them are levels."""
+    problem = SimpleNamespace(
+        bounds=(np.array([0.0, 1.0]), np.array([1.0, 3.0])),
+        free=("m", "ior"),
+        known_slopes=lambda vector: dict.fromkeys(levels),
+    )
+    return cast(Problem, problem)
+
+
+@pytest.mark.parametrize(
+    ("found", "again"),
+    [
+        ((0.5, 2.0), []),
+        ((0.0, 2.0), [(0.2, 2.0), (0.3, 2.0), (0.4, 2.0)]),  # the starts, and the middle between them
+        ((1.0, 2.0), [(0.2, 2.0), (0.3, 2.0), (0.4, 2.0)]),
+        ((0.5, 3.0), [(0.5, 1.5), (0.5, 1.75), (0.5, 2.0)]),
+        ((0.0, 1.0), [(0.2, 1.0), (0.3, 1.0), (0.4, 1.0), (0.0, 1.5), (0.0, 1.75), (0.0, 2.0)]),
+    ],
+)
+def test_a_search_that_ended_on_a_bound_begins_again_inside(
+    found: tuple[float, float], again: list[tuple[float, float]]
+) -> None:
+    starts = [np.array([0.2, 2.0]), np.array([0.4, 1.5]), np.array([0.2, 1.5])]
+    out = search._inside(bounded(), np.array(found), starts)
+    np.testing.assert_allclose(np.reshape(out, (-1, 2)), np.reshape(again, (-1, 2)))
+
+
+def test_a_level_on_its_bound_stays_there() -> None:
+    assert search._inside(bounded("m"), np.array([0.0, 2.0]), [np.array([0.2, 2.0])]) == []
+
+
+def test_starts_on_a_bound_are_no_places_inside() -> None:
+    starts = [np.array([0.0, 2.0]), np.array([1.0, 2.0])]
+    np.testing.assert_allclose(search._inside(bounded(), np.array([0.0, 2.0]), starts), [[0.5, 2.0]])
