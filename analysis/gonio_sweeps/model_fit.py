@@ -19,7 +19,7 @@ from pydantic import Field, field_validator
 from gonio.config import Strict
 from gonio.documents import JsonObject
 from gonio.errors import DataError
-from gonio.models.declaration import Values
+from gonio.models.parameters import Values
 from gonio.rig.description import RigDescription
 from gonio.rig.ranges import Positive
 from gonio.shown import with_u

@@ -14,8 +14,7 @@ from gonio.models.corrected import Corrected, Correction
 from gonio.models.engine import Geometry, geometry
 from gonio.models.eon import EON
 from gonio.models.examine import examine
-from gonio.models.ggx import GGX
-from gonio.models.ggx_multiscatter import GGXMultiscatter
+from gonio.models.ggx import GGX, GGXMultiscatter
 from gonio.models.hapke import Hapke
 from gonio.models.he_torrance import HeTorrance
 from gonio.models.k_correlation import KCorrelation

@@ -17,11 +17,22 @@ from gonio.models import hemispherical
 from gonio.models._compile import device, with_others
 from gonio.models._facets import OPPOSITE, fresnel, fresnel_constants, fresnel_real
 from gonio.models._loops import HALF_PI
-from gonio.models.declaration import DIFFUSE, Declaration, Ior, Levels, Values, optical
 from gonio.models.engine import Constants, Kernel
 from gonio.models.fresnel import reflectance
 from gonio.models.model import Model, store
-from gonio.models.parameters import Fitted, Index, checked_index, index_at, number
+from gonio.models.parameters import (
+    DIFFUSE,
+    Declaration,
+    Fitted,
+    Index,
+    Ior,
+    Levels,
+    Values,
+    checked_index,
+    index_at,
+    number,
+    optical,
+)
 from gonio.typing import Floats
 
 SAME_AZIMUTH_DEG = 2.0

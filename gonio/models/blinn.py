@@ -29,18 +29,23 @@ from gonio.models._facets import (
     log_cos2,
 )
 from gonio.models._math import _LOG2_E, exp2
-from gonio.models.declaration import Declaration, Ior, Levels, Values, optical, plain
 from gonio.models.engine import Constants, Kernel
 from gonio.models.model import Model, store
 from gonio.models.parameters import (
+    Declaration,
     Fitted,
     Index,
+    Ior,
+    Levels,
     Parameters,
+    Values,
     checked_index,
     checked_wavelength,
     choice,
     index_at,
     number,
+    optical,
+    plain,
     positive,
 )
 from gonio.typing import ArrayLike, Floats

@@ -14,19 +14,26 @@ from gonio.models import engine, hemispherical
 from gonio.models._compile import device, of_columns, with_others
 from gonio.models._facets import SINGLE_RANGE, by_angle, by_tan2, fresnel, fresnel_constants, fresnel_real
 from gonio.models._math import _LOG2_E, exp2
-from gonio.models.declaration import DIFFUSE, Arguments, Declaration, Ior, Levels, Values, optical, optical_argument
 from gonio.models.engine import Constants, Kernel
 from gonio.models.fresnel import n_from_f0, reflectance
 from gonio.models.model import Model, store
 from gonio.models.parameters import (
+    DIFFUSE,
+    Arguments,
+    Declaration,
     Fitted,
     Index,
+    Ior,
+    Levels,
     Parameters,
+    Values,
     checked_index,
     checked_wavelength,
     choice,
     index_at,
     number,
+    optical,
+    optical_argument,
     positive,
 )
 from gonio.typing import ArrayLike, Floats

@@ -10,10 +10,9 @@ import numpy as np
 
 from gonio.models._compile import device, of_columns
 from gonio.models._math import atan_over
-from gonio.models.declaration import Declaration, Ior, plain
 from gonio.models.engine import Constants, Kernel
 from gonio.models.model import Model, store
-from gonio.models.parameters import Fitted, number
+from gonio.models.parameters import Declaration, Fitted, Ior, number, plain
 from gonio.typing import Floats
 
 GRAZING = 1e-150

@@ -14,11 +14,24 @@ from gonio.models._facets import fresnel_constants
 from gonio.models._hemisphere import about_mirror, about_source
 from gonio.models._htsg_series import TIERS
 from gonio.models._loops import HALF_PI
-from gonio.models.declaration import DIFFUSE, Declaration, Ior, Levels, Values, optical
 from gonio.models.engine import Constants, Kernel
 from gonio.models.hemispherical import COARSE_RULES, COARSE_TOLERANCE, TOLERANCE
 from gonio.models.model import Model, store
-from gonio.models.parameters import Fitted, Index, checked_index, checked_wavelength, choice, index_at, number
+from gonio.models.parameters import (
+    DIFFUSE,
+    Declaration,
+    Fitted,
+    Index,
+    Ior,
+    Levels,
+    Values,
+    checked_index,
+    checked_wavelength,
+    choice,
+    index_at,
+    number,
+    optical,
+)
 from gonio.typing import ArrayLike, Floats, NDArray
 
 LARGEST_UM = 1e12

@@ -8,10 +8,21 @@ from typing import Any, ClassVar
 import numpy as np
 
 from gonio.models.arrays import ArrayModel
-from gonio.models.declaration import Declaration, Ior, Levels, Values, optical, plain
 from gonio.models.fresnel import reflectance
 from gonio.models.model import store
-from gonio.models.parameters import Fitted, checked_index, index_at, number, positive
+from gonio.models.parameters import (
+    Declaration,
+    Fitted,
+    Ior,
+    Levels,
+    Values,
+    checked_index,
+    index_at,
+    number,
+    optical,
+    plain,
+    positive,
+)
 from gonio.typing import Floats
 
 

@@ -8,10 +8,9 @@ import numpy as np
 
 from gonio.errors import ArgumentError
 from gonio.models._compile import device
-from gonio.models.declaration import ALBEDO, Declaration, Ior, plain
 from gonio.models.engine import Constants, Kernel
 from gonio.models.model import Model, store
-from gonio.models.parameters import number
+from gonio.models.parameters import ALBEDO, Declaration, Ior, number, plain
 from gonio.typing import Floats
 
 

@@ -13,9 +13,8 @@ import numpy as np
 from gonio.errors import ArgumentError
 from gonio.geometry import Directions
 from gonio.models import engine, hemispherical
-from gonio.models.declaration import Declaration, Ior, plain
 from gonio.models.engine import SPLIT, Constants, Geometry, Kernel
-from gonio.models.parameters import Fitted, Parameters, checked_wavelength
+from gonio.models.parameters import Declaration, Fitted, Ior, Parameters, checked_wavelength, plain
 from gonio.typing import ArrayLike, Floats, NDArray
 
 Vector = tuple[float, float, float]

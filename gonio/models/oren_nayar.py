@@ -14,10 +14,9 @@ from gonio.models import hemispherical
 from gonio.models._compile import device, of_columns
 from gonio.models._groove_integral import gaussian_grooves, isotropic_grooves, parallel_grooves
 from gonio.models._math import atan_over_near
-from gonio.models.declaration import ALBEDO, Declaration, Ior, plain
 from gonio.models.engine import SPLIT, Constants, Kernel
 from gonio.models.model import Model, store
-from gonio.models.parameters import Fitted, choice, number
+from gonio.models.parameters import ALBEDO, Declaration, Fitted, Ior, choice, number, plain
 from gonio.typing import Floats
 
 FORMS = ("functional", "exact", "qualitative", "single-slope")

@@ -13,10 +13,9 @@ from gonio.models import hemispherical
 from gonio.models._compile import device, of_columns
 from gonio.models._loops import HALF_PI
 from gonio.models._math import _LOG2_E, exp2, log
-from gonio.models.declaration import DIFFUSE, Declaration, Ior, Levels, Values, plain
 from gonio.models.engine import Constants, Kernel
 from gonio.models.model import Model, store
-from gonio.models.parameters import Fitted, number
+from gonio.models.parameters import DIFFUSE, Declaration, Fitted, Ior, Levels, Values, number, plain
 from gonio.typing import Floats
 
 GRAZING = 1e-150

@@ -14,7 +14,7 @@ from gonio.disk import content
 from gonio.documents import JsonObject
 from gonio.errors import ConfigError, DataError
 from gonio.typing import Array, Bools, Floats
-from gonio_scenes.sensor import SATURATED, falloff
+from gonio_scenes.camera import SATURATED, falloff
 
 if TYPE_CHECKING:
     from gonio_scenes.scene import PhotographTable, Scene

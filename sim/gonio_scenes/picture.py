@@ -18,10 +18,10 @@ from gonio.errors import ConfigError, os_error_as
 from gonio.rig.dng import encode_dng
 from gonio.rig.protocols import Frame
 from gonio.typing import Floats, NDArray
+from gonio_scenes.camera import SATURATED, expose
 from gonio_scenes.lights import Disc, relative_power
 from gonio_scenes.render import Picture
 from gonio_scenes.scene import Scene
-from gonio_scenes.sensor import SATURATED, expose
 
 Image = NDArray[np.uint8]
 WHITE_SHARE = 0.99

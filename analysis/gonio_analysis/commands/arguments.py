@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, TypeVar
 from gonio.errors import ConfigError
 
 if TYPE_CHECKING:
-    from gonio.models.declaration import Ior
+    from gonio.models.parameters import Ior
     from gonio_analysis.fitting.fit import FitResult
     from gonio_analysis.fitting.problem import FitRequest
 

@@ -25,7 +25,7 @@ import numpy.typing as npt
 
 from gonio.cli.pace import Say, silent
 from gonio.errors import ArgumentError, ConfigError, DataError
-from gonio.models.declaration import Declaration, Values
+from gonio.models.parameters import Declaration, Values
 from gonio.typing import Floats
 from gonio_analysis.fitting.angle_zeros import by_model
 from gonio_analysis.fitting.forward import apparent, known_wavelength, pointlike, rho_angles

@@ -1,4 +1,4 @@
-"""Models by name, as fits see them: what their classes declare (`gonio.models.declaration`), and sums of two."""
+"""Models by name, as fits see them: what their classes declare (`gonio.models.parameters`), and sums of two."""
 
 import difflib
 import math
@@ -11,9 +11,8 @@ import numpy as np
 from gonio import plugins
 from gonio.errors import ConfigError
 from gonio.models import Sum
-from gonio.models.declaration import ALBEDO, Arguments, Declaration, Ior, Levels, Values
 from gonio.models.model import Model, build_model
-from gonio.models.parameters import Fitted
+from gonio.models.parameters import ALBEDO, Arguments, Declaration, Fitted, Ior, Levels, Values
 from gonio_analysis.fitting.observations import Observations
 
 INDICES = ((1.5, 0.3), (0.3, 3.0), (1.0, 7.0), (3.0, 3.5))

@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 
 from gonio.errors import ConfigError
-from gonio.models.declaration import METALLIC_N, Declaration, Ior, Values
-from gonio.models.parameters import Fitted
+from gonio.models.parameters import METALLIC_N, Declaration, Fitted, Ior, Values
 from gonio.typing import Floats
 from gonio_analysis.fitting import parameters
 from gonio_analysis.fitting.forward import ByWavelength, rho_dh

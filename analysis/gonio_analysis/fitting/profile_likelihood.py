@@ -17,7 +17,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from gonio.models.declaration import Values
+from gonio.models.parameters import Values
 from gonio.shown import interval
 from gonio.typing import Floats
 from gonio_analysis.fitting import parameters

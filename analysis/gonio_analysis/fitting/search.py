@@ -17,7 +17,7 @@ import numpy as np
 from gonio.checks.values import Rows
 from gonio.cli.pace import Pace, Say, silent
 from gonio.models.batch import SIGNIFICANCE
-from gonio.models.declaration import Values
+from gonio.models.parameters import Values
 from gonio.typing import Floats
 from gonio_analysis.fitting import parameters
 from gonio_analysis.fitting.forward import apparent, averaging, pointlike

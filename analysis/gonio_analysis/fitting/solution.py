@@ -13,7 +13,7 @@ from gonio.errors import ArgumentError
 from gonio.geometry import Directions
 from gonio.models import Corrected
 from gonio.models.corrected import folded
-from gonio.models.declaration import OPTICAL
+from gonio.models.parameters import OPTICAL
 from gonio.typing import Floats
 from gonio_analysis.fitting.forward import ByWavelength, apparent, known_wavelength
 from gonio_analysis.fitting.misfit import Misfit, highest_tau

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from gonio import measurement
 from gonio.errors import ConfigError
 from gonio.measurement import Reading
-from gonio.models.declaration import Ior
+from gonio.models.parameters import Ior
 from gonio_analysis.curves.in_plane import Normalise
 from gonio_analysis.fitting.observations import of_reader, said_once
 from gonio_analysis.report import (

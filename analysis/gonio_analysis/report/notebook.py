@@ -11,7 +11,7 @@ import numpy as np
 from gonio import measurement, plugins
 from gonio.errors import ArgumentError, ConfigError, DataError
 from gonio.models import Lambert, Model, Sum
-from gonio.models.declaration import Ior
+from gonio.models.parameters import Ior
 from gonio_analysis.changes import point_by_point
 from gonio_analysis.changes.consensus import consensus as consensus
 from gonio_analysis.changes.point_by_point import Change, Side

@@ -18,7 +18,7 @@ from functools import partial
 from gonio.cli.console import duration
 from gonio.cli.pace import QUIET_S, Say
 from gonio.errors import ConfigError, DataError
-from gonio.models.declaration import Ior, Values
+from gonio.models.parameters import Ior, Values
 from gonio.typing import Floats
 from gonio_analysis.fitting import parameters
 from gonio_analysis.fitting.fit import FitResult, fit

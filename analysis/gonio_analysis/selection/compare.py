@@ -19,7 +19,7 @@ from gonio.checks.symmetry import Pairs, symmetries
 from gonio.cli.pace import Pace, Say
 from gonio.errors import ConfigError, DataError
 from gonio.measurement import is_simulated
-from gonio.models.declaration import Ior
+from gonio.models.parameters import Ior
 from gonio.typing import Floats
 from gonio_analysis.curves.in_plane import NORM_WORDS, Curve, Norm, Normalise, curves, labels, norm, selection
 from gonio_analysis.curves.line import Line

@@ -10,7 +10,7 @@ import numpy as np
 from gonio.checks.values import Rows
 from gonio.cli.pace import Say, silent
 from gonio.geometry import Directions
-from gonio.models.declaration import Ior
+from gonio.models.parameters import Ior
 from gonio.typing import Floats
 from gonio_analysis.fitting import parameters
 from gonio_analysis.fitting.fit import FitResult

@@ -15,16 +15,19 @@ from gonio.typing import Floats
 from gonio_validation.bench import naive, specification
 from gonio_validation.bench.quantity import (
     Evaluate,
+    FresnelValues,
     Inputs,
+    ModelValues,
     Parameters,
     Quantity,
     Sample,
     Set,
     Way,
     directions,
+    reference,
+    samples,
     to_angles,
 )
-from gonio_validation.bench.reference import FresnelValues, ModelValues, reference, samples
 
 EVEN = "directions even over the hemisphere"
 

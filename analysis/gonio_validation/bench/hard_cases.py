@@ -12,8 +12,7 @@ import numpy as np
 from gonio.documents import JsonObject
 from gonio.models import Blinn, CookTorrance, HeTorrance, Lambert, Model, OrenNayar, Phong, fresnel, htsg
 from gonio_validation.bench.accuracy import NOTHING
-from gonio_validation.bench.quantity import Quantity, Sample, directions
-from gonio_validation.bench.reference import reference
+from gonio_validation.bench.quantity import Quantity, Sample, directions, reference
 
 EXACT = 16.0
 """Digits where results are identical."""

@@ -13,12 +13,22 @@ from gonio.acquisition.measure import find_rig
 from gonio.config import Strict
 from gonio.documents import JsonObject
 from gonio.typing import Floats
-from gonio_validation.bench import campaigns, sweeps_page, sweeps_plans, sweeps_results, timing
+from gonio_validation.bench import campaigns, sweeps_page, sweeps_rig, timing
 from gonio_validation.bench.campaigns import Campaigns, Record, Step, as_csv, at_least
 from gonio_validation.bench.page import begun
-from gonio_validation.bench.sweeps_plans import FLOOR, INCIDENCES, SAMPLES, SIZES, WAVELENGTH_NM, Geometry, Places
-from gonio_validation.bench.sweeps_results import SHARE
-from gonio_validation.bench.sweeps_rig import FrameFreeRig, MeasuredSweep, in_order
+from gonio_validation.bench.sweeps_page import SHARE
+from gonio_validation.bench.sweeps_rig import (
+    FLOOR,
+    INCIDENCES,
+    SAMPLES,
+    SIZES,
+    WAVELENGTH_NM,
+    FrameFreeRig,
+    Geometry,
+    MeasuredSweep,
+    Places,
+    in_order,
+)
 
 FORMAT = 3
 FIXED = ("uniform", "mirror-dense", "half-vector")
@@ -93,14 +103,14 @@ def make(
 
 def summary(records: Sequence[Record], *, seeds: int, quick: bool = False, command: str = "") -> JsonObject:
     """Every number of the report, as `results.json` holds it."""
-    found = sweeps_results.levels(records)
+    found = sweeps_page.levels(records)
     return begun("Rig time against error of curves", command, quick) | {
         "seeds": seeds,
         "seconds": sum(r["seconds"] for r in records),
         "machine": timing.machine(),
         "levels": found,
-        "by_points": sweeps_results.by_points(found),
-        "held": sweeps_results.held(records),
+        "by_points": sweeps_page.by_points(found),
+        "held": sweeps_page.held(records),
     }
 
 
@@ -119,9 +129,9 @@ def carried_out(name: str, geometry: Geometry, seed: int) -> JsonObject:
     began = time.perf_counter()
     description = find_rig("sim").description
     band = description.bands.containing(WAVELENGTH_NM)
-    model = sweeps_plans.sample(name)
-    number = list(sweeps_plans.SAMPLES).index(name)
-    places = sweeps_plans.judged(geometry, description)
+    model = sweeps_rig.sample(name)
+    number = list(sweeps_rig.SAMPLES).index(name)
+    places = sweeps_rig.judged(geometry, description)
 
     def rig(kind: int) -> FrameFreeRig:
         # all plans of one comparison have the same errors of zeros and scale, and noise of their own
@@ -129,11 +139,11 @@ def carried_out(name: str, geometry: Geometry, seed: int) -> JsonObject:
 
     truth = rig(0).truth(places.directions)
     # what the values' uncertainties are made of is the rig's, and alike in all plans
-    known = sweeps_plans.sampler(geometry, description, None).known
+    known = sweeps_rig.sampler(geometry, description, None).known
     results: list[JsonObject] = []
     for kind, plan in enumerate(FIXED):
         for size in SIZES[geometry]:
-            points = sweeps_plans.fixed(plan, geometry, size, description)
+            points = sweeps_rig.fixed(plan, geometry, size, description)
             poses = [a.pose for a in points if a.pose is not None]
             measured = rig(10 * size + kind).measure(in_order([a.point for a in points], poses))
             results.append(_simple(plan, measured, places, truth))
@@ -155,7 +165,7 @@ def _adaptive(
     plan: str, rig: FrameFreeRig, geometry: Geometry, most: int | None, stop: int, places: Places, truth: Floats
 ) -> list[JsonObject]:
     """After every batch: what is known by then."""
-    sampler = sweeps_plans.sampler(geometry, rig.description, most)
+    sampler = sweeps_rig.sampler(geometry, rig.description, most)
     out: list[JsonObject] = []
     measured: MeasuredSweep | None = None
     kernel: list[list[float]] | None = None
@@ -176,7 +186,7 @@ def _relative(f: Floats, truth: Floats) -> Floats:
 
 
 def _simple(plan: str, measured: MeasuredSweep, places: Places, truth: Floats) -> JsonObject:
-    error = _relative(sweeps_plans.interpolated(measured.values, places.directions), truth)
+    error = _relative(sweeps_rig.interpolated(measured.values, places.directions), truth)
     return _result(plan, "interpolated", measured, error, places)
 
 

@@ -16,12 +16,13 @@ from gonio_validation.papers.htsg_surfaces import (
     CONES,
     PAPER,
     HtsgSurface,
+    Simulated,
     cones_parameter,
     energy_limit,
     index_parameter,
+    measure,
 )
-from gonio_validation.papers.simulated import Simulated, measure
-from gonio_validation.papers.simulated import scan as directions
+from gonio_validation.papers.htsg_surfaces import scan as directions
 
 ALUMINIUM = HtsgSurface(sigma0_um=0.28, tau_um=1.77, ior="Al")
 CERAMIC = HtsgSurface(sigma0_um=1.45, tau_um=13.2, ior="MgO", diffuse_albedo=0.9)

@@ -10,9 +10,16 @@ from gonio_analysis.report.text import number
 from gonio.typing import Floats
 from gonio_validation.papers.figure import Claim, Panel, PaperFigure, Parameter, Results, agreed
 from gonio_validation.papers.htsg_scans import agreement, label, scan
-from gonio_validation.papers.htsg_surfaces import CONE_SR, PAPER, HtsgSurface, cones_parameter, index_parameter
+from gonio_validation.papers.htsg_surfaces import (
+    CONE_SR,
+    PAPER,
+    HtsgSurface,
+    cones_parameter,
+    divided,
+    index_parameter,
+    measure,
+)
 from gonio_validation.papers.panels import angle_panel, at, polar_panel
-from gonio_validation.papers.simulated import divided, measure
 
 SLOPE = 4.4
 """sigma0 / tau"""

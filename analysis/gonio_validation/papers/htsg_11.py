@@ -19,10 +19,10 @@ from gonio_validation.papers.htsg_surfaces import (
     HtsgSurface,
     cones_parameter,
     energy_limit,
+    measure,
 )
+from gonio_validation.papers.htsg_surfaces import scan as directions
 from gonio_validation.papers.panels import angle_panel
-from gonio_validation.papers.simulated import measure
-from gonio_validation.papers.simulated import scan as directions
 
 PLASTIC_A, PLASTIC_RHO = 0.15, 0.195
 INCIDENCES = (15.0, 30.0, 45.0, 60.0)

@@ -23,11 +23,19 @@ from gonio_validation.bench import (
     pareto,
     peers,
     results_page,
-    targets,
+    speed_and_error,
     timing,
 )
-from gonio_validation.bench.quantity import ErrorSummary, PeerTime, Quantity, Sample, TimeSummary, Way, WaySummary
-from gonio_validation.bench.reference import reference
+from gonio_validation.bench.quantity import (
+    ErrorSummary,
+    PeerTime,
+    Quantity,
+    Sample,
+    TimeSummary,
+    Way,
+    WaySummary,
+    reference,
+)
 from typer.testing import CliRunner
 
 from gonio.errors import DataError
@@ -112,7 +120,7 @@ def few(monkeypatch: pytest.MonkeyPatch) -> None:
     case = hard_cases._Case()
     case.add("cook-torrance", 1.0, 1.0, 0.0, 13.0)
     monkeypatch.setattr(hard_cases, "judged", lambda found, huge: [case.summary("normal incidence")])
-    monkeypatch.setattr(targets, "TARGETS", [t for t in targets.TARGETS if t[0] == "cook-torrance"])
+    monkeypatch.setattr(speed_and_error, "TARGETS", [t for t in speed_and_error.TARGETS if t[0] == "cook-torrance"])
     start = {"model": "CookTorrance", "import_s": 0.1, "first_evaluation_s": 0.5, "together_s": 0.6}
     monkeypatch.setattr(timing, "start_up", lambda repeats: [start])
     monkeypatch.setattr(peers, "PACKAGES", {"nobody": "gonio_nobody"})
@@ -153,10 +161,10 @@ def test_a_tolerance_that_is_missed_is_said() -> None:
     error = ErrorSummary(3, max=1e-11, p99=1e-12, median=1e-13, max_scaled=1e-11, not_finite=0, warning=False)
     time = TimeSummary(best_ns=1.0, median_ns=1.0, processor_ns=1.0, pairs=3, repeats=1)
     missed = WaySummary("w", True, False, "", 1e-12, {"grid": error}, time, True, False)
-    assert not targets.holds(missed, 1e-12)
-    assert targets.holds(missed, 1e-11)
+    assert not speed_and_error.holds(missed, 1e-12)
+    assert speed_and_error.holds(missed, 1e-11)
     lost = replace(missed, errors={"grid": replace(error, max_scaled=None)})
-    assert not targets.holds(lost, 1e-11)
+    assert not speed_and_error.holds(lost, 1e-11)
 
 
 def test_a_peer_is_measured_in_its_own_process(

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from gonio_validation.bench import sweeps, sweeps_plans, sweeps_results
+from gonio_validation.bench import sweeps, sweeps_page, sweeps_rig
 from gonio_validation.bench.sweeps_rig import FrameFreeRig
 
 from gonio.acquisition.measure import carry_out, find_rig
@@ -30,12 +30,12 @@ def test_without_frames_values_scatter_as_with_them(tmp_path: Path) -> None:
     rig = type(rig)(rig.plugin, SIM.model_copy(update=small), rig.source)
     points = tuple(canonical(30.0, 0.0, float(r), 180.0) for r in (-60, -10, 20, 40, 70))
     plan = Plan("both", (500.0,), points, 0, "plan")
-    model, keys = sweeps_plans.SAMPLES["matte"]
+    model, keys = sweeps_rig.SAMPLES["matte"]
     sample = SampleDescription.model_validate({"name": "matte", "model": model, "parameters": keys})
     table = brdf.reduce(carry_out(plan, rig, tmp_path / "run", sample=sample, seed=3))
 
     band = rig.description.bands.containing(500.0)
-    free = FrameFreeRig(rig.description, band, sweeps_plans.sample("matte"), (3,), 1)
+    free = FrameFreeRig(rig.description, band, sweeps_rig.sample("matte"), (3,), 1)
     measured = free.measure([a.pose for a in assess(plan, rig.description) if a.pose is not None])
     # what a point's noise is: the reduction has the encoder's part and the slope's, beside that of the frames
     u_rel, stated = measured.values.u_noise / measured.values.brdf, table["u_random"] / table["brdf"]
@@ -55,9 +55,9 @@ def test_without_frames_values_scatter_as_with_them(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["uniform", "mirror-dense", "half-vector"])
 @pytest.mark.parametrize("geometry", ["in plane", "hemisphere"])
 def test_plans_have_their_size_and_the_dense_ones_are_dense(name: str, geometry: Any) -> None:
-    size = sweeps_plans.SIZES[geometry][0]
-    points = sweeps_plans.fixed(name, geometry, size, SIM)
-    count = size * len(sweeps_plans.INCIDENCES[geometry])
+    size = sweeps_rig.SIZES[geometry][0]
+    points = sweeps_rig.fixed(name, geometry, size, SIM)
+    count = size * len(sweeps_rig.INCIDENCES[geometry])
     assert 0.8 * count < len(points) < 1.3 * count  # rings and azimuths are whole numbers; the cone leaves points out
     offset = np.degrees([float(a.point.directions.mirror_offset) for a in points])
     share = (offset < 12.5).mean()
@@ -66,10 +66,10 @@ def test_plans_have_their_size_and_the_dense_ones_are_dense(name: str, geometry:
 
 def test_the_usual_interpolation_goes_through_its_points() -> None:
     for geometry in ("in plane", "hemisphere"):
-        free = FrameFreeRig(SIM, SIM.bands.containing(500.0), sweeps_plans.sample("satin"), (1,), 0)
-        points = sweeps_plans.fixed("uniform", geometry, 20, SIM)
+        free = FrameFreeRig(SIM, SIM.bands.containing(500.0), sweeps_rig.sample("satin"), (1,), 0)
+        points = sweeps_rig.fixed("uniform", geometry, 20, SIM)
         values = free.measure([a.pose for a in points if a.pose is not None]).values
-        again = sweeps_plans.interpolated(values, values.directions)
+        again = sweeps_rig.interpolated(values, values.directions)
         np.testing.assert_allclose(again, values.brdf, rtol=1e-9)  # rounding of logarithms and triangles
 
 
@@ -107,7 +107,7 @@ def test_the_page_has_what_the_records_say(tmp_path: Path) -> None:
 
 def test_too_many_points_or_too_large_an_error_is_no() -> None:
     def by_points(points: float, error: float) -> bool:
-        return sweeps_results.ByPoints("matte", 1, 120.0, points, 0.004, 0.003, error).holds
+        return sweeps_page.ByPoints("matte", 1, 120.0, points, 0.004, 0.003, error).holds
 
     assert by_points(54, 0.0049), "half a percent is enough, whatever the grid has"
     assert not by_points(55, 0.001)

@@ -23,7 +23,6 @@ from gonio_validation.papers import (
     htsg_surfaces,
     oren_nayar,
     oren_nayar_samples,
-    simulated,
 )
 from gonio_validation.papers.figure import Claim, agreed
 from gonio_validation.papers.index import FIGURES
@@ -134,7 +133,7 @@ def test_fig_11_is_spikes_over_an_albedo() -> None:
 
 
 def test_the_simulated_goniometer_measures_the_figures_surface_with_its_solid_angles() -> None:
-    taken = simulated.measure(
+    taken = htsg_surfaces.measure(
         htsg.ALUMINIUM,
         name="aluminium",
         wavelength_nm=2000.0,
@@ -144,7 +143,7 @@ def test_the_simulated_goniometer_measures_the_figures_surface_with_its_solid_an
     )
     assert taken.data.source_solid_angle_sr == pytest.approx(htsg_surfaces.CONE_SR, rel=1e-9)
     curve = taken.curve(45.0)
-    measured = simulated.beside(curve, 45.0, math.radians(3.6))
+    measured = htsg_surfaces.beside(curve, 45.0, math.radians(3.6))
     # the landing is off by up to half an encoder step, 0.04 of the 3.6 degrees that the spike falls off in, on each arm
     assert measured == pytest.approx(77.4, rel=0.06)
     # 6 values: chi-square per value is below 3 in all but 1 of 100 runs of a Gaussian
