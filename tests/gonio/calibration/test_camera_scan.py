@@ -27,7 +27,11 @@ RIG = describe(
 def scan(capture: Any = None, rig: RigDescription = RIG) -> Scan:
     """A scan of a rig that stands still."""
     manual = SimpleNamespace(
-        description=rig, arms=SimpleNamespace(read=Pose), camera=SimpleNamespace(capture=capture), pose=Pose
+        description=rig,
+        arms=SimpleNamespace(read=Pose),
+        camera=SimpleNamespace(capture=capture),
+        pose=Pose,
+        lamp=lambda lit: None,
     )
     return Scan(cast(ManualRig, manual), Path(), say=lambda text: None)
 
@@ -65,3 +69,42 @@ def test_a_frame_of_another_exposure_is_refused() -> None:
     for says_s in (0.5 * 1.2, 0.5 / 1.2, 0.0):
         with pytest.raises(DeviceError, match="was asked for"):
             scan(lambda t, says_s=says_s: shot(says_s))._shot(0.5)
+
+
+def taken(of: Scan, monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    """The exposures of all frames, which are not taken; a white reaches full scale in 2 s."""
+    out: list[float] = []
+    metered = SimpleNamespace(exposure_s=1.2, level_per_s=0.5)
+    monkeypatch.setattr(Scan, "_meter", lambda self, kind: metered)
+    monkeypatch.setattr(Scan, "_take", lambda self, kind, exposure_s, *more, **named: out.append(exposure_s))
+    monkeypatch.setattr(Scan, "_black", lambda self, kind: (slice(0, 1), slice(0, 1)))
+    return out
+
+
+def test_dark_frames_are_taken_in_turn_at_four_exposures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The shortest, and a quarter, a half and all of the longest: here 10 s, the camera's own."""
+    of = scan()
+    found = taken(of, monkeypatch)
+    of.darks()
+    assert found == [1e-3, 2.5, 5.0, 10.0] * 8
+
+
+def test_flats_come_in_pairs_from_three_hundredths_to_beyond_full_scale(monkeypatch: pytest.MonkeyPatch) -> None:
+    of = scan()
+    found = taken(of, monkeypatch)
+    of.flats()
+    assert len(found) == 2 * 2 * 23
+    assert found[::2] == found[1::2], "both of a pair"
+    levels = sorted({round(0.5 * t, 6) for t in found})
+    np.testing.assert_allclose(levels, [*np.linspace(0.03, 0.7, 14), *np.linspace(0.75, 1.15, 9)], atol=1e-6)
+    assert found[::2] != sorted(found[::2]), "a drift looks like no level"
+
+
+@pytest.mark.parametrize("kind", ["trap", "edge"])
+def test_stray_light_takes_eight_frames_of_the_metered_exposure(
+    kind: Literal["trap", "edge"], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    of = scan()
+    found = taken(of, monkeypatch)
+    of.stray(kind)
+    assert found == [1.2] * 8
