@@ -73,38 +73,39 @@ class Objective:
         return replace(self, measured=self.measured[rows], weights=weights, cosine=cosine)
 
     def residual(self, predicted: Floats) -> Floats:
-        """Of a prediction (n,) [1/sr]; its sum of squares is what a fit minimises."""
+        """Of a prediction [1/sr], shape (n,), or of several, (m, n); a sum of squares is what a fit minimises."""
         if self.metric in ("weighted", "ngan", "relative"):
-            plain = np.asarray((predicted - self.measured) * self._factor)
-        else:
-            plain = np.asarray((self.scaled(predicted) - self.scaled(self.measured)) * self._factor)
-        return plain if self.weights is None else self.weights.whiten(plain)
+            return self._white((predicted - self.measured) * self._factor)
+        return self._white((self.scaled(predicted) - self.scaled(self.measured)) * self._factor)
+
+    def slopes(self, predicted: Floats, change: Floats) -> Floats:
+        """Changes of `residual` with a change of the prediction, both of one shape."""
+        if self.metric == "log":
+            return self._white(change / np.hypot(predicted, 2 * self.small))
+        if self.metric == "cube-root":  # held where the root is vertical
+            root = np.cbrt(np.maximum(np.abs(predicted), 1e-3 * self.small))
+            return self._white(change * self._factor / (3.0 * root**2))
+        return self._white(change * self._factor)
 
     def jacobian(self, predicted: Floats, columns: Floats) -> Floats:
         """Derivatives of `residual`, from those of the prediction (n, p)."""
-        if self.metric == "log":
-            slope = 1.0 / np.hypot(predicted, 2 * self.small)
-        elif self.metric == "cube-root":  # held where the root is vertical
-            slope = self._factor / (3.0 * np.cbrt(np.maximum(np.abs(predicted), 1e-3 * self.small)) ** 2)
-        else:
-            slope = self._factor
-        plain = np.asarray(columns * np.broadcast_to(slope, predicted.shape)[:, None])
-        return plain if self.weights is None else self.weights.whiten(plain)
+        return self.slopes(predicted, columns.T).T
+
+    def _white(self, plain: Floats) -> Floats:
+        return np.asarray(plain if self.weights is None else self.weights.whiten(plain.T).T)
 
     def scaled(self, f: Floats) -> Floats:
         """f [1/sr] on the scale of "log" or "cube-root"."""
         return np.asarray(np.cbrt(f) if self.metric == "cube-root" else np.arcsinh(f / (2 * self.small)))
 
     @property
-    def _factor(self) -> Floats:
+    def _factor(self) -> Floats | float:
         """What differences are multiplied by."""
-        one = np.ones(1)
         if self.metric == "relative":
             return np.asarray(1.0 / np.maximum(np.abs(self.measured), 2 * self.small))
-        if self.metric in ("log", "weighted"):
-            return one
-        cosine = one if self.cosine is None else self.cosine
-        return np.asarray(np.cbrt(cosine)) if self.metric == "cube-root" else cosine
+        if self.metric in ("log", "weighted") or self.cosine is None:
+            return 1.0
+        return np.asarray(np.cbrt(self.cosine)) if self.metric == "cube-root" else self.cosine
 
     def total(self, residual: Floats) -> float:
         """The sum of the losses of whitened residuals; the sum of squares, unless the loss is a robust one."""

@@ -187,7 +187,7 @@ class Problem:
             columns[:, k] = np.where(here > 0, (self._excess(moved, signed=True) - here) / (moved[k] - vector[k]), 0.0)
         return np.concatenate([pulls, columns])
 
-    @property
+    @cached_property
     def bounds(self) -> tuple[Floats, Floats]:
         """Lower and upper bounds on the search scale."""
         ends = [(_searched(p, p.lower), _searched(p, p.upper)) for _, p in self._moving]
@@ -231,8 +231,9 @@ class Problem:
         """d(model)/d(search scale) [1/sr] of the parameters for which it is the same in every direction."""
         if self.each:
             return {}
-        flat = self.family.flat(self.values(vector))
-        return {n: flat[n] * scale for n, scale in zip(self.free, self.slope(vector), strict=True) if n in flat}
+        values = self.values(vector)
+        flat = self.family.flat(values)
+        return {n: flat[n] * (values[n] if p.scale == "log" else 1.0) for n, p in self._moving if n in flat}
 
     def model(self, vector: Floats) -> Any:
         """The model at a point of the search."""

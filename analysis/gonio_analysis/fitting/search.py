@@ -70,14 +70,9 @@ def search(problem: Problem, data: Observations, say: Say = silent) -> Floats:
     """
     asked = problem.asked
     few = data if len(data) <= GRID_POINTS else data.take(np.arange(len(data))[:: -(-len(data) // GRID_POINTS)])
-    soft = softened(few, COARSE_U)
     starts = _starts(problem, data)
-    candidates = []
-    pace = Pace("fitting: starts tried", len(starts), say)
-    for k, vector in enumerate(starts):
-        pace.step(k)
-        candidates.append(_levelled(problem, few, soft, vector))
-    coarse = _coarse(problem, few, soft, candidates)
+    candidates = _levelled(problem, few, starts, say)
+    coarse = _coarse(problem, few, softened(few, COARSE_U), candidates)
     others = [vector for vector, _ in coarse[1:] if np.abs(vector - coarse[0][0]).max() > APART]
     begin = [coarse[0][0], *others[: max(asked.searches // 4, 1)]]
     if asked.metric in HIGHEST:  # its valley may be another one than that of the logarithms
@@ -109,7 +104,7 @@ def _beyond(
     starts: dict[float, Floats] = {}
     for _, vector in sorted(candidates, key=lambda c: c[0]) if width is not None else ():
         starts.setdefault(float(vector[width]), vector)
-    best, ends = refine(problem, few, goal, found[0], quick=True), [found[0]]
+    best, ends = (found if few is data else refine(problem, few, goal, found[0], quick=True)), [found[0]]
     for vector in starts.values():
         if chdtrc(len(few) - vector.size, 2.0 * best[1]) >= SIGNIFICANCE:
             break
@@ -122,30 +117,37 @@ def _beyond(
     return min(found, approach(problem, data, best[0], say), key=lambda f: f[1])
 
 
-def _levelled(problem: Problem, data: Observations, goal: Objective, start: Floats) -> tuple[float, Floats]:
-    """What a start costs, and the start, with the level of a Lambertian part that costs least.
+def _levelled(problem: Problem, data: Observations, starts: Sequence[Floats], say: Say) -> list[tuple[float, Floats]]:
+    """What starts cost, and the starts, with the level of a Lambertian part that costs least.
 
     Large residuals count by their logarithm: a lobe in the right place must win over one that is merely low.
     """
-    lower, upper = problem.bounds
-    predicted, vector = apparent(problem.model(start), data, quick=True), start
+    goal, (lower, upper) = softened(data, COARSE_U), problem.bounds
+    pace, evaluated = Pace("fitting: starts tried", len(starts), say), []
+    for k, start in enumerate(starts):
+        pace.step(k)
+        evaluated.append(apparent(problem.model(start), data, quick=True))
+    predicted, vectors = np.array(evaluated), np.array(starts)
 
-    def cost() -> tuple[float, Floats, Floats]:
+    def costs() -> tuple[Floats, Floats]:
         residual = np.clip(goal.residual(predicted), -LARGEST, LARGEST)
-        return float(np.log1p(residual**2).sum()), vector, residual
+        return np.log1p(residual**2).sum(axis=1), residual
 
-    found = latest = cost()
-    for name, slope in problem.known_slopes(start).items():
-        k = problem.free.index(name)
+    (least, residual), best = costs(), vectors.copy()
+    known = [problem.known_slopes(start) for start in starts]
+    for name in known[0]:
+        k, slope = problem.free.index(name), np.array([one[name] for one in known])
         for _ in range(LEVELLED):
-            column = goal.jacobian(predicted, np.full((len(data), 1), slope))[:, 0]
-            weight = column / (1.0 + latest[2] ** 2)
-            best = vector[k] - float(weight @ latest[2]) / max(float(weight @ column), 1e-300)
-            moved = np.where(np.arange(vector.size) == k, np.clip(best, lower[k], upper[k]), vector)
-            predicted, vector = predicted + slope * (moved[k] - vector[k]), moved
-            latest = cost()
-            found = min(found, latest, key=lambda f: f[0])
-    return found[:2]
+            column = goal.slopes(predicted, np.broadcast_to(slope[:, None], predicted.shape))
+            weight = column / (1.0 + residual**2)
+            step = (weight * residual).sum(axis=1) / np.maximum((weight * column).sum(axis=1), 1e-300)
+            moved = np.clip(vectors[:, k] - step, lower[k], upper[k])
+            predicted += (slope * (moved - vectors[:, k]))[:, None]
+            vectors[:, k] = moved
+            cost, residual = costs()
+            best[cost < least] = vectors[cost < least]
+            least = np.minimum(cost, least)
+    return list(zip(least.tolist(), best, strict=True))
 
 
 def _starts(problem: Problem, data: Observations) -> list[Floats]:
