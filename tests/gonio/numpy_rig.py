@@ -5,12 +5,16 @@ import math
 import signal
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
 
+from gonio.acquisition.measure import RigChoice, carry_out
+from gonio.acquisition.plan import Plan, load_plan
 from gonio.acquisition.progress import Live, Silent
+from gonio.acquisition.run import Run
 from gonio.errors import DeviceError
 from gonio.rig import Frame, Pose, Step, Target
 from gonio.rig.bands import Band, Bands
@@ -181,3 +185,18 @@ theta_i_deg = [40]
 theta_r_deg = [30]
 dphi_deg = [90]
 """
+
+
+def plan_in(folder: Path, text: str = PLAN) -> Plan:
+    """A plan, from the file `plan.toml` that is written into a folder."""
+    (folder / "plan.toml").write_text(text)
+    return load_plan(folder / "plan.toml")
+
+
+def measured(
+    plan: Plan, out: Path, rig: Any = None, *, description: RigDescription | None = None, **changes: Any
+) -> Run:
+    """A run on the rig of numpy, or on that of another plugin."""
+    choice = RigChoice(rig or Plugin(), description or describe(), "numpy")
+    given: dict[str, Any] = {"sample": SAMPLE, "seed": 1} | changes
+    return carry_out(plan, choice, out, **given)

@@ -18,12 +18,10 @@ from gonio_validation import papers
 from gonio_validation.bench import speed_and_error
 
 from gonio import disk, measurement
-from gonio.acquisition.measure import RigChoice, carry_out
-from gonio.acquisition.plan import load_plan
 from gonio.acquisition.run import Run
 from gonio.errors import ConfigError, GonioError
 from tests.command_line import says
-from tests.gonio.numpy_rig import PLAN, SAMPLE, Plugin, describe
+from tests.gonio.numpy_rig import measured, plan_in
 
 Measure = Callable[..., Run]
 LONG = "x" * 300
@@ -32,14 +30,8 @@ SOMEBODYS = hashlib.sha256(b"somebody's").hexdigest()
 
 @pytest.fixture
 def measure(tmp_path: Path) -> Measure:
-    (tmp_path / "plan.toml").write_text(PLAN)
-    plan = load_plan(tmp_path / "plan.toml")
-
-    def go(out: str | Path, **changes: object) -> Run:
-        arguments: dict[str, object] = {"sample": SAMPLE, "seed": 1, "command": "gonio measure ..."} | changes
-        return carry_out(plan, RigChoice(Plugin(), describe(), "numpy"), tmp_path / out, **arguments)  # type: ignore[arg-type]
-
-    return go
+    plan = plan_in(tmp_path)
+    return lambda out, **changes: measured(plan, tmp_path / out, **{"command": "gonio measure ..."} | changes)
 
 
 def tree(folder: Path) -> dict[str, str | bytes]:

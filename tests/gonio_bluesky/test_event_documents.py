@@ -17,8 +17,7 @@ from gonio_bluesky.event_files import read, write
 
 from gonio import plugins
 from gonio.acquisition.journal import Journal, encode, now
-from gonio.acquisition.measure import RigChoice, carry_out
-from gonio.acquisition.plan import ANGLES, Assessed, Plan, load_plan
+from gonio.acquisition.plan import ANGLES, Assessed
 from gonio.acquisition.run import Run
 from gonio.acquisition.run_settings import Request
 from gonio.errors import ConfigError, DataError, DeviceError, Interrupted
@@ -27,26 +26,17 @@ from gonio.rig.dng import read_raw
 from tests.command_line import gonio
 from tests.gonio.acquisition.test_sampling import PLAN as GROWING
 from tests.gonio.acquisition.test_sampling import Chooses
-from tests.gonio.numpy_rig import PLAN, SAMPLE, Plugin, StopAfter, describe
+from tests.gonio.numpy_rig import SAMPLE, Plugin, StopAfter, plan_in
+from tests.gonio.numpy_rig import measured as measure
 
 event_model = pytest.importorskip("event_model", reason="event-model is not installed (extra bluesky)")
-
-
-def load(folder: Path, text: str = PLAN) -> Plan:
-    (folder / "plan.toml").write_text(text)
-    return load_plan(folder / "plan.toml")
-
-
-def measure(plan: Plan, out: Path, plugin: Plugin | None = None, **more: Any) -> Run:
-    choice = RigChoice(plugin or Plugin(), describe(), "numpy")
-    return carry_out(plan, choice, out, sample=SAMPLE, seed=1, **more)
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A reduced run of eight points, in two bands."""
     where = tmp_path_factory.mktemp("documents")
-    run = measure(load(where), where / "RUN")
+    run = measure(plan_in(where), where / "RUN")
     run.write_table(brdf.reduce(Run.open(run.path)))
     return run.path
 
@@ -158,7 +148,7 @@ def test_the_same_run_gives_the_same_bytes_compressed_too(folder: Path, tmp_path
 
 
 def test_an_unfinished_run_says_so_and_keeps_its_identity_when_it_has_grown(tmp_path: Path) -> None:
-    plan = load(tmp_path)
+    plan = plan_in(tmp_path)
     with pytest.raises(Interrupted):
         measure(plan, tmp_path / "RUN", progress=StopAfter(4))
     cut = checked(list(documents(Run.open(tmp_path / "RUN"))))
@@ -180,14 +170,14 @@ def test_an_unfinished_run_says_so_and_keeps_its_identity_when_it_has_grown(tmp_
 
 def test_a_failed_device_is_a_failed_run(tmp_path: Path) -> None:
     with pytest.raises(DeviceError):
-        measure(load(tmp_path), tmp_path / "RUN", Plugin(options={"fails_at": 4}))
+        measure(plan_in(tmp_path), tmp_path / "RUN", Plugin(options={"fails_at": 4}))
     of = checked(list(documents(Run.open(tmp_path / "RUN"))))
     assert of[-1][1]["exit_status"] == "fail"
     assert "no frame came within 5 s" in of[-1][1]["reason"]
 
 
 def test_steps_without_frames_and_steps_that_were_lost(tmp_path: Path) -> None:
-    plan, out = load(tmp_path), tmp_path / "RUN"
+    plan, out = plan_in(tmp_path), tmp_path / "RUN"
     run = measure(plan, out, Plugin(options={"pushes": {3: 99}}))
     (moved,) = (step for step in run.steps() if step.flag == "moved")
     of = checked(list(documents(Run.open(out))))
@@ -210,7 +200,7 @@ def test_steps_without_frames_and_steps_that_were_lost(tmp_path: Path) -> None:
 def test_what_was_chosen_is_among_the_documents(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Chooses, "opened", [])
     plugins.add("gonio.choosers", "brightest", Chooses)
-    run = measure(load(tmp_path, GROWING), tmp_path / "RUN")
+    run = measure(plan_in(tmp_path, GROWING), tmp_path / "RUN")
     of = checked(list(documents(run)))
     assert [data["point"] for data in events(of, "primary")] == list(range(9))
     told = [data["event"] for data in events(of, "journal")]
@@ -227,8 +217,8 @@ def test_a_long_run_reads_back_bit_for_bit(tmp_path: Path) -> None:
     text = 'name = "long"\nwavelength_nm = [550]\n[[points]]\nfile = "points.csv"\n'
     lines = [",".join(ANGLES), *(f"30,0,{k / 15},180" for k in range(count))]
     (tmp_path / "points.csv").write_text("\n".join(lines))
-    plan = load(tmp_path, text)
-    short = measure(load(tmp_path), tmp_path / "short")
+    plan = plan_in(tmp_path, text)
+    short = measure(plan_in(tmp_path), tmp_path / "short")
     template = next(e for e in short.events() if e.get("kind") == "point")
     request = Request(plan, short.description, SAMPLE, 1, "")
     pose = next(iter(short.steps())).pose

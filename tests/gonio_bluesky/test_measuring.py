@@ -14,7 +14,7 @@ from gonio.errors import ConfigError, DeviceError
 from gonio.reduction import brdf
 from gonio.rig.description import Acquisition
 from tests.command_line import gonio
-from tests.gonio.numpy_rig import PLAN, SAMPLE, Plugin, describe
+from tests.gonio.numpy_rig import PLAN, SAMPLE, Plugin, describe, measured
 
 pytest.importorskip("bluesky", reason="bluesky is not installed (extra bluesky)")
 from bluesky import RunEngine, protocols
@@ -72,7 +72,7 @@ def test_a_list_scan_on_sim_gives_the_same_table(tmp_path: Path) -> None:
 
 
 def test_every_step_and_frame_is_that_of_the_engine(plan: Path, tmp_path: Path) -> None:
-    whole = carry_out(load_plan(plan), choice(), tmp_path / "A", sample=SAMPLE, seed=1)
+    whole = measured(load_plan(plan), tmp_path / "A")
     seen = []
     with measurement(plan, rig=choice(), sample=SAMPLE, seed=1, out=tmp_path / "B") as m:
         engine()(list_scan([m.camera], *m.points()), lambda kind, document: seen.append((kind, document)))
@@ -125,7 +125,7 @@ def test_points_are_taken_in_the_order_of_the_run(plan: Path, tmp_path: Path) ->
 
 
 def test_a_scan_that_ends_early_is_a_run_to_be_resumed(plan: Path, tmp_path: Path) -> None:
-    whole = carry_out(load_plan(plan), choice(), tmp_path / "A", sample=SAMPLE, seed=1)
+    whole = measured(load_plan(plan), tmp_path / "A")
     plugin = Plugin()
     m = measurement(plan, rig=choice(plugin), sample=SAMPLE, seed=1, out=tmp_path / "B")
     with contextlib.suppress(RuntimeError), m:

@@ -9,7 +9,7 @@ from gonio_bluesky.event_files import read, write
 
 from gonio.acquisition.run import Run
 from gonio.reduction import brdf
-from tests.gonio.numpy_rig import SAMPLE, Plugin, describe
+from tests.gonio.numpy_rig import Plugin, measured, plan_in
 
 pytest.importorskip("tiled", reason="tiled is not installed: pip install 'tiled[all]' bluesky-tiled-plugins")
 plugins = pytest.importorskip("bluesky_tiled_plugins", reason="bluesky-tiled-plugins is not installed")
@@ -20,13 +20,8 @@ def test_tiled_reads_back_every_key_bit_for_bit(tmp_path: Path) -> None:
     from tiled.client import from_context, from_uri
     from tiled.server import SimpleTiledServer
 
-    from gonio.acquisition.measure import RigChoice, carry_out
-    from gonio.acquisition.plan import load_plan
-    from tests.gonio.numpy_rig import PLAN
-
-    (tmp_path / "plan.toml").write_text(PLAN)
-    choice = RigChoice(Plugin(options={"pushes": {3: 99}}), describe(), "numpy")  # a step without frames
-    run = carry_out(load_plan(tmp_path / "plan.toml"), choice, tmp_path / "RUN", sample=SAMPLE)
+    rig = Plugin(options={"pushes": {3: 99}})  # a step without frames
+    run = measured(plan_in(tmp_path), tmp_path / "RUN", rig)
     run.write_table(brdf.reduce(Run.open(run.path)))
     write(str(run.path), tmp_path / "run.jsonl")
     told = list(read(tmp_path / "run.jsonl"))

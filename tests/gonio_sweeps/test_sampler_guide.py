@@ -14,14 +14,13 @@ from typing import Any
 import pytest
 
 from gonio import plugins
-from gonio.acquisition.measure import RigChoice, carry_out
 from gonio.acquisition.plan import load_plan
 from gonio.acquisition.run import Run
 from gonio.errors import ConfigError, Interrupted
 from gonio.rig import Frame
 from gonio.rig.description import RigDescription, SampleDescription
 from tests.gonio.cli.test_cli import installed, process
-from tests.gonio.numpy_rig import SAMPLE, NumpyRig, Plugin, StopAfter, describe
+from tests.gonio.numpy_rig import NumpyRig, Plugin, StopAfter, measured
 from tests.places import ROOT, fenced
 
 pytestmark = pytest.mark.slow
@@ -64,8 +63,7 @@ class GlossyPlugin(Plugin):
 
 
 def measure(tmp_path: Path, out: str, **options: Any) -> Run:
-    plan, rig = load_plan(tmp_path / "plan.toml"), RigChoice(GlossyPlugin(), describe(), "numpy")
-    return carry_out(plan, rig, tmp_path / out, sample=SAMPLE, seed=1, **options)
+    return measured(load_plan(tmp_path / "plan.toml"), tmp_path / out, GlossyPlugin(), **options)
 
 
 @pytest.fixture

@@ -13,12 +13,10 @@ from pathlib import Path
 import pytest
 
 from gonio.acquisition.frame_writer import BESIDE
-from gonio.acquisition.measure import RigChoice, carry_out
-from gonio.acquisition.plan import load_plan
 from gonio.acquisition.run import Run
 from gonio.disk import only_file, read_file
 from gonio.reduction import brdf
-from tests.gonio.numpy_rig import PLAN, SAMPLE, Plugin, describe
+from tests.gonio.numpy_rig import measured, plan_in
 
 LIMIT_S = 60
 """A command that has not ended by then waits for something; each takes a second or two."""
@@ -44,22 +42,17 @@ import json
 import sys
 from pathlib import Path
 from gonio.acquisition import repair
-from gonio.acquisition.measure import RigChoice, carry_out
 from gonio.acquisition.plan import load_plan
 from gonio.acquisition.run import Run
 from gonio.errors import GonioError
 from gonio import measurement
 from gonio.reduction import brdf
-from tests.gonio.numpy_rig import SAMPLE, Plugin, describe
-
-def resume(run):
-    rig = RigChoice(Plugin(), describe(), "numpy")
-    carry_out(load_plan(run.parent / "plan.toml"), rig, run, sample=SAMPLE, seed=1, resume=True)
+from tests.gonio.numpy_rig import measured
 
 todo = {
     "check": repair.check,
     "repair": repair.repair,
-    "resume": resume,
+    "resume": lambda run: measured(load_plan(run.parent / "plan.toml"), run, resume=True),
     "reduce": lambda run: brdf.reduce(Run.open(run)),
     "read": measurement.read,
 }
@@ -104,9 +97,7 @@ def call() -> Iterator[Call]:
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("whole")
-    (folder / "plan.toml").write_text(PLAN)
-    rig = RigChoice(Plugin(), describe(), "numpy")
-    run = carry_out(load_plan(folder / "plan.toml"), rig, folder / "run", sample=SAMPLE, seed=1, command="")
+    run = measured(plan_in(folder), folder / "run", command="")
     run.write_table(brdf.reduce(run))
     return folder
 

@@ -7,24 +7,19 @@ from typing import Any
 
 import pytest
 
-from gonio.acquisition.measure import RigChoice, carry_out
-from gonio.acquisition.plan import Plan, load_plan
+from gonio.acquisition.plan import Plan
 from gonio.acquisition.records import StepRecord
 from gonio.acquisition.run import Run
 from gonio.rig.description import RigDescription
-from tests.gonio.numpy_rig import PLAN, SAMPLE, Plugin, describe
+from tests.gonio import numpy_rig
+from tests.gonio.numpy_rig import plan_in
 
 Measure = Callable[..., Run]
 
 
-def _plan_in(folder: Path) -> Plan:
-    (folder / "plan.toml").write_text(PLAN)
-    return load_plan(folder / "plan.toml")
-
-
 @pytest.fixture
 def plan(tmp_path: Path) -> Plan:
-    return _plan_in(tmp_path)
+    return plan_in(tmp_path)
 
 
 @pytest.fixture
@@ -32,10 +27,8 @@ def measure(plan: Plan, tmp_path: Path) -> Measure:
     """Measure the plan into a folder; a rig that is given collects the rigs that were opened."""
 
     def go(out: str = "run", *, rig: Any = None, description: RigDescription | None = None, **changes: Any) -> Run:
-        choice = RigChoice(rig or Plugin(), description or describe(), "numpy")
-        arguments: dict[str, Any] = {"plan": plan, "sample": SAMPLE, "seed": 1, "command": "gonio measure ..."}
-        arguments |= changes
-        return carry_out(arguments.pop("plan"), choice, tmp_path / out, **arguments)
+        arguments: dict[str, Any] = {"plan": plan, "command": "gonio measure ..."} | changes
+        return numpy_rig.measured(out=tmp_path / out, rig=rig, description=description, **arguments)
 
     return go
 
@@ -44,8 +37,7 @@ def measure(plan: Plan, tmp_path: Path) -> Measure:
 def measured(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of the whole run; not to be written to."""
     folder = tmp_path_factory.mktemp("measured")
-    choice = RigChoice(Plugin(), describe(), "numpy")
-    return carry_out(_plan_in(folder), choice, folder / "run", sample=SAMPLE, seed=1, command="gonio measure ...").path
+    return numpy_rig.measured(plan_in(folder), folder / "run", command="gonio measure ...").path
 
 
 @pytest.fixture(scope="session")

@@ -16,13 +16,12 @@ import pytest
 
 from gonio.acquisition import repair
 from gonio.acquisition.journal import encode
-from gonio.acquisition.measure import RigChoice, carry_out
-from gonio.acquisition.plan import load_plan
 from gonio.acquisition.run import Run
 from gonio.errors import GonioError
 from gonio.reduction import brdf
 from gonio.rig.light_and_camera import Camera
-from tests.gonio.numpy_rig import PLAN, SAMPLE, Plugin, describe
+from tests.gonio import numpy_rig
+from tests.gonio.numpy_rig import describe, plan_in
 
 pytestmark = pytest.mark.slow
 
@@ -179,10 +178,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, pd.DataFrame]
 
 
 def measured(folder: Path, out: Path, *, resume: bool = False) -> Run:
-    if not resume:
-        (folder / "plan.toml").write_text(PLAN)
-    choice = RigChoice(Plugin(), describe(camera=NOISY), "numpy")
-    return carry_out(load_plan(folder / "plan.toml"), choice, out, sample=SAMPLE, seed=1, resume=resume)
+    return numpy_rig.measured(plan_in(folder), out, description=describe(camera=NOISY), resume=resume)
 
 
 def pictures(folder: Path) -> set[str]:

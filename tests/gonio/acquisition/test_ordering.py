@@ -12,15 +12,13 @@ from hypothesis import strategies as st
 
 from gonio.acquisition import ordering
 from gonio.acquisition.duration import SAME_PLACE, SETTLE_S, Durations, approach_starts
-from gonio.acquisition.measure import RigChoice, carry_out
 from gonio.acquisition.ordering import ordered, shorter
 from gonio.acquisition.plan import Plan, Point, assess, load_plan
-from gonio.acquisition.run import Run
 from gonio.acquisition.schedule import Schedule, reference_pose, schedule
 from gonio.errors import ConfigError, Interrupted
 from gonio.rig import Pose, _short_path
 from gonio.rig.description import Acquisition, Body, Reference, RigDescription
-from tests.gonio.numpy_rig import BANDS, SAMPLE, Plugin, StopAfter, describe
+from tests.gonio.numpy_rig import BANDS, StopAfter, describe, measured, plan_in
 
 ROUNDING = 1e-9
 """Of sums of seconds."""
@@ -141,28 +139,23 @@ def test_without_the_key_the_order_is_the_plan_s() -> None:
 def folder(tmp_path: Path) -> Plan:
     rows = "".join(f"{p.theta_i_deg},{p.phi_i_deg},{p.theta_r_deg},{p.phi_r_deg}\n" for p in scattered(8, 9))
     (tmp_path / "points.csv").write_text("theta_i_deg,phi_i_deg,theta_r_deg,phi_r_deg\n" + rows)
-    (tmp_path / "plan.toml").write_text(HEAD + 'reference_every = 4\n[[points]]\nfile = "points.csv"\nrepeats = 2\n')
-    return load_plan(tmp_path / "plan.toml")
-
-
-def go(plan: Plan, out: Path, **changes: object) -> Run:
-    return carry_out(plan, RigChoice(Plugin(), describe(), "numpy"), out, sample=SAMPLE, seed=1, **changes)  # type: ignore[arg-type]
+    return plan_in(tmp_path, HEAD + 'reference_every = 4\n[[points]]\nfile = "points.csv"\nrepeats = 2\n')
 
 
 def test_a_resumed_run_goes_on_in_the_order_that_it_was_begun_with(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     plan = folder(tmp_path)
-    whole = go(plan, tmp_path / "whole")
+    whole = measured(plan, tmp_path / "whole")
     with pytest.raises(Interrupted):
-        go(plan, tmp_path / "cut", progress=StopAfter(7))
+        measured(plan, tmp_path / "cut", progress=StopAfter(7))
     before = (tmp_path / "cut" / "plan.csv").read_bytes()
 
     def another(*arguments: object) -> object:
         raise AssertionError("the order is that of plan.csv")
 
     monkeypatch.setattr(ordering, "ordered", another)
-    resumed = go(plan, tmp_path / "cut", resume=True)
+    resumed = measured(plan, tmp_path / "cut", resume=True)
     assert (tmp_path / "cut" / "plan.csv").read_bytes() == before == (tmp_path / "whole" / "plan.csv").read_bytes()
     assert list(resumed.steps()) == list(whole.steps())
     points = [step.point for step in whole.steps() if step.point is not None]
@@ -172,14 +165,14 @@ def test_a_resumed_run_goes_on_in_the_order_that_it_was_begun_with(
 def test_a_resumed_run_refuses_other_points(tmp_path: Path) -> None:
     plan = folder(tmp_path)
     with pytest.raises(Interrupted):
-        go(plan, tmp_path / "cut", progress=StopAfter(3))
+        measured(plan, tmp_path / "cut", progress=StopAfter(3))
     (tmp_path / "points.csv").write_text((tmp_path / "points.csv").read_text() + "1,2,3,4\n")
     with pytest.raises(ConfigError, match="are not those of"):
-        go(load_plan(tmp_path / "plan.toml"), tmp_path / "cut", resume=True)
+        measured(load_plan(tmp_path / "plan.toml"), tmp_path / "cut", resume=True)
 
 
 def test_a_plan_may_say_how_often_the_reference_is_visited(tmp_path: Path) -> None:
-    run = go(folder(tmp_path), tmp_path / "run")
+    run = measured(folder(tmp_path), tmp_path / "run")
     kinds = [step.kind for step in run.steps()]
     assert run.description.reference.every == 4
     reached = kinds.count("point")
@@ -188,4 +181,4 @@ def test_a_plan_may_say_how_often_the_reference_is_visited(tmp_path: Path) -> No
     assert len(run.steps()) == len(Schedule(run.description, range(reached), lambda row: Pose()))
     (tmp_path / "plan.toml").write_text((tmp_path / "plan.toml").read_text().replace("= 4", "= 5"))
     with pytest.raises(ConfigError, match=r"rig\.reference\.every: 4 in the run, 5 now"):
-        go(load_plan(tmp_path / "plan.toml"), tmp_path / "run", resume=True)
+        measured(load_plan(tmp_path / "plan.toml"), tmp_path / "run", resume=True)

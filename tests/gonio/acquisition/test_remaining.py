@@ -3,13 +3,13 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from gonio.acquisition.duration import Durations
-from gonio.acquisition.measure import RigChoice, carry_out
-from gonio.acquisition.plan import Plan, Point, load_plan
+from gonio.acquisition.plan import Plan, Point
 from gonio.acquisition.progress import Silent
 from gonio.acquisition.records import FrameRecord, StepRecord
 from gonio.acquisition.remaining import PRIOR, Remaining, TimeLeft, ratio
@@ -18,7 +18,7 @@ from gonio.cli.console import time_left
 from gonio.errors import Interrupted
 from gonio.rig import Pose, Step
 from gonio.rig.description import Reference
-from tests.gonio.numpy_rig import BANDS, PLAN, SAMPLE, Plugin, StopAfter, describe
+from tests.gonio.numpy_rig import BANDS, SAMPLE, Plugin, StopAfter, describe, measured, plan_in
 
 RIG = describe(reference=Reference(every=20, frames=4))
 DURATIONS = Durations(RIG, BANDS[:1])
@@ -172,15 +172,12 @@ class Watching(Silent):
 
 @pytest.mark.parametrize("repeatable", [True, False])
 def test_a_measurement_tells_how_long_it_goes_on(tmp_path: Path, repeatable: bool) -> None:
-    (tmp_path / "plan.toml").write_text(PLAN)
-    watching, plan = Watching(), load_plan(tmp_path / "plan.toml")
-    rig = Plugin(options={"repeatable": repeatable})
-    sample = SAMPLE if repeatable else None
+    watching, plan = Watching(), plan_in(tmp_path)
+    rig, sample = Plugin(options={"repeatable": repeatable}), SAMPLE if repeatable else None
+    how: dict[str, Any] = {"rig": rig, "sample": sample, "yes": True}
     with pytest.raises(Interrupted):
-        carry_out(plan, RigChoice(rig, describe(), "n"), tmp_path / "r", sample=sample, yes=True, progress=StopAfter(4))
-    carry_out(
-        plan, RigChoice(rig, describe(), "n"), tmp_path / "r", sample=sample, yes=True, resume=True, progress=watching
-    )
+        measured(plan, tmp_path / "r", **how, progress=StopAfter(4))
+    measured(plan, tmp_path / "r", **how, progress=watching, resume=True)
     assert watching.said[-1] == "0 s left"
     assert (watching.said[0] == "") == repeatable
     if repeatable:

@@ -11,14 +11,14 @@ import pytest
 
 from gonio import plugins
 from gonio.acquisition import repair
-from gonio.acquisition.measure import RigChoice, carry_out
 from gonio.acquisition.plan import Plan, Point, canonical, load_plan
 from gonio.acquisition.run import Run
 from gonio.acquisition.sampling import Choice
 from gonio.errors import ConfigError, Interrupted
 from gonio.reduction import brdf
 from gonio.rig.description import RigDescription
-from tests.gonio.numpy_rig import SAMPLE, Plugin, StopAfter, describe
+from tests.gonio.numpy_rig import Plugin, StopAfter, plan_in
+from tests.gonio.numpy_rig import measured as measure
 
 PLAN = """
 name = "grows"
@@ -76,12 +76,7 @@ class Chooses:
 def plan(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Plan:
     monkeypatch.setattr(Chooses, "opened", [])
     plugins.add("gonio.choosers", "brightest", Chooses)
-    (tmp_path / "plan.toml").write_text(PLAN)
-    return load_plan(tmp_path / "plan.toml")
-
-
-def measure(plan: Plan, out: Path, **options: Any) -> Run:
-    return carry_out(plan, RigChoice(Plugin(), describe(), "numpy"), out, sample=SAMPLE, seed=1, **options)
+    return plan_in(tmp_path, PLAN)
 
 
 def test_a_run_grows_until_its_chooser_has_enough(plan: Plan, tmp_path: Path) -> None:
@@ -206,7 +201,7 @@ def test_a_point_that_the_rig_cannot_reach_ends_the_run_before_the_journal_has_i
     monkeypatch.setattr(Brightest, "next", lambda self, run: Choice((canonical(30.0, 0.0, 120.0, 180.0),)))
     rig = Plugin()
     with pytest.raises(ConfigError, match=r"the sampler named a point .*theta_r_deg = 120.*outside the limits"):
-        carry_out(plan, RigChoice(rig, describe(), "numpy"), tmp_path / "run", sample=SAMPLE, seed=1)
+        measure(plan, tmp_path / "run", rig)
     assert rig.opened[0].log[-2:] == ["off", "park"]
     run = Run.open(tmp_path / "run")
     assert not run.batches

@@ -11,7 +11,6 @@ from typing import Any
 import pytest
 
 from gonio import measurement
-from gonio.acquisition.measure import RigChoice, carry_out
 from gonio.acquisition.plan import load_plan
 from gonio.acquisition.run import Run
 from gonio.config import parse
@@ -20,8 +19,9 @@ from gonio.reduction import brdf
 from gonio.rig.description import RigDescription
 from gonio.rig.laboratory import Laboratory, merged
 from tests.command_line import gonio, some
+from tests.gonio import numpy_rig
 from tests.gonio.formats.test_bird_json import validator
-from tests.gonio.numpy_rig import PLAN, SAMPLE, Plugin, describe
+from tests.gonio.numpy_rig import PLAN, describe, plan_in
 
 RIG: dict[str, Any] = {
     "organisation": "Institute of Optics",
@@ -59,10 +59,8 @@ orcid = "0000-0002-1825-0097"
 
 
 def measured(folder: Path, text: str, laboratory: dict[str, Any] | None = None, **more: Any) -> Run:
-    (folder / "plan.toml").write_text(text)
     described = describe(**({} if laboratory is None else {"laboratory": laboratory}))
-    choice = RigChoice(Plugin(), described, "numpy")
-    run = carry_out(load_plan(folder / "plan.toml"), choice, folder / "RUN", sample=SAMPLE, **more)
+    run = numpy_rig.measured(plan_in(folder, text), folder / "RUN", description=described, **more)
     run.write_table(brdf.reduce(Run.open(run.path)))
     return run
 

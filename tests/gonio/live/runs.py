@@ -4,9 +4,7 @@ import shutil
 from pathlib import Path
 
 from gonio.acquisition.journal import Event, decode
-from gonio.acquisition.measure import RigChoice, carry_out
-from gonio.acquisition.plan import load_plan
-from tests.gonio.numpy_rig import SAMPLE, Plugin, describe
+from tests.gonio import numpy_rig
 
 PLAN = """
 name = "in plane and out of it"
@@ -23,11 +21,7 @@ dphi_deg = [45, 90]
 
 def measured(folder: Path, plan: str = PLAN) -> Path:
     """A whole run on the rig of numpy."""
-    (folder / "plan.toml").write_text(plan)
-    carry_out(
-        load_plan(folder / "plan.toml"), RigChoice(Plugin(), describe(), "numpy"), folder / "run", sample=SAMPLE, seed=1
-    )
-    return folder / "run"
+    return numpy_rig.measured(numpy_rig.plan_in(folder, plan), folder / "run").path
 
 
 class Played:

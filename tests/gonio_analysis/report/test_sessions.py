@@ -10,14 +10,12 @@ from gonio_analysis.report import make, sessions
 from gonio_analysis.result_records import RunFacts
 from gonio_analysis.selection.run_record import run_facts
 
-from gonio.acquisition.measure import RigChoice, carry_out
-from gonio.acquisition.plan import load_plan
 from gonio.acquisition.run import Run
 from gonio.errors import DeviceError, Interrupted
 from gonio.reduction import brdf
 from gonio.rig.description import RigDescription, SampleDescription
 from tests.command_line import says, some
-from tests.gonio.numpy_rig import PLAN, SAMPLE, NumpyRig, Plugin, StopAfter, describe
+from tests.gonio.numpy_rig import NumpyRig, Plugin, StopAfter, measured, plan_in
 
 DIMMER = 0.97
 DAYS = ("2026-03-02T22:05:00.000Z", "2026-03-03T08:30:00.000Z", "2026-03-05T23:59:00.000Z")
@@ -40,16 +38,13 @@ class Dimmer(Plugin):
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Three sessions: Ctrl-C, a camera that fails on the next day, and the rest with a dimmer lamp."""
     here = tmp_path_factory.mktemp("days")
-    (here / "plan.toml").write_text(PLAN)
-    plan, out = load_plan(here / "plan.toml"), here / "run"
+    plan, out = plan_in(here), here / "run"
     with pytest.MonkeyPatch.context() as patch:
 
         def session(day: str, plugin: Plugin, stop: StopAfter | None = None, *, resume: bool = True) -> Run:
             patch.setattr("gonio.acquisition.journal.now", lambda: day)
             more: dict[str, Any] = {} if stop is None else {"progress": stop}
-            return carry_out(
-                plan, RigChoice(plugin, describe(), "numpy"), out, sample=SAMPLE, seed=1, resume=resume, **more
-            )
+            return measured(plan, out, plugin, resume=resume, **more)
 
         with pytest.raises(Interrupted):
             session(DAYS[0], Plugin(), StopAfter(6), resume=False)

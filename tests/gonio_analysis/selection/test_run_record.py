@@ -11,13 +11,11 @@ from gonio_analysis.report.drawings import Figure
 from gonio_analysis.selection.run_record import run_budget, run_facts
 
 from gonio import measurement
-from gonio.acquisition.measure import RigChoice, carry_out
-from gonio.acquisition.plan import load_plan
 from gonio.formats.reader import table
 from gonio.reduction import brdf
 from gonio.reduction.table import said_once
 from gonio.rig.description import Reference
-from tests.gonio.numpy_rig import PLAN, SAMPLE, Plugin, describe
+from tests.gonio.numpy_rig import describe, measured, plan_in
 from tests.gonio_analysis.synthetic import known
 
 CERTIFIED = (0.002, 0.006)
@@ -25,13 +23,10 @@ CERTIFIED = (0.002, 0.006)
 
 
 def reduced(here: Path, **reference: object) -> Path:
-    (here / "plan.toml").write_text(PLAN)
     description = describe()
     changed = {**description.reference.model_dump(), **reference}
     description = description.model_copy(update={"reference": Reference(**changed)})
-    run = carry_out(
-        load_plan(here / "plan.toml"), RigChoice(Plugin(), description, "numpy"), here / "run", sample=SAMPLE, seed=1
-    )
+    run = measured(plan_in(here), here / "run", description=description)
     run.write_table(brdf.reduce(run))
     return here / "run"
 
