@@ -27,7 +27,7 @@ from gonio_analysis.changes.consensus import (
 )
 from gonio_analysis.changes.point_by_point import Side, laid_on, require_alike
 from gonio_analysis.changes.resampling import Carried, carry, turned_in_plane
-from gonio_analysis.fitting.observations import Observations, describe_left_out
+from gonio_analysis.fitting.observations import Observations, Unused, describe_left_out
 from gonio_analysis.fitting.value_covariance import Covariance
 
 if TYPE_CHECKING:
@@ -260,9 +260,9 @@ def _ready(sides: Sequence[Side], wavelength_nm: float | None) -> tuple[list[Sid
             side = replace(side, data=side.data.nearest(wavelength_nm)[0])
         if out:
             require_alike(out[0], side)
-            data, table, told = laid_on(out[0].measured, side)
+            data, told = laid_on(out[0].measured, side.measured)
             notes += [f"{side.name}: {text}" for text in told]
-            side = replace(side, data=data, table=table)
+            side = replace(side, data=data)
         out.append(side)
     return out, (*notes, *(f"{side.name}: {text}" for side in out for text in side.measured.notes))
 
@@ -347,13 +347,11 @@ def _common(sides: Sequence[Side], say: Say) -> tuple[int, Rows, list[Laboratory
 
 def _carried(at: Observations, side: Side, turn: float, say: Say = silent) -> tuple[Rows, LaboratoryValues, Carried]:
     """A laboratory's values in other directions, its angles reading too large by `turn` [rad]; and which these are."""
-    data, table = side.measured, side.whole
+    data = side.measured
     if turn:
         directions, above = turned_in_plane(data.directions, -turn)
-        kept = np.flatnonzero(above)
-        table = table.iloc[data.rows[kept]]
-        data = replace(data.take(kept), directions=directions[kept], rows=np.arange(kept.size))
-    found = carry(at, data, table, say)
+        data = replace(data, directions=directions, unused=Unused()).take(above)
+    found = carry(at, data, say)
     covariance = Covariance(np.hypot(found.random, found.error), found.common, _covariance(side).causes)
     return found.rows, LaboratoryValues(found.value, covariance, found.interpolated), found
 

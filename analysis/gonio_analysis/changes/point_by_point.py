@@ -52,6 +52,7 @@ class Side:
     name: str
     source: str
     table: pd.DataFrame | None = None
+    """Columns and attributes of the measurement's table, without its rows: their values are in `data`."""
     data: Observations | None = None
     model: Any = None
     misfit: float = 0.0
@@ -59,7 +60,7 @@ class Side:
     through: Side | None = None
     """The transmission of a table that has both."""
     behind: bool = False
-    """Whether `table` and `data` are transmission, turned over (`gonio.measurement.turned_over`)."""
+    """Whether `data` is transmission, turned over (`gonio.measurement.turned_over`)."""
 
     @property
     def kind(self) -> str:
@@ -71,12 +72,6 @@ class Side:
         """The values of a measurement."""
         assert self.data is not None
         return self.data
-
-    @property
-    def whole(self) -> pd.DataFrame:
-        """The table of a measurement."""
-        assert self.table is not None
-        return self.table
 
     @property
     def simulated(self) -> bool:
@@ -178,18 +173,19 @@ def side(spec: str, how: Reading | None = None, u_rel: float | None = None) -> S
 def of_table(name: str, source: str, table: pd.DataFrame, u_rel: float | None = None) -> Side:
     """A side of a comparison from a measurement table: its reflection, and apart from it its transmission."""
 
+    def of(rows: pd.DataFrame, called: str, **more: Any) -> Side:
+        return Side(name, called, rows.iloc[:0].copy(), observations(rows, called, u_rel), **more)
+
     through = measurement.transmission(table)
     if through is None:
-        return Side(name, source, table, observations(table, source, u_rel))
+        return of(table, source)
     turned = measurement.turned_over(through)
     if len(through) == len(table):
-        return Side(name, source, turned, observations(turned, source, u_rel), behind=True)
+        return of(turned, source, behind=True)
     behind = None
     if (through["flag"].fillna("") == "").any():
-        called = f"{source}, transmission"
-        behind = Side(name, called, turned, observations(turned, called, u_rel), behind=True)
-    reflected = measurement.reflection(table)
-    return Side(name, source, reflected, observations(reflected, source, u_rel), through=behind)
+        behind = of(turned, f"{source}, transmission", behind=True)
+    return of(measurement.reflection(table), source, through=behind)
 
 
 def _of_measured(at: Observations, values: Sequence[Floats], *, measured_is_a: bool) -> Covariance | None:
@@ -318,9 +314,9 @@ def _at_one(a: Side, b: Side, wavelength_nm: float | None) -> tuple[Side, Side, 
 
 def _measurements(a: Side, b: Side, say: Say) -> Change:
     """The values of one side against those of the other, carried to its directions."""
-    data, table, turned = laid_on(a.measured, b)
+    data, turned = laid_on(a.measured, b.measured)
     both = {"A": (a.name, a.measured), "B": (b.name, data)}
-    forth, back = carry(a.measured, data, table, say), carry(data, a.measured, a.whole, say)
+    forth, back = carry(a.measured, data, say), carry(data, a.measured, say)
     onto = _still(forth, back, len(a.measured), len(data))
     carried, other = (forth, "B") if onto == "A" else (back, "A")
     del forth, back  # one of them is not needed any more
@@ -343,19 +339,17 @@ def _measurements(a: Side, b: Side, say: Say) -> Change:
     return _judged(a, b, at, onto, values, covariance, notes, error=carried.error, missing=carried.missing)
 
 
-def laid_on(a: Observations, b: Side) -> tuple[Observations, pd.DataFrame, list[str]]:
-    """B's values and table with its plane of incidence turned onto A's, and a note where that was needed."""
-    data, table = b.measured, b.whole
-    turn = _turn(a, data)
+def laid_on(a: Observations, b: Observations) -> tuple[Observations, list[str]]:
+    """B with its plane of incidence turned onto A's, and a note where that was needed."""
+    turn = _turn(a, b)
     if not turn:
-        return data, table, []
-    table = table.assign(**{key: table[key] + np.degrees(turn) for key in ("phi_i_deg", "phi_r_deg")})
+        return b, []
     off = np.degrees(min(turn, 2 * np.pi - turn))
     note = (
         f"The planes of incidence differ by {off:.3g}° in azimuth; they are laid on each other, as if the sample"
         " had no grain."
     )
-    return replace(data, directions=data.directions.turned(turn)), table, [note]
+    return replace(b, directions=b.directions.turned(turn), unused=b.unused.turned(turn)), [note]
 
 
 def _unstated(sides: Mapping[str, Observations], at: Observations, moved: Observations) -> list[str]:

@@ -122,7 +122,7 @@ def remounts(tables: Mapping[str, pd.DataFrame], wavelength_nm: float | None = N
     at, found = sides[first], {first: sides[first].brdf}
     rows = np.arange(len(at))
     for name in others:
-        carried = carry(at, sides[name], tables[name])
+        carried = carry(at, sides[name])
         values = np.full(len(at), np.nan)
         values[carried.rows] = carried.value
         found[name] = values

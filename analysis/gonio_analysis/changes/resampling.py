@@ -19,7 +19,7 @@ The error of an interpolation between x_k with weights w_k is stated as the larg
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -27,10 +27,7 @@ import numpy.typing as npt
 from gonio.cli.pace import Pace, Say, silent
 from gonio.geometry import FARTHEST, SAME_ANGLE, SAME_DIRECTION, Directions, direction, groups
 from gonio.typing import Floats, Ints
-from gonio_analysis.fitting.observations import SAME_BAND_NM, Observations
-
-if TYPE_CHECKING:
-    import pandas as pd
+from gonio_analysis.fitting.observations import SAME_BAND_NM, Observations, Unused
 
 TURN = float(np.radians(0.25))
 """By which directions are turned for the slope along the plane of incidence [rad]."""
@@ -82,15 +79,13 @@ def common_wavelengths(a: Observations, b: Observations, within_nm: float = 0.5)
     return out
 
 
-def carry(a: Observations, b: Observations, b_table: pd.DataFrame | None, say: Say = silent) -> Carried:
+def carry(a: Observations, b: Observations, say: Say = silent) -> Carried:
     """B's values in the directions of A, at their common wavelengths.
 
     Parameters
     ----------
     a, b
-        The usable values of two tables.
-    b_table
-        The whole table of B: its rows that are not in `b` are holes. None: there are no others.
+        The usable values of two tables. Rows of B that must not be used are holes.
     say
         Called with a line now and then, where it takes long.
     """
@@ -99,7 +94,7 @@ def carry(a: Observations, b: Observations, b_table: pd.DataFrame | None, say: S
     value, random, error = np.full(n, np.nan), np.zeros(n), np.zeros(n)
     common = np.zeros((n, k))
     missing = {"at another wavelength": n}
-    unused = _Unused.of(b, b_table)
+    unused = _Holes.of(b.unused)
     kept: dict[tuple[bytes, ...], Interpolation] = {}
     common_waves = common_wavelengths(a, b)
     pace = Pace("comparing: wavelengths", len(common_waves), say)
@@ -109,7 +104,7 @@ def carry(a: Observations, b: Observations, b_table: pd.DataFrame | None, say: S
         here_a, here_b = rows_a.at(wave_a), rows_b.at(wave_b)
         missing["at another wavelength"] -= here_a.size
         pool = groups(b.directions.theta_i, b.directions.phi_i, here_b)
-        gone = unused.take(rows_unused.at(wave_b))
+        gone = rows_unused.at(wave_b)
         incidences = [_incidence(b, rows) for rows in pool]
         for group in groups(a.directions.theta_i, a.directions.phi_i, here_a):
             off = [float(np.linalg.norm(one - _incidence(a, group))) for one in incidences]
@@ -118,7 +113,7 @@ def carry(a: Observations, b: Observations, b_table: pd.DataFrame | None, say: S
                 continue
             partner, incident = pool[int(np.argmin(off))], a.directions[group]
             normal = float(incident.phi_i[0]) if incident.theta_i.max() < SAME_ANGLE else None
-            holes = gone.holes(b, partner, normal)
+            holes = unused.at(b, partner, gone, normal)
             goal, known = _places(incident, normal), _places(b.directions[partner], normal)
             key = tuple(p.key for p in (goal, known, holes))
             if key not in kept:
@@ -160,12 +155,12 @@ def _turned(directions: Directions, by: float) -> tuple[Directions, Any]:
 
 def slope_in_plane(shape: Observations) -> Floats:
     """Change of the shape's values with the receiver's angle in the plane of incidence [1/(sr rad)]."""
-    alone = replace(shape, covariance=None, u_angles=np.zeros(0))
+    alone = replace(shape, covariance=None, u_angles=np.zeros(0), unused=Unused())
     ends = []
     for by in (TURN, -TURN):
         directions, above = turned_in_plane(alone.directions, by)
         kept = np.flatnonzero(above)
-        carried = carry(replace(alone, directions=directions).take(kept), alone, None)
+        carried = carry(replace(alone, directions=directions).take(kept), alone)
         values = np.full(len(shape), np.nan)
         values[kept[carried.rows]] = carried.value
         ends.append(values)
@@ -215,8 +210,8 @@ def _places(d: Directions, normal: float | None) -> _Places:
 
 
 @dataclass(frozen=True)
-class _Unused:
-    """The rows of a table that must not be used."""
+class _Holes:
+    """Where rows of a table lie that must not be used."""
 
     wavelength_nm: Floats
     directions: Directions
@@ -224,25 +219,13 @@ class _Unused:
     """(n, 3) unit vectors toward the source."""
 
     @classmethod
-    def of(cls, b: Observations, table: pd.DataFrame | None) -> _Unused:
-        """Those of B's table that are not in `b`; an angle that is not finite is nowhere, and leaves no hole."""
-        if table is None:
-            return cls(np.zeros(0), Directions(*np.zeros((4, 0))), np.zeros((0, 3)))
-        unused = np.ones(len(table), dtype=bool)
-        unused[b.rows] = False
-        left = table[unused]
-        found = Directions.from_table(left)
-        known = np.isfinite(found.angles).all(axis=0)
-        return cls(left["wavelength_nm"].to_numpy(np.float64)[known], found[known], found[known].vectors[0])
+    def of(cls, rows: Unused) -> _Holes:
+        return cls(rows.wavelength_nm, rows.directions, rows.directions.vectors[0])
 
-    def take(self, here: Ints) -> _Unused:
-        """Some of them."""
-        return _Unused(self.wavelength_nm[here], self.directions[here], self.source[here])
-
-    def holes(self, b: Observations, rows: Ints, normal: float | None) -> _Places:
-        """Where those at the incidence of B's `rows` lie."""
+    def at(self, b: Observations, rows: Ints, here: Ints, normal: float | None) -> _Places:
+        """Where those among `here` lie that have the incidence of B's `rows`."""
         goal = b.directions[rows].vectors[0].mean(axis=0)
-        here = np.linalg.norm(self.source - goal, axis=1) <= SAME_ANGLE
+        here = here[np.linalg.norm(self.source[here] - goal, axis=1) <= SAME_ANGLE]
         return _places(self.directions[here], normal)
 
 

@@ -62,6 +62,18 @@ class Prepared:
 
 
 @dataclass(frozen=True)
+class Unused:
+    """Where a table has rows that must not be used: values are not interpolated across them."""
+
+    directions: Directions = field(default_factory=lambda: Directions(*np.zeros((4, 0))))
+    wavelength_nm: Floats = field(default_factory=lambda: np.zeros(0))
+
+    def turned(self, turn: float) -> Unused:
+        """The same with azimuths that are larger by an angle [rad]."""
+        return replace(self, directions=self.directions.turned(turn))
+
+
+@dataclass(frozen=True)
 class Observations:
     """The usable values of one sample, in the order of the table.
 
@@ -80,6 +92,8 @@ class Observations:
     receiver_solid_angle_sr: float = 0.0
     omitted: Mapping[str, Floats] = field(default_factory=dict)
     """Why rows of the table are not here -> the wavelengths [nm] of those rows."""
+    unused: Unused = field(default_factory=Unused)
+    """Where those rows lie; without those whose angles are not finite, which are nowhere."""
     notes: tuple[str, ...] = ()
     """Sentences for a person about what was assumed."""
     parts: tuple[Part, ...] = ()
@@ -279,10 +293,17 @@ def observations(table: pd.DataFrame, name: str = "the table", u_rel: float | No
         source_solid_angle_sr=source or 0.0,
         receiver_solid_angle_sr=receiver or 0.0,
         omitted=omitted,
+        unused=_unused(directions, wavelength, why != 0),
         notes=tuple(notes),
         u_rel_assumed=None if stated[keep].any() else u_rel,
         **_of_angles(table, keep),
     )
+
+
+def _unused(directions: Directions, wavelength_nm: Floats, rows: npt.NDArray[np.bool_]) -> Unused:
+    nowhere = ~np.isfinite(np.stack(directions[rows].angles)).all(axis=0)
+    left = np.flatnonzero(rows)[~nowhere]
+    return Unused(directions[left], wavelength_nm[left])
 
 
 def _stated(

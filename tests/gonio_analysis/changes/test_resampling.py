@@ -21,7 +21,7 @@ MODEL = OrenNayar(0.6, 20.0)
 def test_the_same_directions_carry_the_same_values() -> None:
     a, table = observations(measure(MODEL, seed=1)), measure(MODEL, seed=2)
     b = observations(table)
-    carried = carry(a, b, table)
+    carried = carry(a, b)
     assert carried.interpolated == 0
     assert carried.missing == {}
     np.testing.assert_allclose(carried.value, b.brdf[carried.rows], rtol=1e-12)  # weights of 1, to rounding
@@ -30,7 +30,7 @@ def test_the_same_directions_carry_the_same_values() -> None:
 def test_nothing_is_invented_outside_of_the_other_s_directions() -> None:
     a = observations(measure(MODEL, incidences=(30.0,), views=np.array([-80.0, 0.0, 80.0])))
     table = measure(MODEL, incidences=(30.0,), views=np.arange(-40.0, 41.0, 5.0))
-    carried = carry(a, observations(table), table)
+    carried = carry(a, observations(table))
     assert list(np.degrees(a.directions.theta_r[carried.rows])) == [0.0]
     assert sum(carried.missing.values()) == 2
 
@@ -53,12 +53,10 @@ def test_wavelengths_with_the_same_directions_share_one_triangulation(monkeypatc
     several = [
         pd.concat([_hemisphere(seed, nm) for nm in np.arange(400.0, 701.0, 50.0)], ignore_index=True) for seed in (0, 1)
     ]
-    carried = carry(observations(several[0]), observations(several[1]), several[1])
+    carried = carry(observations(several[0]), observations(several[1]))
     assert carried.interpolated > 300
     assert len(made) == 1
-    apart = [
-        carry(observations(a), observations(b), b).value for a, b in zip(*map(_by_wavelength, several), strict=True)
-    ]
+    apart = [carry(observations(a), observations(b)).value for a, b in zip(*map(_by_wavelength, several), strict=True)]
     np.testing.assert_allclose(carried.value, np.concatenate(apart), rtol=1e-12)  # sums in another order
 
 
