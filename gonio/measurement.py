@@ -26,17 +26,18 @@ what a file leaves out or what a reader did to it.
 
 from __future__ import annotations
 
+import io
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 
 from gonio import formats
-from gonio.disk import is_stream, read_file
-from gonio.errors import ConfigError, DataError
+from gonio.disk import is_stream, only_file
+from gonio.errors import ConfigError, DataError, os_error_as
 from gonio.formats import native, own_columns, rt300s
 from gonio.formats.native import check, check_columns, meta_path, uncertainty
 from gonio.formats.reader import ANGLES, COLUMNS, LARGEST, MUELLER, U_ANGLES, U_MUELLER, Format, reflection_only
@@ -87,7 +88,12 @@ def read(
     path = Path(path)
     if path.is_dir():
         path = _table_of_run(path)
-    frame = parse(_load(path), path, format=format, columns=columns, blank=blank)
+    with _opened(path) as file, os_error_as(ConfigError, f"{path}: cannot be read"):
+        if not any(block.strip() for block in iter(lambda: file.read(formats.SNIFFED_BYTES), b"")):
+            raise DataError(f"{path}: is empty")
+        if _size(file) > LARGEST:
+            raise DataError(f"{path}: is larger than {LARGEST >> 20} MiB, the largest file that is read")
+        frame = _parsed(file, path, format, columns, blank)
     return frame if sample is None else _choose(frame, sample, path)
 
 
@@ -100,25 +106,33 @@ def parse(
     blank: Path | None = None,
 ) -> DataFrame:
     """The table in the bytes of a file, as `read` gives it, with the same errors; `path` names the file in messages."""
+    return _parsed(io.BytesIO(data), path, format, columns, blank)
+
+
+def _parsed(
+    file: BinaryIO, path: Path, format: str | None, columns: Mapping[str, str] | None, blank: Path | None
+) -> DataFrame:
     where, stored = "columns", columns
     if columns is None and (stored := own_columns.beside(path)) is not None:
         where = str(own_columns.beside_path(path))
     notes: list[str] = []
     if stored is not None and format in (None, "gonio", "xlsx"):
         format = "gonio"
-        if len(data) <= formats.named(format).max_bytes:
-            data, notes = own_columns.renamed(data, path, stored, where)
+        if _size(file) <= formats.named(format).max_bytes:
+            data, notes = own_columns.renamed(file.read(), path, stored, where)
+            file = io.BytesIO(data)
     elif columns is not None:
         raise ConfigError(
             f"{path}: columns are named in CSV files and workbooks made by hand, and {format} files are none"
         )
-    chosen = formats.named(format) if format else formats.of_content(data, path)
+    chosen = formats.named(format) if format else formats.of_content(file.read(formats.SNIFFED_BYTES), path)
     if blank is not None and chosen is not rt300s.FORMAT:
         raise ConfigError(f"{path}: its format is {chosen.title}; --blank is subtracted from RT-300S workbooks alone")
-    if len(data) > chosen.max_bytes:
+    if _size(file) > chosen.max_bytes:
         raise DataError(f"{path}: is larger than {chosen.max_bytes >> 20} MiB, the largest {chosen.title} that is read")
+    content: Any = file if chosen.in_pieces else file.read()
     with np.errstate(all="ignore"):  # absurd numbers overflow to what `check` then names
-        frame = chosen.read(data, path) if blank is None else rt300s.read(data, path, blank)
+        frame = chosen.read(content, path) if blank is None else rt300s.read(content, path, blank)
     frame.attrs["notes"] = [*notes, *frame.attrs.get("notes", ())]
     frame.attrs.setdefault("format", chosen.name)
     check_columns(list(frame.columns), str(path))
@@ -412,17 +426,19 @@ def _table_of_run(folder: Path) -> Path:
     raise ConfigError(f"{folder}: is a folder, but not a run (there is no run.toml and no brdf.csv in it)")
 
 
-def _load(path: Path) -> bytes:
+def _opened(path: Path) -> BinaryIO:
     try:
-        data = read_file(path, LARGEST + 1)
+        return open(path, "rb", opener=only_file)
     except FileNotFoundError:
         raise ConfigError(f"{path}: there is no such file") from None
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
     except ValueError:
         raise ConfigError(f"{str(path)!r}: is not a file name") from None
-    if not data.strip():
-        raise DataError(f"{path}: is empty")
-    if len(data) > LARGEST:
-        raise DataError(f"{path}: is larger than {LARGEST >> 20} MiB, the largest file that is read")
-    return data
+
+
+def _size(file: BinaryIO) -> int:
+    """The bytes of a file, which is read from its beginning then."""
+    size = file.seek(0, os.SEEK_END)
+    file.seek(0)
+    return size

@@ -57,8 +57,10 @@ class Format:
     endings: tuple[str, ...]
     sniff: Callable[[bytes], bool]
     """Whether the first 64 KiB of a file look like this format."""
-    read: Callable[[bytes, Path], DataFrame]
+    read: Callable[[Any, Path], DataFrame]
     """The table in a file's bytes; the path is for messages and for what lies beside the file."""
+    in_pieces: bool = False
+    """Whether `read` takes the open file, and not its bytes."""
     write: Callable[[DataFrame, Path], None] | None = None
     remarks: Callable[[DataFrame], list[str]] | None = None
     """What a reader of a written file should know, a sentence each."""

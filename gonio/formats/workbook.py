@@ -91,7 +91,7 @@ def read(data: bytes, path: Path) -> DataFrame:
     sheets = workbook_cells.worksheets(data, path)
     text, notes = _table_of(sheets, path, native.NEEDED)
     stored = _stored(sheets)
-    frame = native.read(text, path, stored)
+    frame = native.read(io.BytesIO(text), path, stored)
     frame.attrs["notes"] = [*([] if stored else notes), *frame.attrs["notes"]]
     return frame
 
