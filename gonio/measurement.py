@@ -204,7 +204,7 @@ def _left_out(frame: DataFrame, path: Path, chosen: Format) -> list[str]:
     if "flag" not in chosen.carries and (frame["flag"] != "").any():
         count = int((frame["flag"] != "").sum())
         lost.append(f"{chosen.title} has no room for flags: {count} flagged rows are left out")
-    others = sorted(set(frame["flag"]) - {"", chosen.only_flag})
+    others = sorted(set(frame["flag"].unique()) - {"", chosen.only_flag})
     if chosen.only_flag and others:
         count = int(frame["flag"].isin(others).sum())
         lost.append(
@@ -316,15 +316,15 @@ def unpolarised(frame: DataFrame) -> DataFrame:
     Such a row stands where the first of them stood, and a note says so. Other polarised rows stay as they are.
     Independent errors are added in squares, common causes with their signs.
     """
-    states = frame["polarisation"].to_numpy()
-    if np.all(states == "unpolarised"):
+    already = frame["polarisation"] == "unpolarised"
+    if already.all():
         return frame
     import pandas as pd
 
     place = [*ANGLES, "wavelength_nm"]
     causes = [name for name in frame.columns if name.startswith("s_")]
     left = frame.assign(u_random=uncertainty(frame)[0])
-    known = pd.MultiIndex.from_frame(left.loc[states == "unpolarised", place])
+    known = pd.MultiIndex.from_frame(left.loc[already, place])
     count = 0
     for complete in (("s", "p"), ("ss", "sp", "ps", "pp")):
         part = left[left["polarisation"].isin(complete)]

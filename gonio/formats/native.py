@@ -171,25 +171,25 @@ def _together(chunks: Iterable[DataFrame], header: Sequence[str], rows: int) -> 
     """Pieces of a table as one, which holds nothing twice meanwhile; None where they have not so many rows."""
     import pandas as pd
 
-    columns: dict[str, Any] = {name: np.empty(rows, np.intp if name in _WORDS else np.float64) for name in header}
-    words: dict[str, dict[str, int]] = {name: {} for name in header if name in _WORDS}
+    columns: dict[str, Any] = {name: [] if name in _WORDS else np.empty(rows) for name in header}
+    same: dict[tuple[str, int], Series] = {}
     end = 0
     for chunk in chunks:
         begin, end = end, end + len(chunk)
         if end > rows:
             return None
-        for name in header:
-            if name in words:
-                codes, found = pd.factorize(chunk[name])
-                known = words[name]
-                places = np.array([known.setdefault(word, len(known)) for word in found], np.intp)
-                columns[name][begin:end] = places[codes]
+        for name, column in columns.items():
+            words = chunk[name]
+            if name not in _WORDS:
+                column[begin:end] = words.to_numpy()
+            elif len(alone := words.unique()) == 1:  # one piece serves for all that say the same
+                column.append(same.setdefault((alone[0], len(words)), words))
             else:
-                columns[name][begin:end] = chunk[name].to_numpy()
+                column.append(words)
     if end != rows or not rows:
         return None
-    for name, known in words.items():
-        columns[name] = pd.Series(list(known), dtype=str).take(columns[name]).reset_index(drop=True)
+    for name in (name for name in header if name in _WORDS):
+        columns[name] = pd.concat(columns[name], ignore_index=True)
     return pd.DataFrame(columns, copy=False)
 
 
@@ -269,7 +269,7 @@ def check_columns(header: list[str], where: str, *, needed: tuple[str, ...] = CO
 
 def check(frame: DataFrame, where: Any) -> None:
     """`DataError` naming row and column of the first value that is not allowed; `where(row)` says where a row lies."""
-    flagged = frame["flag"].to_numpy() != ""
+    flagged = (frame["flag"] != "").to_numpy()
     if len(frame) == 0:
         raise DataError(f"{where(0)}: the table has no rows")
 
@@ -319,7 +319,7 @@ def _check_angles(frame: DataFrame, demand: Callable[[Any, str, str], None]) -> 
     through = nowhere = np.zeros(len(frame), dtype=bool)
     if "side" in frame.columns:
         demand(_one_of(frame["side"], lambda word: word in SIDES), "side", f"one of {', '.join(SIDES)}")
-        through = frame["side"].to_numpy() == "transmission"
+        through = (frame["side"] == "transmission").to_numpy()
     polar = "polar angles lie in [0, 90] degrees; write (-theta, phi) as (theta, phi + 180)"
     seen = polar + '; of transmission they go on to 180, in rows whose column "side" says "transmission"'
     told = 'a row whose column "side" says "transmission" has its detector behind the sample, in (90, 180] degrees'

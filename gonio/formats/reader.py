@@ -184,7 +184,7 @@ def quantity(frame: DataFrame) -> str:
     """What the values of a table are: "brdf", "btdf", or "bsdf" where it has both."""
     if "side" not in frame.columns:
         return "brdf"
-    through = frame["side"].to_numpy() == "transmission"
+    through = (frame["side"] == "transmission").to_numpy()
     return "btdf" if through.all() else "bsdf" if through.any() else "brdf"
 
 
@@ -192,7 +192,7 @@ def flag_holes(frame: DataFrame) -> None:
     """Flag rows whose `brdf` is NaN and that have no flag as "not_measured", and note how many they are."""
     holes = np.isnan(frame["brdf"].to_numpy(np.float64))
     if holes.any():
-        holes &= frame["flag"].to_numpy() == ""
+        holes &= (frame["flag"] == "").to_numpy()
     if holes.any():
         frame.loc[holes, "flag"] = "not_measured"
         note = f'{holes.sum()} of {len(frame)} values are empty: flagged "not_measured"'

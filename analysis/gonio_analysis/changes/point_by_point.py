@@ -27,7 +27,7 @@ from gonio.geometry import SAME_ANGLE, Directions
 from gonio.measurement import is_simulated
 from gonio.models.corrected import Corrected, folded
 from gonio.typing import Floats
-from gonio_analysis.changes.resampling import Carried, carry, common_wavelengths, slope_in_plane
+from gonio_analysis.changes.resampling import Carried, Known, carry, common_wavelengths, slope_in_plane
 from gonio_analysis.changes.verdict import Verdict, Within, judge, within
 from gonio_analysis.fitting.forward import apparent
 from gonio_analysis.fitting.metrics import metrics
@@ -316,10 +316,11 @@ def _measurements(a: Side, b: Side, say: Say) -> Change:
     """The values of one side against those of the other, carried to its directions."""
     data, turned = laid_on(a.measured, b.measured)
     both = {"A": (a.name, a.measured), "B": (b.name, data)}
-    forth, back = carry(a.measured, data, say), carry(data, a.measured, say)
-    onto = _still(forth, back, len(a.measured), len(data))
-    carried, other = (forth, "B") if onto == "A" else (back, "A")
-    del forth, back  # one of them is not needed any more
+    known = Known()
+    back = _Found.of(carry(data, a.measured, say, known))  # both at once would be much in memory
+    carried, onto, other = carry(a.measured, data, say, known), "A", "B"
+    if _still(_Found.of(carried), back, len(a.measured), len(data)) == "B":
+        carried, onto, other = carry(data, a.measured, say, known), "B", "A"
     if not carried.rows.size:
         why = describe_left_out(carried.missing)
         raise DataError(f"{a.source} and {b.source} share no direction: of the values of {a.source}, {why}")
@@ -391,23 +392,30 @@ def _of_difference(
     return Covariance(np.maximum(random, floor), np.hstack(common), tuple(causes))
 
 
-def _still(forth: Carried, back: Carried, of_a: int, of_b: int) -> str:
+@dataclass(frozen=True)
+class _Found:
+    """What is known of values that were carried over."""
+
+    count: int
+    roughness: float
+    """Mean relative error of the interpolation; infinite where nothing was carried."""
+
+    @classmethod
+    def of(cls, carried: Carried) -> _Found:
+        return cls(carried.rows.size, float(np.mean(carried.relative_error)) if carried.rows.size else np.inf)
+
+
+def _still(forth: _Found, back: _Found, of_a: int, of_b: int) -> str:
     """In whose directions both are compared.
 
     Of a side whose few directions the other holds, as a certificate's, all count. Otherwise what was sampled finely is
     interpolated, and not the other.
     """
-    found_a, found_b = forth.rows.size, back.rows.size
-    if found_b > found_a and found_b / of_b > 2.0 * found_a / of_a:
+    if back.count > forth.count and back.count / of_b > 2.0 * forth.count / of_a:
         return "B"
-    if found_a > found_b and found_a / of_a > 2.0 * found_b / of_b:
+    if forth.count > back.count and forth.count / of_a > 2.0 * back.count / of_b:
         return "A"
-    return "B" if _roughness(back) < 0.5 * _roughness(forth) else "A"
-
-
-def _roughness(carried: Carried) -> float:
-    """Mean relative error of the interpolation; infinite where nothing was carried."""
-    return float(np.mean(carried.relative_error)) if carried.rows.size else np.inf
+    return "B" if back.roughness < 0.5 * forth.roughness else "A"
 
 
 def _judged(
@@ -449,7 +457,7 @@ def _turn(a: Observations, b: Observations) -> float:
     """Azimuth [rad] that lays B's only plane of incidence on A's; 0 where either has several, or they agree."""
     means = []
     for x in (a, b):
-        arrow = np.exp(1j * x.directions[x.directions.theta_i > SAME_ANGLE].phi_i)
+        arrow = np.exp(1j * x.directions.phi_i[x.directions.theta_i > SAME_ANGLE])
         if not arrow.size or np.abs(arrow - arrow[0]).max() > SAME_ANGLE:
             return 0.0
         means.append(float(np.angle(arrow.mean())))

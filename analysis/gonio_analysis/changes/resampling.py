@@ -18,6 +18,7 @@ The error of an interpolation between x_k with weights w_k is stated as the larg
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -34,6 +35,9 @@ TURN = float(np.radians(0.25))
 
 AT_ONCE = 1 << 16
 """Directions that are turned together: their vectors take 200 bytes each."""
+
+MOST_KEPT = 300_000
+"""Directions of the interpolations that are kept for further wavelengths: they take some 200 bytes each."""
 
 ON_EDGE = 1e-12
 """A point so little outside a triangle, as a share of its height, lies on its edge."""
@@ -79,7 +83,7 @@ def common_wavelengths(a: Observations, b: Observations, within_nm: float = 0.5)
     return out
 
 
-def carry(a: Observations, b: Observations, say: Say = silent) -> Carried:
+def carry(a: Observations, b: Observations, say: Say = silent, known: Known | None = None) -> Carried:
     """B's values in the directions of A, at their common wavelengths.
 
     Parameters
@@ -88,14 +92,16 @@ def carry(a: Observations, b: Observations, say: Say = silent) -> Carried:
         The usable values of two tables. Rows of B that must not be used are holes.
     say
         Called with a line now and then, where it takes long.
+    known
+        Interpolations of earlier calls, which those of the same directions take.
     """
+    known = Known() if known is None else known
     n = len(a)
     k = len(b.covariance.causes) if b.covariance is not None else 0
     value, random, error = np.full(n, np.nan), np.zeros(n), np.zeros(n)
     common = np.zeros((n, k))
     missing = {"at another wavelength": n}
     unused = _Holes.of(b.unused)
-    kept: dict[tuple[bytes, ...], Interpolation] = {}
     common_waves = common_wavelengths(a, b)
     pace = Pace("comparing: wavelengths", len(common_waves), say)
     rows_a, rows_b, rows_unused = (_Waves(x.wavelength_nm) for x in (a, b, unused))
@@ -114,11 +120,8 @@ def carry(a: Observations, b: Observations, say: Say = silent) -> Carried:
             partner, incident = pool[int(np.argmin(off))], a.directions[group]
             normal = float(incident.phi_i[0]) if incident.theta_i.max() < SAME_ANGLE else None
             holes = unused.at(b, partner, gone, normal)
-            goal, known = _places(incident, normal), _places(b.directions[partner], normal)
-            key = tuple(p.key for p in (goal, known, holes))
-            if key not in kept:
-                kept[key] = Interpolation(goal, known, holes)
-            nodes, weights, curvature = kept[key].nodes, kept[key].weights, kept[key].error(b.brdf[partner])
+            between = known.between(_places(incident, normal), _places(b.directions[partner], normal), holes)
+            nodes, weights, curvature = between.nodes, between.weights, between.error(b.brdf[partner])
             found = nodes[:, 0] >= 0
             if not found.all():
                 reason = "outside the other's directions, or in a hole of them"
@@ -128,8 +131,11 @@ def carry(a: Observations, b: Observations, say: Say = silent) -> Carried:
             if b.covariance is not None:
                 random[rows] = np.sqrt((w**2 * b.covariance.random[near] ** 2).sum(axis=1))
                 common[rows] = (w[:, :, None] * b.covariance.common[near]).sum(axis=1)
+    missing = {reason: count for reason, count in missing.items() if count}
     rows = np.flatnonzero(np.isfinite(value))
-    return Carried(rows, value[rows], random[rows], common[rows], error[rows], {r: c for r, c in missing.items() if c})
+    if rows.size < n:
+        value, random, common, error = (one[rows] for one in (value, random, common, error))
+    return Carried(rows, value, random, common, error, missing)
 
 
 def turned_in_plane(directions: Directions, by: float) -> tuple[Directions, Any]:
@@ -155,18 +161,22 @@ def _turned(directions: Directions, by: float) -> tuple[Directions, Any]:
 
 def slope_in_plane(shape: Observations) -> Floats:
     """Change of the shape's values with the receiver's angle in the plane of incidence [1/(sr rad)]."""
-    alone = replace(shape, covariance=None, u_angles=np.zeros(0), unused=Unused())
-    ends = []
-    for by in (TURN, -TURN):
-        directions, above = turned_in_plane(alone.directions, by)
-        kept = np.flatnonzero(above)
-        carried = carry(replace(alone, directions=directions).take(kept), alone)
-        values = np.full(len(shape), np.nan)
-        values[kept[carried.rows]] = carried.value
-        ends.append(values)
-    ahead, behind = (ends[0] - shape.brdf) / TURN, (shape.brdf - ends[1]) / TURN
-    both = np.where(np.isnan(ahead), behind, np.where(np.isnan(behind), ahead, 0.5 * (ahead + behind)))
-    return np.nan_to_num(both)
+    out, rows, known = np.zeros(len(shape)), _Waves(shape.wavelength_nm), Known()
+    for wave in shape.wavelengths:
+        here = rows.at(wave)
+        alone = replace(shape, covariance=None, u_angles=np.zeros(0), unused=Unused()).take(here)
+        ends = []
+        for by in (TURN, -TURN):
+            directions, above = turned_in_plane(alone.directions, by)
+            kept = np.flatnonzero(above)
+            carried = carry(replace(alone, directions=directions).take(kept), alone, known=known)
+            values = np.full(here.size, np.nan)
+            values[kept[carried.rows]] = carried.value
+            ends.append(values)
+        ahead, behind = (ends[0] - alone.brdf) / TURN, (alone.brdf - ends[1]) / TURN
+        both = np.where(np.isnan(ahead), behind, np.where(np.isnan(behind), ahead, 0.5 * (ahead + behind)))
+        out[here] = np.nan_to_num(both)
+    return out
 
 
 @dataclass(frozen=True)
@@ -183,21 +193,24 @@ class _Places:
     @property
     def key(self) -> bytes:
         """The same for the same places."""
-        return self.points.tobytes() + self.signed.tobytes() + self.inside.tobytes()
+        digest = hashlib.blake2b(digest_size=16)
+        for part in (self.points, self.signed, self.inside):
+            digest.update(np.ascontiguousarray(part).data)
+        return digest.digest()
 
 
 class _Waves:
     """Which rows have a wavelength."""
 
     def __init__(self, waves: Floats) -> None:
-        self._order = np.argsort(waves, kind="stable")
-        self._sorted = waves[self._order]
+        self._waves, self._order = waves, np.argsort(waves, kind="stable")
 
     def at(self, wave: float) -> Ints:
         """Rows of a wavelength [nm], ascending; of NaN, those without one."""
         low, high = (np.inf, np.nan) if np.isnan(wave) else (wave - SAME_BAND_NM, wave + SAME_BAND_NM)
-        first = np.searchsorted(self._sorted, low, side="right" if np.isnan(wave) else "left")
-        return np.asarray(np.sort(self._order[first : np.searchsorted(self._sorted, high, side="right")]))
+        first = np.searchsorted(self._waves, low, side="right" if np.isnan(wave) else "left", sorter=self._order)
+        end = np.searchsorted(self._waves, high, side="right", sorter=self._order)
+        return np.asarray(np.sort(self._order[first:end]))
 
 
 def _places(d: Directions, normal: float | None) -> _Places:
@@ -273,6 +286,22 @@ class Interpolation:
         for part in self._parts:
             out[part.rows] = np.maximum(part.parabola(values), _off_logarithms(values[part.nodes], part.weights))
         return out
+
+
+class Known:
+    """Interpolations that wavelengths with the same directions share: those that were used last."""
+
+    def __init__(self) -> None:
+        self._kept: dict[tuple[bytes, ...], Interpolation] = {}
+
+    def between(self, goal: _Places, known: _Places, holes: _Places) -> Interpolation:
+        """The interpolation of these directions."""
+        key = tuple(p.key for p in (goal, known, holes))
+        found = self._kept.pop(key, None) or Interpolation(goal, known, holes)
+        self._kept[key] = found
+        while len(self._kept) > 1 and sum(len(one.nodes) for one in self._kept.values()) > MOST_KEPT:
+            del self._kept[next(iter(self._kept))]
+        return found
 
 
 @dataclass(frozen=True)

@@ -210,8 +210,9 @@ def _why_left_out(table: pd.DataFrame, directions: Directions, brdf: Floats) -> 
     import pandas as pd
 
     codes, flags = pd.factorize(table["flag"])
-    empty = np.array([str(flag) == "" for flag in flags] + [True])  # the last: a row without a flag
-    why, reasons = np.where(empty[codes], 0, codes + 1).astype(np.int32), ["", *(f"flagged {flag}" for flag in flags)]
+    empty = [str(flag) == "" for flag in flags] + [True]  # the last: a row without a flag
+    why = np.array([0 if none else k for k, none in enumerate(empty, 1)], np.int32)[codes]
+    reasons = ["", *(f"flagged {flag}" for flag in flags)]
 
     def leave_out(which: npt.NDArray[np.bool_], reason: str) -> None:
         why[which] = len(reasons)
