@@ -76,10 +76,10 @@ def content(path: Path, where: str, hint: str = "", unreadable: type[GonioError]
         raise unreadable(f"{where}: cannot be read: {error.strerror or error}") from None
 
 
-def write_whole(path: Path, data: bytes) -> None:
+def write_whole(path: Path, data: bytes | Iterable[bytes | memoryview]) -> None:
     """Write a file under a temporary name in its folder, sync it to the disk, and rename it.
 
-    What is no file (`is_stream`) is written to, and stays what it is.
+    A large one is given in pieces. What is no file (`is_stream`) is written to, and stays what it is.
 
     Raises
     ------
@@ -88,15 +88,19 @@ def write_whole(path: Path, data: bytes) -> None:
     """
     if is_stream(path):
         if str(path) == STDOUT:
-            sys.stdout.buffer.write(data)
+            sys.stdout.buffer.writelines(_pieces(data))
             sys.stdout.flush()
             return
         with open(path, "wb", opener=platform.existing) as stream:
-            stream.write(data)
+            stream.writelines(_pieces(data))
         return
     staged = Staged(path, data)
     staged.sync()
     staged.settle()
+
+
+def _pieces(data: bytes | Iterable[bytes | memoryview]) -> Iterable[bytes | memoryview]:
+    return (data,) if isinstance(data, bytes) else data
 
 
 def put(path: Path, data: bytes) -> None:
@@ -141,7 +145,7 @@ class Staged:
 
     __slots__ = ("_handle", "_temporary", "path")
 
-    def __init__(self, path: str | Path, data: bytes) -> None:
+    def __init__(self, path: str | Path, data: bytes | Iterable[bytes | memoryview]) -> None:
         self.path = os.path.realpath(path) if os.path.islink(path) else path  # a link stays one
         if platform.is_reserved(path):
             raise OSError(errno.EINVAL, "the system keeps this name for a device; choose another", str(path))
@@ -152,9 +156,10 @@ class Staged:
         self._handle = -1
         with self._whole_or_gone():
             self._handle = platform.new_file(self._temporary)
-            left = memoryview(data)
-            while len(left):
-                left = left[os.write(self._handle, left) :]
+            for piece in _pieces(data):
+                left = memoryview(piece)
+                while len(left):
+                    left = left[os.write(self._handle, left) :]
 
     def begin(self) -> None:
         """Let the disk begin to write it, where the system takes such a hint.

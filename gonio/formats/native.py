@@ -13,7 +13,7 @@ import math
 import os
 import re
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -52,7 +52,7 @@ _DEFAULTS: dict[str, float | str] = {
     "flag": "",
 }
 """What a file that lacks the column means."""
-_CHUNK = 200_000
+CHUNK = 200_000
 """Rows that pandas reads at once: what it needs beside the table is of so many."""
 _BLOCK = 1 << 22
 """Bytes that are looked at together."""
@@ -90,12 +90,17 @@ def read(file: BinaryIO, path: Path, stored: Any = None) -> DataFrame:
     )
 
 
-def taken(frame: DataFrame, stored: Any, path: Path) -> DataFrame:
-    """The table of columns and attributes that another file format has kept; `DataError` where they are none."""
+def require_kinds(frame: DataFrame, path: Path) -> None:
+    """`DataError` unless these are columns of a measurement table, with words and numbers where they belong."""
     check_columns(list(frame.columns), str(path), needed=NEEDED)
     for name in frame.columns:
         if (frame[name].dtype.kind in "biuf") == (name in _WORDS):
             raise DataError(f"{path}: the column {name} holds {'words' if name not in _WORDS else 'numbers'}")
+
+
+def taken(frame: DataFrame, stored: Any, path: Path) -> DataFrame:
+    """The table of columns and attributes that another file format has kept; `DataError` where they are none."""
+    require_kinds(frame, path)
     attrs = checked_attributes(stored, str(path)) if stored else attributes(quantity=quantity(frame))
     return _completed(frame, attrs, path)
 
@@ -153,10 +158,10 @@ def _read_in_pieces(file: BinaryIO) -> DataFrame | None:
             keep_default_na=False,
             na_values=empty,
             skip_blank_lines=False,
-            chunksize=_CHUNK,
+            chunksize=CHUNK,
             **exact,
         ) as chunks:
-            frame = _together(chunks, header, lines - 1)
+            frame = together(chunks, header, lines - 1)
         if frame is None:
             return None
         whole = frame.assign(**{name: value for name, value in _DEFAULTS.items() if name not in header})
@@ -167,7 +172,7 @@ def _read_in_pieces(file: BinaryIO) -> DataFrame | None:
     return frame
 
 
-def _together(chunks: Iterable[DataFrame], header: Sequence[str], rows: int) -> DataFrame | None:
+def together(chunks: Iterable[DataFrame], header: Sequence[str], rows: int) -> DataFrame | None:
     """Pieces of a table as one, which holds nothing twice meanwhile; None where they have not so many rows."""
     import pandas as pd
 
@@ -182,7 +187,9 @@ def _together(chunks: Iterable[DataFrame], header: Sequence[str], rows: int) -> 
             words = chunk[name]
             if name not in _WORDS:
                 column[begin:end] = words.to_numpy()
-            elif len(alone := words.unique()) == 1:  # one piece serves for all that say the same
+                continue
+            words = words.fillna("")
+            if len(alone := words.unique()) == 1:  # one piece serves for all that say the same
                 column.append(same.setdefault((alone[0], len(words)), words))
             else:
                 column.append(words)
@@ -228,9 +235,6 @@ def write(frame: DataFrame, path: Path) -> None:
     # pandas writes a carriage return without quotes, as if it ended no line
     ends = any("\r" in word for name in words for word in cells[name].unique())
     quoting: Any = csv.QUOTE_NONNUMERIC if ends else csv.QUOTE_MINIMAL
-    # pandas writes numbers as numpy prints them, and a package may have set that to twelve digits (colour-science does)
-    with np.printoptions(legacy=False):
-        text = cells.to_csv(index=False, lineterminator="\n", quoting=quoting)
     try:
         meta = json.dumps(plain(frame.attrs), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
     except (TypeError, ValueError) as error:
@@ -238,7 +242,18 @@ def write(frame: DataFrame, path: Path) -> None:
     if not is_stream(path):  # nothing lies beside standard output, a pipe or a device
         _require_own_attributes(meta_path(path))
         write_bytes(meta_path(path), meta.encode())
-    write_bytes(path, text.encode())
+    write_bytes(path, _as_csv(cells, quoting))
+
+
+def _as_csv(cells: DataFrame, quoting: Any) -> Iterator[bytes]:
+    """The text of a table, some rows after the other."""
+    for begin in range(0, len(cells), CHUNK):
+        # pandas writes numbers as numpy prints them, and a package may have set that to twelve digits (colour-science
+        # does)
+        with np.printoptions(legacy=False):
+            some = cells.iloc[begin : begin + CHUNK]
+            text = some.to_csv(index=False, header=begin == 0, lineterminator="\n", quoting=quoting)
+        yield text.encode()
 
 
 def _require_own_attributes(meta: Path) -> None:

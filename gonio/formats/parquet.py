@@ -4,9 +4,9 @@ Attributes of the table lie in the metadata, as pandas keeps them.
 """
 
 import io
+import json
 from pathlib import Path
-
-import numpy as np
+from typing import BinaryIO
 
 from gonio.errors import ConfigError, DataError
 from gonio.formats import native
@@ -30,25 +30,31 @@ def write(frame: DataFrame, path: Path) -> None:
     plain.attrs = native.plain(frame.attrs)
     buffer = io.BytesIO()
     plain.to_parquet(buffer, engine="pyarrow", index=False)
-    write_bytes(path, buffer.getvalue())
+    write_bytes(path, (buffer.getbuffer(),))
 
 
-def read(data: bytes, path: Path) -> DataFrame:
+def read(file: BinaryIO, path: Path) -> DataFrame:
     """A table of the measurement table's columns."""
-    import pandas as pd
-
     _require_library()
+    from pyarrow.parquet import ParquetFile
+
     try:
-        frame = pd.read_parquet(io.BytesIO(data), engine="pyarrow")
-        columns = {
-            str(name): frame[name].to_numpy(np.float64)
-            if pd.api.types.is_numeric_dtype(frame[name].dtype)
-            else frame[name].fillna("").to_numpy(object)
-            for name in frame.columns
-        }
+        content = ParquetFile(file)
+        frame = content.schema_arrow.empty_table().to_pandas()
+        attrs = json.loads((content.schema_arrow.metadata or {}).get(b"PANDAS_ATTRS", b"{}"))
     except Exception as error:  # what pyarrow raises of damaged files is of any kind
-        raise DataError(f"{path}: the Parquet file is damaged: {str(error)[:80]}") from None
-    return native.taken(pd.DataFrame(columns), frame.attrs, path)
+        raise _damaged(path, error) from None
+    native.require_kinds(frame, path)
+    try:
+        chunks = (batch.to_pandas() for batch in content.iter_batches(native.CHUNK))
+        some = native.together(chunks, list(frame.columns), content.metadata.num_rows)
+    except Exception as error:
+        raise _damaged(path, error) from None
+    return native.taken(frame if some is None else some, attrs, path)
+
+
+def _damaged(path: Path, error: Exception) -> DataError:
+    return DataError(f"{path}: the Parquet file is damaged: {str(error)[:80]}")
 
 
 FORMAT = Format(
@@ -57,6 +63,7 @@ FORMAT = Format(
     endings=(".parquet",),
     sniff=lambda head: head.startswith(MAGIC),
     read=read,
+    in_pieces=True,
     write=write,
     carries=native.FORMAT.carries,
 )

@@ -303,8 +303,8 @@ def write_lines(path: Path, lines: Iterable[str]) -> None:
     write_bytes(path, "".join(f"{line}\n" for line in lines).encode())
 
 
-def write_bytes(path: str | Path, data: bytes) -> None:
-    """Write a whole file or nothing (`gonio.disk.write_whole`).
+def write_bytes(path: str | Path, data: bytes | Iterable[bytes | memoryview]) -> None:
+    """Write a whole file, which may be given in pieces, or nothing (`gonio.disk.write_whole`).
 
     Raises
     ------

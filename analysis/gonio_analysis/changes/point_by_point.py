@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -32,7 +33,7 @@ from gonio_analysis.changes.verdict import Verdict, Within, judge, within
 from gonio_analysis.fitting.forward import apparent
 from gonio_analysis.fitting.metrics import metrics
 from gonio_analysis.fitting.objective import scaled_to
-from gonio_analysis.fitting.observations import Observations, describe_left_out, observations
+from gonio_analysis.fitting.observations import Observations, describe_left_out, observations, of_reader
 from gonio_analysis.fitting.value_covariance import Covariance
 
 if TYPE_CHECKING:
@@ -85,11 +86,40 @@ class Side:
 
 
 @dataclass(frozen=True)
-class Change:
-    """B against A in the directions that they share."""
+class Compared:
+    """What a comparison says of a side; the values that were compared are its own."""
 
-    a: Side
-    b: Side
+    name: str
+    source: str
+    kind: str
+    title: str
+    simulated: bool
+    model: Any
+    values: int
+    """How many a measurement has that can be used."""
+    left_out: Mapping[str, int]
+    """Why rows of its table are none, and how many."""
+    stated: bool
+    """Whether it states uncertainties."""
+    notes: Sequence[str]
+    """What its reader says."""
+
+    @classmethod
+    def of(cls, x: Side) -> Compared:
+        """Of a side."""
+        values, left_out, stated = 0, dict[str, int](), False
+        if x.data is not None:
+            values, left_out, stated = len(x.data), x.data.left_out, x.data.covariance is not None
+        notes = of_reader(x.table) if x.table is not None else ()
+        return cls(x.name, x.source, x.kind, x.title, x.simulated, x.model, values, left_out, stated, notes)
+
+
+@dataclass(frozen=True)
+class Change:
+    """B against A in the directions that they share; how they are judged is found when somebody asks."""
+
+    a: Compared
+    b: Compared
     at: Observations
     """The shared directions."""
     value_a: Floats
@@ -104,9 +134,6 @@ class Change:
     """Whose directions they are: "A" or "B"; the other's values were carried or evaluated there."""
     covariance: Covariance | None
     """Of B - A; None where neither side states an uncertainty."""
-    metrics: dict[str, float | None]
-    verdict: Verdict | None
-    within: Within
     missing: dict[str, int] = field(default_factory=dict)
     """Why values of A have no counterpart."""
     notes: Sequence[str] = ()
@@ -134,6 +161,25 @@ class Change:
     def identical(self) -> bool:
         """Whether every value of B is that of A."""
         return bool(np.array_equal(self.value_a, self.value_b))
+
+    @cached_property
+    def metrics(self) -> dict[str, float | None]:
+        """How far B is from A (`gonio_analysis.fitting.metrics`)."""
+        cosine, known = np.cos(self.at.directions.theta_i), self.covariance
+        if known is None:
+            return metrics(self.value_b, self.value_a, cosine)
+        return metrics(self.value_b, self.value_a, cosine, known.total, known.whiten(self.difference))
+
+    @cached_property
+    def verdict(self) -> Verdict | None:
+        """Whether they differ by more than they state; None where neither side states an uncertainty."""
+        return None if self.covariance is None else judge(self.value_a, self.value_b, self.covariance)
+
+    @cached_property
+    def within(self) -> Within:
+        """Within what they agree."""
+        slope = slope_in_plane(replace(self.at, brdf=0.5 * (self.value_a + self.value_b)))
+        return within(self.value_a, self.value_b, self.covariance, slope)
 
     @property
     def difference(self) -> Floats:
@@ -217,13 +263,19 @@ def change(a: Side, b: Side, *, wavelength_nm: float | None = None, say: Say = s
     DataError
         Two measurements share no direction; the message says why.
     """
-    require_alike(a, b)
-    apart = _through(a, b, wavelength_nm, say)
-    a, b, notes = _at_one(a, b, wavelength_nm)
+    return compared([a, b], wavelength_nm=wavelength_nm, say=say)
+
+
+def compared(sides: list[Side], *, wavelength_nm: float | None = None, say: Say = silent) -> Change:
+    """As `change`, of two sides in a list that is empty then: values of large tables go once they are not needed."""
+    require_alike(sides[0], sides[1])
+    apart = _through(sides[0], sides[1], wavelength_nm, say)
+    *sides[:], notes = _at_one(sides[0], sides[1], wavelength_nm)
     notes += apart
-    if a.data is not None and b.data is not None:
-        found = _measurements(a, b, say)
+    if all(x.data is not None for x in sides):
+        found = _measurements(sides, say)
         return replace(found, notes=(*found.notes, *notes))
+    a, b = sides
     at = a.data if a.data is not None else b.data
     if at is None:
         at = _directions(550.0 if wavelength_nm is None else wavelength_nm)
@@ -253,9 +305,17 @@ def change(a: Side, b: Side, *, wavelength_nm: float | None = None, say: Say = s
         if u is not None:
             notes.append(f"{x.name} is a model that is off: its misfit is in the uncertainty, each value's for itself.")
     onto = "B" if a.data is None and b.data is not None else "A"
-    return _judged(
-        a, b, at, onto, stated, covariance, [*at.notes, *notes], error=np.zeros(len(at)), missing={}
-    )  # fmt: skip
+    return _change(
+        Compared.of(a),
+        Compared.of(b),
+        at,
+        onto,
+        stated,
+        covariance,
+        notes=[*at.notes, *notes],
+        error=np.zeros(len(at)),
+        missing={},
+    )
 
 
 def _off(x: Side, at: Observations, value: Floats) -> Floats | None:
@@ -285,7 +345,7 @@ def _through(a: Side, b: Side, wavelength_nm: float | None, say: Say) -> list[st
         return [f"{x.name} holds transmission too, which the other does not: it is left out." for x in having]
     one, other, _ = _at_one(a.through, b.through, wavelength_nm)
     try:
-        found = _measurements(one, other, say)
+        found = _measurements([one, other], say)
     except DataError as error:
         return [f"Transmission could not be compared: {error}."]
     ratio = found.metrics.get("log_ratio")
@@ -312,32 +372,33 @@ def _at_one(a: Side, b: Side, wavelength_nm: float | None) -> tuple[Side, Side, 
     return sides[0], sides[1], [note]
 
 
-def _measurements(a: Side, b: Side, say: Say) -> Change:
-    """The values of one side against those of the other, carried to its directions."""
-    data, turned = laid_on(a.measured, b.measured)
-    both = {"A": (a.name, a.measured), "B": (b.name, data)}
+def _measurements(sides: list[Side], say: Say) -> Change:
+    """The values of one side against those of the other, carried to its directions; empties the list."""
+    (a, b), both = (Compared.of(x) for x in sides), [x.measured for x in sides]
+    sides.clear()
+    both[1], notes = laid_on(*both)
+    notes += [*_unstated({a.name: both[0], b.name: both[1]}), *_cones(*both)]
     known = Known()
-    back = _Found.of(carry(data, a.measured, say, known))  # both at once would be much in memory
-    carried, onto, other = carry(a.measured, data, say, known), "A", "B"
-    if _still(_Found.of(carried), back, len(a.measured), len(data)) == "B":
-        carried, onto, other = carry(data, a.measured, say, known), "B", "A"
+    back = _Found.of(carry(both[1], both[0], say, known))  # both at once would be much in memory
+    carried, onto, names = carry(both[0], both[1], say, known), "A", (a.name, b.name)
+    if _still(_Found.of(carried), back, len(both[0]), len(both[1])) == "B":
+        carried, onto, names = carry(both[1], both[0], say, known), "B", (b.name, a.name)
+        both.reverse()
     if not carried.rows.size:
         why = describe_left_out(carried.missing)
         raise DataError(f"{a.source} and {b.source} share no direction: of the values of {a.source}, {why}")
-    (still, at), (moved, far) = both[onto], both[other]
-    at = at.take(carried.rows)
-    notes = [
-        *turned,
-        *_unstated({a.name: a.measured, b.name: data}, at, far),
-        *_cones(a.measured, data),
-        *_interpolated(carried, len(at), still, moved),
-    ]
+    moved = both.pop().covariance
+    causes = None if moved is None else moved.causes
+    del moved
+    at = both.pop().take(carried.rows)
+    notes += _interpolated(carried, len(at), *names)
+    other = "B" if onto == "A" else "A"
+    covariance = _of_difference(at, carried, causes, (onto, other))
     u_carried = np.full(len(at), np.nan)
-    if far.covariance is not None:
+    if causes is not None:
         u_carried = np.sqrt(carried.random**2 + (carried.common**2).sum(axis=1) + carried.error**2)
     values = {onto: (at.brdf, at.u), other: (carried.value, u_carried)}
-    covariance = _of_difference(at, carried, far, (onto, other))
-    return _judged(a, b, at, onto, values, covariance, notes, error=carried.error, missing=carried.missing)
+    return _change(a, b, at, onto, values, covariance, notes=notes, error=carried.error, missing=carried.missing)
 
 
 def laid_on(a: Observations, b: Observations) -> tuple[Observations, list[str]]:
@@ -353,11 +414,11 @@ def laid_on(a: Observations, b: Observations) -> tuple[Observations, list[str]]:
     return replace(b, directions=b.directions.turned(turn), unused=b.unused.turned(turn)), [note]
 
 
-def _unstated(sides: Mapping[str, Observations], at: Observations, moved: Observations) -> list[str]:
+def _unstated(sides: Mapping[str, Observations]) -> list[str]:
     """Who states no uncertainties, which counts as none where the other side states its own."""
-    neither = at.covariance is None and moved.covariance is None
-    end = "." if neither else ": its values count as exact."
-    return [f"{name} states no uncertainties{end}" for name, x in sides.items() if x.covariance is None]
+    silent = [name for name, x in sides.items() if x.covariance is None]
+    end = "." if len(silent) == len(sides) else ": its values count as exact."
+    return [f"{name} states no uncertainties{end}" for name in silent]
 
 
 def _cones(a: Observations, b: Observations) -> list[str]:
@@ -379,17 +440,25 @@ def _interpolated(carried: Carried, count: int, still: str, moved: str) -> list[
 
 
 def _of_difference(
-    at: Observations, carried: Carried, moved: Observations, names: tuple[str, str]
+    at: Observations, carried: Carried, moved: Sequence[str] | None, names: tuple[str, str]
 ) -> Covariance | None:
-    """Covariance of the carried values less those where they were carried to; None where neither side states any."""
-    own, far = at.covariance, moved.covariance
-    if own is None and far is None:
+    """Covariance of the carried values less those where they were carried to; None where neither side states any.
+
+    `moved` names the causes of the carried values; None where nothing is stated of them.
+    """
+    own = at.covariance
+    if own is None and moved is None:
         return None
-    random = np.hypot(np.hypot(own.random if own is not None else 0.0, carried.random), carried.error)
+    random = np.hypot(own.random if own is not None else 0.0, carried.random)
+    np.hypot(random, carried.error, out=random)
+    for value in (at.brdf, carried.value):  # never 0
+        floor = np.abs(value)
+        floor *= 1e-6
+        np.maximum(random, np.maximum(floor, 1e-300, out=floor), out=random)
     common = [carried.common] if own is None else [own.common, carried.common]
-    causes = [f"{c} of {s}" for s, x in zip(names, (own, far), strict=True) if x is not None for c in x.causes]
-    floor = np.maximum(1e-6 * np.maximum(np.abs(at.brdf), np.abs(carried.value)), 1e-300)
-    return Covariance(np.maximum(random, floor), np.hstack(common), tuple(causes))
+    stated = (() if own is None else own.causes, moved or ())
+    causes = [f"{cause} of {side}" for side, of_side in zip(names, stated, strict=True) for cause in of_side]
+    return Covariance(random, np.hstack(common), tuple(causes))
 
 
 @dataclass(frozen=True)
@@ -418,39 +487,22 @@ def _still(forth: _Found, back: _Found, of_a: int, of_b: int) -> str:
     return "B" if back.roughness < 0.5 * forth.roughness else "A"
 
 
-def _judged(
-    a: Side,
-    b: Side,
+def _change(
+    a: Compared,
+    b: Compared,
     at: Observations,
     onto: str,
     values: Mapping[str, tuple[Floats, Floats]],
     covariance: Covariance | None,
-    notes: Sequence[str],
     *,
+    notes: Sequence[str],
     error: Floats,
     missing: Mapping[str, int],
 ) -> Change:
     """A comparison, of the values of "A" and "B" with their standard uncertainties [1/sr]."""
     (value_a, u_a), (value_b, u_b) = values["A"], values["B"]
-    white = None if covariance is None else covariance.whiten(value_b - value_a)
-    total = None if covariance is None else covariance.total
-    return Change(
-        a=a,
-        b=b,
-        at=at,
-        value_a=value_a,
-        value_b=value_b,
-        u_a=u_a,
-        u_b=u_b,
-        error=error,
-        onto=onto,
-        covariance=covariance,
-        metrics=metrics(value_b, value_a, np.cos(at.directions.theta_i), total, white),
-        verdict=None if covariance is None else judge(value_a, value_b, covariance),
-        within=within(value_a, value_b, covariance, slope_in_plane(replace(at, brdf=0.5 * (value_a + value_b)))),
-        missing=dict(missing),
-        notes=tuple(dict.fromkeys(notes)),
-    )
+    once = tuple(dict.fromkeys(notes))
+    return Change(a, b, at, value_a, value_b, u_a, u_b, error, onto, covariance, dict(missing), once)
 
 
 def _turn(a: Observations, b: Observations) -> float:

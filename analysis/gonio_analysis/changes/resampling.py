@@ -104,7 +104,7 @@ def carry(a: Observations, b: Observations, say: Say = silent, known: Known | No
     unused = _Holes.of(b.unused)
     common_waves = common_wavelengths(a, b)
     pace = Pace("comparing: wavelengths", len(common_waves), say)
-    rows_a, rows_b, rows_unused = (_Waves(x.wavelength_nm) for x in (a, b, unused))
+    rows_a, rows_b, rows_unused = (RowsAt(x.wavelength_nm) for x in (a, b, unused))
     for k_wave, (wave_a, wave_b) in enumerate(common_waves):
         pace.step(k_wave)
         here_a, here_b = rows_a.at(wave_a), rows_b.at(wave_b)
@@ -132,9 +132,13 @@ def carry(a: Observations, b: Observations, say: Say = silent, known: Known | No
                 random[rows] = np.sqrt((w**2 * b.covariance.random[near] ** 2).sum(axis=1))
                 common[rows] = (w[:, :, None] * b.covariance.common[near]).sum(axis=1)
     missing = {reason: count for reason, count in missing.items() if count}
+    del rows_a, rows_b
     rows = np.flatnonzero(np.isfinite(value))
-    if rows.size < n:
-        value, random, common, error = (one[rows] for one in (value, random, common, error))
+    if rows.size < n:  # one after the other: all at once would be much in memory
+        value = value[rows]
+        random = random[rows]
+        common = common[rows]
+        error = error[rows]
     return Carried(rows, value, random, common, error, missing)
 
 
@@ -161,7 +165,7 @@ def _turned(directions: Directions, by: float) -> tuple[Directions, Any]:
 
 def slope_in_plane(shape: Observations) -> Floats:
     """Change of the shape's values with the receiver's angle in the plane of incidence [1/(sr rad)]."""
-    out, rows, known = np.zeros(len(shape)), _Waves(shape.wavelength_nm), Known()
+    out, rows, known = np.zeros(len(shape)), RowsAt(shape.wavelength_nm), Known()
     for wave in shape.wavelengths:
         here = rows.at(wave)
         alone = replace(shape, covariance=None, u_angles=np.zeros(0), unused=Unused()).take(here)
@@ -199,7 +203,7 @@ class _Places:
         return digest.digest()
 
 
-class _Waves:
+class RowsAt:
     """Which rows have a wavelength."""
 
     def __init__(self, waves: Floats) -> None:

@@ -1,5 +1,6 @@
 """Whether two measurements differ: tests of all points together."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -71,7 +72,6 @@ def judge(value_a: Floats, value_b: Floats, covariance: Covariance) -> Verdict:
         Of the difference.
     """
     from scipy.special import chdtrc, ndtr
-    from scipy.stats import false_discovery_control
 
     difference = value_b - value_a
     n = difference.size
@@ -89,13 +89,23 @@ def judge(value_a: Floats, value_b: Floats, covariance: Covariance) -> Verdict:
         expected=float(n * 2 * ndtr(-BEYOND)),
         largest=float(np.abs(z).max()),
         p_largest=float(-np.expm1(n * np.log1p(-min(float(p.min()), 1 - 1e-16)))),
-        marked=false_discovery_control(p) <= FALSE_DISCOVERIES,  # Benjamini and Hochberg (1995)
+        marked=_discoveries(p),
         scale=scale,
         u_scale=u_scale,
         p_scale=float(2 * ndtr(-abs(scale) / u_scale)),
     )
     # one verdict: where nothing says that anything changed, no single value has
     return found if found.changed else replace(found, marked=np.zeros(n, dtype=bool))
+
+
+def _discoveries(p: Floats) -> npt.NDArray[np.bool_]:
+    """Benjamini and Hochberg (1995): the smallest probabilities, up to the last below its share of the rate."""
+    small = np.flatnonzero(p <= FALSE_DISCOVERIES)
+    small = small[np.argsort(p[small])]
+    below = np.flatnonzero(p[small] * (p.size / np.arange(1, small.size + 1)) <= FALSE_DISCOVERIES)
+    out = np.zeros(p.size, dtype=bool)
+    out[small[: below[-1] + 1 if below.size else 0]] = True
+    return out
 
 
 @dataclass(frozen=True)
@@ -124,24 +134,22 @@ def within(value_a: Floats, value_b: Floats, covariance: Covariance | None, slop
     slope : (n,) array [1/(sr rad)]
         Change of the values with the receiver's angle; None where there is none.
     """
-    mean = 0.5 * np.abs(value_a + value_b)
-    difference = value_b - value_a
-    columns = [0.5 * (value_a + value_b)]
-    as_they_are, _ = _excess(difference, mean, covariance, np.zeros((mean.size, 0)))
-    with_scale, found = _excess(difference, mean, covariance, np.column_stack(columns))
+    middle, difference = 0.5 * (value_a + value_b), value_b - value_a
+    mean = np.abs(middle)
+    as_they_are, _ = _excess(difference, mean, covariance, [])
+    with_scale, found = _excess(difference, mean, covariance, [middle])
     out = Within(as_they_are, with_scale, 1.0 + found[0])
     if slope is None or mean.size < 4 or not slope.any():
         return out
-    both = np.column_stack([*columns, -slope])
-    size = np.linalg.norm(both / np.maximum(mean, 1e-300)[:, None], axis=0)
-    if np.linalg.cond(both / np.maximum(mean, 1e-300)[:, None] / size) > CONDITION:
+    both = _triangle(Covariance(np.maximum(mean, 1e-300), np.zeros((mean.size, 0))), [middle, slope])
+    if np.linalg.cond(both / np.linalg.norm(both, axis=0)) > CONDITION:
         return out
-    with_zero, found = _excess(difference, mean, covariance, both)
-    return replace(out, with_zero=with_zero, zero=found[1])
+    with_zero, found = _excess(difference, mean, covariance, [middle, slope])
+    return replace(out, with_zero=with_zero, zero=-found[1])
 
 
 def _excess(
-    difference: Floats, mean: Floats, covariance: Covariance | None, columns: Floats
+    difference: Floats, mean: Floats, covariance: Covariance | None, columns: Sequence[Floats]
 ) -> tuple[float, tuple[float, ...]]:
     """The relative uncertainty at which chi-square is its expectation, and what the columns are found to be.
 
@@ -150,23 +158,31 @@ def _excess(
     from scipy.optimize import brentq
 
     level = np.maximum(mean, 0.01 * float(np.median(mean)) + 1e-300)
-    freedom = difference.size - columns.shape[1]
+    freedom = difference.size - len(columns)
 
     def fitted(x: float) -> tuple[float, tuple[float, ...]]:
         random, common, causes = x * level, np.zeros((level.size, 0)), tuple[str, ...]()
         if covariance is not None:
             random, common, causes = np.hypot(covariance.random, random), covariance.common, covariance.causes
-        known = Covariance(random, common, causes)
-        target, white = known.whiten(difference), known.whiten(columns)
-        found = np.linalg.lstsq(white, target, rcond=None)[0]
-        rest = target - white @ found
+        *white, target = _triangle(Covariance(random, common, causes), [*columns, difference]).T
+        known = np.stack(white, axis=1) if white else np.zeros((target.size, 0))
+        found = np.linalg.lstsq(known, target, rcond=None)[0]
+        rest = target - known @ found
         return float(rest @ rest), tuple(float(v) for v in found)
 
     top = float(np.abs(difference / level).max())
     least = 1e-9 if covariance is None else 0.0
     if freedom < 1 or top == 0.0:
-        return 0.0, (0.0,) * columns.shape[1]
+        return 0.0, (0.0,) * len(columns)
     if fitted(max(least, 1e-12 * top))[0] <= freedom:
         return 0.0, fitted(max(least, 1e-12 * top))[1]
     x = float(brentq(lambda x: fitted(x)[0] - freedom, max(least, 1e-12 * top), 2.0 * top, rtol=1e-6))
     return x, fitted(x)[1]
+
+
+def _triangle(known: Covariance, columns: Sequence[Floats]) -> Floats:
+    """R of the whitened columns (n, p) = Q R: as good as they are for a least-squares problem, and small."""
+    out = np.zeros((0, len(columns)))
+    for white in known.whiten_in_blocks(columns):
+        out = np.asarray(np.linalg.qr(np.concatenate([out, white]), mode="r"))
+    return out

@@ -33,6 +33,8 @@ LINEAR_BELOW = 0.05
 """Without uncertainties: the fraction of the median |f| below which differences count as such, not as ratios."""
 TRANSMISSION = "of transmission"
 """Why rows behind the sample are not here."""
+AT_ONCE = 1 << 17
+"""Rows whose uncertainties are looked at together."""
 RESOLUTION = 1e-15
 """Of a value, and of a middling one of its table: what is smaller than their rounding is no uncertainty."""
 MOST_LISTED = 12
@@ -86,7 +88,7 @@ class Observations:
     wavelength_nm: Floats
     brdf: Floats
     covariance: Covariance | None
-    rows: npt.NDArray[np.intp]
+    rows: npt.NDArray[np.integer]
     """Row of the table that each value comes from."""
     source_solid_angle_sr: float = 0.0
     receiver_solid_angle_sr: float = 0.0
@@ -290,7 +292,7 @@ def observations(table: pd.DataFrame, name: str = "the table", u_rel: float | No
         wavelength_nm=wavelength[some],
         brdf=brdf[some],
         covariance=covariance,
-        rows=keep,
+        rows=keep.astype(np.int32),
         source_solid_angle_sr=source or 0.0,
         receiver_solid_angle_sr=receiver or 0.0,
         omitted=omitted,
@@ -313,18 +315,20 @@ def _stated(
     """What gives the covariance of some rows of a table, and which rows state an uncertainty that can weigh them."""
     from gonio import measurement
 
-    random, common, causes = measurement.uncertainty(table)
-    common = np.where(np.isfinite(common), common, 0.0)
-    total = np.sqrt(random**2 + (common**2).sum(axis=1))
-    with np.errstate(invalid="ignore"):
-        size = np.maximum(np.abs(brdf), np.median(np.abs(brdf[used])) if used.any() else 0.0)
-        stated = np.isfinite(total) & (total > RESOLUTION * size)
-
-    def covariance(rows: Some) -> Covariance:
+    causes = [name.removeprefix("s_") for name in table.columns if name.startswith("s_")]
+    random, common = np.empty(len(table)), np.empty((len(table), len(causes)))
+    stated = np.empty(len(table), dtype=bool)
+    middling = np.median(np.abs(brdf[used]), overwrite_input=True) if used.any() else 0.0
+    for begin in range(0, len(table), AT_ONCE):
+        some = slice(begin, begin + AT_ONCE)
+        own, of_causes, _ = measurement.uncertainty(table.iloc[some])
+        common[some] = np.where(np.isfinite(of_causes), of_causes, 0.0)
+        total = np.sqrt(own**2 + (common[some] ** 2).sum(axis=1))
+        with np.errstate(invalid="ignore"):
+            stated[some] = np.isfinite(total) & (total > RESOLUTION * np.maximum(np.abs(brdf[some]), middling))
         # a value whose independent part is 0 (an ideal rig) would have infinite weight
-        return Covariance(np.maximum(random[rows], 1e-6 * total[rows]), common[rows], tuple(causes))
-
-    return covariance, stated
+        random[some] = np.maximum(own, 1e-6 * total)
+    return lambda rows: Covariance(random[rows], common[rows], tuple(causes)), stated
 
 
 def _lacking(rows: npt.NDArray[np.intp]) -> str:

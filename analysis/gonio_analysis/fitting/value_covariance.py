@@ -7,6 +7,7 @@ no n x n matrix is ever made.
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -16,6 +17,8 @@ import numpy.typing as npt
 from gonio.errors import ArgumentError
 from gonio.typing import Floats
 
+AT_ONCE = 1 << 16
+"""Values that are whitened together."""
 ADDED = ("dark", "black")
 """Causes whose names begin so add to a value, whatever it is: offsets of a sensor. All others change it in proportion.
 """
@@ -50,7 +53,7 @@ class Covariance:
     @cached_property
     def total(self) -> Floats:
         """Combined standard uncertainty of each value [1/sr]."""
-        return np.asarray(np.sqrt(self.random**2 + (self.common**2).sum(axis=1)))
+        return np.asarray(np.sqrt(self.random**2 + (self.common**2).sum(axis=1))) if self.causes else self.random
 
     @cached_property
     def _root(self) -> tuple[Floats, Floats]:
@@ -71,6 +74,17 @@ class Covariance:
             return scaled
         left, shrink = self._root
         return np.asarray(scaled - left @ ((left.T @ scaled).T * shrink).T)
+
+    def whiten_in_blocks(self, columns: Sequence[Floats]) -> Iterator[Floats]:
+        """`whiten` of several columns (n,), of some values after the other: (m, p) each."""
+        across = np.array([self._root[0].T @ (one / self.random) for one in columns]).T if self.causes else None
+        for begin in range(0, self.random.size, AT_ONCE):
+            some = slice(begin, begin + AT_ONCE)
+            white = np.stack([one[some] for one in columns], axis=1) / self.random[some, None]
+            if across is not None:
+                left, shrink = self._root
+                white -= left[some] @ (shrink[:, None] * across)
+            yield white
 
     def whiten_transposed(self, rows: Floats) -> Floats:
         """W^T r, of the columns of (n, p)."""

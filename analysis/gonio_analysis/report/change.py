@@ -1,7 +1,6 @@
 """The report on two things compared point by point (`gonio compare A B --change`)."""
 
-import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -9,11 +8,12 @@ from typing import Any
 import numpy as np
 
 from gonio.measurement import Reading
-from gonio_analysis.changes.point_by_point import Change, Side, change, side
+from gonio_analysis.changes.point_by_point import Change, Compared, compared, side
+from gonio_analysis.changes.resampling import RowsAt
 from gonio_analysis.changes.verdict import FALSE_DISCOVERIES, LEVEL, Verdict, Within
 from gonio_analysis.curves.in_plane import Curve, curves, labels, selection
 from gonio_analysis.fitting.metrics import DESCRIPTIONS, meaning
-from gonio_analysis.fitting.observations import Observations, describe_left_out, of_reader, said_once
+from gonio_analysis.fitting.observations import Observations, describe_left_out, said_once
 from gonio_analysis.plots import thinning
 from gonio_analysis.report import change_figures, files, html, viewer
 from gonio_analysis.report.blocks import (
@@ -39,7 +39,7 @@ from gonio_analysis.report.blocks import (
 from gonio_analysis.report.drawing import FigureWorkers, figure_workers
 from gonio_analysis.report.drawings import Figure
 from gonio_analysis.report.page import MOST_BYTES
-from gonio_analysis.report.tables import write_columns, write_csv
+from gonio_analysis.report.tables import ROWS_AT_ONCE, write_columns, write_csv
 from gonio_analysis.report.text import number, percent, spoken_difference, with_u
 from gonio_analysis.result_records import RunFacts, finite
 from gonio_analysis.selection.run_record import run_facts
@@ -97,11 +97,11 @@ def make(
         Of `index.html`.
     """
     with files.staged(out) as stage, figure_workers(FIGURES) as workers:
-        a, b = (side(spec, how, u_rel) for spec in specs)
-        if a.name == b.name:
-            a, b = replace(a, name=f"{a.name} (A)"), replace(b, name=f"{b.name} (B)")
-        progress(f"comparing {b.title} with {a.title}")
-        found = change(a, b, wavelength_nm=wavelength_nm, say=progress)
+        sides = [side(spec, how, u_rel) for spec in specs]
+        if len({x.name for x in sides}) < len(sides):
+            sides = [replace(x, name=f"{x.name} ({letter})") for x, letter in zip(sides, "AB", strict=True)]
+        progress("comparing {1} with {0}".format(*(x.title for x in sides)))
+        found = compared(sides, wavelength_nm=wavelength_nm, say=progress)
         progress("drawing")
         runs = [run_facts(Path(spec)) for spec in specs]
         _write(found, stage.work, wavelength_nm, stamp(command), runs, workers, progress)
@@ -166,12 +166,12 @@ def _summary(c: Change, made: Stamp, conclusion: str, runs: Sequence[RunFacts | 
     }
 
 
-def _side(s: Side, run: RunFacts | None) -> dict[str, object]:
+def _side(s: Compared, run: RunFacts | None) -> dict[str, object]:
     own = {"name": s.name, "source": s.source, "kind": s.kind, "run": run}
-    if s.data is None:
+    if s.model is not None:
         return own | {"model": s.model.name, "convention": s.model.convention}
-    stated = {"uncertainty_stated": s.data.covariance is not None, "simulated": s.simulated}
-    return own | {"values": len(s.data), "left_out": s.data.left_out} | stated
+    stated = {"uncertainty_stated": s.stated, "simulated": s.simulated}
+    return own | {"values": s.values, "left_out": s.left_out} | stated
 
 
 def _verdict(v: Verdict) -> dict[str, object]:
@@ -195,20 +195,22 @@ def _verdict(v: Verdict) -> dict[str, object]:
 
 
 def _wavelengths(c: Change) -> Waves:
-    v, positive, out = c.verdict, (c.value_a > 0) & (c.value_b > 0), Waves()
+    v, rows, out = c.verdict, RowsAt(c.at.wavelength_nm), Waves()
     for nm in c.at.wavelengths:
-        here = np.isnan(c.at.wavelength_nm) if math.isnan(nm) else c.at.wavelength_nm == nm
-        one: dict[str, float | None] = {"wavelength_nm": finite(nm), "n_points": int(here.sum())}
+        here = rows.at(nm)
+        one: dict[str, float | None] = {"wavelength_nm": finite(nm), "n_points": here.size}
         if v is not None:
             one |= {"beyond": int(np.count_nonzero(np.abs(v.z[here]) > 2)), "changed_points": int(v.marked[here].sum())}
-        known = c.value_b[here & positive] / c.value_a[here & positive]
+        a, b = c.value_a[here], c.value_b[here]
+        positive = (a > 0) & (b > 0)
+        known = b[positive] / a[positive]
         out.append({**one, "median_ratio": float(np.median(known)) if known.size else None})
     return out
 
 
 def _notes(c: Change) -> list[str]:
     """What the comparison says, and what the readers of both sides say."""
-    read = {x.name: of_reader(x.table) for x in (c.a, c.b) if x.table is not None}
+    read = {x.name: x.notes for x in (c.a, c.b) if x.model is None}
     known = {note for notes_of in read.values() for note in notes_of}
     return [*(note for note in c.notes if note not in known), *said_once(read)]
 
@@ -265,12 +267,16 @@ def _p(p: float) -> str:
     return "< 0.0001" if p < 1e-4 else f"= {p:.2g}"
 
 
-def _columns(c: Change) -> list[Any]:
-    v, n = c.verdict, len(c.at)
-    angles = [np.round(np.degrees(x), 10) for x in c.at.directions.angles]
-    z = v.z if v is not None else np.full(n, np.nan)
-    marked = v.marked if v is not None else np.full(n, "", dtype=object)
-    return [c.at.wavelength_nm, *angles, c.value_a, c.value_b, c.error, c.difference, c.u, z, marked]
+def _columns(c: Change) -> Iterator[list[Any]]:
+    """What `COLUMNS` names, some rows after the other."""
+    v = c.verdict
+    for begin in range(0, len(c.at), ROWS_AT_ONCE):
+        some = slice(begin, begin + ROWS_AT_ONCE)
+        angles = [np.round(np.degrees(x[some]), 10) for x in c.at.directions.angles]
+        a, b, error, u = c.value_a[some], c.value_b[some], c.error[some], c.u[some]
+        z = v.z[some] if v is not None else np.full(a.size, np.nan)
+        marked = v.marked[some] if v is not None else np.full(a.size, "", dtype=object)
+        yield [c.at.wavelength_nm[some], *angles, a, b, error, b - a, u, z, marked]
 
 
 def _view(c: Change, at: Observations, listed: list[Curve], drawn: list[Curve], shown: float) -> viewer.View:
@@ -343,13 +349,13 @@ def _of_wavelengths(waves: Waves) -> Table:
 def _facts(c: Change, runs: Sequence[RunFacts | None]) -> list[tuple[str, str]]:
     rows = []
     for key, x, run in zip("AB", (c.a, c.b), runs, strict=True):
-        if x.data is None:
+        if x.model is not None:
             rows.append((key, f"{x.name}: {x.model.name} ({x.source}); {x.model.convention}"))
             continue
-        stated = "no uncertainties stated" if x.data.covariance is None else "with uncertainties"
-        left = f"; left out: {describe_left_out(x.data.left_out)}" if x.data.left_out else ""
+        stated = "with uncertainties" if x.stated else "no uncertainties stated"
+        left = f"; left out: {describe_left_out(x.left_out)}" if x.left_out else ""
         made = f"; rig {run.rig}, {run.created[:10]}, seed {run.seed}" if run else ""
-        values = f"{len(x.data)}{' simulated' * x.simulated} values"
+        values = f"{x.values}{' simulated' * x.simulated} values"
         rows.append((key, f"{x.name} ({x.source}): {values}, {stated}{left}{made}"))
     shared, interpolated = f"{len(c.at)}", int(np.count_nonzero(c.error))
     if {c.a.kind, c.b.kind} == {"measurement"}:

@@ -242,7 +242,7 @@ def _write_tables(c: Comparison, folder: Path) -> list[str]:
         values |= {f"brdf:{x.name}": c.values[k], f"u:{x.name}": c.u[k]}
     tables = {"geometries.csv": geometries, "values.csv": values}
     for name, columns in tables.items():
-        write_columns(folder / name, list(columns), list(columns.values()))
+        write_columns(folder / name, list(columns), [list(columns.values())])
     return list(tables)
 
 

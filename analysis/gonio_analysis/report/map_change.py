@@ -167,7 +167,7 @@ def _write_tables(c: MapChange, folder: Path) -> list[str]:
     columns |= {"chi_square": c.chi_square[rows, cols], "freedom": c.freedom[rows, cols], "p": c.p[rows, cols]}
     for x in c.parameters:
         columns |= {f"change_{x.name}": x.difference[rows, cols], f"z_{x.name}": x.z[rows, cols]}
-    write_columns(folder / "changed.csv", list(columns), list(columns.values()))
+    write_columns(folder / "changed.csv", list(columns), [list(columns.values())])
     return ["parameters.csv", "changed.csv"]
 
 

@@ -58,7 +58,7 @@ def write(
         if s.values and s.usable_everywhere > len(s.values):
             files.append(f"{s.slug}-all-values.csv")
             rows = usable(d)
-            write_columns(folder / files[-1], VALUES, [rows[name].to_numpy() for name in VALUES])
+            write_columns(folder / files[-1], VALUES, [[rows[name].to_numpy() for name in VALUES]])
         if s.budget:
             files.append(f"{s.slug}-budget.csv")
             header = ("cause", "median_relative", "p95_relative")
@@ -111,7 +111,7 @@ def _of_dataset(d: Dataset, slug: str, folder: Path) -> list[str]:
             *(f"{m} {what}" for m in models for what in ("brdf", "whitened_residual")),
             *(("u_random", *(f"s_{cause}" for cause in c.causes)) if c is not None else ()),
         ),
-        [*angles, data.brdf, data.u, *values, *((c.random, *c.common.T) if c is not None else ())],
+        [[*angles, data.brdf, data.u, *values, *((c.random, *c.common.T) if c is not None else ())]],
     )
     header = ("model", "curve", "kind", "signed_angle_deg", "brdf", "u_brdf", "normalised", "u_normalised")
     parts = [part for m, f in d.fitted.items() for c in f.drawn for part in _of_drawn(m, c)]
@@ -119,7 +119,7 @@ def _of_dataset(d: Dataset, slug: str, folder: Path) -> list[str]:
     write_columns(
         folder / f"{slug}-curves.csv",
         (*header, "normalised_by"),
-        [np.concatenate(column) if column else np.empty(0) for column in columns],
+        [[np.concatenate(column) if column else np.empty(0) for column in columns]],
     )
     return [f"{slug}-values.csv", f"{slug}-curves.csv"]
 
@@ -153,14 +153,15 @@ def write_csv(path: Path, header: Sequence[str], rows: Iterable[Sequence[Any]]) 
         out.writerows([_cell(cell) for cell in row] for row in rows)
 
 
-def write_columns(path: Path, header: Sequence[str], columns: Sequence[Any]) -> None:
-    """The same from arrays: numbers of 64 bits, or words. A million rows take seconds."""
+def write_columns(path: Path, header: Sequence[str], pieces: Iterable[Sequence[Any]]) -> None:
+    """The same from the columns of pieces of a table: numbers of 64 bits, or words. A million rows take seconds."""
     path.parent.mkdir(exist_ok=True)
     with open(path, "w", encoding="utf-8", newline="") as stream:
         csv.writer(stream, lineterminator="\n").writerow(header)
-        for begin in range(0, len(columns[0]), ROWS_AT_ONCE):
-            part = [_words(column[begin : begin + ROWS_AT_ONCE]) for column in columns]
-            stream.writelines(map(",".join, ((*row[:-1], row[-1] + "\n") for row in zip(*part, strict=True))))
+        for columns in pieces:
+            for begin in range(0, len(columns[0]), ROWS_AT_ONCE):
+                part = [_words(column[begin : begin + ROWS_AT_ONCE]) for column in columns]
+                stream.writelines(map(",".join, ((*row[:-1], row[-1] + "\n") for row in zip(*part, strict=True))))
 
 
 def _words(column: Any) -> list[str]:
