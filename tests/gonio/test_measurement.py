@@ -304,7 +304,7 @@ def test_radians_with_six_decimals_stand_for_plain_degrees(degrees: float) -> No
 def test_a_table_that_is_read_in_pieces_is_the_table(monkeypatch: pytest.MonkeyPatch) -> None:
     """The quick reader's pieces are set here; those of the one that says what is wrong are 20 000 lines."""
     frame = example(45_000).assign(flag=[("", "hot", "blocked")[k % 3 if k > 30_000 else 0] for k in range(45_000)])
-    monkeypatch.setattr(native, "_CHUNK", 10_000)  # the last begins with another word than those before
+    monkeypatch.setattr(native, "CHUNK", 10_000)  # the last begins with another word than those before
     back = measurement.parse(frame.to_csv(index=False).encode(), Path("big.csv"))
     pd.testing.assert_frame_equal(back, frame, check_exact=True)
     frame.loc[44_321, "theta_r_deg"] = 91.0
