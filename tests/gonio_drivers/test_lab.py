@@ -25,7 +25,6 @@ from gonio_sim.wire.servo import Servo
 from gonio_sim.wire.twins import Twins, rig_file
 
 from gonio.acquisition.measure import RigChoice, carry_out, find_rig
-from gonio.acquisition.plan import load_plan
 from gonio.acquisition.progress import Silent
 from gonio.acquisition.run import Run
 from gonio.cli.rigs import checks
@@ -35,6 +34,7 @@ from gonio.reduction import brdf
 from gonio.rig import Pose, Step
 from gonio.rig.description import RigDescription
 from tests.command_line import says
+from tests.gonio.numpy_rig import plan_in
 from tests.gonio_drivers.conftest import COMMAND, LONGEST_S, SAMPLE, SCALE, opened, small
 
 pytestmark = pytest.mark.slow
@@ -59,9 +59,8 @@ def measure(
     twins: Twins, tmp_path: Path, progress: Any = None, *, description: RigDescription | None = None, **how: Any
 ) -> Run:
     """The small plan into the folder `run`."""
-    (tmp_path / "plan.toml").write_text(PLAN)
     choice = RigChoice(LAB, description or twins.description, "twin")
-    return carry_out(load_plan(tmp_path / "plan.toml"), choice, tmp_path / "run", progress=progress or Silent(), **how)
+    return carry_out(plan_in(tmp_path, PLAN), choice, tmp_path / "run", progress=progress or Silent(), **how)
 
 
 def assert_true(run: Run, points: int | None = None) -> None:

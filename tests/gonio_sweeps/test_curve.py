@@ -17,7 +17,6 @@ from gonio_sweeps.reconstruct import reconstruct
 
 from gonio import models
 from gonio.acquisition.measure import RigChoice, carry_out, find_rig
-from gonio.acquisition.plan import load_plan
 from gonio.acquisition.run import Run
 from gonio.errors import ConfigError, DataError, Interrupted
 from gonio.geometry import Directions, solid_angle_of_cone
@@ -26,7 +25,7 @@ from gonio.reduction import brdf
 from gonio.reduction.angle_errors import angle_axes
 from gonio.rig.description import RigDescription
 from gonio.typing import Floats
-from tests.gonio.numpy_rig import SAMPLE, Plugin, StopAfter, describe
+from tests.gonio.numpy_rig import SAMPLE, Plugin, StopAfter, describe, plan_in
 
 PLAN = """
 name = "a curve"
@@ -54,8 +53,7 @@ def half_angles(description: RigDescription) -> tuple[float, float]:
 
 
 def sampler(folder: Path, text: str = PLAN) -> Curve:
-    (folder / "plan.toml").write_text(text)
-    return SAMPLER.open(load_plan(folder / "plan.toml"), describe())
+    return SAMPLER.open(plan_in(folder, text), describe())
 
 
 def measured(
@@ -332,8 +330,7 @@ def test_a_budget_that_the_first_points_do_not_fit_into_is_refused(tmp_path: Pat
 
 @pytest.mark.slow
 def test_a_run_that_is_stopped_and_gone_on_with_is_the_same_run(tmp_path: Path) -> None:
-    (tmp_path / "plan.toml").write_text(PLAN + "most_points = 19\n")
-    plan = load_plan(tmp_path / "plan.toml")
+    plan = plan_in(tmp_path, PLAN + "most_points = 19\n")
 
     def measure(out: str, **options: Any) -> Run:
         return carry_out(

@@ -27,7 +27,7 @@ from gonio.geometry import Directions
 from gonio.reduction.brdf import reduce
 from gonio.rig import Pose, inverse_kinematics, kinematics
 from gonio.rig.description import SampleDescription
-from tests.gonio.numpy_rig import StopAfter
+from tests.gonio.numpy_rig import StopAfter, plan_in
 from tests.gonio_analysis.synthetic import known
 
 PLAN = """
@@ -46,8 +46,7 @@ NOISE = 0.005
 
 
 def sampler(tmp_path: Path, keys: str) -> Parameters:
-    (tmp_path / "plan.toml").write_text(PLAN.format(keys=keys))
-    made = sampler_of(load_plan(tmp_path / "plan.toml"), SIM)[1]
+    made = sampler_of(plan_in(tmp_path, PLAN.format(keys=keys)), SIM)[1]
     assert isinstance(made, Parameters)
     return made
 
@@ -283,8 +282,7 @@ def measured(plan: Plan, out: Path, **options: Any) -> Run:
 
 @pytest.mark.slow
 def test_a_run_reaches_its_target_and_stopping_it_changes_nothing(tmp_path: Path) -> None:
-    (tmp_path / "plan.toml").write_text(PLAN.format(keys=MATTE.format(albedo=0.0045, sigma=0.2)))
-    plan = load_plan(tmp_path / "plan.toml")
+    plan = plan_in(tmp_path, PLAN.format(keys=MATTE.format(albedo=0.0045, sigma=0.2)))
     whole = measured(plan, tmp_path / "whole")
     assert whole.enough
     (end,) = [event for event in whole.events() if event["event"] == "enough"]
@@ -327,8 +325,7 @@ def assert_a_file_keeps_what_a_fit_needs(run: Run, path: Path) -> None:
 def test_spent_time_is_that_of_the_frames_that_were_taken(tmp_path: Path) -> None:
     from gonio.acquisition.duration import Durations
 
-    (tmp_path / "plan.toml").write_text(PLAN.format(keys=MATTE.format(albedo=0.5, sigma=60.0)))
-    run = measured(load_plan(tmp_path / "plan.toml"), tmp_path / "run")
+    run = measured(plan_in(tmp_path, PLAN.format(keys=MATTE.format(albedo=0.5, sigma=60.0))), tmp_path / "run")
     exposures = sum(frame.exposure_s for step in run.steps() for frame in step.frames)
     spent = expected.spent_s(Durations(run.description, run.bands), run)
     assert spent > exposures

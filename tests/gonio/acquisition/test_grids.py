@@ -11,10 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
-from gonio.acquisition.plan import Plan, load_plan
+from gonio.acquisition.plan import Plan
 from gonio.acquisition.plan_tables import HalfVector, Hemisphere, Spaced, even_cap
 from gonio.errors import ConfigError
 from gonio.geometry import direction
+from tests.gonio.numpy_rig import plan_in
 
 HEAD = 'name = "p"\nwavelength_nm = [550]\n'
 RIGHT = 1e-9
@@ -22,8 +23,7 @@ RIGHT = 1e-9
 
 
 def plan(tmp_path: Path, text: str) -> Plan:
-    (tmp_path / "plan.toml").write_text(HEAD + text)
-    return load_plan(tmp_path / "plan.toml")
+    return plan_in(tmp_path, HEAD + text)
 
 
 def vector(theta_deg: float, phi_deg: float) -> mpmath.matrix:

@@ -6,19 +6,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gonio.acquisition.plan import ANGLES, Plan, Point, assess, beside, load_plan, said_beside
+from gonio.acquisition.plan import ANGLES, Plan, Point, assess, beside, said_beside
 from gonio.acquisition.plan_tables import Range
 from gonio.acquisition.schedule import schedule
 from gonio.errors import ConfigError
 from gonio.rig.description import ArmAxis, Arms, Geometry, Holder, Reference
-from tests.gonio.numpy_rig import PLAN, describe
+from tests.gonio.numpy_rig import PLAN, describe, plan_in
 
 HEAD = 'name = "p"\nwavelength_nm = [550]\n'
 
 
 def plan(tmp_path: Path, text: str) -> object:
-    (tmp_path / "plan.toml").write_text(text)
-    return load_plan(tmp_path / "plan.toml")
+    return plan_in(tmp_path, text)
 
 
 def angles(found: object) -> list[tuple[float, ...]]:

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from gonio.acquisition import plan_picture
-from gonio.acquisition.plan import assess, load_plan
+from gonio.acquisition.plan import assess
 from gonio.acquisition.schedule import schedule
 from gonio.errors import ConfigError
 from gonio.rig import Pose, motion_planning, outlines
 from gonio.rig.description import ArmAxis, Arms, Body, Cable, Holder
-from tests.gonio.numpy_rig import describe
+from tests.gonio.numpy_rig import describe, plan_in
 
 POST = Body(name="post", on="bench", from_mm=(500, 0, 870), to_mm=(500, 0, 870), radius_mm=40.0)
 LEAD = Cable(
@@ -30,8 +30,7 @@ OUT_OF_PLANE = PLAN + "dphi_deg = [45, 180]\n"
 @pytest.mark.parametrize("text", [PLAN, OUT_OF_PLANE])
 @pytest.mark.parametrize("azimuth", [False, True])
 def test_a_picture_counts_all_points_and_shows_the_most_crowded_step(tmp_path: Path, text: str, azimuth: bool) -> None:
-    (tmp_path / "plan.toml").write_text(text)
-    plan = load_plan(tmp_path / "plan.toml")
+    plan = plan_in(tmp_path, text)
     rig = describe(
         arms=Arms(azimuth=ArmAxis(limits_deg=(-190, 190)) if azimuth else None),
         holder=Holder(axes=("spin",) if azimuth else ("tilt", "spin")),

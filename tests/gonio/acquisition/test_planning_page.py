@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from gonio.acquisition.plan import load_plan
 from gonio.acquisition.plan_tables import ANGLES
+from tests.gonio.numpy_rig import plan_in
 from tests.places import ROOT
 
 PLANS = re.findall(r"^```toml\n(.*?)^```", (ROOT / "docs" / "planning.md").read_text(), re.DOTALL | re.MULTILINE)
@@ -14,9 +14,8 @@ PLANS = re.findall(r"^```toml\n(.*?)^```", (ROOT / "docs" / "planning.md").read_
 
 @pytest.mark.parametrize("number", range(len(PLANS)))
 def test_every_plan_of_the_page_is_one(number: int, tmp_path: Path) -> None:
-    (tmp_path / "plan.toml").write_text(PLANS[number])
     (tmp_path / "points.csv").write_text(",".join(ANGLES) + "\n45,30,45,210\n")
-    plan = load_plan(tmp_path / "plan.toml")
+    plan = plan_in(tmp_path, PLANS[number])
     assert plan.points
     said = re.search(r"or count = (\d+):", PLANS[number])
     if said is not None:

@@ -9,13 +9,12 @@ import pandas as pd
 import pytest
 
 from gonio.acquisition.measure import RigChoice, carry_out
-from gonio.acquisition.plan import load_plan
 from gonio.reduction.brdf import reduce
 from gonio.rig import Pose, imaging, inverse_kinematics, kinematics
 from gonio.rig.bands import Band, Bands
 from gonio.rig.description import Acquisition, ArmAxis, Arms, Geometry, Holder, Reference, RigDescription
 from gonio.rig.light_and_camera import Camera, Lamp
-from tests.gonio.numpy_rig import SAMPLE
+from tests.gonio.numpy_rig import SAMPLE, plan_in
 from tests.independent_frames import Bench, Brdf, Placed, Plugin, brushed, lambert, lobe
 
 PLAN = """name = "in plane and out of it"
@@ -68,9 +67,8 @@ def describe(**tables: object) -> RigDescription:
 
 def measured(tmp_path: Path, bench: Bench, plan: str = PLAN) -> pd.DataFrame:
     """The table of a plan that the bench has measured: through journal, raw files and reduction, as a user would."""
-    (tmp_path / "plan.toml").write_text(plan)
     rig = RigChoice(Plugin(bench), bench.description, "independent")
-    table = reduce(carry_out(load_plan(tmp_path / "plan.toml"), rig, tmp_path / "run", sample=SAMPLE, yes=True))
+    table = reduce(carry_out(plan_in(tmp_path, plan), rig, tmp_path / "run", sample=SAMPLE, yes=True))
     assert (table["flag"] == "").all()
     return table
 

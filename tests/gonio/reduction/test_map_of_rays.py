@@ -11,14 +11,13 @@ from gonio_analysis.fitting.problem import FitRequest
 from gonio_analysis.maps import fits
 
 from gonio.acquisition.measure import RigChoice, carry_out
-from gonio.acquisition.plan import load_plan
 from gonio.maps import MapFile, Tile
 from gonio.reduction import brdf, maps
 from gonio.rig.bands import Band, Bands
 from gonio.rig.description import Acquisition, Geometry, Holder, Reference, RigDescription
 from gonio.rig.light_and_camera import Camera, Lamp
 from gonio.typing import Floats
-from tests.gonio.numpy_rig import SAMPLE
+from tests.gonio.numpy_rig import SAMPLE, plan_in
 from tests.independent_frames import Bench, Plugin, lambert
 
 pytestmark = pytest.mark.slow
@@ -87,9 +86,8 @@ def mapped(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "bands": Bands(list=(Band(name="green", centre_nm=550, fwhm_nm=10),)),
         "acquisition": Acquisition(roi_radius_mm=0.7, frames=1, dark_frames=1),
     })  # fmt: skip
-    (folder / "plan.toml").write_text(PLAN, encoding="utf-8")
     rig = RigChoice(Plugin(Bench(description, plate, lambert(0.98), splits=3)), description, "independent")
-    run = carry_out(load_plan(folder / "plan.toml"), rig, folder / "run", sample=SAMPLE, yes=True)
+    run = carry_out(plan_in(folder, PLAN), rig, folder / "run", sample=SAMPLE, yes=True)
     maps.write(run, brdf.reduce_in_parts(run), folder / "map.h5", None, silent)
     return folder / "map.h5"
 

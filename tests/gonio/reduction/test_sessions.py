@@ -11,14 +11,13 @@ import numpy as np
 import pytest
 
 from gonio.acquisition.measure import RigChoice, carry_out
-from gonio.acquisition.plan import load_plan
 from gonio.acquisition.progress import Silent
 from gonio.acquisition.run import Run
 from gonio.errors import Interrupted
 from gonio.reduction import brdf, white_reference
 from gonio.rig import Frame
 from gonio.rig.description import Reference, RigDescription, SampleDescription
-from tests.gonio.numpy_rig import NumpyRig, StopAfter, describe
+from tests.gonio.numpy_rig import NumpyRig, StopAfter, describe, plan_in
 
 PLAN = """name = "days"
 wavelength_nm = [550]
@@ -65,8 +64,7 @@ class Days:
 @pytest.mark.parametrize("gap_s", [43_200.0, 0.0], ids=["overnight", "soon"])
 @pytest.mark.parametrize("stops", [(7,), (5, 6)], ids=["two sessions", "three sessions"])
 def test_each_session_has_its_own_reference(tmp_path: Path, gap_s: float, stops: tuple[int, ...]) -> None:
-    (tmp_path / "plan.toml").write_text(PLAN)
-    plan, rig = load_plan(tmp_path / "plan.toml"), describe(reference=Reference(every=4, frames=2, how="axis"))
+    plan, rig = plan_in(tmp_path, PLAN), describe(reference=Reference(every=4, frames=2, how="axis"))
     days = Days(gap_s)
     for number, steps in enumerate((*stops, 0)):
         progress = StopAfter(steps) if steps else Silent()
