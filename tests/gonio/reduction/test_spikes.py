@@ -2,6 +2,8 @@
 
 import math
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pandas as pd
@@ -11,9 +13,10 @@ from gonio.acquisition.measure import carry_out
 from gonio.acquisition.plan import Plan, Point
 from gonio.acquisition.run import Run
 from gonio.geometry import Directions
-from gonio.reduction import brdf
+from gonio.reduction import brdf, spikes
 from gonio.reduction.angle_sensitivity import Curves
 from gonio.reduction.spike_overlap import OverlapFraction, blurred_overlap, overlap
+from gonio.reduction.spikes import lagrange
 from gonio.rig.description import SampleDescription
 from tests.gonio.reduction.drawn_runs import measured_around_spikes, pulls, rig
 
@@ -237,3 +240,81 @@ def test_curvature_over_the_region_of_interest_is_in_the_budget(tmp_path: Path) 
     table = reduced(tmp_path, [(75.0, float(r), 180.0) for r in range(63, 86, 2)], name="sim-ideal")
     assert np.all(abs(pulls(table, ALUMINIUM)) < 3.0)
     assert np.all(table["u_brdf"] < 2e-3 * table["brdf"])
+
+
+# ---- parts, by their formulas ----
+
+
+def test_lagranges_polynomial_goes_through_cubics() -> None:
+    def cubic(x: Any) -> Any:
+        return 1.0 - 2.0 * x + 0.5 * x**2 + 3.0 * x**3
+
+    at, x = np.array([-1.0, 0.2, 0.9, 2.0]), np.linspace(-1.5, 2.5, 17)
+    np.testing.assert_allclose(lagrange(x, at, cubic(at)), cubic(x), rtol=1e-12, atol=1e-12)
+    many = np.asarray(at + np.arange(17.0)[:, None], np.float64)
+    np.testing.assert_allclose(lagrange(x, many, cubic(many)), cubic(x), rtol=1e-9, atol=1e-9)
+
+
+def test_the_largest_amplitude_is_that_of_the_point_which_allows_least() -> None:
+    """Of a share, two standard deviations of it count as unsure; points that may see nothing allow anything."""
+    share, variance = np.array([0.5, 0.8, 0.1]), np.array([0.01, 0.04, 0.04])
+    values = np.array([1.2, 1.0, 1e-6])
+    # 1.2 / (0.5 - 0.2) = 4, 1 / (0.8 - 0.4) = 2.5, and the third may see nothing: 0.1 < 0.4
+    assert spikes._largest(share, variance, values) == pytest.approx(2.5)
+    assert spikes._largest(share, variance, -values) == 0.0
+    assert spikes._largest(share[2:], variance[2:], values[2:]) == math.inf
+
+
+@pytest.mark.parametrize(("brdf", "bound"), [(3.0, (3.0 + 2.0 * 0.5) / 0.8), (-1.0, 2.0 * 0.5 / 0.8), (1e9, None)])
+def test_a_spike_is_bound_by_its_points_and_by_all_light(brdf: float, bound: float | None) -> None:
+    """A mirror gives 1 / (cos(theta) w) with w the solid angle of the wider cone."""
+    scene = SimpleNamespace(
+        half_angles=(0.01, 0.02), brdf=np.array([brdf]), u=np.array([0.5]), mean=np.array([0.8]),
+        variance=np.array([0.0]),
+    )  # fmt: skip
+    mirror = 1.0 / (math.cos(0.7) * 2.0 * math.pi * (1.0 - math.cos(0.02)))
+    found = spikes._bound(cast(spikes.Scene, scene), np.array([0]), 0.7)
+    assert found == pytest.approx(mirror if bound is None else bound, rel=1e-9)
+
+
+def at_incidence(theta: float, amplitude: float, u: float = 0.0, *, stands_out: bool = True) -> spikes._Fit:
+    """A spike that is told."""
+    return spikes._Fit(
+        theta=theta, lobe=np.zeros(1), u_lobe=0.1, solution=np.array([amplitude, 0.0]),
+        covariance=np.diag([u**2, 0.0]), common=0.0, told=True, most=1e4, stands_out=stands_out,
+    )  # fmt: skip
+
+
+def rough(theta: float) -> float:
+    """exp(-g) / cos(theta), g = (4 pi sigma cos(theta) / lambda)^2 with sigma a tenth of the wavelength."""
+    return 50.0 * math.exp(-((0.4 * math.pi * math.cos(theta)) ** 2)) / math.cos(theta)
+
+
+def test_between_its_neighbours_a_spike_is_that_of_a_rough_surface() -> None:
+    below, here, above = 0.2, 0.6, 0.9
+    found = spikes._from_neighbours(at_incidence(here, 0.0), [at_incidence(t, rough(t)) for t in (below, above)])
+    assert found.solution[0] == pytest.approx(rough(here), rel=1e-12)
+    assert (found.told, found.stands_out) == (True, True)
+    # a tenth, and a tenth of what the logarithms of both differ by
+    step = abs(math.log(rough(above) * math.cos(above) / (rough(below) * math.cos(below))))
+    assert math.sqrt(found.covariance[0, 0]) == pytest.approx(rough(here) * (0.1 + 0.1 * step), rel=1e-12)
+
+
+def test_the_nearest_neighbours_count() -> None:
+    others = [at_incidence(t, rough(t)) for t in (0.3, 0.8)]
+    far = [at_incidence(0.1, 7.0), at_incidence(1.2, 7.0)]
+    one, other = (spikes._from_neighbours(at_incidence(0.5, 0.0), some) for some in (others, [*far, *others]))
+    assert one.solution[0] == other.solution[0]
+
+
+def test_where_the_neighbour_toward_grazing_shows_no_spike_there_is_none() -> None:
+    found = spikes._from_neighbours(at_incidence(0.5, 0.0), [at_incidence(0.8, 1.0, 0.5, stands_out=False)])
+    assert (found.solution[0], found.told, found.stands_out) == (0.0, True, False)
+    assert found.most == pytest.approx(1.0 + 2.0 * 0.5), "no more than that one may have"
+    assert math.sqrt(found.covariance[0, 0]) == pytest.approx(2.0)
+
+
+def test_a_spike_that_nobody_tells_has_its_bound_as_uncertainty() -> None:
+    found = spikes._from_neighbours(at_incidence(0.5, 0.0), [])
+    assert (found.solution[0], found.told, found.stands_out) == (0.0, False, False)
+    assert math.sqrt(found.covariance[0, 0]) == pytest.approx(1e4)
