@@ -64,10 +64,10 @@ def verify(
 
     with tempfile.TemporaryDirectory(prefix="gonio-verify-") as folder:
         found = of_all.verify(Path(folder), command_line(), console.note)
-    console.note(found.conclusion)
+    console.note(found["conclusion"])
     if out is not None:
         print(of_all.make(out, found))
-    if not found.passed:
+    if not found["passed"]:
         raise typer.Exit(1)
 
 

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from gonio.cli import console
+
 if TYPE_CHECKING:
     from gonio_scenes.scene import Scene
 
@@ -26,7 +28,6 @@ def render(
 ) -> None:
     """Render a scene file through the models. Prints the picture's path."""
     from gonio.acquisition.run import command_line
-    from gonio.cli import console
     from gonio_scenes import picture
     from gonio_scenes.render import render as rendered
     from gonio_scenes.scene import read, too_bright
@@ -48,7 +49,6 @@ def render(
 
 def _write(scene: Scene, out: Path, to: str, exr: bool) -> None:
     from gonio.acquisition.run import command_line
-    from gonio.cli import console
     from gonio.errors import ConfigError
     from gonio_scenes import mitsuba
 
@@ -77,7 +77,6 @@ def photograph(
 ) -> None:
     """Measure from a photograph of a curved sample. Every square of pixels becomes a row of a measurement table."""
     from gonio import measurement
-    from gonio.cli import console
     from gonio.errors import ConfigError
     from gonio_scenes.photograph import reduce
     from gonio_scenes.scene import read

@@ -1,12 +1,10 @@
 """Pictures that can be measured: raw frames, and files of linear radiances, with the noise of each pixel."""
 
-from __future__ import annotations
-
 import io
 import zipfile
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -15,9 +13,7 @@ from gonio.documents import JsonObject
 from gonio.errors import ConfigError, DataError
 from gonio.typing import Array, Bools, Floats
 from gonio_scenes.camera import SATURATED, falloff
-
-if TYPE_CHECKING:
-    from gonio_scenes.scene import PhotographTable, Scene
+from gonio_scenes.scene import PhotographTable, Scene
 
 Mask = Bools
 PILE = 100

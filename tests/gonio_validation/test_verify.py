@@ -78,9 +78,9 @@ def test_a_part_that_ends_with_an_error_fails_alone(tmp_path: Path, monkeypatch:
     parts = (verify.Part("one", "x", ends), verify.Part("two", "y", digits.colour))
     monkeypatch.setattr(verify, "PARTS", parts)
     found = verify.verify(tmp_path)
-    assert [part.passed for part in found.parts] == [False, True]
-    assert "a table is cut" in found.parts[0].findings[0].found
-    assert "fails in: one" in found.conclusion
+    assert [part["passed"] for part in found["parts"]] == [False, True]
+    assert "a table is cut" in found["parts"][0]["findings"][0].found
+    assert "fails in: one" in found["conclusion"]
 
 
 def test_a_wrong_number_does_not_pass() -> None:

@@ -150,10 +150,10 @@ def write(folder: Path, page: Page, results: object, figures: Iterable[Figure], 
     write_own(folder, files)
 
 
-def as_csv(rows: Sequence[Mapping[str, Any]]) -> bytes:
-    """A table whose columns are those of its first row; None is an empty cell."""
+def as_csv(rows: Sequence[Mapping[str, Any]], columns: Sequence[str] = ()) -> bytes:
+    """A table with these columns, or those of its first row; None is an empty cell."""
     text = io.StringIO()
-    out = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
+    out = csv.DictWriter(text, columns or list(rows[0]), lineterminator="\n")
     out.writeheader()
     out.writerows({k: "" if v is None else v for k, v in row.items()} for row in rows)
     return text.getvalue().encode()

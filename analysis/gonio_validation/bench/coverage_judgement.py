@@ -11,6 +11,8 @@ from typing import Any
 from zlib import crc32
 
 import numpy as np
+from scipy.special import chdtrc
+from scipy.stats import binomtest, kstest
 
 from gonio.documents import JsonObject
 from gonio.typing import Floats
@@ -96,8 +98,6 @@ def point_pulls(record: Record) -> Floats:
 
 def joint_p(record: Record) -> float:
     """Probability of a larger chi-square of all points, with their whole covariance, were it right."""
-    from scipy.special import chdtrc
-
     p = record["points"]
     common = np.array(list(p["common"].values())).reshape(len(p["common"]), -1)
     # a value whose independent part is 0 would have infinite weight; as a fit has it
@@ -109,8 +109,6 @@ def joint_p(record: Record) -> float:
 
 def parameters_p(record: Record) -> float | None:
     """The same of the fitted parameters, by their covariance; None where one stands at a bound or is undetermined."""
-    from scipy.special import chdtrc
-
     found = record["fit"]["parameters"]
     if any(p["at_bound"] or not p["u"] for p in found.values()):
         return None
@@ -124,8 +122,6 @@ def parameters_p(record: Record) -> float | None:
 
 def count(kind: str, what: str, group: str, inside: Iterable[bool]) -> Count:
     """How often, with the interval of Clopper and Pearson."""
-    from scipy.stats import binomtest
-
     found = [bool(x) for x in inside]
     low, high = binomtest(sum(found), len(found)).proportion_ci(LEVEL, method="exact")
     return Count(kind, what, group, len(found), sum(found), float(low), float(high))
@@ -144,8 +140,6 @@ def pulls(kind: str, what: str, group: str, values: Sequence[float]) -> Pulls:
 
 def uniform(what: str, values: Sequence[float]) -> Uniform:
     """Whether probabilities are uniform between 0 and 1."""
-    from scipy.stats import kstest
-
     bins, _ = np.histogram(values, bins=10, range=(0.0, 1.0))
     return Uniform(what, len(values), float(kstest(values, "uniform").pvalue), [int(b) for b in bins])
 

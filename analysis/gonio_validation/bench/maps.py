@@ -2,7 +2,6 @@
 
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -11,14 +10,16 @@ import numpy as np
 import pandas as pd
 from gonio_analysis.fitting.fit import fit
 from gonio_analysis.report import files
-from gonio_analysis.report.blocks import Footer, Heading, Page, Paragraph, code, header, provenance, stamp, table
+from gonio_analysis.report.blocks import Footer, Heading, Page, Paragraph, code, header, provenance, stamp
 from gonio_analysis.report.text import number
 from scipy.optimize import least_squares
 
+from gonio.documents import JsonObject
 from gonio.geometry import Directions
 from gonio.models import batch, build
 from gonio.typing import Floats
 from gonio_validation.bench import maps_jax
+from gonio_validation.bench.page import Column, listed
 
 POINTS, PIXELS, QUICK = 100, 20_000, 500
 """Directions; drawn pixels of a model; those of a quick run."""
@@ -33,36 +34,29 @@ RANGES: dict[str, tuple[dict[str, tuple[float, float]], dict[str, float]]] = {
     "he-torrance": ({"sigma0_um": (0.06, 0.2), "tau_um": (1.0, 3.0), "diffuse_albedo": (0.1, 0.5)}, {"ior": 1.5}),
 }
 """What is drawn of each model, and what is known."""
+
+
+def _in(unit: str, digits: int) -> Callable[[float], str]:
+    return lambda value: f"{number(value, digits)} {unit}"
+
+
+TIMES = [
+    Column("model", "model"),
+    Column("pixels", "pixels"),
+    Column("own directions", "own_us", _in("µs", 3)),
+    Column("shared", "shared_us", _in("µs", 3)),
+    Column("rejected", "rejected_us", _in("µs", 3)),
+    Column("gonio fit", "fit_ms", _in("ms", 3)),
+    Column("scipy", "scipy_ms", _in("ms", 3)),
+]
+ERRORS = [
+    Column("model", "model"),
+    Column("from gonio fit", "from_fit", _in("u", 2)),
+    Column("pulls: standard deviation", "pull_sd", lambda values: ", ".join(f"{x:.3f}" for x in values)),
+    Column("beyond 5 u", "beyond_5"),
+    Column("worse than the truth", "worse_than_truth"),
+]
 FOOTER = Footer(("Every number is in ", code("summary.json"), "."))
-
-
-@dataclass(frozen=True)
-class Row:
-    """One model: processor time of one thread a pixel, and errors in standard uncertainties."""
-
-    model: str
-    pixels: int
-    own_us: float
-    """Each pixel with directions of its own [us]."""
-    shared_us: float
-    """All pixels with the same directions [us]."""
-    rejected_us: float
-    """Pixels whose model is not true, with tau and errors by blocks [us]."""
-    fit_ms: float
-    """`gonio fit` of one table [ms]."""
-    scipy_ms: float
-    """scipy's least squares from the truth, on the same kernel [ms]."""
-    jax_us: float | None
-    """A batched fit by jax from the truth on, Cook-Torrance alone [us]; None where jax is not installed."""
-    from_jax: float | None
-    """Largest difference of a parameter from that of jax, in u."""
-    from_fit: float
-    """Largest difference of a parameter from that of `gonio fit`, in u."""
-    pull_sd: list[float]
-    """Standard deviation of (found - true) / u, by free parameter."""
-    beyond_5: int
-    worse_than_truth: int
-    """Pixels whose chi-square is above that of the truth: fits in a wrong valley."""
 
 
 def drawn(name: str, pixels: int, seed: int, reach_mm: float = 10.0) -> dict[str, Any]:
@@ -100,8 +94,13 @@ def timed(work: Callable[[], Any], count: int) -> tuple[Any, float]:
     return found, (time.process_time() - began) / count
 
 
-def measured(name: str, pixels: int) -> Row:
-    """One model."""
+def measured(name: str, pixels: int) -> JsonObject:
+    """One model: processor time of one thread a pixel (of `gonio fit` and scipy: a table), and errors.
+
+    Errors are in standard uncertainties: the largest difference of a parameter from that of `gonio fit` and of jax
+    (Cook-Torrance alone, None where it is not installed), and the standard deviation of (found - true) / u by free
+    parameter. `worse_than_truth` counts pixels whose chi-square is above that of the truth: fits in a wrong valley.
+    """
     d, flat = drawn(name, pixels, 1), drawn(name, pixels, 1, 0.0)
 
     def fitted(d: dict[str, Any], wave: Floats | float = 1.0) -> batch.Fits:
@@ -124,11 +123,21 @@ def measured(name: str, pixels: int) -> Row:
         start = np.stack([d["true"][one] for one in found.free], axis=1)
         other, seconds = maps_jax.fitted(d["source"], d["camera"], d, start)
         jax_us, from_jax = 1e6 * seconds, float(np.max(np.abs(other - found.values[:, columns]) / found.u))
-    return Row(
-        name, pixels, 1e6 * own, 1e6 * shared, 1e6 * rejected, 1e3 * fit_s, 1e3 * scipy_s, jax_us, from_jax, off,
-        np.nanstd(pulls, axis=0).tolist(), int((np.abs(pulls) > 5.0).any(axis=1).sum()),
-        int((found.chi_square > of_truth + 1e-6).sum()),
-    )  # fmt: skip
+    return {
+        "model": name,
+        "pixels": pixels,
+        "own_us": 1e6 * own,
+        "shared_us": 1e6 * shared,
+        "rejected_us": 1e6 * rejected,
+        "fit_ms": 1e3 * fit_s,
+        "scipy_ms": 1e3 * scipy_s,
+        "jax_us": jax_us,
+        "from_jax": from_jax,
+        "from_fit": off,
+        "pull_sd": np.nanstd(pulls, axis=0).tolist(),
+        "beyond_5": int((np.abs(pulls) > 5.0).any(axis=1).sum()),
+        "worse_than_truth": int((found.chi_square > of_truth + 1e-6).sum()),
+    }
 
 
 def compared(name: str, d: dict[str, Any], found: batch.Fits, columns: list[int]) -> tuple[float, float, float]:
@@ -177,31 +186,25 @@ def make(
             Paragraph("Processor time of one thread, in microseconds a pixel: starts, fit, standard errors. Rejected: "
                       "the model is not true, so tau is found and errors come from leaving out "
                       "blocks. scipy: least squares on the same kernel, from the truth on."),
-            table("", ["model", "pixels", "own directions", "shared", "rejected", "gonio fit", "scipy"], [
-                [r.model, str(r.pixels), *(f"{number(x, 3)} µs" for x in (r.own_us, r.shared_us, r.rejected_us)),
-                 *(f"{number(x, 3)} ms" for x in (r.fit_ms, r.scipy_ms))] for r in rows
-            ], right=(1, 2, 3, 4, 5, 6)),
+            listed(rows, TIMES, (1, 2, 3, 4, 5, 6)),
             Heading(2, "Error"),
             Paragraph(f"From gonio fit: the largest difference of a parameter, of {COMPARED} pixels. A fit in a wrong"
                       " valley would have a larger chi-square than the truth."),
-            table("", ["model", "from gonio fit", "pulls: standard deviation", "beyond 5 u", "worse than the truth"], [
-                [r.model, f"{number(r.from_fit, 2)} u", ", ".join(f"{x:.3f}" for x in r.pull_sd), str(r.beyond_5),
-                 str(r.worse_than_truth)] for r in rows
-            ], right=(1, 3, 4)),
+            listed(rows, ERRORS, (1, 3, 4)),
             Paragraph(_of_jax(rows)),
             provenance(made), FOOTER,
         ))  # fmt: skip
-        files.write_page(stage.work, page, {"rows": [asdict(r) for r in rows], **made}, [])
+        files.write_page(stage.work, page, {"rows": rows, **made}, [])
     return Path(out) / "index.html"
 
 
-def _of_jax(rows: list[Row]) -> str:
+def _of_jax(rows: list[JsonObject]) -> str:
     """What a batched fit by jax comes to."""
     for row in rows:
-        if row.jax_us is not None and row.from_jax is not None:
+        if row["jax_us"] is not None:
             return (
-                f"A batched fit of {row.model} by jax ({maps_jax.STEPS} damped Gauss-Newton steps from the truth on,"
-                f" float64) takes {number(row.jax_us, 3)} µs of processor time a pixel; its parameters are within"
-                f" {number(row.from_jax, 2)} u of ours."
+                f"A batched fit of {row['model']} by jax ({maps_jax.STEPS} damped Gauss-Newton steps from the truth on,"
+                f" float64) takes {number(row['jax_us'], 3)} µs of processor time a pixel; its parameters are within"
+                f" {number(row['from_jax'], 2)} u of ours."
             )
     return "jax is not installed, so its batched fit is left out: pip install 'gonio[peers]'."

@@ -3,8 +3,6 @@
 Published fits (`*.fit`) among them are a second list.
 """
 
-import csv
-import io
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -34,7 +32,7 @@ from gonio import measurement
 from gonio.config import Strict
 from gonio.errors import ConfigError, GonioError
 from gonio_validation.bench import published
-from gonio_validation.bench.campaigns import Campaigns, Record, Step, write
+from gonio_validation.bench.campaigns import Campaigns, Record, Step, as_csv, write
 
 FEWEST, MOST = 20, 1500
 """Values of a material: with fewer nothing is left out sensibly; of more a part is drawn, always the same."""
@@ -236,10 +234,10 @@ def _page(
 
 
 def _csv(records: Sequence[Record]) -> bytes:
-    out = io.StringIO()
-    writer = csv.writer(out, lineterminator="\n")
-    writer.writerow(["material", "model", "free", "left_out", "aic", "rejected", "fails"])
-    for r in records:
-        for m, one in r["models"].items():
-            writer.writerow([r["name"], m, *(one[k] for k in ("free", "left_out", "aic", "rejected", "fails"))])
-    return out.getvalue().encode()
+    columns = ("free", "left_out", "aic", "rejected", "fails")
+    rows = [
+        {"material": r["name"], "model": m} | {k: one[k] for k in columns}
+        for r in records
+        for m, one in r["models"].items()
+    ]
+    return as_csv(rows, ("material", "model", *columns))

@@ -27,6 +27,7 @@ from gonio_analysis.report.blocks import (
 )
 from gonio_analysis.result_records import as_json
 
+from gonio.documents import JsonObject
 from gonio.errors import GonioError
 from gonio_validation.verify import arithmetic, digits, dome, installation, line
 from gonio_validation.verify.finding import Finding
@@ -64,33 +65,8 @@ PARTS = (
 )
 
 
-@dataclass(frozen=True)
-class PartResult:
-    """What a part found."""
-
-    name: str
-    what: str
-    passed: bool
-    seconds: float
-    findings: list[Finding]
-
-
-@dataclass(frozen=True)
-class Verification:
-    """What `gonio verify` found."""
-
-    title: str
-    created: str
-    command: str
-    versions: dict[str, str]
-    passed: bool
-    conclusion: str
-    parts: list[PartResult]
-    limits: tuple[str, ...] = LIMITS
-
-
-def verify(folder: Path, command: str = "", say: Callable[[str], None] = lambda text: None) -> Verification:
-    """Look at every part.
+def verify(folder: Path, command: str = "", say: Callable[[str], None] = lambda text: None) -> JsonObject:
+    """Look at every part: the verdict, and of each part `passed`, `seconds` and `findings`, as in `summary.json`.
 
     Parameters
     ----------
@@ -101,7 +77,7 @@ def verify(folder: Path, command: str = "", say: Callable[[str], None] = lambda 
     say
         Called with a line after each part.
     """
-    results = []
+    results = list[JsonObject]()
     for part in PARTS:
         began = time.perf_counter()
         (own := folder / part.name).mkdir()
@@ -111,22 +87,23 @@ def verify(folder: Path, command: str = "", say: Callable[[str], None] = lambda 
             # a broken installation fails in ways that nobody foresees: each is that part's result
             found = [Finding("it ends", False, f"{type(error).__name__}: {error}", "no error")]
         passed = all(one.passed for one in found)
-        results.append(PartResult(part.name, part.what, passed, time.perf_counter() - began, found))
+        took = time.perf_counter() - began
+        results.append({"name": part.name, "what": part.what, "passed": passed, "seconds": took, "findings": found})
         bad = [one for one in found if not one.passed]
         head = f"{part.name}: {'passed' if passed else 'FAILED'}, {len(found) - len(bad)} of {len(found)} checks"
         say(head + "".join(f"\n  {one.name}: {one.found}, where {one.expected} is right" for one in bad[:5]))
-    failed = [one.name for one in results if not one.passed]
-    count = sum(len(one.findings) for one in results)
+    failed = [one["name"] for one in results if not one["passed"]]
+    count = sum(len(one["findings"]) for one in results)
     conclusion = (
         f"This installation fails in: {', '.join(failed)}. Do not measure with it: install gonio anew."
         if failed
         else f"All {count} checks of {len(results)} parts passed: this installation computes what it should."
     )
-    made = stamp(command)
-    return Verification("Verification of gonio", passed=not failed, conclusion=conclusion, parts=results, **made)
+    verdict = {"passed": not failed, "conclusion": conclusion, "parts": results, "limits": LIMITS}
+    return {"title": "Verification of gonio", **stamp(command), **verdict}
 
 
-def make(out: Path, result: Verification) -> Path:
+def make(out: Path, result: JsonObject) -> Path:
     """The page and `summary.json` of a verification; the path of `index.html`."""
     with files.staged(out) as stage:
         page = _page(result)
@@ -135,23 +112,25 @@ def make(out: Path, result: Verification) -> Path:
     return out / "index.html"
 
 
-def _page(v: Verification) -> Page:
-    sub = f"Validation of the software, {v.created[:10]}, gonio {v.versions['gonio']}."
-    rows = [[p.name, p.what, f"{sum(f.passed for f in p.findings)} of {len(p.findings)}",
-             "passed" if p.passed else "FAILED", f"{p.seconds:.1f} s"] for p in v.parts]  # fmt: skip
+def _page(v: JsonObject) -> Page:
+    sub = f"Validation of the software, {v['created'][:10]}, gonio {v['versions']['gonio']}."
+    rows = [[p["name"], p["what"], f"{sum(f.passed for f in p['findings'])} of {len(p['findings'])}",
+             "passed" if p["passed"] else "FAILED", f"{p['seconds']:.1f} s"] for p in v["parts"]]  # fmt: skip
     body: list[Block] = [
-        header(v.title, sub),
-        lead(v.conclusion),
+        header(v["title"], sub),
+        lead(v["conclusion"]),
         table("", ["part", "what is checked", "checks", "verdict", "time"], rows, right=(4,)),
     ]
-    for part in v.parts:
-        shown = [[f.name, f.found, f.expected, f.tolerance, "passed" if f.passed else "FAILED"] for f in part.findings]
+    for part in v["parts"]:
+        shown = [
+            [f.name, f.found, f.expected, f.tolerance, "passed" if f.passed else "FAILED"] for f in part["findings"]
+        ]
         columns = ["check", "found", "right", "tolerance", ""]
-        body += [Heading(3, part.name.capitalize()), table("", columns, shown)]
-    body += [Heading(3, "What this does not say"), *(Paragraph(text) for text in v.limits)]
+        body += [Heading(3, part["name"].capitalize()), table("", columns, shown)]
+    body += [Heading(3, "What this does not say"), *(Paragraph(text) for text in v["limits"])]
     blank = "_" * 40
     signed = [("verified by", blank), ("date", blank), ("signature", blank), ("instrument, computer", blank)]
     body += [Heading(3, "Signed off"), facts(signed)]
-    made = Stamp(created=v.created, command=v.command, versions=v.versions)
     footer = Footer(("Every number on this page is in ", code("summary.json"), "."))
-    return Page(v.title, (*body, Heading(2, "Provenance"), provenance(made, called="made"), footer))
+    made = Stamp(created=v["created"], command=v["command"], versions=v["versions"])
+    return Page(v["title"], (*body, Heading(2, "Provenance"), provenance(made, called="made"), footer))
