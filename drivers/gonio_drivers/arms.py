@@ -22,10 +22,9 @@ from gonio.rig import Pose, Target, clock
 from gonio.rig.description import RigDescription
 from gonio_drivers import dynamixel, joints, preparation, settings, signals, watchdog
 from gonio_drivers.any_arms import AXES, Arms, ArmsReading
-from gonio_drivers.arrival import LARGEST_CORRECTION_DEG, STILL_COUNTS
 from gonio_drivers.dynamixel import Bus
 from gonio_drivers.joints import Joint
-from gonio_drivers.motion import Motion
+from gonio_drivers.motion import LARGEST_CORRECTION_DEG, STILL_COUNTS, Motion
 from gonio_drivers.sdk import Packets
 
 log = logging.getLogger("gonio.devices")
@@ -164,30 +163,24 @@ class ServoArms(Arms[Joint]):
         for joint in self.joints.values():
             joint.landed_at = joint.stood_at = None
             try:
-                here = joint.table["Present Position"]
-                position = here.decode(self.bus.read(joint.id, here.address, here.size), here.address)
-                joint.write("Goal Position", position)
+                joint.write("Goal Position", joint.get("Present Position"))
             except DeviceError as failure:
                 log.error("stopping %s: %s", joint.name, failure)
                 silent.append(joint)
         self.deaf = len(silent) == len(self.joints)
         try:
-            for joint in silent:
-                torque = joint.table["Torque Enable"]
-                self.bus.write_all(torque.address, {joint.id: b"\x00"})
+            if silent:
+                self.bus.write_all(silent[0].table["Torque Enable"].address, {joint.id: b"\x00" for joint in silent})
         except DeviceError as failure:
             log.error("stopping: %s", failure)
 
     def _freeze(self) -> None:
         """Tell all servos that answer at once to stay where they are, before anybody waits for one that does not."""
-        groups: dict[tuple[int, int], list[Joint]] = {}
-        for joint in self.joints.values():
-            item = joint.table["Present Position"]
-            groups.setdefault((item.address, item.size), []).append(joint)
-        for (address, size), group in groups.items():
-            blocks = self.bus.glance([joint.id for joint in group], address, size)
-            here = {j.name: j.table["Present Position"].decode(blocks[j.id], address) for j in group if j.id in blocks}
-            if here:
+        by_id = {joint.id: joint for joint in self.joints.values()}
+        if by_id:
+            place = next(iter(by_id.values())).table["Present Position"]  # as in every model of the X series
+            blocks = self.bus.glance(by_id, place.address, place.size)
+            if here := {by_id[n].name: place.decode(block, place.address) for n, block in blocks.items()}:
                 self._motion.send(here)
 
     def change(self, target: Target) -> None:

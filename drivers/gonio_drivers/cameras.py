@@ -5,28 +5,22 @@ An entry point names a callable `(description, settings) -> camera`: the rig's d
 `gonio.rig.CameraDevice`; it touches no device before it is entered. docs/writing_a_driver.md shows one.
 """
 
-from types import TracebackType
+from contextlib import AbstractContextManager
 from typing import Protocol, Self
 
 from gonio import plugins
 from gonio.config import parse
 from gonio.documents import TomlTable
 from gonio.errors import ConfigError
-from gonio.rig import Frame
+from gonio.rig import CameraDevice, Frame
 from gonio.rig.description import RigDescription
 from gonio_drivers import settings
 
 SOURCE = "[devices.camera]"
 
 
-class OpenableCamera(Protocol):
+class OpenableCamera(CameraDevice, AbstractContextManager[CameraDevice, None], Protocol):
     """A `CameraDevice` that is opened as a context."""
-
-    def capture(self, exposure_s: float) -> Frame: ...
-    def __enter__(self) -> Self: ...
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None: ...
 
 
 def build(description: RigDescription, table: TomlTable) -> OpenableCamera:

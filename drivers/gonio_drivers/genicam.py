@@ -26,7 +26,6 @@ OFF = {
     "TriggerMode": "Off", "ExposureMode": "Timed",
 }  # fmt: skip
 """What a camera that has the feature must have it at: linear values, timed by us alone (names of the SFNC)."""
-SINGLE = {"AcquisitionMode": ("SingleFrame", "Continuous")}
 EXPOSURES = ("ExposureTime", "ExposureTimeAbs")
 """In microseconds; the second in cameras from before the SFNC 2.0."""
 GAINS, BLACKS = ("Gain", "GainRaw"), ("BlackLevel", "BlackLevelRaw")
@@ -82,6 +81,7 @@ class GenICamCamera:
             raise ConfigError(
                 'devices.camera.driver = "genicam" needs harvesters: pip install "gonio[genicam]"'
             ) from None
+        self._genapi = genapi
         self._failures = (genapi.GenericException, gentl.GenericException, ValueError, OSError)
         self._harvester = Harvester()
         try:
@@ -214,9 +214,9 @@ class GenICamCamera:
             node = self._node(name, "RO", "RW")
             if node is not None and node.value != value:
                 self._set(name, value)
-        for name, choices in SINGLE.items():
-            if self._has(name):
-                self._set(name, next((c for c in choices if c in getattr(nodes, name).symbolics), choices[-1]))
+        if self._has("AcquisitionMode"):
+            single = "SingleFrame" in nodes.AcquisitionMode.symbolics
+            self._set("AcquisitionMode", "SingleFrame" if single else "Continuous")
         formats = nodes.PixelFormat.symbolics if self._has("PixelFormat") else ()
         wanted = [self._settings.pixel_format] if self._settings.pixel_format else self._formats()
         chosen = next((name for name in wanted if name in formats), None)
@@ -228,11 +228,9 @@ class GenICamCamera:
         self._format = chosen
         row_bytes(chosen, camera.width)
         self._set("PixelFormat", chosen)
-        for name in ("OffsetX", "OffsetY"):
-            if self._has(name):
-                self._set(name, 0)
-        self._set("Width", camera.width)
-        self._set("Height", camera.height)
+        for name, value in (("OffsetX", 0), ("OffsetY", 0), ("Width", camera.width), ("Height", camera.height)):
+            if not name.startswith("Offset") or self._has(name):
+                self._set(name, value)
         for names, asked in ((GAINS, self._settings.gain), (BLACKS, self._settings.black_level)):
             if asked is not None:
                 feature = self._feature(*names)
@@ -253,22 +251,18 @@ class GenICamCamera:
 
     def _node(self, name: str, *modes: str) -> Any:
         """A feature of the camera, by the name of the standard; None where it lacks it, or not with this access."""
-        from genicam.genapi import EAccessMode
-
-        nodes = self._camera.remote_device.node_map
-        node = getattr(nodes, name) if nodes.has_node(name) else None
-        good = node is not None and node.get_access_mode() in [getattr(EAccessMode, mode) for mode in modes]
-        return node if good else None
+        node = getattr(self._camera.remote_device.node_map, name) if self._has(name) else None
+        allowed = [getattr(self._genapi.EAccessMode, mode) for mode in modes]
+        return node if node is not None and node.get_access_mode() in allowed else None
 
     def _set(self, name: str, value: Any) -> None:
         """Set a feature, and read it back."""
-        from genicam.genapi import GenericException
 
         node = getattr(self._camera.remote_device.node_map, name)
         try:
             if node.value != value:
                 node.value = value
-        except GenericException as error:
+        except self._genapi.GenericException as error:
             raise DeviceError(f"the {self._who} does not take {name} = {value}: {error}") from None
         if node.value != value:
             raise DeviceError(f"the {self._who} does not take {name} = {value}: it stays at {node.value}")

@@ -13,10 +13,12 @@ import json
 import os
 import threading
 import time
+from abc import abstractmethod
 from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import Self
 
 import serial
 
@@ -45,23 +47,18 @@ class Tripped(EmergencyStop):
     """The contact is open, was open, or nobody knows."""
 
 
-class Contact(Protocol):
-    """Where a contact is read."""
+class Contact(AbstractContextManager["Contact", None]):
+    """Where a contact is read, while it is open as a context; opening it raises `DeviceError` where it cannot be."""
 
     name: str
     period_s: float
 
-    def open(self) -> None:
-        """Raises `DeviceError` where it cannot be read at all."""
-
+    @abstractmethod
     def closed(self) -> bool:
         """Whether it is closed, now; raises `DeviceError` where it cannot be read."""
 
-    def close(self) -> None:
-        """Let go of it; never raises."""
 
-
-class SerialLine:
+class SerialLine(Contact):
     """A modem line of a serial port: asserted while a contact joins it to RTS or DTR, which are asserted here."""
 
     period_s = PERIOD_S
@@ -71,7 +68,7 @@ class SerialLine:
         self._port_name, self._line = port, line
         self._port: serial.Serial | None = None
 
-    def open(self) -> None:
+    def __enter__(self) -> Self:
         """Open the port, with RTS and DTR asserted."""
         try:
             self._port = serial.serial_for_url(self._port_name)
@@ -81,30 +78,28 @@ class SerialLine:
             self._port.rts = self._port.dtr = True
             self.closed()
         except (*ports.FAILURES, DeviceError):
-            self.close()
+            self.__exit__()
             raise DeviceError(
                 f'{KEY}.port = "{self._port_name}": this port does not tell its line {self._line}; take an adapter '
                 "that has modem lines"
             ) from None
+        return self
 
     def closed(self) -> bool:
         """Whether the line is asserted."""
         if self._port is None:
             raise DeviceError(f"{KEY}: {self._port_name} is not open")
-        try:
+        with ports.in_use(self._port_name, f"{KEY}.port"):
             return bool(getattr(self._port, READS[self._line]))
-        except ports.FAILURES as error:
-            raise ports.lost(self._port_name, error, f"{KEY}.port") from None
 
-    def close(self) -> None:
-        """Close the port."""
-        if self._port is not None:
+    def __exit__(self, *_: object) -> None:
+        port, self._port = self._port, None
+        if port is not None:
             with contextlib.suppress(*ports.FAILURES):
-                self._port.close()
-            self._port = None
+                port.close()
 
 
-class ServoPort:
+class ServoPort(Contact):
     """An external port of a servo (XM540, XH540 and their like): 1 while a contact joins it to the servo's 3.3 V."""
 
     period_s = BUS_PERIOD_S
@@ -119,20 +114,17 @@ class ServoPort:
             )
         joint.also[f"External Port Mode {number}"] = PULL_DOWN
 
-    def open(self) -> None:
+    def __enter__(self) -> Self:
         """The port must be an input with a pull-down, as `preparation.prepare` makes it."""
-        self._joint.bus.__enter__()
-        try:
-            mode = self._joint.get(f"External Port Mode {self._number}")
-        except BaseException:
-            self.close()
-            raise
-        if mode != PULL_DOWN:
-            self.close()
-            raise DeviceError(
-                f"{KEY}: {self.name} is no input with a pull-down yet; a command that opens the arms makes it one, "
-                "such as gonio rig check --no-move"
-            )
+        with contextlib.ExitStack() as stack:
+            stack.enter_context(self._joint.bus)
+            if self._joint.get(f"External Port Mode {self._number}") != PULL_DOWN:
+                raise DeviceError(
+                    f"{KEY}: {self.name} is no input with a pull-down yet; a command that opens the arms makes it one, "
+                    "such as gonio rig check --no-move"
+                )
+            stack.pop_all()
+        return self
 
     def make_input(self) -> None:
         """Make the port an input where that takes no torque from an axis; `open` says where it is none."""
@@ -144,7 +136,7 @@ class ServoPort:
         """Whether the port reads 1."""
         return self._joint.get(f"External Port Data {self._number}") == 1
 
-    def close(self) -> None:
+    def __exit__(self, *_: object) -> None:
         """The bus stays open for the arms, if they are."""
         self._joint.bus.__exit__()
 
@@ -226,7 +218,7 @@ class Interlock:
             raise Tripped(_stopped(self._why))
 
     def __enter__(self) -> "Interlock":
-        self.contact.open()
+        self.contact.__enter__()
         kept = self.latch.why()
         self._why = f"not acknowledged yet: {kept}" if kept else ""
         if not kept:
@@ -241,7 +233,7 @@ class Interlock:
         if self._thread is not None:
             self._thread.join()
             self._thread = None
-        self.contact.close()
+        self.contact.__exit__(None, None, None)
 
     def acknowledge(self) -> str:
         """A person says that the cause is removed; what is forgotten by it, "" where nothing was kept.
@@ -251,12 +243,9 @@ class Interlock:
         Tripped
             The contact is open still, or cannot be read.
         """
-        self.contact.open()
-        try:
+        with self.contact:
             if not self.contact.closed():
                 raise Tripped(f"{KEY}: the contact at {self.contact.name} is open; close it first")
-        finally:
-            self.contact.close()
         kept = self.latch.why()
         self.latch.clear()
         return kept
@@ -264,11 +253,8 @@ class Interlock:
     def survey(self) -> Health:
         """Whether the contact is closed, and whether a stop waits to be acknowledged; nothing is changed by it."""
         try:
-            self.contact.open()
-            try:
+            with self.contact:
                 closed = self.contact.closed()
-            finally:
-                self.contact.close()
         except DeviceError as failure:
             return Health((), {NAME: _unread(self.contact, failure)})
         kept = self.latch.why()

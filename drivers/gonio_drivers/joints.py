@@ -35,17 +35,8 @@ REPORTED = frozenset(
 
 
 @dataclass(frozen=True, slots=True)
-class Health:
-    """What a servo said of itself in its last report."""
-
-    temperature_c: int
-    voltage_v: float
-    current: int
-
-
-@dataclass(slots=True)
 class Report:
-    """One reading of a joint."""
+    """One reading of a joint: what its servo says of itself."""
 
     position: int
     moving: bool
@@ -55,6 +46,8 @@ class Report:
     goal: int
     profile: bytes
     current: int
+    voltage_v: float
+    temperature_c: int
 
 
 @dataclass
@@ -104,9 +97,10 @@ class Joint(Servo, AnyJoint):
     has_watchdog: bool = True
     held: bool = False
     """It had its torque when it was opened."""
-    health: Health | None = None
-    strained: list[Health] = field(default_factory=list)
-    """The reports of the highest current and of the lowest voltage since somebody emptied this list."""
+    report: Report | None = None
+    """The last one."""
+    strained: list[Report] = field(default_factory=list)
+    """Those of the highest current and of the lowest voltage since somebody emptied this list."""
     also: dict[str, int] = field(default_factory=dict)
     """What its preparation sets beside the rest, by item."""
     turns: int = 0
@@ -169,6 +163,17 @@ class Joint(Servo, AnyJoint):
         return abs((position - goal) / self.counts_per_deg)
 
     # ---- the servo ----
+
+    def reported(self, block: bytes) -> Report:
+        """What the block of a report says."""
+        start = span(self.table)[0]
+        value = {name: item.decode(block, start) for name, item in self.table.items() if name in REPORTED}
+        return Report(
+            position=value["Present Position"], moving=bool(value["Moving"]),
+            under_way=bool(value["Moving Status"] & PROFILE_ONGOING), goal=value["Goal Position"],
+            profile=block[: len(self.profile)], current=value.get("Present Current", value.get("Present Load", 0)),
+            voltage_v=value["Present Input Voltage"] / 10, temperature_c=value["Present Temperature"],
+        )  # fmt: skip
 
     def identify(self) -> None:
         """Raise `DeviceError` where no servo with this id answers, or one of another model than the file says."""
@@ -259,21 +264,19 @@ class Joint(Servo, AnyJoint):
                 "position limits"
             )
 
-    def check_health(self) -> None:
-        """Raise what the last report says of temperature, voltage and alert bit, if it is more than it may be."""
+    def check_health(self, report: Report) -> None:
+        """Raise what a report says of temperature, voltage and alert bit, if it is more than it may be."""
         if self.id in self.bus.alerts:
             self.complain()
-        health = self.health
-        assert health is not None
-        if health.temperature_c > self.max_temperature_c - HOT_MARGIN_C:
+        if report.temperature_c > self.max_temperature_c - HOT_MARGIN_C:
             raise DeviceError(
-                f"axis {self.name}: servo id {self.id} is at {health.temperature_c} C, and its limit is "
+                f"axis {self.name}: servo id {self.id} is at {report.temperature_c} C, and its limit is "
                 f"{self.max_temperature_c} C; let it cool down, and look for what it works against"
             )
         low, high = self.voltage_limits_v
-        if health.voltage_v and not low <= health.voltage_v <= high:  # a servo without a supply says nothing at all
+        if report.voltage_v and not low <= report.voltage_v <= high:  # a servo without a supply says nothing at all
             raise DeviceError(
-                f"axis {self.name}: servo id {self.id} has {health.voltage_v:.1f} V, needs {low:.1f} to {high:.1f} V"
+                f"axis {self.name}: servo id {self.id} has {report.voltage_v:.1f} V, needs {low:.1f} to {high:.1f} V"
             )
 
     def complain(self, byte: int | None = None) -> None:
@@ -296,15 +299,9 @@ class Joint(Servo, AnyJoint):
 
 
 def span(table: Mapping[str, Item]) -> tuple[int, int]:
-    """Address and size of the block that a report reads."""
+    """Address and size of the block that a report reads; it is the same in every model of the X series."""
     first, last = table["Profile Acceleration"], table["Present Temperature"]
     return first.address, last.address + last.size - first.address
-
-
-def reported(joint: Joint, block: bytes) -> dict[str, int]:
-    """The items of that block that its servo has."""
-    start = span(joint.table)[0]
-    return {name: item.decode(block, start) for name, item in joint.table.items() if name in REPORTED}
 
 
 def reports(bus: Bus, joints: Iterable[Joint]) -> dict[str, Report]:
@@ -316,26 +313,13 @@ def reports(bus: Bus, joints: Iterable[Joint]) -> dict[str, Report]:
         A servo does not answer, or is unwell.
     """
     by_id = {joint.id: joint for joint in joints}
-    groups: dict[tuple[int, int], list[int]] = {}
-    for joint in by_id.values():
-        groups.setdefault(span(joint.table), []).append(joint.id)
-    blocks: dict[int, bytes] = {}
-    for (address, size), ids in groups.items():
-        blocks |= bus.read_all(ids, address, size)
     out = {}
-    for identity, block in blocks.items():
+    for identity, block in bus.read_all(by_id, *span(next(iter(by_id.values())).table)).items() if by_id else ():
         joint = by_id[identity]
-        value = reported(joint, block)
-        current = value.get("Present Current", value.get("Present Load", 0))
-        joint.health = Health(value["Present Temperature"], value["Present Input Voltage"] / 10, current)
-        seen = (*joint.strained, joint.health)
-        joint.strained[:] = max(seen, key=lambda h: abs(h.current)), min(seen, key=lambda h: h.voltage_v)
-        out[joint.name] = Report(
-            position=value["Present Position"], moving=bool(value["Moving"]),
-            under_way=bool(value["Moving Status"] & PROFILE_ONGOING), goal=value["Goal Position"],
-            profile=block[: len(joint.profile)], current=current,
-        )  # fmt: skip
-        joint.check_health()
+        report = out[joint.name] = joint.report = joint.reported(block)
+        seen = (*joint.strained, report)
+        joint.strained[:] = max(seen, key=lambda r: abs(r.current)), min(seen, key=lambda r: r.voltage_v)
+        joint.check_health(report)
     return out
 
 

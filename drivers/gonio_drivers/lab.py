@@ -21,10 +21,9 @@ from gonio.rig.description import RigDescription, SampleDescription
 from gonio.rig.light_and_camera import Camera
 from gonio.rig.regions import require_frame
 from gonio.rig.whereabouts import axes_stand
-from gonio_drivers import cameras, diagnosis, discovery, interlock, signals, survey
+from gonio_drivers import cameras, interlock, service, signals, survey
 from gonio_drivers.arms import ServoArms
 from gonio_drivers.light import LampReset, SerialLight
-from gonio_drivers.service import ServoService
 from gonio_drivers.settings import Devices
 from gonio_drivers.stages import StageArms
 
@@ -235,7 +234,7 @@ class LabRig:
 
     def diagnose(self, *, move: bool) -> list[tuple[str, str, bool]]:
         """What `gonio rig check` reports of the devices: what, what was found, whether that is good."""
-        return diagnosis.rows(self.arms, self.light, move=move)
+        return survey.rows(self.arms, self.light, move=move)
 
     def __enter__(self) -> Self:
         self._stays = self._parked = False
@@ -313,13 +312,13 @@ class _File(Strict):
 
 
 @dataclass(frozen=True, slots=True)
-class LabPlugin(ServoService):
+class LabPlugin(service.ServoService):
     """The entry point `lab` of the group `gonio.rigs`, with work on single servos, and a look at unknown ports."""
 
-    lamp_on = staticmethod(discovery.lamp_on)
-    is_release = staticmethod(discovery.is_release)
-    wiggle = staticmethod(discovery.wiggle)
-    count_of = staticmethod(discovery.count_of)
+    lamp_on = staticmethod(service.lamp_on)
+    is_release = staticmethod(service.is_release)
+    wiggle = staticmethod(service.wiggle)
+    count_of = staticmethod(service.count_of)
 
     @property
     def toml(self) -> str:

@@ -16,8 +16,7 @@ from gonio.rig import clock
 from gonio.rig.bands import Band
 from gonio.rig.description import RigDescription
 from gonio_drivers import guard, ports, settings
-from gonio_drivers.dialect import dialect
-from gonio_drivers.lamp_line import TRIES, LampLine
+from gonio_drivers.lamp_line import TRIES, LampLine, dialect
 from gonio_drivers.patience import Patience
 
 log = logging.getLogger("gonio.devices")

@@ -1,15 +1,19 @@
 """What the laboratory's devices say of themselves, as `gonio.rig.Health`: open ones, and ones that nobody has opened.
 
+And what `gonio rig check` says of them, beyond the checks that every rig goes through (`rows`).
+
 A survey changes nothing: no torque comes or goes, no lamp is lit or darkened, no frame is taken. (Some lamp controllers
 restart when their port is opened, and are dark then.)
 """
 
 import math
 import statistics
+from dataclasses import replace
 
 from gonio.errors import GonioError
-from gonio.rig import Health, Reading
+from gonio.rig import Health, Reading, clock
 from gonio_drivers import control_table, dynamixel, home_mark, joints
+from gonio_drivers.any_arms import AXES
 from gonio_drivers.arms import ServoArms
 from gonio_drivers.cameras import OpenableCamera
 from gonio_drivers.joints import Joint
@@ -21,6 +25,13 @@ LOOKS = 5
 FLICKER_STEPS = 2.5
 """Readings at rest that lie farther apart, in steps of the encoder, do not tell where the axis stands."""
 LAMP, CAMERA = "lamp", "frames"
+Row = tuple[str, str, bool]
+READINGS = 50
+LANDINGS = 4
+SLOW_MS = 12.0
+"""An adapter with the usual latency timer of 16 ms takes longer than this."""
+NOISE_DEG = 0.1
+STEP_DEG = 3.0
 
 
 def of_open_arms(arms: ServoArms | StageArms) -> Health:
@@ -37,12 +48,11 @@ def of_open_arms(arms: ServoArms | StageArms) -> Health:
     found: list[Reading] = []
     for name, report in reports.items():
         joint = arms.joints[name]
-        assert joint.health is not None
         found += [
             _angle(joint, report.position),
-            Reading(name, "temperature", joint.health.temperature_c, "C", (-math.inf, joint.max_temperature_c)),
-            _current(joint, joint.health.current),
-            Reading(name, "voltage", joint.health.voltage_v, "V", joint.voltage_limits_v),
+            Reading(name, "temperature", report.temperature_c, "C", (-math.inf, joint.max_temperature_c)),
+            _current(joint, report.current),
+            Reading(name, "voltage", report.voltage_v, "V", joint.voltage_limits_v),
         ]
     return Health(tuple(found), {name: str(failure) for name, failure in arms.absent.items()})
 
@@ -92,16 +102,14 @@ def of_arms(arms: ServoArms | StageArms) -> Health:
 def _asked(joint: Joint) -> list[Reading]:
     joint.identify_model()
     home_mark.recall(joint)
-    name, (address, size) = joint.name, joints.span(joint.table)
-    value = joints.reported(joint, joint.bus.read(joint.id, address, size))
+    name, report = joint.name, joint.reported(joint.bus.read(joint.id, *joints.span(joint.table)))
     highest, lowest = joint.get("Max Voltage Limit") / 10, joint.get("Min Voltage Limit") / 10
-    moving = bool(value["Moving"]) or bool(value["Moving Status"] & joints.PROFILE_ONGOING)
+    moving = report.moving or report.under_way
     falsified = joint.falsified()
     seen = [joint.shaft_count() for _ in range(LOOKS)]
     places = [place for place in seen if place is not None]
     error = joint.get("Hardware Error Status")
     hottest = joint.get("Temperature Limit") or joint.max_temperature_c
-    volts = Reading(name, "voltage", value["Present Input Voltage"] / 10, "V", (lowest, highest) if highest else None)
     apart_deg = joint.distance_deg(max(places), min(places)) if places else 0.0
     most_deg = max(FLICKER_STEPS * joint.axis.encoder_step_deg, FLICKER_STEPS / abs(joint.counts_per_deg))
     unsteady = Reading(name, "angle_spread", apart_deg, "deg", (0.0, most_deg))
@@ -111,9 +119,9 @@ def _asked(joint: Joint) -> list[Reading]:
         *([_angle(joint, statistics.fmean(places))] if places else []),
         *([Reading(name, "settings", f"{named} in the servo: {how}; a move resets it")] if falsified else []),
         *([unsteady] if apart_deg > most_deg and not moving else []),
-        Reading(name, "temperature", value["Present Temperature"], "C", (-math.inf, hottest)),
-        _current(joint, value.get("Present Current", value.get("Present Load", 0))),
-        volts,
+        Reading(name, "temperature", report.temperature_c, "C", (-math.inf, hottest)),
+        _current(joint, report.current),
+        Reading(name, "voltage", report.voltage_v, "V", (lowest, highest) if highest else None),
         Reading(name, "motion", "moves" if moving else "still"),
         Reading(name, "torque", "holds" if joint.get("Torque Enable") == 1 else "off"),
         Reading(name, "error", dynamixel.hardware_error(error) if error else "none"),
@@ -159,3 +167,81 @@ def of_camera(camera: OpenableCamera, driver: str) -> Health:
             return Health((Reading(CAMERA, "state", f'ready (driver "{driver}")'),))
     except GonioError as failure:
         return Health((), {CAMERA: str(failure)})
+
+
+def rows(arms: ServoArms | StageArms, light: SerialLight, *, move: bool) -> list[Row]:
+    """Servos (version, temperature, voltage), bus latency, readback noise, repeatability (where it may move), lamp."""
+    if isinstance(arms, StageArms):
+        out = [_stage(arms, name) for name in arms.joints]
+    else:
+        out = [_servo(arms, joint) for joint in arms.joints.values()]
+        out += _bus(arms)
+    if move:
+        out += _repeatability(arms)
+    light.check()
+    reading = light.monitor()
+    monitor = "" if reading is None else f", monitor {reading:g}"
+    out.append(("lamp", f"{light}, dark{monitor}", not light.lit))
+    return out
+
+
+def _stage(arms: StageArms, name: str) -> Row:
+    joint = arms.joints[name]
+    said = joint.stage.state()
+    home = "home found" if said.homed else "home not found"
+    return f"{name} stage", f"{joint.stage}, {home}, error: {said.fault or 'none'}", not said.fault
+
+
+def _servo(arms: ServoArms, joint: Joint) -> Row:
+    number, firmware = arms.bus.ping(joint.id)
+    report = joint.report
+    assert report is not None
+    low, high = joint.voltage_limits_v
+    good = report.temperature_c < joint.max_temperature_c - 10 and low <= report.voltage_v <= high
+    return (
+        f"{joint.name} servo",
+        f"id {joint.id}, {joint.servo.model} ({number}), firmware {firmware}, {report.temperature_c} C, "
+        f"{report.voltage_v:.1f} V, current {report.current}",
+        good,
+    )
+
+
+def _bus(arms: ServoArms) -> list[Row]:
+    """How long a reading of all servos takes, and how much it scatters at rest."""
+    before = arms.bus.recovered
+    times, counts = [], []
+    for _ in range(READINGS):
+        start = clock.monotonic()
+        reading = arms.look()
+        times.append(1e3 * (clock.monotonic() - start))
+        counts.append(reading.counts)
+    # a slow adapter delays every reading, and a busy computer some
+    quickest, typical, worst = min(times), statistics.median(times), max(times)
+    lost = arms.bus.recovered - before
+    remedy = "" if quickest <= SLOW_MS else "; set the adapter's latency timer to 1 ms (docs/lab_setup.md)"
+    noise = max(
+        statistics.pstdev([c[name] for c in counts]) / abs(joint.counts_per_deg) for name, joint in arms.joints.items()
+    )
+    latency = f"{typical:.1f} ms for all servos, at most {worst:.1f} ms, {lost} of {READINGS} repeated{remedy}"
+    return [
+        ("bus latency", latency, quickest <= SLOW_MS and lost <= 1),
+        ("readback noise", f"at most {noise:.3f} deg (standard deviation at rest)", noise <= NOISE_DEG),
+    ]
+
+
+def _repeatability(arms: ServoArms | StageArms) -> list[Row]:
+    """Spread of landings on the same goal, away from it toward the middle of each axis's range and back."""
+    here = arms.read()
+    goals, away = {}, {}
+    for name, joint in arms.joints.items():
+        if name in AXES:  # and not the changer
+            lower, upper = joint.limits_deg
+            at = math.degrees(getattr(here, name))
+            goals[name] = math.radians(min(max(at, lower), upper))  # a reading may lie a little outside
+            away[name] = math.radians(at + STEP_DEG if at < (lower + upper) / 2 else at - STEP_DEG)
+    landed = []
+    for _ in range(LANDINGS):
+        arms.move(replace(here, **away))
+        landed.append(arms.move(replace(here, **goals)))
+    worst = max(math.degrees(max(at) - min(at)) for at in ([getattr(pose, n) for pose in landed] for n in goals))
+    return [("repeatability", f"{LANDINGS} landings within {worst:.3f} deg", worst <= 0.2)]

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
+import cv2
 import numpy as np
 
 from gonio.errors import ConfigError, DeviceError, PassingFault
@@ -46,8 +47,6 @@ class Backend(NamedTuple):
 
 def backend() -> Backend:
     """The first of those that this OpenCV has; raises `DeviceError` where it has none that takes exposures."""
-    import cv2
-
     known = (
         Backend(cv2.CAP_V4L2, "V4L2", 1, 3, in_octaves=False),
         Backend(cv2.CAP_DSHOW, "DirectShow", 0, 1, in_octaves=True),
@@ -103,11 +102,8 @@ class UvcCamera:
             )
 
     def __enter__(self) -> Self:
-        import cv2
-
-        opener = self._open or cv2.VideoCapture
         self._by = backend()
-        self._capture = opener(self._camera.device, self._by.code)
+        self._capture = (self._open or cv2.VideoCapture)(self._camera.device, self._by.code)
         if not self._capture.isOpened():
             self._capture = None
             raise DeviceError(
@@ -133,8 +129,6 @@ class UvcCamera:
 
     def capture(self, exposure_s: float) -> Frame:
         """One frame that was exposed wholly after this call, made linear by the response calibration."""
-        import cv2
-
         if self._capture is None:
             raise DeviceError("the video camera is not open: enter the rig first")
         self._description.require_exposure(exposure_s)
@@ -161,15 +155,11 @@ class UvcCamera:
 
     def _fresh(self, exposure_s: float) -> Array:
         """A frame that began after now: queued ones are dropped by count and by time."""
-        import cv2
-
         begin, looked = clock.monotonic(), Patience(2 * exposure_s + LATE_S)
         stamped = float(self._capture.get(cv2.CAP_PROP_POS_MSEC))
-        for _ in range(self._camera.drop):
-            if not self._capture.grab():
-                raise PassingFault(f"the video camera {self._camera.device} gives no frames", "camera")
+        flows = all(self._capture.grab() for _ in range(self._camera.drop))
         while True:
-            good, image = self._capture.read()
+            good, image = self._capture.read() if flows else (False, None)
             if not good or image is None:
                 raise PassingFault(f"the video camera {self._camera.device} gives no frames", "camera")
             # V4L2 stamps frames with the monotonic clock; where a camera has no stamps, or such of another clock, which

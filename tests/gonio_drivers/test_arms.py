@@ -141,7 +141,7 @@ def test_a_servo_that_measures_no_voltage_is_not_taken_for_one_without_a_supply(
     put = line.servos[2].registers.put
     line.servos[2].registers.put = lambda name, value: put(name, 0 if name == "Present Input Voltage" else value)  # type: ignore[method-assign]
     with ServoArms(describe(), servos(line.port)) as arms:
-        assert arms.joints["camera"].health.voltage_v == 0  # type: ignore[union-attr]
+        assert arms.joints["camera"].report.voltage_v == 0  # type: ignore[union-attr]
 
 
 @pytest.mark.slow

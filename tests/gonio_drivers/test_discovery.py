@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import pytest
-from gonio_drivers import discovery
+from gonio_drivers import service
 from gonio_drivers.lab import LAB
 from gonio_sim.wire.faults import Faults
 from gonio_sim.wire.lamps import LAMPS, Shine
@@ -25,15 +25,15 @@ def test_a_lamps_dialect_is_found_and_nothing_lights(dialect: str, tmp_path: Pat
 
     lamp = LAMPS[dialect](small().bands.all(), shine, Faults())
     with SerialPeer(lamp, tmp_path / "lamp", tells_opening=lamp.resets_on_open):
-        found = discovery.lamp_on(str(tmp_path / "lamp"))
+        found = service.lamp_on(str(tmp_path / "lamp"))
     assert found is not None
     assert found[0] == dialect
     assert not any(lit)
 
 
 def test_a_release_box_is_known_without_an_exposure(twins: Twins, tmp_path: Path) -> None:
-    assert discovery.is_release(twins.peers["release"].port)
-    assert not discovery.is_release(twins.peers["lamp"].port)
+    assert service.is_release(twins.peers["release"].port)
+    assert not service.is_release(twins.peers["lamp"].port)
     assert not list((tmp_path / "twin" / "frames").iterdir())
 
 
@@ -41,9 +41,9 @@ def test_a_wiggle_comes_back_and_leaves_the_torque_as_it_was(twins: Twins) -> No
     servo = twins.servos["camera"]
     before, moved = servo.shaft()[0], []
     servo.leaving = lambda: moved.append(servo.shaft()[0])
-    discovery.wiggle(FoundServo(twins.peers["servos"].port, servo.baud, servo.id, "xm430-w350", 46))
-    assert abs(servo.shaft()[0] - before) < discovery.WIGGLE_COUNTS / 3 + 1
-    assert max(moved) - before > discovery.WIGGLE_COUNTS / 2
+    service.wiggle(FoundServo(twins.peers["servos"].port, servo.baud, servo.id, "xm430-w350", 46))
+    assert abs(servo.shaft()[0] - before) < service.WIGGLE_COUNTS / 3 + 1
+    assert max(moved) - before > service.WIGGLE_COUNTS / 2
     assert not servo.torque
 
 

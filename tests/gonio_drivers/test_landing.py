@@ -4,7 +4,7 @@ import random
 from collections.abc import Callable, Iterable, Iterator
 
 import pytest
-from gonio_drivers import arrival, motion, watchdog
+from gonio_drivers import motion, watchdog
 from gonio_drivers.arms import ServoArms
 from gonio_sim.wire.bus import ServoBus
 from gonio_sim.wire.peer import scaled_clock
@@ -75,20 +75,20 @@ def test_it_takes_five_readings_at_rest_to_land(
 ) -> None:
     hours, _ = bench
     seen: list[int] = []
-    look = arrival.Landing.look
+    look = motion.Landing.look
 
-    def counted(landing: arrival.Landing, report: object, now: float) -> arrival.Verdict:
+    def counted(landing: motion.Landing, report: object, now: float) -> motion.Verdict:
         verdict = look(landing, report, now)  # type: ignore[arg-type]
         if verdict in ("landed", "short"):
             seen.append(len(landing.calm))
         return verdict
 
-    monkeypatch.setattr(arrival.Landing, "look", counted)
+    monkeypatch.setattr(motion.Landing, "look", counted)
     hours.held_up = lambda: held_up_s
     with ServoArms(describe(), servos(PORT)) as arms:
         arms.move(pose(10, 20, 5))
     assert seen
-    assert min(seen) >= arrival.AVERAGED
+    assert min(seen) >= motion.AVERAGED
 
 
 def test_a_way_on_a_computer_that_stands_still_again_and_again_comes_to_its_end(

@@ -14,7 +14,7 @@ from types import SimpleNamespace
 
 import pytest
 from gonio_drivers import guard, settings
-from gonio_drivers.dialect import DIALECTS, dialect
+from gonio_drivers.lamp_line import DIALECTS, dialect
 from gonio_drivers.light import LampReset, SerialLight
 from gonio_sim.wire import lamps
 from gonio_sim.wire.faults import Faults

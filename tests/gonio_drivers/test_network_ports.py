@@ -9,7 +9,7 @@ from collections.abc import Iterator
 import pytest
 import serial
 import serial.rfc2217
-from gonio_drivers import discovery, guard
+from gonio_drivers import guard, service
 from gonio_drivers.dynamixel import Bus
 from gonio_drivers.service import ServoService
 from gonio_sim.wire.bus import ServoBus
@@ -117,7 +117,7 @@ def test_a_lamp_is_found_and_darkened_over_the_network(how: str) -> None:
     seen: list[Shine] = []
     lamp: Lamp = LAMPS["scpi"](BANDS, seen.append)
     with served(lamp, how, lamp.bauds[0]) as port:
-        found = discovery.lamp_on(port)
+        found = service.lamp_on(port)
         assert found is not None
         assert found[0] == "scpi"
         with serial.serial_for_url(port, lamp.bauds[0], timeout=60.0) as line:

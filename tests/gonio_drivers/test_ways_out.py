@@ -223,7 +223,7 @@ def test_a_check_without_moves_or_a_measurement_that_fails_lets_no_arm_fall(
     held_up_high(twins)
     description = twins.description
     if fails == "diagnosis":
-        monkeypatch.setattr("gonio_drivers.diagnosis._bus", lambda arms: arms.bus.read(77, 0, 1))
+        monkeypatch.setattr("gonio_drivers.survey._bus", lambda arms: arms.bus.read(77, 0, 1))
         rows = checks(RigChoice(LAB, description, "twin"), move=False)
         assert not rows[-1][2]
         assert_true(rows[-1][1], twins)
