@@ -5,21 +5,17 @@ bases of `HeTorrance.mueller`. The signal is row . matrix . vector, over the mat
 polarised.
 """
 
-from __future__ import annotations
-
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from gonio.geometry import Directions
+from gonio.models import Model
 from gonio.rig.description import RigDescription
 from gonio.rig.kinematics import View
 from gonio.rig.light_and_camera import Polarisation
 from gonio.typing import Floats
-
-if TYPE_CHECKING:
-    from gonio.models.model import Model
 
 
 def is_on(description: RigDescription) -> bool:

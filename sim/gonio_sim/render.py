@@ -10,18 +10,16 @@ sample lies the holder's plate, matt; the white reference lies beside the sample
 is the sample's BTDF; plate and reference let no light through.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gonio import geometry
+from gonio import geometry, instrument, models
 from gonio.errors import ConfigError
+from gonio.models import Model
 from gonio.rig import Pose, fiducials
 from gonio.rig.bands import Band
 from gonio.rig.description import Fiducials, Holder, SampleDescription
@@ -29,15 +27,11 @@ from gonio.rig.imaging import PixelMap, of_channel, pixel_map
 from gonio.rig.kinematics import View, directions, view
 from gonio.typing import Bools, DataFrame, Floats, NDArray
 from gonio_sim import polarised
-from gonio_sim.textures import Textures
+from gonio_sim.adaptive_grid import Function, electrons_per_s, sample_function
+from gonio_sim.textures import Textures, Whole
 from gonio_sim.world import InHolder, World
 
-if TYPE_CHECKING:
-    from gonio.models.model import Model
-    from gonio_sim.adaptive_grid import Function
-
 Floats32 = NDArray[np.float32]
-Whole = NDArray[np.int64]
 Mask = Bools
 
 GRAZING = math.radians(89.99)
@@ -115,8 +109,6 @@ class Renderer:
         return self._scenes[key]
 
     def _render(self, pose: Pose, band: Band, target: InHolder) -> Floats32:
-        from gonio_sim.adaptive_grid import electrons_per_s
-
         description = self._world.optics
         if target == "empty":
             return self._straight_through(pose, band)
@@ -140,10 +132,10 @@ class Renderer:
 
     def _through_lens(self, rate: Floats32, band: Band, seen: PixelMap) -> Floats32:
         """The lens's blur, a band's own pixels, and what lens and sensor spread; each colour of a mosaic for itself."""
+        from scipy.ndimage import gaussian_filter
+
         camera = self._world.truth.camera
         if camera.blur_px:
-            from scipy.ndimage import gaussian_filter
-
             rate = gaussian_filter(rate, camera.blur_px, mode="nearest", output=np.float32)
         if band.channel != "mono":
             rate[~of_channel(camera.pattern, band.channel, seen.rows, seen.cols)] = 0.0
@@ -153,8 +145,6 @@ class Renderer:
         share = np.count_nonzero(lit) / lit.size
         added = np.full(rate.shape, camera.stray_light * float(rate.mean(dtype=np.float64)) / share)
         if camera.stray_halo:
-            from scipy.ndimage import gaussian_filter
-
             halo = gaussian_filter(rate.astype(np.float64), camera.stray_halo_px, mode="constant")
             added += camera.stray_halo * halo / share
         return np.asarray(np.where(lit, np.minimum(rate + added, BRIGHTEST), 0.0), dtype=np.float32)
@@ -257,8 +247,6 @@ class Renderer:
 
     def _sample(self, band: Band) -> Disc:
         """The sample: its model's lobe on a grid of nodes, and its spike pixel by pixel."""
-        from gonio_sim.adaptive_grid import sample_function
-
         model, radius, waves = self._model, self._radius, self._waves(band)
         if model is None:
             raise ConfigError(
@@ -275,8 +263,6 @@ class Renderer:
 
     def _lobes(self, model: Model, scene: View, waves: list[tuple[float, float]]) -> Function:
         """A model's lobe [1/sr] over the sample, averaged over the cones of lamp and lens."""
-        from gonio import instrument
-
         truth = self._world.truth
 
         def lobes(x: Floats, y: Floats) -> Floats:
@@ -295,8 +281,6 @@ class Renderer:
 
     def _textured(self, textures: Textures, waves: list[tuple[float, float]]) -> Painter:
         """The sample with textures: as one model, level by level of these."""
-        from gonio_sim.adaptive_grid import sample_function
-
         radius = self._radius
 
         def paint(seen: PixelMap, scene: View, covered: Mask, brdf: Floats) -> None:
@@ -334,8 +318,6 @@ class Renderer:
 
     def _mirror(self, band: Band) -> Painter:
         """A front-surface mirror, perfectly smooth aluminium, which shows the lamp and nothing else."""
-        from gonio import models
-
         mirror = models.build("he-torrance", {"sigma0_um": 0.0, "tau_um": 1.0, "ior": "Al"})
 
         def paint(seen: PixelMap, scene: View, covered: Mask, brdf: Floats) -> None:
@@ -349,8 +331,6 @@ class Renderer:
         brdf: Floats,
     ) -> None:  # fmt: skip
         """Add the mirror image of the lamp, pixel by pixel where it is seen."""
-        from gonio import instrument
-
         reach, radius = self._spike_reach, max(self._radius, self._world.truth.holder.sample_diameter_mm / 2)
         if _apart(scene, np.zeros(1), np.zeros(1))[0] > reach + radius * self._turn:
             return  # no spot of the disc shows the lamp's mirror image to the lens
@@ -429,8 +409,6 @@ def _wavelengths(band: Band) -> list[tuple[float, float]]:
 
 
 def _build(sample: SampleDescription) -> Model:
-    from gonio import models
-
     try:
         return models.build(sample.model, dict(sample.parameters))
     except ConfigError as error:

@@ -7,27 +7,22 @@ until its middle is predicted within `TOLERANCE`, or there are `MOST` levels; th
 A pixel sees the mean over its own area: some spots of it, each with the weights of the levels around its value.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import product
-from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy import sparse
 
+from gonio import models
 from gonio.errors import ConfigError
+from gonio.models import Model
 from gonio.rig.description import SampleDescription
 from gonio.rig.imaging import PixelMap
 from gonio.typing import Bools, Floats, NDArray
 from gonio_sim.adaptive_grid import DARK, FLOOR, TOLERANCE
-
-if TYPE_CHECKING:
-    from scipy import sparse
-
-    from gonio.models.model import Model
 
 SPOTS = 34, 21
 """Spots in a pixel, on a lattice of Fibonacci's: how many, and its step. Across and down no two are alike, so that an
@@ -42,7 +37,7 @@ AT_ONCE = 1 << 20
 """Weights that are counted together."""
 Mask = Bools
 Whole = NDArray[np.int64]
-Probe = Callable[["Model"], Floats]
+Probe = Callable[[Model], Floats]
 """What a model shows in a view: values of one kind in each row."""
 
 
@@ -79,8 +74,6 @@ class Textures:
 
     def _built(self, shares: tuple[float, ...]) -> Model:
         """The model where textures have these values."""
-        from gonio import models
-
         values = dict(zip(self._names, shares, strict=True))
         try:
             return models.build(self._sample.model, self._sample.parameters_at(values))
@@ -90,8 +83,6 @@ class Textures:
 
     def parts(self, seen: PixelMap, covered: Mask, probe: Probe) -> Iterator[Part]:
         """Level by level, the pixels that see it; `probe` tells how close levels must be in this view."""
-        from scipy import sparse
-
         levels = self._levels(probe)
         total = math.prod(map(len, levels))
         if total > MOST_TOGETHER:
@@ -134,8 +125,6 @@ class Textures:
 
     def _weights(self, levels: list[Floats], x: Floats, y: Floats) -> sparse.csr_array:
         """Of each level in each pixel (pixels, levels), from its spots (pixels, spots)."""
-        from scipy import sparse
-
         place = np.zeros((*x.shape, 1), dtype=np.int64)
         weight = np.ones(place.shape)
         for one, of_few, own in zip(self._loaded, self._of_few, levels, strict=True):

@@ -86,32 +86,23 @@ class Faults:
         if (passing := self.take(*HEALTH, servo=servo.id)) is not None:
             servo.suffer(passing, LASTS_S)
         fault = self.take(*SERVO, *WIRE, servo=servo.id)
-        if fault == "silence":
-            return []
-        if fault == "late-reply":
-            return [(LATE_S, status)]
-        if fault == "corrupt-crc":
-            return [(0.0, status[:-1] + bytes([status[-1] ^ 0x5A]))]
-        if fault == "truncated-packet":
-            return [(0.0, status[: len(status) // 2])]
-        if fault == "noise":
-            return [(0.0, b"\x00\xff\xff\xfd\x13\x37\xff" + status)]
-        if fault is not None:
+        if fault in SERVO:
             strike(servo, fault)
-            if fault in ("dropout", "reboot"):
-                return []
-        return [(0.0, status)]
+        spoiled = {
+            "late-reply": [(LATE_S, status)],
+            "corrupt-crc": [(0.0, status[:-1] + bytes([status[-1] ^ 0x5A]))],
+            "truncated-packet": [(0.0, status[: len(status) // 2])],
+            "noise": [(0.0, b"\x00\xff\xff\xfd\x13\x37\xff" + status)],
+        }
+        silent = fault in ("silence", "dropout", "reboot")
+        return [] if silent else spoiled.get(fault or "", [(0.0, status)])
 
 
 def strike(servo: Servo, fault: str) -> None:
     """Let something happen to a servo itself."""
-    if fault == "stall":
-        servo.block()
-    elif fault == "overheat":
+    if fault == "overheat":
         servo.temperature_c = servo.get("Temperature Limit") + 5
     elif fault == "voltage-alarm":
         servo.supply_dv = servo.get("Min Voltage Limit") - 6
-    elif fault == "dropout":
-        servo.lose_power()
-    elif fault == "reboot":
-        servo.restart()
+    else:
+        {"stall": servo.block, "dropout": servo.lose_power, "reboot": servo.restart}[fault]()

@@ -137,16 +137,14 @@ class KinesisTwin:
 
     def _asked(self, number: int) -> bytes:
         """The data of the answer to a question."""
-        if number == HW_REQ_INFO:
-            info = struct.pack("<I8sHBBBB", self.serial, self.model, 16, 2, 0, 1, 0)
-            return info.ljust(78, b"\x00") + struct.pack("<HHH", 1, 0, 1)
-        if number == REQ_POSCOUNTER:
-            return struct.pack("<Hi", 1, self._counter())
-        if number == REQ_VELPARAMS:
-            return struct.pack("<Hiii", 1, 0, *self._words)
-        if number == REQ_GENMOVEPARAMS:
-            return struct.pack("<Hi", 1, self._backlash)
-        return struct.pack("<HI", 1, self._bits())
+        info = struct.pack("<I8sHBBBB", self.serial, self.model, 16, 2, 0, 1, 0)
+        return {
+            HW_REQ_INFO: info.ljust(78, b"\x00") + struct.pack("<HHH", 1, 0, 1),
+            REQ_POSCOUNTER: struct.pack("<Hi", 1, self._counter()),
+            REQ_VELPARAMS: struct.pack("<Hiii", 1, 0, *self._words),
+            REQ_GENMOVEPARAMS: struct.pack("<Hi", 1, self._backlash),
+            REQ_STATUSBITS: struct.pack("<HI", 1, self._bits()),
+        }[number]
 
     def _turn(self, goal: float, ending: int) -> None:
         if self.stalled:

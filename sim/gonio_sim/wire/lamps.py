@@ -5,6 +5,7 @@ the simulated rig through `changed` what they do: lit or dark, band, level.
 """
 
 import re
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -30,7 +31,7 @@ class Shine:
     band: Band | None = None
 
 
-class Lamp:
+class Lamp(ABC):
     """What the three have in common: lines in, lines out, faults, resets.
 
     Parameters
@@ -91,9 +92,9 @@ class Lamp:
         """Answer a line as a wrong one."""
         send(self.refusal + self.ending)
 
+    @abstractmethod
     def command(self, line: str) -> str | None:
         """Carry out a line; its reply."""
-        raise NotImplementedError
 
     @property
     def channels(self) -> range:

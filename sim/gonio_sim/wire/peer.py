@@ -6,6 +6,7 @@ import select
 import selectors
 import socket
 import threading
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,7 +31,7 @@ class Device(Protocol):
         """Somebody has opened the port (told where `tells_opening` is true)."""
 
 
-class Peer:
+class Peer(ABC):
     """Serves one device from a thread, until it is closed; a driver may close and open its port as it likes.
 
     Parameters
@@ -70,17 +71,17 @@ class Peer:
         except BaseException as failure:  # shown when the peer is closed: a thread has nobody to raise to
             self.failure = failure
 
+    @abstractmethod
     def _plug_in(self) -> None:
         """Open the port, and say where it is."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _serve(self) -> None:
         """Let the device answer until `_woken` can be read."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _unplug(self) -> None:
         """Close the port."""
-        raise NotImplementedError
 
 
 class SerialPeer(Peer):

@@ -7,6 +7,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 HEADER = b"\xff\xff\xfd"
+STUFFED = HEADER + b"\xfd"
+"""What stands for a header's bytes inside a packet."""
 BROADCAST = 0xFE
 STATUS = 0x55
 
@@ -45,16 +47,6 @@ def crc16(data: bytes | bytearray, crc: int = 0) -> int:
     return crc
 
 
-def stuff(data: bytes) -> bytes:
-    """Put 0xFD behind every FF FF FD, so that no header appears inside a packet."""
-    return data.replace(HEADER, HEADER + b"\xfd")
-
-
-def unstuff(data: bytes) -> bytes:
-    """Take the stuffed bytes out again."""
-    return data.replace(HEADER + b"\xfd", HEADER)
-
-
 @dataclass(frozen=True, slots=True)
 class Packet:
     """A packet without its framing: `parameters` are unstuffed; a status packet's first parameter is its error byte."""
@@ -66,7 +58,7 @@ class Packet:
 
     def encode(self) -> bytes:
         """The bytes on the wire."""
-        body = stuff(bytes([self.instruction]) + self.parameters)
+        body = (bytes([self.instruction]) + self.parameters).replace(HEADER, STUFFED)
         packet = HEADER + bytes([0, self.id]) + (len(body) + 2).to_bytes(2, "little") + body
         return packet + crc16(packet).to_bytes(2, "little")
 
@@ -117,7 +109,7 @@ class Reader:
             if len(stream) < 7 + length:
                 return None
             raw = bytes(stream[: 7 + length])
-            body = unstuff(raw[7:-2])
+            body = raw[7:-2].replace(STUFFED, HEADER)
             good = crc16(raw[:-2]) == int.from_bytes(raw[-2:], "little")
             del stream[: 7 + length if good else 3]
             return Packet(raw[4], body[0], body[1:], good)

@@ -79,11 +79,8 @@ class VideoStandIn:
         self._stamp, self._grabbed = self._next()
         return True
 
-    def retrieve(self) -> tuple[bool, Image | None]:
-        return (True, self._grabbed) if self._open else (False, None)
-
     def read(self) -> tuple[bool, Image | None]:
-        return self.retrieve() if self.grab() else (False, None)
+        return (True, self._grabbed) if self.grab() else (False, None)
 
     def release(self) -> None:
         self._open = False
