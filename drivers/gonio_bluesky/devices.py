@@ -13,25 +13,21 @@ These are the devices and no more: no reference, no dark frames, no uncertaintie
 BRDFs.
 """
 
-from __future__ import annotations
-
 import logging
 import math
 import time
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Generic, Self, TypeVar
+from typing import Any, Generic, Self, TypeVar
 
+from gonio.by_hand.manual_rig import ManualRig
 from gonio.documents import JsonObject
 from gonio.errors import ArgumentError, ConfigError, DeviceError
-from gonio_bluesky.status import Owner, Status
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from gonio.by_hand.manual_rig import ManualRig
 
 log = logging.getLogger("gonio.devices")
 
+Result = TypeVar("Result")
 Value = TypeVar("Value")
 Reading = JsonObject
 DARK = "dark"
@@ -39,6 +35,81 @@ AGAIN_S = 0.1
 """How often axes are told to stop until none is on its way: one that was about to leave may not have heard it."""
 PATIENCE_S = 30.0
 """How long a stop waits for that, and for the lamp to be dark."""
+
+
+class Status:
+    """Whether something is done, and how it ended."""
+
+    def __init__(self) -> None:
+        self._ended: Future[None] = Future()
+
+    @classmethod
+    def finished(cls) -> "Status":
+        """Of what takes no time."""
+        status = cls()
+        status.finish(None)
+        return status
+
+    def finish(self, error: BaseException | None) -> None:
+        """It is done; with an error, it has failed. What comes later does not count."""
+        if self._ended.done():
+            return
+        if error is None:
+            self._ended.set_result(None)
+        else:
+            self._ended.set_exception(error)
+
+    def add_callback(self, callback: "Callable[[Status], None]") -> None:
+        """Have somebody told when it is done; at once where it is."""
+        self._ended.add_done_callback(lambda _: callback(self))
+
+    def exception(self, timeout: float | None = 0.0) -> BaseException | None:
+        """Why it failed; None where it did not. Waits so long for the end [s], and raises `TimeoutError` after that."""
+        return self._ended.exception(timeout)
+
+    def wait(self, timeout: float | None = None) -> None:
+        """Wait for the end, and raise what it failed by."""
+        self._ended.result(timeout)
+
+    @property
+    def done(self) -> bool:
+        """Whether it has ended."""
+        return self._ended.done()
+
+    @property
+    def success(self) -> bool:
+        """Whether it has ended well."""
+        return self.done and self._ended.exception() is None
+
+
+class Owner:
+    """A thread in which all is done that devices do: they are not made for several."""
+
+    def __init__(self) -> None:
+        self._pool = ThreadPoolExecutor(1, thread_name_prefix="gonio-bluesky")
+
+    def ask(self, do: Callable[[], Result]) -> Result:
+        """Have something done, after what was asked for before; its result."""
+        return self._pool.submit(do).result()
+
+    def begin(self, do: Callable[[], Any], done: Callable[[BaseException | None], BaseException | None]) -> Status:
+        """Have something done, and go on meanwhile; `done` says what of its error counts."""
+        status = Status()
+
+        def work() -> None:
+            try:
+                do()
+            except BaseException as error:  # whoever waits is told, whatever it is
+                status.finish(done(error))
+            else:
+                status.finish(done(None))
+
+        self._pool.submit(work)
+        return status
+
+    def close(self) -> None:
+        """End the thread, after what was asked for."""
+        self._pool.shutdown()
 
 
 class Named:
@@ -74,7 +145,7 @@ class Brake:
     Bluesky stops every axis that it has moved when a run ends, well or not, when it pauses and when it is suspended.
     """
 
-    def __init__(self, owner: Owner, rig: ManualRig, lamp: Lamp) -> None:
+    def __init__(self, owner: Owner, rig: ManualRig, lamp: "Lamp") -> None:
         self._owner, self._rig, self._lamp = owner, rig, lamp
         self._moves: list[Status] = []
         self._stops = 0
@@ -242,16 +313,17 @@ class Lamp(Named):
 
 
 class Setting(Named, Generic[Value]):
-    """A number that is kept, and used later; `check` raises where it could not be used."""
+    """A number that is kept, and used later; `check_value` raises where it could not be used."""
 
-    def __init__(self, name: str, value: Value, units: str, check: Callable[[Value], object] | None = None) -> None:
+    source = "setting"
+
+    def __init__(self, name: str, value: Value, units: str, check: Callable[[Value], object]) -> None:
         super().__init__(name)
-        self.value, self._units, self._check = value, units, check
+        self.value, self._units, self.check_value = value, units, check
 
     def set(self, value: Value) -> Status:
         """Keep it; what cannot be used raises now, and not when the plan has moved everything."""
-        if self._check is not None:
-            self._check(value)
+        self.check_value(value)
         self.value = value
         return Status.finished()
 
@@ -261,7 +333,7 @@ class Setting(Named, Generic[Value]):
 
     def describe(self) -> JsonObject:
         """The data key of `read`."""
-        return {self.name: number("setting", self._units)}
+        return {self.name: number(self.source, self._units)}
 
 
 NUMBERS = {

@@ -28,23 +28,24 @@ from gonio.documents import JsonObject
 from gonio.errors import ArgumentError, ConfigError, Interrupted
 from gonio.rig import Frame, Pose, Rig, Step
 from gonio.rig.description import RigDescription, SampleDescription
-from gonio_bluesky.devices import Plotted, Reading, number
-from gonio_bluesky.status import Status
+from gonio_bluesky.devices import Plotted, Reading, Setting, Status, number
 
 DIRECTIONS = ("theta_i", "phi_i", "theta_r", "phi_r")
 DIGITS = 7
 """Angles [deg] that agree in so many decimals are one, as in a plan (`gonio.acquisition.plan.SAME_DEG`)."""
 
 
-class Direction(Plotted):
+class Direction(Setting[float]):
     """One of the four angles of a point [deg]: movable, readable, locatable, stoppable; used at the next trigger."""
 
-    def __init__(self, measurement: "Measurement", name: str) -> None:
-        super().__init__(name)
-        self._measurement = measurement
-        self.value = 0.0
+    source = "plan"
 
-    def check_value(self, value: float) -> None:
+    def __init__(self, measurement: "Measurement", name: str) -> None:
+        super().__init__(name, 0.0, "deg", self._require)
+        self.hints: JsonObject = {"fields": [name]}
+        self._measurement = measurement
+
+    def _require(self, value: float) -> None:
         """Raise `ConfigError` where no direction has such an angle [deg]."""
         lower, upper = {"theta_i": (0.0, 90.0), "theta_r": (-180.0, 180.0)}.get(self.name, (-360.0, 360.0))
         if not lower <= value <= upper:
@@ -52,9 +53,7 @@ class Direction(Plotted):
 
     def set(self, value: float) -> Status:
         """Name the angle of the next point [deg]."""
-        self.check_value(float(value))
-        self.value = float(value)
-        return Status.finished()
+        return super().set(float(value))
 
     def stop(self, success: bool = True) -> None:
         """Nothing moves by `set`. Where the plan has failed, the measurement ends after the step that it is in."""
@@ -64,14 +63,6 @@ class Direction(Plotted):
     def locate(self) -> dict[str, float]:
         """The angle that was named [deg]; what the encoders read is in the readings of the camera."""
         return {"setpoint": self.value, "readback": self.value}
-
-    def read(self) -> dict[str, Reading]:
-        """The angle that was named [deg]."""
-        return self._readings({self.name: self.value})
-
-    def describe(self) -> JsonObject:
-        """The data key of `read`."""
-        return {self.name: number("plan", "deg")}
 
 
 class StepCamera(Plotted):

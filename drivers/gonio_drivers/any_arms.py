@@ -1,6 +1,5 @@
 """What arms of servos and arms of stages have in common: what is refused, moves, parking, failures."""
 
-import logging
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
@@ -10,8 +9,7 @@ from typing import Generic, NoReturn, TypeVar
 from gonio.errors import ConfigError, DeviceError
 from gonio.rig import Pose, motion_planning
 from gonio.rig.description import Axis, RigDescription
-
-log = logging.getLogger("gonio.devices")
+from gonio_drivers import log
 
 AXES = tuple(field.name for field in fields(Pose))
 ROUNDING_DEG = 1e-6

@@ -8,7 +8,6 @@ What does not land stops every axis. The encoder's readback is what is returned,
 readings, since encoders flicker.
 """
 
-import logging
 import math
 import statistics
 from collections.abc import Mapping
@@ -20,14 +19,12 @@ from dynamixel_sdk import INST_PING
 from gonio.errors import ConfigError, DeviceError, Disturbed
 from gonio.rig import Pose, Target, clock
 from gonio.rig.description import RigDescription
-from gonio_drivers import dynamixel, joints, preparation, settings, signals, watchdog
+from gonio_drivers import dynamixel, joints, log, preparation, settings, signals, watchdog
 from gonio_drivers.any_arms import AXES, Arms, ArmsReading
 from gonio_drivers.dynamixel import Bus
 from gonio_drivers.joints import Joint
 from gonio_drivers.motion import LARGEST_CORRECTION_DEG, STILL_COUNTS, Motion
 from gonio_drivers.sdk import Packets
-
-log = logging.getLogger("gonio.devices")
 
 LOOKS, SECOND_LOOKS = 5, 9
 """Readings whose mean tells where an axis stands, and whether it has left the place where it landed."""

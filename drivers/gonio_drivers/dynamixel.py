@@ -17,7 +17,6 @@ What is handled, and where:
 """
 
 import contextlib
-import logging
 import math
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -27,10 +26,8 @@ from dynamixel_sdk import COMM_RX_CORRUPT, COMM_RX_TIMEOUT, COMM_SUCCESS, INST_P
 
 from gonio.errors import ConfigError, DeviceError
 from gonio.rig import clock
-from gonio_drivers import ports
+from gonio_drivers import log, ports
 from gonio_drivers.sdk import WAIT_S, ExclusivePort, Packets
-
-log = logging.getLogger("gonio.devices")
 
 Answer = TypeVar("Answer")
 

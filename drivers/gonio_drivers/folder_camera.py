@@ -11,7 +11,6 @@ move into the subfolder `taken`, where the last of them stay until the run has c
 
 import contextlib
 import hashlib
-import logging
 import stat
 import subprocess
 import time
@@ -30,10 +29,8 @@ from gonio.rig import Frame, clock
 from gonio.rig.description import RigDescription
 from gonio.rig.dng import read_raw
 from gonio.rig.regions import require_raw
-from gonio_drivers import ports, settings
+from gonio_drivers import log, ports, settings
 from gonio_drivers.patience import Patience
-
-log = logging.getLogger("gonio.devices")
 
 POLL_S = 0.01
 PORT_KEY = "devices.camera.trigger.port"

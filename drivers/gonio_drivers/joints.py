@@ -3,18 +3,15 @@
 `gonio_drivers.preparation` makes joints from a rig file, and brings their servos into the state that moves rely on.
 """
 
-import logging
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 from gonio.errors import ConfigError, DeviceError
-from gonio_drivers import control_table, dynamixel, settings
+from gonio_drivers import control_table, dynamixel, log, settings
 from gonio_drivers.any_arms import AnyJoint
 from gonio_drivers.control_table import Item
 from gonio_drivers.dynamixel import Bus
-
-log = logging.getLogger("gonio.devices")
 
 COUNTS = 4096
 POSITION_MODE, EXTENDED_MODE, EXTENDED_CURRENT_MODE = 3, 4, 5

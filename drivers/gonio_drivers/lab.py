@@ -5,7 +5,6 @@ that have failed, or that somebody has stopped, are left where they stand.
 """
 
 import contextlib
-import logging
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from importlib.resources import files
@@ -21,13 +20,11 @@ from gonio.rig.description import RigDescription, SampleDescription
 from gonio.rig.light_and_camera import Camera
 from gonio.rig.regions import require_frame
 from gonio.rig.whereabouts import axes_stand
-from gonio_drivers import cameras, interlock, service, signals, survey
+from gonio_drivers import cameras, interlock, log, service, signals, survey
 from gonio_drivers.arms import ServoArms
 from gonio_drivers.light import LampReset, SerialLight
 from gonio_drivers.settings import Devices
 from gonio_drivers.stages import StageArms
-
-log = logging.getLogger("gonio.devices")
 
 RETAKES = 3
 ALL: tuple[Device, ...] = ("light", "arms", "camera")

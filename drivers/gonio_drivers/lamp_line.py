@@ -5,7 +5,6 @@ repeated where one is lost. What an answer means is the driver's affair (`gonio_
 """
 
 import contextlib
-import logging
 import re
 from collections import deque
 from collections.abc import Sequence
@@ -20,12 +19,11 @@ from gonio.config import Strict
 from gonio.errors import ConfigError, DeviceError, PassingFault
 from gonio.rig import clock
 from gonio.rig.ranges import NonNegative, Positive
-from gonio_drivers import ports
+from gonio_drivers import log, ports
 
 DIALECTS = ("scpi", "mightex", "arduino")
 FILLS = {"set": ("value", "channel"), "select": ("wavelength_nm", "channel")}
 """What is filled into a command; the channel into any other."""
-log = logging.getLogger("gonio.devices")
 KEY = "devices.light.port"
 TRIES = 3
 LATENESS = 2.0

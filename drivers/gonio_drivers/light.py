@@ -6,7 +6,6 @@ only when its controller says so. It is darkened when the port is opened, when i
 """
 
 import contextlib
-import logging
 import re
 from collections.abc import Callable, Iterator
 from typing import Self
@@ -15,11 +14,9 @@ from gonio.errors import ConfigError, DeviceError, Disturbed, GonioError, Interr
 from gonio.rig import clock
 from gonio.rig.bands import Band
 from gonio.rig.description import RigDescription
-from gonio_drivers import guard, ports, settings
+from gonio_drivers import guard, log, ports, settings
 from gonio_drivers.lamp_line import TRIES, LampLine, dialect
 from gonio_drivers.patience import Patience
-
-log = logging.getLogger("gonio.devices")
 
 WAVELENGTH_STEP_NM = 0.1
 GUARD_S = 10.0

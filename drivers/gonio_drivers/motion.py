@@ -6,7 +6,6 @@ by more than that, the mean of its latest readings has to be that of its earlier
 their scatter says how well it is known.
 """
 
-import logging
 import math
 import statistics
 from collections.abc import Callable, Mapping
@@ -15,7 +14,7 @@ from typing import Literal
 
 from gonio.errors import DeviceError
 from gonio.rig import clock
-from gonio_drivers import joints, settings, watchdog
+from gonio_drivers import joints, log, settings, watchdog
 from gonio_drivers.dynamixel import Bus
 from gonio_drivers.joints import Joint, Report
 from gonio_drivers.patience import Patience
@@ -37,7 +36,6 @@ LARGEST_CORRECTION_DEG = 2.0
 SURE = 2.0
 """In standard uncertainties of the mean: a place is known where so many lie within the tolerance, or where it lies so
 many beyond it."""
-log = logging.getLogger("gonio.devices")
 POLL_S = 0.020
 GRACE_S = 3.0
 """A move may take twice its time, and this: of the time in which this program looks."""

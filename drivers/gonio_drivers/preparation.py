@@ -4,16 +4,12 @@ A servo is brought into Position mode with its own offset off, gets a profile ve
 rig file has one, a current limit; its goal is set to where it stands before its torque comes on, so that nothing turns.
 """
 
-import logging
-
 from gonio.errors import ConfigError, DeviceError
 from gonio.rig.description import Axis, RigDescription
-from gonio_drivers import control_table, home_mark, settings, watchdog
+from gonio_drivers import control_table, home_mark, log, settings, watchdog
 from gonio_drivers.any_arms import axis_of
 from gonio_drivers.dynamixel import Bus
 from gonio_drivers.joints import COUNTS, EXTENDED_CURRENT_MODE, POSITION_MODE, PROFILE_ONGOING, Joint
-
-log = logging.getLogger("gonio.devices")
 
 VELOCITY_UNIT_DEG_S = 0.229 * 6
 ACCELERATION_UNIT_DEG_S2 = 214.577 * 360 / 3600

@@ -11,23 +11,19 @@ never the goal.
 """
 
 import contextlib
-import logging
 import math
 import statistics
 from collections.abc import Mapping
 from dataclasses import dataclass
-from types import TracebackType
 from typing import Any, Protocol, Self
 
 from gonio import plugins
 from gonio.errors import ConfigError, DeviceError, Disturbed, GonioError
 from gonio.rig import Health, Pose, Reading, Target, clock
 from gonio.rig.description import RigDescription
-from gonio_drivers import settings
+from gonio_drivers import log, settings
 from gonio_drivers.any_arms import AnyJoint, Arms, ArmsReading, axis_of
 from gonio_drivers.patience import Patience
-
-log = logging.getLogger("gonio.devices")
 
 STILL_DEG = 0.01
 """Readings this close, or two steps of the encoder, are the same place."""
@@ -63,8 +59,10 @@ class StageState:
     """What it complains of, in words; "" where it is well."""
 
 
-class Stage(Protocol):
+class Stage(contextlib.AbstractContextManager["Stage", None], Protocol):
     """One motorised axis, as the context in which it is open. Every method raises `DeviceError` where it fails.
+
+    Entering opens the line and sees who is there; nothing turns by it.
 
     Angles are those of the stage's readout [deg]. A driver may have an attribute `absolute = True`: it needs no home.
     """
@@ -72,13 +70,6 @@ class Stage(Protocol):
     @property
     def axis(self) -> settings.StageAxis:
         """Its table of the rig file."""
-
-    def __enter__(self) -> Self:
-        """Open the line and see who is there; nothing turns."""
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None: ...
 
     def prepare(self, speed_deg_per_s: float, acceleration_deg_per_s2: float) -> None:
         """Set the motion's profile, and see that the stage has taken it; nothing turns."""

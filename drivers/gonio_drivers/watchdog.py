@@ -8,13 +8,10 @@ A firmware of 2022 that was stopped so made for a wrong goal where it had a homi
 driver keeps homing offsets at 0, and gives a goal of its own wherever it clears the watchdog.
 """
 
-import logging
 from collections.abc import Iterable, Sequence
 
-from gonio_drivers import dynamixel
+from gonio_drivers import dynamixel, log
 from gonio_drivers.joints import Joint
-
-log = logging.getLogger("gonio.devices")
 
 UNITS = 25
 PERIOD_S = UNITS * 0.020

@@ -20,10 +20,9 @@ import numpy as np
 
 from gonio.acquisition import exposure
 from gonio.by_hand.lamp_timer import DeadMansTimer, LampTimeOver
-from gonio.by_hand.live_picture import Pictures, pictures
 from gonio.by_hand.manual_rig import ManualRig
 from gonio.by_hand.rig_file import read_zero, with_values, write_values
-from gonio.by_hand.sight import Sight
+from gonio.by_hand.sight import Pictures, Sight, pictures
 from gonio.disk import put
 from gonio.documents import JsonObject
 from gonio.errors import ConfigError, DataError, DeviceError, Disturbed, EmergencyStop

@@ -8,6 +8,7 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
+import cv2
 import numpy as np
 
 from gonio.acquisition import exposure
@@ -113,8 +114,6 @@ def focus(camera: Camera, first: Frame, second: Frame, box: Box) -> Focus | None
     ----------
     E. Krotkov, "Focusing", Int. J. Computer Vision 1, 223-237 (1987); the product of two frames is ours.
     """
-    import cv2
-
     images, usable = [], np.ones(0, dtype=bool)
     rows, cols = _whole_cells(box[0], camera), _whole_cells(box[1], camera)
     for frame in (first, second):
@@ -343,8 +342,6 @@ def spot(camera: Camera, frame: Frame) -> tuple[Spot | None, str]:
     The picture (cells of a mosaic averaged) is freed of single bright pixels by a median, and smoothed. Background is
     its 5th percentile. The spot is the place with the most light above half of the height of its peak.
     """
-    import cv2
-
     image = cells(frame.pattern, signal(camera, frame))
     scale = 1.0 if frame.pattern == "mono" else 2.0
     shrink = math.ceil(image.shape[1] / WIDEST)
@@ -388,7 +385,6 @@ def spot(camera: Camera, frame: Frame) -> tuple[Spot | None, str]:
 
 def _form(mine: Bools, above: NDArray[np.float32], scale: float) -> dict[str, Any]:
     """Place, axes and outline of a spot, whose pixels count by `above`: zero at the outline, so that none is halved."""
-    import cv2
 
     def place(k: float) -> float:
         return float(scale * k + 0.5 * (scale - 1.0))
@@ -425,7 +421,5 @@ def _single_frame_noise(image: Floats32) -> float:
 
     J. Immerkaer, "Fast noise variance estimation", Comput. Vis. Image Underst. 64, 300-302 (1996); with a median.
     """
-    import cv2
-
     kernel = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32) / 6.0
     return 1.4826 * float(np.median(np.abs(cv2.filter2D(image, cv2.CV_32F, kernel))))

@@ -14,12 +14,11 @@ import contextlib
 import logging
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import fields, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 from gonio.acquisition.measure import RigChoice, find_rig, load_sample
-from gonio.by_hand.moved import Moved
 from gonio.errors import ArgumentError, ConfigError, DeviceError, GonioError
 from gonio.geometry import Directions
 from gonio.rig import (
@@ -49,6 +48,18 @@ AXES = tuple(field.name for field in fields(Pose))
 DIRECTIONS = ("theta_i", "phi_i", "theta_r", "phi_r")
 EYE_NM = 555.0
 """Where an eye sees most: the band that is lit where nobody asks for one."""
+
+
+@dataclass(frozen=True, slots=True)
+class Moved:
+    """What a move has come to."""
+
+    asked: dict[str, float]
+    """Goals by axis [rad]."""
+    landed: dict[str, float]
+    """What the encoders read there [rad]."""
+    branch: str = ""
+    """Of a move by directions: which way of reaching them was taken, and on further lines what of the others."""
 
 
 class ManualRig:

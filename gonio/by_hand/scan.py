@@ -10,17 +10,20 @@ import math
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
 
 from gonio.acquisition import exposure
-from gonio.by_hand.moved import Movable
 from gonio.disk import put, put_picture
 from gonio.errors import ArgumentError, ConfigError, DataError
 from gonio.rig import Frame, Pose, kinematics, regions, sensor_noise
 from gonio.rig.description import RigDescription
 from gonio.typing import Axes, Floats
+
+if TYPE_CHECKING:
+    from gonio.by_hand.manual_rig import ManualRig
 
 DARK_FRAMES = 4
 LONGEST = 8.0
@@ -60,7 +63,7 @@ class _Dark:
 
 
 def scan(
-    manual: Movable, axis: str, angles: Sequence[float], *, frames: int = 2, exposure_s: float | None = None,
+    manual: "ManualRig", axis: str, angles: Sequence[float], *, frames: int = 2, exposure_s: float | None = None,
     progress: Callable[[pd.DataFrame, int], None] = lambda table, total: None,
 ) -> pd.DataFrame:  # fmt: skip
     """Scan one axis of a rig that is open, the others standing where they are; the lamp is dark before and after.
@@ -122,7 +125,7 @@ def scan(
 
 
 def _seen(
-    manual: Movable, bounded: RigDescription, pose: Pose | None, frames: int, dark: _Dark, expected: float
+    manual: "ManualRig", bounded: RigDescription, pose: Pose | None, frames: int, dark: _Dark, expected: float
 ) -> tuple[dict[str, object], float]:  # fmt: skip
     """The signal at a pose, from the level for one second that is expected; and the level to expect next."""
     roi, where = _patch(bounded, pose)
@@ -133,7 +136,7 @@ def _seen(
 
 
 def _checked(
-    manual: Movable, axis: str, angles: Sequence[float], frames: int, exposure_s: float | None
+    manual: "ManualRig", axis: str, angles: Sequence[float], frames: int, exposure_s: float | None
 ) -> RigDescription:  # fmt: skip
     """The rig with the exposures that a scan may have; raises what `scan` raises before anything moves."""
     description = manual.description
@@ -154,7 +157,7 @@ def _checked(
     return description.model_copy(update={"camera": camera})
 
 
-def _darks(manual: Movable, bounded: RigDescription) -> _Dark:
+def _darks(manual: "ManualRig", bounded: RigDescription) -> _Dark:
     dark = _Dark([], [])
     for exposure_s in dict.fromkeys(bounded.camera.exposure_limits_s):
         shots = [manual.camera.capture(exposure_s) for _ in range(DARK_FRAMES)]

@@ -3,18 +3,21 @@
 import math
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from gonio.acquisition import exposure
 from gonio.by_hand import looking
-from gonio.by_hand.moved import Movable
 from gonio.disk import put, put_picture
 from gonio.errors import ConfigError, DataError
 from gonio.rig import Frame, Pose, dng, kinematics, regions
 from gonio.rig.description import RigDescription
 from gonio.rig.light_and_camera import Camera
 from gonio.typing import Array, Figure, Floats
+
+if TYPE_CHECKING:
+    from gonio.by_hand.manual_rig import ManualRig
 
 EIGHT_BITS = 256
 ROUNDING_DN = 1 / math.sqrt(12)
@@ -117,7 +120,7 @@ def require_free(file: Path) -> tuple[Path, Path]:
     return names
 
 
-def take(manual: Movable, file: Path | None, *, exposure_s: float | None) -> Snapshot:
+def take(manual: "ManualRig", file: Path | None, *, exposure_s: float | None) -> Snapshot:
     """See `ManualRig.snap`."""
     names = require_free(file) if file is not None else None
     description, pose = manual.description, manual.pose()

@@ -1,12 +1,10 @@
 """The simulated camera: the rendered scene through an EMVA 1288 sensor."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -15,10 +13,8 @@ from gonio.rig import Frame
 from gonio.rig.bands import Band
 from gonio.rig.light_and_camera import Camera
 from gonio.typing import Floats, NDArray
+from gonio_sim.render import Renderer
 from gonio_sim.world import Stream, World
-
-if TYPE_CHECKING:
-    from gonio_sim.render import Renderer
 
 Floats32 = NDArray[np.float32]
 THREADS = max(1, min(2, os.cpu_count() or 1))

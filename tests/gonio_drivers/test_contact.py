@@ -22,7 +22,7 @@ class Contact:
     def __init__(self) -> None:
         self.is_closed, self.fails, self.opened = True, False, 0
 
-    def open(self) -> None:
+    def __enter__(self) -> None:
         self.opened += 1
 
     def closed(self) -> bool:
@@ -30,7 +30,7 @@ class Contact:
             raise DeviceError("no answer")
         return self.is_closed
 
-    def close(self) -> None:
+    def __exit__(self, *_: object) -> None:
         self.opened -= 1
 
 

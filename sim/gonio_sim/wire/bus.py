@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from gonio.rig import clock
 from gonio_sim.wire import protocol2 as p2
 from gonio_sim.wire.faults import Faults
-from gonio_sim.wire.peer import Send
+from gonio_sim.wire.peer import Device, Send
 from gonio_sim.wire.servo import Servo
 from gonio_sim.wire.tables import Refused
 
@@ -24,7 +24,7 @@ class Answer:
     """From the end of the instruction packet."""
 
 
-class ServoBus:
+class ServoBus(Device):
     """Hears every packet, lets each servo that is meant act, and returns their status packets in order.
 
     Only servos whose line speed is that of the other side hear anything. Status packets take the time that their bytes
@@ -41,9 +41,6 @@ class ServoBus:
         for packet in self._reader.feed(data, clock.monotonic()):
             if packet.instruction != p2.STATUS:
                 self._instruct(packet, [s for s in self.servos if s.answers and s.baud == baud], send)
-
-    def opened(self, send: Send) -> None:
-        """Servos do not notice."""
 
     # ---- one instruction ----
 

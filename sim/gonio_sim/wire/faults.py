@@ -4,16 +4,11 @@ A fault is armed for the next event that it concerns (or the next `times` of the
 tells what has happened.
 """
 
-from __future__ import annotations
-
 import threading
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from gonio.errors import ConfigError
-
-if TYPE_CHECKING:
-    from gonio_sim.wire.servo import Servo
+from gonio_sim.wire.servo import Servo
 
 WIRE = ("silence", "late-reply", "corrupt-crc", "truncated-packet", "noise")
 SERVO = ("stall", "overheat", "dropout", "reboot", "voltage-alarm")

@@ -9,7 +9,7 @@ import struct
 from collections.abc import Callable
 
 from gonio_sim.wire import motion
-from gonio_sim.wire.peer import Clock, Send
+from gonio_sim.wire.peer import Clock, Device, Send
 
 HOST, DEVICE = 0x01, 0x50
 LONG = 0x80
@@ -32,7 +32,7 @@ VELOCITY_UNIT, ACCELERATION_UNIT = 53.68, 53.68 * 204.94e-6
 """Of the trinamic controllers (page "Position, velocity and acceleration units"), for counts/s and counts/s^2."""
 
 
-class KinesisTwin:
+class KinesisTwin(Device):
     """A K10CR1 rotation stage.
 
     Parameters
@@ -86,9 +86,6 @@ class KinesisTwin:
         """Its supply was away for a moment: it stands, and has forgotten where."""
         self._way = motion.rest(self._clock(), self.shaft())
         self._zero, self.homed, self._ending = self.shaft(), False, 0
-
-    def opened(self, send: Send) -> None:
-        """It does not notice."""
 
     def receive(self, data: bytes, baud: int, send: Send) -> None:
         """Take bytes from the line."""

@@ -5,14 +5,14 @@ the simulated rig through `changed` what they do: lit or dark, band, level.
 """
 
 import re
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 
 from gonio.rig import clock
 from gonio.rig.bands import Band
 from gonio_sim.wire.faults import LAMP, LOCK_QUESTIONS, Faults
-from gonio_sim.wire.peer import Send
+from gonio_sim.wire.peer import Device, Send
 
 RESET_S = 0.3
 SHORT = {
@@ -31,7 +31,7 @@ class Shine:
     band: Band | None = None
 
 
-class Lamp(ABC):
+class Lamp(Device):
     """What the three have in common: lines in, lines out, faults, resets.
 
     Parameters

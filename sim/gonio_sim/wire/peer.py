@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Protocol, Self
+from typing import Self
 
 from gonio import platform
 from gonio.rig import clock
@@ -21,13 +21,14 @@ OPENING_MS = 5
 Send = Callable[[bytes], None]
 
 
-class Device(Protocol):
+class Device(ABC):
     """What sits behind the terminal."""
 
+    @abstractmethod
     def receive(self, data: bytes, baud: int, send: Send) -> None:
         """Take bytes that arrived at a line speed; answer with `send`."""
 
-    def opened(self, send: Send) -> None:
+    def opened(self, send: Send) -> None:  # noqa: B027  (most devices do not notice)
         """Somebody has opened the port (told where `tells_opening` is true)."""
 
 

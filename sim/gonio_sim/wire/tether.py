@@ -11,10 +11,10 @@ from gonio.errors import ConfigError
 from gonio.rig import Frame, clock
 from gonio.rig.dng import encode_dng, write_dng
 from gonio_sim.wire.faults import CAMERA, FILE_LATE_S, Faults
-from gonio_sim.wire.peer import Send
+from gonio_sim.wire.peer import Device, Send
 
 
-class TetheredCamera:
+class TetheredCamera(Device):
     """The peer behind the release box.
 
     Parameters
@@ -52,9 +52,6 @@ class TetheredCamera:
                 continue
             send(b"OK\n")
             self._shoot(exposure_s)
-
-    def opened(self, send: Send) -> None:
-        """The box does not care."""
 
     def _shoot(self, exposure_s: float) -> None:
         fault = self.faults.take(*CAMERA)

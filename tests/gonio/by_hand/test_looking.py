@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from gonio.by_hand import looking
-from gonio.by_hand.live_picture import pictures
+from gonio.by_hand.sight import pictures
 from gonio.by_hand.snapshot import Snapshot
 from gonio.rig import Frame
 from gonio.rig.description import RigDescription
