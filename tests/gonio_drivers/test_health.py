@@ -315,14 +315,14 @@ class Line:
     def __init__(self) -> None:
         self.state: bool | DeviceError = True
 
-    def open(self) -> None: ...
+    def __enter__(self) -> None: ...
 
     def closed(self) -> bool:
         if isinstance(self.state, DeviceError):
             raise self.state
         return self.state
 
-    def close(self) -> None: ...
+    def __exit__(self, *_: object) -> None: ...
 
 
 @pytest.mark.parametrize("state", [False, DeviceError("the port went away")])
@@ -346,11 +346,10 @@ def test_modem_lines_of_a_serial_port_are_read() -> None:
     """pyserial's loop joins RTS to CTS and DTR to DSR, as a closed contact does."""
     for name, drives in (("CTS", "rts"), ("DSR", "dtr")):
         line = SerialLine("loop://", name)
-        line.open()
-        assert line.closed()
-        setattr(line._port, drives, False)
-        assert not line.closed()
-        line.close()
+        with line:
+            assert line.closed()
+            setattr(line._port, drives, False)
+            assert not line.closed()
         with pytest.raises(DeviceError, match="not open"):
             line.closed()
 
@@ -359,7 +358,7 @@ def test_a_port_without_modem_lines_is_refused() -> None:
     master, slave = os.openpty()
     try:
         with pytest.raises(DeviceError, match=r'devices.interlock.port = ".*": .*modem lines'):
-            SerialLine(os.ttyname(slave), "CTS").open()
+            SerialLine(os.ttyname(slave), "CTS").__enter__()
     finally:
         os.close(master)
         os.close(slave)
