@@ -159,8 +159,7 @@ class FolderCamera:
         if isinstance(frame, DataError):
             raise UselessFile(str(frame))
         require_raw(self._description, frame, str(path))
-        deviation = frame.exposure_s / exposure_s - 1
-        if abs(deviation) > self._camera.exposure_tolerance:
+        if abs(frame.exposure_s / exposure_s - 1) > self._camera.exposure_tolerance:
             raise UselessFile(f"{path}: was exposed {frame.exposure_s:g} s, and {exposure_s:g} s were asked")
         return replace(frame, file=path)
 

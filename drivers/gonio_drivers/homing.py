@@ -96,8 +96,7 @@ class Search:
             return first
         self._go(homing.toward, lambda count, moved: not self.closed())
         self._go(homing.toward, lambda count, moved: abs(moved) >= BACK_OFF_DEG / 2)
-        second = self._go(-homing.toward, lambda count, moved: self.closed())
-        return (first + second) / 2
+        return (first + self._go(-homing.toward, lambda count, moved: self.closed())) / 2
 
     def _against(self, way: int) -> float:
         """Go until it stands against something; where [counts]."""

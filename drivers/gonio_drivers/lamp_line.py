@@ -130,8 +130,7 @@ def dialect(name: str) -> Dialect:
         There is neither, or the file is wrong.
     """
     if name in DIALECTS:
-        text = files("gonio_drivers") / "dialects" / f"{name}.toml"
-        return config.load(Dialect, Path(str(text)))
+        return config.load(Dialect, Path(str(files("gonio_drivers") / "dialects" / f"{name}.toml")))
     if name.endswith(".toml"):
         return config.load(Dialect, name)
     raise ConfigError(

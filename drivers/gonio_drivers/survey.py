@@ -106,8 +106,7 @@ def _asked(joint: Joint) -> list[Reading]:
     highest, lowest = joint.get("Max Voltage Limit") / 10, joint.get("Min Voltage Limit") / 10
     moving = report.moving or report.under_way
     falsified = joint.falsified()
-    seen = [joint.shaft_count() for _ in range(LOOKS)]
-    places = [place for place in seen if place is not None]
+    places = [place for _ in range(LOOKS) if (place := joint.shaft_count()) is not None]
     error = joint.get("Hardware Error Status")
     hottest = joint.get("Temperature Limit") or joint.max_temperature_c
     apart_deg = joint.distance_deg(max(places), min(places)) if places else 0.0

@@ -61,8 +61,7 @@ class Peak:
 
     def at(self, x: Floats) -> Floats:
         """The fitted signal at angles [deg]."""
-        out: Floats = self.height * np.exp(-((np.abs(x - self.centre) / self.width) ** self.power)) + self.background
-        return out
+        return _form(x, self.centre, self.width, self.power, self.height, self.background)
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,6 +102,11 @@ class Alignment:
     peaks: dict[int, Peak] = field(default_factory=dict)
 
 
+def _form(x: Floats, centre: float, width: float, power: float, height: float, background: float) -> Floats:
+    """A spot, as of `Peak`."""
+    return np.asarray(height * np.exp(-((np.abs(x - centre) / width) ** power)) + background)
+
+
 def peak(x: Floats, signal: Floats, u_signal: Floats, step_deg: float) -> Peak | None:
     """The spot in a scan, or None where there is none.
 
@@ -132,18 +136,12 @@ def peak(x: Floats, signal: Floats, u_signal: Floats, step_deg: float) -> Peak |
     start = np.array([float(bright.mean()), 0.5 * max(float(np.ptp(bright)), spacing), 3.0, 1.0, 0.0])
     scaled, u_scaled = (signal - low) / (high - low), np.maximum(u_signal / (high - low), 1e-4)
 
-    def form(p: Floats) -> Floats:
-        out: Floats = p[3] * np.exp(-((np.abs(x - p[0]) / p[1]) ** p[2])) + p[4]
-        return out
-
     bounds = ([x[0] - spacing, 0.2 * spacing, 1.2, 0.2, -0.5], [x[-1] + spacing, float(np.ptp(x)), 30.0, 5.0, 0.8])
     sigma = np.hypot(u_scaled, 0.02)
     for _ in range(4):  # how much a step of the encoder matters depends on the slope, which the fit finds
-        found = least_squares(lambda p, s=sigma: (form(p) - scaled) / s, np.clip(start, *bounds), bounds=bounds)
+        found = least_squares(lambda p, s=sigma: (_form(x, *p) - scaled) / s, np.clip(start, *bounds), bounds=bounds)
         start = found.x
-        nudged = start.copy()
-        nudged[0] += 1e-3
-        slope = (form(nudged) - form(start)) / 1e-3
+        slope = (_form(x, start[0] + 1e-3, *start[1:]) - _form(x, *start)) / 1e-3
         sigma = np.hypot(u_scaled, np.hypot(slope, 0.1 / max(start[1], spacing)) * step_deg / math.sqrt(12.0))
         sigma = np.maximum(sigma, 1e-3)
     misfit = max(1.0, float(np.sum(found.fun**2)) / max(len(x) - 5, 1))
@@ -151,7 +149,7 @@ def peak(x: Floats, signal: Floats, u_signal: Floats, step_deg: float) -> Peak |
         u = math.sqrt(float(np.linalg.pinv(found.jac.T @ found.jac)[0, 0]) * misfit)
     except np.linalg.LinAlgError:
         return None
-    shape = form(start) - start[4]
+    shape = _form(x, *start) - start[4]
     flank = int(np.count_nonzero((shape > 0.05 * start[3]) & (shape < 0.95 * start[3])))
     known_steps = step_deg / math.sqrt(12.0 * max(flank, 1))
     unseen = spacing / math.sqrt(24.0) * max(0.0, 1.0 - flank / FLANK)  # two edges, anywhere between two points

@@ -21,7 +21,6 @@ from gonio.rig.sensor_response import linear_dn
 from gonio.typing import Array, Bools, NDArray
 
 Floats32 = NDArray[np.float32]
-Mask = Bools
 Box = tuple[slice, slice]
 """Rows and columns."""
 
@@ -62,7 +61,7 @@ def signal(camera: Camera, frame: Frame, pixels: Array | None = None) -> Floats3
     return np.asarray(linear_dn(camera, values), dtype=np.float32) - np.float32(frame.black_level_dn)
 
 
-def saturated(camera: Camera, frame: Frame, pixels: Array | None = None) -> Mask:
+def saturated(camera: Camera, frame: Frame, pixels: Array | None = None) -> Bools:
     """Which pixels lie above `exposure.SATURATED` of full scale."""
     values = frame.mosaic if pixels is None else pixels
     top = frame.black_level_dn + exposure.SATURATED * exposure.full_scale_dn(camera, frame)
@@ -151,8 +150,7 @@ def focus(camera: Camera, first: Frame, second: Frame, box: Box) -> Focus | None
 def _slope_of_pixels(camera: Camera, mean_dn: float) -> float:
     """The squared relative gradient that differences between pixels make of an even light, by the rig file."""
     apart = camera.prnu**2 + (camera.dsnu_e / camera.electrons_per_dn / mean_dn) ** 2
-    in_a_cell = 1.0 if camera.pattern == "mono" else 4.0
-    return SOBEL * apart / in_a_cell
+    return SOBEL * apart / (1.0 if camera.pattern == "mono" else 4.0)  # pixels in a cell
 
 
 def _whole_cells(span: slice, camera: Camera) -> slice:

@@ -14,7 +14,7 @@ import contextlib
 import logging
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
@@ -44,7 +44,6 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("gonio.devices")
 
-AXES = tuple(field.name for field in fields(Pose))
 DIRECTIONS = ("theta_i", "phi_i", "theta_r", "phi_r")
 EYE_NM = 555.0
 """Where an eye sees most: the band that is lit where nobody asks for one."""

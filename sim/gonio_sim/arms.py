@@ -117,8 +117,7 @@ class SimulatedArms:
     def move(self, goal: Pose) -> Pose:
         """Drive every axis to `goal` from below; what the encoders read there."""
         self._world.require_open("arms")
-        wanted = self._checked(goal)
-        self._drive(wanted)
+        self._drive(self._checked(goal))
         return self.read()
 
     def jog(self, goals: Mapping[str, float]) -> Pose:
@@ -134,13 +133,10 @@ class SimulatedArms:
             if name not in self._axes:
                 known = ", ".join(self._axes)
                 raise ConfigError(f'the rig "{self._world.description.name}" has no axis {name}; it has {known}')
-        wanted = self._checked(replace(self._inside(), **goals))
+        inside = Pose(**{name: limits[0] for name, limits in self._limits.items()})  # a pose that no limit forbids
+        wanted = self._checked(replace(inside, **goals))
         self._drive({name: wanted[name] for name in goals})
         return self.read()
-
-    def _inside(self) -> Pose:
-        """A pose that no limit forbids."""
-        return Pose(**{name: limits[0] for name, limits in self._limits.items()})
 
     def read(self) -> Pose:
         """What the encoders read, now."""

@@ -13,10 +13,9 @@ from gonio.rig import Frame
 from gonio.rig.bands import Band
 from gonio.rig.light_and_camera import Camera
 from gonio.typing import Floats, NDArray
-from gonio_sim.render import Renderer
+from gonio_sim.render import Floats32, Renderer
 from gonio_sim.world import Stream, World
 
-Floats32 = NDArray[np.float32]
 THREADS = max(1, min(2, os.cpu_count() or 1))
 HIT_E = 3000.0
 """Mean charge that a hit of cosmic radiation leaves in a pixel of its track [e-]: some 80 e- in a micrometre."""

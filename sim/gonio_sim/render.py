@@ -32,7 +32,6 @@ from gonio_sim.textures import Textures, Whole
 from gonio_sim.world import InHolder, World
 
 Floats32 = NDArray[np.float32]
-Mask = Bools
 
 GRAZING = math.radians(89.99)
 """Nodes of a grid beyond this polar angle take the BRDF at it; pixels there see next to nothing."""
@@ -50,7 +49,7 @@ BAND_NODES = 5
 """Wavelengths that the integral over a band is made of."""
 
 
-Painter = Callable[[PixelMap, View, Mask, Floats], None]
+Painter = Callable[[PixelMap, View, Bools, Floats], None]
 """Fills in the BRDF [1/sr] of the pixels that see a disc."""
 
 
@@ -65,7 +64,7 @@ class Disc:
     def show(self, seen: PixelMap, scene: View, brdf: Floats) -> None:
         """Fill in the BRDF of the pixels that see it."""
         x, y = self.centre
-        covered: Mask = (seen.x_mm - x) ** 2 + (seen.y_mm - y) ** 2 <= self.radius**2
+        covered: Bools = (seen.x_mm - x) ** 2 + (seen.y_mm - y) ** 2 <= self.radius**2
         if callable(self.paint):
             self.paint(seen, scene, covered, brdf)
         else:
@@ -184,8 +183,8 @@ class Renderer:
         if model is None:
             return
 
-        def paint(seen: PixelMap, scene: View, covered: Mask, brdf: Floats) -> None:
-            def of(model: Model, lit: Mask | tuple[Whole, Whole]) -> Floats:
+        def paint(seen: PixelMap, scene: View, covered: Bools, brdf: Floats) -> None:
+            def of(model: Model, lit: Bools | tuple[Whole, Whole]) -> Floats:
                 at = geometry.Directions.from_vectors(seen.omega_i[lit], seen.omega_r[lit])
                 return np.asarray(sum(share * model.btdf(*at.angles, wavelength_nm=wave) for wave, share in waves))
 
@@ -253,7 +252,7 @@ class Renderer:
                 f'the simulated rig "{self._world.truth.name}" has no sample to look at: name one with --sample S.toml'
             )
 
-        def paint(seen: PixelMap, scene: View, covered: Mask, brdf: Floats) -> None:
+        def paint(seen: PixelMap, scene: View, covered: Bools, brdf: Floats) -> None:
             grid = sample_function(self._lobes(model, scene, waves), radius, self._finest_mm)
             grid.paint(seen.x_mm, seen.y_mm, (0.0, 0.0), radius, brdf)
             if model.has_spike:
@@ -283,7 +282,7 @@ class Renderer:
         """The sample with textures: as one model, level by level of these."""
         radius = self._radius
 
-        def paint(seen: PixelMap, scene: View, covered: Mask, brdf: Floats) -> None:
+        def paint(seen: PixelMap, scene: View, covered: Bools, brdf: Floats) -> None:
             x, y = (each.ravel() for each in np.meshgrid(*2 * [np.linspace(-radius, radius, PROBED)]))
 
             def probe(model: Model) -> Floats:
@@ -311,7 +310,7 @@ class Renderer:
         """The white reference behind a black screen that ends with a knife edge at x = 0, and covers x > 0."""
         white = self._reference(band)
 
-        def paint(seen: PixelMap, scene: View, covered: Mask, brdf: Floats) -> None:
+        def paint(seen: PixelMap, scene: View, covered: Bools, brdf: Floats) -> None:
             brdf[covered] = np.where(seen.x_mm[covered] > 0.0, 0.0, white)
 
         return paint
@@ -320,14 +319,14 @@ class Renderer:
         """A front-surface mirror, perfectly smooth aluminium, which shows the lamp and nothing else."""
         mirror = models.build("he-torrance", {"sigma0_um": 0.0, "tau_um": 1.0, "ior": "Al"})
 
-        def paint(seen: PixelMap, scene: View, covered: Mask, brdf: Floats) -> None:
+        def paint(seen: PixelMap, scene: View, covered: Bools, brdf: Floats) -> None:
             brdf[covered] = 0.0
             self._paint_spike(mirror, [(band.centre_nm, 1.0)], seen, scene, covered, brdf)
 
         return paint
 
     def _paint_spike(
-        self, model: Model, waves: list[tuple[float, float]], seen: PixelMap, scene: View, covered: Mask,
+        self, model: Model, waves: list[tuple[float, float]], seen: PixelMap, scene: View, covered: Bools,
         brdf: Floats,
     ) -> None:  # fmt: skip
         """Add the mirror image of the lamp, pixel by pixel where it is seen."""

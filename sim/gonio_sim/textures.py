@@ -35,7 +35,6 @@ MOST_TOGETHER = 65**2
 """Levels of all textures together."""
 AT_ONCE = 1 << 20
 """Weights that are counted together."""
-Mask = Bools
 Whole = NDArray[np.int64]
 Probe = Callable[[Model], Floats]
 """What a model shows in a view: values of one kind in each row."""
@@ -81,7 +80,7 @@ class Textures:
             told = ", ".join(f"{name} at {share:g}" for name, share in values.items())
             raise ConfigError(f'sample "{self._sample.name}", [texture] with {told}: {error}') from error
 
-    def parts(self, seen: PixelMap, covered: Mask, probe: Probe) -> Iterator[Part]:
+    def parts(self, seen: PixelMap, covered: Bools, probe: Probe) -> Iterator[Part]:
         """Level by level, the pixels that see it; `probe` tells how close levels must be in this view."""
         levels = self._levels(probe)
         total = math.prod(map(len, levels))

@@ -74,7 +74,7 @@ class ServoBus(Device):
         error, data, after = 0, b"", None
         try:
             if packet.instruction == p2.PING:
-                data = servo.ping()
+                data = servo.registers.identity()
             elif packet.instruction == p2.READ:
                 words = _words(packet.parameters)
                 data = b"" if others else servo.read(*words)

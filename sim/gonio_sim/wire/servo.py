@@ -199,10 +199,6 @@ class Servo:
 
     # ---- instructions ----
 
-    def ping(self) -> bytes:
-        """Model number and firmware version, as a ping returns them."""
-        return self.registers.identity()
-
     @property
     def error(self) -> int:
         """The error byte of a good status packet: the alert bit while a hardware error stands."""

@@ -15,7 +15,6 @@ import numpy as np
 from gonio.rig import clock
 from gonio.typing import Array
 
-Image = Array
 QUEUE = 4
 AUTOMATIC = 3.0
 
@@ -35,13 +34,13 @@ class VideoStandIn:
 
     def __init__(
         self,
-        images: Iterable[Image] | Callable[[float], Image],
+        images: Iterable[Array] | Callable[[float], Array],
         *,
         stubborn: Iterable[int] = (),
         present: bool = True,
     ) -> None:
         source = None if callable(images) else cycle(images)
-        self._image: Callable[[float], Image] = images if callable(images) else lambda _: next(source)  # type: ignore
+        self._image: Callable[[float], Array] = images if callable(images) else lambda _: next(source)  # type: ignore
         self._stubborn = frozenset(stubborn)
         self._open = present
         first = self._image(1e-3)
@@ -52,7 +51,7 @@ class VideoStandIn:
             cv2.CAP_PROP_EXPOSURE: 157.0,
             cv2.CAP_PROP_AUTO_WB: 1.0,
         }
-        self._queue: deque[tuple[float, Image]] = deque()
+        self._queue: deque[tuple[float, Array]] = deque()
         self.fall_behind()
         self._stamp = 0.0
         self.opened_with: tuple[Any, ...] = ()
@@ -79,13 +78,13 @@ class VideoStandIn:
         self._stamp, self._grabbed = self._next()
         return True
 
-    def read(self) -> tuple[bool, Image | None]:
+    def read(self) -> tuple[bool, Array | None]:
         return (True, self._grabbed) if self.grab() else (False, None)
 
     def release(self) -> None:
         self._open = False
 
-    def _next(self) -> tuple[float, Image]:
+    def _next(self) -> tuple[float, Array]:
         if self._queue:
             return self._queue.popleft()
         clock.sleep(self._exposure_s())
