@@ -20,7 +20,6 @@ from types import TracebackType
 from typing import Any, Self, cast
 
 from gonio.acquisition import measure
-from gonio.acquisition.measure import RigChoice, find_rig, load_sample
 from gonio.acquisition.plan import Plan, Point, canonical, load_plan
 from gonio.acquisition.run import Run, command_line
 from gonio.acquisition.run_folder import begun
@@ -100,7 +99,7 @@ class Measurement:
     `theta_i`, `phi_i`, `theta_r`, `phi_r` are the movable directions, `camera` is the detector.
     """
 
-    def __init__(self, plan: Plan, choice: RigChoice, out: Path, given: JsonObject) -> None:
+    def __init__(self, plan: Plan, choice: measure.RigChoice, out: Path, given: JsonObject) -> None:
         self._plan, self._choice, self._out, self._given = plan, choice, out, given
         self.theta_i, self.phi_i, self.theta_r, self.phi_r = (Direction(self, name) for name in DIRECTIONS)
         self.camera = StepCamera(self)
@@ -202,7 +201,7 @@ class Measurement:
             raise
         return self
 
-    def _measure(self, choice: RigChoice) -> None:
+    def _measure(self, choice: measure.RigChoice) -> None:
         try:
             measure.carry_out(self._plan, choice, self._out, command=command_line(), **self._given)
             self._gate.left(None)
@@ -366,7 +365,7 @@ class _GatedRig(_Watched):
 def measurement(
     plan: str | Path | Plan,
     *,
-    rig: str | RigChoice,
+    rig: str | measure.RigChoice,
     out: str | Path,
     sample: str | Path | SampleDescription | None = None,
     seed: int = 0,
@@ -395,11 +394,11 @@ def measurement(
     ConfigError
         Plan, rig or sample is wrong, or no point can be reached. Entering it raises what `gonio measure` would say.
     """
-    choice = find_rig(rig) if isinstance(rig, str) else rig
+    choice = measure.find_rig(rig) if isinstance(rig, str) else rig
     loaded = plan if isinstance(plan, Plan) else load_plan(plan)
     if loaded.adaptive is not None:
         raise ConfigError(f"{loaded.source}: [adaptive] chooses its points itself; measure it with `gonio measure`")
-    described = load_sample(sample) if isinstance(sample, (str, Path)) else sample
+    described = measure.load_sample(sample) if isinstance(sample, (str, Path)) else sample
     return Measurement(loaded, choice, Path(out), {"sample": described, "seed": seed, "resume": resume, "yes": yes})
 
 

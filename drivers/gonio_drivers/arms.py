@@ -21,8 +21,6 @@ from gonio.rig import Pose, Target, clock
 from gonio.rig.description import RigDescription
 from gonio_drivers import dynamixel, joints, log, preparation, settings, signals, watchdog
 from gonio_drivers.any_arms import AXES, Arms, ArmsReading
-from gonio_drivers.dynamixel import Bus
-from gonio_drivers.joints import Joint
 from gonio_drivers.motion import LARGEST_CORRECTION_DEG, STILL_COUNTS, Motion
 from gonio_drivers.sdk import Packets
 
@@ -36,7 +34,7 @@ LONGER = 4
 """How many times longer each ping is listened to than the one before: an answer may be late, or this computer busy."""
 
 
-class ServoArms(Arms[Joint]):
+class ServoArms(Arms[joints.Joint]):
     """All axes of a rig, as an `ArmsDevice`.
 
     Parameters
@@ -55,7 +53,7 @@ class ServoArms(Arms[Joint]):
     def __init__(self, description: RigDescription, servos: settings.Servos) -> None:
         settings.check_axes(servos, description)
         self._servos = servos
-        self.bus = Bus(servos.port, servos.baud)
+        self.bus = dynamixel.Bus(servos.port, servos.baud)
         every = {
             name: preparation.joint_of(self.bus, description, name, servos.axes[name])  # type: ignore[index]
             for name in description.axes()
@@ -244,7 +242,7 @@ class ServoArms(Arms[Joint]):
         return self.last
 
 
-def require_alone(joint: Joint) -> None:
+def require_alone(joint: joints.Joint) -> None:
     """Raise `DeviceError` where two servos answer to a joint's id: both would obey what is meant for one.
 
     Two whole answers to one ping tell that, and one tells that it is alone. Silence tells nothing: it is asked again,
@@ -269,7 +267,7 @@ def require_alone(joint: Joint) -> None:
     )
 
 
-def _leave_out(bus: Bus, there: dict[str, Joint]) -> dict[str, DeviceError]:
+def _leave_out(bus: dynamixel.Bus, there: dict[str, joints.Joint]) -> dict[str, DeviceError]:
     """Take those joints out of `there` whose servos do not answer, are of another model, or not alone with
     their id; why, by axis.
 

@@ -10,8 +10,6 @@ from dataclasses import dataclass, field
 from gonio.errors import ConfigError, DeviceError
 from gonio_drivers import control_table, dynamixel, log, settings
 from gonio_drivers.any_arms import AnyJoint
-from gonio_drivers.control_table import Item
-from gonio_drivers.dynamixel import Bus
 
 COUNTS = 4096
 POSITION_MODE, EXTENDED_MODE, EXTENDED_CURRENT_MODE = 3, 4, 5
@@ -51,9 +49,9 @@ class Report:
 class Servo:
     """A servo on a bus, by the items of its control table."""
 
-    bus: Bus
+    bus: dynamixel.Bus
     id: int
-    table: dict[str, Item]
+    table: dict[str, control_table.Item]
 
     def get(self, name: str) -> int:
         """The value of an item of the control table, now."""
@@ -295,13 +293,13 @@ class Joint(Servo, AnyJoint):
             raise dynamixel.Refusal(f"axis {self.name}, {name} = {value}: {refusal}", refusal.error) from None
 
 
-def span(table: Mapping[str, Item]) -> tuple[int, int]:
+def span(table: Mapping[str, control_table.Item]) -> tuple[int, int]:
     """Address and size of the block that a report reads; it is the same in every model of the X series."""
     first, last = table["Profile Acceleration"], table["Present Temperature"]
     return first.address, last.address + last.size - first.address
 
 
-def reports(bus: Bus, joints: Iterable[Joint]) -> dict[str, Report]:
+def reports(bus: dynamixel.Bus, joints: Iterable[Joint]) -> dict[str, Report]:
     """What every servo says now, by the name of its axis, with its health checked; one block a servo.
 
     Raises
@@ -320,7 +318,7 @@ def reports(bus: Bus, joints: Iterable[Joint]) -> dict[str, Report]:
     return out
 
 
-def require_torque(bus: Bus, joints: Iterable[Joint]) -> None:
+def require_torque(bus: dynamixel.Bus, joints: Iterable[Joint]) -> None:
     """Raise `DeviceError` where a servo has an error in its hardware-error byte, or holds nothing any more."""
     by_id = {joint.id: joint for joint in joints}
     table = next(iter(by_id.values())).table  # these items have the same addresses in every model of the X series

@@ -16,7 +16,6 @@ from gonio.errors import DeviceError
 from gonio.rig import clock
 from gonio_drivers import joints, log, settings, watchdog
 from gonio_drivers.dynamixel import Bus
-from gonio_drivers.joints import Joint, Report
 from gonio_drivers.patience import Patience
 
 Verdict = Literal["on its way", "landed", "short", "stuck"]
@@ -50,7 +49,7 @@ reached: it makes up for what was seen to be missing at rest."""
 class Landing:
     """How far a joint has come on its way; it has landed where it stands still, within a distance of its goal."""
 
-    joint: Joint
+    joint: joints.Joint
     goal: float
     """Where it shall stand [counts]."""
     sent: int
@@ -75,7 +74,7 @@ class Landing:
     """When it was seen where, since it was last seen to move; an encoder that trembles is no motion."""
     done: bool = False
 
-    def look(self, report: Report, now: float) -> Verdict:
+    def look(self, report: joints.Report, now: float) -> Verdict:
         """Take a report into account; "short" asks for a correction."""
         if report.moving:
             self.begin(now)
@@ -176,7 +175,7 @@ class Motion:
     """
 
     def __init__(
-        self, bus: Bus, there: Mapping[str, Joint], servos: settings.Servos, allowed: Callable[[], None]
+        self, bus: Bus, there: Mapping[str, joints.Joint], servos: settings.Servos, allowed: Callable[[], None]
     ) -> None:
         self._bus, self._joints, self._servos, self._allowed = bus, there, servos, allowed
 
@@ -213,7 +212,7 @@ class Motion:
         for name, final in ups.items():
             self._joints[name].landed_at = final
 
-    def _tolerance(self, joint: Joint) -> float:
+    def _tolerance(self, joint: joints.Joint) -> float:
         """How far from its goal a joint may land [deg]: what the rig file says, but never less than counts allow."""
         return max(self._servos.tolerance_deg, SMALLEST_COUNTS / abs(joint.counts_per_deg))
 
@@ -244,7 +243,7 @@ class Motion:
             joint, goal, joint.inside(goal), within_deg, servos.settle_s, servos.acceleration_deg_per_s2, since=0.0
         )
 
-    def _watch(self, joint: Joint, landing: Landing, report: Report, now: float, *, exact: bool) -> None:
+    def _watch(self, joint: joints.Joint, landing: Landing, report: joints.Report, now: float, *, exact: bool) -> None:
         """One look at an axis on its way: has it landed, does it need a correction, is it stuck?"""
         changed = report.profile != joint.profile or report.goal != landing.sent
         if changed and self._send_on(joint, landing):
@@ -274,7 +273,7 @@ class Motion:
             raise DeviceError(f"{self._state(joint.name, landing, report)}: it is stuck; all axes are stopped")
 
     @staticmethod
-    def _send_on(joint: Joint, landing: Landing) -> bool:
+    def _send_on(joint: joints.Joint, landing: Landing) -> bool:
         """Whether the servo had stopped by its bus watchdog, because this program was held up; it is sent on."""
         late = watchdog.send_on(joint, landing.sent)
         if late:
@@ -284,7 +283,7 @@ class Motion:
             )  # fmt: skip
         return late
 
-    def _correct(self, joint: Joint, landing: Landing, now: float, *, exact: bool) -> None:
+    def _correct(self, joint: joints.Joint, landing: Landing, now: float, *, exact: bool) -> None:
         """A new goal that makes up for what is missing; by the approach again where the axis went too far."""
         landing.corrections += 1
         miss = round(landing.goal - landing.position)
@@ -308,7 +307,7 @@ class Motion:
         goal = self._joints[next(iter(counts))].table["Goal Position"]
         self._bus.write_all(goal.address, {self._joints[n].id: goal.encode(count) for n, count in counts.items()})
 
-    def _send_again(self, joint: Joint, landing: Landing, now: float) -> None:
+    def _send_again(self, joint: joints.Joint, landing: Landing, now: float) -> None:
         """A goal did not arrive (a sync write is not answered); this time with an answer."""
         landing.resent += 1
         if landing.resent > 3:
@@ -323,7 +322,7 @@ class Motion:
         way = joint.distance_deg(goal, position)
         return way / joint.speed_deg_per_s + 2 * joint.speed_deg_per_s / self._servos.acceleration_deg_per_s2
 
-    def _state(self, name: str, landing: Landing, report: Report) -> str:
+    def _state(self, name: str, landing: Landing, report: joints.Report) -> str:
         joint = self._joints[name]
         return (
             f"axis {name} (servo id {joint.id}) stands at {joint.to_deg(report.position):.2f} deg instead of "

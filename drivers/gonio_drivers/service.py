@@ -19,8 +19,6 @@ from gonio.errors import ConfigError, DeviceError, GonioError
 from gonio.rig import FoundServo, Homed
 from gonio.rig.description import RigDescription
 from gonio_drivers import control_table, dynamixel, homing, interlock, joints, ports, preparation, settings
-from gonio_drivers.dynamixel import Bus
-from gonio_drivers.joints import COUNTS, POSITION_MODE, Servo
 from gonio_drivers.lamp_line import DIALECTS, Dialect, dialect
 from gonio_drivers.patience import Patience
 from gonio_drivers.sdk import Packets
@@ -61,7 +59,7 @@ class ServoService:
         found: list[FoundServo] = []
         for baud in dynamixel.speeds(port):
             say(f"asking at {baud} baud")
-            with Bus(port, baud, key="devices.servos") as bus:
+            with dynamixel.Bus(port, baud, key="devices.servos") as bus:
                 found += _at(bus)
         return found
 
@@ -81,7 +79,7 @@ class ServoService:
             raise ConfigError(f"id {new_id}: ids are 0 to {LAST_ID}")
         if new_baud not in CODES:
             raise ConfigError(f"baud {new_baud}: servos have {', '.join(map(str, sorted(CODES)))}")
-        with Bus(servo.port, servo.baud) as bus:
+        with dynamixel.Bus(servo.port, servo.baud) as bus:
             table = control_table.of_model(servo.model)  # another series keeps its id elsewhere
             _require_alone(bus, servo.id)
             if new_id != servo.id and _answers(bus, new_id):
@@ -107,7 +105,7 @@ class ServoService:
             there["changer"] = servos.changer
         _require_known(axes, there)
         out: dict[str, str] = {}
-        with Bus(servos.port, servos.baud) as bus:
+        with dynamixel.Bus(servos.port, servos.baud) as bus:
             for name in axes or there:
                 try:
                     _restart(bus, there[name].id)
@@ -125,7 +123,7 @@ class ServoService:
         """
         servos = _servos(description)
         out: dict[str, Homed | str] = {}
-        with Bus(servos.port, servos.baud) as bus:
+        with dynamixel.Bus(servos.port, servos.baud) as bus:
             there = {str(n): preparation.joint_of(bus, description, n, servo) for n, servo in servos.axes.items()}
             _require_known(axes, there)
             wanted = axes or homing.lacking({n: j for n, j in there.items() if j.servo.homing is not None})
@@ -169,7 +167,7 @@ def _interlock(description: RigDescription, there: Mapping[str, joints.Joint]) -
         yield watched.require
 
 
-def _at(bus: Bus) -> list[FoundServo]:
+def _at(bus: dynamixel.Bus) -> list[FoundServo]:
     """The servos at the line speed of a bus."""
     said: dict[int, bytes] = {}
     stray = False
@@ -192,7 +190,7 @@ def _at(bus: Bus) -> list[FoundServo]:
     return out
 
 
-def _alone(bus: Bus, identity: int) -> bool:
+def _alone(bus: dynamixel.Bus, identity: int) -> bool:
     """Whether one servo, and not two, answers to an id."""
     address, size = TELLING
     request = address.to_bytes(2, "little") + size.to_bytes(2, "little")
@@ -211,12 +209,12 @@ def _alone(bus: Bus, identity: int) -> bool:
     return len(bus.overhear(identity, INST_PING, listen_s=ONE_S)) == 14  # it answers nothing but pings
 
 
-def _answers(bus: Bus, identity: int) -> bool:
+def _answers(bus: dynamixel.Bus, identity: int) -> bool:
     """Whether anything answers to an id; one lost answer does not hide it."""
     return any(bus.overhear(identity, INST_PING, listen_s=ONE_S) for _ in range(LOOKS))
 
 
-def _require_alone(bus: Bus, identity: int) -> None:
+def _require_alone(bus: dynamixel.Bus, identity: int) -> None:
     if not _answers(bus, identity):
         raise DeviceError(f"no servo with id {identity} answers on {bus.port} at {bus.baud} baud")
     if not _alone(bus, identity):
@@ -226,7 +224,7 @@ def _require_alone(bus: Bus, identity: int) -> None:
         )
 
 
-def _require_moved(bus: Bus, old: int, new: int) -> None:
+def _require_moved(bus: dynamixel.Bus, old: int, new: int) -> None:
     try:
         bus.ping(new)
     except dynamixel.BusError:
@@ -236,7 +234,7 @@ def _require_moved(bus: Bus, old: int, new: int) -> None:
         raise DeviceError(f"a servo answers to id {new} now, and one to id {old} still: there were two with that id")
 
 
-def _write(bus: Bus, identity: int, address: int, value: int) -> None:
+def _write(bus: dynamixel.Bus, identity: int, address: int, value: int) -> None:
     """One byte, written once: the answer may come under the new id, or at the new speed, or not at all."""
     heard = bus.overhear(identity, INST_WRITE, address.to_bytes(2, "little") + bytes([value]), listen_s=ONE_S)
     for packet in Packets().whole(heard):
@@ -245,7 +243,7 @@ def _write(bus: Bus, identity: int, address: int, value: int) -> None:
             raise DeviceError(f"servo id {identity} on {bus.port} refuses {value} at address {address}: {what}")
 
 
-def _restart(bus: Bus, identity: int) -> None:
+def _restart(bus: dynamixel.Bus, identity: int) -> None:
     bus.ping(identity)
     bus.overhear(identity, INST_REBOOT, listen_s=ONE_S)
     looked = Patience()
@@ -325,14 +323,14 @@ def count_of(servo: FoundServo) -> int:
     DeviceError
         It counts the other way round: what it will read once it does not is not known.
     """
-    with Bus(servo.port, servo.baud) as bus:
-        count = Servo(bus, servo.id, control_table.of_model(servo.model)).undisplaced_count()
+    with dynamixel.Bus(servo.port, servo.baud) as bus:
+        count = joints.Servo(bus, servo.id, control_table.of_model(servo.model)).undisplaced_count()
     if count is None:
         raise DeviceError(
             f"servo id {servo.id} is in reverse mode (Drive Mode, bit 0), which no rig uses: reset it with the "
             "Dynamixel Wizard"
         )
-    return count % COUNTS
+    return count % joints.COUNTS
 
 
 def wiggle(servo: FoundServo) -> None:
@@ -343,13 +341,13 @@ def wiggle(servo: FoundServo) -> None:
     DeviceError
         It does not answer, or does not move; its torque is off then.
     """
-    with Bus(servo.port, servo.baud) as bus:
-        wiggled = Servo(bus, servo.id, control_table.of_model(servo.model))
+    with dynamixel.Bus(servo.port, servo.baud) as bus:
+        wiggled = joints.Servo(bus, servo.id, control_table.of_model(servo.model))
         get, put = wiggled.get, wiggled.write
         held = get("Torque Enable")
-        if get("Operating Mode") != POSITION_MODE:
+        if get("Operating Mode") != joints.POSITION_MODE:
             put("Torque Enable", 0)
-            put("Operating Mode", POSITION_MODE)
+            put("Operating Mode", joints.POSITION_MODE)
         here = get("Present Position")
         put("Goal Position", here)
         put("Profile Velocity", SLOW)  # after the mode, which resets it

@@ -16,7 +16,6 @@ from gonio_drivers import control_table, dynamixel, home_mark, joints
 from gonio_drivers.any_arms import AXES
 from gonio_drivers.arms import ServoArms
 from gonio_drivers.cameras import OpenableCamera
-from gonio_drivers.joints import Joint
 from gonio_drivers.light import SerialLight
 from gonio_drivers.stages import StageArms
 
@@ -99,7 +98,7 @@ def of_arms(arms: ServoArms | StageArms) -> Health:
     return Health(tuple(found), silent)
 
 
-def _asked(joint: Joint) -> list[Reading]:
+def _asked(joint: joints.Joint) -> list[Reading]:
     joint.identify_model()
     home_mark.recall(joint)
     name, report = joint.name, joint.reported(joint.bus.read(joint.id, *joints.span(joint.table)))
@@ -127,11 +126,11 @@ def _asked(joint: Joint) -> list[Reading]:
     ]
 
 
-def _angle(joint: Joint, count: float) -> Reading:
+def _angle(joint: joints.Joint, count: float) -> Reading:
     return Reading(joint.name, "angle", joint.to_deg(count), "deg", joint.limits_deg)
 
 
-def _current(joint: Joint, value: int) -> Reading:
+def _current(joint: joints.Joint, value: int) -> Reading:
     if "Present Current" not in joint.table:  # an estimate from the motor's drive, in 0.1 %
         return Reading(joint.name, "load", value / 10, "%", (-100.0, 100.0))
     unit = control_table.current_unit_ma(joint.servo.model)
@@ -191,7 +190,7 @@ def _stage(arms: StageArms, name: str) -> Row:
     return f"{name} stage", f"{joint.stage}, {home}, error: {said.fault or 'none'}", not said.fault
 
 
-def _servo(arms: ServoArms, joint: Joint) -> Row:
+def _servo(arms: ServoArms, joint: joints.Joint) -> Row:
     number, firmware = arms.bus.ping(joint.id)
     report = joint.report
     assert report is not None

@@ -19,7 +19,6 @@ from gonio.errors import ConfigError
 from gonio.rig import Frame, Pose, Target, imaging, kinematics, regions
 from gonio.rig.bands import Band
 from gonio.rig.description import RigDescription
-from gonio.rig.kinematics import View
 from gonio.rig.light_and_camera import Camera
 from gonio.typing import Array, Bools, Floats, NDArray
 
@@ -62,7 +61,7 @@ class Sight:
         self._pose: Pose | None = None
         self._band: Band | None = None
         self._target: Target = "sample"
-        self._view: View | None = None
+        self._view: kinematics.View | None = None
         self._predicted: JsonObject = {}
         self._last: Frame | None = None
         self._number = 0
@@ -215,7 +214,7 @@ def _finite(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
-def _beam(description: RigDescription, view: View) -> list[list[float]] | None:
+def _beam(description: RigDescription, view: kinematics.View) -> list[list[float]] | None:
     """The edge of the lamp's beam on the sample's plane, by the rig file; None for a beam without one."""
     diameter, source = description.lamp.beam_diameter_mm, np.asarray(view.source_mm, dtype=float)
     if diameter is None or source[2] <= 0:

@@ -19,7 +19,6 @@ import numpy as np
 
 from gonio import geometry, instrument, models
 from gonio.errors import ConfigError
-from gonio.models import Model
 from gonio.rig import Pose, fiducials
 from gonio.rig.bands import Band
 from gonio.rig.description import Fiducials, Holder, SampleDescription
@@ -184,7 +183,7 @@ class Renderer:
             return
 
         def paint(seen: PixelMap, scene: View, covered: Bools, brdf: Floats) -> None:
-            def of(model: Model, lit: Bools | tuple[Whole, Whole]) -> Floats:
+            def of(model: models.Model, lit: Bools | tuple[Whole, Whole]) -> Floats:
                 at = geometry.Directions.from_vectors(seen.omega_i[lit], seen.omega_r[lit])
                 return np.asarray(sum(share * model.btdf(*at.angles, wavelength_nm=wave) for wave, share in waves))
 
@@ -260,7 +259,7 @@ class Renderer:
 
         return Disc(paint if self._textures is None else self._textured(self._textures, waves), radius)
 
-    def _lobes(self, model: Model, scene: View, waves: list[tuple[float, float]]) -> Function:
+    def _lobes(self, model: models.Model, scene: View, waves: list[tuple[float, float]]) -> Function:
         """A model's lobe [1/sr] over the sample, averaged over the cones of lamp and lens."""
         truth = self._world.truth
 
@@ -285,7 +284,7 @@ class Renderer:
         def paint(seen: PixelMap, scene: View, covered: Bools, brdf: Floats) -> None:
             x, y = (each.ravel() for each in np.meshgrid(*2 * [np.linspace(-radius, radius, PROBED)]))
 
-            def probe(model: Model) -> Floats:
+            def probe(model: models.Model) -> Floats:
                 values = [self._lobes(model, scene, waves)(x, y)]
                 if model.has_spike:
                     theta = _directions_at(scene, x, y).theta_i
@@ -326,7 +325,7 @@ class Renderer:
         return paint
 
     def _paint_spike(
-        self, model: Model, waves: list[tuple[float, float]], seen: PixelMap, scene: View, covered: Bools,
+        self, model: models.Model, waves: list[tuple[float, float]], seen: PixelMap, scene: View, covered: Bools,
         brdf: Floats,
     ) -> None:  # fmt: skip
         """Add the mirror image of the lamp, pixel by pixel where it is seen."""
@@ -407,7 +406,7 @@ def _wavelengths(band: Band) -> list[tuple[float, float]]:
     return [(band.centre_nm + math.sqrt(2.0) * sigma * float(t), float(w)) for t, w in zip(at, shares, strict=True)]
 
 
-def _build(sample: SampleDescription) -> Model:
+def _build(sample: SampleDescription) -> models.Model:
     try:
         return models.build(sample.model, dict(sample.parameters))
     except ConfigError as error:

@@ -18,7 +18,6 @@ from scipy import sparse
 
 from gonio import models
 from gonio.errors import ConfigError
-from gonio.models import Model
 from gonio.rig.description import SampleDescription
 from gonio.rig.imaging import PixelMap
 from gonio.typing import Bools, Floats, NDArray
@@ -36,7 +35,7 @@ MOST_TOGETHER = 65**2
 AT_ONCE = 1 << 20
 """Weights that are counted together."""
 Whole = NDArray[np.int64]
-Probe = Callable[[Model], Floats]
+Probe = Callable[[models.Model], Floats]
 """What a model shows in a view: values of one kind in each row."""
 
 
@@ -44,7 +43,7 @@ Probe = Callable[[Model], Floats]
 class Part:
     """What some pixels see of one level of the textures."""
 
-    model: Model
+    model: models.Model
     rows: Whole
     cols: Whole
     weight: Floats
@@ -71,7 +70,7 @@ class Textures:
         self._model((0.0,) * len(self._names))
         self._model((1.0,) * len(self._names))
 
-    def _built(self, shares: tuple[float, ...]) -> Model:
+    def _built(self, shares: tuple[float, ...]) -> models.Model:
         """The model where textures have these values."""
         values = dict(zip(self._names, shares, strict=True))
         try:

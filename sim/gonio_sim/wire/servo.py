@@ -12,7 +12,6 @@ from gonio.rig import clock as wall
 from gonio_sim.wire import motion, tables
 from gonio_sim.wire import protocol2 as p2
 from gonio_sim.wire.peer import Clock
-from gonio_sim.wire.tables import Refused, Registers
 
 NO_LOAD = 1.0e6
 """Acceleration where no profile limits it [counts/s^2]."""
@@ -90,7 +89,7 @@ class Servo:
         self.table = tables.table(model)
         self.mechanics = mechanics or Mechanics()
         self._clock = clock
-        self.registers = Registers(self.table)
+        self.registers = tables.Registers(self.table)
         self.registers.put("ID", identity)
         self.registers.put("Baud Rate", {rate: code for code, rate in tables.BAUD_CODES.items()}[baud])
         self._path = motion.rest(clock(), position)
@@ -214,7 +213,7 @@ class Servo:
         """Change the control table, all of it or (with `Refused`) nothing; as one of a group, by the secondary id."""
         pairs = self._checked(address, data)
         if as_group and any(item.address < tables.EEPROM_END for item, _ in pairs):
-            raise Refused(p2.ACCESS_ERROR)
+            raise tables.Refused(p2.ACCESS_ERROR)
         for item, value in pairs:
             self._set(item.name, value)
 
@@ -227,7 +226,7 @@ class Servo:
     def action(self) -> None:
         """Carry out what was registered."""
         if self._registered is None:
-            raise Refused(p2.INSTRUCTION_ERROR)
+            raise tables.Refused(p2.INSTRUCTION_ERROR)
         (address, data), self._registered = self._registered, None
         self._put(Registered_Instruction=0)
         self.write(address, data)
@@ -236,7 +235,7 @@ class Servo:
         """Factory values: 0xFF all, 0x01 all except ID, 0x02 all except ID and baud rate."""
         keep = {0xFF: (), 0x01: ("ID",), 0x02: ("ID", "Baud Rate")}
         if option not in keep:
-            raise Refused(p2.RANGE_ERROR)
+            raise tables.Refused(p2.RANGE_ERROR)
         self._require_free()
         kept = {name: self.get(name) for name in keep[option]}
         for name, item in self.table.items.items():
@@ -247,7 +246,7 @@ class Servo:
     def clear_turns(self) -> None:
         """Forget whole turns; only at rest."""
         if self._shaft()[1] != 0:
-            raise Refused(p2.RESULT_FAIL)
+            raise tables.Refused(p2.RESULT_FAIL)
         self._forget_turns()
         self._goal_here()
 
@@ -261,12 +260,12 @@ class Servo:
         """Take the EEPROM from the backup; a reboot is due after it."""
         self._require_free()
         if not self._backup:
-            raise Refused(p2.RESULT_FAIL)
+            raise tables.Refused(p2.RESULT_FAIL)
         self._put_back(ram=False)
 
     def _require_free(self) -> None:
         if self.torque:
-            raise Refused(p2.RESULT_FAIL)
+            raise tables.Refused(p2.RESULT_FAIL)
 
     def heard(self, wall_s: float) -> None:
         """Called for every instruction packet on the bus, for whomever it is: silence is counted from there."""
@@ -378,7 +377,7 @@ class Servo:
             (name == "Torque Enable" and value == 1 and self._shut_down(), p2.RESULT_FAIL),
         ):
             if refused:
-                raise Refused(error)
+                raise tables.Refused(error)
 
     def _set(self, name: str, value: int) -> None:
         before = self.get(name)

@@ -27,7 +27,6 @@ from gonio_sim.camera import SimulatedCamera
 from gonio_sim.render import Renderer
 from gonio_sim.wire import faults as fault_names
 from gonio_sim.wire.bus import ServoBus
-from gonio_sim.wire.faults import Faults
 from gonio_sim.wire.kinesis import COUNTS_PER_DEG, KinesisTwin
 from gonio_sim.wire.lamps import LAMPS, Lamp, Shine
 from gonio_sim.wire.peer import Clock, Device, SerialPeer, SocketPeer, scaled_clock
@@ -216,7 +215,7 @@ class Twins:
         self._devices = _parsed(description)
         self._folder, self._tcp = folder, tcp
         self.scale = scale
-        self.faults = Faults()
+        self.faults = fault_names.Faults()
         self._clock = scaled_clock(scale)
         self._bright_until_s = -math.inf
         self.world = WireWorld(description, sample, seed, self._clock)
