@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, fields
 from typing import Generic, NoReturn, TypeVar
 
 from gonio.errors import ConfigError, DeviceError
-from gonio.rig import Pose, motion_planning
+from gonio.rig import Health, Pose, motion_planning
 from gonio.rig.description import Axis, RigDescription
 from gonio_drivers import log
 
@@ -148,6 +148,10 @@ class Arms(ABC, Generic[J]):
     def jog(self, goals: Mapping[str, float]) -> dict[str, float]:
         """Drive some axes [rad], and leave the others where they are; the readback of those [rad]; errors of `move`."""
         return self._jog(goals, parking=False)
+
+    def strain(self) -> Health:
+        """What strained the axes since this was last asked, where their controllers tell it."""
+        return Health()
 
     def _jog(self, goals: Mapping[str, float], *, parking: bool) -> dict[str, float]:
         for name in goals:

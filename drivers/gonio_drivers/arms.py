@@ -16,16 +16,18 @@ from typing import Self
 
 from dynamixel_sdk import INST_PING
 
-from gonio.errors import ConfigError, DeviceError, Disturbed
-from gonio.rig import Pose, Target, clock
+from gonio.errors import ConfigError, DeviceError, Disturbed, GonioError
+from gonio.rig import Health, Pose, Reading, Target, clock
 from gonio.rig.description import RigDescription
-from gonio_drivers import dynamixel, joints, log, preparation, settings, signals, watchdog
+from gonio_drivers import control_table, dynamixel, home_mark, joints, log, preparation, settings, signals, watchdog
 from gonio_drivers.any_arms import AXES, Arms, ArmsReading
 from gonio_drivers.motion import LARGEST_CORRECTION_DEG, STILL_COUNTS, Motion
 from gonio_drivers.sdk import Packets
 
 LOOKS, SECOND_LOOKS = 5, 9
 """Readings whose mean tells where an axis stands, and whether it has left the place where it landed."""
+FLICKER_STEPS = 2.5
+"""Readings at rest that lie farther apart, in steps of the encoder, do not tell where the axis stands."""
 SECOND_S = 0.02
 """The answer of a second servo follows the first one within this time, behind an adapter's latency of 16 ms."""
 PINGS = 3
@@ -76,7 +78,7 @@ class ServoArms(Arms[joints.Joint]):
         try:
             self.joints.clear()
             self.joints.update(self.every)
-            self.absent = _leave_out(self.bus, self.joints) if self.partial else {}
+            self.absent = self._left_out() if self.partial else {}
             for joint in self.joints.values() if not self.partial else ():
                 joint.identify()
                 require_alone(joint)
@@ -105,6 +107,29 @@ class ServoArms(Arms[joints.Joint]):
             raise failures[0]
         for said in dict.fromkeys(map(str, failures)):  # a port that went away says the same for every axis
             log.error("while leaving: %s", said)
+
+    def _left_out(self) -> dict[str, DeviceError]:
+        """Axes whose servos do not answer, are of another model, or not alone with their id, and why; no joints then.
+
+        Raises
+        ------
+        DeviceError
+            None of them answers; the message says what is found instead.
+        """
+        absent: dict[str, DeviceError] = {}
+        for name, joint in self.joints.items():
+            try:
+                joint.identify_model()
+                require_alone(joint)
+            except dynamixel.BusError as failure:
+                absent[name] = DeviceError(f"{joint.key}.id = {joint.id}: {self._unheard(joint, failure)}")
+            except DeviceError as failure:
+                absent[name] = failure
+        if len(absent) == len(self.joints):
+            raise DeviceError("no servo of the rig file can be used: " + "; ".join(map(str, absent.values())))
+        for name in absent:
+            del self.joints[name]
+        return absent
 
     def _let_go(self) -> list[DeviceError]:
         """Take the torque from every servo that has been prepared (that had none, for `as_found`); what failed."""
@@ -227,6 +252,76 @@ class ServoArms(Arms[joints.Joint]):
         landed = {name: joint.stood_at for name, joint in self.joints.items() if joint.stood_at is not None}
         return {n: place for n, place in places.items() if n in landed and abs(place - landed[n]) > STILL_COUNTS}
 
+    # ---- what they say of themselves ----
+
+    def health(self) -> Health:
+        """Angles, temperatures, currents and voltages of servos that are open; one reading of the bus.
+
+        Raises
+        ------
+        DeviceError
+            A servo does not answer, or is unwell.
+        """
+        found: list[Reading] = []
+        for name, report in joints.reports(self.bus, self.joints.values()).items():
+            joint = self.joints[name]
+            found += [
+                _angle(joint, report.position),
+                Reading(name, "temperature", report.temperature_c, "C", (-math.inf, joint.max_temperature_c)),
+                _current(joint, report.current),
+                Reading(name, "voltage", report.voltage_v, "V", joint.voltage_limits_v),
+            ]
+        return Health(tuple(found), {name: str(failure) for name, failure in self.absent.items()})
+
+    def strain(self) -> Health:
+        """The highest current and the lowest voltage in all reports of open servos since this was last asked.
+
+        At rest the one is small and the other good: it is on the way that a supply sags.
+        """
+        found: list[Reading] = []
+        for name, joint in self.joints.items():
+            if joint.strained:
+                current, voltage = joint.strained
+                most = _current(joint, abs(current.current))
+                found += [
+                    Reading(name, f"{most.quantity}_max", most.value, most.unit),
+                    Reading(name, "voltage_min", voltage.voltage_v, "V"),
+                ]
+            joint.strained.clear()
+        return Health(tuple(found))
+
+    def survey(self) -> Health:
+        """The same as `health` of servos that nobody has opened, each by itself; whether they hold, and their errors.
+
+        No torque comes or goes by it.
+        """
+        found: list[Reading] = []
+        silent: dict[str, str] = {}
+        try:
+            with self.bus:
+                for name, joint in self.every.items():  # one that cannot be opened may still say where it stands
+                    try:
+                        found += _asked(joint)
+                    except dynamixel.BusError as failure:
+                        silent[name] = self._unheard(joint, failure)
+                    except GonioError as failure:
+                        silent[name] = str(failure)
+        except GonioError as failure:
+            return Health((), dict.fromkeys(self.every, str(failure)))
+        return Health(tuple(found), silent)
+
+    def _unheard(self, joint: joints.Joint, failure: dynamixel.BusError) -> str:
+        """What is said of a servo that does not answer.
+
+        Raises
+        ------
+        DeviceError
+            It is the first that is asked, and nobody is there: the message says what answers instead, if anything does.
+        """
+        if joint is next(iter(self.every.values())) and not self.bus.discover(rounds=1):
+            joint.identify()
+        return f"{failure}{self.bus.elsewhere(joint.id)}"
+
     # ---- reading ----
 
     def _readback(self, looks: int = 1) -> ArmsReading:
@@ -267,28 +362,42 @@ def require_alone(joint: joints.Joint) -> None:
     )
 
 
-def _leave_out(bus: dynamixel.Bus, there: dict[str, joints.Joint]) -> dict[str, DeviceError]:
-    """Take those joints out of `there` whose servos do not answer, are of another model, or not alone with
-    their id; why, by axis.
+def _asked(joint: joints.Joint) -> list[Reading]:
+    """What a servo says that nobody has opened."""
+    joint.identify_model()
+    home_mark.recall(joint)
+    name, report = joint.name, joint.reported(joint.bus.read(joint.id, *joints.span(joint.table)))
+    highest, lowest = joint.get("Max Voltage Limit") / 10, joint.get("Min Voltage Limit") / 10
+    moving = report.moving or report.under_way
+    falsified = joint.falsified()
+    places = [place for _ in range(LOOKS) if (place := joint.shaft_count()) is not None]
+    error = joint.get("Hardware Error Status")
+    hottest = joint.get("Temperature Limit") or joint.max_temperature_c
+    apart_deg = joint.distance_deg(max(places), min(places)) if places else 0.0
+    most_deg = max(FLICKER_STEPS * joint.axis.encoder_step_deg, FLICKER_STEPS / abs(joint.counts_per_deg))
+    unsteady = Reading(name, "angle_spread", apart_deg, "deg", (0.0, most_deg))
+    how = "taken out of the angle" if places else "the angle is not known"
+    named = ", ".join(f"{item} = {value}" for item, value in falsified.items())
+    return [
+        *([_angle(joint, statistics.fmean(places))] if places else []),
+        *([Reading(name, "settings", f"{named} in the servo: {how}; a move resets it")] if falsified else []),
+        *([unsteady] if apart_deg > most_deg and not moving else []),
+        Reading(name, "temperature", report.temperature_c, "C", (-math.inf, hottest)),
+        _current(joint, report.current),
+        Reading(name, "voltage", report.voltage_v, "V", (lowest, highest) if highest else None),
+        Reading(name, "motion", "moves" if moving else "still"),
+        Reading(name, "torque", "holds" if joint.get("Torque Enable") == 1 else "off"),
+        Reading(name, "error", dynamixel.hardware_error(error) if error else "none"),
+    ]
 
-    Raises
-    ------
-    DeviceError
-        None of them answers; the message says what is found instead.
-    """
-    absent: dict[str, DeviceError] = {}
-    for name, joint in there.items():
-        try:
-            joint.identify_model()
-            require_alone(joint)
-        except dynamixel.BusError as failure:
-            if not absent and joint is next(iter(there.values())) and not bus.discover(rounds=1):
-                joint.identify()  # nobody is there: a longer search, and a better message
-            absent[name] = DeviceError(f"{joint.key}.id = {joint.id}: {failure}{bus.elsewhere(joint.id)}")
-        except DeviceError as failure:
-            absent[name] = failure
-    if len(absent) == len(there):
-        raise DeviceError("no servo of the rig file can be used: " + "; ".join(map(str, absent.values())))
-    for name in absent:
-        del there[name]
-    return absent
+
+def _angle(joint: joints.Joint, count: float) -> Reading:
+    return Reading(joint.name, "angle", joint.to_deg(count), "deg", joint.limits_deg)
+
+
+def _current(joint: joints.Joint, value: int) -> Reading:
+    if "Present Current" not in joint.table:  # an estimate from the motor's drive, in 0.1 %
+        return Reading(joint.name, "load", value / 10, "%", (-100.0, 100.0))
+    unit = control_table.current_unit_ma(joint.servo.model)
+    most = joint.full_current * unit if joint.full_current else math.inf
+    return Reading(joint.name, "current", value * unit, "mA", (-most, most) if math.isfinite(most) else None)

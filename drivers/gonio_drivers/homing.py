@@ -17,7 +17,6 @@ import serial
 from gonio.errors import ConfigError, DeviceError
 from gonio.rig import Homed, clock
 from gonio_drivers import home_mark, joints, preparation, settings, watchdog
-from gonio_drivers.joints import COUNTS, Joint
 from gonio_drivers.patience import Patience
 
 POLL_S = 0.01
@@ -37,7 +36,7 @@ OVERSHOOT = 1.1
 class Search:
     """One axis on its way to its place of homing."""
 
-    joint: Joint
+    joint: joints.Joint
     homing: settings.Homing
     closed: Callable[[], bool]
     allowed: Callable[[], None]
@@ -71,9 +70,9 @@ class Search:
         assert at is not None
         joint.turns = 0
         off = statistics.fmean(places) - joint.to_count(at)
-        turns = round(off / COUNTS)
-        rest = off - turns * COUNTS
-        if abs(rest) > TURN_MARGIN * COUNTS:
+        turns = round(off / joints.COUNTS)
+        rest = off - turns * joints.COUNTS
+        if abs(rest) > TURN_MARGIN * joints.COUNTS:
             raise DeviceError(
                 f"axis {joint.name}: its place of homing lies {abs(rest) / abs(joint.counts_per_deg):.1f} deg off "
                 f"{at:g} deg, more than a quarter of a turn of its servo: the turn is not certain; correct "
@@ -173,7 +172,7 @@ class _Still:
         self.place, self.looks, self.looked = None, 0, Patience()
 
 
-def home(joint: Joint, say: Callable[[str], None], allowed: Callable[[], None]) -> Homed:
+def home(joint: joints.Joint, say: Callable[[str], None], allowed: Callable[[], None]) -> Homed:
     """Home one axis, whose bus is open; it holds where it stands then, with its usual profile.
 
     `allowed` is called before it turns, and at every look while it does; it raises where nothing may move.
@@ -210,7 +209,7 @@ def home(joint: Joint, say: Callable[[str], None], allowed: Callable[[], None]) 
 
 
 @contextlib.contextmanager
-def _switch(joint: Joint, homing: settings.Homing) -> Iterator[Callable[[], bool]]:
+def _switch(joint: joints.Joint, homing: settings.Homing) -> Iterator[Callable[[], bool]]:
     """What says whether the switch is closed."""
     if homing.external_port is not None:
         mode = f"External Port Mode {homing.external_port}"
@@ -233,7 +232,7 @@ def _switch(joint: Joint, homing: settings.Homing) -> Iterator[Callable[[], bool
         yield lambda: False
 
 
-def lacking(names: Mapping[str, Joint]) -> list[str]:
+def lacking(names: Mapping[str, joints.Joint]) -> list[str]:
     """Those axes that have to be homed before they can move."""
     out = []
     for name, joint in names.items():

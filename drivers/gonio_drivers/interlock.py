@@ -15,7 +15,6 @@ import threading
 import time
 from abc import abstractmethod
 from collections.abc import Callable, Mapping
-from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
@@ -47,7 +46,7 @@ class Tripped(EmergencyStop):
     """The contact is open, was open, or nobody knows."""
 
 
-class Contact(AbstractContextManager["Contact", None]):
+class Contact(contextlib.AbstractContextManager["Contact", None]):
     """Where a contact is read, while it is open as a context; opening it raises `DeviceError` where it cannot be."""
 
     name: str
@@ -201,11 +200,6 @@ class Interlock:
         self._why = ""
         self._ends = threading.Event()
         self._thread: threading.Thread | None = None
-
-    @property
-    def on_the_bus(self) -> bool:
-        """Whether the contact is read over the servos' bus."""
-        return isinstance(self.contact, ServoPort)
 
     @property
     def tripped(self) -> bool:

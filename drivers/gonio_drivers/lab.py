@@ -209,7 +209,7 @@ class LabRig:
             self.interlock.require()
         health = Health()
         if "arms" in self._opened:
-            health += survey.of_open_arms(self.arms) + survey.strain(self.arms)
+            health += self.arms.health() + self.arms.strain()
         if "light" in self._opened:
             try:
                 health += survey.of_open_light(self.light)
@@ -220,7 +220,7 @@ class LabRig:
     def survey(self, *devices: Device) -> Health:
         """What the devices say that nobody has opened; nothing is changed by it."""
         ask = {
-            "arms": lambda: survey.of_arms(self.arms),
+            "arms": lambda: self.arms.survey(),
             "light": lambda: survey.of_light(self.light),
             "camera": lambda: survey.of_camera(self._camera, self._camera_driver),
         }
@@ -258,7 +258,7 @@ class LabRig:
         watched = self.interlock
         if watched is None or self._opened <= {"camera"}:
             return
-        its_turn = watched.on_the_bus != before_arms
+        its_turn = isinstance(watched.contact, interlock.ServoPort) != before_arms
         if its_turn:
             stack.enter_context(watched)
         if "arms" in self._opened and before_arms:

@@ -15,7 +15,6 @@ import serial
 from pydantic import ValidationInfo, field_validator, model_validator
 
 from gonio import config
-from gonio.config import Strict
 from gonio.errors import ConfigError, DeviceError, PassingFault
 from gonio.rig import clock
 from gonio.rig.ranges import NonNegative, Positive
@@ -36,7 +35,7 @@ ERRORS_KEPT = 100
 """No controller's error queue holds more."""
 
 
-class Dialect(Strict):
+class Dialect(config.Strict):
     """How a lamp controller is spoken to. Patterns are regular expressions for a whole reply."""
 
     name: str

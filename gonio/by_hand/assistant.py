@@ -98,10 +98,11 @@ class Assistant:
         self._sight = Sight(manual.description, clock)
         self._shown: JsonObject = {}
         self._nudge: tuple[str, float] | None = None
-        self._do = {
+        self._do: dict[str, Callable[[list[str]], None]] = {
             "jog": self._jog, "go": self._go, "zero": self._zero, "park": self._park, "lamp": self._lamp,
-            "band": self._band, "exposure": self._exposure, "auto": self._auto, "focus": self._refocus,
-            "show": self._present, "save": self._save, "help": lambda words: self._say(HELP), "quit": self._quit,
+            "band": self._band, "exposure": self._exposure, "auto": self._auto, "show": self._present,
+            "save": self._save, "quit": self._quit, "help": lambda words: self._say(HELP),
+            "focus": lambda words: self._sight.forget_focus(),
         }  # fmt: skip
 
     # ---- for the terminal, from whatever thread ----
@@ -368,9 +369,6 @@ class Assistant:
         self._sight.changed()
         where = "the region" if region is not None else "the frame"
         self._say(f"exposure {found.exposure_s:.4g} s" + (f"; {where} saturates there" if found.saturated else ""))
-
-    def _refocus(self, words: list[str]) -> None:
-        self._sight.forget_focus()
 
     def _present(self, words: list[str]) -> None:
         targets: dict[str, Target] = {"sample": "sample", "reference": "reference"}

@@ -48,7 +48,6 @@ class Mechanism:
         self._known_offset = math.radians(known.zero_offset_deg) if known.zero_offset_known else 0.0
         self._zero_error = zero_error
         self._axis = axis
-        self._noise = 0.0
         self.noise = math.radians(axis.encoder_noise_deg)
         """Standard deviation of readings [rad]."""
         self.speed = math.radians(axis.speed_deg_per_s)

@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from gonio_drivers import dynamixel, service, survey
+from gonio_drivers import dynamixel, service
+from gonio_drivers.arms import ServoArms
 from gonio_drivers.lab import LAB, LabRig
 from gonio_sim.wire.servo import Mechanics, Servo
 from gonio_sim.wire.twins import Twins
@@ -554,13 +555,13 @@ def test_ctrl_c_does_not_cut_off_what_is_said_of_the_axes(twins: Twins, monkeypa
     held = bench(twins, "arms")
     with held:
         held.hold()
-    look = survey.of_arms
+    look = ServoArms.survey
 
     def pressed(arms: Any) -> Any:
         signal.raise_signal(signal.SIGINT)
         return look(arms)
 
-    monkeypatch.setattr(survey, "of_arms", pressed)
+    monkeypatch.setattr(ServoArms, "survey", pressed)
     assert re.search(r"tilt -?\d\.\d\d deg, holds", held.left())
 
 

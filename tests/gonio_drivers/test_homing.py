@@ -8,7 +8,7 @@ from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
-from gonio_drivers import home_mark, homing, survey
+from gonio_drivers import home_mark, homing
 from gonio_drivers.arms import ServoArms
 from gonio_drivers.joints import Joint
 from gonio_drivers.service import ServoService
@@ -140,7 +140,7 @@ def test_the_turn_is_lost_with_the_power_and_nobody_reads_a_wrong_angle(line: Li
     line.servos[1].restart()
     line.servos[1]._back_at = None
     assert "axis light is not homed" in refused(description)
-    health = survey.of_arms(arms(description))
+    health = arms(description).survey()
     assert health.of("light", "angle") is None
     assert "not homed" in health.silent["light"]
     assert health.of("camera", "angle") is not None
