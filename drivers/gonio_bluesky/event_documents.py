@@ -340,7 +340,8 @@ class _Documents:
         if name != "dark":
             out["pose_after_deg"] = pose, lambda e: self._pose(e.get("pose_after"))
             out["exposure_s"] = _array("journal", bands, "s", "band"), self._longest
-            out["level_per_s"] = _array("journal", bands, "1/s", "band"), self._levels
+            levels = _array("journal", bands, "1/s", "band")
+            out["level_per_s"] = levels, lambda e: [(e.get("level_per_s") or {}).get(band) for band in self._bands]
         if known.numbers:
             health = _array("journal", len(known.numbers), "", "reading")
             out["health"] = health, lambda e: [_health(e).get(name) for name in known.numbers]
@@ -356,10 +357,6 @@ class _Documents:
     def _words(self, event: Event) -> str:
         read = _health(event)
         return json.dumps({name: read[name] for name in self._known.words if name in read})
-
-    def _levels(self, event: Event) -> list[float | None]:
-        levels = event.get("level_per_s") or {}
-        return [levels.get(band) for band in self._bands]
 
     def _angle_deg(self, k: int, event: Event) -> float:
         return float(self._angles[event["point"]][k])

@@ -152,10 +152,8 @@ def table(model: str) -> Table:
     if model.lower() not in x_series:
         raise ConfigError(f'"{model}" is no servo of the X series that the SDK knows: {", ".join(x_series)}')
     number = known[model.lower()]
-    items: dict[str, Item] = {}
-    for name, entry in ControlTable.getControlTable(number).items():
-        if not name.startswith("Indirect"):
-            items[name] = Item(name, entry.address, entry.size)
+    listed = ControlTable.getControlTable(number).items()
+    items = {n: Item(n, entry.address, entry.size) for n, entry in listed if not n.startswith("Indirect")}
     items["Startup Configuration"] = Item("Startup Configuration", 60, 1)  # the SDK's files lack these two
     items["Backup Ready"] = Item("Backup Ready", 147, 1)
     small = model[:5].lower() in ("xl330", "xc330")
