@@ -10,7 +10,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
-import cv2
 import numpy as np
 
 from gonio.errors import ConfigError, DeviceError, PassingFault
@@ -47,6 +46,8 @@ class Backend(NamedTuple):
 
 def backend() -> Backend:
     """The first of those that this OpenCV has; raises `DeviceError` where it has none that takes exposures."""
+    import cv2
+
     known = (
         Backend(cv2.CAP_V4L2, "V4L2", 1, 3, in_octaves=False),
         Backend(cv2.CAP_DSHOW, "DirectShow", 0, 1, in_octaves=True),
@@ -102,6 +103,8 @@ class UvcCamera:
             )
 
     def __enter__(self) -> Self:
+        import cv2
+
         self._by = backend()
         self._capture = (self._open or cv2.VideoCapture)(self._camera.device, self._by.code)
         if not self._capture.isOpened():
@@ -129,6 +132,8 @@ class UvcCamera:
 
     def capture(self, exposure_s: float) -> Frame:
         """One frame that was exposed wholly after this call, made linear by the response calibration."""
+        import cv2
+
         if self._capture is None:
             raise DeviceError("the video camera is not open: enter the rig first")
         self._description.require_exposure(exposure_s)
@@ -155,6 +160,8 @@ class UvcCamera:
 
     def _fresh(self, exposure_s: float) -> Array:
         """A frame that began after now: queued ones are dropped by count and by time."""
+        import cv2
+
         begin, looked = clock.monotonic(), Patience(2 * exposure_s + LATE_S)
         stamped = float(self._capture.get(cv2.CAP_PROP_POS_MSEC))
         flows = all(self._capture.grab() for _ in range(self._camera.drop))
