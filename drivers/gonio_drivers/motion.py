@@ -248,12 +248,7 @@ class Motion:
         changed = report.profile != joint.profile or report.goal != landing.sent
         if changed and self._send_on(joint, landing):
             if not landing.stopped_at(report.position, now):
-                if landing.released > RELEASES:
-                    raise DeviceError(
-                        f"axis {joint.name}: servo id {joint.id} has stopped {landing.released} times on one way and "
-                        "came no closer to its goal, because nothing came over the bus for "
-                        f"{watchdog.PERIOD_S:g} s (is this computer overloaded?); all axes are stopped"
-                    )
+                self._require_progress(joint, landing)
                 return
             changed = False  # it had arrived: this is a reading as good as any
         else:
@@ -282,6 +277,15 @@ class Motion:
                 joint.name, watchdog.PERIOD_S,
             )  # fmt: skip
         return late
+
+    @staticmethod
+    def _require_progress(joint: joints.Joint, landing: Landing) -> None:
+        if landing.released > RELEASES:
+            raise DeviceError(
+                f"axis {joint.name}: servo id {joint.id} has stopped {landing.released} times on one way and came no "
+                f"closer to its goal, because nothing came over the bus for {watchdog.PERIOD_S:g} s (is this computer "
+                "overloaded?); all axes are stopped"
+            )
 
     def _correct(self, joint: joints.Joint, landing: Landing, now: float, *, exact: bool) -> None:
         """A new goal that makes up for what is missing; by the approach again where the axis went too far."""

@@ -5,8 +5,8 @@ from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
-from gonio_drivers.arrival import Landing, Verdict
 from gonio_drivers.joints import Joint, Report
+from gonio_drivers.motion import Landing, Verdict
 
 PER_DEG = 4096 / 360
 """Counts a degree."""
@@ -33,7 +33,7 @@ def landing(**changes: Any) -> Landing:
 
 
 def report(position: int, *, moving: bool = False, under_way: bool = False) -> Report:
-    return Report(position, moving=moving, under_way=under_way, goal=GOAL, profile=b"", current=0)
+    return Report(position, moving, under_way, GOAL, profile=b"", current=0, voltage_v=12.0, temperature_c=40)
 
 
 def looked(of: Landing, *positions: int, start_s: float = 0.0) -> list[Verdict]:

@@ -6,7 +6,7 @@ from typing import Any, cast
 import pytest
 from gonio_drivers import control_table, preparation
 from gonio_drivers.dynamixel import Bus
-from gonio_drivers.joints import Health, Joint, reported, span
+from gonio_drivers.joints import Joint, Report, span
 from gonio_drivers.preparation import (
     ACCELERATION_UNIT_DEG_S2,
     VELOCITY_UNIT_DEG_S,
@@ -103,12 +103,13 @@ def test_a_range_beyond_a_turn_of_the_servo_is_refused() -> None:
 def test_a_servo_too_hot_or_of_a_wrong_voltage_is_refused(temperature_c: int, voltage_v: float, said: str) -> None:
     of = joint()
     of.voltage_limits_v = (10.0, 14.0)
-    of.health = Health(temperature_c, voltage_v, 0)
+    rest = {"position": 2000, "moving": False, "under_way": False, "goal": 2000, "profile": b"", "current": 0}
+    report = Report(**rest, temperature_c=temperature_c, voltage_v=voltage_v)  # type: ignore[arg-type]
     if not said:
-        of.check_health()
+        of.check_health(report)
         return
     with pytest.raises(DeviceError, match=said):
-        of.check_health()
+        of.check_health(report)
 
 
 # ---- profiles ----
@@ -220,5 +221,5 @@ def test_a_report_lies_in_one_block() -> None:
     block = bytearray(39)
     block[132 - 108 : 136 - 108] = (-5).to_bytes(4, "little", signed=True)
     block[146 - 108] = 41
-    found = reported(joint(), bytes(block))
-    assert (found["Present Position"], found["Present Temperature"]) == (-5, 41)
+    found = joint().reported(bytes(block))
+    assert (found.position, found.temperature_c) == (-5, 41)

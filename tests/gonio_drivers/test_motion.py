@@ -5,9 +5,9 @@ from typing import Any, cast
 
 import pytest
 from gonio_drivers import joints, motion
-from gonio_drivers.arrival import Landing
 from gonio_drivers.dynamixel import Bus
 from gonio_drivers.joints import Joint, Report
+from gonio_drivers.motion import Landing
 from gonio_drivers.settings import Servos
 
 from gonio.errors import DeviceError
@@ -48,7 +48,8 @@ def stands(monkeypatch: pytest.MonkeyPatch) -> Any:
     """Sets where the axis stands; the watchdog has not run out."""
 
     def at(of: Joint, position: int, *, run_out: bool = False) -> None:
-        seen = Report(position, moving=False, under_way=False, goal=position, profile=of.profile, current=0)
+        rest = {"profile": of.profile, "current": 0, "voltage_v": 12.0, "temperature_c": 40}
+        seen = Report(position, moving=False, under_way=False, goal=position, **rest)  # type: ignore[arg-type]
         monkeypatch.setattr(joints, "reports", lambda bus, every: {of.name: seen})
         monkeypatch.setattr(motion, "watchdog", SimpleNamespace(
             arm=lambda moving: None, call_off=lambda moving: moving if run_out else []))  # fmt: skip

@@ -6,9 +6,9 @@ from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
-from gonio_drivers import survey
+from gonio_drivers import arms as servo_arms
 from gonio_drivers.arms import ServoArms
-from gonio_drivers.joints import Health, Joint
+from gonio_drivers.joints import Joint, Report
 
 from gonio.rig import Reading
 from tests.gonio_drivers.test_joints import joint
@@ -41,7 +41,7 @@ def asked(
     }
     for name, change in changes.items():
         object.__setattr__(of, name, change)
-    return {reading.quantity: reading for reading in survey._asked(of)}
+    return {reading.quantity: reading for reading in servo_arms._asked(of)}
 
 
 def test_a_servo_at_rest_says_where_it_stands_and_how_it_is() -> None:
@@ -94,22 +94,24 @@ def test_settings_that_falsify_an_angle_are_named() -> None:
 def test_a_strain_is_the_highest_current_and_the_lowest_voltage_since_it_was_asked() -> None:
     of = joint()
     of.full_current = 100
-    of.strained = [Health(40, 12.0, -90), Health(40, 10.4, 10)]
+    at_rest = {"position": 2000, "moving": False, "under_way": False, "goal": 2000, "profile": b"", "temperature_c": 40}
+    strains = (-90, 12.0), (10, 10.4)
+    of.strained = [Report(**at_rest, current=current, voltage_v=volts) for current, volts in strains]  # type: ignore
     arms = cast(ServoArms, SimpleNamespace(joints={"camera": of}))
-    found = {reading.quantity: reading.value for reading in survey.strain(arms).readings}
+    found = {reading.quantity: reading.value for reading in ServoArms.strain(arms).readings}
     assert found == {"current_max": pytest.approx(90 * 2.69), "voltage_min": 10.4}
-    assert survey.strain(arms).readings == ()
+    assert ServoArms.strain(arms).readings == ()
 
 
 @pytest.mark.parametrize(("full", "limit"), [(0, None), (100, 269.0)])
 def test_a_current_without_a_limit_has_none(full: int, limit: float | None) -> None:
     of = joint()
     of.full_current = full
-    found = survey._current(of, -50)
+    found = servo_arms._current(of, -50)
     assert found.value == pytest.approx(-134.5)
     if limit is None:
         assert found.limit is None
     else:
         assert found.limit == pytest.approx((-limit, limit))
     without = SimpleNamespace(name="camera", table={})
-    assert survey._current(cast(Joint, without), 345) == Reading("camera", "load", 34.5, "%", (-100.0, 100.0))
+    assert servo_arms._current(cast(Joint, without), 345) == Reading("camera", "load", 34.5, "%", (-100.0, 100.0))
