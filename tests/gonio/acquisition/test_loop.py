@@ -291,11 +291,6 @@ def test_a_clock_that_was_set_back_between_two_sessions(measure: Measure) -> Non
     assert np.all(np.diff(times) > 0)
 
 
-def test_resuming_a_finished_run_does_nothing(measure: Measure) -> None:
-    before = (measure("run").path / "journal.jsonl").read_bytes()
-    assert (measure("run", resume=True).path / "journal.jsonl").read_bytes() == before
-
-
 def test_a_run_that_has_begun_needs_resume(measure: Measure) -> None:
     before = (measure("run").path / "journal.jsonl").read_bytes()
     with pytest.raises(ConfigError, match="--resume"):

@@ -9,7 +9,7 @@ from gonio_analysis.selection.compare import examine
 
 from gonio.cli import pace
 from gonio.models import build
-from tests.gonio_analysis.synthetic import measure
+from tests.gonio_analysis.synthetic import joined, measure
 
 
 @pytest.fixture
@@ -30,9 +30,7 @@ def table(albedo: float = 0.6, seed: int = 0) -> pd.DataFrame:
         measure(build("oren-nayar", {"albedo": albedo, "sigma_deg": 20.0}), wavelength_nm=w, seed=seed)
         for w in (450.0, 550.0, 650.0)
     ]
-    whole = pd.concat(parts, ignore_index=True)
-    whole.attrs = parts[0].attrs
-    return whole
+    return joined(*parts)
 
 
 def test_steps_are_told_with_the_time_that_is_left(clock: list[float]) -> None:

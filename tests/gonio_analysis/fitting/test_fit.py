@@ -15,7 +15,7 @@ from gonio_analysis.fitting.search import derivatives
 
 from gonio.errors import ConfigError, DataError
 from gonio.models import build
-from tests.gonio_analysis.synthetic import known, measure
+from tests.gonio_analysis.synthetic import joined, known, measure
 
 MATTE = build("lambert", {"albedo": 0.5})
 PAINT = build("cook-torrance", {"s": 0.1, "d": 0.9, "slopes": ((0.25, 1.0),), "diffuse_albedo": 0.4, "ior": 1.5})
@@ -181,11 +181,8 @@ def test_broad_band_needs_a_wavelength_where_the_model_does() -> None:
 
 
 def test_nearest_wavelength_is_fitted_and_said() -> None:
-    import pandas as pd
-
     parts = [measure(build("lambert", {"albedo": a}), wavelength_nm=w) for a, w in ((0.2, 450), (0.5, 560), (0.8, 650))]
-    table = pd.concat(parts, ignore_index=True)
-    table.attrs = parts[0].attrs
+    table = joined(*parts)
     assert fit(table, "lambert").wavelength_nm == 560
     r = fit(table, "lambert", wavelength_nm=630)
     assert r.wavelength_nm == 650

@@ -17,7 +17,7 @@ from gonio_analysis.fitting.profile_likelihood import profiles
 
 from gonio.errors import ConfigError
 from gonio.models import build
-from tests.gonio_analysis.synthetic import known, measure
+from tests.gonio_analysis.synthetic import joined, known, measure
 
 WAVES = {450.0: 0.10, 550.0: 0.20, 650.0: 0.30}
 SURFACE = {"sigma0_um": 0.28, "tau_um": 1.77, "ior": 0.77 + 6.08j}
@@ -30,9 +30,7 @@ def table() -> pd.DataFrame:
         measure(build("he-torrance", {**SURFACE, "diffuse_albedo": a}), wavelength_nm=w, noise=0.01, seed=int(w))
         for w, a in WAVES.items()
     ]
-    whole = pd.concat(parts, ignore_index=True)
-    whole.attrs = parts[0].attrs
-    return whole
+    return joined(*parts)
 
 
 def test_shared_parameters_are_known_better_and_others_by_wavelength(table: pd.DataFrame) -> None:

@@ -17,7 +17,7 @@ from gonio_analysis.selection.compare import examine
 from gonio import measurement
 from gonio.models import build
 from tests.command_line import gonio
-from tests.gonio_analysis.synthetic import known, measure
+from tests.gonio_analysis.synthetic import joined, known, measure
 
 WAVES = {450.0: 0.10, 550.0: 0.20, 650.0: 0.30}
 SURFACE = {"sigma0_um": 0.28, "tau_um": 1.77, "ior": 0.77 + 6.08j}
@@ -35,8 +35,7 @@ def several(*, reference: float = 0.0, cone_sr: float = 0.0, seed: int = 0) -> p
         )
         for w, a in WAVES.items()
     ]
-    whole = pd.concat(parts, ignore_index=True)
-    whole.attrs = parts[0].attrs
+    whole = joined(*parts)
     if reference:
         whole["brdf"] *= 1 + reference * np.random.default_rng(seed).normal()
         whole.insert(list(whole.columns).index("flag"), "s_reference", reference * whole["brdf"])
@@ -103,9 +102,7 @@ def test_a_surface_that_is_another_at_each_wavelength_is_said_to_be() -> None:
         measure(build("phong", {"k_d": 0.3, "k_s": 0.3, "exponent": e}), wavelength_nm=w, seed=int(w))
         for w, e in {450.0: 20.0, 550.0: 40.0, 650.0: 60.0}.items()
     ]
-    table = pd.concat(parts, ignore_index=True)
-    table.attrs = parts[0].attrs
-    result = fit_table(table, FitRequest("phong"))[0]
+    result = fit_table(joined(*parts), FitRequest("phong"))[0]
     assert any(
         "550 nm alone asks for another geometry: exponent = 4" in n or "exponent = 39" in n for n in result.notes
     )

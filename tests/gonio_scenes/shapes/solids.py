@@ -36,6 +36,24 @@ def meet(built: Shape, origin: Floats, direction: Floats) -> tuple[Any, Floats, 
     return hit, distance, primitive, built.surface(origin[hit], direction[hit], distance[hit], primitive[hit])
 
 
+def shades_not_itself(
+    built: Shape, rng: np.random.Generator, origin: Floats, direction: Floats, rounding: float = 1e-4
+) -> tuple[Floats, Floats, Floats]:
+    """Rays that start where others hit and go outward meet nothing, and those that go inward meet the other side.
+
+    `rounding` is the least cosine between a ray and the surface. What the inward ones are: their starts, their
+    directions, and how far each goes.
+    """
+    hit, _, _, surface = meet(built, origin, direction)
+    away = units(rng, int(hit.sum()))
+    slope = np.einsum("ij,ij->i", away, surface.normal)
+    met, _ = built.intersect(surface.position, away, 1e-9 * built.size_mm)
+    assert not np.isfinite(met[slope > rounding]).any()  # 1e-14 of rounding off the surface, over the slope
+    inward = slope < -1e-4
+    assert np.isfinite(met[inward]).all()
+    return surface.position[inward], away[inward], met[inward]
+
+
 def units(rng: np.random.Generator, count: int) -> Floats:
     """Directions, evenly over the sphere."""
     vectors = rng.standard_normal((count, 3))
