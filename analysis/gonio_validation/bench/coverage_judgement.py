@@ -50,36 +50,6 @@ class Count:
         return self.low <= LEVEL <= self.high
 
 
-@dataclass(frozen=True)
-class Pulls:
-    """(found - true) / u, one number a campaign."""
-
-    kind: str
-    what: str
-    group: str
-    campaigns: int
-    mean: float
-    u_mean: float
-    """Standard error of the mean."""
-    sd: float
-    sd_low: float
-    """Interval (95 %) of the standard deviation: campaigns drawn again with replacement."""
-    sd_high: float
-    largest: float
-
-
-@dataclass(frozen=True)
-class Uniform:
-    """Probabilities that are uniform between 0 and 1 where the stated covariance is right, one a campaign."""
-
-    what: str
-    campaigns: int
-    p_uniform: float
-    """Kolmogorov and Smirnov's test of that."""
-    bins: Sequence[int]
-    """Campaigns in ten equal bins."""
-
-
 def chosen(record: Record, what: str, among: Sequence[int]) -> int:
     """One of several values of a campaign: chosen by its number and a name alone, not by what came out."""
     rng = np.random.default_rng([int(record["campaign"]), crc32(what.encode())])
@@ -127,26 +97,44 @@ def count(kind: str, what: str, group: str, inside: Iterable[bool]) -> Count:
     return Count(kind, what, group, len(found), sum(found), float(low), float(high))
 
 
-def pulls(kind: str, what: str, group: str, values: Sequence[float]) -> Pulls:
-    """Mean and standard deviation, with intervals from campaigns drawn again."""
+def pulls(kind: str, what: str, group: str, values: Sequence[float]) -> JsonObject:
+    """Mean and standard deviation of (found - true) / u, one number a campaign.
+
+    `u_mean` is the standard error of the mean; `sd_low` to `sd_high` the interval (95 %) of the standard deviation,
+    from campaigns drawn again with replacement.
+    """
     z = np.array(values)
     rng = np.random.default_rng(z.size)
     again = rng.choice(z, (RESAMPLES, z.size)).std(axis=1, ddof=1)
     low, high = np.quantile(again, [(1.0 - LEVEL) / 2.0, (1.0 + LEVEL) / 2.0])
     sd = float(z.std(ddof=1))
-    mean, u_mean = float(z.mean()), sd / math.sqrt(z.size)
-    return Pulls(kind, what, group, z.size, mean, u_mean, sd, float(low), float(high), float(abs(z).max()))
+    return {
+        "kind": kind,
+        "what": what,
+        "group": group,
+        "campaigns": z.size,
+        "mean": float(z.mean()),
+        "u_mean": sd / math.sqrt(z.size),
+        "sd": sd,
+        "sd_low": float(low),
+        "sd_high": float(high),
+        "largest": float(abs(z).max()),
+    }
 
 
-def uniform(what: str, values: Sequence[float]) -> Uniform:
-    """Whether probabilities are uniform between 0 and 1."""
+def uniform(what: str, values: Sequence[float]) -> JsonObject:
+    """Whether probabilities, one a campaign, are uniform between 0 and 1: they are where the covariance is right.
+
+    `p_uniform` is Kolmogorov and Smirnov's test of that, `bins` counts campaigns in ten equal bins.
+    """
     bins, _ = np.histogram(values, bins=10, range=(0.0, 1.0))
-    return Uniform(what, len(values), float(kstest(values, "uniform").pvalue), [int(b) for b in bins])
+    p_uniform = float(kstest(values, "uniform").pvalue)
+    return {"what": what, "campaigns": len(values), "p_uniform": p_uniform, "bins": bins.tolist()}
 
 
-def judged(records: Sequence[Record]) -> tuple[list[Count], list[Pulls], list[Uniform]]:
+def judged(records: Sequence[Record]) -> tuple[list[Count], list[JsonObject], list[JsonObject]]:
     """Everything that is counted, from the records of campaigns that did not fail."""
-    counts, spreads = [], []
+    counts, spreads = list[Count](), list[JsonObject]()
 
     def judge(kind: str, what: str, group: str, values: Sequence[float], inside: Sequence[bool] | None = None) -> None:
         if len(values) < FEWEST and group != "all":

@@ -11,8 +11,19 @@ from gonio_analysis.report.drawings import Figure, rendered
 from gonio_analysis.report.text import number
 
 from gonio.documents import JsonObject
-from gonio_validation.bench.coverage_judgement import LEVEL, Count, Pulls
-from gonio_validation.bench.page import Column, Part, head, method, of_part, part, plain_axes, two_digits, verdict
+from gonio_validation.bench.coverage_judgement import LEVEL
+from gonio_validation.bench.page import (
+    Column,
+    Part,
+    head,
+    listed,
+    method,
+    of_part,
+    part,
+    plain_axes,
+    two_digits,
+    verdict,
+)
 
 FOOTER = Footer(
     (
@@ -43,10 +54,21 @@ def _percent(value: float) -> str:
     return f"{100 * value:.1f} %"
 
 
-def _of(c: Count | Pulls) -> str:
-    return "all campaigns" if c.group == "all" else c.group
+def _of(group: str) -> str:
+    return "all campaigns" if group == "all" else group
 
 
+PULLS = (
+    Column("", "kind", KINDS.__getitem__), Column("of", "group", _of), Column("campaigns", "campaigns"),
+    Column("mean", "mean", "{:.2f}".format), Column("its u", "u_mean", "{:.2f}".format),
+    Column("standard deviation", "sd", "{:.2f}".format), Column("from", "sd_low", "{:.2f}".format),
+    Column("to", "sd_high", "{:.2f}".format), Column("largest", "largest", "{:.2f}".format),
+)  # fmt: skip
+UNIFORM = (
+    Column("test", "what"), Column("campaigns", "campaigns"),
+    Column("uniform: p (Kolmogorov-Smirnov)", "p_uniform", two_digits),
+    Column("campaigns a bin", "bins", lambda bins: " ".join(map(str, bins))),
+)  # fmt: skip
 HIDDEN = Part(
     "What is hidden", "hidden", "causes",
     "Drawn anew for every campaign, and read by the simulated devices alone. Distances, the cones of lamp and "
@@ -118,7 +140,7 @@ def _coverage(s: JsonObject, figures: Sequence[Figure]) -> Group:
     header = ["", "of", "campaigns", "inside", "coverage", "from", "to", "contains 95 %"]
     rows: list[list[Text]] = [
         [
-            KINDS[c.kind], _of(c), str(c.campaigns), str(c.inside), _percent(c.inside / c.campaigns),
+            KINDS[c.kind], _of(c.group), str(c.campaigns), str(c.inside), _percent(c.inside / c.campaigns),
             _percent(c.low), _percent(c.high), verdict(c.holds),
         ]
         for c in s["counts"]
@@ -134,22 +156,9 @@ def _pulls(s: JsonObject, figures: Sequence[Figure]) -> Group:
         "are too small; smaller, and they are too large. Intervals are 95 %, of campaigns drawn again. Probabilities "
         "of the tests of all values together are uniform where the stated covariance is right."
     )
-    header = ["", "of", "campaigns", "mean", "its u", "standard deviation", "from", "to", "largest"]
-    rows: list[list[Text]] = [
-        [
-            *(KINDS[p.kind], _of(p), str(p.campaigns)),
-            *(f"{x:.2f}" for x in (p.mean, p.u_mean, p.sd, p.sd_low, p.sd_high, p.largest)),
-        ]
-        for p in s["pulls"]
-    ]
-    tests: list[list[Text]] = [
-        [u.what, str(u.campaigns), number(u.p_uniform, 2), " ".join(map(str, u.bins))] for u in s["uniform"]
-    ]
-    shown = table("", header, rows, right=tuple(range(2, 9)))
-    uniform = table(
-        "Campaigns by the probability of a larger chi-square, in ten equal bins from 0 to 1.",
-        ["test", "campaigns", "uniform: p (Kolmogorov-Smirnov)", "campaigns a bin"], tests, right=(1, 2),
-    )  # fmt: skip
+    shown = listed(s["pulls"], PULLS, tuple(range(2, 9)))
+    caption = "Campaigns by the probability of a larger chi-square, in ten equal bins from 0 to 1."
+    uniform = listed(s["uniform"], UNIFORM, (1, 2), caption)
     drawings = Figures(tuple(f for f in figures if f.kind != "forest"))
     return part("Pulls", "pulls", words, drawings, shown, uniform)
 
@@ -179,7 +188,7 @@ def _forest(s: JsonObject) -> Figure:
             colour = COLOURS[0] if c.holds else COLOURS[1]
             ax.plot([100 * c.low, 100 * c.high], [k, k], color=colour, lw=1.3, zorder=2)
             ax.plot([100 * c.inside / c.campaigns], [k], marker="o", ms=4, color=colour, zorder=3)
-            names.append(f"{KINDS[c.kind]}: {_of(c)} ({c.campaigns})")
+            names.append(f"{KINDS[c.kind]}: {_of(c.group)} ({c.campaigns})")
         ax.set_yticks(range(len(rows)), names, fontsize=7)
         ax.set_ylim(len(rows) - 0.4, -0.6)
         low = min(100 * c.low for c in rows)
@@ -192,7 +201,7 @@ def _forest(s: JsonObject) -> Figure:
         "contain it. In brackets: campaigns."
     )
     alt = "Coverage by quantity and group. " + " ".join(
-        f"{KINDS[c.kind]}, {_of(c)}: {_percent(c.inside / c.campaigns)}." for c in rows
+        f"{KINDS[c.kind]}, {_of(c.group)}: {_percent(c.inside / c.campaigns)}." for c in rows
     )
     return rendered("coverage", "forest", "", caption, alt, (7.2, height), on)
 
@@ -224,10 +233,10 @@ def _probabilities(s: JsonObject) -> Figure:
         axes = figure.subplots(1, len(s["uniform"]), squeeze=False)[0]
         figure.subplots_adjust(0.09, 0.19, 0.985, 0.9, wspace=0.22)
         for ax, u in zip(axes, s["uniform"], strict=True):
-            width = 1.0 / len(u.bins)
-            ax.bar((np.arange(len(u.bins)) + 0.5) * width, u.bins, 0.92 * width, color=COLOURS[0], alpha=0.75)
-            ax.axhline(u.campaigns / len(u.bins), color=INK, lw=1.0)
-            ax.set_title(u.what, fontsize=8, loc="left", color=INK)
+            count = len(u["bins"])
+            ax.bar((np.arange(count) + 0.5) / count, u["bins"], 0.92 / count, color=COLOURS[0], alpha=0.75)
+            ax.axhline(u["campaigns"] / count, color=INK, lw=1.0)
+            ax.set_title(u["what"], fontsize=8, loc="left", color=INK)
             ax.set_xlabel("probability", fontsize=8)
             plain_axes(ax, "x")
         axes[0].set_ylabel("campaigns", fontsize=8)
@@ -236,5 +245,5 @@ def _probabilities(s: JsonObject) -> Figure:
         "Probability of a larger chi-square. It is uniform (line) where the stated covariance is right; many at 0 mean "
         "that it is too small, many at 1 that it is too large."
     )
-    alt = " ".join(f"{u.what}: {', '.join(map(str, u.bins))} campaigns in ten bins." for u in s["uniform"])
+    alt = " ".join(f"{u['what']}: {', '.join(map(str, u['bins']))} campaigns in ten bins." for u in s["uniform"])
     return rendered("probabilities", "histogram", "", caption, alt, (7.2, 2.6), on)

@@ -72,9 +72,9 @@ def test_right_uncertainties_cover_the_truth() -> None:
     for c in every.values():
         assert c.campaigns == 400  # each once, though it has twelve values
         assert c.holds, c
-    assert all(0.85 < p.sd < 1.15 for p in pulls if p.group == "all")  # 1 +- 0.035 of 400 campaigns
-    assert all(p.sd_low < 1.0 < p.sd_high for p in pulls if p.group == "all")
-    assert all(u.p_uniform > 0.01 and sum(u.bins) == u.campaigns for u in uniform)
+    assert all(0.85 < p["sd"] < 1.15 for p in pulls if p["group"] == "all")  # 1 +- 0.035 of 400 campaigns
+    assert all(p["sd_low"] < 1.0 < p["sd_high"] for p in pulls if p["group"] == "all")
+    assert all(u["p_uniform"] > 0.01 and sum(u["bins"]) == u["campaigns"] for u in uniform)
 
 
 @pytest.mark.parametrize("too_small", [1.4, 0.6])
@@ -84,9 +84,9 @@ def test_wrong_uncertainties_are_found(too_small: float) -> None:
         if c.group == "all":
             assert not c.holds, c
             assert (c.high < 0.95) == (too_small > 1.0)
-    (points,) = (p for p in pulls if p.group == "all" and p.kind == "points")
-    assert points.sd == pytest.approx(too_small, rel=0.12)  # three standard errors of 400 campaigns
-    assert uniform[0].p_uniform < 1e-6
+    (points,) = (p for p in pulls if p["group"] == "all" and p["kind"] == "points")
+    assert points["sd"] == pytest.approx(too_small, rel=0.12)  # three standard errors of 400 campaigns
+    assert uniform[0]["p_uniform"] < 1e-6
 
 
 def test_a_common_error_is_one_trial() -> None:
