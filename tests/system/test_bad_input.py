@@ -59,11 +59,6 @@ def test_bad_plan_or_sample(here: Command, files: Path, file: tuple[str, str], w
     ("arguments", "code", "words"),
     [
         (("measure", "nope.toml", "--rig", "sim", "--sample", "sample.toml", "--out", "x"), USAGE, ["nope.toml"]),
-        (("measure", "plan.toml", "--rig", "simm", "--sample", "sample.toml", "--out", "x"), USAGE, ["simm", "sim"]),
-        (("measure", "plan.toml", "--rig", "no.toml", "--sample", "sample.toml", "--out", "x"), USAGE, ["no.toml"]),
-        (("measure", "plan.toml", "--rig", "sim", "--sample", "sample.toml", "--out", "/proc/no/x"), USAGE, ["/proc"]),
-        (("measure", "plan.toml", "--rig", "sim", "--out", "x"), USAGE, ["sample"]),
-        (("reduce", "absent"), USAGE, ["absent"]),
         (("fit", "absent.csv", "--model", "lambert"), USAGE, ["absent.csv"]),
         (("fit", "columns.csv", "--model", "lambert"), DATA, ["columns.csv"]),
         (("fit", "good.csv", "--model", "lambrt"), USAGE, ["lambrt"]),
@@ -74,9 +69,7 @@ def test_bad_plan_or_sample(here: Command, files: Path, file: tuple[str, str], w
         (("compare", "columns.csv", "--models", "nope", "--out", "x"), USAGE, ["nope"]),
         (("report", "absent", "--out", "x"), USAGE, ["absent"]),
         (("convert", "columns.csv", "x"), DATA, ["columns.csv"]),
-        (("plan", "show", "absent.toml"), USAGE, ["absent.toml"]),
         (("rig", "show", "absent"), USAGE, ["absent"]),
-        (("nonsense",), USAGE, ["nonsense"]),
     ],
     ids=lambda value: " ".join(value[:2]) if isinstance(value, tuple) else None,
 )

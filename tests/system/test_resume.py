@@ -121,26 +121,6 @@ def test_interrupt_finishes_the_step_and_exits_130(gonio: Command, files: Path) 
     assert len(set(steps_in(files, "run"))) == len(steps_in(files, "run"))
 
 
-def test_a_run_with_events_needs_resume(here: Command, files: Path) -> None:
-    here(*MEASURE, "--out", "run")
-    before = (files / "run" / "journal.jsonl").read_bytes()
-    assert "--resume" in here(*MEASURE, "--out", "run", expect=2).stderr
-    assert (files / "run" / "journal.jsonl").read_bytes() == before
-
-
-@pytest.mark.parametrize(
-    ("name", "old", "new", "word"),
-    [("plan.toml", "20, 50", "20, 55", "plan"), ("sample.toml", "0.5", "0.6", "sample")],
-    ids=["another plan", "another sample"],
-)
-def test_resuming_something_else_is_refused(
-    here: Command, files: Path, name: str, old: str, new: str, word: str
-) -> None:
-    here(*MEASURE, "--out", "run")
-    (files / name).write_text((files / name).read_text().replace(old, new))
-    assert word in here(*MEASURE, "--out", "run", "--resume", expect=2).stderr
-
-
 @pytest.mark.slow
 def test_a_lost_journal_is_made_again_and_a_damaged_frame_is_taken_again(here: Command, files: Path) -> None:
     here(*MEASURE, "--out", "run")

@@ -80,8 +80,7 @@ def test_the_page_shows_them(folder: Path, tmp_path: Path) -> None:
     make([str(folder)], tmp_path / "report", models=["lambert"])
     page = (tmp_path / "report" / "index.html").read_text(encoding="utf-8")
     assert "measured in 3 sessions" in page
-    for said in ("2026-03-05", "22:05", "a device failed", "0.97"):
-        assert said in page
+    says(page, "2026-03-05", "22:05", "a device failed", "0.97")
     kept = json.loads((tmp_path / "report" / "summary.json").read_text(encoding="utf-8"))
     assert len(kept["datasets"][0]["run"]["sessions"]) == 3
 
