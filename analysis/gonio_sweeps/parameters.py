@@ -1,8 +1,8 @@
 """The sampler "parameters": points for the parameters of a named model, and for whether it is the right one.
 
 Each batch follows from a fit to all values so far. Most of its points are those that tell most of the parameters for
-their rig time (`gonio_sweeps.fisher`), on average over parameters that the values allow. The others cover: they look
-where nothing was measured. Where the residuals of the fit say that the model is wrong (`gonio_sweeps.lack_of_fit`),
+their rig time (`gonio_sweeps.expected`), on average over parameters that the values allow. The others cover: they look
+where nothing was measured. Where the residuals of the fit say that the model is wrong (`gonio_sweeps.model_fit`),
 batches that cover take turns with batches for the nearest model, whose misfit is in their design. docs/
 adaptive_sweeps.md has the method.
 """
@@ -22,8 +22,8 @@ from gonio.errors import ConfigError
 from gonio.reduction import brdf as reduction
 from gonio.rig.description import RigDescription
 from gonio.typing import DataFrame, Floats
-from gonio_sweeps import covering, expected, fisher
-from gonio_sweeps.candidates import candidates, nearby, places, spread
+from gonio_sweeps import expected
+from gonio_sweeps.candidates import EVENLY, Curves, candidates, cover_by_errors, cover_evenly, nearby, places, spread
 from gonio_sweeps.model_fit import MANY, SEARCHES, Known, ModelFit, ParameterSettings
 from gonio_sweeps.online import GrowingValues, Online
 from gonio_sweeps.sampler import BudgetSampler, highest, short
@@ -214,9 +214,7 @@ class Parameters(BudgetSampler[ParameterSettings]):
         The first of these batches is small: how dark the sample is where nothing was measured nobody knows before.
         """
         points, seen = self.candidates.points, self._seen(values, None)
-        known = covering.Curves.of(
-            points, self._places, places(values.directions), values.brdf, values.u_noise, seen.u_rel
-        )
+        known = Curves.of(points, self._places, places(values.directions), values.brdf, values.u_noise, seen.u_rel)
         open_to = np.flatnonzero(seen.seconds < DEAREST * max(left_s, 0.0)).tolist()
 
         def fits(share: float, most: int = len(points)) -> Callable[[list[int]], bool]:
@@ -224,11 +222,11 @@ class Parameters(BudgetSampler[ParameterSettings]):
 
         batch, finer = list[int](), True
         if stage < 2:
-            evenly = fits(DEAREST, 3 * LARGEST) if stage == 0 else fits(covering.EVENLY)
-            batch, finer = covering.evenly(known, open_to, evenly)
+            evenly = fits(DEAREST, 3 * LARGEST) if stage == 0 else fits(EVENLY)
+            batch, finer = cover_evenly(known, open_to, evenly)
         if not batch:
             cost = seen.seconds + self._ways_s
-            batch = covering.by_errors(known, open_to, cost, fits(HALF if stage < LAST else LATER))
+            batch = cover_by_errors(known, open_to, cost, fits(HALF if stage < LAST else LATER))
         cut = (finer and not batch) or len(open_to) < len(points)
         return batch, self._numbers(batch, seen, math.nan, len(batch), cut=cut)
 
@@ -324,7 +322,7 @@ class Parameters(BudgetSampler[ParameterSettings]):
             relative = {n: c / np.where(values.brdf == 0, 1.0, values.brdf) for n, c in values.common.items()}
             past = _design(measured, relative)
             lower, upper = self._fits.problem.bounds
-            before = fisher.Known.nothing(upper - lower, past.shape[1] - free)
+            before = expected.Known.nothing(upper - lower, past.shape[1] - free)
             u = np.maximum(np.hypot(values.u_noise, measured.u_landing), 1e-12)
             u = np.hypot(u, known.tau * np.abs(measured.brdf))
             seen = self._expected.visits(ahead.brdf)
@@ -350,7 +348,7 @@ class Parameters(BudgetSampler[ParameterSettings]):
                 break
             gains = np.zeros(len(cost))
             for c, design, u, target, part in zip(covariances, designs, errors, weights, share, strict=True):
-                gains += part * fisher.gains(c, free, design, u, _weights(c, free, target))
+                gains += part * expected.gains(c, free, design, u, _weights(c, free, target))
             score = np.where(times < (1 if known.tau else REPEATS), gains / cost, -1.0)  # a misfit is the same again
             k = highest(score)
             if gains[np.isfinite(cost)].max(initial=0.0) < LEAST_GAIN:
@@ -364,7 +362,7 @@ class Parameters(BudgetSampler[ParameterSettings]):
         return picked, total, enough
 
 
-def _design(rows: fisher.Rows, relative: dict[str, Floats]) -> Floats:
+def _design(rows: expected.Rows, relative: dict[str, Floats]) -> Floats:
     """d(value)/d(parameter) and the change by each common cause, (n, p + k)."""
     common = [rows.brdf * column for column in relative.values()]
     return np.concatenate([rows.parameters, np.stack([*common, *rows.of_angles.values()], axis=1)], axis=1)

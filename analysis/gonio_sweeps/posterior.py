@@ -21,8 +21,7 @@ from gonio.models.gaussian_process import (
     total,
 )
 from gonio.typing import Floats
-from gonio_sweeps.lobe import begun
-from gonio_sweeps.spike import Spike, suspected, within
+from gonio_sweeps.lobe import Spike, begun, suspected, within
 
 if TYPE_CHECKING:
     import pandas as pd

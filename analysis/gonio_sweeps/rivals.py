@@ -29,7 +29,7 @@ from gonio.errors import ConfigError
 from gonio.rig.description import RigDescription, SampleDescription
 from gonio.rig.ranges import Positive
 from gonio.typing import Floats
-from gonio_sweeps import expected, fisher
+from gonio_sweeps import expected
 from gonio_sweeps import separation as separations
 from gonio_sweeps.candidates import candidates, spread
 from gonio_sweeps.model_fit import ModelFit, ParameterSettings
@@ -96,7 +96,7 @@ class Stand:
     problem: Problem | None
     vector: Floats | None
 
-    def rows(self, sights: fisher.Sights) -> fisher.Rows:
+    def rows(self, sights: expected.Sights) -> expected.Rows:
         """What it has at some poses."""
         if self.problem is None or self.vector is None:
             return sights.of_model(self.model)
@@ -209,7 +209,7 @@ class Rivals(BudgetSampler[RivalSettings]):
         stand = Stand(rival.name, 0.0, 0.0, 0, model, problem, vector)
         if values is None or not len(values):
             return stand
-        sights = fisher.sights_at(self._description, values.poses, values.directions, self._band.centre_nm)
+        sights = expected.sights_at(self._description, values.poses, values.directions, self._band.centre_nm)
         rows = sights.of_model(model)
         level = np.where(values.brdf == 0.0, 1.0, values.brdf)
         common = [rows.brdf * column / level for column in values.common.values()]
@@ -238,7 +238,7 @@ class Rivals(BudgetSampler[RivalSettings]):
             columns = separations.rival_columns(self._description, theirs, other.ranges)
             so_far = Gathered.nothing(columns.shape[1])
             if values is not None and len(values):
-                at = fisher.sights_at(self._description, values.poses, values.directions, self._band.centre_nm)
+                at = expected.sights_at(self._description, values.poses, values.directions, self._band.centre_nm)
                 mine, measured = best.rows(at), other.rows(at)
                 noise = np.maximum(np.hypot(values.u_noise, mine.u_landing), 1e-12)
                 past = separations.rival_columns(self._description, measured, other.ranges)

@@ -16,7 +16,7 @@ from gonio.errors import ConfigError
 from gonio.rig.bands import Band
 from gonio.rig.description import RigDescription
 from gonio.typing import Floats
-from gonio_sweeps import expected, fisher
+from gonio_sweeps import expected
 from gonio_sweeps.candidates import Candidates, places, snake
 
 Keys = TypeVar("Keys", bound=Strict)
@@ -75,9 +75,9 @@ class BudgetSampler(Generic[Keys]):
         return expected.Expected(self.durations, self.candidates.poses)
 
     @cached_property
-    def _ahead(self) -> fisher.Sights:
+    def _ahead(self) -> expected.Sights:
         """The candidates, as the forward model takes them in the band that models are fitted to."""
-        return fisher.sights_ahead(self._description, self.candidates.poses, self._band.centre_nm)
+        return expected.sights_ahead(self._description, self.candidates.poses, self._band.centre_nm)
 
     @cached_property
     def _places(self) -> Floats:

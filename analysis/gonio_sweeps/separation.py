@@ -27,7 +27,7 @@ from gonio.geometry import Directions
 from gonio.reduction import angle_errors
 from gonio.rig.description import RigDescription, SampleDescription
 from gonio.typing import Floats
-from gonio_sweeps import expected, fisher
+from gonio_sweeps import expected
 from gonio_sweeps.candidates import read
 
 if TYPE_CHECKING:
@@ -153,7 +153,7 @@ def separation(prepared: Prepared, a: SampleDescription, b: SampleDescription) -
     band = min(bands, key=lambda one: abs(one.centre_nm - DEFAULT_WAVELENGTH_NM))
     poses = [one.pose for one in points if one.pose is not None]
     durations = Durations(description, bands)
-    sights = fisher.sights_ahead(description, poses, band.centre_nm)
+    sights = expected.sights_ahead(description, poses, band.centre_nm)
     rows = [sights.of_model(models.build(one.model, one.parameters)) for one in (a, b)]
     seen = expected.Expected(durations, poses).visits(rows[0].brdf)
     difference = rows[1].brdf - rows[0].brdf
@@ -199,7 +199,7 @@ def _fitted(values: Observations, b: SampleDescription) -> float | None:
     return None if found is None else float(found)
 
 
-def independent(seen: expected.ExpectedVisits, rows: fisher.Rows) -> Floats:
+def independent(seen: expected.ExpectedVisits, rows: expected.Rows) -> Floats:
     """Independent standard uncertainties [1/sr] of visits: noise, and where the axes land."""
     noise = np.where(np.isfinite(seen.u_rel), seen.u_rel * np.abs(rows.brdf), NOTHING_SEEN)
     return np.maximum(np.hypot(noise, rows.u_landing), 1e-12)
@@ -267,7 +267,7 @@ def draw(s: Separation) -> Figure:
     return figure
 
 
-def rival_columns(description: RigDescription, rows: fisher.Rows, ranges: Floats) -> Floats:
+def rival_columns(description: RigDescription, rows: expected.Rows, ranges: Floats) -> Floats:
     """(n, q) changes of values [1/sr] by the reference and the zeros of the axes, and a rival's slopes.
 
     These are taken times so much that nothing bounds the rival's parameters.

@@ -8,8 +8,16 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from gonio_sweeps.candidates import fill, from_mirror_deg, places, signed_deg, spread
-from gonio_sweeps.covering import Curves, by_errors, evenly
+from gonio_sweeps.candidates import (
+    Curves,
+    cover_by_errors,
+    cover_evenly,
+    fill,
+    from_mirror_deg,
+    places,
+    signed_deg,
+    spread,
+)
 
 from gonio.acquisition.plan import Point, canonical
 from gonio.geometry import Directions
@@ -40,7 +48,7 @@ def fewer_than(most: int) -> Callable[[list[int]], bool]:
 
 
 def test_even_steps_are_half_as_large_about_the_mirror_direction() -> None:
-    batch, finer = evenly(known(lambda x: 0.2, []), ALL, fewer_than(30))
+    batch, finer = cover_evenly(known(lambda x: 0.2, []), ALL, fewer_than(30))
     assert 20 < len(batch) <= 30
     assert finer
     signed = np.array(sorted(k - 80 for k in batch))
@@ -53,7 +61,9 @@ def test_even_steps_are_half_as_large_about_the_mirror_direction() -> None:
 
 def test_a_resolved_curve_is_visited_again() -> None:
     visited = list(range(0, 161, 5))
-    batch = by_errors(known(lambda x: 0.2 * math.exp(-((x / 60.0) ** 2)), visited), ALL, np.ones(161), fewer_than(33))
+    batch = cover_by_errors(
+        known(lambda x: 0.2 * math.exp(-((x / 60.0) ** 2)), visited), ALL, np.ones(161), fewer_than(33)
+    )
     again = sum(k in visited for k in batch)
     # noise is what is left; leaving a point out departs by noise too, and may ask for some points between
     assert again > 0.7 * len(batch)
@@ -63,7 +73,7 @@ def test_a_resolved_curve_is_visited_again() -> None:
 
 def test_gaps_beside_a_narrow_lobe_are_divided() -> None:
     visited = list(range(0, 161, 5))
-    batch = by_errors(
+    batch = cover_by_errors(
         known(lambda x: 0.1 + 2.0 * math.exp(-(((x - 22.0) / 4.0) ** 2)), visited), ALL, np.ones(161), fewer_than(16)
     )
     new = [k - 80 for k in batch if k not in visited]
@@ -74,24 +84,24 @@ def test_gaps_beside_a_narrow_lobe_are_divided() -> None:
 def test_points_that_are_dear_are_left_to_the_end() -> None:
     visited = list(range(0, 161, 5))
     cost = np.where(np.arange(161) < 80, 100.0, 1.0)
-    batch = by_errors(known(lambda x: 0.2, visited), ALL, cost, fewer_than(16))
+    batch = cover_by_errors(known(lambda x: 0.2, visited), ALL, cost, fewer_than(16))
     assert min(batch) >= 80
 
 
 def test_nothing_is_taken_that_does_not_fit_or_is_not_open() -> None:
     visited = list(range(0, 161, 5))
     one = known(lambda x: 0.2, visited)
-    assert by_errors(one, ALL, np.ones(161), lambda batch: not batch) == []
-    assert by_errors(one, [], np.ones(161), fewer_than(16)) == []
-    assert set(by_errors(one, ALL[:81], np.ones(161), fewer_than(16))) <= set(ALL[:81])
-    assert evenly(one, [], fewer_than(16)) == ([], False)
+    assert cover_by_errors(one, ALL, np.ones(161), lambda batch: not batch) == []
+    assert cover_by_errors(one, [], np.ones(161), fewer_than(16)) == []
+    assert set(cover_by_errors(one, ALL[:81], np.ones(161), fewer_than(16))) <= set(ALL[:81])
+    assert cover_evenly(one, [], fewer_than(16)) == ([], False)
 
 
 def test_a_curve_that_is_known_as_well_as_the_reference_is_left_alone() -> None:
     visited = list(itertools.chain.from_iterable([k] * 40 for k in range(0, 161, 5)))
     rng = known(lambda x: 0.2, visited)
     exact = Curves(rng.points, rng.visits, np.where(rng.visits > 0, math.log(0.2), 0.0), rng.u)
-    assert by_errors(exact, ALL, np.ones(161), fewer_than(16)) == []
+    assert cover_by_errors(exact, ALL, np.ones(161), fewer_than(16)) == []
 
 
 def curve(theta_i: float, *signed: float) -> list[Point]:

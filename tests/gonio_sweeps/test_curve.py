@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from gonio_sweeps import curve_choice
+from gonio_sweeps import curve
 from gonio_sweeps.candidates import Candidates
 from gonio_sweeps.curve import SAMPLER, Curve, _angle_errors
 from gonio_sweeps.online import GrowingValues
@@ -266,9 +266,9 @@ def test_a_steep_gap_is_bisected() -> None:
     f = 0.01 + np.exp(-(((x - 30) / 8) ** 2))
     known = Posterior(in_plane(x), f, 1e-3 * f, np.zeros((x.size, 0)))
     places = in_plane(np.arange(-70.0, 71.0, 1.0))
-    grid = curve_choice.Grid.of(places, np.ones(places.theta_r.size))
+    grid = curve.Grid.of(places, np.ones(places.theta_r.size))
     noise = np.full(places.theta_r.size, 1e-3)
-    _, _, covers = curve_choice.batch([known], [noise], grid, 1e9, np.ones(places.theta_r.size), 3, 0, 1e-3)
+    _, _, covers = curve.batch([known], [noise], grid, 1e9, np.ones(places.theta_r.size), 3, 0, 1e-3)
     at = np.degrees(places.signed[covers[0]])
     assert 40 < at < 60, "where the flank was left out"
 

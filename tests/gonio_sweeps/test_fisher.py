@@ -10,7 +10,7 @@ from gonio_analysis.fitting.forward import apparent
 from gonio_analysis.fitting.observations import Observations
 from gonio_analysis.fitting.problem import FitRequest, pose
 from gonio_analysis.fitting.value_covariance import Covariance, independent
-from gonio_sweeps.fisher import Known, Sights, gains
+from gonio_sweeps.expected import Known, Sights, gains
 
 from gonio import models
 from gonio.acquisition.measure import find_rig

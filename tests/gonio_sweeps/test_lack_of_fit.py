@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from gonio_analysis.fitting.value_covariance import Covariance
-from gonio_sweeps.lack_of_fit import FALSE_ALARMS, LackOfFit, judge
+from gonio_sweeps.model_fit import FALSE_ALARMS, LackOfFit, judge
 
 from gonio.geometry import Directions
 

@@ -10,7 +10,7 @@ import matplotlib.image
 import numpy as np
 import pytest
 from gonio_analysis.fitting.observations import observations
-from gonio_sweeps import expected, fisher
+from gonio_sweeps import expected
 from gonio_sweeps.candidates import read
 from gonio_sweeps.rivals import Rivals
 from gonio_sweeps.separation import Gathered, separation
@@ -107,7 +107,7 @@ def chi_square(run: Run, sample: SampleDescription) -> float:
     """Of what the run's table states, where a sample is predicted through the instrument."""
     values = observations(reduce(run))
     poses = read(run.description, [step.goal for step in run.steps() if step.kind == "point"])
-    rows = fisher.sights_at(run.description, poses, values.directions, 550.0).of_model(
+    rows = expected.sights_at(run.description, poses, values.directions, 550.0).of_model(
         models.build(sample.model, sample.parameters)
     )
     assert values.covariance is not None

@@ -15,15 +15,18 @@ from gonio.checks.values import Rows
 from gonio.cli.pace import Pace, Say, silent
 from gonio.errors import ConfigError, DataError
 from gonio.typing import Floats
-from gonio_analysis.changes.common_shape import CommonShape, LaboratoryValues, common_shape, joint
 from gonio_analysis.changes.consensus import (
     METHODS,
+    CommonShape,
     Consensus,
     Equivalence,
+    LaboratoryValues,
     Method,
+    common_shape,
     consensus,
     consistency,
     equivalence,
+    joint,
 )
 from gonio_analysis.changes.point_by_point import Side, laid_on, require_alike
 from gonio_analysis.changes.resampling import Carried, carry, turned_in_plane

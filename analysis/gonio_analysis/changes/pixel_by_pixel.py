@@ -10,11 +10,10 @@ from gonio.errors import DataError
 from gonio.maps import FitFile, Tile
 from gonio.reduction.threads import in_threads
 from gonio.typing import Bools, Floats
+from gonio_analysis.changes.verdict import FALSE_DISCOVERIES
 
 Singles = npt.NDArray[np.float32]
 """Of very many pixels: seven digits are more than a difference has."""
-FALSE_DISCOVERIES = 0.05
-"""Share of the marked pixels that are marked by chance."""
 SAME_PLACE = 1e-3
 """Of a pixel: grids that lie closer are one."""
 
@@ -102,18 +101,18 @@ def change(path_a: str | Path, path_b: str | Path) -> MapChange:
         for name in names:
             difference, z, error = found.pop(name)
             typical = float(np.nanmedian(error)) if np.isfinite(error).any() else float("nan")
-            changes.append(ParameterChange(name, a.unit(name), difference, z, marked(_two_sided(z)), typical))
-        return MapChange(a.model, a.x_mm, a.y_mm, changes, total, freedom, p, marked(p))
+            changes.append(ParameterChange(name, a.unit(name), difference, z, marked_pixels(_two_sided(z)), typical))
+        return MapChange(a.model, a.x_mm, a.y_mm, changes, total, freedom, p, marked_pixels(p))
 
 
-def marked(p: Floats) -> Bools:
-    """Which probabilities are so small that about `FALSE_DISCOVERIES` of those marked are by chance; never NaN.
+def marked_pixels(p: Floats) -> Bools:
+    """Which probabilities are so small that about `FALSE_DISCOVERIES` of those marked are by chance; never NaN."""
+    from scipy.stats import false_discovery_control
 
-    Benjamini and Hochberg (1995): those up to the largest that lies below its rank's share.
-    """
-    ordered = np.sort(p[np.isfinite(p)])
-    below = ordered <= FALSE_DISCOVERIES * np.arange(1, ordered.size + 1) / max(ordered.size, 1)
-    return np.asarray(p <= ordered[np.flatnonzero(below)[-1]] if below.any() else np.zeros(p.shape, bool))
+    known = np.isfinite(p)
+    out = np.zeros(p.shape, bool)
+    out[known] = false_discovery_control(p[known]) <= FALSE_DISCOVERIES  # Benjamini and Hochberg (1995)
+    return out
 
 
 def together(difference: Floats, covariance: Floats) -> tuple[Floats, npt.NDArray[np.intp]]:

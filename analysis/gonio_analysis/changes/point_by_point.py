@@ -31,8 +31,7 @@ from gonio.typing import Floats
 from gonio_analysis.changes.resampling import Carried, Known, carry, common_wavelengths, slope_in_plane
 from gonio_analysis.changes.verdict import Verdict, Within, judge, within
 from gonio_analysis.fitting.forward import apparent
-from gonio_analysis.fitting.metrics import metrics
-from gonio_analysis.fitting.objective import scaled_to
+from gonio_analysis.fitting.objective import metrics, scaled_to
 from gonio_analysis.fitting.observations import Observations, describe_left_out, observations, of_reader
 from gonio_analysis.fitting.value_covariance import Covariance
 
@@ -164,7 +163,7 @@ class Change:
 
     @cached_property
     def metrics(self) -> dict[str, float | None]:
-        """How far B is from A (`gonio_analysis.fitting.metrics`)."""
+        """How far B is from A (`gonio_analysis.fitting.objective`)."""
         cosine, known = np.cos(self.at.directions.theta_i), self.covariance
         if known is None:
             return metrics(self.value_b, self.value_a, cosine)

@@ -184,7 +184,7 @@ def fit(
 
     Of a map (gonio reduce --map) every pixel is fitted, without the cones. With --each and no TABLE: very many tables.
     """
-    from gonio_analysis.commands import carried_out, of_many
+    from gonio_analysis.commands import carried_out
     from gonio_analysis.fitting.problem import FitRequest
 
     how = reading(columns, blank)
@@ -207,7 +207,9 @@ def fit(
     )
     wanted = carried_out.Wanted(u_ior, intervals, save, residual, as_json)
     others = {"MORE": more, "--joint": joint}
-    if not of_many.fit(table, each, asked, how, wanted, out=out, dask=dask, materials=materials, others=others):
+    if not carried_out.fit_many(
+        table, each, asked, how, wanted, out=out, dask=dask, materials=materials, others=others
+    ):
         carried_out.fit([str(table), *(more or [])], asked, how, wanted)
 
 

@@ -5,7 +5,7 @@ import sys
 import time
 from pathlib import Path
 
-from gonio.errors import ConfigError
+from gonio.errors import ConfigError, os_error_as
 
 SEED = 1
 
@@ -49,11 +49,9 @@ def _begun(out: Path, *, quick: bool) -> tuple[Path, Path, Path]:
     _clear(out)
     check_writable(out)
     sample, plan = out / "sample.toml", out / "plan.toml"
-    try:
+    with os_error_as(ConfigError, f"{out}: cannot be written"):
         out.mkdir(parents=True, exist_ok=True)
         write_own(out, {sample.name: SAMPLE.encode(), plan.name: (QUICK_PLAN if quick else PLAN).encode()})
-    except OSError as error:
-        raise ConfigError(f"{out}: cannot be written: {error.strerror}") from None
     return sample, plan, out / "run"
 
 
@@ -122,7 +120,7 @@ def _clear(out: Path) -> None:
         raise ConfigError(f"{out}: is a file; --out names a folder")
     if not out.is_dir():
         return
-    try:
+    with os_error_as(ConfigError, f"{out}: cannot be cleared"):
         own = {f"run/{name}": found for name, found in own_files(out / "run").items()}
         foreign = foreign_files(out, own)
         if foreign:
@@ -133,8 +131,6 @@ def _clear(out: Path) -> None:
             )
         if (out / "run").is_dir():
             remove_own(out / "run", own_files(out / "run"))
-    except OSError as error:
-        raise ConfigError(f"{out}: cannot be cleared: {error.strerror}") from None
 
 
 def _say(text: str, *, step: bool = True) -> None:

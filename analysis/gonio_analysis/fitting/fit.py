@@ -27,17 +27,14 @@ from gonio.cli.pace import Say, silent
 from gonio.errors import ArgumentError, ConfigError, DataError
 from gonio.models.parameters import Declaration, Values
 from gonio.typing import Floats
-from gonio_analysis.fitting.angle_zeros import by_model
-from gonio_analysis.fitting.forward import apparent, known_wavelength, pointlike, rho_angles
-from gonio_analysis.fitting.identifiability import tied
+from gonio_analysis.fitting.forward import apparent, by_model, known_wavelength, pointlike, rho_angles
 from gonio_analysis.fitting.misfit import SMALLEST, block_spread, estimated_tau, misfit
 from gonio_analysis.fitting.objective import Objective, objective, on_log_scale, scaled_to, with_misfit
 from gonio_analysis.fitting.observations import DEFAULT_WAVELENGTH_NM, Observations, observations
 from gonio_analysis.fitting.problem import STARTS, Bound, FitRequest, Problem, pose, together
-from gonio_analysis.fitting.profile_likelihood import Interval, walked
+from gonio_analysis.fitting.profile_likelihood import Interval, Near, tied, walked
 from gonio_analysis.fitting.search import covariance, derivatives, refine, search, search_from, settle
 from gonio_analysis.fitting.solution import ROUNDING, Solution, residuals_on_log_scale
-from gonio_analysis.fitting.surrogate import Near
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -104,7 +104,7 @@ class Observations:
     """Which of `parts` each value is from; empty where there is one table."""
     zeros_rad: Mapping[str, float] = field(default_factory=dict)
     """Standard uncertainties [rad] of the arms' zeros by their causes, where the model shall tell what they do
-    (`gonio_analysis.fitting.angle_zeros`)."""
+    (`gonio_analysis.fitting.forward`)."""
     readings_rad: Mapping[str, float] = field(default_factory=dict)
     """The same of the encoders' readings, by the cause of the same arm; with `u_angles`."""
     u_angles: Floats = field(default_factory=lambda: np.zeros(0))

@@ -1,11 +1,19 @@
-"""Profile-likelihood intervals: how far a parameter can go while all others follow as best they can.
+"""How well a fit knows its parameters: profile-likelihood intervals, and what the data cannot tell.
+
+An interval is how far a parameter can go while all others follow as best they can.
 
 A standard error looks at the curvature in one point. Where chi-square is no parabola (a lobe that hides behind the
 noise, an index of refraction near a bound, two parameters that replace each other) an interval has to be walked out:
 the parameter is held, the others are fitted again, and the ends lie where chi-square has risen by 3.84 (95 %).
 
-The small fits use the neighbourhood of the solution (`gonio_analysis.fitting.surrogate`), so that hundreds of them
-cost little.
+The small fits use the neighbourhood of the solution, so that hundreds of them cost little. Near the solution the model
+through the instrument's cones is the quick model (the lobe at the cones' centre, and the spike) times a ratio that
+hardly changes. The ratio is taken from the solution.
+
+What data cannot tell is found from the curvature of chi-square at the solution. Two parameters that replace each other
+leave a valley along which chi-square hardly rises. Its direction is the eigenvector of the covariance with the largest
+variance, on a relative scale for each parameter; what the data do determine is the combination across the valley, as
+sigma0/tau of a very rough surface (He et al. 1991, eq. 78: g >> 1).
 """
 
 from __future__ import annotations
@@ -13,16 +21,106 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from fractions import Fraction
 from typing import TypeVar
 
 import numpy as np
 
+from gonio.checks.values import Rows
 from gonio.models.parameters import Values
-from gonio.shown import interval
+from gonio.shown import interval, with_u
 from gonio.typing import Floats
 from gonio_analysis.fitting import parameters
+from gonio_analysis.fitting.forward import apparent
+from gonio_analysis.fitting.search import refine, to_full
 from gonio_analysis.fitting.solution import ROUNDING, Solution
-from gonio_analysis.fitting.surrogate import Near
+
+
+class Near:
+    """The model of a fit for values of its parameters near the fitted ones, over all or some of its data."""
+
+    def __init__(self, result: Solution, rows: Rows | None = None) -> None:
+        self.problem, self.data, self.goal = result.problem, result.data, result.goal
+        predicted = result.predicted
+        if rows is not None:
+            self.data, self.goal, predicted = self.data.take(rows), self.goal.take(rows), predicted[rows]
+        self._ratio = to_full(predicted, apparent(result.model, self.data, quick=True))
+
+    def predicted(self, vector: Floats) -> Floats:
+        """The model [1/sr] at a point of the search scale."""
+        return apparent(self.problem.model(vector), self.data, quick=True) * self._ratio
+
+    def cost(self, vector: Floats) -> float:
+        """What `refit` makes small: the sum of squares (or of the losses), priors included."""
+        white = self.goal.residual(self.predicted(vector))
+        return self.goal.total(np.concatenate([white, self.problem.pulls(vector)]))
+
+    def refit(self, start: Floats, free: Rows, *, limit: int = 30) -> tuple[Floats, float]:
+        """The best point with only the parameters `free` moving, and its sum of squares."""
+        if free.size == 0:
+            return start, self.cost(start)
+        x, half = refine(
+            self.problem, self.data, self.goal, start, quick=True, limit=limit, free=free, ratio=self._ratio
+        )
+        return x, 2.0 * half
+
+
+POOR = 0.05
+"""Relative standard error above which a parameter counts as poorly known."""
+MOST = 8.0
+"""Ratio of relative errors beyond which a product of powers says nothing that the better known one does not."""
+TIED = 0.98
+"""Correlation above which two parameters count as tied."""
+
+
+def tied(names: tuple[str, ...], values: Floats, covariance: Floats) -> list[str]:
+    """Sentences about pairs of parameters that are tied, and about what is known of them nevertheless.
+
+    Parameters
+    ----------
+    names, values
+        Fitted parameters.
+    covariance
+        Theirs; infinite or zero entries belong to parameters that the data do not see.
+    """
+    u = np.sqrt(np.diag(covariance))
+    out = []
+    for i, a in enumerate(names):
+        for j, b in enumerate(names[:i]):
+            if not (np.isfinite(u[[i, j]]).all() and u[i] > 0 and u[j] > 0 and values[i] != 0 and values[j] != 0):
+                continue
+            r = float(covariance[i, j] / (u[i] * u[j]))
+            if abs(r) <= TIED:
+                continue
+            relative = float(u[i] / abs(values[i])), float(u[j] / abs(values[j]))
+            poor = max(relative) > POOR
+            text = f"{b} and {a} " + ("can hardly be told apart by these data" if poor else "are strongly correlated")
+            text += f" (correlation {r:+.4f})"
+            known = _combination((b, a), (values[j], values[i]), (relative[1], relative[0]), r)
+            if known:
+                text += f"; {'what they determine is' if poor else 'better known than either is'} {known}"
+            out.append(text + ".")
+    return out
+
+
+def _combination(names: tuple[str, str], values: tuple[float, float], u: tuple[float, float], r: float) -> str:
+    """The best known product of powers of two parameters, with its standard error; "" where none is better known."""
+    # d ln a and d ln b move together in the ratio u_a : sign u_b; a^p b^q stays where p u_a + q sign u_b = 0
+    ratio = u[0] / u[1]
+    if not 1 / MOST <= ratio <= MOST:
+        return ""
+    power = Fraction(ratio).limit_denominator(4)
+    p, q = (1.0, -math.copysign(float(power), r)) if power > 0 else (1.0, -math.copysign(ratio, r))
+    if power > 0 and abs(float(power) - ratio) > 0.1 * ratio:
+        q = -math.copysign(ratio, r)
+    spread = math.sqrt(max((p * u[0]) ** 2 + (q * u[1]) ** 2 + 2 * p * q * r * u[0] * u[1], 0.0))
+    if spread > 0.5 * min(1.0, *u):  # of a half, and more, nothing is determined
+        return ""
+    value = values[0] ** p * abs(values[1]) ** q
+    exponent = "" if abs(q) == 1.0 else f"^{abs(q):.3g}"
+    sign = "/" if q < 0 else " "
+    return f"{names[0]}{sign}{names[1]}{exponent} = {with_u(value, spread * abs(value))}"
+
 
 Found = TypeVar("Found", bound=Solution)
 LEVEL = 0.95

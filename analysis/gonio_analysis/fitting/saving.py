@@ -10,7 +10,7 @@ import numpy as np
 from gonio import disk
 from gonio.config import numbers_in, to_toml
 from gonio.documents import TomlTable
-from gonio.errors import ConfigError
+from gonio.errors import ConfigError, os_error_as
 from gonio.models import Corrected
 from gonio.typing import Floats
 from gonio_analysis.fitting.fit import FitResult
@@ -83,10 +83,8 @@ def save(result: FitResult, path: Path, *, name: str, source: str, residual: boo
         tables["uncertainty"] = uncertainty
     at = "" if math.isnan(result.wavelength_nm) else f" at {result.wavelength_nm:g} nm"
     head = " ".join(f"{result.name}, fitted to {source}{at}: {result.verdict}".split())
-    try:
+    with os_error_as(ConfigError, f"--save {path}: cannot be written"):
         disk.write_whole(path, f"# {head}\n{to_toml(tables)}".encode())
-    except OSError as error:
-        raise ConfigError(f"--save {path}: cannot be written: {error.strerror or error}") from None
 
 
 def _parameters(result: FitResult, vector: Floats) -> TomlTable:

@@ -11,7 +11,7 @@ from pathlib import Path
 import gonio
 from gonio import measurement
 from gonio.disk import require_name, write_whole
-from gonio.errors import ConfigError, GonioError
+from gonio.errors import ConfigError, GonioError, os_error_as
 from gonio.formats import own_columns
 from gonio.measurement import Reading, meta_path
 from gonio_analysis.fitting.fit import FitResult
@@ -102,7 +102,7 @@ def make(where: str, out: Path, asked: FitRequest, how: Reading, *, dask: str | 
             done.setdefault((row["table"], row["sha256"]), []).append(row)
     jobs = [_Job(one, _digest(one), asked, how, settings) for one in tables]
     todo = [job for job in jobs if (job.table, job.digest) not in done]
-    try:
+    with os_error_as(ConfigError, f"{out}: cannot be written"):
         write_whole(
             part, _csv(names, [row for job in jobs for row in done.get((job.table, job.digest), ())], head=True)
         )
@@ -114,8 +114,6 @@ def make(where: str, out: Path, asked: FitRequest, how: Reading, *, dask: str | 
         every = [row for job in jobs for row in done[job.table, job.digest]]
         write_whole(out, _csv(names, every, head=True))
         part.unlink()
-    except OSError as error:
-        raise ConfigError(f"{out}: cannot be written: {error.strerror or error}") from None
     return Outcome(every, len(jobs) - len(todo))
 
 

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from gonio.typing import Floats
-from gonio_analysis.curves.line import Line
+from gonio_analysis.curves.in_plane import Line
 from gonio_analysis.plots.style import FAINT, INK
 
 

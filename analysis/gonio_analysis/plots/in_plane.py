@@ -12,7 +12,7 @@ from typing import Any, TypedDict
 import numpy as np
 
 from gonio.typing import Floats
-from gonio_analysis.curves.line import Line
+from gonio_analysis.curves.in_plane import Line
 from gonio_analysis.plots.half_disc import _half_disc, _radial_bars, xy
 from gonio_analysis.plots.style import FAINT, INK
 

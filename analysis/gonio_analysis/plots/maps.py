@@ -15,7 +15,7 @@ import numpy.typing as npt
 from gonio import geometry
 from gonio.geometry import FARTHEST
 from gonio.typing import Floats, Ints
-from gonio_analysis.curves.line import Line
+from gonio_analysis.curves.in_plane import Line
 from gonio_analysis.fitting.observations import Observations
 from gonio_analysis.plots.in_plane import angle_axis, bars_above_0, log_axis, style
 from gonio_analysis.plots.style import FAINT, INK

@@ -7,8 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gonio.typing import Floats, Ints
-from gonio_analysis.curves.in_plane import Curve
-from gonio_analysis.curves.line import Line
+from gonio_analysis.curves.in_plane import Curve, Line
 from gonio_analysis.plots.half_disc import xy
 
 CELL_PT = 1.3

@@ -14,28 +14,17 @@ from gonio.measurement import Reading
 from gonio.models.parameters import Ior
 from gonio_analysis.curves.in_plane import Normalise
 from gonio_analysis.fitting.observations import of_reader, said_once
-from gonio_analysis.report import (
-    detail,
-    figures,
-    files,
-    html,
-    page,
-    pdf,
-    tables,
-    transmission,
-    viewer,
-)
+from gonio_analysis.report import beyond_reflection, detail, figures, files, html, page, pdf, viewer
 from gonio_analysis.report.comparison import summarise
-from gonio_analysis.report.drawing import FigureWorkers, figure_workers
-from gonio_analysis.report.drawings import Drawing
+from gonio_analysis.report.drawing import Drawing, FigureWorkers, figure_workers
 from gonio_analysis.report.facts import DatasetSummary, Summary
 from gonio_analysis.report.sections import SECTIONS
 from gonio_analysis.result_records import RunFacts
 from gonio_analysis.selection import parallel
+from gonio_analysis.selection.beyond_reflection import Transmitted, transmitted
 from gonio_analysis.selection.choice import candidates
 from gonio_analysis.selection.compare import Dataset, check_models, examine
 from gonio_analysis.selection.run_record import run_facts
-from gonio_analysis.selection.transmission import Transmitted, transmitted
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -219,14 +208,14 @@ def write(
     progress("drawing")
     slugs = page.slugs_of_transmission(summary)
     groups = _drawings(both)
-    groups += [transmission.draw(t, (), slug) for t, slug in zip(transmission_only, slugs, strict=True)]
+    groups += [beyond_reflection.draw(t, (), slug) for t, slug in zip(transmission_only, slugs, strict=True)]
     wanted = [drawing for group in groups for drawing in group]
     room, listed = viewer.BYTES // max(len(datasets), 1), list[str]()
     views: list[viewer.View | None] = []
 
     def views_and_tables() -> None:
         views.extend(viewer.viewer(d, facts, normalise, room) if d.curves else None for d, facts in both)
-        listed.extend(tables.write(datasets, summary, views, folder / "tables"))
+        listed.extend(files.write_tables(datasets, summary, views, folder / "tables"))
 
     rest = iter(every := (workers or FigureWorkers()).draw(wanted, progress, views_and_tables))
     summary = replace(summary, figures=wanted, tables=listed)

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from importlib.metadata import version
 from typing import Any, Literal, TypedDict
 
-from gonio_analysis.report.drawings import Figure
+from gonio_analysis.report.drawing import Figure
 from gonio_analysis.report.text import cut, glued
 from gonio_analysis.report.viewer import View
 

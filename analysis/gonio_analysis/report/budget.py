@@ -14,7 +14,7 @@ from gonio_analysis.plots import in_plane
 from gonio_analysis.plots.in_plane import COLOURS, clean
 from gonio_analysis.plots.style import FAINT
 from gonio_analysis.report.blocks import MOST_ROWS, Block, Figures, Heading, Notes, Paragraph, strong, table
-from gonio_analysis.report.drawings import Drawing, Figure
+from gonio_analysis.report.drawing import Drawing, Figure
 from gonio_analysis.report.facts import DatasetSummary
 from gonio_analysis.report.figures import LEGEND_ROW_IN, key
 from gonio_analysis.report.section import Figures as ByKind

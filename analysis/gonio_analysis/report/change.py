@@ -12,7 +12,7 @@ from gonio_analysis.changes.point_by_point import Change, Compared, compared, si
 from gonio_analysis.changes.resampling import RowsAt
 from gonio_analysis.changes.verdict import FALSE_DISCOVERIES, LEVEL, Verdict, Within
 from gonio_analysis.curves.in_plane import Curve, curves, labels, selection
-from gonio_analysis.fitting.metrics import DESCRIPTIONS, meaning
+from gonio_analysis.fitting.objective import DESCRIPTIONS, meaning
 from gonio_analysis.fitting.observations import Observations, describe_left_out, said_once
 from gonio_analysis.plots import thinning
 from gonio_analysis.report import change_figures, files, html, viewer
@@ -36,10 +36,9 @@ from gonio_analysis.report.blocks import (
     stamp,
     table,
 )
-from gonio_analysis.report.drawing import FigureWorkers, figure_workers
-from gonio_analysis.report.drawings import Figure
+from gonio_analysis.report.drawing import Figure, FigureWorkers, figure_workers
+from gonio_analysis.report.files import ROWS_AT_ONCE, write_columns, write_csv
 from gonio_analysis.report.page import MOST_BYTES
-from gonio_analysis.report.tables import ROWS_AT_ONCE, write_columns, write_csv
 from gonio_analysis.report.text import number, percent, spoken_difference, with_u
 from gonio_analysis.result_records import RunFacts, finite
 from gonio_analysis.selection.run_record import run_facts

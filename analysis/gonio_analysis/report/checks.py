@@ -15,7 +15,7 @@ from gonio_analysis.curves.in_plane import evenly
 from gonio_analysis.plots.in_plane import COLOURS, clean
 from gonio_analysis.plots.style import FAINT
 from gonio_analysis.report.blocks import Block, Figures, Heading, Notes, Paragraph, Table, Text, strong, table
-from gonio_analysis.report.drawings import Drawing, Figure
+from gonio_analysis.report.drawing import Drawing, Figure
 from gonio_analysis.report.section import Section
 from gonio_analysis.report.text import angle, number, with_u
 from gonio_analysis.result_records import ChecksSummary, Reflectance

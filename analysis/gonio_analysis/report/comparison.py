@@ -11,7 +11,7 @@ import numpy as np
 from gonio import shown
 from gonio.geometry import AT_MIRROR, IN_PLANE
 from gonio_analysis.appearance.quantities import of_table
-from gonio_analysis.fitting.metrics import BELOW, DESCRIPTIONS
+from gonio_analysis.fitting.objective import BELOW, DESCRIPTIONS
 from gonio_analysis.fitting.observations import describe_left_out
 from gonio_analysis.report import checks, verdict
 from gonio_analysis.report.blocks import stamp

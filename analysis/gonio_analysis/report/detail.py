@@ -9,12 +9,11 @@ import numpy as np
 from gonio import geometry
 from gonio.geometry import Directions, groups
 from gonio.typing import Floats, Ints
-from gonio_analysis.curves.in_plane import Curve, evenly, labels
-from gonio_analysis.curves.line import Line
+from gonio_analysis.curves.in_plane import Curve, Line, evenly, labels
 from gonio_analysis.fitting.forward import NO_WAVELENGTH_NM, seen
 from gonio_analysis.fitting.profile_likelihood import Interval, rise
 from gonio_analysis.plots import diagnostics, in_plane, maps, style, thinning
-from gonio_analysis.report.drawings import Drawing
+from gonio_analysis.report.drawing import Drawing
 from gonio_analysis.report.facts import DatasetSummary
 from gonio_analysis.report.figures import LEGEND_ROW_IN, PANEL_PT, SEEN, bars, budget_height, largest
 from gonio_analysis.report.text import cause, number, unit

@@ -7,7 +7,7 @@ from typing import Any
 from gonio import shown
 from gonio.checks.symmetry import Pairs
 from gonio.formats.reader import TableBand
-from gonio_analysis.report.drawings import Drawing
+from gonio_analysis.report.drawing import Drawing
 from gonio_analysis.result_records import (
     WHERE_KNOWN,
     Appearance,
@@ -17,10 +17,9 @@ from gonio_analysis.result_records import (
     Reflectance,
     RunFacts,
 )
+from gonio_analysis.selection.beyond_reflection import Polarisation, Transmitted
 from gonio_analysis.selection.choice import Choice
 from gonio_analysis.selection.compare import Fitted
-from gonio_analysis.selection.polarisation import Polarisation
-from gonio_analysis.selection.transmission import Transmitted
 
 
 @dataclass(frozen=True)

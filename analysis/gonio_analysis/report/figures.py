@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from gonio.typing import Floats
-from gonio_analysis.curves.line import Line
+from gonio_analysis.curves.in_plane import Line
 from gonio_analysis.plots import diagnostics, in_plane, style, thinning
-from gonio_analysis.report.drawings import Drawing
+from gonio_analysis.report.drawing import Drawing
 from gonio_analysis.report.facts import DatasetSummary
 from gonio_analysis.report.text import cause, number, percent, slug
 from gonio_analysis.selection.compare import Dataset, Fitted

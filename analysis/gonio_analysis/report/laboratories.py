@@ -11,7 +11,7 @@ from gonio.measurement import Reading
 from gonio_analysis.changes.consensus import METHODS, Consensus
 from gonio_analysis.changes.laboratories import LEVEL, Comparison, Laboratory, compared
 from gonio_analysis.changes.point_by_point import side
-from gonio_analysis.report import files, laboratories_figures
+from gonio_analysis.report import change_figures, files
 from gonio_analysis.report.blocks import (
     Figures,
     Footer,
@@ -29,9 +29,8 @@ from gonio_analysis.report.blocks import (
     stamp,
     table,
 )
-from gonio_analysis.report.drawing import figure_workers
-from gonio_analysis.report.drawings import Figure
-from gonio_analysis.report.tables import write_columns
+from gonio_analysis.report.drawing import Figure, figure_workers
+from gonio_analysis.report.files import write_columns
 from gonio_analysis.report.text import number, percent, with_u
 
 FIGURES = 5
@@ -96,7 +95,7 @@ def make(
         sides = [replace(side(spec, how, u_rel), name=name) for spec, name in zip(specs, names(specs), strict=True)]
         found = compared(sides, shared or {}, wavelength_nm=wavelength_nm, say=progress)
         progress(conclusion(found))
-        drawn = workers.draw(laboratories_figures.draw(found), progress)
+        drawn = workers.draw(change_figures.draw_laboratories(found), progress)
         last = {"figures": drawn, "tables": _write_tables(found, stage.work / "tables")}
         made = stamp(command)
         files.write_page(stage.work, _page(found, made, drawn), {**_summary(found, made), **last}, drawn, printed=True)

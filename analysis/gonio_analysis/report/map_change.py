@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from gonio_analysis.changes.pixel_by_pixel import FALSE_DISCOVERIES, MapChange, ParameterChange, change
-from gonio_analysis.report import files, map_figures
+from gonio_analysis.changes.pixel_by_pixel import MapChange, ParameterChange, change
+from gonio_analysis.changes.verdict import FALSE_DISCOVERIES
+from gonio_analysis.report import files, map_layers
 from gonio_analysis.report.blocks import (
     Block,
     Figures,
@@ -25,10 +26,9 @@ from gonio_analysis.report.blocks import (
     stamp,
     table,
 )
-from gonio_analysis.report.drawing import figure_workers
-from gonio_analysis.report.drawings import Drawing, Figure
+from gonio_analysis.report.drawing import Drawing, Figure, figure_workers
+from gonio_analysis.report.files import write_columns, write_csv
 from gonio_analysis.report.map_layers import Grid, Real, block_medians, facts_of_grid, labelled
-from gonio_analysis.report.tables import write_columns, write_csv
 from gonio_analysis.report.text import number, percent, with_u
 
 FIGURES = 6
@@ -147,12 +147,12 @@ def _drawings(c: MapChange) -> list[Drawing]:
     grid = Grid(c.x_mm, c.y_mm)
     kind = np.where(c.freedom == 0, -1, c.changed.astype(np.intp))
     words = "Changed: pixels whose parameters together changed. Grey: nothing to compare."
-    out = [map_figures.kinds(grid, "changed", words, kind, ["not changed", "changed"])]
+    out = [map_layers.kinds(grid, "changed", words, kind, ["not changed", "changed"])]
     for x in c.parameters:
         name = labelled(x.name, "")
         caption = f"Change of {name}: (B - A) in standard deviations of the difference; colours end at ±{TOP:g}."
         picture = block_medians(grid, x.z)
-        out.append(map_figures.signed(grid, f"z-{x.name}", caption.replace(" - ", " − "), picture, f"z of {name}", TOP))
+        out.append(map_layers.signed(grid, f"z-{x.name}", caption.replace(" - ", " − "), picture, f"z of {name}", TOP))
     return out
 
 

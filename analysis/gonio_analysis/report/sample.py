@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from gonio import geometry
 from gonio.checks.symmetry import Pairs
 from gonio.formats.reader import TableBand
-from gonio_analysis.fitting.metrics import meaning as meaning_of_metric
+from gonio_analysis.fitting.objective import meaning as meaning_of_metric
 from gonio_analysis.fitting.solution import Estimate
-from gonio_analysis.report import blocks, model_choice
+from gonio_analysis.report import blocks, verdict
 from gonio_analysis.report.blocks import (
     Block,
     Facts,
@@ -27,7 +27,7 @@ from gonio_analysis.report.blocks import (
     strong,
     table,
 )
-from gonio_analysis.report.drawings import Figure
+from gonio_analysis.report.drawing import Figure
 from gonio_analysis.report.facts import DatasetSummary, Summary
 from gonio_analysis.report.sections import SECTIONS
 from gonio_analysis.report.text import angle, cause, difference, number, percent, reasons, with_u
@@ -68,7 +68,7 @@ def section(s: Summary, d: DatasetSummary, figures: Sequence[Figure], view: View
         Heading(3, what),
         _facts(d),
         notes(d.notes),
-        *model_choice.section(d.choice, d.wavelength_nm if shared else None),
+        *verdict.which_model(d.choice, d.wavelength_nm if shared else None),
         *([Heading(3, "Models"), _models(d)] if d.models else [Heading(3, values), _values(d)]),
         Notes(tuple((strong(m), f" was not fitted: {why}") for m, why in skipped.items())),
         *_energy(d),
@@ -148,7 +148,7 @@ def _models(d: DatasetSummary) -> Table:
         [
             name,
             fitted_words(d, name, f),
-            model_choice.misfit_words(f.fit.tau),
+            verdict.misfit_words(f.fit.tau),
             number(f.fit.reduced_chi_square) + " (assumed u)" * (f.fit.data.u_rel_assumed is not None),
             difference(f.metrics["log_ratio"]),
             f.fit.verdict.partition("; it ")[0] + "; ⚠ reflects more than it receives" * f.reflects_too_much,
@@ -159,7 +159,7 @@ def _models(d: DatasetSummary) -> Table:
     chi = "reduced χ²" if together is None else f"reduced χ², {len(together.wavelengths_nm)} wavelengths together"
     note = "● marks the model that the first line names. " if any(marks) else ""
     if any(f.fit.tau is not None for f in d.models.values()):
-        note += f"{model_choice.TAU} "
+        note += f"{verdict.TAU} "
     return table(
         note + "Typical difference: rms of ln(model / measured).",
         ["model", "fitted parameters", "misfit tau", chi, "typical difference", "verdict"],
@@ -301,7 +301,7 @@ def _value(d: DatasetSummary, model: str, parameter: str, e: Estimate) -> str:
     i = d.choice.intervals.get(parameter) if d.choice.named and model == d.choice.named.candidate.label else None
     # an interval is of the choice, at one wavelength alone
     if i is not None and d.models[model].fit.shared is None and not d.choice.linear(parameter):
-        value, ends = model_choice.in_words(i, e.value)
+        value, ends = verdict.in_words(i, e.value)
         return f"{value} ({100 * i.level:g} % interval {ends})"
     return with_u(e.value, 0.0 if e.fixed else e.u)
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from gonio_analysis.report.blocks import Block
-from gonio_analysis.report.drawings import Drawing, Figure
+from gonio_analysis.report.drawing import Drawing, Figure
 
 if TYPE_CHECKING:
     from gonio_analysis.report.facts import DatasetSummary

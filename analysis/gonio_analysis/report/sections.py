@@ -1,23 +1,14 @@
 """The parts that a sample's page ends with, in their order. To add one: its file, and its name here."""
 
-from gonio_analysis.report import (
-    appearance,
-    budget,
-    checks,
-    health,
-    polarisation,
-    sessions,
-    transmission,
-    wavelengths,
-)
+from gonio_analysis.report import appearance, beyond_reflection, budget, checks, health, wavelengths
 
 SECTIONS = (
-    transmission.SECTION,
-    polarisation.SECTION,
+    beyond_reflection.TRANSMISSION,
+    beyond_reflection.POLARISATION,
     appearance.SECTION,
     checks.SECTION,
     budget.SECTION,
     wavelengths.SECTION,
-    sessions.SECTION,
+    health.SESSIONS,
     health.SECTION,
 )

@@ -36,10 +36,10 @@ from gonio_analysis.selection.judging import (
     _near,
     _reject,
     _tested,
+    blocks,
     deviance,
     nearness,
 )
-from gonio_analysis.selection.misfit_regions import blocks
 from gonio_analysis.selection.parallel import Share, here
 
 BEYOND = 2

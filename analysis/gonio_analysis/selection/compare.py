@@ -21,21 +21,18 @@ from gonio.errors import ConfigError, DataError
 from gonio.measurement import is_simulated
 from gonio.models.parameters import Ior
 from gonio.typing import Floats
-from gonio_analysis.curves.in_plane import NORM_WORDS, Curve, Norm, Normalise, curves, labels, norm, selection
-from gonio_analysis.curves.line import Line
+from gonio_analysis.curves.in_plane import NORM_WORDS, Curve, Line, Norm, Normalise, curves, labels, norm, selection
 from gonio_analysis.fitting import energy, parameters
 from gonio_analysis.fitting.fit import FitResult, fit
-from gonio_analysis.fitting.metrics import metrics
+from gonio_analysis.fitting.objective import metrics
 from gonio_analysis.fitting.observations import Observations, observations
 from gonio_analysis.fitting.spectrum import MOST_WAVELENGTHS, fit_shared, shares
 from gonio_analysis.result_records import Reflectance, RunFacts
 from gonio_analysis.selection import parallel
+from gonio_analysis.selection.beyond_reflection import Polarisation, Transmitted, polarisation, transmitted
 from gonio_analysis.selection.choice import Choice, candidates, choose
-from gonio_analysis.selection.judging import DECISIVE, Judged, deviance
-from gonio_analysis.selection.misfit_regions import Region, farthest
+from gonio_analysis.selection.judging import DECISIVE, Judged, Region, deviance, farthest
 from gonio_analysis.selection.parallel import Share
-from gonio_analysis.selection.polarisation import Polarisation, polarisation
-from gonio_analysis.selection.transmission import Transmitted, transmitted
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -15,7 +15,7 @@ from typing import Any
 
 from gonio_analysis.report import html
 from gonio_analysis.report.blocks import Page
-from gonio_analysis.report.drawings import Figure
+from gonio_analysis.report.drawing import Figure
 from gonio_analysis.result_records import as_json
 from gonio_analysis.selection import parallel
 

@@ -24,7 +24,7 @@ from gonio_analysis.report.blocks import (
     stamp,
     table,
 )
-from gonio_analysis.report.drawings import Figure, rendered
+from gonio_analysis.report.drawing import Figure, rendered
 from gonio_analysis.report.text import percent
 from gonio_analysis.selection.choice import candidates, choose
 

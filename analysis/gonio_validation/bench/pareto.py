@@ -6,7 +6,7 @@ from typing import Any
 
 from gonio_analysis.plots.in_plane import COLOURS
 from gonio_analysis.plots.style import INK
-from gonio_analysis.report.drawings import Figure, rendered
+from gonio_analysis.report.drawing import Figure, rendered
 
 from gonio_validation.bench.page import plain_axes
 from gonio_validation.bench.quantity import QuantitySummary, Set, WaySummary

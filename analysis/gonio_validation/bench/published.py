@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 from gonio_analysis.report.blocks import MOST_ROWS, Block, Figures, Heading, Paragraph, table
-from gonio_analysis.report.drawings import Figure, rendered
+from gonio_analysis.report.drawing import Figure, rendered
 from gonio_analysis.report.text import percent
 
 from gonio.errors import ArgumentError, DataError

@@ -13,7 +13,7 @@ from gonio_analysis.report.blocks import (
     section,
     table,
 )
-from gonio_analysis.report.drawings import Figure
+from gonio_analysis.report.drawing import Figure
 from gonio_analysis.report.text import number, slug
 
 from gonio.documents import JsonObject

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 from gonio_analysis.report import files
-from gonio_analysis.report.tables import write_csv
+from gonio_analysis.report.files import write_csv
 from gonio_scenes import mitsuba, picture
 from gonio_scenes.render import Picture, render
 from gonio_scenes.scene import Scene, SceneFile, build

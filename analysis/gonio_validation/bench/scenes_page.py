@@ -5,7 +5,7 @@ from typing import Any
 from gonio_analysis.plots.in_plane import COLOURS
 from gonio_analysis.plots.style import FAINT
 from gonio_analysis.report.blocks import Block, Figures, Footer, Heading, Page, Paragraph, code, section
-from gonio_analysis.report.drawings import Figure, rendered
+from gonio_analysis.report.drawing import Figure, rendered
 from gonio_analysis.report.text import number, percent
 
 from gonio.documents import JsonObject

@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from gonio_analysis.report import files
-from gonio_analysis.report.tables import write_csv
+from gonio_analysis.report.files import write_csv
 
 from gonio.documents import JsonObject
 from gonio_validation.bench import accuracy, evaluators, hard_cases, pareto, peers, results_page, timing

@@ -8,7 +8,7 @@ from typing import Any
 from gonio_analysis.plots.in_plane import COLOURS
 from gonio_analysis.plots.style import INK
 from gonio_analysis.report.blocks import Block, Figures, Footer, Page, Paragraph, code
-from gonio_analysis.report.drawings import Figure, rendered
+from gonio_analysis.report.drawing import Figure, rendered
 from gonio_analysis.report.text import number
 
 from gonio.documents import JsonObject

@@ -23,8 +23,8 @@ from gonio_analysis.report.blocks import (
     strong,
     table,
 )
-from gonio_analysis.report.drawings import Figure, rendered
-from gonio_analysis.report.tables import write_csv
+from gonio_analysis.report.drawing import Figure, rendered
+from gonio_analysis.report.files import write_csv
 
 from gonio.documents import JsonObject
 from gonio_validation.papers.figure import COLUMNS, ORIGINS, PaperFigure

@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from gonio_analysis.curves.line import Line
+from gonio_analysis.curves.in_plane import Line
 from gonio_analysis.report.text import number
 
 from gonio.typing import Floats

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from gonio_analysis.curves.line import Line
+from gonio_analysis.curves.in_plane import Line
 from gonio_analysis.plots import in_plane, style
 
 from gonio import geometry

@@ -6,7 +6,7 @@ from typing import Any, Literal
 
 import numpy as np
 import pytest
-from gonio_analysis.appearance import sampled, sampled_hemisphere
+from gonio_analysis.appearance import quantities, sampled
 from gonio_analysis.appearance.glossmeter import GLOSSMETERS, gloss
 from gonio_analysis.appearance.of_models import _mean, of_fit, of_model, of_sample
 from gonio_analysis.appearance.quantities import of_table
@@ -344,7 +344,7 @@ def test_gradient_of_gloss(around: bool) -> None:
 
 def test_gradient_of_a_reflectance_is_exact() -> None:
     data = observations(measured(PAINT, hemisphere(8.0)))
-    (found,) = sampled_hemisphere.reflectances(data).values()
+    (found,) = quantities.reflectances(data).values()
     assert isinstance(found, sampled.Sampled)
     assert found.value == pytest.approx(float(found.gradient @ data.brdf), rel=1e-12)  # linear in every value
 
@@ -356,9 +356,9 @@ def test_reflectance_at_8_degrees_is_that_of_an_even_function_of_the_angle_betwe
         rho = {t: 0.3 + 1e-4 * t**2 for t in degrees}
         return {np.radians(t): sampled.Sampled(r, np.array([r, 1.0]), 0.001) for t, r in rho.items()}
 
-    mixed = sampled_hemisphere.reflectance_at_8(known(2.0, 20.0, 60.0))
+    mixed = quantities.reflectance_at_8(known(2.0, 20.0, 60.0))
     assert mixed.value == mixed.gradient[0] == pytest.approx(0.3 + 1e-4 * 64.0)
     assert mixed.error == pytest.approx(0.001 + 1e-4 * (400.0 - 4.0) / 4.0), "a quarter of what lies between"
-    assert sampled_hemisphere.reflectance_at_8(known(2.0, 10.4, 20.0)).value == pytest.approx(0.3 + 1e-4 * 10.4**2)
+    assert quantities.reflectance_at_8(known(2.0, 10.4, 20.0)).value == pytest.approx(0.3 + 1e-4 * 10.4**2)
     with pytest.raises(sampled.NotMeasured):
-        sampled_hemisphere.reflectance_at_8(known(2.0, 31.0))
+        quantities.reflectance_at_8(known(2.0, 31.0))

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from gonio_analysis.changes.pixel_by_pixel import FALSE_DISCOVERIES, change, marked, together
+from gonio_analysis.changes.pixel_by_pixel import change, marked_pixels, together
+from gonio_analysis.changes.verdict import FALSE_DISCOVERIES
 from scipy.stats import false_discovery_control
 
 from gonio.errors import DataError
@@ -70,8 +71,8 @@ def test_what_is_marked_is_what_scipy_marks(share: float) -> None:
     p = rng.random((50, 40)) * np.where(rng.random((50, 40)) < share, 1e-3, 1.0)
     p[3] = np.nan
     wanted = false_discovery_control(p[np.isfinite(p)]) <= FALSE_DISCOVERIES
-    np.testing.assert_array_equal(marked(p)[np.isfinite(p)], wanted)
-    assert not marked(p)[3].any()
+    np.testing.assert_array_equal(marked_pixels(p)[np.isfinite(p)], wanted)
+    assert not marked_pixels(p)[3].any()
 
 
 def test_correlations_count() -> None:

@@ -17,7 +17,7 @@ from gonio_analysis.changes.verdict import judge
 from gonio_analysis.fitting.observations import observations
 from gonio_analysis.fitting.value_covariance import Covariance
 from gonio_analysis.report import change_figures
-from gonio_analysis.report.drawings import Drawing
+from gonio_analysis.report.drawing import Drawing
 from scipy.special import ndtri
 
 from gonio import measurement

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
-from gonio_analysis.fitting.angle_zeros import by_model
 from gonio_analysis.fitting.fit import fit
+from gonio_analysis.fitting.forward import by_model
 from gonio_analysis.fitting.observations import observations
 
 from gonio import models

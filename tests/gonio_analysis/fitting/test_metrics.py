@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from gonio_analysis.fitting.metrics import DESCRIPTIONS, meaning, metrics
+from gonio_analysis.fitting.objective import DESCRIPTIONS, meaning, metrics
 
 from tests.gonio_analysis.synthetic import known
 

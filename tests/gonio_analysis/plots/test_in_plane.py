@@ -5,7 +5,7 @@ from typing import Any
 import matplotlib
 import numpy as np
 import pytest
-from gonio_analysis.curves.line import Line
+from gonio_analysis.curves.in_plane import Line
 from gonio_analysis.plots import diagnostics, half_disc, in_plane
 from matplotlib.artist import Artist
 from matplotlib.figure import Figure

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from gonio_analysis.curves.line import Line
+from gonio_analysis.curves.in_plane import Line
 from gonio_analysis.fitting.observations import observations
 from gonio_analysis.fitting.profile_likelihood import Interval
 from gonio_analysis.plots import diagnostics, maps

@@ -15,13 +15,12 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from gonio_analysis.curves.line import Line
+from gonio_analysis.curves.in_plane import Line
 from gonio_analysis.fitting.observations import observations
 from gonio_analysis.plots import thinning
 from gonio_analysis.report import change, drawing, html, make, page, viewer
 from gonio_analysis.report.blocks import Figures, section
-from gonio_analysis.report.drawing import figure_workers
-from gonio_analysis.report.drawings import Drawing, Figure
+from gonio_analysis.report.drawing import Drawing, Figure, figure_workers
 from gonio_analysis.report.text import glued
 from gonio_analysis.result_records import as_json
 from gonio_analysis.selection.choice import Choice, choose

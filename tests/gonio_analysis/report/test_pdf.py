@@ -26,7 +26,7 @@ from gonio_analysis.report.blocks import (
     strong,
     table,
 )
-from gonio_analysis.report.drawings import Figure
+from gonio_analysis.report.drawing import Figure
 from gonio_analysis.report.viewer import View
 
 

@@ -9,7 +9,7 @@ import pytest
 from gonio_analysis import report
 from gonio_analysis.report import sample, sections
 from gonio_analysis.report.blocks import Block, Figures, Heading, Paragraph
-from gonio_analysis.report.drawings import Drawing
+from gonio_analysis.report.drawing import Drawing
 from gonio_analysis.report.facts import DatasetSummary
 from gonio_analysis.report.section import Figures as ByKind
 from gonio_analysis.report.section import Section

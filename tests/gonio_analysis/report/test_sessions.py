@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from gonio_analysis.report import make, sessions
+from gonio_analysis.report import health, make
 from gonio_analysis.result_records import RunFacts
 from gonio_analysis.selection.run_record import run_facts
 
@@ -86,11 +86,11 @@ def test_the_page_shows_them(folder: Path, tmp_path: Path) -> None:
 
 
 def test_a_run_of_one_session_says_nothing_of_it(facts: RunFacts) -> None:
-    assert sessions.section(replace(facts, sessions=facts.sessions[:1])) == []
-    assert sessions.section(None) == []
+    assert health.sessions_section(replace(facts, sessions=facts.sessions[:1])) == []
+    assert health.sessions_section(None) == []
 
 
 def test_a_session_over_midnight_and_one_that_was_killed(facts: RunFacts) -> None:
     one = replace(facts.sessions[0], ended="2026-03-03T06:10:00.000Z", ending="no word of an end", levels=[])
-    said = repr(sessions.section(replace(facts, sessions=[one, facts.sessions[2]])))
+    said = repr(health.sessions_section(replace(facts, sessions=[one, facts.sessions[2]])))
     says(said, "22:05 – 06:10 (+1 d)", "no word of an end", "no visit")

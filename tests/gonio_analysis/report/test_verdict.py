@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from gonio_analysis.fitting.fit import fit
-from gonio_analysis.report import model_choice
+from gonio_analysis.report import verdict
 from gonio_analysis.report.blocks import Table
 from gonio_analysis.report.facts import DatasetSummary
 from gonio_analysis.selection.compare import examine
@@ -205,7 +205,7 @@ def test_the_headline_and_the_choice_name_the_same_model_as_the_nearest() -> Non
 def test_the_column_of_misfits_says_what_it_ranks_by() -> None:
     for frame in (measure(PAINT, noise=0.03), bare(noise=0.03)):
         facts = headline(frame, "lambert", "oren-nayar")
-        found = next(b for b in model_choice.section(facts.choice) if isinstance(b, Table))
+        found = next(b for b in verdict.which_model(facts.choice) if isinstance(b, Table))
         assert found.header[-1] == "farthest off, with the median there"
         of_misfit = list(found.header).index("misfit tau")
         cells = [str(row[-1]).replace("\u00a0", " ") for row in found.rows]

@@ -18,8 +18,7 @@ from gonio_analysis.result_records import as_json
 from gonio_analysis.selection import choice as choosing
 from gonio_analysis.selection.choice import Choice, candidates, choose
 from gonio_analysis.selection.compare import jump
-from gonio_analysis.selection.judging import Candidate
-from gonio_analysis.selection.misfit_regions import blocks, incidences
+from gonio_analysis.selection.judging import Candidate, blocks, incidences
 
 from gonio.errors import ConfigError, DataError
 from gonio.measurement import read

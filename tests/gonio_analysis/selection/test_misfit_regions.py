@@ -9,7 +9,7 @@ from gonio_analysis.curves.in_plane import curves
 from gonio_analysis.fitting.fit import FitResult
 from gonio_analysis.fitting.observations import observations
 from gonio_analysis.report import verdict
-from gonio_analysis.selection.misfit_regions import Region, farthest
+from gonio_analysis.selection.judging import Region, farthest
 
 from gonio.formats.reader import table
 from tests.gonio_analysis.synthetic import known

@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from gonio_analysis.report import budget
-from gonio_analysis.report.drawings import Figure
+from gonio_analysis.report.drawing import Figure
 from gonio_analysis.selection.run_record import run_budget, run_facts
 
 from gonio import measurement

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from gonio_analysis.report.drawings import rendered
+from gonio_analysis.report.drawing import rendered
 from gonio_validation import papers
 from gonio_validation.papers import (
     blinn,

@@ -26,7 +26,7 @@ from gonio_analysis.report.blocks import (
     stamp,
     table,
 )
-from gonio_analysis.report.drawings import Figure, rendered
+from gonio_analysis.report.drawing import Figure, rendered
 from gonio_scenes.picture import Image, display
 from gonio_scenes.render import render
 from gonio_scenes.scene import read
