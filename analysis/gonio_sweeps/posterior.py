@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,11 +19,8 @@ from gonio.models.gaussian_process import (
     shares,
     total,
 )
-from gonio.typing import Floats
+from gonio.typing import DataFrame, Floats
 from gonio_sweeps.lobe import Spike, begun, suspected, within
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 NEGLIGIBLE = 2e-6
 """Of the largest value: what is added to uncertainties, so that the faintest values do not bend the whole curve."""
@@ -92,7 +88,7 @@ class Posterior:
     """Half angles of lamp and lens [rad]: what shape a specular spike has; None where they are not known."""
 
     @classmethod
-    def of(cls, table: pd.DataFrame, cones: tuple[float, float] | None = None) -> Posterior:
+    def of(cls, table: DataFrame, cones: tuple[float, float] | None = None) -> Posterior:
         """From the rows of a measurement table that are to be used, all of one band.
 
         `cones` are the half angles of lamp and lens [rad], where they are known.
@@ -428,7 +424,7 @@ def _moved(d: Directions, by: float) -> Directions:
     return Directions.from_vectors(omega_i, omega_r + by * direction(d.theta_i + np.pi / 2, d.phi_i + np.pi))
 
 
-def bands(table: pd.DataFrame) -> list[pd.DataFrame]:
+def bands(table: DataFrame) -> list[DataFrame]:
     """The rows of each wavelength and polarisation."""
     keys = [k for k in ("wavelength_nm", "polarisation") if k in table]
     return [part for _, part in table.groupby(keys, dropna=False, sort=True)] if keys else [table]

@@ -1,21 +1,15 @@
 """The curves of a measurement table between its points, with intervals."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from gonio.geometry import SAME_ANGLE, Directions, direction, half_angle_of_cone, unsigned, wrap
+from gonio.typing import DataFrame
 from gonio_sweeps.posterior import Posterior, bands
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 STEP_DEG = 0.5
 
 
-def reconstruct(table: pd.DataFrame, *, step_deg: float = STEP_DEG) -> pd.DataFrame:
+def reconstruct(table: DataFrame, *, step_deg: float = STEP_DEG) -> DataFrame:
     """In-plane curves through the points of a table, by the Gaussian process of the sampler "curve".
 
     Parameters

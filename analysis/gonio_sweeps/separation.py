@@ -26,13 +26,11 @@ from gonio.errors import GonioError
 from gonio.geometry import Directions
 from gonio.reduction import angle_errors
 from gonio.rig.description import RigDescription, SampleDescription
-from gonio.typing import Floats
+from gonio.typing import Figure, Floats
 from gonio_sweeps import expected
 from gonio_sweeps.candidates import read
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from gonio.acquisition.measure import Prepared
 
 SIGMAS = 5.0

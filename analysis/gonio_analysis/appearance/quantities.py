@@ -10,14 +10,14 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from gonio import colour
 from gonio.geometry import SAME_ANGLE, Directions, groups
 from gonio.measurement import is_simulated
-from gonio.typing import Floats
+from gonio.typing import DataFrame, Floats
 from gonio_analysis.appearance import sampled
 from gonio_analysis.appearance.assembled import MULTI_ANGLE, RETRO, _assembled, _key, _Numbers
 from gonio_analysis.appearance.glossmeter import BOTH_COUNT, GLOSSMETERS, HAZEMETERS
@@ -26,9 +26,6 @@ from gonio_analysis.appearance.sampled import NotMeasured, Rows, Sampled, cone_r
 from gonio_analysis.curves.in_plane import Curve, curves
 from gonio_analysis.fitting.observations import Observations, observations
 from gonio_analysis.result_records import Appearance
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 LEAST_COVERED = 0.85
 """Share of the projected hemisphere that an integral over it needs."""
@@ -226,7 +223,7 @@ RETRO_GAP_DEG = 1.0
 
 
 def of_table(
-    table: pd.DataFrame | Observations, *, name: str = "the table", source: str = "", wavelength_nm: float | None = None
+    table: DataFrame | Observations, *, name: str = "the table", source: str = "", wavelength_nm: float | None = None
 ) -> Appearance:
     """The quantities of a measurement table of one sample.
 

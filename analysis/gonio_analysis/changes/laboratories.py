@@ -3,18 +3,16 @@
 docs/laboratories.md says how it is judged.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from gonio.checks.values import Rows
 from gonio.cli.pace import Pace, Say, silent
 from gonio.errors import ConfigError, DataError
-from gonio.typing import Floats
+from gonio.typing import DataFrame, Floats
 from gonio_analysis.changes.consensus import (
     METHODS,
     CommonShape,
@@ -32,9 +30,6 @@ from gonio_analysis.changes.point_by_point import Side, laid_on, require_alike
 from gonio_analysis.changes.resampling import Carried, carry, turned_in_plane
 from gonio_analysis.fitting.observations import Observations, Unused, describe_left_out
 from gonio_analysis.fitting.value_covariance import Covariance
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 LEVEL = 0.01
 """Probability that somebody is accused where all are honest."""
@@ -303,7 +298,7 @@ def _keys(sides: Sequence[Side], shared: Mapping[str, Sequence[str] | None]) -> 
     return keys, tuple(f"{one[1]} ({', '.join(who)})" for one, who in words.items() if len(who) > 1)
 
 
-def _same_things(table: pd.DataFrame | None) -> dict[str, str]:
+def _same_things(table: DataFrame | None) -> dict[str, str]:
     """Causes of a table -> what they stem from: the name of the white, or a calibration's checksum."""
     provenance = table.attrs.get("provenance") if table is not None else None
     if not isinstance(provenance, Mapping) or table is None:

@@ -27,7 +27,7 @@ from gonio.errors import ConfigError, DataError
 from gonio.geometry import SAME_ANGLE, Directions
 from gonio.measurement import is_simulated
 from gonio.models.corrected import Corrected, folded
-from gonio.typing import Floats
+from gonio.typing import DataFrame, Floats
 from gonio_analysis.changes.resampling import Carried, Known, carry, common_wavelengths, slope_in_plane
 from gonio_analysis.changes.verdict import Verdict, Within, judge, within
 from gonio_analysis.fitting.forward import apparent
@@ -36,8 +36,6 @@ from gonio_analysis.fitting.observations import Observations, describe_left_out,
 from gonio_analysis.fitting.value_covariance import Covariance
 
 if TYPE_CHECKING:
-    import pandas as pd
-
     from gonio.measurement import Reading
 
 INCIDENCES_DEG = (0.0, 15.0, 30.0, 45.0, 60.0, 75.0)
@@ -51,7 +49,7 @@ class Side:
 
     name: str
     source: str
-    table: pd.DataFrame | None = None
+    table: DataFrame | None = None
     """Columns and attributes of the measurement's table, without its rows: their values are in `data`."""
     data: Observations | None = None
     model: Any = None
@@ -215,10 +213,10 @@ def side(spec: str, how: Reading | None = None, u_rel: float | None = None) -> S
     return of_table(name, spec, table, u_rel)
 
 
-def of_table(name: str, source: str, table: pd.DataFrame, u_rel: float | None = None) -> Side:
+def of_table(name: str, source: str, table: DataFrame, u_rel: float | None = None) -> Side:
     """A side of a comparison from a measurement table: its reflection, and apart from it its transmission."""
 
-    def of(rows: pd.DataFrame, called: str, **more: Any) -> Side:
+    def of(rows: DataFrame, called: str, **more: Any) -> Side:
         return Side(name, called, rows.iloc[:0].copy(), observations(rows, called, u_rel), **more)
 
     through = measurement.transmission(table)

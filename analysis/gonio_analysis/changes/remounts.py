@@ -6,25 +6,18 @@ to direction; `neighbours` says how far that is from true. The brightest directi
 signals tell of the instrument's noise. docs/measurements/repeats.md has figures.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial import cKDTree
 
 from gonio.errors import DataError
-from gonio.typing import Floats
+from gonio.typing import DataFrame, Figure, Floats
 from gonio_analysis.changes.resampling import carry, slope_in_plane
 from gonio_analysis.fitting.observations import Observations, observations
-
-if TYPE_CHECKING:
-    import pandas as pd
-    from matplotlib.figure import Figure
 
 SHARE = 0.6
 """Of the directions, by signal f cos(theta_r): the brightest."""
@@ -102,7 +95,7 @@ class Remounts:
         }
 
 
-def remounts(tables: Mapping[str, pd.DataFrame], wavelength_nm: float | None = None) -> Remounts:
+def remounts(tables: Mapping[str, DataFrame], wavelength_nm: float | None = None) -> Remounts:
     """How mounts of one sample differ.
 
     Parameters
@@ -175,7 +168,7 @@ def _alike(left: Floats, at: Observations) -> float:
     return float(np.corrcoef(clipped[:, one].ravel(), clipped[:, other].ravel())[0, 1])
 
 
-def with_remount(table: pd.DataFrame, known: Remounts) -> pd.DataFrame:
+def with_remount(table: DataFrame, known: Remounts) -> DataFrame:
     """A table with this scatter in its budget: columns `s_remount_scale` and `s_remount_zero`, and part of `u_random`.
 
     A table that states nothing of its own then states this alone, which a note of it says.

@@ -18,7 +18,7 @@ import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -26,7 +26,7 @@ import numpy.typing as npt
 from gonio.cli.pace import Say, silent
 from gonio.errors import ArgumentError, ConfigError, DataError
 from gonio.models.parameters import Declaration, Values
-from gonio.typing import Floats
+from gonio.typing import DataFrame, Floats
 from gonio_analysis.fitting.forward import apparent, by_model, known_wavelength, pointlike, rho_angles
 from gonio_analysis.fitting.misfit import SMALLEST, block_spread, estimated_tau, misfit
 from gonio_analysis.fitting.objective import Objective, objective, on_log_scale, scaled_to, with_misfit
@@ -35,10 +35,6 @@ from gonio_analysis.fitting.problem import STARTS, Bound, FitRequest, Problem, p
 from gonio_analysis.fitting.profile_likelihood import Interval, Near, tied, walked
 from gonio_analysis.fitting.search import covariance, derivatives, refine, search, search_from, settle
 from gonio_analysis.fitting.solution import ROUNDING, Solution, residuals_on_log_scale
-
-if TYPE_CHECKING:
-    import pandas as pd
-
 
 BOUND_FIRST = 30.0
 """The bound is so much softer on the way, for a search along a steep wall takes many short steps."""
@@ -123,7 +119,7 @@ def _minimised(
 
 
 def fit(
-    table: pd.DataFrame | Observations,
+    table: DataFrame | Observations,
     model: str | FitRequest,
     *,
     name: str = "the table",

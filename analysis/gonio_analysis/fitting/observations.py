@@ -13,13 +13,11 @@ import numpy.typing as npt
 from gonio.checks.values import CheckedValues
 from gonio.errors import ConfigError, DataError
 from gonio.geometry import AT_HORIZON, Directions
-from gonio.typing import Floats
+from gonio.typing import DataFrame, Floats
 from gonio_analysis.fitting.value_covariance import Covariance, independent
 from gonio_analysis.result_records import CauseSummary
 
 if TYPE_CHECKING:
-    import pandas as pd
-
     from gonio.instrument import Cones
 
 DEFAULT_WAVELENGTH_NM = 550.0
@@ -203,7 +201,7 @@ Some = npt.NDArray[np.intp] | slice
 """Rows of a table."""
 
 
-def _why_left_out(table: pd.DataFrame, directions: Directions, brdf: Floats) -> tuple[npt.NDArray[np.int32], list[str]]:
+def _why_left_out(table: DataFrame, directions: Directions, brdf: Floats) -> tuple[npt.NDArray[np.int32], list[str]]:
     """Why each row of a table is not used, by its place among the reasons; 0 for those that may be.
 
     Transmission, which no model here describes; flagged and polarised rows; values that are not finite or are beyond
@@ -239,7 +237,7 @@ def _none_left(name: str, rows: int, omitted: Mapping[str, Floats]) -> DataError
     )
 
 
-def observations(table: pd.DataFrame, name: str = "the table", u_rel: float | None = None) -> Observations:
+def observations(table: DataFrame, name: str = "the table", u_rel: float | None = None) -> Observations:
     """The usable rows of a measurement table.
 
     Left out, and counted by reason, is what cannot be used (`_why_left_out`), and rows without an uncertainty in a
@@ -310,7 +308,7 @@ def _unused(directions: Directions, wavelength_nm: Floats, rows: npt.NDArray[np.
 
 
 def _stated(
-    table: pd.DataFrame, brdf: Floats, used: npt.NDArray[np.bool_]
+    table: DataFrame, brdf: Floats, used: npt.NDArray[np.bool_]
 ) -> tuple[Callable[[Some], Covariance], npt.NDArray[np.bool_]]:
     """What gives the covariance of some rows of a table, and which rows state an uncertainty that can weigh them."""
     from gonio import measurement
@@ -341,7 +339,7 @@ def _lacking(rows: npt.NDArray[np.intp]) -> str:
     )
 
 
-def _of_angles(table: pd.DataFrame, keep: npt.NDArray[np.intp]) -> dict[str, Any]:
+def _of_angles(table: DataFrame, keep: npt.NDArray[np.intp]) -> dict[str, Any]:
     """What a table says of its angles: `zeros_rad` and `readings_rad` of its provenance, and `u_angles` of some rows.
 
     Nothing where it holds something else, and no `u_angles` where a row lacks them.
@@ -409,7 +407,7 @@ def _own_causes(stated: Mapping[str, Covariance]) -> Covariance | None:
     return Covariance(np.concatenate([one.random for one in stated.values()]), common, causes)
 
 
-def of_reader(table: pd.DataFrame) -> list[str]:
+def of_reader(table: DataFrame) -> list[str]:
     """What whoever read or made a table has to say of it, as sentences."""
     notes = table.attrs.get("notes")
     told = (str(note).strip() for note in notes) if isinstance(notes, list | tuple) else ()

@@ -10,18 +10,15 @@ parameters. Causes that are common to values are parameters of their own, each w
 smallest sum over them is r^T C^-1 r.
 """
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from gonio.cli.pace import Pace, Say, silent
-from gonio.typing import Floats
+from gonio.typing import DataFrame, Floats
 from gonio_analysis.fitting.fit import FitResult, at_solution, elsewhere, fit, known_by_blocks, remarks
 from gonio_analysis.fitting.forward import apparent
 from gonio_analysis.fitting.misfit import estimated_tau
@@ -31,10 +28,6 @@ from gonio_analysis.fitting.search import covariance
 from gonio_analysis.fitting.shared_geometry import TRIALS, _Task
 from gonio_analysis.fitting.solution import ROUNDING, SIGNIFICANCE, residuals_on_log_scale
 from gonio_analysis.result_records import SharedGeometry
-
-if TYPE_CHECKING:
-    import pandas as pd
-
 
 MOST_WAVELENGTHS = 40
 """Wavelengths that are fitted together, evenly taken of more."""
@@ -61,7 +54,7 @@ def shares(asked: FitRequest, data: Observations) -> bool:
 
 
 def fit_table(
-    table: pd.DataFrame | Observations, asked: FitRequest, *, name: str = "the table", say: Say = silent
+    table: DataFrame | Observations, asked: FitRequest, *, name: str = "the table", say: Say = silent
 ) -> list[FitResult]:
     """Fit one model to a table: as `gonio_analysis.fitting.fit.fit`, with the geometry shared where it can be.
 

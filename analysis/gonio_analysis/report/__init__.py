@@ -6,12 +6,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from gonio import measurement
 from gonio.errors import ConfigError
 from gonio.measurement import Reading
 from gonio.models.parameters import Ior
+from gonio.typing import DataFrame
 from gonio_analysis.curves.in_plane import Normalise
 from gonio_analysis.fitting.observations import of_reader, said_once
 from gonio_analysis.report import beyond_reflection, detail, figures, files, html, page, pdf, viewer
@@ -25,9 +26,6 @@ from gonio_analysis.selection.beyond_reflection import Transmitted, transmitted
 from gonio_analysis.selection.choice import candidates
 from gonio_analysis.selection.compare import Dataset, check_models, examine
 from gonio_analysis.selection.run_record import run_facts
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 Measured = tuple[str, str, Any, RunFacts | None]
 """A sample's name, where it comes from, its table, and what its run says."""
@@ -131,7 +129,7 @@ def _read(spec: str, how: Reading | None) -> list[Measured]:
     return [(name, spec if len(many) == 1 else f"{spec}:{name}", table, run) for name, table in many.items()]
 
 
-def _cite(tables: Sequence[pd.DataFrame], folder: Path, progress: Callable[[str], None]) -> None:
+def _cite(tables: Sequence[DataFrame], folder: Path, progress: Callable[[str], None]) -> None:
     """Write `datacite.json` of one measurement whose laboratory is stated; say what is missing for it."""
     from gonio.formats import datacite, stated
 

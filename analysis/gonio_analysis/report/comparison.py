@@ -1,15 +1,14 @@
 """Every number and every sentence of a report, as plain JSON: the page is printed from this and from nothing else."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from gonio import shown
 from gonio.geometry import AT_MIRROR, IN_PLANE
+from gonio.typing import DataFrame
 from gonio_analysis.appearance.quantities import of_table
 from gonio_analysis.fitting.objective import BELOW, DESCRIPTIONS
 from gonio_analysis.fitting.observations import describe_left_out
@@ -20,9 +19,6 @@ from gonio_analysis.report.text import number, slug, spoken_difference
 from gonio_analysis.result_records import MeasuredValue, as_json, finite
 from gonio_analysis.selection.compare import Dataset
 from gonio_analysis.selection.judging import nearness
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 MOST_VALUES = 200
 """Measured values that a page lists where it has no model."""
@@ -142,7 +138,7 @@ def _left_out(reasons: Mapping[str, int]) -> str:
     return describe_left_out(first) + more
 
 
-def usable(d: Dataset) -> pd.DataFrame:
+def usable(d: Dataset) -> DataFrame:
     """The rows of every wavelength that have a value and no flag, with the columns that a page lists."""
     kept = (d.table["flag"].fillna("") == "") & d.table["brdf"].notna()
     if "side" in d.table.columns:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from gonio import measurement, plugins
 from gonio.errors import ArgumentError, ConfigError, DataError
 from gonio.models import Lambert, Model, Sum
 from gonio.models.parameters import Ior
+from gonio.typing import DataFrame
 from gonio_analysis.changes import point_by_point
 from gonio_analysis.changes.consensus import consensus as consensus
 from gonio_analysis.changes.point_by_point import Change, Side
@@ -24,10 +25,7 @@ from gonio_analysis.fitting.spectrum import fit_table
 from gonio_analysis.plots import in_plane
 from gonio_analysis.selection.compare import Dataset, Drawn, check_models, examine, theory_angles
 
-if TYPE_CHECKING:
-    import pandas as pd
-
-Table: TypeAlias = "pd.DataFrame | str | Path"
+Table: TypeAlias = "DataFrame | str | Path"
 """A measurement table, or where one is: a file, a run, or "FILE:SAMPLE"."""
 
 
@@ -209,7 +207,7 @@ def _model_name(model: str | type[Model] | Model) -> str:
     return kind.name
 
 
-def _table(table: Table, name: str | None) -> tuple[pd.DataFrame, str]:
+def _table(table: Table, name: str | None) -> tuple[DataFrame, str]:
     """The table of one sample, and what it is called."""
     frames = (
         measurement.tables(table)

@@ -14,7 +14,7 @@ import numpy as np
 
 from gonio import measurement, shown
 from gonio.formats.reader import MUELLER
-from gonio.typing import Floats
+from gonio.typing import DataFrame, Floats
 from gonio_analysis.curves.in_plane import Curve, Line, curves, labels, selection
 from gonio_analysis.fitting import energy
 from gonio_analysis.fitting.forward import NO_WAVELENGTH_NM
@@ -22,8 +22,6 @@ from gonio_analysis.fitting.observations import Observations, describe_left_out,
 from gonio_analysis.result_records import MuellerElement, Reflectance
 
 if TYPE_CHECKING:
-    import pandas as pd
-
     from gonio_analysis.fitting.fit import FitResult
 
 
@@ -76,7 +74,7 @@ class Transmitted:
 
 
 def transmitted(
-    table: pd.DataFrame, name: str, wavelength_nm: float | None = None, u_rel: float | None = None
+    table: DataFrame, name: str, wavelength_nm: float | None = None, u_rel: float | None = None
 ) -> Transmitted | None:
     """The transmission of a table at the wavelength nearest to the one asked for; None where it holds none.
 
@@ -141,7 +139,7 @@ class Polarisation:
 
 
 def polarisation(
-    table: pd.DataFrame, at: Observations, drawn: list[Curve], fits: Mapping[str, FitResult]
+    table: DataFrame, at: Observations, drawn: list[Curve], fits: Mapping[str, FitResult]
 ) -> Polarisation | None:
     """The Mueller matrices of a table; None where it holds none.
 
@@ -169,7 +167,7 @@ def polarisation(
     return Polarisation(measured, u, label, theory, lines)
 
 
-def _columns(table: pd.DataFrame, names: Any, at: Observations) -> Floats:
+def _columns(table: DataFrame, names: Any, at: Observations) -> Floats:
     out = np.full((len(at), len(names)), np.nan)
     for k, name in enumerate(names):
         if name in table.columns:

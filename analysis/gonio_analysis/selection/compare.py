@@ -3,14 +3,11 @@
 Everything that a report shows is computed here; `gonio_analysis.report` only draws and prints it.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,7 +17,7 @@ from gonio.cli.pace import Pace, Say
 from gonio.errors import ConfigError, DataError
 from gonio.measurement import is_simulated
 from gonio.models.parameters import Ior
-from gonio.typing import Floats
+from gonio.typing import DataFrame, Floats
 from gonio_analysis.curves.in_plane import NORM_WORDS, Curve, Line, Norm, Normalise, curves, labels, norm, selection
 from gonio_analysis.fitting import energy, parameters
 from gonio_analysis.fitting.fit import FitResult, fit
@@ -33,9 +30,6 @@ from gonio_analysis.selection.beyond_reflection import Polarisation, Transmitted
 from gonio_analysis.selection.choice import Choice, candidates, choose
 from gonio_analysis.selection.judging import DECISIVE, Judged, Region, deviance, farthest
 from gonio_analysis.selection.parallel import Share
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 MOST_ANGLES = 1000
 """Measured angles of one curve at which theory is evaluated too."""
@@ -142,7 +136,7 @@ class Dataset:
 
     name: str
     source: str
-    table: pd.DataFrame
+    table: DataFrame
     data: Observations
     """At the wavelength of the report."""
     wavelengths: list[float]
@@ -225,7 +219,7 @@ class Dataset:
 
 
 def examine(
-    table: pd.DataFrame,
+    table: DataFrame,
     models: Sequence[str],
     *,
     name: str,

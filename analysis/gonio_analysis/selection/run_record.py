@@ -21,7 +21,7 @@ from gonio.documents import JsonObject
 from gonio.errors import GonioError
 from gonio.geometry import Directions
 from gonio.shown import number
-from gonio.typing import Floats
+from gonio.typing import DataFrame, Floats
 from gonio_analysis.result_records import (
     BudgetCurve,
     BudgetFacts,
@@ -36,8 +36,6 @@ from gonio_analysis.result_records import (
 )
 
 if TYPE_CHECKING:
-    import pandas as pd
-
     from gonio.acquisition.run import Run
     from gonio.rig.description import Reference, SampleDescription
 
@@ -295,7 +293,7 @@ def run_budget(folder: Path) -> list[BudgetFacts]:
 
 
 def _budget(
-    wavelength_nm: float | None, rows: pd.DataFrame, names: list[str], left_out: dict[str, str], verdict: str | None
+    wavelength_nm: float | None, rows: DataFrame, names: list[str], left_out: dict[str, str], verdict: str | None
 ) -> BudgetFacts:
     size, u = rows["brdf"].abs().to_numpy(), rows["u_brdf"].to_numpy()
     values = np.nan_to_num(rows[names].to_numpy(dtype=float))
@@ -332,7 +330,7 @@ def _budget(
     )
 
 
-def _curves(rows: pd.DataFrame, shares: Floats) -> list[BudgetCurve]:
+def _curves(rows: DataFrame, shares: Floats) -> list[BudgetCurve]:
     """Curves in the plane of incidence, of at least two values."""
     at = Directions.from_table(rows)
     theta_i, signed = np.round(np.degrees(at.theta_i)), np.degrees(at.signed)
