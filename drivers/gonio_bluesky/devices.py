@@ -13,6 +13,8 @@ These are the devices and no more: no reference, no dark frames, no uncertaintie
 BRDFs.
 """
 
+from __future__ import annotations
+
 import logging
 import math
 import time
@@ -44,7 +46,7 @@ class Status:
         self._ended: Future[None] = Future()
 
     @classmethod
-    def finished(cls) -> "Status":
+    def finished(cls) -> Status:
         """Of what takes no time."""
         status = cls()
         status.finish(None)
@@ -59,7 +61,7 @@ class Status:
         else:
             self._ended.set_exception(error)
 
-    def add_callback(self, callback: "Callable[[Status], None]") -> None:
+    def add_callback(self, callback: Callable[[Status], None]) -> None:
         """Have somebody told when it is done; at once where it is."""
         self._ended.add_done_callback(lambda _: callback(self))
 
@@ -145,7 +147,7 @@ class Brake:
     Bluesky stops every axis that it has moved when a run ends, well or not, when it pauses and when it is suspended.
     """
 
-    def __init__(self, owner: Owner, rig: ManualRig, lamp: "Lamp") -> None:
+    def __init__(self, owner: Owner, rig: ManualRig, lamp: Lamp) -> None:
         self._owner, self._rig, self._lamp = owner, rig, lamp
         self._moves: list[Status] = []
         self._stops = 0
