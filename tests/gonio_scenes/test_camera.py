@@ -96,3 +96,17 @@ def test_a_rigs_camera_sees_the_sample_as_its_own_geometry_says(pose: Pose) -> N
     x, y = seen.x_mm.ravel()[pixel], seen.y_mm.ravel()[pixel]
     np.testing.assert_allclose(spot[:, 0], x, rtol=0, atol=1e-9 * 1000.0)
     np.testing.assert_allclose(spot[:, 1], y, rtol=0, atol=1e-9 * 1000.0)
+
+
+@pytest.mark.parametrize(("cos4", "vignetting"), [(False, 0.0), (True, 0.0), (False, 0.3), (True, 0.3)])
+def test_a_lens_loses_light_by_the_field_angle_and_toward_the_corner(cos4: bool, vignetting: float) -> None:
+    """Of a picture of 4 x 2 pixels whose height spans 60 degrees: cos^4 of the angle, and 1 - v (r / corner)^4."""
+    sensor = cameras.SensorTable(responsivity_e_per_s=1.0, cos4=cos4, vignetting=vignetting)
+    step = math.tan(math.radians(30.0))  # one pixel is half of the height
+    found = cameras.falloff(sensor, camera())
+    for (row, column), share in np.ndenumerate(found):
+        radius = step * math.hypot(column - 1.5, row - 0.5)
+        lost = math.cos(math.atan(radius)) ** 4 if cos4 else 1.0
+        corner = step * math.hypot(2.0, 1.0)
+        assert share == pytest.approx(lost * (1.0 - vignetting * (radius / corner) ** 4), rel=1e-12)
+    assert found.shape == (2, 4)
