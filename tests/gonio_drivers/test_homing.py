@@ -297,7 +297,7 @@ def searched(axis: Axis, **table: Any) -> Homed:
     return homing.Search(cast(Joint, axis), of, axis.is_closed, lambda: None).run()
 
 
-SWITCH = {"how": "switch", "current": None, "external_port": 1}
+LOOSE_SWITCH = {"how": "switch", "current": None, "external_port": 1}
 
 
 @pytest.mark.parametrize(("toward", "turns"), [(-1, 0), (1, 0), (-1, 2), (-1, -3)])
@@ -324,7 +324,7 @@ def test_a_quarter_of_a_turn_off_the_turn_is_not_certain(beside: int, left: list
 @pytest.mark.parametrize("toward", [-1, 1])
 def test_a_switch_lies_between_two_looks(toward: int, left: list[int]) -> None:
     axis = Axis(closed=(800, 1000) if toward < 0 else (1000, 1200), position=1000 - 405 * toward)
-    found = searched(axis, **SWITCH, toward=toward, repeats=4)
+    found = searched(axis, **LOOSE_SWITCH, toward=toward, repeats=4)
     assert found.off_deg == pytest.approx(-24 * 360 / 4096, abs=10.5 * 360 / 4096)  # half a step
     assert found.found == 4
     assert axis.position == pytest.approx(1000 - toward * 34, abs=41), "3 degrees clear of the switch"
@@ -333,13 +333,13 @@ def test_a_switch_lies_between_two_looks(toward: int, left: list[int]) -> None:
 def test_a_mark_lies_between_its_edges(left: list[int]) -> None:
     """Both are met from outside, half a step late or early alike."""
     for toward in (-1, 1):
-        found = searched(Axis(closed=(900, 1100), position=1000 - 405 * toward), **SWITCH | {"how": "index"},
+        found = searched(Axis(closed=(900, 1100), position=1000 - 405 * toward), **LOOSE_SWITCH | {"how": "index"},
                          toward=toward)  # fmt: skip
         assert found.off_deg == pytest.approx(-24 * 360 / 4096, abs=10.5 * 360 / 4096)
 
 
 def test_a_search_that_begins_on_the_switch_leaves_it_first(left: list[int]) -> None:
-    found = searched(Axis(closed=(700, 1000), position=900), **SWITCH)
+    found = searched(Axis(closed=(700, 1000), position=900), **LOOSE_SWITCH)
     assert found.off_deg == pytest.approx(-24 * 360 / 4096, abs=10.5 * 360 / 4096)
 
 
@@ -359,15 +359,15 @@ def test_nothing_is_looked_for_beyond_the_travel(left: list[int]) -> None:
     """A tenth more than the range, and twice what it backs off by: 1.1 x 100 + 6 degrees."""
     axis = Axis(hard_stops_deg=(-60.0, 40.0), closed=(-(10**6), -(10**6)))
     with pytest.raises(DeviceError, match=r"no switch was found in 116\.0 deg of travel toward negative"):
-        searched(axis, **SWITCH)
+        searched(axis, **LOOSE_SWITCH)
     axis = Axis(limits_deg=(-10.0, 10.0), count_limits=(0, 5100))
     with pytest.raises(DeviceError, match=r"no switch was found in 8\.8 deg of travel toward positive"):
-        searched(axis, **SWITCH, toward=1)  # 100 counts, to where the servo counts no further
+        searched(axis, **LOOSE_SWITCH, toward=1)  # 100 counts, to where the servo counts no further
 
 
 def test_an_axis_that_does_not_move_is_called_jammed(left: list[int]) -> None:
     with pytest.raises(DeviceError, match="does not move at all"):
-        searched(Axis(stops=(5000, 5000)), **SWITCH)
+        searched(Axis(stops=(5000, 5000)), **LOOSE_SWITCH)
     with pytest.raises(DeviceError, match=r"no switch was found in 5\.3 deg of travel toward negative angles") as told:
-        searched(Axis(stops=(4940, 10**6)), **SWITCH)
+        searched(Axis(stops=(4940, 10**6)), **LOOSE_SWITCH)
     assert "does not move" not in str(told.value)
