@@ -13,8 +13,7 @@ import numpy as np
 
 from gonio.typing import Floats
 from gonio_analysis.curves.in_plane import Line
-from gonio_analysis.plots.half_disc import _half_disc, _radial_bars, xy
-from gonio_analysis.plots.style import FAINT, INK
+from gonio_analysis.plots.style import FAINT, INK, _half_disc, _radial_bars, xy
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#B8860B", "#56B4E9")
 MARKERS = ("o", "s", "^", "D", "v", "P")

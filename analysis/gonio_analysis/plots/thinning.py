@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from gonio.typing import Floats, Ints
 from gonio_analysis.curves.in_plane import Curve, Line
-from gonio_analysis.plots.half_disc import xy
+from gonio_analysis.plots.style import xy
 
 CELL_PT = 1.3
 """Half of a marker: values that share a square of this side [pt] are drawn on top of each other."""

@@ -15,9 +15,8 @@ from gonio.formats.reader import MUELLER
 from gonio_analysis.curves.in_plane import Curve, Line, labels
 from gonio_analysis.fitting.observations import describe_left_out
 from gonio_analysis.plots import in_plane
-from gonio_analysis.plots.half_disc import xy
 from gonio_analysis.plots.in_plane import clean, style
-from gonio_analysis.plots.style import FAINT, INK
+from gonio_analysis.plots.style import FAINT, INK, xy
 from gonio_analysis.report.blocks import Block, Figures, Heading, Notes, Paragraph, Text, code, facts, notes, table
 from gonio_analysis.report.drawing import Drawing, Figure
 from gonio_analysis.report.figures import LEGEND_ROW_IN, legend

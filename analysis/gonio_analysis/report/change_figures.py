@@ -18,8 +18,8 @@ from gonio_analysis.changes.point_by_point import Change
 from gonio_analysis.changes.verdict import LEVEL
 from gonio_analysis.curves.in_plane import Curve, Line, curves, evenly, labels
 from gonio_analysis.fitting.observations import Observations
-from gonio_analysis.plots import half_disc, in_plane, maps, thinning
-from gonio_analysis.plots.style import FAINT, INK
+from gonio_analysis.plots import in_plane, maps, thinning
+from gonio_analysis.plots.style import FAINT, INK, xy
 from gonio_analysis.report.detail import DISC_PT
 from gonio_analysis.report.drawing import Drawing
 from gonio_analysis.report.figures import LEGEND_ROW_IN, PANEL_PT, key, legend
@@ -266,7 +266,7 @@ def _on_polar(figure: Any, *, lines: list[Line]) -> None:
     in_plane.polar(ax, lines, radius=rim, radius_label="BRDF / sr⁻¹")
     for k, line in enumerate(lines):
         high, low = (np.clip(line.theory + s * 2.0 * line.u, 0.0, rim) for s in (1.0, -1.0))
-        out, back = half_disc.xy(line.theory_angle, high), half_disc.xy(line.theory_angle, low)
+        out, back = xy(line.theory_angle, high), xy(line.theory_angle, low)
         x, y = (np.concatenate([a, b[::-1]]) for a, b in zip(out, back, strict=True))
         ax.fill(x, y, color=in_plane.style(k)["color"], alpha=0.18, lw=0.0, zorder=2)
     key(figure, in_plane.handles(lines), min(COLUMNS, len(lines)))

@@ -6,7 +6,8 @@ import matplotlib
 import numpy as np
 import pytest
 from gonio_analysis.curves.in_plane import Line
-from gonio_analysis.plots import diagnostics, half_disc, in_plane
+from gonio_analysis.plots import diagnostics, in_plane
+from gonio_analysis.plots.style import xy
 from matplotlib.artist import Artist
 from matplotlib.figure import Figure
 
@@ -44,7 +45,7 @@ def overprinted(words: list[tuple[str, Any]]) -> list[tuple[str, str]]:
 def rim_of(ax: Any, radius: float) -> Any:
     """Points of the rim on the canvas."""
     turn = np.radians(np.linspace(-90.0, 90.0, 1441))
-    return ax.transData.transform(np.stack(half_disc.xy(turn, np.full(turn.size, radius)), axis=1))
+    return ax.transData.transform(np.stack(xy(turn, np.full(turn.size, radius)), axis=1))
 
 
 @pytest.mark.parametrize(
@@ -198,5 +199,5 @@ def test_a_line_goes_through_every_value_that_it_joins() -> None:
     angle = np.radians([-80.0, -20.0, -19.0, -18.5, 0.0, 2.0, 80.0])  # dense, sparse, and between
     value = np.array([0.1, 0.5, 0.9, 0.2, 0.3, 0.8, 0.1])
     drawn = np.stack(in_plane.polar(axes(), [values(angle, value)])[0].get_data(), axis=1)
-    for point in np.stack(half_disc.xy(angle, value), axis=1):
+    for point in np.stack(xy(angle, value), axis=1):
         assert np.hypot(*(drawn - point).T).min() < 1e-14  # a rounding of the sum of an angle and a step
