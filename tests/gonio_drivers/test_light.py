@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 from gonio_drivers import guard, settings
@@ -467,3 +468,10 @@ def test_an_interlock_that_opens_while_the_lamp_warms_up_ends_the_wait(
         with pytest.raises(EmergencyStop):
             light.on()
         assert not lamp.twin.shine.lit
+
+
+@pytest.mark.parametrize(("identity", "named"), [("", "scpi on COM3"), ("ACME L1", "ACME L1 on COM3")])
+def test_a_lamp_is_called_as_it_says_or_by_its_dialect(identity: str, named: str) -> None:
+    lamp: Any = object.__new__(SerialLight)
+    lamp.identity, lamp._dialect, lamp._light = identity, SimpleNamespace(name="scpi"), SimpleNamespace(port="COM3")
+    assert str(lamp) == named
