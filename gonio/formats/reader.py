@@ -1,7 +1,8 @@
 """What every file format shares: how it is described, and how a reader turns cells into the measurement table.
 
-A reader gets the bytes of a file and returns the table of `gonio.measurement`; it never opens files itself (but for the
-blank that belongs to an RT-300S file) and never asks for more memory than a small multiple of what it was given.
+A reader gets the bytes of a file, or where `Format.in_pieces` says so the open file, and returns the table of
+`gonio.measurement`. It never opens files itself (but for the blank that belongs to an RT-300S file) and never asks for
+more memory than a small multiple of what it was given.
 Everything that is wrong with a file is a `DataError` that names the file and the line or byte.
 """
 

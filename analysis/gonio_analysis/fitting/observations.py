@@ -197,7 +197,7 @@ class Observations:
         return self.at(chosen), chosen
 
 
-Some = npt.NDArray[np.intp] | slice
+Some = npt.NDArray[np.int32] | slice
 """Rows of a table."""
 
 
@@ -212,6 +212,7 @@ def _why_left_out(table: DataFrame, directions: Directions, brdf: Floats) -> tup
     codes, flags = pd.factorize(table["flag"])
     empty = [str(flag) == "" for flag in flags] + [True]  # the last: a row without a flag
     why = np.array([0 if none else k for k, none in enumerate(empty, 1)], np.int32)[codes]
+    del codes
     reasons = ["", *(f"flagged {flag}" for flag in flags)]
 
     def leave_out(which: npt.NDArray[np.bool_], reason: str) -> None:
@@ -265,8 +266,11 @@ def observations(table: DataFrame, name: str = "the table", u_rel: float | None 
         why[lacking] = len(reasons)
         reasons.append("without an uncertainty")
         notes.append(_lacking(np.flatnonzero(lacking)))
-    keep = np.flatnonzero(why == 0)
-    omitted = {reasons[k]: wavelength[why == k] for k in sorted(set(why.tolist()) - {0}, key=reasons.__getitem__)}
+    keep = np.arange(len(table), dtype=np.int32)
+    if why.any():
+        keep = keep[why == 0]
+    of_reasons = ((reasons[k], wavelength[why == k]) for k in sorted(range(1, len(reasons)), key=reasons.__getitem__))
+    omitted = {reason: waves for reason, waves in of_reasons if waves.size}
     if not keep.size:
         raise _none_left(name, len(table), omitted)
     some: Some = keep if keep.size < len(table) else slice(None)  # nothing is copied where all are used
@@ -290,7 +294,7 @@ def observations(table: DataFrame, name: str = "the table", u_rel: float | None 
         wavelength_nm=wavelength[some],
         brdf=brdf[some],
         covariance=covariance,
-        rows=keep.astype(np.int32),
+        rows=keep,
         source_solid_angle_sr=source or 0.0,
         receiver_solid_angle_sr=receiver or 0.0,
         omitted=omitted,
@@ -316,7 +320,9 @@ def _stated(
     causes = [name.removeprefix("s_") for name in table.columns if name.startswith("s_")]
     random, common = np.empty(len(table)), np.empty((len(table), len(causes)))
     stated = np.empty(len(table), dtype=bool)
-    middling = np.median(np.abs(brdf[used]), overwrite_input=True) if used.any() else 0.0
+    sizes = brdf[used]
+    middling = np.median(np.abs(sizes, out=sizes), overwrite_input=True) if sizes.size else 0.0
+    del sizes
     for begin in range(0, len(table), AT_ONCE):
         some = slice(begin, begin + AT_ONCE)
         own, of_causes, _ = measurement.uncertainty(table.iloc[some])
@@ -339,7 +345,7 @@ def _lacking(rows: npt.NDArray[np.intp]) -> str:
     )
 
 
-def _of_angles(table: DataFrame, keep: npt.NDArray[np.intp]) -> dict[str, Any]:
+def _of_angles(table: DataFrame, keep: npt.NDArray[np.int32]) -> dict[str, Any]:
     """What a table says of its angles: `zeros_rad` and `readings_rad` of its provenance, and `u_angles` of some rows.
 
     Nothing where it holds something else, and no `u_angles` where a row lacks them.
