@@ -14,7 +14,7 @@ from gonio.documents import JsonObject
 from gonio_validation.bench.coverage_judgement import LEVEL
 from gonio_validation.bench.page import (
     Column,
-    Part,
+    TableSection,
     head,
     listed,
     method,
@@ -69,7 +69,7 @@ UNIFORM = (
     Column("uniform: p (Kolmogorov-Smirnov)", "p_uniform", two_digits),
     Column("campaigns a bin", "bins", lambda bins: " ".join(map(str, bins))),
 )  # fmt: skip
-HIDDEN = Part(
+HIDDEN = TableSection(
     "What is hidden", "hidden", "causes",
     "Drawn anew for every campaign, and read by the simulated devices alone. Distances, the cones of lamp and "
     "lens, the beam, the wavelength, the kind of model and a metal's optical constants are known rightly.",
@@ -80,7 +80,7 @@ HIDDEN = Part(
     ),
     (),
 )  # fmt: skip
-FAR = Part(
+FAR = TableSection(
     "Points far off", "far", "worst",
     "The largest pull of a campaign, for the campaigns in which it is largest. Angles in degrees, values in 1/sr.",
     (
@@ -92,7 +92,7 @@ FAR = Part(
     ),
     tuple(range(4, 11)),
 )  # fmt: skip
-REFUSED = Part(
+REFUSED = TableSection(
     "Campaigns that were refused", "refused", "failed",
     "A program refused these, and said why. They count nowhere above.",
     tuple(Column(name, name) for name in ("campaign", "model", "plan", "step", "message")),

@@ -1,8 +1,8 @@
 """What the pages of all benches have: a head, parts with a note and a table, verdicts, and the machine.
 
-A bench's results are a JSON object with `title`, `created`, `command` and `machine`, and lists of rows; a row is a JSON
-object, or of a class of its own. A `Part` says which list a table shows, and each `Column` which value of a row, and
-how.
+A bench's results are a JSON object with `title`, `created`, `command` and `machine`, and lists of rows; a row is a
+JSON object, or of a class of its own. A `TableSection` says which list a table shows, and each `Column` which value
+of a row, and how.
 """
 
 import datetime
@@ -38,7 +38,7 @@ class Column(NamedTuple):
     shown: Callable[[Any], Text] = str
 
 
-class Part(NamedTuple):
+class TableSection(NamedTuple):
     """A section of a page with one table."""
 
     title: str
@@ -71,7 +71,7 @@ def listed(rows: Iterable[Any], columns: Sequence[Column], right: tuple[int, ...
     return table(caption, [c.header for c in columns], cells, right=right)
 
 
-def of_part(s: JsonObject, p: Part, *figures: Block) -> Group:
+def of_part(s: JsonObject, p: TableSection, *figures: Block) -> Group:
     """A section: its note, figures, and the table of its rows."""
     return part(p.title, p.slug, p.words, *figures, listed(s[p.rows], p.columns, p.right))
 

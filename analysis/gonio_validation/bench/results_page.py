@@ -17,7 +17,7 @@ from gonio_analysis.report.drawing import Figure
 from gonio_analysis.report.text import number, slug
 
 from gonio.documents import JsonObject
-from gonio_validation.bench.page import Column, Part, head, listed, method, of_part, part, two_digits, verdict
+from gonio_validation.bench.page import Column, TableSection, head, listed, method, of_part, part, two_digits, verdict
 from gonio_validation.bench.quantity import PeerTime, QuantitySummary
 
 FOOTER = Footer(
@@ -40,7 +40,7 @@ TOLERANCES = (
     Column("", "", "{0[family]}: {0[way]}".format), Column("stated", "stated", _one_digit),
     Column("largest", "worst", _error), Column("points", "points"), Column("holds", "holds", verdict),
 )  # fmt: skip
-HARD = Part(
+HARD = TableSection(
     "Hard cases", "hard-cases", "hard_cases",
     "Digits are −log10 of the relative error over 1 + conditioning, at the point with the least to spare; 16 means "
     "identical. NaN, infinite and negative results count where the formula's own value is none of it (Oren-Nayar's "

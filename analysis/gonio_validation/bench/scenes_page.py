@@ -11,7 +11,7 @@ from gonio_analysis.report.text import number, percent
 from gonio.documents import JsonObject
 from gonio_validation.bench.page import (
     Column,
-    Part,
+    TableSection,
     head,
     listed,
     method,
@@ -27,7 +27,7 @@ FOOTER = Footer(
         *(code("tables/"), ", the figure as SVG and PNG in ", code("figures/"), "."),
     )
 )
-RAYS = Part(
+RAYS = TableSection(
     "Rays a pixel", "samples", "samples",
     "A Lambertian sphere on a floor. Errors are root mean squares over the picture's mean radiance.",
     (
@@ -37,7 +37,7 @@ RAYS = Part(
     (1, 2, 3, 4),
 )  # fmt: skip
 PARTS = (
-    Part(
+    TableSection(
         "To a tolerance", "tolerances", "tolerances",
         "Every pixel is brought below the tolerance: a standard error, over the pixel's radiance or the picture's "
         "mean, whichever is larger. For all: what as many rays for every pixel would take as the worst pixel needs. "
@@ -52,7 +52,7 @@ PARTS = (
         ),
         tuple(range(1, 10)),
     ),
-    Part(
+    TableSection(
         "Wavelengths", "bins", "bins",
         "Spheres of metal in parallel light of D65, against 81 wavelengths from 380 to 780 nm. The illuminant's own "
         "structure is not sampled: what is interpolated between wavelengths is the reflection. Colour differences are "
@@ -64,7 +64,7 @@ PARTS = (
         ),
         (1, 2, 3, 4, 5),
     ),
-    Part(
+    TableSection(
         "Exact and approximate", "ways", "ways",
         "Pictures of a sphere, one ray a pixel, by other ways of evaluating its material. Errors are over the mean "
         "radiance of the sphere, against the first way.",
@@ -74,7 +74,7 @@ PARTS = (
         ),
         (2, 3, 4),
     ),
-    Part(
+    TableSection(
         "Wavelengths together", "shared", "shared",
         "The wavelengths of a picture share rays, hits and shadows, and in the models what does not depend on them.",
         (

@@ -13,7 +13,7 @@ from gonio_analysis.report.text import number
 
 from gonio.documents import JsonObject
 from gonio_validation.bench.campaigns import Record
-from gonio_validation.bench.page import Column, Part, head, listed, method, of_part, part, plain_axes, verdict
+from gonio_validation.bench.page import Column, TableSection, head, listed, method, of_part, part, plain_axes, verdict
 from gonio_validation.bench.sweeps_rig import AROUND_DEG, FLOOR, INCIDENCES, LARGEST_DEG, WAVELENGTH_NM
 
 ENOUGH = 0.005
@@ -172,7 +172,7 @@ TIME = (
     "otherwise curves are made by the Gaussian process, of fixed plans too; interpolated means monotone cubics "
     "through logarithms in plane, and linear ones over triangles out of it."
 )
-POINTS = Part(
+POINTS = TableSection(
     "Points", "points", "by_points",
     f"In plane, with a given number of points in place of a time. Allowed is the error of the uniform grid, "
     f"interpolated, or {100 * ENOUGH:g} % where that is smaller. The same grid with the Gaussian process is there "
@@ -186,7 +186,7 @@ POINTS = Part(
     ),
     (1, 2, 3, 4, 5),
 )  # fmt: skip
-INTERVALS = Part(
+INTERVALS = TableSection(
     "Intervals", "intervals", "held",
     "Part of the curve, over its positions and over runs, where the stated interval of 95 % holds the truth. "
     f"It should be {100 * HELD[0]:.0f} to {100 * HELD[1]:.0f} % over all. Positions of one run share its scale "
