@@ -74,7 +74,7 @@ def known(kind: Any, u: dict[str, float], correlation: float = 0.0) -> Calibrati
         ([SENSOR, PIXELS], ONE, 1e-5),
         # the monitor is right to 1e-4 in each frame: of two readings four standard deviations
         ([SENSOR, PIXELS, MONITOR, PROFILE], TWO, 6e-4),
-        # the pixels at the edge of a spot of 12 pixels across, see test_filling
+        # the pixels at the edge of a spot of 12 pixels across, see gonio/rig/test_beam_size.py
         ([SENSOR, NARROW, PROFILE], ONE, 1.5e-3),
         ([SENSOR, NARROW, PROFILE, PIXELS, MONITOR], TWO, 1.5e-3),
         # the frame of a lamp spreads its light otherwise than that of a sample: the cube of 4 %
