@@ -1,4 +1,7 @@
-"""TOML into checked, frozen models, with messages that name the file, the key, the value and the remedy; and back."""
+"""TOML into checked, frozen models, with messages that name the file, the key, the value and the remedy; and back.
+
+Ranges of numbers that keys of a rig file share.
+"""
 
 import difflib
 import re
@@ -7,12 +10,12 @@ from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin
 
-from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from gonio.disk import only_file
-from gonio.documents import TomlTable
 from gonio.errors import ConfigError
+from gonio.typing import TomlTable
 
 MAX_DEPTH = 32
 """Tables and lists within each other; a rig file has four levels."""
@@ -222,3 +225,10 @@ def with_numbers(tables: Any, numbers: dict[str, float], where: str = "") -> Any
     if isinstance(tables, list):
         return [with_numbers(value, numbers, f"{where}[{k}]") for k, value in enumerate(tables)]
     return numbers.get(where, tables)
+
+
+Positive = Annotated[float, Field(gt=0)]
+NonNegative = Annotated[float, Field(ge=0)]
+Fraction = Annotated[float, Field(ge=0, le=1)]
+SmallAngle = Annotated[float, Field(ge=-30, le=30)]
+"""Error of alignment [deg]: what is larger is another construction."""

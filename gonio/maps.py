@@ -23,9 +23,8 @@ from typing import Any, Self
 import numpy as np
 
 from gonio.disk import require_name, sha256_of, write_whole
-from gonio.documents import JsonObject
 from gonio.errors import ConfigError, DataError, os_error_as
-from gonio.typing import Array, Bools, DataFrame, Floats, Ints, NDArray
+from gonio.typing import Array, Bools, DataFrame, Floats, Ints, JsonObject, NDArray
 
 FORMAT = "gonio-map-1"
 ABOUT = "about"

@@ -21,8 +21,8 @@ from typing import Self
 import numpy as np
 
 from gonio.rig import Frame, Pose, Step, Target
-from gonio.rig.bands import Band
 from gonio.rig.description import RigDescription, SampleDescription
+from gonio.rig.light_and_camera import Band
 from gonio.typing import Floats
 
 Brdf = Callable[[Floats, Floats, Floats, Floats], Floats]

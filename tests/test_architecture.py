@@ -20,10 +20,7 @@ PACKAGES = {
     "gonio_validation": ROOT / "analysis" / "gonio_validation",
     "gonio_bluesky": ROOT / "drivers" / "gonio_bluesky",
 }
-GROUND = {
-    f"gonio.{name}"
-    for name in ("config", "disk", "documents", "errors", "geometry", "maps", "platform", "shown", "typing")
-}
+GROUND = {f"gonio.{name}" for name in ("config", "disk", "errors", "geometry", "maps", "platform", "shown", "typing")}
 """What everything may stand on, and what is not counted."""
 ALLOWED = {"gonio": 40, "gonio_analysis": 26}
 """Arrows among folders."""

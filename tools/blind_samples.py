@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gonio.documents import JsonObject
+from gonio.typing import JsonObject
 
 PLAN = """\
 name = "blind sample: in plane, and out of it"

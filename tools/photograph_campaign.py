@@ -34,12 +34,11 @@ from gonio.acquisition.measure import RigChoice, carry_out
 from gonio.acquisition.plan import Plan, Point
 from gonio.acquisition.run import Run
 from gonio.config import parse
-from gonio.documents import TomlTable
 from gonio.errors import GonioError
 from gonio.reduction import brdf
 from gonio.rig.description import RigDescription, SampleDescription
 from gonio.rig.dng import write_dng
-from gonio.typing import Floats
+from gonio.typing import Floats, TomlTable
 
 KINDS = ("he-torrance", "oren-nayar", "cook-torrance")
 METALS = (0.96 + 6.69j, 0.26 + 2.55j, 0.42 + 2.35j, 2.9 + 3.05j, 1.5 + 0j)  # about Al, Cu, Au, Fe, and glass

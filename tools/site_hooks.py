@@ -17,7 +17,7 @@ from urllib.parse import unquote, urlsplit
 
 from mkdocs.structure.files import File
 
-from gonio.documents import JsonObject
+from gonio.typing import JsonObject
 
 log = logging.getLogger("mkdocs.gonio")
 ROOT = Path(__file__).resolve().parents[1]

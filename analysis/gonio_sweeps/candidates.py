@@ -20,12 +20,11 @@ from pydantic import ValidationError
 
 from gonio.acquisition.plan import Plan, Point, assess, canonical, count_reasons
 from gonio.acquisition.plan_tables import Sweep
-from gonio.documents import TomlTable
 from gonio.errors import ConfigError
 from gonio.geometry import Directions
 from gonio.rig import Pose
 from gonio.rig.description import RigDescription
-from gonio.typing import Floats
+from gonio.typing import Floats, TomlTable
 
 THETA_I_DEG = (10.0, 30.0, 60.0, 75.0)
 THETA_R_DEG = {"start": -85.0, "stop": 85.0, "step": 1.0}

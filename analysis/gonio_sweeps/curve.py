@@ -18,14 +18,12 @@ from pydantic import field_validator
 from gonio.acquisition.plan import Plan, Point
 from gonio.acquisition.run import Run
 from gonio.acquisition.sampling import Choice
-from gonio.config import Strict
-from gonio.documents import JsonObject
+from gonio.config import Positive, Strict
 from gonio.errors import ConfigError
 from gonio.geometry import Directions
 from gonio.reduction.angle_errors import angle_axes, zero_uncertainties
 from gonio.rig.description import RigDescription
-from gonio.rig.ranges import Positive
-from gonio.typing import Floats
+from gonio.typing import Floats, JsonObject
 from gonio_sweeps import expected
 from gonio_sweeps.candidates import Candidates, candidates, curves, half_angles, signed_deg, spread
 from gonio_sweeps.online import GrowingValues, Online

@@ -23,15 +23,13 @@ from gonio_analysis.fitting.search import refine
 from gonio_analysis.fitting.value_covariance import Covariance
 from pydantic import Field, field_validator
 
-from gonio.config import Strict
-from gonio.documents import JsonObject
+from gonio.config import Positive, Strict
 from gonio.errors import DataError
 from gonio.geometry import Directions
 from gonio.models.parameters import Values
 from gonio.rig.description import RigDescription
-from gonio.rig.ranges import Positive
 from gonio.shown import with_u
-from gonio.typing import DataFrame, Floats
+from gonio.typing import DataFrame, Floats, JsonObject
 from gonio_sweeps import expected
 from gonio_sweeps.candidates import places
 from gonio_sweeps.online import GrowingValues

@@ -20,7 +20,7 @@ from gonio.reduction.growing import so_far
 from gonio.reduction.rates import Reduced, Rejected
 from gonio.reduction.threads import in_threads
 from gonio.rig import Pose
-from gonio.rig.bands import Band
+from gonio.rig.light_and_camera import Band
 from gonio.typing import Floats
 
 

@@ -17,11 +17,10 @@ from gonio_analysis.fitting.forward import apparent
 from gonio.acquisition.plan import Plan
 from gonio.acquisition.run import Run
 from gonio.acquisition.sampling import Choice
-from gonio.documents import JsonObject
 from gonio.errors import ConfigError
 from gonio.reduction import brdf as reduction
 from gonio.rig.description import RigDescription
-from gonio.typing import DataFrame, Floats
+from gonio.typing import DataFrame, Floats, JsonObject
 from gonio_sweeps import expected
 from gonio_sweeps.candidates import EVENLY, Curves, candidates, cover_by_errors, cover_evenly, nearby, places, spread
 from gonio_sweeps.model_fit import MANY, SEARCHES, Known, ModelFit, ParameterSettings

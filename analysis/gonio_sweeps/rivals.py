@@ -23,12 +23,10 @@ from gonio.acquisition.measure import load_sample
 from gonio.acquisition.plan import Plan
 from gonio.acquisition.run import Run
 from gonio.acquisition.sampling import Choice
-from gonio.config import Strict
-from gonio.documents import JsonObject
+from gonio.config import Positive, Strict
 from gonio.errors import ConfigError
 from gonio.rig.description import RigDescription, SampleDescription
-from gonio.rig.ranges import Positive
-from gonio.typing import Floats
+from gonio.typing import Floats, JsonObject
 from gonio_sweeps import expected
 from gonio_sweeps import separation as separations
 from gonio_sweeps.candidates import candidates, spread

@@ -13,8 +13,8 @@ from gonio.acquisition.plan import Plan, Point
 from gonio.acquisition.schedule import reference_pose
 from gonio.config import Strict, parse
 from gonio.errors import ConfigError
-from gonio.rig.bands import Band
 from gonio.rig.description import RigDescription
+from gonio.rig.light_and_camera import Band
 from gonio.typing import Floats
 from gonio_sweeps import expected
 from gonio_sweeps.candidates import Candidates, places, snake

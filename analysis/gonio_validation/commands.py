@@ -148,7 +148,7 @@ def _names(text: str) -> list[str]:
 @contextlib.contextmanager
 def _counted(what: str) -> Iterator[Callable[[int, int], None]]:
     """Who is told how many are done: a bar on a terminal, and lines elsewhere."""
-    from gonio.cli.pace import Pace
+    from gonio.cli.console import Pace
 
     lines: list[Pace] = []
 

@@ -24,8 +24,8 @@ from pathlib import Path
 from typing import Any, Generic, Self, TypeVar
 
 from gonio.by_hand.manual_rig import ManualRig
-from gonio.documents import JsonObject
 from gonio.errors import ArgumentError, ConfigError, DeviceError
+from gonio.typing import JsonObject
 
 log = logging.getLogger("gonio.devices")
 

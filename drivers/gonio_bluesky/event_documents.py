@@ -35,9 +35,8 @@ from gonio.acquisition.journal import Event
 from gonio.acquisition.plan import ANGLES
 from gonio.acquisition.run import TABLE, Run
 from gonio.disk import is_own, read_file, read_manifest
-from gonio.documents import JsonObject
 from gonio.rig.dng import read_raw
-from gonio.typing import NDArray
+from gonio.typing import JsonObject, NDArray
 
 Document = tuple[str, JsonObject]
 """Its kind (start, descriptor, event, ...), and what it holds."""

@@ -12,8 +12,8 @@ from typing import IO, cast
 from gonio import platform
 from gonio.acquisition.run import Run
 from gonio.disk import require_name
-from gonio.documents import JsonObject
 from gonio.errors import ConfigError, DataError
+from gonio.typing import JsonObject
 from gonio_bluesky.event_documents import Document, documents
 
 

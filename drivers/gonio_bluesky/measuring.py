@@ -23,10 +23,10 @@ from gonio.acquisition import measure
 from gonio.acquisition.plan import Plan, Point, canonical, load_plan
 from gonio.acquisition.run import Run, command_line
 from gonio.acquisition.run_folder import begun
-from gonio.documents import JsonObject
 from gonio.errors import ArgumentError, ConfigError, Interrupted
 from gonio.rig import Frame, Pose, Rig, Step
 from gonio.rig.description import RigDescription, SampleDescription
+from gonio.typing import JsonObject
 from gonio_bluesky.devices import Plotted, Reading, Setting, Status, number
 
 DIRECTIONS = ("theta_i", "phi_i", "theta_r", "phi_r")

@@ -10,10 +10,10 @@ from typing import Protocol, Self
 
 from gonio import plugins
 from gonio.config import parse
-from gonio.documents import TomlTable
 from gonio.errors import ConfigError
 from gonio.rig import CameraDevice, Frame
 from gonio.rig.description import RigDescription
+from gonio.typing import TomlTable
 from gonio_drivers import settings
 
 SOURCE = "[devices.camera]"

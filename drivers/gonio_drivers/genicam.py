@@ -12,13 +12,11 @@ from typing import Any, Self
 
 import numpy as np
 
-from gonio.config import Strict, parse
-from gonio.documents import TomlTable
+from gonio.config import NonNegative, Positive, Strict, parse
 from gonio.errors import ConfigError, DeviceError, PassingFault
 from gonio.rig import Frame, clock
 from gonio.rig.description import RigDescription
-from gonio.rig.ranges import NonNegative, Positive
-from gonio.typing import NDArray
+from gonio.typing import NDArray, TomlTable
 
 OFF = {
     "AcquisitionFrameRateEnable": False, "ExposureAuto": "Off", "GainAuto": "Off", "BlackLevelAuto": "Off",

@@ -13,10 +13,9 @@ import warnings
 from collections.abc import Callable
 from typing import Any, Self, TypeVar
 
-from gonio.config import parse
-from gonio.documents import TomlTable
+from gonio.config import Positive, parse
 from gonio.errors import ConfigError, DeviceError
-from gonio.rig.ranges import Positive
+from gonio.typing import TomlTable
 from gonio_drivers import ports, settings
 from gonio_drivers.stages import StageState
 

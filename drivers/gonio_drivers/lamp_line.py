@@ -15,9 +15,9 @@ import serial
 from pydantic import ValidationInfo, field_validator, model_validator
 
 from gonio import config
+from gonio.config import NonNegative, Positive
 from gonio.errors import ConfigError, DeviceError, PassingFault
 from gonio.rig import clock
-from gonio.rig.ranges import NonNegative, Positive
 from gonio_drivers import log, ports
 
 DIALECTS = ("scpi", "mightex", "arduino")

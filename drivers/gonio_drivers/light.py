@@ -12,8 +12,8 @@ from typing import Self
 
 from gonio.errors import ConfigError, DeviceError, Disturbed, GonioError, Interrupted
 from gonio.rig import clock
-from gonio.rig.bands import Band
 from gonio.rig.description import RigDescription
+from gonio.rig.light_and_camera import Band
 from gonio_drivers import guard, log, ports, settings
 from gonio_drivers.lamp_line import TRIES, LampLine, dialect
 from gonio_drivers.patience import Patience

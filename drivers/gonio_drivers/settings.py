@@ -7,11 +7,10 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from gonio.config import Strict
-from gonio.documents import TomlTable
+from gonio.config import NonNegative, Positive, Strict
 from gonio.errors import ConfigError
 from gonio.rig.description import RigDescription
-from gonio.rig.ranges import NonNegative, Positive
+from gonio.typing import TomlTable
 
 AxisName = Literal["light", "camera", "tilt", "spin", "azimuth"]
 

@@ -25,8 +25,8 @@ from gonio.disk import Staged, read_file
 from gonio.errors import ArgumentError, DataError
 from gonio.platform import sync_folder
 from gonio.rig import Frame, Pose, Step
-from gonio.rig.bands import Band
 from gonio.rig.dng import encode_dng, pixels_sha256, read_raw, read_record
+from gonio.rig.light_and_camera import Band
 
 WAITING = 8
 """How many frames may wait for the disk before the camera has to."""

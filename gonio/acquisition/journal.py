@@ -23,8 +23,8 @@ from typing import Any, BinaryIO, Self, overload
 from gonio import platform
 from gonio.acquisition.records import StepRecord, compact, event_of
 from gonio.disk import only_file
-from gonio.documents import JsonObject
 from gonio.errors import ConfigError, DataError, os_error_as
+from gonio.typing import JsonObject
 
 Event = JsonObject
 """A line: its `event` says what kind it is. Those of steps are `gonio.acquisition.records.StepRecord`."""

@@ -24,10 +24,10 @@ from gonio.rig.description import Reference, RigDescription, SampleDescription
 from gonio.rig.motion_planning import Blocked, route
 
 if TYPE_CHECKING:
+    from gonio.acquisition.progress import Pause, Stop
     from gonio.acquisition.resuming import Resumed
     from gonio.acquisition.run import Run
     from gonio.acquisition.sampling import Sampler
-    from gonio.acquisition.stop import Pause, Stop
 
     Prepared = tuple[Plan, "RigChoice", list[Assessed], Sampler | None]
 
@@ -197,13 +197,13 @@ def carry_out(
         See `gonio.acquisition.loop.measure`, `Run.create`, `Run.resume` and the rig's own documentation.
     """
     from gonio.acquisition.loop import measure
+    from gonio.acquisition.progress import Stop
     from gonio.acquisition.remaining import Remaining
     from gonio.acquisition.repair import ASIDE
     from gonio.acquisition.resuming import reopened
     from gonio.acquisition.run import Run
     from gonio.acquisition.run_folder import begun
     from gonio.acquisition.run_settings import Request
-    from gonio.acquisition.stop import Stop
 
     out = Path(out)
     progress = progress or Silent()
@@ -271,8 +271,7 @@ def prepared(
     plan, sampler = sampler_of(plan, rig.description)
     if plan.order == "as-written":
         return plan, rig, None, sampler
-    from gonio.acquisition.duration import Durations
-    from gonio.acquisition.ordering import as_begun, ordered
+    from gonio.acquisition.duration import Durations, as_begun, ordered
     from gonio.acquisition.run import Run
 
     if begun is not None and (begun / "plan.csv").is_file():

@@ -20,18 +20,17 @@ from pydantic import ConfigDict, Field, ValidationInfo, field_validator, model_v
 
 from gonio.acquisition.plan_tables import ANGLES as ANGLES
 from gonio.acquisition.plan_tables import MAX_POINTS, HalfVector, Hemisphere, PointsFile, Repeated, Sweep
-from gonio.config import Strict, parse, read_toml
+from gonio.config import Positive, Strict, parse, read_toml
 from gonio.disk import only_file
-from gonio.documents import TomlTable
 from gonio.errors import ConfigError
 from gonio.geometry import Directions
-from gonio.rig import Pose, beam_size
-from gonio.rig.bands import Band
+from gonio.rig import Pose, regions
 from gonio.rig.description import RigDescription
 from gonio.rig.inverse_kinematics import Unreachable, reach
 from gonio.rig.kinematics import directions, view
 from gonio.rig.laboratory import Laboratory
-from gonio.rig.ranges import Positive
+from gonio.rig.light_and_camera import Band
+from gonio.typing import TomlTable
 
 SAME_DEG = 1e-7
 """Points closer than this in every angle [deg] are one point: above rounding, and far below an encoder's step."""
@@ -68,7 +67,7 @@ class PlanFile(Strict):
     name: str
     wavelength_nm: tuple[Positive, ...]
     order: Order = "as-written"
-    """"short": the rig's travel is made short (`gonio.acquisition.ordering`)."""
+    """"short": the rig's travel is made short (`gonio.acquisition.duration`)."""
     reference_every: Annotated[int, Field(ge=0)] | None = None
     """Points between two visits to the white reference, in place of the rig file's `reference.every`."""
     sweep: tuple[Sweep, ...] = ()
@@ -321,7 +320,7 @@ def assess(plan: Plan, description: RigDescription) -> list[Assessed]:
                 raise Unreachable("grazing", "theta_r = 90 deg: the sample is seen edge-on")
             pose = reach(description, asked)
             if description.lamp.beam_diameter_mm is not None:
-                why = beam_size.cut(description, view(description, pose))
+                why = regions.cut(description, view(description, pose))
                 if why:
                     raise Unreachable("partly_filled", why, "the beam's edge cuts through the region of interest")
             out.append(Assessed(point, pose))

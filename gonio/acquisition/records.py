@@ -22,10 +22,10 @@ from typing import Annotated, Any, Literal, NamedTuple, NotRequired, Self
 from pydantic import AfterValidator, ConfigDict, Field, TypeAdapter, ValidationError, with_config
 from typing_extensions import TypedDict
 
-from gonio.documents import JsonObject
 from gonio.errors import DataError
 from gonio.rig.health import Reading
 from gonio.rig.protocols import Pose
+from gonio.typing import JsonObject
 
 Kind = Literal["dark", "reference", "point"]
 Extra = Literal["allow", "ignore", "forbid"]

@@ -50,14 +50,13 @@ from gonio.disk import (
     work_folder,
     write_own,
 )
-from gonio.documents import JsonObject
 from gonio.errors import ConfigError, DataError, os_error_as
 from gonio.platform import sync_folder
 from gonio.rig import Step
-from gonio.rig.bands import Band
 from gonio.rig.description import RigDescription, SampleDescription
 from gonio.rig.laboratory import Laboratory
-from gonio.typing import DataFrame, Floats
+from gonio.rig.light_and_camera import Band
+from gonio.typing import DataFrame, Floats, JsonObject
 
 ROWS = 4096
 """So many rows of a plan.csv are read at once."""

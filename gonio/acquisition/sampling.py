@@ -10,9 +10,9 @@ import numpy as np
 from gonio import plugins
 from gonio.acquisition.plan import Plan, Point
 from gonio.acquisition.run import Run
-from gonio.documents import TomlTable
 from gonio.errors import ConfigError
 from gonio.rig.description import RigDescription
+from gonio.typing import TomlTable
 
 
 @dataclass(frozen=True, slots=True)

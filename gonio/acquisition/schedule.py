@@ -6,13 +6,13 @@ from dataclasses import dataclass, field
 from typing import overload
 
 from gonio.acquisition.plan import ANGLES, Assessed, Plan, Point, assess, canonical, count_reasons
-from gonio.documents import JsonObject
 from gonio.errors import ConfigError
-from gonio.rig import Pose, Step, beam_size
+from gonio.rig import Pose, Step, regions
 from gonio.rig.description import RigDescription
 from gonio.rig.inverse_kinematics import Unreachable, reach
 from gonio.rig.kinematics import view
 from gonio.rig.motion_planning import Blocked, require_free
+from gonio.typing import JsonObject
 
 EXPECTED_ALBEDO = 0.5
 """What estimates take the sample for where nobody knows better: its reflectance factor, pi times its BRDF."""
@@ -37,7 +37,7 @@ def reference_pose(description: RigDescription) -> Pose:
             f'rig "{description.name}": [reference] theta_i_deg = {reference.theta_i_deg:g}, '
             f"theta_r_deg = {reference.theta_r_deg:g} cannot be reached: {error}"
         ) from None
-    beam_size.require_whole(description, view(description, pose), "reference")
+    regions.require_whole(description, view(description, pose), "reference")
     return pose
 
 

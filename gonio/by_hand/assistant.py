@@ -24,9 +24,9 @@ from gonio.by_hand.manual_rig import ManualRig
 from gonio.by_hand.rig_file import read_zero, with_values, write_values
 from gonio.by_hand.sight import Pictures, Sight, pictures
 from gonio.disk import put
-from gonio.documents import JsonObject
 from gonio.errors import ConfigError, DataError, DeviceError, Disturbed, EmergencyStop
 from gonio.rig import Frame, Pose, Target, regions
+from gonio.typing import JsonObject
 
 Tell = Callable[[JsonObject, Pictures | None], None]
 """Takes what is to be shown (what JSON can hold), and the pictures of a new frame."""

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from gonio.acquisition import exposure
-from gonio.rig import Frame, sensor_noise
+from gonio.rig import Frame, sensor_response
 from gonio.rig.description import RigDescription
 from gonio.rig.imaging import Channel
 from gonio.rig.light_and_camera import Camera
@@ -199,7 +199,7 @@ def noise(camera: Camera, first: Frame, second: Frame, region: Roi) -> Noise | N
     scaled = a * (means[1] / means[0] * second.exposure_s / first.exposure_s) if lit else a
     deviation = float(np.std(scaled - b, ddof=1)) / math.sqrt(2.0)
     level = float(b.mean())
-    expected = sensor_noise.deviation_dn(camera, level * camera.electrons_per_dn, rounding=camera.quantised)
+    expected = sensor_response.deviation_dn(camera, level * camera.electrons_per_dn, rounding=camera.quantised)
     u_rel = deviation / math.sqrt(a.size) / level if lit else None
     return Noise(deviation, float(expected), level, u_rel)
 

@@ -35,8 +35,8 @@ from gonio.rig import (
     inverse_kinematics,
     motion_planning,
 )
-from gonio.rig.bands import Band
 from gonio.rig.description import RigDescription, SampleDescription
+from gonio.rig.light_and_camera import Band
 from gonio.typing import DataFrame
 
 if TYPE_CHECKING:

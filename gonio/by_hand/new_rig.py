@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from gonio.config import parse
-from gonio.documents import TomlTable
 from gonio.errors import ConfigError, DeviceError
 from gonio.rig import FoundServo, RigDiscovery, RigPlugin, RigService
 from gonio.rig.description import RigDescription
+from gonio.typing import TomlTable
 
 Check = Callable[[str], Any]
 """What an answer means; raises `ValueError` that says what is wrong with it, and how it should be."""

@@ -14,13 +14,11 @@ import numpy as np
 
 from gonio.acquisition import exposure
 from gonio.by_hand import looking
-from gonio.documents import JsonObject
 from gonio.errors import ConfigError
 from gonio.rig import Frame, Pose, Target, imaging, kinematics, regions
-from gonio.rig.bands import Band
 from gonio.rig.description import RigDescription
-from gonio.rig.light_and_camera import Camera
-from gonio.typing import Array, Bools, Floats, NDArray
+from gonio.rig.light_and_camera import Band, Camera
+from gonio.typing import Array, Bools, Floats, JsonObject, NDArray
 
 HISTORY = 240
 HISTORY_S = 0.25

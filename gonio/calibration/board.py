@@ -6,9 +6,9 @@ from typing import Annotated, Any
 from pydantic import Field
 
 from gonio.config import Strict, parse, read_toml
-from gonio.documents import TomlTable
 from gonio.errors import ConfigError
 from gonio.rig.fiducials import dictionary_of
+from gonio.typing import TomlTable
 
 OPENCV = (".yml", ".yaml")
 """Files of OpenCV's FileStorage."""

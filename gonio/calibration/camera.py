@@ -8,10 +8,9 @@ from typing import Any
 import numpy as np
 from scipy.linalg import block_diag
 
-from gonio.calibration import black_frames, linearity, photon_transfer, pixel_statistics, response, vignetting
+from gonio.calibration import black_frames, linearity, photon_transfer, vignetting
 from gonio.calibration.camera_frames import CameraFrame
 from gonio.calibration.camera_passes import Passes
-from gonio.documents import TomlTable
 from gonio.errors import DataError
 from gonio.reduction.stray_light import spread
 from gonio.rig import Pose
@@ -22,7 +21,7 @@ from gonio.rig.imaging import Channel
 from gonio.rig.light_and_camera import Camera
 from gonio.rig.sensor_response import PixelMaps, straightened
 from gonio.shown import with_u
-from gonio.typing import Bools, Figure, Floats
+from gonio.typing import Bools, Figure, Floats, TomlTable
 
 UNDETERMINED = 0.05
 """Standard uncertainty of `vignetting` from which on it is not: lenses lose a tenth or two at the corners."""
@@ -94,7 +93,7 @@ def calibrate_response(frames: Sequence[CameraFrame], description: RigDescriptio
     if not flats:
         raise DataError("there are no flat frames: a response curve needs a bracket of exposures")
     images = [frame.read(camera) for frame in flats]
-    curve = response.curve(images, np.array([frame.exposure_s for frame in flats]))
+    curve = linearity.curve(images, np.array([frame.exposure_s for frame in flats]))
     notes = ["the noise of a camera with a response curve is not measured: that of the rig file stays"]
     values = {"response": [float(f"{value:.6g}") for value in curve]}
     values["response"][-1] = 255.0
@@ -194,7 +193,7 @@ class _Work(Passes):
         transfer: photon_transfer.PhotonTransfer,
         standard: photon_transfer.PhotonTransfer,
         curve: linearity.Linearity,
-        uneven: pixel_statistics.Unevenness,
+        uneven: photon_transfer.Unevenness,
         prnu: float,
     ) -> TomlTable:
         """The standard's figures, for people; `standard` has no curve taken out."""
@@ -250,17 +249,17 @@ class _Work(Passes):
         if not self.map_count:
             self.notes.append("no flat frame between 20 and 80 % of full scale: PRNU is not determined")
             return self.camera.prnu, self.camera.prnu, (ones, self.camera.prnu * ones)
-        region = pixel_statistics.inside(self.even >= 0.5 * np.percentile(self.even[self.bright], 50.0)) & self.good
+        region = photon_transfer.inside(self.even >= 0.5 * np.percentile(self.even[self.bright], 50.0)) & self.good
         electrons = float(np.mean(self.map_sum[region])) * transfer.electrons_per_dn
-        alike = pixel_statistics.CORRELATED / math.sqrt(2.0 * np.count_nonzero(region))
+        alike = photon_transfer.CORRELATED / math.sqrt(2.0 * np.count_nonzero(region))
         signal = straightened(camera, self.map_sum / self.map_count)
-        ratio, region, total = pixel_statistics.evened(signal, region)
+        ratio, region, total = photon_transfer.evened(signal, region)
         if not region.any():
             self.notes.append(
                 "the white is blurred or marked all over the flat frames: single pixels' responsivities are not "
                 "determined; let more of it be in view, and in focus"
             )
-        bad = pixel_statistics.outliers(ratio, pixel_statistics.LEAST_DEPARTURE)
+        bad = photon_transfer.outliers(ratio, photon_transfer.LEAST_DEPARTURE)
         self.defects = self.defects | bad
         region &= ~bad
         # a sum of S electrons of n frames has the variance S + n sigma_d^2, and n^2 times that of the dark line
@@ -349,7 +348,7 @@ class _Work(Passes):
             pictures.append((np.where(self.defects, math.nan, signal), pose))
         return vignetting.fit(pictures, self.description, self.channel)
 
-    def _temperature(self) -> pixel_statistics.DarkTemperature | None:
+    def _temperature(self) -> photon_transfer.DarkTemperature | None:
         """Arrhenius' law, where the dark frames say their temperatures."""
         from scipy.stats import linregress
 
@@ -360,7 +359,7 @@ class _Work(Passes):
             if np.ptp(exposures[here]) > 0:
                 line = linregress(exposures[here], means[here])
                 found.append((one, line.slope, max(line.stderr, 1e-6)))
-        return pixel_statistics.temperature_law(*np.array(found).T) if found else None
+        return photon_transfer.temperature_law(*np.array(found).T) if found else None
 
 
 def _with_gain(values: TomlTable, own: dict[str, float], transfer: photon_transfer.PhotonTransfer) -> Floats:

@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from gonio.calibration import photon_transfer, pixel_statistics
+from gonio.calibration import photon_transfer
 from gonio.calibration.camera_frames import CameraFrame
 from gonio.errors import DataError
 from gonio.rig.description import RigDescription
@@ -83,7 +83,7 @@ class Passes:
             )
         self.dark_mean, self.dark_t = total / len(taken), float(t.mean())
         self.dark_slope = first / float(np.sum((t - t.mean()) ** 2))
-        self.defects = pixel_statistics.outliers(self.dark_slope) | pixel_statistics.outliers(self.dark_at(0.0))
+        self.defects = photon_transfer.outliers(self.dark_slope) | photon_transfer.outliers(self.dark_at(0.0))
         self.good = self.colour & ~self.defects
         means: list[tuple[float, float, float]] = []
         self.dark_pairs: list[photon_transfer.Pair] = []
@@ -114,12 +114,12 @@ class Passes:
             u_square += weight**2 * float(np.sum([p.u_variance**2 for p in pairs])) / len(pairs) ** 2
         return variance, math.sqrt(u_square)
 
-    def uneven_darks(self) -> tuple[pixel_statistics.Unevenness, float, Floats]:
+    def uneven_darks(self) -> tuple[photon_transfer.Unevenness, float, Floats]:
         """Unevenness of the dark level at no exposure [DN], the standard uncertainty of its total, and the level."""
         bias = self.dark_at(0.0)
         filled = np.where(self.defects, float(np.median(bias)), bias)
         temporal, u_temporal = self.dark_variance(0.0)
-        uneven = pixel_statistics.unevenness(filled, temporal)
+        uneven = photon_transfer.unevenness(filled, temporal)
         u_variance = math.hypot((uneven.total**2 + temporal) * math.sqrt(2.0 / filled.size), u_temporal)
         return uneven, u_variance / (2.0 * max(uneven.total, math.sqrt(u_variance))), filled
 
@@ -157,7 +157,7 @@ class Passes:
         picture = self.mean([f for f in taken if f.exposure_s == middle]) - self.dark_at(middle)
         top = float(np.percentile(picture[self.good], 99.0))
         # noise must not choose the pixels
-        self.even = pixel_statistics.smooth(picture, self.good, 2.0)
+        self.even = photon_transfer.smooth(picture, self.good, 2.0)
         edges = [math.inf, *(part * top for part in PARTS)]
         masks = [self.good & (self.even < high) & (self.even >= low) for high, low in pairwise(edges)]
         self.bright = masks[0]

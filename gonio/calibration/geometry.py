@@ -27,10 +27,9 @@ from gonio.calibration.geometry_problem import (
     start_values,
     unknowns,
 )  # fmt: skip
-from gonio.documents import TomlTable
 from gonio.errors import DataError
 from gonio.rig.description import RigDescription
-from gonio.typing import Figure, Floats
+from gonio.typing import Figure, Floats, TomlTable
 
 ZERO_KNOWN = 0.15
 """As `KNOWN`, of zeros, of which next to nothing is expected: 1.5 deg. A rig without markers reaches about 1 deg, as

@@ -16,11 +16,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from gonio.config import numbers_in, parse, with_numbers
-from gonio.documents import TomlTable
 from gonio.rig import Pose, imaging, kinematics
 from gonio.rig.description import RigDescription
 from gonio.rig.fiducials import corners_mm
-from gonio.typing import Floats
+from gonio.typing import Floats, TomlTable
 
 ORDERS = (1, 2)
 """Of an encoder's errors within its turn: a disc off its centre, and one that is bent or has two reading heads."""

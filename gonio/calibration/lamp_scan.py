@@ -6,15 +6,15 @@ from collections.abc import Callable
 import numpy as np
 
 from gonio.acquisition import exposure
+from gonio.acquisition.holding import wait
 from gonio.acquisition.schedule import reference_pose
-from gonio.acquisition.suspending import wait
 from gonio.by_hand.manual_rig import ManualRig
 from gonio.calibration import beam
 from gonio.calibration.lamp_stability import COLUMNS
 from gonio.errors import ConfigError, DataError, DeviceError
 from gonio.geometry import Directions
 from gonio.reduction import stray_light
-from gonio.rig import Frame, Pose, Step, imaging, inverse_kinematics, kinematics, regions, sensor_noise
+from gonio.rig import Frame, Pose, Step, imaging, inverse_kinematics, kinematics, regions, sensor_response
 from gonio.rig.description import RigDescription
 from gonio.rig.sensor_response import linear_dn, straightened
 from gonio.typing import Array, DataFrame, Floats
@@ -269,4 +269,4 @@ def _noise(description: RigDescription, signal_dn: Floats | float, exposure_s: f
     """Standard deviation of a pixel [DN] from the camera alone."""
     camera = description.camera
     dark = camera.dark_current_e_per_s * exposure_s
-    return sensor_noise.deviation_dn(camera, np.asarray(signal_dn) * camera.electrons_per_dn + dark)
+    return sensor_response.deviation_dn(camera, np.asarray(signal_dn) * camera.electrons_per_dn + dark)

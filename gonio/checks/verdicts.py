@@ -9,8 +9,8 @@ from typing import Any, Literal
 from gonio.checks.hemisphere import Hemispherical, reflectances
 from gonio.checks.symmetry import DIFFERENT, FEWEST, PLACES, Pairs, repeats, symmetries
 from gonio.checks.values import CheckedValues
-from gonio.documents import JsonObject
 from gonio.shown import with_u
+from gonio.typing import JsonObject
 
 Verdict = Literal["ok", "look", "bad", "undetermined"]
 

@@ -1,19 +1,34 @@
-"""`gonio rig align`: the zeros of the axes, from scans over a mirror and straight through an empty holder."""
+"""`gonio rig align`: the zeros of the axes, from scans over a mirror and straight through an empty holder.
 
-from collections.abc import Sequence
+`gonio rig align --live`: a live picture on a page, and a prompt that jogs, lights the lamp and sets zeros. Keys of a
+terminal are read one by one: a line that is typed, and arrows that jog.
+"""
+
+import codecs
+import contextlib
+import shutil
+import sys
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import pandas as pd
 
+from gonio import platform
 from gonio.acquisition.measure import find_rig
 from gonio.by_hand import alignment, rig_file
 from gonio.by_hand.alignment import Alignment
 from gonio.by_hand.alignment_scans import Scans
+from gonio.by_hand.assistant import Assistant
 from gonio.by_hand.manual_rig import ManualRig
 from gonio.cli import console
-from gonio.cli.opened import free_name, manual_rig_of, put, require_new, require_rig_file, told_where
+from gonio.cli.opened import free_name, holding, manual_rig_of, put, require_new, require_rig_file, told_where
 from gonio.disk import put_picture
 from gonio.errors import ConfigError, DataError
+from gonio.live.alignment import AlignmentPage
+from gonio.live.server import Server
 from gonio.rig.description import RigDescription
 from gonio.shown import apart, number
 
@@ -125,3 +140,210 @@ def _show(found: Alignment, description: RigDescription) -> None:
         c = found.covariance
         console.show(f"correlation of light and camera: {c[i, j] / (c[i, i] * c[j, j]) ** 0.5:+.2f}")
     console.show(*(f"not determined: {sentence}" for sentence in found.open))
+
+
+STEPS_DEG = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
+FIRST_STEP = 5
+ARROWS = {"A": "up", "B": "down", "C": "right", "D": "left"}
+END_OF_INPUT = "\x04"
+ESCAPE = "\x1b"
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """A line was finished."""
+
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class Jog:
+    """An arrow was pressed."""
+
+    axis: str
+    degrees: float
+
+
+@dataclass(frozen=True, slots=True)
+class End:
+    """There will be no more: Ctrl-D."""
+
+
+class JogKeys:
+    """What is typed: bytes in, and what they mean out.
+
+    Left and right jog an axis by a step; up and down choose the step, Tab the axis. Ctrl-U takes a line back.
+
+    Parameters
+    ----------
+    axes
+        Names of the axes, the first one is chosen.
+    """
+
+    def __init__(self, axes: Sequence[str]) -> None:
+        self.typed = ""
+        """Of the line so far."""
+        self._axes, self._axis, self._step = list(axes), 0, FIRST_STEP
+        self._decoder = codecs.getincrementaldecoder("utf-8")("replace")
+        self._escape = ""
+
+    @property
+    def axis(self) -> str:
+        """The axis that arrows jog."""
+        return self._axes[self._axis]
+
+    @property
+    def step_deg(self) -> float:
+        """By how much [deg]."""
+        return STEPS_DEG[self._step]
+
+    def feed(self, data: bytes) -> list[Line | Jog | End]:
+        """What some bytes of the terminal mean; an escape sequence may come in parts."""
+        out: list[Line | Jog | End] = []
+        for character in self._decoder.decode(data):
+            if self._escape or character == ESCAPE:
+                self._in_escape(character, out)
+            elif character in "\r\n":
+                out.append(Line(self.typed))
+                self.typed = ""
+            elif character in "\x7f\b":
+                self.typed = self.typed[:-1]
+            elif character == "\x15":
+                self.typed = ""
+            elif character == "\t":
+                self._axis = (self._axis + 1) % len(self._axes)
+            elif character == END_OF_INPUT:
+                out.append(End())
+            elif character.isprintable():
+                self.typed += character
+        return out
+
+    def _in_escape(self, character: str, out: list[Line | Jog | End]) -> None:
+        """ESC [ A, or ESC O A; other sequences end with a letter or ~, and mean nothing."""
+        self._escape += character
+        if len(self._escape) == 1 or (len(self._escape) == 2 and character in "[O"):
+            return
+        if not (character.isalpha() or character == "~" or len(self._escape) == 2):
+            return
+        sequence, self._escape = self._escape, ""
+        arrow = ARROWS.get(sequence[2:], "")
+        if arrow == "up":
+            self._step = min(self._step + 1, len(STEPS_DEG) - 1)
+        elif arrow == "down":
+            self._step = max(self._step - 1, 0)
+        elif arrow:
+            out.append(Jog(self.axis, self.step_deg if arrow == "right" else -self.step_deg))
+
+
+REFRESH_S = 0.25
+CLEAR = "\r\x1b[K"
+END_S = 0.7
+"""The page is served so much longer than the session lasts: pictures that a browser has asked for are on their way."""
+
+
+def live(
+    rig: str, out: Path, sample: Path | None, *,
+    seed: int, host: str, port: int, keep_s: float, wavelength: float | None,
+) -> None:  # fmt: skip
+    """The session, until `quit`, the end of the input, or a signal. The lamp is dark afterwards, and the arms hold."""
+    file = Path(rig) if Path(rig).is_file() else None
+    require_new(out)
+    manual = manual_rig_of(rig, "arms", "light", "camera", sample=sample, seed=seed)
+    if wavelength is not None:
+        manual.choose_band(wavelength)
+    page, terminal = AlignmentPage(), Terminal(list(manual.description.axes()))
+    assistant = Assistant(manual, tell=page.tell, say=terminal.say, rig_file=file, out=out, keep_s=keep_s)
+    with Server(page.routes, page.events, host, port) as server:
+        print(server.address, flush=True)
+        try:
+            with told_where(manual), manual, terminal.listening(assistant):
+                if manual.can_hold:
+                    manual.hold()
+                terminal.say("lamp on lights the lamp; help lists what else there is")
+                assistant.run()
+        finally:
+            page.end(dark=bool(getattr(manual.light, "known_dark", not assistant.timer.left_s)))
+            if page.seen:
+                time.sleep(END_S)
+    console.note(holding(manual))
+
+
+class Terminal:
+    """The person's terminal: a status line with what is being typed; or, where there is none, lines of a pipe."""
+
+    def __init__(self, axes: list[str]) -> None:
+        self._keys, self._terminal = JogKeys(axes), platform.Keys()
+        self._lock = threading.Lock()
+        self._ended = threading.Event()
+        self._assistant: Assistant | None = None
+        self._drawn = False
+
+    def say(self, text: str) -> None:
+        """A line on stderr, above the status line."""
+        with self._lock:
+            print((CLEAR if self._drawn else "") + text, file=sys.stderr, flush=True)
+            self._drawn = False
+
+    @contextlib.contextmanager
+    def listening(self, assistant: Assistant) -> Iterator[None]:
+        """Read in a thread of its own; the terminal is as it was afterwards."""
+        self._assistant = assistant
+        keys = sys.stdin.isatty() and sys.stderr.isatty()
+        with self._terminal if keys else contextlib.nullcontext():
+            reader = threading.Thread(
+                target=self._read_keys if keys else self._read_lines, name="terminal", daemon=True
+            )
+            reader.start()
+            try:
+                yield
+            finally:
+                self._ended.set()
+                if keys:
+                    reader.join(2.0 * REFRESH_S)
+                with self._lock:
+                    print(CLEAR if self._drawn else "", end="", file=sys.stderr, flush=True)
+                    self._drawn = False
+
+    def _read_lines(self) -> None:
+        assert self._assistant is not None
+        for line in sys.stdin:
+            if self._ended.is_set():
+                return
+            self._assistant.alive()
+            self._assistant.orders.put(line)
+        self._assistant.orders.put("quit")
+
+    def _read_keys(self) -> None:
+        assistant = self._assistant
+        assert assistant is not None
+        while not self._ended.is_set():
+            try:
+                data = self._terminal.read(REFRESH_S)
+            except EOFError:
+                assistant.orders.put("quit")
+                return
+            if data:
+                assistant.alive()
+                for what in self._keys.feed(data):
+                    self._act(what, assistant)
+            self._draw(assistant.status)
+
+    def _act(self, what: Line | Jog | End, assistant: Assistant) -> None:
+        if isinstance(what, Jog):
+            assistant.nudge(what.axis, what.degrees)
+        elif isinstance(what, End):
+            assistant.orders.put("quit")
+        elif what.text.strip():
+            self.say(f"> {what.text}")
+            assistant.orders.put(what.text)
+
+    def _draw(self, status: str) -> None:
+        keys = self._keys
+        prompt = f"[{keys.axis} {keys.step_deg:g} deg] > {keys.typed}"
+        room = shutil.get_terminal_size().columns - 1
+        text = f"{status}  {prompt}"
+        if len(text) > room:
+            text = f"{status[: max(room - len(prompt) - 2, 0)]}  {prompt}"[-room:]
+        with self._lock:
+            print(CLEAR + text, end="", file=sys.stderr, flush=True)
+            self._drawn = True

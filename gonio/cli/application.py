@@ -234,7 +234,7 @@ def build() -> typer.Typer:
     import typer
 
     from gonio import plugins
-    from gonio.cli import by_hand, calibrate, measuring, options, plans, rigs, runs, servos, tables
+    from gonio.cli import by_hand, calibrate, measuring, opened, plans, rigs, runs, servos, tables
 
     points = plugins.available("gonio.commands")
     app = typer.Typer(
@@ -249,7 +249,7 @@ def build() -> typer.Typer:
             "token_normalize_func": lambda name: FORMER.get(name, name),
         },
     )
-    app.callback()(options.options)
+    app.callback()(opened.options)
     assert by_hand.app is servos.app is rigs.app  # all put their commands into one
     app.add_typer(rigs.app, name="rig")
     app.add_typer(calibrate.app, name="calibrate")

@@ -19,13 +19,26 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from gonio.cli import console
-from gonio.cli.opened import choice_of, holding, manual_rig_of, told_dark, told_where
-from gonio.cli.options import AsJson, Axis, RigOption, SampleOption, Search, Seed, WavelengthOption, Yes
-from gonio.cli.pace import Pace
+from gonio.cli.console import Pace
+from gonio.cli.opened import (
+    AsJson,
+    Axis,
+    RigOption,
+    SampleOption,
+    Search,
+    Seed,
+    WavelengthOption,
+    Yes,
+    choice_of,
+    holding,
+    manual_rig_of,
+    told_dark,
+    told_where,
+)
 from gonio.cli.rigs import app
 from gonio.cli.signals import undisturbed
-from gonio.documents import JsonObject
 from gonio.errors import ConfigError, DeviceError, Disturbed, GonioError, Interrupted
+from gonio.typing import JsonObject
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -184,7 +197,7 @@ def lamp(
 
 def _count_down(manual: ManualRig, end: float) -> None:
     """Wait for the end, and look at the lamp meanwhile, where its driver can."""
-    from gonio.acquisition.suspending import wait
+    from gonio.acquisition.holding import wait
 
     terminal = sys.stderr.isatty()
     while (left := end - time.monotonic()) > 0:
@@ -419,15 +432,15 @@ def align(
     Beside OUT: OUT-scans.csv, to fit again, and OUT-residuals.png. The lamp is dark and the arms parked afterwards.
     With --live a person aligns: the first line is the address of a page with the camera's picture.
     """
+    from gonio.cli import align
     from gonio.cli import align as by_scans
-    from gonio.cli import align_live
 
     if not live:
         by_scans.align(rig, out, only, again or (), search_deg=search, seed=seed, yes=yes)
     elif again:
         raise ConfigError("--from belongs to scans, and --live makes none: leave one of them away")
     else:
-        align_live.live(rig, out, sample, seed=seed, host=host, port=port, keep_s=keep, wavelength=wavelength)
+        align.live(rig, out, sample, seed=seed, host=host, port=port, keep_s=keep, wavelength=wavelength)
 
 
 # ---- inside ----

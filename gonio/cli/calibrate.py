@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from gonio.cli.options import RigOption, Search, Seed, WavelengthOption, Yes
+from gonio.cli.opened import RigOption, Search, Seed, WavelengthOption, Yes
 
 app = typer.Typer(no_args_is_help=True)
 

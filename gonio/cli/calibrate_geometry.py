@@ -19,14 +19,13 @@ from gonio.cli import console, opened
 from gonio.cli.align import PROMPTS
 from gonio.config import numbers_in
 from gonio.disk import put_picture
-from gonio.documents import TomlTable
 from gonio.errors import ConfigError, DataError, os_error_as
 from gonio.rig import Device, Step
 from gonio.rig.calibrated import Calibration, with_keys, write_calibration
 from gonio.rig.calibration_use import ParameterUncertainty
 from gonio.rig.description import RigDescription
 from gonio.shown import apart
-from gonio.typing import Floats
+from gonio.typing import Floats, TomlTable
 
 PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".dng")
 HOLDERS = ("mirror", "empty")

@@ -13,20 +13,19 @@ from scipy.linalg import block_diag
 from gonio.by_hand.manual_rig import ManualRig
 from gonio.calibration import beam, lamp_scan, lamp_stability, spectral
 from gonio.calibration.beam import Profile
-from gonio.calibration.polariser import polarised
+from gonio.calibration.spectral import polarised
 from gonio.cli import console, opened
 from gonio.cli.opened import free_name
 from gonio.cli.signals import undisturbed
 from gonio.config import numbers_in
 from gonio.disk import put, put_picture
-from gonio.documents import TomlTable
 from gonio.errors import DataError
 from gonio.reduction.geometry_errors import zero_keys
 from gonio.rig.calibrated import Calibration, covariance_of, known_parameters, with_keys, write_calibration
 from gonio.rig.calibration_use import ParameterUncertainty
 from gonio.rig.description import RigDescription
 from gonio.shown import apart
-from gonio.typing import Floats
+from gonio.typing import Floats, TomlTable
 
 NO_ZERO_DEG = 10.0
 """No zero is off by as much: `gonio calibrate geometry` expects none there."""

@@ -1,22 +1,29 @@
-"""What commands show: results on stdout, progress on stderr."""
+"""What commands show: results on stdout, progress on stderr.
+
+Keys that pause a measurement, heard while it runs; prompts of the rig have the terminal for themselves meanwhile.
+
+What long work says of itself: how far it is, and how long the rest may take.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import math
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Self
+
+from gonio import platform
 
 if TYPE_CHECKING:
     from rich.console import Console, RenderableType
     from rich.progress import Progress as ProgressBar
     from rich.table import Table
 
-    from gonio.acquisition.progress import Live, Progress
+    from gonio.acquisition.progress import Live, Pause, Progress
     from gonio.acquisition.remaining import Remaining, TimeLeft
-    from gonio.acquisition.stop import Pause
 
 LINES = 20
 """At most about so many lines of progress where there is no terminal."""
@@ -66,7 +73,7 @@ def duration(seconds: float) -> str:
 def progress(pause: Pause | None = None) -> contextlib.AbstractContextManager[Progress]:
     """Somebody who shows a measurement: a bar with a line of live values on a terminal, a few plain lines elsewhere.
 
-    With `pause` its keys are heard where a terminal is there to press them on (`gonio.cli.pause_keys`).
+    With `pause` its keys are heard where a terminal is there to press them on (`gonio.cli.console`).
     """
     return _on_terminal(pause) if sys.stderr.isatty() else contextlib.nullcontext(_Lines())
 
@@ -203,7 +210,6 @@ class _Bar(_Rest):
         from rich.live import Live as Screen
 
         from gonio import platform
-        from gonio.cli.pause_keys import PauseKeys
 
         super().__init__()
         self._pause, self._console, self._text = pause, console, ""
@@ -263,3 +269,98 @@ def _console(*, stderr: bool) -> Console:
     out = Console(stderr=stderr, soft_wrap=False)
     # a table in a pipe is for grep: as wide as it needs to be
     return out if out.is_terminal else Console(stderr=stderr, width=max(out.width, 120))
+
+
+PAUSE, GO_ON, END = "p ", "c", "q"
+LOOK_S = 0.05
+"""How long leaving waits at most for the thread that listens."""
+
+
+class PauseKeys:
+    """p or space asks for a pause, c lets the run go on, q ends it as Ctrl-C does.
+
+    Enter it more than once, if need be: on leaving, the terminal is as it was.
+    """
+
+    def __init__(self, pause: Pause) -> None:
+        self._pause = pause
+        self._thread: threading.Thread | None = None
+
+    def __enter__(self) -> Self:
+        if self._thread is None and platform.has_keys():
+            self._keys, self._ended = platform.Keys(), threading.Event()
+            self._keys.__enter__()
+            self._pause.attended = True
+            self._thread = threading.Thread(target=self._listen, name="gonio-keys", daemon=True)
+            self._thread.start()
+        return self
+
+    def __exit__(self, *how: Any) -> None:
+        if self._thread is None:
+            return
+        thread, self._thread = self._thread, None
+        self._pause.attended = False
+        self._ended.set()
+        thread.join()
+        self._keys.__exit__(*how)
+
+    def _listen(self) -> None:
+        while not self._ended.is_set():
+            try:
+                pressed = self._keys.read(LOOK_S)
+            except EOFError:
+                return
+            for key in pressed.lower().decode(errors="replace"):
+                if key in PAUSE:
+                    self._pause.ask("a key")
+                elif key == GO_ON:
+                    self._pause.go_on()
+                elif key == END:
+                    platform.interrupt()
+
+
+QUIET_S = 2.0
+"""Work that is done sooner says nothing, and nothing is said again sooner."""
+
+Say = Callable[[str], None]
+
+
+def silent(text: str) -> None:
+    """For those whom nobody listens to."""
+
+
+class Pace:
+    """Tells how many of about equal steps are done.
+
+    Parameters
+    ----------
+    what
+        As in "drawing figures".
+    total
+        How many steps there are.
+    say
+        Called with a line, at most every `QUIET_S`.
+    at_most
+        There may be fewer steps than `total`.
+    """
+
+    def __init__(self, what: str, total: int, say: Say, *, at_most: bool = False) -> None:
+        self._what, self._total, self._say, self._at_most = what, total, say, at_most
+        self._told = time.monotonic()
+        self._first: tuple[float, int] | None = None
+
+    def step(self, done: int) -> None:
+        """So many steps are done."""
+        now = time.monotonic()
+        if self._first is None and done > 0:
+            self._first = now, done  # what is slow at the first step alone (imports, machine code) says nothing
+            return
+        if self._first is None or now - self._told < QUIET_S or done >= self._total:
+            return
+        began, before = self._first
+        if done <= before:  # it began anew
+            return
+        self._told = now
+        left = duration((now - began) / (done - before) * (self._total - done))
+        most = "at most " if self._at_most else ""
+        self._say(f"{self._what}: {done} of {most}{self._total}, {most or 'about '}{left} left")

@@ -39,9 +39,9 @@ def measure(
     """Measure a plan on a rig: raw frames and a journal in a folder. Ctrl-C finishes the step and parks; p pauses."""
     from gonio.acquisition.measure import carry_out, check, find_rig, load_sample
     from gonio.acquisition.plan import load_plan
+    from gonio.acquisition.progress import Pause
     from gonio.acquisition.run import Run, command_line
     from gonio.acquisition.run_folder import begun
-    from gonio.acquisition.stop import Pause
 
     asked, chosen = load_plan(plan), find_rig(rig)
     described = load_sample(sample) if sample is not None else None

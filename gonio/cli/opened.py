@@ -1,13 +1,18 @@
-"""Rigs that a command opens by hand: which devices, what lies in the holder, and what is said where it ends early."""
+"""Rigs that a command opens by hand: which devices, what lies in the holder, and what is said where it ends early.
+
+Also what `gonio` itself takes, before any command; and what several commands take: of tables, rigs, calibrations.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
+
+import typer
 
 from gonio.cli import console
 from gonio.errors import ConfigError, DeviceError, Interrupted
@@ -15,6 +20,7 @@ from gonio.errors import ConfigError, DeviceError, Interrupted
 if TYPE_CHECKING:
     from gonio.acquisition.measure import RigChoice
     from gonio.by_hand.manual_rig import ManualRig
+    from gonio.measurement import Reading
     from gonio.rig import Device
 
 
@@ -125,3 +131,62 @@ def holding(manual: ManualRig) -> str:
     """What is true after a command that lit the lamp, and told the axes to hold."""
     holds = manual.can_hold and not manual.repeatable
     return "the lamp is dark" + ("; the axes hold, until gonio rig park" if holds else "")
+
+
+Columns = Annotated[
+    str | None,
+    typer.Option(help="Names and units in a table of one's own: theta_i=ti:rad,brdf=f.", show_default=False),
+]
+Blank = Annotated[Path | None, typer.Option(help="The blank to subtract from an RT-300S workbook.", show_default=False)]
+
+Axis = Annotated[str, typer.Argument(help="light, camera, tilt, spin or azimuth.", show_default=False)]
+RigOption = Annotated[str, typer.Option("--rig", help="A rig's name, or a rig file.", show_default=False)]
+SampleOption = Annotated[Path | None, typer.Option("--sample", help="What a simulated rig looks at: a sample.toml.")]
+WavelengthOption = Annotated[
+    float | None, typer.Option("--wavelength-nm", help="The band that contains it [nm].", show_default=False)
+]
+Seed = Annotated[int, typer.Option("--seed", min=0, help="Seed of a simulated rig.")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
+Yes = Annotated[bool, typer.Option("--yes", "-y", help="Ask nobody: what has to lie in the holder does.")]
+Search = Annotated[float, typer.Option("--search", min=1, max=30, help="How far to look for the lamp [deg].")]
+
+
+def _version(asked: bool) -> None:
+    if asked:
+        from gonio import __version__
+
+        print(f"gonio {__version__}")
+        raise typer.Exit
+
+
+def options(
+    version: Annotated[
+        bool, typer.Option("--version", help="Print the version, and exit.", is_eager=True, callback=_version)
+    ] = False,
+) -> None:
+    """A goniometer workbench: plan, measure, reduce, fit, compare and report BRDFs."""
+
+
+def reading(columns: str | None, blank: Path | None) -> Reading:
+    """What --columns and --blank say.
+
+    Raises
+    ------
+    ConfigError
+        --columns is written otherwise.
+    """
+    from gonio.formats import own_columns
+    from gonio.measurement import Reading
+
+    return Reading(None if columns is None else own_columns.pairs(columns), blank)
+
+
+def remember(specs: Sequence[str], how: Reading) -> None:
+    """Write --columns beside the tables that they were right for, for the next command; say so."""
+    from gonio import measurement
+    from gonio.formats import own_columns
+
+    for path in (Path(measurement.split(spec)[0]) for spec in specs):
+        said = own_columns.remember(path, how.columns) if how.columns is not None and path.is_file() else None
+        if said is not None:
+            console.note(said)

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 import typer
 
 from gonio.cli import console
-from gonio.cli.opened import choice_of, manual_rig_of, require_new
-from gonio.cli.options import Axis, RigOption
+from gonio.cli.opened import Axis, RigOption, choice_of, manual_rig_of, require_new
 from gonio.cli.rigs import app
 from gonio.disk import put
 from gonio.errors import ConfigError, DeviceError, Interrupted

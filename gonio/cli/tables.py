@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from gonio.cli import console
-from gonio.cli.options import Blank, Columns, reading, remember
+from gonio.cli.opened import Blank, Columns, reading, remember
 from gonio.errors import ConfigError
 
 if TYPE_CHECKING:

@@ -12,11 +12,9 @@ from typing import Any, TypedDict
 import numpy as np
 
 from gonio import __version__
-from gonio.documents import JsonObject
 from gonio.errors import DataError
-from gonio.formats.reader import ANGLES, write_bytes
-from gonio.formats.stated import Need, get, laboratory_of, require
-from gonio.typing import DataFrame
+from gonio.formats.reader import ANGLES, Need, get, laboratory_of, require, write_bytes
+from gonio.typing import DataFrame, JsonObject
 
 _SCHEMA = "https://raw.githubusercontent.com/BiRD-project/BiRD_view/master/BRDF_JSON_schema/brdf_json_schema_v1.0.json"
 _STATES = {"uu": "unpolarised", "su": "s", "pu": "p"} | {pair: pair for pair in ("ss", "sp", "ps", "pp")}

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from gonio.errors import DataError
-from gonio.formats import stated
+from gonio.formats import reader
 from gonio.formats.reader import Format, fold, plain_degrees, spectra, wide, write_lines
 from gonio.formats.text import Text, estimate, integer, numbers
 from gonio.typing import DataFrame
@@ -103,9 +103,9 @@ REQUIRED = ("LAB_NAME", "LAB_OPERATOR", "SAMPLE_NAME", "MEAS_DATE")
 def _known(frame: DataFrame) -> dict[str, str]:
     """Keywords of the header: those of the file that was read, and what the laboratory has stated."""
     known = {key: value for key, value in frame.attrs.get("provenance", {}).items() if _is_keyword(key, value)}
-    laboratory = stated.laboratory_of(frame) or {}
+    laboratory = reader.laboratory_of(frame) or {}
     for keyword, key in HEADER.items():
-        if value := stated.get(laboratory, key):
+        if value := reader.get(laboratory, key):
             known.setdefault(keyword, " ".join(str(value).split()))
     if frame.attrs.get("sample"):
         known["SAMPLE_NAME"] = " ".join(str(frame.attrs["sample"]).split())

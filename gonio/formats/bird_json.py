@@ -17,13 +17,11 @@ from typing import Any, cast
 
 import numpy as np
 
-from gonio.documents import JsonObject
 from gonio.errors import DataError
 from gonio.formats._bird_writer import _STATES, _Variable, write
 from gonio.formats.native import checked_attributes
-from gonio.formats.reader import Format, fold, table
-from gonio.formats.stated import get, laboratory_of
-from gonio.typing import DataFrame, Floats
+from gonio.formats.reader import Format, fold, get, laboratory_of, table
+from gonio.typing import DataFrame, Floats, JsonObject
 
 _STOKES = {(1.0, 1.0, 0.0, 0.0): "s", (1.0, -1.0, 0.0, 0.0): "p", (1.0, 0.0, 0.0, 0.0): "u"}
 _OURS = re.compile(r"brdf|u_brdf|u_random|flag|sample|s_\w{1,60}")

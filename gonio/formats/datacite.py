@@ -6,11 +6,9 @@ It is what a repository asks for when data get a DOI. Without `laboratory.doi` t
 import json
 from pathlib import Path
 
-from gonio.documents import JsonObject
 from gonio.errors import ConfigError
-from gonio.formats.reader import write_bytes
-from gonio.formats.stated import Need, get, laboratory_of, require
-from gonio.typing import DataFrame
+from gonio.formats.reader import Need, get, laboratory_of, require, write_bytes
+from gonio.typing import DataFrame, JsonObject
 
 _SCHEMA = "http://datacite.org/schema/kernel-4"
 _NEEDED: tuple[Need, ...] = ("creators", "publication_year", ("publisher", "organisation"))

@@ -4,6 +4,8 @@ A reader gets the bytes of a file, or where `Format.in_pieces` says so the open 
 `gonio.measurement`. It never opens files itself (but for the blank that belongs to an RT-300S file) and never asks for
 more memory than a small multiple of what it was given.
 Everything that is wrong with a file is a `DataError` that names the file and the line or byte.
+
+What a table's provenance states of its laboratory (`[laboratory]` of the run), and what a record still needs.
 """
 
 from __future__ import annotations
@@ -18,13 +20,12 @@ import numpy as np
 
 from gonio.disk import write_whole
 from gonio.errors import ConfigError, DataError, os_error_as, refuse_masked
-from gonio.typing import Array, ArrayLike, DataFrame, Floats
+from gonio.typing import Array, ArrayLike, DataFrame, Floats, JsonObject
 
 if TYPE_CHECKING:
     from pydantic import JsonValue
 
     from gonio.models import Model
-
 
 ANGLES = ("theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg")
 COLUMNS = (*ANGLES, "wavelength_nm", "polarisation", "brdf", "u_brdf", "u_random", "flag")
@@ -317,3 +318,38 @@ def write_bytes(path: str | Path, data: bytes | Iterable[bytes | memoryview]) ->
         raise ConfigError(f"{path}: cannot be written: there is no folder {path.parent}")
     with os_error_as(ConfigError, f"{path}: cannot be written"):
         write_whole(path, data)
+
+
+Need = str | tuple[str, ...]
+"""A key that a record needs; of several keys in a tuple one is enough."""
+
+
+def laboratory_of(frame: DataFrame) -> JsonObject | None:
+    """The table `[laboratory]` of the run that a table was reduced from; None where it had none."""
+    provenance = frame.attrs.get("provenance")
+    stated = provenance.get("laboratory") if isinstance(provenance, Mapping) else None
+    return stated if isinstance(stated, dict) else None
+
+
+def get(stated: Mapping[str, Any], key: str) -> Any:
+    """A value by its key, as `address.city`; None where it is not stated."""
+    inner: Any = stated
+    for part in key.split("."):
+        inner = inner.get(part) if isinstance(inner, Mapping) else None
+    return inner
+
+
+def require(stated: Mapping[str, Any], keys: Sequence[Need], what: str, path: Path) -> None:
+    """Raise `ConfigError` that names every key that a record needs and nobody has stated."""
+    missing = [
+        one if isinstance(one, str) else f"{one[0]} (or {', '.join(one[1:])})"
+        for one in keys
+        if all(get(stated, key) in (None, [], "") for key in ([one] if isinstance(one, str) else one))
+    ]
+    if missing:
+        named = "".join(f"\n  laboratory.{key}" for key in missing)
+        raise ConfigError(
+            f"{path}: {what} needs what nobody has stated, and nothing is invented:{named}\n"
+            "state these keys in [laboratory] of the plan or of the rig file; for a run that is measured, say the same "
+            "`gonio measure` with --resume, and `gonio reduce` again"
+        )

@@ -25,7 +25,7 @@ from gonio.disk import read_file
 from gonio.errors import ConfigError, DataError, os_error_as
 from gonio.formats import workbook
 from gonio.formats.reader import MAX_BYTES, Format, fold, table
-from gonio.formats.workbook_cells import OLD, Sheet, worksheets
+from gonio.formats.workbook import OLD, Sheet, worksheets
 from gonio.typing import DataFrame, Floats
 
 _LABELS = ("Azimuth", "Incidence", "Receive", "RT")

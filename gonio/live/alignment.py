@@ -3,9 +3,9 @@
 from importlib.resources import files
 from typing import Protocol
 
-from gonio.documents import JsonObject
 from gonio.live.event_log import EventLog
 from gonio.live.server import Content, Request, Route
+from gonio.typing import JsonObject
 
 KEPT = 3
 """Pictures of so many frames: a browser asks for the one that it was just told of."""

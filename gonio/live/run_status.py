@@ -12,8 +12,7 @@ import numpy as np
 
 from gonio import shown
 from gonio.acquisition.journal import Event
-from gonio.documents import JsonObject
-from gonio.typing import Floats
+from gonio.typing import Floats, JsonObject
 
 RECENT = 64
 """Steps whose durations tell how long the next ones take."""

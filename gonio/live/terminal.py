@@ -6,10 +6,10 @@ import sys
 import threading
 from typing import TYPE_CHECKING
 
-from gonio.documents import JsonObject
 from gonio.live.event_log import BATCH
 from gonio.live.run_status import ago
 from gonio.shown import with_u
+from gonio.typing import JsonObject
 
 if TYPE_CHECKING:
     from rich.console import RenderableType

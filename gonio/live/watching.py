@@ -16,7 +16,6 @@ import numpy as np
 
 from gonio import platform
 from gonio.acquisition.run import Run
-from gonio.documents import JsonObject
 from gonio.errors import GonioError
 from gonio.geometry import IN_PLANE, Directions
 from gonio.live.event_log import BATCH, EventLog
@@ -24,6 +23,7 @@ from gonio.live.follow import Follower
 from gonio.live.run_status import RunStatus, is_one_of_many, plain, rounded, shortened
 from gonio.live.server import Content, Request
 from gonio.live.shared import CURVES, FRAME, Now, Shared
+from gonio.typing import JsonObject
 
 POLL_S = 0.2
 """The journal is looked at so often."""

@@ -13,8 +13,8 @@ from gonio.reduction.geometry_errors import zero_u_deg
 from gonio.reduction.rates import Reduced
 from gonio.reduction.values import MeasuredBand, Values
 from gonio.rig import Pose, imaging, kinematics, regions
-from gonio.rig.beam_size import filling
 from gonio.rig.description import Axis, RigDescription
+from gonio.rig.regions import filling
 from gonio.typing import Floats
 
 CAUSES = {

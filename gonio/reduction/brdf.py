@@ -14,9 +14,8 @@ from functools import partial
 import numpy as np
 
 from gonio.acquisition.run import Run
-from gonio.documents import JsonObject
 from gonio.errors import ConfigError, DataError
-from gonio.reduction import angle_errors, budget, camera_errors, light_and_lens, white_reference
+from gonio.reduction import angle_errors, budget, light_and_lens, white_reference
 from gonio.reduction.angle_errors import change_of_cosine, encoder_steps, is_behind, turned_over
 from gonio.reduction.count_rates import RunFrames
 from gonio.reduction.dark_signal import PATTERNS
@@ -27,8 +26,8 @@ from gonio.reduction.table import DARK, GEOMETRY, LAMP, assemble, notes_on_frame
 from gonio.reduction.threads import in_threads
 from gonio.reduction.values import BandResult, Cause, MeasuredBand, Values, joined, share
 from gonio.rig import calibrated
-from gonio.rig.bands import Band
-from gonio.typing import DataFrame, Floats
+from gonio.rig.light_and_camera import Band
+from gonio.typing import DataFrame, Floats, JsonObject
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,7 +111,7 @@ def _reference(measured: MeasuredBand, values: Values) -> None:
 
 CAUSES: tuple[Cause, ...] = (
     _reference,
-    camera_errors.camera,
+    light_and_lens.camera,
     light_and_lens.beam,
     light_and_lens.polarisation,
 )

@@ -22,17 +22,16 @@ from gonio.errors import ContradictoryFrame, DamagedFrame, DataError, os_error_a
 from gonio.reduction import merging, stray_light
 from gonio.reduction.dark_signal import FEW, PATTERNS, Darks, Patterns
 from gonio.reduction.geometry_errors import GeometryErrors
-from gonio.reduction.pooling import USABLE, Region, Shot, pool, pool_pixels
+from gonio.reduction.merging import USABLE, Region, Shot, pool, pool_pixels
 from gonio.reduction.rates import Reduced, Rejected
 from gonio.reduction.threads import in_threads
-from gonio.rig import Frame, Target, beam_size, kinematics
-from gonio.rig.bands import Band
+from gonio.rig import Frame, Target, kinematics
 from gonio.rig.calibrated import known_parameters
 from gonio.rig.description import RigDescription
 from gonio.rig.dng import pixels_sha256, read_raw
 from gonio.rig.imaging import Channel, pixel_map
-from gonio.rig.light_and_camera import Camera
-from gonio.rig.regions import Roi, roi, straight_through_weight
+from gonio.rig.light_and_camera import Band, Camera
+from gonio.rig.regions import Roi, filling, per_weight, roi, straight_through_weight
 from gonio.rig.sensor_response import by_coefficients, linear_dn, read_maps, straightened
 from gonio.typing import Array, Bools, Floats
 
@@ -183,19 +182,19 @@ class RunFrames:
             return None
         region = roi(rig, view, target, channel)
         if beam:
-            per_weight = 1.0 / straight_through_weight(rig, view, region, channel)
+            weighing = 1.0 / straight_through_weight(rig, view, region, channel)
             if self.maps is not None:  # none of the lamp's light may be left out, that on defects neither
                 known = np.where(self.maps.defects, 1.0, self.maps.responsivity)
-                per_weight = per_weight / region.of(known).astype(float)
-            return Region(region, target, per_weight, region)
+                weighing = weighing / region.of(known).astype(float)
+            return Region(region, target, weighing, region)
         seen = pixel_map(rig, view, region.rows, region.cols)
         if self.maps is not None:
             region = _within(region, ~self.maps.defects[region.rows, region.cols])
-        per_weight = beam_size.per_weight(rig, view, seen, region, channel)
+        weighing = per_weight(rig, view, seen, region, channel)
         if self.maps is not None:
-            per_weight = per_weight / np.asarray(region.of(self.maps.responsivity), dtype=float)
-        lit = _within(region, seen.lit > 0.5) if beam_size.filling(rig) == "under" else region
-        return Region(region, target, per_weight, lit) if math.isfinite(per_weight.max()) else None
+            weighing = weighing / np.asarray(region.of(self.maps.responsivity), dtype=float)
+        lit = _within(region, seen.lit > 0.5) if filling(rig) == "under" else region
+        return Region(region, target, weighing, lit) if math.isfinite(weighing.max()) else None
 
     def _read_darks(self, frames: list[tuple[StepRecord, FrameRecord]]) -> dict[Target, Darks]:
         if not frames:

@@ -16,9 +16,9 @@ from gonio.config import numbers_in, with_numbers
 from gonio.errors import ConfigError
 from gonio.geometry import Directions, angles
 from gonio.rig import Pose, Target, imaging, kinematics, regions
-from gonio.rig.beam_size import filling
 from gonio.rig.calibrated import covariance_of, known_parameters
 from gonio.rig.description import Axis, RigDescription
+from gonio.rig.regions import filling
 from gonio.typing import Floats
 
 ARMS = ("zero_offset_deg", "harmonics_deg", "axis_tilt_deg", "axis_offset_mm", "elevation_deg")

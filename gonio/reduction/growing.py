@@ -16,7 +16,7 @@ from gonio.acquisition.run import Run
 from gonio.geometry import Directions
 from gonio.reduction import brdf
 from gonio.reduction.rates import Reduced
-from gonio.rig.bands import Band
+from gonio.rig.light_and_camera import Band
 from gonio.typing import Floats
 
 

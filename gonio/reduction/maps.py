@@ -31,7 +31,7 @@ from gonio.reduction.map_planes import OUTSIDE, PIXEL, MapPoint, Planes, lattice
 from gonio.reduction.registration import shifts
 from gonio.reduction.threads import in_threads
 from gonio.rig import kinematics
-from gonio.rig.beam_size import filling
+from gonio.rig.regions import filling
 from gonio.typing import DataFrame, Floats
 
 if TYPE_CHECKING:

@@ -20,8 +20,8 @@ from gonio.reduction.count_rates import FULL, RETAKE, RunFrames
 from gonio.reduction.dark_signal import COLUMNS
 from gonio.reduction.values import BandResult
 from gonio.rig import kinematics
-from gonio.rig.beam_size import filling
 from gonio.rig.description import RigDescription
+from gonio.rig.regions import filling
 from gonio.typing import DataFrame, Floats, NDArray
 
 CLIPPED = 1e-3

@@ -10,15 +10,14 @@ from typing import Any
 
 import numpy as np
 
-from gonio.documents import JsonObject
 from gonio.reduction import white_reference
 from gonio.reduction.angle_sensitivity import Lobes
 from gonio.reduction.count_rates import RunFrames
 from gonio.reduction.dark_signal import strongest
 from gonio.reduction.rates import Reduced
-from gonio.rig.bands import Band
 from gonio.rig.description import RigDescription
-from gonio.typing import Bools, Floats, Ints
+from gonio.rig.light_and_camera import Band
+from gonio.typing import Bools, Floats, Ints, JsonObject
 
 
 @dataclass(frozen=True, slots=True)

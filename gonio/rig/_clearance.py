@@ -29,7 +29,7 @@ FLAT = 1e-9
 def carried(on: int, angles: Floats, frames: Floats, onto: Floats, shift: Floats) -> None:
     """The rotation and the shift [mm] that bring what `on` carries to where it stands in the lab.
 
-    `angles` are light, camera, tilt, spin, azimuth [rad]; `frames` as of `gonio.rig.misalignment.frames`.
+    `angles` are light, camera, tilt, spin, azimuth [rad]; `frames` as of `gonio.rig.kinematics.frames`.
     """
     for i in range(3):
         shift[i] = 0.0

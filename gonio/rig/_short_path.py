@@ -1,4 +1,4 @@
-"""A short way through many poses and back to where it began: the inner loops of `gonio.acquisition.ordering`, compiled.
+"""A short way through many poses and back to where it began: the inner loops of `gonio.acquisition.duration`, compiled.
 
 Moves take another time there than back, because axes arrive from one side. So nothing here turns a stretch of the way
 round.

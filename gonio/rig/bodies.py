@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gonio.rig import misalignment
+from gonio.rig import kinematics
 from gonio.rig.description import Arms, Body, Cable, Geometry
 from gonio.typing import Bools, Floats
 
@@ -87,7 +87,7 @@ def placed(on: Sequence[str], points: Sequence[Vector], angles: Floats, frames: 
 
 def _together(axes: tuple[int, ...], pairs: list[tuple[bool, Shape, Shape, float]], frames: Floats) -> Pairs:
     tied, distances = np.array([tied for tied, *_ in pairs]), np.array([distance for *_, distance in pairs])
-    points, levers = np.zeros((len(pairs), 2, 8, 3)), np.zeros((len(pairs), len(misalignment.NAMES)))
+    points, levers = np.zeros((len(pairs), 2, 8, 3)), np.zeros((len(pairs), len(kinematics.AXES)))
     for number, (_, *shapes, _) in enumerate(pairs):
         for which, shape in enumerate(shapes):
             points[number, which, : len(shape.points)] = shape.points
@@ -129,7 +129,7 @@ def _carrier(on: str) -> str:
 def _shapes(bodies: tuple[Body, ...], cables: tuple[Cable, ...], geometry: Geometry, arms: Arms) -> tuple[Shape, ...]:
     """The two heads, the bodies, and the cables that hang."""
     heads = [
-        Shape(name, (on, on), (misalignment.head(axis, distance),), radius)
+        Shape(name, (on, on), (kinematics.head(axis, distance),), radius)
         for name, on, axis, distance, radius in (
             ("source head", "light", arms.light, geometry.light_distance_mm, geometry.light_body_radius_mm),
             ("camera head", "camera", arms.camera, geometry.camera_distance_mm, geometry.camera_body_radius_mm),

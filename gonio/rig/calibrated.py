@@ -30,11 +30,10 @@ from pydantic import Field, model_validator
 
 from gonio.config import Strict, numbers_in, parse, read_toml, to_toml
 from gonio.disk import read_file, write_whole
-from gonio.documents import TomlTable, laid_over
 from gonio.errors import ArgumentError, ConfigError
 from gonio.rig.calibration_use import Calibrated, ParameterUncertainty
 from gonio.rig.description import RigDescription
-from gonio.typing import Floats
+from gonio.typing import Floats, TomlTable, laid_over
 
 FORMAT = 1
 FIXED = {

@@ -6,10 +6,8 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from gonio.config import Strict
-from gonio.documents import TomlTable
-from gonio.rig.ranges import NonNegative
-from gonio.typing import Floats
+from gonio.config import NonNegative, Strict
+from gonio.typing import Floats, TomlTable
 
 ROUNDED = 1e-5
 """Of a correlation in a file that a person wrote, with five decimals."""

@@ -16,16 +16,14 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from gonio.config import Strict, numbers_in, with_numbers
-from gonio.documents import TomlTable
+from gonio.config import Fraction, NonNegative, Positive, SmallAngle, Strict, numbers_in, with_numbers
 from gonio.errors import ConfigError
-from gonio.rig.bands import Bands
 from gonio.rig.calibration_use import CalibrationUse, ParameterUncertainty
 from gonio.rig.health import Reading
 from gonio.rig.laboratory import Laboratory
-from gonio.rig.light_and_camera import Camera, Lamp
-from gonio.rig.ranges import Fraction, NonNegative, Positive, SmallAngle
+from gonio.rig.light_and_camera import Bands, Camera, Lamp
 from gonio.rig.textures import SampleTexture
+from gonio.typing import TomlTable
 
 
 class Geometry(Strict):
@@ -415,7 +413,7 @@ class RigDescription(Strict):
     bands: Bands
     acquisition: Acquisition = Acquisition()
     suspend: dict[str, Suspender] = Field(default_factory=dict)
-    """What pauses a run, by a name of the user's (`gonio.acquisition.suspending`)."""
+    """What pauses a run, by a name of the user's (`gonio.acquisition.holding`)."""
     bodies: tuple[Body, ...] = ()
     """What could touch on its way. Where there are any, the two balls of `geometry` belong to them."""
     cables: tuple[Cable, ...] = ()

@@ -8,7 +8,7 @@ import numpy as np
 
 from gonio.errors import ConfigError
 from gonio.geometry import AT_LIMIT, EXACTLY_IN_PLANE, PARALLEL, Directions
-from gonio.rig import misalignment
+from gonio.rig import kinematics
 from gonio.rig.description import RigDescription
 from gonio.rig.kinematics import (
     ASIDE,
@@ -58,12 +58,12 @@ def _misaligned_poses(description: RigDescription, d: Angles, nearby: bool) -> l
     one.
     """
     wanted = np.array([*_direction(*d[:2]), *_direction(*d[2:])])
-    found = [(meant, *misalignment.closest_pose(description, meant, wanted)) for meant in _closed_form(description, d)]
-    whole = len(description.axes()) >= misalignment.DIRECTIONS
-    if whole and any(off > misalignment.CONVERGED for *_, off in found):
+    found = [(meant, *kinematics.closest_pose(description, meant, wanted)) for meant in _closed_form(description, d)]
+    whole = len(description.axes()) >= kinematics.DIRECTIONS
+    if whole and any(off > kinematics.CONVERGED for *_, off in found):
         # near a singular pose the way may end in a place from which every step leads away
         exact, closest = _poses_around(description, _around(description, d), wanted)
-        found = [each for each in found if each[2] <= misalignment.CONVERGED]
+        found = [each for each in found if each[2] <= kinematics.CONVERGED]
         found += [(pose, pose, 0.0) for pose in exact] or ([] if found else [(closest[0], *closest)])
     out: list[tuple[Pose, Pose | Unreachable]] = []
     for meant, pose, off in found:
@@ -325,37 +325,37 @@ def _poses_around(
     """
     from gonio.rig import _solving
 
-    axes = np.array([misalignment.NAMES.index(name) for name in description.axes()])
-    centre, surface = misalignment.patch(description.holder)
+    axes = np.array([kinematics.AXES.index(name) for name in description.axes()])
+    centre, surface = kinematics.patch(description.holder)
     heads = np.array(
         [
-            misalignment.head(description.arms.light, description.geometry.light_distance_mm),
-            misalignment.head(description.arms.camera, description.geometry.camera_distance_mm),
+            kinematics.head(description.arms.light, description.geometry.light_distance_mm),
+            kinematics.head(description.arms.camera, description.geometry.camera_distance_mm),
         ]
     )
-    at = misalignment.frames(description.arms, description.holder)
+    at = kinematics.frames(description.arms, description.holder)
     rig = wanted, at, heads, centre, np.ascontiguousarray(surface)
     first = []
     for start in starts:
-        place = np.empty(len(misalignment.NAMES))
+        place = np.empty(len(kinematics.AXES))
         left = _solving.closer(
-            np.array([getattr(start, name) for name in misalignment.NAMES]), axes, *rig, FEW_STEPS, AT_LIMIT, place
+            np.array([getattr(start, name) for name in kinematics.AXES]), axes, *rig, FEW_STEPS, AT_LIMIT, place
         )
         first.append((float(left), place))
     exact: list[Pose] = []
     closest: tuple[Pose, float] = starts[0], math.inf
     for _, begun in sorted(first, key=lambda each: each[0])[:BEST]:
-        place = np.empty(len(misalignment.NAMES))
+        place = np.empty(len(kinematics.AXES))
         _solving.closer(begun, axes, *rig, MANY_STEPS, AT_LIMIT, place)
-        pose, left = Pose(**dict(zip(misalignment.NAMES, place.tolist(), strict=True))), np.empty(6)
+        pose, left = Pose(**dict(zip(kinematics.AXES, place.tolist(), strict=True))), np.empty(6)
         _solving.beside(place, *rig, left)
         off = max(float(np.linalg.norm(left[:3])), float(np.linalg.norm(left[3:])))
         if off < closest[1]:
             closest = pose, off
-        if off <= misalignment.CONVERGED and not any(_alike(pose, other) for other in exact):
+        if off <= kinematics.CONVERGED and not any(_alike(pose, other) for other in exact):
             exact.append(pose)
     return exact, closest
 
 
 def _alike(one: Pose, other: Pose) -> bool:
-    return all(abs(math.remainder(getattr(one, n) - getattr(other, n), math.tau)) < ALIKE for n in misalignment.NAMES)
+    return all(abs(math.remainder(getattr(one, n) - getattr(other, n), math.tau)) < ALIKE for n in kinematics.AXES)

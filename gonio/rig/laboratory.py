@@ -8,9 +8,8 @@ from typing import Annotated
 
 from pydantic import Field, StringConstraints, field_validator
 
-from gonio.config import Strict, parse
-from gonio.documents import TomlTable, laid_over
-from gonio.rig.ranges import Positive
+from gonio.config import Positive, Strict, parse
+from gonio.typing import TomlTable, laid_over
 
 Words = Annotated[str, StringConstraints(min_length=1, strip_whitespace=True)]
 """A text that says something."""

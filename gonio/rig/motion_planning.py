@@ -22,7 +22,7 @@ from functools import lru_cache
 import numpy as np
 
 from gonio.errors import ConfigError
-from gonio.rig import misalignment
+from gonio.rig import kinematics
 from gonio.rig.bodies import (
     CARRIERS,
     FINEST_MM,
@@ -35,7 +35,7 @@ from gonio.rig.bodies import (
     placed,
 )
 from gonio.rig.description import Arms, Body, Cable, Geometry, Holder, RigDescription, approach_start
-from gonio.rig.misalignment import NAMES
+from gonio.rig.kinematics import AXES
 from gonio.rig.protocols import Pose
 from gonio.typing import Floats
 
@@ -78,14 +78,14 @@ class Space:
     """Of the axes that the rig has."""
     rest: Angles
     limits: tuple[tuple[float, float], ...]
-    """By axis of `NAMES` [rad]."""
+    """By axis of `AXES` [rad]."""
     approach: Angles
     frames: Floats
     clearance: float
     shapes: tuple[Shape, ...]
     groups: tuple[Pairs, ...]
     harmonics: tuple[tuple[tuple[int, float, float], ...], ...]
-    """Of the encoder of each axis of `NAMES` [rad]."""
+    """Of the encoder of each axis of `AXES` [rad]."""
     known: dict[tuple[object, ...], tuple[int, tuple[float, ...]]] = field(default_factory=dict)
     """Verdicts on boxes of angles."""
 
@@ -95,7 +95,7 @@ class Space:
         An axis that stays where it is may be sent there once more, and then approaches too.
         """
         lows, highs = list(start), list(start)
-        for k, name in enumerate(NAMES):
+        for k, name in enumerate(AXES):
             if name in self.names:
                 before = approach_start(goal[k], self.approach[k], *self.limits[k])
                 lows[k] = self.true(k, min(start[k], goal[k], before) - around, -1.0)
@@ -125,7 +125,7 @@ class Space:
 
     def said(self, angles: Sequence[float]) -> str:
         """For people."""
-        named = zip(NAMES, angles, strict=True)
+        named = zip(AXES, angles, strict=True)
         return ", ".join(f"{n} {round(math.degrees(v), 1) + 0.0:g}" for n, v in named if n in self.names) + " deg"
 
 
@@ -217,7 +217,7 @@ def clearances(description: RigDescription, poses: Sequence[Pose]) -> list[dict[
     Bodies that are in each other have a gap below 0 where one of them has a radius, and -`SKIN_MM` where neither has.
     """
     space = _space_of(description)
-    angles = np.array([space.true_angles(_angles(pose)) for pose in poses]).reshape(-1, len(NAMES))
+    angles = np.array([space.true_angles(_angles(pose)) for pose in poses]).reshape(-1, len(AXES))
     out: list[dict[tuple[str, str], float]] = [{} for _ in poses]
     for group in space.groups:
         for row, values in zip(out, group.spares(space.frames, angles).tolist(), strict=True):
@@ -274,7 +274,7 @@ def _legs(space: Space, start: Angles, goal: Angles, planned: bool) -> list[Angl
 
 def _turned(start: Angles, goal: Angles, axes: Collection[int]) -> Angles:
     """Start, with some axes where they are at the goal."""
-    light, camera, tilt, spin, azimuth = (goal[k] if k in axes else start[k] for k in range(len(NAMES)))
+    light, camera, tilt, spin, azimuth = (goal[k] if k in axes else start[k] for k in range(len(AXES)))
     return light, camera, tilt, spin, azimuth
 
 
@@ -309,9 +309,9 @@ def _blocked(space: Space, start: Angles, goal: Angles, group: Pairs, pair: int,
     spare = group.spares(space.frames, np.array([near]))[0, pair]
     would = "would" if spare <= FINEST_MM + PLANNED_MM else "may"
     where = ", ".join(
-        f"{NAMES[k]} {round(math.degrees(space.read(k, near[k])), 1) + 0.0:g}"
+        f"{AXES[k]} {round(math.degrees(space.read(k, near[k])), 1) + 0.0:g}"
         for k in group.axes
-        if NAMES[k] in space.names
+        if AXES[k] in space.names
     )
     return Blocked(
         f"the way from {space.said(start)} to {space.said(goal)} {would} {verb} {bodies}"
@@ -360,7 +360,7 @@ def beams(description: RigDescription, pose: Pose) -> tuple[Floats, Floats]:
     angles, geometry = space.true_angles(_angles(pose)), description.geometry
     onto, shift = np.empty((3, 3)), np.empty(3)
     _clearance.carried(_clearance.SPIN, angles, space.frames, onto, shift)
-    centre, surface = misalignment.patch(description.holder)
+    centre, surface = kinematics.patch(description.holder)
     middle, axes = onto @ centre + shift, onto @ surface
     out = []
     for name, axis, distance, half_angle_deg in (
@@ -368,7 +368,7 @@ def beams(description: RigDescription, pose: Pose) -> tuple[Floats, Floats]:
         ("camera", description.arms.camera, geometry.camera_distance_mm, description.camera.lens_half_angle_deg),
     ):
         _clearance.carried(CARRIERS.index(name), angles, space.frames, onto, shift)
-        end = onto @ np.array(misalignment.head(axis, distance)) + shift
+        end = onto @ np.array(kinematics.head(axis, distance)) + shift
         toward = (end - middle) / np.linalg.norm(end - middle)
         across = _cross(toward, onto[:, 1])
         across /= np.linalg.norm(across)
@@ -438,18 +438,18 @@ def _space(
     rest = {name: min(max(0.0, lower), upper) for name, (lower, upper) in limits.items()}
     rest |= {"light": limits["light"][0], "camera": limits["camera"][1]}  # out of each other's way
     approach = {name: math.radians(value) for name, value in approach_deg}
-    frames = misalignment.frames(arms, holder)
+    frames = kinematics.frames(arms, holder)
     shapes = _shapes(bodies, cables, geometry, arms)
     by_axes: dict[tuple[int, ...], list[tuple[bool, Shape, Shape, float]]] = {}
     for tied, one, other, distance in _pairs(shapes, cables, geometry):
         axes = tuple(sorted({*one.levers(frames), *other.levers(frames)}))
         by_axes.setdefault(axes, []).append((tied, one, other, distance))
     axes_of_arms = arms.axes()
-    rows = [axes_of_arms[name].harmonics_deg if name in axes_of_arms else () for name in NAMES]
+    rows = [axes_of_arms[name].harmonics_deg if name in axes_of_arms else () for name in AXES]
     return Space(
         names=tuple(limits),
         rest=_angles(Pose(**rest)),
-        limits=tuple(limits.get(name, (0.0, 0.0)) for name in NAMES),
+        limits=tuple(limits.get(name, (0.0, 0.0)) for name in AXES),
         approach=_angles(Pose(**approach)),
         frames=frames,
         clearance=geometry.clearance_mm,

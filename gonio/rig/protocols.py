@@ -13,9 +13,9 @@ from typing import Literal, Protocol, Self
 
 import numpy as np
 
-from gonio.rig.bands import Band
 from gonio.rig.description import RigDescription, SampleDescription
 from gonio.rig.health import Health
+from gonio.rig.light_and_camera import Band
 from gonio.typing import NDArray
 
 Target = Literal["sample", "reference"]

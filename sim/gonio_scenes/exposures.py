@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 
 from gonio.disk import content
-from gonio.documents import JsonObject
 from gonio.errors import ConfigError, DataError
-from gonio.typing import Array, Bools, Floats
+from gonio.typing import Array, Bools, Floats, JsonObject
 from gonio_scenes.camera import SATURATED, falloff
 from gonio_scenes.scene import PhotographTable, Scene
 

@@ -13,7 +13,7 @@ from gonio.config import Strict, parse
 from gonio.errors import ConfigError, GonioError
 from gonio.models import Blinn, CookTorrance, HeTorrance, Lambert, Model, OrenNayar, Phong, Sum
 from gonio.models.parameters import Parameters, index_at
-from gonio.rig import patterns
+from gonio.rig.textures import PATTERNS, picture
 from gonio.typing import Floats
 from gonio_scenes import polarised
 from gonio_scenes.spectra import NonNegativeSpectrum, Spectral, Spectrum, is_table, table_or, values
@@ -54,9 +54,9 @@ class Texture(Strict):
         """The texture as a function of uv; a relative `file` lies beside the scene file."""
         if self.file is None:
             assert self.pattern is not None
-            whole, _ = patterns.PATTERNS[self.pattern]
+            whole, _ = PATTERNS[self.pattern]
         else:
-            whole, _ = patterns.picture(folder / self.file, f"{where}.file")
+            whole, _ = picture(folder / self.file, f"{where}.file")
         repeat = np.array(self.repeat)
         return lambda uv: whole((uv * repeat) % 1.0, np.floor(uv * repeat))
 

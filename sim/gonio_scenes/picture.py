@@ -13,11 +13,10 @@ import numpy as np
 
 from gonio import __version__
 from gonio.disk import require_own, work_folder, write_own
-from gonio.documents import JsonObject
 from gonio.errors import ConfigError, os_error_as
 from gonio.rig.dng import encode_dng
 from gonio.rig.protocols import Frame
-from gonio.typing import Floats, NDArray
+from gonio.typing import Floats, JsonObject, NDArray
 from gonio_scenes.camera import SATURATED, expose
 from gonio_scenes.lights import Disc, relative_power
 from gonio_scenes.render import Picture

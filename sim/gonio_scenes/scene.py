@@ -10,11 +10,10 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from gonio.acquisition.measure import find_rig
-from gonio.config import Strict, load
+from gonio.config import NonNegative, Positive, Strict, load
 from gonio.errors import ConfigError, DataError
 from gonio.models import examine
 from gonio.rig.description import RigDescription
-from gonio.rig.ranges import NonNegative, Positive
 from gonio.typing import Floats
 from gonio_scenes import camera as cameras
 from gonio_scenes import lights, polarised

@@ -20,10 +20,10 @@ import numpy as np
 from gonio import geometry, instrument, models
 from gonio.errors import ConfigError
 from gonio.rig import Pose, fiducials
-from gonio.rig.bands import Band
 from gonio.rig.description import Fiducials, Holder, SampleDescription
 from gonio.rig.imaging import PixelMap, of_channel, pixel_map
 from gonio.rig.kinematics import View, directions, view
+from gonio.rig.light_and_camera import Band
 from gonio.typing import Bools, DataFrame, Floats, NDArray
 from gonio_sim import polarised
 from gonio_sim.adaptive_grid import Function, electrons_per_s, sample_function

@@ -11,8 +11,8 @@ from typing import Self
 
 from gonio.errors import ConfigError
 from gonio.rig import Device, Health, Reading, Step, Target, ask_for
-from gonio.rig.bands import Band
 from gonio.rig.description import RigDescription, SampleDescription
+from gonio.rig.light_and_camera import Band
 from gonio_sim.arms import SimulatedArms
 from gonio_sim.camera import SimulatedCamera
 from gonio_sim.render import Renderer

@@ -17,9 +17,9 @@ import numpy as np
 from gonio.config import read_toml
 from gonio.errors import ConfigError, DeviceError
 from gonio.rig import Pose, Target
-from gonio.rig.bands import Band
 from gonio.rig.calibrated import uncalibrated, with_keys
 from gonio.rig.description import RigDescription, SampleDescription
+from gonio.rig.light_and_camera import Band
 
 InHolder = Target | Literal["mirror", "empty", "trap", "edge"]
 """What may lie in the beam: beside what a measurement needs, what an alignment does, and a calibration of the camera: a

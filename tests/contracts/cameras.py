@@ -12,9 +12,8 @@ from gonio_drivers.cameras import build
 from gonio_sim.wire.uvc import VideoStandIn
 
 from gonio.rig import CameraDevice, LightDevice
-from gonio.rig.bands import Band, Bands
 from gonio.rig.description import RigDescription
-from gonio.rig.light_and_camera import Camera
+from gonio.rig.light_and_camera import Band, Bands, Camera
 
 NAMES = ("sequence", "uvc", "genicam")
 DESCRIPTION = RigDescription(

@@ -17,9 +17,8 @@ from gonio.acquisition.progress import Live, Silent
 from gonio.acquisition.run import Run
 from gonio.errors import DeviceError
 from gonio.rig import Frame, Pose, Step, Target
-from gonio.rig.bands import Band, Bands
 from gonio.rig.description import Acquisition, Arms, Holder, Reference, RigDescription, SampleDescription
-from gonio.rig.light_and_camera import Camera
+from gonio.rig.light_and_camera import Band, Bands, Camera
 
 BANDS = (Band(name="green, 550", centre_nm=550, fwhm_nm=20), Band(name="red 650", centre_nm=650, fwhm_nm=20))
 

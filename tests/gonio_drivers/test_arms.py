@@ -25,8 +25,8 @@ from gonio_sim.wire.tables import Refused
 
 from gonio.errors import ConfigError, DeviceError
 from gonio.rig import Pose
-from gonio.rig.bands import Band, Bands
 from gonio.rig.description import Acquisition, ArmAxis, Arms, Holder, Reference, RigDescription
+from gonio.rig.light_and_camera import Band, Bands
 from tests.gonio_drivers.conftest import BAUD, Line, be_patient, deaf_to
 from tests.gonio_drivers.virtual import PORT, VirtualClock, servo_bus
 from tests.places import ROOT

@@ -24,10 +24,9 @@ from gonio_sim.wire.uvc import VideoStandIn
 
 from gonio.errors import ConfigError, DataError, DeviceError
 from gonio.rig import Frame
-from gonio.rig.bands import Band, Bands
 from gonio.rig.description import RigDescription
 from gonio.rig.dng import read_raw, write_dng
-from gonio.rig.light_and_camera import Camera
+from gonio.rig.light_and_camera import Band, Bands, Camera
 from gonio.rig.regions import require_frame
 from tests.command_line import some
 

@@ -19,8 +19,8 @@ from gonio import plugins
 from gonio.config import parse
 from gonio.errors import ConfigError, DeviceError
 from gonio.rig import Pose
-from gonio.rig.bands import Band, Bands
 from gonio.rig.description import RigDescription
+from gonio.rig.light_and_camera import Band, Bands
 from tests.contracts.rigs import imported
 from tests.places import ROOT
 

@@ -15,10 +15,9 @@ from gonio_drivers.lab import LAB
 from gonio_sim.wire import faults, motion, tether
 from gonio_sim.wire.twins import Twins
 
-from gonio.acquisition import suspending
-from gonio.acquisition.progress import Live, Silent
+from gonio.acquisition import holding
+from gonio.acquisition.progress import Live, Pause, Silent
 from gonio.acquisition.run import Run
-from gonio.acquisition.stop import Pause
 from gonio.by_hand.assistant import Assistant
 from gonio.errors import ConfigError, DeviceError, EmergencyStop
 from gonio.rig import Pose
@@ -50,7 +49,7 @@ def described(rules: dict[str, Any] | None = None, contact: dict[str, Any] | Non
 @pytest.fixture(autouse=True)
 def quick(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(tether, "FILE_LATE_S", 0.5)
-    monkeypatch.setattr(suspending, "LOOK_S", 0.02)
+    monkeypatch.setattr(holding, "RECHECK_S", 0.02)
     monkeypatch.setattr(faults, "LASTS_S", PASSES_S)
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
 

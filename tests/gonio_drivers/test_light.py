@@ -23,9 +23,8 @@ from gonio_sim.wire.peer import SerialPeer
 
 from gonio.errors import ConfigError, DeviceError, EmergencyStop
 from gonio.rig import clock
-from gonio.rig.bands import Band, Bands
 from gonio.rig.description import RigDescription
-from gonio.rig.light_and_camera import Lamp
+from gonio.rig.light_and_camera import Band, Bands, Lamp
 from tests.command_line import some
 from tests.places import ROOT
 

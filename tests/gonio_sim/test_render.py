@@ -17,10 +17,10 @@ from gonio.materials import ior
 from gonio.models import fresnel
 from gonio.reduction import brdf
 from gonio.rig import Pose, Target
-from gonio.rig.bands import Band
 from gonio.rig.description import RigDescription, SampleDescription
 from gonio.rig.imaging import pixel_map
 from gonio.rig.kinematics import view
+from gonio.rig.light_and_camera import Band
 from gonio.typing import Floats
 from tests.gonio_sim.conftest import MATTE, describe, measured
 

@@ -16,8 +16,8 @@ from gonio import plugins
 from gonio.acquisition.measure import find_rig
 from gonio.errors import ConfigError, DeviceError
 from gonio.rig import Pose, RigPlugin
-from gonio.rig.bands import Band
 from gonio.rig.description import SampleDescription
+from gonio.rig.light_and_camera import Band
 from tests.gonio_sim.conftest import MATTE, describe, step
 
 Build = Callable[..., SimulatedRig]

@@ -16,7 +16,7 @@ from typing import Any
 
 import mpmath as mp
 
-from gonio.documents import JsonObject
+from gonio.typing import JsonObject
 from tests.gonio.models import oracles
 from tests.places import ROOT
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from gonio.checks.values import Rows
-from gonio.cli.pace import Pace, Say, silent
+from gonio.cli.console import Pace, Say, silent
 from gonio.errors import ConfigError, DataError
 from gonio.typing import DataFrame, Floats
 from gonio_analysis.changes.consensus import (

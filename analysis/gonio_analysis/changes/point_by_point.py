@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gonio import geometry, measurement, shown
-from gonio.cli.pace import Say, silent
+from gonio.cli.console import Say, silent
 from gonio.errors import ConfigError, DataError
 from gonio.geometry import SAME_ANGLE, Directions
 from gonio.measurement import is_simulated

@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from gonio.cli.pace import Pace, Say, silent
+from gonio.cli.console import Pace, Say, silent
 from gonio.geometry import FARTHEST, SAME_ANGLE, SAME_DIRECTION, Directions, direction, groups
 from gonio.typing import Floats, Ints
 from gonio_analysis.fitting.observations import SAME_BAND_NM, Observations, Unused

@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from gonio.cli.options import Blank, Columns, reading, remember
+from gonio.cli.opened import Blank, Columns, reading, remember
 from gonio_analysis.commands.arguments import names_of, once, read_bound, read_fixed, read_ior, read_prior
 
 MODELS = "lambert,oren-nayar,cook-torrance,he-torrance"

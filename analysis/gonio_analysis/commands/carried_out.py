@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from gonio import maps, measurement, shown
 from gonio.acquisition.run import command_line
 from gonio.cli import console
-from gonio.cli.options import remember
+from gonio.cli.opened import remember
 from gonio.errors import ConfigError
 from gonio.maps import is_map
 from gonio.measurement import Reading

@@ -10,7 +10,7 @@ from typing import NoReturn
 
 from gonio.cli import console
 from gonio.errors import ConfigError
-from gonio.live import address, terminal
+from gonio.live import shared, terminal
 from gonio.live.server import Content, Route, Server
 from gonio.live.watching import Watched
 
@@ -48,7 +48,7 @@ def watch(run: Path, host: str, port: int | None, text: bool) -> None:
     """Serve the page until a signal ends it; the address is the first line that is printed."""
     if run.exists() and not run.is_dir():
         raise ConfigError(f"{run}: is not a folder; a run is a folder that `gonio measure` writes")
-    kept, token = address.recall(run)
+    kept, token = shared.recall(run)
     shown = Shown(run)
     try:
         server = Server(shown.routes, shown.watched.log, host, kept if port is None else port, token)
@@ -73,7 +73,7 @@ def _show(run: Path, server: Server, watched: Watched, text: bool) -> None:
     """Until a signal ends it."""
     print(server.address, flush=True)
     try:
-        address.remember(run, server.port, server.token)
+        shared.remember(run, server.port, server.token)
     except OSError as error:
         console.note(f"the address cannot be kept ({error.strerror}): after a restart it will be another one")
     if text:

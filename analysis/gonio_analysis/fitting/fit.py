@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from gonio.cli.pace import Say, silent
+from gonio.cli.console import Say, silent
 from gonio.errors import ArgumentError, ConfigError, DataError
 from gonio.models.parameters import Declaration, Values
 from gonio.typing import DataFrame, Floats

@@ -9,10 +9,9 @@ import numpy as np
 
 from gonio import disk
 from gonio.config import numbers_in, to_toml
-from gonio.documents import TomlTable
 from gonio.errors import ConfigError, os_error_as
 from gonio.models import Corrected
-from gonio.typing import Floats
+from gonio.typing import Floats, TomlTable
 from gonio_analysis.fitting.fit import FitResult
 from gonio_analysis.fitting.problem import FitRequest
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gonio.checks.values import Rows
-from gonio.cli.pace import Pace, Say, silent
+from gonio.cli.console import Pace, Say, silent
 from gonio.models.batch import SIGNIFICANCE
 from gonio.models.parameters import Values
 from gonio.typing import Floats

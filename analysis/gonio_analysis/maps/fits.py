@@ -11,12 +11,11 @@ from typing import Any
 import numpy as np
 
 import gonio
-from gonio.documents import JsonObject
 from gonio.errors import ConfigError, DataError
 from gonio.maps import FIT_FLAGS, MapFile, Parts, Tile, Variable
 from gonio.models.engine import alone
 from gonio.reduction.threads import in_threads
-from gonio.typing import Floats
+from gonio.typing import Floats, JsonObject
 from gonio_analysis.fitting.problem import FitRequest
 from gonio_analysis.maps import materials as shared
 from gonio_analysis.maps.pixels import AT_BOUND, REJECTED, TOO_FEW, Arrays, Places, Plan, fit_tile, plan, read_tile

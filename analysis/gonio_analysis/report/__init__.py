@@ -131,9 +131,9 @@ def _read(spec: str, how: Reading | None) -> list[Measured]:
 
 def _cite(tables: Sequence[DataFrame], folder: Path, progress: Callable[[str], None]) -> None:
     """Write `datacite.json` of one measurement whose laboratory is stated; say what is missing for it."""
-    from gonio.formats import datacite, stated
+    from gonio.formats import datacite, reader
 
-    if len(tables) != 1 or stated.laboratory_of(tables[0]) is None:
+    if len(tables) != 1 or reader.laboratory_of(tables[0]) is None:
         return
     try:
         content = datacite.record(tables[0], Path("datacite.json"))

@@ -25,7 +25,7 @@ from functools import partial
 from typing import Any, BinaryIO, TypeVar
 
 from gonio import platform
-from gonio.cli.pace import Pace, Say, silent
+from gonio.cli.console import Pace, Say, silent
 
 SVG = {
     "svg.fonttype": "none",

@@ -15,8 +15,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
-from gonio.cli.console import duration
-from gonio.cli.pace import QUIET_S, Say
+from gonio.cli.console import QUIET_S, Say, duration
 from gonio.errors import ConfigError, DataError
 from gonio.models.parameters import Ior, Values
 from gonio.typing import Floats

@@ -13,7 +13,7 @@ import numpy as np
 
 from gonio import geometry, shown
 from gonio.checks.symmetry import Pairs, symmetries
-from gonio.cli.pace import Pace, Say
+from gonio.cli.console import Pace, Say
 from gonio.errors import ConfigError, DataError
 from gonio.measurement import is_simulated
 from gonio.models.parameters import Ior

@@ -13,7 +13,7 @@ import numpy as np
 
 from gonio import shown
 from gonio.checks.values import Rows
-from gonio.cli.pace import Say, silent
+from gonio.cli.console import Say, silent
 from gonio.geometry import AROUND_MIRROR, SAME_INCIDENCE, Directions
 from gonio.models.parameters import Ior
 from gonio.typing import Floats

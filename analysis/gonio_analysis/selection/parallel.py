@@ -11,7 +11,7 @@ from multiprocessing.connection import wait
 from typing import Any, Protocol, TypeVar
 
 from gonio import platform
-from gonio.cli.pace import Pace, Say, silent
+from gonio.cli.console import Pace, Say, silent
 from gonio.errors import ConfigError, DataError
 
 FEW = 4

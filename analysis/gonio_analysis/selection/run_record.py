@@ -17,11 +17,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gonio.documents import JsonObject
 from gonio.errors import GonioError
 from gonio.geometry import Directions
 from gonio.shown import number
-from gonio.typing import DataFrame, Floats
+from gonio.typing import DataFrame, Floats, JsonObject
 from gonio_analysis.result_records import (
     BudgetCurve,
     BudgetFacts,

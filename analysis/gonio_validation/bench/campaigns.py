@@ -22,8 +22,8 @@ from gonio_analysis.selection import parallel
 from gonio import platform
 from gonio.config import Strict, parse, read_toml, to_toml
 from gonio.disk import require_name, write_own, write_whole
-from gonio.documents import JsonObject
 from gonio.errors import ConfigError, Interrupted
+from gonio.typing import JsonObject
 
 Record = JsonObject
 Step = Callable[[int, int], None]

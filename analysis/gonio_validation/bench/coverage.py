@@ -8,7 +8,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 from gonio.config import Strict
-from gonio.documents import JsonObject
+from gonio.typing import JsonObject
 from gonio_validation.bench import coverage_campaign, coverage_hidden, coverage_judgement, coverage_page, timing
 from gonio_validation.bench.campaigns import Campaigns, Record, Step, as_csv, at_least, write
 from gonio_validation.bench.coverage_campaign import FORMAT

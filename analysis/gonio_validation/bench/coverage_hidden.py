@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from gonio.documents import TomlTable
 from gonio.errors import ConfigError
+from gonio.typing import TomlTable
 
 Tables = TomlTable
 """Keys of a file, in its tables."""

@@ -14,8 +14,7 @@ import numpy as np
 from scipy.special import chdtrc
 from scipy.stats import binomtest, kstest
 
-from gonio.documents import JsonObject
-from gonio.typing import Floats
+from gonio.typing import Floats, JsonObject
 
 Record = Mapping[str, Any]
 LEVEL = 0.95

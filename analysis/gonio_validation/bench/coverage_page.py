@@ -10,7 +10,7 @@ from gonio_analysis.report.blocks import Block, Figures, Footer, Group, Page, Pa
 from gonio_analysis.report.drawing import Figure, rendered
 from gonio_analysis.report.text import number
 
-from gonio.documents import JsonObject
+from gonio.typing import JsonObject
 from gonio_validation.bench.coverage_judgement import LEVEL
 from gonio_validation.bench.page import (
     Column,

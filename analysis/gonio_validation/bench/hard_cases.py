@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from gonio.documents import JsonObject
 from gonio.models import Blinn, CookTorrance, HeTorrance, Lambert, Model, OrenNayar, Phong, fresnel, htsg
+from gonio.typing import JsonObject
 from gonio_validation.bench.accuracy import NOTHING
 from gonio_validation.bench.quantity import Quantity, Sample, directions, reference
 

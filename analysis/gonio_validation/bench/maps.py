@@ -14,10 +14,9 @@ from gonio_analysis.report.blocks import Footer, Heading, Page, Paragraph, code,
 from gonio_analysis.report.text import number
 from scipy.optimize import least_squares
 
-from gonio.documents import JsonObject
 from gonio.geometry import Directions
 from gonio.models import batch, build
-from gonio.typing import Floats
+from gonio.typing import Floats, JsonObject
 from gonio_validation.bench import maps_jax
 from gonio_validation.bench.page import Column, listed
 

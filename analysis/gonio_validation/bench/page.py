@@ -26,7 +26,7 @@ from gonio_analysis.report.blocks import (
 )
 from gonio_analysis.report.text import number
 
-from gonio.documents import JsonObject
+from gonio.typing import JsonObject
 
 
 class Column(NamedTuple):

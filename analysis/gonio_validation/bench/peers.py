@@ -19,9 +19,8 @@ from typing import Any
 import numpy as np
 from pydantic import TypeAdapter
 
-from gonio.documents import JsonObject
 from gonio.errors import DataError
-from gonio.typing import Floats
+from gonio.typing import Floats, JsonObject
 from gonio_validation.bench import accuracy, timing
 from gonio_validation.bench.evaluators import quantities
 from gonio_validation.bench.quantity import (

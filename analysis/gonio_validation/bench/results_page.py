@@ -16,7 +16,7 @@ from gonio_analysis.report.blocks import (
 from gonio_analysis.report.drawing import Figure
 from gonio_analysis.report.text import number, slug
 
-from gonio.documents import JsonObject
+from gonio.typing import JsonObject
 from gonio_validation.bench.page import Column, TableSection, head, listed, method, of_part, part, two_digits, verdict
 from gonio_validation.bench.quantity import PeerTime, QuantitySummary
 

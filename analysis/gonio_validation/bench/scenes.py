@@ -16,8 +16,7 @@ from gonio_scenes.scene import Scene, SceneFile, build
 
 from gonio import colour
 from gonio.config import parse
-from gonio.documents import JsonObject, TomlTable
-from gonio.typing import Floats
+from gonio.typing import Floats, JsonObject, TomlTable
 from gonio_validation.bench import mitsuba_pictures, scenes_page, timing
 from gonio_validation.bench.page import begun
 

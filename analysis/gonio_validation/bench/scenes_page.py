@@ -8,7 +8,7 @@ from gonio_analysis.report.blocks import Block, Figures, Footer, Heading, Page, 
 from gonio_analysis.report.drawing import Figure, rendered
 from gonio_analysis.report.text import number, percent
 
-from gonio.documents import JsonObject
+from gonio.typing import JsonObject
 from gonio_validation.bench.page import (
     Column,
     TableSection,

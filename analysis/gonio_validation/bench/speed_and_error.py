@@ -6,7 +6,7 @@ from pathlib import Path
 from gonio_analysis.report import files
 from gonio_analysis.report.files import write_csv
 
-from gonio.documents import JsonObject
+from gonio.typing import JsonObject
 from gonio_validation.bench import accuracy, evaluators, hard_cases, pareto, peers, results_page, timing
 from gonio_validation.bench.page import begun
 from gonio_validation.bench.quantity import Quantity, QuantitySummary, Set, WaySummary, reference

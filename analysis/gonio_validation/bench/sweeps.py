@@ -11,8 +11,7 @@ from gonio_sweeps.posterior import Posterior
 
 from gonio.acquisition.measure import find_rig
 from gonio.config import Strict
-from gonio.documents import JsonObject
-from gonio.typing import Floats
+from gonio.typing import Floats, JsonObject
 from gonio_validation.bench import campaigns, sweeps_page, sweeps_rig, timing
 from gonio_validation.bench.campaigns import Campaigns, Record, Step, as_csv, at_least
 from gonio_validation.bench.page import begun

@@ -11,7 +11,7 @@ from gonio_analysis.report.blocks import Block, Figures, Footer, Page, Paragraph
 from gonio_analysis.report.drawing import Figure, rendered
 from gonio_analysis.report.text import number
 
-from gonio.documents import JsonObject
+from gonio.typing import JsonObject
 from gonio_validation.bench.campaigns import Record
 from gonio_validation.bench.page import Column, TableSection, head, listed, method, of_part, part, plain_axes, verdict
 from gonio_validation.bench.sweeps_rig import AROUND_DEG, FLOOR, INCIDENCES, LARGEST_DEG, WAVELENGTH_NM

@@ -28,8 +28,8 @@ from gonio.geometry import Directions, direction, solid_angle_of_cone
 from gonio.instrument import apparent_brdf
 from gonio.models import Model
 from gonio.rig import Pose, Step, kinematics
-from gonio.rig.bands import Band
 from gonio.rig.description import RigDescription
+from gonio.rig.light_and_camera import Band
 from gonio.typing import Floats
 
 BEYOND = math.radians(89.9)

@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from gonio import models
-from gonio.documents import JsonObject
 from gonio.models import engine
+from gonio.typing import JsonObject
 from gonio_validation.bench.quantity import Inputs, Quantity, TimeSummary, Way, directions
 
 

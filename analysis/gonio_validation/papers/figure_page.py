@@ -26,7 +26,7 @@ from gonio_analysis.report.blocks import (
 from gonio_analysis.report.drawing import Figure, rendered
 from gonio_analysis.report.files import write_csv
 
-from gonio.documents import JsonObject
+from gonio.typing import JsonObject
 from gonio_validation.papers.figure import COLUMNS, ORIGINS, PaperFigure
 from gonio_validation.papers.index import FIGURES
 

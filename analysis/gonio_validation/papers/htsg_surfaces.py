@@ -13,9 +13,8 @@ from gonio_analysis.fitting.forward import apparent
 from gonio_analysis.fitting.observations import Observations, observations
 
 from gonio import geometry
-from gonio.documents import TomlTable
 from gonio.models import HeTorrance
-from gonio.typing import Floats
+from gonio.typing import Floats, TomlTable
 from gonio_validation.papers.figure import Parameter
 
 PAPER = "He, Torrance, Sillion and Greenberg, A Comprehensive Physical Model for Light Reflection, SIGGRAPH 1991"

@@ -27,8 +27,8 @@ from gonio_analysis.report.blocks import (
 )
 from gonio_analysis.result_records import as_json
 
-from gonio.documents import JsonObject
 from gonio.errors import GonioError
+from gonio.typing import JsonObject
 from gonio_validation.verify import arithmetic, digits, dome, installation, line
 from gonio_validation.verify.finding import Finding
 

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from gonio.rig import clock
-from gonio.rig.bands import Band
+from gonio.rig.light_and_camera import Band
 from gonio_sim.wire.faults import LAMP, LOCK_QUESTIONS, Faults
 from gonio_sim.wire.peer import Device, Send
 

@@ -20,8 +20,8 @@ from gonio.acquisition.repair import find_damage
 from gonio.acquisition.run import Run
 from gonio.errors import DataError
 from gonio.rig import Frame, Step
-from gonio.rig.bands import Bands
 from gonio.rig.description import Acquisition, Reference
+from gonio.rig.light_and_camera import Bands
 from tests.gonio.numpy_rig import BANDS, SAMPLE, NumpyRig, Plugin, describe
 
 POINTS = 240

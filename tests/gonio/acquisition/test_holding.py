@@ -13,10 +13,9 @@ import pytest
 from gonio.acquisition import holding
 from gonio.acquisition.measure import RigChoice, check
 from gonio.acquisition.plan import Plan
-from gonio.acquisition.progress import Live, Silent
+from gonio.acquisition.progress import Live, Pause, Silent
 from gonio.acquisition.records import StepRecord
 from gonio.acquisition.run import Run
-from gonio.acquisition.stop import Pause
 from gonio.cli.console import _Rest
 from gonio.errors import ConfigError, DataError, DeviceError, Interrupted, PassingFault
 from gonio.rig import Frame

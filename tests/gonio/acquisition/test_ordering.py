@@ -10,9 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gonio.acquisition import ordering
-from gonio.acquisition.duration import SAME_PLACE, SETTLE_S, Durations, approach_starts
-from gonio.acquisition.ordering import ordered, shorter
+from gonio.acquisition import duration
+from gonio.acquisition.duration import SAME_PLACE, SETTLE_S, Durations, approach_starts, ordered, shorter
 from gonio.acquisition.plan import Plan, Point, assess, load_plan
 from gonio.acquisition.schedule import Schedule, reference_pose, schedule
 from gonio.errors import ConfigError, Interrupted
@@ -154,7 +153,7 @@ def test_a_resumed_run_goes_on_in_the_order_that_it_was_begun_with(
     def another(*arguments: object) -> object:
         raise AssertionError("the order is that of plan.csv")
 
-    monkeypatch.setattr(ordering, "ordered", another)
+    monkeypatch.setattr(duration, "ordered", another)
     resumed = measured(plan, tmp_path / "cut", resume=True)
     assert (tmp_path / "cut" / "plan.csv").read_bytes() == before == (tmp_path / "whole" / "plan.csv").read_bytes()
     assert list(resumed.steps()) == list(whole.steps())

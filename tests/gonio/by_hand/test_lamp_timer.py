@@ -7,7 +7,7 @@ import pytest
 
 from gonio.by_hand.lamp_timer import GUARD_S, OWNER_S, DeadMansTimer, LampTimeOver
 from gonio.errors import DeviceError
-from gonio.rig.bands import Band
+from gonio.rig.light_and_camera import Band
 
 
 @dataclass

@@ -9,9 +9,8 @@ import pytest
 from gonio.by_hand import looking
 from gonio.by_hand.sight import Sight
 from gonio.rig import Frame, Pose
-from gonio.rig.bands import Band
 from gonio.rig.description import Reference
-from gonio.rig.light_and_camera import Camera, Lamp
+from gonio.rig.light_and_camera import Band, Camera, Lamp
 from tests.gonio.by_hand.test_lamp_timer import Clock
 from tests.gonio.numpy_rig import BANDS, describe
 

@@ -9,8 +9,8 @@ import pytest
 from gonio_sim.camera import Sensor
 from scipy.ndimage import gaussian_filter
 
-from gonio.calibration import linearity, photon_transfer, pixel_statistics, response
-from gonio.calibration.pixel_statistics import CORRELATED, evened, inside
+from gonio.calibration import linearity, photon_transfer
+from gonio.calibration.photon_transfer import CORRELATED, evened, inside
 from gonio.errors import DataError
 from gonio.rig.light_and_camera import Camera
 from gonio.rig.sensor_response import bent, straightened
@@ -94,13 +94,13 @@ def test_emva1288_package_gives_the_same_figures(plain: Any, monkeypatch: pytest
 def test_unevenness_is_that_of_the_standard(monkeypatch: pytest.MonkeyPatch) -> None:
     random = np.random.default_rng(3)
     rows, cols = random.normal(0, 2.0, (300, 1)), random.normal(0, 1.0, (1, 400))
-    found = pixel_statistics.unevenness(50.0 + rows + cols + random.normal(0, 3.0, (300, 400)), 0.0)
+    found = photon_transfer.unevenness(50.0 + rows + cols + random.normal(0, 3.0, (300, 400)), 0.0)
     # relative u of a standard deviation is 1/sqrt(2 n): 4 % of 300 rows, 3.5 % of 400 columns, 0.2 % of the pixels
     assert found.row == pytest.approx(2.0, rel=0.13)
     assert found.column == pytest.approx(1.0, rel=0.11)
     assert found.pixel == pytest.approx(3.0, rel=0.01)
     # nothing is lost by the split, however few rows and columns there are
-    small = pixel_statistics.unevenness((rows[:6] + cols[:, :5] + random.normal(0, 3.0, (6, 5))), 2.0)
+    small = photon_transfer.unevenness((rows[:6] + cols[:, :5] + random.normal(0, 3.0, (6, 5))), 2.0)
     for each in (found, small):
         assert each.total == pytest.approx(math.sqrt(each.row**2 + each.column**2 + each.pixel**2))
 
@@ -148,7 +148,7 @@ def test_debevec_and_malik_of_a_photographed_bracket() -> None:
     samples = np.load(folder / "test_samples_Grossberg2003.npy").astype(int)
     for channel in range(3):
         expected = np.load(folder / f"test_g_solve_g_{channel}.npy")  # by colour-hdri, from the same samples
-        found = response.solve(samples[..., channel], np.log([0.125, 1.0, 8.0]))
+        found = linearity.solve(samples[..., channel], np.log([0.125, 1.0, 8.0]))
         assert np.abs(found - expected).max() < 1e-7  # least squares by another way, in double precision
 
 
@@ -162,23 +162,23 @@ def test_gamma_of_a_video_camera_is_found() -> None:
         linear = 255.0 * np.minimum(light * t, 1.0)
         noisy = np.interp(linear, curve, np.arange(256.0)) + random.normal(0.0, 0.5, light.shape)
         frames.append(np.clip(np.rint(noisy), 0, 255).astype(np.uint8))
-    found = np.array(response.curve(frames, exposures))
+    found = np.array(linearity.curve(frames, exposures))
     # 8 bits: half a step is 1 % of the linear value at 100, 3 % at 40
     assert np.abs(found[40:] / curve[40:] - 1.0).max() < 0.01
     assert (found[0], found[-1]) == (0.0, pytest.approx(255.0, abs=1e-9))
     with pytest.raises(DataError, match="3 exposures"):
-        response.curve(frames[:2], exposures[:2])
+        linearity.curve(frames[:2], exposures[:2])
     with pytest.raises(DataError, match="near 0 to near 255"):
-        response.curve(frames[:4], exposures[:4])
+        linearity.curve(frames[:4], exposures[:4])
 
 
 def test_dark_current_doubles_where_arrhenius_says() -> None:
     t = np.array([0.0, 10.0, 20.0, 30.0])
-    rate = 3.0 * np.exp(-0.6 / pixel_statistics.BOLTZMANN_EV * (1 / (t + 273.15) - 1 / 288.15))
-    law = some(pixel_statistics.temperature_law(t, rate, 0.01 * rate))
+    rate = 3.0 * np.exp(-0.6 / photon_transfer.BOLTZMANN_EV * (1 / (t + 273.15) - 1 / 288.15))
+    law = some(photon_transfer.temperature_law(t, rate, 0.01 * rate))
     assert law.energy_ev == pytest.approx(0.6, rel=1e-9)
-    assert law.doubling_c == pytest.approx(math.log(2) * pixel_statistics.BOLTZMANN_EV * 288.15**2 / 0.6, rel=1e-3)
-    assert pixel_statistics.temperature_law(t[:1], rate[:1], rate[:1]) is None
+    assert law.doubling_c == pytest.approx(math.log(2) * photon_transfer.BOLTZMANN_EV * 288.15**2 / 0.6, rel=1e-3)
+    assert photon_transfer.temperature_law(t[:1], rate[:1], rate[:1]) is None
 
 
 # ---- what flat frames say of single pixels, whatever of the frame the white fills ----

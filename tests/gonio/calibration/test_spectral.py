@@ -8,9 +8,9 @@ import pandas as pd
 import pytest
 
 from gonio.calibration import spectral
-from gonio.calibration.polariser import polarised
+from gonio.calibration.spectral import polarised
 from gonio.errors import DataError
-from gonio.rig.bands import Band, Bands, Tunable
+from gonio.rig.light_and_camera import Band, Bands, Tunable
 
 
 def test_centre_and_width_of_noisy_gaussian_bands_have_honest_uncertainties() -> None:

@@ -7,7 +7,7 @@ from gonio_analysis.fitting.fit import fit
 from gonio_analysis.fitting.observations import observations
 from gonio_analysis.selection.compare import examine
 
-from gonio.cli import pace
+from gonio.cli import console
 from gonio.models import build
 from tests.gonio_analysis.synthetic import joined, measure
 
@@ -21,7 +21,7 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> list[float]:
         now[0] += 3.0
         return now[0]
 
-    monkeypatch.setattr("gonio.cli.pace.time.monotonic", look)
+    monkeypatch.setattr("gonio.cli.console.time.monotonic", look)
     return now
 
 
@@ -35,7 +35,7 @@ def table(albedo: float = 0.6, seed: int = 0) -> pd.DataFrame:
 
 def test_steps_are_told_with_the_time_that_is_left(clock: list[float]) -> None:
     said: list[str] = []
-    steps = pace.Pace("drawing", 4, said.append)
+    steps = console.Pace("drawing", 4, said.append)
     for k in range(5):
         steps.step(k)
     assert said == [
@@ -46,7 +46,7 @@ def test_steps_are_told_with_the_time_that_is_left(clock: list[float]) -> None:
 
 def test_what_is_done_soon_says_nothing() -> None:
     said: list[str] = []
-    steps = pace.Pace("drawing", 1000, said.append)
+    steps = console.Pace("drawing", 1000, said.append)
     for k in range(1000):
         steps.step(k)
     assert said == []

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from gonio.cli.jog_keys import End, Jog, JogKeys, Line
+from gonio.cli.align import End, Jog, JogKeys, Line
 from tests.command_line import gonio
 
 SCRIPT = """
@@ -23,7 +23,7 @@ from pathlib import Path
 sys.path.insert(0, {root!r})
 from gonio.acquisition.measure import RigChoice, carry_out
 from gonio.acquisition.plan import load_plan
-from gonio.acquisition.stop import Pause
+from gonio.acquisition.progress import Pause
 from gonio.cli import console
 from gonio.errors import GonioError
 from tests.gonio.numpy_rig import PLAN, SAMPLE, NumpyRig, Plugin, describe

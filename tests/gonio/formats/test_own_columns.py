@@ -15,7 +15,7 @@ import pytest
 from gonio import measurement
 from gonio.cli.tables import convert
 from gonio.errors import ConfigError, DataError
-from gonio.formats import own_columns, workbook_cells
+from gonio.formats import own_columns, workbook
 from tests.command_line import gonio, says, some
 
 PLAIN = """theta_i_deg,phi_i_deg,theta_r_deg,phi_r_deg,wavelength_nm,brdf,u_brdf
@@ -144,8 +144,8 @@ def test_a_workbook_under_the_tables_names_needs_none() -> None:
 def test_an_old_workbook_under_ones_own_names(monkeypatch: pytest.MonkeyPatch) -> None:
     numbers = [[v if isinstance(v, str) else float(str(v)) for v in row] for row in ROWS]
     cells = {(r, c): value for r, row in enumerate(numbers) for c, value in enumerate(row)}
-    monkeypatch.setattr(workbook_cells, "worksheets", lambda data, path: [cells])  # the reader has tests of its own
-    assert_plain(measurement.parse(workbook_cells.OLD, Path("mine.xls"), columns=own_columns.pairs(SPEC)))
+    monkeypatch.setattr(workbook, "worksheets", lambda data, path: [cells])  # the reader has tests of its own
+    assert_plain(measurement.parse(workbook.OLD, Path("mine.xls"), columns=own_columns.pairs(SPEC)))
 
 
 def test_damaged_workbooks(survives: Callable[..., None]) -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from gonio.live import address
+from gonio.live import shared
 
 TOKEN = "abcDEF-_" * 5
 
@@ -23,18 +23,18 @@ def kept(home: Path) -> Path:
 
 
 def test_what_is_kept_comes_back_for_the_same_folder_alone(home: Path, tmp_path: Path) -> None:
-    assert address.recall(tmp_path / "run") == (0, None)
-    address.remember(tmp_path / "run", 40123, TOKEN)
-    assert address.recall(tmp_path / "run") == (40123, TOKEN)
-    assert address.recall(tmp_path / "other") == (0, None)
+    assert shared.recall(tmp_path / "run") == (0, None)
+    shared.remember(tmp_path / "run", 40123, TOKEN)
+    assert shared.recall(tmp_path / "run") == (40123, TOKEN)
+    assert shared.recall(tmp_path / "other") == (0, None)
     assert kept(home).stat().st_mode & 0o777 == 0o600
     assert kept(home).parent.stat().st_mode & 0o777 == 0o700
 
 
 def test_a_file_that_others_could_read_is_not_trusted(home: Path, tmp_path: Path) -> None:
-    address.remember(tmp_path / "run", 40123, TOKEN)
+    shared.remember(tmp_path / "run", 40123, TOKEN)
     os.chmod(kept(home), 0o644)
-    assert address.recall(tmp_path / "run") == (0, None)
+    assert shared.recall(tmp_path / "run") == (0, None)
 
 
 @pytest.mark.parametrize(
@@ -43,9 +43,9 @@ def test_a_file_that_others_could_read_is_not_trusted(home: Path, tmp_path: Path
      json.dumps({"port": 4000, "token": "short"}), json.dumps({"port": 4000, "token": "x" * 40 + "\n"})],
 )  # fmt: skip
 def test_a_damaged_file_counts_for_nothing(home: Path, tmp_path: Path, text: str) -> None:
-    address.remember(tmp_path / "run", 40123, TOKEN)
+    shared.remember(tmp_path / "run", 40123, TOKEN)
     kept(home).write_text(text)
-    assert address.recall(tmp_path / "run") == (0, None)
+    assert shared.recall(tmp_path / "run") == (0, None)
 
 
 def test_folders_that_were_open_to_others_are_closed(home: Path, tmp_path: Path) -> None:
@@ -53,7 +53,7 @@ def test_folders_that_were_open_to_others_are_closed(home: Path, tmp_path: Path)
     os.chmod(home, 0o755)
     for one in (home / "gonio", home / "gonio" / "pages"):
         os.chmod(one, 0o755)
-    address.private(tmp_path / "run")
-    address.remember(tmp_path / "run", 40123, TOKEN)
+    shared.private(tmp_path / "run")
+    shared.remember(tmp_path / "run", 40123, TOKEN)
     assert {p.stat().st_mode & 0o777 for p in (home / "gonio", *home.glob("gonio/**/")) if p.is_dir()} == {0o700}
     assert home.stat().st_mode & 0o777 == 0o755, "what is above is somebody else's"

@@ -14,12 +14,11 @@ import pandas as pd
 from gonio.acquisition.records import FrameRecord, Kind, StepRecord
 from gonio.geometry import Directions
 from gonio.rig import Frame, Pose
-from gonio.rig.bands import Band, Bands
 from gonio.rig.description import Acquisition, Arms, Reference, RigDescription
 from gonio.rig.dng import write_dng
 from gonio.rig.inverse_kinematics import reach
 from gonio.rig.kinematics import directions
-from gonio.rig.light_and_camera import Camera, Lamp
+from gonio.rig.light_and_camera import Band, Bands, Camera, Lamp
 from gonio.typing import Floats
 
 ANGLES = ("theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg")

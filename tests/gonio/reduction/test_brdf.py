@@ -21,10 +21,9 @@ from gonio.reduction import brdf as radiometry
 from gonio.reduction import count_rates
 from gonio.reduction.table import angles_deg
 from gonio.rig import Frame, Pose
-from gonio.rig.bands import Band
 from gonio.rig.description import ArmAxis, Arms
 from gonio.rig.dng import read_raw
-from gonio.rig.light_and_camera import Lamp
+from gonio.rig.light_and_camera import Band, Lamp
 from gonio.typing import Floats
 from tests.gonio.reduction.made_run import MadeRun, Maker, describe, in_plane
 

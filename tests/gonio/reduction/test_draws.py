@@ -12,7 +12,7 @@ from scipy.special import gammaln, ndtri
 from scipy.stats import norm
 
 from gonio.errors import ArgumentError
-from gonio.reduction.draws import drawn
+from gonio.reduction.monte_carlo import drawn
 from gonio.typing import Floats
 
 

@@ -11,9 +11,8 @@ import pytest
 from gonio.acquisition.measure import RigChoice, carry_out
 from gonio.reduction.brdf import reduce
 from gonio.rig import Pose, imaging, inverse_kinematics, kinematics
-from gonio.rig.bands import Band, Bands
 from gonio.rig.description import Acquisition, ArmAxis, Arms, Geometry, Holder, Reference, RigDescription
-from gonio.rig.light_and_camera import Camera, Lamp
+from gonio.rig.light_and_camera import Band, Bands, Camera, Lamp
 from tests.gonio.numpy_rig import SAMPLE, plan_in
 from tests.independent_frames import Bench, Brdf, Placed, Plugin, brushed, lambert, lobe
 

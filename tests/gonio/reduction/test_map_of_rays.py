@@ -13,9 +13,8 @@ from gonio_analysis.maps import fits
 from gonio.acquisition.measure import RigChoice, carry_out
 from gonio.maps import MapFile, Tile
 from gonio.reduction import brdf, maps
-from gonio.rig.bands import Band, Bands
 from gonio.rig.description import Acquisition, Geometry, Holder, Reference, RigDescription
-from gonio.rig.light_and_camera import Camera, Lamp
+from gonio.rig.light_and_camera import Band, Bands, Camera, Lamp
 from gonio.typing import Floats
 from tests.gonio.numpy_rig import SAMPLE, plan_in
 from tests.independent_frames import Bench, Plugin, lambert

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gonio.reduction import camera_errors, light_and_lens
+from gonio.reduction import light_and_lens
 from gonio.reduction.count_rates import _around, _lines, _widened
 from gonio.reduction.dark_signal import Darks
 from gonio.reduction.geometry_errors import GeometryErrors, zero_u_deg
@@ -91,12 +91,12 @@ def test_distances_change_the_lamp_straight_through_as_its_formula_says() -> Non
 def test_causes_of_the_camera_are_its_covariance() -> None:
     camera = Camera(nonlinearity=(-0.01, 0.004), stray_light=0.01)
     u = {"camera.nonlinearity[0]": 2e-3, "camera.nonlinearity[1]": 3e-3, "camera.stray_light": 1e-3}
-    causes = camera_errors._causes(calibrated(u, 0.0, camera=camera))
+    causes = light_and_lens._causes(calibrated(u, 0.0, camera=camera))
     assert list(causes) == ["s_linearity", "s_linearity_2", "s_stray_light"]
     stack = np.array(list(causes.values()))
     assert stack.T @ stack == pytest.approx(np.diag(np.square(list(u.values()))))
     two = calibrated({name: u[name] for name in list(u)[:2]}, 1.0, camera=camera)
-    known = camera_errors._causes(two)
+    known = light_and_lens._causes(two)
     assert list(known) == ["s_linearity"], "what goes together wholly is one cause, and what nobody knows is none"
     assert abs(known["s_linearity"]) == pytest.approx([2e-3, 3e-3, 0.0])
 

@@ -15,9 +15,9 @@ import numpy as np
 from gonio.errors import ConfigError
 from gonio.geometry import Directions
 from gonio.rig import Pose, motion_planning
-from gonio.rig.bands import Band, Bands
 from gonio.rig.description import Body, RigDescription
 from gonio.rig.inverse_kinematics import Unreachable, reach
+from gonio.rig.light_and_camera import Band, Bands
 from gonio.typing import Floats
 
 NAMES = ("light", "camera", "tilt", "spin", "azimuth")

@@ -1,6 +1,6 @@
 """A rig with errors of alignment written down plainly: rotation matrices of SciPy, one body after the other.
 
-It shares nothing with `gonio.rig.kinematics` and `gonio.rig.misalignment` but the meaning of the keys.
+It shares nothing with `gonio.rig.kinematics` but the meaning of the keys.
 """
 
 from typing import Any

@@ -9,7 +9,7 @@ import pytest
 from gonio.errors import ConfigError
 from gonio.geometry import Directions
 from gonio.reduction import brdf
-from gonio.rig import beam_size
+from gonio.rig import regions
 from gonio.rig.description import RigDescription
 from gonio.rig.imaging import pixel_map
 from gonio.rig.inverse_kinematics import reach
@@ -51,7 +51,7 @@ def test_an_edge_that_cuts_through_the_region_is_flagged_in_the_plan(tmp_path: P
 def test_a_beam_reaches_a_reference_beside_the_sample_or_not(beam_mm: float, message: str) -> None:
     description = rig(beam_mm, reference={"how": "beside", "offset_mm": [0.0, 11.0], "diameter_mm": 2.0})
     seen = view(description, reach(description, Directions.from_degrees(0.0, 0.0, 40.0, 180.0)))
-    why = beam_size.cut(description, seen, "reference")
+    why = regions.cut(description, seen, "reference")
     assert message in why if message else not why
 
 

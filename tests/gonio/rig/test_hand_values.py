@@ -12,7 +12,7 @@ from gonio.rig import fiducials, sensor_response
 from gonio.rig.description import Fiducials, Suspender
 from gonio.rig.health import Reading
 from gonio.rig.light_and_camera import Camera
-from gonio.rig.patterns import PATTERNS, picture
+from gonio.rig.textures import PATTERNS, picture
 
 
 def test_a_camera_is_full_at_its_well_or_at_the_range_of_its_converter() -> None:

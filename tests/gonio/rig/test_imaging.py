@@ -7,11 +7,10 @@ import pytest
 
 from gonio.errors import ConfigError
 from gonio.rig import Pose
-from gonio.rig.bands import Band, Bands
 from gonio.rig.description import Acquisition, Geometry, Reference, RigDescription
 from gonio.rig.imaging import of_channel, pixel_map
 from gonio.rig.kinematics import View, view
-from gonio.rig.light_and_camera import Camera, Lamp
+from gonio.rig.light_and_camera import Band, Bands, Camera, Lamp
 from gonio.rig.regions import always_holds_sample, frame_holds, patch_extent, roi
 from tests.gonio.rig.plain_rig import rotation
 

@@ -9,7 +9,7 @@ import pytest
 
 from gonio.errors import ArgumentError, ConfigError
 from gonio.geometry import Directions
-from gonio.rig import Pose, misalignment
+from gonio.rig import Pose, kinematics
 from gonio.rig.calibrated import covariance_of
 from gonio.rig.calibration_use import Calibrated, CalibrationUse
 from gonio.rig.description import RigDescription
@@ -124,7 +124,7 @@ def test_around_retro_and_the_poles_a_pose_is_exact_or_there_is_none(kind: str) 
 
         def beside(x: np.ndarray, rig: RigDescription = description, names: list[str] = names,
                    wanted: np.ndarray = wanted) -> np.ndarray:  # fmt: skip
-            source, eye, *_ = misalignment.ends(rig, Pose(**dict(zip(names, x.tolist(), strict=True))))
+            source, eye, *_ = kinematics.ends(rig, Pose(**dict(zip(names, x.tolist(), strict=True))))
             return np.concatenate([source / np.linalg.norm(source), eye / np.linalg.norm(eye)]) - wanted
 
         starts = rng.uniform(-1.5, 1.5, (20, 4))
@@ -158,11 +158,11 @@ def test_without_errors_both_ways_to_a_view_agree_and_the_short_one_is_taken(kin
     assert description.as_meant
     for _ in range(10):
         pose = some_pose(rng, kind)
-        seen, (source, eye, onto, _) = view(description, pose), misalignment.ends(description, pose)
+        seen, (source, eye, onto, _) = view(description, pose), kinematics.ends(description, pose)
         assert seen.sight is None
         np.testing.assert_allclose(source, seen.source_mm, atol=1e-10)
         np.testing.assert_allclose(eye, seen.camera_mm, atol=1e-10)
-        axes = (onto @ misalignment.camera_on_arm(description)).T
+        axes = (onto @ kinematics.camera_on_arm(description)).T
         np.testing.assert_allclose(axes, [seen.image_x, seen.image_y, seen.optical_axis], atol=1e-13)
         assert true_pose(description, pose) is pose
         assert read_pose(description, pose) is pose

@@ -12,7 +12,7 @@ from scipy.spatial.distance import cdist
 from gonio.config import parse
 from gonio.errors import ConfigError
 from gonio.geometry import Directions
-from gonio.rig import Pose, Step, kinematics, misalignment, motion_planning
+from gonio.rig import Pose, Step, kinematics, motion_planning
 from gonio.rig.description import Acquisition, ArmAxis, Arms, Body, Cable, Geometry, Holder, RigDescription
 from gonio.rig.inverse_kinematics import Unreachable, reach
 from gonio.rig.light_and_camera import Camera, Lamp
@@ -355,7 +355,7 @@ def test_an_axis_stands_beyond_no_bound_that_its_encoder_s_errors_are_said_to_ha
     for rows in (((1, 5.0, 3.0),), ((2, 40.0, 10.0), (3, 15.0, 0.0))):
         arms = Arms(light=ArmAxis(harmonics_deg=rows))
         space = motion_planning._space_of(describe(arms=arms))
-        axis = misalignment.NAMES.index("light")
+        axis = kinematics.AXES.index("light")
         read = np.radians(np.linspace(-90.0, 90.0, 181))
         true = np.array([space.true(axis, float(at)) for at in read])
         at = float(read[100])

@@ -27,7 +27,7 @@ from gonio_analysis.selection.choice import Choice, choose
 from gonio_analysis.selection.judging import Candidate
 
 from gonio import measurement
-from gonio.cli.pace import Say
+from gonio.cli.console import Say
 from gonio.models import Phong, build
 from tests.gonio_analysis.synthetic import joined, measure
 

@@ -3,9 +3,8 @@
 import numpy as np
 from gonio_analysis.report.text import number
 
-from gonio.documents import TomlTable
 from gonio.models import Blinn, Phong
-from gonio.typing import Floats
+from gonio.typing import Floats, TomlTable
 from gonio_validation.papers.figure import Claim, agreed
 from gonio_validation.papers.pictures.centre import Centre, Change, centre
 

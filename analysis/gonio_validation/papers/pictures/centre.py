@@ -11,8 +11,7 @@ from gonio_scenes.render import Picture, render
 from gonio_scenes.scene import Scene, SceneFile, build
 
 from gonio.config import load
-from gonio.documents import TomlTable
-from gonio.typing import Floats
+from gonio.typing import Floats, TomlTable
 from gonio_validation.papers.pictures.catalogue import scene_file
 
 Mask = npt.NDArray[np.bool_]

@@ -5,8 +5,7 @@ from gonio_analysis.report.text import number
 from gonio_scenes.picture import tristimulus
 
 from gonio import colour, materials
-from gonio.documents import TomlTable
-from gonio.typing import Floats
+from gonio.typing import Floats, TomlTable
 from gonio_validation.papers.figure import Claim, agreed
 from gonio_validation.papers.oren_nayar_samples import between
 from gonio_validation.papers.pictures.centre import Centre, Change, Mask, centre

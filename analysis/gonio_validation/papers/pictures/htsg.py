@@ -9,9 +9,8 @@ from gonio_scenes.scene import SceneFile
 
 from gonio import materials
 from gonio.config import load
-from gonio.documents import TomlTable
 from gonio.models import fresnel
-from gonio.typing import Floats
+from gonio.typing import Floats, TomlTable
 from gonio_validation.papers.figure import Claim, agreed
 from gonio_validation.papers.oren_nayar_samples import between
 from gonio_validation.papers.pictures.catalogue import scene_file

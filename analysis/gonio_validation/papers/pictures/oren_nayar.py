@@ -7,8 +7,7 @@ from itertools import pairwise
 import numpy as np
 from gonio_analysis.report.text import number
 
-from gonio.documents import TomlTable
-from gonio.typing import Floats
+from gonio.typing import Floats, TomlTable
 from gonio_validation.papers.figure import Claim, agreed
 from gonio_validation.papers.oren_nayar_samples import VASE_SIGMA, between
 from gonio_validation.papers.pictures.centre import Centre, Change, centre

@@ -31,7 +31,7 @@ from gonio_scenes.picture import Image, display
 from gonio_scenes.render import render
 from gonio_scenes.scene import read
 
-from gonio.documents import JsonObject
+from gonio.typing import JsonObject
 from gonio_validation.papers.figure import Claim
 from gonio_validation.papers.panels import Trace, trace_panel
 from gonio_validation.papers.pictures import blinn, cook_torrance, htsg, oren_nayar
