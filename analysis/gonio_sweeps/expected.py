@@ -35,7 +35,7 @@ from gonio.geometry import Directions, solid_angle_of_cone
 from gonio.reduction import white_reference
 from gonio.reduction.angle_errors import CAUSES, angle_axes, zero_uncertainties
 from gonio.reduction.white_reference import Level
-from gonio.rig import Pose, Step, kinematics, sensor_response
+from gonio.rig import Pose, Step, kinematics, light_and_camera
 from gonio.rig.description import RigDescription
 from gonio.typing import Floats
 from gonio_sweeps.candidates import half_angles, read
@@ -110,7 +110,7 @@ def _weight(description: RigDescription, pose: Pose, pixels: float, reflectance:
     rate = camera.responsivity_e_per_s * reflectance * exposure.cosine_of_incidence(pose)
     out = 0.0
     for t in exposures:
-        noise = float(sensor_response.variance(camera, (rate + camera.dark_current_e_per_s) * t))
+        noise = float(light_and_camera.variance(camera, (rate + camera.dark_current_e_per_s) * t))
         out += 1.0 / max(noise / (pixels * (rate * t) ** 2) + description.lamp.frame_noise**2, 1e-18)
     return out
 

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from gonio.geometry import Directions
 from gonio.models.gaussian_process import Coordinates
-from gonio.reduction.spike_overlap import overlap
+from gonio.reduction.spikes import overlap
 from gonio.typing import Floats
 
 WIDTHS_DEG = (3.0, 8.0, 20.0)

@@ -1,7 +1,7 @@
 """How long a run takes on its rig: travel, frames, visits to the reference, darks.
 
 Everything follows from the rig file: speeds, the side from which axes approach, the sensor's data sheet. What a run has
-really taken corrects it (`gonio.acquisition.remaining`).
+really taken corrects it (`gonio.acquisition.progress`).
 
 With `order = "short"` the points of a plan have an order in which the rig travels less. It is that of
 plan.csv, so that a run goes on by the order that it was begun with.

@@ -16,7 +16,7 @@ import numpy as np
 
 from gonio.errors import DeviceError
 from gonio.geometry import solid_angle_of_cone
-from gonio.rig import Frame, Pose, sensor_response
+from gonio.rig import Frame, Pose, light_and_camera
 from gonio.rig.description import RigDescription
 from gonio.rig.imaging import pixel_on_sample_mm
 from gonio.rig.kinematics import view
@@ -349,7 +349,7 @@ class _Planned:
     def _weights(self, exposure_s: float) -> Floats:
         """1 / variance [s^2/e-^2] of a pixel of each class in one frame; 0 where it may saturate."""
         camera, t = self._description.camera, exposure_s
-        weights = t**2 / sensor_response.variance(camera, (self._rates + camera.dark_current_e_per_s) * t)
+        weights = t**2 / light_and_camera.variance(camera, (self._rates + camera.dark_current_e_per_s) * t)
         full = (self._brightest + camera.dark_current_e_per_s) * t
         spread = 6.0 * np.sqrt(full + camera.read_noise_e**2 + (camera.prnu * full) ** 2)
         return np.where((full + spread < SATURATED * self._full) | (t <= camera.exposure_limits_s[0]), weights, 0.0)

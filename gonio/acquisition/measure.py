@@ -197,8 +197,7 @@ def carry_out(
         See `gonio.acquisition.loop.measure`, `Run.create`, `Run.resume` and the rig's own documentation.
     """
     from gonio.acquisition.loop import measure
-    from gonio.acquisition.progress import Stop
-    from gonio.acquisition.remaining import Remaining
+    from gonio.acquisition.progress import Remaining, Stop
     from gonio.acquisition.repair import ASIDE
     from gonio.acquisition.resuming import reopened
     from gonio.acquisition.run import Run

@@ -12,12 +12,11 @@ import cv2
 import numpy as np
 
 from gonio.acquisition import exposure
-from gonio.rig import Frame, sensor_response
+from gonio.rig import Frame, light_and_camera
 from gonio.rig.description import RigDescription
 from gonio.rig.imaging import Channel
-from gonio.rig.light_and_camera import Camera
+from gonio.rig.light_and_camera import Camera, linear_dn
 from gonio.rig.regions import Roi
-from gonio.rig.sensor_response import linear_dn
 from gonio.typing import Array, Bools, NDArray
 
 Floats32 = NDArray[np.float32]
@@ -199,7 +198,7 @@ def noise(camera: Camera, first: Frame, second: Frame, region: Roi) -> Noise | N
     scaled = a * (means[1] / means[0] * second.exposure_s / first.exposure_s) if lit else a
     deviation = float(np.std(scaled - b, ddof=1)) / math.sqrt(2.0)
     level = float(b.mean())
-    expected = sensor_response.deviation_dn(camera, level * camera.electrons_per_dn, rounding=camera.quantised)
+    expected = light_and_camera.deviation_dn(camera, level * camera.electrons_per_dn, rounding=camera.quantised)
     u_rel = deviation / math.sqrt(a.size) / level if lit else None
     return Noise(deviation, float(expected), level, u_rel)
 

@@ -18,7 +18,7 @@ import pandas as pd
 from gonio.acquisition import exposure
 from gonio.disk import put, put_picture
 from gonio.errors import ArgumentError, ConfigError, DataError
-from gonio.rig import Frame, Pose, kinematics, regions, sensor_response
+from gonio.rig import Frame, Pose, kinematics, light_and_camera, regions
 from gonio.rig.description import RigDescription
 from gonio.typing import Axes, Floats
 
@@ -182,7 +182,7 @@ def _signal(description: RigDescription, shots: list[Frame], roi: regions.Roi, d
     means = (lit - roi.of(dark.of(exposure_s))).mean(axis=1)
     mean = float(means.mean())
     light_e, dark_e = max(mean, 0.0) * camera.electrons_per_dn, camera.dark_current_e_per_s * exposure_s
-    pixel_dn, dark_dn = sensor_response.deviation_dn(camera, [light_e + dark_e, dark_e]).tolist()
+    pixel_dn, dark_dn = light_and_camera.deviation_dn(camera, [light_e + dark_e, dark_e]).tolist()
     noise = math.hypot(pixel_dn / math.sqrt(roi.count), mean * description.lamp.noise) / math.sqrt(n)
     scatter = float(means.std(ddof=1)) / math.sqrt(n) if n > 1 else 0.0
     u = math.hypot(max(noise, scatter), dark_dn / math.sqrt(DARK_FRAMES * roi.count))

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from scipy.linalg import block_diag
 
-from gonio.calibration import black_frames, linearity, photon_transfer, vignetting
+from gonio.calibration import beam, black_frames, linearity, photon_transfer
 from gonio.calibration.camera_frames import CameraFrame
 from gonio.calibration.camera_passes import Passes
 from gonio.errors import DataError
@@ -18,8 +18,7 @@ from gonio.rig.calibrated import Calibration
 from gonio.rig.calibration_use import ParameterUncertainty
 from gonio.rig.description import RigDescription
 from gonio.rig.imaging import Channel
-from gonio.rig.light_and_camera import Camera
-from gonio.rig.sensor_response import PixelMaps, straightened
+from gonio.rig.light_and_camera import Camera, PixelMaps, straightened
 from gonio.shown import with_u
 from gonio.typing import Bools, Figure, Floats, TomlTable
 
@@ -326,7 +325,7 @@ class _Work(Passes):
         dark = self.dark_at(exposure_s)
         return np.asarray(straightened(camera, mean - self.level) - straightened(camera, dark - self.level))
 
-    def _vignetting(self, camera: Camera, stray: black_frames.StrayLight | None) -> vignetting.Vignetting | None:
+    def _vignetting(self, camera: Camera, stray: black_frames.StrayLight | None) -> beam.Vignetting | None:
         if not self.of["field"]:
             return None
         groups: dict[tuple[Pose, float], list[CameraFrame]] = {}
@@ -346,7 +345,7 @@ class _Work(Passes):
                 added = spread(known, np.where(self.defects, 0.0, signal), 0.0, self.channel).at(rows, cols)[0]
                 signal = signal - added.reshape(signal.shape)
             pictures.append((np.where(self.defects, math.nan, signal), pose))
-        return vignetting.fit(pictures, self.description, self.channel)
+        return beam.fit_vignetting(pictures, self.description, self.channel)
 
     def _temperature(self) -> photon_transfer.DarkTemperature | None:
         """Arrhenius' law, where the dark frames say their temperatures."""

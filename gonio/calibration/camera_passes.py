@@ -11,7 +11,7 @@ from gonio.calibration.camera_frames import CameraFrame
 from gonio.errors import DataError
 from gonio.rig.description import RigDescription
 from gonio.rig.imaging import Channel, of_channel
-from gonio.rig.sensor_response import linear_dn
+from gonio.rig.light_and_camera import linear_dn
 from gonio.typing import Floats
 
 CLIPPED = 1e-3

@@ -14,9 +14,9 @@ from gonio.calibration.lamp_stability import COLUMNS
 from gonio.errors import ConfigError, DataError, DeviceError
 from gonio.geometry import Directions
 from gonio.reduction import stray_light
-from gonio.rig import Frame, Pose, Step, imaging, inverse_kinematics, kinematics, regions, sensor_response
+from gonio.rig import Frame, Pose, Step, imaging, inverse_kinematics, kinematics, light_and_camera, regions
 from gonio.rig.description import RigDescription
-from gonio.rig.sensor_response import linear_dn, straightened
+from gonio.rig.light_and_camera import linear_dn, straightened
 from gonio.typing import Array, DataFrame, Floats
 
 DARK_FRAMES = 8
@@ -269,4 +269,4 @@ def _noise(description: RigDescription, signal_dn: Floats | float, exposure_s: f
     """Standard deviation of a pixel [DN] from the camera alone."""
     camera = description.camera
     dark = camera.dark_current_e_per_s * exposure_s
-    return sensor_response.deviation_dn(camera, np.asarray(signal_dn) * camera.electrons_per_dn + dark)
+    return light_and_camera.deviation_dn(camera, np.asarray(signal_dn) * camera.electrons_per_dn + dark)

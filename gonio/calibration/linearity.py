@@ -20,8 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gonio.errors import DataError
-from gonio.rig.light_and_camera import Camera
-from gonio.rig.sensor_response import bent, straightened
+from gonio.rig.light_and_camera import Camera, bent, straightened
 from gonio.typing import Array, Floats, NDArray
 
 DEGREE = 2

@@ -13,8 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gonio.errors import DataError
-from gonio.rig.light_and_camera import Camera
-from gonio.rig.sensor_response import straightened
+from gonio.rig.light_and_camera import Camera, straightened
 from gonio.typing import Bools, Floats, NDArray
 
 FIT_RANGE = 0.7

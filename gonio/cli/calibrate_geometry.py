@@ -8,7 +8,7 @@ import numpy as np
 
 from gonio.acquisition.measure import RigChoice, find_rig
 from gonio.by_hand.manual_rig import ManualRig
-from gonio.calibration import camera_check, fiducials, intrinsics
+from gonio.calibration import camera_scan, fiducials, intrinsics
 from gonio.calibration import geometry as geometric
 from gonio.calibration import geometry_scans as poses
 from gonio.calibration.board import read_board
@@ -181,7 +181,7 @@ def _measured(
     with opened.told_where(manual), manual:
         if "mirror" in wanted:
             opened.put(manual, "mirror", PROMPTS["mirror"], yes=asked.yes)
-            if contradiction := camera_check.contradictions(manual):
+            if contradiction := camera_scan.contradictions(manual):
                 console.note(f"WARNING: {contradiction}")
             scans.mirror_frames(number(poses.MIRROR_POSES))
             if manual.description.holder.fiducials is not None:

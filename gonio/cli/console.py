@@ -22,8 +22,7 @@ if TYPE_CHECKING:
     from rich.progress import Progress as ProgressBar
     from rich.table import Table
 
-    from gonio.acquisition.progress import Live, Pause, Progress
-    from gonio.acquisition.remaining import Remaining, TimeLeft
+    from gonio.acquisition.progress import Live, Pause, Progress, Remaining, TimeLeft
 
 LINES = 20
 """At most about so many lines of progress where there is no terminal."""

@@ -16,8 +16,8 @@ from pathlib import Path
 
 from gonio import platform
 from gonio.acquisition.journal import Event
+from gonio.acquisition.progress import REMEMBERED, Remaining, TimeLeft
 from gonio.acquisition.records import StepRecord
-from gonio.acquisition.remaining import REMEMBERED, Remaining, TimeLeft
 from gonio.acquisition.run import Run
 from gonio.disk import only_file
 from gonio.errors import GonioError

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from gonio.geometry import Directions, mirrored
-from gonio.reduction import spike_overlap
+from gonio.reduction import spikes
 from gonio.reduction.angle_sensitivity import Curves
 from gonio.reduction.geometry_errors import zero_u_deg
 from gonio.reduction.rates import Reduced
@@ -122,7 +122,7 @@ def coarse_steps(
     behind = bool(len(goals)) and is_behind(goals[0])
     read = Directions.stack([turned_over(kinematics.directions(description, pose), behind) for pose in poses])
     cones = math.radians(description.lamp.half_angle_deg), math.radians(description.camera.lens_half_angle_deg)
-    none = [spike_overlap.OverlapFraction()] * len(poses)
+    none = [spikes.OverlapFraction()] * len(poses)
     under = filling(description) == "under"
     curves, variance = Curves(turned_over(goals, behind), read, brdf, u, cones, none, under), np.zeros(len(poses))
     for axis, error in (*encoder_steps(description).items(), *zero_uncertainties(description).items()):
@@ -196,7 +196,7 @@ def _changed(measured: MeasuredBand, point: Reduced) -> list[tuple[Directions, D
     return [(turned_over(up, behind), turned_over(down, behind)) for up, down in sights.directions()]
 
 
-def _overlaps(measured: MeasuredBand, cones: tuple[float, float]) -> list[spike_overlap.OverlapFraction]:
+def _overlaps(measured: MeasuredBand, cones: tuple[float, float]) -> list[spikes.OverlapFraction]:
     """What each point sees of a specular spike."""
     description = measured.description
     # a spin turns the lamp's mirror image and the lens alike
@@ -211,13 +211,13 @@ def _overlaps(measured: MeasuredBand, cones: tuple[float, float]) -> list[spike_
         changed = [up for up, _ in _changed(measured, point)]
         turned = sum(float(np.linalg.norm(change.from_mirror - d.from_mirror)) for change in changed)
         if float(d.mirror_offset) >= sum(cones) + blur + 6.0 * turned:
-            out.append(spike_overlap.OverlapFraction())
+            out.append(spikes.OverlapFraction())
             continue
         moved = Directions.stack([*(_moved(description, point.pose, axis, u) for axis, u in errors), *changed])
-        patch = spike_overlap.over_patch(d, radius, g.light_distance_mm, g.camera_distance_mm)
+        patch = spikes.over_patch(d, radius, g.light_distance_mm, g.camera_distance_mm)
         omega_i, omega_r = _pixels(measured, point)
         by_pixels = np.asarray(omega_r - mirrored(omega_i) - d.from_mirror)
-        out.append(spike_overlap.blurred_overlap(d, moved, cones, patch, by_pixels))
+        out.append(spikes.blurred_overlap(d, moved, cones, patch, by_pixels))
     return out
 
 

@@ -22,8 +22,7 @@ import numpy as np
 from gonio.geometry import AT_NORMAL, SAME_NOMINAL, Directions
 from gonio.reduction.lobe_surface import Surface
 from gonio.reduction.narrow_lobes import steepest
-from gonio.reduction.spike_overlap import OverlapFraction, overlap
-from gonio.reduction.spikes import Scene, find
+from gonio.reduction.spikes import OverlapFraction, Scene, find, overlap
 from gonio.typing import Bools, Floats, Ints
 
 NARROWEST = math.radians(0.2)
@@ -93,7 +92,7 @@ class Curves:
     half_angles
         Of the lamp and of the lens [rad].
     shares
-        What each point sees of a spike (`gonio.reduction.spike_overlap.blurred_overlap`).
+        What each point sees of a spike (`gonio.reduction.spikes.blurred_overlap`).
     underfilled
         The flux of the whole beam is known, and not its irradiance: the cosine of the estimate is that of theta_r.
     """

@@ -15,14 +15,14 @@ import numpy as np
 
 from gonio.acquisition.run import Run
 from gonio.errors import ConfigError, DataError
-from gonio.reduction import angle_errors, budget, light_and_lens, white_reference
+from gonio.reduction import angle_errors, light_and_lens, white_reference
 from gonio.reduction.angle_errors import change_of_cosine, encoder_steps, is_behind, turned_over
 from gonio.reduction.count_rates import RunFrames
 from gonio.reduction.dark_signal import PATTERNS
 from gonio.reduction.merging import FALSE_ALARMS, noise_is_known
 from gonio.reduction.rates import Reduced, Rejected
 from gonio.reduction.reference_table import brdf_of_reference, u_of_reference
-from gonio.reduction.table import DARK, GEOMETRY, LAMP, assemble, notes_on_frames
+from gonio.reduction.table import DARK, GEOMETRY, LAMP, assemble, assemble_budget, left_out, notes_on_frames
 from gonio.reduction.threads import in_threads
 from gonio.reduction.values import BandResult, Cause, MeasuredBand, Values, joined, share
 from gonio.rig import calibrated
@@ -37,7 +37,7 @@ class Reduction:
     table: DataFrame
     """See `reduce`."""
     budget: DataFrame
-    """The parts of each value's uncertainty (`gonio.reduction.budget.assemble`), rows as in the table."""
+    """The parts of each value's uncertainty (`gonio.reduction.table.assemble_budget`), rows as in the table."""
     bands: list[BandResult]
 
 
@@ -100,8 +100,8 @@ def reduce_in_parts(run: Run, *, progress: Callable[[int, int], None] | None = N
     for part, names in (("dark", DARK), ("geometry", GEOMETRY), ("visits", LAMP)):
         share([result.values for result in results], part, names)
     table = assemble(run, results, notes_on_frames(frames), frames.clipped)
-    table.attrs["provenance"]["not_in_budget"] = budget.left_out(run.description, table)
-    return Reduction(table, budget.assemble(table, results), results)
+    table.attrs["provenance"]["not_in_budget"] = left_out(run.description, table)
+    return Reduction(table, assemble_budget(table, results), results)
 
 
 def _reference(measured: MeasuredBand, values: Values) -> None:

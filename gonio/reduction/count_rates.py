@@ -30,9 +30,8 @@ from gonio.rig.calibrated import known_parameters
 from gonio.rig.description import RigDescription
 from gonio.rig.dng import pixels_sha256, read_raw
 from gonio.rig.imaging import Channel, pixel_map
-from gonio.rig.light_and_camera import Band, Camera
+from gonio.rig.light_and_camera import Band, Camera, by_coefficients, linear_dn, read_maps, straightened
 from gonio.rig.regions import Roi, filling, per_weight, roi, straight_through_weight
-from gonio.rig.sensor_response import by_coefficients, linear_dn, read_maps, straightened
 from gonio.typing import Array, Bools, Floats
 
 Dark = tuple[float, Array]

@@ -25,11 +25,10 @@ from gonio.reduction.count_rates import RunFrames, lit_frames, without_dark
 from gonio.reduction.dark_signal import Darks
 from gonio.reduction.merging import SATURATED, Region, bound
 from gonio.reduction.stray_light import Spread
-from gonio.rig import Frame, imaging, sensor_response
+from gonio.rig import Frame, imaging, light_and_camera
 from gonio.rig.imaging import Channel, pixel_map
 from gonio.rig.kinematics import View
-from gonio.rig.light_and_camera import Band, Camera
-from gonio.rig.sensor_response import linear_dn
+from gonio.rig.light_and_camera import Band, Camera, linear_dn
 from gonio.typing import Bools, Floats, Ints
 
 OUTSIDE, FULL, HOT, SHADOWED, BLURRED = (1 << k for k in range(len(FLAGS)))
@@ -248,7 +247,7 @@ class Planes:
             ratio = float(rates[k][common].sum() / rates[best][common].sum()) if k != best else 1.0
             level[k] = max(mean * ratio / point.rate, 1e-6) if point.rate > 0 and mean * ratio > 0 else 1.0
             charge = np.maximum(rates[best][common] / region.per_weight[common], 0.0) * exposed[k]
-            noise = sensor_response.variance(self.camera, charge) * region.per_weight[common] ** 2
+            noise = light_and_camera.variance(self.camera, charge) * region.per_weight[common] ** 2
             u_level[k] = math.sqrt(float(noise.sum())) / max(float(rates[best][common].sum()) * exposed[k], 1e-300)
         told = np.array([bool((use & usable[best]).any()) for use in usable])
         shares = np.where(told, exposed, 0.0) / max(float(exposed[told].sum()), 1e-300)
@@ -339,7 +338,7 @@ class Planes:
         charge = camera.dark_current_e_per_s * darks.exposures_s
         lines = np.array([darks.leverage(lit.frame.exposure_s) / lit.effective_s for lit in taken])
         out = np.zeros(rate.shape)
-        for line, noise in zip(lines.T, sensor_response.variance(camera, charge), strict=True):
+        for line, noise in zip(lines.T, light_and_camera.variance(camera, charge), strict=True):
             out += np.tensordot(line, shares, 1) ** 2 * noise
         for lit, share in zip(taken, shares, strict=True):
             out += ((share - lit.weight) * lit.u_level * rate) ** 2
@@ -376,7 +375,7 @@ def _weights(
     charge = np.where(used, electrons, 0.0).sum(axis=0)
     near = _box_mean(np.stack([charge, time]), 3)
     expected = np.maximum(near[0], 0.0) / np.maximum(near[1], 1e-300)
-    noise = sensor_response.variance(camera, expected * seconds + dark_rate * exposed)
+    noise = light_and_camera.variance(camera, expected * seconds + dark_rate * exposed)
     return np.where(used, seconds**2 / np.maximum(noise, 1e-12), 0.0), noise
 
 
@@ -392,7 +391,7 @@ def _hits(camera: Camera, rates: Floats, seconds: Floats, used: Bools, limit: fl
     found = used & (rest > 0.0) & (more > 0.0) & (more**2 > 2.0 * limit * shot)
     if found.any():
         charge, length, part = np.maximum(others[found], 0.0), np.broadcast_to(seconds, found.shape)[found], safe[found]
-        variance = sensor_response.variance(camera, charge * length)
-        variance += sensor_response.variance(camera, charge * part) * (length / part) ** 2
+        variance = light_and_camera.variance(camera, charge * length)
+        variance += light_and_camera.variance(camera, charge * part) * (length / part) ** 2
         found[found] = more[found] > bound(variance, limit)
     return np.asarray(found)

@@ -13,11 +13,10 @@ import numpy as np
 
 from gonio.reduction.dark_signal import Darks
 from gonio.reduction.rates import Merged
-from gonio.rig import Target, sensor_response
+from gonio.rig import Target, light_and_camera
 from gonio.rig.description import RigDescription
-from gonio.rig.light_and_camera import Camera
+from gonio.rig.light_and_camera import Camera, rounding_of_mean
 from gonio.rig.regions import Roi
-from gonio.rig.sensor_response import rounding_of_mean
 from gonio.typing import Bools, Floats, NDArray
 
 Mask = Bools
@@ -51,7 +50,7 @@ def without_hits(camera: Camera, frames: NDArray[np.uint16], black_dn: float) ->
         return values, 0
     middle = np.sort(values, axis=0)[(len(values) - 1) // 2]
     charge = np.maximum(middle - black_dn, 0.0) * camera.electrons_per_dn
-    variance = 2.0 * (charge + sensor_response.variance(camera, 0.0))
+    variance = 2.0 * (charge + light_and_camera.variance(camera, 0.0))
     limit = math.log(values.size / FALSE_ALARMS)
     hit = (values - middle) * camera.electrons_per_dn > bound(variance, limit)
     others = np.where(hit, 0.0, values).sum(axis=0) / (~hit).sum(axis=0)
@@ -139,7 +138,7 @@ class _Fit:
             stack, np.where(used, stack.electrons, 0.0).sum(0), np.where(used, t, 0).sum(0)
         )
         shot = self._shot(self.expected * t)
-        self.charge_variance = shot + sensor_response.variance(camera, stack.dark_rate * t)
+        self.charge_variance = shot + light_and_camera.variance(camera, stack.dark_rate * t)
         self.weights = np.where(used, t**2 / self.charge_variance, 0.0)
         self.total = self.weights.sum(axis=0)
         self.alive = self.total > 0
@@ -211,7 +210,7 @@ class _Fit:
         charge = np.maximum(rate, 0.0) * t
         step = camera.electrons_per_dn**2
         missing = np.where(
-            sensor_response.spread(camera, charge) >= 0.25 * step, 0.0, step / 12.0 * (1.0 - 1.0 / count)
+            light_and_camera.spread(camera, charge) >= 0.25 * step, 0.0, step / 12.0 * (1.0 - 1.0 / count)
         )
         return float(np.sum((shares.sum(axis=1) / t) ** 2 * missing))
 
@@ -299,7 +298,7 @@ def _neighbours_mean(stack: Stack, charge: Floats, time: Floats) -> Floats:
 def usable(camera: Camera) -> float:
     """The level of neighbours up to which a pixel is used: its noise then does not reach `SATURATED`."""
     full = camera.saturation_e
-    noise = float(sensor_response.variance(camera, full, rounding=False))
+    noise = float(light_and_camera.variance(camera, full, rounding=False))
     return SATURATED - DEVIATIONS * math.sqrt(noise / full**2 + camera.prnu**2)
 
 
@@ -364,7 +363,7 @@ def pool(description: RigDescription, region: Region, shots: list[Shot], dark_ex
     rates, times = np.array([shot.rate for shot in shots]), np.array([shot.time_s for shot in shots])
     count = region.per_weight.size
     mean_1, mean_2 = float(np.mean(region.per_weight)), float(np.mean(region.per_weight**2))
-    dark = sensor_response.variance(camera, camera.dark_current_e_per_s * exposure, rounding=False)
+    dark = light_and_camera.variance(camera, camera.dark_current_e_per_s * exposure, rounding=False)
     pooled = float(np.sum(rates * exposure) / np.sum(exposure))
     for _ in range(3):
         signal = max(pooled, 0.0)
@@ -376,7 +375,7 @@ def pool(description: RigDescription, region: Region, shots: list[Shot], dark_ex
         pooled = float(np.sum(weights * rates))
     # the dark frames are one and the same for all frames of the point
     charge = camera.dark_current_e_per_s * dark_exposures_s
-    of_pixels = sensor_response.variance(camera, charge, rounding=False) / count + rounding_of_mean(
+    of_pixels = light_and_camera.variance(camera, charge, rounding=False) / count + rounding_of_mean(
         camera, charge, count
     )
     lines = np.array([shot.leverage for shot in shots])
@@ -417,7 +416,7 @@ def pool_pixels(description: RigDescription, region: Region, shots: list[Shot], 
     # the dark frames are one and the same for all frames of the point, and independent from pixel to pixel
     charge = camera.dark_current_e_per_s * darks.exposures_s
     count = region.per_weight.size
-    noise = sensor_response.variance(camera, charge, rounding=False) + count * rounding_of_mean(camera, charge, count)
+    noise = light_and_camera.variance(camera, charge, rounding=False) + count * rounding_of_mean(camera, charge, count)
     lines = np.array([shot.leverage for shot in acquired])
     of_darks = np.zeros(2)
     for k, variance in enumerate(noise):

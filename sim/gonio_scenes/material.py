@@ -16,7 +16,7 @@ from gonio.models.parameters import Parameters, index_at
 from gonio.rig.textures import PATTERNS, picture
 from gonio.typing import Floats
 from gonio_scenes import polarised
-from gonio_scenes.spectra import NonNegativeSpectrum, Spectral, Spectrum, is_table, table_or, values
+from gonio_scenes.lights import NonNegativeSpectrum, Spectral, Spectrum, is_table, table_or, values
 
 AMBIENT_NODES = 65
 """Polar angles at which rho_hd is computed; between them it is interpolated, to 1e-3 of its largest value for gentle

@@ -18,8 +18,7 @@ from gonio_scenes import exposures
 from gonio_scenes.exposures import Exposure
 from gonio_scenes.scene import Scene
 from gonio_scenes.shapes import AnyShape, Shape
-from gonio_scenes.shapes.analytic import Analytic
-from gonio_scenes.shapes.revolution import Revolution
+from gonio_scenes.shapes.analytic import Analytic, Revolution
 from gonio_scenes.shapes.triangles import Triangles
 from gonio_scenes.squares import FLAGS, RING, Mask, Pixels, Squares, common, require_light
 from gonio_scenes.vantage import Seen, Vantage, displaced

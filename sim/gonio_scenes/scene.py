@@ -18,10 +18,20 @@ from gonio.typing import Floats
 from gonio_scenes import camera as cameras
 from gonio_scenes import lights, polarised
 from gonio_scenes.camera import Camera, CameraTable, SensorTable, require_size
-from gonio_scenes.lights import AmbientTable, Disc, Light, LightTable, PointLight, RigTable
+from gonio_scenes.lights import (
+    MAX_WAVELENGTHS,
+    AmbientTable,
+    Disc,
+    Light,
+    LightTable,
+    PointLight,
+    Range,
+    RigTable,
+    Wavelength,
+    table_or,
+)
 from gonio_scenes.material import Material, MaterialTable
 from gonio_scenes.shapes import AnyShape
-from gonio_scenes.spectra import MAX_WAVELENGTHS, Range, Wavelength, table_or
 from gonio_scenes.world import World
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from gonio_scenes.exposures import _piled
-from gonio_scenes.spectra import Spectrum
+from gonio_scenes.lights import Spectrum
 from pydantic import ValidationError
 
 

@@ -12,7 +12,7 @@ import pytest
 from gonio.acquisition.run import Run
 from gonio.errors import ConfigError
 from gonio.reduction import brdf, monte_carlo
-from gonio.reduction.budget import COMPONENTS
+from gonio.reduction.table import COMPONENTS
 from gonio.rig.calibrated import with_keys
 from gonio.rig.calibration_use import Calibrated, CalibrationUse
 from gonio.rig.description import RigDescription

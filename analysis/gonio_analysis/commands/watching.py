@@ -10,7 +10,7 @@ from typing import NoReturn
 
 from gonio.cli import console
 from gonio.errors import ConfigError
-from gonio.live import shared, terminal
+from gonio.live import shared, watching
 from gonio.live.server import Content, Route, Server
 from gonio.live.watching import Watched
 
@@ -77,7 +77,7 @@ def _show(run: Path, server: Server, watched: Watched, text: bool) -> None:
     except OSError as error:
         console.note(f"the address cannot be kept ({error.strerror}): after a restart it will be another one")
     if text:
-        terminal.show(watched)
+        watching.show(watched)
     else:
         threading.Event().wait()
 

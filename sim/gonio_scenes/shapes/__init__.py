@@ -4,9 +4,8 @@ from typing import Annotated
 
 from pydantic import Field
 
-from gonio_scenes.shapes.analytic import Box, Cylinder, Disc, Plane, Sphere
+from gonio_scenes.shapes.analytic import Box, Cylinder, Disc, Plane, Revolution, Sphere
 from gonio_scenes.shapes.mesh import HeightField, Mesh
-from gonio_scenes.shapes.revolution import Revolution
 from gonio_scenes.shapes.shape import Ints, Shape, ShapeTable, Surface
 
 AnyShape = Annotated[

@@ -1,4 +1,7 @@
-"""Shapes of formulas: plane, disc, sphere, cylinder and box."""
+"""Shapes of formulas: plane, disc, sphere, cylinder and box.
+
+A surface of revolution: exact frusta between the points of its profile, or a smooth curve through them.
+"""
 
 import math
 from collections.abc import Callable
@@ -7,10 +10,22 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+from pydantic import Field, model_validator
 
-from gonio.typing import ArrayLike, Floats
+from gonio.errors import ConfigError
+from gonio.typing import ArrayLike, Floats, NDArray
 from gonio_scenes.shapes import _kernels
-from gonio_scenes.shapes.shape import AxisTable, FlatTable, Ints, Length, Placement, Surface, over_rays, rays
+from gonio_scenes.shapes.shape import (
+    AxisTable,
+    Coordinate,
+    FlatTable,
+    Ints,
+    Length,
+    Placement,
+    Surface,
+    over_rays,
+    rays,
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -171,3 +186,197 @@ class Box(AxisTable):
             convex=True,
             inside=lambda x, y, z: abs(x) < half[0] and abs(y) < half[1] and abs(z) < half[2],
         )
+
+
+MAX_POINTS = 10_000
+"""Points of a profile in a scene file."""
+CHORD_ERROR = 5e-7
+"""Of the shape's size: what the frusta of a smooth surface are off it; half of what is promised."""
+MARGIN = 1e-12
+"""Of the shape's size: neighbouring frusta overlap by it, so that rounding opens no gap between them."""
+
+
+class Revolution(AxisTable):
+    """`kind = "revolution"`: a profile turned about `axis`, z = 0 at `center_mm`.
+
+    The outside is where the profile, followed so that the volume beside it is positive, has its right: away from the
+    axis, where it does not turn back. uv: u is the azimuth, v the share of the profile's length, followed that way.
+
+    Attributes
+    ----------
+    profile_mm
+        Points [r, z] in the order in which they are joined; the last may be the first again (a ring).
+    caps
+        Whether ends that are not on the axis are closed by discs.
+    smooth
+        A C2 cubic spline through the points, level where it meets the axis, instead of straight lines. It is cut into
+        frusta that are off it by less than 1e-6 of the size, and shaded with its own normals.
+    """
+
+    kind: Literal["revolution"]
+    profile_mm: list[tuple[Coordinate, Coordinate]] = Field(min_length=2, max_length=MAX_POINTS)
+    caps: bool = False
+    smooth: bool = False
+
+    @model_validator(mode="after")
+    def _is_a_profile(self) -> "Revolution":
+        points = np.array(self.profile_mm)
+        for k, (r, _) in enumerate(points):
+            if r < 0.0:
+                raise ValueError(f"profile_mm[{k + 1}] has r = {r:g}: it is a distance from the axis, 0 or more")
+        steps = np.hypot(*np.diff(points, axis=0).T)
+        same = np.flatnonzero(steps <= MARGIN * np.max(np.ptp(points, axis=0), initial=np.max(np.abs(points))))
+        if same.size:
+            raise ValueError(f"profile_mm[{same[0] + 1}] and [{same[0] + 2}] are one point: leave one out")
+        if not np.any(points[:, 0] > 0.0):
+            raise ValueError("profile_mm lies on the axis: some point must have r > 0")
+        crossing = _crossing(points)
+        if crossing:
+            one, other = crossing
+            raise ValueError(f"profile_mm crosses itself between [{one}], [{one + 1}] and [{other}], [{other + 1}]")
+        return self
+
+    def build(self, folder: Path) -> Analytic:
+        """The shape."""
+        points = np.array(self.profile_mm)
+        loop = bool(np.all(points[0] == points[-1])) and len(points) > 3
+        size = float(math.hypot(2.0 * points[:, 0].max(), np.ptp(points[:, 1])))
+        if self.smooth:
+            points, slopes = _spline(points, loop, size)
+        else:
+            slopes = np.zeros((len(points) - 1, 2, 3))  # never looked at
+        if self.caps and not loop:
+            points, slopes = _capped(points, slopes)
+        closed = loop or (points[0, 0] == 0.0 and points[-1, 0] == 0.0)
+        r, z = points.T
+        # the volume beside the profile: the integral of r^2 dz / 2 over straight pieces
+        if np.sum((r[:-1] ** 2 + r[:-1] * r[1:] + r[1:] ** 2) * np.diff(z)) < 0.0:
+            points = np.ascontiguousarray(points[::-1])
+            slopes = _reversed(slopes)
+        step = np.diff(points, axis=0)
+        length = np.hypot(*step.T)
+        before = np.concatenate([[0.0], np.cumsum(length)[:-1]])
+        frusta = np.column_stack([step / length[:, np.newaxis], length, before])
+        nodes, bounds = _tree(points, MARGIN * size)
+        return Analytic(
+            place=self.place,
+            hit=_kernels.revolution_hit,
+            describe=_kernels.revolution_surface,
+            constants=(
+                points,
+                frusta,
+                np.ascontiguousarray(slopes) if self.smooth else np.empty((0, 2, 3)),
+                nodes,
+                bounds,
+                MARGIN * size,
+            ),
+            size_mm=size,
+            convex=closed and not loop and _bulges(frusta),
+            inside=(lambda x, y, z: _within(points, math.hypot(x, y), z)) if closed else None,
+        )
+
+
+def _crossing(points: Floats) -> tuple[int, int] | None:
+    """The numbers, from 1, of two pieces of a profile that cross, not only touch."""
+
+    def side(a: Floats, b: Floats, c: Floats) -> Floats:
+        (x, y), (u, v) = (b - a).T, (c - a).T
+        return np.asarray(x * v - y * u)
+
+    start, end = points[:-1], points[1:]
+    for k in range(len(start) - 2):
+        a, b, c, d = start[k], end[k], start[k + 2 :], end[k + 2 :]
+        cut = (side(a, b, c) * side(a, b, d) < 0.0) & (side(c, d, a) * side(c, d, b) < 0.0)
+        if cut.any():
+            return k + 1, k + 3 + int(cut.argmax())
+    return None
+
+
+def _spline(points: Floats, loop: bool, size: float) -> tuple[Floats, Floats]:
+    """Points on the C2 spline through the profile, and the derivatives between them as quadratics of the share.
+
+    The parameter is the chord length. At the axis the curve is what mirroring it there goes on with: r'' = 0, z' = 0.
+    Elsewhere it ends without curvature.
+    """
+    from scipy.interpolate import CubicSpline
+
+    knots = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
+    if loop:
+        curves = [CubicSpline(knots, points[:, k], bc_type="periodic") for k in (0, 1)]
+    else:
+        free, level = (2, 0.0), (1, 0.0)
+        at_z = tuple(level if points[end, 0] == 0.0 else free for end in (0, -1))
+        curves = [
+            CubicSpline(knots, points[:, 0], bc_type=(free, free)),
+            CubicSpline(knots, points[:, 1], bc_type=at_z),
+        ]
+    # a chord of the parameter h is off a curve of the second derivative c by at most c h^2 / 8
+    curvature = np.max([np.abs(curve(knots, 2)) for curve in curves], axis=0) * math.sqrt(2.0)
+    curvature = np.maximum(curvature[:-1], curvature[1:])
+    counts = np.ceil(np.diff(knots) * np.sqrt(curvature / (8.0 * CHORD_ERROR * size))).astype(int).clip(1)
+    s = np.concatenate(
+        [*(np.linspace(a, b, n + 1)[:-1] for a, b, n in zip(knots, knots[1:], counts, strict=False)), knots[-1:]]
+    )
+    first, step = s[:-1], np.diff(s)
+    slopes = np.empty((len(step), 2, 3))
+    for k, curve in enumerate(curves):
+        slopes[:, k, 2] = curve(first, 1) * step
+        slopes[:, k, 1] = curve(first, 2) * step**2
+        slopes[:, k, 0] = curve(first + 0.5 * step, 3) * step**3 / 2.0
+    through = np.column_stack([curve(s) for curve in curves])
+    through[-1] = points[-1]
+    if np.any(through[:, 0] < 0.0):
+        k = int(np.searchsorted(knots, s[np.argmin(through[:, 0])]))
+        raise ConfigError(
+            f"profile_mm: the smooth curve crosses the axis near point {k}: give more points there, or smooth = false"
+        )
+    return through, slopes
+
+
+def _capped(points: Floats, slopes: Floats) -> tuple[Floats, Floats]:
+    """A profile that is closed to the axis at both ends."""
+    for end in (0, -1):
+        if points[end, 0] > 0.0:
+            on_axis = np.array([[0.0, points[end, 1]]])
+            flat = np.zeros((1, 2, 3))
+            flat[0, 0, 2] = points[end, 0] if end == 0 else -points[end, 0]
+            parts = [(on_axis, points), (flat, slopes)] if end == 0 else [(points, on_axis), (slopes, flat)]
+            points, slopes = (np.concatenate(part) for part in parts)
+    return points, slopes
+
+
+def _reversed(slopes: Floats) -> Floats:
+    """The derivatives along a profile that is followed the other way: the share s becomes 1 - s."""
+    a, b, c = np.moveaxis(slopes[::-1], -1, 0)
+    return np.stack([-a, 2.0 * a + b, -(a + b + c)], axis=-1)
+
+
+def _tree(points: Floats, margin: float) -> tuple[NDArray[np.int64], Floats]:
+    """Frusta by halves: first, last and the first of two children (0 for none); bounds of r and z."""
+    nodes = [[0, len(points) - 1, 0]]
+    for node in nodes:  # which grows
+        first, last, _ = node
+        if last - first > _kernels.LEAF:
+            middle = (first + last) // 2
+            node[2] = len(nodes)
+            nodes += [[first, middle, 0], [middle, last, 0]]
+    bounds = []
+    for first, last, _ in nodes:
+        r, z = points[first : last + 1].T
+        bounds.append([max(r.min() - margin, 0.0), r.max() + margin, z.min() - margin, z.max() + margin])
+    return np.array(nodes, np.int64), np.array(bounds)
+
+
+def _bulges(frusta: Floats) -> bool:
+    """Whether a profile from the axis to the axis turns one way only."""
+    r, z = frusta[:, 0], frusta[:, 1]
+    turns = r[:-1] * z[1:] - z[:-1] * r[1:]
+    return bool(r[0] > 0.0 and z[0] >= 0.0 and r[-1] < 0.0 and z[-1] >= 0.0 and np.all(turns >= -MARGIN))
+
+
+def _within(points: Floats, rho: float, height: float) -> bool:
+    """Whether a point lies inside: an odd number of frusta lie farther out at its height."""
+    (r0, z0), (r1, z1) = points[:-1].T, points[1:].T
+    spans = (z0 <= height) != (z1 <= height)
+    r = r0[spans] + (height - z0[spans]) / (z1[spans] - z0[spans]) * (r1[spans] - r0[spans])
+    return bool(np.count_nonzero(r > rho) % 2)

@@ -14,7 +14,7 @@ from gonio_bluesky.event_documents import documents
 
 from gonio.acquisition import repair
 from gonio.acquisition.journal import Event, encode
-from gonio.acquisition.remaining import Remaining
+from gonio.acquisition.progress import Remaining
 from gonio.acquisition.run import Run
 from gonio.errors import GonioError
 from gonio.live.run_status import RunStatus

@@ -10,9 +10,8 @@ import pytest
 
 from gonio.acquisition.duration import Durations
 from gonio.acquisition.plan import Plan, Point
-from gonio.acquisition.progress import Silent
+from gonio.acquisition.progress import PRIOR, Remaining, Silent, TimeLeft, ratio
 from gonio.acquisition.records import FrameRecord, StepRecord
-from gonio.acquisition.remaining import PRIOR, Remaining, TimeLeft, ratio
 from gonio.acquisition.schedule import schedule
 from gonio.cli.console import time_left
 from gonio.errors import Interrupted

@@ -12,8 +12,7 @@ from scipy.ndimage import gaussian_filter
 from gonio.calibration import linearity, photon_transfer
 from gonio.calibration.photon_transfer import CORRELATED, evened, inside
 from gonio.errors import DataError
-from gonio.rig.light_and_camera import Camera
-from gonio.rig.sensor_response import bent, straightened
+from gonio.rig.light_and_camera import Camera, bent, straightened
 from gonio.typing import Floats
 from tests.command_line import some
 from tests.places import measured

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from gonio.calibration.vignetting import fit
+from gonio.calibration.beam import fit_vignetting
 from gonio.errors import DataError
 from gonio.rig import Pose, kinematics
 from gonio.rig.description import Reference, RigDescription
@@ -38,7 +38,7 @@ def flat(
 
 @pytest.mark.parametrize("vignetting", [0.0, 0.3, 0.6, -0.1])
 def test_vignetting_is_told_from_a_beam(vignetting: float) -> None:
-    found = fit([flat(RIG, 0.0, vignetting, 1000.0), flat(RIG, -40.0, vignetting, 700.0)], RIG)
+    found = fit_vignetting([flat(RIG, 0.0, vignetting, 1000.0), flat(RIG, -40.0, vignetting, 700.0)], RIG)
     # four rounds of Newton's iteration from 0: each squares what is left
     assert found.value == pytest.approx(vignetting, abs=1e-5)
     assert found.residual < 1e-3
@@ -47,18 +47,20 @@ def test_vignetting_is_told_from_a_beam(vignetting: float) -> None:
 def test_the_residual_is_the_noise_and_the_uncertainty_its_share() -> None:
     """As many pixels are independent as one picture has: the same pictures twice say no more."""
     two = [flat(RIG, angle, 0.3, 1000.0, noise=0.01, seed=k) for k, angle in enumerate((0.0, -40.0))]
-    once, twice = fit(two, RIG), fit([*two, *two], RIG)
+    once, twice = fit_vignetting(two, RIG), fit_vignetting([*two, *two], RIG)
     assert once.residual == pytest.approx(0.01, rel=0.05)  # of some thousand pixels
     assert twice.value == pytest.approx(once.value, rel=1e-9)
     assert twice.u == pytest.approx(once.u, rel=0.01)
     assert abs(once.value - 0.3) < 4.0 * once.u
-    louder = fit([flat(RIG, angle, 0.3, 1000.0, noise=0.02, seed=k) for k, angle in enumerate((0.0, -40.0))], RIG)
+    louder = fit_vignetting(
+        [flat(RIG, angle, 0.3, 1000.0, noise=0.02, seed=k) for k, angle in enumerate((0.0, -40.0))], RIG
+    )
     assert louder.u == pytest.approx(2.0 * once.u, rel=0.1)
 
 
 def test_the_uncertainty_is_the_scatter_of_the_value_of_single_pictures_pixels() -> None:
     found = [
-        fit([flat(RIG, a, 0.3, 1000.0, noise=0.01, seed=2 * n + k) for k, a in enumerate((0.0, -40.0))], RIG)
+        fit_vignetting([flat(RIG, a, 0.3, 1000.0, noise=0.01, seed=2 * n + k) for k, a in enumerate((0.0, -40.0))], RIG)
         for n in range(20)
     ]
     scatter = float(np.std([one.value for one in found], ddof=1))
@@ -68,7 +70,7 @@ def test_the_uncertainty_is_the_scatter_of_the_value_of_single_pictures_pixels()
 
 def test_a_reference_beside_the_sample_is_looked_for_there() -> None:
     beside = RIG.model_copy(update={"reference": Reference(how="beside", offset_mm=(12.0, -8.0), diameter_mm=80.0)})
-    found = fit([flat(beside, 0.0, 0.3, 1000.0), flat(beside, -40.0, 0.3, 700.0)], beside)
+    found = fit_vignetting([flat(beside, 0.0, 0.3, 1000.0), flat(beside, -40.0, 0.3, 700.0)], beside)
     assert found.value == pytest.approx(0.3, abs=1e-6)
 
 
@@ -77,13 +79,13 @@ def test_dark_and_defective_pixels_are_left_out() -> None:
     for signal, _ in pictures:
         signal[10:13, 20:23] *= 0.1  # a shadow: less than a fifth of the median
         signal[30, 30] = math.nan
-    assert fit(pictures, RIG).value == pytest.approx(0.3, abs=1e-6)
+    assert fit_vignetting(pictures, RIG).value == pytest.approx(0.3, abs=1e-6)
 
 
 def test_one_direction_and_a_reference_out_of_view_are_refused() -> None:
-    fit([flat(RIG, 0.0, 0.3, 1.0), flat(RIG, -10.1, 0.3, 1.0)], RIG)
+    fit_vignetting([flat(RIG, 0.0, 0.3, 1.0), flat(RIG, -10.1, 0.3, 1.0)], RIG)
     with pytest.raises(DataError, match="seen from one direction"):
-        fit([flat(RIG, 0.0, 0.3, 1.0), flat(RIG, -9.8, 0.3, 1.0)], RIG)
+        fit_vignetting([flat(RIG, 0.0, 0.3, 1.0), flat(RIG, -9.8, 0.3, 1.0)], RIG)
     away = RIG.model_copy(update={"reference": Reference(how="beside", offset_mm=(500.0, 0.0), diameter_mm=20.0)})
     with pytest.raises(DataError, match="do not hold the white reference"):
-        fit([flat(away, 0.0, 0.3, 1.0), flat(away, -40.0, 0.3, 1.0)], away)
+        fit_vignetting([flat(away, 0.0, 0.3, 1.0), flat(away, -40.0, 0.3, 1.0)], away)

@@ -2,7 +2,7 @@
 
 import pytest
 
-from gonio.acquisition.remaining import Remaining
+from gonio.acquisition.progress import Remaining
 from gonio.acquisition.run import Run
 from gonio.live import working as module
 from gonio.live.working import Left

@@ -7,7 +7,7 @@ from rich.console import Console
 
 import gonio
 from gonio.acquisition.journal import encode
-from gonio.live import terminal
+from gonio.live import watching
 from gonio.live.watching import Watched
 from tests.command_line import says
 from tests.gonio.live.runs import Played
@@ -30,7 +30,7 @@ def ended(played: Played) -> Iterator[Watched]:
 def test_the_panel_shows_steps_values_flags_drift_and_events(ended: Watched) -> None:
     console = Console(width=110, record=True, file=None, force_terminal=False)
     with console.capture() as shown:
-        console.print(terminal.render(ended))
+        console.print(watching.render(ended))
     text = shown.get()
     says(
         text,
@@ -47,17 +47,17 @@ def test_the_panel_shows_steps_values_flags_drift_and_events(ended: Watched) -> 
 
 def test_a_step_in_a_line(ended: Watched) -> None:
     steps = [event for event in ended.events_after(0) if event["event"] == "step"]
-    lines = [terminal.step_line(event) for event in steps]
+    lines = [watching.step_line(event) for event in steps]
     assert lines[0] == "step 0: dark"
     assert lines[1].startswith("step 1: reference; ")
     point = next(event for event in steps if event["kind"] == "point")
     theta_r = point["angles_deg"][2]
-    says(terminal.step_line(point), f"theta_i 30, theta_r {theta_r:g}, dphi 0 deg; ", "% of full scale in")
+    says(watching.step_line(point), f"theta_i 30, theta_r {theta_r:g}, dphi 0 deg; ", "% of full scale in")
 
 
 def test_a_summary_in_a_line() -> None:
     status = {"state": "running", "done": 3, "total": 9, "left_s": 7200, "flagged": 1, "free_bytes": 5e9, "why": "so"}
-    assert terminal.summary(status) == "running: step 3 of 9, about 2 h 00 min left, 1 flagged, 5 GB free (so)"
+    assert watching.summary(status) == "running: step 3 of 9, about 2 h 00 min left, 1 flagged, 5 GB free (so)"
 
 
 def test_plain_lines_come_where_nobody_looks(
@@ -72,7 +72,7 @@ def test_plain_lines_come_where_nobody_looks(
 
     monkeypatch.setattr("threading.Event", Once)
     with pytest.raises(Enough):
-        terminal.show(ended)
+        watching.show(ended)
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].endswith(f"session: a session begins: 24 steps to take (gonio {gonio.__version__})")
     assert sum("  step " in line for line in lines) == 24

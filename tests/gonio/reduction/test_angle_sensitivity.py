@@ -8,7 +8,7 @@ import pytest
 
 from gonio.geometry import Directions, angles, direction
 from gonio.reduction.angle_sensitivity import Curves
-from gonio.reduction.spike_overlap import OverlapFraction, blurred_overlap, over_patch, overlap
+from gonio.reduction.spikes import OverlapFraction, blurred_overlap, over_patch, overlap
 
 HALF = math.radians(0.5)
 stack = Directions.stack

@@ -16,8 +16,9 @@ from gonio.acquisition.plan import Plan, Point
 from gonio.acquisition.run import Run
 from gonio.cli.application import build
 from gonio.errors import ConfigError
-from gonio.reduction import brdf, budget, monte_carlo
+from gonio.reduction import brdf, monte_carlo
 from gonio.reduction.brdf import Reduction, reduce_in_parts
+from gonio.reduction.table import COMPONENTS, left_out
 from gonio.reduction.values import MeasuredBand, Values
 from gonio.rig.description import ArmAxis, Arms, RigDescription, SampleDescription
 from gonio.rig.light_and_camera import Lamp
@@ -48,7 +49,7 @@ def causes(table: pd.DataFrame) -> list[str]:
 
 def test_parts_add_up_in_squares_to_u(noisy: Reduction) -> None:
     table, parts = noisy.table, noisy.budget
-    random = (parts[list(budget.COMPONENTS)] ** 2).sum(axis=1)
+    random = (parts[list(COMPONENTS)] ** 2).sum(axis=1)
     common = (parts[causes(parts)] ** 2).sum(axis=1)
     assert causes(parts) == causes(table)
     # a sum of 20 doubles: some units in the last place
@@ -75,7 +76,7 @@ def test_a_cause_of_ones_own_is_one_function(tmp_path: Path, monkeypatch: pytest
 
 def test_parts_are_what_they_are_named_after(noisy: Reduction) -> None:
     parts = noisy.budget
-    relative = parts[list(budget.COMPONENTS)].div(parts["brdf"], axis=0)
+    relative = parts[list(COMPONENTS)].div(parts["brdf"], axis=0)
     # two frames of 0.3 %, and photons; 1 % of some hundred pixels; no spike; the lamp is steady, which few visits of
     # 0.2 % tell no better
     assert relative["noise"].between(0.002, 0.02).all()
@@ -94,7 +95,7 @@ def test_what_is_not_in_the_budget_is_told_with_the_reason(noisy: Reduction) -> 
     known = noisy.table.assign(s_stray_light=0.0, s_geometry_1=0.0)
     known.attrs = noisy.table.attrs
     description = describe(arms=Arms(light=ArmAxis(limits_deg=(-89.0, 89.0), zero_offset_known=False)))
-    told = {row["cause"]: row["why"] for row in budget.left_out(description, known)}
+    told = {row["cause"]: row["why"] for row in left_out(description, known)}
     assert "stray_light" not in told
     assert "geometry" not in told
     assert "zero_offset_known = false" in told["zero of the light arm"]
@@ -107,7 +108,7 @@ def test_rows_with_a_flag_have_no_parts_and_bands_do_not_mix(tmp_path: Path) -> 
     )
     parts = reduce_in_parts(cast(Run, run)).budget
     assert parts["flag"].tolist() == ["", "", "", "blocked"]
-    assert parts.loc[3, list(budget.COMPONENTS)].isna().all()
+    assert parts.loc[3, list(COMPONENTS)].isna().all()
     assert not parts["coarse"].iloc[3]
 
 

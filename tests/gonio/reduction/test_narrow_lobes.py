@@ -10,7 +10,7 @@ from gonio import instrument, models
 from gonio.geometry import Directions, solid_angle_of_cone
 from gonio.reduction.angle_sensitivity import Curves
 from gonio.reduction.narrow_lobes import steepest
-from gonio.reduction.spike_overlap import blurred_overlap
+from gonio.reduction.spikes import blurred_overlap
 from gonio.typing import Floats
 
 HALF = math.radians(0.5)

@@ -15,8 +15,7 @@ from gonio.acquisition.run import Run
 from gonio.geometry import Directions
 from gonio.reduction import brdf, spikes
 from gonio.reduction.angle_sensitivity import Curves
-from gonio.reduction.spike_overlap import OverlapFraction, blurred_overlap, overlap
-from gonio.reduction.spikes import lagrange
+from gonio.reduction.spikes import OverlapFraction, blurred_overlap, lagrange, overlap
 from gonio.rig.description import SampleDescription
 from tests.gonio.reduction.drawn_runs import measured_around_spikes, pulls, rig
 

@@ -8,7 +8,7 @@ import pytest
 
 from gonio.config import parse
 from gonio.errors import ConfigError, DataError
-from gonio.rig import fiducials, sensor_response
+from gonio.rig import fiducials, light_and_camera
 from gonio.rig.description import Fiducials, Suspender
 from gonio.rig.health import Reading
 from gonio.rig.light_and_camera import Camera
@@ -49,20 +49,20 @@ def test_a_bent_response_is_straightened() -> None:
     """x (1 - 0.1 s + 0.05 s^2) of 1023 DN: half of the range reads 511.5 x (1 - 0.05 + 0.0125)."""
     camera = Camera(bits=10, nonlinearity=(-0.1, 0.05))
     signal = np.array([0.0, 102.3, 511.5, 1023.0])
-    read = sensor_response.bent(camera, signal)
+    read = light_and_camera.bent(camera, signal)
     np.testing.assert_allclose(read, signal * [1.0, 0.9905, 0.9625, 0.95], rtol=1e-14)
-    np.testing.assert_allclose(sensor_response.straightened(camera, read), signal, rtol=1e-13, atol=1e-13)
-    slopes = sensor_response.by_coefficients(camera, signal)
+    np.testing.assert_allclose(light_and_camera.straightened(camera, read), signal, rtol=1e-13, atol=1e-13)
+    slopes = light_and_camera.by_coefficients(camera, signal)
     for k, c in enumerate(camera.nonlinearity):
         up, down = (
-            sensor_response.straightened(
+            light_and_camera.straightened(
                 camera.model_copy(update={"nonlinearity": tuple(
                     value + (step if at == k else 0.0) for at, value in enumerate(camera.nonlinearity))}), read)
             for step in (1e-5, -1e-5)
         )  # fmt: skip
         np.testing.assert_allclose(slopes[k], (up - down) / 2e-5, rtol=1e-6, atol=1e-8, err_msg=str(c))  # differences
     table = Camera(bits=8, black_level_dn=0.0, response=tuple(x * x / 255.0 for x in range(256)))
-    linear = sensor_response.linear_dn(table, np.array([0, 51, 255, 300]))
+    linear = light_and_camera.linear_dn(table, np.array([0, 51, 255, 300]))
     np.testing.assert_allclose(linear, [0.0, 10.2, 255.0, 255.0], rtol=1e-12)  # rounding
 
 

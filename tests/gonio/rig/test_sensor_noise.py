@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from gonio.rig import sensor_response
+from gonio.rig import light_and_camera
 from gonio.rig.calibration_use import ParameterUncertainty
 from gonio.rig.light_and_camera import Camera
 
@@ -42,11 +42,11 @@ def test_rounding_of_a_mean_is_that_of_pixels_that_were_rounded(camera: Camera, 
         rounded = np.rint(linear)
     off = camera.electrons_per_dn * (rounded - linear).mean(axis=1)
     # 4000 draws of an even distribution: 2 %; a curve's step changes over the pixels' scatter
-    assert float(sensor_response.rounding_of_mean(camera, charge_e, COUNT)) == pytest.approx(np.var(off), rel=0.1)
+    assert float(light_and_camera.rounding_of_mean(camera, charge_e, COUNT)) == pytest.approx(np.var(off), rel=0.1)
     noise = (pixels - charge).var(axis=1, ddof=1).mean()
-    assert float(sensor_response.spread(camera, charge_e)) == pytest.approx(noise, rel=0.02)
+    assert float(light_and_camera.spread(camera, charge_e)) == pytest.approx(noise, rel=0.02)
     steady = camera.read_noise_e**2 + camera.photon_noise * charge_e + camera.electrons_per_dn**2 / 12.0
-    assert sensor_response.deviation_dn(camera, charge_e) == pytest.approx(math.sqrt(steady) / camera.electrons_per_dn)
+    assert light_and_camera.deviation_dn(camera, charge_e) == pytest.approx(math.sqrt(steady) / camera.electrons_per_dn)
 
 
 def test_what_is_known_of_numbers_is_their_covariance_taken_apart() -> None:

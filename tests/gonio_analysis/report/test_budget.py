@@ -9,7 +9,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from gonio.reduction import angle_errors, table
-from gonio.reduction.budget import COMPONENTS
+from gonio.reduction.table import COMPONENTS
 
 CAMERA = ("s_linearity", "s_linearity_2", "s_stray_light", "s_stray_light_2")
 COMMON = (*table.COMMON, *table.DARK, *table.GEOMETRY, *table.LIGHT, *angle_errors.CAUSES.values(), *CAMERA)
