@@ -38,13 +38,13 @@ from gonio.cli.opened import (
 from gonio.cli.rigs import app
 from gonio.cli.signals import undisturbed
 from gonio.errors import ConfigError, DeviceError, Disturbed, GonioError, Interrupted
-from gonio.typing import JsonObject
 
 if TYPE_CHECKING:
     import pandas as pd
 
     from gonio.by_hand.manual_rig import ManualRig
     from gonio.rig import Device, Health
+    from gonio.typing import JsonObject
 
 __all__ = ["app"]
 
