@@ -58,7 +58,7 @@ def deaf_to(line: Line, part: bytes) -> None:
     line.bus.receive = lambda data, baud, send: None if part in data else receive(data, baud, send)  # type: ignore[method-assign]
 
 
-class Counted:
+class Counted(Device):
     """A twin, and how much it has dealt with of what was sent to it."""
 
     def __init__(self, device: Device) -> None:

@@ -3,6 +3,7 @@
 import stat
 import threading
 from pathlib import Path
+from typing import Self
 
 import pytest
 from gonio_drivers import interlock
@@ -14,7 +15,7 @@ PATIENCE_S = 120.0
 """An event that does not come within it never does."""
 
 
-class Contact:
+class Door(interlock.Contact):
     """A contact in a test's hands."""
 
     name, period_s = "door", 0.001
@@ -22,8 +23,9 @@ class Contact:
     def __init__(self) -> None:
         self.is_closed, self.fails, self.opened = True, False, 0
 
-    def __enter__(self) -> None:
+    def __enter__(self) -> Self:
         self.opened += 1
+        return self
 
     def closed(self) -> bool:
         if self.fails:
@@ -38,7 +40,7 @@ class Stop:
     """An interlock, and how often it darkened the lamp."""
 
     def __init__(self, folder: Path) -> None:
-        self.contact, self.latch, self.dark = Contact(), Latch(folder / "state" / "latch.json"), threading.Semaphore(0)
+        self.contact, self.latch, self.dark = Door(), Latch(folder / "state" / "latch.json"), threading.Semaphore(0)
         self.interlock = Interlock(self.contact, self.dark.release, self.latch)
 
 

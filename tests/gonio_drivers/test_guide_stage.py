@@ -13,7 +13,7 @@ import pytest
 from gonio_drivers import settings, stages
 from gonio_drivers.stages import StageArms
 from gonio_sim.wire import motion
-from gonio_sim.wire.peer import SerialPeer, scaled_clock
+from gonio_sim.wire.peer import Device, SerialPeer, scaled_clock
 
 from gonio import plugins
 from gonio.config import parse
@@ -29,7 +29,7 @@ TOLERANCE_DEG = 0.05
 """Of a landing, as the rig file has it by default."""
 
 
-class Newport:
+class Newport(Device):
     """An SMC100: "SMC100CC & SMC100PP User's Manual", chapter "Command set"."""
 
     def __init__(self, position: float, referenced: bool) -> None:

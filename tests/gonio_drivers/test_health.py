@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from gonio_drivers.interlock import Interlock, Latch, SerialLine, Tripped
+from gonio_drivers.interlock import Contact, Interlock, Latch, SerialLine, Tripped
 from gonio_drivers.lab import LAB
 from gonio_sim.wire import faults, motion, tether
 from gonio_sim.wire.twins import Twins
@@ -306,15 +306,13 @@ def test_a_servo_without_external_ports_is_refused(serve: Serve) -> None:
 # ---- a serial line ----
 
 
-class Line:
+class Line(Contact):
     """A contact by a script."""
 
     name, period_s = "a line", 0.001
 
     def __init__(self) -> None:
         self.state: bool | DeviceError = True
-
-    def __enter__(self) -> None: ...
 
     def closed(self) -> bool:
         if isinstance(self.state, DeviceError):

@@ -51,7 +51,7 @@ def test_processes_are_started_for_four_jobs_or_more(
         return enumerate(map(function, jobs))
 
     monkeypatch.setattr(parallel, "_on_processors", elsewhere)
-    monkeypatch.setattr(parallel.os, "cpu_count", lambda: 16)
+    monkeypatch.setattr("os.cpu_count", lambda: 16)
     assert list(parallel.each(abs, [-k for k in range(count)], workers=asked)) == [(k, k) for k in range(count)]
     assert found == ([] if started is None else [started])
 
