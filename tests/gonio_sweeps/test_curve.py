@@ -219,6 +219,17 @@ def test_curves_of_a_table_lie_between_its_outermost_points() -> None:
     assert ((found["lower"] < found["brdf"]) & (found["brdf"] < found["upper"])).all()
 
 
+def test_a_point_beside_the_plane_of_incidence_is_on_no_curve() -> None:
+    d = in_plane(np.linspace(-60, 70, 14))
+    angles = dict(zip(("theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg"), np.degrees(d.angles), strict=True))
+    table = pd.DataFrame(angles)
+    aside = table.iloc[-1:].assign(theta_r_deg=80.0, phi_r_deg=table["phi_r_deg"].iloc[-1] + 90.0)
+    table = pd.concat([table, aside], ignore_index=True)
+    table = table.assign(brdf=0.3, u_random=1e-3, wavelength_nm=550.0, flag="")
+    found = reconstruct(table, step_deg=5.0)
+    assert found["theta_r_deg"].tolist() == pytest.approx(np.linspace(-60, 70, 27))
+
+
 def test_a_lobe_that_stands_on_a_base_is_known_at_its_foot() -> None:
     def narrow(x: Floats) -> Floats:
         return 0.1 + 3.0 * np.exp(-0.5 * ((x - 30) / 4) ** 2)
