@@ -183,26 +183,26 @@ def test_a_contact_that_opens_ends_every_command_and_is_told(serve: Serve, tmp_p
     """It opens when the lamp is lit, or an axis on its way, and the command is far from its end."""
     twins = serve(described(contact=CONTACT))
     rig = written(twins, tmp_path)
-    moves, ended = words[0] in ("move", "park"), threading.Event()
+    servo = twins.servos["light"]
 
-    def open_it() -> None:
-        while not (twins.servos["light"].moves() if moves else twins.lamp.shine.lit):
-            if ended.wait(0.001):
-                return
-        twins.servos["light"].contacts.clear()
+    moves = words[0] in ("move", "park")
+    owner, name = (servo, "_drive") if moves else (twins.lamp, "_changed")
+    call = getattr(owner, name)
 
-    watch = threading.Thread(target=open_it)
-    watch.start()
-    try:
+    def opens(*given: object) -> None:
+        """In the twin's own thread, at the call that lights the lamp or starts the axis."""
+        call(*given)
+        if servo.moves() if moves else twins.lamp.shine.lit:
+            servo.contacts.clear()
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(owner, name, opens)
         done = by_hand(rig, *words, code=3)
-    finally:
-        ended.set()
-        watch.join()
     assert "emergency stop" in " ".join(f"{done.stderr} {done.stdout}".split()), done.stderr
     assert not twins.lamp.shine.lit
     # and who comes to look afterwards is told, too: the contact, and then what nobody has acknowledged
     by_hand(rig, "read", code=None, prints=["BAD: error", "emergency stop"])
-    twins.servos["light"].contacts.add(INPUT)
+    servo.contacts.add(INPUT)
     assert "not acknowledged" in read(rig, code=None)["devices"]["interlock"]["error"]["value"]
     by_hand(rig, "acknowledge")
     assert read(rig, code=None)["devices"]["interlock"]["error"]["value"] == "none"
