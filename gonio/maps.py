@@ -80,14 +80,15 @@ class Packed:
 
     dtype: str
     shape: tuple[int, ...]
-    data: bytes
+    data: NDArray[np.uint8]
+    """An array, for arrays go to other processes without being copied."""
 
     @classmethod
     def of(cls, array: Array) -> Self:
         """Pack an array."""
         flat = np.ascontiguousarray(array).reshape(-1)
         bytes_of = flat.view(np.uint8).reshape(-1, flat.dtype.itemsize)
-        return cls(flat.dtype.str, array.shape, zlib.compress(bytes_of.T.tobytes(), GZIP))
+        return cls(flat.dtype.str, array.shape, np.frombuffer(zlib.compress(bytes_of.T.tobytes(), GZIP), np.uint8))
 
     def array(self) -> Array:
         """The array; raises `OSError` where the bytes are damaged."""
@@ -157,7 +158,7 @@ class Parts:
         """Keep a tile, whole; raises `OSError` where the disk is full."""
         packed = {name: Packed.of(array) for name, array in arrays.items()}
         about = {name: (one.dtype, one.shape) for name, one in packed.items()}
-        held = {name: np.frombuffer(one.data, np.uint8) for name, one in packed.items()}
+        held = {name: one.data for name, one in packed.items()}
         write_tile(self.folder / tile.name, held | {ABOUT: np.array(json.dumps(about))})
 
     def read(self, tile: Tile, *names: str) -> dict[str, Array]:
@@ -167,9 +168,7 @@ class Parts:
     def _packed(self, tile: Tile, names: Sequence[str] = ()) -> dict[str, Packed]:
         with np.load(self.folder / tile.name) as found:
             about = json.loads(str(found[ABOUT]))
-            return {
-                name: Packed(about[name][0], tuple(about[name][1]), found[name].tobytes()) for name in names or about
-            }
+            return {name: Packed(about[name][0], tuple(about[name][1]), found[name]) for name in names or about}
 
     def assemble(self, sizes: Mapping[str, int], variables: Mapping[str, Variable], attrs: Mapping[str, Any]) -> None:
         """Make the file of all tiles, which then go. `sizes`: of every dimension, "y" and "x" among them."""
@@ -350,7 +349,7 @@ class MapFile:
             if not any(start % side for start, side in zip(begin, found.chunks, strict=True)):
                 mask, data = found.id.read_direct_chunk(begin)
                 if mask == 0:
-                    return Packed(found.dtype.str, found.chunks, bytes(data))
+                    return Packed(found.dtype.str, found.chunks, np.frombuffer(data, np.uint8))
         return np.asarray(found[tile.rows, tile.cols])
 
     def _variable(self, name: str) -> Any:
