@@ -94,7 +94,7 @@ class Packed:
         """The array; raises `OSError` where the bytes are damaged."""
         kind = np.dtype(self.dtype)
         try:
-            whole = zlib.decompress(self.data, bufsize=max(kind.itemsize * math.prod(self.shape), 1))
+            whole = zlib.decompress(self.data.data, bufsize=max(kind.itemsize * math.prod(self.shape), 1))
             bytes_of = np.frombuffer(whole, np.uint8).reshape(kind.itemsize, -1)
             return np.ascontiguousarray(bytes_of.T).reshape(-1).view(kind).reshape(self.shape)
         except (zlib.error, ValueError) as error:

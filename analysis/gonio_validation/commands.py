@@ -11,6 +11,7 @@ import typer
 from gonio_analysis.commands import Dask
 
 from gonio.cli import console
+from gonio.errors import ConfigError
 
 Jobs = Annotated[int | None, typer.Option(help="Processes. [default: one a processor]", show_default=False)]
 NAME_HELP = 'A figure, as htsg-8; "all" of them; "pictures", the rendered ones; or "list", which names them.'
@@ -23,7 +24,6 @@ def figures(
     out: Annotated[Path | None, typer.Option(help="Folder of the page.", show_default=False)] = None,
 ) -> None:
     """Make a paper's figure again, and judge the paper's claims. Prints the page's path."""
-    from gonio.errors import ConfigError
     from gonio_validation.papers import PICTURES, check
     from gonio_validation.papers.index import FIGURES
     from gonio_validation.papers.pictures.catalogue import TITLE
@@ -49,6 +49,8 @@ def _made(module: str, *arguments: Any, **options: Any) -> None:
     """Make the page that a module of this package makes, with the command line for its record, and print its path."""
     from gonio.acquisition.run import command_line
 
+    if None not in (options.get("jobs"), options.get("dask")):
+        raise ConfigError("--jobs: counts processes here, and --dask names a cluster; leave one of them out")
     make = import_module(f"gonio_validation.{module}").make
     print(make(*arguments, command=command_line(), **options))
 

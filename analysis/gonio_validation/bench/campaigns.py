@@ -95,12 +95,10 @@ class Campaigns:
         Raises
         ------
         ConfigError
-            No scheduler answers at `dask`, or `jobs` are given with it.
+            No scheduler answers at `dask`.
         Interrupted
             Somebody stopped it; the records that are there count.
         """
-        if dask is not None and jobs is not None:
-            raise ConfigError("--jobs: counts processes here, and --dask names a cluster; leave one of them out")
         missing = [name for name in wanted if self.record(name) is None]
         done = len(wanted) - len(missing)
         step(done, len(wanted))

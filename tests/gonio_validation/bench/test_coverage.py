@@ -259,8 +259,15 @@ def test_a_cluster_finds_the_same_whatever_becomes_of_client_and_worker(tmp_path
     again = CliRunner().invoke(app, [*asked, str(there), "--dask", cluster.scheduler_address])
     assert again.exit_code == 0
     assert again.stdout.strip() == str(there / "index.html")
-    with pytest.raises(ConfigError, match="--jobs: counts processes here"):
-        coverage.make(there, campaigns=4, only=["drift"], quick=True, jobs=2, dask=cluster.scheduler_address)
+
+
+@pytest.mark.parametrize("words", [["coverage"], ["sweeps"], ["materials", "."]], ids=lambda words: words[0])
+def test_processes_and_a_cluster_at_once_are_refused_before_a_folder_is_made(tmp_path: Path, words: list[str]) -> None:
+    out = tmp_path / "found"
+    done = CliRunner().invoke(app, [*words, "--out", str(out), "--jobs", "2", "--dask", "tcp://127.0.0.1:9"])
+    assert isinstance(done.exception, ConfigError)
+    assert str(done.exception).startswith("--jobs: counts processes here, and --dask names a cluster")
+    assert not out.exists()
 
 
 def test_two_commands_do_not_work_in_one_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
