@@ -21,13 +21,14 @@ from gonio.acquisition.sampling import Choice
 from gonio.config import Positive, Strict
 from gonio.errors import ConfigError
 from gonio.geometry import Directions
+from gonio.models.gaussian_process import ENOUGH
 from gonio.reduction.angle_errors import angle_axes, zero_uncertainties
 from gonio.rig.description import RigDescription
 from gonio.typing import Floats, JsonObject
 from gonio_sweeps import expected
 from gonio_sweeps.candidates import Candidates, candidates, curves, half_angles, signed_deg, spread
 from gonio_sweeps.online import GrowingValues, Online
-from gonio_sweeps.posterior import FEWEST, AngleErrors, Posterior
+from gonio_sweeps.posterior import FEWEST, AngleErrors, Before, Posterior
 from gonio_sweeps.sampler import BudgetSampler, highest, short
 
 COVERING = 5
@@ -286,26 +287,28 @@ class Curve(BudgetSampler[CurveSettings]):
     def next(self, run: Run) -> Choice:
         """See `gonio.acquisition.sampling.Sampler`."""
         values = [online.values(run) for online in self._online]
-        before = run.batches[-1].why.get("kernel") if run.batches else None
+        before = run.batches[-1].why if run.batches else None
         decided = self.decided(values, expected.spent_s(self.durations, run), before)
         points = tuple(self.candidates.points[k] for k in decided.picked)
         return Choice(points, decided.why, decided.message, decided.met)
 
-    def known(self, values: GrowingValues, before: Sequence[float] | None = None) -> Posterior:
-        """What the values of one band tell; `before` are the parameters of the kernel that fewer points gave."""
+    def known(self, values: GrowingValues, before: JsonObject | None = None, band: int = 0) -> Posterior:
+        """What the values of one band tell; `before` is why the choice before was made, `band` its number there."""
+        kernels, forms = ((before or {}).get(name, []) for name in ("kernel", "form"))
+        last = None
+        if band < len(kernels):
+            last = Before(np.array(kernels[band]), *(forms[band] if band < len(forms) else ()))
         return Posterior(
             values.directions,
             values.brdf,
             values.u_noise,
             np.stack(list(values.common.values()), axis=1) if values.common else np.zeros((len(values), 0)),
             self._errors,
-            None if before is None else np.array(before),
+            last,
             self._cones,
         )
 
-    def decided(
-        self, values: Sequence[GrowingValues], spent_s: float, before: Sequence[Sequence[float]] | None = None
-    ) -> Decided:
+    def decided(self, values: Sequence[GrowingValues], spent_s: float, before: JsonObject | None = None) -> Decided:
         """The next batch; it follows from the arguments alone.
 
         Parameters
@@ -315,15 +318,15 @@ class Curve(BudgetSampler[CurveSettings]):
         spent_s
             Rig time that they took.
         before
-            What the choice before this one gave as `why["kernel"]`.
+            What the choice before this one gave as `why`.
         """
         usable = [v for v in values if len(v) >= FEWEST]
         left_s, n = self._budget_s - spent_s, max((len(v) for v in values), default=0)
         why: JsonObject = {"spent_s": round(spent_s, 1), "values": n}
         if not usable:
             return Decided([], why, f"enough: only {n} points could be used; a curve needs {FEWEST}")
-        starts = before if before is not None and len(before) == len(usable) else [None] * len(usable)
-        known = [self.known(v, p) for v, p in zip(usable, starts, strict=True)]
+        same = before is not None and len(before.get("kernel", ())) == len(usable)
+        known = [self.known(v, before if same else None, k) for k, v in enumerate(usable)]
         count, most = min(max(round(GROWTH * n), SMALLEST), LARGEST), self._settings.most_points
         seen = [self._expected.visits(p.brdf_at(self._directions)) for p in known]
         seconds = np.mean([s.seconds for s in seen], axis=0)
@@ -339,6 +342,8 @@ class Curve(BudgetSampler[CurveSettings]):
         misfit = max(p.misfit for p in known)
         why |= {"u_rel": short(worst), "median_u_rel": short(float(np.median(u_rel))), "misfit": short(misfit)}
         why["kernel"] = [[round(float(x), 4) for x in p.parameters] for p in known]
+        if n > ENOUGH:
+            why["form"] = [p.form for p in known]
         said = f"curve known to {100 * worst:.2g} % at worst (theta_i = {where.theta_i_deg:g}, {_place(where)})"
         if self._settings.u_rel is not None and worst <= self._settings.u_rel:
             return Decided([], why, f"enough: {said}", met=True)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -10,6 +11,7 @@ import numpy as np
 from gonio.errors import DataError
 from gonio.geometry import Directions, direction
 from gonio.models.gaussian_process import (
+    ENOUGH,
     Coordinates,
     Process,
     Training,
@@ -36,6 +38,8 @@ STEPS, SETTLED = 40, 0.1
 """Gauss and Newton's: how many at most, and by which part of its noise no value changes any more."""
 FAINTEST = 1e-6
 """A part begins with at least so much, in units of the link's: logarithms are finite."""
+COMPARED_AGAIN = 1.25
+"""Of more than `ENOUGH` values all forms are compared again when there are so many times as many."""
 Slopes = tuple[Floats, Floats, Floats]
 MISFIT = 1.15
 """A root mean square of left-out residuals above it says that the process is smoother than the sample."""
@@ -71,6 +75,36 @@ class AngleErrors:
 
 
 @dataclass(frozen=True)
+class Before:
+    """What fewer points told."""
+
+    kernel: Floats
+    """Parameters of the kernel."""
+    form: str | None = None
+    """How lobe, base and spike make up the values: the most probable form."""
+    compared: int = 0
+    """How many values there were when all forms were compared."""
+
+
+@dataclass(frozen=True)
+class _Learned:
+    """What the values come to, and what they tell of the kernel."""
+
+    values: Training
+    p: Floats
+    unlikely: float
+    """-ln of the values' probability, but for a constant."""
+    spike: Spike | None = None
+    form: str = ""
+    compared: int = 0
+    """`Posterior.form`."""
+
+    @classmethod
+    def of(cls, values: Training, p: Floats, spike: Spike | None = None, jacobian: float = 0.0) -> _Learned:
+        return cls(values, p, objective(p, values, float(np.median(values.z)))[0] + jacobian, spike)
+
+
+@dataclass(frozen=True)
 class Posterior:
     """The BRDF in all directions, given the points of one band."""
 
@@ -82,8 +116,7 @@ class Posterior:
     """(n, m) [1/sr]: the change of every value for one standard deviation of each common cause."""
     angles: AngleErrors | None = None
     """What `u_random` and `causes` do not hold yet: the slopes of the process tell what it does to each value."""
-    before: Floats | None = None
-    """Parameters of the kernel that were learned from fewer points."""
+    before: Before | None = None
     cones: tuple[float, float] | None = None
     """Half angles of lamp and lens [rad]: what shape a specular spike has; None where they are not known."""
 
@@ -133,14 +166,33 @@ class Posterior:
     def _values(self) -> Training:
         return self._learned.values
 
+    @property
+    def form(self) -> tuple[str, int]:
+        """The most probable form, and how many values there were when all forms were compared."""
+        return self._learned.form, self._learned.compared
+
     @cached_property
     def _learned(self) -> _Learned:
-        """Lobe and base as factors or as summands, and with a spike or without: what makes the values most probable."""
+        """Lobe and base as factors or as summands, and with a spike or without: what makes the values most probable.
+
+        A form that many values have told is taken as long as few came since; its parameters are sought anew.
+        """
         suspect = None if self.cones is None else suspected(self.directions, self.brdf, self.cones)
-        found = [self._without_spike, self._summed(None)]
+        forms: dict[str, Callable[[], _Learned | None]] = {
+            "factors": lambda: self._without_spike,
+            "summands": lambda: self._summed(None),
+        }
         if suspect is not None:
-            found += [self._with_spike(suspect), self._summed(suspect)]
-        return min((one for one in found if one is not None), key=lambda one: one.unlikely)
+            forms["factors, spike"] = lambda: self._with_spike(suspect)
+            forms["summands, spike"] = lambda: self._summed(suspect)
+        n, last = self.brdf.size, self.before
+        if last is not None and last.form in forms and ENOUGH < n < COMPARED_AGAIN * last.compared:
+            again = forms[last.form]()
+            if again is not None:
+                return replace(again, form=last.form, compared=last.compared)
+        found = {form: one for form, learn in forms.items() if (one := learn()) is not None}
+        form = min(found, key=lambda name: found[name].unlikely)
+        return replace(found[form], form=form, compared=n)
 
     @cached_property
     def _without_spike(self) -> _Learned:
@@ -149,13 +201,17 @@ class Posterior:
         at, z, u, causes = Coordinates.of(self.directions), self.link.z(self.brdf), self._u * slope, self.causes
         values = Training(at, z, u, causes * slope[:, None])
         if self.angles is None:
-            return _Learned.of(values, learned(values, self.before))
-        p = learned(values) if self.before is None else self.before
+            return _Learned.of(values, learned(values, self._kernel_before))
+        p = learned(values) if self.before is None else self.before.kernel
         by_detector, by_source, across = self._slopes(_process(values, p), self.directions)
         u = np.sqrt(u**2 + self.angles.read**2 * (by_detector**2 + by_source**2 + across**2))
         zeros = self.angles.zero * np.stack([by_detector, by_source, across], axis=-1)
         values = Training(at, z, u, np.concatenate([values.causes, zeros], axis=-1))
         return _Learned.of(values, learned(values, p))
+
+    @property
+    def _kernel_before(self) -> Floats | None:
+        return None if self.before is None else self.before.kernel
 
     def _summed(self, spike: Spike | None) -> _Learned | None:
         """The values as a sum of lobe and base, by Gauss and Newton's steps; None where they do not settle.
@@ -171,7 +227,7 @@ class Posterior:
         lobe, base = (np.log(np.maximum(part / e, FAINTEST)) for part in begin)
         by: Slopes | None = None
         values, gain = self._near(lobe, base, by, spike)
-        p = learned(values, self.before)
+        p = learned(values, self._kernel_before)
         for number in range(SEARCHES):
             p = learned(values, p, on=True) if number else p
             process = _process(values, p)
@@ -396,21 +452,6 @@ class Posterior:
         # a unit of the process is 1/slope there, and slope(f) on the scale of the link
         gain = self.link.slope(f) / self.link.slope(lobe)
         return f, covariance * gain * gain[:, None], gain, scatter
-
-
-@dataclass(frozen=True)
-class _Learned:
-    """What the values come to, and what they tell of the kernel."""
-
-    values: Training
-    p: Floats
-    unlikely: float
-    """-ln of the values' probability, but for a constant."""
-    spike: Spike | None = None
-
-    @classmethod
-    def of(cls, values: Training, p: Floats, spike: Spike | None = None, jacobian: float = 0.0) -> _Learned:
-        return cls(values, p, objective(p, values, float(np.median(values.z)))[0] + jacobian, spike)
 
 
 def _process(values: Training, p: Floats, parts: tuple[Floats, Floats] | None = None) -> Process:

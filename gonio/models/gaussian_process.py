@@ -293,7 +293,8 @@ def nearby(p: Floats, data: Training, mean: float) -> list[tuple[Floats, Floats]
 
 def total(lobe: Floats, base: Floats) -> Floats:
     """z = asinh((e^lobe + e^base)/2), of the logarithms of both summands."""
-    return np.asarray(np.arcsinh(0.5 * (np.exp(lobe) + np.exp(base))))
+    with np.errstate(over="ignore"):  # a summand that a step took far off comes back by the next ones
+        return np.asarray(np.arcsinh(0.5 * (np.exp(lobe) + np.exp(base))))
 
 
 def shares(lobe: Floats, base: Floats) -> tuple[Floats, Floats]:

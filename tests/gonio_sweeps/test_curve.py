@@ -12,7 +12,7 @@ from gonio_sweeps import curve
 from gonio_sweeps.candidates import Candidates
 from gonio_sweeps.curve import SAMPLER, Curve, _angle_errors
 from gonio_sweeps.online import GrowingValues
-from gonio_sweeps.posterior import AngleErrors, Posterior
+from gonio_sweeps.posterior import AngleErrors, Before, Posterior
 from gonio_sweeps.reconstruct import reconstruct
 
 from gonio import models
@@ -21,6 +21,7 @@ from gonio.acquisition.run import Run
 from gonio.errors import ConfigError, DataError, Interrupted
 from gonio.geometry import Directions, solid_angle_of_cone
 from gonio.instrument import apparent_brdf
+from gonio.models.gaussian_process import ENOUGH
 from gonio.reduction import brdf
 from gonio.reduction.angle_errors import angle_axes
 from gonio.rig.description import RigDescription
@@ -263,6 +264,27 @@ def test_the_first_points_cover_and_the_mirror_direction_is_one(tmp_path: Path) 
     assert max(signed) == 70
 
 
+def test_a_form_that_many_values_told_is_kept_until_a_quarter_more_are_there(monkeypatch: pytest.MonkeyPatch) -> None:
+    x = np.linspace(-70.0, 70.0, ENOUGH + 60)
+    f = satin(in_plane(x))
+
+    def known(n: int, before: Before | None = None) -> Posterior:
+        some = np.linspace(0, x.size - 1, n).astype(int)
+        return Posterior(in_plane(x[some]), f[some], 2e-3 * f[some], np.zeros((n, 0)), before=before)
+
+    first = known(ENOUGH + 1)
+    form, compared = first.form
+    assert compared == ENOUGH + 1
+    other = {"factors": "summands", "summands": "factors"}[form]
+    told = Before(first.parameters, form, compared)
+    monkeypatch.setattr(Posterior, {"factors": "_summed", "summands": "_without_spike"}[form], None)  # is not called
+    again = known(ENOUGH + 40, told)
+    assert again.form == (form, compared)
+    monkeypatch.undo()
+    assert known(ENOUGH + 60, Before(first.parameters, form, 200)).form == (form, ENOUGH + 60)
+    assert known(ENOUGH, Before(first.parameters, other, ENOUGH)).form == (form, ENOUGH)
+
+
 def test_points_go_where_the_curve_is_known_least(tmp_path: Path) -> None:
     curve = sampler(tmp_path)
     away = [k for k, p in enumerate(curve.candidates.points) if not (p.phi_r_deg and 15 < p.theta_r_deg < 45)]
@@ -289,13 +311,13 @@ def test_one_state_gives_one_choice_and_the_target_ends_it(tmp_path: Path) -> No
     curve = sampler(tmp_path, PLAN + "u_rel = 0.01\n")
     rows = [curve.candidates.points.index(p) for p in curve.first(())]
     values: GrowingValues | None = None
-    kernel = None
+    why = None
     for _ in range(8):
         values = measured(curve.candidates, rows, values)
-        decided = curve.decided([values], 0.0, kernel)
-        again = sampler(tmp_path, PLAN + "u_rel = 0.01\n").decided([values], 0.0, kernel)
+        decided = curve.decided([values], 0.0, why)
+        again = sampler(tmp_path, PLAN + "u_rel = 0.01\n").decided([values], 0.0, why)
         assert decided == again
-        kernel, rows = decided.why["kernel"], decided.picked
+        why, rows = decided.why, decided.picked
         if not rows:
             break
     assert decided.met

@@ -167,14 +167,13 @@ def _adaptive(
     sampler = sweeps_rig.sampler(geometry, rig.description, most)
     out: list[JsonObject] = []
     measured: MeasuredSweep | None = None
-    kernel: list[list[float]] | None = None
+    why: JsonObject | None = None
     wanted = list(sampler.first(()))
     rows = [sampler.candidates.points.index(point) for point in wanted]
     while rows:
         measured = rig.measure([sampler.candidates.poses[k] for k in rows], measured)
-        decided = sampler.decided([measured.values], measured.seconds, kernel)
-        before, kernel = kernel, decided.why["kernel"]
-        posterior = sampler.known(measured.values, None if before is None else before[0])
+        decided = sampler.decided([measured.values], measured.seconds, why)
+        posterior, why = sampler.known(measured.values, why), decided.why
         out.append(_by_process(plan, measured, posterior, places, truth))
         rows = decided.picked if len(measured.values) < stop else []
     return out
