@@ -120,7 +120,7 @@ class Overlaps:
         return out
 
     def _of_cut(self, model: Model, index: int, wavelength_nm: float) -> float:
-        """A geometry in which the horizon cuts a cap: the overlap by summing over the receiver's, to about 1e-3."""
+        """A geometry in which the horizon cuts a cap: the overlap by summing over the receiver's, to 4e-3 of the whole."""
         omega_i, omega_r, source, receiver = self._omega_i[index], self._omega_r[index], self._source, self._receiver
         s, s_weight = cap_nodes(omega_i, source, CUT_ORDERS[-1])
         r, r_weight = (
@@ -289,7 +289,7 @@ def apparent_lobe(
     leave some 1e-6. A lobe that the finest rules cannot resolve (narrower than about a tenth of the cones' radius) is
     integrated in polar coordinates about the mirror direction, over the wider cone: to 1e-6 where the other cone is a
     direction or narrower than the lobe, to about 2e-3 where the lobe is narrower than both. Where the horizon cuts a
-    cone the average is good to about 1e-5, and the spike's overlap to 1e-3.
+    cone the average is good to about 1e-5, and the spike's overlap to 4e-3 of the whole.
     """
     cones = Cones(theta_i, phi_i, theta_r, phi_r, source_solid_angle_sr, receiver_solid_angle_sr, tolerance=tolerance)
     return cones.lobe(_checked(model), wavelength_nm=wavelength_nm)

@@ -10,10 +10,12 @@ import matplotlib.image
 import numpy as np
 import pytest
 from gonio_analysis.fitting.observations import observations
-from gonio_sweeps import expected
+from gonio_sweeps import expected, rivals
 from gonio_sweeps.candidates import read
+from gonio_sweeps.online import GrowingValues
 from gonio_sweeps.rivals import Rivals
 from gonio_sweeps.separation import Gathered, separation
+from scipy.stats import multivariate_normal
 
 from gonio import models
 from gonio.acquisition.duration import Durations
@@ -22,6 +24,7 @@ from gonio.acquisition.plan import load_plan
 from gonio.acquisition.run import Run
 from gonio.acquisition.sampling import about, sampler_of
 from gonio.errors import ConfigError, Interrupted
+from gonio.geometry import Directions
 from gonio.reduction.brdf import reduce
 from gonio.rig.description import SampleDescription
 from tests.command_line import gonio
@@ -116,7 +119,7 @@ def chi_square(run: Run, sample: SampleDescription) -> float:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("truth", "rivals"),
+    ("truth", "named"),
     [
         (metal(1.77), ("he-torrance", "cook-torrance")),
         (matt(20.0), ("a.toml", "b.toml")),
@@ -124,9 +127,9 @@ def chi_square(run: Run, sample: SampleDescription) -> float:
     ],
     ids=["two models", "the smoother", "the rougher"],
 )
-def test_half_of_a_grid_s_time_decides(tmp_path: Path, truth: SampleDescription, rivals: tuple[str, str]) -> None:
+def test_half_of_a_grid_s_time_decides(tmp_path: Path, truth: SampleDescription, named: tuple[str, str]) -> None:
     samples = {"a": MATT.format(name="rough 20", sigma=20.0), "b": MATT.format(name="rough 26", sigma=26.0)}
-    names = ", ".join(f'"{name}"' for name in rivals)
+    names = ", ".join(f'"{name}"' for name in named)
     text = CHOSEN.replace("MODELS", names) + ('ior = "Al"\n' if truth.model == "he-torrance" else "")
     (tmp_path / "grid").mkdir()
     grid = load_plan(plan_file(tmp_path / "grid"))
@@ -158,12 +161,66 @@ def test_a_run_goes_on_as_it_would_have_gone(tmp_path: Path) -> None:
     assert list(again.steps()) == list(whole.steps())
 
 
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Rivals:
+    samples = {"a": MATT.format(name="rough 20", sigma=20.0), "b": MATT.format(name="rough 26", sigma=26.0)}
+    text = CHOSEN.replace("MODELS", '"a.toml", "b.toml"')
+    return Rivals(load_plan(plan_file(tmp_path_factory.mktemp("rivals"), text, **samples)), SMALL)
+
+
+def test_a_batch_is_what_raises_chi_square_most_for_its_time(made: Rivals) -> None:
+    stands = [made._stand(one, None, None) for one in made._rivals]
+    rows, theirs = (stand.rows(made._ahead) for stand in stands)
+    seen, d = made._expected.visits(rows.brdf), theirs.brdf - rows.brdf
+    u = np.hypot(seen.u_rel * rows.brdf, rows.u_landing)
+    columns = np.stack([SMALL.reference.u_rel * theirs.brdf, *theirs.of_angles.values()], axis=1)
+
+    def apart(some: list[int]) -> float:
+        covariance = np.diag(u[some] ** 2) + columns[some] @ columns[some].T
+        return float(d[some] @ np.linalg.solve(covariance, d[some]))
+
+    picked, gain = made._pick(stands, None, math.inf)
+    assert len(picked) == rivals.BATCH
+    assert gain == pytest.approx(apart(picked), rel=1e-9)
+    for n, chosen in enumerate(picked):
+        rate = np.array([apart([*picked[:n], k]) for k in range(d.size)]) - (apart(picked[:n]) if n else 0.0)
+        rate /= seen.seconds + rivals.EVERY_S + made._ways_s
+        rate[[k for k in range(d.size) if picked[:n].count(k) == rivals.REPEATS]] = 0.0
+        assert rate[chosen] == pytest.approx(rate.max(), rel=1e-7)  # differences of numbers that are 1e3 times larger
+
+
+@pytest.mark.parametrize(("u", "enough"), [(0.003, True), (0.02, False)])
+def test_the_winner_is_ahead_by_the_ratio_of_likelihoods(made: Rivals, u: float, enough: bool) -> None:
+    """Values of the first sample, as they would be read: those of two normal distributions, written out."""
+    picked, (a, b) = made.first_rows, [made._stand(one, None, None) for one in made._rivals]
+    poses, read_at = [made.candidates.poses[k] for k in picked], [made._ahead.at.directions[k] for k in picked]
+    at = expected.sights_at(SMALL, poses, Directions.stack(read_at), 550.0)
+    rows, theirs = a.rows(at), b.rows(at)
+    values = GrowingValues(
+        np.arange(8), at.at.directions, tuple(poses), rows.brdf, np.full(8, u), {"s": 0.01 * rows.brdf}, np.zeros(8)
+    )
+    logs = []
+    for one in (rows, theirs):
+        columns = np.stack([0.01 * one.brdf, *one.of_angles.values()], axis=1)
+        covariance = np.diag(u**2 + one.u_landing**2) + columns @ columns.T
+        logs.append(multivariate_normal(one.brdf, covariance).logpdf(rows.brdf))
+    choice = made.choose(values, 600.0)
+    assert choice.why["score"] == {"rough 20": 0.0, "rough 26": pytest.approx(2.0 * (logs[0] - logs[1]), abs=6e-4)}
+    assert choice.met == enough
+    assert enough or choice.message.endswith("sigma; 10 of 60 min")
+    assert enough or not made.choose(values, 3590.0).points  # ten seconds are left
+
+
 def test_it_says_what_it_will_do_and_refuses_what_it_cannot(tmp_path: Path) -> None:
     text = CHOSEN.replace("MODELS", '"a.toml", "blinn"')
     plan = load_plan(plan_file(tmp_path, text, a=MATT.format(name="rough 20", sigma=20.0)))
     made = sampler_of(plan, SMALL)[1]
     assert isinstance(made, Rivals)
-    assert about(made)[0] == "rivals: rough 20, blinn (fitted), at 550 nm"
+    assert about(made)[:3] == [
+        "rivals: rough 20, blinn (fitted), at 550 nm",
+        "target: the best one ahead of every other by 5 sigma (chi-square 25)",
+        "budget: 1 h of rig time for the whole run",
+    ]
     for named, said in (
         ('"blinn"', "models"),
         ('"blinn", "blinn"', "named twice"),

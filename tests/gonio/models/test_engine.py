@@ -1,5 +1,6 @@
 """Arguments, shapes, threads and start-up of the evaluation engine, on models whose digits other tests hold."""
 
+import inspect
 import os
 import re
 import subprocess
@@ -17,10 +18,13 @@ from gonio.models import (
     AnisotropicFacets,
     Blinn,
     CookTorrance,
+    Corrected,
+    Hapke,
     HeTorrance,
     Lambert,
     OrenNayar,
     Phong,
+    Sum,
     _loops,
     build,
     engine,
@@ -37,6 +41,13 @@ RNG = np.random.default_rng(5)
 
 
 pairs = partial(drawn_vectors, RNG)
+
+
+@pytest.mark.parametrize("kind", [Model, Blinn, Corrected, CookTorrance, HeTorrance, Hapke, Sum])
+def test_green_light_is_meant_where_no_wavelength_is_named(kind: type[Model]) -> None:
+    told = [inspect.signature(one).parameters for _, one in inspect.getmembers(kind, inspect.isfunction)]
+    wavelengths = {names["wavelength_nm"].default for names in told if "wavelength_nm" in names}
+    assert 550.0 in wavelengths <= {550.0, inspect.Parameter.empty}
 
 
 def test_scalars_give_scalars_and_shapes_broadcast() -> None:

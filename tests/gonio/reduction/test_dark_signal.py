@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gonio.reduction import dark_signal
-from gonio.reduction.dark_signal import COLUMNS, PATTERNS, Patterns, strongest
+from gonio.reduction.dark_signal import COLUMNS, PATTERNS, Darks, Patterns, strongest
 from gonio.rig.regions import Roi
 
 
@@ -30,6 +30,24 @@ def correlation(regions: list[Roi]) -> np.ndarray:
 REGIONS = [ellipse(20.0 * math.cos(math.radians(t)), 20.0) for t in range(0, 85, 4)]
 REGIONS += [ellipse(20.0, 20.0 * math.cos(math.radians(t))) for t in range(10, 80, 10)]
 BOX = slice(30, 71), slice(50, 91)
+
+
+def test_the_line_of_dark_frames_is_that_of_least_squares() -> None:
+    """And its leverage by one frame after the other, whose weights are rows of the design's inverse."""
+    region, times = REGIONS[5], np.array([0.1, 0.1, 0.4, 2.0, 3.0])
+    stack = np.random.default_rng(4).normal(100.0, 3.0, (5, 41, 41))
+    darks = Darks(list(zip(times, stack, strict=True)), *BOX, rate=0.0)
+    inverse = np.linalg.pinv(np.stack([np.ones(5), times], axis=1))
+    used = stack[:, region.rows.start - 30 : region.rows.stop - 30, region.cols.start - 50 : region.cols.stop - 50]
+    start, slope = inverse @ used[:, region.mask]
+    np.testing.assert_allclose(darks.rate(region), slope, rtol=1e-9, atol=1e-12)  # rounding
+    np.testing.assert_allclose(darks.of(region, 0.7), start + 0.7 * slope, rtol=1e-12)
+    np.testing.assert_allclose(darks.exposures_s, [0.2, 2.5], rtol=1e-15)
+    shares = np.array([1.0, 5.0]) @ inverse  # at 5 s the short frames pull the line down
+    expected = [-np.linalg.norm(shares[:3]), np.linalg.norm(shares[3:])]
+    np.testing.assert_allclose(darks.leverage(5.0), expected, rtol=1e-12)
+    alone = Darks([(0.5, stack[0])], *BOX, rate=2.0)  # one exposure: its slope is the data sheet's
+    np.testing.assert_allclose(alone.of(region, 1.5), used[0][region.mask] + 2.0, rtol=1e-15)
 
 
 def test_patterns_hold_what_regions_share() -> None:

@@ -151,6 +151,44 @@ def test_derivatives_of_the_covariance_against_differences(size: int) -> None:
             np.testing.assert_allclose(_of_slopes(at, logs)[:, a, b], expected, atol=0.02)
 
 
+def test_slopes_are_those_of_the_mean_of_a_gaussian_process() -> None:
+    """Rasmussen and Williams 2006, equations 2.25 and 2.26, by a dense inverse and by differences."""
+    rng = np.random.default_rng(6)
+    places, here = anywhere(rng, 12), anywhere(rng, 3)
+    values, u = glossy()(places) + 0.1 * rng.standard_normal(12), np.full(12, 0.05)
+    surface, at = Surface(places, values, u), coordinates(places)
+    means, covariances, log = [], [], values - values.mean()
+
+    def by_place(function: Callable[[Floats], Floats], step: float) -> Floats:
+        moves = step * np.eye(4)
+        return np.stack([(function(here + move) - function(here - move)) / (2.0 * step) for move in moves], axis=1)
+
+    turn = by_place(coordinates, 1e-6)
+    for logs in surface._sets:
+        variance = u**2 + lobe_surface.ROUNDING + np.exp(logs[lobe_surface.SCATTER]) ** 2
+        inverse = np.linalg.inv(_Covariance(at[:, None], at).of(logs) + np.diag(variance))
+
+        def between(some: Floats, logs: Floats = logs) -> Floats:
+            return _Covariance(coordinates(some)[:, None], at).of(logs)
+
+        rows = by_place(between, 1e-6)
+        means.append(rows @ inverse @ log)
+        prior = turn @ _of_slopes(coordinates(here), logs) @ np.swapaxes(turn, 1, 2)
+        covariances.append(prior - rows @ inverse @ np.swapaxes(rows, 1, 2))
+        if len(means) == 1:
+            step = lobe_surface.BEND * np.eye(4)[:2, None]
+            second = sum(between((here + way * step).reshape(-1, 4)) for way in (1, -1)) @ inverse @ log
+            bent = (second.reshape(2, -1) - 2.0 * between(here) @ inverse @ log) / lobe_surface.BEND**2
+    slope, covariance, curvature = surface.slopes(here)
+    weights, every = surface._weights, np.array(means)
+    off = every - np.tensordot(weights, every, 1)
+    expected = np.tensordot(weights, np.array(covariances) + off[..., None] * off[..., None, :], 1)
+    # differences of STEP = 1e-4 leave some 1e-7 of slopes and curvatures of some tens
+    np.testing.assert_allclose(slope, np.tensordot(weights, every, 1), rtol=1e-5, atol=1e-5)
+    np.testing.assert_allclose(covariance, expected, rtol=1e-5, atol=1e-5)
+    np.testing.assert_allclose(curvature, bent.T, rtol=1e-6)  # over BEND^2 = 8e-5: ten digits of rounding are left
+
+
 @pytest.mark.slow
 def test_an_azimuth_that_passes_half_a_turn_makes_no_slope() -> None:
     """The half vector's azimuth jumps there by a whole turn."""

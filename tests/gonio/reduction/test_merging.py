@@ -171,5 +171,6 @@ def test_bernstein_s_bound_holds_for_poisson_numbers() -> None:
 
     for mean in (0.01, 1.0, 30.0, 1e4):
         for limit in (5.0, 15.0):
-            over = stats.poisson.sf(mean + float(merging.bound(np.array(mean), limit)), mean)
-            assert over <= math.exp(-limit)
+            x = float(merging.bound(np.array(mean), limit))
+            assert stats.poisson.sf(mean + x, mean) <= math.exp(-limit)
+            assert x**2 / (2.0 * (mean + x / 3.0)) == pytest.approx(limit, rel=1e-12)  # and no wider than the bound is

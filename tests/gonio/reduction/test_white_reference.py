@@ -1,11 +1,17 @@
 """The white reference: its level over time, and its BRDF from a table."""
 
 import math
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
 
+from gonio.geometry import Directions
 from gonio.reduction import white_reference
+from gonio.reduction.growing import of_rates
+from gonio.rig import Pose
+from tests.gonio.reduction.made_run import BAND, describe
 
 RNG = np.random.default_rng(7)
 
@@ -28,6 +34,23 @@ def test_a_straight_level_is_recovered_with_its_covariance() -> None:
     assert fitted.drift(at)[0] < 0 < fitted.drift(at)[2]
     # five visits do not tell that a lamp never wanders; outside of them least
     assert np.all(fitted.extra(at)[:2] < 1.2 * np.sqrt(variance)[:2])
+
+
+def test_values_of_a_growing_run_are_rates_over_the_level_of_its_visits() -> None:
+    times, rates = np.array([0.0, 300.0, 700.0]), np.array([900.0, 800.0, 850.0])
+    at = Directions(*np.radians([0.0, 0.0, 45.0, 180.0]))
+    visits = [
+        SimpleNamespace(rate=rate, time_s=t, variance=2.0, directions=at, pose=Pose())
+        for t, rate in zip(times, rates, strict=True)
+    ]
+    run: Any = SimpleNamespace(description=describe(reference={"albedo": 0.5, "u_rel": 0.01}), lit_anew_s=[])
+    known = 0.5 / math.pi
+    fitted = white_reference.fit(times, rates / known, np.full(3, 2.0) / known**2)
+    rate, when = np.array([100.0, 200.0]), np.array([100.0, 500.0])
+    found = of_rates(run, rate, when, Directions.stack([at, at]), cast(Any, visits), BAND)
+    np.testing.assert_allclose(found.brdf, rate / fitted.at(when), rtol=1e-14)
+    np.testing.assert_allclose(found.u_visits, rate * fitted.extra(when) / fitted.at(when) ** 2, rtol=1e-12)
+    np.testing.assert_allclose(found.common["s_reference"], 0.01 * found.brdf, rtol=1e-14)
 
 
 def test_order_of_the_visits_does_not_matter() -> None:
