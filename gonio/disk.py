@@ -79,7 +79,7 @@ def content(path: Path, where: str, hint: str = "", unreadable: type[GonioError]
 def write_whole(path: Path, data: bytes | Iterable[bytes | memoryview]) -> None:
     """Write a file under a temporary name in its folder, sync it to the disk, and rename it.
 
-    A large one is given in pieces. What is no file (`is_stream`) is written to, and stays what it is.
+    A large one is given in pieces. Standard output, a pipe or a device (`is_stream`) is written to directly.
 
     Raises
     ------

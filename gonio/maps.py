@@ -386,7 +386,7 @@ class MapFile:
         return list(tiles(*self.shape))
 
     def sha256(self) -> str:
-        """Of the whole file: what fits of it are held by."""
+        """Checksum of the whole file, by which fits name their map."""
         return sha256_of(self.path)
 
     def held(self, tile: Tile) -> Held:

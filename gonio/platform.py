@@ -61,9 +61,9 @@ def _flags(*names: str) -> int:
 # ---- files -------------------------------------------------------------------------------------------------------
 
 OPEN_S = 2.0
-"""A file that another program has open is tried for so long to be replaced."""
+"""How long replacing a file that another program has open is tried."""
 FAR = 1 << 42
-"""Where the byte lies that is locked where whole files cannot be: no file of ours is so long (4 TB)."""
+"""Place of the byte that is locked where whole files cannot be: beyond the end of every file of ours (4 TB)."""
 LOCKS = Path("/proc/locks")
 LOOK_S = 0.02
 
@@ -370,7 +370,7 @@ class Keys:
                 termios.tcsetattr(self._handle, termios.TCSADRAIN, self._before)
 
     def read(self, seconds: float) -> bytes:
-        """Keys that come within so many seconds; b"" for none. Raises `EOFError` where the terminal has gone."""
+        """Keys that come within `seconds`; b"" for none. Raises `EOFError` where the terminal has gone."""
         if msvcrt is not None:
             until = time.monotonic() + seconds
             while not msvcrt.kbhit():  # type: ignore[attr-defined]

@@ -72,7 +72,7 @@ def lasting(notebook: Any) -> Any:
 
 
 def _joined(outputs: list[Any]) -> list[Any]:
-    """Outputs with what was printed in one piece: how it came in pieces is chance."""
+    """Outputs, with printed text joined: into which pieces it was split is chance."""
     out: list[Any] = []
     for one in outputs:
         if one.output_type == "stream" and out and out[-1].output_type == "stream" and out[-1].name == one.name:

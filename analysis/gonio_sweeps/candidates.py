@@ -31,9 +31,9 @@ THETA_R_DEG = {"start": -85.0, "stop": 85.0, "step": 1.0}
 NEAR_MIRROR_DEG = 5.0
 """Points at this angle from the mirror direction lie half as dense as there: lobes change with the half vector."""
 FAR_DEG = 20.0
-"""Far from the mirror direction the density is even: so many degrees are as much as the first `NEAR_MIRROR_DEG`."""
+"""Far from the mirror direction the density is even: this many degrees count like the first `NEAR_MIRROR_DEG`."""
 INCIDENCE_DEG = 15.0
-"""Angles of incidence that differ by so much are as unlike as `NEAR_MIRROR_DEG` at the mirror direction."""
+"""Difference of angles of incidence that counts like `NEAR_MIRROR_DEG` at the mirror direction."""
 
 
 @dataclass(frozen=True)
@@ -222,7 +222,7 @@ EVENLY = 0.7
 """Part of the time that is left when a covering begins which gaps divided evenly may take; the rest is for the curves'
 errors."""
 SAME_PLACE = 0.03
-"""Candidates so close to what was measured (`gonio_sweeps.candidates.places`) are measured: an encoder's step or so."""
+"""Distance (of `places`) from a measured candidate within which others count as measured: about an encoder's step."""
 ENOUGH = 1e-3
 """Relative errors below this are not made smaller: the reference is not known as well."""
 OF_NOISE = 0.7

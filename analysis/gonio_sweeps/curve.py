@@ -32,7 +32,7 @@ from gonio_sweeps.posterior import FEWEST, AngleErrors, Before, Posterior
 from gonio_sweeps.sampler import BudgetSampler, highest, short
 
 COVERING = 5
-"""Every so many chosen points one goes where the curve is measured least, whatever the process expects there."""
+"""One of this many chosen points goes where the curve is measured least, whatever the process expects there."""
 STEEP_TURNS = (1, 3)
 """Of every `COVERING` points these go into the steepest gap, as long as there is one."""
 STEEP = 0.7
@@ -40,7 +40,7 @@ STEEP = 0.7
 DONE = 0.05
 """Weight of a place that is known well enough, beside one that is not."""
 WORST = 400.0
-"""A place counts at most so much more than one that is just not known well enough."""
+"""Largest weight of a place, over that of one that is just not known well enough."""
 
 
 @dataclass(frozen=True)
@@ -113,7 +113,7 @@ def batch(
     slope = np.max([p.steepness(grid.directions, floor) for p in known], axis=0)
     for k in range(count):
         turn = (done + k) % COVERING
-        # whatever the process expects in a steep gap: a flank is easily taken for that of another incidence
+        # a steep gap is measured whatever the process expects: it easily takes a flank for that of another incidence
         steep = turn in STEEP_TURNS and (far * slope).max() > STEEP
         if steep or (turn == COVERING - 1 and far.max() > 0):
             best = int(np.argmax(np.round(far * slope if steep else far, 9)))

@@ -19,7 +19,7 @@ from gonio.typing import Floats
 WIDTHS_DEG = (3.0, 8.0, 20.0)
 """Slopes of the facets, from which the search begins."""
 FEWEST = 8
-"""A lobe's height, width and the base are told from each other by so many values."""
+"""Values that are needed to tell a lobe's height, its width and the base from each other."""
 
 
 def begun(at: Coordinates, f: Floats, u: Floats, used: npt.NDArray[np.bool_]) -> tuple[Floats, Floats] | None:
@@ -64,7 +64,7 @@ NODES = np.sqrt(3.0) * np.array([-1.0, 0.0, 1.0])
 SHARES = np.array([1.0, 4.0, 1.0]) / 6.0
 """Gauss and Hermite's rule of three nodes."""
 STANDS_OUT = 1.1
-"""A value in the mirror direction that is so much larger than any beyond the cones may be a spike."""
+"""A value in the mirror direction above this many times any beyond the cones may be a spike."""
 
 
 @dataclass(frozen=True)

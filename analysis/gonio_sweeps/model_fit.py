@@ -127,7 +127,7 @@ OTHER_MODES = 4
 ALLOWED = 12.0
 """Solutions whose chi-square is larger than the best one's by less than this are not ruled out."""
 APART = 5.0
-"""Solutions differ where a parameter does by so many standard uncertainties."""
+"""Standard uncertainties by which a parameter differs in solutions that count as different."""
 
 
 class ParameterSettings(Strict):
@@ -179,7 +179,7 @@ class Known:
     """Solutions that are not ruled out, as points of the search scale, with their weights; the best one first."""
     test: LackOfFit
     worse: float = 1.0
-    """The uncertainties of a full reduction and fit, over those of the quick one: targets are harder by so much."""
+    """The uncertainties of a full reduction and fit, over those of the quick one: targets are harder by this factor."""
 
     @property
     def tau(self) -> float:

@@ -31,7 +31,7 @@ FIRST = 5
 """Points of the first covering, for each parameter; not fewer than `FEWEST`, and not more than `MOST` altogether."""
 FEWEST, MOST = 12, 30
 AROUND_MIRROR_DEG = 45.0
-"""The first points lie so close to the mirror direction: farther away metals are dark, and a point takes minutes."""
+"""Largest distance of the first points from the mirror direction: farther away metals are dark and slow to measure."""
 GROWTH = 1.0
 """A batch adds this part of the points so far: later ones are chosen with better knowledge."""
 SMALLEST, LARGEST = 12, 25

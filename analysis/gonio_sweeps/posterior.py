@@ -27,7 +27,7 @@ from gonio_sweeps.lobe import Spike, begun, suspected, within
 NEGLIGIBLE = 2e-6
 """Of the largest value: what is added to uncertainties, so that the faintest values do not bend the whole curve."""
 FAINT = 10.0
-"""Values below so many times the smallest uncertainty may be negative: the logarithm becomes the value itself."""
+"""Values below this many times the smallest uncertainty may be negative: the logarithm then becomes the value."""
 FEWEST = 3
 SLOPE_STEP = float(np.radians(0.05))
 """Over which slopes are taken [rad]: an encoder's half step or so."""
@@ -37,9 +37,9 @@ SEARCHES = 3
 STEPS, SETTLED = 40, 0.1
 """Gauss and Newton's: how many at most, and by which part of its noise no value changes any more."""
 FAINTEST = 1e-6
-"""A part begins with at least so much, in units of the link's: logarithms are finite."""
+"""Least size that a part begins with, in units of the link's: its logarithm is finite."""
 COMPARED_AGAIN = 1.25
-"""Of more than `ENOUGH` values all forms are compared again when there are so many times as many."""
+"""Beyond `ENOUGH` values all forms are compared again when their number has grown by this factor."""
 Slopes = tuple[Floats, Floats, Floats]
 MISFIT = 1.15
 """A root mean square of left-out residuals above it says that the process is smoother than the sample."""

@@ -160,7 +160,7 @@ class Rivals(BudgetSampler[RivalSettings]):
         return self.choose(self._online.values(run), expected.spent_s(self.durations, run))
 
     def choose(self, values: GrowingValues, spent_s: float) -> Choice:
-        """What is measured next, after these values and so much rig time [s]."""
+        """What is measured next, after these values and the rig time `spent_s` [s]."""
         stands = [self._of_values(one, values) for one in self._rivals]
         why: JsonObject = {"spent_s": round(spent_s, 1), "values": len(values)}
         known = sorted((one for one in stands if one is not None), key=lambda one: one.score)

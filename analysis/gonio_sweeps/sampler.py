@@ -93,7 +93,7 @@ class BudgetSampler(Generic[Keys]):
         return [batch[k] for k in snake([self.candidates.points[k] for k in batch])]
 
     def _batch_s(self, batch: Sequence[int], seconds: Floats) -> float:
-        """How long a batch takes [s], with visits of so many seconds to the candidates."""
+        """How long a batch takes [s], with visits of `seconds` to the candidates."""
         order = self._ordered(batch)
         poses = [self.candidates.poses[k] for k in order]
         return expected.batch_s(self.durations, poses, [float(seconds[k]) for k in order], self._here)

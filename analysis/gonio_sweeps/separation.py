@@ -73,7 +73,7 @@ class Gathered:
         return max(self.chi_square - float(self.against @ np.linalg.solve(self.information, self.against)), 0.0)
 
     def repeated(self, times: float) -> Self:
-        """If all visits were made so often."""
+        """The same with all visits made `times` times."""
         none = np.eye(self.against.size)
         information = none + times * (self.information - none)
         return replace(self, information=information, against=times * self.against, chi_square=times * self.chi_square)
@@ -268,7 +268,7 @@ def draw(s: Separation) -> Figure:
 def rival_columns(description: RigDescription, rows: expected.Rows, ranges: Floats) -> Floats:
     """(n, q) changes of values [1/sr] by the reference and the zeros of the axes, and a rival's slopes.
 
-    These are taken times so much that nothing bounds the rival's parameters.
+    The slopes are multiplied by a large number, so that the rival's parameters are free.
     """
     common = np.stack([(rows.brdf * description.reference.u_rel), *rows.of_angles.values()], axis=1)
     return np.concatenate([common, rows.parameters * (WIDE * ranges)], axis=1)

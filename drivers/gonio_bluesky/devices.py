@@ -66,7 +66,7 @@ class Status:
         self._ended.add_done_callback(lambda _: callback(self))
 
     def exception(self, timeout: float | None = 0.0) -> BaseException | None:
-        """Why it failed; None where it did not. Waits so long for the end [s], and raises `TimeoutError` after that."""
+        """Why it failed; None where it did not. Waits up to `timeout` [s], then raises `TimeoutError`."""
         return self._ended.exception(timeout)
 
     def wait(self, timeout: float | None = None) -> None:

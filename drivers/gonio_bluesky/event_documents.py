@@ -50,7 +50,7 @@ SPACE = uuid.UUID("5b8f7a8e-4a0c-5c7b-9d5e-0f2a3c1d7e64")
 """Name space of the documents' identifiers, drawn once."""
 STREAMS = {"point": "primary", "reference": "reference", "dark": "dark"}
 PAGE = 500
-"""So many steps are read ahead, to write what is said of their frames as one document."""
+"""Steps that are read ahead, to write what is said of their frames as one document."""
 
 
 class Frames:

@@ -31,7 +31,7 @@ from gonio_bluesky.devices import Plotted, Reading, Setting, Status, number
 
 DIRECTIONS = ("theta_i", "phi_i", "theta_r", "phi_r")
 DIGITS = 7
-"""Angles [deg] that agree in so many decimals are one, as in a plan (`gonio.acquisition.plan.SAME_DEG`)."""
+"""Decimals in which angles [deg] agree that count as one, as in a plan (`gonio.acquisition.plan.SAME_DEG`)."""
 
 
 class Direction(Setting[float]):

@@ -31,7 +31,7 @@ FLICKER_STEPS = 2.5
 SECOND_S = 0.02
 """The answer of a second servo follows the first one within this time, behind an adapter's latency of 16 ms."""
 PINGS = 3
-"""Late answers look like those of a second servo, but not so often one after the other."""
+"""Pings in a row that must find a second servo: a late answer looks like one, but not this often."""
 LONGER = 4
 """How many times longer each ping is listened to than the one before: an answer may be late, or this computer busy."""
 

@@ -34,7 +34,7 @@ WRITE_S = 3.0
 PATIENCE_S = 5.0
 """A port that is locked for longer is another program's."""
 ANSWER_S = 30.0
-"""A guard that has not answered for so long has been stopped by somebody."""
+"""Wait for an answer after which a guard counts as stopped by somebody."""
 GOOD, OVER = b"good", b"over"
 """Answers: the lamp may shine; its time is over."""
 
@@ -75,7 +75,7 @@ class Guard:
         self._answers = _lines_of(self._process.stdout)
 
     def allow(self, limit_s: float) -> None:
-        """Darken so long from now, whatever the program does, and not before; 0 for no limit. From any thread."""
+        """Darken `limit_s` from now, whatever the program does, and not before; 0 for no limit. From any thread."""
         self._ask(f"{limit_s:.3f}")
 
     def over(self) -> bool:

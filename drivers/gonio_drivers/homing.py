@@ -21,7 +21,7 @@ from gonio_drivers.patience import Patience
 
 POLL_S = 0.01
 STALLED_S, STALLED_LOOKS = 0.3, 10
-"""An axis that is told to go and has not moved for so long, over so many looks, stands against something."""
+"""Time, and looks, without a movement after which an axis that is told to go stands against something."""
 STILL_COUNTS = 4
 BACK_OFF_DEG = 3.0
 ACCELERATION_DEG_S2 = 180.0

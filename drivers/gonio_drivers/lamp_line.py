@@ -32,7 +32,7 @@ SLOWEST = 10.0
 ERROR = r"[-+]?\d.*"
 """What an entry of an error queue looks like: a number first."""
 ERRORS_KEPT = 100
-"""No controller's error queue holds more."""
+"""Entries of an error queue that are read, at most: no controller keeps more."""
 
 
 class Dialect(config.Strict):

@@ -49,7 +49,7 @@ class SerialLight:
         self._line = LampLine(light.port, self._dialect)
         self._guard: guard.Guard | None = None
         self.limit_s = 0.0
-        """The guard darkens the lamp so long after it was opened, even if this program stands still; 0: never."""
+        """Time after opening [s] at which the guard darkens the lamp, even if this program stands still; 0: never."""
         self._channel = light.channel
         self._band: Band | None = None
         self._monitored: float | None = None
@@ -242,7 +242,7 @@ class SerialLight:
         self._line.drain_errors()
 
     def keep(self, seconds: float) -> None:
-        """While it is open: the guard darkens it so long from now, even if this program stands still; 0: never."""
+        """While it is open: the guard darkens it `seconds` from now, even if this program stands still; 0: never."""
         watching = self._guard
         if watching is not None:
             watching.allow(seconds)

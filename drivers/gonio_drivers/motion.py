@@ -27,7 +27,7 @@ SMALLEST_COUNTS = 1.5
 AVERAGED = 5
 """Readings at rest that an axis's place is the mean of, and that tell that it is at rest."""
 STALL_S, STALL_LOOKS = 0.5, 2 * AVERAGED
-"""An axis that has neither moved nor landed for this long, over so many readings, is stuck."""
+"""Time, and readings, after which an axis that has neither moved nor landed is stuck."""
 STARTING_S = 0.06
 """A servo has begun to follow a new goal by then."""
 CORRECTIONS = 4

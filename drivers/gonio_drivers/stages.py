@@ -33,7 +33,7 @@ LOOKS = 5
 """Readings that tell where an axis stands."""
 POLL_S = 0.01
 RESTING_LOOKS = 3
-"""A stage that stands at its goal at so many looks has landed."""
+"""Looks at which a stage must stand at its goal to have landed."""
 IDLE_S = 0.5
 """A stage that has not started by then has not heard."""
 STALL_S = 3.0

@@ -31,11 +31,11 @@ from gonio.rig.light_and_camera import Band
 WAITING = 8
 """How many frames may wait for the disk before the camera has to."""
 MOST_STAGED = 128
-"""So many files at most wait to be synced together."""
+"""Files that wait to be synced together, at most."""
 SYNCING = 8
-"""So many threads sync them: a disk that is asked to write out its cache answers all who wait at once."""
+"""Threads that sync them: a disk that is asked to write out its cache answers all who wait at once."""
 LARGE = 1_000_000
-"""A frame of so many bytes is synced by itself."""
+"""Bytes of a frame from which on it is synced by itself."""
 NAME = re.compile(r"(\d{6,})-\w+-\d{2,}\.\w+(\.json)?", re.ASCII)
 """Names of frames, and of the labels of frames whose files are the camera's own."""
 BESIDE = ".json"

@@ -157,7 +157,7 @@ def _plain(r: Reading) -> Reading:
 
 
 def naps(seconds: float) -> Iterator[None]:
-    """So long, in naps after which a caller can look whether to go on."""
+    """Sleep for `seconds` in short naps; after each the caller can look whether to go on."""
     end = time.monotonic() + seconds
     yield
     while (left := end - time.monotonic()) > 0:
@@ -171,7 +171,7 @@ def lasting(seconds: float) -> str:
 
 
 def wait(rig: Rig, seconds: float) -> None:
-    """Wait so long with a rig that is open; raises `EmergencyStop` as soon as its interlock has stopped it."""
+    """Wait for `seconds` with a rig that is open; raises `EmergencyStop` as soon as its interlock has stopped it."""
     for _ in naps(seconds):
         require(rig)
 
@@ -188,7 +188,7 @@ LOOK_S = 0.2
 WAITS_S = {"camera": (2.0, 10.0, 60.0), "lamp": (5.0, 30.0, 120.0)}
 """Before a step is taken again after a fault that may pass, by its kind: as many attempts more as there are waits."""
 JITTER = 0.1
-"""Waits differ by so much of themselves, so that two rigs on one line do not ask in step."""
+"""Relative scatter of the waits, so that two rigs on one line do not ask in step."""
 RESERVE = 2_000_000
 """Bytes that are left on the disk for the journal and the end of a run."""
 ROOM_UNATTENDED_S, ROOM_ATTENDED_S = 60.0, 1800.0
@@ -391,7 +391,7 @@ class Bytes:
         self._of = {kind: LINE + count * each for kind, count in frames.items()}
 
     def of_run(self, steps: int) -> int:
-        """Bytes of a run with so many steps; visits to the reference count as points."""
+        """Bytes of a run of `steps` steps; visits to the reference count as points."""
         return self._of["dark"] + max(steps - 1, 0) * self._of["point"] + RESERVE if steps > 0 else 0
 
     def of(self, step: Step) -> int:

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     Prepared = tuple[Plan, "RigChoice", list[Assessed], Sampler | None]
 
 SHOWN = 20
-"""At most so many frames are named on the terminal."""
+"""Frames that are named on the terminal, at most."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -361,7 +361,7 @@ def _open(rig: RigChoice, out: Path, sample: SampleDescription | None, seed: int
 
 
 def _check_room(out: Path, rig: RigChoice, plan: Plan, steps: int, progress: Progress, yes: bool) -> None:
-    """Raise `ConfigError` where the disk has no room for so many steps; with `yes` that is only said."""
+    """Raise `ConfigError` where the disk has no room for `steps` steps; with `yes` that is only said."""
     from gonio.acquisition.holding import Bytes, free_bytes, size
 
     needed, free = Bytes(rig.description, len(plan.bands(rig.description))).of_run(steps), free_bytes(out)

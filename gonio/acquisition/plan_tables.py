@@ -52,7 +52,7 @@ class Range(Strict):
 
 
 class Spaced(Strict):
-    """So many angles [deg], both ends included, that may lie closer at the start."""
+    """`count` angles [deg], both ends included; they may lie closer at the start."""
 
     start: Angle = 0.0
     stop: Angle

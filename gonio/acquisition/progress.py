@@ -37,17 +37,17 @@ from gonio.typing import Floats
 REMEMBERED = 400
 """Steps that say how the run goes: the last ones, so that it may change."""
 SAMPLED = 256
-"""So many of the steps that are left are worked out, and stand for all."""
+"""Steps whose time is worked out; they stand for all that are left."""
 PRIOR = math.log(1.5)
 """How far a rig file is off before anything is measured: standard deviation of the logarithm of a time's ratio."""
 SCATTER, KNOWN = 0.3, 3.0
-"""How far times scatter before that is seen, and as many steps' worth that is believed: one step proves little."""
+"""Scatter of the logarithm of a time that is assumed at first, and how many measured steps that assumption weighs."""
 UNSEEN = math.log(2.0)
 """How unsure the time of steps is of whose kind none was taken yet, on a simulated rig."""
 ALIKE = 10
-"""Neighbouring points have like exposures: so many steps tell as much as one that was picked at random."""
+"""Neighbouring points have like exposures: this many of them tell as much as one step that was picked at random."""
 OUTLIER = 4.0
-"""Ratios so many standard deviations from the median are drawn in: somebody was at the rig."""
+"""Ratios farther from the median than this many standard deviations are moved there: somebody was at the rig."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,7 +186,7 @@ class Remaining:
             self._taken.append(_Taken(before, Step(record.step, record.kind, record.point, record.goal), seconds))
 
     def more(self, steps: int) -> None:
-        """So many more are to be taken, nobody knows where yet; they are like those that were."""
+        """Add steps whose places are not known yet; they are taken to last as long as those that were measured."""
         self._more += steps
 
     @property
@@ -294,7 +294,7 @@ class Progress(Protocol):
         """Before the first step: how many steps the run has, and how many are done."""
 
     def more(self, steps: int) -> None:
-        """The run has grown by so many steps."""
+        """The run has grown by `steps`."""
 
     def step(self, live: Live) -> None:
         """After every step."""
@@ -303,7 +303,7 @@ class Progress(Protocol):
         """While the rig may talk to the user."""
 
     def waited(self, seconds: float) -> None:
-        """The run has stood still for so long: no step took that time."""
+        """The run has stood still for `seconds`, which no step took."""
 
     def say(self, text: str) -> None:
         """Something happened."""

@@ -446,7 +446,7 @@ def _checked_step(step: JsonObject) -> JsonObject:
 
 
 def _uncountable(value: Any) -> Any:
-    """A number that is none, or that no float holds; None where there is none."""
+    """A number that is not finite, or that no float holds; None where there is none."""
     if isinstance(value, float):
         return None if math.isfinite(value) else value
     if isinstance(value, int):

@@ -29,9 +29,9 @@ from gonio.rig.dng import encode_dng, read_raw, read_record
 from gonio.typing import NDArray
 
 LOOKED_INTO = 2_500
-"""When a run is resumed, at most so many of its last frames are read from end to end."""
+"""Last frames of a resumed run that are read from end to end, at most."""
 LOOKED_INTO_BYTES = 2 * 10**9
-"""Those frames have at most so many bytes: a second or two. Of the others the sizes are compared."""
+"""Bytes of these frames, at most: a second or two. Of the others the sizes are compared."""
 ASIDE = "set-aside"
 
 CHANGED = "is damaged: its pixels are not those that it was written with"
@@ -190,7 +190,7 @@ def _orphans(run: Run, hashes: set[int]) -> list[str]:
 
 
 def require_frames_only(run: Run, names: Iterable[str]) -> None:
-    """Raise `ConfigError` where `frames/` holds, under one of these names, what is none of this program's; or is a
+    """Raise `ConfigError` where `frames/` holds, under one of these names, what this program did not write; or is a
     link.
     """
     frames = run.path / "frames"

@@ -59,7 +59,7 @@ from gonio.rig.light_and_camera import Band
 from gonio.typing import DataFrame, Floats, JsonObject
 
 ROWS = 4096
-"""So many rows of a plan.csv are read at once."""
+"""Rows of a plan.csv that are read at once."""
 _LIT = re.compile(rb'\{"n":\d+,"event":"(session|continued)"')
 _STEP_LINE = re.compile(rb'\{"n":\d+,"event":"step"')
 CHOSEN = "chosen.json"

@@ -207,7 +207,7 @@ class _Session:
     def _health(self) -> tuple[Reading, ...]:
         """What is read at the end of a step; raises `Suspended` where a rule is broken."""
         lit, readings = self._lit, self._watch.readings()
-        if self._watch.room_light:  # the others are of the lamp as it was
+        if self._watch.room_light:  # the readings so far are with the lamp lit
             self._darken()
             readings = (*readings, self._watch.room(self._capture))
         causes = self._watch.broken(readings, lit=lit)

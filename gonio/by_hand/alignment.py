@@ -35,7 +35,7 @@ frame [DN/s]; `u_signal` its standard uncertainty; `lamp_level` is NaN for the r
 of the patch that was saturated."""
 FEWEST = 7
 FLANK = 6
-"""So many points on the flanks of a spot tell where its edges are."""
+"""Points on the flanks of a spot that are enough to tell where its edges are."""
 FLAT = 1.3
 """A scan whose highest signal is less than this times its lowest shows no spot."""
 FEW = 3

@@ -32,13 +32,13 @@ Tell = Callable[[JsonObject, Pictures | None], None]
 """Takes what is to be shown (what JSON can hold), and the pictures of a new frame."""
 
 KEEP_S = 60.0
-"""So long the lamp shines after a key press."""
+"""How long the lamp shines after a key press."""
 PER_S = 8.0
 """Frames a second, at most."""
 START_S = 0.5
 """The first exposure is not longer; one that a person asks for may be."""
 CAMERA_S = 15.0
-"""A frame that takes so much longer than its exposure and its readout counts as one that does not come."""
+"""A frame that comes later than this after its exposure and its readout counts as one that does not come."""
 FAILURES = 2
 """Frames in a row that may fail before the session ends."""
 HELP = """\
@@ -151,7 +151,7 @@ class Assistant:
                 self.wait(max(1.0 / PER_S - (self._clock() - begun), 0.0))
 
     def wait(self, seconds: float) -> None:
-        """Carry out what there is to do, and wait so long for more."""
+        """Carry out what there is to do, and wait for more for `seconds`."""
         try:
             order = self.orders.get(timeout=seconds) if seconds > 0 else self.orders.get_nowait()
             while not self.ended:

@@ -19,7 +19,7 @@ OWNER_S = 0.5
 LOOK_S = 0.1
 """How often the watch looks."""
 GUARD_S = 10.0
-"""A driver's own guard process darkens the lamp so long after the timer, where the whole program stands still."""
+"""How long after the timer the driver's own guard process darkens the lamp, where the whole program stands still."""
 
 
 class LampTimeOver(DeviceError):
@@ -65,7 +65,7 @@ class DeadMansTimer:
 
     @contextlib.contextmanager
     def within(self, seconds: float, what: str) -> Iterator[None]:
-        """The owner is with a device, and has to be back within so long; otherwise the watch darkens the lamp."""
+        """The owner talks to a device, and has to be back within `seconds`; otherwise the watch darkens the lamp."""
         with self._lock:
             self._busy = self._clock() + seconds, what
         try:

@@ -24,7 +24,7 @@ Box = tuple[slice, slice]
 """Rows and columns."""
 
 SEEN = 5.0
-"""A quantity counts as seen from so many of its standard deviations on."""
+"""Standard deviations from which on a quantity counts as seen."""
 STEADY = 0.2
 """Two frames of one scene differ by less than this in their mean, relative; beyond, something was changed."""
 CORRELATED = 3.0
@@ -50,7 +50,7 @@ SMALLEST = 6
 OTHERS = 0.1
 """A second bright place is told of where it has this share of the spot's light."""
 CORNERS = 96
-"""Of the polygon that outlines a spot, at most about so many."""
+"""Corners of the polygon that outlines a spot, at most, about."""
 BINS = 64
 
 

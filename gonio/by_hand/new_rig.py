@@ -21,7 +21,7 @@ ARMS = ("light", "camera")
 TURNED = (*ARMS, "tilt", "spin", "changer", "azimuth", "none")
 COUNTS = 4096
 TIMES = 20
-"""So many wrong answers to one question are enough."""
+"""Wrong answers to one question after which the command gives up."""
 
 
 class DriverPlugin(RigPlugin, RigService, RigDiscovery, Protocol):

@@ -22,11 +22,11 @@ from gonio.typing import Array, Bools, Floats, JsonObject, NDArray
 
 HISTORY = 240
 HISTORY_S = 0.25
-"""The curve of the focus has a point so often, and so many points."""
+"""Points of the curve of the focus over time, at most, and the time between two of them."""
 FPS_OF = 20
 """Frames from which their rate is determined."""
 STEADY_DEG = 0.1
-"""An axis that reads so much elsewhere has moved: another scene, and another focus."""
+"""An axis whose reading differs by more than this has moved; the curve of the focus then begins anew."""
 WIDEST = 960
 """Columns of the picture, at most."""
 ZOOM_PX = 96
@@ -37,7 +37,7 @@ FAINTEST = 0.02
 SRGB_GAMMA = 1.0 / 2.2
 """Screens undo it: what is shown is proportional to the light."""
 SPECK_PX = 3
-"""A single saturated pixel is so wide in the picture."""
+"""Width of a single saturated pixel in the picture."""
 SATURATED_BGR = (40, 40, 235)
 
 

@@ -49,7 +49,7 @@ INSIDE = 0.9
 ZERO_STEP_DEG = 0.1
 """Of a numerical slope."""
 FORESHORTENED = 1.3
-"""The cosine of the steepest camera angle must be at least so many times that of the most oblique one."""
+"""Least ratio of the cosines of the steepest camera angle and of the most oblique one."""
 
 
 @dataclass(frozen=True, slots=True)

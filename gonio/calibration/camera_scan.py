@@ -43,9 +43,9 @@ FIELD_DEG = (15.0, 40.0, 65.0)
 BRIGHTEST = 99.5
 """Percentile of a frame's pixels that its exposure is chosen by: hot pixels do not count."""
 INSIDE = 0.6
-"""Of the radius of what lies in the holder: half the side of the square that is taken for black."""
+"""Half the side of the square that is taken for black, over the radius of what lies in the holder."""
 EDGE_MM = 0.5
-"""Pixels that see the screen so close to its edge do not count: the lens blurs it."""
+"""Pixels that see the screen closer to its edge than this do not count: the lens blurs the edge."""
 
 
 def _uncounted(what: str) -> AbstractContextManager[Callable[[int, int], None]]:

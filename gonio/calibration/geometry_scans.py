@@ -58,7 +58,7 @@ SPOT_NOISE = 0.02
 """Of full scale: what does not fit as well as this is no lamp in a mirror, or the mirror's edge is in it."""
 WORST_PX = 0.15
 PIXELS = 4000
-"""A spot is fitted in an image that is binned to about so many."""
+"""Pixels, about, of the binned image in which a spot is fitted."""
 
 
 class GeometryScans(Scans):

@@ -233,7 +233,7 @@ def refine(grey: Grey, corners: Array, half: int) -> Floats:
 
 
 def _half_window(pixels: Array, on_board: Floats, square_mm: float) -> int:
-    """So large that no neighbouring corner or marker comes in: a fifth of the shortest square in view."""
+    """Half the side [px] of the window around a corner: a fifth of the shortest square in view, without a neighbour."""
     apart = np.linalg.norm(on_board[:, None] - on_board[None], axis=-1)
     pairs = np.argwhere(np.triu(np.abs(apart - square_mm) < 1e-6 * square_mm))
     if not len(pairs):

@@ -24,14 +24,14 @@ SETTLED = 5e-4
 NEEDED = 16.0
 """By how much the warm-up's two parameters must lower chi-square to be there: a chance of 3e-4."""
 TIME_CONSTANTS = 3.0
-"""A series must last so many time constants of the warm-up: a shorter one cannot tell it from a drift."""
+"""Time constants of the warm-up that a series must last: a shorter one cannot tell the warm-up from a drift."""
 STRETCHES = 24
 STEEPEST = 0.1
 """Gain an hour from which a rise without a bend is taken for the beginning of a warm-up: lamps that are warm lose."""
 REJECTED = 1e-3
 """A series whose stretches depart from the model more rarely than this by chance is refused."""
 CLIP = 4.0
-"""Differences of neighbouring frames beyond so many standard deviations are no noise: they are left out of it."""
+"""Standard deviations beyond which a difference of neighbouring frames is no noise, and is left out of its estimate."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -260,7 +260,7 @@ UNEVEN = 1.5
 800 values: of pixels alone ten standard deviations away."""
 SECOND = np.outer([1.0, -2.0, 1.0], [1.0, -2.0, 1.0])
 CORRELATED = 1.94
-"""The variance by `SECOND` is known by so much less than that of as many independent pixels: (1 + 2 (2/3)^2 + 2/36)."""
+"""Variance of the variance by `SECOND`, over that of as many independent pixels: 1 + 2 (2/3)^2 + 2/36."""
 OUTLIER = 9.0
 """Of median second differences, beyond which one is a defect's: six standard deviations."""
 FEWEST = 500

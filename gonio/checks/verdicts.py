@@ -20,7 +20,7 @@ one of k = 1 should."""
 HALF_DIFFERENT = DIFFERENT / 2
 """Without uncertainties: half of what is called different."""
 ENERGY_SIGMA = 2.0
-"""A reflectance above 1 by more than so many standard uncertainties breaks the conservation of energy (k = 2)."""
+"""A reflectance above 1 by more than this many standard uncertainties breaks the conservation of energy (k = 2)."""
 LOST = 0.10
 """Share of the points whose loss leaves holes: a curve of ten points lacks one."""
 SCATTER = 1.44

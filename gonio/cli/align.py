@@ -238,7 +238,7 @@ class JogKeys:
 REFRESH_S = 0.25
 CLEAR = "\r\x1b[K"
 END_S = 0.7
-"""The page is served so much longer than the session lasts: pictures that a browser has asked for are on their way."""
+"""How long the page is served after the session's end: pictures that a browser has asked for are on their way."""
 
 
 def live(

@@ -213,7 +213,7 @@ def _in_order(points: Mapping[str, Any]) -> type[typer.core.TyperGroup]:
 
         def get_command(self, ctx: Any, cmd_name: str) -> Any:
             known = cmd_name in self.commands or cmd_name in points
-            for name in [cmd_name] if known else points:  # of a wrong name the nearest of all is told
+            for name in [cmd_name] if known else points:  # all for an unknown name: one is suggested
                 if name in points and name not in self.commands:
                     self.add_command(_command(name, points[name]), name)
             return super().get_command(ctx, cmd_name)

@@ -49,7 +49,7 @@ if TYPE_CHECKING:
 __all__ = ["app"]
 
 OVERDUE_S = 10.0
-"""A lamp is late by so much where the command that should have darkened it stands still; opening it is in that."""
+"""Time for opening the lamp, and for a command that stands still: after it the guard darkens the lamp."""
 LOOK_S = 1.0
 """How often a lamp that is lit is looked at."""
 

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from gonio.acquisition.progress import Live, Pause, Progress, Remaining, TimeLeft
 
 LINES = 20
-"""At most about so many lines of progress where there is no terminal."""
+"""Lines of progress where there is no terminal, at most, about."""
 UNSURE = 0.02
 """An uncertainty of a time below this share of it is not said."""
 SILENT_S = 3.0
@@ -349,7 +349,7 @@ class Pace:
         self._first: tuple[float, int] | None = None
 
     def step(self, done: int) -> None:
-        """So many steps are done."""
+        """`done` steps are done."""
         now = time.monotonic()
         if self._first is None and done > 0:
             self._first = now, done  # what is slow at the first step alone (imports, machine code) says nothing

@@ -95,7 +95,7 @@ def confirm(prompt: str, what: str, *, yes: bool) -> None:
 
 @contextlib.contextmanager
 def told_dark(manual: ManualRig) -> Iterator[None]:
-    """A command that lights nothing for longer: a lamp that could not be darkened has raised an error of its own."""
+    """Say at an interruption whether the lamp is dark; for commands that end with a dark lamp."""
     try:
         yield
     except (KeyboardInterrupt, Interrupted):

@@ -281,14 +281,14 @@ def _missing(group: list[_Place]) -> str:
 
 
 def _listed(angles: list[str]) -> str:
-    """All of a few, some of many."""
+    """All angles where they are few; the first of them where they are many."""
     if len(angles) <= SHOWN:
         return ", ".join(angles)
     return f"{', '.join(angles[: SHOWN // 2])} and {len(angles) - SHOWN // 2} more"
 
 
 def _azimuths(dphi: list[float]) -> str:
-    """All of a few, the range of many."""
+    """All azimuths where they are few; their range where they are many."""
     if len(dphi) <= SHOWN:
         return ", ".join(f"{d:.5g}" for d in dphi)
     return f"{dphi[0]:.4g} to {dphi[-1]:.4g}\n({len(dphi)} azimuths)"

@@ -11,7 +11,7 @@ from gonio.errors import DataError
 app = typer.Typer(help="Check and repair the folder of a run.", no_args_is_help=True)
 
 NAMED = 20
-"""At most so many frames are named on the terminal; the journal names all."""
+"""Frames that are named on the terminal, at most; the journal names all."""
 
 Folder = Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run.", show_default=False)]
 

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from gonio import platform
 
 TOGETHER_S = 1.0
-"""Signals that come again within so long are one: what they end has the time to be left in order."""
+"""Signals that follow each other within this time count as one: what they end has the time to be left in order."""
 
 
 class Ending:

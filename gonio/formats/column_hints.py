@@ -44,7 +44,7 @@ _REMARKS = {
 }
 _CONVERTED = {"rad": "multiply its radians by 180/pi", "um": "multiply its micrometres by 1000"}
 _LOOKED_AT = 64
-"""So many unknown columns are looked at: a file with more of them is another kind of table."""
+"""Unknown columns that are looked at, at most: a file with more of them is another kind of table."""
 
 
 def column_hints(header: Sequence[str]) -> list[str]:

@@ -53,20 +53,20 @@ _DEFAULTS: dict[str, float | str] = {
 }
 """What a file that lacks the column means."""
 CHUNK = 200_000
-"""Rows that pandas reads at once: what it needs beside the table is of so many."""
+"""Rows that pandas reads at once: its memory beside the table grows with them."""
 _BLOCK = 1 << 22
 """Bytes that are looked at together."""
 _SURPRISE = re.compile(rb"[\x00-\x08\x0d-\x1f\x7f\"']")
 """Control characters, carriage returns and quotes."""
 _WIDE = 1000
-"""From so many columns on pandas takes longer than the reader that goes line by line."""
+"""Columns from which on pandas takes longer than the reader that goes line by line."""
 MOST_ROWS = 20_000_000
 """Of a table that is read at once."""
 NEEDED = tuple(name for name in COLUMNS if name not in _DEFAULTS)
 
 
 ROUNDED = 0.01
-"""Relative: two uncertainties that were rounded to two digits may change places by so much."""
+"""Relative: by so much rounding to two digits can make a part larger than the whole."""
 
 
 def meta_path(path: str | Path) -> Path:
@@ -173,7 +173,7 @@ def _read_in_pieces(file: BinaryIO) -> DataFrame | None:
 
 
 def together(chunks: Iterable[DataFrame], header: Sequence[str], rows: int) -> DataFrame | None:
-    """Pieces of a table as one, which holds nothing twice meanwhile; None where they have not so many rows."""
+    """Pieces of a table as one, without holding a row twice; None where they have not `rows` rows."""
     import pandas as pd
 
     columns: dict[str, Any] = {name: [] if name in _WORDS else np.empty(rows) for name in header}

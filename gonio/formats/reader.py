@@ -88,7 +88,7 @@ def fold(theta_deg: ArrayLike, phi_deg: ArrayLike, *, slack_deg: float = 0.0) ->
 
 
 def plain_degrees(radians: ArrayLike, decimals: int) -> Floats:
-    """Angles in degrees that a file gives in radians with so many decimals: the shortest that its digits stand for.
+    """Angles in degrees that a file gives in radians with `decimals` decimals: the shortest that its digits stand for.
 
     0.174533 stands for 10 degrees and not for 10.0000043; the same digits come out when the angle is written again.
     """

@@ -75,7 +75,7 @@ class Lobe:
                 return out, rules
             now = self._product_rule(omega_i[left], omega_r[left], level)
             out[left], rules[left] = now, level
-            # a lobe that so many rings resolve has an average not that far below its peak
+            # the average of a lobe that this many rings resolve is not so far below its peak
             seen = peak <= 3.0 * spherical_caps.RINGS[level] ** 2 * now
             apart = np.abs(now - before)
             # the one before holds it, at a fifth of the cost

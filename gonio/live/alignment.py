@@ -8,7 +8,7 @@ from gonio.live.server import Content, Request, Route
 from gonio.typing import JsonObject
 
 KEPT = 3
-"""Pictures of so many frames: a browser asks for the one that it was just told of."""
+"""Frames whose pictures are kept: a browser asks for the one that it was just told of."""
 
 
 class Pictures(Protocol):

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 BATCH = 256
 """Events that a client is sent at once."""
 WHOLE = 2000
-"""So many events are kept whole; of older ones the least is, where their log says what that is."""
+"""Newest events that are kept whole; older ones are shortened, where their log says how."""
 
 
 class Event(NamedTuple):
@@ -49,7 +49,7 @@ class EventLog:
         return len(self._events)
 
     def events(self, number: int, most: int | None = None) -> list[Event]:
-        """What was appended beyond a number; so many of it at most."""
+        """Events after a number, at most `most` of them."""
         with self._news:
             some = self._events[number:] if most is None else self._events[number : number + most]
             return [Event(k, kind, line) for k, (kind, line) in enumerate(some, number + 1)]

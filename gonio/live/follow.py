@@ -80,7 +80,7 @@ class Follower:
             self.damaged = f"{self.path}: cannot be read: {error.strerror}"
 
     def _events(self, lines: list[bytes], *, more: bool) -> list[Event]:
-        """The events of whole lines; a bad one at the end is torn, and will be cut off or written again."""
+        """The events of whole lines. A bad last line is being written still, or will be cut off."""
         out = []
         self.places = []
         for k, line in enumerate(lines):

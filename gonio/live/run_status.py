@@ -19,7 +19,7 @@ RECENT = 64
 PAUSES = ("suspended", "paused")
 STOPS = {"end": "ended", "interrupted": "interrupted", "device_error": "failed"}
 SILENT_S = 60.0
-"""A run that lives writes a line so often, or every `LATE` steps."""
+"""Longest time between two lines of a run that lives; or every `LATE` steps."""
 LATE = 10.0
 KEPT = 50
 """Of steps that are long ago each so-many-th is told in full; with them time series have points enough."""

@@ -47,9 +47,9 @@ CONNECTIONS = 96
 STREAMS = 64
 """Of these, streams of events at most, so that room for pages is left."""
 HEARTBEAT_S = 3.0
-"""An idle stream says so often that it lives."""
+"""Time between two signs of life of an idle stream."""
 RETRY_MS = 1000
-"""A browser asks again so long after a stream broke."""
+"""Wait of a browser before it asks again for a stream that broke."""
 PIECE = 65536
 """Bytes that a client has to take within `SLOW_S`."""
 LOOPBACK = "127.0.0.1"
@@ -188,7 +188,7 @@ class _Http(ThreadingHTTPServer):
         self.server_name, self.server_port = str(self.server_address[0]), self.server_address[1]
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        """A thread of its own, or 503."""
+        """Answer in a thread of its own; 503 where all are busy."""
         if not self._free.acquire(blocking=False):
             request.settimeout(0.1)
             answer = b"HTTP/1.1 503 Service Unavailable\r\nRetry-After: 2\r\nContent-Length: 0\r\n"

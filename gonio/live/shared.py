@@ -99,11 +99,11 @@ def remember(what: Path, port: int, token: str) -> None:
 
 NOW, CURVES, FRAME, LOOKED, LOCK = "now.json", "curves.json", "frame.png", "looked", "lock"
 LOOKED_S = 5.0
-"""So long after the last look it is worked on."""
+"""How long after the last watcher's sign of life the values of a run are still worked out."""
 LOOK_S = 1.0
-"""A watcher says so often that somebody looks."""
+"""Time between two signs of life of a watcher."""
 AGAIN_S = 10.0
-"""A process that failed is begun again after so long."""
+"""Wait before a process that failed is begun again."""
 
 
 @dataclass

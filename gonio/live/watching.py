@@ -37,13 +37,13 @@ if TYPE_CHECKING:
 POLL_S = 0.2
 """The journal is looked at so often."""
 RAPID_S = 0.4
-"""And so often while every look finds something: together, not one by one, steps of a fast run take less."""
+"""Time between two looks while each finds something: steps of a fast run take less work together than one by one."""
 LOOK_S = 1.0
-"""So often it is told how much room the disk has, and whether the process that measures lives."""
+"""Time between two looks at the room on the disk, and at whether the process that measures lives."""
 PATIENCE_S = 5.0
-"""The end of its thread is waited for so long at most."""
+"""Longest wait for the end of its thread."""
 UNREAD = 4_000_000
-"""Bytes of a journal: steps that so much follows are told in short."""
+"""Bytes of a journal: steps that lie farther before its end are told in short."""
 NOTHING = b'{"view":null,"maps":[],"visits":[],"says":""}'
 """What the page draws where there are no values."""
 GOING = ("running", "suspended", "paused", "silent")
@@ -277,7 +277,7 @@ DRAWN_S = 0.5
 LISTED = 6
 """Values, flags and events that are shown."""
 LINES = 200
-"""A log file gets about so many lines of a run."""
+"""Lines of a run in a log file, about."""
 
 
 def show(watched: Watched) -> None:

@@ -31,27 +31,27 @@ from gonio.rig.dng import read_raw
 SHARE = 0.02
 """Of a processor, while the run goes on: the time that values and pictures may take, for all watchers together."""
 ONCE_S = 0.04
-"""So much processor time is worked in one go."""
+"""Processor time of one turn."""
 LONGEST_S = 5.0
 """It rests no longer for what it has worked."""
 TOLD_S = 1.0
-"""Values are handed on at most so often, and for a tenth of the time at most: of very many they take long."""
+"""Least time between two hand-overs of values. They take a tenth of the time at most: very many values take long."""
 PICTURE_S = 2.0
-"""A frame is made a picture of at most so often."""
+"""Least time between two frames that are made pictures."""
 POLL_S = 0.3
 """The journal is looked at so often."""
 TURN_S = 20.0
-"""So long it waits for its turn: another user's may stand still."""
+"""Longest wait for its turn: another user's process may stand still."""
 SHOWN = 6
 """Newest values that are told as numbers."""
 BUSY = ("running", "silent")
 """States in which somebody measures, and is not to be disturbed."""
 
 LEFT_S = 2.0
-"""The time that is left is worked out at most so often."""
+"""Least time between two estimates of the time that is left."""
 
 Wait = Callable[[float], bool]
-"""Waits for so many seconds; whether it is time to end."""
+"""Waits for some seconds, and says whether it is time to end."""
 Draw = Callable[[RunStatus, Sequence[ProvisionalValues], int], bytes]
 """What the page shows of values, as it reads it; the number is that of steps that are not reduced yet."""
 

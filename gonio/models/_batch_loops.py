@@ -19,9 +19,9 @@ from gonio.models._batch_steps import DERIVE, LEVELS, SHADE, TAKE, UNIT, by_diff
 from gonio.models._compile import sources
 
 FAR_VALLEY = 100.0
-"""The second valley counts where its chi-square is at most so many times that of the first, and so much more."""
+"""The second valley counts where its chi-square is at most this many times that of the first, plus this number."""
 CLOSE_VALLEY = 10.0
-"""An acceptable fit is followed by another start whose chi-square is at most so many times its own, and 20 more."""
+"""An acceptable fit is followed by another start whose chi-square is at most this many times its own, plus 20."""
 NARROWINGS = 3
 """Steps of the width alone, before all parameters are fitted."""
 FEWEST_OF_SOME = 25

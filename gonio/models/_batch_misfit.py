@@ -19,7 +19,7 @@ from gonio.models._batch_algebra import (
 from gonio.models._batch_steps import MOST_STEPS, linearised, minimised, shaded
 
 TURNS = 8
-"""Parameters and misfit are found in turn, so often at most."""
+"""Times that parameters and misfit are found in turn, at most."""
 LEAST_TAU = 1e-12
 LOWEST, HIGHEST = -27.6, 6.9
 """Between these ln tau is sought."""

@@ -281,7 +281,7 @@ class Batched:
     grid: tuple[tuple[str, tuple[float, ...]], ...]
     """Starts: every combination; the last one is the width whose valleys are told apart."""
     every: int = 1
-    """One of so many values tells where to start."""
+    """Every how manieth value is used to find where to start."""
     own: Callable[[float], tuple[float, ...]] = lambda wavelength_nm: ()
     """Numbers behind the parameters, for a wavelength [nm]."""
     bend: tuple[Callable[..., Any], Kernel, int] | None = None

@@ -81,7 +81,7 @@ def _halvings(scale: float) -> int:
 
 
 def halved(centres: list[tuple[float, int]], top: float) -> Floats:
-    """Edges of panels of [0, top] that halve toward each centre so many times."""
+    """Edges of panels of [0, top] that halve toward each centre; beside it stands how often."""
     steps = [centre + np.outer((-1.0, 1.0), 0.5 ** np.arange(1.0, depth + 1.0)).ravel() for centre, depth in centres]
     edges = np.unique(np.concatenate([[0.0, top], [centre for centre, _ in centres], *steps]))
     edges = edges[(edges >= 0.0) & (edges <= top)]

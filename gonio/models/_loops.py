@@ -211,4 +211,4 @@ def at_4(columns, constants, out, start, stop):  # type: ignore[no-untyped-def]
 
 COLUMNS: Final = {2: columns_2, 3: columns_3, 4: columns_4}
 AT: Final = {2: at_2, 3: at_3, 4: at_4}
-"""The loops that make so many columns, and those over a kernel of so many."""
+"""By number of columns: the loops that make them, and those over a kernel that takes them."""

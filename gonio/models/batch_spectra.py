@@ -41,7 +41,7 @@ class Band:
 def fit(name: str, x_mm: Floats, y_mm: Floats, bands: Sequence[Band], shared: Sequence[str]) -> list[Fits]:
     """Fit a model to every pixel, with the parameters `shared` equal at all wavelengths.
 
-    A wavelength that has not more values in a pixel than parameters is left out there.
+    In a pixel, a wavelength with no more values than parameters is left out.
 
     Returns
     -------

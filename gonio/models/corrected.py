@@ -40,7 +40,7 @@ class Correction:
     small: float
     """e [1/sr]."""
     wider: float
-    """Its standard uncertainties count so many times, at least once: the scatter of left-out values about it."""
+    """Factor on its standard uncertainties, at least 1, from the scatter of left-out values about it."""
     spike: float
     """Relative standard uncertainty of the model's specular spike."""
 

@@ -213,7 +213,7 @@ class Declaration:
     """Coarse grid over the parameters that the model depends on strongly (values for those only)."""
     needs_wavelength: bool = False
     derived: Callable[[Values], Values] = lambda values: {}
-    """Combinations that say more than the parameters do."""
+    """Combinations of parameters that are easier to interpret than these."""
     flat: Callable[[Values], Values] = lambda values: {}
     """d(model)/d(parameter) [1/sr] of the parameters whose effect is the same in every direction."""
     base_starts: Callable[[float], list[Values]] = lambda albedo: [{"albedo": albedo}]

@@ -219,6 +219,6 @@ class Curves:
         return Lobes(self.lobe, self.spike, u_spike, self.slope, self._slope_uncertainty, self.curvature)
 
     def slope_uncertainty(self, k: int, plus: Directions) -> float:
-        """Standard uncertainty [1/sr] of the odd part of `effects`, because points tell slopes only so well."""
+        """Standard uncertainty [1/sr] of the odd part of `effects`, from the uncertainty of the slopes."""
         step = from_above(plus, self._azimuth[k]) - self._places[k]
         return math.sqrt(max(float(step @ self._slope_uncertainty[k] @ step), 0.0))

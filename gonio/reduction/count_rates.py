@@ -38,7 +38,7 @@ Dark = tuple[float, Array]
 """Exposure [s] and mosaic [DN] of a dark frame."""
 
 FULL = 1e-3
-"""Part of a frame's pixels that may be full before the light that it spreads is taken for told too low."""
+"""Part of a frame's pixels that may be full: with more of them stray light is estimated too low."""
 RETAKE = "`gonio measure ... --resume` takes their steps again"
 
 

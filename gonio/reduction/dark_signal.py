@@ -11,7 +11,7 @@ from gonio.rig.regions import Roi
 from gonio.typing import Array, Floats
 
 FEW = 300
-"""Patterns are made from the regions of about so many points. They leave out little of the noise of the others."""
+"""Points, about, from whose regions patterns are made. They leave out little of the noise of the others."""
 HELD = 2**24
 """Pixels of all these regions together that are held at once: 128 MB."""
 PATTERNS = 6

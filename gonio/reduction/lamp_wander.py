@@ -33,7 +33,7 @@ FEWEST = 4
 DRIFT = 0.5
 """Of the line's change in one interval over a walk's, where three visits cannot tell the one from the other."""
 BLOCK = 32
-"""At most so many visits are looked at together."""
+"""Visits that are looked at together, at most."""
 NODES = 32
 """Times at which errors that neighbouring points share are written out."""
 HELD = 0.95

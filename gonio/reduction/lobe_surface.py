@@ -39,7 +39,7 @@ BEND = math.radians(0.5)
 ALLOWED = 7
 """Further sets of sizes and lengths that slopes are averaged over."""
 EXACT = 128
-"""So many points at most teach the sizes and lengths, and so many tell the slopes of one place."""
+"""Points from which sizes and lengths are learned, at most; and points that tell the slopes of one place, at most."""
 TOGETHER, APART = 48, 32
 """Where there are more: places whose slopes are computed together, and how many points far from them are asked."""
 DIRECTED = 6.0

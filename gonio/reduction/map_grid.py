@@ -18,7 +18,7 @@ from gonio.rig.light_and_camera import Camera
 from gonio.typing import Floats, Ints
 
 MEAN_FROM = 2.0
-"""A cell at least so many pixels of the camera wide, along both sides, takes the mean of those that see it."""
+"""Width in pixels of the camera, along both sides, from which on a cell takes the mean of the pixels that see it."""
 MOST = 40_000
 """Cells along a side, at most."""
 Shift = tuple[float, float]

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 MANY_POINTS = 1500
 """With more, one tile is made at a time: it takes 0.3 MB a point."""
 Counter = Callable[[str], AbstractContextManager[Callable[[int, int], None]]]
-"""Somebody who shows how much of a named work is done."""
+"""Shows how much of a named piece of work is done."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class Written:
     values: int
     """All of them within the sample's disc."""
     told: int
-    """Points whose shift is told."""
+    """Points whose shift was determined."""
     largest_shift_mm: float
     notes: list[str]
 

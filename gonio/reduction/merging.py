@@ -26,7 +26,7 @@ SATURATED = 0.98
 DEVIATIONS = 5.0
 """The neighbours of a pixel that is used lie this many standard deviations of a full pixel below `SATURATED`."""
 FALSE_ALARMS = 1e-3
-"""At most so many pixels of a step and band without any hit are taken for hits of cosmic radiation, on average."""
+"""Pixels of a step and band without any hit that are taken for hits of cosmic radiation, on average, at most."""
 HOT = 0.05
 """A pixel whose dark charge in the longest frame is a larger part of full scale is hot, and left out of the mean."""
 AROUND = 5

@@ -206,7 +206,7 @@ class _Inputs:
         self._curves = _curves(goals, self._place, self._log)
 
     def evaluate(self, rng: np.random.Generator, count: int) -> Floats:
-        """Values [1/sr] of so many draws, shape (count, points)."""
+        """Values [1/sr] of `count` draws, shape (count, points)."""
         own, points, axes = self._own, self._rate.size, self._zeros.size
         zeros = rng.standard_normal((count, axes)) * self._zeros
         level = self._levels(rng, count, zeros)
@@ -378,7 +378,7 @@ class Drawn:
         return math.sqrt(max(float((self.first**2).mean() * (self.rest**2).mean()) - self.mean**2, 0.0))
 
     def probability(self, value: float) -> float:
-        """That it is at most so large."""
+        """Probability that it is at most `value`."""
         return float(np.searchsorted(self._sorted, value / self.rest, "right").mean() / self.first.size)
 
     def quantile(self, probability: float) -> float:

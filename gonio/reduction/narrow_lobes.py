@@ -25,7 +25,7 @@ toward grazing incidence they rise again by twice."""
 FALL = 0.2
 """Steps over which the logarithm of a lobe falls by less resolve it."""
 SURE = 5.0
-"""A value counts as above a base where it exceeds it by so many standard uncertainties."""
+"""Standard uncertainties by which a value exceeds a base that it counts as above."""
 
 
 def _outward(t: Floats, f: Floats, k: int, outside: Sequence[int]) -> float:
@@ -136,7 +136,7 @@ def _going_on(
 def _across(from_mirror: Floats, t: Floats, f: Floats, k: int, own: list[int], other: list[int]) -> tuple[float, float]:
     """What two points on each side of the mirror direction say of point k between them, and how that falls over t.
 
-    The cubic through their logarithms: of a Gaussian it is one exactly, and it bends with what is not alike on both
+    The cubic through their logarithms: for a Gaussian it is exact, and it bends with what is not alike on both
     sides. Not more than there is.
     """
     four = [*own, *other]

@@ -51,13 +51,13 @@ FAINT = 0.03
 """Of the squared slopes across a texture: an axis that has less is not told. The stairs that pixels make of a straight
 edge have 0.01 along it."""
 SURE = 1e-4
-"""Cells: no comparison is surer, so that pictures that are equal to the bit can be told."""
+"""Cells: least uncertainty of a comparison, also of pictures that are equal to the bit."""
 UNSURE = 0.5
-"""Cells: a shift that is not known better is not told."""
+"""Cells: a shift whose uncertainty is larger is not determined."""
 
 
 def window(grid: Grid, points: int) -> Tile:
-    """The cells that are compared, of so many pictures."""
+    """The cells that are compared, for `points` pictures."""
     count = len(grid.places)
     side = min(count, WINDOW, int(math.sqrt(HELD / max(points, 1))))
     start = (count - side) // 2

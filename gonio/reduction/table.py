@@ -31,7 +31,7 @@ CLIPPED = 1e-3
 """Dark frames with a larger part of their pixels at 0 DN are cut off there."""
 DAMAGED = "missing or damaged and are left out"
 NAMED = 10
-"""At most so many damaged frames, or bands, are named in a note."""
+"""Damaged frames, or bands, that are named in a note, at most."""
 NUMBERS = re.compile(r"\([-\d., ]+\)(, \([-\d., ]+\))*( deg( and \d+ more)?)?|-?\d[\d.]*(e[-+]\d+)?")
 """Numbers in a note, and lists of directions."""
 COMMON = ("s_reference", "s_reference_noise", "s_lamp_drift")
@@ -342,7 +342,7 @@ OPEN = {
 
 
 WANDERS = 3
-"""So many visits to the white reference tell something of a lamp that wanders."""
+"""Visits to the white reference from which on they tell something of a lamp that wanders."""
 
 
 def assemble_budget(table: DataFrame, bands: list[BandResult]) -> DataFrame:

@@ -14,7 +14,7 @@ REJECTED = 0.01
 SAME_TIME_S = 1e-3
 """Visits closer than this count as one time: no drift is told from them."""
 SMOOTH = 4
-"""So many visits tell how the level bends between them."""
+"""Visits from which on they tell how the level bends between them."""
 EXTRAPOLATED = 0.1
 """Largest relative change of the level that a line may make farther outside of the visits than these are apart. Beyond
 it a rate over the level is not linear in the level's error any more, and the level may turn negative."""

@@ -105,7 +105,8 @@ class Space:
     def true(self, axis: int, read: float, beyond: float = 0.0) -> float:
         """Where an axis stands when its encoder reads an angle [rad].
 
-        With `beyond` -1 or 1: what it stands beyond in no case when it reads more, or less.
+        With `beyond` = 1: an upper bound of where it stands while it reads this angle or less; with -1 a lower bound
+        while it reads this angle or more.
         """
         rows = self.harmonics[axis]
         if not rows:

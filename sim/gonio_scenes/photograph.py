@@ -25,15 +25,15 @@ from gonio_scenes.vantage import Seen, Vantage, displaced
 from gonio_scenes.world import Hits, World
 
 ROWS = 4000
-"""About so many squares are made where the file does not say how large they are."""
+"""Squares, about, where the file does not say how large they are."""
 BLOCK = 1 << 17
 """Pixels that are traced together."""
 EDGE_DEG = 10.0
 """Normals of neighbouring pixels that differ by more lie on either side of an edge."""
 FEW_FACETS = 30
-"""So many facets in sight at least say together how f changes with the normal; fewer are looked at one by one."""
+"""Facets in sight from which on they say together how f changes with the normal; fewer are looked at one by one."""
 REACH = 3.0
-"""Standard deviations of all causes together by which creases may lie elsewhere: pixels so close are not used."""
+"""Standard deviations, of all causes together, by which creases may lie elsewhere: closer pixels are not used."""
 KEY = np.array([1.0, math.sqrt(2.0), math.pi])
 """Normals are the same where their products with it are, to `SAME`."""
 SAME = 1e-9
@@ -198,7 +198,7 @@ def _moves(vantage: Vantage, moved: dict[str, tuple[Vantage, Vantage]], position
 
 
 def _beside_crease(vantage: Vantage, crease: Floats, hits: Hits, column: Floats, row: Floats, beside: Floats) -> Mask:
-    """Places of the picture with another facet at one of eight places so many pixels beside them."""
+    """Places of the picture with another facet at one of eight places `beside` pixels away."""
     out = np.zeros(len(column), bool)
     if beside.max() == 0.0:
         return out

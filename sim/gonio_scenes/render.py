@@ -252,7 +252,7 @@ class _Sums:
 
 
 def _batches(samples: int) -> list[int]:
-    """Rays of each batch for so many rays a pixel: as many batches as `MOST_BATCHES` allows, as even as can be."""
+    """Rays of each batch for `samples` rays a pixel: as many batches as `MOST_BATCHES` allows, as even as can be."""
     batches = min(samples, MOST_BATCHES)
     return [samples // batches + (k < samples % batches) for k in range(batches)]
 

@@ -186,7 +186,7 @@ class Squares:
 
 
 def _shifted(grid: Floats, down: int, right: int) -> Floats:
-    """The grid's values so many squares below and to the right, NaN beyond its edge."""
+    """The grid's values `down` squares below and `right` squares to the right, NaN beyond its edge."""
     out = np.full_like(grid, np.nan)
     height, width = grid.shape
     to, of = (

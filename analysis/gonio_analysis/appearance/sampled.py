@@ -32,7 +32,7 @@ Without any the first is taken, and the next two say how far the choice matters:
 CLEARLY_BETTER = 0.6
 """Misfit [ln] out of the plane of the shape that is taken in place of the first, over that of the first."""
 NEARLY_AS_GOOD, ANY_MISFIT = 1.5, 0.01
-"""A shape whose misfit is at most so many times the best one's and so much more may be right as well."""
+"""A shape whose misfit is at most this many times the best one's, plus this much, may be right as well."""
 
 LARGEST_GAP = math.radians(10.0)
 """Between two directions of a curve that a third is interpolated from."""

@@ -243,7 +243,7 @@ ROUNDS = 100
 SETTLED = 1e-10
 """Scales that change by less in a round have settled."""
 FACTOR = 3.0
-"""A stated uncertainty is carried over to a value at most so many times as large, or as small."""
+"""Largest factor between two values over which a stated uncertainty is carried from one to the other."""
 UNDETERMINED = float(np.radians(1.0))
 """A zero that is known no better than this [rad] says nothing."""
 

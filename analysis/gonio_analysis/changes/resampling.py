@@ -40,7 +40,7 @@ MOST_KEPT = 300_000
 """Directions of the interpolations that are kept for further wavelengths: they take some 200 bytes each."""
 
 ON_EDGE = 1e-12
-"""A point so little outside a triangle, as a share of its height, lies on its edge."""
+"""Share of a triangle's height: a point that is less far outside lies on its edge."""
 
 
 @dataclass(frozen=True)
@@ -145,7 +145,7 @@ def carry(a: Observations, b: Observations, say: Say = silent, known: Known | No
 def turned_in_plane(directions: Directions, by: float) -> tuple[Directions, Any]:
     """Receivers turned in the plane of incidence, toward the mirror direction, by an angle [rad]; which are above the
     surface."""
-    blocks = range(0, max(len(directions), 1), AT_ONCE)  # of none there is one, too
+    blocks = range(0, max(len(directions), 1), AT_ONCE)  # one block also where there are no directions
     turned, above = zip(*(_turned(directions[k : k + AT_ONCE], by) for k in blocks), strict=True)
     return Directions(*np.concatenate([one.angles for one in turned], axis=1)), np.concatenate(above)
 

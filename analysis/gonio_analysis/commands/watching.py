@@ -83,7 +83,7 @@ def _show(run: Path, server: Server, watched: Watched, text: bool) -> None:
 
 
 def _end() -> NoReturn:
-    """A signal is how it ends. A thread that imports a library, or serves a slow client, would be torn out of it."""
+    """End at a signal, at once: other threads may be importing a library, or serving a slow client."""
     with contextlib.suppress(OSError, ValueError):
         sys.stdout.flush()
     os._exit(0)

@@ -169,7 +169,7 @@ def _mean_azimuth(phi: Floats) -> float:
 
 
 def evenly(count: int, most: int) -> list[int]:
-    """At most `most` of so many things, spread evenly over them."""
+    """Indices of at most `most` of `count` things, spread evenly."""
     return np.unique(np.round(np.linspace(0, count - 1, min(most, count))).astype(int)).tolist() if count else []
 
 

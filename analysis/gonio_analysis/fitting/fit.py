@@ -37,13 +37,13 @@ from gonio_analysis.fitting.search import covariance, derivatives, refine, searc
 from gonio_analysis.fitting.solution import ROUNDING, Solution, residuals_on_log_scale
 
 BOUND_FIRST = 30.0
-"""The bound is so much softer on the way, for a search along a steep wall takes many short steps."""
+"""Factor by which the bound is softer at first, for a search along a steep wall takes many short steps."""
 EXCESS = 2e-5
 """What the bound on rho_dh gives way by, about."""
 AT_BOUND = 1e-3
 """Of a parameter's range: nearer to a bound its own place is tried, too."""
 TURNS = 8
-"""Parameters and tau are found in turn, so often at most."""
+"""Times that parameters and tau are found in turn, at most."""
 SETTLED = 1e-3
 """Change of ln tau that ends it: a hundredth of what tau is uncertain by, or less."""
 AGAIN = 8

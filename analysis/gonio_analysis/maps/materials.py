@@ -141,7 +141,7 @@ class Mixture:
         return best, every[best, np.arange(best.size)]
 
     def found(self, pixels: Pixels, own: Floats, u: Floats, count: int) -> list[Material]:
-        """So many materials of some pixels, or fewer where one loses its last pixel; the largest first."""
+        """`count` materials of some pixels, or fewer where one loses its last pixel; the largest first."""
         member = _k_means(own, u, count)
         for _ in range(TURNS):
             kinds, sizes = np.unique(member, return_counts=True)

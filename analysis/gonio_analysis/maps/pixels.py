@@ -21,9 +21,9 @@ from gonio_analysis.fitting.spectrum import geometry, picked
 
 TOO_FEW, AT_BOUND, UNDETERMINED, REJECTED = (1 << k for k in range(len(FIT_FLAGS)))
 CLOSE = 1e-7
-"""Of its range: nearer to a bound a parameter stands at it, as in `gonio fit`."""
+"""Share of its range: a parameter that is nearer to a bound counts as at it, as in `gonio fit`."""
 UNKNOWN = 0.5
-"""Of its range: where its standard uncertainty is larger, a parameter is not determined."""
+"""Share of its range: a parameter whose standard uncertainty is larger is not determined."""
 
 Arrays = dict[str, npt.NDArray[np.generic]]
 

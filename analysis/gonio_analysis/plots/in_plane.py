@@ -384,7 +384,7 @@ def _far_axis(ax: Any, top: float) -> None:
 
 
 def _ratio_axis(ax: Any, reach: float) -> None:
-    """A logarithmic axis of so many decades on both sides of 1."""
+    """A logarithmic axis of `reach` decades on both sides of 1."""
     from matplotlib.ticker import FixedLocator, NullLocator
 
     ax.set_yscale("log")

@@ -48,7 +48,7 @@ FIGURES = 6
 CLOSER = 0.9
 """A scale or a zero is worth words where what it leaves is less than this share."""
 SPIKE = 30.0
-"""A largest value so many times the median hides all others in a polar plot: a logarithmic one comes first."""
+"""Largest value over the median above which it hides all others in a polar plot: a logarithmic one comes first."""
 COLUMNS = (
     *("wavelength_nm", "theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg", "a", "b", "u_interpolation", "change"),
     *("u_change", "standard_deviations", "changed"),

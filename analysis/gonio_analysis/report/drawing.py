@@ -196,7 +196,7 @@ class FigureWorkers:
         finally:
             for hand in workers:
                 hand.join()
-        # what a process that died had taken
+        # figures that a process had taken and died over are drawn here
         return [made[k] if k in made else job(say) for k, job in enumerate(jobs)]
 
     def stop(self) -> None:
@@ -207,7 +207,7 @@ class FigureWorkers:
 
 @contextmanager
 def figure_workers(figures: int, processes: int | None = None, modules: Sequence[str] = ()) -> Iterator[FigureWorkers]:
-    """Processes for about so many figures; they end with the block.
+    """Processes that draw about `figures` figures; they end with the block.
 
     Parameters
     ----------

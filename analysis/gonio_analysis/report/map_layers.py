@@ -68,7 +68,7 @@ class Grid:
         return value[:: -1 if self.y_mm[0] > self.y_mm[-1] else 1, :: -1 if self.x_mm[0] > self.x_mm[-1] else 1]
 
     def step(self, most: int) -> int:
-        """Pixels of the map for one of a picture of at most so many."""
+        """Pixels of the map for one pixel of a picture that has at most `most`."""
         return -(-max(self.shape) // most)
 
     def embedded(self) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:

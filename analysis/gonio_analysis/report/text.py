@@ -108,7 +108,7 @@ def spoken_difference(rms_of_logarithm: float | None) -> str:
 
 
 def cut(text: str, most: int) -> str:
-    """A text of at most so many characters, about; what is left out is said."""
+    """A text of at most `most` characters, about; what is left out is said."""
     return text if len(text) <= most else f"{text[:most]} … ({len(text) - most} more characters in summary.json)"
 
 

@@ -20,7 +20,7 @@ FEW = 4
 LEAST_AHEAD = 8
 """Jobs that a cluster has at a time, at least: workers may come while it works."""
 PATIENCE_S = 20.0
-"""So long a Dask scheduler may take to answer."""
+"""Longest wait for an answer of a Dask scheduler."""
 
 In = TypeVar("In")
 Out = TypeVar("Out")

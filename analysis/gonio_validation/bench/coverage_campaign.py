@@ -47,10 +47,10 @@ WRONG = {"oren-nayar": "lambert", "phong": "cook-torrance", "blinn": "phong", "c
 SPIKE = 0.01
 """Of the reflected light: with more of it in the specular spike no wrong model is looked at."""
 BESIDE = math.radians(1.5)
-"""So far from a measured direction a value of a wrong model is looked at [rad]."""
+"""Distance from a measured direction at which a value of a wrong model is looked at [rad]."""
 GRAZING = math.radians(65.0)
 EDGE = math.radians(0.3)
-"""So far beyond the cones the edge of a spike may be met, by errors of the angles [rad]."""
+"""How far beyond the cones errors of the angles may bring the edge of a spike [rad]."""
 SERIES_S = (2700.0, 45.0)
 """How long the lamp is watched, and how often [s]."""
 PAIRS = 1

@@ -30,7 +30,7 @@ CERTIFIED = {
     "arms.light.axis_tilt_deg[0]": 0.015, "arms.light.axis_tilt_deg[1]": 0.015, "arms.camera.elevation_deg": 0.015,
     "holder.surface_tilt_deg[0]": 0.015, "holder.surface_tilt_deg[1]": 0.015,
 }  # fmt: skip
-"""What the certificate of a geometry knows, each with about what standard uncertainty [deg]."""
+"""Errors of the bench that its geometry file states, each with about its standard uncertainty [deg]."""
 BENCH: Tables = {
     "rig": "sim",
     "name": "blind goniometer",

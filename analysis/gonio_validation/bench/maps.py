@@ -140,7 +140,7 @@ def measured(name: str, pixels: int) -> JsonObject:
 
 
 def compared(name: str, d: dict[str, Any], found: batch.Fits, columns: list[int]) -> tuple[float, float, float]:
-    """The largest difference from `gonio fit` in u, and what it and scipy take for a table [s]."""
+    """The largest difference from `gonio fit` in units of u, and the times of both, and of scipy, for a table [s]."""
     worst, times = 0.0, np.zeros((2, COMPARED))
     for p in range(COMPARED):
         at = seen(d["source"], d["camera"], d["x"][p], d["y"][p])

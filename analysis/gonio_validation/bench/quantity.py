@@ -61,7 +61,7 @@ class Quantity:
     about: str
     samples: tuple[Sample, ...]
     timed: Callable[[int], Inputs]
-    """Parameters and arrays for about so many evaluations."""
+    """Parameters and arrays for about a given number of evaluations."""
     inputs: str
     """The timed inputs in words."""
     ways: tuple[Way, ...]

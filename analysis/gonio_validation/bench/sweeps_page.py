@@ -19,7 +19,7 @@ from gonio_validation.bench.sweeps_rig import AROUND_DEG, FLOOR, INCIDENCES, LAR
 ENOUGH = 0.005
 """An error that is small enough, whatever a uniform grid has: 0.5 %."""
 SHARE = 0.45
-"""At most so many of a uniform grid's points."""
+"""Largest share of a uniform grid's points that an adaptive plan may take."""
 HELD = (0.93, 0.97)
 """Between these lies the part of curves that intervals of 95 % hold, over all runs."""
 

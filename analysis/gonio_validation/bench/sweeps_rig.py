@@ -158,7 +158,7 @@ LARGEST_DEG = 80.0
 SIZES: dict[Geometry, tuple[int, ...]] = {"in plane": (20, 35, 60), "hemisphere": (50, 100)}
 """Points of the fixed plans, for each angle of incidence."""
 AROUND_DEG = 12.0
-"""So far around the mirror direction a mirror-dense plan has the other half of its points."""
+"""Half-width about the mirror direction in which a mirror-dense plan has the other half of its points."""
 FLOOR = 1e-3
 """Of the largest value: errors of values below it count relative to this value."""
 
@@ -211,7 +211,7 @@ def _plan(points: Sequence[Point], adaptive: Adaptive | None = None) -> Plan:
 
 
 def fixed(name: str, geometry: Geometry, size: int, description: RigDescription) -> list[Assessed]:
-    """The points of a plan of so many for each incidence, as far as the rig can reach them.
+    """The points of a plan of `size` for each incidence, as far as the rig can reach them.
 
     Parameters
     ----------

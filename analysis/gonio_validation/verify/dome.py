@@ -51,7 +51,7 @@ class Errors:
         """Another part of the equation begins."""
 
     def uniform(self, count: int) -> Floats:
-        """So many columns (m, count)."""
+        """`count` columns of uniform numbers, shape (m, count)."""
         self._next += count
         return self._x[:, self._next - count : self._next]
 

@@ -23,7 +23,7 @@ NAMES = WIRE + SERVO + LAMP + CAMERA + HEALTH + LIGHT
 LASTS_S = 60.0
 """How long what passes by itself lasts, on the twin's clock."""
 LOCK_QUESTIONS = 3
-"""So many questions hear that the source is out of lock."""
+"""Number of questions that are answered "out of lock"."""
 
 LATE_S = 0.100
 """A late reply comes after the SDK has given up (34 ms), and after a patient driver has (84 ms)."""

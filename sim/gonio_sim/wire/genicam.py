@@ -90,7 +90,7 @@ class GenICamTwin:
     stale: int = 0
     """Frames that wait in the queue at every start."""
     incomplete: int = 0
-    """Of the next frames, so many come with parts missing."""
+    """Number of next frames that come with parts missing."""
     silent: bool = False
     runs: bool = False
     opened: str = ""

@@ -54,7 +54,7 @@ class KinesisTwin(Device):
         """Status bits that it shows beside the others."""
         self.mute = False
         self.damaged = 0
-        """So many answers lack their end."""
+        """Number of next answers that lack their end."""
         self.stalled = False
         """It takes commands, and does not turn."""
         self.leaving: Callable[[], None] = lambda: None

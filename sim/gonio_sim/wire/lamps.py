@@ -111,7 +111,7 @@ class ScpiLamp(Lamp):
 
     bauds = (9600, 115_200)
     _unlocked = 0
-    """So many questions more hear that the source is out of lock."""
+    """Number of next questions that are answered "out of lock"."""
 
     def _begin(self) -> None:
         super()._begin()

@@ -154,7 +154,7 @@ class Follower:
     """With the errors of its encoder within a turn."""
     zero_error: float
     from_above: bool = False
-    """The rig approaches its goals so: no backlash then."""
+    """Whether the rig approaches its goals from above; the arm then has no backlash."""
     arm: float = math.nan
 
     def encoder(self) -> float:
