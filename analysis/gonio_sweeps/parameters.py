@@ -61,8 +61,7 @@ CLOSE = 1.5
 """Where the quick fit's uncertainties are within this factor of their targets the run is reduced and fitted in full, as
 `gonio fit` will do it: its uncertainties decide."""
 WORST = 3.0
-"""A full reduction's uncertainties count as no more than so many times the quick fit's, and as no less than its part.
-"""
+"""Largest ratio, up or down, of a full reduction's uncertainties to those of the quick fit that counts."""
 EVERY_S = 3.0
 """Counted for every point beside its frames and its way [s]: a visit is work for the rig, however bright the point."""
 LEAST_GAIN = 2e-4
@@ -208,9 +207,9 @@ class Parameters(BudgetSampler[ParameterSettings]):
     # ---- choosing ----
 
     def _cover(self, values: GrowingValues, left_s: float, stage: int) -> tuple[list[int], JsonObject]:
-        """The candidates of a batch that covers; so many of these were measured before.
+        """The candidates of a covering batch, after `stage` such batches.
 
-        The first of these batches is small: how dark the sample is where nothing was measured nobody knows before.
+        The first one is small: it is not known yet how dark the sample is where nothing was measured.
         """
         points, seen = self.candidates.points, self._seen(values, None)
         known = Curves.of(points, self._places, places(values.directions), values.brdf, values.u_noise, seen.u_rel)

@@ -155,7 +155,7 @@ class Bus:
     def overhear(self, identity: int, instruction: int, parameters: bytes = b"", *, listen_s: float) -> bytes:
         """Everything that comes over the line after one request, whoever sends it, until nothing came for `listen_s`.
 
-        For what answers of one servo cannot tell: whether two answer to one id. What lies on this computer when the
+        It tells whether two servos answer to one id. What lies on this computer when the
         time is over is heard, however long it was held up meanwhile. A line that never falls silent is listened to
         for `BABBLE_S` more at most.
         """

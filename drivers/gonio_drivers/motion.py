@@ -33,7 +33,7 @@ STARTING_S = 0.06
 CORRECTIONS = 4
 LARGEST_CORRECTION_DEG = 2.0
 SURE = 2.0
-"""In standard uncertainties of the mean: a place is known where so many lie within the tolerance, or where it lies so
+"""Standard uncertainties of the mean: a place counts as known where as many fit into the tolerance, or where it lies as
 many beyond it."""
 POLL_S = 0.020
 GRACE_S = 3.0

@@ -124,8 +124,8 @@ def expected_straight_level_per_s(description: RigDescription) -> float:
 def contradiction(camera: Camera, frame: Frame) -> str:
     """What a frame says of itself that cannot be, or that the rig file contradicts; "" where there is nothing.
 
-    A lower white level of as many bits is a maker's own (a converter that saturates early). A black level matters for
-    the level of a frame alone: dark signals are measured.
+    A lower white level of as many bits is a maker's own (a converter that saturates early). A black level sets
+    only the level of a frame in metering: the reduction measures dark signals.
     """
     if not (isinstance(frame.exposure_s, Real) and 0.0 < frame.exposure_s < math.inf):
         return f"has exposure_s = {frame.exposure_s!r}: seconds above 0 are needed"

@@ -56,7 +56,7 @@ class Store:
         """What brings the files that were staged before to the disk, while more are."""
         self._settling.set_result(None)
         self.at_once = False
-        """Whether frames are written where they are put: a camera that takes no time gains nothing by the thread."""
+        """Whether `put` writes frames itself: with a camera that takes no time a thread saves none."""
         self.waited_s = 0.0
         """How long `put` has waited for the disk."""
 

@@ -192,7 +192,7 @@ JITTER = 0.1
 RESERVE = 2_000_000
 """Bytes that are left on the disk for the journal and the end of a run."""
 ROOM_UNATTENDED_S, ROOM_ATTENDED_S = 60.0, 1800.0
-"""How long a run waits for room on the disk before it ends: nobody frees any where nobody is told."""
+"""How long a run waits for room on the disk before it ends: without a person at the terminal, and with one."""
 LINE, LINE_OF_FRAME, HEAD = 1000, 400, 2500
 """Bytes of a step's line in the journal, of what it says of a frame, and of what stands in a frame's file before its
 pixels."""

@@ -100,7 +100,7 @@ class _Taken:
     seconds: Mapping[str, float]
     """By part of `gonio.acquisition.duration.Parts`; or the whole step, by its kind."""
     expected: Mapping[str, float] | None = None
-    """The same by the rig file, once it was worked out."""
+    """The same as the rig file has it; None until it is worked out."""
 
 
 class Remaining:

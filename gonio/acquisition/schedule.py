@@ -15,7 +15,7 @@ from gonio.rig.motion_planning import Blocked, require_free
 from gonio.typing import JsonObject
 
 EXPECTED_ALBEDO = 0.5
-"""What estimates take the sample for where nobody knows better: its reflectance factor, pi times its BRDF."""
+"""Reflectance factor (pi times the BRDF) that estimates take for a sample of which nothing is known."""
 
 
 def reference_pose(description: RigDescription) -> Pose:

@@ -34,7 +34,7 @@ PACE_STEPS = 64
 FAST_STEP_S = 0.01
 """The last `PACE_STEPS` steps took less each: then steps are synced together."""
 TOGETHER_S = 0.2
-"""For so long at most, and then while as many more are taken."""
+"""Longest time between two syncs of a fast run, whose steps are synced together."""
 MOVED_STEPS = 2.5
 """An axis has moved where its readbacks before and after the frames differ by more steps: encoders flicker by one."""
 MOVED_DEG = 0.01
@@ -166,7 +166,7 @@ class _Session:
         faults, self._step = 0, step.index
         while True:
             before_s, resumed, lit = self._last_s, self._resumed, self._lit
-            if self._rig.repeatable:  # a step that is taken again begins with the frame that it began with
+            if self._rig.repeatable:  # a repetition gives the same frame once more, which is no fault of the camera
                 self._picture = None, -1
             try:
                 self._rig.begin(step)

@@ -224,7 +224,7 @@ def consistent(marks: Fiducials, numbers: Ints, pixels: Floats) -> tuple[Ints, F
 
 
 def _off_plane(marks: Fiducials, plane: Any, numbers: Ints, pixels: Floats) -> Floats:
-    """Corners less where a plane has them, less what all are shifted outward from their own markers' middles: ink."""
+    """Corners less their places on a plane, and less the mean shift outward from their markers that ink makes."""
     import cv2
 
     there = cv2.perspectiveTransform(corners_mm(marks).reshape(1, -1, 2), plane)[0]

@@ -39,7 +39,7 @@ LEAST_HARMONIC_DEG = 0.02
 """What is expected of an encoder's errors where none are seen."""
 LEARNING_STEPS = 200
 LEARNT = 0.1
-"""Of the logarithm of an expected variance: a change below it moves no number by a tenth of what it is uncertain."""
+"""Change of the logarithm of an expected variance below which no number moves by a tenth of its uncertainty."""
 MOST_STEPS = 15
 CLOSED = 0.03
 """Of the last step, in standard deviations."""

@@ -3,7 +3,7 @@
 Two frames of one setting differ by temporal noise alone: sigma^2 = mean((a - b)^2)/2 - (mean(a) - mean(b))^2/2. Above
 the dark frames' it grows with the mean as K, the gain [DN/e-]. Sections named here are those of the standard.
 
-Dark current, DSNU, PRNU and defects: what dark and flat frames say of single pixels (EMVA 1288, 8 and 9).
+Dark current, DSNU, PRNU and defects come from dark and flat frames, pixel by pixel (sections 8 and 9).
 """
 
 import math
@@ -266,7 +266,7 @@ OUTLIER = 9.0
 FEWEST = 500
 """Pixels that tell single ones from a smooth course."""
 WORST, ROUNDS = 0.3, 20
-"""Of the largest scatter: what is above it goes first, for what is left out changes the course through what is kept."""
+"""Share of the largest scatter: what is above it is left out first. Then the smooth course is fitted again."""
 BOLTZMANN_EV = 8.617333262e-5
 """[eV/K], CODATA 2018."""
 

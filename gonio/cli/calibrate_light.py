@@ -243,8 +243,8 @@ def _beam(flats: Path, description: RigDescription, out: Path, found: _Found) ->
 def _by_zeros(description: RigDescription, table: pd.DataFrame, profile: Profile, found: _Found) -> Floats:
     """Covariance of the beam's numbers from zeros of the axes, which look like a tilt of the beam.
 
-    Where no calibration has measured a zero, the rig file's `zero_u_deg` counts. A tilt that is more than that and
-    noise may be the zero's all the same, and is uncertain by as much as it is.
+    Where no calibration has measured a zero, the rig file's `zero_u_deg` counts. A tilt that exceeds that and noise
+    may still come from a zero; its uncertainty is then its own size.
     """
     axes = [name for name in ("light", "camera", "tilt") if name in description.axes()]
     keys, measured = zero_keys(description), known_parameters(description)

@@ -3,9 +3,9 @@
 Three little-endian int32 (90, 90, 180: cells in theta_h, theta_d, phi_d), then the red, green and blue cubes as
 float64, to be multiplied by 1/1500, 1.15/1500 and 1.66/1500 for 1/sr. A cell stands for its centre: theta_h is
 90 ((i + 1/2)/90)^2 degrees (cells are narrow near the mirror), theta_d and phi_d are even over 90 and 180 degrees.
-Cells in which either direction lies
-below the surface are no directions and are dropped; a negative value is what MERL writes where it has no data, and is
-flagged "not_measured". Each colour is a sample named "<file> red", "green", "blue"; their bands have no stated limits.
+Cells in which either direction lies below the surface are dropped. MERL writes a negative value where it has no data:
+it is flagged "not_measured". Each colour is a sample named "<file> red", "green", "blue"; their bands have no stated
+limits.
 There are neither uncertainties nor solid angles.
 """
 

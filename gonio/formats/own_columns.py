@@ -22,7 +22,7 @@ from gonio.formats.text import csv_of, csv_table
 from gonio.typing import Floats
 
 _KEYS = {name.removesuffix("_deg").removesuffix("_nm"): name for name in (*COLUMNS, "sample", "side")}
-"""What the pairs call the columns, whose units they state on the other side."""
+"""Names of columns in the pairs, without their units, and the table's names."""
 _WORDS = ("polarisation", "side", "sample", "flag")
 
 

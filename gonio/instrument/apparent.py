@@ -9,8 +9,6 @@ receiver's cone. A cone that crosses the horizon is cut there, and averages run 
 is a direction.
 
 `Cones` holds directions that many models are evaluated in; the functions do the same for one.
-
-What a receiver's cone gets of a specular spike that a source's cone sends; see `gonio.instrument.apparent`.
 """
 
 import functools

@@ -24,7 +24,7 @@ from gonio.typing import Floats, NDArray
 
 COLUMNS = 8
 SPARE = 0.5
-"""Around what the steps look at, the dark signal is kept for so much more: later poses look beside it."""
+"""Margin, as a share, around the pixels in use, in which the dark signal is kept for later poses."""
 
 
 @dataclass(frozen=True, slots=True)

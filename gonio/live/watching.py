@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
 
 POLL_S = 0.2
-"""The journal is looked at so often."""
+"""Time between two looks at the journal."""
 RAPID_S = 0.4
 """Time between two looks while each finds something: steps of a fast run take less work together than one by one."""
 LOOK_S = 1.0

@@ -39,7 +39,7 @@ TOLD_S = 1.0
 PICTURE_S = 2.0
 """Least time between two frames that are made pictures."""
 POLL_S = 0.3
-"""The journal is looked at so often."""
+"""Time between two looks at the journal."""
 TURN_S = 20.0
 """Longest wait for its turn: another user's process may stand still."""
 SHOWN = 6

@@ -281,12 +281,12 @@ class Batched:
     grid: tuple[tuple[str, tuple[float, ...]], ...]
     """Starts: every combination; the last one is the width whose valleys are told apart."""
     every: int = 1
-    """Every how manieth value is used to find where to start."""
+    """Step through the values that starts are found from: 4 takes every fourth."""
     own: Callable[[float], tuple[float, ...]] = lambda wavelength_nm: ()
     """Numbers behind the parameters, for a wavelength [nm]."""
     bend: tuple[Callable[..., Any], Kernel, int] | None = None
-    """Parameters and which of them -> base, constants, and whether the derivative is known; what with so many constants
-    is d ln(f - base), or d f where base < 0. Others are taken by differences."""
+    """Parameters and which of them -> base, constants, and whether the derivative is known; a kernel with that
+    number of constants gives d ln(f - base), or d f where base < 0. Others are taken by differences."""
     fold: tuple[Kernel, Kernel] | None = None
     """For a known index: what takes the second column's place, of columns and Fresnel's constants; and the kernel."""
 

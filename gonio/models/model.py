@@ -314,7 +314,7 @@ class Model(ABC):
 
     @property
     def has_spike(self) -> bool:
-        """Whether the model has a specular spike: whether its class says something of its own about it."""
+        """Whether the model has a specular spike: whether its class overrides what says that there is none."""
         own = type(self)
         return own._spike is not Model._spike or own.specular_reflectivity is not Model.specular_reflectivity
 

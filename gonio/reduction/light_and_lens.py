@@ -1,4 +1,4 @@
-"""What profile, polarisation and spectrum of the light add to the budget; nothing where nobody has told of them.
+"""What profile, polarisation and spectrum of the light add to the budget; nothing where the rig file has none of them.
 
 Derived in docs/calibrate_light.md. None of these effects is corrected here (the beam's profile is, in
 `gonio.rig.imaging`): each is a signed column, the change of the BRDF for one standard deviation of its cause.

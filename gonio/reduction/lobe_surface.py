@@ -47,7 +47,7 @@ DIRECTED = 6.0
 LOWEST = 0.02
 """Cosines below this are taken for it: logarithms have no end there."""
 SCATTER, DIRECTION = 6, 7
-"""Places among the sizes and lengths of what readings scatter, and of the part with a direction."""
+"""Indices among the sizes and lengths: the scatter of readings, and the part with a direction."""
 HALF, DIFFERENCE, SOURCE, DETECTOR, TILTED, TURNED = range(6)
 """Coordinates: theta_h, cos theta_d, cos theta_i, cos theta_r, sin^2 theta_h, and the half vector's azimuth."""
 

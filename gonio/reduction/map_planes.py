@@ -358,7 +358,7 @@ def _box_mean(values: Floats, side: int) -> Floats:
 
 
 def _beside(levels: Floats) -> Floats:
-    """The mean of the neighbours of each pixel in each frame, without itself: its own noise chooses nothing."""
+    """The mean of the neighbours of each pixel in each frame; without itself, whose noise must not choose."""
     count = (2 * BESIDE + 1) ** 2
     return np.asarray((_box_mean(levels, 2 * BESIDE + 1) * count - levels) / (count - 1))
 

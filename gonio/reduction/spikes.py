@@ -1,14 +1,11 @@
 """Specular spikes in measured values: how high they stand, and what errors of the angles make of them.
 
-A spike's shape is known. Its amplitude at full overlap is estimated for every angle
-of incidence from all of its points, in the plane of incidence and out of it, together with the height of the lobe
-below. Where these points do not tell, neighbouring angles of incidence do; where those do not either, the amplitude is
-only bounded, and the bound is an uncertainty.
+A point sees the share of a spike's amplitude by which the lamp's mirror image overlaps the lens. This overlap is
+averaged over the patch that is read, and over the directions that errors of the angles allow.
 
-What a point sees of a specular spike: the overlap of the lamp's mirror image with the lens.
-
-The overlap is a part of the spike's amplitude. It is averaged over the patch that is read, and over what the errors of
-the angles make of the directions.
+The amplitude at full overlap is estimated for every angle of incidence from all of its points, in the plane of
+incidence and out of it, together with the height of the lobe below. Where these points do not tell it, neighbouring
+angles of incidence do. Where those do not either, the amplitude is only bounded, and the bound is an uncertainty.
 """
 
 import math
@@ -81,7 +78,7 @@ class OverlapFraction:
 
     @property
     def with_rare(self) -> float:
-        """The variance, but no less than what the largest errors take away, over `FAR`, squared.
+        """The variance, but at least the square of what the largest errors take away, over `FAR`.
 
         A top that is flat for small errors falls for rare ones, of which the mean square knows nothing.
         """
@@ -149,7 +146,7 @@ TELLS = 9.0
 SURELY = 25.0
 """Below this sum they tell it roughly: its uncertainty is the largest amplitude that the values allow."""
 SEEN = 2.5
-"""At an edge rare errors are large. A departure from lobe and spike that they explain is made at most so many sigma."""
+"""At an edge rare errors are large. A departure from the model that they explain is at most this many sigma."""
 SHAPE = 0.03
 """Relative error of the lobe's shape under a spike, point by point; less where the lobe is known to less than a third
 of this."""
@@ -224,7 +221,7 @@ class _Fit:
     """Standard uncertainty of the amplitude from zeros, which all points share."""
     told: bool
     most: float
-    """No amplitude above this one goes with the values [1/sr]."""
+    """The largest amplitude that the values allow [1/sr]."""
     stands_out: bool
 
 

@@ -8,9 +8,9 @@ the half vector's coordinates: its polar angle theta_h and its azimuth phi_h fro
 - Out of it, brdf cos(theta_r) is that of the two in-plane directions of the same theta_h, weighted by
   (1 +- cos phi_h)/2: a straight line in the cosine of theta_d between them. A Lambertian surface stays one, and so does
   a microfacet lobe D(theta_h) F(theta_d) with F linear in that cosine.
-- Where one of the two directions was not measured (it lies at the horizon, or below), values follow the other, and
-  what sets them apart dies away over 10 degrees of theta_h.
-- Where there are values out of plane, what they are above or below that is interpolated linearly between them.
+- Where one of the two in-plane directions was not measured (it lies at the horizon, or below), values follow the other.
+  The difference of the two dies away over 10 degrees of theta_h.
+- Where there are values out of plane, their departures from these rules are interpolated linearly.
 - Between angles of incidence brdf cos(theta_i) cos(theta_r) is linear at the same half vector. Beyond the first and the
   last: the nearest slice.
 

@@ -18,7 +18,7 @@ DEEPEST = 256
 STEPS = 64
 """Of the search for the two closest points; a box against a box takes fewer than ten."""
 SOON, DOWNHILL = 300, 40
-"""Boxes after which bodies are brought together downhill, in so many steps."""
+"""Boxes after which the smallest distance of the bodies is looked for downhill, and the steps of that."""
 SAME = 1e-12
 """Relative: closer than this to the smallest distance is it."""
 FLAT = 1e-9

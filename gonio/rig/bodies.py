@@ -15,7 +15,7 @@ CARRIERS = ("bench", "light", "camera", "tilt", "spin")
 FINEST_MM = 0.25
 """Gaps smaller than this beyond the clearance are none."""
 PLANNED_MM = FINEST_MM
-"""Beyond the clearance, where a run is planned: a way with so much to spare is proved free by any finer look at it."""
+"""Room beyond the clearance in a run's plan: a way that has it is proved free by any finer look at it, too."""
 
 Vector = tuple[float, float, float]
 

@@ -23,7 +23,7 @@ class ParameterUncertainty(Strict):
     correlation: list[list[Annotated[float, Field(ge=-1, le=1)]]]
     """One row for each of `parameters`."""
     misfit: NonNegative = 0.0
-    """Of a model that is not true: the relative standard deviation of measurements from it (docs/misfit.md)."""
+    """Of a model with a misfit: the relative standard deviation of measurements from it (docs/misfit.md)."""
 
     @classmethod
     def of(cls, parameters: list[str], covariance: Floats) -> "ParameterUncertainty":

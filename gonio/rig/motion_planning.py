@@ -45,7 +45,7 @@ Angles = tuple[float, float, float, float, float]
 LANDING = math.radians(0.2)
 """How far beyond the ends of its way an axis may stand, by the tolerance of a landing."""
 SKIN_MM = 0.1
-"""Bodies that are flush with the sample's surface, within so much, do not stand in its light."""
+"""Bodies within this distance of the sample's surface count as flush with it, and not as in its light."""
 RIM = 12
 """Corners of what stands for the disc of a lamp, of a lens, or of what is measured of the sample."""
 MOST_BOXES = 20_000

@@ -135,7 +135,7 @@ def tristimulus(scene: Scene, radiance: Floats) -> tuple[Floats, str | None]:
         light.spectrum if isinstance(light.spectrum, str) else light.spectrum is None for light in scene.tables.light
     }
     first, last = np.flatnonzero(visible)[[0, -1]]
-    within = slice(first, last + 1)  # a view: radiances of many wavelengths are most of what a picture takes
+    within = slice(first, last + 1)  # a slice, since it copies none of the radiances, which are large
     seen, nm = radiance[..., within], waves[within]
     if len(shared) == 1 and (name := shared.pop()) is not False:
         illuminant = "E" if name is True else str(name)

@@ -27,7 +27,7 @@ HAZE_SLACK_GU = 0.1
 """Beyond the upper one, besides what is not known: quadratures give a smooth glass a hundredth more or less."""
 UNVERIFIED = "through apertures of 0.4° by 3° and a source of 0.44° by 5°, which could not be verified"
 FLOP_STEP = 0.5
-"""Of L*: the slope of the flop index is taken over so much. At equal lightnesses its tangent is level, and says that
+"""Step of L* over which the slope of the flop index is taken. At equal lightnesses its tangent is level, and says that
 lightnesses have no part in it."""
 DARKEST_L = 1.0
 """L* that a flop index is divided by."""

@@ -38,7 +38,7 @@ AZIMUTH = "The model depends on the sample's azimuth: the source stands at phi_i
 FEWER = 3
 """Of the directions that stand for the light over a hemisphere every third is taken: all incidences come together."""
 SHARE_OF_U = 0.1
-"""Of a standard uncertainty: slopes of a model's quantities are taken over so much. They are straight over it, and its
+"""Share of a standard uncertainty: slopes of a model's quantities are taken over it. They are straight there, and its
 effect is far above the error of the quadratures wherever the uncertainty is."""
 LEAST_VARIANCE = 1e-10
 """Eigenvalue of a correlation below which parameters determine each other: a sample file's has twelve decimals."""
@@ -123,7 +123,7 @@ def of_fits(parts: Sequence[tuple[float, FitResult]], *, name: str, source: str 
 
 
 def _mean(weights: Floats, each: Sequence[Any]) -> Any:
-    """Of quantities, or of records and lists of them."""
+    """The weighted mean of quantities, or of records and lists of them."""
     first = each[0]
     if isinstance(first, Quantity):
         for one in each:

@@ -46,7 +46,7 @@ Normalise = Literal["mirror", "max", "model"]
 
 MOST_CURVES = 6
 DARK_MIRROR = 2.5
-"""A curve that reaches so many times its mirror value is not divided by it if it peaks on the retro side, or if that
+"""A curve that reaches this many times its mirror value is not divided by it if it peaks on the retro side, or if that
 value is below the median too: an off-specular peak beyond a bright mirror direction is neither."""
 
 

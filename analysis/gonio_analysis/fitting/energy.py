@@ -28,10 +28,9 @@ def too_much(found: Sequence[Reflectance]) -> bool:
 def of_model(result: FitResult) -> list[Reflectance]:
     """rho_dh of a fitted model at `rho_angles`, with its standard uncertainty.
 
-    Of a model that is not rejected that is the fit's covariance. Of one with a misfit (docs/misfit.md) it is what the
-    misfit adds up to over the hemisphere: what the residuals say of it, and what they leave open. The parameters count
-    as far as no value near by tells the misfit.
-    Empty for a fit of several wavelengths together, which has a model for each.
+    For a model that is not rejected it comes from the fit's covariance. For one with a misfit (docs/misfit.md) it is
+    the integral of the misfit: what the residuals say of it, and what they leave open. The parameters count as
+    far as no value near by tells the misfit. Empty for a fit of several wavelengths together, which has a model for each.
     """
     if isinstance(result.model, ByWavelength):
         return []

@@ -129,7 +129,7 @@ TRIES = 14
 CLOSE = 0.02
 """An end is found where sqrt(rise of chi-square) is this close to what it has to be."""
 STEEP = 3.0
-"""Beyond so many times the threshold, or below that part of it, sqrt(rise) is no straight line to the end."""
+"""Farther from the threshold than this factor, up or down, sqrt(rise) is not taken as a straight line to the end."""
 BETTER = 0.1
 """A fall of chi-square by more than this on the way means that the solution was none."""
 

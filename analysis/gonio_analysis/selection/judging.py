@@ -179,8 +179,8 @@ TOLD_APART = 2.0
 DECISIVE = 10.0
 """Difference in AIC beyond which the worse model has essentially no support (Burnham and Anderson 2002, 2.6)."""
 MANY = 20_000
-"""Of more values than this, held-out errors take an even selection, and intervals are not walked out: with so many the
-standard errors are as good."""
+"""Of more values than this, held-out errors use an even selection, and there are no profile intervals: standard errors
+are as good then."""
 
 
 @dataclass(frozen=True)

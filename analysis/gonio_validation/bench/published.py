@@ -33,7 +33,7 @@ NUMBERS = {
 LISTS = {"Ngan": (1.0, 1.15, 1.66), "Low": (1.0, 1.0, 1.0)}
 """Factors of red, green and blue to BRDFs [1/sr]: Ngan's colours are in MERL's raw units."""
 WAVELENGTH_UM, LARGE_G = 0.55, 18.0
-"""Where g is stated, and above which the series in it has become the lobe of facets with m = 2 sigma/tau."""
+"""Wavelength at which g is stated; and the g above which the series is the lobe of facets with m = 2 sigma/tau."""
 
 
 @dataclass(frozen=True)
