@@ -30,7 +30,7 @@ def of_model(result: FitResult) -> list[Reflectance]:
 
     For a model that is not rejected it comes from the fit's covariance. For one with a misfit (docs/misfit.md) it is
     the integral of the misfit: what the residuals say of it, and what they leave open. The parameters count as
-    far as no value near by tells the misfit. Empty for a fit of several wavelengths together, which has a model for each.
+    far as no value near by tells the misfit. Empty for a fit of several wavelengths together.
     """
     if isinstance(result.model, ByWavelength):
         return []
