@@ -250,6 +250,10 @@ def test_a_file_that_holds_no_scans_is_refused(tmp_path: Path) -> None:
         alignment.read(tmp_path / "absent.csv")
     with pytest.raises(DataError, match="the column scan is missing"):
         alignment.read(tmp_path / "no.csv")
+    for holder, axis in (("clamp", "light"), ("mirror", "spin")):
+        table = pd.DataFrame({name: [1.0] for name in COLUMNS}).assign(holder=holder, axis=axis)
+        with pytest.raises(DataError, match=f'holder = "{holder}", axis = "{axis}": no such scan of this rig'):
+            align(table, describe())
 
 
 # ---- Scans on a bench of numbers: arms land where they are sent, and frames are as bright as the lamp looks

@@ -16,10 +16,11 @@ from gonio.by_hand.manual_rig import ManualRig
 from gonio.cli.signals import undisturbed
 from gonio.disk import write_whole
 from gonio.errors import ConfigError, DataError
-from gonio.rig import Health, Pose, Reading
-from gonio.rig.description import SampleDescription
+from gonio.rig import Health, Pose, Reading, motion_planning
+from gonio.rig.description import ArmAxis, Arms, SampleDescription
 from tests.command_line import gonio as run
 from tests.gonio.numpy_rig import NumpyRig, describe
+from tests.gonio.rig.test_motion_planning import RIG, deg
 
 MATT = SampleDescription(name="matt", model="lambert", parameters={"albedo": 0.5})
 
@@ -101,6 +102,24 @@ def test_a_strangers_rig_is_worked_on_by_the_protocols_alone(tmp_path: Path) -> 
         manual.lamp(True)
         assert manual.snap(tmp_path / "a.png", exposure_s=0.01).patch is not None
         manual.lamp(False)
+
+
+def test_a_way_around_another_body_is_driven_in_legs_of_the_axes_that_move() -> None:
+    start, goals = deg(-60.0, -20.0), {"light": math.radians(10.0), "camera": math.radians(50.0)}
+    rig = NumpyRig(RIG, pose=start)
+    assert motion_planning.route(RIG, start, deg(10.0, 50.0)) == [deg(-60.0, 50.0), deg(10.0, 50.0)]
+    assert ManualRig(rig)._legs(goals) == [{"camera": goals["camera"]}, goals]
+    assert ManualRig(NumpyRig(describe(), pose=start))._legs(goals) == [goals]
+
+
+@pytest.mark.parametrize(("apart_deg", "told"), [(0.21, False), (0.23, True)])
+def test_readings_at_rest_that_lie_apart_by_some_steps_are_told(
+    caplog: pytest.LogCaptureFixture, apart_deg: float, told: bool
+) -> None:
+    rig = NumpyRig(describe(arms=Arms(light=ArmAxis(limits_deg=(-89.0, 89.0), encoder_step_deg=0.088))))
+    rig.spread = Pose(light=math.radians(apart_deg))  # type: ignore[attr-defined]
+    ManualRig(rig).move(light=0.3)
+    assert [f"{apart_deg} deg apart" in message for message in caplog.messages] == [True] * told
 
 
 def test_reading_a_simulated_rig_opens_nothing() -> None:

@@ -1,5 +1,6 @@
 """The wizard of rig files, with a driver that finds what the test says."""
 
+import math
 import tomllib
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -67,6 +68,9 @@ def test_what_is_found_is_written_with_the_comments_of_the_form() -> None:
     assert tables["holder"]["axes"] == ["spin"]
     assert "changer" not in tables["devices"]["servos"]
     assert tables["reference"]["how"] == "swap"
+    # of discs of 17.5 mm that are 800 and 900 mm away, in ten-thousandths of a degree
+    assert tables["lamp"]["half_angle_deg"] == pytest.approx(math.degrees(math.atan2(8.75, 800)), abs=5.1e-5)
+    assert tables["camera"]["lens_half_angle_deg"] == pytest.approx(math.degrees(math.atan2(8.75, 900)), abs=5.1e-5)
     assert tables["arms"]["light"]["zero_offset_known"] is False
     without = [line for line in text.splitlines() if " = " in line and "#" not in line]
     assert len(without) < 12, without  # those that are explained where they stand the first time
