@@ -56,6 +56,14 @@ def test_corners_are_where_the_markers_are(description: RigDescription, camera: 
     assert scatter < 0.3
 
 
+def test_raw_values_are_grey_between_their_darkest_and_brightest_thousandth() -> None:
+    picture = np.repeat([1000, 1510, 1765, 2020], [2000, 500, 500, 2000]).reshape(50, 100)
+    picture[0, 0], picture[-1, -1] = 0, 4095
+    grey = intrinsics.stretched(picture.astype(np.uint16))
+    assert np.unique(grey).tolist() == [0, 127, 191, 255]  # 1020 DN are 255 steps; a cold and a hot pixel are beyond
+    assert intrinsics.stretched(grey) is grey
+
+
 def test_a_spoiled_corner_is_left_out() -> None:
     marks = Fiducials()
     flat = corners_mm(marks).reshape(-1, 2)

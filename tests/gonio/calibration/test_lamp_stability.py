@@ -1,6 +1,7 @@
 """Warm-up, drift and noise of a lamp: recovered with honest uncertainties, refused where the model does not hold."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -68,6 +69,20 @@ def test_a_warm_lamp_has_a_drift_alone(first_s: float) -> None:
     assert set(values) == {"noise", "warm_up_s", "drift_per_hour"}
     assert names == ["noise", "drift_per_hour"]
     assert covariance[1, 1] == pytest.approx(3600.0**2 * found.covariance[3, 3])
+
+
+def test_a_lamp_that_gains_a_tenth_an_hour_is_warming_up() -> None:
+    """Beyond three standard uncertainties: 0.1 + 3 * 0.02."""
+    t = times(1800.0)
+    warm = lamp_stability.fit(t, noisy(t, 3, level(t, loss=0.0)), SHOT * level(t))
+    covariance = np.diag([0.0, 0.0, 0.0, (0.02 / 3600.0) ** 2])
+    replace(warm, drift_per_s=0.159 / 3600.0, covariance=covariance).require_model()
+    with pytest.raises(DataError, match="gains 16 % an hour"):
+        replace(warm, drift_per_s=0.161 / 3600.0, covariance=covariance).require_model()
+    waits = replace(warm, loss=-0.08, time_constant_s=420.0, covariance=np.diag([0.0, 0.004, 30.0, 0.0]) ** 2)
+    wait = 420.0 * math.log(0.08 / lamp_stability.SETTLED)
+    # by tau it changes as wait / tau, by the loss as tau / loss
+    assert waits.warm_up_s == pytest.approx(wait + 2.0 * math.hypot(30.0 * wait / 420.0, 0.004 * 420.0 / 0.08))
 
 
 def test_shot_noise_is_not_the_lamp_s() -> None:

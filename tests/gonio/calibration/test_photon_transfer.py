@@ -209,3 +209,11 @@ def test_rims_and_marks_are_no_uneven_pixels(radius_px: float, blur_px: float) -
             assert float(np.std(ratio[region])) == pytest.approx(
                 PRNU, rel=0.15
             )  # local means of 1.5 times the variance
+
+
+def test_a_course_of_fourth_degree_is_found_whole() -> None:
+    row, col = np.indices((30, 40)) / 20.0
+    course = 3.0 + row - 0.5 * col + row * col**3 - 0.7 * row**2 * col**2 + 0.2 * row**4
+    where = row + col > 0.5
+    found = photon_transfer.trend(np.where(where, course, np.nan), where)
+    np.testing.assert_allclose(found, np.where(where, course, 1.0), rtol=1e-10)  # the fit's rounding
