@@ -20,7 +20,7 @@ from gonio.models._batch_algebra import (
 from gonio.models._batch_loops import LINEAR_BELOW, REAL, WHOLE, seen_from, taken
 from gonio.models._batch_misfit import errors, estimated_tau
 from gonio.models._batch_steps import DERIVE, SHADE, TAKE, by_differences, linearised, normal, shaded
-from gonio.models._compile import sources
+from gonio.models._compile import fingerprint
 
 GRAM, GRAM_OF_LOGARITHMS, TAU, ERRORS = range(4)
 """What is worked out: sums of products, with a misfit on the scale of logarithms or without; the misfit; the errors."""
@@ -124,5 +124,5 @@ RESULT = types.int64(
 @functools.cache
 def engine():  # type: ignore[no-untyped-def]
     """`examine`, compiled."""
-    examine.__name__ = examine.__qualname__ = f"examine_{sources(__file__)}"
+    examine.__name__ = examine.__qualname__ = f"examine_{fingerprint(examine)}"
     return njit(*RESULT.args, **OPTIONS)(examine)

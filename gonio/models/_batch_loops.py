@@ -16,7 +16,7 @@ from gonio.models._batch_algebra import OPTIONS, copied, inverted, moments, slop
 from gonio.models._batch_misfit import nearest
 from gonio.models._batch_models import FREE_BASE, FREE_LEVELS, FREE_LOBE
 from gonio.models._batch_steps import DERIVE, LEVELS, SHADE, TAKE, UNIT, by_differences, minimised, room_for
-from gonio.models._compile import sources
+from gonio.models._compile import fingerprint
 
 FAR_VALLEY = 100.0
 """The second valley counts where its chi-square is at most this many times that of the first, plus this number."""
@@ -292,5 +292,5 @@ def fit_pixels(  # type: ignore[no-untyped-def]
 @functools.cache
 def engine():  # type: ignore[no-untyped-def]
     """`fit_pixels`, compiled: half a minute where it is not on the disk."""
-    fit_pixels.__name__ = fit_pixels.__qualname__ = f"fit_pixels_{sources(__file__)}"
+    fit_pixels.__name__ = fit_pixels.__qualname__ = f"fit_pixels_{fingerprint(fit_pixels)}"
     return njit(*RESULT.args, **OPTIONS)(fit_pixels)

@@ -10,8 +10,10 @@ import hashlib
 import threading
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from types import FunctionType
+from types import CodeType, FunctionType, ModuleType
 from typing import Any, Final, TypeVar, cast
+
+import numpy as np
 
 F = TypeVar("F", bound=Callable[..., Any])
 Others = tuple[tuple[Callable[..., Any], Callable[..., Any]], ...]
@@ -111,13 +113,76 @@ def _clone(
     return _copy(function, called)
 
 
-@functools.cache
-def sources(kernel_file: str) -> str:
-    """A fingerprint of the models' and the kernel's source files: numba's cache watches only the file of the loop."""
+def fingerprint(*parts: Any) -> str:
+    """Of functions and of all that their code refers to, for numba's cache watches only the file of the outermost one.
+
+    Lines, comments and docstrings do not count. What cannot be told by itself counts with all files of this folder.
+    """
     digest = hashlib.sha256()
-    for path in sorted({*Path(__file__).parent.glob("*.py"), Path(kernel_file)}):  # plain/ is not compiled
-        digest.update(path.read_bytes())
+    seen: dict[int, tuple[int, Any]] = {}
+
+    def add(part: Any) -> None:
+        digest.update(f"{type(part).__name__} ".encode())
+        if id(part) in seen:
+            digest.update(str(seen[id(part)][0]).encode())
+        elif isinstance(part, (FunctionType, CodeType)) or hasattr(part, "py_func"):
+            seen[id(part)] = len(seen), part  # held, so that no other one gets its number
+            of_code(part)
+        elif getattr(part, "__table__", False):
+            add(part())
+        elif isinstance(part, np.ndarray):
+            digest.update(f"{part.dtype}{part.shape}".encode() + part.tobytes())
+        elif isinstance(part, (tuple, list)):
+            for each in (len(part), *part):
+                add(each)
+        elif isinstance(part, (set, frozenset)):
+            add(sorted(map(str, part)))
+        elif isinstance(part, (int, float, complex, str, bytes, np.generic, type(None))):
+            digest.update(repr(part).encode())
+        elif (isinstance(part, ModuleType) and not part.__name__.startswith("gonio")) or _of_numpy(part):
+            digest.update(getattr(part, "__name__", str(part)).encode())
+        else:
+            for path in sorted(Path(__file__).parent.glob("*.py")):
+                digest.update(path.read_bytes())
+
+    def of_code(part: Any) -> None:
+        if hasattr(part, "py_func"):
+            for name, value in sorted(part.targetoptions.items()):
+                add((name, value if isinstance(value, set) else str(value)))
+            add(part.py_func)
+        elif isinstance(part, FunctionType):
+            code = part.__code__
+            told = code.co_consts[1:] if code.co_consts[:1] == (part.__doc__,) else code.co_consts
+            add((code.co_code, told, part.__defaults__, [cell.cell_contents for cell in part.__closure__ or ()]))
+            for name in _names(code):
+                add((name, part.__globals__.get(name)))
+        else:
+            add((part.co_code, part.co_consts, part.co_names))
+
+    for part in (*_made_by(), *parts):
+        add(part)
     return digest.hexdigest()[:16]
+
+
+@functools.cache
+def _made_by() -> tuple[bytes, ...]:
+    """What makes machine code of functions."""
+    here = Path(__file__)
+    return tuple(
+        path.read_bytes() for path in (here, here.with_name("_vector_width.py"), here.parents[1] / "compiled.py")
+    )
+
+
+def _names(code: CodeType) -> list[str]:
+    """Names that code looks up, that within it included."""
+    inner = [name for part in code.co_consts if isinstance(part, CodeType) for name in _names(part)]
+    return [*code.co_names, *inner]
+
+
+def _of_numpy(part: Any) -> bool:
+    """Whether it belongs to Python, numpy or numba, and is told by its name."""
+    of = getattr(part, "__module__", None) or type(part).__module__
+    return of.partition(".")[0] in ("builtins", "math", "numpy", "numba")
 
 
 @functools.cache
@@ -198,7 +263,7 @@ def _loop(function: Callable[..., Any], kernel: Callable[..., Any], size: int, i
         whole = _clone(_of_directions, parts, kernel.__dict__.get("others", ()), in_single)
         names = {"kernel": numba.njit(forceinline=True, **options)(whole)}
     plain = _clone(function, names, function.__dict__.get("others", ()), in_single)
-    made_of = sources(kernel.__code__.co_filename) + ("" if whole_vectors() else "_stock")
+    made_of = fingerprint(plain, function.__dict__["__side_by_side__"]) + ("" if whole_vectors() else "_stock")
     plain.__name__ = f"{function.__name__}_{real}_{kernel.__module__.rsplit('.', 1)[-1]}_{kernel.__name__}_{made_of}"
     plain.__qualname__ = plain.__name__
     return njit(*signature, nogil=True, **options)(plain)

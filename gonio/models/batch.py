@@ -19,7 +19,7 @@ import numpy.typing as npt
 from gonio.errors import ConfigError
 from gonio.models import _loops, engine
 from gonio.models._batch_models import MODELS, ROUGH_TIER, Batched, fresnel_terms, without_absorption
-from gonio.models._compile import jit, loop, sources
+from gonio.models._compile import fingerprint, jit, loop
 from gonio.models.engine import Kernel
 from gonio.typing import Floats
 
@@ -305,12 +305,12 @@ def _compiled(name: str, absorbs: bool, folded: bool) -> tuple[Any, ...]:
         levels_of(theta, level, base)
         return 0
 
-    made, suffix = [], f"{name.replace('-', '_')}_{'nk' if absorbs else 'n'}{folded:d}_{sources(__file__)}"
+    made, suffix = [], f"{name.replace('-', '_')}_{'nk' if absorbs else 'n'}{folded:d}"
     for function, signature in (
         (take, types.TAKE), (shade, types.SHADE), (_derivative(model, count), types.DERIVE), (unit, types.UNIT),
         (levels, types.LEVELS),
     ):  # fmt: skip
-        function.__name__ = function.__qualname__ = f"{function.__name__}_{suffix}"
+        function.__name__ = function.__qualname__ = f"{function.__name__}_{suffix}_{fingerprint(function)}"
         lean = function is not take and "columns" in kernel.__dict__  # what makes no arrays
         made.append(njit(*signature.args, nogil=True, error_model="numpy", **counting(not lean))(function))
     return (*made, count)
