@@ -118,7 +118,7 @@ class Overlaps:
         return out
 
     def _of_cut(self, model: Model, index: int, wavelength_nm: float) -> float:
-        """A geometry in which the horizon cuts a cap: the overlap as a sum over the receiver's, to 4e-3 of it."""
+        """A geometry in which the horizon cuts a cap: the overlap summed over the receiver's, to 4e-3 of the whole."""
         omega_i, omega_r, source, receiver = self._omega_i[index], self._omega_r[index], self._source, self._receiver
         s, s_weight = cap_nodes(omega_i, source, CUT_ORDERS[-1])
         r, r_weight = (
