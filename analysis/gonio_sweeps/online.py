@@ -17,7 +17,7 @@ from gonio.acquisition.run import Run
 from gonio.geometry import Directions
 from gonio.reduction.count_rates import RunFrames
 from gonio.reduction.growing import so_far
-from gonio.reduction.rates import Reduced, Rejected
+from gonio.reduction.step_rates import Reduced, Rejected
 from gonio.reduction.threads import in_threads
 from gonio.rig import Pose
 from gonio.rig.light_and_camera import Band

@@ -9,12 +9,12 @@ import logging
 from collections.abc import Iterator, Sequence
 
 from gonio import __version__
-from gonio.acquisition.holding import Watch
 from gonio.acquisition.progress import Progress, Stop
 from gonio.acquisition.run import Run
 from gonio.acquisition.sampling import Sampler, keepable
 from gonio.acquisition.schedule import Batch
 from gonio.acquisition.session import _Numbers, _Session, log
+from gonio.acquisition.waits import Watch
 from gonio.errors import DeviceError, Interrupted
 from gonio.rig import Rig, Step
 

@@ -19,7 +19,7 @@ from gonio.acquisition.schedule import going_on, reference_pose, schedule
 from gonio.config import Table, load, parse
 from gonio.errors import ConfigError, DeviceError, GonioError, Interrupted
 from gonio.rig import Pose, Rig, RigPlugin, Step, Target, kinematics, regions
-from gonio.rig.calibrated import with_calibrations
+from gonio.rig.calibration_files import with_calibrations
 from gonio.rig.description import Reference, RigDescription, SampleDescription
 from gonio.rig.motion_planning import Blocked, route
 
@@ -362,7 +362,7 @@ def _open(rig: RigChoice, out: Path, sample: SampleDescription | None, seed: int
 
 def _check_room(out: Path, rig: RigChoice, plan: Plan, steps: int, progress: Progress, yes: bool) -> None:
     """Raise `ConfigError` where the disk has no room for `steps` steps; with `yes` that is only said."""
-    from gonio.acquisition.holding import Bytes, free_bytes, size
+    from gonio.acquisition.waits import Bytes, free_bytes, size
 
     needed, free = Bytes(rig.description, len(plan.bands(rig.description))).of_run(steps), free_bytes(out)
     if needed <= free:

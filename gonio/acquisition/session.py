@@ -15,11 +15,11 @@ import numpy as np
 
 from gonio.acquisition import exposure
 from gonio.acquisition.frame_writer import Files, Store, slugs
-from gonio.acquisition.holding import Cause, Holding, Suspended, Watch, require
 from gonio.acquisition.progress import Live, Progress, Stop
 from gonio.acquisition.records import FrameFile, StepRecord
 from gonio.acquisition.repeats import REPEATED, cannot_be_alike
 from gonio.acquisition.run import Run
+from gonio.acquisition.waits import Cause, Holding, Suspended, Watch, require
 from gonio.errors import DeviceError, Disturbed, Interrupted, PassingFault
 from gonio.rig import Frame, Pose, Reading, Rig, Step, Target
 from gonio.rig.kinematics import View, left_its_side, view

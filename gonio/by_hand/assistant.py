@@ -20,9 +20,9 @@ import numpy as np
 
 from gonio.acquisition import exposure
 from gonio.by_hand.lamp_timer import DeadMansTimer, LampTimeOver
+from gonio.by_hand.live_view import Pictures, Sight, pictures
 from gonio.by_hand.manual_rig import ManualRig
 from gonio.by_hand.rig_file import read_zero, with_values, write_values
-from gonio.by_hand.sight import Pictures, Sight, pictures
 from gonio.disk import put
 from gonio.errors import ConfigError, DataError, DeviceError, Disturbed, EmergencyStop
 from gonio.rig import Frame, Pose, Target, regions

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gonio.acquisition import exposure
-from gonio.by_hand import looking
+from gonio.by_hand import frame_analysis
 from gonio.disk import put, put_picture
 from gonio.errors import ConfigError, DataError
 from gonio.rig import Frame, Pose, dng, kinematics, regions
@@ -52,24 +52,25 @@ class Snapshot:
 
     def _of(self, prefix: str, pixels: Array) -> dict[str, float]:
         full = exposure.full_scale_dn(self.camera, self.frame)
-        levels = looking.signal(self.camera, self.frame, pixels) / full
+        levels = frame_analysis.signal(self.camera, self.frame, pixels) / full
         return {
             f"{prefix}mean_dn": float(pixels.mean()),
             f"{prefix}median_dn": float(np.median(pixels)),
             f"{prefix}max_dn": float(pixels.max()),
             f"{prefix}brightest_level": float(levels.max()),
-            f"{prefix}saturated_fraction": float(looking.saturated(self.camera, self.frame, pixels).mean()),
+            f"{prefix}saturated_fraction": float(frame_analysis.saturated(self.camera, self.frame, pixels).mean()),
         }
 
     def remarks(self, *, lit: bool | None = None) -> list[str]:
         """What a person should know of the frame, in sentences; `lit`: whether the lamp shone, as far as is known."""
         said, frame = [], self.frame
-        noise_dn = looking.noise_of_one(frame)
-        if looking.is_black(self.camera, frame):
+        noise_dn = frame_analysis.noise_of_one(frame)
+        if frame_analysis.is_black(self.camera, frame):
             lamp = "the lamp is lit" if lit else "is the lamp dark" if lit is None else "the lamp is dark"
             said.append(f"the frame is black: no light stands out of its noise ({lamp}; is the lens cap on?)")
         if frame.white_level_dn < EIGHT_BITS:
-            top = int(np.min(frame.mosaic[looking.saturated(self.camera, frame)], initial=round(frame.white_level_dn)))
+            full = frame.mosaic[frame_analysis.saturated(self.camera, frame)]
+            top = int(np.min(full, initial=round(frame.white_level_dn)))
             said.append(
                 f"8 bits: a step is {100 / exposure.full_scale_dn(self.camera, frame):.2g} % of full scale; noise of a "
                 f"pixel {noise_dn:.2g} DN, {ROUNDING_DN:.2g} of it at least from rounding; "

@@ -14,7 +14,7 @@ from gonio.calibration.camera_passes import Passes
 from gonio.errors import DataError
 from gonio.reduction.stray_light import spread
 from gonio.rig import Pose
-from gonio.rig.calibrated import Calibration
+from gonio.rig.calibration_files import Calibration
 from gonio.rig.calibration_use import ParameterUncertainty
 from gonio.rig.description import RigDescription
 from gonio.rig.imaging import Channel

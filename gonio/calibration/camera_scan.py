@@ -23,7 +23,7 @@ from gonio.calibration.camera_frames import CONTRADICTS, CameraFrame, Kind, writ
 from gonio.disk import read_file, write_whole
 from gonio.errors import ConfigError, DataError, DeviceError
 from gonio.rig import Frame, Pose, dng, kinematics
-from gonio.rig.calibrated import covariance_of
+from gonio.rig.calibration_files import covariance_of
 from gonio.rig.imaging import pixel_map
 from gonio.rig.light_and_camera import Camera
 from gonio.rig.regions import require_raw

@@ -6,8 +6,8 @@ from collections.abc import Callable
 import numpy as np
 
 from gonio.acquisition import exposure
-from gonio.acquisition.holding import wait
 from gonio.acquisition.schedule import reference_pose
+from gonio.acquisition.waits import wait
 from gonio.by_hand.manual_rig import ManualRig
 from gonio.calibration import beam
 from gonio.calibration.lamp_stability import COLUMNS

@@ -197,7 +197,7 @@ def lamp(
 
 def _count_down(manual: ManualRig, end: float) -> None:
     """Wait for the end, and look at the lamp meanwhile, where its driver can."""
-    from gonio.acquisition.holding import wait
+    from gonio.acquisition.waits import wait
 
     terminal = sys.stderr.isatty()
     while (left := end - time.monotonic()) > 0:

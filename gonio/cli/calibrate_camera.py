@@ -13,7 +13,7 @@ from gonio.calibration.camera_scan import Scan
 from gonio.cli import console, opened
 from gonio.disk import put_picture
 from gonio.errors import ConfigError
-from gonio.rig.calibrated import read_calibration, write_calibration
+from gonio.rig.calibration_files import read_calibration, write_calibration
 from gonio.rig.description import RigDescription
 from gonio.rig.light_and_camera import Camera
 from gonio.shown import apart

@@ -21,7 +21,7 @@ from gonio.config import numbers_in
 from gonio.disk import put_picture
 from gonio.errors import ConfigError, DataError, os_error_as
 from gonio.rig import Device, Step
-from gonio.rig.calibrated import Calibration, with_keys, write_calibration
+from gonio.rig.calibration_files import Calibration, with_keys, write_calibration
 from gonio.rig.calibration_use import ParameterUncertainty
 from gonio.rig.description import RigDescription
 from gonio.shown import apart

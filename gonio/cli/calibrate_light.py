@@ -21,7 +21,7 @@ from gonio.config import numbers_in
 from gonio.disk import put, put_picture
 from gonio.errors import DataError
 from gonio.reduction.geometry_errors import zero_keys
-from gonio.rig.calibrated import Calibration, covariance_of, known_parameters, with_keys, write_calibration
+from gonio.rig.calibration_files import Calibration, covariance_of, known_parameters, with_keys, write_calibration
 from gonio.rig.calibration_use import ParameterUncertainty
 from gonio.rig.description import RigDescription
 from gonio.shown import apart

@@ -183,8 +183,8 @@ def describe(plan: Plan, seen: Prepared | None, *, out: Path | None = None, left
 def _effort(written: Plan, points: list[Assessed], rig: RigChoice, steps: list[Step], out: Path | None) -> list[str]:
     """What measuring takes: time by its parts, order, frames, bytes."""
     from gonio.acquisition.duration import Durations
-    from gonio.acquisition.holding import Bytes, free_bytes, size
     from gonio.acquisition.schedule import Schedule
+    from gonio.acquisition.waits import Bytes, free_bytes, size
     from gonio.cli.console import duration
 
     durations = Durations(rig.description, written.bands(rig.description))

@@ -109,7 +109,7 @@ def _check_devices(rig: Rig, rows: list[Row]) -> None:
 
     from gonio.acquisition import exposure
     from gonio.acquisition.schedule import reference_pose
-    from gonio.by_hand.looking import is_black
+    from gonio.by_hand.frame_analysis import is_black
     from gonio.rig import Step
 
     description = rig.description

@@ -18,7 +18,7 @@ from gonio.errors import GonioError
 from gonio.geometry import Directions
 from gonio.reduction.count_rates import RunFrames
 from gonio.reduction.growing import of_rates
-from gonio.reduction.rates import Reduced
+from gonio.reduction.step_rates import Reduced
 from gonio.rig.light_and_camera import Band
 from gonio.typing import Floats, NDArray
 

@@ -1,7 +1,7 @@
 """What one process works out for all watchers of a run by one user: a folder of its own, and how it is begun.
 
 A watcher that somebody looks at says so by the time of the file `looked`. Whoever gets the lock on the file `lock`
-begins the process (`gonio.live.working`), and hands it the lock. It ends with the watcher that began it; then another
+begins the process (`gonio.live.worker`), and hands it the lock. It ends with the watcher that began it; then another
 one begins it again.
 
 The address of a watcher's page outlives its server: port and token are kept where nobody else can read them.

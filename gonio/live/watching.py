@@ -1,7 +1,7 @@
 """A run that is being measured, or was: its journal as events of a page, its values so far, its last frame.
 
 Everything here reads, and only while somebody looks. A thread looks at the journal every `POLL_S`, and at what another
-process (`gonio.live.working`) has worked out for all watchers of the run.
+process (`gonio.live.worker`) has worked out for all watchers of the run.
 
 A run in the terminal, as the page shows it: a panel that is drawn again, or plain lines where nobody looks.
 """

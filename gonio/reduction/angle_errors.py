@@ -10,7 +10,7 @@ from gonio.geometry import Directions, mirrored
 from gonio.reduction import spikes
 from gonio.reduction.angle_sensitivity import Curves
 from gonio.reduction.geometry_errors import zero_u_deg
-from gonio.reduction.rates import Reduced
+from gonio.reduction.step_rates import Reduced
 from gonio.reduction.values import MeasuredBand, Values
 from gonio.rig import Pose, imaging, kinematics, regions
 from gonio.rig.description import Axis, RigDescription

@@ -20,12 +20,12 @@ from gonio.reduction.angle_errors import change_of_cosine, encoder_steps, is_beh
 from gonio.reduction.count_rates import RunFrames
 from gonio.reduction.dark_signal import PATTERNS
 from gonio.reduction.merging import FALSE_ALARMS, noise_is_known
-from gonio.reduction.rates import Reduced, Rejected
 from gonio.reduction.reference_table import brdf_of_reference, u_of_reference
+from gonio.reduction.step_rates import Reduced, Rejected
 from gonio.reduction.table import DARK, GEOMETRY, LAMP, assemble, assemble_budget, left_out, notes_on_frames
 from gonio.reduction.threads import in_threads
 from gonio.reduction.values import BandResult, Cause, MeasuredBand, Values, joined, share
-from gonio.rig import calibrated
+from gonio.rig import calibration_files
 from gonio.rig.light_and_camera import Band
 from gonio.typing import DataFrame, Floats, JsonObject
 
@@ -226,7 +226,7 @@ def level(run: Run, wanted_s: Floats, visits: list[Reduced], band: Band) -> tupl
         raise DataError(f"{run.path}: a visit to the white reference in band {band.name} saw no light; see its frames")
     if reference.how == "beam":
         known = np.ones(len(visits))
-        variance = float(calibrated.covariance_of(description, ["reference.attenuation"])[0, 0])
+        variance = float(calibration_files.covariance_of(description, ["reference.attenuation"])[0, 0])
         u_rel = math.hypot(u_rel, math.sqrt(variance) / (reference.attenuation or 1.0))
     elif reference.table is not None:
         from gonio import measurement

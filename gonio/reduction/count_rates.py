@@ -23,10 +23,10 @@ from gonio.reduction import merging, stray_light
 from gonio.reduction.dark_signal import FEW, PATTERNS, Darks, Patterns
 from gonio.reduction.geometry_errors import GeometryErrors
 from gonio.reduction.merging import USABLE, Region, Shot, pool, pool_pixels
-from gonio.reduction.rates import Reduced, Rejected
+from gonio.reduction.step_rates import Reduced, Rejected
 from gonio.reduction.threads import in_threads
 from gonio.rig import Frame, Target, kinematics
-from gonio.rig.calibrated import known_parameters
+from gonio.rig.calibration_files import known_parameters
 from gonio.rig.description import RigDescription
 from gonio.rig.dng import pixels_sha256, read_raw
 from gonio.rig.imaging import Channel, pixel_map

@@ -16,7 +16,7 @@ from gonio.config import numbers_in, with_numbers
 from gonio.errors import ConfigError
 from gonio.geometry import Directions, angles
 from gonio.rig import Pose, Target, imaging, kinematics, regions
-from gonio.rig.calibrated import covariance_of, known_parameters
+from gonio.rig.calibration_files import covariance_of, known_parameters
 from gonio.rig.description import Axis, RigDescription
 from gonio.rig.regions import filling
 from gonio.typing import Floats

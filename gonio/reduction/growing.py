@@ -15,7 +15,7 @@ import numpy as np
 from gonio.acquisition.run import Run
 from gonio.geometry import Directions
 from gonio.reduction import brdf
-from gonio.reduction.rates import Reduced
+from gonio.reduction.step_rates import Reduced
 from gonio.rig.light_and_camera import Band
 from gonio.typing import Floats
 

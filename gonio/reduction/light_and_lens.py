@@ -13,7 +13,7 @@ import numpy as np
 from gonio.reduction.count_rates import camera_parameters
 from gonio.reduction.values import BandResult, MeasuredBand, Values
 from gonio.rig import Pose, imaging, kinematics, regions
-from gonio.rig.calibrated import covariance_of
+from gonio.rig.calibration_files import covariance_of
 from gonio.rig.description import RigDescription
 from gonio.rig.light_and_camera import Band, Beam, Polarisation
 from gonio.rig.protocols import Target

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gonio.reduction.dark_signal import Darks
-from gonio.reduction.rates import Merged
+from gonio.reduction.step_rates import Merged
 from gonio.rig import Target, light_and_camera
 from gonio.rig.description import RigDescription
 from gonio.rig.light_and_camera import Camera, rounding_of_mean

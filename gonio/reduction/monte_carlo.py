@@ -27,8 +27,8 @@ from gonio.geometry import Directions
 from gonio.reduction.angle_errors import angle_axes, is_behind, turned_over, zero_uncertainties
 from gonio.reduction.angle_sensitivity import NARROWEST, from_above
 from gonio.reduction.brdf import Reduction
-from gonio.reduction.rates import Reduced
 from gonio.reduction.spikes import over_patch, overlap
+from gonio.reduction.step_rates import Reduced
 from gonio.reduction.table import COMMON, DARK, LAMP
 from gonio.reduction.values import BandResult
 from gonio.rig import Pose, kinematics

@@ -14,7 +14,7 @@ from gonio.reduction import white_reference
 from gonio.reduction.angle_sensitivity import Lobes
 from gonio.reduction.count_rates import RunFrames
 from gonio.reduction.dark_signal import strongest
-from gonio.reduction.rates import Reduced
+from gonio.reduction.step_rates import Reduced
 from gonio.rig.description import RigDescription
 from gonio.rig.light_and_camera import Band
 from gonio.typing import Bools, Floats, Ints, JsonObject

@@ -413,7 +413,7 @@ class RigDescription(Strict):
     bands: Bands
     acquisition: Acquisition = Acquisition()
     suspend: dict[str, Suspender] = Field(default_factory=dict)
-    """What pauses a run, by a name of the user's (`gonio.acquisition.holding`)."""
+    """What pauses a run, by a name of the user's (`gonio.acquisition.waits`)."""
     bodies: tuple[Body, ...] = ()
     """What could touch on its way. Where there are any, the two balls of `geometry` belong to them."""
     cables: tuple[Cable, ...] = ()

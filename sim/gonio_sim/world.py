@@ -17,7 +17,7 @@ import numpy as np
 from gonio.config import read_toml
 from gonio.errors import ConfigError, DeviceError
 from gonio.rig import Pose, Target
-from gonio.rig.calibrated import uncalibrated, with_keys
+from gonio.rig.calibration_files import uncalibrated, with_keys
 from gonio.rig.description import RigDescription, SampleDescription
 from gonio.rig.light_and_camera import Band
 

@@ -15,7 +15,7 @@ from gonio_drivers.lab import LAB
 from gonio_sim.wire import faults, motion, tether
 from gonio_sim.wire.twins import Twins
 
-from gonio.acquisition import holding
+from gonio.acquisition import waits
 from gonio.acquisition.progress import Live, Pause, Silent
 from gonio.acquisition.run import Run
 from gonio.by_hand.assistant import Assistant
@@ -49,7 +49,7 @@ def described(rules: dict[str, Any] | None = None, contact: dict[str, Any] | Non
 @pytest.fixture(autouse=True)
 def quick(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(tether, "FILE_LATE_S", 0.5)
-    monkeypatch.setattr(holding, "RECHECK_S", 0.02)
+    monkeypatch.setattr(waits, "RECHECK_S", 0.02)
     monkeypatch.setattr(faults, "LASTS_S", PASSES_S)
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
 

@@ -25,7 +25,7 @@ from gonio_sim.wire.peer import SerialPeer
 from gonio_sim.wire.servo import Servo
 
 from gonio import platform
-from gonio.acquisition import holding
+from gonio.acquisition import waits
 from gonio.rig import clock
 
 PORT = "/dev/virtual"
@@ -292,8 +292,7 @@ def virtual_time(monkeypatch: pytest.MonkeyPatch) -> Iterator[VirtualClock]:
     monkeypatch.setattr(clock, "time", lambda: started_s + hours.monotonic())
     napping = SimpleNamespace(monotonic=hours.monotonic, sleep=hours.nap)
     monkeypatch.setattr(motion, "clock", napping)
-    for module in (holding, holding):
-        monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=hours.monotonic, sleep=hours.sleep))
+    monkeypatch.setattr(waits, "time", SimpleNamespace(monotonic=hours.monotonic, sleep=hours.sleep))
     yield hours
 
 

@@ -13,7 +13,7 @@ from gonio.acquisition.run import Run
 from gonio.errors import ConfigError
 from gonio.reduction import brdf, monte_carlo
 from gonio.reduction.table import COMPONENTS
-from gonio.rig.calibrated import with_keys
+from gonio.rig.calibration_files import with_keys
 from gonio.rig.calibration_use import Calibrated, CalibrationUse
 from gonio.rig.description import RigDescription
 from tests.gonio_sim.conftest import describe, measured

@@ -19,7 +19,7 @@ from gonio.errors import ConfigError
 from gonio.geometry import Directions
 from gonio.reduction import count_rates
 from gonio.reduction.brdf import reduce
-from gonio.rig.calibrated import Calibration, identity, write_calibration
+from gonio.rig.calibration_files import Calibration, identity, write_calibration
 from gonio.rig.calibration_use import ParameterUncertainty
 from tests.gonio_sim.conftest import describe
 

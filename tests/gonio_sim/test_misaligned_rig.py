@@ -19,7 +19,7 @@ from gonio.geometry import Directions
 from gonio.reduction import brdf
 from gonio.reduction.geometry_errors import GeometryErrors
 from gonio.rig import Pose
-from gonio.rig.calibrated import with_keys
+from gonio.rig.calibration_files import with_keys
 from gonio.rig.calibration_use import Calibrated, CalibrationUse
 from gonio.rig.description import RigDescription
 from gonio.rig.inverse_kinematics import reach

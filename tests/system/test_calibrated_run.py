@@ -12,7 +12,7 @@ from gonio_sim.rig import SIM
 from gonio.acquisition.measure import find_rig
 from gonio.disk import write_own
 from gonio.measurement import read
-from gonio.rig.calibrated import Calibration, identity, write_calibration
+from gonio.rig.calibration_files import Calibration, identity, write_calibration
 from gonio.rig.calibration_use import ParameterUncertainty
 from tests.command_line import gonio, says
 from tests.gonio.calibration.test_camera import small

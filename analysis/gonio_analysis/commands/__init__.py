@@ -1,7 +1,7 @@
 """The commands `gonio demo`, `fit`, `compare`, `report`, `appearance` and `watch`.
 
 Nothing heavy is imported before a command runs: `gonio --help` has to answer at once. What a command does once its
-options are read stands in `gonio_analysis.commands.carried_out`.
+options are read stands in `gonio_analysis.commands.implementations`.
 """
 
 from enum import StrEnum
@@ -184,7 +184,7 @@ def fit(
 
     Of a map (gonio reduce --map) every pixel is fitted, without the cones. With --each and no TABLE: very many tables.
     """
-    from gonio_analysis.commands import carried_out
+    from gonio_analysis.commands import implementations
     from gonio_analysis.fitting.problem import FitRequest
 
     how = reading(columns, blank)
@@ -205,12 +205,12 @@ def fit(
         searches=searches,
         separate=separate,
     )
-    wanted = carried_out.Wanted(u_ior, intervals, save, residual, as_json)
+    wanted = implementations.Wanted(u_ior, intervals, save, residual, as_json)
     others = {"MORE": more, "--joint": joint}
-    if not carried_out.fit_many(
+    if not implementations.fit_many(
         table, each, asked, how, wanted, out=out, dask=dask, materials=materials, others=others
     ):
-        carried_out.fit([str(table), *(more or [])], asked, how, wanted)
+        implementations.fit([str(table), *(more or [])], asked, how, wanted)
 
 
 def compare(
@@ -244,19 +244,19 @@ def compare(
 
     With --change instead: did A change into B? With --laboratories: do they agree?
     """
-    from gonio_analysis.commands import carried_out
+    from gonio_analysis.commands import implementations
 
     how = reading(columns, blank)
     fitting = {"models": models, "normalise": normalise, "ior": ior, "dask": dask, "metric": metric,
                "energy": energy or None, "separate": separate or None}  # fmt: skip
     unused = [name for name, value in fitting.items() if value is not None]
-    carried_out.check_one_way(change=change, laboratories=laboratories, unused=unused, shared=bool(shared))
+    implementations.check_one_way(change=change, laboratories=laboratories, unused=unused, shared=bool(shared))
     if change:
-        page = carried_out.change(measurements, out, wavelength_nm, u_rel, how)
+        page = implementations.change(measurements, out, wavelength_nm, u_rel, how)
     elif laboratories:
-        page = carried_out.laboratories(measurements, out, shared or [], wavelength_nm, u_rel, how)
+        page = implementations.laboratories(measurements, out, shared or [], wavelength_nm, u_rel, how)
     else:
-        page = carried_out.report(
+        page = implementations.report(
             measurements, out, names_of(MODELS if models is None else models),
             normalise=(normalise or Norm.mirror).value, ior=ior, wavelength_nm=wavelength_nm, metric=metric,
             u_rel=u_rel, bound_energy=energy, separate=separate, dask=dask, how=how,
@@ -290,19 +290,20 @@ def report(
     """Write the report of one run, or of a map: what is in every pixel."""
     from gonio.errors import ConfigError
     from gonio.maps import is_map
-    from gonio_analysis.commands import carried_out
+    from gonio_analysis.commands import implementations
 
     if is_map(run):
         fitting = {"ior": ior, "wavelength-nm": wavelength_nm, "metric": metric, "u-rel": u_rel,
                    "energy": energy or None, "separate": separate or None}  # fmt: skip
-        print(carried_out.map_report(run, out, values, [name for name, value in fitting.items() if value is not None]))
+        unused = [name for name, value in fitting.items() if value is not None]
+        print(implementations.map_report(run, out, values, unused))
         return
     if values is not None:
         raise ConfigError(f"--map {values}: goes with a map of fits; {run} is none")
     if not run.is_dir():
         raise ConfigError(f"{run}: there is no such folder; gonio report takes a run (for a file: gonio compare)")
     print(
-        carried_out.report(
+        implementations.report(
             [str(run)], out or run / "report", names_of(models), normalise=normalise.value, ior=ior,
             wavelength_nm=wavelength_nm, metric=metric, u_rel=u_rel, bound_energy=energy, separate=separate,
         )
@@ -323,6 +324,6 @@ def appearance(
     blank: Blank = None,
 ) -> None:
     """Gloss, haze, reflectances, colour over angle, retroreflection and roughness. Of a measurement or of a model."""
-    from gonio_analysis.commands import carried_out
+    from gonio_analysis.commands import implementations
 
-    carried_out.appearance(sample, wavelength_nm, out, reading(columns, blank), as_json=as_json)
+    implementations.appearance(sample, wavelength_nm, out, reading(columns, blank), as_json=as_json)

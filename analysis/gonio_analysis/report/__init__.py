@@ -15,7 +15,7 @@ from gonio.models.parameters import Ior
 from gonio.typing import DataFrame
 from gonio_analysis.curves.in_plane import Normalise
 from gonio_analysis.fitting.observations import of_reader, said_once
-from gonio_analysis.report import beyond_reflection, detail, figures, files, html, page, pdf, viewer
+from gonio_analysis.report import beyond_reflection, detail_figures, figures, files, html, page, pdf, viewer
 from gonio_analysis.report.comparison import summarise
 from gonio_analysis.report.drawing import Drawing, FigureWorkers, figure_workers
 from gonio_analysis.report.facts import DatasetSummary, Summary
@@ -230,7 +230,7 @@ def _drawings(both: Sequence[tuple[Dataset, DatasetSummary]]) -> list[list[Drawi
     # measured values in one panel, so that those of all panels take about half of the room of a page
     most = min(max(MARKERS // max(sum(3 * len(d.fitted) + 6 for d, _ in both), 1), 300), 2400)
     return [
-        [*figures.draw(d, f, most), *detail.draw(d, f, most), *(x for one in SECTIONS for x in one.draw(d, f))]
+        [*figures.draw(d, f, most), *detail_figures.draw(d, f, most), *(x for one in SECTIONS for x in one.draw(d, f))]
         for d, f in both
     ]
 

@@ -20,7 +20,7 @@ from gonio_analysis.curves.in_plane import Curve, Line, curves, evenly, labels
 from gonio_analysis.fitting.observations import Observations
 from gonio_analysis.plots import in_plane, maps, thinning
 from gonio_analysis.plots.style import FAINT, INK, xy
-from gonio_analysis.report.detail import DISC_PT
+from gonio_analysis.report.detail_figures import DISC_PT
 from gonio_analysis.report.drawing import Drawing
 from gonio_analysis.report.figures import LEGEND_ROW_IN, PANEL_PT, key, legend
 

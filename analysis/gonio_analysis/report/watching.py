@@ -10,7 +10,7 @@ import numpy as np
 
 from gonio import geometry
 from gonio.geometry import IN_PLANE, SAME_ANGLE, Directions, groups
-from gonio.live import working
+from gonio.live import worker
 from gonio.live.provisional import ProvisionalValues
 from gonio.live.run_status import RunStatus, rounded
 from gonio.typing import Floats
@@ -157,4 +157,4 @@ def work() -> None:
     def draw(run_status: RunStatus, values: Sequence[ProvisionalValues], behind: int) -> bytes:
         return encoded(so_far(run.name, values, run_status.every_angle(), run_status.visits_s, behind))
 
-    working.serve(run, out, draw)
+    worker.serve(run, out, draw)

@@ -32,7 +32,7 @@ from gonio.config import numbers_in, read_toml, to_toml, with_numbers
 from gonio.errors import GonioError, Interrupted
 from gonio.geometry import AROUND_MIRROR, Directions
 from gonio.reduction import brdf
-from gonio.rig.calibrated import Calibration, identity, uncalibrated, with_keys, write_calibration
+from gonio.rig.calibration_files import Calibration, identity, uncalibrated, with_keys, write_calibration
 from gonio.rig.calibration_use import ParameterUncertainty
 from gonio.rig.description import RigDescription
 from gonio.typing import DataFrame, Floats

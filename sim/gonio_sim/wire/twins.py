@@ -19,7 +19,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from gonio.config import to_toml
 from gonio.errors import ConfigError, os_error_as
 from gonio.rig import Frame, Pose
-from gonio.rig.calibrated import uncalibrated
+from gonio.rig.calibration_files import uncalibrated
 from gonio.rig.description import Axis, RigDescription, SampleDescription
 from gonio.rig.dng import encode_dng
 from gonio.rig.kinematics import encoder_error

@@ -475,7 +475,7 @@ def test_a_refused_resume_has_changed_nothing(run: Run, measure: Measure, whole:
             if refusal == "plan":
                 (run.path / "plan.csv").write_bytes(plan.replace(b"60", b"61", 1))
             elif refusal == "room":
-                patch.setattr("gonio.acquisition.holding.free_bytes", lambda path: 0)
+                patch.setattr("gonio.acquisition.waits.free_bytes", lambda path: 0)
             elif refusal == "device":
                 patch.setattr(NumpyRig, "__enter__", lambda self: (_ for _ in ()).throw(DeviceError("no answer")))
             elif refusal == "stranger":

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from gonio.acquisition import holding
+from gonio.acquisition import waits
 from gonio.acquisition.measure import RigChoice, carry_out
 from gonio.acquisition.plan import Plan
 from gonio.acquisition.progress import Silent
@@ -71,7 +71,7 @@ class Told(Silent):
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(holding, "RECHECK_S", 0.0)
+    monkeypatch.setattr(waits, "RECHECK_S", 0.0)
 
 
 Measure = Callable[..., tuple[Run, list[Ward], Told]]

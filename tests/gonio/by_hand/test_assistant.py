@@ -15,8 +15,8 @@ import pytest
 
 import gonio
 from gonio.by_hand.assistant import CAMERA_S, Assistant
+from gonio.by_hand.live_view import Pictures
 from gonio.by_hand.manual_rig import ManualRig
-from gonio.by_hand.sight import Pictures
 from gonio.config import to_toml
 from gonio.errors import DeviceError, Disturbed
 from gonio.rig import Frame, Pose, imaging, kinematics

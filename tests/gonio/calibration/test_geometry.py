@@ -15,7 +15,7 @@ from gonio.calibration import geometry
 from gonio.calibration.geometry_problem import CORNER_FLOOR_PX, INK, Predictor, Sighting, start_values, unknowns
 from gonio.config import numbers_in, parse
 from gonio.errors import DataError
-from gonio.rig.calibrated import with_keys
+from gonio.rig.calibration_files import with_keys
 from gonio.rig.description import RigDescription
 from tests.command_line import says
 

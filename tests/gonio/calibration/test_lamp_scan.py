@@ -17,7 +17,7 @@ from gonio.config import numbers_in, to_toml
 from gonio.disk import write_whole
 from gonio.errors import DataError, DeviceError
 from gonio.rig import Frame
-from gonio.rig.calibrated import Calibration, identity, read_calibration, write_calibration
+from gonio.rig.calibration_files import Calibration, identity, read_calibration, write_calibration
 from gonio.rig.calibration_use import ParameterUncertainty
 from gonio.rig.light_and_camera import Camera
 from gonio.rig.regions import Roi

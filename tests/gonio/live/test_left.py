@@ -4,8 +4,8 @@ import pytest
 
 from gonio.acquisition.progress import Remaining
 from gonio.acquisition.run import Run
-from gonio.live import working as module
-from gonio.live.working import Left
+from gonio.live import worker as module
+from gonio.live.worker import Left
 from tests.command_line import some
 from tests.gonio.live.runs import Played
 

@@ -12,7 +12,7 @@ from gonio.live.watching import Watched
 from tests.command_line import says
 from tests.gonio.live.runs import Played
 from tests.gonio.live.test_watching import until
-from tests.gonio.live.test_working import worked
+from tests.gonio.live.test_worker import worked
 
 
 @pytest.fixture

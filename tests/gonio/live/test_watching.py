@@ -13,7 +13,7 @@ from gonio.acquisition.journal import Journal
 from gonio.live.server import Request
 from gonio.live.shared import CURVES, FRAME, LOOKED, NOW, Now
 from gonio.live.watching import Watched
-from gonio.live.working import write
+from gonio.live.worker import write
 from tests.gonio.live.runs import Played
 
 

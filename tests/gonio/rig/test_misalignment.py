@@ -10,7 +10,7 @@ import pytest
 from gonio.errors import ArgumentError, ConfigError
 from gonio.geometry import Directions
 from gonio.rig import Pose, kinematics
-from gonio.rig.calibrated import covariance_of
+from gonio.rig.calibration_files import covariance_of
 from gonio.rig.calibration_use import Calibrated, CalibrationUse
 from gonio.rig.description import RigDescription
 from gonio.rig.imaging import pixel_map, place, spot

@@ -11,11 +11,11 @@ from typing import Any
 
 import pytest
 from gonio_analysis.fitting.problem import FitRequest
-from gonio_analysis.maps import each, fits
+from gonio_analysis.maps import fits, many_tables
 
 from gonio.measurement import Reading
 from tests.gonio_analysis.maps.made import write
-from tests.gonio_analysis.maps.test_each import tables
+from tests.gonio_analysis.maps.test_many_tables import tables
 
 pytestmark = pytest.mark.slow
 PLASTIC = {"s": 0.4, "d": 0.6, "m": 0.3, "diffuse_albedo": 0.5, "ior": 1.5}
@@ -44,7 +44,7 @@ import os, signal, sys
 from pathlib import Path
 from gonio.measurement import Reading
 from gonio_analysis.fitting.problem import FitRequest
-from gonio_analysis.maps import each, fits
+from gonio_analysis.maps import many_tables, fits
 def dies(done, total):
     if done == 2:
         os.kill(os.getpid(), signal.SIGKILL)
@@ -52,7 +52,7 @@ what, path, out, address, model = sys.argv[1:]
 if what == "map":
     fits.make(Path(path), Path(out), FitRequest(model), dask=address, count=dies, say=print)
 else:
-    each.make(path, Path(out), FitRequest(model), Reading(), dask=address, count=dies)
+    many_tables.make(path, Path(out), FitRequest(model), Reading(), dask=address, count=dies)
 """
 
 
@@ -82,7 +82,7 @@ def test_a_killed_client_goes_on_with_the_same_cluster(tmp_path: Path, cluster: 
 def test_tables_outlive_a_client_and_a_worker(tmp_path: Path, cluster: Any) -> None:
     folder, asked = str(tables(tmp_path / "tables", 8)), FitRequest("oren-nayar")
     here, there = tmp_path / "here.csv", tmp_path / "there.csv"
-    each.make(folder, here, asked, Reading(), count=lambda done, total: None)
+    many_tables.make(folder, here, asked, Reading(), count=lambda done, total: None)
     killed("tables", folder, there, cluster.scheduler_address, asked.model)
     lost = cluster.workers[0].process.process.pid
 
@@ -90,7 +90,7 @@ def test_tables_outlive_a_client_and_a_worker(tmp_path: Path, cluster: Any) -> N
         if done == 1:
             os.kill(lost, signal.SIGKILL)
 
-    found = each.make(folder, there, asked, Reading(), dask=cluster.scheduler_address, count=kill)
+    found = many_tables.make(folder, there, asked, Reading(), dask=cluster.scheduler_address, count=kill)
     assert found.before >= 1
     assert there.read_bytes() == here.read_bytes()
 
@@ -99,5 +99,5 @@ def test_tables_outlive_a_client_and_a_worker(tmp_path: Path, cluster: Any) -> N
 def test_tables_on_a_cluster(tmp_path: Path, cluster: Any) -> None:
     folder, asked = str(tables(tmp_path / "tables")), FitRequest("oren-nayar")
     for name, dask in (("here", None), ("there", cluster.scheduler_address)):
-        each.make(folder, tmp_path / f"{name}.csv", asked, Reading(), dask=dask, count=lambda done, total: None)
+        many_tables.make(folder, tmp_path / f"{name}.csv", asked, Reading(), dask=dask, count=lambda done, total: None)
     assert (tmp_path / "there.csv").read_bytes() == (tmp_path / "here.csv").read_bytes()

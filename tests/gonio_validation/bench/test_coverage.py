@@ -27,7 +27,7 @@ from gonio.config import numbers_in, to_toml
 from gonio.errors import ConfigError, Interrupted
 from gonio.geometry import Directions
 from gonio.reduction import brdf
-from gonio.rig.calibrated import covariance_of
+from gonio.rig.calibration_files import covariance_of
 
 POINTS = 12
 REACH = float(ndtri(0.975))

@@ -26,8 +26,8 @@ from gonio_analysis.fitting.observations import Observations, check_u_rel, obser
 from gonio_analysis.fitting.problem import FitRequest, check_metric
 from gonio_analysis.fitting.profile_likelihood import Interval
 from gonio_analysis.fitting.spectrum import fit_table
-from gonio_analysis.maps import each as each_table
 from gonio_analysis.maps import fits
+from gonio_analysis.maps import many_tables as each_table
 from gonio_analysis.report import appearance as appearance_page
 from gonio_analysis.report import change as change_page
 from gonio_analysis.report import laboratories as laboratories_page

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 from gonio_analysis.fitting.problem import FitRequest
-from gonio_analysis.maps import each
+from gonio_analysis.maps import many_tables
 
 from gonio import measurement
 from gonio.errors import ConfigError
@@ -32,9 +32,9 @@ def tables(folder: Path, count: int = 3) -> Path:
     return folder
 
 
-def made(folder: Path, out: Path, asked: FitRequest = ASKED) -> each.Outcome:
+def made(folder: Path, out: Path, asked: FitRequest = ASKED) -> many_tables.Outcome:
     """Fit them."""
-    return each.make(str(folder), out, asked, Reading(), count=lambda done, total: None)
+    return many_tables.make(str(folder), out, asked, Reading(), count=lambda done, total: None)
 
 
 def rows(path: Path) -> list[dict[str, str]]:
@@ -88,13 +88,13 @@ def test_rows_that_are_done_are_not_done_again(tmp_path: Path, monkeypatch: pyte
     assert made(folder, out).before == 0
     whole = out.read_bytes()
     fitted: list[str] = []
-    once = each._rows
+    once = many_tables._rows
 
-    def noted(job: each._Job) -> list[each.Row]:
+    def noted(job: many_tables._Job) -> list[many_tables.Row]:
         fitted.append(Path(job.table).name)
         return once(job)
 
-    monkeypatch.setattr(each, "_rows", noted)
+    monkeypatch.setattr(many_tables, "_rows", noted)
     assert made(folder, out).before == 3
     assert out.read_bytes() == whole
     assert fitted == []
@@ -110,11 +110,11 @@ import os, signal, sys
 from pathlib import Path
 from gonio.measurement import Reading
 from gonio_analysis.fitting.problem import FitRequest
-from gonio_analysis.maps import each
+from gonio_analysis.maps import many_tables
 def dies(done, total):
     if done == 2:
         os.kill(os.getpid(), signal.SIGKILL)
-each.make(sys.argv[1], Path(sys.argv[2]), FitRequest("oren-nayar"), Reading(), count=dies)
+many_tables.make(sys.argv[1], Path(sys.argv[2]), FitRequest("oren-nayar"), Reading(), count=dies)
 """
 
 
@@ -155,4 +155,4 @@ def test_what_does_not_go_together_is_refused(tmp_path: Path) -> None:
         assert message in gonio(tmp_path, *command, *options, expect=2).stderr, options
     assert (tmp_path / "mine.csv").read_text() == "a,b\n1,2\n"
     with pytest.raises(ConfigError, match="names no table"):
-        each.listed(str(tmp_path / "nothing"))
+        many_tables.listed(str(tmp_path / "nothing"))

@@ -14,11 +14,11 @@ import pytest
 
 from gonio.acquisition.journal import encode
 from gonio.acquisition.records import StepRecord
-from gonio.live import working
+from gonio.live import worker
 from gonio.live.provisional import ProvisionalValues
 from gonio.live.run_status import RunStatus
 from gonio.live.shared import CURVES, FRAME, LOOKED, NOW, Now, Shared
-from gonio.live.working import Worker
+from gonio.live.worker import Worker
 from gonio.rig import Frame
 from gonio.rig.description import RigDescription
 from tests.gonio.live.runs import Played
@@ -134,7 +134,7 @@ def test_users_work_out_a_run_in_turns(played: Played, out: Path) -> None:
 
 
 def test_nobody_waits_for_ever_for_another(played: Played, out: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(working, "TURN_S", 0.1)
+    monkeypatch.setattr(worker, "TURN_S", 0.1)
     played.go_on(8)
     with measuring(played.path), open(played.path / "run.toml", "rb") as another:
         fcntl.flock(another, fcntl.LOCK_EX)
@@ -159,20 +159,20 @@ def test_while_the_run_goes_on_it_rests_most_of_the_time(
 ) -> None:
     clock = iter(range(10_000))
     monkeypatch.setattr("time.process_time", lambda: 0.01 * next(clock))  # each look at it is 10 ms of work
-    monkeypatch.setattr(working, "LONGEST_S", 1e6)
+    monkeypatch.setattr(worker, "LONGEST_S", 1e6)
     played.go_on(8)
     with measuring(played.path):
         rested = rests(played.path, out, 4)
     worked_s = 0.01 * next(clock)
     # this clock goes on when it is looked at: what it tells between two turns is no work
-    assert sum(rested) >= 0.8 * worked_s / working.SHARE
+    assert sum(rested) >= 0.8 * worked_s / worker.SHARE
 
 
 def test_a_run_that_died_is_worked_out_at_once(played: Played, out: Path) -> None:
     played.go_on(len(played.lines) - 1)
     with measuring(played.path):
         pass
-    assert max(rests(played.path, out, 3)[:2]) <= working.POLL_S
+    assert max(rests(played.path, out, 3)[:2]) <= worker.POLL_S
 
 
 def test_the_outline_is_that_of_the_frame_and_not_of_a_later_step(
@@ -184,7 +184,7 @@ def test_the_outline_is_that_of_the_frame_and_not_of_a_later_step(
         drawn.append(step.step)
         return b"PNG"
 
-    monkeypatch.setattr(working, "png", png)
+    monkeypatch.setattr(worker, "png", png)
     played.go_on(5)
     played.append(encode(played.event(1) | {"n": 5, "step": 99, "frames": []}))  # shows nothing
     rests(played.path, out, 1)

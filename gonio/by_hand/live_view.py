@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from gonio.acquisition import exposure
-from gonio.by_hand import looking
+from gonio.by_hand import frame_analysis
 from gonio.errors import ConfigError
 from gonio.rig import Frame, Pose, Target, imaging, kinematics, regions
 from gonio.rig.description import RigDescription
@@ -141,20 +141,19 @@ class Sight:
         self._number += 1
         self._times.append(self._clock())
         span = self._times[-1] - self._times[0]
-        noise = looking.noise(camera, last, frame, region) if last is not None and region is not None else None
-        spot, said = looking.spot(camera, frame)
-        over = (
-            None if region is None else int(np.count_nonzero(looking.saturated(camera, frame, region.of(frame.mosaic))))
-        )
+        noise = frame_analysis.noise(camera, last, frame, region) if last is not None and region is not None else None
+        spot, said = frame_analysis.spot(camera, frame)
+        pixels = None if region is None else region.of(frame.mosaic)
+        over = None if pixels is None else int(np.count_nonzero(frame_analysis.saturated(camera, frame, pixels)))
         full = exposure.full_scale_dn(camera, frame)
         out = {
             "n": self._number, "rig": description.name, "width": camera.width, "height": camera.height,
             "exposure_s": frame.exposure_s, "fps": (len(self._times) - 1) / span if span > 0 else None,
             "predicted": self._predicted, **self._angles(),
-            "levels": [asdict(one) for one in looking.levels(camera, frame)],
+            "levels": [asdict(one) for one in frame_analysis.levels(camera, frame)],
             "black_dn": frame.black_level_dn, "white_dn": frame.white_level_dn,
             "saturated_dn": frame.black_level_dn + exposure.SATURATED * full, "saturated_in_region": over,
-            "advice": asdict(looking.advice(description, frame, region)), "noise": noise and asdict(noise),
+            "advice": asdict(frame_analysis.advice(description, frame, region)), "noise": noise and asdict(noise),
             "focus": self._focus(frame), "spot": spot and self._placed(spot), "spot_said": said,
         }  # fmt: skip
         self._last = frame
@@ -162,8 +161,8 @@ class Sight:
 
     def _focus(self, frame: Frame) -> JsonObject:
         camera, now = self._description.camera, self._clock()
-        rows, cols = box = looking.focus_box(camera, self.region)
-        found = looking.focus(camera, self._last, frame, box) if self._last is not None else None
+        rows, cols = box = frame_analysis.focus_box(camera, self.region)
+        found = frame_analysis.focus(camera, self._last, frame, box) if self._last is not None else None
         if found is not None and found.value is not None:
             self._best = max(found.value, self._best or 0.0)
         if found is not None and (not self._history or now - self._history[-1][0] >= HISTORY_S):
@@ -175,7 +174,7 @@ class Sight:
             "history": [[round(t - now, 2), value] for t, value in self._history],
         }  # fmt: skip
 
-    def _placed(self, spot: looking.Spot) -> JsonObject:
+    def _placed(self, spot: frame_analysis.Spot) -> JsonObject:
         """A spot with its offset from the sample's centre, and its size on the sample, where the pose is known."""
         out = asdict(spot) | {"from_centre_px": None, "from_centre_mm": None, "axes_mm": None}
         centre, view = self._predicted["centre"], self._view
@@ -250,9 +249,9 @@ def pictures(camera: Camera, frame: Frame, middle: tuple[float, float]) -> Pictu
     if shrink <= 0.5 and not camera.response:  # cells of a mosaic are averaged by that
         small = cv2.resize(frame.mosaic, size, interpolation=cv2.INTER_AREA).astype(np.float32) - frame.black_level_dn
     else:
-        cells = looking.cells(frame.pattern, looking.signal(camera, frame))
+        cells = frame_analysis.cells(frame.pattern, frame_analysis.signal(camera, frame))
         small = cv2.resize(cells, size, interpolation=cv2.INTER_AREA)
-    over = looking.saturated(camera, frame).view(np.uint8)
+    over = frame_analysis.saturated(camera, frame).view(np.uint8)
     red = np.zeros(small.shape, dtype=bool)
     if over.any():
         reach = np.ones((math.ceil(SPECK_PX / shrink),) * 2, np.uint8)
@@ -261,7 +260,7 @@ def pictures(camera: Camera, frame: Frame, middle: tuple[float, float]) -> Pictu
     brightest = cv2.medianBlur(np.ascontiguousarray(small, np.float32), 3).max()  # single hot pixels aside
     white = max(float(brightest), FAINTEST * full)
     rows, cols = _part(middle[1], height), _part(middle[0], width)
-    zoomed = _shown(looking.signal(camera, frame, frame.mosaic[rows, cols]), over[rows, cols] > 0, white)
+    zoomed = _shown(frame_analysis.signal(camera, frame, frame.mosaic[rows, cols]), over[rows, cols] > 0, white)
     colours = cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444  # of every pixel
     return Pictures(
         whole=_encoded(".jpg", _shown(small, red, white), [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY, *colours]),

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from gonio.acquisition import holding
+from gonio.acquisition import waits
 from gonio.acquisition.measure import RigChoice, check
 from gonio.acquisition.plan import Plan
 from gonio.acquisition.progress import Live, Pause, Silent
@@ -27,8 +27,8 @@ from tests.gonio.numpy_rig import SAMPLE, NumpyRig, Plugin, describe
 @pytest.fixture(autouse=True)
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     """Waits take no time."""
-    monkeypatch.setattr(holding, "LOOK_S", 0.0)
-    monkeypatch.setattr(holding, "WAITS_S", {"camera": (0.0, 0.0), "lamp": (0.0,)})
+    monkeypatch.setattr(waits, "LOOK_S", 0.0)
+    monkeypatch.setattr(waits, "WAITS_S", {"camera": (0.0, 0.0), "lamp": (0.0,)})
 
 
 def names(run: Run) -> list[str]:
@@ -216,7 +216,7 @@ PLENTY, NOTHING = 10**12, 0
 def test_a_run_that_cannot_fit_is_refused_before_anything_is_touched(
     measure: Measure, plan: Plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(holding, "free_bytes", Disk(1_500_000))
+    monkeypatch.setattr(waits, "free_bytes", Disk(1_500_000))
     rig = Plugin()
     with pytest.raises(ConfigError, match=r"run: 9 steps need about 2\.\d+ MB on the disk, and 1\.5 MB are free"):
         measure("run", rig=rig)
@@ -229,19 +229,19 @@ def test_a_run_that_cannot_fit_is_refused_before_anything_is_touched(
 
 
 def test_what_a_run_needs_is_what_it_takes(run: Run) -> None:
-    need = holding.Bytes(run.description, len(run.bands))
+    need = waits.Bytes(run.description, len(run.bands))
     steps, taken = run.steps(), 0
     for step in steps:
         taken += sum(frame.bytes or 0 for frame in step.frames)
     taken += (run.path / "journal.jsonl").stat().st_size
     # small frames: their heads, of up to HEAD bytes, weigh as much as their pixels
-    assert taken <= need.of_run(len(steps)) - holding.RESERVE < 2.0 * taken
+    assert taken <= need.of_run(len(steps)) - waits.RESERVE < 2.0 * taken
 
 
 def test_a_full_disk_is_waited_for(measure: Measure, monkeypatch: pytest.MonkeyPatch, whole: list[StepRecord]) -> None:
     rig, person = Plugin(), Person(99, lambda: None, lambda: None)
     # before the run; before each of four steps; then full for two looks (and the message), and there is room again
-    monkeypatch.setattr(holding, "free_bytes", Disk(*[PLENTY] * 5, *[NOTHING] * 4, PLENTY))
+    monkeypatch.setattr(waits, "free_bytes", Disk(*[PLENTY] * 5, *[NOTHING] * 4, PLENTY))
     run = measure("run", rig=rig, progress=person)
     (paused,) = (event for event in run.events() if event["event"] == "paused")
     assert (paused["step"], paused["why"]) == (4, "disk")
@@ -255,8 +255,8 @@ def test_a_disk_that_stays_full_ends_the_run_which_can_go_on(
 ) -> None:
     rig = Plugin()
     with monkeypatch.context() as full:
-        full.setattr(holding, "ROOM_UNATTENDED_S", 0.0)
-        full.setattr(holding, "free_bytes", Disk(*[PLENTY] * 5, NOTHING))
+        full.setattr(waits, "ROOM_UNATTENDED_S", 0.0)
+        full.setattr(waits, "free_bytes", Disk(*[PLENTY] * 5, NOTHING))
         with pytest.raises(DataError, match=r"0 bytes are free, and step 4 needs .*; make room, then go on"):
             measure("run", rig=rig)
     assert not rig.opened[0].lit
@@ -266,16 +266,16 @@ def test_a_disk_that_stays_full_ends_the_run_which_can_go_on(
 
 
 def test_a_run_that_cannot_fit_is_begun_with_yes(measure: Measure, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(holding, "free_bytes", Disk(1_500_000, PLENTY))
+    monkeypatch.setattr(waits, "free_bytes", Disk(1_500_000, PLENTY))
     person = Person(99, lambda: None, lambda: None)
     assert names(measure("run", progress=person, yes=True))[-1] == "end"
     assert "waits where it is full (--yes)" in person.said[0]
 
 
 def test_what_a_run_needs_on_the_disk_is_its_steps_and_a_reserve() -> None:
-    need = holding.Bytes(describe(), 1)
-    dark = need.of_run(1) - holding.RESERVE
+    need = waits.Bytes(describe(), 1)
+    dark = need.of_run(1) - waits.RESERVE
     point = need.of_run(2) - need.of_run(1)
     assert need.of_run(0) == 0
-    assert need.of_run(7) == dark + 6 * point + holding.RESERVE
+    assert need.of_run(7) == dark + 6 * point + waits.RESERVE
     assert point > need.frame  # the frames and their lines

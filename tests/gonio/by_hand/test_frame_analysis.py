@@ -7,8 +7,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from gonio.by_hand import looking
-from gonio.by_hand.sight import pictures
+from gonio.by_hand import frame_analysis
+from gonio.by_hand.live_view import pictures
 from gonio.by_hand.snapshot import Snapshot
 from gonio.rig import Frame
 from gonio.rig.description import RigDescription
@@ -22,10 +22,10 @@ BOX = slice(60, 180), slice(80, 240)
 REGION = Roi(slice(100, 140), slice(140, 180), np.ones((40, 40), bool))
 
 
-def focus(blur_px: float, exposure_s: float = 1.0, seed: int = 0, pattern: str = "mono") -> looking.Focus:
+def focus(blur_px: float, exposure_s: float = 1.0, seed: int = 0, pattern: str = "mono") -> frame_analysis.Focus:
     of, scene = camera(pattern), texture(blur_px)
     found = some(
-        looking.focus(of, expose(of, scene, seed, exposure_s), expose(of, scene, seed + 1000, exposure_s), BOX)
+        frame_analysis.focus(of, expose(of, scene, seed, exposure_s), expose(of, scene, seed + 1000, exposure_s), BOX)
     )
     return found
 
@@ -60,7 +60,7 @@ def test_noise_alone_is_no_structure() -> None:
     of = camera()
     even = np.full((HEIGHT, WIDTH), 2000.0)
     for seed in range(20):
-        found = some(looking.focus(of, expose(of, even, seed), expose(of, even, seed + 1000), BOX))
+        found = some(frame_analysis.focus(of, expose(of, even, seed), expose(of, even, seed + 1000), BOX))
         assert found.value is None
         assert "no structure" in found.why
         assert found.u < 0.003  # a hundredth of the textures' slope could be hidden, and no more
@@ -72,7 +72,7 @@ def test_the_pixels_own_differences_are_no_structure_where_the_rig_file_names_th
     told = {}
     for prnu in (0.0, 0.01):
         of = camera(prnu=prnu)
-        found = some(looking.focus(of, expose(of, even, 1, gain=gain), expose(of, even, 2, gain=gain), BOX))
+        found = some(frame_analysis.focus(of, expose(of, even, 1, gain=gain), expose(of, even, 2, gain=gain), BOX))
         told[prnu] = found.value
     assert told[0.01] is None
     # the gradient of white noise of unit variance by Sobel in eighths: sqrt(2 x 12 / 64); known to 1 % by 19200 pixels
@@ -82,16 +82,16 @@ def test_the_pixels_own_differences_are_no_structure_where_the_rig_file_names_th
 def test_two_scenes_have_no_focus_between_them() -> None:
     of = camera()
     first, second = expose(of, texture(1.0), 1), expose(of, texture(1.0, 2000.0), 2)
-    assert looking.focus(of, first, second, BOX) is None
-    assert looking.noise(of, first, second, REGION) is None
+    assert frame_analysis.focus(of, first, second, BOX) is None
+    assert frame_analysis.noise(of, first, second, REGION) is None
 
 
 def test_focus_of_a_saturated_or_dark_region_is_not_told() -> None:
     of = camera()
     bright, dark = texture(0.0, 30_000.0), np.zeros((HEIGHT, WIDTH))
-    assert looking.noise(of, expose(of, bright, 1), expose(of, bright, 2), REGION) is None, "0 would be no truth"
+    assert frame_analysis.noise(of, expose(of, bright, 1), expose(of, bright, 2), REGION) is None, "0 would be no truth"
     for scene, why in ((bright, "saturated"), (dark, "too dark")):
-        found = some(looking.focus(of, expose(of, scene, 1), expose(of, scene, 2), BOX))
+        found = some(frame_analysis.focus(of, expose(of, scene, 1), expose(of, scene, 2), BOX))
         assert (found.value, found.why.startswith(why)) == (None, True)
 
 
@@ -100,7 +100,7 @@ def test_focus_of_a_saturated_or_dark_region_is_not_told() -> None:
 
 def test_noise_is_that_of_the_sensor() -> None:
     of, even = camera(), np.full((HEIGHT, WIDTH), 2000.0)
-    found = some(looking.noise(of, expose(of, even, 1), expose(of, even, 2), REGION))
+    found = some(frame_analysis.noise(of, expose(of, even, 1), expose(of, even, 2), REGION))
     true = math.hypot(math.sqrt(2000.0 + 25.0) / 3.0, math.sqrt(1 / 12))
     assert found.expected_dn == pytest.approx(true, rel=0.01)  # by the mean of the frame
     assert found.dn == pytest.approx(true, rel=0.08)  # 1600 differences know it to 1.8 %: four and a half of that
@@ -110,7 +110,7 @@ def test_noise_is_that_of_the_sensor() -> None:
 
 def test_noise_of_a_dark_region_has_no_relative_uncertainty() -> None:
     of, dark = camera(), np.zeros((HEIGHT, WIDTH))
-    found = some(looking.noise(of, expose(of, dark, 1), expose(of, dark, 2), REGION))
+    found = some(frame_analysis.noise(of, expose(of, dark, 1), expose(of, dark, 2), REGION))
     assert found.u_rel is None
     assert found.dn == pytest.approx(math.hypot(5 / 3, math.sqrt(1 / 12)), rel=0.08)
 
@@ -125,7 +125,7 @@ def test_histograms_count_every_pixel_of_their_colour_once(pattern: str) -> None
     colours = np.array(list(pattern if pattern != "mono" else "mmmm")).reshape(2, 2)
     red_at = np.argwhere(colours == ("R" if pattern != "mono" else "m"))[0]
     mosaic[red_at[0] : 20 + red_at[0] : 2, red_at[1] : 10 + red_at[1] : 2] = 4095  # 10 x 5 pixels of one colour
-    told = looking.levels(of, Frame(mosaic, 1.0, 64.0, 4095.0, pattern, time_s=0.0))
+    told = frame_analysis.levels(of, Frame(mosaic, 1.0, 64.0, 4095.0, pattern, time_s=0.0))
     size = HEIGHT * WIDTH
     shares = {"mono": 1.0, "R": 0.25, "G": 0.5, "B": 0.25}
     assert [one.channel for one in told] == (["mono"] if pattern == "mono" else ["R", "G", "B"])
@@ -133,14 +133,14 @@ def test_histograms_count_every_pixel_of_their_colour_once(pattern: str) -> None
         assert sum(one.counts) == one.pixels == shares[one.channel] * size
         over = 50 if one.channel in ("mono", "R") else 0
         assert (one.saturated, one.counts[-1]) == (over, over)
-        assert one.counts[100 * looking.BINS // 4096] == one.pixels - over
+        assert one.counts[100 * frame_analysis.BINS // 4096] == one.pixels - over
 
 
 def test_a_full_well_counts_as_saturated_below_the_converters_end() -> None:
     of = camera(full_well_e=6000.0)
     frame = expose(of, np.full((HEIGHT, WIDTH), 9000.0), 1)
     assert frame.mosaic.max() < 2200
-    assert looking.levels(of, frame)[0].saturated > 0.99 * frame.mosaic.size
+    assert frame_analysis.levels(of, frame)[0].saturated > 0.99 * frame.mosaic.size
 
 
 def description(**changes: object) -> RigDescription:
@@ -172,7 +172,7 @@ def test_advice_leads_to_the_target_within_the_cameras_limits(
     mosaic[120, 160] = round(float(dn))
     mosaic[0, 0] = 4095  # outside the region nothing counts
     frame = Frame(mosaic, exposure_s, 64.0, 4095.0, time_s=0.0)
-    told = looking.advice(rig.model_copy(update={"camera": quiet}), frame, REGION)
+    told = frame_analysis.advice(rig.model_copy(update={"camera": quiet}), frame, REGION)
     assert (told.text, told.target) == (text, 0.6)
     if advised_s is not None:
         assert told.exposure_s == pytest.approx(advised_s, rel=2e-3)  # of whole DN
@@ -191,12 +191,12 @@ def test_a_spot_is_where_it_is(
     column: float, row: float, a: float, b: float, angle: float, pattern: str, soft: bool
 ) -> None:
     of = camera(pattern)
-    found, said = looking.spot(of, expose(of, ellipse(column, row, a, b, angle, soft=soft), 5))
+    found, said = frame_analysis.spot(of, expose(of, ellipse(column, row, a, b, angle, soft=soft), 5))
     assert found is not None
     step = 1.0 if pattern == "mono" else 2.0  # a cell of a mosaic
     assert (found.column, found.row) == pytest.approx((column, row), abs=0.15 * step)
     # the smoothing widens a soft spot, whose half height lies at sqrt(2 ln 2) of its standard deviation
-    wider = 2 * math.log(2) * (looking.SMOOTH_PX * step) ** 2 if soft else 0.0
+    wider = 2 * math.log(2) * (frame_analysis.SMOOTH_PX * step) ** 2 if soft else 0.0
     for length, half in ((found.major_px, a), (found.minor_px, b)):
         assert length == pytest.approx(2 * math.sqrt(half**2 + wider), rel=0.01, abs=0.7 * step)  # by whole cells
     if a > b:
@@ -210,7 +210,7 @@ def test_a_spot_is_where_it_is(
 
 def test_a_spot_that_reaches_the_edge_of_the_frame_says_so() -> None:
     of = camera()
-    found, said = looking.spot(of, expose(of, ellipse(30, 120, 60, 60, 0), 5))
+    found, said = frame_analysis.spot(of, expose(of, ellipse(30, 120, 60, 60, 0), 5))
     assert found is not None
     assert found.cut
     assert "reaches the edge of the frame" in said
@@ -219,7 +219,7 @@ def test_a_spot_that_reaches_the_edge_of_the_frame_says_so() -> None:
 def test_a_saturated_spot_and_a_second_one_are_told() -> None:
     of = camera()
     scene = ellipse(100, 100, 20, 20, 0, peak=40_000.0) + ellipse(250, 180, 15, 15, 0, peak=40_000.0)
-    found, said = looking.spot(of, expose(of, scene, 5))
+    found, said = frame_analysis.spot(of, expose(of, scene, 5))
     assert found is not None
     assert found.column == pytest.approx(100, abs=0.2)
     assert (found.saturated, found.others) == (True, 1)
@@ -238,7 +238,7 @@ def test_a_saturated_spot_and_a_second_one_are_told() -> None:
 def test_where_there_is_no_spot_none_is_made_up(scene: np.ndarray, why: str) -> None:
     of = camera()
     for seed in range(5):
-        found, said = looking.spot(of, expose(of, scene, seed))
+        found, said = frame_analysis.spot(of, expose(of, scene, seed))
         assert found is None
         assert said.startswith(f"no spot: {why}"), said
 
@@ -248,17 +248,17 @@ def test_hot_pixels_are_no_spot() -> None:
     frame = expose(of, np.zeros((HEIGHT, WIDTH)), 1)
     places = np.random.default_rng(2).integers(0, (HEIGHT, WIDTH), (40, 2))
     frame.mosaic[places[:, 0], places[:, 1]] = 4000
-    found, said = looking.spot(of, frame)
+    found, said = frame_analysis.spot(of, frame)
     assert found is None, found
     assert said.startswith("no spot")
 
 
 def test_a_frame_of_many_pixels_gives_places_of_the_frame() -> None:
     """Wider than `WIDEST`, it is averaged down; places and sizes are those of the frame."""
-    of = camera(width=2 * looking.WIDEST + 64, height=512)
+    of = camera(width=2 * frame_analysis.WIDEST + 64, height=512)
     rows, cols = np.mgrid[:512, : of.width]
     scene = np.where((cols - 1500.0) ** 2 + (rows - 200.0) ** 2 < 60.0**2, 6000.0, 0.0)
-    found, _ = looking.spot(of, expose(of, scene, 1))
+    found, _ = frame_analysis.spot(of, expose(of, scene, 1))
     assert found is not None
     assert (found.column, found.row) == pytest.approx((1500, 200), abs=0.3)  # a third of a pixel of the smaller picture
     assert (found.major_px, found.minor_px) == pytest.approx((120, 120), abs=3)  # one pixel of it

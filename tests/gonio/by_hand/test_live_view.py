@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gonio.by_hand import looking
-from gonio.by_hand.sight import Sight
+from gonio.by_hand import frame_analysis
+from gonio.by_hand.live_view import Sight
 from gonio.rig import Frame, Pose
 from gonio.rig.description import Reference
 from gonio.rig.light_and_camera import Band, Camera, Lamp
@@ -149,7 +149,7 @@ def test_the_box_of_the_focus_lies_around_the_region_in_pixels() -> None:
     watched = Watched()
     watched.stand()
     box = watched.look()["focus"]["box"]
-    rows, cols = looking.focus_box(CAMERA, watched.sight.region)
+    rows, cols = frame_analysis.focus_box(CAMERA, watched.sight.region)
     assert box == [cols.start - 0.5, rows.start - 0.5, cols.stop - cols.start, rows.stop - rows.start]
     assert box[0] + 0.5 * box[2] == pytest.approx(47.5, abs=1.0)
     assert box[1] + 0.5 * box[3] == pytest.approx(39.5, abs=1.0)

@@ -11,7 +11,7 @@ from gonio_sim.world import World
 
 from gonio.acquisition.measure import find_rig
 from gonio.errors import ConfigError
-from gonio.rig.calibrated import (
+from gonio.rig.calibration_files import (
     Calibration,
     covariance_of,
     identity,
