@@ -6,6 +6,7 @@ from typing import Any
 import pytest
 from pydantic import ValidationError
 
+from gonio.config import parse
 from gonio.errors import ConfigError
 from gonio.rig.description import (
     ArmAxis,
@@ -20,7 +21,9 @@ from gonio.rig.description import (
     approach_start,
 )
 from gonio.rig.health import Reading
+from gonio.rig.laboratory import Laboratory, merged
 from gonio.rig.light_and_camera import Camera
+from tests.command_line import some
 from tests.gonio.numpy_rig import describe
 
 
@@ -263,3 +266,18 @@ def test_textures_lie_between_their_low_and_high() -> None:
         }
     )  # fmt: skip
     assert sample.parameters_at({"albedo": 0.25}) == {"albedo": pytest.approx(0.35)}
+
+
+def test_what_a_laboratory_states_is_laid_over_key_by_key() -> None:
+    below, above = (parse(Laboratory, {"sample": stated}, "a.toml") for stated in (
+        {"name": "a", "width_mm": 1.0}, {"name": "b", "height_mm": 1.0},
+    ))  # fmt: skip
+    assert some(merged(below, above)).stated() == {"sample": {"name": "b", "width_mm": 1.0, "height_mm": 1.0}}
+    assert (merged(None, above), merged(below, None), merged(None, None)) == (above, below, None)
+
+
+def test_a_range_of_wavelengths_rises() -> None:
+    for wrong in ([2000.0, 250.0], [250.0, 250.0]):
+        with pytest.raises(ConfigError, match=r"lamp_range_nm.*the shortest wavelength comes first"):
+            parse(Laboratory, {"instrument": {"lamp_range_nm": wrong}}, "rig.toml")
+    parse(Laboratory, {"instrument": {"lamp_range_nm": [250.0, 2000.0]}}, "rig.toml")
