@@ -10,6 +10,7 @@ from gonio_analysis.appearance import quantities, sampled
 from gonio_analysis.appearance.glossmeter import GLOSSMETERS, gloss
 from gonio_analysis.appearance.of_models import _mean, of_fit, of_model, of_sample
 from gonio_analysis.appearance.quantities import of_table
+from gonio_analysis.curves.in_plane import curves
 from gonio_analysis.fitting.fit import fit
 from gonio_analysis.fitting.observations import Observations, observations
 from gonio_analysis.report.appearance import listed
@@ -362,3 +363,25 @@ def test_reflectance_at_8_degrees_is_that_of_an_even_function_of_the_angle_betwe
     assert quantities.reflectance_at_8(known(2.0, 10.4, 20.0)).value == pytest.approx(0.3 + 1e-4 * 10.4**2)
     with pytest.raises(sampled.NotMeasured):
         quantities.reflectance_at_8(known(2.0, 31.0))
+
+
+def test_a_value_between_two_others_is_linear_and_its_error_what_a_parabola_leaves() -> None:
+    x = np.radians([2.0, 5.0, 10.0, 20.0, 35.0])
+    f, still, between = 0.2 + 0.3 * x**2, math.radians(30.0), math.radians(7.0)
+    data = replace(observations(measured(Lambert(0.9), plane(30.0, np.degrees(x)))), brdf=f)
+    every = curves(data)
+    line = 0.6 * f[1] + 0.4 * f[2]
+    for at in ((still, between), (between, still)):  # by reciprocity, too
+        found = sampled.in_plane_value(every, 5, *at)
+        assert (found.value, found.error) == pytest.approx((line, line - 0.2 - 0.3 * between**2), rel=1e-9)
+        np.testing.assert_allclose(found.gradient, [0.0, 0.6, 0.4, 0.0, 0.0], rtol=1e-9)
+    there = sampled.in_plane_value(every, 5, still, float(x[3]))
+    assert (there.value, there.error, there.gradient.tolist()) == (f[3], 0.0, [0.0, 0.0, 0.0, 1.0, 0.0])
+    with pytest.raises(sampled.NotMeasured, match="no value within 10° of theta_i = 30°, theta_r = 27°"):
+        sampled.in_plane_value(every, 5, still, math.radians(27.0))
+    ratio = sampled.made_of(lambda a, b: a / b, found, there)
+    expected = found.gradient / there.value - found.value / there.value**2 * there.gradient
+    np.testing.assert_allclose(ratio.gradient, expected, rtol=1e-8, atol=1e-12)  # differences over a millionth
+    assert ratio.error == pytest.approx(found.error / there.value, rel=1e-8)
+    both = sampled.mean([found, there])
+    assert (both.value, both.error) == pytest.approx((0.5 * (found.value + there.value), 0.5 * found.error))
