@@ -11,6 +11,7 @@ import pytest
 from gonio_sweeps import curve
 from gonio_sweeps.candidates import Candidates
 from gonio_sweeps.curve import SAMPLER, Curve, _angle_errors
+from gonio_sweeps.lobe import TILT, Spike, begun
 from gonio_sweeps.online import GrowingValues
 from gonio_sweeps.posterior import AngleErrors, Before, Posterior
 from gonio_sweeps.reconstruct import reconstruct
@@ -21,11 +22,13 @@ from gonio.acquisition.run import Run
 from gonio.errors import ConfigError, DataError, Interrupted
 from gonio.geometry import Directions, solid_angle_of_cone
 from gonio.instrument import apparent_brdf
-from gonio.models.gaussian_process import ENOUGH
+from gonio.models.gaussian_process import ENOUGH, Coordinates
 from gonio.reduction import brdf
 from gonio.reduction.angle_errors import angle_axes
+from gonio.reduction.spikes import overlap
 from gonio.rig.description import RigDescription
 from gonio.typing import Floats
+from tests.command_line import some
 from tests.gonio.numpy_rig import SAMPLE, Plugin, StopAfter, describe, plan_in
 
 PLAN = """
@@ -39,7 +42,7 @@ theta_r_deg = { start = -70, stop = 70, step = 5 }
 """
 
 
-def in_plane(signed: Floats, theta_i: float = 30.0) -> Directions:
+def in_plane(signed: Floats, theta_i: float | Floats = 30.0) -> Directions:
     none = np.zeros(signed.size)
     return Directions.from_degrees(none + theta_i, none, np.abs(signed), np.where(signed < 0, 0.0, 180.0))
 
@@ -130,6 +133,40 @@ def test_a_spike_has_the_shape_of_the_cones() -> None:
     # a reflectance that changes by a quarter a degree makes the edges' thin lenses uncertain
     assert rms(error) < 0.05
     assert rms(known(None).at(between)[0] / truth - 1) > 0.25, "no process over the half vector has such an edge"
+
+
+def test_a_spike_adds_what_the_cones_share_and_scatters_as_landings_do() -> None:
+    away = np.radians([0.0, 0.8, -0.7, 2.0])  # the cones share a part from 0.3 to 1.4 degrees
+    theta_i = np.array([0.5, 0.5, 0.5, 0.5, np.radians(50.0)])
+    d = in_plane(np.degrees(theta_i + np.append(away, 0.0)), np.degrees(theta_i))
+    spike, n = Spike((0.01, 0.015), theta_i[-2:], np.array([3.0, 2.0])), away.size
+    found, scatter = spike.effects(d)
+    # chords stand for angles: a relative 8e-6 at 0.8 degrees, which falling shares double
+    np.testing.assert_allclose(found[:n, 0], 3.0 * overlap(np.abs(away), 0.01, 0.015), rtol=2e-5)
+    np.testing.assert_allclose(found[n], [0.0, 2.0, 0.0, 0.0], atol=1e-12)
+    # a half of the angle is the source's; TILT is the slope's standard deviation
+    np.testing.assert_allclose(found[:n, 2], found[:n, 0] * 0.5 * TILT * away, rtol=2e-5, atol=1e-12)
+    np.testing.assert_allclose(scatter, 0.0, atol=1e-7)  # the root of a difference of rounded squares
+    drawn = np.random.default_rng(2).normal(size=(2, 100_000))
+    read = np.radians(0.05)
+    for k in (1, 2):
+        at = np.hypot(away[k] + np.sqrt(2.0) * read * drawn[0], read * drawn[1])
+        seen = 3.0 * overlap(at, 0.01, 0.015)
+        found, scatter = spike.effects(d, read)
+        # three nodes of a share that is bent, against 1e5 draws
+        assert found[k, 0] == pytest.approx(seen.mean(), rel=5e-3)
+        assert scatter[k] == pytest.approx(seen.std(), rel=0.05)
+
+
+def test_lobe_and_base_of_gaussian_slopes_are_found_at_each_incidence() -> None:
+    x = np.arange(-70.0, 71.0, 5.0)
+    at = Coordinates.of(in_plane(np.tile(x, 2), np.repeat([20.0, 45.0], x.size)))
+    lobe = np.repeat([0.8, 1.3], x.size) * np.exp(-((np.tan(at.theta_h) / np.tan(np.radians(9.0))) ** 2))
+    found = begun(at, lobe + 0.04, np.full(2 * x.size, 1e-4), np.ones(2 * x.size, dtype=bool))
+    # exact values: what the search leaves after its steps
+    np.testing.assert_allclose(some(found), [lobe, np.full(2 * x.size, 0.04)], rtol=1e-3, atol=1e-5)
+    few = np.arange(2 * x.size) < 7
+    assert begun(at, lobe + 0.04, np.full(2 * x.size, 1e-4), few) is None
 
 
 def test_the_scale_is_a_logarithm_far_above_the_noise_and_straight_near_zero() -> None:

@@ -14,6 +14,7 @@ from gonio_analysis.fitting.problem import FitRequest
 from gonio_analysis.fitting.search import refine
 from gonio_analysis.fitting.spectrum import fit_table
 from gonio_analysis.fitting.value_covariance import Covariance
+from gonio_analysis.result_records import MisfitSummary, as_json, finite
 
 from gonio.geometry import Directions
 from gonio.models import CookTorrance, Lambert
@@ -277,3 +278,21 @@ def test_a_joint_fit_that_is_rejected_has_a_misfit_too() -> None:
     assert result.rejected
     assert result.misfit is not None
     assert math.isfinite(known(result.parameters["m"].u))
+
+
+@pytest.mark.parametrize(
+    ("value", "interval", "words"),
+    [
+        (0.047, (0.04, 0.0561), "describes this sample to 4.7 % (4.0 to 5.6)"),
+        (0.693, (0.5, 0.8), "describes this sample to 69 % (50 to 80)"),
+        (math.log(3.0), (math.log(2.5), math.inf), "misses this sample by a factor of 3.0 (2.5 to 1.0 × 10³⁰⁴)"),
+    ],
+)
+def test_a_misfit_is_said_in_percent_or_as_a_factor(value: float, interval: tuple[float, float], words: str) -> None:
+    assert MisfitSummary(value, 0.01, interval).of("this sample") == words
+
+
+def test_json_has_null_for_what_is_not_finite() -> None:
+    many = {"a": math.nan, "b": (np.float64(0.5), math.inf), "c": "inf", "d": np.array([1.5, -math.inf])}
+    assert as_json(many) == {"a": None, "b": [0.5, None], "c": "inf", "d": [1.5, None]}
+    assert [finite(one) for one in (None, math.nan, np.float64(0.5))] == [None, None, 0.5]
