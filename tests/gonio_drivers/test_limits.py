@@ -5,6 +5,7 @@ import math
 from typing import Any
 
 import pytest
+from gonio_drivers.any_arms import AnyJoint
 from gonio_drivers.arms import ServoArms
 from gonio_drivers.joints import COUNTS
 from gonio_sim.wire.servo import Mechanics, Servo
@@ -89,6 +90,37 @@ def test_play_that_a_limit_leaves_open_is_said(line: Line, caplog: pytest.LogCap
             arms.move(pose(-80.0, 0.0))
         assert "axis light at -80 deg" in caplog.text
         assert "backlash of 0.1 deg is not taken up" in caplog.text
+
+
+class Joint(AnyJoint):
+    """An axis that nothing turns, with a quarter of a degree of way to any goal."""
+
+    key, park_deg = "devices.none.axes.light", None
+
+    def run_up_deg(self, goal_deg: float) -> float:
+        return 0.25
+
+
+@pytest.mark.parametrize(
+    ("backlash_deg", "approach_deg", "rounding_deg", "told"),
+    [(0.24, 2.0, 0.0, False), (0.26, 2.0, 0.0, True), (0.26, 2.0, 0.02, False), (0.26, -0.2, 0.0, False)],
+)
+def test_play_is_taken_up_by_a_way_that_is_longer(
+    caplog: pytest.LogCaptureFixture, backlash_deg: float, approach_deg: float, rounding_deg: float, told: bool
+) -> None:
+    axis = LIMITS.model_copy(update={"backlash_deg": backlash_deg})
+    Joint("light", axis, (-80.0, 80.0), approach_deg, None).warn_of_backlash(80.0, rounding_deg)
+    assert len(caplog.records) == told
+
+
+def test_an_axis_may_lean_two_degrees_beyond_a_hard_stop() -> None:
+    joint = Joint("light", LIMITS, (-80.0, 80.0), 2.0, (-84.0, 86.0))
+    for good in (-85.9, 87.9):
+        joint.require_between_stops(good, "zero_count")
+        Joint("light", LIMITS, (-80.0, 80.0), 2.0, None).require_between_stops(10.0 * good, "zero_count")
+    for bad in (-86.1, 88.1):
+        with pytest.raises(DeviceError, match=r"beyond its hard stops at -84 and 86 deg.*axes\.light\.zero_count"):
+            joint.require_between_stops(bad, "zero_count")
 
 
 def test_a_reading_beyond_a_hard_stop_is_a_wrong_zero(line: Line) -> None:

@@ -2,6 +2,7 @@
 
 import errno
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from gonio_drivers import ports
@@ -52,6 +53,13 @@ def test_words_of_the_library_tell_where_there_is_no_number(text: str, said: str
 
 def test_a_port_that_is_not_there_is_no_such_port_whatever_the_error(tmp_path: Path) -> None:
     assert "there is no such port" in str(ports.unopened(str(tmp_path / "none"), failed(None, "?"), "key"))
+
+
+def test_ports_that_are_there_are_sorted_and_have_an_adapter(monkeypatch: pytest.MonkeyPatch) -> None:
+    known = {"/dev/b": "USB", "/dev/s": "n/a", "/dev/a": "PCI"}
+    found = [SimpleNamespace(device=device, hwid=hwid) for device, hwid in known.items()]
+    monkeypatch.setattr("serial.tools.list_ports.comports", lambda: found)
+    assert ports.present() == ["/dev/a", "/dev/b"]
 
 
 def test_a_port_on_the_network_names_its_server() -> None:
