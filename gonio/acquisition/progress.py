@@ -2,7 +2,7 @@
 
 Stopping a measurement by a signal: once finishes the step, twice stops at once. Pausing it, and letting it go on.
 
-How long the rest of a run takes: the rig file's durations, corrected by what its steps have really taken.
+Also here is how long the rest of a run takes, by the rig file's durations and by what its steps have really taken.
 
 On a laboratory rig the rig's clock tells travel and frames apart, and each is corrected by itself. A simulated rig's
 clock is no watch, and what is computed there takes no time to travel: steps of a kind are timed by the clock on the

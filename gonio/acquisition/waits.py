@@ -1,6 +1,6 @@
 """Waits between two steps: a person asks for one, the disk is full, or a fault may pass. The lamp is dark meanwhile.
 
-The health of a rig at every step, and what `[suspend]` in the rig file makes of it: the run waits, and goes on.
+Also here is the health of a rig at every step. By `[suspend]` in the rig file a run waits for it, and goes on.
 """
 
 import math

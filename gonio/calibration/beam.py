@@ -7,7 +7,7 @@ the more obliquely the camera looks. So flats at several camera angles tell the 
 
 The lens is taken for round. Across the plane of the arms all flats look alike, and only that tells lens and beam apart.
 
-The lens's vignetting, determined from the beam's profile: the white reference seen from several directions.
+Also here is the lens's vignetting, from the beam's profile and the white reference seen from several directions.
 
 Vignetting stays with the pixels, beam and reference stay with the sample. Seen more obliquely, the same spots fall on
 other pixels. So ln(signal / known geometry) = level of the direction + ln(1 - v rho^4) + polynomial in x and y.

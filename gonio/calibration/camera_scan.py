@@ -1,6 +1,6 @@
 """What a rig is asked for to calibrate its camera: dark frames, flats of the white reference, a trap, a knife edge.
 
-A quick look at a camera before something else is calibrated with it: gain, black level, and where charge clips.
+Also here is a quick look at a camera before something else is calibrated with it, at gain, black level and clipping.
 
 Pairs of frames of whatever is lit, at ten exposures, make a photon transfer of some per cent. That is enough to tell a
 rig file of another camera, or of another setting of its gain. `gonio calibrate camera` measures.

@@ -8,7 +8,7 @@ them by one factor; a bent curve does not. So each frame j has a factor of its o
 is fitted by least squares. The factors l_j lie around a straight line over time (drift) with a scatter (noise of the
 lamp) that the fit estimates too. Frames of one brightness alone then still tell c, as well as the lamp is steady.
 
-The response curve of a camera of 8 bits from a bracket of exposures (Debevec1997).
+Also here is the response curve of a camera of 8 bits from a bracket of exposures (Debevec1997).
 
 Pixels of one still scene at several exposures read Z_ij, and g(Z_ij) = ln E_i + ln t_j with one smooth g for all.
 """

@@ -2,7 +2,7 @@
 
 Keys that pause a measurement, heard while it runs; prompts of the rig have the terminal for themselves meanwhile.
 
-What long work says of itself: how far it is, and how long the rest may take.
+Also here is the progress of long work: how far it is, and how long the rest may take.
 """
 
 from __future__ import annotations

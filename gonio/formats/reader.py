@@ -5,7 +5,7 @@ A reader gets the bytes of a file, or where `Format.in_pieces` says so the open 
 more memory than a small multiple of what it was given.
 Everything that is wrong with a file is a `DataError` that names the file and the line or byte.
 
-What a table's provenance states of its laboratory (`[laboratory]` of the run), and what a record still needs.
+Also here is what a table states of its laboratory (`[laboratory]` of the run), and what a record still needs.
 """
 
 from __future__ import annotations

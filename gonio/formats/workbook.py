@@ -5,7 +5,7 @@ measurement table's names, or under others that are named (`gonio.formats.own_co
 is taken whose header has all the columns that are needed. Numbers come out with every bit that the workbook holds;
 those that are written have 16 digits.
 
-The cells of Excel workbooks, of 1997 (xlrd) and of today (openpyxl), with bounds on what a small file may unpack to.
+Also here are the cells of Excel workbooks, of 1997 (xlrd) and of today (openpyxl), with bounds on what they unpack to.
 
 A damaged or a hostile file ends in a `DataError`, after a time and with a memory that are bounded.
 """

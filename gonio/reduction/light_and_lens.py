@@ -3,7 +3,7 @@
 Derived in docs/calibrate_light.md. None of these effects is corrected here (the beam's profile is, in
 `gonio.rig.imaging`): each is a signed column, the change of the BRDF for one standard deviation of its cause.
 
-What a calibration leaves open of the camera's linearity and stray light, and what that does to values.
+Also here is what a calibration leaves open of the camera's linearity and stray light, and what that does to values.
 """
 
 import math

@@ -3,7 +3,7 @@
 The model, the choice of the weights, and what is left out without a bias, are explained in docs/exposure.md, "One rate
 of many frames".
 
-The frames of a point as one rate, with its variance.
+Also here are the frames of a point as one rate, with its variance.
 """
 
 import math

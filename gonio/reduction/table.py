@@ -1,6 +1,6 @@
 """The measurement table of a run's reduced bands, and the notes that a reader of it needs.
 
-The uncertainty of each value in its parts, and what no part of it holds (docs/budget.md).
+Also here is the uncertainty of each value in its parts, and what no part of it holds (docs/budget.md).
 """
 
 import math

@@ -1,12 +1,12 @@
 """The lamp and the camera of a rig file, with what polarises and how the beam falls off.
 
-The spectral bands of a rig file: listed, or of a tunable filter.
+Also here are the spectral bands of a rig file, listed or of a tunable filter.
 
 From what a pixel reads to what it saw: response curve, nonlinearity, and the maps of single pixels.
 
 Signals are in DN. With none of the keys (`camera.response`, `camera.nonlinearity`, `camera.maps`) nothing is changed.
 
-The noise of a camera's pixels by the linear model of EMVA 1288 (release 4.0, section 2.4).
+Also here is the noise of a camera's pixels by the linear model of EMVA 1288 (release 4.0, section 2.4).
 """
 
 from dataclasses import dataclass

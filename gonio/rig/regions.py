@@ -1,6 +1,6 @@
 """The region of interest of a frame: which pixels show the patch that is read, or the lamp straight through.
 
-Whether the beam is larger than the region of interest ("over") or smaller ("under"), and what a rate is then.
+Also here is whether the beam is larger ("over") or smaller ("under") than the region of interest, and the rate then.
 
 Overfilled: every pixel of the region is lit, and the irradiance there is known from the geometry of each.
 Underfilled: the whole spot lies inside the region, and what is known is the flux of the beam. The signals of all

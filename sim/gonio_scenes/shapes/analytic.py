@@ -1,6 +1,6 @@
 """Shapes of formulas: plane, disc, sphere, cylinder and box.
 
-A surface of revolution: exact frusta between the points of its profile, or a smooth curve through them.
+Also here is a surface of revolution: exact frusta between the points of its profile, or a smooth curve through them.
 """
 
 import math

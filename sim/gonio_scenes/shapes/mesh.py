@@ -1,6 +1,6 @@
 """A triangle mesh from a file: read, checked, turned and placed.
 
-A rectangle whose heights a picture gives.
+Also here is a rectangle whose heights a picture gives.
 """
 
 import io
