@@ -219,8 +219,7 @@ STEPS_DEG = tuple(60.0 / 1.05**k for k in range(120))
 FINER_DEG = 15.0
 """Closer to the mirror direction the steps are half as large: lobes lie there."""
 EVENLY = 0.7
-"""Part of the time that is left when a covering begins which gaps divided evenly may take; the rest is for the curves'
-errors."""
+"""Share of a covering's time for points that divide gaps evenly; the rest is for points where curves err most."""
 SAME_PLACE = 0.03
 """Distance (of `places`) from a measured candidate within which others count as measured: about an encoder's step."""
 ENOUGH = 1e-3
@@ -351,7 +350,7 @@ class _Line:
     there: list[int]
     """Those that were visited or are taken, as numbers in `line`."""
     squares: Floats
-    """Square of the relative error in the middle of the gap after each of them, over the fourth power of the gap."""
+    """Square of the relative error in the middle of the gap after each point, over the fourth power of the gap."""
 
     @classmethod
     def of(cls, known: Curves, line: list[int], allowed: set[int]) -> _Line:

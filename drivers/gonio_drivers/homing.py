@@ -98,12 +98,12 @@ class Search:
         return (first + self._go(-homing.toward, lambda count, moved: self.closed())) / 2
 
     def _against(self, way: int) -> float:
-        """Go until it stands against something; where [counts]."""
+        """Go until the axis stands against something; returns the place [counts]."""
         still = _Still()
         return self._go(way, lambda count, moved: still.against(count) and not self._sent_on(still))
 
     def _go(self, way: int, there: Callable[[int, float], bool]) -> float:
-        """Go slowly until `there` says so, of the count and of how far the axis has moved [deg]; then stop; where.
+        """Go slowly until `there` of the count and of the way so far [deg] is true; stop; returns the place [counts].
 
         The place is in the middle between the last look before and the first look after.
         """

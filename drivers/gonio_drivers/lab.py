@@ -335,7 +335,7 @@ class LabPlugin(service.ServoService):
         return LabRig(description, _devices(description), confirm=confirm)
 
     def open_by_hand(self, description: RigDescription, *, confirm: bool) -> LabRig:
-        """The same for work by hand: a camera that cannot be made yet (an uncalibrated one) stops nobody else."""
+        """The same for work by hand: other devices work without a camera that cannot be made yet (uncalibrated)."""
         return LabRig(description, _devices(description), confirm=confirm, lenient=True)
 
     def acknowledge(self, description: RigDescription) -> str:

@@ -396,7 +396,7 @@ class _Frames:
 
     def __init__(self, run: Run, progress: Progress | None) -> None:
         self.told: dict[int, StepRecord] = {}
-        """By step: what the label of its last frame says of it."""
+        """By step: its record, from the label of its last frame."""
         self.unproved: set[int] = set()
         """Steps whose last frame does not say what its pixels are."""
         self.pictures = Pictures(run.description.camera)

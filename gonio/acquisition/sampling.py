@@ -30,7 +30,7 @@ class Choice:
 
 
 class Sampler(Protocol):
-    """Somebody who names the next points of a run. What it says follows from the run on the disk alone."""
+    """What chooses the next points of a run. Its choice follows from the run on the disk alone."""
 
     def first(self, planned: Sequence[Point]) -> Sequence[Point]:
         """What is measured before anything is known, beside the points that the plan names itself."""

@@ -106,7 +106,7 @@ class Scan:
             try:
                 self._manual.move(theta_i=first, theta_r=math.radians(angle))
             except ConfigError:
-                continue  # this rig does not get there
+                continue  # the rig cannot reach this pose
             t = float(self._times(np.array([self._meter("field").exposure_s]))[0])
             self._say(f"field: {FIELD_FRAMES} frames at theta_r = {angle:g} deg")
             pose = self._manual.arms.read()

@@ -141,7 +141,7 @@ def hat(values: Floats, low: float = 0.01, high: float = 0.99) -> Floats:
 
 
 def solve(values: NDArray[np.integer], log_exposures: Floats, smoothness: float = SMOOTHNESS) -> Floats:
-    """g of every value, with g(128) = 0: the least squares of Debevec and Malik, eq. 3; 0 where no frame tells it.
+    """g of every value, with g(128) = 0: the least squares of Debevec and Malik, eq. 3; 0 where no frame determines it.
 
     Parameters
     ----------

@@ -18,7 +18,7 @@ TWICE = 4.0
 """Chi-square a pair beyond which differences are twice what uncertainties say: an interval of k = 2 then covers what
 one of k = 1 should."""
 HALF_DIFFERENT = DIFFERENT / 2
-"""Without uncertainties: half of what is called different."""
+"""Difference, of tables without uncertainties, that is half of what counts as different."""
 ENERGY_SIGMA = 2.0
 """A reflectance above 1 by more than this many standard uncertainties breaks the conservation of energy (k = 2)."""
 LOST = 0.10

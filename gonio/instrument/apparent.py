@@ -203,7 +203,7 @@ class Cones:
         return values.reshape(self._where.shape)[()]
 
     def rules(self, model: Model, *, wavelength_nm: float = 550.0) -> Rules:
-        """How the average over the cones is taken for this model: what `lobe` can take for others that are like it."""
+        """Rules of the average over the cones for this model, which `lobe` can take for similar ones."""
         return self._lobe(model, wavelength_nm).choose(self._omega_i, self._omega_r)[1]
 
     def _lobe(self, model: Model, wavelength_nm: float) -> Lobe:

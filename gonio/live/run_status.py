@@ -220,7 +220,7 @@ class RunStatus:
 
 
 def is_one_of_many(event: Mapping[str, Any]) -> bool:
-    """Whether a page can do without the whole of an event, once it is long ago."""
+    """Whether an old event may be shortened for a page."""
     return event.get("event") == "step" and not event.get("flag") and bool(event["n"] % KEPT)
 
 

@@ -347,7 +347,7 @@ class _Client(BaseHTTPRequestHandler):
         return True
 
     def send_error(self, code: int, message: str | None = None, explain: str | None = None) -> None:
-        """What cannot be understood is refused in the same way as all else."""
+        """Requests that cannot be parsed are refused like all others that are refused."""
         self._refuse(HTTPStatus(code))
 
     def _send(self, status: HTTPStatus, body: bytes, kind: str | None) -> None:

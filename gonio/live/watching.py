@@ -3,7 +3,7 @@
 Everything here reads, and only while somebody looks. A thread looks at the journal every `POLL_S`, and at what another
 process (`gonio.live.worker`) has worked out for all watchers of the run.
 
-Also here is a run in the terminal, as the page shows it: a panel that is drawn again, or plain lines where nobody looks.
+Also here is a run in the terminal, as the page shows it: a panel that is drawn again, or plain lines for a log file.
 """
 
 from __future__ import annotations

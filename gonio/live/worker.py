@@ -33,7 +33,7 @@ SHARE = 0.02
 ONCE_S = 0.04
 """Processor time of one turn."""
 LONGEST_S = 5.0
-"""It rests no longer for what it has worked."""
+"""Longest rest after a turn, by which its share of the processor is kept."""
 TOLD_S = 1.0
 """Least time between two hand-overs of values. They take a tenth of the time at most: very many values take long."""
 PICTURE_S = 2.0

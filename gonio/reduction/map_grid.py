@@ -145,7 +145,7 @@ class Lookup:
         return self._grid.pixel_mm if self.means else 0.0
 
     def _half(self, x: Floats, y: Floats) -> Floats:
-        """How far outward from the middle of a cell what it sees reaches [mm]: all pixels that it is made of."""
+        """How far outward from its middle a cell sees [mm], by all pixels that it is made of."""
         view = self._point.view
         outward = np.stack([x, y], axis=-1) / np.maximum(np.hypot(x, y), 1e-12)[..., None]
         pixel = np.abs(outward @ self._jacobian).sum(axis=-1) * (

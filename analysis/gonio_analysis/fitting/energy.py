@@ -55,7 +55,7 @@ def of_model(result: FitResult) -> list[Reflectance]:
 def _with_misfit(
     result: FitResult, theta_i: float, phi_i: float, wave: float, value: float, of_parameters: float
 ) -> Reflectance:
-    """By directions that each stand for as much of the reflected light: the misfit changes each of them."""
+    """rho_dh with its misfit, from directions that each stand for an equal part of the reflected light."""
     assert result.misfit is not None
     at, model = reflected(result.model, theta_i, phi_i, wave)
     if not model.size:

@@ -114,7 +114,7 @@ def _combination(names: tuple[str, str], values: tuple[float, float], u: tuple[f
     if power > 0 and abs(float(power) - ratio) > 0.1 * ratio:
         q = -math.copysign(ratio, r)
     spread = math.sqrt(max((p * u[0]) ** 2 + (q * u[1]) ** 2 + 2 * p * q * r * u[0] * u[1], 0.0))
-    if spread > 0.5 * min(1.0, *u):  # of a half, and more, nothing is determined
+    if spread > 0.5 * min(1.0, *u):  # hardly better known than the parameters
         return ""
     value = values[0] ** p * abs(values[1]) ** q
     exponent = "" if abs(q) == 1.0 else f"^{abs(q):.3g}"

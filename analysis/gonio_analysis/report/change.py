@@ -247,7 +247,7 @@ def _conclusion(c: Change) -> str:
 
 
 def _agreement(w: Within) -> str:
-    """In words: within what relative standard deviation, beyond what is stated, and with what set free."""
+    """The relative standard deviation within which both agree beyond stated uncertainties, in words."""
     if w.as_they_are == 0.0:
         return "within what they state"
 

@@ -291,7 +291,7 @@ class _Sheet:
         return [*lines, line] if line or not lines else lines
 
     def _widths(self, rows: Sequence[Sequence[str]], size: float) -> list[float]:
-        """Of the columns: what their cells need, and where that is too much less of what is wide."""
+        """Widths of the columns: what their cells need; where that is too much, wide columns get less."""
         count = max(map(len, rows))
         columns = [[row[k] for row in rows if k < len(row)] for k in range(count)]
         natural = [max(self._measure(cell, size, "bold") for cell in column) for column in columns]

@@ -87,7 +87,7 @@ CAMERAS_MM = (850.0, 700.0, 1100.0)
 
 
 def _lit_as_12(tables: TomlTable) -> None:
-    """The lights of Fig. 12 on the same surface: a mirror image is compared with what was there to be mirrored."""
+    """The lights of Fig. 12 on the same surface, with which a mirror image is compared."""
     tables["light"] = load(SceneFile, scene_file("htsg-12a")).model_dump(exclude_none=True, exclude_unset=True)["light"]
 
 
