@@ -89,6 +89,9 @@ def test_primaries_and_curves(oracle: Any) -> None:
     # at code 0.04045 the standard's two pieces are 2e-8 apart in light
     assert colour.SRGB.decode(colour.SRGB.encode(light)) == pytest.approx(light, abs=1e-7)
     assert colour.NTSC_1953.decode(colour.NTSC_1953.encode(light)) == pytest.approx(light, abs=1e-12)
+    for screen in (colour.SRGB, colour.NTSC_1953):
+        for curve in (screen.decode, screen.encode):
+            assert curve([-0.1, 1.2]) == pytest.approx([0.0, 1.0], abs=2e-16)  # a rounding
 
 
 def test_adaptation(oracle: Any) -> None:

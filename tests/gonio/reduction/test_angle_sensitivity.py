@@ -2,13 +2,21 @@
 
 import math
 from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from gonio.geometry import Directions, angles, direction
+from gonio.reduction import angle_errors
 from gonio.reduction.angle_sensitivity import Curves
 from gonio.reduction.spikes import OverlapFraction, blurred_overlap, over_patch, overlap
+from gonio.rig import kinematics
+from gonio.rig.description import ArmAxis, Arms
+from gonio.rig.inverse_kinematics import reach
+from gonio.rig.light_and_camera import Lamp
+from tests.gonio.reduction.made_run import describe
 
 HALF = math.radians(0.5)
 stack = Directions.stack
@@ -104,6 +112,34 @@ def test_a_lobe_that_follows_the_mirror_direction() -> None:
             # 4 % of that slope, in theta_r and along the mirror direction alike
             assert odd == pytest.approx(true / math.cos(d.theta_i), abs=0.08 * 4.1 * u)
             assert abs(even) < 1e-6
+
+
+@pytest.mark.parametrize(
+    ("beam_mm", "how", "axis", "angle_deg"),
+    # a beam wider than the region's 6 mm spreads with the light's cosine, a narrower one with the camera's
+    [
+        (6.0, "swap", "light", 40.0),
+        (5.9, "swap", "camera", 25.0),
+        (None, "swap", "camera", None),
+        (6.0, "beam", "light", None),
+    ],
+)
+def test_readings_and_zeros_of_the_axes_in_radians(
+    beam_mm: float | None, how: str, axis: str, angle_deg: float | None
+) -> None:
+    arm = ArmAxis(limits_deg=(-89.0, 89.0), encoder_step_deg=0.088, encoder_noise_deg=0.01, zero_u_deg=0.02)
+    description = describe(
+        arms=Arms(light=arm, camera=arm),
+        lamp=Lamp(beam_diameter_mm=beam_mm),
+        reference={"how": how} | ({"attenuation": 0.1} if how == "beam" else {}),
+    )
+    zero, step = math.radians(0.02), math.radians(math.sqrt(0.088**2 / 12.0 + 0.01**2))
+    assert angle_errors.zero_uncertainties(description) == pytest.approx({"light": zero, "camera": zero})
+    assert angle_errors.encoder_steps(description) == pytest.approx({"light": step, "camera": step})
+    visit, u = reach(description, at(40.0, 25.0)), 0.01
+    seen: Any = SimpleNamespace(pose=visit, directions=kinematics.directions(description, visit))
+    signed = 0.0 if angle_deg is None else math.tan(math.radians(angle_deg)) * math.sin(u)
+    assert abs(angle_errors.change_of_cosine(description, seen, axis, u)) == pytest.approx(signed, rel=1e-9, abs=1e-15)
 
 
 def test_the_normal_is_no_edge() -> None:
