@@ -8,6 +8,7 @@ import pandas as pd
 import pytest
 from gonio_analysis.report import budget
 from gonio_analysis.report.drawing import Figure
+from gonio_analysis.selection import run_record
 from gonio_analysis.selection.run_record import run_budget, run_facts
 
 from gonio import measurement
@@ -105,6 +106,23 @@ def test_what_all_bands_say_is_said_once(notes: list[tuple[str, list[str]]], sai
 def test_many_bands_are_counted() -> None:
     (note,) = said_once([(f"{nm} nm", ["a"]) for nm in range(400, 710, 10)])
     assert note == "400 nm, 410 nm, 420 nm, 430 nm, 440 nm, 450 nm, 460 nm, 470 nm, 480 nm, 490 nm and 21 more bands: a"
+
+
+# ---- health: hours since the start, and what is lowest and highest however much is left out ----
+
+
+def test_thinning_keeps_what_is_lowest_and_highest_anywhere() -> None:
+    values = np.random.default_rng(5).normal(size=5000)
+    values[1234], values[4321] = 9.0, -9.0
+    hours = np.arange(5000.0) / 100.0
+    order = np.random.default_rng(6).permutation(5000)  # steps may come in any order
+    times = 1.9e9 + 3600.0 * hours[order]
+    h = run_record._summary("a", "b", "", 1.9e9, times.tolist(), values[order].tolist())
+    assert (h.steps, h.lowest, h.highest, h.median) == (5000, -9.0, 9.0, pytest.approx(np.median(values)))
+    # microseconds are left of times since 1970
+    assert (h.lowest_h, h.highest_h) == pytest.approx((43.21, 12.34), abs=1e-9)
+    assert (9.0 in h.value, -9.0 in h.value, h.time_h[-1]) == (True, True, pytest.approx(49.99))
+    assert h.time_h == sorted(h.time_h)
 
 
 # ---- the budget: shares that add up, curves in the plane, and no budget of another table ----
