@@ -1,12 +1,16 @@
 """Counts of a step from its frames: what is taken off, and what a region spans."""
 
 import math
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
-from gonio.reduction.count_rates import _alike, _lines, without_dark
-from gonio.rig.light_and_camera import Camera
+from gonio.reduction.count_rates import RunFrames, _alike, _lines, without_dark
+from gonio.rig import Frame
+from gonio.rig.light_and_camera import Camera, straightened
+from tests.gonio.reduction.made_run import describe
 
 BLACK, WHITE = 64.0, 4095
 
@@ -68,3 +72,18 @@ def test_one_exposure_takes_the_slope_that_is_given(apart: float, slope: float) 
     level, found = _lines([(t, [64.0 + 3.0 * t]) for t in times], ("mono",), rate=9.0)["mono"]
     assert found == pytest.approx(slope, rel=1e-9)
     assert level == pytest.approx(64.0 + (3.0 - slope) * 2.0, rel=1e-9)
+
+
+@pytest.mark.parametrize("bend", [(), (-0.1,)])
+def test_what_a_frame_spreads_is_a_share_of_its_light_without_its_dark_signal(bend: tuple[float, ...]) -> None:
+    """An even frame of 500 DN of light over a dark signal of 10 + 3 * 2 DN; a fiftieth of the light is everywhere."""
+    description = describe(camera={"stray_light": 0.02, "nonlinearity": bend})
+    camera = description.camera
+    rates: Any = SimpleNamespace(description=description, _dark_means={"mono": (1010.0, 3.0)}, full=0.0)
+    mosaic = np.full((64, 64), 1516, dtype=np.uint16)
+    frame = Frame(mosaic, 2.0, camera.black_level_dn, camera.white_level_dn, camera.pattern, time_s=0.0)
+    added, _ = RunFrames.spread(rates, frame, "mono").at(np.array([3]), np.array([40]))
+    lit, dark = straightened(camera, np.array([516.0, 16.0]))
+    # the lens spreads a fiftieth of what arrives, of which the frame holds the whole
+    assert added == pytest.approx([0.02 * (lit - dark) / 1.02], rel=1e-12)
+    assert rates.full == 0.0
