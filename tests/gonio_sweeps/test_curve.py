@@ -299,6 +299,11 @@ def test_the_first_points_cover_and_the_mirror_direction_is_one(tmp_path: Path) 
     assert {30.0 - 0.5 * reach, 30.0, 30.0 + 0.5 * reach} <= set(signed), "what a spike is told by"
     assert min(signed) == -70
     assert max(signed) == 70
+    wanted = sampler(tmp_path, PLAN.replace("[30]", "[30]\nu_rel = 0.015\nmost_points = 40"))
+    assert wanted.about()[:2] == [
+        "target (relative standard uncertainty of the curve): 1.5 % everywhere",
+        "budget: 1 h of rig time for the whole run; at most 40 points",
+    ]
 
 
 def test_a_form_that_many_values_told_is_kept_until_a_quarter_more_are_there(monkeypatch: pytest.MonkeyPatch) -> None:

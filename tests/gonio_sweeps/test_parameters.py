@@ -258,7 +258,7 @@ def test_it_says_what_it_will_do(tmp_path: Path) -> None:
     lines = "\n".join(about(sampler(tmp_path, MATTE.format(albedo=0.01, sigma=0.5))))
     assert "oren-nayar at 500 nm; fitted: albedo, sigma_deg" in lines
     assert "albedo to 1 %, sigma_deg to 0.5" in lines
-    assert "candidates: 1" in lines
+    assert "budget: 0.5 h of rig time for the whole run\ncandidates: 1" in lines
     assert "block" in lines, "those near retro that the rig cannot reach"
 
 
