@@ -9,6 +9,8 @@ import pytest
 
 from gonio import measurement
 from gonio.errors import DataError
+from gonio.formats import klems_xml
+from gonio.typing import Floats
 
 
 def window(
@@ -124,3 +126,24 @@ def test_other_directions_cannot_be_a_klems_matrix(tmp_path: Path, small: pd.Dat
     with pytest.raises(DataError, match="145 patches"):
         measurement.write(small, tmp_path / "a.xml")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_averages_are_those_over_projected_solid_angles() -> None:
+    """Of (2 + x_i) (2 + x_r), x = sin(theta) cos(phi): in closed form, ring by ring."""
+
+    def mean(theta_deg: Floats, phi_deg: Floats) -> Floats:
+        edges = np.array([0.0, 5.0, 15.0, 25.0, 35.0, 45.0, 55.0, 65.0, 75.0, 90.0])
+        ring = np.searchsorted(edges, theta_deg, side="right") - 1
+        low, high = np.sin(np.radians([edges[ring], edges[ring + 1]]))
+        half = np.radians(180.0 / np.array([1, 8, 16, 20, 24, 24, 24, 16, 12])[ring])
+        return 2.0 / 3.0 * (high**3 - low**3) / (high**2 - low**2) * np.cos(np.radians(phi_deg)) * np.sinc(half / np.pi)
+
+    def x(theta: Floats, phi: Floats) -> Floats:
+        return np.asarray(np.sin(theta) * np.cos(phi))
+
+    found = klems_xml.averaged(lambda ti, pi, tr, pr: (2.0 + x(ti, pi)) * (2.0 + x(tr, pr)), "a", samples=4)
+    expected = (2.0 + mean(found["theta_i_deg"], found["phi_i_deg"])) * (
+        2.0 + mean(found["theta_r_deg"], found["phi_r_deg"])
+    )
+    # midpoints of four: (45 deg / 4)^2 / 24 of x, which is at most 1
+    np.testing.assert_allclose(found["brdf"], expected, rtol=2e-3)
