@@ -131,12 +131,13 @@ def test_other_directions_cannot_be_a_klems_matrix(tmp_path: Path, small: pd.Dat
 def test_averages_are_those_over_projected_solid_angles() -> None:
     """Of (2 + x_i) (2 + x_r), x = sin(theta) cos(phi): in closed form, ring by ring."""
 
-    def mean(theta_deg: Floats, phi_deg: Floats) -> Floats:
+    def mean(theta_deg: pd.Series, phi_deg: pd.Series) -> Floats:
         edges = np.array([0.0, 5.0, 15.0, 25.0, 35.0, 45.0, 55.0, 65.0, 75.0, 90.0])
         ring = np.searchsorted(edges, theta_deg, side="right") - 1
         low, high = np.sin(np.radians([edges[ring], edges[ring + 1]]))
         half = np.radians(180.0 / np.array([1, 8, 16, 20, 24, 24, 24, 16, 12])[ring])
-        return 2.0 / 3.0 * (high**3 - low**3) / (high**2 - low**2) * np.cos(np.radians(phi_deg)) * np.sinc(half / np.pi)
+        share = 2.0 / 3.0 * (high**3 - low**3) / (high**2 - low**2) * np.sinc(half / np.pi)
+        return np.asarray(share * np.cos(np.radians(phi_deg)))
 
     def x(theta: Floats, phi: Floats) -> Floats:
         return np.asarray(np.sin(theta) * np.cos(phi))

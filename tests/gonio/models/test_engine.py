@@ -1,6 +1,7 @@
 """Arguments, shapes, threads and start-up of the evaluation engine, on models whose digits other tests hold."""
 
 import inspect
+import math
 import os
 import re
 import subprocess
@@ -15,6 +16,7 @@ import pytest
 
 from gonio.errors import ArgumentError
 from gonio.models import (
+    GGX,
     AnisotropicFacets,
     Blinn,
     CookTorrance,
@@ -24,6 +26,7 @@ from gonio.models import (
     Lambert,
     OrenNayar,
     Phong,
+    Retroreflecting,
     Sum,
     _loops,
     build,
@@ -33,6 +36,7 @@ from gonio.models import (
 )
 from gonio.models._compile import _loop
 from gonio.models.model import Model
+from gonio.models.parameters import Levels
 from tests.gonio.models.agreement import drawn_vectors
 from tests.places import ROOT
 
@@ -414,3 +418,37 @@ def test_masked_values_are_refused_and_not_computed_with() -> None:
     for name, call in calls.items():
         with pytest.raises(ArgumentError, match=f"{name.strip()} is a masked array"):
             call()
+
+
+@pytest.mark.parametrize("slopes", [1, 2])
+@pytest.mark.parametrize("ior", [None, 1.5])
+@pytest.mark.parametrize(
+    "kind", [AnisotropicFacets, Blinn, CookTorrance, GGX, HeTorrance, Lambert, OrenNayar, Phong, Retroreflecting]
+)
+def test_a_fit_starts_inside_the_bounds_from_the_level_that_was_measured(
+    kind: type[Model], ior: float | None, slopes: int
+) -> None:
+    declared = kind.declaration(ior, slopes)
+    at = np.array([0.2, 0.7, 1.1]), 0.0, np.array([0.9, 0.1, 1.2]), np.array([0.5, 2.0, 3.0])
+    middle = {name: row.inside(0.4) for name, row in declared.parameters.items()} | dict(declared.fixed)
+    for diffuse in (0.2, 7.0):
+        starts = declared.starts(Levels(diffuse, diffuse, 4.0 * diffuse, 0.55))
+        assert all(declared.parameters[name].inside(value) == value for one in starts for name, value in one.items())
+        for start in (starts[0], starts[-1]):
+            full = middle | start
+            for name, slope in declared.flat(full).items():  # its effect is the same in every direction
+                model, less = (kind(**declared.arguments(full | {name: full[name] * part})) for part in (1.0, 0.5))
+                # differences of values that a lobe may make a thousand times as large
+                change = np.asarray(model.brdf(*at)) - np.asarray(less.brdf(*at))
+                np.testing.assert_allclose(change, slope * 0.5 * full[name], rtol=1e-10, atol=1e-13)
+                if kind is not GGX:  # it takes tenths of the level, too
+                    base = math.pi * slope * full[name]
+                    assert base == pytest.approx(min(diffuse, math.pi * slope), rel=1e-12)
+
+
+def test_what_a_fit_derives_of_its_parameters() -> None:
+    of_metal = HeTorrance.declaration("Al").derived({"sigma0_um": 0.3, "tau_um": 2.0})
+    assert of_metal == {"slope_m": pytest.approx(0.3)}
+    two = CookTorrance.declaration(1.5, 2).derived({"s": 0.2, "w_1": 0.7})
+    assert two == {"d": pytest.approx(0.8), "w_2": pytest.approx(0.3)}
+    assert CookTorrance.declaration(1.5).derived({"s": 0.2}) == {"d": pytest.approx(0.8)}

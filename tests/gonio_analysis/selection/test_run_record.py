@@ -118,10 +118,12 @@ def test_thinning_keeps_what_is_lowest_and_highest_anywhere() -> None:
     order = np.random.default_rng(6).permutation(5000)  # steps may come in any order
     times = 1.9e9 + 3600.0 * hours[order]
     h = run_record._summary("a", "b", "", 1.9e9, times.tolist(), values[order].tolist())
-    assert (h.steps, h.lowest, h.highest, h.median) == (5000, -9.0, 9.0, pytest.approx(np.median(values)))
+    assert (h.steps, h.lowest, h.highest) == (5000, -9.0, 9.0)
+    assert h.median == pytest.approx(np.median(values))
     # microseconds are left of times since 1970
     assert (h.lowest_h, h.highest_h) == pytest.approx((43.21, 12.34), abs=1e-9)
-    assert (9.0 in h.value, -9.0 in h.value, h.time_h[-1]) == (True, True, pytest.approx(49.99))
+    assert {9.0, -9.0} <= set(h.value)
+    assert h.time_h[-1] == pytest.approx(49.99)
     assert h.time_h == sorted(h.time_h)
 
 
