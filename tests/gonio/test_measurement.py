@@ -19,7 +19,7 @@ from gonio import measurement
 from gonio.cli.tables import convert
 from gonio.errors import ConfigError, DataError
 from gonio.formats import native
-from gonio.formats.reader import ANGLES, COLUMNS, fold, plain_degrees, table
+from gonio.formats.reader import ANGLES, COLUMNS, table
 
 
 def example(count: int = 4, **changes: Any) -> pd.DataFrame:
@@ -275,30 +275,6 @@ def test_samples_of_a_file_by_name(tmp_path: Path) -> None:
         measurement.tables(tmp_path / "none.csv:tin")
     measurement.write(measurement.read(path), tmp_path / "native.csv")
     assert list(measurement.tables(tmp_path / "native.csv")) == ["zinc", "brass"]
-
-
-@given(st.floats(-90, 90), st.floats(-720, 720))
-@settings(deadline=None)
-def test_a_signed_angle_keeps_its_direction(theta: float, phi: float) -> None:
-    folded, azimuth = fold(theta, phi)
-    assert 0 <= folded <= 90
-    assert 0 <= azimuth < 360
-
-    def vector(t: float, p: float) -> np.ndarray:
-        t, p = np.deg2rad(t), np.deg2rad(p)
-        return np.array([np.sin(t) * np.cos(p), np.sin(t) * np.sin(p), np.cos(t)])
-
-    # azimuths are rounded to 1e-10 degrees; the reduction of 720 degrees loses 1e-13
-    np.testing.assert_allclose(vector(float(folded), float(azimuth)), vector(theta, phi), atol=3e-12)
-
-
-@given(st.floats(0, 90).map(lambda x: round(x, 3)))
-@settings(deadline=None)
-def test_radians_with_six_decimals_stand_for_plain_degrees(degrees: float) -> None:
-    text = f"{np.deg2rad(degrees):.6f}"
-    short = float(plain_degrees(float(text), 6))
-    assert f"{np.deg2rad(short):.6f}" == text
-    assert abs(short - degrees) <= 5.8e-5  # twice the half of the sixth decimal, in degrees
 
 
 def test_a_table_that_is_read_in_pieces_is_the_table(monkeypatch: pytest.MonkeyPatch) -> None:

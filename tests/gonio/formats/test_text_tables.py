@@ -9,9 +9,12 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from gonio import measurement
 from gonio.errors import DataError
+from gonio.formats.reader import fold, plain_degrees, wrap_deg
 
 ASTM = """LAB_NAME A laboratory
 LAB_COMMENTS first line,
@@ -293,3 +296,38 @@ def test_an_astm_file_of_one_unnamed_band() -> None:
     assert frame["brdf"].tolist() == [0.25, -1e-4]
     assert frame["wavelength_nm"].isna().all()
     assert any("no wavelength" in note for note in frame.attrs["notes"])
+
+
+# ---- angles as a table has them ----
+
+
+@given(st.floats(-90, 90), st.floats(-720, 720))
+@settings(deadline=None)
+def test_a_signed_angle_keeps_its_direction(theta: float, phi: float) -> None:
+    folded, azimuth = fold(theta, phi)
+    assert 0 <= folded <= 90
+    assert 0 <= azimuth < 360
+
+    def vector(t: float, p: float) -> np.ndarray:
+        t, p = np.deg2rad(t), np.deg2rad(p)
+        return np.array([np.sin(t) * np.cos(p), np.sin(t) * np.sin(p), np.cos(t)])
+
+    # azimuths are rounded to 1e-10 degrees; the reduction of 720 degrees loses 1e-13
+    np.testing.assert_allclose(vector(float(folded), float(azimuth)), vector(theta, phi), atol=3e-12)
+
+
+@given(st.floats(0, 90).map(lambda x: round(x, 3)))
+@settings(deadline=None)
+def test_radians_with_six_decimals_stand_for_plain_degrees(degrees: float) -> None:
+    text = f"{np.deg2rad(degrees):.6f}"
+    short = float(plain_degrees(float(text), 6))
+    assert f"{np.deg2rad(short):.6f}" == text
+    assert abs(short - degrees) <= 5.8e-5  # twice the half of the sixth decimal, in degrees
+
+
+def test_angles_of_a_file_as_they_are_meant() -> None:
+    assert wrap_deg([0.0, 359.9, 360.0, -22.5, -1e-12, 725.0]).tolist() == [0.0, 359.9, 0.0, 337.5, 0.0, 5.0]
+    theta, phi = fold([-30.0, 30.0, 90.004, 90.006], [200.0, 200.0, 0.0, 0.0], slack_deg=0.005)
+    assert (theta.tolist(), phi.tolist()) == ([30.0, 30.0, 90.0, 90.006], [20.0, 200.0, 0.0, 0.0])
+    # half of the sixth decimal is 2.9e-5 degrees: 10.0006 would be 3.4e-5 off
+    assert plain_degrees([0.174533, 0.785398, 0.174544], 6).tolist() == [10.0, 45.0, 10.00063]
