@@ -90,17 +90,23 @@ def clipped_dn(camera: Camera, frame: Frame) -> float:
     mosaic, black = frame.mosaic.ravel(), frame.black_level_dn
     mosaic = mosaic[:: 1 + 2 * (mosaic.size // MANY)]  # an odd step meets every colour
     width = 1 + math.ceil(5.0 * math.hypot(camera.read_noise_e, camera.dsnu_e) / camera.electrons_per_dn)
-    if 2.0 * width > math.sqrt(max(float(mosaic.max()) - black, 0.0) / camera.electrons_per_dn):
+    highest, depth = int(mosaic.max()), 12 * width
+    if 2.0 * width > math.sqrt(max(highest - black, 0.0) / camera.electrons_per_dn):
         return math.inf
-    # from the top down; pixels that are hot, or were hit, lie above all
-    counts = np.bincount(mosaic[mosaic > mosaic.max() // 4])[::-1]
-    if counts.sum() < PILED:
+    # from the top down, no further than needed; pixels that are hot, or were hit, lie above all
+    while True:
+        lowest = max(highest - depth, highest // 4)
+        counts = np.bincount(highest - mosaic[mosaic > lowest], minlength=highest + 1)
+        top = int(np.searchsorted(np.cumsum(counts), PILED))
+        if top + 5 * width <= highest - lowest or lowest == highest // 4:
+            break
+        depth *= 2
+    if top == counts.size:
         return math.inf
-    top = int(np.searchsorted(np.cumsum(counts), PILED))
     top += int(np.argmax(counts[top : top + 2 * width]))
     piled = int(counts[max(top - width, 0) : top + width].sum())
     below = int(counts[top + width : top + 3 * width].sum())
-    return float(counts.size - 1 - top) if piled >= max(PILED, STEEP * below) else math.inf
+    return float(highest - top) if piled >= max(PILED, STEEP * below) else math.inf
 
 
 def level(camera: Camera, frame: Frame, used: Used) -> float:
