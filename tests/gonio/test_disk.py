@@ -339,9 +339,8 @@ def test_a_manifest_names_files_of_its_own_folder_alone(measure: Measure, tmp_pa
     """Whoever is to remove or replace what it names stays inside."""
     (tmp_path / "x").write_text("somebody's")
     run = measure("run")
-    line = f"{SOMEBODYS}  {name}\n"
     manifest = run.path / disk.MANIFEST
-    manifest.write_text(manifest.read_text() + line)
+    manifest.write_text(manifest.read_text() + f"{SOMEBODYS}  {name}\n")
     assert not disk.is_manifest(manifest)
     assert disk.read_manifest(run.path) == {}
     before = tree(tmp_path)

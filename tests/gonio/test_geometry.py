@@ -57,8 +57,7 @@ def test_solid_angle_of_a_cone(half_deg: float) -> None:
     exact = float(2 * mpmath.pi * (1 - mpmath.cos(mpmath.mpf(half))))
     assert float(geometry.solid_angle_of_cone(half)) == pytest.approx(exact, rel=8 * EPS)  # four roundings
     # 4 pi sin^2 is flat at half a turn: an ulp of the solid angle there is sqrt(eps) in the angle
-    tolerance = 1e-7 if half_deg == 180 else 32 * EPS
-    assert float(geometry.half_angle_of_cone(exact)) == pytest.approx(half, rel=tolerance)
+    assert float(geometry.half_angle_of_cone(exact)) == pytest.approx(half, rel=1e-7 if half_deg == 180 else 32 * EPS)
 
 
 @pytest.mark.parametrize("bad", [-0.1, 4.0, math.nan])

@@ -267,8 +267,7 @@ def test_samples_of_a_file_by_name(tmp_path: Path) -> None:
     assert {name: len(frame) for name, frame in measurement.tables(path).items()} == {"zinc": 2, "brass": 1}
     ((name, brass),) = measurement.tables(f"{path}:brass").items()
     assert name == "brass"
-    assert list(brass.columns) == list(COLUMNS)
-    assert brass.attrs["sample"] == "brass"
+    assert (list(brass.columns), brass.attrs["sample"]) == (list(COLUMNS), "brass")
     with pytest.raises(DataError, match="zinc; brass"):
         measurement.tables(f"{path}:tin")
     with pytest.raises(ConfigError, match="no such file"):
@@ -309,8 +308,7 @@ def test_a_table_made_by_hand_needs_only_angles_and_values() -> None:
     assert frame["brdf"].tolist() == [0.25, 0.5]
     assert frame["wavelength_nm"].isna().all()
     assert frame["u_brdf"].isna().all()
-    assert set(frame["polarisation"]) == {"unpolarised"}
-    assert set(frame["flag"]) == {""}
+    assert (set(frame["polarisation"]), set(frame["flag"])) == ({"unpolarised"}, {""})
     assert any("no columns wavelength_nm, polarisation, u_brdf, u_random, flag" in n for n in frame.attrs["notes"])
 
 

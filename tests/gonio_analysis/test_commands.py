@@ -43,8 +43,7 @@ def test_fit_prints_json(table: Path, capsys: pytest.CaptureFixture[str]) -> Non
 
 def test_fit_prints_a_table(table: Path, capsys: pytest.CaptureFixture[str]) -> None:
     commands.fit("oren-nayar", str(table), fix=["albedo=0.6"])
-    out = capsys.readouterr().out
-    says(out, "sigma_deg", "fixed", "reduced chi-square")
+    says(capsys.readouterr().out, "sigma_deg", "fixed", "reduced chi-square")
 
 
 @pytest.mark.slow

@@ -105,15 +105,12 @@ def test_every_number_of_the_journal_and_the_table_reads_back(folder: Path, tmp_
 def test_start_and_stop_say_what_was_measured_and_how_it_ended(folder: Path) -> None:
     of = checked(list(documents(Run.open(folder))))
     start, stop = of[0][1], of[-1][1]
-    assert start["plan_name"] == "small"
-    assert start["seed"] == 1
-    assert start["sample"]["parameters"] == {"albedo": 0.5}
+    assert (start["plan_name"], start["seed"], start["sample"]["parameters"]) == ("small", 1, {"albedo": 0.5})
     assert start["num_points"] == 5 == len(events(of, "primary")), "one of six lies behind the arm"
     assert start["versions"]["gonio"]
     assert (stop["exit_status"], stop["reason"]) == ("success", "")
     (rig,) = events(of, "baseline")
-    assert rig["camera_width"] == 64
-    assert rig["geometry_light_distance_mm"] == 1000.0
+    assert (rig["camera_width"], rig["geometry_light_distance_mm"]) == (64, 1000.0)
     assert json.loads(rig["bands_list"])[1]["name"] == "red 650"
 
 
@@ -200,12 +197,10 @@ def test_steps_without_frames_and_steps_that_were_lost(tmp_path: Path) -> None:
 def test_what_was_chosen_is_among_the_documents(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Chooses, "opened", [])
     plugins.add("gonio.choosers", "brightest", Chooses)
-    run = measure(plan_in(tmp_path, GROWING), tmp_path / "RUN")
-    of = checked(list(documents(run)))
+    of = checked(list(documents(measure(plan_in(tmp_path, GROWING), tmp_path / "RUN"))))
     assert [data["point"] for data in events(of, "primary")] == list(range(9))
     told = [data["event"] for data in events(of, "journal")]
-    assert told.count("chosen") == 3
-    assert told.count("enough") == 1
+    assert (told.count("chosen"), told.count("enough")) == (3, 1)
     chosen = [json.loads(data["content"])["points"] for data in events(of, "journal") if data["event"] == "chosen"]
     rows = events(of, "primary")[3:]
     assert [[row[angle] for angle in ANGLES] for row in rows] == [point for batch in chosen for point in batch]
@@ -215,8 +210,7 @@ def test_a_long_run_reads_back_bit_for_bit(tmp_path: Path) -> None:
     """More than one page of steps; how long 10^4 take docs/interchange.md says, since machines differ."""
     count = 1200
     text = 'name = "long"\nwavelength_nm = [550]\n[[points]]\nfile = "points.csv"\n'
-    lines = [",".join(ANGLES), *(f"30,0,{k / 15},180" for k in range(count))]
-    (tmp_path / "points.csv").write_text("\n".join(lines))
+    (tmp_path / "points.csv").write_text("\n".join([",".join(ANGLES), *(f"30,0,{k / 15},180" for k in range(count))]))
     plan = plan_in(tmp_path, text)
     short = measure(plan_in(tmp_path), tmp_path / "short")
     template = next(e for e in short.events() if e.get("kind") == "point")
@@ -237,8 +231,7 @@ def test_a_long_run_reads_back_bit_for_bit(tmp_path: Path) -> None:
     told = documents(Run.open(tmp_path / "RUN"))
     assert all(one == other for one, other in zip(back, map(tuple, told), strict=True))
     assert len(events(back, "primary")) == count
-    times = [data["time_s"] for data in events(back, "primary")]
-    assert times == np.random.default_rng(3).normal(size=count).tolist()
+    assert [data["time_s"] for data in events(back, "primary")] == np.random.default_rng(3).normal(size=count).tolist()
 
 
 def test_what_the_command_says(folder: Path, tmp_path: Path) -> None:
@@ -263,8 +256,7 @@ def test_it_is_written_unchecked_where_the_event_model_is_missing(
 ) -> None:
     write(str(folder), tmp_path / "a.jsonl")
     monkeypatch.setitem(sys.modules, "event_model", None)
-    told = write(str(folder), tmp_path / "b.jsonl")
-    assert any("unchecked" in text and "gonio[bluesky]" in text for text in told)
+    assert any("unchecked" in text and "gonio[bluesky]" in text for text in write(str(folder), tmp_path / "b.jsonl"))
     assert (tmp_path / "a.jsonl").read_bytes() == (tmp_path / "b.jsonl").read_bytes()
 
 
@@ -273,8 +265,7 @@ def test_a_table_that_somebody_has_changed_is_left_out(folder: Path, tmp_path: P
     table = tmp_path / "RUN" / "brdf.csv"
     table.write_text(table.read_text().replace("unpolarised", "ss", 1))
     remarks: list[str] = []
-    of = checked(list(documents(Run.open(tmp_path / "RUN"), remarks)))
-    assert not events(of, "reduced")
+    assert not events(checked(list(documents(Run.open(tmp_path / "RUN"), remarks))), "reduced")
     assert "was changed" in remarks[0]
 
 

@@ -46,8 +46,7 @@ def test_its_python_runs_and_its_run_becomes_documents(here: Path) -> None:
 
 def test_its_laboratory_leaves_nothing_to_be_stated(here: Path) -> None:
     text = block("toml", "[laboratory]")
-    stated = parse(Laboratory, tomllib.loads(text)["laboratory"], "interchange.md")
-    assert stated.address.city == "Espoo"
+    assert parse(Laboratory, tomllib.loads(text)["laboratory"], "interchange.md").address.city == "Espoo"
     with (here / "plan.toml").open("a") as plan:
         plan.write(text)
     gonio(here, "measure", "plan.toml", "--rig", "sim", "--sample", "sample.toml", "--out", "RUN", expect=0)

@@ -664,8 +664,7 @@ def test_models_speeds_delays_and_ways_of_mounting(
     limits = ArmAxis(limits_deg=(-80, 80))
     with ServoArms(describe(light=limits, camera=limits), servos(PORT, baud=baud, **axes)) as arms:
         for target in [(35, -70, 20), (-77, 77, -20)]:  # friction of 8 counts needs room before a limit
-            read = degrees(arms.move(pose(*target)))
-            for name, servo, angle, goal in zip(built, twins, read, target, strict=True):
+            for name, servo, angle, goal in zip(built, twins, degrees(arms.move(pose(*target))), target, strict=True):
                 count_deg = COUNT_DEG / axes[name]["gear_ratio"]  # type: ignore[operator]
                 shaft_deg = (servo.shaft()[0] - 2048) * count_deg * axes[name]["direction"]  # type: ignore[operator]
                 # a reading is whole counts, with 1.4 of flicker

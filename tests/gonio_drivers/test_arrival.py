@@ -117,22 +117,19 @@ def test_a_profile_that_goes_on_without_a_motion_is_stuck_in_half_a_second() -> 
 
 @pytest.mark.parametrize(("step", "lands"), [(3, True), (4, False)])
 def test_readings_within_three_counts_are_one_place(step: int, lands: bool) -> None:
-    of = landing()
-    assert ("landed" in looked(of, *[GOAL - step, GOAL] * 3)) is lands
+    assert ("landed" in looked(landing(), *[GOAL - step, GOAL] * 3)) is lands
 
 
 def test_an_encoder_that_trembles_lands_by_the_mean_of_its_readings() -> None:
     of = landing()
-    verdicts = looked(of, *[GOAL - 5, GOAL + 5] * 10)
     # five early readings and five late ones, with 0.09 s in between: 0.08 + 0.1 + 0.08
-    assert first(verdicts, "landed") == pytest.approx(0.26)
+    assert first(looked(of, *[GOAL - 5, GOAL + 5] * 10), "landed") == pytest.approx(0.26)
     assert of.position == GOAL
 
 
 def test_a_mean_that_is_not_known_well_enough_waits_for_more_readings() -> None:
     """0.26 degrees beside the goal, with a tolerance of 0.2: 20 readings that scatter by 5 counts have u = 0.098."""
-    verdicts = looked(landing(), *[GOAL + 3 - 5, GOAL + 3 + 5] * 12)
-    assert first(verdicts, "short") == pytest.approx(19 * LOOKS_S)
+    assert first(looked(landing(), *[GOAL + 3 - 5, GOAL + 3 + 5] * 12), "short") == pytest.approx(19 * LOOKS_S)
 
 
 def test_a_mean_far_from_the_goal_needs_no_more_readings() -> None:

@@ -80,8 +80,7 @@ def test_alert_bits_survive_a_group_read(line: Line) -> None:
 def test_one_silent_servo_fails_the_group_and_never_reads_as_zero(line: Line) -> None:
     line.servos[2].lose_power()
     with Bus(line.port, BAUD) as bus:
-        blocks = bus.read_all([1, 3], 132, 4)
-        assert {k: int.from_bytes(v, "little") for k, v in blocks.items()} == {1: 1500, 3: 2500}
+        assert {k: int.from_bytes(v, "little") for k, v in bus.read_all([1, 3], 132, 4).items()} == {1: 1500, 3: 2500}
         with pytest.raises(dynamixel.BusError, match=r"servo id 2"):
             bus.read_all([1, 2, 3], 132, 4)
 
@@ -227,8 +226,7 @@ def test_payloads_that_need_stuffing_arrive_whole_either_way(monkeypatch: pytest
 
 def test_a_port_that_goes_away() -> None:
     master, slave = pty.openpty()
-    name = os.ttyname(slave)
-    with Bus(name, BAUD) as bus:
+    with Bus(os.ttyname(slave), BAUD) as bus:
         os.close(slave)
         os.close(master)
         with pytest.raises(DeviceError, match=r"went away"):

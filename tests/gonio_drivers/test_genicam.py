@@ -141,8 +141,7 @@ def test_every_format_gives_the_sensor_s_values(
 
 @pytest.mark.parametrize("name", ["Mono10p", "Mono12p", "Mono12Packed"])
 def test_formats_are_unpacked_as_harvesters_does(name: str) -> None:
-    seen = scene(BITS[name], SIZE)
-    data = np.frombuffer(packed(seen, name), np.uint8)
+    data = np.frombuffer(packed(scene(BITS[name], SIZE), name), np.uint8)
     theirs = core.Dictionary.get_proxy(symbolic=name).expand(data).reshape(SIZE)
     np.testing.assert_array_equal(unpack(data.reshape(SIZE[0], -1), name, SIZE[1]), theirs)
 

@@ -184,8 +184,7 @@ def test_a_switch_is_found_from_its_side_and_a_mark_from_both(line: Line, how: s
         put_switch(line.servos[1], lambda deg: 52.0 <= deg <= 58.0)
     if how == "index" and toward == 1:  # it stands beyond the mark
         line.servos[1]._path = motion.rest(line.servos[1]._clock(), SHOWN_ZERO + 48 * PER_DEG)
-    found = homed(rig(line, SWITCH | {"how": how, "toward": toward}))
-    assert abs(found.off_deg) < 4.0  # as `spread_deg` there
+    assert abs(homed(rig(line, SWITCH | {"how": how, "toward": toward})).off_deg) < 4.0  # as `spread_deg` there
     with arms(rig(line, SWITCH | {"how": how, "toward": toward})) as opened:
         assert opened.joints["light"].turns == -1
         assert math.degrees(opened.read().light) == pytest.approx(angle(line), abs=TOLERANCE_DEG)
@@ -207,9 +206,7 @@ def test_what_is_not_found_or_could_be_another_turn_is_refused(line: Line, homin
 
 
 def test_homing_by_the_command_line(line: Line, tmp_path: Path) -> None:
-    description = rig(line, STALL)
-    table = description.model_dump(mode="json", exclude_none=True)
-    (tmp_path / "my.toml").write_text(to_toml(table))
+    (tmp_path / "my.toml").write_text(to_toml(rig(line, STALL).model_dump(mode="json", exclude_none=True)))
     rig_file = tmp_path / "my.toml"
     by_hand(rig_file, "home", prints="light: homed at -85 deg, found 2 times within")
     assert by_hand(rig_file, "home").stdout == "every axis knows its turn\n"

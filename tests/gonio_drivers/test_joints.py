@@ -35,12 +35,10 @@ def joint(arm: dict[str, Any] | None = None, **servo: Any) -> Joint:
 @pytest.mark.parametrize(("direction", "gear"), [(1, 1.0), (-1, 1.0), (1, 2.0), (-1, 2.0)])
 def test_counts_and_angles_follow_gear_direction_and_zero(direction: int, gear: float) -> None:
     """An axis that reads 0.5 degrees at its true zero, which is known."""
-    limits = {"limits_deg": (-60.0, 50.0), "zero_offset_deg": 0.5}
-    of = joint(limits, direction=direction, gear_ratio=gear)
+    of = joint({"limits_deg": (-60.0, 50.0), "zero_offset_deg": 0.5}, direction=direction, gear_ratio=gear)
     per_deg = direction * gear * PER_TURN / 360
     assert of.counts_per_deg == pytest.approx(per_deg)
-    assert of.to_count(0.0) == pytest.approx(2000 + 0.5 * per_deg)
-    assert of.to_count(30.0) == pytest.approx(2000 + 30.5 * per_deg)
+    assert (of.to_count(0.0), of.to_count(30.0)) == pytest.approx((2000 + 0.5 * per_deg, 2000 + 30.5 * per_deg))
     assert of.to_deg(2000.0) == pytest.approx(-0.5)
     assert of.to_deg(of.to_count(17.3)) == pytest.approx(17.3)
     assert of.distance_deg(1500, 1500 + 100) == pytest.approx(100 / abs(per_deg))
@@ -71,8 +69,7 @@ def test_counts_stay_inside_the_limits(direction: int) -> None:
 @pytest.mark.parametrize("direction", [1, -1])
 def test_the_last_part_of_a_way_begins_below_the_goal(direction: int) -> None:
     of = joint(direction=direction)
-    goal = of.to_count(20.0)
-    assert of.to_deg(of.approach_start(goal)) == pytest.approx(18.0, abs=0.05)  # half a count
+    assert of.to_deg(of.approach_start(of.to_count(20.0))) == pytest.approx(18.0, abs=0.05)  # half a count
     assert of.run_up_deg(20.0) == pytest.approx(2.0, abs=0.05)
     assert of.run_up_deg(-59.0) == pytest.approx(1.0, abs=0.1), "a limit is in the way"
     assert joint({"approach_deg": -2.0}).run_up_deg(49.5) == pytest.approx(0.5, abs=0.1)
@@ -216,8 +213,7 @@ def test_a_servos_own_offset_is_taken_out(mode: int, offset: int, drive: int, co
 
 def test_a_report_lies_in_one_block() -> None:
     """From Profile Acceleration (108) to Present Temperature (146), of 1 byte; positions are signed."""
-    table = control_table.of_model("xm430-w350")
-    assert span(table) == (108, 39)
+    assert span(control_table.of_model("xm430-w350")) == (108, 39)
     block = bytearray(39)
     block[132 - 108 : 136 - 108] = (-5).to_bytes(4, "little", signed=True)
     block[146 - 108] = 41

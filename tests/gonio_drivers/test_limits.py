@@ -145,8 +145,7 @@ def test_hard_stops_enclose_the_limits(kind: type[Any], keys: dict[str, Any], sa
 
 
 def test_limits_that_use_the_whole_turn_need_no_room_for_an_approach(line: Line) -> None:
-    whole = ArmAxis(limits_deg=(-179.9, 179.9))
-    with ServoArms(describe(light=whole), servos(line.port)) as arms:
+    with ServoArms(describe(light=ArmAxis(limits_deg=(-179.9, 179.9))), servos(line.port)) as arms:
         assert math.degrees(arms.move(Pose(light=math.radians(-179.9))).light) == pytest.approx(-179.9, abs=0.2)
     with pytest.raises(ConfigError, match="limits -181 to 80 deg need counts"):
         ServoArms(describe(light=ArmAxis(limits_deg=(-181.0, 80.0))), servos(line.port))
@@ -179,8 +178,7 @@ def test_a_place_to_park_that_bodies_close_is_refused_before_a_run(line: Line) -
 
 
 def test_a_park_that_is_blocked_is_refused_and_nothing_turns(line: Line) -> None:
-    rig = with_body(FENCE)
-    with ServoArms(rig, servos(line.port)) as arms:
+    with ServoArms(with_body(FENCE), servos(line.port)) as arms:
         arms.move(pose(40.0, 70.0))
         with pytest.raises(ConfigError, match="would touch: source head and fence"):
             arms.park()

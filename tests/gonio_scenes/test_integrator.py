@@ -138,11 +138,9 @@ def test_a_smooth_plane_shows_the_mirror_image_times_its_reflectivity() -> None:
     direct = rendered(camera=twin, shape=[ball], material={"m": materials["m"]}, light=[lit])
     floor_seen = below.shape == 1
     # the mirrored camera's right is reversed
-    image = direct.radiance[:, ::-1, 0]
-    through = np.where(floor_seen, image, 0.0)
+    through = np.where(floor_seen, direct.radiance[:, ::-1, 0], 0.0)
     away = below.position - np.array([0.0, 120.0, 600.0])
-    cosine = np.abs(away[..., 1]) / np.linalg.norm(away, axis=-1)
-    f_s, f_p = fresnel.amplitudes(cosine, 1.5)
+    f_s, f_p = fresnel.amplitudes(np.abs(away[..., 1]) / np.linalg.norm(away, axis=-1), 1.5)
     expected = through * (abs(f_s) ** 2 + abs(f_p) ** 2) / 2
     assert (through > 0).sum() > 100
     np.testing.assert_allclose(below.radiance[floor_seen, 0], expected[floor_seen], rtol=EXACT, atol=1e-14)
@@ -158,8 +156,7 @@ def test_a_sphere_shadows_the_plane_behind_it_and_a_light_that_is_nearer_does_no
     picture = rendered(camera=camera, shape=shapes, light=[SPHERE["light"][0] | {"toward": toward.tolist()}])
     plane = picture.shape == 1
     to_centre = np.array([0.0, 0.0, 80.0]) - picture.position
-    along = to_centre @ toward
-    from_line = np.linalg.norm(to_centre - along[..., None] * toward, axis=-1)
+    from_line = np.linalg.norm(to_centre - (to_centre @ toward)[..., None] * toward, axis=-1)
     assert ((picture.radiance[..., 0] == 0.0) == (from_line < 30.0))[plane].all()
     assert (from_line < 30.0)[plane].sum() > 50
     near = rendered(camera=camera, shape=shapes, light=[{"kind": "point", "position_mm": [0, 0, 45], "intensity": 1.0}])
@@ -179,11 +176,10 @@ def test_a_sphere_shadows_the_plane_behind_it_and_a_light_that_is_nearer_does_no
 )
 def test_a_closed_room_is_dark_inside_under_light_from_outside(walls: dict[str, Any]) -> None:
     camera = SPHERE["camera"] | {"position_mm": [3.0, 2.0, 1.0], "look_at_mm": [9.0, -5.0, 2.0]}
-    outside = {"kind": "point", "position_mm": [120.0, -180.0, 240.0], "intensity": 1e5}
     picture = rendered(
         camera=camera | {"vertical_field_deg": 140.0},
         shape=[walls | {"material": "m"}],
-        light=[outside, *SPHERE["light"]],
+        light=[{"kind": "point", "position_mm": [120.0, -180.0, 240.0], "intensity": 1e5}, *SPHERE["light"]],
     )
     assert (picture.shape == 0).all()
     assert (picture.radiance == 0.0).all()
@@ -258,22 +254,19 @@ def test_a_mirror_shows_a_disc_of_light_with_its_radiance() -> None:
         "samples": 1,
     }  # fmt: skip
     camera = SPHERE["camera"] | {"position_mm": [0.0, 0.0, 400.0], "vertical_field_deg": 3.0}
-    plane = [{"kind": "plane", "material": "m"}]
-    picture = rendered(camera=camera, shape=plane, material={"m": MIRROR}, light=[disc])
+    picture = rendered(camera=camera, shape=[{"kind": "plane", "material": "m"}], material={"m": MIRROR}, light=[disc])
     # seen at normal incidence in a mirror 400 mm away, the disc is 900 mm away
     half_field = math.tan(math.radians(1.5))
     row, column = np.mgrid[0:40, 0:48]
     radius = np.hypot((column + 0.5 - 24) / 20, (row + 0.5 - 20) / 20) * half_field * 900.0
-    expected = np.where(radius <= 10.0, 7.0 * 0.04, 0.0)
     # R changes by 1e-4 of itself within 1.5 degrees from the normal
-    np.testing.assert_allclose(picture.radiance[..., 0], expected, rtol=1e-4)
+    np.testing.assert_allclose(picture.radiance[..., 0], np.where(radius <= 10.0, 7.0 * 0.04, 0.0), rtol=1e-4)
 
 
 def test_shininess_that_changes_over_a_surface_is_blinns_textured_distribution() -> None:
-    parameters = {"k_d": 0.3, "k_s": 0.5, "ior": 1.5, "c": 0.5}
     table = {
         "model": "blinn",
-        "parameters": parameters,
+        "parameters": {"k_d": 0.3, "k_s": 0.5, "ior": 1.5, "c": 0.5},
         "textures": {"c": {"pattern": "speckle", "low": 0.2, "high": 1.0, "repeat": [4, 4]}},
     }
     built = scene(material={"m": table})
@@ -286,9 +279,8 @@ def test_shininess_that_changes_over_a_surface_is_blinns_textured_distribution()
     t = gonio_scenes.material.Texture(pattern="speckle", repeat=(4, 4)).load(built.source.parent, "")(uv)
     assert len(np.unique(t)) > 8
     half = omega.sum(axis=0)
-    cos_alpha = half[:, 2] / np.linalg.norm(half, axis=-1)
     flat = Blinn(k_d=0.3, k_s=0.5, ior=1.5, c=1.0)  # D3 = 1 everywhere
-    d3 = Blinn.textured_d3(cos_alpha, 0.2, t)
+    d3 = Blinn.textured_d3(half[:, 2] / np.linalg.norm(half, axis=-1), 0.2, t)
     diffuse = 0.3 / math.pi
     expected = diffuse + (flat.brdf_vectors(omega[0], omega[1]) - diffuse) * d3
     np.testing.assert_allclose(material.brdf(omega[0], omega[1], uv)[:, 0], expected, rtol=1e-12)
@@ -329,8 +321,7 @@ def test_at_brewsters_angle_the_mirror_image_is_polarised_across_the_plane_of_in
 
 
 def test_light_polarised_along_s_and_p_makes_up_unpolarised_light() -> None:
-    toward = [1.0, 0.0, 2.0]
-    light = {"kind": "directional", "toward": toward, "irradiance": 1.0}
+    light = {"kind": "directional", "toward": [1.0, 0.0, 2.0], "irradiance": 1.0}
     camera = SPHERE["camera"] | {"polariser_deg": 33.0}
     pair = [light | {"irradiance": 0.5, "polarisation": p} for p in ([0.0, 1.0, 0.0], [2.0, 0.0, -1.0])]
     both, whole = (

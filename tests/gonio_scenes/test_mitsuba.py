@@ -42,13 +42,11 @@ def numbers(element: ElementTree.Element | None) -> list[float]:
 
 def test_a_single_wavelength_fills_all_channels_and_needs_no_file_of_slices() -> None:
     made = mitsuba.export(scene())
-    assert list(made.files) == ["scene.xml"]
-    assert made.scenes == {"scene.xml": (550.0,)}
+    assert (list(made.files), made.scenes) == (["scene.xml"], {"scene.xml": (550.0,)})
     root = xml(made)
     assert numbers(root.find("bsdf/bsdf[@type='diffuse']/rgb")) == pytest.approx([0.7] * 3, rel=1e-15)
     assert numbers(root.find("emitter[@type='directional']/rgb")) == [3.0] * 3
-    field = root.find("sensor/float[@name='fov']")
-    assert numbers(field) == pytest.approx([6.0], rel=1e-14)
+    assert numbers(root.find("sensor/float[@name='fov']")) == pytest.approx([6.0], rel=1e-14)
 
 
 def test_wavelengths_are_the_channels_of_several_files() -> None:
@@ -61,8 +59,7 @@ def test_wavelengths_are_the_channels_of_several_files() -> None:
     )
     assert made.scenes == {"scene-400-500-600nm.xml": (400.0, 500.0, 600.0), "scene-700nm.xml": (700.0,)}
     for name, expected in zip(made.scenes, ([0.1, 0.3, 0.5], [0.7] * 3), strict=True):
-        found = numbers(xml(made, name).find("bsdf/bsdf[@type='diffuse']/rgb"))
-        assert found == pytest.approx(expected, rel=1e-14)
+        assert numbers(xml(made, name).find("bsdf/bsdf[@type='diffuse']/rgb")) == pytest.approx(expected, rel=1e-14)
 
 
 def test_slices_hold_the_light_where_mitsuba_looks_for_it() -> None:
@@ -79,8 +76,7 @@ def test_slices_hold_the_light_where_mitsuba_looks_for_it() -> None:
     # and where both sides differ
     value, _ = read.brdf(np.zeros(1), np.zeros(1), np.array([0.8]), np.zeros(1))
     right = Phong(k_d=0.3, k_s=0.4, exponent=8).brdf(0.8, 0.0, 0.0, 0.0)
-    wrong = Phong(k_d=0.3, k_s=0.4, exponent=8).brdf(0.0, 0.0, 0.8, 0.0)
-    assert abs(wrong / right - 1.0) > 0.15
+    assert abs(Phong(k_d=0.3, k_s=0.4, exponent=8).brdf(0.0, 0.0, 0.8, 0.0) / right - 1.0) > 0.15
     np.testing.assert_allclose(value[0], right, rtol=0.02)  # straight between 24 half vectors
 
 
@@ -116,8 +112,7 @@ def test_what_is_left_out_is_said() -> None:
         "middle of pixels",
     ):
         assert what in said
-    grey = xml(made).find("bsdf[@id='material-checks']/bsdf/rgb")
-    assert numbers(grey) == pytest.approx([0.2] * 3, rel=1e-15)
+    assert numbers(xml(made).find("bsdf[@id='material-checks']/bsdf/rgb")) == pytest.approx([0.2] * 3, rel=1e-15)
 
 
 def test_a_cylinder_is_written_as_triangles_with_its_error() -> None:
@@ -178,8 +173,7 @@ class PerCorner:
 def test_triangles_are_written_with_the_normals_that_they_have(smooth: bool) -> None:
     """Mitsuba makes normals up where a file has none, unless it is told not to."""
     up = PerCorner(np.array([[0.0, 0.0, 1.0]]), np.zeros((1, 3), np.int64))
-    world = World([Triangles(up if smooth else None)], np.zeros(3))
-    made = mitsuba.export(replace(scene(), world=world))
+    made = mitsuba.export(replace(scene(), world=World([Triangles(up if smooth else None)], np.zeros(3))))
     flat = some(xml(made).find("shape[@type='ply']/boolean[@name='face_normals']"))
     assert flat.attrib["value"] == ("false" if smooth else "true")
     body = made.files["shape-1.ply"].partition(b"end_header\n")[2]
@@ -212,8 +206,7 @@ def test_the_command_writes_a_folder(tmp_path: Path, capsys: pytest.CaptureFixtu
     command(file, out, to="mitsuba")
     assert capsys.readouterr().out.strip() == str(out / "scene.xml")
     summary = json.loads((out / "summary.json").read_text())
-    assert summary["scenes"] == {"scene.xml": [550.0]}
-    assert summary["materials"] == {"m": "diffuse"}
+    assert (summary["scenes"], summary["materials"]) == ({"scene.xml": [550.0]}, {"m": "diffuse"})
     with pytest.raises(ConfigError, match="no such renderer"):
         command(file, tmp_path / "more", to="povray")
     assert not (tmp_path / "more").exists()

@@ -65,10 +65,8 @@ def test_several_rays_a_pixel_give_the_mean_over_the_pixel() -> None:
 
 def test_a_lens_blurs_what_is_not_in_focus_and_keeps_what_is() -> None:
     sharp = rendered(camera=SMALL | {"samples": 64}).radiance[..., 0]
-    in_focus = SMALL | {"samples": 64, "lens_radius_mm": 20.0, "focus_mm": 985.0}
-    blurred = SMALL | {"samples": 64, "lens_radius_mm": 20.0, "focus_mm": 700.0}
-    here = rendered(camera=in_focus).radiance[..., 0]
-    there = rendered(camera=blurred).radiance[..., 0]
+    here = rendered(camera=SMALL | {"samples": 64, "lens_radius_mm": 20.0, "focus_mm": 985.0}).radiance[..., 0]
+    there = rendered(camera=SMALL | {"samples": 64, "lens_radius_mm": 20.0, "focus_mm": 700.0}).radiance[..., 0]
     assert np.abs(here - sharp).max() < 0.1 * sharp.max()  # the limb is 25 mm behind
     assert np.abs(there - sharp).max() > 0.15 * sharp.max()
     # blur moves light and loses none: the sphere's image is whole in the frame
@@ -139,8 +137,7 @@ def test_a_tolerance_is_kept_and_the_error_that_is_stated_is_the_error() -> None
     level = np.maximum(truth.radiance, truth.radiance.mean())[..., 0]
     error = np.abs(picture.radiance - truth.radiance)[..., 0] / level
     assert picture.error is not None
-    own = np.maximum(picture.radiance, picture.radiance.mean())
-    stated = (picture.error / own)[..., 0]
+    stated = (picture.error / np.maximum(picture.radiance, picture.radiance.mean()))[..., 0]
     # stopping on purpose where the error looks small makes it look smaller than it is: by less than a half
     assert np.sqrt(np.mean(error**2)) < 1.5 * np.sqrt(np.mean(stated**2))
     assert np.sqrt(np.mean(error**2)) < tolerance

@@ -126,8 +126,7 @@ def test_around_is_the_mean_of_eight_neighbours() -> None:
 @pytest.mark.parametrize(("down", "right"), [(0, 1), (1, 0), (-1, 0), (0, -1), (1, -1)])
 def test_shifted_grids_end_at_their_edge(down: int, right: int) -> None:
     grid = np.arange(12.0).reshape(3, 4)
-    found = squares._shifted(grid, down, right)
-    for (row, column), value in np.ndenumerate(found):
+    for (row, column), value in np.ndenumerate(squares._shifted(grid, down, right)):
         inside = 0 <= row + down < 3 and 0 <= column + right < 4
         assert (value == grid[row + down, column + right]) if inside else math.isnan(value)
 
@@ -140,8 +139,7 @@ def test_most_pixels_name_a_square() -> None:
 def test_tangents_are_unit_vectors_across_the_normal() -> None:
     normal = np.random.default_rng(2).standard_normal((50, 3))
     normal /= np.linalg.norm(normal, axis=1)[:, None]
-    found = squares._tangents(normal)
-    frame = np.concatenate([found, normal[:, :, None]], axis=2)
+    frame = np.concatenate([squares._tangents(normal), normal[:, :, None]], axis=2)
     np.testing.assert_allclose(np.swapaxes(frame, 1, 2) @ frame, np.broadcast_to(np.eye(3), (50, 3, 3)), atol=1e-12)
     assert np.linalg.det(frame) == pytest.approx(1.0)
 
@@ -176,15 +174,13 @@ def test_slopes_are_those_of_a_quadratic() -> None:
 
 def test_slopes_over_facets_are_those_of_a_quadratic_through_the_nearest_normals() -> None:
     """40 facets of a flat bowl, some of several squares."""
-    rng = np.random.default_rng(3)
-    tilt = rng.uniform(-0.1, 0.1, (40, 2))
+    tilt = np.random.default_rng(3).uniform(-0.1, 0.1, (40, 2))
     normal = np.column_stack([tilt, np.ones(40)])  # nearly unit vectors: their third component takes no part
     piece = np.concatenate([np.arange(40), np.arange(0, 40, 3)])
     normal, tilt = normal[piece], tilt[piece]
-    across = np.tile(np.eye(3)[:, :2], (len(piece), 1, 1))
     a, b = tilt.T
     log = 1.0 + 2.0 * a - 3.0 * b + 0.5 * 8.0 * a**2 - 0.5 * 6.0 * b**2 + 5.0 * a * b
-    gradient, hessian = squares._over_facets(piece, normal, log, across)
+    gradient, hessian = squares._over_facets(piece, normal, log, np.tile(np.eye(3)[:, :2], (len(piece), 1, 1)))
     np.testing.assert_allclose(
         gradient, np.column_stack([2.0 + 8.0 * a + 5.0 * b, -3.0 - 6.0 * b + 5.0 * a]), rtol=1e-6
     )

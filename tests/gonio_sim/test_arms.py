@@ -66,8 +66,7 @@ def test_zero_errors_are_drawn_as_the_description_says(rig: Build) -> None:
 
 
 def test_zero_error_is_the_same_at_every_pose_of_a_seed(rig: Build) -> None:
-    description = describe("sim", arms__light={"encoder_step_deg": 0.0}, arms__camera={"encoder_step_deg": 0.0})
-    with rig(description) as sim:
+    with rig(describe("sim", arms__light={"encoder_step_deg": 0.0}, arms__camera={"encoder_step_deg": 0.0})) as sim:
         for degrees in (-60, 0, 45):
             read = sim.arms.move(Pose(light=math.radians(degrees), camera=math.radians(degrees)))
             assert read.light - sim.world.pose.light == pytest.approx(sim.world.zero_error["light"], abs=EXACT)
@@ -87,9 +86,8 @@ def test_known_offset_is_taken_out_and_hidden_offset_is_suffered(rig: Build) -> 
 
 def test_approach_from_below_takes_the_backlash_up(rig: Build) -> None:
     """The true angle at a goal does not hang on where the arm came from, once the approach is longer than that."""
-    clean = {"encoder_step_deg": 0.0, "zero_u_deg": 0.0, "backlash_deg": 0.5}
     goal = Pose(light=math.radians(20))
-    with rig(describe("sim", arms__light=clean)) as sim:
+    with rig(describe("sim", arms__light={"encoder_step_deg": 0.0, "zero_u_deg": 0.0, "backlash_deg": 0.5})) as sim:
         for before in (-60, 19.9, 20.1, 60):
             sim.arms.move(Pose(light=math.radians(before)))
             sim.arms.move(goal)
@@ -141,8 +139,7 @@ def test_goals_beyond_the_axes_are_refused_and_nothing_moves(rig: Build, goal: P
 
 
 def test_azimuth_axis_where_the_rig_has_one(rig: Build) -> None:
-    description = describe("sim-ideal", arms__azimuth={"limits_deg": [-180, 180]}, holder={"axes": []})
-    with rig(description) as sim:
+    with rig(describe("sim-ideal", arms__azimuth={"limits_deg": [-180, 180]}, holder={"axes": []})) as sim:
         goal = Pose(light=0.2, camera=0.3, azimuth=1.5)
         assert sim.arms.move(goal) == sim.world.pose == goal
         with pytest.raises(ConfigError, match=r"tilt = .* has no such axis; it has light, camera, azimuth"):

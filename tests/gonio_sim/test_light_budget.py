@@ -98,8 +98,7 @@ def test_distances_and_apertures_that_differ_change_nothing(tmp_path: Path) -> N
 
 def test_the_attenuation_s_uncertainty_is_the_reference_s(tmp_path: Path) -> None:
     known = {"reference": {"attenuation": 0.0101}}, {"reference.attenuation": 0.0001}
-    made = run(tmp_path, "sim", truth={}, known=known, **straight(attenuation=0.01, u_rel=0.0), seed=3)
-    table = reduce(made)
+    table = reduce(run(tmp_path, "sim", truth={}, known=known, **straight(attenuation=0.01, u_rel=0.0), seed=3))
     np.testing.assert_allclose(table["s_reference"] / table["brdf"], 0.0001 / 0.0101, rtol=1e-9)
     # the filter lets through 1 % less than the calibration says: every value is that much too high
     error = table["brdf"] / (0.5 / math.pi) - 1.0
@@ -142,8 +141,7 @@ def test_a_point_whose_frames_lack_a_reading_is_flagged(tmp_path: Path) -> None:
     assert all(frame.monitor for step in steps for frame in step.frames if frame.lamp)
     assert all(frame.monitor is None for step in steps for frame in step.frames if not frame.lamp)
     k = next(k for k, step in enumerate(steps) if step.kind == "point")
-    bare = replace(steps[k].frames[0], monitor=None)
-    steps[k] = replace(steps[k], frames=(bare, *steps[k].frames[1:]))
+    steps[k] = replace(steps[k], frames=(replace(steps[k].frames[0], monitor=None), *steps[k].frames[1:]))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(made, "steps", lambda: steps)
         # the frame's own record would contradict the journal; files of a camera's own carry none
@@ -166,18 +164,16 @@ def test_a_rig_without_the_monitor_that_its_file_promises_is_told(tmp_path: Path
 def test_a_beam_s_profile_that_is_known_is_corrected_and_its_uncertainty_kept(tmp_path: Path) -> None:
     """A reference 13 mm beside the sample gets 3 % less light; the profile is known to a tenth of that."""
     true = {"lamp": {"beam": {"xx_per_mm2": -1.8e-4, "yy_per_mm2": -1.8e-4}}}
-    beside = {"how": "beside", "offset_mm": [0.0, 13.0], "diameter_mm": 12.0, "u_rel": 0.0}
     wide: dict[str, Any] = {
-        "reference": beside,
+        "reference": {"how": "beside", "offset_mm": [0.0, 13.0], "diameter_mm": 12.0, "u_rel": 0.0},
         "holder": {"sample_diameter_mm": 10.0},
         "camera": SMALL | {"pixel_um": 40.0},
     }
     known = {"lamp": {"beam": {"xx_per_mm2": -1.7e-4, "yy_per_mm2": -1.7e-4}}}, {"lamp.beam.yy_per_mm2": 1e-5}
     (tmp_path / "a").mkdir()
     table = reduce(run(tmp_path / "a", truth=true, known=known, **wide))
-    error = table["brdf"] / (0.5 / math.pi) - 1.0
     # what is left is (1.8 - 1.7) 1e-4 * 13^2 = 1.7e-3: one standard uncertainty
-    assert np.mean(error) == pytest.approx(1e-5 * 13.0**2, rel=0.05)
+    assert np.mean(table["brdf"] / (0.5 / math.pi) - 1.0) == pytest.approx(1e-5 * 13.0**2, rel=0.05)
     np.testing.assert_allclose(table["s_beam"] / table["brdf"], 1e-5 * 13.0**2, rtol=0.05)
     (tmp_path / "b").mkdir()
     plain = reduce(run(tmp_path / "b", truth=true, **wide))
@@ -200,8 +196,7 @@ def test_the_budget_covers_what_polarisation_does_to_rough_glass(
     table = reduce(run(tmp_path, sample=GLASS, plan=plan, lamp=keys[0], camera=SMALL | keys[1]))
     model = models.build("he-torrance", dict(GLASS["parameters"]))
     at = Directions.from_table(table)
-    true = np.asarray(model.brdf(*at.angles, wavelength_nm=550.0))
-    error = table["brdf"].to_numpy() / true - 1.0
+    error = table["brdf"].to_numpy() / np.asarray(model.brdf(*at.angles, wavelength_nm=550.0)) - 1.0
     # beside polarisation: the cones average the lobe, 1 %
     assert np.all(abs(error) < math.sqrt(3.0) * abs(table["s_polarisation"] / table["brdf"]) + 0.01)
     brewster = (table["theta_i_deg"] > 50) & (table["theta_r_deg"] > 50)
@@ -226,9 +221,8 @@ def test_errors_of_wavelengths_and_widths_are_in_the_budget_of_a_run_of_several_
     (tmp_path / "exact").mkdir()
     exact = reduce(run(tmp_path / "exact", sample=copper, plan=plan))
     error = (table["brdf"] - exact["brdf"]).to_numpy()
-    u = np.hypot(table["s_wavelength"], table["s_bandwidth"])
     assert np.all(table["s_wavelength"][1:4] > 0.0)  # copper grows brighter there
-    assert np.all(abs(error) < 2.5 * u + 1e-3 * table["brdf"])
+    assert np.all(abs(error) < 2.5 * np.hypot(table["s_wavelength"], table["s_bandwidth"]) + 1e-3 * table["brdf"])
     assert "s_wavelength" not in exact
     parts = [name for name in table.columns if name.startswith("s_")]
     combined = np.sqrt(table["u_random"] ** 2 + (table[parts] ** 2).sum(axis=1))
@@ -237,8 +231,7 @@ def test_errors_of_wavelengths_and_widths_are_in_the_budget_of_a_run_of_several_
 
 def test_one_band_alone_says_that_its_wavelength_is_not_in_the_budget(tmp_path: Path) -> None:
     known = {"bands": {"tunable": {"start_nm": 400.0}}}, {"bands.tunable.start_nm": 1.0}
-    plan = PLAN | {"sweep": [{"theta_i_deg": [30], "theta_r_deg": [30]}]}
-    table = reduce(run(tmp_path, known=known, plan=plan))
+    table = reduce(run(tmp_path, known=known, plan=PLAN | {"sweep": [{"theta_i_deg": [30], "theta_r_deg": [30]}]}))
     assert any("the run has one band" in note for note in table.attrs["notes"])
     assert "s_wavelength" not in table
 

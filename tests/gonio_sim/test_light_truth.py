@@ -42,16 +42,14 @@ def test_a_gaussian_beam_falls_off_over_the_sample_and_turns_with_the_arm() -> N
     view = kinematics.view(plain, Pose(light=math.radians(50), camera=math.radians(-20), spin=math.radians(30)))
     even, profile = (imaging.pixel_map(d, view).weight for d in (plain, formed))
     seen = imaging.pixel_map(plain, view)
-    spots = np.stack([seen.x_mm, seen.y_mm, np.zeros_like(seen.x_mm)], axis=-1)
     axis = view.source_mm / np.linalg.norm(view.source_mm)
-    rays = spots - view.source_mm
+    rays = np.stack([seen.x_mm, seen.y_mm, np.zeros_like(seen.x_mm)], axis=-1) - view.source_mm
     on_plane = view.source_mm + rays * (-1000.0 / (rays @ axis))[..., None]  # where they are 1000 mm along the axis
     # the light arm turns about the lab's y; toward larger angles is y x axis
     lab_y = np.array([math.sin(math.radians(30)), math.cos(math.radians(30)), 0.0])
     x, y = on_plane @ np.cross(lab_y, axis), on_plane @ lab_y
-    expected = np.exp(0.004 * x - 0.5 * (x**2 + y**2) / width**2)
     # the same arithmetic in another order: 1e-12
-    np.testing.assert_allclose(profile / even, expected, rtol=1e-12)
+    np.testing.assert_allclose(profile / even, np.exp(0.004 * x - 0.5 * (x**2 + y**2) / width**2), rtol=1e-12)
 
 
 def test_a_truth_of_bands_shifts_what_is_seen_and_not_what_is_written(

@@ -95,9 +95,8 @@ def test_errors_that_are_known_cost_nothing_and_unknown_ones_what_the_light_says
 
 @pytest.mark.parametrize("holder", ["mirror", "empty"])
 def test_the_lamp_is_seen_where_a_plain_camera_sees_it(holder: str) -> None:
-    known = {**ERRORS, "camera": {**ERRORS["camera"], "distortion": [0.0] * 5}}
     small = {"lens_half_angle_deg": 0.1, "focal_length_mm": 100.0}
-    rig = known_rig(known, lamp={"half_angle_deg": 0.15})
+    rig = known_rig({**ERRORS, "camera": {**ERRORS["camera"], "distortion": [0.0] * 5}}, lamp={"half_angle_deg": 0.15})
     rig = with_keys(rig, {"camera": small, "arms": {a: {"limits_deg": [-100, 100]} for a in ("light", "camera")}}, "x")
     world = World(rig, None, 0)
     mirror = Directions(math.radians(40), 0.3, math.radians(40), 0.3 + math.pi)
@@ -128,8 +127,7 @@ def test_an_encoder_errs_within_its_turn_and_from_landing_to_landing() -> None:
         for angle in np.linspace(-80, 80, 60):
             for each, found in zip((still, loose), off, strict=True):
                 read = math.degrees(each.arms.move(Pose(light=math.radians(angle))).light)
-                stands = math.degrees(each.world.pose.light)
-                found.append(stands - plain_rig.true_deg(rig.arms.light, read))
+                found.append(math.degrees(each.world.pose.light) - plain_rig.true_deg(rig.arms.light, read))
     assert np.abs(off[0]).max() < 1e-9
     # the standard deviation of 60 normal numbers is known to 10 %
     assert np.std(off[1]) == pytest.approx(0.05, rel=0.3)

@@ -207,8 +207,7 @@ def test_the_reference_can_be_a_table(tmp_path: Path) -> None:
     table = table.assign(u_brdf=0.001, u_random=0.001)[[c for c in COLUMNS if c in {*table, "u_brdf", "u_random"}]]
     path = tmp_path / "white.csv"
     write(table, path)
-    changes = {"table": str(path), "u_rel": 0.002, "error": "drawn"}
-    description = describe("sim-ideal", camera=BARE, reference=changes)
+    description = describe("sim-ideal", camera=BARE, reference={"table": str(path), "u_rel": 0.002, "error": "drawn"})
     rendered = scene(description, None, deg(0, 45), "reference")
     scale = World(description, None, 1).reference_scale
     # 1e-7 of the distance factor half a pixel off the axis
@@ -231,9 +230,8 @@ def test_integral_over_the_band() -> None:
     seen = pixel_map(description, view(description, pose))
     directions = angles(seen.omega_i[240, 320]) + angles(seen.omega_r[240, 320])
     values = np.array([model.brdf(*directions, wavelength_nm=w) for w in waves])
-    expected = R * math.pi * seen.weight[240, 320] * np.average(values, weights=shape)
     # the tails beyond 4 sigma hold 6e-5 of the weight; the values there differ by less than a half
-    assert integral == pytest.approx(expected, rel=1e-4)
+    assert integral == pytest.approx(R * math.pi * seen.weight[240, 320] * np.average(values, weights=shape), rel=1e-4)
     assert abs(integral / at_centre - 1) > 1e-3  # and the integral is not the value at the centre
 
 
@@ -294,12 +292,10 @@ def test_a_lambertian_lamp_near_a_reference_beside_the_sample(tmp_path: Path, kn
     run = measured(tmp_path, description, [0], [45])
     if not knows:
         lamp = description.lamp.model_copy(update={"radiation": "isotropic"})
-        rig = run.description.model_copy(update={"lamp": lamp})
-        run.settings = run.settings.model_copy(update={"rig": rig})
+        run.settings = run.settings.model_copy(update={"rig": run.description.model_copy(update={"lamp": lamp})})
     found = brdf.reduce(run)["brdf"][0] / (0.5 / math.pi)
-    expected = 1.0 if knows else 1 / math.cos(math.atan(14.0 / 300.0))
     # 16-bit levels at 0.6 of full scale in some 50 pixels of each region, and the finite patch: below 2e-5
-    assert found == pytest.approx(expected, abs=2e-5)
+    assert found == pytest.approx(1.0 if knows else 1 / math.cos(math.atan(14.0 / 300.0)), abs=2e-5)
 
 
 def test_a_back_that_is_lit_and_looked_at_from_behind_is_black() -> None:
@@ -327,11 +323,10 @@ def test_the_mirror_shows_the_lamp_as_straight_through_by_its_reflectance() -> N
     mirror = rates("mirror", Pose(light=angle, camera=-angle))
     through = rates("empty", Pose(light=angle, camera=angle - math.pi))
     f_s, f_p = fresnel.amplitudes(np.cos(angle), ior("Al")(550.0))
-    reflectance = 0.5 * (abs(f_s) ** 2 + abs(f_p) ** 2)
     middle = slice(30, 42), slice(42, 54)
     assert through[middle].mean() > 0
     assert mirror[middle].mean() / through[middle].mean() == pytest.approx(
-        float(reflectance), rel=2e-3
+        float(0.5 * (abs(f_s) ** 2 + abs(f_p) ** 2)), rel=2e-3
     )  # its change in view
 
 

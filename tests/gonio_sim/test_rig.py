@@ -63,8 +63,7 @@ def test_sim_ideal_has_the_geometry_of_sim_and_nothing_else() -> None:
     for key in ("width", "height", "pixel_um", "focal_length_mm", "lens_half_angle_deg", "cos4", "vignetting"):
         assert getattr(ideal.camera, key) == getattr(real.camera, key)
     camera = ideal.camera
-    noises = (camera.photon_noise, camera.read_noise_e, camera.dark_current_e_per_s, camera.prnu, camera.dsnu_e)
-    assert not any(noises)
+    assert not any((camera.photon_noise, camera.read_noise_e, camera.dark_current_e_per_s, camera.prnu, camera.dsnu_e))
     assert not any((ideal.lamp.noise, ideal.lamp.drift_per_hour, ideal.reference.u_rel, camera.quantised))
     for axis in (ideal.arms.light, ideal.arms.camera, ideal.holder):
         assert not any((axis.encoder_step_deg, axis.backlash_deg, axis.zero_offset_deg, axis.zero_u_deg))
@@ -166,8 +165,7 @@ def test_error_of_the_reference_is_drawn_from_the_seed() -> None:
     description = describe("sim")
     pulls = [(World(description, None, seed).reference_scale - 1) / 0.002 for seed in range(400)]
     assert stats.kstest(pulls, "norm").pvalue > 1e-4
-    perfect = describe("sim", reference={"error": "none"})
-    assert World(perfect, None, 1).reference_scale == 1.0
+    assert World(describe("sim", reference={"error": "none"}), None, 1).reference_scale == 1.0
 
 
 def test_reference_gives_the_rate_of_the_measurement_equation(rig: Build) -> None:

@@ -78,8 +78,7 @@ def test_methods_meet_in_one_frame() -> None:
     black = of._camera.black_level_dn
     counts = (of.read_out(rate, 1.0, 1.0, np.uint64(4)).astype(float) - black).astype(int).ravel()
     for mean in np.unique(rate):
-        one = counts[rate.ravel() == mean]
-        assert stats.chisquare(*observed_and_expected(one, float(mean))).pvalue > 1e-4
+        assert stats.chisquare(*observed_and_expected(counts[rate.ravel() == mean], float(mean))).pvalue > 1e-4
 
 
 def test_electrons_and_read_noise_are_independent() -> None:
@@ -136,8 +135,7 @@ def test_fixed_patterns_follow_from_the_seed_alone() -> None:
     of = sensor(prnu=0.005, dsnu_e=2.0)
     bright, dark = electrons(of, 8000.0, key=1), electrons(of, None, key=2)
     assert dark.std() == pytest.approx(2.0, rel=SIGMAS * math.sqrt(0.5 / PIXELS) + 0.002)  # 0.002: rounding to 0.25 e-
-    gain = (bright - dark) / 8000.0
-    assert gain.std() == pytest.approx(0.005, rel=SIGMAS * math.sqrt(0.5 / PIXELS) + 0.002)
+    assert ((bright - dark) / 8000.0).std() == pytest.approx(0.005, rel=SIGMAS * math.sqrt(0.5 / PIXELS) + 0.002)
     np.testing.assert_array_equal(bright, electrons(sensor(prnu=0.005, dsnu_e=2.0), 8000.0, key=9))
     other = electrons(sensor(seed=4, prnu=0.005, dsnu_e=2.0), 8000.0)
     assert abs(np.corrcoef(bright.ravel(), other.ravel())[0, 1]) < SIGMAS / math.sqrt(PIXELS)
@@ -162,10 +160,8 @@ def test_same_frame_whatever_the_number_of_threads(monkeypatch: pytest.MonkeyPat
 
 
 def test_frames_of_different_keys_are_independent() -> None:
-    description = describe("sim")
-    world = World(description, None, 5)
-    keys = {int(world.key(Stream.SENSOR, s, f)) for s in range(50) for f in range(20)}
-    assert len(keys) == 1000
+    world = World(describe("sim"), None, 5)
+    assert len({int(world.key(Stream.SENSOR, s, f)) for s in range(50) for f in range(20)}) == 1000
     of = sensor(photon_noise=True)
     a, b = (electrons(of, 5000.0, key=int(world.key(Stream.SENSOR, 3, f))) for f in (0, 1))
     assert abs(np.corrcoef(a.ravel(), b.ravel())[0, 1]) < SIGMAS / math.sqrt(PIXELS)

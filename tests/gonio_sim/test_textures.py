@@ -256,8 +256,7 @@ def test_the_lens_blurs_an_edge_as_an_integral_of_a_gaussian_says() -> None:
     seen = pixel_map(description, view(description, pose))
     albedo = scene(description, what, pose) / (R * seen.weight)
     row = albedo[240, np.abs(seen.x_mm[240]) < 5]
-    apart = (seen.x_mm[240, np.abs(seen.x_mm[240]) < 5] - offset) / 0.045
-    ends = apart[:, None] + np.linspace(-0.5, 0.5, 201)
+    ends = ((seen.x_mm[240, np.abs(seen.x_mm[240]) < 5] - offset) / 0.045)[:, None] + np.linspace(-0.5, 0.5, 201)
     expected = 0.2 + 0.6 * special.ndtr(ends / sigma).mean(axis=1)
     # the blur adds up whole pixels: 1/(12 sigma^2) of the Gaussian's steepest slope, 0.24, and 1/68 of a pixel's share
     assert np.abs(row - expected).max() < 0.6 * (0.242 / (12 * sigma**2) + 0.2 / 68)

@@ -64,11 +64,9 @@ def test_a_resolved_curve_is_visited_again() -> None:
     batch = cover_by_errors(
         known(lambda x: 0.2 * math.exp(-((x / 60.0) ** 2)), visited), ALL, np.ones(161), fewer_than(33)
     )
-    again = sum(k in visited for k in batch)
     # noise is what is left; leaving a point out departs by noise too, and may ask for some points between
-    assert again > 0.7 * len(batch)
-    counts = np.bincount(np.searchsorted(visited, [k for k in batch if k in visited]), minlength=33)
-    assert counts.max() <= 3, "evenly"
+    assert sum(k in visited for k in batch) > 0.7 * len(batch)
+    assert np.bincount(np.searchsorted(visited, [k for k in batch if k in visited]), minlength=33).max() <= 3, "evenly"
 
 
 def test_gaps_beside_a_narrow_lobe_are_divided() -> None:
@@ -82,15 +80,12 @@ def test_gaps_beside_a_narrow_lobe_are_divided() -> None:
 
 
 def test_points_that_are_dear_are_left_to_the_end() -> None:
-    visited = list(range(0, 161, 5))
     cost = np.where(np.arange(161) < 80, 100.0, 1.0)
-    batch = cover_by_errors(known(lambda x: 0.2, visited), ALL, cost, fewer_than(16))
-    assert min(batch) >= 80
+    assert min(cover_by_errors(known(lambda x: 0.2, list(range(0, 161, 5))), ALL, cost, fewer_than(16))) >= 80
 
 
 def test_nothing_is_taken_that_does_not_fit_or_is_not_open() -> None:
-    visited = list(range(0, 161, 5))
-    one = known(lambda x: 0.2, visited)
+    one = known(lambda x: 0.2, list(range(0, 161, 5)))
     assert cover_by_errors(one, ALL, np.ones(161), lambda batch: not batch) == []
     assert cover_by_errors(one, [], np.ones(161), fewer_than(16)) == []
     assert set(cover_by_errors(one, ALL[:81], np.ones(161), fewer_than(16))) <= set(ALL[:81])
@@ -98,8 +93,7 @@ def test_nothing_is_taken_that_does_not_fit_or_is_not_open() -> None:
 
 
 def test_a_curve_that_is_known_as_well_as_the_reference_is_left_alone() -> None:
-    visited = list(itertools.chain.from_iterable([k] * 40 for k in range(0, 161, 5)))
-    rng = known(lambda x: 0.2, visited)
+    rng = known(lambda x: 0.2, list(itertools.chain.from_iterable([k] * 40 for k in range(0, 161, 5))))
     exact = Curves(rng.points, rng.visits, np.where(rng.visits > 0, math.log(0.2), 0.0), rng.u)
     assert cover_by_errors(exact, ALL, np.ones(161), fewer_than(16)) == []
 
@@ -111,8 +105,7 @@ def curve(theta_i: float, *signed: float) -> list[Point]:
 def test_gaps_are_divided_evenly_and_ends_are_taken() -> None:
     places = [*np.arange(-80.0, -33.0), *np.arange(-26.0, 81.0)]  # a cone around retro is missing
     points = curve(30.0, *places)
-    measured = {places.index(x) for x in (0.0, 3.0, 40.0)}
-    chosen = {places[k] for k in fill(points, measured, 10.0)}
+    chosen = {places[k] for k in fill(points, {places.index(x) for x in (0.0, 3.0, 40.0)}, 10.0)}
     assert {-80.0, -34.0, -26.0, 80.0} <= chosen
     assert not chosen & {0.0, 3.0, 40.0}, "what is measured is not measured again"
     there = np.array(sorted(chosen | {0.0, 3.0, 40.0}))
@@ -143,7 +136,6 @@ def test_the_side_of_the_mirror_direction_does_not_depend_on_where_azimuths_coun
 def test_the_farthest_place_is_next() -> None:
     """Of a line: the other end, the middle, the quarters; a dear one later, and none twice."""
     line = np.stack([np.arange(9.0), np.zeros(9), np.zeros(9)], axis=1)
-    assert spread(line, 5, [0]) == [0, 8, 4, 2, 6]
-    assert spread(line, 3, [], among=line[:1]) == [8, 4, 2]
+    assert (spread(line, 5, [0]), spread(line, 3, [], among=line[:1])) == ([0, 8, 4, 2, 6], [8, 4, 2])
     assert spread(line, 2, [0], cost=np.where(np.arange(9) > 6, 4.0, 1.0)) == [0, 6], "49/4 and 64/4 are less than 36"
     assert sorted(spread(np.concatenate([line, line]), 20, [0])) == list(range(9))

@@ -150,8 +150,7 @@ def test_a_spike_adds_what_the_cones_share_and_scatters_as_landings_do() -> None
     drawn = np.random.default_rng(2).normal(size=(2, 100_000))
     read = np.radians(0.05)
     for k in (1, 2):
-        at = np.hypot(away[k] + np.sqrt(2.0) * read * drawn[0], read * drawn[1])
-        seen = 3.0 * overlap(at, 0.01, 0.015)
+        seen = 3.0 * overlap(np.hypot(away[k] + np.sqrt(2.0) * read * drawn[0], read * drawn[1]), 0.01, 0.015)
         found, scatter = spike.effects(d, read)
         # three nodes of a share that is bent, against 1e5 draws
         assert found[k, 0] == pytest.approx(seen.mean(), rel=5e-3)
@@ -165,8 +164,7 @@ def test_lobe_and_base_of_gaussian_slopes_are_found_at_each_incidence() -> None:
     found = begun(at, lobe + 0.04, np.full(2 * x.size, 1e-4), np.ones(2 * x.size, dtype=bool))
     # exact values: what the search leaves after its steps
     np.testing.assert_allclose(some(found), [lobe, np.full(2 * x.size, 0.04)], rtol=1e-3, atol=1e-5)
-    few = np.arange(2 * x.size) < 7
-    assert begun(at, lobe + 0.04, np.full(2 * x.size, 1e-4), few) is None
+    assert begun(at, lobe + 0.04, np.full(2 * x.size, 1e-4), np.arange(2 * x.size) < 7) is None
 
 
 def test_the_scale_is_a_logarithm_far_above_the_noise_and_straight_near_zero() -> None:
@@ -264,8 +262,7 @@ def test_a_point_beside_the_plane_of_incidence_is_on_no_curve() -> None:
     aside = table.iloc[-1:].assign(theta_r_deg=80.0, phi_r_deg=table["phi_r_deg"].iloc[-1] + 90.0)
     table = pd.concat([table, aside], ignore_index=True)
     table = table.assign(brdf=0.3, u_random=1e-3, wavelength_nm=550.0, flag="")
-    found = reconstruct(table, step_deg=5.0)
-    assert found["theta_r_deg"].tolist() == pytest.approx(np.linspace(-60, 70, 27))
+    assert reconstruct(table, step_deg=5.0)["theta_r_deg"].tolist() == pytest.approx(np.linspace(-60, 70, 27))
 
 
 def test_a_lobe_that_stands_on_a_base_is_known_at_its_foot() -> None:
@@ -274,8 +271,7 @@ def test_a_lobe_that_stands_on_a_base_is_known_at_its_foot() -> None:
 
     x = np.concatenate([np.arange(-70.0, 12.0, 10.0), np.arange(14.0, 47.0, 4.0), np.arange(50.0, 71.0, 10.0)])
     between = np.linspace(10, 50, 81)
-    known = Posterior(in_plane(x), narrow(x), 1e-3 * narrow(x), np.zeros((x.size, 0)))
-    curve, u, _, _ = known.at(in_plane(between))
+    curve, u, _, _ = Posterior(in_plane(x), narrow(x), 1e-3 * narrow(x), np.zeros((x.size, 0))).at(in_plane(between))
     # as factors they are off by several per cent there; a tenth of a per cent is the noise of a point
     assert rms(curve / narrow(between) - 1) < 0.01
     assert np.median(u / curve) < 0.01
@@ -293,8 +289,7 @@ def test_zeros_count_in_radians_once() -> None:
 
 
 def test_the_first_points_cover_and_the_mirror_direction_is_one(tmp_path: Path) -> None:
-    first = sampler(tmp_path).first(())
-    signed = [p.theta_r_deg * (1 if p.phi_r_deg else -1) for p in first]
+    signed = [p.theta_r_deg * (1 if p.phi_r_deg else -1) for p in sampler(tmp_path).first(())]
     reach = sum(half_angles(describe()))
     assert {30.0 - 0.5 * reach, 30.0, 30.0 + 0.5 * reach} <= set(signed), "what a spike is told by"
     assert min(signed) == -70
@@ -320,8 +315,7 @@ def test_a_form_that_many_values_told_is_kept_until_a_quarter_more_are_there(mon
     other = {"factors": "summands", "summands": "factors"}[form]
     told = Before(first.parameters, form, compared)
     monkeypatch.setattr(Posterior, {"factors": "_summed", "summands": "_without_spike"}[form], None)  # is not called
-    again = known(ENOUGH + 40, told)
-    assert again.form == (form, compared)
+    assert known(ENOUGH + 40, told).form == (form, compared)
     monkeypatch.undo()
     assert known(ENOUGH + 60, Before(first.parameters, form, 200)).form == (form, ENOUGH + 60)
     assert known(ENOUGH, Before(first.parameters, other, ENOUGH)).form == (form, ENOUGH)
@@ -330,8 +324,7 @@ def test_a_form_that_many_values_told_is_kept_until_a_quarter_more_are_there(mon
 def test_points_go_where_the_curve_is_known_least(tmp_path: Path) -> None:
     curve = sampler(tmp_path)
     away = [k for k, p in enumerate(curve.candidates.points) if not (p.phi_r_deg and 15 < p.theta_r_deg < 45)]
-    decided = curve.decided([measured(curve.candidates, away)], 0.0)
-    near = [curve.candidates.points[k] for k in decided.picked]
+    near = [curve.candidates.points[k] for k in curve.decided([measured(curve.candidates, away)], 0.0).picked]
     # of six points one covers, and two bisect steep gaps
     assert sum(p.phi_r_deg == 180.0 and 15 <= p.theta_r_deg <= 45 for p in near) >= len(near) / 2
 
@@ -344,8 +337,7 @@ def test_a_steep_gap_is_bisected() -> None:
     grid = curve.Grid.of(places, np.ones(places.theta_r.size))
     noise = np.full(places.theta_r.size, 1e-3)
     _, _, covers = curve.batch([known], [noise], grid, 1e9, np.ones(places.theta_r.size), 3, 0, 1e-3)
-    at = np.degrees(places.signed[covers[0]])
-    assert 40 < at < 60, "where the flank was left out"
+    assert 40 < np.degrees(places.signed[covers[0]]) < 60, "where the flank was left out"
 
 
 @pytest.mark.slow

@@ -40,8 +40,7 @@ def weight(pixels: float, factor: float, cosine: float, frames: int) -> float:
 def test_a_visit_tells_what_photons_read_noise_and_lamp_leave(light_deg: float, brdf: float) -> None:
     pose = Pose(light=math.radians(light_deg), camera=math.radians(-10.0))
     found = expected.Expected(Durations(RIG, BANDS[:1]), [pose, pose]).visits(np.array([brdf, 0.0]))
-    pixels = exposure.expected_pixels(RIG, pose)
-    wanted = weight(pixels, math.pi * brdf, math.cos(math.radians(light_deg)), 2)
+    wanted = weight(exposure.expected_pixels(RIG, pose), math.pi * brdf, math.cos(math.radians(light_deg)), 2)
     assert found.u_rel[0] == pytest.approx(1.0 / math.sqrt(wanted), rel=1e-4)  # exposures in whole microseconds
     assert found.u_rel[1] == math.inf, "nothing is seen"
     assert found.seconds[1] > found.seconds[0] > 0.0
@@ -49,8 +48,7 @@ def test_a_visit_tells_what_photons_read_noise_and_lamp_leave(light_deg: float, 
 
 def test_planned_brackets_count_all_their_frames() -> None:
     fine = RIG.model_copy(update={"acquisition": RIG.acquisition.model_copy(update={"u_rel_target": 0.001})})
-    pose = Pose(camera=-0.2)
-    (u,) = expected.Expected(Durations(fine, BANDS[:1]), [pose]).visits(np.array([0.3])).u_rel
+    (u,) = expected.Expected(Durations(fine, BANDS[:1]), [Pose(camera=-0.2)]).visits(np.array([0.3])).u_rel
     assert 0.5 * 0.001 < u < 1.02 * 0.001
 
 

@@ -78,8 +78,7 @@ def test_what_is_gathered_is_the_chi_square_with_all_causes() -> None:
     after = known.with_values(d[5:6], u[5:6], columns[5:6])
     assert after.apart - known.apart == pytest.approx(float(gain[0]), rel=1e-9)  # one inverse against another
     whole = after.with_values(d[6:], u[6:], columns[6:])
-    covariance = np.diag(u**2) + columns @ columns.T
-    assert whole.apart == pytest.approx(float(d @ np.linalg.solve(covariance, d)), rel=1e-9)
+    assert whole.apart == pytest.approx(float(d @ np.linalg.solve(np.diag(u**2) + columns @ columns.T, d)), rel=1e-9)
     wanted = 1.5 * whole.apart
     times = whole.times_to(wanted)
     if math.isfinite(times):
@@ -145,8 +144,7 @@ def test_half_of_a_grid_s_time_decides(tmp_path: Path, truth: SampleDescription,
 
 
 def test_a_run_goes_on_as_it_would_have_gone(tmp_path: Path) -> None:
-    text = CHOSEN.replace("MODELS", '"oren-nayar", "blinn"')
-    plan = load_plan(plan_file(tmp_path, text))
+    plan = load_plan(plan_file(tmp_path, CHOSEN.replace("MODELS", '"oren-nayar", "blinn"')))
 
     def measured(out: str, **options: object) -> Run:
         return carry_out(plan, RIG, tmp_path / out, sample=matt(25.0), seed=2, **options)  # type: ignore[arg-type]
@@ -176,8 +174,7 @@ def test_a_batch_is_what_raises_chi_square_most_for_its_time(made: Rivals) -> No
     columns = np.stack([SMALL.reference.u_rel * theirs.brdf, *theirs.of_angles.values()], axis=1)
 
     def apart(some: list[int]) -> float:
-        covariance = np.diag(u[some] ** 2) + columns[some] @ columns[some].T
-        return float(d[some] @ np.linalg.solve(covariance, d[some]))
+        return float(d[some] @ np.linalg.solve(np.diag(u[some] ** 2) + columns[some] @ columns[some].T, d[some]))
 
     picked, gain = made._pick(stands, None, math.inf)
     assert len(picked) == rivals.BATCH
@@ -213,8 +210,7 @@ def test_the_winner_is_ahead_by_the_ratio_of_likelihoods(made: Rivals, u: float,
 
 def test_it_says_what_it_will_do_and_refuses_what_it_cannot(tmp_path: Path) -> None:
     text = CHOSEN.replace("MODELS", '"a.toml", "blinn"')
-    plan = load_plan(plan_file(tmp_path, text, a=MATT.format(name="rough 20", sigma=20.0)))
-    made = sampler_of(plan, SMALL)[1]
+    made = sampler_of(load_plan(plan_file(tmp_path, text, a=MATT.format(name="rough 20", sigma=20.0))), SMALL)[1]
     assert isinstance(made, Rivals)
     assert about(made)[:3] == [
         "rivals: rough 20, blinn (fitted), at 550 nm",

@@ -144,8 +144,7 @@ def test_the_pixels_that_are_expected_are_those_of_the_region(camera_deg: float)
 
 
 def test_a_region_smaller_than_a_pixel_has_one() -> None:
-    small = describe(acquisition=Acquisition(roi_radius_mm=0.05))
-    assert exposure.expected_pixels(small, Pose()) == 1
+    assert exposure.expected_pixels(describe(acquisition=Acquisition(roi_radius_mm=0.05)), Pose()) == 1
 
 
 def test_lamps_that_flicker_take_more_frames_and_not_longer_ones() -> None:

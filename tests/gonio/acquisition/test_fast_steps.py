@@ -90,8 +90,7 @@ def test_fast_steps_share_their_syncs_and_the_record_is_the_same(
     fast = Counter(counted)
     counted.clear()
     monkeypatch.setattr(session, "FAST_STEP_S", 0.0)
-    single = measure(plan, tmp_path / "single")
-    assert list(together.steps()) == list(single.steps())
+    assert list(together.steps()) == list(measure(plan, tmp_path / "single").steps())
     assert len(together.steps()) == POINTS + 5  # a dark, and visits before, after 100, after 200 and at the end
     assert counted["journal"] >= POINTS
     # 64 steps show the pace; then the clock decides, and a machine that is busy needs more than a few

@@ -104,9 +104,8 @@ def test_every_direction_of_a_hemisphere_has_the_same_solid_angle(count: int, ca
     assert len(theta) == count
     # Archimedes: the solid angle of a zone is 2 pi times its height, so middles lie in the middle of heights
     height = (1.0 - math.cos(math.radians(cap_deg))) / count
-    rings = Counter(np.round(theta, 12).tolist())
     done = 0
-    for angle, number in sorted(rings.items()):
+    for angle, number in sorted(Counter(np.round(theta, 12).tolist()).items()):
         if done or number > 1:
             assert 1.0 - math.cos(angle) == pytest.approx((done + number / 2) * height, abs=1e-11)  # of 12 digits
         else:

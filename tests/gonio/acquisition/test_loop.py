@@ -87,8 +87,7 @@ def test_a_step_during_which_an_arm_was_pushed_is_taken_again(measure: Measure, 
 
 def test_a_step_during_which_an_arm_never_stands_still_is_flagged(measure: Measure) -> None:
     run = measure("run", rig=Plugin(options={"pushes": {1: 9, 3: 9}}))  # a visit to the reference, and a point
-    flags = {step.step: step.flag for step in run.steps()}
-    assert flags == dict.fromkeys(range(9), "") | {1: "moved", 3: "moved"}
+    assert {step.step: step.flag for step in run.steps()} == dict.fromkeys(range(9), "") | {1: "moved", 3: "moved"}
     assert [event["message"].rpartition("; ")[2] for event in run.events() if event["event"] == "remark"] == [
         *["it is taken again", "it is taken again", 'it is flagged "moved"'] * 2
     ]
@@ -183,8 +182,7 @@ def test_killed_at_any_byte_of_the_journal_it_resumes_to_the_same(measure: Measu
     ends = [at + 1 for at, byte in enumerate(data) if byte == ord("\n")]
     cuts = sorted({0, 1, *(end + d for end in ends for d in (-1, 0, 1)), *range(0, len(data), 1999)})
     for cut in cuts:
-        journal = tmp_path / "whole" / "journal.jsonl"
-        journal.write_bytes(data[:cut])
+        (tmp_path / "whole" / "journal.jsonl").write_bytes(data[:cut])
         if cut < ends[0]:  # frames, and no journal
             with pytest.raises(DataError, match="gonio run repair"):
                 measure("whole", resume=True)
@@ -287,8 +285,7 @@ def test_a_clock_that_was_set_back_between_two_sessions(measure: Measure) -> Non
             measure("run", rig=late, **again)
     run = measure("run", rig=Plugin(options={"repeatable": False}), **again)
     assert len([step for step in run.steps() if step.kind == "point"]) == 5
-    times = [f["time_s"] for e in run.events() if e["event"] == "step" for f in e["frames"]]
-    assert np.all(np.diff(times) > 0)
+    assert np.all(np.diff([f["time_s"] for e in run.events() if e["event"] == "step" for f in e["frames"]]) > 0)
 
 
 def test_a_run_that_has_begun_needs_resume(measure: Measure) -> None:

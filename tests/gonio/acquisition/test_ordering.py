@@ -80,8 +80,7 @@ def test_few_poses_come_close_to_the_best_of_all_orders(seed: int) -> None:
         return sum(float(between[a, b]) for a, b in itertools.pairwise([len(poses), *way, len(poses)]))
 
     best = min(length(way) for way in itertools.permutations(range(len(poses))))
-    found = length(tuple(shorter(poses, points[: len(poses)], durations, home)))
-    assert best - ROUNDING <= found <= 1.15 * best
+    assert best - ROUNDING <= length(tuple(shorter(poses, points[: len(poses)], durations, home))) <= 1.15 * best
 
 
 def test_a_shuffled_scan_is_put_in_order() -> None:
@@ -90,8 +89,7 @@ def test_a_shuffled_scan_is_put_in_order() -> None:
     description = describe(reference=Reference(every=0))
     short = in_order(plan_of(points), description)
     camera = [math.degrees(s.pose.camera) for s in schedule(short, description) if s.kind == "point"]
-    turns = sum(1 for a, b, c in zip(camera, camera[1:], camera[2:], strict=False) if (b - a) * (c - b) < 0)
-    assert turns <= 2
+    assert sum(1 for a, b, c in zip(camera, camera[1:], camera[2:], strict=False) if (b - a) * (c - b) < 0) <= 2
     durations = Durations(description, BANDS[:1])
     travel_s = [durations.parts(schedule(p, description)).travel_s for p in (short, plan_of(points))]
     assert travel_s[0] < 0.5 * travel_s[1]

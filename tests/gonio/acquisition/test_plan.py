@@ -32,16 +32,14 @@ def test_signed_angles_become_canonical(tmp_path: Path) -> None:
 def test_out_of_plane_is_every_combination(tmp_path: Path) -> None:
     sweep = "[[sweep]]\ntheta_i_deg = [30, 40]\ntheta_r_deg = [10, -10]\ndphi_deg = [90, -45]\n"
     found = angles(plan(tmp_path, HEAD + sweep))
-    assert len(found) == 8
-    assert found[:4] == [(30, 0, 10, 90), (30, 0, 10, 270), (30, 0, 10, 315), (30, 0, 10, 135)]
+    assert (len(found), found[:4]) == (8, [(30, 0, 10, 90), (30, 0, 10, 270), (30, 0, 10, 315), (30, 0, 10, 135)])
 
 
 def test_points_from_a_table_beside_the_plan(tmp_path: Path) -> None:
     (tmp_path / "points.csv").write_text(
         "\ufeffbrdf,theta_i_deg, phi_i_deg,theta_r_deg,phi_r_deg\n1,10,20,-30,40\n2,0,0,50,-90\n", encoding="utf-8"
     )
-    found = plan(tmp_path, HEAD + '[[points]]\nfile = "points.csv"\n')
-    assert angles(found) == [(10, 20, 30, 220), (0, 0, 50, 270)]
+    assert angles(plan(tmp_path, HEAD + '[[points]]\nfile = "points.csv"\n')) == [(10, 20, 30, 220), (0, 0, 50, 270)]
 
 
 def test_the_same_directions_are_measured_once(tmp_path: Path) -> None:

@@ -64,5 +64,4 @@ def test_a_body_is_drawn_where_it_stands() -> None:
     # turned from z to x: 60 long along x around 500, 20 high around 0
     assert box.min(axis=0) == pytest.approx([470, -10])
     assert box.max(axis=0) == pytest.approx([530, 10])
-    post = plan_picture._hull(found["post"], plan_picture.ABOVE)
-    assert np.hypot(*(post - [500, 0]).T) == pytest.approx(40.0)
+    assert np.hypot(*(plan_picture._hull(found["post"], plan_picture.ABOVE) - [500, 0]).T) == pytest.approx(40.0)

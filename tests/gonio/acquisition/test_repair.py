@@ -87,8 +87,7 @@ def test_frames_without_a_journal_are_refused_and_stay(
     done = repaired(run)
     assert (done.rebuilt, done.damaged) == (list(range(9)), [])
     assert list(Run.open(run.path).steps()) == whole
-    kept = sorted(p.name for p in run.path.glob("journal.damaged*"))
-    assert kept == (["journal.damaged.jsonl"] if journal else [])
+    assert sorted(p.name for p in run.path.glob("journal.damaged*")) == (["journal.damaged.jsonl"] if journal else [])
     told = Told()
     assert list(measure(resume=True, progress=told).steps()) == whole
     assert "every step is done" in told.text
@@ -248,8 +247,7 @@ def test_reduction_goes_on_with_the_dark_frames_that_are_left(run: Run) -> None:
     lose(run.frame_path(dark[0].file), "missing")
     assert list(brdf.reduce(run)["flag"]) == list(before["flag"])
     lose(run.frame_path(dark[1].file), "missing")  # one exposure is left
-    table = brdf.reduce(run)
-    assert any("dark frames of one exposure" in note for note in table.attrs["notes"])
+    assert any("dark frames of one exposure" in note for note in brdf.reduce(run).attrs["notes"])
     for frame in dark[2:]:
         lose(run.frame_path(frame.file), "changed")
     with pytest.raises(DataError, match=r"every dark frame .*--resume"):
@@ -487,8 +485,7 @@ def test_a_refused_resume_has_changed_nothing(run: Run, measure: Measure, whole:
         (run.path / "plan.csv").write_bytes(plan)
     (run.path / "frames" / "IMG.CR2").unlink()
     assert list(measure(resume=True).steps()) == whole
-    kept = set(tree(run.path / "set-aside").values()) | set(tree(run.path / "frames").values())
-    assert {first, second} <= kept
+    assert {first, second} <= set(tree(run.path / "set-aside").values()) | set(tree(run.path / "frames").values())
 
 
 @pytest.mark.parametrize("name", ["run.toml", "plan.csv"])

@@ -167,9 +167,8 @@ def test_advice_leads_to_the_target_within_the_cameras_limits(
     rig = description()
     # a scene without noise: what the brightest pixel is, is known
     quiet = rig.camera.model_copy(update={"photon_noise": False, "read_noise_e": 0.0})
-    dn = np.clip(64 + electrons * exposure_s / 3, 0, 4095)
     mosaic = np.full((HEIGHT, WIDTH), 64, np.uint16)
-    mosaic[120, 160] = round(float(dn))
+    mosaic[120, 160] = round(float(np.clip(64 + electrons * exposure_s / 3, 0, 4095)))
     mosaic[0, 0] = 4095  # outside the region nothing counts
     frame = Frame(mosaic, exposure_s, 64.0, 4095.0, time_s=0.0)
     told = frame_analysis.advice(rig.model_copy(update={"camera": quiet}), frame, REGION)

@@ -140,8 +140,7 @@ def test_saturation_is_counted_in_the_region_and_at_its_level() -> None:
     full = min(4095.0 - 64.0, CAMERA.full_well_e / CAMERA.electrons_per_dn)
     assert told["saturated_dn"] == pytest.approx(64.0 + 0.98 * full)
     assert told["saturated_in_region"] == 0
-    mosaic = np.full((80, 96), 4095, np.uint16)
-    told = watched.sight.told(Frame(mosaic, 0.1, 64.0, 4095.0, time_s=99.0))
+    told = watched.sight.told(Frame(np.full((80, 96), 4095, np.uint16), 0.1, 64.0, 4095.0, time_s=99.0))
     assert told["saturated_in_region"] == told["predicted"]["region_pixels"] > 20
 
 
@@ -158,11 +157,9 @@ def test_the_box_of_the_focus_lies_around_the_region_in_pixels() -> None:
 @pytest.mark.parametrize(("light_deg", "long"), [(0.0, 1.0), (60.0, 2.0)])
 def test_the_beam_is_an_ellipse_as_long_as_it_is_oblique(light_deg: float, long: float) -> None:
     """Seen from above: a circle of 4 mm, and under 60 degrees twice as long across the axis of the arms."""
-    bright = describe(camera=CAMERA, lamp=Lamp(beam_diameter_mm=4.0))
-    sight = Sight(bright, Clock())
+    sight = Sight(describe(camera=CAMERA, lamp=Lamp(beam_diameter_mm=4.0)), Clock())
     sight.stand(Pose(light=math.radians(light_deg)), BANDS[0], "sample")
-    beam = np.array(sight.told(frame(1))["predicted"]["beam"])
-    width, height = np.ptp(beam, axis=0)
+    width, height = np.ptp(np.array(sight.told(frame(1))["predicted"]["beam"]), axis=0)
     # the lamp is a point at 1 m: its beam is a cone, and not quite an ellipse about the middle
     assert width / height == pytest.approx(long, rel=0.01)
     image_mm = 1.0 / (1.0 / CAMERA.focal_length_mm - 1.0 / 1000.0)

@@ -52,8 +52,7 @@ def test_a_beam_is_told_from_the_lens_with_honest_uncertainties() -> None:
         pulls.append((np.array(found.beam.terms()) - TRUE) / np.sqrt(np.diag(found.covariance)))
         assert found.reduced_chi_square < 1.3
         assert found.lens[0] + found.lens[1] == pytest.approx(-0.03, abs=0.03)
-    spread = float(np.std(pulls))
-    assert 0.6 < spread < 1.45  # three standard deviations
+    assert 0.6 < float(np.std(pulls)) < 1.45  # three standard deviations
     assert abs(float(np.mean(pulls))) < 0.6
 
 

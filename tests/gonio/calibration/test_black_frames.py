@@ -64,12 +64,9 @@ def test_noise_that_is_larger_than_stated_widens_the_uncertainty() -> None:
 
 
 def test_a_halo_beside_an_edge_is_found_with_its_width() -> None:
-    of = scene(64, 128)
-    found = fit([frame(of, 0.01, 0.02, 16.0, 1.0, seed=4)], CAMERA)
+    found = fit([frame(scene(64, 128), 0.01, 0.02, 16.0, 1.0, seed=4)], CAMERA)
     # bins of a quarter of the halo's width, which are linear in between
-    assert found.halo_px == pytest.approx(16.0, rel=0.05)
-    assert found.halo == pytest.approx(0.02, rel=0.05)
-    assert found.uniform == pytest.approx(0.01, rel=0.05)
+    assert (found.halo_px, found.halo, found.uniform) == pytest.approx((16.0, 0.02, 0.01), rel=0.05)
     assert abs(found.halo - 0.02) < 5.0 * math.sqrt(found.covariance[1, 1])
 
 

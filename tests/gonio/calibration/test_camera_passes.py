@@ -126,8 +126,7 @@ def test_parts_of_the_picture_and_their_levels_are_those_that_were_put_in() -> N
     of_line = float(weights**2 @ (READ_DN**2 + 1 / 12 + DARK_DN_PER_S * t / E_PER_DN))
     assert work.u_dark_dn[0] ** 2 * np.count_nonzero(bright) == pytest.approx(of_line, rel=0.07)
     for mask, level, share in ((bright, work.level_dn[0], 1.0), (dim, work.level_dn[1], 0.3)):
-        u = np.sqrt((variance + of_line) / np.count_nonzero(mask))
-        assert np.all(np.abs(level - share * true) < 4 * u)
+        assert np.all(np.abs(level - share * true) < 4 * np.sqrt((variance + of_line) / np.count_nonzero(mask)))
     middle = [part for part in parts if 0.2 * 0.85 <= part <= 0.8 * 0.85 for _ in range(2)]
     assert work.map_count == len(middle)
     assert work.map_exposure == pytest.approx(float(np.mean(middle)))

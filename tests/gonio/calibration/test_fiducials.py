@@ -49,8 +49,7 @@ def test_corners_are_where_the_markers_are(description: RigDescription, camera: 
     numbers, pixels, scatter = fiducials.consistent(marks, numbers, pixels)
     assert len(numbers) >= 16  # of the eight markers, those above and below lie at the frame's edge
     flat = corners_mm(marks).reshape(-1, 2)[numbers]
-    points = np.column_stack([flat, np.zeros(len(flat))])
-    off = pixels - np.stack(imaging.project(description, view, points), axis=1)
+    off = pixels - np.stack(imaging.project(description, view, np.column_stack([flat, np.zeros(len(flat))])), axis=1)
     assert np.abs(off.mean(axis=0)).max() < 0.1
     assert off.std() < 0.3
     assert scatter < 0.3

@@ -80,8 +80,7 @@ def test_what_is_true_of_the_lamp_is_found_and_can_be_used(tmp_path: Path) -> No
     for name in ("light-series.csv", "light-series.png", "light-flats.csv", "light-flats.png"):
         assert (tmp_path / name).stat().st_size > 1000
     use(tmp_path, "light.toml")
-    used = find_rig(str(tmp_path / "rig.toml")).description
-    assert some(used.lamp.beam).x_per_mm == values["lamp.beam.x_per_mm"]
+    assert some(find_rig(str(tmp_path / "rig.toml")).description.lamp.beam).x_per_mm == values["lamp.beam.x_per_mm"]
     # the same data again, without the bench
     again, _, _ = found_in(tmp_path, "--series", "light-series.csv", out="again.toml")
     assert again.values["lamp"]["noise"] == pytest.approx(values["lamp.noise"])
@@ -138,8 +137,7 @@ def test_a_zero_that_nobody_has_measured_is_no_beam_that_is_tilted(tmp_path: Pat
 def test_a_lamp_that_drifts_more_than_the_model_is_refused_and_its_data_kept(tmp_path: Path) -> None:
     write(tmp_path)
     t = np.repeat(np.arange(0.0, 1800.0, 15.0), 2) + np.tile([0.0, 0.1], 120)
-    rng = np.random.default_rng(0)
-    signal = 500.0 * (1.0 + 0.01 * np.sin(t / 150.0) + 0.001 * rng.standard_normal(t.size))
+    signal = 500.0 * (1.0 + 0.01 * np.sin(t / 150.0) + 0.001 * np.random.default_rng(0).standard_normal(t.size))
     series(t, signal).to_csv(tmp_path / "wild.csv", index=False)
     said = calibrated(tmp_path, "--series", "wild.csv")
     assert said.returncode == 1

@@ -75,8 +75,7 @@ def test_emva1288_package_gives_the_same_figures(plain: Any, monkeypatch: pytest
     x, total = found.exposures_s, found.total_variance_dn2
     level = found.signal_dn  # no curve: the measured one
     dark = total - found.variance_dn2
-    zeros = np.zeros(x.size)
-    data = {"texp": x, "u_p": x, "u_y": level, "s2_y": total, "u_ydark": zeros, "s2_ydark": dark}
+    data = {"texp": x, "u_p": x, "u_y": level, "s2_y": total, "u_ydark": np.zeros(x.size), "s2_ydark": dark}
     # the package's own search for saturation stops at the noise of frames that are full: it is told
     last = int(np.argmax(total))
     oracle = results.Results1288({"temporal": data, "spatial": {}}, index_u_ysat=last, loglevel=50)
@@ -99,8 +98,7 @@ def test_unevenness_is_that_of_the_standard(monkeypatch: pytest.MonkeyPatch) -> 
     assert found.column == pytest.approx(1.0, rel=0.11)
     assert found.pixel == pytest.approx(3.0, rel=0.01)
     # nothing is lost by the split, however few rows and columns there are
-    small = photon_transfer.unevenness((rows[:6] + cols[:, :5] + random.normal(0, 3.0, (6, 5))), 2.0)
-    for each in (found, small):
+    for each in (found, photon_transfer.unevenness((rows[:6] + cols[:, :5] + random.normal(0, 3.0, (6, 5))), 2.0)):
         assert each.total == pytest.approx(math.sqrt(each.row**2 + each.column**2 + each.pixel**2))
 
 

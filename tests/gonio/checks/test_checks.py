@@ -59,8 +59,7 @@ def test_what_is_common_to_both_values_of_a_pair_does_not_excuse_a_difference() 
     at = grid()
     values = drawn(1, at, matte(at))
     assert [c.verdict for c in of_values(values)[:2]] == ["ok", "ok"]
-    left = (at.dphi > 0.1) & (at.dphi < math.pi - 0.1)
-    bent = replace(values, brdf=np.where(left, 1.02, 1.0) * values.brdf)
+    bent = replace(values, brdf=np.where((at.dphi > 0.1) & (at.dphi < math.pi - 0.1), 1.02, 1.0) * values.brdf)
     check = of_values(bent)[1]
     assert (check.name, check.verdict) == ("left and right", "bad")
     assert some(check.value) > 10  # (2 % / (0.3 % sqrt 2))^2 = 22
@@ -103,8 +102,7 @@ def test_repeats_are_found_among_other_points_and_judged() -> None:
     found = some(repeats(values))
     assert (found.pairs, of_pairs("repeats", found, "").verdict) == (12, "ok")
     moved = np.concatenate([np.ones(len(at.theta_i)), np.full(12, 1.03)])
-    off = some(repeats(replace(values, brdf=values.brdf * moved)))
-    assert of_pairs("repeats", off, "").verdict == "bad"
+    assert of_pairs("repeats", some(repeats(replace(values, brdf=values.brdf * moved))), "").verdict == "bad"
     assert repeats(drawn(3, at, matte(at))) is None
 
 
@@ -186,8 +184,7 @@ def test_the_place_of_a_difference_names_its_cause() -> None:
     stray = of_values(CheckedValues(at, lobe + 2e-3 * (ti > tr)))[0]
     assert stray.verdict == "bad"
     assert "Most of it lies fainter than 1 %" in stray.advice
-    steep = np.where(np.isclose(tr - ti, math.radians(5.0)), 1.5, 1.0)
-    moved = of_values(CheckedValues(at, lobe * steep))[0]
+    moved = of_values(CheckedValues(at, lobe * np.where(np.isclose(tr - ti, math.radians(5.0)), 1.5, 1.0)))[0]
     assert moved.verdict == "bad"
     assert "Most of it lies within 5° of the mirror direction" in moved.advice
 

@@ -78,11 +78,9 @@ def test_blas_has_one_thread_unless_somebody_says_otherwise() -> None:
 
 
 def test_plan_show_tells_what_cannot_be_measured_and_how_long_it_takes(folder: Path) -> None:
-    alone = gonio(folder, "plan", "show", "plan.toml", expect=0)
-    says(alone.stdout, "6 points", "550 nm, 650 nm")
-    on_rig = gonio(folder, "plan", "show", "plan.toml", "--rig", "sim", expect=0)
+    says(gonio(folder, "plan", "show", "plan.toml", expect=0).stdout, "6 points", "550 nm, 650 nm")
     says(
-        on_rig.stdout,
+        gonio(folder, "plan", "show", "plan.toml", "--rig", "sim", expect=0).stdout,
         "blocked: -20",
         "1 blocked: the bodies of source and detector block 3.2 deg around retro",
         "visits to the white reference; about",
@@ -174,8 +172,7 @@ def test_a_patch_that_is_not_on_its_surface_is_refused(folder: Path, old: str, n
 def test_a_shown_rig_can_be_used_as_a_file(folder: Path) -> None:
     shown = gonio(folder, "rig", "show", "sim", expect=0)
     (folder / "my.toml").write_text(shown.stdout.replace("light_body_radius_mm = 25.0", "light_body_radius_mm = 200.0"))
-    done = gonio(folder, "plan", "show", "plan.toml", "--rig", "my.toml")
-    assert "block 13.3 deg around retro" in done.stdout
+    assert "block 13.3 deg around retro" in gonio(folder, "plan", "show", "plan.toml", "--rig", "my.toml").stdout
     assert gonio(folder, "rig", "show", "my.toml").stdout == (folder / "my.toml").read_text()
 
 
@@ -379,8 +376,7 @@ def test_a_name_of_300_characters_is_named(folder: Path, arguments: tuple[str, .
         "theta_i_deg,phi_i_deg,theta_r_deg,phi_r_deg,brdf\n30,0,10,180,0.15\n30,0,20,180,0.15\n"
     )
     before = sorted(path.name for path in folder.iterdir())
-    done = gonio(folder, *arguments, expect=2)
-    (line,) = done.stderr.splitlines()
+    (line,) = gonio(folder, *arguments, expect=2).stderr.splitlines()
     assert LONG[:40] in line
     assert "too long" in line
     assert "should not happen" not in line
@@ -442,8 +438,7 @@ def test_a_signal_ends_any_command_with_one_line(tmp_path: Path, number: signal.
         done = process(tmp_path, "slow", PYTHONPATH=site)
     finally:
         signal.signal(number, inherited)
-    assert done.returncode == 130
-    assert done.stderr == "gonio: interrupted\n"
+    assert (done.returncode, done.stderr) == (130, "gonio: interrupted\n")
 
 
 def test_a_signal_that_is_set_to_be_ignored_stays_so(tmp_path: Path) -> None:
@@ -455,8 +450,7 @@ def test_a_signal_that_is_set_to_be_ignored_stays_so(tmp_path: Path) -> None:
         ["nohup", sys.executable, "-c", "from gonio.cli import main; main()", "slow"],
         cwd=tmp_path, env=os.environ | {"PYTHONPATH": site}, capture_output=True, text=True, check=False,
     )  # fmt: skip
-    assert done.returncode == 0
-    assert done.stdout == "done\n"
+    assert (done.returncode, done.stdout) == (0, "done\n")
 
 
 def one_value(folder: Path) -> None:
@@ -539,7 +533,6 @@ def test_the_former_spelling_of_an_option_stays_good(tmp_path: Path, word: str) 
     ):
         done = gonio(tmp_path, *command, word, "9000", expect=2)
         assert "wavelength_nm = 9000 lies in no band of the rig" in done.stderr
-    unlit = gonio(tmp_path, "rig", "snap", "--rig", "sim", "a.dng", word, "550", expect=2)
-    assert "--lamp" in unlit.stderr
+    assert "--lamp" in gonio(tmp_path, "rig", "snap", "--rig", "sim", "a.dng", word, "550", expect=2).stderr
     done = gonio(tmp_path, "fit", "t.csv", "--model", "lambert", word, "many", expect=2)
     assert "--wavelength-nm" in done.stderr

@@ -34,10 +34,8 @@ def test_whites_are_where_the_cie_has_them() -> None:
 
 
 def test_values_are_linear_between_the_wavelengths_and_constant_beyond() -> None:
-    nm = [640.0, 450.0, 553.0]
-    curve = np.interp(colour.wavelengths(), [450.0, 553.0, 640.0], [0.2, 0.9, 0.4])
-    whole = colour.xyz(curve, colour.wavelengths())
-    assert colour.xyz([0.4, 0.2, 0.9], nm) == pytest.approx(whole, abs=ROUNDING)
+    whole = colour.xyz(np.interp(colour.wavelengths(), [450.0, 553.0, 640.0], [0.2, 0.9, 0.4]), colour.wavelengths())
+    assert colour.xyz([0.4, 0.2, 0.9], [640.0, 450.0, 553.0]) == pytest.approx(whole, abs=ROUNDING)
 
 
 def test_pixels_of_a_picture_go_at_once() -> None:
@@ -173,8 +171,7 @@ def test_today_keeps_luminance_and_hue_of_what_fits_in_luminance() -> None:
     assert shown[fits, 1] == pytest.approx(xyz[fits, 1], abs=1e-7)  # the standard's two pieces
     over = xyz[:, 1] > 1.0
     assert np.count_nonzero(over) > 5
-    white = colour.SRGB.to_xyz.sum(axis=1)
-    assert shown[over] == pytest.approx(np.tile(white, (int(over.sum()), 1)), abs=ROUNDING)
+    assert shown[over] == pytest.approx(np.tile(colour.SRGB.to_xyz.sum(axis=1), (int(over.sum()), 1)), abs=ROUNDING)
 
 
 def test_clipping_shifts_the_hue_of_a_bright_copper_and_desaturating_does_not() -> None:

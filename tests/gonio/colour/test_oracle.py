@@ -53,8 +53,7 @@ def test_xyz_at_few_wavelengths_is_the_sum_over_values_linear_between_them(oracl
         values = rng.uniform(0.0, 1.0, len(nm))
         order = np.argsort(nm)
         fine = np.interp(colour.wavelengths(), np.array(nm)[order], values[order])
-        wanted = summed(oracle, "D65", fine[None])[0]
-        assert colour.xyz(values, nm) == pytest.approx(wanted, abs=1e-6)  # as above
+        assert colour.xyz(values, nm) == pytest.approx(summed(oracle, "D65", fine[None])[0], abs=1e-6)  # as above
 
 
 @pytest.mark.parametrize("name", ["D65", "A", "E", "C"])

@@ -38,9 +38,8 @@ def test_gtc_computes_our_uncertainty_of_the_hemisphere(tmp_path: Path) -> None:
     random, common, _ = measurement.uncertainty(table)
     data = CheckedValues(Directions.from_table(table), table["brdf"].to_numpy(), random, common)
     (ours,) = hemisphere.reflectances(data)
-    rho = archive.extract("rho_dh_20")
     # the same sum in another order: rounding of some hundred terms
-    assert GTC.uncertainty(rho) == pytest.approx(ours.u_values, rel=1e-9)
+    assert GTC.uncertainty(archive.extract("rho_dh_20")) == pytest.approx(ours.u_values, rel=1e-9)
     values = archive.extract(*(f"brdf_{row}" for row in range(len(table))))
     pairs = zip(values, ours.weights, strict=True)
     assert GTC.uncertainty(sum(w * v for v, w in pairs if w)) == pytest.approx(ours.u_values, rel=1e-9)

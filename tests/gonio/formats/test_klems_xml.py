@@ -48,8 +48,7 @@ def test_columns_are_incidence_and_the_diagonal_is_the_mirror() -> None:
 
 def test_transmission_goes_on_behind_the_lit_side() -> None:
     frame = measurement.parse(window(kind="Transmission"), Path("blind.xml"))
-    assert set(frame["side"]) == {"transmission"}
-    assert frame.attrs["quantity"] == "btdf"
+    assert (set(frame["side"]), frame.attrs["quantity"]) == ({"transmission"}, "btdf")
     # patch 2 in, patch 2 out: straight through, theta_r = 180 - theta_i and phi_r = phi_i + 180
     assert (value(frame, 45, 180, 135, 0), value(frame, 0, 180, 180, 0)) == (22, 11)
     assert value(frame, 45, 180, 135, 180) == 32
@@ -114,8 +113,7 @@ def test_a_shade_obeys_helmholtz(shared: Callable[[str], Path]) -> None:
     frame = measurement.read(shared("klems/aerc6216_kf.xml"))
     frame = frame[frame["side"] == "reflection"]
     swapped = frame.rename(columns=lambda c: c.replace("_i_", "_x_").replace("_r_", "_i_").replace("_x_", "_r_"))
-    keys = ["theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg"]
-    both = frame.merge(swapped, on=keys, suffixes=("", "_swapped"))
+    both = frame.merge(swapped, on=["theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg"], suffixes=("", "_swapped"))
     # patches lie symmetric about phi + 180, so most pairs are there both ways; the file has four digits
     assert len(both) > 20_000
     np.testing.assert_allclose(both["brdf"], both["brdf_swapped"], atol=2e-4)

@@ -47,8 +47,7 @@ def assert_plain(frame: pd.DataFrame) -> None:
 
 @pytest.mark.parametrize(("mark", "point"), [(",", "."), (";", ","), ("\t", ".")])
 def test_names_and_units_of_ones_own(mark: str, point: str) -> None:
-    columns = own_columns.pairs(SPEC)
-    frame = measurement.parse(mine(mark, point).encode(), Path("mine.csv"), columns=columns)
+    frame = measurement.parse(mine(mark, point).encode(), Path("mine.csv"), columns=own_columns.pairs(SPEC))
     assert_plain(frame)
     says(frame.attrs["notes"], "brdf is the file's column 'R' [factor]", "columns left out: 'run'")
 
@@ -127,8 +126,7 @@ ROWS: list[list[object]] = [
 
 
 def test_a_workbook_under_ones_own_names() -> None:
-    columns = own_columns.pairs(SPEC)
-    frame = measurement.parse(xlsx([["a remark"]], ROWS), Path("mine.xlsx"), columns=columns)
+    frame = measurement.parse(xlsx([["a remark"]], ROWS), Path("mine.xlsx"), columns=own_columns.pairs(SPEC))
     assert_plain(frame)
     assert "worksheet 2 of 2 is read" in frame.attrs["notes"]
 

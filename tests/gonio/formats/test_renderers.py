@@ -38,8 +38,7 @@ def test_a_tensor_file_interpolates_its_model(tmp_path: Path) -> None:
 
 def test_klems_holds_averages_over_patches(tmp_path: Path) -> None:
     assert measurement.write_model(Lambert(albedo=0.5), tmp_path / "white.xml", name="white") == []
-    white = measurement.read(tmp_path / "white.xml")
-    np.testing.assert_allclose(white["brdf"], 0.5 / math.pi, rtol=1e-14)
+    np.testing.assert_allclose(measurement.read(tmp_path / "white.xml")["brdf"], 0.5 / math.pi, rtol=1e-14)
     measurement.write_model(GLOSSY, tmp_path / "g.xml", name="glossy")
     frame = measurement.read(tmp_path / "g.xml")
     row = frame[(frame["theta_i_deg"] == 20) & (frame["phi_i_deg"] == 180) & (frame["theta_r_deg"] == 20)]

@@ -100,8 +100,7 @@ def test_the_blank_beside_is_subtracted(tmp_path: Path) -> None:
     np.testing.assert_allclose(frame["brdf"], expected, rtol=1e-12)  # rounding of differences
     assert any("blank_v2_20250911" in note for note in frame.attrs["notes"])
     (tmp_path / "blank_v2_20250911.xls").write_bytes(workbook(SAMPLE[:1]))
-    part = measurement.read(tmp_path / "tile_20251115.xls")
-    assert part["flag"].tolist() == ["", "", "", "blocked", "no_blank"]
+    assert measurement.read(tmp_path / "tile_20251115.xls")["flag"].tolist() == ["", "", "", "blocked", "no_blank"]
     (tmp_path / "blank_v2_20250911.xls").write_bytes(workbook([[(0.0, 5.0, 5.0, 1.0)]]))
     with pytest.raises(DataError, match="measured at none of the file's directions"):
         measurement.read(tmp_path / "tile_20251115.xls")

@@ -115,8 +115,7 @@ def test_nist_puts_the_source_where_its_negative_angle_says() -> None:
 def test_infrared_radiance_becomes_brdf() -> None:
     frame = measurement.parse(MWIR.encode(), Path("metals.csv"))
     source = math.pi * 25 / 315**2
-    expected = [1.0 / (3463.986 * 0.5 * source), 2.0 / (3463.986 * source)]
-    np.testing.assert_allclose(frame["brdf"], expected, rtol=1e-14)
+    np.testing.assert_allclose(frame["brdf"], [1.0 / (3463.986 * 0.5 * source), 2.0 / (3463.986 * source)], rtol=1e-14)
     assert (frame["phi_r_deg"] - frame["phi_i_deg"]).tolist() == [180.0, 180.0]  # opposite sides of the normal
     assert frame["wavelength_nm"].isna().all()
     assert frame.attrs["bands"] == [{"name": "2-5.7 um", "lower_nm": 2000.0, "upper_nm": 5700.0}]
@@ -178,8 +177,7 @@ def test_infrared_metals(shared: Callable[[str], Path]) -> None:
     metals = measurement.tables(shared("mwir_metals/mwir_inplane_reflected_radiance.csv"))
     assert len(metals) == 8
     assert {len(frame) for frame in metals.values()} == {890}
-    rough = metals["sandblasted aluminium"]
-    grid = rough.pivot(index="theta_i_deg", columns="theta_r_deg", values="brdf")
+    grid = metals["sandblasted aluminium"].pivot(index="theta_i_deg", columns="theta_r_deg", values="brdf")
     angles = [angle for angle in grid.columns if angle in grid.index]
     square = grid.loc[angles, angles].to_numpy()
     assert (square / square.T).max() < 1.12  # Helmholtz: this sample is reciprocal within 12 %
@@ -232,8 +230,7 @@ def test_line_ends_and_marks_of_other_systems(text: str, name: str) -> None:
     if name.endswith(".csv"):
         others += [text.replace(",", "\t"), semicolons(text)]
     for other in others:
-        back = measurement.parse(other.encode(), Path(name))
-        pd.testing.assert_frame_equal(back, plain, check_exact=True)
+        pd.testing.assert_frame_equal(measurement.parse(other.encode(), Path(name)), plain, check_exact=True)
     with pytest.raises(DataError, match="byte 0: is text in UTF-16"):
         measurement.parse(text.encode("utf-16"), Path(name))
     with pytest.raises(DataError, match="gzip"):

@@ -54,8 +54,7 @@ def test_radial_zero_is_the_mirror_and_azimuth_zero_points_to_the_normal() -> No
 
 
 def test_btdf_is_about_the_straight_direction() -> None:
-    data = FILE.replace("ScatterType\tBRDF", "ScatterType\tBTDF").encode()
-    frame = measurement.parse(data, Path("opal.bsdf"))
+    frame = measurement.parse(FILE.replace("ScatterType\tBRDF", "ScatterType\tBTDF").encode(), Path("opal.bsdf"))
     assert set(frame["side"]) == {"transmission"}
     assert value(frame, 30, 150, 180) == 8.0  # radial 0: straight through, theta_r = 180 - theta_i
     assert value(frame, 30, 180, 180) == 2.0  # 30 degrees inward: the normal of the back
@@ -63,8 +62,7 @@ def test_btdf_is_about_the_straight_direction() -> None:
 
 
 def test_round_trip_of_transmission(tmp_path: Path) -> None:
-    data = FILE.replace("ScatterType\tBRDF", "ScatterType\tBTDF").encode()
-    frame = measurement.parse(data, Path("opal.bsdf"))
+    frame = measurement.parse(FILE.replace("ScatterType\tBRDF", "ScatterType\tBTDF").encode(), Path("opal.bsdf"))
     measurement.write(frame, tmp_path / "opal.bsdf")
     pd.testing.assert_frame_equal(measurement.read(tmp_path / "opal.bsdf"), frame)
     both = pd.concat([frame, frame.assign(theta_r_deg=180 - frame["theta_r_deg"], side="reflection")])

@@ -31,9 +31,8 @@ def test_the_panel_shows_steps_values_flags_drift_and_events(ended: Watched) -> 
     console = Console(width=110, record=True, file=None, force_terminal=False)
     with console.capture() as shown:
         console.print(watching.render(ended))
-    text = shown.get()
     says(
-        text,
+        shown.get(),
         "ended: step 24 of 24, 1 flagged",
         "[moved]",
         "since the first visit",

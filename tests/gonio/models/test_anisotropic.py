@@ -131,10 +131,9 @@ def test_the_weak_white_furnace_is_one(a1: float, a2: float, theta: float) -> No
     tilt, g = PI / 4 * (1.0 + x)[:, None], PI * (np.arange(4000) + 0.5)[None, :] / 2000
     view = np.array([math.sin(theta) * math.cos(0.4), math.sin(theta) * math.sin(0.4), math.cos(theta)])
     slopes = a1 * np.tan(tilt) * np.cos(g), a2 * np.tan(tilt) * np.sin(g)
-    toward = view[0] * slopes[0] + view[1] * slopes[1] + view[2]
     h = np.stack(np.broadcast_arrays(*slopes, 1.0), -1) / np.sqrt(1.0 + slopes[0] ** 2 + slopes[1] ** 2)[..., None]
     area = a1 * a2 * np.tan(tilt) / np.cos(tilt) ** 2 * h[..., 2] ** 4  # D cos dw = D cos^4 d(slopes)
-    inner = plain.D(h, a1, a2) * np.maximum(toward, 0.0) * area
+    inner = plain.D(h, a1, a2) * np.maximum(view[0] * slopes[0] + view[1] * slopes[1] + view[2], 0.0) * area
     total = float(np.sum(w[:, None] * inner) * PI / 4 * 2.0 * PI / 4000)
     seen = total * float(plain.G_1(view, a1, a2)) / math.cos(theta)
     assert seen == pytest.approx(1.0, rel=1e-5)  # of the rule, across the kink where V.h = 0

@@ -60,9 +60,8 @@ def test_overlap_of_caps_against_counting() -> None:
         ):
             away = np.array([math.sin(offset), 0.0, math.cos(offset)])
             chord = np.hypot(np.hypot(across * np.cos(angle) - away[0], across * np.sin(angle)), z - away[2])
-            counted = np.mean(chord <= 2 * math.sin(large / 2))
             # 4e5 draws: a standard deviation of at most 8e-4
-            assert overlap(offset, first, second) == pytest.approx(counted, abs=4e-3)
+            assert overlap(offset, first, second) == pytest.approx(np.mean(chord <= 2 * math.sin(large / 2)), abs=4e-3)
 
 
 def test_overlap_of_equal_caps_falls_linearly() -> None:
@@ -308,9 +307,8 @@ def test_repeated_readings_are_no_slope() -> None:
         Curves(stack(goals), stack(read), f, np.full(60, 1e-3), (0.0, 0.0), [OverlapFraction()] * 60),
         math.radians(0.025),
     )
-    effects = [model.effects(k, d, moved(d, r=u), moved(d, r=-u))[0] for k, d in enumerate(read)]
     # differences over at least 0.2 deg of noise of 1e-3: 0.025/0.2 of it
-    assert np.max(np.abs(effects)) < 1e-3
+    assert np.max(np.abs([model.effects(k, d, moved(d, r=u), moved(d, r=-u))[0] for k, d in enumerate(read)])) < 1e-3
 
 
 @pytest.mark.parametrize("offset_deg", [0.0, 0.03, 0.4, 1.0])
@@ -356,12 +354,10 @@ def test_a_patch_turns_the_mirror_direction() -> None:
     for k in range(24):
         spot = radius[k] * np.array([math.cos(turn[k]), math.sin(turn[k]), 0.0])
         (ti, pi), (tr, pr) = angles(source - spot), angles(eye - spot)
-        there = Directions(ti, pi, tr, pr).from_mirror
         # second order in 0.8 / 700
-        np.testing.assert_allclose(there - d.from_mirror, patch[k], atol=2e-6)
+        np.testing.assert_allclose(Directions(ti, pi, tr, pr).from_mirror - d.from_mirror, patch[k], atol=2e-6)
     # of an even disc: <r^2> = R^2 / 2; in y nothing is foreshortened
-    expected = 0.8 / 2 * (1 / 1000 + 1 / 700)
-    assert float(np.sqrt(np.mean(patch[:, 1] ** 2))) == pytest.approx(expected, rel=0.03)
+    assert float(np.sqrt(np.mean(patch[:, 1] ** 2))) == pytest.approx(0.8 / 2 * (1 / 1000 + 1 / 700), rel=0.03)
 
 
 def test_a_spike_of_which_only_the_edge_was_met_is_uncertain_by_what_it_added() -> None:

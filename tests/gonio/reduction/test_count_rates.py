@@ -57,9 +57,7 @@ def test_very_short_exposures_agree_to_a_microsecond() -> None:
 
 
 def test_dark_frames_lie_on_a_line_of_each_channel() -> None:
-    times = (1.0, 2.0, 6.0)
-    means = [(t, [64.0 + 3.0 * t, 70.0 - 0.5 * t]) for t in times]
-    found = _lines(means, ("R", "B"), rate=9.0)
+    found = _lines([(t, [64.0 + 3.0 * t, 70.0 - 0.5 * t]) for t in (1.0, 2.0, 6.0)], ("R", "B"), rate=9.0)
     assert found["R"] == pytest.approx((64.0, 3.0), rel=1e-12)
     assert found["B"] == pytest.approx((70.0, -0.5), rel=1e-12)
     assert _lines([], ("R", "B"), rate=9.0) == {}

@@ -39,8 +39,7 @@ def test_limits_of_a_normal_number() -> None:
 def test_every_draw_of_a_factor_goes_with_every_draw_of_the_other() -> None:
     """P(x y <= t) = t - t ln t of two uniform numbers."""
     found = drawn([(uniform, 1), (uniform, 1)], draws=2000)
-    assert found.mean == pytest.approx(0.25, rel=1e-3)
-    assert found.u == pytest.approx(math.sqrt(7.0) / 12.0, rel=1e-3)
+    assert (found.mean, found.u) == pytest.approx((0.25, math.sqrt(7.0) / 12.0), rel=1e-3)
     for p in (0.025, 0.5, 0.975):
         right = brentq(lambda t, p=p: t - t * math.log(t) - p, 1e-9, 1.0)
         # evenly drawn numbers of 2048 have a discrepancy of about 1/2048
@@ -149,5 +148,4 @@ def test_with_numbers_that_repeat_as_theirs_do_limits_are_as_printed() -> None:
 
 
 def test_limits_of_65536_draws_of_numbers_that_do_not_repeat() -> None:
-    findings = dome.look(Path())
-    assert [one.passed for one in findings] == [True] * 4
+    assert [one.passed for one in dome.look(Path())] == [True] * 4

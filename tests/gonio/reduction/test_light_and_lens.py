@@ -29,12 +29,11 @@ def test_errors_of_a_band_are_slope_and_curvature_of_the_spectrum(
     monkeypatch.setattr(light_and_lens, "centre_uncertainties", lambda description: u)
     results: Any = []
     for k, w in enumerate(waves):
-        f = 1e-5 * (w - 400.0) ** 2
         rows = [3, 7] if k == 0 else [3]
         results.append(
             SimpleNamespace(
                 band=SimpleNamespace(name=f"{w:g}", centre_nm=w, fwhm_nm=20.0), rows=np.array(rows),
-                points=rows, values=SimpleNamespace(brdf=np.full(len(rows), f), common={}),
+                points=rows, values=SimpleNamespace(brdf=np.full(len(rows), 1e-5 * (w - 400.0) ** 2), common={}),
             )
         )  # fmt: skip
     light_and_lens.add_wavelength(SimpleNamespace(), results)  # type: ignore[arg-type]
@@ -104,9 +103,8 @@ def test_a_halo_has_the_width_that_the_rig_file_says() -> None:
     frame[156:164, 156:164] = 1000.0
     at = np.array([159.5, 167.5, 175.5, 191.5])
     _, by = stray_light.spread(camera, frame, 0.0, "mono").at(np.full(4, 159.5), at)
-    expected = 64_000.0 / (2 * np.pi * 256.0) * np.exp(-((at - 159.5) ** 2) / 512.0)
     # a square for a point, 1 %; bins that are interpolated, 2 %
-    np.testing.assert_allclose(by[1], expected, rtol=0.06)
+    np.testing.assert_allclose(by[1], 64_000.0 / (2 * np.pi * 256.0) * np.exp(-((at - 159.5) ** 2) / 512.0), rtol=0.06)
 
 
 def test_colours_of_a_mosaic_are_pictures_of_their_own() -> None:

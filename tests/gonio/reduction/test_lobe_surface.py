@@ -89,8 +89,7 @@ def test_a_matte_sample_has_no_slope_to_speak_of() -> None:
     values = math.log(0.3) + NOISE * rng.standard_normal(40)
     slope, covariance, _ = Surface(places, values, np.full(40, NOISE)).slopes(places)
     # 0.02 degrees of any angle do less than a thirtieth of the noise, stated and found
-    step = math.radians(0.02)
-    assert np.all(np.sqrt(slope**2 + np.einsum("nii->ni", covariance)) * step < NOISE / 30)
+    assert np.all(np.sqrt(slope**2 + np.einsum("nii->ni", covariance)) * math.radians(0.02) < NOISE / 30)
 
 
 @pytest.mark.slow

@@ -103,8 +103,7 @@ def test_xarray_opens_it(folder: Path) -> None:
     import xarray
 
     with xarray.open_dataset(folder / "map.h5", engine="h5netcdf") as found:
-        assert found["brdf"].dims == ("y", "x", "point")
-        assert found["brdf"].attrs["units"] == "sr-1"
+        assert (found["brdf"].dims, found["brdf"].attrs["units"]) == (("y", "x", "point"), "sr-1")
         assert found["flag"].attrs["flag_meanings"].split()[0] == "outside"
         assert {"s_reference", "s_theta_i_zero"} <= set(found.data_vars)
         # certificate of 0.2 %, the same for every pixel and point

@@ -87,8 +87,7 @@ def test_the_bias_is_below_two_parts_in_ten_thousand() -> None:
 @pytest.mark.parametrize("level", [0.80, 0.88, 0.92, 0.96, 1.02])
 def test_pixels_near_saturation_are_left_out_without_a_bias(level: float) -> None:
     """A frame in which some pixels are full by their own noise, and three of a quarter of its exposure."""
-    rate = level * 10_800.0 / 0.01
-    error, pull, _ = trials(rig(), rate, [0.01, 0.0025, 0.0025, 0.0025], 400)
+    error, pull, _ = trials(rig(), level * 10_800.0 / 0.01, [0.01, 0.0025, 0.0025, 0.0025], 400)
     assert abs(np.mean(error)) < 3.0 * np.std(error) / 20.0
     assert np.std(pull) == pytest.approx(1.0, abs=0.11)  # three standard errors of 400 trials
 
@@ -123,8 +122,7 @@ def test_hits_of_cosmic_radiation_are_left_out(exposures_s: list[float], rate: f
     """Three a step, of at least 500 e-: 8 standard deviations of the brighter frames' 4000 e-."""
     count = 200
     error, pull, hits = trials(rig(), rate, exposures_s, count, hits=3)
-    spoilt = np.mean(hits < 3)
-    assert spoilt < 0.12  # two may fall on one pixel, beside a third in one frame, or stay below the bound
+    assert np.mean(hits < 3) < 0.12  # two may fall on one pixel, beside a third in one frame, or stay below the bound
     assert abs(np.mean(error)) < 4.0 * np.std(error) / math.sqrt(count)
     assert np.std(pull) < 1.3
 

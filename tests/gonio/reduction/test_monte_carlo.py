@@ -130,8 +130,7 @@ def test_curves_go_through_their_points_and_need_four_that_are_apart() -> None:
     goals = Directions.stack([Directions(0.5, 0.0, r, math.pi) for r in (0.3, 0.4, 0.5, 0.6)])
     place = np.array([[r, 0.0, 0.5, 0.0] for r in (0.3, 0.4, 0.5, 0.6)])
     log = np.array([1.0, 2.0, 4.0, 8.0])
-    found = monte_carlo._curves(goals, place, log)
-    for k, curve in enumerate(found):
+    for k, curve in enumerate(monte_carlo._curves(goals, place, log)):
         assert curve is not None
         np.testing.assert_allclose(curve(place[:, 0] - 0.5), log, rtol=1e-12)
         assert k < 4

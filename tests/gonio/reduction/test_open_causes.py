@@ -46,9 +46,8 @@ def test_zeros_that_go_together_turn_the_directions_by_their_covariance(beam_mm:
     """
     u = {"arms.light.zero_offset_deg": 0.05, "arms.camera.zero_offset_deg": 0.02}
     description = calibrated(u, 0.6, lamp=Lamp(beam_diameter_mm=beam_mm), reference=Reference(how="swap"))
-    errors = GeometryErrors(description)
     theta_i, theta_r = math.radians(50.0), math.radians(20.0)
-    sights = errors.at(Pose(light=theta_i, camera=-theta_r), "sample")
+    sights = GeometryErrors(description).at(Pose(light=theta_i, camera=-theta_r), "sample")
     assert sights.known[[0, 2]] == pytest.approx([theta_i, theta_r])
     moved = half(np.moveaxis(sights.changed[..., [0, 2]], 1, -1))
     one, other = np.radians(list(u.values()))
@@ -95,8 +94,7 @@ def test_causes_of_the_camera_are_its_covariance() -> None:
     assert list(causes) == ["s_linearity", "s_linearity_2", "s_stray_light"]
     stack = np.array(list(causes.values()))
     assert stack.T @ stack == pytest.approx(np.diag(np.square(list(u.values()))))
-    two = calibrated({name: u[name] for name in list(u)[:2]}, 1.0, camera=camera)
-    known = light_and_lens._causes(two)
+    known = light_and_lens._causes(calibrated({name: u[name] for name in list(u)[:2]}, 1.0, camera=camera))
     assert list(known) == ["s_linearity"], "what goes together wholly is one cause, and what nobody knows is none"
     assert abs(known["s_linearity"]) == pytest.approx([2e-3, 3e-3, 0.0])
 
@@ -117,10 +115,9 @@ def test_a_slope_of_the_beam_counts_by_how_far_reference_and_sample_lie_apart_in
         description=description, band=BANDS[0], visit=SimpleNamespace(pose=Pose(light=0.0, camera=0.7)), points=points
     )
     column, own = light_and_lens._beam(measured, np.diag(u**2), brdf)
-    total = np.sqrt(column**2 + own**2)
     apart = math.hypot(1e-3 * shift_mm[0], 2e-3 * shift_mm[1])
     # pixels are counted whole: a region's middle is known to a hundredth of its 3 mm
-    assert total == pytest.approx(brdf * apart, abs=brdf.max() * 2e-3 * 0.05)
+    assert np.sqrt(column**2 + own**2) == pytest.approx(brdf * apart, abs=brdf.max() * 2e-3 * 0.05)
 
 
 @pytest.mark.parametrize(("pattern", "pixel_mm"), [("mono", 0.36), ("RGGB", 0.72)])

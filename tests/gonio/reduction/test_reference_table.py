@@ -90,8 +90,7 @@ def test_flagged_rows_of_a_table_do_not_count() -> None:
     spoiled = table()
     bad = (spoiled["theta_r_deg"] == 40) & (spoiled["theta_i_deg"] == 0)
     spoiled.loc[bad, "brdf"], spoiled.loc[bad, "flag"] = 9.0, "saturated"
-    value = brdf_of_reference(spoiled, visit(0.0, 45.0), 500.0)
-    assert value == pytest.approx(linear(0.0, 45.0, 500.0), rel=1e-12)
+    assert brdf_of_reference(spoiled, visit(0.0, 45.0), 500.0) == pytest.approx(linear(0.0, 45.0, 500.0), rel=1e-12)
 
 
 def test_the_table_s_uncertainty_is_interpolated_with_it() -> None:

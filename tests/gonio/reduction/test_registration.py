@@ -93,8 +93,7 @@ def test_of_streaks_and_edges_the_shift_across_them_is_told(
     lie = drawn(6, 0.7)
     shift, u = found(monkeypatch, texture, lie, CONTRASTS["alike"])
     assert np.abs((shift - lie) @ across).max() < 0.02 * GRID.pixel_mm
-    along = np.array([-across[1], across[0]])
-    assert np.abs(shift @ along).max() < 0.02 * GRID.pixel_mm
+    assert np.abs(shift @ np.array([-across[1], across[0]])).max() < 0.02 * GRID.pixel_mm
     assert np.isnan(u).all(axis=0).tolist() == [across[0] == 0.0, False]
 
 

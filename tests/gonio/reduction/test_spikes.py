@@ -55,8 +55,7 @@ def test_a_zoom_into_a_spike_gets_back_what_its_top_lacks(tmp_path: Path, seed: 
 
 @pytest.mark.parametrize("azimuth", [False, True])
 def test_points_out_of_the_plane_share_the_spike_of_their_incidence(tmp_path: Path, azimuth: bool) -> None:
-    aside = [(75.0, 75.0, 180.0 + turn) for turn in (0.5, 1.0)]
-    table = reduced(tmp_path, CURVE + aside, 2, azimuth=azimuth)
+    table = reduced(tmp_path, CURVE + [(75.0, 75.0, 180.0 + turn) for turn in (0.5, 1.0)], 2, azimuth=azimuth)
     # 11 values; uncorrected, those aside lay up to 7 stated uncertainties off
     assert np.all(abs(pulls(table, ALUMINIUM)) < 4.0)
     # across the plane errors of 0.017 deg (tilt) or 0.031 deg (azimuth) move the overlap of 0.39 by 0.02 or 0.04

@@ -100,8 +100,7 @@ def test_a_warm_up_between_visits_is_no_jump() -> None:
     assert not fitted.straight
     at = np.linspace(0.0, 1800.0, 200)
     error = abs(fitted.at(at) - (100.0 - 2.0 * np.exp(-at / 600.0)))
-    u = np.sqrt(fitted.noise(at) ** 2 + fitted.drift(at) ** 2 + fitted.extra(at) ** 2)
-    assert np.all(error < 2.0 * u)
+    assert np.all(error < 2.0 * np.sqrt(fitted.noise(at) ** 2 + fitted.drift(at) ** 2 + fitted.extra(at) ** 2))
     assert np.all(fitted.extra(at) < 0.1)
 
 
@@ -147,8 +146,7 @@ def test_one_visit_tells_no_drift_whatever_its_numbers(seed: int) -> None:
 def test_visits_at_one_time_are_averaged_and_tell_no_drift(start: float, apart: float) -> None:
     """Of a rig that stamped none, or all alike; two doubles since 1970 are no closer than 2.4e-7 s."""
     times, values = np.array([start, start + apart, start + 2 * apart]), np.array([10.0, 10.3, 9.9])
-    variances = np.array([0.04, 0.01, 0.04])
-    fitted = white_reference.fit(times, values, variances, np.array([start, start + 600.0]))
+    fitted = white_reference.fit(times, values, np.array([0.04, 0.01, 0.04]), np.array([start, start + 600.0]))
     assert (fitted.slope, fitted.u_slope, fitted.straight) == (0.0, 0.0, True)
     assert fitted.level == pytest.approx((10.0 / 0.04 + 10.3 / 0.01 + 9.9 / 0.04) / 150, rel=1e-12)
     assert fitted.u_level == pytest.approx(150**-0.5, rel=1e-12)
@@ -192,8 +190,7 @@ def test_crooked_visits_of_which_two_are_at_one_time() -> None:
 def test_visits_close_together_say_nothing_of_points_far_away(times: list[float], values: list[float]) -> None:
     at = np.array([1.0, 3600.0])
     fitted = white_reference.fit(np.array(times), np.array(values), np.ones(len(times)), at)
-    mean = np.mean(values)
-    np.testing.assert_allclose(fitted.at(at), mean, rtol=1e-12)
+    np.testing.assert_allclose(fitted.at(at), np.mean(values), rtol=1e-12)
     np.testing.assert_array_equal(fitted.drift(at), 0.0)
     assert fitted.u_level >= len(times) ** -0.5 * (1 - 1e-12)
     (note,) = white_reference.notes(fitted, len(times), [])

@@ -47,9 +47,8 @@ def vectors(rows: channels.Rows) -> tuple[Floats, Floats]:
 @pytest.mark.parametrize("dphi", [(), (30.0, 60.0, 90.0, 120.0, 150.0)])
 def test_a_filled_table_is_the_table_where_it_was_measured(dphi: tuple[float, ...]) -> None:
     rows = channels.rows(sampled(GLOSSY, [10, 30, 50], 5, dphi_deg=dphi), "g")
-    values = Interpolated(rows).brdf(*vectors(rows))
     # rounding of logarithms and weights
-    np.testing.assert_allclose(values, rows.values, rtol=1e-9)
+    np.testing.assert_allclose(Interpolated(rows).brdf(*vectors(rows)), rows.values, rtol=1e-9)
 
 
 def test_a_lambertian_plane_of_incidence_is_a_lambertian_hemisphere() -> None:
@@ -107,8 +106,7 @@ def test_a_lobe_narrower_than_the_step_is_named_and_energy_above_one_is_marked()
 def test_channels_are_one_wavelength_colours_or_a_spectrum() -> None:
     grey = sampled(Lambert(albedo=0.4), [0, 30], 20)
     assert channels.rows(grey, "x").values.shape[1] == 1
-    waves = np.arange(400.0, 701.0, 20.0)
-    white = pd.concat([grey.assign(wavelength_nm=w) for w in waves], ignore_index=True)
+    white = pd.concat([grey.assign(wavelength_nm=w) for w in np.arange(400.0, 701.0, 20.0)], ignore_index=True)
     white.attrs = grey.attrs
     # equal reflectance is a neutral colour: sRGB's white is D65, whose tabulated chromaticity has four digits
     np.testing.assert_allclose(channels.rows(white, "x").values, 0.4 / math.pi, rtol=2e-3)
@@ -175,8 +173,7 @@ def test_views_are_the_tables_own_and_even_ones_in_their_gaps(own: Floats, first
     views = np.rad2deg(measured._views(cast(Interpolated, SimpleNamespace(receivers=np.deg2rad(own)))))
     step = 89.0 / 32.0
     beside = [k * step for k in range(1, 32) if all(abs(k * step - angle) > 0.4 * step for angle in own)]
-    expected = sorted({round(angle, 6) for angle in (first, *beside, *own, last)})
-    np.testing.assert_allclose(views, expected, atol=1e-6)
+    np.testing.assert_allclose(views, sorted({round(angle, 6) for angle in (first, *beside, *own, last)}), atol=1e-6)
 
 
 @pytest.mark.parametrize("count", [179, 500, 5000])

@@ -100,8 +100,7 @@ def test_each_axis_has_its_own_zero_and_approach_or_the_common_one() -> None:
     assert list(rig.axes()) == ["light", "camera", "tilt", "spin"]
     assert [axis.zero_offset_deg for axis in rig.axes().values()] == [0.0, 0.0, -0.25, 0.5]
     assert rig.approach_deg() == {"light": 1.0, "camera": 1.0, "tilt": 1.0, "spin": -3.0}
-    assert rig.approach_starts_deg("spin", 20.0) == 23.0
-    assert rig.approach_starts_deg("tilt", -79.5) == -80.0
+    assert (rig.approach_starts_deg("spin", 20.0), rig.approach_starts_deg("tilt", -79.5)) == (23.0, -80.0)
     assert list(describe(holder=Holder(axes=("spin",))).axes()) == ["light", "camera", "spin"]
 
 

@@ -73,8 +73,7 @@ def test_libraw_itself_sees_levels_pattern_and_exposure(tmp_path: Path) -> None:
     with rawpy.imread(str(tmp_path / "a.dng")) as raw:
         names = raw.color_desc.decode()
         assert "".join(names[k] for k in raw.raw_pattern.ravel()) == "GRBG"
-        assert raw.white_level == 4095
-        assert set(raw.black_level_per_channel) == {64}
+        assert (raw.white_level, set(raw.black_level_per_channel)) == (4095, {64})
         assert raw.other.shutter_speed == pytest.approx(0.008, rel=1e-6)  # LibRaw holds it in single precision
         assert raw.other.iso_speed == 100
 
@@ -83,9 +82,8 @@ def test_libraw_itself_sees_levels_pattern_and_exposure(tmp_path: Path) -> None:
 def test_exposures_are_exact_rationals(tmp_path: Path, exposure: float) -> None:
     write_dng(Frame(noise(12, (32, 32)), exposure, 0.0, 4095.0, time_s=0.0), tmp_path / "a.dng")
     data = (tmp_path / "a.dng").read_bytes()
-    back = read_raw(tmp_path / "a.dng").exposure_s
     # the closest fraction of 32-bit integers misses by at most 1/(q 2^32): rounding of a double is 1e-16
-    assert back == pytest.approx(exposure, rel=1e-14, abs=1e-19)
+    assert read_raw(tmp_path / "a.dng").exposure_s == pytest.approx(exposure, rel=1e-14, abs=1e-19)
     if exposure == 1e-5:
         assert Fraction(1, 100_000) == Fraction(*rational(data, 33434))
 
@@ -146,8 +144,7 @@ def test_frames_that_no_file_can_hold_are_refused(tmp_path: Path, change: dict[s
 def test_a_file_cut_anywhere_is_an_error_that_names_it(tmp_path: Path, bits: int, pattern: str) -> None:
     write_dng(Frame(noise(bits, (64, 48)), 1.0, 0.0, WHITE[bits], pattern, time_s=0.0), tmp_path / "whole.dng")
     data = (tmp_path / "whole.dng").read_bytes()
-    cuts = [*range(0, 900, 7), *range(900, len(data), 211), len(data) - 2, len(data) - 1]
-    for cut in cuts:
+    for cut in [*range(0, 900, 7), *range(900, len(data), 211), len(data) - 2, len(data) - 1]:
         path = tmp_path / "cut.dng"
         path.write_bytes(data[:cut])
         with pytest.raises(DataError, match=r"cut\.dng"):

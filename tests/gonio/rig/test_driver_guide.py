@@ -143,5 +143,4 @@ def test_the_picture_lies_as_the_guide_says() -> None:
         seen = pixel_map(description, view(description, Pose(camera=math.radians(camera))))
         assert np.all(np.diff(seen.y_mm[:, 32]) > 0)
         assert np.all(np.diff(seen.x_mm[24]) < 0)
-    text = " ".join(GUIDE.read_text(encoding="utf-8").split())
-    assert "rows grow toward +y, columns toward -x" in text
+    assert "rows grow toward +y, columns toward -x" in " ".join(GUIDE.read_text(encoding="utf-8").split())

@@ -17,8 +17,7 @@ from gonio.rig.textures import PATTERNS, picture
 
 def test_a_camera_is_full_at_its_well_or_at_the_range_of_its_converter() -> None:
     camera = Camera(bits=10, black_level_dn=23.0, electrons_per_dn=3.0, full_well_e=1e6)
-    assert camera.white_level_dn == 1023.0
-    assert camera.saturation_e == 3000.0
+    assert (camera.white_level_dn, camera.saturation_e) == (1023.0, 3000.0)
     assert camera.model_copy(update={"full_well_e": 2000.0}).saturation_e == 2000.0
     for exposure_s in camera.exposure_limits_s:
         camera.require_exposure(exposure_s)
@@ -96,8 +95,7 @@ def test_bricks_have_mortar_and_shades_of_their_own() -> None:
     upper = pattern(np.array([[0.9, 0.75], [0.1, 0.75]]), np.array([[0.0, 0.0], [1.0, 0.0]]))
     assert upper[0] == upper[1]  # one brick, across the border of two tiles
     tiles = np.array([[float(k), 0.0] for k in range(200)])
-    drawn = pattern(np.full((200, 2), [0.5, 0.25]), tiles)
-    assert len(set(drawn.tolist())) == 16  # all shades, among 200 bricks
+    assert len(set(pattern(np.full((200, 2), [0.5, 0.25]), tiles).tolist())) == 16  # all shades, among 200 bricks
     assert set(PATTERNS["speckle"][0](np.random.default_rng(0).random((2000, 2)), tiles).tolist()) <= set(
         PATTERNS["speckle"][1].tolist()
     )
@@ -135,8 +133,7 @@ def test_markers_stand_around_the_aperture_and_are_seen_from_above() -> None:
     assert set(np.unique(printed)) == {-1, 0, 1}
     reach = 0.7 * 8.0  # half a marker, and a fifth of one as its rim
     for inside, dx in ((1, 0.999), (-1, 1.001)):
-        spot = np.array([18.0 + dx * reach])
-        assert fiducials.white(marks, spot, np.zeros(1)).tolist() == [inside]
+        assert fiducials.white(marks, np.array([18.0 + dx * reach]), np.zeros(1)).tolist() == [inside]
     picture_8 = np.where(printed == 0, 0, 255).astype(np.uint8)
     corners, ids, _ = cv2.aruco.ArucoDetector(fiducials.dictionary_of(marks.dictionary)).detectMarkers(picture_8)
     assert sorted(ids.ravel().tolist()) == [marks.first_id + k for k in range(4)]

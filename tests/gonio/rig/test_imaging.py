@@ -121,8 +121,7 @@ def test_a_lambertian_lamp_lights_a_spot_as_a_glowing_disc_does(theta_i_deg: flo
     at = float(seen.x_mm[row, column]), float(seen.y_mm[row, column])
     assert math.dist(at, spot) < 0.6  # half a pixel's diagonal
     expected = irradiance(*at) / irradiance(0.0, 0.0)
-    got = seen.weight[row, column] / seen.falloff[row, column] / math.cos(theta)
-    assert got == pytest.approx(expected, rel=3e-8)
+    assert seen.weight[row, column] / seen.falloff[row, column] / math.cos(theta) == pytest.approx(expected, rel=3e-8)
 
 
 def test_a_rectangle_is_a_part_of_the_frame() -> None:
@@ -150,8 +149,7 @@ def test_pixels_that_look_past_the_plane_see_nothing() -> None:
     assert np.all(np.isnan(seen.x_mm[dark]))
     for name in ("cos_theta_i", "distance_factor", "weight"):
         assert np.all(getattr(seen, name)[dark] == 0.0)
-    diffuse = rig(lamp=Lamp(radiation="lambertian"))
-    assert np.all(pixel_map(diffuse, at).weight[dark] == 0.0)
+    assert np.all(pixel_map(rig(lamp=Lamp(radiation="lambertian")), at).weight[dark] == 0.0)
 
 
 def traced_z(at: View, i: int, j: int) -> float:

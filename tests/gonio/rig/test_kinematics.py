@@ -222,8 +222,7 @@ def test_a_spin_wider_than_a_turn_winds_its_cable_no_further_than_its_limits() -
             assert len(windings) >= (2 if limits[1] - limits[0] > 360 else 1)
             turns = [(one - pose.spin) / math.tau for one in windings]
             for whole in (k for k in turns if abs(k - round(k)) < 1e-9):
-                wound = replace(pose, spin=pose.spin + whole * math.tau)
-                assert apart(directions(rig, wound), asked) < 1e-9
+                assert apart(directions(rig, replace(pose, spin=pose.spin + whole * math.tau)), asked) < 1e-9
             assert apart(directions(rig, pose), asked) < 1e-9
 
 

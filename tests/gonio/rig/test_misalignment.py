@@ -65,8 +65,7 @@ def test_views_are_those_of_a_plain_implementation(kind: str) -> None:
         np.testing.assert_allclose(seen.camera_mm, plain["lens"], atol=1e-9)
         for mine, its in ((seen.image_x, "image_x"), (seen.image_y, "image_y"), (seen.optical_axis, "sight")):
             np.testing.assert_allclose(mine, plain[its], atol=1e-12)
-        d = directions(description, pose)
-        for mine, its in zip(d.vectors, ("lamp", "lens"), strict=True):
+        for mine, its in zip(directions(description, pose).vectors, ("lamp", "lens"), strict=True):
             np.testing.assert_allclose(mine, plain[its] / np.linalg.norm(plain[its]), atol=1e-12)
         point = np.array([1.5, -2.0, 0.0])
         column, row = plain_rig.imaged(description, plain, point)
@@ -83,8 +82,7 @@ def test_a_reached_pose_shows_the_directions_that_were_asked_for(kind: str) -> N
     for _ in range(30):
         description = rig(rng, kind)
         for _ in range(5):
-            least = 0.0 if kind == "tilt" else math.radians(12.0)
-            theta = rng.uniform(least, math.radians(80.0), 2)
+            theta = rng.uniform(0.0 if kind == "tilt" else math.radians(12.0), math.radians(80.0), 2)
             d = Directions(theta[0], rng.uniform(0, 6.28), theta[1], rng.uniform(0, 6.28))
             if not math.radians(15.0) < separation(d):
                 continue
@@ -197,17 +195,14 @@ def test_a_lens_with_distortion_images_as_opencv_says() -> None:
     matrix = np.array([[pixels, 0.0, middle[0]], [0.0, pixels, middle[1]], [0.0, 0.0, 1.0]])
     axes = np.array([seen.image_x, seen.image_y, seen.optical_axis])
     turned, _ = cv2.Rodrigues(axes)
-    point = np.array([[[x, y, 0.0]]])
-    imaged, _ = cv2.projectPoints(point, turned, -axes @ seen.camera_mm, matrix, np.array(bent))
+    imaged, _ = cv2.projectPoints(np.array([[[x, y, 0.0]]]), turned, -axes @ seen.camera_mm, matrix, np.array(bent))
     assert imaged.ravel() == pytest.approx([column, row], abs=1e-6)  # OpenCV's rotation vector: 1e-9 of 1000 pixels
     # the whole frame, and the way back: lens and frame agree where the corner of the frame is bent by pixels
     whole = pixel_map(description, seen)
-    found = spot(description, seen, 140, 9)
-    assert (whole.x_mm[9, 140], whole.y_mm[9, 140]) == pytest.approx(tuple(found), abs=1e-9)
+    assert (whole.x_mm[9, 140], whole.y_mm[9, 140]) == pytest.approx(tuple(spot(description, seen, 140, 9)), abs=1e-9)
     columns, rows = outline(description, seen)
     around = [spot(description, seen, c, r) for c, r in zip(columns[::16], rows[::16], strict=True)]
-    radius = description.acquisition.roi_radius_mm
-    assert np.hypot(*np.transpose(around)) == pytest.approx(radius, abs=1e-9)
+    assert np.hypot(*np.transpose(around)) == pytest.approx(description.acquisition.roi_radius_mm, abs=1e-9)
     straight = description.model_copy(update={"camera": camera.model_copy(update={"distortion": (0.0,) * 5})})
     assert math.dist(place(straight, seen, "sample"), place(description, seen, "sample")) < 1e-2  # the middle
     assert abs(pixel_map(straight, seen).x_mm[9, 140] - whole.x_mm[9, 140]) > 0.5 * 0.08 / pixels * 700

@@ -353,8 +353,7 @@ def test_light_goes_from_a_disc_of_the_lamp_s_size_to_the_patch_and_on_to_one_of
 def test_an_axis_stands_beyond_no_bound_that_its_encoder_s_errors_are_said_to_have() -> None:
     """Errors so large that angle and reading do not grow together: the bound holds for every reading below it."""
     for rows in (((1, 5.0, 3.0),), ((2, 40.0, 10.0), (3, 15.0, 0.0))):
-        arms = Arms(light=ArmAxis(harmonics_deg=rows))
-        space = motion_planning._space_of(describe(arms=arms))
+        space = motion_planning._space_of(describe(arms=Arms(light=ArmAxis(harmonics_deg=rows))))
         axis = kinematics.AXES.index("light")
         read = np.radians(np.linspace(-90.0, 90.0, 181))
         true = np.array([space.true(axis, float(at)) for at in read])

@@ -70,8 +70,7 @@ def test_the_lamp_straight_through_weighs_as_a_unit_brdf(pattern: Any, channel: 
     rates *= share * through / rates.sum()  # however it falls onto them
     pixel = (CAMERA.pixel_um * 1e-3 * (g.camera_distance_mm / CAMERA.focal_length_mm - 1.0)) ** 2
     unit = lamp / g.light_distance_mm**2 * pixel * lens / g.camera_distance_mm**2
-    found = rates / regions.straight_through_weight(description, view, region, channel)
-    assert found.mean() == pytest.approx(unit)
+    assert (rates / regions.straight_through_weight(description, view, region, channel)).mean() == pytest.approx(unit)
 
 
 @pytest.mark.parametrize(

@@ -85,12 +85,10 @@ def test_without_neighbours_the_first_pose_that_is_left_comes_next() -> None:
 def test_an_improved_way_is_near_the_best_of_all_orders(seed: int, side: Floats) -> None:
     """720 orders of six poses. A local search may end above the best one."""
     at = poses(10 + seed, 7)
-    start = np.arange(6)
-    found = _short_path.improved(*rig(at, side), everyone(7), start, 50)
+    found = _short_path.improved(*rig(at, side), everyone(7), np.arange(6), 50)
     assert sorted(found.tolist()) == list(range(6))
     best = min(closed_s(at, side, way) for way in itertools.permutations(range(6)))
-    length = closed_s(at, side, found)
-    assert best - 1e-9 <= length <= 1.15 * best
+    assert best - 1e-9 <= closed_s(at, side, found) <= 1.15 * best
     again = _short_path.improved(*rig(at, side), everyone(7), found, 50)
     assert again.tolist() == found.tolist(), "nothing more is gained"
 
@@ -101,6 +99,5 @@ def test_a_shuffled_line_is_put_in_order() -> None:
     at = np.zeros((31, 2))
     at[:30, 0] = 0.06 * (1 + order)
     found = _short_path.improved(*rig(at, SIDES[0]), everyone(31), np.arange(30), 100)
-    ascending = np.argsort(order)
-    assert closed_s(at, SIDES[0], found) <= 1.05 * closed_s(at, SIDES[0], ascending)
+    assert closed_s(at, SIDES[0], found) <= 1.05 * closed_s(at, SIDES[0], np.argsort(order))
     assert closed_s(at, SIDES[0], found) < 0.8 * closed_s(at, SIDES[0], np.arange(30))

@@ -27,25 +27,21 @@ def table(tmp_path: Path) -> Path:
 
 def test_a_sample_file_as_json(tmp_path: Path) -> None:
     (tmp_path / "glass.toml").write_text(GLASS, encoding="utf-8")
-    done = gonio(tmp_path, "appearance", "glass.toml", "--json", expect=0)
-    found = json.loads(done.stdout)
+    found = json.loads(gonio(tmp_path, "appearance", "glass.toml", "--json", expect=0).stdout)
     for angle in (20, 60, 85):
         assert found[f"gloss_{angle}_gu"]["value"] == pytest.approx(100.0, abs=0.005)  # two decimals
         assert found[f"gloss_{angle}_gu"]["u"] is None
-    assert found["kind"] == "model"
-    assert found["wavelength_nm"] == 550.0
+    assert (found["kind"], found["wavelength_nm"]) == ("model", 550.0)
 
 
 def test_a_table_and_its_page(tmp_path: Path, table: Path) -> None:
-    done = gonio(tmp_path, "appearance", table.name, "--json", "--out", "page", expect=0)
-    found = json.loads(done.stdout)
+    found = json.loads(gonio(tmp_path, "appearance", table.name, "--json", "--out", "page", expect=0).stdout)
     assert found["gloss_60_gu"]["u"] > 0.0
     assert found["gloss_85_gu"]["value"] is None
     assert "no in-plane curve at 85°" in found["gloss_85_gu"]["why"]
     kept = json.loads((tmp_path / "page" / "summary.json").read_text(encoding="utf-8"))
     assert {key: kept[key] for key in found} == found
-    page = (tmp_path / "page" / "index.html").read_text(encoding="utf-8")
-    says(page, "gloss at 60°", "no in-plane curve at 85°")
+    says((tmp_path / "page" / "index.html").read_text(encoding="utf-8"), "gloss at 60°", "no in-plane curve at 85°")
     figures = {path.name for path in (tmp_path / "page" / "figures").iterdir()}
     assert "gloss.svg" in figures
     assert "colour.svg" not in figures  # of one wavelength there is none
@@ -80,10 +76,8 @@ def test_bad_input_is_named(tmp_path: Path, file: str, text: str, words: str) ->
 
 
 def test_a_wavelength_that_is_none(tmp_path: Path, table: Path) -> None:
-    done = gonio(tmp_path, "appearance", table.name, "--wavelength-nm", "-5", expect=2)
-    assert "--wavelength-nm -5" in done.stderr
+    assert "--wavelength-nm -5" in gonio(tmp_path, "appearance", table.name, "--wavelength-nm", "-5", expect=2).stderr
 
 
 def test_a_missing_file(tmp_path: Path) -> None:
-    done = gonio(tmp_path, "appearance", "absent.csv", expect=2)
-    assert "absent.csv: there is no such file" in done.stderr
+    assert "absent.csv: there is no such file" in gonio(tmp_path, "appearance", "absent.csv", expect=2).stderr

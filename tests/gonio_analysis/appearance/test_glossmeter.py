@@ -77,11 +77,10 @@ HAZES = [meter for meters in HAZEMETERS.values() for meter in meters]
 @pytest.mark.parametrize("meter", HAZES, ids=lambda m: f"{m.angle_deg:g}{m.offset_deg:+g}")
 def test_a_smooth_surface_has_no_haze_and_a_lambertian_one_that_of_the_solid_angle(meter: Glossmeter) -> None:
     assert gloss(smooth(1.567), meter, 550.0)[0] == 0.0
-    axis = math.radians(meter.angle_deg + meter.offset_deg)
     widths = [math.radians(width) for width in meter.receiver_deg]
     # a small rectangle: the cosine at its middle, to the square of its width; the image of the source cut as stated
     seen = math.prod(min(1.0, r / s) for r, s in zip(meter.receiver_deg, meter.source_deg, strict=True))
-    flux = 0.8 / math.pi * widths[0] * widths[1] * math.cos(axis)
+    flux = 0.8 / math.pi * widths[0] * widths[1] * math.cos(math.radians(meter.angle_deg + meter.offset_deg))
     standard = seen * fresnel.reflectance(math.cos(meter.theta), 1.567)
     assert gloss(Lambert(0.8), meter, 550.0)[0] == pytest.approx(100.0 * flux / standard, rel=3e-3)
 

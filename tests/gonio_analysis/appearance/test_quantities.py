@@ -207,8 +207,7 @@ def test_what_is_not_known_to_be_visible_has_no_lightness(nm: float) -> None:
 
 
 def test_a_white_that_sends_light_back() -> None:
-    sample = of_table(measured(Lambert(0.9), plane(4.0, np.arange(-6.0, 6.1, 0.5))), name="white")
-    first = sample.retroreflection[0]
+    first = of_table(measured(Lambert(0.9), plane(4.0, np.arange(-6.0, 6.1, 0.5))), name="white").retroreflection[0]
     cosines = math.cos(math.radians(4.0)) * math.cos(math.radians(4.2))
     assert known(first.R_A.value) == pytest.approx(0.9 / math.pi * cosines, rel=1e-9)
     assert known(first.R_L.value) == pytest.approx(0.9 / math.pi * math.cos(math.radians(4.0)), rel=1e-9)
@@ -368,8 +367,7 @@ def test_reflectance_at_8_degrees_is_that_of_an_even_function_of_the_angle_betwe
 def test_a_value_between_two_others_is_linear_and_its_error_what_a_parabola_leaves() -> None:
     x = np.radians([2.0, 5.0, 10.0, 20.0, 35.0])
     f, still, between = 0.2 + 0.3 * x**2, math.radians(30.0), math.radians(7.0)
-    data = replace(observations(measured(Lambert(0.9), plane(30.0, np.degrees(x)))), brdf=f)
-    every = curves(data)
+    every = curves(replace(observations(measured(Lambert(0.9), plane(30.0, np.degrees(x)))), brdf=f))
     line = 0.6 * f[1] + 0.4 * f[2]
     for at in ((still, between), (between, still)):  # by reciprocity, too
         found = sampled.in_plane_value(every, 5, *at)

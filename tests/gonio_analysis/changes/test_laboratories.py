@@ -107,8 +107,7 @@ def test_honest_laboratories_agree_and_the_consensus_is_the_truth(shape: Any) ->
 
 def test_a_flat_sample_shows_no_zero() -> None:
     rng = np.random.default_rng(5)
-    found = compared({name: measured(rng, shape=matt) for name in "ABC"})
-    for x in found.laboratories:
+    for x in compared({name: measured(rng, shape=matt) for name in "ABC"}).laboratories:
         assert x.zero is None or abs(x.zero) < 4 * (x.u_zero or 0.0)
 
 
@@ -136,8 +135,7 @@ def test_what_tables_say_of_their_white_is_heeded() -> None:
 
 def test_other_directions_are_interpolated_and_the_error_counts() -> None:
     rng = np.random.default_rng(10)
-    tables = {"A": measured(rng), "B": measured(rng, step=2.5), "C": measured(rng, step=2.0)}
-    found = compared(tables)
+    found = compared({"A": measured(rng), "B": measured(rng, step=2.5), "C": measured(rng, step=2.0)})
     assert found.agree
     assert sum(found.interpolated) > 100
     assert len(found.at) > 50

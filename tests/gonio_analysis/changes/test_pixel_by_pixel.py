@@ -46,9 +46,8 @@ def test_planted_changes_are_found_and_false_ones_are_rare(tmp_path: Path) -> No
         false += int((c.changed & ~planted).sum())
         found += int((c.changed & planted).sum())
         marked += int(c.changed.sum())
-        z = c.parameters[0].z[~planted]
         # 7200 values with a standard deviation of 1: 1.5 % is two standard errors
-        assert np.std(z) == pytest.approx(1.0, abs=0.025)
+        assert np.std(c.parameters[0].z[~planted]) == pytest.approx(1.0, abs=0.025)
     # the expected share is 0.05 times the 90 % that did not change; about 220 false ones have an error of 0.3 %
     assert false / marked <= FALSE_DISCOVERIES
     assert false / marked == pytest.approx(0.9 * FALSE_DISCOVERIES, abs=0.015)
@@ -76,9 +75,8 @@ def test_what_is_marked_is_what_scipy_marks(share: float) -> None:
 
 
 def test_correlations_count() -> None:
-    covariance = np.array([[1.0, 0.8], [0.8, 1.0]])
     difference = np.array([[1.0, -1.0], [1.0, 1.0], [np.nan, 2.0]])
-    total, freedom = together(difference, np.broadcast_to(covariance, (3, 2, 2)))
+    total, freedom = together(difference, np.broadcast_to(np.array([[1.0, 0.8], [0.8, 1.0]]), (3, 2, 2)))
     # d' C^-1 d by hand: 2/(1 - 0.8), 2/(1 + 0.8), and a single one alone
     assert total == pytest.approx([10.0, 2 / 1.8, 4.0], rel=1e-12)
     assert freedom.tolist() == [2, 2, 1]
@@ -89,8 +87,7 @@ def test_what_is_not_determined_is_not_compared(tmp_path: Path) -> None:
     m, u = np.full(shape, 0.3), np.full(shape, 0.01)
     m[0] = np.nan
     a = fits(tmp_path / "a.h5", {"m": m}, {"m": u}, flag=np.where(np.isnan(m), 1 << FIT_FLAGS.index("undetermined"), 0))
-    b = fits(tmp_path / "b.h5", {"m": np.full(shape, 0.9)}, {"m": np.where(np.arange(5) == 2, np.nan, u)})
-    c = change(a, b)
+    c = change(a, fits(tmp_path / "b.h5", {"m": np.full(shape, 0.9)}, {"m": np.where(np.arange(5) == 2, np.nan, u)}))
     assert c.compared == 3 * 4
     assert c.changed.sum() == 12
     assert c.share == 1.0
@@ -106,8 +103,7 @@ def test_grids_models_and_kinds_that_do_not_match_are_refused(tmp_path: Path) ->
     with pytest.raises(DataError, match=r"holds cook-torrance, .* ggx: fit one model to both maps"):
         change(a, one(tmp_path / "d.h5", 1, model="ggx"))
     (tmp_path / "t.csv").write_text("x", encoding="utf-8")
-    said = gonio(tmp_path, "compare", a, "t.csv", "--change", "--out", "o", expect=2)
-    says(said.stderr, "t.csv is no map")
+    says(gonio(tmp_path, "compare", a, "t.csv", "--change", "--out", "o", expect=2).stderr, "t.csv is no map")
 
 
 @pytest.mark.slow

@@ -48,8 +48,7 @@ def hemisphere(model: object, *, step: float = 10.0, shift: float = 0.0) -> pd.D
 
 
 def test_values_in_the_same_direction_are_taken_as_they_are() -> None:
-    frame = measure(GLOSS)
-    data = observations(frame)
+    data = observations(measure(GLOSS))
     same = carry(data, data)
     assert np.array_equal(same.value, data.brdf)
     assert same.interpolated == 0
@@ -101,8 +100,7 @@ def test_holes_stay_holes() -> None:
 
 def test_other_incidences_and_wavelengths_are_not_compared() -> None:
     a, b = measure(GLOSS, incidences=(10.0, 30.0)), measure(GLOSS, incidences=(30.0, 60.0))
-    found = carry(observations(a), observations(b))
-    assert found.missing == {"at another incidence": 33}
+    assert carry(observations(a), observations(b)).missing == {"at another incidence": 33}
     with pytest.raises(DataError, match=r"share no direction.*at another wavelength"):
         change(side(a), side(measure(GLOSS, wavelength_nm=650.0)))
 
@@ -199,8 +197,7 @@ def test_what_agrees_with_a_scale_and_a_zero_free_says_so() -> None:
     a, b = measure(GLOSS, noise=0.0, floor=1e-9), measure(GLOSS, noise=0.0, floor=1e-9)
     silent = ["u_brdf", "u_random"]
     turned = 0.2
-    signed = np.where(b["phi_r_deg"] == 180.0, b["theta_r_deg"], -b["theta_r_deg"])
-    moved = signed + turned
+    moved = np.where(b["phi_r_deg"] == 180.0, b["theta_r_deg"], -b["theta_r_deg"]) + turned
     b = b.assign(theta_r_deg=np.abs(moved), phi_r_deg=np.where(moved >= 0.0, 180.0, 0.0), brdf=1.03 * b["brdf"])
     for frame in (a, b):
         frame[silent] = np.nan
@@ -403,7 +400,6 @@ def test_a_shift_by_its_own_uncertainty_has_weighted_residuals_of_one() -> None:
     frame = measure(build("lambert", {"albedo": 0.5}), incidences=(30.0,))
     moved = frame.assign(brdf=frame["brdf"] + np.hypot(frame["u_brdf"], frame["u_brdf"]))
     moved.attrs = frame.attrs
-    found = change(side(frame), side(moved))
     # both sides' uncertainties, all independent: whitened differences are 1 each
-    assert found.metrics["weighted"] == pytest.approx(1.0, rel=1e-6)
+    assert change(side(frame), side(moved)).metrics["weighted"] == pytest.approx(1.0, rel=1e-6)
     assert change(side(frame), side(frame.copy())).metrics["weighted"] == 0.0

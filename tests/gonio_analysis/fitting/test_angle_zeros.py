@@ -62,8 +62,7 @@ def test_the_model_tells_what_a_zero_does() -> None:
     made = named(table())
     data = observations(made, "the table")
     wrong = made["theta_i_deg"].to_numpy() > 60.0
-    found = by_model(data, TRUTH, data.brdf)
-    column, stated = known(found.covariance).common[:, 0], made["s_theta_i_zero"].to_numpy()
+    column, stated = known(by_model(data, TRUTH, data.brdf).covariance).common[:, 0], made["s_theta_i_zero"].to_numpy()
     # exactly the difference that the columns were made from; they were turned round at the last incidence
     assert column == pytest.approx(np.where(wrong, -stated, stated), rel=1e-9, abs=1e-12)
 

@@ -29,9 +29,8 @@ def pulls(name: str, result: object, true: dict[str, float]) -> list[float]:
 
 def test_errors_of_a_mean_are_those_of_theory() -> None:
     table = measure(MATTE, noise=0.02, floor=0.0)
-    e = fit(table, "lambert").parameters["albedo"]
     # a weighted mean of n values of equal weight: u / sqrt(n), here of pi f
-    assert e.u == pytest.approx(0.5 * 0.02 / math.sqrt(len(table)), rel=1e-6)
+    assert fit(table, "lambert").parameters["albedo"].u == pytest.approx(0.5 * 0.02 / math.sqrt(len(table)), rel=1e-6)
 
 
 def test_pulls_with_a_common_cause_have_unit_width() -> None:
@@ -57,10 +56,9 @@ def test_common_cause_of_noisy_values_does_not_pull_the_fit_low() -> None:
     """Peelle's puzzle: with columns s = u f of noisy values f the estimate falls by u^2 n noise^2 / noise^2."""
     table = measure(MATTE, views=np.linspace(-80, 80, 700), noise=0.1, reference=0.05, seed=3)
     common = table["s_reference"].mean() / (0.05 / math.pi)  # the scale that this table has, seen through its mean
-    albedo = fit(table, "lambert").parameters["albedo"].value
     # naive columns would give a value lower by a factor 1 + 0.05^2 x 2100 x 1.01 = 6; the mean itself is known to
     # 0.1 / sqrt(2100) = 0.2 %
-    assert albedo == pytest.approx(common, rel=0.02)
+    assert fit(table, "lambert").parameters["albedo"].value == pytest.approx(common, rel=0.02)
 
 
 def test_cook_torrance_is_recovered_with_coverage() -> None:
@@ -92,8 +90,7 @@ def test_he_torrance_through_the_cones() -> None:
 def test_jacobian_where_the_model_is_linear_in_the_parameter() -> None:
     data = observations(measure(PAINT))
     problem = pose(FitRequest("phong"))
-    vector = problem.vector({"k_d": 0.4, "k_s": 0.6, "exponent": 20.0})
-    got = derivatives(problem, data, vector)
+    got = derivatives(problem, data, problem.vector({"k_d": 0.4, "k_s": 0.6, "exponent": 20.0}))
     one = build("phong", {"k_d": 1.0, "k_s": 0.0, "exponent": 20.0})
     shine = build("phong", {"k_d": 0.0, "k_s": 1.0, "exponent": 20.0})
     angles = data.directions.angles
@@ -249,8 +246,7 @@ def test_a_prior_counts_like_one_more_measurement() -> None:
     u = known(free.u)
     held = fit(table, "lambert", priors={"albedo": (free.value + 2 * u, u)}).parameters["albedo"]
     # two values of equal weight: their mean, with the error of a mean; linear but for the bound far away
-    assert held.value == pytest.approx(free.value + u, rel=1e-6)
-    assert held.u == pytest.approx(u / math.sqrt(2), rel=1e-6)
+    assert (held.value, held.u) == pytest.approx((free.value + u, u / math.sqrt(2)), rel=1e-6)
 
 
 def test_bounds_hold_and_are_said() -> None:

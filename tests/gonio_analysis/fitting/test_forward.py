@@ -92,7 +92,6 @@ def test_energy_is_asked_for_at_the_incidences_of_a_table_and_at_8_degrees_once(
         data = observations(measure(build("lambert", {"albedo": 0.4}), incidences=incidences_deg))
         return np.degrees(rho_angles(data)).round(1).tolist()
 
-    assert asked_deg(30.0, 60.0) == [8.0, 30.0, 60.0]
-    assert asked_deg(8.0, 30.0) == [8.0, 30.0]
+    assert (asked_deg(30.0, 60.0), asked_deg(8.0, 30.0)) == ([8.0, 30.0, 60.0], [8.0, 30.0])
     many = asked_deg(*np.arange(5.0, 85.0, 5.0))
     assert (len(many), many[0], many[-1]) == (10, 5.0, 80.0), "nine of sixteen, evenly, and 8"

@@ -80,8 +80,7 @@ def test_the_misfit_that_was_drawn_is_found() -> None:
 
 
 def test_a_true_model_has_no_misfit_and_its_numbers_stay() -> None:
-    table = measure(PAINT, noise=0.01, reference=0.01, seed=4)
-    result = fit(table, "cook-torrance")
+    result = fit(measure(PAINT, noise=0.01, reference=0.01, seed=4), "cook-torrance")
     assert not result.rejected
     assert result.misfit is None
     low, high = known(result.tau).interval
@@ -181,15 +180,13 @@ def test_a_model_is_found_over_97_decades() -> None:
     # a Phong lobe of a large exponent falls by so much
     exponent = 97 / -np.log10(np.cos(np.radians(theta[-1])))
     brdf = np.cos(np.radians(theta)) ** exponent
-    rng = np.random.default_rng(0)
     table = pd.DataFrame({
         "theta_i_deg": 0.0, "phi_i_deg": 0.0, "theta_r_deg": theta, "phi_r_deg": 180.0, "wavelength_nm": 550.0,
-        "polarisation": "unpolarised", "brdf": brdf * (1 + 0.02 * rng.normal(size=n)), "flag": "",
+        "polarisation": "unpolarised", "brdf": brdf * (1 + 0.02 * np.random.default_rng(0).normal(size=n)), "flag": "",
     })  # fmt: skip
     table["u_brdf"] = table["u_random"] = 0.02 * brdf
     table.attrs.update(source_solid_angle_sr=0.0, receiver_solid_angle_sr=0.0)
-    data = observations(table)
-    result = fit(data, "lambert")
+    result = fit(observations(table), "lambert")
     assert result.rejected
     assert math.isfinite(result.parameters["albedo"].value)
     assert result.misfit is not None
@@ -224,8 +221,7 @@ def test_a_misfit_stays_small_toward_grazing_directions_that_nobody_measured() -
 def test_a_prediction_is_uncertain_by_what_is_not_determined_and_never_unknown(model: str) -> None:
     """Of a diffuser a model's lobe is not determined: it may be anywhere between its bounds."""
     result = fit(measure(Lambert(0.4), noise=0.005, seed=2), model)
-    at = Directions.from_degrees(30.0, 0.0, np.arange(0.0, 80.0, 10.0), 180.0)
-    brdf, u = result.predict(at)
+    brdf, u = result.predict(Directions.from_degrees(30.0, 0.0, np.arange(0.0, 80.0, 10.0), 180.0))
     assert np.all(np.isfinite(brdf))
     assert np.all(np.isfinite(u) & (u > 0.0))
 

@@ -138,6 +138,5 @@ def test_an_array_model_answers_as_the_others_do(ward: None) -> None:
     assert np.array_equal(out, by_angle)
     with pytest.raises(ArgumentError):
         model.brdf_vectors([2.0, 0.0, 0.0], [0.0, 0.0, 1.0])
-    turned = model.brdf(theta[0], phi[0] + 0.5, theta[1], phi[1] + 0.5)
-    assert np.abs(turned / by_angle - 1).max() > 0.1
+    assert np.abs(model.brdf(theta[0], phi[0] + 0.5, theta[1], phi[1] + 0.5) / by_angle - 1).max() > 0.1
     assert float(model.directional_hemispherical(0.3)) < TRUE["rho_d"] + 1.2 * TRUE["rho_s"]

@@ -58,8 +58,7 @@ def test_blocks_give_what_one_dense_least_squares_gives(cone_sr: float, referenc
             assert r.parameters[name].u == pytest.approx(other.u, rel=1e-2)
     shared = known(slices[0].shared)
     assert shared.chi_square == pytest.approx(known(dense.chi_square), rel=1e-6)
-    assert shared.parameters == ["sigma0_um", "tau_um"]
-    assert (shared.n_points, shared.n_free) == (len(table), 5)
+    assert (shared.parameters, shared.n_points, shared.n_free) == (["sigma0_um", "tau_um"], len(table), 5)
 
 
 def test_a_geometry_from_all_wavelengths_is_known_better_and_holds_the_truth() -> None:
@@ -127,8 +126,7 @@ def test_the_command_line_shares_by_default(tmp_path: Path) -> None:
     measurement.write(several(), file)
     common = ["fit", str(file), "--model", "he-torrance", "--ior", "0.77+6.08j", "--json"]
     together = json.loads(gonio(tmp_path, *common).stdout)
-    assert together["wavelength_nm"] == 550
-    assert together["shared"]["wavelengths_nm"] == list(WAVES)
+    assert (together["wavelength_nm"], together["shared"]["wavelengths_nm"]) == (550, list(WAVES))
     assert [line["wavelength_nm"] for line in together["series"]] == list(WAVES)
     assert {"value", "u", "fixed"} <= set(together["parameters"]["diffuse_albedo"])
     alone = json.loads(gonio(tmp_path, *common, "--separate").stdout)

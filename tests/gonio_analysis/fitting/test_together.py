@@ -32,18 +32,15 @@ def flat(value: float, u: float, common: float, count: int = 40) -> pd.DataFrame
 
 def test_each_table_has_its_own_scale_error() -> None:
     a, b = flat(0.20, 1e-4, 0.002), flat(0.21, 1e-4, 0.004)
-    parts = {name: observations(table, name) for name, table in (("a", a), ("b", b))}
-    both = together(parts)
+    both = together({name: observations(table, name) for name, table in (("a", a), ("b", b))})
     assert known(both.covariance).causes == ("scale@a", "scale@b")
     # by hand: two estimates of variance u^2/n + s^2, weighted by it; the columns are scaled to where the search with
     # the independent parts alone ends, which is the mean, 0.205
     result = fit(both, "lambert")
     found = result.parameters["albedo"].value / math.pi
-    variance = [1e-8 / 40 + (0.002 * 0.205 / 0.20) ** 2, 1e-8 / 40 + (0.004 * 0.205 / 0.21) ** 2]
-    weights = 1.0 / np.array(variance)
+    weights = 1.0 / np.array([1e-8 / 40 + (0.002 * 0.205 / 0.20) ** 2, 1e-8 / 40 + (0.004 * 0.205 / 0.21) ** 2])
     assert found == pytest.approx(float(weights @ [0.20, 0.21] / weights.sum()), rel=1e-4)
-    u = known(result.parameters["albedo"].u)
-    assert u / math.pi == pytest.approx(float(weights.sum() ** -0.5), rel=1e-3)
+    assert known(result.parameters["albedo"].u) / math.pi == pytest.approx(float(weights.sum() ** -0.5), rel=1e-3)
     assert [note for note in result.notes if note.startswith(("a: chi-square", "b: chi-square"))]
 
 

@@ -101,9 +101,8 @@ def test_profile_is_zero_at_the_value_and_marks_the_interval() -> None:
 
 
 def test_budget_over_angle_is_in_percent() -> None:
-    angle = np.radians([-10.0, 0.0, 10.0])
     lines = diagnostics.budget_over_angle(
-        axes(), angle, [("combined", np.full(3, 0.01)), ("random", np.full(3, 0.004))]
+        axes(), np.radians([-10.0, 0.0, 10.0]), [("combined", np.full(3, 0.01)), ("random", np.full(3, 0.004))]
     )
     assert [line.get_ydata()[0] for line in lines] == pytest.approx([1.0, 0.4], rel=1e-14)
     assert len({line.get_linestyle() for line in lines} | {line.get_color() for line in lines}) > 2

@@ -108,5 +108,4 @@ def test_the_page_has_both_uncertainties_of_a_reflectance_and_a_figure(reduced: 
 def test_a_table_from_elsewhere_has_the_checks_of_its_values(reduced: tuple[pd.DataFrame, str]) -> None:
     table = reduced[0].copy()
     table.attrs = reduced[0].attrs | {"provenance": {"checks": [{"by": "another program"}], "reference": ["a tile"]}}
-    facts = shown(table)
-    assert {one.name for one in some(facts.checks).checks} == {"reciprocity", "left and right", "energy"}
+    assert {one.name for one in some(shown(table).checks).checks} == {"reciprocity", "left and right", "energy"}

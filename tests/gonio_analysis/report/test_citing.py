@@ -30,8 +30,7 @@ def test_a_complete_laboratory_is_cited(tmp_path: Path) -> None:
     said: list[str] = []
     _cite([measured(STATED)], tmp_path, said.append)
     record = json.loads((tmp_path / "datacite.json").read_text())
-    assert record["titles"] == [{"title": "BRDF of tile"}]
-    assert record["publisher"] == {"name": "Institute"}
+    assert (record["titles"], record["publisher"]) == ([{"title": "BRDF of tile"}], {"name": "Institute"})
     assert said == []
 
 

@@ -59,8 +59,7 @@ def test_models_that_coincide_are_drawn_once_and_both_named(gloss: Dataset) -> N
 
 
 def test_all_models_stand_together_on_every_curve(gloss: Dataset) -> None:
-    facts = facts_of(gloss)
-    (overlay,) = [one for one in figures.draw(gloss, facts, 500) if one.kind == "overlay"]
+    (overlay,) = [one for one in figures.draw(gloss, facts_of(gloss), 500) if one.kind == "overlay"]
     svg = overlay.rendered().svg
     for words in ("θi = 10°", "θi = 30°", "θi = 60°", "lambert = oren-nayar", "phong", "measurement"):
         assert f">{words}<" in svg
@@ -74,8 +73,7 @@ def test_all_models_stand_together_on_every_curve(gloss: Dataset) -> None:
 
 @pytest.mark.parametrize("kind", ["polar", "absolute", "overlay"])
 def test_legends_stand_near_their_axes_and_overprint_nothing(gloss: Dataset, kind: str) -> None:
-    facts = facts_of(gloss)
-    for one in [one for one in figures.draw(gloss, facts, 500) if one.kind == kind]:
+    for one in [one for one in figures.draw(gloss, facts_of(gloss), 500) if one.kind == kind]:
         figure = Figure(figsize=one.inches)
         one.on(figure)
         figure.canvas.draw()

@@ -173,8 +173,7 @@ def test_curves_of_a_model_that_the_page_does_not_evaluate_are_those_of_their_pi
 
 
 def test_sixteen_bits_cost_little_of_the_uncertainty() -> None:
-    rng = np.random.default_rng(7)
-    value = np.exp(rng.normal(0.0, 2.0, 5000))
+    value = np.exp(np.random.default_rng(7).normal(0.0, 2.0, 5000))
     u = 1e-3 * value
     value[::50] = np.nan
     view = packed(value, u)

@@ -82,8 +82,7 @@ def test_every_parameter_has_maps_with_stated_colours(report: Path) -> None:
 def test_what_is_not_determined_is_nan_and_a_bound_has_no_uncertainty(tmp_path: Path) -> None:
     m = np.array([[0.2, 0.2, np.nan], [np.nan, np.nan, 0.2]])
     u = np.array([[0.01, np.nan, np.nan], [np.nan, 0.01, 0.01]])
-    path = fits(tmp_path / "f.h5", {"m": m}, {"m": u}, flag=[[0, 2, 4], [1, 4, 8]])
-    with FitFile(path) as found:
+    with FitFile(fits(tmp_path / "f.h5", {"m": m}, {"m": u}, flag=[[0, 2, 4], [1, 4, 8]])) as found:
         value, uncertainty = found.parameter("m")
     assert np.isfinite(value).tolist() == [[True, True, False], [False, False, True]]
     assert np.isfinite(uncertainty).tolist() == [[True, False, False], [False, False, True]]

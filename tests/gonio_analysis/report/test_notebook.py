@@ -82,8 +82,7 @@ def test_a_fit_from_a_table_a_file_and_a_class(table: pd.DataFrame, tmp_path: Pa
     text = repr(results[0])
     assert len(text) < 250
     says(text, "albedo = 0.6", "reduced chi-square")
-    cells = _Cells(results[0]._repr_html_()).cells
-    says(cells, "sigma_deg", "fitted")
+    says(_Cells(results[0]._repr_html_()).cells, "sigma_deg", "fitted")
     with pytest.raises(ConfigError, match="did you mean"):
         gonio_analysis.fit(table, "oren-nayer")
 
@@ -182,8 +181,7 @@ def test_a_class_of_ones_own_is_fitted_compared_and_given_intervals() -> None:
     (interval,) = result.intervals().values()
     assert interval.holds(result.parameters["level"].value)
     assert repr(interval).startswith("<95 % interval of level: 0.2")
-    found = gonio_analysis.compare(flat, ["oren-nayar", Dull])
-    assert some(found.choice.named).candidate.model == "dull"
+    assert some(gonio_analysis.compare(flat, ["oren-nayar", Dull]).choice.named).candidate.model == "dull"
     assert gonio_analysis.compare(flat, Dull).choice.named is not None
     with pytest.raises(ConfigError, match="is not fitted; it fits level"):
         result.intervals("lever")

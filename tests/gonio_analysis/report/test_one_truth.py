@@ -117,8 +117,7 @@ def test_a_jump_between_neighbouring_wavelengths_is_named() -> None:
     one = fit(measure(GLOSS, noise=0.01, wavelength_nm=500.0), "phong")
     same = fit(measure(GLOSS, noise=0.01, wavelength_nm=510.0, seed=1), "phong")
     other = fit(measure(build("phong", {"k_d": 0.3, "k_s": 0.4, "exponent": 400.0}), wavelength_nm=520.0), "phong")
-    assert jump(one, same) == []
-    assert jump(same, other) == ["exponent"]
+    assert (jump(one, same), jump(same, other)) == ([], ["exponent"])
     (words,) = jumps([one, same, other])
     assert words.startswith("From 510 to 520 nm exponent jumps from ")
 
@@ -163,8 +162,7 @@ def test_options_reach_the_command(tmp_path: Any, capsys: pytest.CaptureFixture[
     measurement.write(frame, tmp_path / "t.csv")
     commands.fit("lambert", str(tmp_path / "t.csv"), u_rel=0.03, metric="weighted", as_json=True)
     out = json.loads(capsys.readouterr().out)
-    assert out["u_rel_assumed"] == 0.03
-    assert out["metric"] == "weighted"
+    assert (out["u_rel_assumed"], out["metric"]) == (0.03, "weighted")
     assert "assumed uncertainty of 3 %" in out["verdict"]
     commands.fit("lambert", str(tmp_path / "t.csv"), metric="ngan", as_json=True)
     assert json.loads(capsys.readouterr().out)["metric"] == "ngan"

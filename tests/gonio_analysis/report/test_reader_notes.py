@@ -55,8 +55,7 @@ def test_a_reader_s_note_is_said_once(tmp_path: Path, command: tuple[str, ...]) 
 
 def test_a_note_of_transmission_alone_is_on_its_page(tmp_path: Path) -> None:
     noted(tmp_path, "a", side="transmission")
-    done = gonio(tmp_path, "compare", "a.csv", "--out", "out", expect=0)
-    assert SAID in done.stderr
+    assert SAID in gonio(tmp_path, "compare", "a.csv", "--out", "out", expect=0).stderr
     assert (tmp_path / "out" / "index.html").read_text(encoding="utf-8").count(SAID) == 1
 
 
@@ -64,8 +63,7 @@ def test_notes_of_tables_that_are_fitted_together_keep_their_names(tmp_path: Pat
     noted(tmp_path, "a")
     noted(tmp_path, "b", "values were percent")
     done = gonio(tmp_path, "fit", "a.csv", "b.csv", "--model", "lambert", "--json", expect=0)
-    notes = json.loads(done.stdout)["notes"]
-    says(notes, f"a: {SAID}", "b: Values were percent.")
+    says(json.loads(done.stdout)["notes"], f"a: {SAID}", "b: Values were percent.")
 
 
 def test_a_table_that_a_reader_calls_silent_is_not_called_so_again() -> None:

@@ -57,8 +57,7 @@ def test_a_report_of_both_marks_one(files: tuple[Path, Path], tmp_path: Path) ->
     make([str(f) for f in files], tmp_path / "out", models=["lambert"])
     html, facts = page(tmp_path / "out")
     assert facts["title"] == "made (simulated) and real"
-    headings = re.findall(r"<h2[^>]*>(.*?)</h2>", html)
-    says(headings, "made (simulated)", "real")
+    says(re.findall(r"<h2[^>]*>(.*?)</h2>", html), "made (simulated)", "real")
 
 
 def test_a_change(files: tuple[Path, Path], tmp_path: Path) -> None:

@@ -67,8 +67,7 @@ def test_an_error_common_to_all_values_rejects_nothing() -> None:
 
 def test_a_smooth_misfit_that_chi_square_overlooks_is_rejected_by_comparison() -> None:
     # sigma = 4 degrees changes f by up to 7 % near grazing: chi-square of 99 values with 3 % of noise stays possible
-    table = measure(OrenNayar(albedo=0.5, sigma_deg=4.0), noise=0.03, seed=1)
-    choice = decide(table, ("lambert", "oren-nayar"))
+    choice = decide(measure(OrenNayar(albedo=0.5, sigma_deg=4.0), noise=0.03, seed=1), ("lambert", "oren-nayar"))
     lambert = choice.judged[0]
     assert known(lambert.fit.p_value) > 0.01
     assert "oren-nayar describes the same values better" in lambert.rejected
@@ -166,8 +165,7 @@ def known_list(found: Any) -> list[dict[str, float]]:
 
 def test_an_absorbing_index_is_looked_for_from_four_metals_and_the_fit_without() -> None:
     model = Candidate("cook-torrance")
-    found = choosing._starts(replace(model, free=("k",)), {model: fitted(ior=1.4, m=0.1)})
-    (starts,) = map(known_list, found)
+    (starts,) = map(known_list, choosing._starts(replace(model, free=("k",)), {model: fitted(ior=1.4, m=0.1)}))
     assert starts[0] == {"ior": 1.4, "m": 0.1}
     assert [(start["ior"], start["k"], start["m"]) for start in starts[1:]] == [
         (1.5, 0.3, 0.1), (0.3, 3.0, 0.1), (1.0, 7.0, 0.1), (3.0, 3.5, 0.1),
@@ -181,8 +179,7 @@ def test_one_model_is_not_counted() -> None:
 
 
 def test_too_few_values_are_no_choice_and_no_error() -> None:
-    table = measure(MATTE, incidences=(0.0,), views=np.array([10.0]))
-    choice = decide(table, ("lambert", "oren-nayar"))
+    choice = decide(measure(MATTE, incidences=(0.0,), views=np.array([10.0])), ("lambert", "oren-nayar"))
     assert choice.named is None
     assert not choice.judged
     assert "1 usable value at 550 nm" in choice.words

@@ -119,8 +119,7 @@ def test_one_wavelength_is_no_series(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize("half_deg", [0.0, 0.5])
 def test_theory_curves_are_close_at_the_lobe_and_closest_at_the_spike(half_deg: float, dense: bool) -> None:
     """In steps of a degree, of a quarter within six degrees of the mirror, and of a sixtieth of three cones there."""
-    half = math.radians(half_deg)
-    solid = float(geometry.solid_angle_of_cone(half))
+    solid = float(geometry.solid_angle_of_cone(math.radians(half_deg)))
     data = SimpleNamespace(source_solid_angle_sr=solid, receiver_solid_angle_sr=solid)
     curve = SimpleNamespace(parameter=math.radians(30.0), angle=np.radians([-47.3, 12.34, 61.7]))
     found = np.degrees(compare.theory_angles(cast(Curve, curve), cast(Observations, data), dense=dense))
@@ -131,8 +130,7 @@ def test_theory_curves_are_close_at_the_lobe_and_closest_at_the_spike(half_deg: 
         assert np.abs(found - angle).min() < 1e-6, "what was measured, and the mirror direction"
 
     def steps(low: float, high: float) -> float:
-        inside = found[(found >= low - 1e-6) & (found <= high + 1e-6)]
-        return float(np.diff(inside).max())
+        return float(np.diff(found[(found >= low - 1e-6) & (found <= high + 1e-6)]).max())
 
     assert steps(-80.0, 20.0) == pytest.approx(1.0 if dense else 3.0, abs=1e-6)
     assert steps(24.0, 36.0) <= (0.25 if dense else 1.0) + 1e-6

@@ -97,8 +97,7 @@ def test_an_examined_sample_comes_back_whole() -> None:
 
 
 def test_on_a_cluster() -> None:
-    distributed = pytest.importorskip("distributed", reason="the extra gonio[dask] is not installed")
-    with distributed.LocalCluster(
+    with pytest.importorskip("distributed", reason="the extra gonio[dask] is not installed").LocalCluster(
         n_workers=1,
         threads_per_worker=1,
         processes=False,

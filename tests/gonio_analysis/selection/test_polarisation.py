@@ -52,8 +52,7 @@ def test_the_models_own_matrices_leave_noise(table: pd.DataFrame) -> None:
 
 
 def test_a_wrong_sign_is_seen(table: pd.DataFrame) -> None:
-    wrong = table.assign(m22=-table["m22"])
-    dataset = examine(wrong, ["he-torrance"], name="metal", ior=INDEX)
+    dataset = examine(table.assign(m22=-table["m22"]), ["he-torrance"], name="metal", ior=INDEX)
     chi = {e.name: e.chi_square_per_value for e in known(dataset.polarisation).elements}
     assert known(chi["m22"]) > 100
     assert max(value for name, value in chi.items() if name != "m22" and value is not None) < 3

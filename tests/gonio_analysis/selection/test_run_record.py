@@ -51,8 +51,7 @@ def test_a_table_of_the_reference_says_how_well_it_is_known(tmp_path: Path) -> N
     facts = known(run_facts(run))
     frame = measurement.read(run / "brdf.csv")
     used = (frame["s_reference"] / frame["brdf"]).abs().dropna().unique()
-    visit = describe().reference.theta_r_deg
-    expected = np.interp(visit, [0.0, 75.0], CERTIFIED)
+    expected = np.interp(describe().reference.theta_r_deg, [0.0, 75.0], CERTIFIED)
     # the certificate is a straight line between whole steps of its table; readings scatter by hundredths of a degree
     np.testing.assert_allclose(used, expected, rtol=0.01)
     assert f"standard uncertainty {100 * expected:.2f} %" in facts.reference
@@ -168,10 +167,8 @@ def test_curves_lie_in_the_plane_and_are_signed(tmp_path: Path) -> None:
 
 
 def test_a_budget_of_another_table_is_not_shown(tmp_path: Path) -> None:
-    table = write_budget(tmp_path)
-    table.assign(u_brdf=0.02)[["brdf", "u_brdf"]].to_csv(tmp_path / "brdf.csv", index=False)
-    assert run_budget(tmp_path) == []
-    assert run_budget(tmp_path / "absent") == []
+    write_budget(tmp_path).assign(u_brdf=0.02)[["brdf", "u_brdf"]].to_csv(tmp_path / "brdf.csv", index=False)
+    assert (run_budget(tmp_path), run_budget(tmp_path / "absent")) == ([], [])
 
 
 def test_the_section_says_every_part_and_what_is_missing(tmp_path: Path) -> None:

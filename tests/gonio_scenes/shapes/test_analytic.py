@@ -121,8 +121,7 @@ def test_grazing_rays_meet_a_sphere_just_inside_its_limb_and_miss_just_outside(o
 def test_a_ray_finds_all_crossings_in_turn_and_back_again(kind: str, keys: dict[str, Any]) -> None:
     """The same crossings from either end: solids an even number, and `nearest` leaves out those before it."""
     built = shape(kind, center_mm=CENTER.tolist(), **keys)
-    rng = np.random.default_rng(5)
-    origin, direction = toward(rng, 500, CENTER, 60.0, 200.0)
+    origin, direction = toward(np.random.default_rng(5), 500, CENTER, 60.0, 200.0)
     for o, d in zip(origin, direction, strict=True):
         there = crossings(built, o, d)
         back = crossings(built, o + 400.0 * d, -d)
@@ -198,8 +197,7 @@ def test_tangents_run_along_u_and_v_follows_from_the_normal(kind: str, keys: dic
         lifted = surface.position + 1e-3 * side + surface.normal
         again, part = built.intersect(lifted, -surface.normal, 0.0)
         same = (np.abs(again - 1.0) < 1e-2) & (part == primitive[hit])
-        beside = built.surface(lifted[same], -surface.normal[same], again[same], part[same])
-        change = beside.uv - surface.uv[same]
+        change = built.surface(lifted[same], -surface.normal[same], again[same], part[same]).uv - surface.uv[same]
         inner = np.all(np.abs(change) < 0.1, axis=1)  # not across the seam
         checked += int(inner.sum())
         assert np.all(change[inner, grows] > 0.0)
@@ -224,8 +222,7 @@ def test_textures_stand_upright_where_y_is_up() -> None:
     for facing in ([0, 0, 1], [1, 0, 0], [0, 0, -1], [-1, 0, 1]):
         normal = np.array(facing) / np.linalg.norm(facing)
         built = shape("plane", normal=facing, size_mm=[10, 10])
-        right = np.cross([0.0, 1.0, 0.0], normal)
-        corner = 50.0 * normal + 4.0 * right + 3.0 * np.array([0.0, 1.0, 0.0])
+        corner = 50.0 * normal + 4.0 * np.cross([0.0, 1.0, 0.0], normal) + 3.0 * np.array([0.0, 1.0, 0.0])
         surface = meet(built, corner[np.newaxis], -normal[np.newaxis])[-1]
         np.testing.assert_allclose(surface.uv, [[0.9, 0.8]], atol=1e-14)
 
@@ -234,8 +231,7 @@ def test_tiles_repeat_on_a_plane() -> None:
     built = shape("plane", tile_mm=[20, 10])
     x, y = np.array([-5.0, 15.0, 35.0, 1e5 + 15.0]), np.array([2.0, 12.0, -8.0, 2.0])
     origin = np.stack([x, y, np.full(4, 7.0)], axis=-1)
-    down = np.tile([0.0, 0.0, -1.0], (4, 1))
-    _, distance, _, surface = meet(built, origin, down)
+    _, distance, _, surface = meet(built, origin, np.tile([0.0, 0.0, -1.0], (4, 1)))
     np.testing.assert_array_equal(distance, 7.0)
     np.testing.assert_allclose(surface.uv, [[0.25, 0.7]] * 4, atol=1e-11)
 
@@ -272,8 +268,7 @@ def test_a_tube_without_caps_is_seen_through() -> None:
     assert not built.convex
     assert not built.contains([0, 0, 0])
     origin = np.array([[1.0, 2.0, 50.0], [0.0, 0.0, 0.0], [20.0, 0.0, 12.0]])
-    direction = np.array([[0.0, 0.0, -1.0], [1.0, 0.0, 0.0], [-0.8, 0.0, -0.6]])
-    distance, _ = built.intersect(origin, direction, 0.0)
+    distance, _ = built.intersect(origin, np.array([[0.0, 0.0, -1.0], [1.0, 0.0, 0.0], [-0.8, 0.0, -0.6]]), 0.0)
     # the third passes over the near rim, at z = 4.5, and meets the near side: x = 10 at t = 12.5
     np.testing.assert_allclose(distance, [np.inf, 10.0, 12.5], rtol=1e-12)  # of float64, a few roundings
 
@@ -282,9 +277,7 @@ def test_a_tube_without_caps_is_seen_through() -> None:
 def test_a_point_is_inside_when_a_ray_from_it_leaves_once(kind: str, keys: dict[str, Any]) -> None:
     built = shape(kind, center_mm=CENTER.tolist(), **keys)
     rng = np.random.default_rng(11)
-    points = CENTER + rng.uniform(-35, 35, (300, 3))
-    out = units(rng, 300)
-    for point, direction in zip(points, out, strict=True):
+    for point, direction in zip(CENTER + rng.uniform(-35, 35, (300, 3)), units(rng, 300), strict=True):
         assert built.contains(point) == (len(crossings(built, point, direction)) % 2 == 1)
 
 

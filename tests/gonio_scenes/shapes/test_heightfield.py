@@ -77,8 +77,7 @@ def test_smooth_normals_are_those_of_the_function_that_was_sampled(tmp_path: Pat
     """z = 2 sin(k x) on a grid of 0.2 mm: central differences are off by k^3 h^2 / 3 and interpolation by k^3 h^2 / 4
     of 2, together 4e-3 at most; facets by k^2 h."""
     k = 2 * np.pi / 20
-    x = np.linspace(-20, 20, 201)
-    built = field(tmp_path, np.tile(2 * np.sin(k * x) / 5 + 0.5, (101, 1)), normals="smooth")
+    built = field(tmp_path, np.tile(2 * np.sin(k * np.linspace(-20, 20, 201)) / 5 + 0.5, (101, 1)), normals="smooth")
     at_x, at_y = np.random.default_rng(43).uniform(-0.98, 0.98, (2, 2000)) * [[20], [10]]
     _, surface = above(built, at_x, at_y)
     slope = 2 * k * np.cos(k * at_x)

@@ -67,8 +67,7 @@ def test_rays_meet_a_mesh_where_they_meet_its_facets(tmp_path: Path, size: float
     np.testing.assert_allclose(distance[hit], slow[hit], rtol=0, atol=1e-6 * size)
     check_frame(surface)
     triangle = corners_of(built)[part[hit]]
-    plane = np.einsum("ij,ij->i", surface.normal, surface.position - triangle[:, 0])
-    assert np.abs(plane).max() < 1e-13 * size
+    assert np.abs(np.einsum("ij,ij->i", surface.normal, surface.position - triangle[:, 0])).max() < 1e-13 * size
     # the normal is the facet's, and outward: the shape's centre is behind it as it is star-shaped
     assert np.all(np.einsum("ij,ij->i", surface.normal, surface.position - center) > 0.0)
     assert built.contains(center)
@@ -81,8 +80,7 @@ def test_a_far_camera_sees_a_mesh_as_a_near_one_does(tmp_path: Path) -> None:
     built = shape("mesh", tmp_path, file=name)
     origin, direction = toward(np.random.default_rng(32), 300, np.zeros(3), 40.0, 1e6)
     distance, _ = built.intersect(origin, direction, 0.0)
-    near = origin + (1e6 - 100.0) * direction
-    slow, _ = brute(near, direction, corners_of(built))
+    slow, _ = brute(origin + (1e6 - 100.0) * direction, direction, corners_of(built))
     np.testing.assert_array_equal(np.isfinite(distance), np.isfinite(slow))
     hit = np.isfinite(slow)
     np.testing.assert_allclose(distance[hit] - (1e6 - 100.0), slow[hit], rtol=0, atol=1e-6 * 40)
@@ -95,8 +93,7 @@ def test_no_ray_slips_through_an_edge_or_a_vertex(tmp_path: Path, far: float) ->
     built = shape("mesh", tmp_path, file=name)
     corners = corners_of(built)
     goals = np.concatenate([corners.reshape(-1, 3), (corners + np.roll(corners, 1, axis=1)).reshape(-1, 3) / 2])
-    rng = np.random.default_rng(33)
-    tilted = -goals / np.linalg.norm(goals, axis=1)[:, np.newaxis] + 0.5 * units(rng, len(goals))
+    tilted = -goals / np.linalg.norm(goals, axis=1)[:, np.newaxis] + 0.5 * units(np.random.default_rng(33), len(goals))
     tilted /= np.linalg.norm(tilted, axis=1)[:, np.newaxis]
     distance, _ = built.intersect(goals - far * tilted, tilted, 0.0)
     np.testing.assert_allclose(distance, far, rtol=0, atol=1e-6 * 40)
@@ -155,11 +152,10 @@ def test_a_finer_mesh_of_a_sphere_comes_nearer_to_it(tmp_path: Path) -> None:
 
 def test_scale_rotation_and_place(tmp_path: Path) -> None:
     """A box of 1 x 2 x 3 units, 10 mm each, turned by 90 degrees about x: y becomes z, and z becomes -y."""
-    box = trimesh.creation.box((1.0, 2.0, 3.0))
     built = shape(
         "mesh",
         tmp_path,
-        file=write(tmp_path, box, "box.stl"),
+        file=write(tmp_path, trimesh.creation.box((1.0, 2.0, 3.0)), "box.stl"),
         scale=10.0,
         center_mm=[5, 6, 7],
         rotation_axis=[2, 0, 0],
@@ -185,8 +181,7 @@ def test_uv_of_the_file_place_a_texture(tmp_path: Path) -> None:
 
 
 def test_a_mesh_without_uv_says_so(tmp_path: Path) -> None:
-    built = shape("mesh", tmp_path, file=write(tmp_path, trimesh.creation.box(), "box.stl"))
-    assert not built.has_uv
+    assert not shape("mesh", tmp_path, file=write(tmp_path, trimesh.creation.box(), "box.stl")).has_uv
 
 
 @pytest.mark.parametrize("kind", ["obj", "ply"])
@@ -219,8 +214,7 @@ def test_a_mesh_that_is_wound_inside_out_is_turned(tmp_path: Path) -> None:
     built = shape("mesh", tmp_path, file=write(tmp_path, mesh, "inverted.ply"))
     assert built.contains([0, 0, 0])
     origin, direction = toward(np.random.default_rng(38), 50, np.zeros(3), 5.0, 30.0)
-    surface = meet(built, origin, direction)[-1]
-    assert np.all(np.einsum("ij,ij->i", surface.normal, direction) < 0.0)
+    assert np.all(np.einsum("ij,ij->i", meet(built, origin, direction)[-1].normal, direction) < 0.0)
 
 
 def test_triangles_without_area_are_left_out(tmp_path: Path) -> None:

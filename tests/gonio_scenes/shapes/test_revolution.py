@@ -46,15 +46,13 @@ def test_frusta_are_met_where_bisection_in_the_profile_says(profile: str, axis: 
     assert built.closed
     middle = CENTER + 20.0 * np.array(axis) / np.linalg.norm(axis)
     check_against_bisection(built, inside, middle, seed=21, count=150, steps=600)
-    rng = np.random.default_rng(22)
-    points_in_space = middle + rng.uniform(-30, 30, (200, 3))
+    points_in_space = middle + np.random.default_rng(22).uniform(-30, 30, (200, 3))
     assert [built.contains(point) for point in points_in_space] == inside(points_in_space).tolist()
 
 
 def test_a_straight_profile_is_a_cylinder_and_caps_close_it() -> None:
     """Two implementations that share no formula: frusta on a tree, and the stretch within bounds."""
-    rng = np.random.default_rng(23)
-    origin, direction = toward(rng, 5000, CENTER, 50.0, 100.0)
+    origin, direction = toward(np.random.default_rng(23), 5000, CENTER, 50.0, 100.0)
     axis = [3, 1, 2]
     for caps in (True, False):
         turned = shape("revolution", center_mm=CENTER.tolist(), profile_mm=[[12, -20], [12, 20]], axis=axis, caps=caps)
@@ -125,8 +123,7 @@ def test_a_smooth_profile_through_points_of_a_circle_is_a_sphere() -> None:
     assert np.abs(radius - 40.0).max() < 5e-5 + 1e-6 * smooth.size_mm
     out = surface.position / radius[:, np.newaxis]
     assert np.linalg.norm(surface.shading - out, axis=1).max() < 6e-5  # half of it for what is of higher order
-    facets = np.linalg.norm(surface.normal - out, axis=1)
-    assert facets.max() > 1e-3, "frusta alone would not be smooth"
+    assert np.linalg.norm(surface.normal - out, axis=1).max() > 1e-3, "frusta alone would not be smooth"
 
 
 def test_a_smooth_profile_goes_through_its_points_and_is_level_at_the_axis() -> None:
@@ -149,11 +146,9 @@ def test_smooth_normals_are_continuous_where_frusta_meet(upward: bool) -> None:
     built = shape("revolution", profile_mm=profile if upward else profile[::-1], smooth=True, axis=[0, 0, 1])
     z = np.linspace(0.5, 49.5, 20001)
     origin = np.stack([np.full_like(z, 100.0), 0 * z, z], axis=-1)
-    direction = np.tile([-1.0, 0.0, 0.0], (len(z), 1))
-    surface = meet(built, origin, direction)[-1]
-    turn = np.linalg.norm(np.diff(surface.shading, axis=0), axis=1)
+    surface = meet(built, origin, np.tile([-1.0, 0.0, 0.0], (len(z), 1)))[-1]
     # 2.45 um apart in height; the least radius of curvature of this profile is above 1 mm
-    assert turn.max() < 0.02
+    assert np.linalg.norm(np.diff(surface.shading, axis=0), axis=1).max() < 0.02
     assert np.all(surface.shading[:, 0] > 0.0)
     # the spline's slope, by differences of where it is met, over many frusta
     r = surface.position[:, 0]
@@ -166,8 +161,7 @@ def test_v_runs_along_the_profile_by_length() -> None:
     built = shape("revolution", profile_mm=[[10, 0], [10, 30], [20, 30]], axis=[0, 0, 1], x_axis=[1, 0, 0])
     origin = np.array([[0.0, 50.0, 15.0], [-15.0, 0.0, 90.0]])
     direction = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0]])
-    surface = meet(built, origin, direction)[-1]
-    np.testing.assert_allclose(surface.uv, [[0.25, 15 / 40], [0.5, 35 / 40]], atol=1e-15)
+    np.testing.assert_allclose(meet(built, origin, direction)[-1].uv, [[0.25, 15 / 40], [0.5, 35 / 40]], atol=1e-15)
 
 
 def test_chords_of_a_smooth_profile_are_within_a_millionth_of_the_size() -> None:

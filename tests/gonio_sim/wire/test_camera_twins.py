@@ -35,8 +35,7 @@ def test_pixels_are_packed_as_the_standards_say(name: str, values: tuple[int, ..
 
 def test_numbers_of_formats_hold_their_bits() -> None:
     """PFNC: the second byte is how many bits a pixel takes, those that are unused included."""
-    bits = {name: FORMATS[name] >> 16 & 0xFF for name in FORMATS}
-    assert bits == {
+    assert {name: FORMATS[name] >> 16 & 0xFF for name in FORMATS} == {
         "Mono8": 8, "Mono10": 16, "Mono10p": 10, "Mono10Packed": 12, "Mono12": 16, "Mono12p": 12, "Mono12Packed": 12,
         "Mono14": 16, "Mono16": 16,
     }  # fmt: skip
@@ -100,5 +99,4 @@ def test_a_stubborn_property_stays_what_it_is(slept: list[float]) -> None:
 
 def test_clocks_of_twins_run_faster() -> None:
     clock = Clock(scale=8.0, start_s=100.0)
-    assert clock.at(100.0) == 0.0
-    assert clock.at(102.5) == 20.0
+    assert (clock.at(100.0), clock.at(102.5)) == (0.0, 20.0)

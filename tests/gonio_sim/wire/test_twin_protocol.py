@@ -216,8 +216,7 @@ def test_a_sync_read_ends_at_the_id_that_is_missing(bench: Build) -> None:
 
 def test_a_bulk_read_asks_a_servo_once(bench: Build) -> None:
     b = bench(MODEL, 1, 2)
-    wanted = bytes([1, 144, 0, 2, 0, 1, 146, 0, 1, 0])
-    assert len(b.heard(p2.Packet(p2.BROADCAST, p2.BULK_READ, wanted))) == 1
+    assert len(b.heard(p2.Packet(p2.BROADCAST, p2.BULK_READ, bytes([1, 144, 0, 2, 0, 1, 146, 0, 1, 0])))) == 1
     assert not group_read(GroupBulkRead(b.port, b.ph), (1, 144, 2)).addParam(1, 146, 1)
 
 
