@@ -7,9 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from gonio import measurement
 from gonio.disk import Staged, write_whole
-from gonio.errors import DataError
 
 from ..command_line import gonio
 
@@ -81,14 +79,3 @@ def test_a_folder_is_no_file(table: Path, tmp_path: Path, words: list[str]) -> N
     assert done.returncode == 2
     assert "is a folder; name the file" in done.stderr
     assert sorted(p.name for p in tmp_path.iterdir()) == ["out", "t.csv"]
-
-
-def test_a_part_of_an_uncertainty_is_not_larger_than_the_whole(table: Path, tmp_path: Path) -> None:
-    head, first, second = TABLE.splitlines()
-    head, first, second = (
-        line.replace("u_brdf", "u_brdf,u_random").replace(",0.001,", f",0.001,{u},")
-        for line, u in ((head, ""), (first, 0.001), (second, 0.0011))
-    )
-    table.write_text("\n".join([head, first, second, ""]))
-    with pytest.raises(DataError, match=r"line 3.*u_random = 0\.0011"):
-        measurement.read(table)

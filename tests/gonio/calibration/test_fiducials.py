@@ -258,16 +258,15 @@ def test_pictures_that_cannot_serve_are_refused(pictures: list[Path], tmp_path: 
     blank, torn = tmp_path / "blank.png", tmp_path / "torn.png"
     cv2.imwrite(str(blank), np.full(SIZE[::-1], 90, np.uint8))
     torn.write_bytes(b"\x89PNG no more")
-    with pytest.raises(DataError, match="shows no board"):
-        intrinsics.calibrate([blank] * 3, BOARD, DICTIONARY, SIZE)
-    with pytest.raises(DataError, match=r"torn.png: cannot be read as a picture"):
-        intrinsics.calibrate([torn], BOARD, DICTIONARY, SIZE)
-    with pytest.raises(DataError, match="2 pictures show the board"):
-        intrinsics.calibrate([*pictures[:2], blank], BOARD, DICTIONARY, SIZE)
-    with pytest.raises(DataError, match="480 x 360 pixels, and 640 x 480 are needed"):
-        intrinsics.calibrate(pictures, BOARD, DICTIONARY, (640, 480))
-    with pytest.raises(DataError, match="cannot be told apart"):
-        intrinsics.calibrate([pictures[0]] * 4, BOARD, DICTIONARY, SIZE)
+    for those, size, message in (
+        ([blank] * 3, SIZE, "shows no board"),
+        ([torn], SIZE, r"torn.png: cannot be read as a picture"),
+        ([*pictures[:2], blank], SIZE, "2 pictures show the board"),
+        (pictures, (640, 480), "480 x 360 pixels, and 640 x 480 are needed"),
+        ([pictures[0]] * 4, SIZE, "cannot be told apart"),
+    ):
+        with pytest.raises(DataError, match=message):
+            intrinsics.calibrate(those, BOARD, DICTIONARY, size)
 
 
 def test_boards_that_cannot_be(tmp_path: Path) -> None:

@@ -204,20 +204,6 @@ def test_what_needs_light_is_not_watched_in_the_dark(quantity: str, device: str 
         Suspender(quantity=quantity, device=device, above=1.0, dark=True)
 
 
-def test_a_threshold_is_broken_beyond_it_and_comes_back_behind_its_hysteresis() -> None:
-    hot, weak = Suspender(quantity="temperature", above=60.0), Suspender(quantity="voltage", below=11.0)
-    assert [hot.breaks(value) for value in (59.9, 60.0, 60.1)] == [False, False, True]
-    assert [hot.breaks(value, back=5.0) for value in (54.9, 55.0, 55.1)] == [False, False, True]
-    assert [weak.breaks(value) for value in (10.9, 11.0, 11.1)] == [True, False, False]
-    assert [weak.breaks(value, back=0.5) for value in (11.4, 11.5, 11.6)] == [True, False, False]
-    assert hot.breaks("hot")
-    assert hot.breaks(math.nan)
-    assert (hot.words(5.0), weak.words(0.5)) == ("above 55", "below 11.5")
-    lock = Suspender(quantity="lock", unless="locked")
-    assert [lock.breaks(value) for value in ("locked", "lost")] == [False, True]
-    assert lock.words() == 'anything but "locked"'
-
-
 def test_a_rule_concerns_its_quantity_and_the_extreme_on_its_side() -> None:
     hot, weak = Suspender(quantity="temperature", above=60.0), Suspender(quantity="load", device="light", below=11.0)
     assert hot.concerns(Reading("light", "temperature", 50.0, "C"))

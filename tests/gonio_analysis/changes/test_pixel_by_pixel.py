@@ -3,6 +3,7 @@
 import csv
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -95,13 +96,14 @@ def test_what_is_not_determined_is_not_compared(tmp_path: Path) -> None:
 
 def test_grids_models_and_kinds_that_do_not_match_are_refused(tmp_path: Path) -> None:
     a = one(tmp_path / "a.h5", 1)
-    other = one(tmp_path / "b.h5", 1, shape=(80, 99))
-    with pytest.raises(DataError, match=r"has 100 x 80 pixels, .* 99 x 80: --change compares maps on one grid"):
-        change(a, other)
-    with pytest.raises(DataError, match=r"its x lies up to .* mm beside that of"):
-        change(a, one(tmp_path / "c.h5", 1, pixel_mm=0.11))
-    with pytest.raises(DataError, match=r"holds cook-torrance, .* ggx: fit one model to both maps"):
-        change(a, one(tmp_path / "d.h5", 1, model="ggx"))
+    cases: tuple[tuple[dict[str, Any], str], ...] = (
+        ({"shape": (80, 99)}, r"has 100 x 80 pixels, .* 99 x 80: --change compares maps on one grid"),
+        ({"pixel_mm": 0.11}, r"its x lies up to .* mm beside that of"),
+        ({"model": "ggx"}, r"holds cook-torrance, .* ggx: fit one model to both maps"),
+    )
+    for keys, message in cases:
+        with pytest.raises(DataError, match=message):
+            change(a, one(tmp_path / "b.h5", 1, **keys))
     (tmp_path / "t.csv").write_text("x", encoding="utf-8")
     says(gonio(tmp_path, "compare", a, "t.csv", "--change", "--out", "o", expect=2).stderr, "t.csv is no map")
 

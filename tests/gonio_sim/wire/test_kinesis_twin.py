@@ -9,7 +9,6 @@ from gonio_sim.wire import twins
 from gonio_sim.wire.kinesis import KinesisTwin
 
 from gonio.rig.description import Axis
-from tests.gonio_sim.conftest import describe
 from tests.gonio_sim.wire.conftest import HandClock
 
 PER_DEG, SPEED_PER_DEG, ACCELERATION_PER_DEG = 136_533, 7_329_109, 1_502
@@ -114,17 +113,3 @@ def test_an_arm_follows_its_shaft_behind_the_backlash(from_above: bool, places: 
     for at[0] in (10.0, 12.0, 11.9, 11.5, 11.7, 12.0):
         found.append(math.degrees(arm.true()) + 0.7)  # both parts of its zero
     np.testing.assert_allclose(found, places, rtol=1e-12)
-
-
-def test_a_lamp_cools_as_it_warms_up() -> None:
-    clock = HandClock()
-    clock.now_s = 0.0
-    world = twins.WireWorld(describe("sim", lamp={"warm_up_time_constant_s": 100.0}), None, 1, clock)  # type: ignore[arg-type]
-    world.switch(lit=True)
-    for after_s, lit, cold in ((100.0, True, math.exp(-1.0)), (200.0, False, math.exp(-3.0))):
-        clock.now_s += after_s
-        assert world.cold() == pytest.approx(cold)
-        world.switch(lit)
-    world.switch(lit=False)
-    clock.now_s += 100.0
-    assert world.cold() == pytest.approx(1.0 - (1.0 - math.exp(-3.0)) * math.exp(-1.0))
