@@ -37,7 +37,7 @@ def test_what_is_packed_comes_back(array: npt.NDArray[Any]) -> None:
     assert found.dtype == array.dtype
     np.testing.assert_array_equal(found, array)
     with pytest.raises(OSError, match="damaged"):
-        Packed(array.dtype.str, array.shape, b"nothing").array()
+        Packed(array.dtype.str, array.shape, np.frombuffer(b"nothing", np.uint8)).array()
 
 
 def test_chunks_are_read_as_hdf5_reads_them(tmp_path: Path) -> None:
