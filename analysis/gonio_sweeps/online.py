@@ -80,8 +80,7 @@ class Online:
                 continue
             with_visit = group if visit is None or visit in group else [visit, *group]
             frames = RunFrames(run, [*darks, *with_visit])
-            found = in_threads(partial(frames.reduce, band=self.band), group)
-            for record, reduced in zip(group, found, strict=True):
+            for record, reduced in zip(group, in_threads(partial(frames.reduce, band=self.band), group), strict=True):
                 self._kept[record.step] = (_name(record, seen), reduced)
         every = [self._kept[record.step][1] for record in lit]
         points = [one for one in every if isinstance(one, Reduced) and one.point is not None]

@@ -220,8 +220,7 @@ class Parameters(BudgetSampler[ParameterSettings]):
 
         batch, finer = list[int](), True
         if stage < 2:
-            evenly = fits(DEAREST, 3 * LARGEST) if stage == 0 else fits(EVENLY)
-            batch, finer = cover_evenly(known, open_to, evenly)
+            batch, finer = cover_evenly(known, open_to, fits(DEAREST, 3 * LARGEST) if stage == 0 else fits(EVENLY))
         if not batch:
             cost = seen.seconds + self._ways_s
             batch = cover_by_errors(known, open_to, cost, fits(HALF if stage < LAST else LATER))

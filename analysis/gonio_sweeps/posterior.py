@@ -139,8 +139,7 @@ class Posterior:
             raise DataError(
                 "the table states no uncertainty (u_random) for some of its points; intervals follow from it"
             )
-        causes = [c for c in used.columns if c.startswith("s_")]
-        common = np.nan_to_num(used[causes].to_numpy(np.float64))
+        common = np.nan_to_num(used[[c for c in used.columns if c.startswith("s_")]].to_numpy(np.float64))
         return cls(Directions.from_table(used), used["brdf"].to_numpy(np.float64), u, common, cones=cones)
 
     @cached_property

@@ -13,15 +13,15 @@ from gonio_analysis.commands import Dask
 from gonio.cli import console
 from gonio.errors import ConfigError
 
-Jobs = Annotated[int | None, typer.Option(help="Processes. [default: one a processor]", show_default=False)]
+Jobs = Annotated[int | None, typer.Option(help="Processes. [default: one a processor]")]
 NAME_HELP = 'A figure, as htsg-8; "all" of them; "pictures", the rendered ones; or "list", which names them.'
 
 bench = typer.Typer(help="Measure the workbench itself.", no_args_is_help=True)
 
 
 def figures(
-    name: Annotated[str, typer.Argument(metavar="NAME", help=NAME_HELP, show_default=False)],
-    out: Annotated[Path | None, typer.Option(help="Folder of the page.", show_default=False)] = None,
+    name: Annotated[str, typer.Argument(metavar="NAME", help=NAME_HELP)],
+    out: Annotated[Path | None, typer.Option(help="Folder of the page.")] = None,
 ) -> None:
     """Make a paper's figure again, and judge the paper's claims. Prints the page's path."""
     from gonio_validation.papers import PICTURES, check
@@ -51,13 +51,10 @@ def _made(module: str, *arguments: Any, **options: Any) -> None:
 
     if None not in (options.get("jobs"), options.get("dask")):
         raise ConfigError("--jobs: counts processes here, and --dask names a cluster; leave one of them out")
-    make = import_module(f"gonio_validation.{module}").make
-    print(make(*arguments, command=command_line(), **options))
+    print(import_module(f"gonio_validation.{module}").make(*arguments, command=command_line(), **options))
 
 
-def verify(
-    out: Annotated[Path | None, typer.Option(help="Folder of a page to sign.", show_default=False)] = None,
-) -> None:
+def verify(out: Annotated[Path | None, typer.Option(help="Folder of a page to sign.")] = None) -> None:
     """Check that this installation computes what it should. Exit code 1 where a part fails."""
     import tempfile
 
@@ -80,7 +77,7 @@ def _bench() -> None:
 
 @bench.command()
 def models(
-    out: Annotated[Path, typer.Option(help="Folder of the report.", show_default=False)],
+    out: Annotated[Path, typer.Option(help="Folder of the report.")],
     quick: Annotated[bool, typer.Option("--quick", help="Few pairs: errors are right, times are rough.")] = False,
 ) -> None:
     """Speed against error of every way of evaluating the models. Also the hard cases; prints the report's path last."""
@@ -89,7 +86,7 @@ def models(
 
 @bench.command()
 def scenes(
-    out: Annotated[Path, typer.Option(help="Folder of the report.", show_default=False)],
+    out: Annotated[Path, typer.Option(help="Folder of the report.")],
     quick: Annotated[bool, typer.Option("--quick", help="Small pictures: all is run, nothing is precise.")] = False,
 ) -> None:
     """Speed against error of pictures: rays, tolerances, wavelengths, approximations. Prints the report's path."""
@@ -99,10 +96,9 @@ def scenes(
 
 @bench.command()
 def sweeps(
-    out: Annotated[Path, typer.Option(help="Folder of the report and of the records.", show_default=False)],
+    out: Annotated[Path, typer.Option(help="Folder of the report and of the records.")],
     seeds: Annotated[
-        int | None,
-        typer.Option(help="Runs of every plan; those that are there already count. [default: 3]", show_default=False),
+        int | None, typer.Option(help="Runs of every plan; those that are there already count. [default: 3]")
     ] = None,
     jobs: Jobs = None,
     dask: Dask = None,
@@ -118,17 +114,15 @@ def sweeps(
 
 @bench.command()
 def coverage(
-    out: Annotated[Path, typer.Option(help="Folder of the report and of the campaigns' records.", show_default=False)],
+    out: Annotated[Path, typer.Option(help="Folder of the report and of the campaigns' records.")],
     campaigns: Annotated[
-        int | None,
-        typer.Option(help="How many; those that are there already count. [default: 200]", show_default=False),
+        int | None, typer.Option(help="How many; those that are there already count. [default: 200]")
     ] = None,
     seed: Annotated[int, typer.Option(help="What is hidden follows from it.")] = 1,
     jobs: Jobs = None,
     dask: Dask = None,
     only: Annotated[
-        str,
-        typer.Option(metavar="A,B", help="Errors that the benches have; all of them without it.", show_default=False),
+        str, typer.Option(metavar="A,B", help="Errors that the benches have; all of them without it.")
     ] = "",
     quick: Annotated[bool, typer.Option("--quick", help="12 campaigns of few points: all is run.")] = False,
 ) -> None:
@@ -169,12 +163,10 @@ def _counted(what: str) -> Iterator[Callable[[int, int], None]]:
 def materials(
     sources: Annotated[
         list[str],
-        typer.Argument(
-            metavar="FILE|FOLDER ...", help="Measurements of materials, and published fits (*.fit).", show_default=False
-        ),
+        typer.Argument(metavar="FILE|FOLDER ...", help="Measurements of materials, and published fits (*.fit)."),
     ],
-    out: Annotated[Path, typer.Option(help="Folder of the page and of the records.", show_default=False)],
-    models: Annotated[str, typer.Option(metavar="A,B", help="Models; all without it.", show_default=False)] = "",
+    out: Annotated[Path, typer.Option(help="Folder of the page and of the records.")],
+    models: Annotated[str, typer.Option(metavar="A,B", help="Models; all without it.")] = "",
     jobs: Jobs = None,
     dask: Dask = None,
 ) -> None:
@@ -188,7 +180,7 @@ def materials(
 
 @bench.command()
 def maps(
-    out: Annotated[Path, typer.Option(help="Folder of the report.", show_default=False)],
+    out: Annotated[Path, typer.Option(help="Folder of the report.")],
     quick: Annotated[bool, typer.Option("--quick", help="Few pixels: errors are right, times are rough.")] = False,
 ) -> None:
     """Speed against error of fits of maps, beside fits of one table. Prints the report's path last."""

@@ -236,9 +236,8 @@ def build() -> typer.Typer:
     from gonio import plugins
     from gonio.cli import by_hand, calibrate, measuring, opened, plans, rigs, runs, servos, tables
 
-    points = plugins.available("gonio.commands")
     app = typer.Typer(
-        cls=_in_order(points),
+        cls=_in_order(plugins.available("gonio.commands")),
         no_args_is_help=True,
         add_completion=False,
         pretty_exceptions_enable=False,

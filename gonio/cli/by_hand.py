@@ -62,7 +62,7 @@ def move(
     goals: Annotated[
         list[str],
         typer.Argument(
-            metavar="AXIS=DEG...", show_default=False,
+            metavar="AXIS=DEG...",
             help="light, camera, tilt, spin, azimuth; or theta_i and theta_r (signed in plane), phi_i, phi_r.",
         ),
     ],
@@ -163,7 +163,7 @@ def dark(rig: RigOption) -> None:
 
 @app.command()
 def lamp(
-    level: Annotated[str, typer.Argument(metavar="on|off|LEVEL", help="LEVEL: 0 to 1.", show_default=False)],
+    level: Annotated[str, typer.Argument(metavar="on|off|LEVEL", help="LEVEL: 0 to 1.")],
     rig: RigOption,
     seconds: Annotated[float, typer.Option("--for", min=0, help="Dark after so many seconds.")] = 60.0,
     wavelength: WavelengthOption = None,
@@ -217,10 +217,7 @@ def _count_down(manual: ManualRig, end: float) -> None:
 
 
 @app.command()
-def read(
-    rig: RigOption,
-    as_json: AsJson = False,
-) -> None:
+def read(rig: RigOption, as_json: AsJson = False) -> None:
     """Read angles, temperatures, currents, voltages, lamp and camera; changes nothing. Exit 3 if one says nothing."""
     from rich.text import Text
 
@@ -268,11 +265,10 @@ def _record(name: str, health: Health) -> JsonObject:
 
 @app.command()
 def snap(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="Ends with .dng, .tif or .png.", show_default=False)],
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="Ends with .dng, .tif or .png.")],
     rig: RigOption,
     exposure: Annotated[
-        float | None,
-        typer.Option(help="Seconds; by default what a matt white needs with the lamp on.", show_default=False),
+        float | None, typer.Option(help="Seconds; by default what a matt white needs with the lamp on.")
     ] = None,
     lit: Annotated[bool, typer.Option("--lamp", help="With the lamp on; without it, as it is.")] = False,
     wavelength: WavelengthOption = None,
@@ -319,18 +315,18 @@ def _show_scan(table: pd.DataFrame, axis: str) -> None:
 def scan(
     axis: Axis,
     rig: RigOption,
-    start: Annotated[float, typer.Option("--from", help="First angle [deg].", show_default=False)],
-    stop: Annotated[float, typer.Option("--to", help="Last angle [deg].", show_default=False)],
-    step: Annotated[float, typer.Option(help="Degrees.", show_default=False)],
+    start: Annotated[float, typer.Option("--from", help="First angle [deg].")],
+    stop: Annotated[float, typer.Option("--to", help="Last angle [deg].")],
+    step: Annotated[float, typer.Option(help="Degrees.")],
     frames: Annotated[int, typer.Option(min=1, help="At each angle.")] = 2,
     exposure: Annotated[
-        float | None, typer.Option(help="Seconds; by default each angle is metered.", show_default=False)
+        float | None, typer.Option(help="Seconds; by default each angle is metered.")
     ] = None,
     at: Annotated[
-        list[str] | None, typer.Option(metavar="AXIS=DEG", help="Move other axes there first.", show_default=False)
+        list[str] | None, typer.Option(metavar="AXIS=DEG", help="Move other axes there first.")
     ] = None,
     out: Annotated[
-        Path | None, typer.Option(help="A CSV; by default scan-AXIS.csv.", show_default=False)
+        Path | None, typer.Option(help="A CSV; by default scan-AXIS.csv.")
     ] = None,
     wavelength: WavelengthOption = None,
     sample: SampleOption = None,
@@ -413,8 +409,7 @@ def align(
     ] = "both",
     search: Search = 5.0,
     again: Annotated[
-        list[Path] | None,
-        typer.Option("--from", help="Scans of an earlier alignment: fit these; moves nothing.", show_default=False),
+        list[Path] | None, typer.Option("--from", help="Scans of an earlier alignment: fit these; moves nothing.")
     ] = None,
     seed: Seed = 0,
     yes: Yes = False,

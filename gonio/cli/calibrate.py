@@ -24,7 +24,7 @@ def camera(
     rig: RigOption,
     out: Annotated[Path, typer.Option(help="The calibration file to write.")] = Path("camera.toml"),
     frames: Annotated[
-        Path | None, typer.Option(help="Reduce the frames of this folder; moves nothing.", show_default=False)
+        Path | None, typer.Option(help="Reduce the frames of this folder; moves nothing.")
     ] = None,
     response: Annotated[bool, typer.Option("--response", help="The response curve of 8 bits alone.")] = False,
     only: Annotated[
@@ -33,7 +33,7 @@ def camera(
     pairs: Annotated[int, typer.Option(min=1, max=50, help="Pairs of flats at each exposure.")] = 2,
     wavelength: WavelengthOption = None,
     valid_days: Annotated[
-        int | None, typer.Option(min=1, help="Days until the file is out of date.", show_default=False)
+        int | None, typer.Option(min=1, help="Days until the file is out of date.")
     ] = None,
     seed: Seed = 0,
     yes: Yes = False,
@@ -52,25 +52,24 @@ def camera(
 @app.command()
 def geometry(
     rig: RigOption,
-    out: Annotated[Path | None, typer.Option(help="The calibration file.", show_default=False)] = None,
+    out: Annotated[Path | None, typer.Option(help="The calibration file.")] = None,
     images: Annotated[
-        Path | None, typer.Option(help="A folder of pictures of a ChArUco board.", show_default=False)
+        Path | None, typer.Option(help="A folder of pictures of a ChArUco board.")
     ] = None,
     board: Annotated[
-        Path | None, typer.Option(help="The board: a .toml, or OpenCV's .yml.", show_default=False)
+        Path | None, typer.Option(help="The board: a .toml, or OpenCV's .yml.")
     ] = None,
     holder: Annotated[
         str | None,
         typer.Option(help="What is put into the holder, by commas: mirror, empty. Without it both, where the arms can "
-                          "face each other; with --images, none.", show_default=False),
+                          "face each other; with --images, none."),
     ] = None,
     scans: Annotated[
-        Path | None, typer.Option(help="Kept sightings: fit these again; moves nothing.", show_default=False)
+        Path | None, typer.Option(help="Kept sightings: fit these again; moves nothing.")
     ] = None,
     print_fiducials: Annotated[
         Path | None,
-        typer.Option(help="Write the sheet of the holder's markers (.svg, .png), and nothing else.",
-                     show_default=False),
+        typer.Option(help="Write the sheet of the holder's markers (.svg, .png), and nothing else."),
     ] = None,
     valid_days: Annotated[int, typer.Option(min=1, help="How long the calibration may be used.")] = 365,
     search: Search = 8.0,
@@ -92,24 +91,20 @@ def geometry(
 
 @app.command()
 def light(
-    rig: Annotated[str, typer.Option(help="A rig file.", show_default=False)],
-    out: Annotated[Path, typer.Option(help="The calibration file to write.", show_default=False)],
+    rig: Annotated[str, typer.Option(help="A rig file.")],
+    out: Annotated[Path, typer.Option(help="The calibration file to write.")],
     only: Annotated[Literal["both", "lamp", "beam"], typer.Option(help="What to measure on the rig.")] = "both",
     minutes: Annotated[float, typer.Option(min=1, max=10_000, help="How long to watch the lamp.")] = 60.0,
     every: Annotated[float, typer.Option(min=0.1, help="Seconds from burst to burst of frames.")] = 15.0,
-    series: Annotated[Path | None, typer.Option(help="An earlier series of the lamp.", show_default=False)] = None,
-    flats: Annotated[Path | None, typer.Option(help="Earlier flats of the white.", show_default=False)] = None,
-    spectra: Annotated[
-        Path | None, typer.Option(help="Spectra of bands: band, wavelength_nm, signal.", show_default=False)
-    ] = None,
-    lines: Annotated[Path | None, typer.Option(help="Known lines: line_nm, read_nm.", show_default=False)] = None,
+    series: Annotated[Path | None, typer.Option(help="An earlier series of the lamp.")] = None,
+    flats: Annotated[Path | None, typer.Option(help="Earlier flats of the white.")] = None,
+    spectra: Annotated[Path | None, typer.Option(help="Spectra of bands: band, wavelength_nm, signal.")] = None,
+    lines: Annotated[Path | None, typer.Option(help="Known lines: line_nm, read_nm.")] = None,
     lamp_polariser: Annotated[
-        Path | None, typer.Option(help="A polariser turned in the beam: polariser_deg, signal.", show_default=False)
+        Path | None, typer.Option(help="A polariser turned in the beam: polariser_deg, signal.")
     ] = None,
-    camera_polariser: Annotated[
-        Path | None, typer.Option(help="A polariser turned before the lens.", show_default=False)
-    ] = None,
-    valid_days: Annotated[int | None, typer.Option(min=1, help="How long it is good.", show_default=False)] = None,
+    camera_polariser: Annotated[Path | None, typer.Option(help="A polariser turned before the lens.")] = None,
+    valid_days: Annotated[int | None, typer.Option(min=1, help="How long it is good.")] = None,
     wavelength: WavelengthOption = None,
     seed: Seed = 0,
     yes: Annotated[bool, typer.Option("--yes", "-y", help="Ask nobody: the white lies in the holder.")] = False,

@@ -20,14 +20,11 @@ if TYPE_CHECKING:
 
 
 def measure(
-    plan: Annotated[Path, typer.Argument(metavar="PLAN", help="What to measure: a plan.toml.", show_default=False)],
-    rig: Annotated[str, typer.Option(help="A rig's name (gonio rig list), or a rig file.", show_default=False)],
-    out: Annotated[Path, typer.Option(help="Folder of the run; made if it is absent.", show_default=False)],
+    plan: Annotated[Path, typer.Argument(metavar="PLAN", help="What to measure: a plan.toml.")],
+    rig: Annotated[str, typer.Option(help="A rig's name (gonio rig list), or a rig file.")],
+    out: Annotated[Path, typer.Option(help="Folder of the run; made if it is absent.")],
     sample: Annotated[
-        Path | None,
-        typer.Option(
-            help="What a simulated rig measures: a sample.toml, or the name of a shipped one.", show_default=False
-        ),
+        Path | None, typer.Option(help="What a simulated rig measures: a sample.toml, or the name of a shipped one.")
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of a simulated rig.")] = 0,
     resume: Annotated[bool, typer.Option("--resume", help="Go on with a run that was cut short.")] = False,
@@ -46,8 +43,7 @@ def measure(
     asked, chosen = load_plan(plan), find_rig(rig)
     described = load_sample(sample) if sample is not None else None
     if dry_run:
-        seen = check(asked, chosen, out, sample=described, seed=seed, resume=resume, yes=yes)
-        plans.describe(asked, seen, out=out)
+        plans.describe(asked, check(asked, chosen, out, sample=described, seed=seed, resume=resume, yes=yes), out=out)
         if resume and begun(out):
             console.show(f"{out}: {len(Run.open(out).steps())} of these steps are taken")
         console.note(f"a picture of rig and points: gonio plan show {plan} --rig {rig} --picture plan.svg")
@@ -79,24 +75,17 @@ def measure(
 
 
 def reduce(
-    run: Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run.", show_default=False)],
+    run: Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run.")],
     monte_carlo: Annotated[
         int | None,
-        typer.Option(
-            metavar="N",
-            min=100,
-            help="Check uncertainties by N draws: RUN/monte_carlo.csv, .npz.",
-            show_default=False,
-        ),
+        typer.Option(metavar="N", min=100, help="Check uncertainties by N draws: RUN/monte_carlo.csv, .npz."),
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the draws.")] = 0,
     map_file: Annotated[
-        Path | None,
-        typer.Option("--map", metavar="OUT.h5", help="A BRDF in every pixel of the sample too.", show_default=False),
+        Path | None, typer.Option("--map", metavar="OUT.h5", help="A BRDF in every pixel of the sample too.")
     ] = None,
     pixel_mm: Annotated[
-        float | None,
-        typer.Option(metavar="MM", help="Of the map; else the camera's, seen at normal view.", show_default=False),
+        float | None, typer.Option(metavar="MM", help="Of the map; else the camera's, seen at normal view.")
     ] = None,
 ) -> None:
     """Reduce a run's frames to BRDF with uncertainty: RUN/brdf.csv, and its parts in RUN/budget.csv."""

@@ -133,18 +133,13 @@ def holding(manual: ManualRig) -> str:
     return "the lamp is dark" + ("; the axes hold, until gonio rig park" if holds else "")
 
 
-Columns = Annotated[
-    str | None,
-    typer.Option(help="Names and units in a table of one's own: theta_i=ti:rad,brdf=f.", show_default=False),
-]
-Blank = Annotated[Path | None, typer.Option(help="The blank to subtract from an RT-300S workbook.", show_default=False)]
+Columns = Annotated[str | None, typer.Option(help="Names and units in a table of one's own: theta_i=ti:rad,brdf=f.")]
+Blank = Annotated[Path | None, typer.Option(help="The blank to subtract from an RT-300S workbook.")]
 
-Axis = Annotated[str, typer.Argument(help="light, camera, tilt, spin or azimuth.", show_default=False)]
-RigOption = Annotated[str, typer.Option("--rig", help="A rig's name, or a rig file.", show_default=False)]
+Axis = Annotated[str, typer.Argument(help="light, camera, tilt, spin or azimuth.")]
+RigOption = Annotated[str, typer.Option("--rig", help="A rig's name, or a rig file.")]
 SampleOption = Annotated[Path | None, typer.Option("--sample", help="What a simulated rig looks at: a sample.toml.")]
-WavelengthOption = Annotated[
-    float | None, typer.Option("--wavelength-nm", help="The band that contains it [nm].", show_default=False)
-]
+WavelengthOption = Annotated[float | None, typer.Option("--wavelength-nm", help="The band that contains it [nm].")]
 Seed = Annotated[int, typer.Option("--seed", min=0, help="Seed of a simulated rig.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 Yes = Annotated[bool, typer.Option("--yes", "-y", help="Ask nobody: what has to lie in the holder does.")]

@@ -38,32 +38,23 @@ def _group() -> None:
 
 @app.command()
 def show(
-    plan: Annotated[Path, typer.Argument(metavar="PLAN", help="A plan.toml.", show_default=False)],
-    rig: Annotated[
-        str | None, typer.Option(help="The rig that shall measure it: a name or a rig file.", show_default=False)
-    ] = None,
+    plan: Annotated[Path, typer.Argument(metavar="PLAN", help="A plan.toml.")],
+    rig: Annotated[str | None, typer.Option(help="The rig that shall measure it: a name or a rig file.")] = None,
     left_out: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE.csv", help="Write the points that the rig leaves out, and why.", show_default=False),
+        Path | None, typer.Option(metavar="FILE.csv", help="Write the points that the rig leaves out, and why.")
     ] = None,
     picture: Annotated[
         Path | None,
-        typer.Option(
-            metavar="OUT.png|svg",
-            help="Draw the rig from the side and from above, and a map of the points.",
-            show_default=False,
-        ),
+        typer.Option(metavar="OUT.png|svg", help="Draw the rig from the side and from above, and a map of the points."),
     ] = None,
     step: Annotated[
-        int | None,
-        typer.Option(help="Of the picture: number of the step; by default the most crowded one.", show_default=False),
+        int | None, typer.Option(help="Of the picture: number of the step; by default the most crowded one.")
     ] = None,
     separate: Annotated[
         tuple[Path, Path] | None,
         typer.Option(
             metavar="A.toml B.toml",
             help="How well the plan tells two samples apart, and by which points; --picture maps it.",
-            show_default=False,
         ),
     ] = None,
 ) -> None:
@@ -259,8 +250,7 @@ def _table(plan: Plan, points: list[Assessed], *, with_rig: bool) -> Table:
 
 def calibrations(description: RigDescription) -> list[str]:
     """The calibrations that a rig is used with, and a warning of each that is unfit."""
-    use = description.calibration
-    files = [f"{known.file} ({known.kind}, made on {known.made})" for known in use.known]
+    files = [f"{known.file} ({known.kind}, made on {known.made})" for known in description.calibration.known]
     return [*([f"calibrations: {', '.join(files)}"] if files else []), *unfit(description)]
 
 

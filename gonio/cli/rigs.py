@@ -39,9 +39,7 @@ def list_rigs() -> None:
 
 
 @app.command()
-def show(
-    rig: Annotated[str, typer.Argument(metavar="RIG", help="A rig's name, or a rig file.", show_default=False)],
-) -> None:
+def show(rig: Annotated[str, typer.Argument(metavar="RIG", help="A rig's name, or a rig file.")]) -> None:
     """Print a rig's file, to copy and to change."""
     from gonio.acquisition.measure import find_rig
 
@@ -52,7 +50,7 @@ def show(
 
 @app.command()
 def check(
-    rig: Annotated[str, typer.Option(help="A rig's name, or a rig file.", show_default=False)],
+    rig: Annotated[str, typer.Option(help="A rig's name, or a rig file.")],
     move: Annotated[bool, typer.Option(help="Move the axes a little, and light the lamp.")] = True,
 ) -> None:
     """Open a rig, and try every device. Moves each axis a little, takes a dark and a lit frame; exit 3 if any fails."""

@@ -13,7 +13,7 @@ app = typer.Typer(help="Check and repair the folder of a run.", no_args_is_help=
 NAMED = 20
 """Frames that are named on the terminal, at most; the journal names all."""
 
-Folder = Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run.", show_default=False)]
+Folder = Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run.")]
 
 
 @app.command("check")

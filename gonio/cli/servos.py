@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 __all__ = ["app"]
 
-Axes = Annotated[list[str] | None, typer.Argument(metavar="[AXIS]...", show_default=False)]
+Axes = Annotated[list[str] | None, typer.Argument(metavar="[AXIS]...")]
 
 
 NEEDED = "ports", "servos", "lamp_on", "is_release", "wiggle", "count_of"
@@ -34,12 +34,8 @@ NEEDED = "ports", "servos", "lamp_on", "is_release", "wiggle", "count_of"
 @app.command("new")
 def new_rig(
     out: Annotated[Path, typer.Option(help="The rig file to write.")] = Path("my.toml"),
-    port: Annotated[
-        list[str] | None, typer.Option(help="Look at this port; by default at all there are.", show_default=False)
-    ] = None,
-    answers: Annotated[
-        Path | None, typer.Option(help="A TOML file with the answers: nobody is asked.", show_default=False)
-    ] = None,
+    port: Annotated[list[str] | None, typer.Option(help="Look at this port; by default at all there are.")] = None,
+    answers: Annotated[Path | None, typer.Option(help="A TOML file with the answers: nobody is asked.")] = None,
     driver: Annotated[str, typer.Option(help="The driver that the rig is for.")] = "lab",
 ) -> None:
     """Ask what a rig file needs, find ports, servos and lamp, and write the file, with a comment on each value."""
@@ -74,9 +70,7 @@ def set_zero(
     axis: Axis,
     rig: RigOption,
     at: Annotated[float, typer.Option(help="Where the axis truly stands now [deg].")] = 0.0,
-    out: Annotated[
-        Path | None, typer.Option(help="Write a changed copy, and leave the rig file as it is.", show_default=False)
-    ] = None,
+    out: Annotated[Path | None, typer.Option(help="Write a changed copy, and leave the rig file as it is.")] = None,
 ) -> None:
     """Write an axis's zero into the rig file: it stands at this angle now. The file as it was is kept as .bak."""
     from gonio.by_hand.rig_file import read_zero, write_values
@@ -101,14 +95,14 @@ def set_zero(
 def ids(
     rig: RigOption,
     port: Annotated[
-        str | None, typer.Option(help="Another port than the rig file's.", show_default=False)
+        str | None, typer.Option(help="Another port than the rig file's.")
     ] = None,
     set_id: Annotated[
-        tuple[int, int] | None, typer.Option(metavar="OLD NEW", help="Give a servo another id.", show_default=False)
+        tuple[int, int] | None, typer.Option(metavar="OLD NEW", help="Give a servo another id.")
     ] = None,
     set_baud: Annotated[
         tuple[int, int] | None,
-        typer.Option(metavar="ID BAUD", help="Give a servo another line speed.", show_default=False),
+        typer.Option(metavar="ID BAUD", help="Give a servo another line speed."),
     ] = None,
     yes: Annotated[bool, typer.Option("--yes", "-y", help="Ask for no confirmation.")] = False,
 ) -> None:  # fmt: skip
@@ -156,10 +150,7 @@ def _assigned(service: Any, found: list[FoundServo], old: int, yes: bool, **new:
 
 
 @app.command()
-def reboot(
-    rig: RigOption,
-    axes: Axes = None,
-) -> None:
+def reboot(rig: RigOption, axes: Axes = None) -> None:
     """Restart servos (all, or those of some axes), as after an overload. Their torque goes off: support the arms."""
 
     choice = choice_of(rig)
@@ -177,10 +168,7 @@ def reboot(
 
 
 @app.command()
-def home(
-    rig: RigOption,
-    axes: Axes = None,
-) -> None:
+def home(rig: RigOption, axes: Axes = None) -> None:
     """Find the turn of axes that turn further than their servos count: without AXIS, of those that need it."""
 
     choice = choice_of(rig)

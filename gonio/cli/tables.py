@@ -18,19 +18,18 @@ if TYPE_CHECKING:
 
 def convert(
     source: Annotated[str, typer.Argument(
-        metavar="IN", help="A measurement file, a run, FILE:SAMPLE, a model: sample.toml, or a map of fits.",
-        show_default=False)],
+        metavar="IN", help="A measurement file, a run, FILE:SAMPLE, a model: sample.toml, or a map of fits.")],
     target: Annotated[Path, typer.Argument(
-        metavar="OUT", help="The file to write; - for standard output; for textures a folder.", show_default=False)],
+        metavar="OUT", help="The file to write; - for standard output; for textures a folder.")],
     source_format: Annotated[str | None, typer.Option(
-        "--from", help="Format of IN, where neither content nor ending tell.", show_default=False)] = None,
+        "--from", help="Format of IN, where neither content nor ending tell.")] = None,
     target_format: Annotated[str | None, typer.Option(
         "--to", help="Format of OUT, where its ending does not tell; mitsuba or radiance; datacite; of a run bluesky;"
-        " of a map textures.", show_default=False)] = None,
+        " of a map textures.")] = None,
     columns: Columns = None,
     blank: Blank = None,
     wavelength_nm: Annotated[float | None, typer.Option(
-        help="For a renderer: this wavelength of a table alone, in grey.", show_default=False)] = None,
+        help="For a renderer: this wavelength of a table alone, in grey.")] = None,
 ) -> None:  # fmt: skip
     """Convert a measurement, or a model, to another file format. By file ending, or by a format's name."""
     from gonio import measurement, plugins

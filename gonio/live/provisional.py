@@ -89,8 +89,7 @@ class Provisional:
         if self._frames is None or not self._frames.knows(step):
             self._around.append(step)
             self._frames = RunFrames(self.run, [*self._dark, *self._around], SPARE)
-        found = [self._frames.reduce(step, band) for band in self.run.bands]
-        for kept, one in zip(self._bands, found, strict=True):
+        for kept, one in zip(self._bands, [self._frames.reduce(step, band) for band in self.run.bands], strict=True):
             kept.drop(step.step)
             if isinstance(one, Reduced):
                 kept.add(step.step, one)

@@ -179,8 +179,7 @@ class RunStatus:
 
     def every_angle(self) -> Floats:
         """The four angles of every point so far [deg], shape (points, 4)."""
-        parts = [np.asarray(a, dtype=float).reshape(-1, 4) for a in (self.angles_deg, self.chosen_deg)]
-        return np.concatenate(parts)
+        return np.concatenate([np.asarray(a, dtype=float).reshape(-1, 4) for a in (self.angles_deg, self.chosen_deg)])
 
     @property
     def step_s(self) -> float | None:

@@ -42,8 +42,7 @@ def _closed(made: Path) -> None:
     made.mkdir(mode=0o700, parents=True, exist_ok=True)
     for one in (made, *made.parents):
         with contextlib.suppress(OSError):
-            there = os.lstat(one)
-            if platform.is_own_but_open(there):
+            if platform.is_own_but_open(os.lstat(one)):
                 one.chmod(0o700)
         if one.name == "gonio":
             break
@@ -79,8 +78,7 @@ def recall(what: Path) -> tuple[int, str | None]:
     """Port and token of the last page of a folder; 0 and None where nothing is known, or others could know it."""
     file = _file(what)
     with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
-        there = os.lstat(file)
-        if platform.is_private(there):
+        if platform.is_private(os.lstat(file)):
             kept = json.loads(file.read_text(encoding="utf-8"))
             port, token = int(kept["port"]), str(kept["token"])
             if 0 < port < 65536 and len(token) >= 32 and token.replace("-", "").replace("_", "").isalnum():

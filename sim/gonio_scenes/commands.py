@@ -14,17 +14,13 @@ if TYPE_CHECKING:
 
 
 def render(
-    scene: Annotated[Path, typer.Argument(metavar="SCENE", help="Scene file (TOML).", show_default=False)],
-    out: Annotated[Path, typer.Option(help="Folder of the picture.", show_default=False)],
+    scene: Annotated[Path, typer.Argument(metavar="SCENE", help="Scene file (TOML).")],
+    out: Annotated[Path, typer.Option(help="Folder of the picture.")],
     tolerance: Annotated[
-        float | None,
-        typer.Option(min=0.0, help="Relative standard error that every pixel is brought below.", show_default=False),
+        float | None, typer.Option(min=0.0, help="Relative standard error that every pixel is brought below.")
     ] = None,
     exr: Annotated[bool, typer.Option("--exr", help="Write picture.exr too, a float channel a wavelength.")] = False,
-    to: Annotated[
-        str | None,
-        typer.Option(help='Write the scene for another renderer instead: "mitsuba".', show_default=False),
-    ] = None,
+    to: Annotated[str | None, typer.Option(help='Write the scene for another renderer instead: "mitsuba".')] = None,
 ) -> None:
     """Render a scene file through the models. Prints the picture's path."""
     from gonio.acquisition.run import command_line
@@ -64,16 +60,11 @@ def _write(scene: Scene, out: Path, to: str, exr: bool) -> None:
 
 
 def photograph(
-    scene: Annotated[
-        Path, typer.Argument(metavar="SCENE", help="Scene file: camera, shape and light as known.", show_default=False)
-    ],
+    scene: Annotated[Path, typer.Argument(metavar="SCENE", help="Scene file: camera, shape and light as known.")],
     image: Annotated[
-        Path,
-        typer.Argument(
-            metavar="IMAGE", help="A raw frame, or linear radiances: .npz, .exr, .npy, .tif.", show_default=False
-        ),
+        Path, typer.Argument(metavar="IMAGE", help="A raw frame, or linear radiances: .npz, .exr, .npy, .tif.")
     ],
-    out: Annotated[Path, typer.Option(help="The measurement table to write (.csv).", show_default=False)],
+    out: Annotated[Path, typer.Option(help="The measurement table to write (.csv).")],
 ) -> None:
     """Measure from a photograph of a curved sample. Every square of pixels becomes a row of a measurement table."""
     from gonio import measurement

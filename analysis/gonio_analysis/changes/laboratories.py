@@ -373,8 +373,7 @@ def _by_directions(
     alone, by_method, p = list[Equivalence](), list[tuple[Consensus, ...]](), list[float]()
     for i, x in enumerate(values):
         pace.step(i)
-        effects = [one.covariance.common[i] for one in found]
-        v = joint(effects, [one.covariance.total[i] ** 2 for one in found], keys)
+        v = joint([one.covariance.common[i] for one in found], [one.covariance.total[i] ** 2 for one in found], keys)
         alone.append(equivalence(x, v, LEVEL))
         by_method.append(tuple(consensus(x, v, m) for m in METHODS))
         p.append(consistency(x, v)[1])

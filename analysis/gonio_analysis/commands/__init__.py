@@ -28,84 +28,52 @@ class Norm(StrEnum):
 
 IorOption = Annotated[
     str | None,
-    typer.Option(
-        help="Optical constants: a material (Al) or n + ik (0.77+6.08j); without them a real n is fitted.",
-        show_default=False,
-    ),
+    typer.Option(help="Optical constants: a material (Al) or n + ik (0.77+6.08j); without them a real n is fitted."),
 ]
 Wavelength = Annotated[
-    float | None,
-    typer.Option(
-        help="Wavelength [nm] of a table with several, or the effective one of a broad band.", show_default=False
-    ),
+    float | None, typer.Option(help="Wavelength [nm] of a table with several, or the effective one of a broad band.")
 ]
 Metric = Annotated[
     str | None,
     typer.Option(
-        help="What fits make small: log, weighted, ngan, cube-root or relative; otherwise weighted, or log without u.",
-        show_default=False,
+        help="What fits make small: log, weighted, ngan, cube-root or relative; otherwise weighted, or log without u."
     ),
 ]
-URel = Annotated[
-    float | None,
-    typer.Option(
-        help="Relative uncertainty to ASSUME where the table states none (0.03).",
-        show_default=False,
-    ),
-]
+URel = Annotated[float | None, typer.Option(help="Relative uncertainty to ASSUME where the table states none (0.03).")]
 UIor = Annotated[
     str | None,
     typer.Option(
         metavar="U|sources",
         help="Relative uncertainty of n and k (0.02), or that between the sources of a material: sources.",
-        show_default=False,
     ),
 ]
 Energy = Annotated[bool, typer.Option("--energy", help="Fit with the bound rho_dh <= 1 at the table's incidences.")]
 Separate = Annotated[bool, typer.Option("--separate", help="Fit each wavelength alone: no geometry is shared.")]
-Fix = Annotated[list[str] | None, typer.Option(metavar="NAME=VALUE", help="Keep a parameter.", show_default=False)]
-Free = Annotated[list[str] | None, typer.Option(metavar="NAME", help="Fit one more parameter.", show_default=False)]
-BoundOption = Annotated[
-    list[str] | None, typer.Option(metavar="NAME=LOW:HIGH", help="Narrower bounds.", show_default=False)
-]
+Fix = Annotated[list[str] | None, typer.Option(metavar="NAME=VALUE", help="Keep a parameter.")]
+Free = Annotated[list[str] | None, typer.Option(metavar="NAME", help="Fit one more parameter.")]
+BoundOption = Annotated[list[str] | None, typer.Option(metavar="NAME=LOW:HIGH", help="Narrower bounds.")]
 Prior = Annotated[
     list[str] | None,
-    typer.Option(
-        metavar="NAME=VALUE+-U", help="What is known beforehand, U its standard uncertainty.", show_default=False
-    ),
+    typer.Option(metavar="NAME=VALUE+-U", help="What is known beforehand, U its standard uncertainty."),
 ]
 Each = Annotated[
     list[str] | None,
     typer.Option(
         metavar="NAME|FOLDER|LIST",
         help="With --joint: a value at each wavelength. Without TABLE: fit each table of a folder or a list.",
-        show_default=False,
     ),
 ]
 More = Annotated[
-    list[str] | None,
-    typer.Argument(
-        metavar="[MORE ...]", help="Tables of the same sample: all are fitted together.", show_default=False
-    ),
+    list[str] | None, typer.Argument(metavar="[MORE ...]", help="Tables of the same sample: all are fitted together.")
 ]
-Save = Annotated[
-    Path | None,
-    typer.Option(help="Write the fitted model as a sample file (.toml).", metavar="SAMPLE", show_default=False),
-]
-Measurements = Annotated[
-    list[str],
-    typer.Argument(metavar="A [B ...]", help="Tables, runs, FILE:SAMPLE, or two maps.", show_default=False),
-]
-Dask = Annotated[
-    str | None,
-    typer.Option(metavar="ADDRESS", help="Work on the Dask cluster of this scheduler.", show_default=False),
-]
+Save = Annotated[Path | None, typer.Option(help="Write the fitted model as a sample file (.toml).", metavar="SAMPLE")]
+Measurements = Annotated[list[str], typer.Argument(metavar="A [B ...]", help="Tables, runs, FILE:SAMPLE, or two maps.")]
+Dask = Annotated[str | None, typer.Option(metavar="ADDRESS", help="Work on the Dask cluster of this scheduler.")]
 Shared = Annotated[
     list[str] | None,
     typer.Option(
         metavar="CAUSE[=A,B]",
         help="With --laboratories: a cause that is the same in all, or in those named, as reference=A,B; once each.",
-        show_default=False,
     ),
 ]
 Residual = Annotated[bool, typer.Option("--residual", help="Save the model with a smooth curve of its misfit.")]
@@ -122,14 +90,9 @@ def demo(
 
 
 def watch(
-    run: Annotated[
-        Path, typer.Argument(metavar="RUN", help="Folder of a run; it need not exist yet.", show_default=False)
-    ],
+    run: Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run; it need not exist yet.")],
     port: Annotated[
-        int | None,
-        typer.Option(
-            min=0, max=65535, help="Port of the page; that of last time, or any that is free.", show_default=False
-        ),
+        int | None, typer.Option(min=0, max=65535, help="Port of the page; that of last time, or any that is free.")
     ] = None,
     host: Annotated[
         str, typer.Option(help="Address to serve at; other machines see the page at 0.0.0.0.")
@@ -143,10 +106,8 @@ def watch(
 
 
 def fit(
-    model: Annotated[str, typer.Option(help="Which model: he-torrance, cook-torrance, ...", show_default=False)],
-    table: Annotated[
-        str | None, typer.Argument(metavar="TABLE", help="A table, a run, FILE:SAMPLE, or a map.", show_default=False)
-    ] = None,
+    model: Annotated[str, typer.Option(help="Which model: he-torrance, cook-torrance, ...")],
+    table: Annotated[str | None, typer.Argument(metavar="TABLE", help="A table, a run, FILE:SAMPLE, or a map.")] = None,
     more: More = None,
     ior: IorOption = None,
     fix: Fix = None,
@@ -168,12 +129,10 @@ def fit(
     save: Save = None,
     residual: Residual = False,
     out: Annotated[
-        Path | None,
-        typer.Option(help="Of a map: its fits (FITS.h5). Of --each: one row a table (TABLE.csv).", show_default=False),
+        Path | None, typer.Option(help="Of a map: its fits (FITS.h5). Of --each: one row a table (TABLE.csv).")
     ] = None,
     materials: Annotated[
-        str | None,
-        typer.Option(metavar="K|auto", help="Of a map: fit pixels that are alike together.", show_default=False),
+        str | None, typer.Option(metavar="K|auto", help="Of a map: fit pixels that are alike together.")
     ] = None,
     dask: Dask = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
@@ -215,14 +174,9 @@ def fit(
 
 def compare(
     measurements: Measurements,
-    out: Annotated[Path, typer.Option(help="Folder of the report.", show_default=False)],
-    models: Annotated[
-        str | None,
-        typer.Option(help=f"{MODELS_HELP} Otherwise {MODELS.replace(',', ', ')}.", show_default=False),
-    ] = None,
-    normalise: Annotated[
-        Norm | None, typer.Option(help=f"{DIVISOR_HELP}; otherwise mirror.", show_default=False)
-    ] = None,
+    out: Annotated[Path, typer.Option(help="Folder of the report.")],
+    models: Annotated[str | None, typer.Option(help=f"{MODELS_HELP} Otherwise {MODELS.replace(',', ', ')}.")] = None,
+    normalise: Annotated[Norm | None, typer.Option(help=f"{DIVISOR_HELP}; otherwise mirror.")] = None,
     ior: IorOption = None,
     wavelength_nm: Wavelength = None,
     metric: Metric = None,
@@ -266,17 +220,10 @@ def compare(
 
 
 def report(
-    run: Annotated[
-        Path, typer.Argument(metavar="RUN|MAP", help="Folder of a reduced run, or a map (.h5).", show_default=False)
-    ],
-    out: Annotated[
-        Path | None, typer.Option(help="Folder of the report; otherwise RUN/report.", show_default=False)
-    ] = None,
+    run: Annotated[Path, typer.Argument(metavar="RUN|MAP", help="Folder of a reduced run, or a map (.h5).")],
+    out: Annotated[Path | None, typer.Option(help="Folder of the report; otherwise RUN/report.")] = None,
     values: Annotated[
-        Path | None,
-        typer.Option(
-            "--map", metavar="MAP", help="Of a map of fits: the map of values that was fitted.", show_default=False
-        ),
+        Path | None, typer.Option("--map", metavar="MAP", help="Of a map of fits: the map of values that was fitted.")
     ] = None,
     models: Annotated[str, typer.Option(help=MODELS_HELP)] = MODELS,
     normalise: Annotated[Norm, typer.Option(help=f"{DIVISOR_HELP}.")] = Norm.mirror,
@@ -312,14 +259,11 @@ def report(
 
 def appearance(
     sample: Annotated[
-        str,
-        typer.Argument(
-            metavar="TABLE|SAMPLE", help="A table, a run, FILE:SAMPLE, or a model: sample.toml.", show_default=False
-        ),
+        str, typer.Argument(metavar="TABLE|SAMPLE", help="A table, a run, FILE:SAMPLE, or a model: sample.toml.")
     ],
     wavelength_nm: Wavelength = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the quantities as JSON.")] = False,
-    out: Annotated[Path | None, typer.Option(help="Folder of a page with them.", show_default=False)] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder of a page with them.")] = None,
     columns: Columns = None,
     blank: Blank = None,
 ) -> None:

@@ -10,21 +10,13 @@ from gonio.cli.opened import Blank, Columns, reading, remember
 
 
 def remounts(
-    mounts: Annotated[
-        list[str],
-        typer.Argument(metavar="A B [...]", help="Tables of one sample, one a mount.", show_default=False),
-    ],
+    mounts: Annotated[list[str], typer.Argument(metavar="A B [...]", help="Tables of one sample, one a mount.")],
     add_to: Annotated[
-        str | None,
-        typer.Option(metavar="TABLE", help="Put what they show into the budget of this table.", show_default=False),
+        str | None, typer.Option(metavar="TABLE", help="Put what they show into the budget of this table.")
     ] = None,
-    out: Annotated[Path | None, typer.Option(help="With --add-to: the table to write.", show_default=False)] = None,
-    wavelength_nm: Annotated[
-        float | None, typer.Option(help="Of tables with several wavelengths.", show_default=False)
-    ] = None,
-    picture: Annotated[
-        Path | None, typer.Option(help="Draw the deviations: a .png, .svg or .pdf.", show_default=False)
-    ] = None,
+    out: Annotated[Path | None, typer.Option(help="With --add-to: the table to write.")] = None,
+    wavelength_nm: Annotated[float | None, typer.Option(help="Of tables with several wavelengths.")] = None,
+    picture: Annotated[Path | None, typer.Option(help="Draw the deviations: a .png, .svg or .pdf.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
     columns: Columns = None,
     blank: Blank = None,

@@ -164,8 +164,7 @@ def fit(
     _require_enough(data, problem.free, wavelength, name)
     notes += problem.notes
     if asked.energy:
-        free = fit(data, replace(asked, energy=False), name=name, say=say)
-        problem, start, said = _bounded(problem, free, start)
+        problem, start, said = _bounded(problem, fit(data, replace(asked, energy=False), name=name, say=say), start)
         notes += said
     data, goal, vector, jacobian = _minimised(problem, data, start, say)
     result = _result(problem, data, goal, vector, jacobian, wavelength)
@@ -248,8 +247,7 @@ def _nearest(rejected: FitResult, say: Say) -> FitResult:
     residual, columns, stated = residuals_on_log_scale(problem, data, vector)
     if stated is not None and estimated_tau(residual, columns, stated) < float(np.median(stated.random)):
         # over many decades a search by the stated uncertainties may end where nothing is right
-        whole = _weighted_from(rejected, vector, say)
-        rejected = min(rejected, whole, key=lambda one: one.goal.total(one.whitened))
+        rejected = min(rejected, _weighted_from(rejected, vector, say), key=lambda one: one.goal.total(one.whitened))
         if not rejected.rejected:
             return rejected
     tau = 0.0
@@ -332,9 +330,7 @@ def known_by_blocks(result: FitResult) -> FitResult:
     spread, noise = np.diag(np.where(moves, 0.0, np.diag(result.spread))), np.zeros_like(result.spread)
     spread[np.ix_(moving, moving)], noise[np.ix_(moving, moving)] = inner, of_noise
     return replace(
-        result,
-        misfit=misfit(result.model, data, goal, result.predicted, result.degrees_of_freedom),
-        noise=noise,
+        result, misfit=misfit(result.model, data, goal, result.predicted, result.degrees_of_freedom), noise=noise
     ).known_to(spread)
 
 
@@ -354,8 +350,7 @@ def remarks(result: FitResult) -> list[str]:
             )
         elif not e.fixed and e.u is None:
             notes.append(f"{n} is not determined by these data.")
-    values = np.array([result.parameters[n].value for n in result.free])
-    pairs = tied(result.free, values, result.covariance)
+    pairs = tied(result.free, np.array([result.parameters[n].value for n in result.free]), result.covariance)
     notes += pairs
     if result.rejected and result.misfit is not None:
         notes.append(

@@ -98,13 +98,7 @@ def sees_spike(model: Any, at: Observations) -> bool:
     return any(bool(np.any(cones.spike(one, wavelength_nm=wave) > 0)) for cones, one, wave in several)
 
 
-def seen(
-    model: Any,
-    at: Directions,
-    *,
-    wavelength_nm: float,
-    cones: tuple[float, float],
-) -> Floats:
+def seen(model: Any, at: Directions, *, wavelength_nm: float, cones: tuple[float, float]) -> Floats:
     """As `apparent`, in the directions given, through cones of (source, receiver) solid angle [sr].
 
     Without a cone on either side a specular spike has no finite value: then the model without its spike is returned.

@@ -141,10 +141,7 @@ def _sum(name: str, ior: Ior) -> Declaration:
 
     def arguments(v: Values) -> Arguments:
         shine = gloss.arguments({**v, **dict.fromkeys(own, 0.0)})
-        return {
-            terms[0]: {"weight": 1.0, **base.arguments(v)},
-            terms[1]: {"weight": v.get("weight", 1.0), **shine},
-        }
+        return {terms[0]: {"weight": 1.0, **base.arguments(v)}, terms[1]: {"weight": v.get("weight", 1.0), **shine}}
 
     def starts(levels: Levels) -> list[Values]:
         bases = base.base_starts(ALBEDO.inside(levels.diffuse))

@@ -281,8 +281,7 @@ def pose(asked: FitRequest) -> Problem:
             raise ConfigError(
                 f"--free {n}: with --ior {ior} the material fixes n + ik; give numbers (as 1.5+2j) to start from"
             )
-    names = tuple(family.parameters)
-    moving = tuple(n for n in names if (n in family.free or n in free) and n not in numbers)
+    moving = tuple(n for n in family.parameters if (n in family.free or n in free) and n not in numbers)
     if not moving:
         raise ConfigError(f"every parameter of {model} is fixed: there is nothing to fit")
     if "k" in moving and "ior" in moving:

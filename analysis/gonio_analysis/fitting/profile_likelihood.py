@@ -156,8 +156,7 @@ class Interval:
         return (self.low, self.open_low), (self.high, self.open_high)
 
     def __repr__(self) -> str:
-        middle = float(self.values[int(np.argmin(self.rise))])
-        words = interval(self.low, self.high, middle)
+        words = interval(self.low, self.high, float(self.values[int(np.argmin(self.rise))]))
         low, high = (word + " (bound)" * is_open for word, (_, is_open) in zip(words, self.ends, strict=False))
         return f"<{100 * self.level:g} % interval of {self.name}: {low} to {high}>"
 
@@ -237,11 +236,7 @@ def profiles(result: Solution, names: tuple[str, ...] | None = None, *, level: f
 
 
 def walked(
-    result: Found,
-    again: Callable[[list[Values]], Found],
-    names: tuple[str, ...] | None = None,
-    *,
-    level: float = LEVEL,
+    result: Found, again: Callable[[list[Values]], Found], names: tuple[str, ...] | None = None, *, level: float = LEVEL
 ) -> tuple[Found, dict[str, Interval]]:
     """A fit and its intervals; or, where walking them out meets a lower chi-square, those of the fit that begins there.
 

@@ -59,8 +59,7 @@ def search_from(problem: Problem, data: Observations, starts: Sequence[Values], 
 
     As in `search` only the independent part of the covariance counts.
     """
-    found = [approach(problem, data, problem.vector(start), say) for start in starts]
-    return min(found, key=lambda f: f[1])[0]
+    return min([approach(problem, data, problem.vector(start), say) for start in starts], key=lambda f: f[1])[0]
 
 
 def search(problem: Problem, data: Observations, say: Say = silent) -> Floats:
@@ -85,8 +84,7 @@ def search(problem: Problem, data: Observations, say: Say = silent) -> Floats:
     if inside := _inside(problem, found[0], starts):
         goal = replace(alone(few, asked.metric), loss=asked.loss)
         short = [refine(problem, few, goal, vector, quick=True, limit=SHORT) for vector in inside]
-        again = approach(problem, data, min(short, key=lambda f: f[1])[0], say)
-        found = min(found, again, key=lambda f: f[1])
+        found = min(found, approach(problem, data, min(short, key=lambda f: f[1])[0], say), key=lambda f: f[1])
     if asked.metric is None and asked.loss == "linear" and data.covariance is not None and data.u_rel_assumed is None:
         found = _beyond(problem, data, few, found, candidates, say)
     return found[0]
@@ -376,6 +374,5 @@ def covariance(jacobian: Floats) -> tuple[Floats, float]:
         return out, math.inf
     _, values, right = np.linalg.svd(jacobian[:, seen] / size[seen], full_matrices=False)
     values = np.maximum(values, 1e-12 * values[0])
-    inner = (right.T / values**2) @ right / np.outer(size[seen], size[seen])
-    out[np.ix_(seen, seen)] = inner
+    out[np.ix_(seen, seen)] = (right.T / values**2) @ right / np.outer(size[seen], size[seen])
     return out, float(values[0] / values[-1]) if seen.all() else math.inf

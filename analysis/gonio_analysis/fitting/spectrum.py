@@ -69,8 +69,7 @@ def fit_table(
     first = fit(data, asked, name=name, say=say)
     if asked.wavelength_nm is not None or not shares(asked, data):
         return [first]
-    fits = fit_shared(data, first, name=name, say=say)
-    return sorted(fits, key=lambda r: r.wavelength_nm != first.wavelength_nm)
+    return sorted(fit_shared(data, first, name=name, say=say), key=lambda r: r.wavelength_nm != first.wavelength_nm)
 
 
 def fit_shared(

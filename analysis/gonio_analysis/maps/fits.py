@@ -119,8 +119,7 @@ def _fitted(map_file: MapFile, wanted: Plan, parts: Parts, todo: list[Tile], das
     """Fits tiles and keeps them, by the threads of this process or by a cluster; yields once a tile."""
     if dask is None:
         return in_threads(lambda tile: parts.write(tile, fit_tile(wanted, read_tile(map_file, tile))), todo)
-    jobs = ((wanted, read_tile(map_file, tile)) for tile in todo)
-    found = parallel.each(_sent, jobs, dask=dask)
+    found = parallel.each(_sent, ((wanted, read_tile(map_file, tile)) for tile in todo), dask=dask)
     return in_threads(lambda one: parts.write(todo[one[0]], one[1]), found)
 
 

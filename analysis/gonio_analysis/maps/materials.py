@@ -236,8 +236,7 @@ def variables(
 
     for _ in in_threads(assign, map_file.tiles()):
         pass
-    sizes = {"material": len(materials)}
-    return sizes, _layout(plan, materials, member, chi)
+    return {"material": len(materials)}, _layout(plan, materials, member, chi)
 
 
 def _layout(
@@ -301,8 +300,7 @@ def _best_count(mixture: Mixture, pixels: Pixels, own: Floats, u: Floats, say: C
     train = np.random.default_rng(1).permutation(len(own)) % 2 == 0
     scores = []
     for count in range(1, min(MOST_MATERIALS, train.sum() // 2) + 1):
-        materials = mixture.found(pixels[train], own[train], u[train], count)
-        scores.append(mixture.left_out(pixels[~train], materials))
+        scores.append(mixture.left_out(pixels[~train], mixture.found(pixels[train], own[train], u[train], count)))
     best = scores[int(np.argmin([score.mean() for score in scores]))]
     worse = [score - best for score in scores]
     count = 1 + next(k for k, w in enumerate(worse) if w.mean() <= w.std() / math.sqrt(w.size))

@@ -11,14 +11,7 @@ from gonio_analysis.plots.in_plane import COLOURS, angle_axis, clean
 from gonio_analysis.plots.style import FAINT, INK
 
 Dashes = str | tuple[int, tuple[float, ...]]
-DASHES: tuple[Dashes, ...] = (
-    "-",
-    (0, (5, 1.5)),
-    (0, (1, 1)),
-    (0, (5, 1.5, 1, 1.5)),
-    (0, (3, 1)),
-    (0, (8, 2)),
-)
+DASHES: tuple[Dashes, ...] = ("-", (0, (5, 1.5)), (0, (1, 1)), (0, (5, 1.5, 1, 1.5)), (0, (3, 1)), (0, (8, 2)))
 
 
 class Look(TypedDict):

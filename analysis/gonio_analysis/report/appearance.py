@@ -191,8 +191,7 @@ def _on_beams(figure: Any, *, words: Sequence[str]) -> None:
     axes = figure.subplots(1, len(GLOSSMETERS))
     figure.subplots_adjust(0.01, 0.02, 0.99, 0.88, wspace=0.05)
     for ax, meter, value in zip(axes, GLOSSMETERS, words, strict=True):
-        label = f"{meter.angle_deg:g}°: {value}"
-        beams(ax, meter.angle_deg, SOURCE_DEG[0], meter.receiver_deg[0], label=label)
+        beams(ax, meter.angle_deg, SOURCE_DEG[0], meter.receiver_deg[0], label=f"{meter.angle_deg:g}°: {value}")
 
 
 def _value(q: Quantity, decimals: int | None = None) -> str:

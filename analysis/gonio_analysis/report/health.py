@@ -134,9 +134,7 @@ def _on_panels(
 
 
 SECTION = Section(
-    "health",
-    lambda d, figures: section(d.run, figures.get(KIND, ())),
-    lambda d, facts: draw(facts.run, facts.slug),
+    "health", lambda d, figures: section(d.run, figures.get(KIND, ())), lambda d, facts: draw(facts.run, facts.slug)
 )
 
 

@@ -302,8 +302,7 @@ def _methods(c: Comparison) -> Table:
 
 def _facts(c: Comparison) -> list[tuple[str, str]]:
     waves = ", ".join("broad band" if np.isnan(w) else f"{w:g} nm" for w in c.at.wavelengths)
-    pairs = zip(c.laboratories, c.interpolated, strict=True)
-    between = ", ".join(f"{x.name} {count}" for x, count in pairs if count)
+    between = ", ".join(f"{x.name} {count}" for x, count in zip(c.laboratories, c.interpolated, strict=True) if count)
     n, by_chance = len(c.at), f"p < {LEVEL:g}; by chance {LEVEL * len(c.at):.1f}"
     return [
         ("common directions", f"{n}, in the directions of {c.onto}; {waves}"),

@@ -51,11 +51,7 @@ FOOTER = Footer(
 
 
 def make(
-    specs: Sequence[str],
-    out: str | Path,
-    *,
-    command: str = "",
-    progress: Callable[[str], None] = lambda text: None,
+    specs: Sequence[str], out: str | Path, *, command: str = "", progress: Callable[[str], None] = lambda text: None
 ) -> Path:
     """Compare two maps of fits and write a report: all of it or nothing.
 

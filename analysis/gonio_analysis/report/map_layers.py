@@ -292,8 +292,7 @@ def draw(grid: Grid, layers: Sequence[Layer]) -> list[Drawing]:
         what = "misfit tau, relative" if one.name == "tau" else one.label
         out.append(_map(grid, f"map-{slug(one.name)}", one.picture, what, _limits(one), colours, _share(grid, one)))
         if one.picture_u is not None and np.isfinite(one.picture_u).any():
-            known = one.picture_u[np.isfinite(one.picture_u)]
-            low, high = np.quantile(known, QUANTILES).tolist()
+            low, high = np.quantile(one.picture_u[np.isfinite(one.picture_u)], QUANTILES).tolist()
             label = "u of " + labelled(one.name, one.unit)
             out.append(_map(grid, f"map-u-{slug(one.name)}", one.picture_u, label, (low, high), pixels.UNCERTAINTIES))
     shown = [one for one in layers if one.spread.determined and one.spread.high > one.spread.low]
@@ -359,8 +358,7 @@ def _inches(grid: Grid) -> tuple[float, float]:
 def _size(extent: Extent) -> tuple[float, float, float]:
     """Left edge, width and height of a map in its figure [in]."""
     wide, tall = extent[1] - extent[0], extent[3] - extent[2]
-    room = WIDE_IN - LEFT_IN - RIGHT_IN
-    per_mm = min(room / wide, LONGEST_IN / tall)
+    per_mm = min((WIDE_IN - LEFT_IN - RIGHT_IN) / wide, LONGEST_IN / tall)
     return LEFT_IN, max(wide * per_mm, 0.4), max(tall * per_mm, 0.4)
 
 
@@ -398,8 +396,7 @@ def _histograms(layers: Sequence[Layer]) -> Drawing:
 
 
 def _on_histograms(figure: Any, *, layers: list[tuple[Any, str]]) -> None:
-    rows = math.ceil(len(layers) / COLUMNS)
-    axes = figure.subplots(rows, COLUMNS, squeeze=False).ravel()
+    axes = figure.subplots(math.ceil(len(layers) / COLUMNS), COLUMNS, squeeze=False).ravel()
     high = figure.get_figheight()
     figure.subplots_adjust(0.03, 0.48 / high, 0.97, 1 - 0.08 / high, wspace=0.14, hspace=0.62)
     for ax in axes[len(layers) :]:

@@ -131,11 +131,7 @@ def render(summary: Summary, drawn: Sequence[Sequence[Figure]], views: Sequence[
     """
     datasets, title = summary.datasets, summary.title
     several = len(datasets) > 1
-    last = [
-        *_transmission_only(summary, drawn[len(datasets) :]),
-        _conventions(summary),
-        _provenance(summary),
-    ]
+    last = [*_transmission_only(summary, drawn[len(datasets) :]), _conventions(summary), _provenance(summary)]
     frame = Page(title, (*(_overview(summary, {}) if several else ()), *last, FOOTER))
     room = MOST_BYTES - html.size(html.document(frame)) - 300 * len(datasets) - 10_000
     room -= html.size(html.program()) if any(views) else 0

@@ -229,8 +229,7 @@ class _Sheet:
         for k, ((png, _), height, caption) in enumerate(zip(pair, tall, captions, strict=True)):
             x = MARGIN + k * (COLUMN + COLUMN_GAP)
             ax = self._canvas.add_axes((x / WIDTH, 1 - (top + height) / HEIGHT, COLUMN / WIDTH, height / HEIGHT))
-            image = np.asarray(Image.open(io.BytesIO(png)).convert("RGB"))
-            ax.imshow(image, interpolation="none", aspect="auto")
+            ax.imshow(np.asarray(Image.open(io.BytesIO(png)).convert("RGB")), interpolation="none", aspect="auto")
             ax.set_axis_off()
             self.y = top + height + 1 * MM
             self._lines(x, caption, size, colour=SOFT)

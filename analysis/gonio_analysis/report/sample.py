@@ -269,9 +269,8 @@ def _parameters(d: DatasetSummary) -> list[Block]:
         for n in f.notes:
             if n not in d.notes + d.data_notes:
                 remarks.setdefault(n, []).append(m)
-    header = ["model", "parameter", "value", "", "strongest correlation"]
     return [
-        table(" ".join(_of_errors(d)), header, rows),
+        table(" ".join(_of_errors(d)), ["model", "parameter", "value", "", "strongest correlation"], rows),
         Notes(tuple((strong(", ".join(of)), f": {n}") for n, of in remarks.items())),
     ]
 

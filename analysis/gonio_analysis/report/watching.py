@@ -53,11 +53,7 @@ class SoFar(TypedDict):
 
 
 def so_far(
-    name: str,
-    known: Sequence[ProvisionalValues],
-    nominal_deg: Floats,
-    visits_s: Mapping[int, float],
-    behind: int,
+    name: str, known: Sequence[ProvisionalValues], nominal_deg: Floats, visits_s: Mapping[int, float], behind: int
 ) -> SoFar:
     """Curves, maps and visits of a run so far.
 

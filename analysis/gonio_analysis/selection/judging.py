@@ -170,8 +170,7 @@ def blocks(data: Observations) -> tuple[list[Rows], str]:
 
 
 def _parts(groups: list[Rows], count: int) -> list[list[Rows]]:
-    edges = np.linspace(0, len(groups), count + 1).round().astype(int)
-    return [groups[a:b] for a, b in pairwise(edges) if b > a]
+    return [groups[a:b] for a, b in pairwise(np.linspace(0, len(groups), count + 1).round().astype(int)) if b > a]
 
 
 TOLD_APART = 2.0

@@ -103,8 +103,7 @@ class Campaigns:
         done = len(wanted) - len(missing)
         step(done, len(wanted))
         try:
-            every = [wanted[name] for name in missing]
-            for k, found in parallel.each(_called, every, dask=dask, workers=jobs):
+            for k, found in parallel.each(_called, [wanted[name] for name in missing], dask=dask, workers=jobs):
                 write_whole(self._path(missing[k]), json.dumps(found, ensure_ascii=False, allow_nan=False).encode())
                 done += 1
                 step(done, len(wanted))

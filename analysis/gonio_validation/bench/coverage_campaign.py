@@ -111,8 +111,7 @@ def carried_out(campaign: Campaign, folder: Path) -> Record:
 def _write(campaign: Campaign, folder: Path) -> None:
     sample = {"name": campaign.model, "model": campaign.model, "parameters": campaign.given}
     plan = {"name": campaign.plan, "wavelength_nm": [campaign.wavelength_nm], "points": [{"file": "points.csv"}]}
-    files = {"rig": campaign.rig, "truth": campaign.true, "sample": sample, "plan": plan}
-    for name, tables in files.items():
+    for name, tables in {"rig": campaign.rig, "truth": campaign.true, "sample": sample, "plan": plan}.items():
         (folder / f"{name}.toml").write_text(to_toml(tables), encoding="utf-8", newline="\n")
     text = io.StringIO()
     csv.writer(text).writerows([ANGLES, *campaign.points])
@@ -251,8 +250,7 @@ def _with_file(rig: Path, calibration: Calibration, name: str) -> Path:
     """The rig file, with one calibration more."""
     write_calibration(calibration, rig.with_name(name))
     tables = read_toml(rig)
-    files = tables.setdefault("calibration", {}).setdefault("files", [])
-    files.append(name)
+    tables.setdefault("calibration", {}).setdefault("files", []).append(name)
     rig.write_text(to_toml(tables), encoding="utf-8", newline="\n")
     return rig
 
@@ -297,8 +295,7 @@ def points(campaign: Campaign, table: DataFrame) -> Record:
         spike="exact",
     )
     random, common, causes = measurement.uncertainty(used)
-    columns = ("theta_i_deg", "theta_r_deg", "brdf", "u_brdf")
-    out: Record = {name: used[name].tolist() for name in columns}
+    out: Record = {name: used[name].tolist() for name in ("theta_i_deg", "theta_r_deg", "brdf", "u_brdf")}
     out["dphi_deg"] = np.degrees(directions.dphi).tolist()
     out |= {"truth": truth.tolist(), "u_random": random.tolist()}
     out["common"] = dict(zip(causes, np.nan_to_num(common).T.tolist(), strict=True))

@@ -103,8 +103,7 @@ def pulls(kind: str, what: str, group: str, values: Sequence[float]) -> JsonObje
     from campaigns drawn again with replacement.
     """
     z = np.array(values)
-    rng = np.random.default_rng(z.size)
-    again = rng.choice(z, (RESAMPLES, z.size)).std(axis=1, ddof=1)
+    again = np.random.default_rng(z.size).choice(z, (RESAMPLES, z.size)).std(axis=1, ddof=1)
     low, high = np.quantile(again, [(1.0 - LEVEL) / 2.0, (1.0 + LEVEL) / 2.0])
     sd = float(z.std(ddof=1))
     return {

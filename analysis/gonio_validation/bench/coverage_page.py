@@ -146,8 +146,7 @@ def _coverage(s: JsonObject, figures: Sequence[Figure]) -> Group:
         for c in s["counts"]
     ]  # fmt: skip
     shown = table("", header, rows, right=(2, 3, 4, 5, 6))
-    forest = Figures(tuple(f for f in figures if f.kind == "forest"))
-    return part("Coverage", "coverage", words, forest, shown)
+    return part("Coverage", "coverage", words, Figures(tuple(f for f in figures if f.kind == "forest")), shown)
 
 
 def _pulls(s: JsonObject, figures: Sequence[Figure]) -> Group:
@@ -159,8 +158,7 @@ def _pulls(s: JsonObject, figures: Sequence[Figure]) -> Group:
     shown = listed(s["pulls"], PULLS, tuple(range(2, 9)))
     caption = "Campaigns by the probability of a larger chi-square, in ten equal bins from 0 to 1."
     uniform = listed(s["uniform"], UNIFORM, (1, 2), caption)
-    drawings = Figures(tuple(f for f in figures if f.kind != "forest"))
-    return part("Pulls", "pulls", words, drawings, shown, uniform)
+    return part("Pulls", "pulls", words, Figures(tuple(f for f in figures if f.kind != "forest")), shown, uniform)
 
 
 # --- drawings -----------------------------------------------------------------------------------------------------
@@ -191,8 +189,7 @@ def _forest(s: JsonObject) -> Figure:
             names.append(f"{KINDS[c.kind]}: {_of(c.group)} ({c.campaigns})")
         ax.set_yticks(range(len(rows)), names, fontsize=7)
         ax.set_ylim(len(rows) - 0.4, -0.6)
-        low = min(100 * c.low for c in rows)
-        ax.set_xlim(max(0.0, min(80.0, 5.0 * np.floor(low / 5.0))), 100.5)
+        ax.set_xlim(max(0.0, min(80.0, 5.0 * np.floor(min(100 * c.low for c in rows) / 5.0))), 100.5)
         ax.set_xlabel("campaigns whose interval of 95 % holds the truth [%]", fontsize=8)
         plain_axes(ax, "x")
 

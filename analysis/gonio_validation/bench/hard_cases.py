@@ -212,6 +212,5 @@ def _arrays(cases: dict[str, _Case], huge: int) -> None:
         strided = np.repeat(source, 2, axis=0)[::2], np.asfortranarray(viewer)
         add("arrays that are not contiguous", model, strided, whole)
         pieces = [slice(i, i + 100_000) for i in range(0, huge, 100_000)]
-        cut = np.concatenate([model.brdf_vectors(many[0][i], many[1][i]) for i in pieces])
-        add("huge arrays", model, many, cut)
+        add("huge arrays", model, many, np.concatenate([model.brdf_vectors(many[0][i], many[1][i]) for i in pieces]))
     cases["huge arrays"].note = f"{huge:,} pairs against pieces of 100 000".replace(",", " ")

@@ -162,8 +162,7 @@ def compared(name: str, d: dict[str, Any], found: batch.Fits, columns: list[int]
         low = [0.5 * x for x in found.values[p, columns]]
         high = [1.5 * x for x in found.values[p, columns]]
         start = [float(d["true"][n][p]) for n in found.free]
-        least = partial(least_squares, residual, np.clip(start, low, high), bounds=(low, high))
-        _, times[1, p] = timed(least, 1)
+        _, times[1, p] = timed(partial(least_squares, residual, np.clip(start, low, high), bounds=(low, high)), 1)
     fit_s, scipy_s = np.median(times, axis=1)
     return worst, float(fit_s), float(scipy_s)
 
@@ -176,8 +175,7 @@ def make(
     with files.staged(out) as stage:
         for name in RANGES:
             progress(f"{name} ...")
-            pixels = QUICK if quick or name == "he-torrance" else PIXELS
-            rows.append(measured(name, pixels))
+            rows.append(measured(name, QUICK if quick or name == "he-torrance" else PIXELS))
         made = stamp(command)
         page = Page("Fits of maps: speed against error", (
             header("Fits of maps: speed against error", f"{POINTS} directions, noise of {100 * NOISE:g} %."),

@@ -43,8 +43,7 @@ def draw(quantity: QuantitySummary) -> Figure:
         for ax, kind in zip(axes, kinds, strict=True):
             _panel(ax, ways, kind, len(kinds))
             ax.set_xlabel("ns an evaluation", fontsize=8)
-            title = "stated grid" if kind == "grid" else "hard set"
-            ax.set_title(title, fontsize=8, loc="left", color=INK)
+            ax.set_title("stated grid" if kind == "grid" else "hard set", fontsize=8, loc="left", color=INK)
         axes[0].set_ylabel("relative error", fontsize=8)
         for k, (number, way) in enumerate(ways):
             x = 0.12 + 0.865 * (k // rows) / 2
@@ -102,8 +101,7 @@ def _panel(ax: Any, ways: list[tuple[int, WaySummary]], kind: Set, columns: int)
     ax.set_ylim(FLOOR / 4, CEILING * 8)
     ax.yaxis.set_major_locator(FixedLocator([10.0**p for p in range(-16, 1, 4)]))
     ax.yaxis.set_minor_locator(NullLocator())
-    ticks = [m * 10.0**p for p in range(-2, 7) for m in (1, 2, 5)]
-    inside = [t for t in ticks if low <= t <= high]
+    inside = [t for t in [m * 10.0**p for p in range(-2, 7) for m in (1, 2, 5)] if low <= t <= high]
     if len(inside) > 12 // columns:
         inside = [t for t in inside if math.isclose(math.log10(t), round(math.log10(t)), abs_tol=1e-9)]
     ax.xaxis.set_major_locator(FixedLocator(inside))

@@ -172,8 +172,7 @@ def llvm_libraries() -> Iterator[dict[str, str]]:
 
 
 def _works(peer: str, environment: dict[str, str]) -> bool:
-    code = f"from gonio_validation.bench import peers; peers.probe({peer!r})"
-    made = process(code, environment, timeout=120)
+    made = process(f"from gonio_validation.bench import peers; peers.probe({peer!r})", environment, timeout=120)
     return made is not None and made.returncode == 0
 
 

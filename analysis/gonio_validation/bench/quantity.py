@@ -83,8 +83,7 @@ def to_angles(omega_i: Floats, omega_r: Floats) -> tuple[Floats, ...]:
     """theta_i, phi_i, theta_r, phi_r [rad] of vectors."""
     out: list[Floats] = []
     for v in (omega_i, omega_r):
-        theta = np.arctan2(np.hypot(v[..., 0], v[..., 1]), v[..., 2])
-        out += [theta, np.arctan2(v[..., 1], v[..., 0])]
+        out += [np.arctan2(np.hypot(v[..., 0], v[..., 1]), v[..., 2]), np.arctan2(v[..., 1], v[..., 0])]
     return tuple(out)
 
 

@@ -130,8 +130,7 @@ def _targets(s: JsonObject) -> Group:
         Column("largest", "", lambda t: "" if t["error_met"] is None else _error(t["achieved_error"])),
         Column("held", "error_met", lambda met: "" if met is None else verdict(met)),
     )  # fmt: skip
-    rows = [without | t for t in s["targets"]]
-    return part("Targets", "targets", words, listed(rows, columns, (1, 2, 3, 5, 6)))
+    return part("Targets", "targets", words, listed([without | t for t in s["targets"]], columns, (1, 2, 3, 5, 6)))
 
 
 def _quantity(q: QuantitySummary, figure: Figure | None) -> Group:

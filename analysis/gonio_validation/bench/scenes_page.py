@@ -140,8 +140,7 @@ def drawn(s: JsonObject) -> Figure:
     def on(figure: Any) -> None:
         axes = figure.subplots()
         figure.subplots_adjust(0.13, 0.16, 0.98, 0.97)
-        scenes = list(dict.fromkeys(r["scene"] for r in s["samples"]))
-        for name, colour in zip(scenes, COLOURS, strict=False):
+        for name, colour in zip(dict.fromkeys(r["scene"] for r in s["samples"]), COLOURS, strict=False):
             for key, style, label in (("samples", "o-", "rays for all"), ("tolerances", "s--", "to a tolerance")):
                 points = [(r["seconds"], r["rms"]) for r in s[key] if r["scene"] == name]
                 axes.plot(*zip(*points, strict=True), style, color=colour, ms=4, lw=1.2, label=f"{name}, {label}")

@@ -33,8 +33,7 @@ def blinn(p: Parameters, omega_i: Floats, omega_r: Floats) -> Floats:
 
 def phong(p: Parameters, omega_i: Floats, omega_r: Floats) -> Floats:
     """(k_d + k_s (N.H)^c1/(N.L))/pi."""
-    s = blinn_1977.s_phong(omega_i, omega_r, p["exponent"])
-    out: Floats = blinn_1977.brdf(s, omega_i, p["k_d"], p["k_s"])
+    out: Floats = blinn_1977.brdf(blinn_1977.s_phong(omega_i, omega_r, p["exponent"]), omega_i, p["k_d"], p["k_s"])
     return out
 
 
@@ -42,6 +41,5 @@ def oren_nayar(p: Parameters, omega_i: Floats, omega_r: Floats) -> Floats:
     """Oren1994 eqs. 14 to 16 by angles."""
     dphi = np.arctan2(omega_r[..., 1], omega_r[..., 0]) - np.arctan2(omega_i[..., 1], omega_i[..., 0])
     at = (polar(omega_i), polar(omega_r), dphi, np.radians(p["sigma_deg"]), p["albedo"])
-    radiance = oren_nayar_1994.L(oren_nayar_1994.L1(*at), oren_nayar_1994.L2(*at))
-    out: Floats = oren_nayar_1994.f_r(radiance, at[0])
+    out: Floats = oren_nayar_1994.f_r(oren_nayar_1994.L(oren_nayar_1994.L1(*at), oren_nayar_1994.L2(*at)), at[0])
     return out

@@ -18,11 +18,7 @@ POINT_COLUMNS = (
 
 
 def make(
-    out: str | Path,
-    *,
-    quick: bool = False,
-    command: str = "",
-    progress: Callable[[str], None] = lambda text: None,
+    out: str | Path, *, quick: bool = False, command: str = "", progress: Callable[[str], None] = lambda text: None
 ) -> Path:
     """Measure every way of evaluating every model, and write the report: all of it or nothing.
 
@@ -48,8 +44,7 @@ def make(
         The folder cannot be written, or holds something that is not a report.
     """
     with files.staged(out) as stage:
-        summary = collect(quick=quick, command=command, progress=progress)
-        write(summary, stage.work)
+        write(collect(quick=quick, command=command, progress=progress), stage.work)
     return Path(out) / "index.html"
 
 

@@ -95,8 +95,7 @@ def make(
     }
     every = Campaigns(folder, "sweeps", "comparisons", SweepsSettings(gonio=version("gonio")))
     with every.opened():
-        records = every.carried_out(wanted, jobs, dask, step)
-        write(summary(records, seeds=count, quick=quick, command=command), folder)
+        write(summary(every.carried_out(wanted, jobs, dask, step), seeds=count, quick=quick, command=command), folder)
     return folder / "index.html"
 
 

@@ -100,11 +100,7 @@ def by_points(found: Sequence[JsonObject]) -> list[ByPoints]:
     for sample in dict.fromkeys(level["sample"] for level in found):
         adaptive, simple, process = (
             of_plan(found, "in plane", sample, plan, way)
-            for plan, way in (
-                ("adaptive by points", "process"),
-                ("uniform", "interpolated"),
-                ("uniform", "process"),
-            )
+            for plan, way in (("adaptive by points", "process"), ("uniform", "interpolated"), ("uniform", "process"))
         )
         if adaptive and simple and process:
             last, grid, again = adaptive[-1], *(max(v, key=lambda v: float(v["points"])) for v in (simple, process))
@@ -306,8 +302,7 @@ def _panels(s: JsonObject, geometry: str) -> Figure:
         own = of_plan(s["levels"], geometry, sample, "adaptive", "process")
         if own:
             ends.append(f"{sample}: adaptive {100 * own[-1]['rms']:.2g} % after {own[-1]['seconds'] / 60:.2g} min.")
-    name = geometry.replace(" ", "-")
-    return rendered(name, "sweeps", "", caption, f"{where}. " + " ".join(ends), size, on)
+    return rendered(geometry.replace(" ", "-"), "sweeps", "", caption, f"{where}. " + " ".join(ends), size, on)
 
 
 def _round_ticks(ax: Any) -> None:

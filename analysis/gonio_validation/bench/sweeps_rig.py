@@ -233,8 +233,7 @@ def _in_plane(name: str, theta_i: float, size: int) -> Rows:
         found: Rows = []
         extra = 0
         while len(found) < size:  # some half vectors lie beyond the largest theta_r
-            theta_h = _spaced(size // 2 + extra, 0.5 * (LARGEST_DEG + theta_i))
-            grid = _half_vectors(theta_i, theta_h)
+            grid = _half_vectors(theta_i, _spaced(size // 2 + extra, 0.5 * (LARGEST_DEG + theta_i)))
             found = [row for row in grid.rows() if row[2] <= LARGEST_DEG + 1e-9]
             extra += 1
         return found
@@ -256,8 +255,7 @@ def _hemisphere(name: str, theta_i: float, size: int) -> Rows:
         near = _half_vectors(theta_i, theta_h, phi)
         return [*even.rows(), *near.rows()]
     theta_h = _spaced(max(3, round(1.5 * size / azimuths)), 80.0)
-    grid = _half_vectors(theta_i, theta_h, phi)
-    return [row for row in grid.rows() if row[2] <= LARGEST_DEG + 1e-9]
+    return [row for row in _half_vectors(theta_i, theta_h, phi).rows() if row[2] <= LARGEST_DEG + 1e-9]
 
 
 def _half_vectors(theta_i: float, theta_h: Sequence[float], phi_h: Sequence[float] = (0.0, 180.0)) -> HalfVector:
@@ -300,8 +298,7 @@ def interpolated(values: GrowingValues, at: Directions) -> Floats:
         here = np.flatnonzero(nominal == i)
         if bool(d[own].in_plane.all()) and bool(at[here].in_plane.all()):
             x, inverse = np.unique(d.signed[own], return_inverse=True)
-            mean = np.bincount(inverse, logs[own]) / np.bincount(inverse)
-            out[here] = PchipInterpolator(x, mean)(at.signed[here])
+            out[here] = PchipInterpolator(x, np.bincount(inverse, logs[own]) / np.bincount(inverse))(at.signed[here])
             continue
         flat = direction(d.theta_r, d.phi_r - d.phi_i)[own, :2]
         where = direction(at.theta_r, at.phi_r - at.phi_i)[here, :2]

@@ -210,8 +210,7 @@ def _claims_of_index(theta: Floats) -> list[Claim]:
 def _claims_5() -> list[Claim]:
     theta = np.radians(np.append(np.arange(0.0, 90.0, 0.5), 89.999))
     deg = np.degrees(theta)
-    found = colours(theta)
-    complete, real, short = found.values()
+    complete, real, short = colours(theta).values()
     last = [float(np.max(np.abs(c[-1] - 1.0))) for c in (complete, real)]
     at_60 = [float(_shift(c)[int(np.argmin(np.abs(deg - 60.0)))]) for c in (complete, real)]
     half = [float(deg[int(np.argmax(_shift(c) > 0.5))]) for c in (complete, real)]
@@ -271,9 +270,7 @@ CHANNELS = ("red", "green", "blue")
 
 def _draw_colours(figure: Any, deg: Floats, found: Mapping[str, Floats]) -> None:
     """Stripes of the colours, and their channels over the angle."""
-    for place, (letter, name) in enumerate(
-        (("b", "complete"), ("b'", "complete, k = 0"), ("c", "approximate")),
-    ):
+    for place, (letter, name) in enumerate((("b", "complete"), ("b'", "complete, k = 0"), ("c", "approximate"))):
         ax = figure.add_axes((0.13, 0.86 - 0.125 * place, 0.85, 0.075))
         ax.imshow(colour.SRGB.encode(found[name])[None], aspect="auto", extent=(0, 90, 0, 1))
         ax.set_xticks([])

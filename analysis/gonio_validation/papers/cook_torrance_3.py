@@ -116,10 +116,7 @@ def _parameters() -> list[Parameter]:
         Parameter("m", "0.2 and 0.6", "paper", "the total rms slope: √2 times that along a line"),
         Parameter("c of the Gaussian", "1", "paper", "arbitrary; drawings are divided by D(0)"),
         Parameter(
-            "θi",
-            f"{SHOWN_DEG:g}°",
-            "assumed",
-            "the scan gives none; it only turns the drawing: no verdict uses it",
+            "θi", f"{SHOWN_DEG:g}°", "assumed", "the scan gives none; it only turns the drawing: no verdict uses it"
         ),
     ]
 

@@ -99,12 +99,11 @@ def build(progress: Callable[[str], None]) -> PaperFigure:
     progress("htsg-10: theory")
     one = scan(SANDPAPER.model, 0.0, WAVELENGTH_NM)
     # the source stands before the normal: there is no measured mirror direction
-    views = [float(a) for a in np.arange(-85.0, 85.1, 5.0)]
     taken = measure(
         SANDPAPER,
         name="sandpaper",
         wavelength_nm=WAVELENGTH_NM,
-        scans={0.0: views},
+        scans={0.0: [float(a) for a in np.arange(-85.0, 85.1, 5.0)]},
         solid_angle_sr=CONE_SR,
         progress=lambda text: progress(f"htsg-10: {text}"),
     )

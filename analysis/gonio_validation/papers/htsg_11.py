@@ -13,14 +13,7 @@ from gonio.models import fresnel
 from gonio_validation.papers import htsg_scans
 from gonio_validation.papers.figure import Claim, PaperFigure, Parameter
 from gonio_validation.papers.htsg_scans import BRDF, Scan, agreement, each, scan
-from gonio_validation.papers.htsg_surfaces import (
-    CONE_SR,
-    PAPER,
-    HtsgSurface,
-    cones_parameter,
-    energy_limit,
-    measure,
-)
+from gonio_validation.papers.htsg_surfaces import CONE_SR, PAPER, HtsgSurface, cones_parameter, energy_limit, measure
 from gonio_validation.papers.htsg_surfaces import scan as directions
 from gonio_validation.papers.panels import angle_panel
 
@@ -135,12 +128,7 @@ def build(progress: Callable[[str], None]) -> PaperFigure:
         _claims(surface.model, scans),
         [
             angle_panel("semilog", caption, htsg_scans.absolute(scans, taken), BRDF, logarithmic=True),
-            angle_panel(
-                "spikes",
-                "Spikes: the same within 6° of the mirror directions, linear.",
-                zoomed,
-                BRDF,
-            ),
+            angle_panel("spikes", "Spikes: the same within 6° of the mirror directions, linear.", zoomed, BRDF),
         ],
         htsg_scans.results(scans, taken),
         [agreement(taken)],

@@ -130,9 +130,8 @@ def panels(scans: Sequence[Scan], taken: Simulated, *, most: float = 2.5) -> lis
     solid = "Solid: theory, averaged over the cones; dashed, with error bars: simulated measurement."
     missing = " Values within three standard uncertainties of zero are left out."
     caption = f"Normalised: each curve divided by its own value in the mirror direction (eq. 11). {solid}"
-    words = "BRDF / BRDF in the mirror direction"
     return [
-        polar_panel("polar", caption, normalised(scans, taken), words, most=most),
+        polar_panel("polar", caption, normalised(scans, taken), "BRDF / BRDF in the mirror direction", most=most),
         angle_panel(
             "semilog", f"Absolute: BRDF. {solid}{missing}", absolute(scans, taken), "BRDF [1/sr]", logarithmic=True
         ),

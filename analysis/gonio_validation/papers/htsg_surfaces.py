@@ -120,8 +120,7 @@ class Simulated:
 
 def scan(theta_i_deg: float, step_deg: float = 5.0) -> list[float]:
     """Signed angles of one incidence [deg]: even steps from -80 to 85, finer around the mirror direction."""
-    even = np.arange(-80.0, 85.1, step_deg)
-    angles = np.concatenate([even, theta_i_deg + np.array(AROUND_DEG)])
+    angles = np.concatenate([np.arange(-80.0, 85.1, step_deg), theta_i_deg + np.array(AROUND_DEG)])
     return [float(a) for a in np.unique(np.round(angles, 6)) if abs(a) <= 85.0]
 
 
@@ -168,8 +167,7 @@ def measure(
         for kind, table in tables.items():
             (folder / f"{kind}.toml").write_text(to_toml(table), encoding="utf-8", newline="\n")
         asked = load_plan(folder / "plan.toml"), find_rig(str(folder / "rig.toml")), folder / "run"
-        run = carry_out(*asked, sample=load_sample(folder / "sample.toml"), seed=SEED, yes=True)
-        frame = brdf.reduce(run)
+        frame = brdf.reduce(carry_out(*asked, sample=load_sample(folder / "sample.toml"), seed=SEED, yes=True))
         frame.attrs["source_file"] = "RUN"  # the temporary folder is nobody's business
         measurement.write(frame, folder / "brdf.csv")
         kept = [*(f"{kind}.toml" for kind in tables), "brdf.csv", "brdf.meta.json"]
@@ -220,6 +218,5 @@ def _rig(name: str, wavelength_nm: float, solid_angle_sr: float) -> TomlTable:
     for arm in ("light", "camera"):  # a body is wider than the disc that it carries
         distance = tables["geometry"][f"{arm}_distance_mm"]
         tables["geometry"][f"{arm}_body_radius_mm"] = round(float(np.tan(half)) * distance + 4.0, 1)
-    band = {"name": f"{wavelength_nm:g} nm", "centre_nm": wavelength_nm, "fwhm_nm": BAND_NM}
-    tables["bands"] = {"list": [band]}
+    tables["bands"] = {"list": [{"name": f"{wavelength_nm:g} nm", "centre_nm": wavelength_nm, "fwhm_nm": BAND_NM}]}
     return tables

@@ -254,8 +254,7 @@ def beside(choice: Choice, dphi_deg: float, step_deg: float = JUDGED_DEG) -> tup
     angle = np.round(np.arange(0.0, 85.1, step_deg), 6)
     model = OrenNayar(choice.albedo, choice.sigma_deg, "exact")
     theta_i = math.radians(choice.theta_i_deg)
-    value = model.brdf(theta_i, 0.0, np.radians(angle), math.radians(dphi_deg))
-    return angle, np.asarray(value) * math.cos(theta_i)
+    return angle, np.asarray(model.brdf(theta_i, 0.0, np.radians(angle), math.radians(dphi_deg))) * math.cos(theta_i)
 
 
 def _spread(angle: Floats, value: Floats) -> float:

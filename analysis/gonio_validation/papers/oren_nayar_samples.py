@@ -103,8 +103,7 @@ def body_and_surface(sigma_deg: float, albedo: float, share: float) -> Any:
     """Foam and cloth, eq. 18: the functional form, and Torrance and Sparrow's on the same grooves."""
 
     # D2 = exp(-(c2 a)^2) is the Gaussian exp(-a^2/(2 sigma^2))
-    width = 1.0 / (math.sqrt(2.0) * math.radians(sigma_deg))
-    surface = Blinn(0.0, 1.0, INDEX, "gaussian", c=width)
+    surface = Blinn(0.0, 1.0, INDEX, "gaussian", c=1.0 / (math.sqrt(2.0) * math.radians(sigma_deg)))
     return Sum((OrenNayar(albedo, sigma_deg), 1.0), (surface, share))
 
 
@@ -202,7 +201,7 @@ def _sample(figure: int) -> PaperFigure:
     panels = [
         angle_panel(
             "radiance", f"Radiance: over the irradiance head-on; {words}.", lines, "L / E0 [1/sr]", retro_right=True
-        ),
+        )
     ]
     if specular:
         alone = [(i, *radiance(body_and_surface(sigma, albedo, 0.0), i, DRAWN_DEG)) for i in INCIDENCES]

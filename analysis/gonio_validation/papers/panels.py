@@ -51,13 +51,7 @@ def at(x: Floats, y: Floats, where: float) -> float:
 
 
 def polar_panel(
-    name: str,
-    caption: str,
-    lines: Sequence[Line],
-    radius_label: str,
-    *,
-    most: float = 2.5,
-    retro_right: bool = False,
+    name: str, caption: str, lines: Sequence[Line], radius_label: str, *, most: float = 2.5, retro_right: bool = False
 ) -> Panel:
     """The half-disc of `in_plane.polar` with its legend; curves that go beyond `most` are cut at the rim."""
     rim = in_plane.radius_of(lines, most)
@@ -186,6 +180,5 @@ def line_rows(lines: Sequence[Line]) -> list[CurveRow]:
             ("simulated", line.angle, line.measured, line.u),
         ):
             # without the rounding of the way from degrees to radians and back
-            shown = np.round(np.degrees(angle), 10)
-            rows += [(line.label, kind, *row) for row in zip(shown, value, u, strict=True)]
+            rows += [(line.label, kind, *row) for row in zip(np.round(np.degrees(angle), 10), value, u, strict=True)]
     return rows

@@ -76,8 +76,7 @@ class _Dataset(ArrayModel):
 
     def evaluate(self, omega_i: Floats, omega_r: Floats, wavelength_nm: float) -> Floats:
         """See `ArrayModel.evaluate`."""
-        x = TURN * np.arctan2(omega_r[:, 1], omega_r[:, 0])
-        return self.of(x)
+        return self.of(TURN * np.arctan2(omega_r[:, 1], omega_r[:, 0]))
 
     def of(self, x: Floats) -> Floats:
         """The function."""

@@ -196,8 +196,7 @@ def counted(found: Drawn, probabilities: Sequence[float]) -> list[float]:
 
 def look(_folder: Path) -> list[Finding]:
     """See `gonio_validation.verify`."""
-    found = example()
-    limits = counted(found, (0.025, 0.5, 0.975))
+    limits = counted(example(), (0.025, 0.5, 0.975))
     return [near("La Coupole: BRDF / (1/sr)", float(value(Exact())[0]), VALUE, rel=1e-9)] + [
         near(f"La Coupole: {n} / (1/sr)", x, right, rel=0.01, digits=4)
         for n, x, right in zip(("lower limit", "median", "upper limit"), limits, LIMITS, strict=True)

@@ -53,8 +53,7 @@ def formats(folder: Path) -> list[Finding]:
         except GonioError as error:
             out.append(Finding(one.title, True, f"not looked at: {error}"[:120], "recorded"))
             continue
-        back = measurement.read(path)
-        found = _lined_up(back, frame)
+        found = _lined_up(measurement.read(path), frame)
         limit = 0.0 if one.name in EXACT else 2e-5
         off = np.inf if found is None else float(np.max(np.abs(found / brdf - 1.0)))
         out.append(most(one.title, off, limit, "the values that were written"))

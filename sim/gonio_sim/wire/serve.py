@@ -17,16 +17,13 @@ def _group() -> None:
 
 @app.command()
 def serve(
-    rig: Annotated[str, typer.Option(help="A laboratory rig's file, or its name.", show_default=False)],
-    sample: Annotated[
-        Path | None, typer.Option(help="What lies in the holder: a sample.toml.", show_default=False)
-    ] = None,
+    rig: Annotated[str, typer.Option(help="A laboratory rig's file, or its name.")],
+    sample: Annotated[Path | None, typer.Option(help="What lies in the holder: a sample.toml.")] = None,
     time_scale: Annotated[float, typer.Option(help="How many times faster than real motion and exposures run.")] = 1.0,
     out: Annotated[Path, typer.Option(help="Folder for ports, frames and the rig file to use.")] = Path("twin"),
     seed: Annotated[int, typer.Option(min=0, help="Seed of what is drawn at random.")] = 0,
     fault: Annotated[
-        list[str] | None,
-        typer.Option(help='Inject a fault by name, or "NAME:AXIS"; "list" names them.', show_default=False),
+        list[str] | None, typer.Option(help='Inject a fault by name, or "NAME:AXIS"; "list" names them.')
     ] = None,
     tcp: Annotated[
         bool, typer.Option("--tcp", help="Serve at TCP ports of this computer; pseudo-terminals otherwise.")

@@ -70,8 +70,7 @@ def _blue(name: str, light: TomlTable, height: int | None) -> float:
 
     c = centre(name, height=height, change=alone)
     bright = np.where(_side(c, 0.0, 1.0), c.grey(), 0.0)
-    waves = c.scene.wavelength_nm
-    index = ALUMINIUM(wavelength_nm=waves)
+    index = ALUMINIUM(wavelength_nm=c.scene.wavelength_nm)
     mirror = np.abs((index - 1.0) / (index + 1.0)) ** 2
     seen = c.radiance[bright > 0.5 * bright.max()].mean(axis=0) / mirror
     return float(seen[0] / seen[-1])

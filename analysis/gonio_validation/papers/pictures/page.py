@@ -146,11 +146,10 @@ def _rendered(folder: Path, step: Step) -> tuple[dict[str, Image], dict[str, flo
 
 def _cross_sections() -> Figure:
     """Oren and Nayar's Fig. 13."""
-    traces = [Trace(words, *section, "Lambert" in words) for words, section in oren_nayar.sections().items()]
     panel = trace_panel(
         "oren-nayar-13",
         "Fig. 13: brightness across the vase at half of its height, from the pictures; its largest value 1.",
-        traces,
+        [Trace(words, *section, "Lambert" in words) for words, section in oren_nayar.sections().items()],
         "position across the vase [radii], positive to the right",
         "brightness",
     )
@@ -177,9 +176,8 @@ def _notes(found: JsonObject) -> list[Block]:
 
 def _page(found: JsonObject, images: Mapping[str, Image], judged: Mapping[str, list[Claim]], plot: Figure) -> Page:
     every = [c for shown in SHOWN for c in judged[shown.name]]
-    made = f"Rendered with gonio {found['versions']['gonio']}, {found['created'][:10]}."
     body: list[Block] = [
-        header(TITLE, made),
+        header(TITLE, f"Rendered with gonio {found['versions']['gonio']}, {found['created'][:10]}."),
         Paragraph(f"{len(images)} pictures of {len(SHOWN)} figures. {verdicts(every)}.", "lead"),
         Paragraph(
             "Each verdict is measured from the radiances of one ray a pixel, by the criterion beside it. Where the "
