@@ -134,6 +134,4 @@ def suspected(d: Directions, f: Floats, cones: tuple[float, float]) -> Spike | N
         top = float(f[near].max()) - float(f[beyond].max())
         if f[near].max() > STANDS_OUT * f[beyond].max() and top > 0:
             found.append((float(theta_i[near].mean()), top))
-    if not found:
-        return None
-    return Spike(cones, np.array([t for t, _ in found]), np.array([h for _, h in found]))
+    return Spike(cones, np.array([t for t, _ in found]), np.array([h for _, h in found])) if found else None

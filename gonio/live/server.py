@@ -129,7 +129,8 @@ class Server:
         self.port: int = self._http.server_address[1]
         self._http.routes, self._http.events, self._http.token = dict(routes), events, self.token.encode()
         self._http.hosts = _hosts(host, self.port)
-        self._http.wildcard = _is_wildcard(str(self._http.server_address[0]))
+        address = str(self._http.server_address[0]).partition("%")[0]
+        self._http.wildcard = ipaddress.ip_address(address).is_unspecified
         self._thread = threading.Thread(target=self._http.serve_forever, args=(0.5,), name="server", daemon=True)
 
     @property
@@ -151,10 +152,6 @@ class Server:
 
 def _named(host: str, port: int) -> str:
     return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
-
-
-def _is_wildcard(address: str) -> bool:
-    return ipaddress.ip_address(address.partition("%")[0]).is_unspecified
 
 
 def _hosts(host: str, port: int) -> frozenset[str]:

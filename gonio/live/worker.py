@@ -148,7 +148,8 @@ class Worker:
                     continue
                 began = time.process_time()
                 self._look()
-                busy = self._story.state(time.time(), self._lives())[0] in BUSY
+                lives = None if self._story.stopped else self._follower.writer_lives()
+                busy = self._story.state(time.time(), lives)[0] in BUSY
                 with self._turn(wait) if busy and self._has_work() else contextlib.nullcontext():
                     worked = self._work_once(busy)
                     if not busy:
@@ -167,9 +168,6 @@ class Worker:
             return time.time() - (self.out / LOOKED).stat().st_mtime < LOOKED_S
         except OSError:
             return False
-
-    def _lives(self) -> bool | None:
-        return None if self._story.stopped else self._follower.writer_lives()
 
     @contextlib.contextmanager
     def _turn(self, wait: Wait) -> Iterator[None]:

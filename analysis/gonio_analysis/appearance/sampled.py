@@ -260,11 +260,14 @@ def cone_response(data: Observations, rows: Rows) -> Floats:
     from gonio.instrument import apparent_spike
 
     at = data.directions[rows]
-    cones = {
-        "source_solid_angle_sr": data.source_solid_angle_sr,
-        "receiver_solid_angle_sr": data.receiver_solid_angle_sr,
-    }
-    seen = apparent_spike(MIRROR, *at.angles, wavelength_nm=550.0, spike="exact", **cones)
+    seen = apparent_spike(
+        MIRROR,
+        *at.angles,
+        wavelength_nm=550.0,
+        spike="exact",
+        source_solid_angle_sr=data.source_solid_angle_sr,
+        receiver_solid_angle_sr=data.receiver_solid_angle_sr,
+    )
     return np.asarray(seen / MIRROR.specular_reflectivity(at.theta_i))
 
 

@@ -285,9 +285,7 @@ def _keys(sides: Sequence[Side], shared: Mapping[str, Sequence[str] | None]) -> 
 
     def key(side: Side, cause: str, same: Mapping[str, str]) -> tuple[str, str]:
         which = shared.get(cause, ())
-        if which is None or side.name in which:
-            return "shared", cause
-        return same.get(cause, side.name), cause
+        return ("shared" if which is None or side.name in which else same.get(cause, side.name)), cause
 
     stems = [_same_things(side.table) for side in sides]
     keys = [[key(side, c, same) for c in known] for side, known, same in zip(sides, causes, stems, strict=True)]

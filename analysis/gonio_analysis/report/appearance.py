@@ -19,12 +19,11 @@ from gonio_analysis.report import files
 from gonio_analysis.report.blocks import (
     Block,
     Figures,
-    Footer,
     Heading,
     Page,
     Stamp,
     Table,
-    code,
+    footer,
     header,
     notes,
     provenance,
@@ -149,8 +148,7 @@ def _page(a: Appearance, made: Stamp, figures: Sequence[Figure]) -> Page:
     body += [Heading(2, "Quantities"), block(a)]
     body += [Heading(2, "Geometry"), Figures(tuple(figures))] if figures else []
     body += [Heading(2, "Provenance"), provenance(made, ("source", a.source or "–"), called="page made")]
-    footer = Footer(("Every number on this page is in ", code("summary.json"), "."))
-    return Page(f"Appearance of {a.title}", (*body, footer))
+    return Page(f"Appearance of {a.title}", (*body, footer("Every number on this page is in `summary.json`.")))
 
 
 def _drawings(a: Appearance) -> list[Drawing]:

@@ -5,7 +5,7 @@
 
 import datetime
 import platform
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from typing import Any, Literal, TypedDict
@@ -211,11 +211,21 @@ def header(title: str, sub: str, *more: Block) -> Group:
     return Group("header", (Heading(1, title), Paragraph(sub, "sub"), *more))
 
 
-def provenance(made: Stamp, *first: tuple[str, str], called: str = "report made") -> Facts:
-    """When, by which command and with which versions a page was made; `first` stands above."""
+def footer(text: str) -> Footer:
+    """The last line of a page; names as they are typed stand between backticks."""
+    return Footer(tuple(code(part) if k % 2 else part for k, part in enumerate(text.split("`"))))
+
+
+def dated(what: str, made: Mapping[str, Any]) -> str:
+    """Below a title: `what` the page is, when and with which version it was made (a `Stamp`), and what its u are."""
+    gonio = f"gonio {made['versions']['gonio']}"
+    return f"{what}, {made['created'][:10]}, {gonio}. Uncertainties are standard uncertainties (k = 1)."
+
+
+def provenance(made: Mapping[str, Any], *first: tuple[str, str], called: str = "report made") -> Facts:
+    """When, by which command and with which versions a page was made (as in `Stamp`); `first` stands above."""
     versions = ", ".join(f"{name} {version}" for name, version in made["versions"].items())
-    rows = (("command", made["command"] or "–"), (called, made["created"]), ("versions", versions))
-    return facts([*first, *rows])
+    return facts([*first, ("command", made["command"] or "–"), (called, made["created"]), ("versions", versions)])
 
 
 def table(

@@ -20,15 +20,15 @@ from gonio_analysis.report.blocks import (
     MOST_ROWS,
     Block,
     Figures,
-    Footer,
     Heading,
     Page,
     Paragraph,
     Stamp,
     Table,
     Viewer,
-    code,
+    dated,
     facts,
+    footer,
     header,
     lead,
     notes,
@@ -53,11 +53,9 @@ COLUMNS = (
     *("wavelength_nm", "theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg", "a", "b", "u_interpolation", "change"),
     *("u_change", "standard_deviations", "changed"),
 )
-FOOTER = Footer(
-    (
-        *("Every number on this page is in ", code("summary.json"), ", every compared value in "),
-        *(code("tables/change.csv"), ", the figures as SVG and PNG in ", code("figures/"), "."),
-    )
+FOOTER = footer(
+    "Every number on this page is in `summary.json`, every compared value in `tables/change.csv`, the figures as SVG "
+    "and PNG in `figures/`."
 )
 Waves = list[dict[str, float | None]]
 """What is known of the values at each wavelength; counts where uncertainties are stated."""
@@ -317,12 +315,13 @@ def _page(
     figures: Sequence[Figure],
     view: viewer.View | None,
 ) -> Page:
-    sub = (
-        f"Point by point, {made['created'][:10]}, gonio {made['versions']['gonio']}."
-        " Uncertainties are standard uncertainties (k = 1)."
-    )
     title, noted = _title(c), _notes(c)
-    body: list[Block] = [header(title, sub), lead(conclusion), Heading(3, "What was compared"), facts(_facts(c, runs))]
+    body: list[Block] = [
+        header(title, dated("Point by point", made)),
+        lead(conclusion),
+        Heading(3, "What was compared"),
+        facts(_facts(c, runs)),
+    ]
     body += [notes(noted)] if noted else []
     if view is not None:
         body += [Heading(3, "Both in the plane of incidence"), Viewer("change", view)]

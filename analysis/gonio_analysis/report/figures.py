@@ -90,9 +90,7 @@ def _coincide(a: Fitted, b: Fitted) -> bool:
 
 def _named(names: Sequence[str]) -> str:
     """As in "lambert" or "lambert and oren-nayar, which coincide"."""
-    if len(names) == 1:
-        return names[0]
-    return f"{', '.join(names[:-1])} and {names[-1]}, which coincide"
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}, which coincide"
 
 
 def _polar(d: Dataset, facts: DatasetSummary, names: Sequence[str], most: int) -> Drawing:

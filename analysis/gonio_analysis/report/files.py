@@ -206,9 +206,7 @@ def _cell(value: object) -> object:
         return ""
     if isinstance(value, float | np.floating):
         return "" if np.isnan(value) else repr(float(value))
-    if isinstance(value, str):
-        return cell_of(value)
-    return value
+    return cell_of(value) if isinstance(value, str) else value
 
 
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)

@@ -14,14 +14,13 @@ from gonio_analysis.changes.point_by_point import side
 from gonio_analysis.report import change_figures, files
 from gonio_analysis.report.blocks import (
     Figures,
-    Footer,
     Heading,
     Page,
     Paragraph,
     Stamp,
     Table,
-    code,
     facts,
+    footer,
     header,
     lead,
     notes,
@@ -48,11 +47,9 @@ METHOD = (
     " all laboratories, otherwise Mandel and Paule's mean of all with its dark uncertainty. |E_n| above 1 is what"
     " one honest laboratory in twenty has."
 )
-FOOTER = Footer(
-    (
-        *("Every number on this page is in ", code("summary.json"), ", every value in ", code("tables/values.csv")),
-        *(", every direction in ", code("tables/geometries.csv"), ", the figures in ", code("figures/"), "."),
-    )
+FOOTER = footer(
+    "Every number on this page is in `summary.json`, every value in `tables/values.csv`, every direction in "
+    "`tables/geometries.csv`, the figures in `figures/`."
 )
 
 

@@ -13,13 +13,13 @@ from gonio_analysis.report import files, map_layers
 from gonio_analysis.report.blocks import (
     Block,
     Figures,
-    Footer,
     Heading,
     Page,
     Paragraph,
     Stamp,
-    code,
+    dated,
     facts,
+    footer,
     header,
     lead,
     provenance,
@@ -42,11 +42,9 @@ METHOD = (
     " way. Causes that all pixels share (lamp, reference) are in u. A change of all pixels alike may be one of these;"
     " a change of some pixels alone is not."
 )
-FOOTER = Footer(
-    (
-        *("Every number on this page is in ", code("summary.json"), ", every changed pixel in "),
-        *(code("tables/changed.csv"), ", the figures as SVG and PNG in ", code("figures/"), "."),
-    )
+FOOTER = footer(
+    "Every number on this page is in `summary.json`, every changed pixel in `tables/changed.csv`, the figures as SVG "
+    "and PNG in `figures/`."
 )
 
 
@@ -168,10 +166,6 @@ def _write_tables(c: MapChange, folder: Path) -> list[str]:
 
 
 def _page(c: MapChange, specs: Sequence[str], made: Stamp, figures: Sequence[Figure]) -> Page:
-    sub = (
-        f"Two maps, {made['created'][:10]}, gonio {made['versions']['gonio']}. Uncertainties are standard uncertainties"
-        " (k = 1)."
-    )
     rows = []
     for x in c.parameters:
         of = _of(c, x)
@@ -189,7 +183,7 @@ def _page(c: MapChange, specs: Sequence[str], made: Stamp, figures: Sequence[Fig
         "median z",
     ]
     body: list[Block] = [
-        header(_title(specs), sub),
+        header(_title(specs), dated("Two maps", made)),
         lead(conclusion(c)),
         facts([("A", specs[0]), ("B", specs[1]), ("model", c.model)]),
         Heading(3, "Where it changed"),

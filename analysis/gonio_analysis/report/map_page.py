@@ -20,14 +20,14 @@ from gonio_analysis.report import files, html, map_layers, map_view
 from gonio_analysis.report.blocks import (
     Block,
     Figures,
-    Footer,
     Heading,
     Page,
     PixelViewer,
     Stamp,
     Table,
-    code,
+    dated,
     facts,
+    footer,
     header,
     lead,
     provenance,
@@ -178,17 +178,9 @@ MEANINGS = {
     "shadowed": "an arm or the holder stood in the way",
     "blurred": "the lens blurs it over an edge",
 }
-FOOTER = Footer(
-    (
-        *(
-            "Every number on this page is in ",
-            code("summary.json"),
-            " and in ",
-            code("tables/"),
-            ", the figures as SVG",
-        ),
-        *(" and PNG in ", code("figures/"), ". The map itself opens with xarray.open_dataset."),
-    )
+FOOTER = footer(
+    "Every number on this page is in `summary.json` and in `tables/`, the figures as SVG and PNG in `figures/`. The "
+    "map itself opens with xarray.open_dataset."
 )
 
 
@@ -356,13 +348,9 @@ def _write_tables(told: Told, folder: Path) -> list[str]:
 
 
 def _page(told: Told, made: Stamp, figures: Sequence[Figure]) -> Page:
-    sub = (
-        f"A map, {made['created'][:10]}, gonio {made['versions']['gonio']}. Uncertainties are standard uncertainties"
-        " (k = 1)."
-    )
     first = [f for f in figures if f.kind == "map"]
     rest = [f for f in figures if f.kind != "map"]
-    body: list[Block] = [header(told.title, sub), lead(told.conclusion), facts(told.facts)]
+    body: list[Block] = [header(told.title, dated("A map", made)), lead(told.conclusion), facts(told.facts)]
     body += [Heading(3, "A pixel under the cursor"), PixelViewer("pixels", told.view)]
     after: list[Block] = [Heading(3, "Spread over the pixels"), *([Figures(tuple(rest))] if rest else [])]
     after += [_parameters(told), Heading(3, "Flags"), _flags(told)]

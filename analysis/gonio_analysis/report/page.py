@@ -13,7 +13,6 @@ from gonio_analysis.report.blocks import (
     Block,
     Contents,
     Facts,
-    Footer,
     Group,
     Heading,
     Page,
@@ -22,6 +21,7 @@ from gonio_analysis.report.blocks import (
     Text,
     code,
     facts,
+    footer,
     header,
     section,
     strong,
@@ -107,11 +107,9 @@ TOLD_APART = 3.0
 """Standard uncertainties by which parameters of two samples differ for a headline to name them."""
 MOST_APART = 3
 """Parameters that it names."""
-FOOTER = Footer(
-    (
-        *("Every number on this page is in ", code("summary.json"), "; the curves are in ", code("tables/")),
-        *(", the figures as SVG and PNG in ", code("figures/"), "."),
-    )
+FOOTER = footer(
+    "Every number on this page is in `summary.json`; the curves are in `tables/`, the figures as SVG and PNG in "
+    "`figures/`."
 )
 
 

@@ -7,9 +7,7 @@ from gonio_analysis.report.section import Section
 
 
 def _blocks(d: DatasetSummary, figures: ByKind) -> list[Block]:
-    if "series" not in figures:
-        return []
-    return [Heading(3, "Parameters over wavelength"), Figures(figures["series"])]
+    return [Heading(3, "Parameters over wavelength"), Figures(figures["series"])] if "series" in figures else []
 
 
 SECTION = Section("wavelengths", _blocks)

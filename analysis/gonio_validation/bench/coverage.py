@@ -114,17 +114,16 @@ def summary(
     counts, pulls, uniform = coverage_judgement.judged(records)
     measured = [r for r in records if r["points"] and r["points"]["brdf"]]
     drawn = [coverage_judgement.chosen_parameter(r) for r in records if r["fit"]]
-    causes = [
-        {"name": c.name, "hidden": c.hidden, "learned": c.learned, "on": c.name in settings.errors}
-        for c in coverage_hidden.CAUSES
-    ]
     return begun("Do the stated intervals hold the truth?", command, quick) | {
         "seed": settings.seed,
         "campaigns": len(records),
         "values": sum(len(r["points"]["brdf"]) for r in measured),
         "seconds": sum(r["seconds"] for r in records),
         "machine": timing.machine(),
-        "causes": causes,
+        "causes": [
+            {"name": c.name, "hidden": c.hidden, "learned": c.learned, "on": c.name in settings.errors}
+            for c in coverage_hidden.CAUSES
+        ],
         "counts": counts,
         "pulls": pulls,
         "uniform": uniform,

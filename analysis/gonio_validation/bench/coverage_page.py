@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from gonio_analysis.plots.in_plane import COLOURS
 from gonio_analysis.plots.style import INK
-from gonio_analysis.report.blocks import Block, Figures, Footer, Group, Page, Paragraph, Text, code, table
+from gonio_analysis.report.blocks import Block, Figures, Group, Page, Paragraph, Text, footer, table
 from gonio_analysis.report.drawing import Figure, rendered
 from gonio_analysis.report.text import number
 
@@ -25,11 +25,9 @@ from gonio_validation.bench.page import (
     verdict,
 )
 
-FOOTER = Footer(
-    (
-        *("Every number on this page is in ", code("results.json"), ", a line a campaign in ", code("campaigns.csv")),
-        *(", and what was drawn, measured and fitted in ", code("campaigns/"), "."),
-    )
+FOOTER = footer(
+    "Every number on this page is in `results.json`, a line a campaign in `campaigns.csv`, and what was drawn, "
+    "measured and fitted in `campaigns/`."
 )
 KINDS = {
     "points": "BRDF of one point",
@@ -111,8 +109,7 @@ def render(s: JsonObject, figures: Sequence[Figure]) -> Page:
     body: list[Block] = [head(s, what + rough, links), _lead(s), _coverage(s, figures), _pulls(s, figures)]
     body += [of_part(s, p) for p in (HIDDEN, FAR, *([REFUSED] if s["failed"] else []))]
     m = s["machine"]
-    rows = (*METHOD, ("processor", f"{m['cpu']}, {m['cpus']} usable"))
-    return Page(s["title"], (*body, method(s, rows), FOOTER))
+    return Page(s["title"], (*body, method(s, *METHOD, ("processor", f"{m['cpu']}, {m['cpus']} usable")), FOOTER))
 
 
 def _lead(s: JsonObject) -> Paragraph:

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 from gonio_analysis.fitting.fit import fit
 from gonio_analysis.report import files
-from gonio_analysis.report.blocks import Footer, Heading, Page, Paragraph, code, header, provenance, stamp
+from gonio_analysis.report.blocks import Heading, Page, Paragraph, footer, header, provenance, stamp
 from gonio_analysis.report.text import number
 from scipy.optimize import least_squares
 
@@ -55,7 +55,7 @@ ERRORS = [
     Column("beyond 5 u", "beyond_5"),
     Column("worse than the truth", "worse_than_truth"),
 ]
-FOOTER = Footer(("Every number is in ", code("summary.json"), "."))
+FOOTER = footer("Every number is in `summary.json`.")
 
 
 def drawn(name: str, pixels: int, seed: int, reach_mm: float = 10.0) -> dict[str, Any]:

@@ -15,12 +15,11 @@ from gonio_analysis.report.blocks import (
     MOST_ROWS,
     Block,
     Figures,
-    Footer,
     Group,
     Heading,
     Page,
     Paragraph,
-    code,
+    footer,
     stamp,
     table,
 )
@@ -38,7 +37,7 @@ FEWEST, MOST = 20, 1500
 """Values of a material: with fewer nothing is left out sensibly; of more a part is drawn, always the same."""
 CLOSE = 1.25
 """A model within this factor of the nearest one's left-out error counts as near."""
-FOOTER = Footer(("Every number is in ", code("results.json"), " and ", code("materials.csv"), "."))
+FOOTER = footer("Every number is in `results.json` and `materials.csv`.")
 
 
 class Settings(Strict):

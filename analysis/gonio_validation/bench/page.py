@@ -96,7 +96,7 @@ def two_digits(value: float) -> str:
     return number(value, 2)
 
 
-def method(s: JsonObject, rows: Sequence[tuple[str, str]]) -> Group:
+def method(s: JsonObject, *rows: tuple[str, str]) -> Group:
     """How it was done, and on what."""
     m = s["machine"]
     system = f"{m['system']}, Python {m['python']}, " + ", ".join(f"{k} {v}" for k, v in m["versions"].items())

@@ -3,13 +3,13 @@
 from gonio_analysis.report.blocks import (
     Block,
     Figures,
-    Footer,
     Group,
     Heading,
     Page,
     Paragraph,
     code,
     facts,
+    footer,
     section,
     table,
 )
@@ -20,11 +20,9 @@ from gonio.typing import JsonObject
 from gonio_validation.bench.page import Column, TableSection, head, listed, method, of_part, part, two_digits, verdict
 from gonio_validation.bench.quantity import PeerTime, QuantitySummary
 
-FOOTER = Footer(
-    (
-        *("Every number on this page is in ", code("summary.json"), "; points and hard cases are in "),
-        *(code("tables/"), ", the figures as SVG and PNG in ", code("figures/"), "."),
-    )
+FOOTER = footer(
+    "Every number on this page is in `summary.json`; points and hard cases are in `tables/`, the figures as SVG and "
+    "PNG in `figures/`."
 )
 
 
@@ -177,13 +175,12 @@ def _calls(s: JsonObject) -> Group:
 def _hand_over(h: JsonObject | None) -> Paragraph:
     if h is None:
         return Paragraph("This process may use one processor only: no call is handed to a second thread.")
-    text = (
+    return Paragraph(
         f"A call of {h['pairs']} pairs or more is shared by threads. To hand half of it over costs"
         f" {number(h['hand_over_us'], 2)} µs: {h['model']} takes {number(h['shared_us'])} µs for {h['pairs']} pairs on"
         f" two threads, and {number(h['half_alone_us'])} µs for half as many on one (medians of {h['repeats']} calls in"
         f" turn). That is {100 * h['share']:.0f} % of the smallest shared call, and the less the larger a call is."
     )
-    return Paragraph(text)
 
 
 def _peers(s: JsonObject) -> list[Block]:
@@ -203,8 +200,12 @@ def _peers(s: JsonObject) -> list[Block]:
 
 def _method(s: JsonObject) -> Group:
     m, r = s["machine"], s["reference"]
-    rows = [
-        ("times", "all ways of a family in turn within each repeat; slow ways on fewer pairs (see tables/points.csv)"),
+    return method(
+        s,
+        (
+            "times",
+            "all ways of a family in turn within each repeat; slow ways on fewer pairs (see tables/points.csv)",
+        ),
         ("reference", f"{r['made_by']}: {r['with']}"),
         ("grid", r["grid"]),
         ("conditioning", r["condition"]),
@@ -213,5 +214,4 @@ def _method(s: JsonObject) -> Group:
             "through the models' own loops, checks and compiler; He-Torrance's share all but the series",
         ),
         ("processor", f"{m['cpu']}, {m['cpus']} usable; {' '.join(m['flags']) or 'flags unknown'}"),
-    ]
-    return method(s, rows)
+    )

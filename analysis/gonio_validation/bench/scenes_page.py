@@ -4,7 +4,7 @@ from typing import Any
 
 from gonio_analysis.plots.in_plane import COLOURS
 from gonio_analysis.plots.style import FAINT
-from gonio_analysis.report.blocks import Block, Figures, Footer, Heading, Page, Paragraph, code, section
+from gonio_analysis.report.blocks import Block, Figures, Heading, Page, Paragraph, footer, section
 from gonio_analysis.report.drawing import Figure, rendered
 from gonio_analysis.report.text import number, percent
 
@@ -21,11 +21,9 @@ from gonio_validation.bench.page import (
     verdict,
 )
 
-FOOTER = Footer(
-    (
-        *("Every number on this page is in ", code("summary.json"), "; the tables are in "),
-        *(code("tables/"), ", the figure as SVG and PNG in ", code("figures/"), "."),
-    )
+FOOTER = footer(
+    "Every number on this page is in `summary.json`; the tables are in `tables/`, the figure as SVG and PNG in "
+    "`figures/`."
 )
 RAYS = TableSection(
     "Rays a pixel", "samples", "samples",
@@ -112,7 +110,7 @@ def render(s: JsonObject, drawn: Figure) -> Page:
     rays = of_part(s, RAYS)
     first = section([*rays.blocks, Figures((drawn,))], rays.slug)
     parts = [of_part(s, p) for p in PARTS]
-    return Page(s["title"], (head(s, what + rough), _lead(s), first, *parts, _peers(s), method(s, rows), FOOTER))
+    return Page(s["title"], (head(s, what + rough), _lead(s), first, *parts, _peers(s), method(s, *rows), FOOTER))
 
 
 def _lead(s: JsonObject) -> Paragraph:

@@ -7,7 +7,7 @@ from typing import Any
 
 from gonio_analysis.plots.in_plane import COLOURS
 from gonio_analysis.plots.style import INK
-from gonio_analysis.report.blocks import Block, Figures, Footer, Page, Paragraph, code
+from gonio_analysis.report.blocks import Block, Figures, Page, Paragraph, footer
 from gonio_analysis.report.drawing import Figure, rendered
 from gonio_analysis.report.text import number
 
@@ -136,11 +136,9 @@ def _mean(values: Sequence[float]) -> float:
 # --- results ------------------------------------------------------------------------------------------------------
 
 
-FOOTER = Footer(
-    (
-        *("Every number on this page is in ", code("results.json"), ", the levels of the plans in "),
-        *(code("points.csv"), ", and every run in ", code("comparisons/"), "."),
-    )
+FOOTER = footer(
+    "Every number on this page is in `results.json`, the levels of the plans in `points.csv`, and every run in "
+    "`comparisons/`."
 )
 SHOWN = (
     ("uniform", "interpolated", "uniform, interpolated", "o", "-"),
@@ -245,8 +243,12 @@ def _where(geometry: str) -> str:
 def _method(s: JsonObject) -> Block:
     m = s["machine"]
     theta = {g: ", ".join(f"{i:g}" for i in of) for g, of in INCIDENCES.items()}
-    rows = [
-        ("rig", "sim, without frames: values, noise and times by its description (gonio_validation.bench.sweeps_rig)"),
+    return method(
+        s,
+        (
+            "rig",
+            "sim, without frames: values, noise and times by its description (gonio_validation.bench.sweeps_rig)",
+        ),
         ("in plane", f"theta_i = {theta['in plane']} deg, theta_r from {-LARGEST_DEG:g} to {LARGEST_DEG:g} deg"),
         ("hemisphere", f"theta_i = {theta['hemisphere']} deg, theta_r up to {LARGEST_DEG:g} deg, both sides"),
         ("wavelength", f"{WAVELENGTH_NM:g} nm"),
@@ -254,8 +256,7 @@ def _method(s: JsonObject) -> Block:
         ("half-vector", "even in asinh(theta_h/4 deg)"),
         ("truth", "the sample through the cones of lamp and lens, in directions between those of the plans"),
         ("processor", f"{m['cpu']}, {m['cpus']} usable"),
-    ]
-    return method(s, rows)
+    )
 
 
 # --- drawings -----------------------------------------------------------------------------------------------------

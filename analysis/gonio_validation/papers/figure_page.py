@@ -7,15 +7,13 @@ from gonio_analysis.report import files
 from gonio_analysis.report.blocks import (
     Block,
     Figures,
-    Footer,
     Heading,
     Notes,
     Page,
     Paragraph,
     Span,
-    Stamp,
     Text,
-    code,
+    footer,
     header,
     provenance,
     section,
@@ -32,11 +30,8 @@ from gonio_validation.papers.index import FIGURES
 
 VERDICTS = ("holds", "does not hold", "no verdict")
 ALL = "The papers' figures, made again"
-FOOTER = Footer(
-    (
-        *("Every curve is in ", code("curves.csv"), ", every verdict in ", code("summary.json")),
-        *(", the drawings as SVG and PNG in ", code("figures/"), "."),
-    )
+FOOTER = footer(
+    "Every curve is in `curves.csv`, every verdict in `summary.json`, the drawings as SVG and PNG in `figures/`."
 )
 
 
@@ -105,8 +100,7 @@ def render(page: PaperFigure, found: JsonObject, drawn: list[Figure]) -> Page:
     ]
     if page.notes:
         body.append(section([Heading(2, "Notes"), Notes(tuple(page.notes))]))
-    made = Stamp(created=found["created"], command=found["command"], versions=found["versions"])
-    body += [section([Heading(2, "Provenance"), provenance(made, *page.facts, called="made")]), FOOTER]
+    body += [section([Heading(2, "Provenance"), provenance(found, *page.facts, called="made")]), FOOTER]
     return Page(page.title, tuple(body))
 
 

@@ -12,13 +12,11 @@ from pathlib import Path
 from gonio_analysis.report import files, pdf
 from gonio_analysis.report.blocks import (
     Block,
-    Footer,
     Heading,
     Page,
     Paragraph,
-    Stamp,
-    code,
     facts,
+    footer,
     header,
     lead,
     provenance,
@@ -131,6 +129,5 @@ def _page(v: JsonObject) -> Page:
     blank = "_" * 40
     signed = [("verified by", blank), ("date", blank), ("signature", blank), ("instrument, computer", blank)]
     body += [Heading(3, "Signed off"), facts(signed)]
-    footer = Footer(("Every number on this page is in ", code("summary.json"), "."))
-    made = Stamp(created=v["created"], command=v["command"], versions=v["versions"])
-    return Page(v["title"], (*body, Heading(2, "Provenance"), provenance(made, called="made"), footer))
+    body += [Heading(2, "Provenance"), provenance(v, called="made")]
+    return Page(v["title"], (*body, footer("Every number on this page is in `summary.json`.")))

@@ -194,7 +194,7 @@ def figure_8(height: int | None = None) -> list[Claim]:
     """A watch."""
     c = centre("cook-torrance-8", height=height)
     gold, steel = _purity(c, c.on("outer link")), _purity(c, c.on("inner link"))
-    led = _purity(c, _leds(c))
+    led = _purity(c, c.on(*(str(table.name) for table in c.scene.tables.shape if table.material == "led")))
     others = (centre("cook-torrance-8", height=height, change=_slopes(*pair)) for pair in SLOPES)
     ratios = [_pattern(each) for each in (c, *others)]
     return [
@@ -221,7 +221,3 @@ def figure_8(height: int | None = None) -> list[Claim]:
             "the diodes' spectrum was chosen here, to have that wavelength",
         ),
     ]
-
-
-def _leds(c: Centre) -> Mask:
-    return c.on(*(str(table.name) for table in c.scene.tables.shape if table.material == "led"))

@@ -13,12 +13,10 @@ from gonio_analysis.report.blocks import (
     Contents,
     Facts,
     Figures,
-    Footer,
     Heading,
     Page,
     Paragraph,
-    Stamp,
-    code,
+    footer,
     header,
     notes,
     provenance,
@@ -161,7 +159,6 @@ def _cross_sections() -> Figure:
 
 def _notes(found: JsonObject) -> list[Block]:
     times = ", ".join(f"{name} {seconds:.1f}" for name, seconds in found["seconds"].items())
-    made = Stamp(created=found["created"], command=found["command"], versions=found["versions"])
     remarks = [
         "Cook-Torrance Figs. 6 and 7: as printed (I_ia = 0.01 I_i) ambient light would be "
         f"{cook_torrance.ambient_as_printed(100):.0f} times what the two lights give on the plastic vase, whose "
@@ -170,7 +167,7 @@ def _notes(found: JsonObject) -> list[Block]:
     ]
     return [
         section([Heading(2, "Notes"), notes(remarks)]),
-        section([Heading(2, "Provenance"), Facts((*provenance(made, called="made").rows, ("seconds", times)))]),
+        section([Heading(2, "Provenance"), Facts((*provenance(found, called="made").rows, ("seconds", times)))]),
     ]
 
 
@@ -206,11 +203,9 @@ def _page(found: JsonObject, images: Mapping[str, Image], judged: Mapping[str, l
         )
     body += [
         *_notes(found),
-        Footer(
-            (
-                *("Every picture is in ", code("pictures/"), ", its scene file in ", code("scenes/"), " for "),
-                *(code("gonio render"), ", every verdict in ", code("summary.json"), "."),
-            )
+        footer(
+            "Every picture is in `pictures/`, its scene file in `scenes/` for `gonio render`, every verdict in "
+            "`summary.json`."
         ),
     ]
     return Page(TITLE, tuple(body))
