@@ -202,10 +202,7 @@ def _method(s: JsonObject) -> Group:
     m, r = s["machine"], s["reference"]
     return method(
         s,
-        (
-            "times",
-            "all ways of a family in turn within each repeat; slow ways on fewer pairs (see tables/points.csv)",
-        ),
+        ("times", "all ways of a family in turn within each repeat; slow ways on fewer pairs (see tables/points.csv)"),
         ("reference", f"{r['made_by']}: {r['with']}"),
         ("grid", r["grid"]),
         ("conditioning", r["condition"]),

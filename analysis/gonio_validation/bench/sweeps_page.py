@@ -245,10 +245,7 @@ def _method(s: JsonObject) -> Block:
     theta = {g: ", ".join(f"{i:g}" for i in of) for g, of in INCIDENCES.items()}
     return method(
         s,
-        (
-            "rig",
-            "sim, without frames: values, noise and times by its description (gonio_validation.bench.sweeps_rig)",
-        ),
+        ("rig", "sim, without frames: values, noise and times by its description (gonio_validation.bench.sweeps_rig)"),
         ("in plane", f"theta_i = {theta['in plane']} deg, theta_r from {-LARGEST_DEG:g} to {LARGEST_DEG:g} deg"),
         ("hemisphere", f"theta_i = {theta['hemisphere']} deg, theta_r up to {LARGEST_DEG:g} deg, both sides"),
         ("wavelength", f"{WAVELENGTH_NM:g} nm"),
