@@ -12,7 +12,7 @@ import numpy as np
 from numba import types
 
 from gonio.compiled import njit
-from gonio.models._batch_algebra import OPTIONS, copied, inverted, moments, slope_moments, sum_of, viewing
+from gonio.models._batch_algebra import OPTIONS, copied, inverted, moments, on_scale, slope_moments, sum_of, viewing
 from gonio.models._batch_misfit import nearest
 from gonio.models._batch_models import FREE_BASE, FREE_LEVELS, FREE_LOBE
 from gonio.models._batch_steps import DERIVE, LEVELS, SHADE, TAKE, UNIT, by_differences, minimised, room_for
@@ -22,6 +22,12 @@ FAR_VALLEY = 100.0
 """The second valley counts where its chi-square is at most this many times that of the first, plus this number."""
 CLOSE_VALLEY = 10.0
 """An acceptable fit is followed by another start whose chi-square is at most this many times its own, plus 20."""
+CLOSE = 1000.0
+"""Or at most this: where values are few, valleys lie close together and the grid's steps cost less chi-square."""
+FLAT = 50.0
+"""Other rows of a valley are tried where chi-square is at most this much above an acceptable one."""
+UNCLEAR, AGAIN = 10.0, 10
+"""Below this many times an acceptable chi-square by some of the values, so many rows are compared by all of them."""
 NARROWINGS = 3
 """Steps of the width alone, before all parameters are fitted."""
 FEWEST_OF_SOME = 25
@@ -82,14 +88,12 @@ def weighed(z, w, weight, weighted, count):  # type: ignore[no-untyped-def]
 
 
 @viewing
-def valleys(levels, how, z, w, grid, widths, starts, profile, weight, weighted, lobes, count):  # type: ignore[no-untyped-def]
-    """The rows of the two lowest valleys of chi-square over the grid's widths; -1 for none.
+def judged(levels, how, z, w, grid, starts, profile, weight, weighted, lobes, count):  # type: ignore[no-untyped-def]
+    """Parameters and chi-square of each row of the grid, into `starts` and `profile`.
 
-    `starts` and `profile` get parameters and chi-square of each row. Rows of `grid` run over the width fastest. Where
-    levels are solved for, the model is a lobe times a level and a base: both follow by linear least squares. `lobes`
-    has the lobes, row after row.
+    Where levels are solved for, the model is a lobe times a level and a base: both follow by linear least squares.
+    `lobes` has the lobes, row after row.
     """
-    profile[:] = np.inf
     s0, sz, szz = weighed(z, w, weight, weighted, count)
     for row in range(grid.shape[0]):
         g = lobes[row * count : row * count + count]
@@ -98,6 +102,42 @@ def valleys(levels, how, z, w, grid, widths, starts, profile, weight, weighted, 
         start = starts[row]
         copied(grid[row], start, 0, start.size)
         levels(start, level, base)
+
+
+@viewing
+def judged_again(  # type: ignore[no-untyped-def]
+    shade, levels, columns, z, w, units, starts, how, profile, whole, shaded_rows, weight, weighted, count
+):
+    """`judged` by all values, for the rows that are lowest by some of them; the others count as no lower than these.
+
+    `whole` has the lobes of all values, where `shaded_rows` is 1: neighbours with the same directions share them.
+    """
+    s0, sz, szz = weighed(z, w, weight, weighted, count)
+    highest = -np.inf
+    for _ in range(AGAIN):
+        row, least = -1, np.inf
+        for other in range(profile.size):
+            if shaded_rows[other] < 2 and profile[other] < least:
+                row, least = other, profile[other]
+        if row < 0:
+            break
+        g = whole[row * count : row * count + count]
+        if shaded_rows[row] == 0:
+            shade(columns, units[row], 1, g)
+        shaded_rows[row] = 3
+        level, base, gain, _, _, _ = levelled(how, g, weight, weighted, s0, sz, count)
+        profile[row] = szz - gain
+        highest = max(highest, profile[row])
+        levels(starts[row], level, base)
+    for row in range(profile.size):
+        if shaded_rows[row] < 2:
+            profile[row] = max(profile[row], highest)
+        shaded_rows[row] = min(shaded_rows[row], 1)
+
+
+@viewing
+def valleys(profile, widths):  # type: ignore[no-untyped-def]
+    """The rows of the two lowest valleys of chi-square over the grid's widths; -1 for none. Widths run fastest."""
     first, second = -1, -1
     for a in range(widths):
         here = lowest_row(profile, a, widths)
@@ -186,20 +226,27 @@ RESULT = types.int64(
 @viewing
 def lowest(  # type: ignore[no-untyped-def]
     shade, derive, unit, levels, columns, z, w, some_z, some_w, relative, grid, axis, free, lower, upper, acceptable,
-    rows, lobes, work, starts, profile, matrix, moves, triangle, end, theta, spread, room, count,
+    rows, of_grid, work, matrix, around, moves, triangle, end, theta, spread, room, count,
 ):  # fmt: skip
     """Chi-square of the lowest valley; its parameters in `theta`, their covariance in `spread`.
 
     `axis`: what `unit` tells, how many widths the grid has, and which parameter the width is, or -1.
     """
     how, widths, width = axis
+    lobes, units, whole, shaded_rows, starts, profile = of_grid  # a call of more than 30 arguments makes numba warn
     f, weight, weighted = rows[0, :count], rows[1], rows[2]
-    first, second = valleys(
-        levels, how, some_z, some_w, grid, widths, starts, profile, weight, weighted, lobes, some_z.size
-    )
+    judged(levels, how, some_z, some_w, grid, starts, profile, weight, weighted, lobes, some_z.size)
+    for row in range(profile.size):
+        profile[row] *= count / some_z.size
+    if some_z.size < count and profile[lowest_row(profile, 0, 1)] < UNCLEAR * acceptable:
+        judged_again(
+            shade, levels, columns, z, w, units, starts, how, profile, whole, shaded_rows, weight, weighted,
+            count,
+        )  # fmt: skip
+    first, second = valleys(profile, widths)
     best, which = np.inf, first
     while which >= 0:
-        if best <= acceptable and profile[which] * count / some_z.size > CLOSE_VALLEY * best + 20.0:
+        if best <= acceptable and profile[which] > max(CLOSE_VALLEY * best + 20.0, CLOSE):
             break
         if width >= 0:
             narrowed(
@@ -209,16 +256,21 @@ def lowest(  # type: ignore[no-untyped-def]
         for a in range(end.size):
             end[a] = min(max(starts[which, a], lower[a]), upper[a])
         found = minimised(
-            shade, derive, columns, z, w, 0.0, relative, end, free, lower, upper, f, work, matrix, moves, room, count
-        )
+            shade, derive, columns, z, w, 0.0, relative, end, free, lower, upper, f, work, matrix, moves, room, count,
+            best, theta, around,
+        )  # fmt: skip
         if found < best:
             best = found
             copied(end, theta, 0, end.size)
+            for a in range(free.size):
+                copied(matrix[a], around[a], 0, free.size)
             inverted(matrix, moves, triangle, spread)
-        nearby = profile[second] if second >= 0 and which == first else np.inf
-        profile[which - which % widths : which - which % widths + widths] = np.inf
-        if nearby < np.inf:
-            profile[second] = nearby
+        block, flat = which - which % widths, min(best, acceptable) + FLAT
+        for row in range(block, block + widths):
+            other = abs(row - which) > 1 and profile[row] < flat
+            if not (other or (row == second and which == first)):
+                profile[row] = np.inf
+        profile[which] = np.inf
         which = lowest_row(profile, 0, 1)  # the second valley, or one of another index or another sigma
         which = which if profile[which] < np.inf else -1
     return best
@@ -235,6 +287,9 @@ def fit_pixels(  # type: ignore[no-untyped-def]
     of_causes, of_blocks, rows = np.empty(r * n), np.empty(numbers.shape[0] * n, np.int64), np.empty((3, n))
     work, starts, matrix = np.empty((k + r + 3, n)), np.empty((grid.shape[0], size)), np.empty((k, k))
     triangle, moves, end, profile = np.empty((k, k)), np.empty(k, np.bool_), np.empty(size), np.empty(grid.shape[0])
+    around = np.empty((k, k))
+    whole, shaded_rows = np.empty(grid.shape[0] * n), np.zeros(grid.shape[0], np.int64)
+    logarithms, measured, small = np.empty(size), z, 0.0
     lobes, units, how, before = np.empty(grid.shape[0] * n), grid.copy(), 0, -1
     few_i, few_r, few = np.empty(3 * n), np.empty(3 * n), np.empty(count_of_columns * n)
     few_z, few_w = np.empty(n), np.empty(n)
@@ -273,15 +328,37 @@ def fit_pixels(  # type: ignore[no-untyped-def]
             if fresh:
                 take(few_i[: 3 * m], few_r[: 3 * m], lower, some)
         if fresh:
+            shaded_rows[:] = 0
             shade(some, units.ravel(), grid.shape[0], lobes[: grid.shape[0] * some_z.size])
         chi[p] = lowest(
             shade, derive, unit, levels, columns, z, w, some_z, some_w, relative, grid, (how, widths, width), free,
-            lower, upper, critical[count], rows, lobes, work, starts, profile, matrix, moves, triangle, end, theta[p],
-            spread[p], room, count,
+            lower, upper, critical[count], rows, (lobes, units, whole, shaded_rows, starts, profile), work, matrix,
+            around, moves, triangle, end, theta[p], spread[p], room, count,
         )  # fmt: skip
         if chi[p] > critical[count]:
+            # where a narrow lobe lies beside the values, their logarithms lead towards it
             small = max(LINEAR_BELOW * np.median(np.abs(z[:count])), 1e-300)
             measured = z[:count].copy()
+            for j in range(count):
+                z[j], w[j] = on_scale(measured[j], small), 1.0
+            copied(theta[p], logarithms, 0, size)
+            minimised(
+                shade, derive, columns, z, w, small, relative[:0], logarithms, free, lower, upper, rows[0, :count],
+                work, matrix, moves, room, count, np.inf, end, around,
+            )  # fmt: skip
+            for j in range(count):
+                z[j], w[j] = measured[j], 1.0 / own[j]
+            copied(logarithms, end, 0, size)
+            found = minimised(
+                shade, derive, columns, z, w, 0.0, relative, end, free, lower, upper, rows[0, :count], work,
+                matrix, moves, room, count, chi[p], theta[p], around,
+            )  # fmt: skip
+            if found < chi[p]:
+                chi[p] = found
+                copied(end, theta[p], 0, size)
+                inverted(matrix, moves, triangle, spread[p])
+        if chi[p] > critical[count]:
+            copied(logarithms, theta[p], 0, size)
             tau[p] = nearest(
                 shade, derive, columns, measured, own[:count], z[:count], w[:count], small, relative, theta[p], free,
                 lower, upper, rows[0, :count], work, block, spread[p], moves, room, count,

@@ -201,7 +201,26 @@ def nearest(  # type: ignore[no-untyped-def]
         z[j] = on_scale(values[j], small)
         w[j] = 1.0
     minimised(
-        shade, derive, columns, z, w, small, nothing, theta, free, lower, upper, f, work, matrix, moves, room, count
+        shade,
+        derive,
+        columns,
+        z,
+        w,
+        small,
+        nothing,
+        theta,
+        free,
+        lower,
+        upper,
+        f,
+        work,
+        matrix,
+        moves,
+        room,
+        count,
+        np.inf,
+        theta,
+        matrix,
     )
     tau = 0.0
     for turn in range(TURNS):
@@ -220,7 +239,7 @@ def nearest(  # type: ignore[no-untyped-def]
             w[j] = 1.0 / sqrt(variance[j] + tau * tau)
         minimised(
             shade, derive, columns, z, w, small, relative, theta, free, lower, upper, f, work, matrix, moves, room,
-            count,
+            count, np.inf, theta, matrix,
         )  # fmt: skip
     slopes_of_scale(f, small, slope, count)
     shaded(shade, columns, theta, free, lower, upper, differs, trials, whole, count)

@@ -37,6 +37,8 @@ MOST_STEPS, MOST_TRIALS = 400, 12
 FIRST_DAMPING = 1e-3
 NEAR_BOUND = 1e-4
 """Of a parameter's range."""
+SAME_VALLEY = 0.1
+"""Squared distance, in standard errors, from a minimum that is known: what is above it and as near leads to it."""
 
 
 @inlined
@@ -139,13 +141,24 @@ def room_for(k, r, size, n, differs):  # type: ignore[no-untyped-def]
 
 
 @viewing
+def distance(theta, other, free, matrix):  # type: ignore[no-untyped-def]
+    """Squared distance of the free parameters, in standard errors of a normal matrix."""
+    out = 0.0
+    for a in range(free.size):
+        for b in range(free.size):
+            out += (theta[free[a]] - other[free[a]]) * matrix[a, b] * (theta[free[b]] - other[free[b]])
+    return out
+
+
+@viewing
 def minimised(  # type: ignore[no-untyped-def]
-    shade, derive, columns, z, w, small, relative, theta, free, lower, upper, f, work, matrix, moves, room, count
-):
+    shade, derive, columns, z, w, small, relative, theta, free, lower, upper, f, work, matrix, moves, room, count,
+    known, there, around,
+):  # fmt: skip
     """Levenberg and Marquardt's least squares from `theta` on, which is moved; chi-square at the end.
 
     `f` becomes the model at the end, `matrix` the normal matrix; `work` has rows for derivatives, causes, residual
-    and slope.
+    and slope. It stops where it comes to a minimum that is `known`, which lies `there` with the normal matrix `around`.
     """
     k, r = free.size, relative.shape[0]
     derivatives, causes = work[:k], work[k : k + r]
@@ -161,6 +174,8 @@ def minimised(  # type: ignore[no-untyped-def]
         if r:
             whitened_causes(relative, values, w, slope, causes, inner, count)
         chi = missed(values, z, w, small, r, causes, inner, residual, other, count)
+        if chi > known and distance(theta, there, free, around) < SAME_VALLEY:
+            break
         normal(derivatives, residual, causes, inner, other, of_causes, matrix, right, count)
         for a in range(k):
             at = free[a]
