@@ -7,11 +7,10 @@ imports at its first fit.
 from math import copysign, sqrt
 
 import numba
-import numpy as np
 
 from gonio.compiled import counting
 from gonio.models import _math
-from gonio.models._compile import FASTMATH, jit
+from gonio.models._compile import FASTMATH, jit, options
 
 OPTIONS = {"error_model": "numpy", "nogil": True, "fastmath": set(FASTMATH)}
 called = numba.njit(**OPTIONS, **counting(True))
@@ -20,7 +19,9 @@ viewing = numba.njit(**OPTIONS, **counting(False))
 summing = numba.njit(error_model="numpy", nogil=True, fastmath={*FASTMATH, "reassoc"})
 """Sums may be taken in any order, so that they vectorise."""
 inlined = numba.njit(inline="always", **OPTIONS)
-log = jit(_math.log)
+vectors = numba.njit(**options(2), nogil=True, **counting(False))
+"""For a loop over values without sums, which takes whole vectors."""
+log, per_root = jit(_math.log), jit(_math.per_root)
 
 
 @viewing
@@ -90,10 +91,9 @@ def on_scale(f, small):  # type: ignore[no-untyped-def]
 
 
 @viewing
-def solve(matrix, right, moves, damping, triangle, out):  # type: ignore[no-untyped-def]
-    """Solve (matrix + damping times its diagonal) out = right by Cholesky; 0 for parameters that do not move."""
-    k = out.size
-    for a in range(k):
+def factored(matrix, moves, damping, triangle):  # type: ignore[no-untyped-def]
+    """Cholesky's triangle of matrix + damping times its diagonal, over the parameters that move."""
+    for a in range(moves.size):
         for b in range(a + 1):
             if not (moves[a] and moves[b]):
                 triangle[a, b] = 1.0 if a == b else 0.0
@@ -102,6 +102,12 @@ def solve(matrix, right, moves, damping, triangle, out):  # type: ignore[no-unty
             for c in range(b):
                 rest -= triangle[a, c] * triangle[b, c]
             triangle[a, b] = sqrt(max(rest, 1e-14 * matrix[a, a], 1e-300)) if a == b else rest / triangle[b, b]
+
+
+@viewing
+def substituted(triangle, right, moves, out):  # type: ignore[no-untyped-def]
+    """What the factored matrix turns into `right`; 0 for parameters that do not move."""
+    k = out.size
     for a in range(k):
         rest = right[a] if moves[a] else 0.0
         for c in range(a):
@@ -114,17 +120,22 @@ def solve(matrix, right, moves, damping, triangle, out):  # type: ignore[no-unty
         out[a] = rest / triangle[a, a] if moves[a] else 0.0
 
 
-@called
+@viewing
+def solve(matrix, right, moves, damping, triangle, out):  # type: ignore[no-untyped-def]
+    """Solve (matrix + damping times its diagonal) out = right by Cholesky; 0 for parameters that do not move."""
+    factored(matrix, moves, damping, triangle)
+    substituted(triangle, right, moves, out)
+
+
+@viewing
 def inverted(matrix, moves, triangle, out):  # type: ignore[no-untyped-def]
     """The inverse of a matrix over the parameters that move; 0 elsewhere."""
-    k = moves.size
-    one, column = np.zeros(k), np.empty(k)
-    for a in range(k):
-        one[:] = 0.0
-        one[a] = 1.0
-        solve(matrix, one, moves, 0.0, triangle, column)
-        for b in range(k):
-            out[b, a] = column[b] if moves[a] else 0.0
+    factored(matrix, moves, 0.0, triangle)
+    for a in range(moves.size):
+        row = out[a]
+        row[:] = 0.0
+        row[a] = 1.0
+        substituted(triangle, row, moves, row)
 
 
 @viewing

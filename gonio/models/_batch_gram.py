@@ -63,6 +63,7 @@ def examine(  # type: ignore[no-untyped-def]
     """
     n, k, r = values.shape[1], free.size, common.shape[0]
     omega_i, omega_r, packed = np.empty(3 * n), np.empty(3 * n), np.empty(count_of_columns * n)
+    source_of, camera_of = np.empty((3, n)), np.empty((3, n))
     z, w, own, at = np.empty(n), np.empty(n), np.empty(n), np.full(n, -1, np.int64)
     differs = by_differences(derive, packed, free, lower, upper)
     sets = 1 + differs.sum()
@@ -82,8 +83,9 @@ def examine(  # type: ignore[no-untyped-def]
         for j in range(count):
             relative[:, j] = common[:, at[j]]
             block[:, j] = numbers[:, at[j]]
+            source_of[:, j], camera_of[:, j] = source[:, at[j]], camera[:, at[j]]
         columns, f = packed[: count_of_columns * count], whole[:count]
-        seen_from(x[p], y[p], source, camera, at, count, omega_i, omega_r)
+        seen_from(x[p], y[p], source_of, camera_of, count, omega_i, omega_r)
         take(omega_i[: 3 * count], omega_r[: 3 * count], lower, columns)
         small = on_logarithms(z, own, tau[p], w, variance, count) if job != GRAM else 0.0
         shaded(shade, columns, theta[p], free, lower, upper, differs, trials, whole, count)

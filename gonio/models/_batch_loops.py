@@ -1,21 +1,32 @@
 """The compiled part of `gonio.models.batch`: one pixel after the other, its directions, starts and fits.
 
-A model comes in as five compiled functions (`_batch_steps.SHADE` and its like), so that all this is compiled once for
+A model comes in as six compiled functions (`_batch_steps.SHADE` and its like), so that all this is compiled once for
 all models. Indices: j values, a parameters that move, c common causes, p pixels. numba is imported with this module,
 which `batch` imports at its first fit.
 """
 
 import functools
-from math import sqrt
 
 import numpy as np
 from numba import types
 
 from gonio.compiled import njit
-from gonio.models._batch_algebra import OPTIONS, copied, inverted, moments, on_scale, slope_moments, sum_of, viewing
+from gonio.models._batch_algebra import (
+    OPTIONS,
+    copied,
+    inverted,
+    moments,
+    on_scale,
+    per_root,
+    slope_moments,
+    sum_of,
+    vectors,
+    viewing,
+)
 from gonio.models._batch_misfit import nearest
 from gonio.models._batch_models import FREE_BASE, FREE_LEVELS, FREE_LOBE
-from gonio.models._batch_steps import DERIVE, LEVELS, SHADE, TAKE, UNIT, by_differences, minimised, room_for
+from gonio.models._batch_steps import CONSTANTS, DERIVE, LEVELS, SHADE, TAKE, UNIT, by_differences, minimised, room_for
+from gonio.models._batch_sums import moments_by_sums, room_for_sums, summed, walked
 from gonio.models._compile import fingerprint
 
 FAR_VALLEY = 100.0
@@ -66,12 +77,10 @@ def lowest_row(profile, first, step):  # type: ignore[no-untyped-def]
 
 
 @viewing
-def levelled(how, g, weight, weighted, s0, sz, count):  # type: ignore[no-untyped-def]
-    """The best level and base of a lobe, by how much they lower chi-square below that of nothing, and the sums."""
-    sg, sgg, sgz = moments(g, weight, weighted, count)
+def levelled(how, s0, sz, sg, sgg, sgz):  # type: ignore[no-untyped-def]
+    """The best level and base of a lobe, and by how much they lower chi-square below that of nothing."""
     level, base = levels_of(how, s0, sz, sg, sgg, sgz)
-    gain = 2.0 * (level * sgz + base * sz - level * base * sg) - level * level * sgg - base * base * s0
-    return level, base, gain, sg, sgg, sgz
+    return level, base, 2.0 * (level * sgz + base * sz - level * base * sg) - level * level * sgg - base * base * s0
 
 
 @viewing
@@ -88,16 +97,19 @@ def weighed(z, w, weight, weighted, count):  # type: ignore[no-untyped-def]
 
 
 @viewing
-def judged(levels, how, z, w, grid, starts, profile, weight, weighted, lobes, count):  # type: ignore[no-untyped-def]
+def judged(levels, how, by_sums, z, w, grid, starts, profile, weight, weighted, lobes, sums, turned, count):  # type: ignore[no-untyped-def]
     """Parameters and chi-square of each row of the grid, into `starts` and `profile`.
 
     Where levels are solved for, the model is a lobe times a level and a base: both follow by linear least squares.
-    `lobes` has the lobes, row after row.
+    `lobes` has the lobes, row after row, or `by_sums` their constants.
     """
-    s0, sz, szz = weighed(z, w, weight, weighted, count)
+    s0, sz, szz = (sums[0], sums[10], sums[14]) if by_sums else weighed(z, w, weight, weighted, count)
     for row in range(grid.shape[0]):
-        g = lobes[row * count : row * count + count]
-        level, base, gain, _, _, _ = levelled(how, g, weight, weighted, s0, sz, count)
+        if by_sums:
+            sg, sgg, sgz = moments_by_sums(sums, lobes[4 * row : 4 * row + 4], turned)
+        else:
+            sg, sgg, sgz = moments(lobes[row * count : row * count + count], weight, weighted, count)
+        level, base, gain = levelled(how, s0, sz, sg, sgg, sgz)
         profile[row] = szz - gain
         start = starts[row]
         copied(grid[row], start, 0, start.size)
@@ -125,7 +137,8 @@ def judged_again(  # type: ignore[no-untyped-def]
         if shaded_rows[row] == 0:
             shade(columns, units[row], 1, g)
         shaded_rows[row] = 3
-        level, base, gain, _, _, _ = levelled(how, g, weight, weighted, s0, sz, count)
+        sg, sgg, sgz = moments(g, weight, weighted, count)
+        level, base, gain = levelled(how, s0, sz, sg, sgg, sgz)
         profile[row] = szz - gain
         highest = max(highest, profile[row])
         levels(starts[row], level, base)
@@ -137,7 +150,7 @@ def judged_again(  # type: ignore[no-untyped-def]
 
 @viewing
 def valleys(profile, widths):  # type: ignore[no-untyped-def]
-    """The rows of the two lowest valleys of chi-square over the grid's widths; -1 for none. Widths run fastest."""
+    """The rows of the two lowest valleys of chi-square over the grid's widths, which run fastest; -1 for none."""
     first, second = -1, -1
     for a in range(widths):
         here = lowest_row(profile, a, widths)
@@ -167,7 +180,8 @@ def narrowed(shade, derive, unit, levels, columns, start, width, low, high, weig
             shade(columns, trial, 1, g)
         else:
             copied(lobe, g, 0, count)
-        level, base, gain, sg, sgg, _ = levelled(how, g, weight, weighted, s0, sz, count)
+        sg, sgg, sgz = moments(g, weight, weighted, count)
+        level, base, gain = levelled(how, s0, sz, sg, sgg, sgz)
         if not gain > best:
             break
         best = gain
@@ -186,37 +200,43 @@ def narrowed(shade, derive, unit, levels, columns, start, width, low, high, weig
         trial[width] = min(max(trial[width] + step, low, 0.5 * trial[width]), high, 2.0 * trial[width])
 
 
-@viewing
-def seen_from(x, y, source, camera, at, count, omega_i, omega_r):  # type: ignore[no-untyped-def]
-    """Unit vectors from a place to source and camera of the values that are used."""
+@vectors
+def seen_from(x, y, source, camera, count, omega_i, omega_r):  # type: ignore[no-untyped-def]
+    """Unit vectors from a place to source and camera of each value."""
     for j in range(count):
-        k = at[j]
-        dx, dy, dz = source[0, k] - x, source[1, k] - y, source[2, k]
-        inverse = 1.0 / sqrt(dx * dx + dy * dy + dz * dz)
+        dx, dy, dz = source[0, j] - x, source[1, j] - y, source[2, j]
+        inverse = per_root(dx * dx + dy * dy + dz * dz)
         omega_i[3 * j], omega_i[3 * j + 1], omega_i[3 * j + 2] = dx * inverse, dy * inverse, dz * inverse
-        dx, dy, dz = camera[0, k] - x, camera[1, k] - y, camera[2, k]
-        inverse = 1.0 / sqrt(dx * dx + dy * dy + dz * dz)
+        dx, dy, dz = camera[0, j] - x, camera[1, j] - y, camera[2, j]
+        inverse = per_root(dx * dx + dy * dy + dz * dz)
         omega_r[3 * j], omega_r[3 * j + 1], omega_r[3 * j + 2] = dx * inverse, dy * inverse, dz * inverse
 
 
 @viewing
 def taken(values, u, z, own, w, at):  # type: ignore[no-untyped-def]
     """Packs the values that have an uncertainty: how many there are, and whether they are those of before."""
-    count, same = 0, True
+    count, moved = 0, 0
+    for j in range(values.size):
+        count += 1 if u[j] > 0.0 and values[j] - values[j] == 0.0 else 0
+    if count == values.size:  # without a branch a value
+        for j in range(count):
+            moved |= at[j] ^ j
+            at[j] = j
+            z[j], own[j], w[j] = values[j], u[j], 1.0 / u[j]
+        return count, moved == 0
+    count = 0
     for j in range(values.size):
         if u[j] > 0.0 and values[j] - values[j] == 0.0:
-            same = same and at[count] == j
+            moved |= at[count] ^ j
             at[count] = j
-            z[count], own[count] = values[j], u[j]
+            z[count], own[count], w[count] = values[j], u[j], 1.0 / u[j]
             count += 1
-    for j in range(count):
-        w[j] = 1.0 / own[j]
-    return count, same
+    return count, moved == 0
 
 
 REAL, WHOLE = types.float64, types.int64
 RESULT = types.int64(
-    *(types.FunctionType(one) for one in (TAKE, SHADE, DERIVE, UNIT, LEVELS)),
+    *(types.FunctionType(one) for one in (TAKE, SHADE, DERIVE, UNIT, LEVELS, CONSTANTS)),
     *(WHOLE, REAL[::1], REAL[::1], REAL[:, ::1], REAL[:, ::1], REAL[:, ::1], REAL[:, ::1], REAL[:, ::1]),
     *(WHOLE[::1], REAL[::1], REAL[::1], REAL[:, ::1], WHOLE, WHOLE[:, ::1], REAL[::1], WHOLE, WHOLE),
     *(REAL[:, ::1], REAL[:, :, ::1], REAL[::1], REAL[::1], WHOLE[::1], WHOLE, WHOLE),
@@ -225,17 +245,22 @@ RESULT = types.int64(
 
 @viewing
 def lowest(  # type: ignore[no-untyped-def]
-    shade, derive, unit, levels, columns, z, w, some_z, some_w, relative, grid, axis, free, lower, upper, acceptable,
-    rows, of_grid, work, matrix, around, moves, triangle, end, theta, spread, room, count,
+    shade, derive, unit, levels, constants, columns, z, w, some_z, some_w, relative, grid, axis, free, lower, upper,
+    acceptable, rows, of_grid, work, matrix, around, moves, triangle, end, theta, spread, rooms, count,
 ):  # fmt: skip
     """Chi-square of the lowest valley; its parameters in `theta`, their covariance in `spread`.
 
-    `axis`: what `unit` tells, how many widths the grid has, and which parameter the width is, or -1.
+    `axis`: what `unit` tells, how many widths the grid has, which parameter the width is, or -1, and whether all goes
+    `by_sums`.
     """
-    how, widths, width = axis
+    (how, widths, width, by_sums), (room, on_sums) = axis, rooms
     lobes, units, whole, shaded_rows, starts, profile = of_grid  # a call of more than 30 arguments makes numba warn
-    f, weight, weighted = rows[0, :count], rows[1], rows[2]
-    judged(levels, how, some_z, some_w, grid, starts, profile, weight, weighted, lobes, some_z.size)
+    f, weight, weighted, sums, turned = rows[0, :count], rows[1], rows[2], on_sums[0], on_sums[4]
+    if by_sums:
+        summed(columns, z, w, count, sums)
+    judged(
+        levels, how, by_sums, some_z, some_w, grid, starts, profile, weight, weighted, lobes, sums, turned, some_z.size
+    )
     for row in range(profile.size):
         profile[row] *= count / some_z.size
     if some_z.size < count and profile[lowest_row(profile, 0, 1)] < UNCLEAR * acceptable:
@@ -248,17 +273,23 @@ def lowest(  # type: ignore[no-untyped-def]
     while which >= 0:
         if best <= acceptable and profile[which] > max(CLOSE_VALLEY * best + 20.0, CLOSE):
             break
-        if width >= 0:
+        if width >= 0 and not by_sums:
             narrowed(
                 shade, derive, unit, levels, columns, starts[which], width, lower[width], upper[width], weight,
                 weighted, lobes[which * count : which * count + count], f, work[0, :count], end, count,
             )  # fmt: skip
         for a in range(end.size):
             end[a] = min(max(starts[which, a], lower[a]), upper[a])
-        found = minimised(
-            shade, derive, columns, z, w, 0.0, relative, end, free, lower, upper, f, work, matrix, moves, room, count,
-            best, theta, around,
-        )  # fmt: skip
+        if by_sums:
+            for values in (0, count):
+                found = walked(
+                    constants, columns, z, w, end, free, lower, upper, matrix, moves, triangle, on_sums, values
+                )
+        else:
+            found = minimised(
+                shade, derive, columns, z, w, 0.0, relative, end, free, lower, upper, f, work, matrix, moves, room,
+                count, best, theta, around,
+            )  # fmt: skip
         if found < best:
             best = found
             copied(end, theta, 0, end.size)
@@ -277,8 +308,8 @@ def lowest(  # type: ignore[no-untyped-def]
 
 
 def fit_pixels(  # type: ignore[no-untyped-def]
-    take, shade, derive, unit, levels, count_of_columns, x, y, source, camera, values, u, common, free, lower, upper,
-    grid, widths, numbers, critical, every, width, theta, spread, chi, tau, used, start, stop,
+    take, shade, derive, unit, levels, constants, count_of_columns, x, y, source, camera, values, u, common, free,
+    lower, upper, grid, widths, numbers, critical, every, width, theta, spread, chi, tau, used, start, stop,
 ):  # fmt: skip
     """Fit pixels `start` to `stop`, one after the other; see `gonio.models.batch.fit`."""
     n, k, r, size = values.shape[1], free.size, common.shape[0], grid.shape[1]
@@ -290,12 +321,16 @@ def fit_pixels(  # type: ignore[no-untyped-def]
     around = np.empty((k, k))
     whole, shaded_rows = np.empty(grid.shape[0] * n), np.zeros(grid.shape[0], np.int64)
     logarithms, measured, small = np.empty(size), z, 0.0
-    lobes, units, how, before = np.empty(grid.shape[0] * n), grid.copy(), 0, -1
+    lobes, units, how, before = np.empty(grid.shape[0] * max(n, 4)), grid.copy(), 0, -1
     few_i, few_r, few = np.empty(3 * n), np.empty(3 * n), np.empty(count_of_columns * n)
-    few_z, few_w = np.empty(n), np.empty(n)
+    few_z, few_w, source_of, camera_of = np.empty(n), np.empty(n), np.empty((3, n)), np.empty((3, n))
+    on_sums = room_for_sums(k, size)
+    by_sums = r == 0 and constants(lower, -1, on_sums[1]) == 1
     room = room_for(k, r, size, n, by_differences(derive, packed, free, lower, upper))
     for row in range(grid.shape[0]):
         how = unit(units[row])
+        if by_sums:
+            constants(units[row], -1, lobes[4 * row : 4 * row + 4])
     for p in range(start, stop):
         count, same = taken(values[p], u[p], z, own, w, at)
         used[p] = count
@@ -306,14 +341,14 @@ def fit_pixels(  # type: ignore[no-untyped-def]
         block = of_blocks[: numbers.shape[0] * count].reshape((numbers.shape[0], count))
         if not same:
             for j in range(count):
-                relative[:, j] = common[:, at[j]]
+                source_of[:, j], camera_of[:, j], relative[:, j] = source[:, at[j]], camera[:, at[j]], common[:, at[j]]
                 block[:, j] = numbers[:, at[j]]
         if count <= k:
             before = -1
             continue
         fresh = not same or x[p] != x[p - 1] or y[p] != y[p - 1]
         if fresh:
-            seen_from(x[p], y[p], source, camera, at, count, omega_i, omega_r)
+            seen_from(x[p], y[p], source_of, camera_of, count, omega_i, omega_r)
             take(omega_i[: 3 * count], omega_r[: 3 * count], lower, columns)
         before = count
         step = every if count >= FEWEST_OF_SOME * every else 1
@@ -327,13 +362,14 @@ def fit_pixels(  # type: ignore[no-untyped-def]
                 few_r[3 * j : 3 * j + 3] = omega_r[3 * j * step : 3 * j * step + 3]
             if fresh:
                 take(few_i[: 3 * m], few_r[: 3 * m], lower, some)
-        if fresh:
+        if fresh and not by_sums:
             shaded_rows[:] = 0
             shade(some, units.ravel(), grid.shape[0], lobes[: grid.shape[0] * some_z.size])
         chi[p] = lowest(
-            shade, derive, unit, levels, columns, z, w, some_z, some_w, relative, grid, (how, widths, width), free,
-            lower, upper, critical[count], rows, (lobes, units, whole, shaded_rows, starts, profile), work, matrix,
-            around, moves, triangle, end, theta[p], spread[p], room, count,
+            shade, derive, unit, levels, constants, columns, z, w, some_z, some_w, relative, grid,
+            (how, widths, width, by_sums), free, lower, upper, critical[count], rows,
+            (lobes, units, whole, shaded_rows, starts, profile), work, matrix, around, moves, triangle, end, theta[p],
+            spread[p], (room, on_sums), count,
         )  # fmt: skip
         if chi[p] > critical[count]:
             # where a narrow lobe lies beside the values, their logarithms lead towards it

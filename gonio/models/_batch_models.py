@@ -280,6 +280,8 @@ class Batched:
     """Sets parameters from a level and a base [1/sr]."""
     grid: tuple[tuple[str, tuple[float, ...]], ...]
     """Starts: every combination; the last one is the width whose valleys are told apart."""
+    linear: bool = False
+    """Whether the model is 1 and its kernel's three columns times the constants, and `bend` tells their derivatives."""
     every: int = 1
     """Step through the values that starts are found from: 4 takes every fourth."""
     own: Callable[[float], tuple[float, ...]] = lambda wavelength_nm: ()
@@ -328,6 +330,7 @@ MODELS = {
     "oren-nayar": Batched(
         ("albedo", "sigma_deg"), functional, 4, grooves_constants, nothing_affine, grooves_unit, grooves_levels,
         (("sigma_deg", (2.0, 10.0, 20.0, 30.0, 45.0)),), bend=(grooves_bend, functional, 4),
+        linear=True,
     ),
     "he-torrance": Batched(
         ("sigma0_um", "diffuse_albedo", "tau_um", "ior", "k"), _htsg_kernels.lobe_state, 11, waves_constants,

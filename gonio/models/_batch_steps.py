@@ -28,6 +28,9 @@ UNIT = types.int64(ROW)
 """Sets the levels among the parameters to 1 and 0; tells what of them follows by linear least squares."""
 LEVELS = types.int64(ROW, types.float64, types.float64)
 """Sets parameters from the level of a lobe and from a base [1/sr]."""
+CONSTANTS = types.int64(ROW, types.int64, ROW)
+"""Parameters, -1 or which of them -> 1 and the constants of a model that is linear in its columns, or their
+derivatives; 0 for other models."""
 
 STEP = 1e-6
 """Of a parameter, relative, for a derivative by differences: its error is 1e-6 of the derivative."""

@@ -198,21 +198,21 @@ def whole_vectors() -> bool:
     return True
 
 
-def _options(side_by_side: int | None = None, in_single: bool = False) -> dict[str, object]:
+def options(side_by_side: int | None = None, in_single: bool = False) -> dict[str, object]:
     """How numba compiles a function: our flags, and the pipeline of `_vector_width` where there is one."""
-    options: dict[str, object] = {"fastmath": set(FASTMATH), "error_model": "numpy"}
+    out: dict[str, object] = {"fastmath": set(FASTMATH), "error_model": "numpy"}
     if whole_vectors():
         from gonio.models._vector_width import SIDE_BY_SIDE, wide
 
-        options["pipeline_class"] = wide(side_by_side or SIDE_BY_SIDE, in_single)
-    return options
+        out["pipeline_class"] = wide(side_by_side or SIDE_BY_SIDE, in_single)
+    return out
 
 
 @functools.cache
 def _jit(function: Callable[..., Any], others: Others = (), in_single: bool = False) -> Any:
     import numba
 
-    return numba.njit(forceinline=True, **_options(in_single=in_single))(_clone(function, {}, others, in_single))
+    return numba.njit(forceinline=True, **options(in_single=in_single))(_clone(function, {}, others, in_single))
 
 
 def jit(function: Callable[..., Any]) -> Any:
@@ -255,18 +255,18 @@ def _loop(function: Callable[..., Any], kernel: Callable[..., Any], size: int, i
 
     function = kernel.__dict__.get(function.__name__, function)  # a kernel of several passes brings its own loops
     signature = tuple(kind(code) for code in function.__dict__["__layout__"])
-    options = _options(function.__dict__["__side_by_side__"], in_single)
-    options |= counting(not function.__dict__["__columns__"])  # those make no arrays
+    chosen = options(function.__dict__["__side_by_side__"], in_single)
+    chosen |= counting(not function.__dict__["__columns__"])  # those make no arrays
     names: dict[str, object] = {"kernel": kernel}
     if "columns" in kernel.__dict__ and not function.__dict__["__columns__"]:
         parts = {"shade": kernel, "take": kernel.__dict__["columns"]}
         whole = _clone(_of_directions, parts, kernel.__dict__.get("others", ()), in_single)
-        names = {"kernel": numba.njit(forceinline=True, **options)(whole)}
+        names = {"kernel": numba.njit(forceinline=True, **chosen)(whole)}
     plain = _clone(function, names, function.__dict__.get("others", ()), in_single)
     made_of = fingerprint(plain, function.__dict__["__side_by_side__"]) + ("" if whole_vectors() else "_stock")
     plain.__name__ = f"{function.__name__}_{real}_{kernel.__module__.rsplit('.', 1)[-1]}_{kernel.__name__}_{made_of}"
     plain.__qualname__ = plain.__name__
-    return njit(*signature, nogil=True, **options)(plain)
+    return njit(*signature, nogil=True, **chosen)(plain)
 
 
 def loop(function: Callable[..., Any], kernel: Callable[..., Any], size: int, *, in_single: bool = False) -> Any:

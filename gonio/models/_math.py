@@ -25,6 +25,7 @@ _PI2_C = 2.0222662487959506e-21
 _HALF_PI_REST = 6.123233995736766e-17  # pi/2 less the double nearest to it
 _ONE_BITS = 4607182418800017408
 _SQRT_HALF_BITS = 4604544271217802189  # the bits of sqrt(1/2)
+_PER_ROOT_BITS = 6910469410427058089  # less half the bits of x: those of about 1/sqrt(x) (Lomont 2003)
 _MANTISSA = 4503599627370495
 _TWO_52_BITS = 4841369599423283200  # the bits of 2**52
 _TWO_52 = 4503599627370496.0
@@ -76,6 +77,16 @@ def log(x):  # type: ignore[no-untyped-def]
     half = 0.5 * f * f
     value = exponent * _LN2_HIGH - ((half - (s * (half + (odd + even)) + exponent * _LN2_LOW)) - f)
     return value if x > 0.0 else -math.inf
+
+
+@device
+def per_root(x):  # type: ignore[no-untyped-def]
+    """1/sqrt(x) for normal positive x: no root, no division, which take most of a loop's time."""
+    y = np.int64(_PER_ROOT_BITS - (np.float64(x).view(np.int64) >> 1)).view(np.float64)  # within 3.5 %
+    e = 1.0 - x * (y * y)
+    y += y * e * (0.5 + e * (0.375 + e * 0.3125))  # Taylor's of (1 - e)^(-1/2): within 8e-6
+    e = 1.0 - x * (y * y)
+    return y + y * e * (0.5 + e * (0.375 + e * 0.3125))
 
 
 @device

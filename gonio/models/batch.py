@@ -284,9 +284,27 @@ def _derivative(model: Batched, count: int) -> Callable[..., Any]:
     return derive
 
 
+def _constants(model: Batched) -> Callable[..., Any]:
+    """The constants of a model that is linear in its columns, or their derivatives by one parameter."""
+    if not model.linear or model.bend is None:
+
+        def no_constants(theta, which, out):  # type: ignore[no-untyped-def]
+            return 0
+
+        return no_constants
+    of, bend_of = jit(model.constants), jit(model.bend[0])
+
+    def constants(theta, which, out):  # type: ignore[no-untyped-def]
+        p = of(theta) if which < 0 else bend_of(theta, which)[1]
+        out[0], out[1], out[2], out[3] = p
+        return 1
+
+    return constants
+
+
 @functools.cache
 def _compiled(name: str, absorbs: bool, folded: bool) -> tuple[Any, ...]:
-    """The five functions of a model that `_batch_loops.fit_pixels` calls, and how many columns its kernel has."""
+    """The six functions of a model that `_batch_loops.fit_pixels` calls, and how many columns its kernel has."""
     from gonio.compiled import counting, njit
     from gonio.models import _batch_steps as types
 
@@ -308,7 +326,7 @@ def _compiled(name: str, absorbs: bool, folded: bool) -> tuple[Any, ...]:
     made, suffix = [], f"{name.replace('-', '_')}_{'nk' if absorbs else 'n'}{folded:d}"
     for function, signature in (
         (take, types.TAKE), (shade, types.SHADE), (_derivative(model, count), types.DERIVE), (unit, types.UNIT),
-        (levels, types.LEVELS),
+        (levels, types.LEVELS), (_constants(model), types.CONSTANTS),
     ):  # fmt: skip
         function.__name__ = function.__qualname__ = f"{function.__name__}_{suffix}_{fingerprint(function)}"
         lean = function is not take and "columns" in kernel.__dict__  # what makes no arrays

@@ -109,6 +109,25 @@ def test_minimum_and_covariance_are_those_of_least_squares_on_the_plain_formula(
         np.testing.assert_allclose(found.covariance[p], spread, rtol=1e-4)
 
 
+@pytest.mark.parametrize("u_rel", [1e-2, 1e-6])
+def test_sums_over_the_values_lead_to_their_least_squares(u_rel: float) -> None:
+    d = drawn("oren-nayar", 6, 6, u_rel)
+    found = fitted("oren-nayar", d)
+    for p in range(6):
+        angles = directions(d["at"][2], d["at"][3], d["at"][0][p], d["at"][1][p]).angles
+
+        def residual(t: Floats, angles: Any = angles, p: int = p) -> Floats:
+            return np.asarray((build("oren-nayar", {"albedo": t[0], "sigma_deg": t[1]}).brdf(*angles)
+                               - d["values"][p]) / d["u"][p])  # fmt: skip
+
+        least = least_squares(residual, found.values[p] * 1.001, jac="3-point", xtol=1e-15, ftol=1e-15, gtol=1e-15)
+        spread = np.linalg.inv(least.jac.T @ least.jac)
+        # scipy ends where its derivatives by differences, good to 1e-9, no longer lower the cost
+        np.testing.assert_allclose((found.values[p] - least.x) / np.sqrt(np.diag(spread)), 0.0, atol=2e-5)
+        np.testing.assert_allclose(found.chi_square[p], 2.0 * least.cost, rtol=1e-8)
+        np.testing.assert_allclose(found.covariance[p], spread, rtol=1e-6)
+
+
 @pytest.mark.parametrize("name", DRAWN)
 def test_derivatives_by_formula_are_those_by_differences(name: str) -> None:
     """What the covariance is made of; with the index known, and free."""
@@ -225,7 +244,7 @@ def test_values_are_those_of_the_model_and_derivatives_by_formula_those_of_the_v
     source, camera = geometry(rng)
     at = directions(source, camera, 0.0, 0.0)
     omega_i, omega_r = (np.ascontiguousarray(v, float).reshape(-1) for v in at.vectors)
-    take, shade, derive, _, _, count = batch._compiled(name, False, folded)
+    take, shade, derive, *_, count = batch._compiled(name, False, folded)
     columns, f, formula = np.empty(count * POINTS), np.empty(POINTS), np.empty(POINTS)
     ranges, fixed = DRAWN[name]
     for _ in range(20):
@@ -257,7 +276,7 @@ def test_many_sets_at_once_give_what_each_gives_alone(name: str) -> None:
     at = directions(source, camera, 0.0, 0.0)
     omega_i, omega_r = (np.ascontiguousarray(v, float).reshape(-1) for v in at.vectors)
     model = batch.require(name)
-    take, shade, _, _, _, count = batch._compiled(name, False, "ior" in DRAWN[name][1])
+    take, shade, *_, count = batch._compiled(name, False, "ior" in DRAWN[name][1])
     columns, sets = np.empty(count * POINTS), 30  # He-Torrance works 2048 values at a time
     ranges, fixed = DRAWN[name]
     drawn_sets = [{one: rng.uniform(*limits) for one, limits in ranges.items()} | fixed for _ in range(sets)]

@@ -259,6 +259,7 @@ UNIT = np.concatenate([RNG.random(600), 10 ** RNG.uniform(-18, 0, 200), [0.0, 1.
         (_math.exp, mp.exp, RNG.uniform(-707, 709.7, 1000), 2.0),
         (_math.exp2, lambda x: mp.mpf(2) ** x, RNG.uniform(-1020, 1022, 1000), 1.5),
         (_math.log, mp.log, POSITIVE, 1.0),
+        (_math.per_root, lambda x: 1 / mp.sqrt(x), POSITIVE, 1.0),
         (sine, mp.sin, PHASES, 2.0),
         (cosine, mp.cos, PHASES, 2.0),
         (polar_sine, mp.sin, POLAR, 1.0),
@@ -266,7 +267,7 @@ UNIT = np.concatenate([RNG.random(600), 10 ** RNG.uniform(-18, 0, 200), [0.0, 1.
         (_math.atan_over, atan_over, UNIT, 2.0),
         (_math.atan_over_near, atan_over, UNIT * math.tan(math.pi / 8) ** 2, 1.5),
     ],
-    ids=["exp", "exp2", "log", "sin", "cos", "polar sin", "polar cos", "atan", "atan near 0"],
+    ids=["exp", "exp2", "log", "1/sqrt", "sin", "cos", "polar sin", "polar cos", "atan", "atan near 0"],
 )
 def test_within_units_of_the_last_place(
     function: Callable[..., Any], reference: Any, values: Any, allowed: float
