@@ -201,27 +201,9 @@ def nearest(  # type: ignore[no-untyped-def]
         z[j] = on_scale(values[j], small)
         w[j] = 1.0
     minimised(
-        shade,
-        derive,
-        columns,
-        z,
-        w,
-        small,
-        nothing,
-        theta,
-        free,
-        lower,
-        upper,
-        f,
-        work,
-        matrix,
-        moves,
-        room,
-        count,
-        np.inf,
-        theta,
-        matrix,
-    )
+        shade, derive, columns, z, w, small, nothing, theta, free, lower, upper, f, work, matrix, moves, room, count,
+        np.inf, theta, matrix,
+    )  # fmt: skip
     tau = 0.0
     for turn in range(TURNS):
         slopes_of_scale(f, small, slope, count)
