@@ -50,6 +50,8 @@ CLASSES = 8
 """Of brightness, that the pixels of a region are sorted into where a bracket is planned."""
 PILED = 32
 """Pixels of one level that are taken for full ones."""
+BLOCKS = 256
+"""That a frame is divided into at least, to see how bright its brightest pixels are."""
 MANY = 4_000_000
 """Pixels from which on a part of them is looked at."""
 STEEP = 3.0
@@ -90,17 +92,20 @@ def clipped_dn(camera: Camera, frame: Frame) -> float:
     mosaic, black = frame.mosaic.ravel(), frame.black_level_dn
     mosaic = mosaic[:: 1 + 2 * (mosaic.size // MANY)]  # an odd step meets every colour
     width = 1 + math.ceil(5.0 * math.hypot(camera.read_noise_e, camera.dsnu_e) / camera.electrons_per_dn)
-    highest, depth = int(mosaic.max()), 12 * width
-    if 2.0 * width > math.sqrt(max(highest - black, 0.0) / camera.electrons_per_dn):
+    # of blocks' brightest pixels: the brightest one of all, and one that `PILED` pixels reach
+    peaks = np.maximum.reduceat(mosaic, np.arange(0, mosaic.size, max(mosaic.size // BLOCKS, 1)))
+    highest = int(peaks.max())
+    if 2.0 * width > math.sqrt(max(highest - black, 0.0) / camera.electrons_per_dn) or peaks.size < PILED:
         return math.inf
+    reached = int(np.partition(peaks, -PILED)[-PILED])
     # from the top down, no further than needed; pixels that are hot, or were hit, lie above all
-    while True:
-        lowest = max(highest - depth, highest // 4)
-        counts = np.bincount(highest - mosaic[mosaic > lowest], minlength=highest + 1)
-        top = int(np.searchsorted(np.cumsum(counts), PILED))
-        if top + 5 * width <= highest - lowest or lowest == highest // 4:
-            break
-        depth *= 2
+    seen = mosaic > max(reached - 5 * width, highest // 4)
+    if reached == highest:  # the converter clips, most of a frame perhaps: these pixels are counted at once
+        seen &= mosaic < highest
+    counts = np.bincount(highest - mosaic[seen], minlength=highest + 1)
+    if reached == highest:
+        counts[0] = np.count_nonzero(mosaic == highest)
+    top = int(np.searchsorted(np.cumsum(counts), PILED))
     if top == counts.size:
         return math.inf
     top += int(np.argmax(counts[top : top + 2 * width]))
