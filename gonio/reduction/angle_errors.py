@@ -64,7 +64,7 @@ def curves_of(measured: MeasuredBand, brdf: Floats, u: Floats) -> Curves:
     """How the values of a band, with their independent standard uncertainties [1/sr], follow the angles."""
     description = measured.description
     cones = math.radians(description.lamp.half_angle_deg), math.radians(description.camera.lens_half_angle_deg)
-    goals = Directions.from_table(measured.frames.run.plan)[[point.point for point in measured.points]]
+    goals = Directions.from_table(measured.frames.plan)[[point.point for point in measured.points]]
     goals = turned_over(goals, bool(len(goals)) and is_behind(goals[0]))
     read = Directions.stack([point.directions for point in measured.points])
     return Curves(goals, read, brdf, u, cones, _overlaps(measured, cones), filling(description) == "under")

@@ -22,7 +22,7 @@ from gonio.reduction.dark_signal import PATTERNS
 from gonio.reduction.merging import FALSE_ALARMS, noise_is_known
 from gonio.reduction.reference_table import brdf_of_reference, u_of_reference
 from gonio.reduction.step_rates import Reduced, Rejected
-from gonio.reduction.table import DARK, GEOMETRY, LAMP, assemble, assemble_budget, left_out, notes_on_frames
+from gonio.reduction.table import DARK, GEOMETRY, LAMP, assemble, assemble_budget, left_out
 from gonio.reduction.threads import in_threads
 from gonio.reduction.values import BandResult, Cause, MeasuredBand, Values, joined, share
 from gonio.rig import calibration_files
@@ -99,7 +99,7 @@ def reduce_in_parts(run: Run, *, progress: Callable[[int, int], None] | None = N
     light_and_lens.add_wavelength(frames.description, results)
     for part, names in (("dark", DARK), ("geometry", GEOMETRY), ("visits", LAMP)):
         share([result.values for result in results], part, names)
-    table = assemble(run, results, notes_on_frames(frames), frames.clipped)
+    table = assemble(frames, results)
     table.attrs["provenance"]["not_in_budget"] = left_out(run.description, table)
     return Reduction(table, assemble_budget(table, results), results)
 

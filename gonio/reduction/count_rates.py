@@ -7,6 +7,7 @@ import hashlib
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import cached_property
 from numbers import Real
 from pathlib import Path
 
@@ -32,7 +33,7 @@ from gonio.rig.dng import pixels_sha256, read_raw
 from gonio.rig.imaging import Channel, pixel_map
 from gonio.rig.light_and_camera import Band, Camera, by_coefficients, linear_dn, read_maps, straightened
 from gonio.rig.regions import Roi, filling, per_weight, roi, straight_through_weight
-from gonio.typing import Array, Bools, Floats
+from gonio.typing import Array, Bools, DataFrame, Floats
 
 Dark = tuple[float, Array]
 """Exposure [s] and mosaic [DN] of a dark frame."""
@@ -81,8 +82,10 @@ class RunFrames:
         self.geometry = GeometryErrors(run.description)
         self._pictures = Pictures(run.description.camera)
         self._every = run.steps() if steps is None else steps
+        darks: list[tuple[StepRecord, FrameRecord]] = []
         for step in self._every:
             if step.kind == "dark":
+                darks += [(step, frame) for frame in step.frames]
                 continue
             if not step.flag:
                 self.points.append(step.point)
@@ -113,12 +116,17 @@ class RunFrames:
         """How many exposures the dark frames were taken with, and of how many some are left."""
         self.dark_hits = 0
         """Pixels of dark frames that were hit by cosmic radiation; where frames are merged by pixels."""
-        self._darks = self._read_darks(list(self.dark_frames()))
+        self._darks = self._read_darks(darks)
         self.prnu = camera.prnu
         """Relative standard deviation of the pixels' responsivities, after maps where there are any."""
         if self.maps is not None:
             u = np.concatenate([self.maps.u_responsivity[box].ravel() for box in self._boxes.values()])
             self.prnu = float(np.sqrt(np.mean(u.astype(float) ** 2)))
+
+    @cached_property
+    def plan(self) -> DataFrame:
+        """`Run.plan`, made once."""
+        return self.run.plan
 
     def _mean_of_monitor(self) -> float:
         if not self.description.lamp.monitor:

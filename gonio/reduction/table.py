@@ -42,15 +42,12 @@ GEOMETRY = tuple(f"s_geometry_{k + 1}" for k in range(4))
 LAMP = tuple(f"s_lamp_wander_{k + 1}" for k in range(4))
 
 
-def assemble(run: Run, results: list[BandResult], notes: list[str], clipped: float) -> DataFrame:
-    """One row for every point of the plan and every band, and the attributes.
-
-    `clipped` is the part of the used pixels that read 0 DN in the dark frames.
-    """
-    description = run.description
-    nominal, chosen = Directions.from_table(run.plan), _angles_of_chosen(run)
-    frame, flags = _rows(run, results, of_angles=bool(chosen))
-    behind = np.repeat(run.plan["theta_r_deg"].to_numpy(dtype=float) > 90.0, len(results))
+def assemble(frames: RunFrames, results: list[BandResult]) -> DataFrame:
+    """One row for every point of the plan and every band, and the attributes."""
+    run, description, notes = frames.run, frames.description, notes_on_frames(frames)
+    nominal, chosen = Directions.from_table(frames.plan), _angles_of_chosen(run)
+    frame, flags = _rows(frames, results, of_angles=bool(chosen))
+    behind = np.repeat(frames.plan["theta_r_deg"].to_numpy(dtype=float) > 90.0, len(results))
     if behind.any():
         frame.insert(len(ANGLES) + 2, "side", np.where(behind, "transmission", "reflection").astype(object))
         notes = [
@@ -87,16 +84,16 @@ def assemble(run: Run, results: list[BandResult], notes: list[str], clipped: flo
         + light_and_lens.notes(description, results)
         + said_once([(result.band.name, _notes(result, nominal[result.rows])) for result in results]),
     )
-    frame.attrs["provenance"]["checks"] = [one.to_json() for one in _checks(run, frame, results, flags, clipped)]
+    frame.attrs["provenance"]["checks"] = [one.to_json() for one in _checks(frames, frame, results, flags)]
     return frame
 
 
-def _rows(run: Run, results: list[BandResult], *, of_angles: bool) -> tuple[DataFrame, NDArray[np.object_]]:
+def _rows(frames: RunFrames, results: list[BandResult], *, of_angles: bool) -> tuple[DataFrame, NDArray[np.object_]]:
     """Angles, numbers and flags of every point of the plan and every band; and the flags, shape (points, bands)."""
     import pandas as pd
 
-    plan = run.plan
-    zeros = (CAUSES[axis] for axis in zero_uncertainties(run.description))
+    plan = frames.plan
+    zeros = (CAUSES[axis] for axis in zero_uncertainties(frames.description))
     added = dict.fromkeys(name for result in results for name in result.values.common)
     causes = [name for name in (*COMMON, *DARK, *zeros, *GEOMETRY, *LAMP, *LIGHT) if name in added]
     causes += [name for name in added if name not in causes]
@@ -124,15 +121,13 @@ def _rows(run: Run, results: list[BandResult], *, of_angles: bool) -> tuple[Data
     return frame, flags
 
 
-def _checks(
-    run: Run, frame: DataFrame, results: list[BandResult], flags: NDArray[np.object_], clipped: float
-) -> list[Check]:
+def _checks(frames: RunFrames, frame: DataFrame, results: list[BandResult], flags: NDArray[np.object_]) -> list[Check]:
     """What is judged of frames, visits, points and values."""
-    reachable = [not flag for flag in run.plan["flag"]]
+    reachable = [not flag for flag in frames.plan["flag"]]
     found = [
         one
         for k, result in enumerate(results)
-        for one in _of_band(result, [f for f, use in zip(flags[:, k], reachable, strict=True) if use], clipped)
+        for one in _of_band(result, [f for f, use in zip(flags[:, k], reachable, strict=True) if use], frames.clipped)
     ]
     for nm, measured_values in values_of(frame).items():
         band = next((result.band.name for result in results if result.band.centre_nm == nm), "")
