@@ -185,7 +185,7 @@ def test_a_contact_that_opens_ends_every_command_and_is_told(serve: Serve, tmp_p
     rig = written(twins, tmp_path)
     servo = twins.servos["light"]
 
-    moves = words[0] in ("move", "park")
+    moves = words[0] in ("move", "park", "check")  # check lights the lamp at its end
     owner, name = (servo, "_drive") if moves else (twins.lamp, "_changed")
     call = getattr(owner, name)
 
