@@ -198,6 +198,7 @@ class Interlock:
         self.contact, self.latch = contact, latch
         self._darken = darken
         self._why = ""
+        self._known = False  # whether it had stopped the rig already when it was entered
         self._ends = threading.Event()
         self._thread: threading.Thread | None = None
 
@@ -211,12 +212,20 @@ class Interlock:
         if self._why:
             raise Tripped(_stopped(self._why))
 
+    def look_again(self) -> None:
+        """Look once more before the rig is left; raises `Tripped` where the contact has opened since it was entered."""
+        if self._thread is not None and not self._why:
+            self._look()
+        if not self._known:
+            self.require()
+
     def __enter__(self) -> "Interlock":
         self.contact.__enter__()
         kept = self.latch.why()
         self._why = f"not acknowledged yet: {kept}" if kept else ""
         if not kept:
             self._look()
+        self._known = self.tripped
         self._ends.clear()
         self._thread = threading.Thread(target=self._watch, name="gonio-interlock", daemon=True)
         self._thread.start()

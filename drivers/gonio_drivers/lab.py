@@ -14,7 +14,16 @@ from typing import Self
 
 from gonio.config import Strict, parse
 from gonio.disk import write_whole
-from gonio.errors import ArgumentError, ConfigError, DeviceError, GonioError, Interrupted, PassingFault, os_error_as
+from gonio.errors import (
+    ArgumentError,
+    ConfigError,
+    DeviceError,
+    EmergencyStop,
+    GonioError,
+    Interrupted,
+    PassingFault,
+    os_error_as,
+)
 from gonio.rig import Device, Frame, Health, Step, Target, ask_for, clock
 from gonio.rig.description import RigDescription, SampleDescription
 from gonio.rig.light_and_camera import Camera
@@ -276,6 +285,11 @@ class LabRig:
                     self.light.off()
             except GonioError as dark:
                 failure = dark
+            try:
+                if self.interlock is not None and not isinstance(error, EmergencyStop):  # which has told it
+                    self.interlock.look_again()
+            except EmergencyStop as opened:
+                failure = failure or opened
             stopped = self.arms.stopped and not isinstance(error, DeviceError)  # by somebody, and not after a failure
             stays = self._stays or self._as_found
             tripped = self.interlock is not None and self.interlock.tripped  # then nothing moves, not to park either

@@ -180,12 +180,12 @@ def test_an_open_contact_at_a_servo_stops_everything_until_a_person_says_so(serv
     ],
 )
 def test_a_contact_that_opens_ends_every_command_and_is_told(serve: Serve, tmp_path: Path, words: list[str]) -> None:
-    """It opens when the lamp is lit, or an axis on its way, and the command is far from its end."""
+    """It opens when the lamp is lit, or an axis on its way; `check` lights the lamp for its last frame."""
     twins = serve(described(contact=CONTACT))
     rig = written(twins, tmp_path)
     servo = twins.servos["light"]
 
-    moves = words[0] in ("move", "park", "check")  # check lights the lamp at its end
+    moves = words[0] in ("move", "park")
     owner, name = (servo, "_drive") if moves else (twins.lamp, "_changed")
     call = getattr(owner, name)
 
