@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
-from itertools import count
+from itertools import count, pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -42,6 +42,12 @@ APART = 0.05
 """On the search scale: starts that are nearer to each other are one."""
 SHORT = 12
 """Steps of a search that begins again inside a bound: enough to see which of several goes lowest."""
+PROFILED = 5
+"""Evaluations at a width of the profile, each but the last followed by a step."""
+NEAR = 25.0
+"""Other valleys of the profile are searched where half their chi-square is at most so much above its least."""
+FAR = 30.0
+"""Between widths whose cost is at most so many times that the profile is looked at once more."""
 STEP = 1e-4
 """Central differences, on the search scale: an error of 1e-8 relative, far above the rounding of the models."""
 SMALL_STEP = 1e-6
@@ -94,25 +100,72 @@ def _beyond(
     problem: Problem, data: Observations, few: Observations, found: tuple[Floats, float],
     candidates: Sequence[tuple[float, Floats]], say: Say,
 ) -> tuple[Floats, float]:  # fmt: skip
-    """As long as the data reject what was found: the best of searches that begin at the best start of each width."""
-    from scipy.special import chdtrc
+    """The best of searches that begin in other valleys: at the best start of each width while the data reject the best.
+
+    Where they do not, and the surface has more than one parameter, at the valleys of the profile over the width.
+    """
+    from scipy.special import chdtri
 
     soft, goal = softened(few, COARSE_U), alone(few)
-    width = next((k for k, n in enumerate(problem.free) if problem.parameter(n).geometry), None)
+    shapes = [k for k, n in enumerate(problem.free) if problem.parameter(n).geometry]
     starts: dict[float, Floats] = {}
-    for _, vector in sorted(candidates, key=lambda c: c[0]) if width is not None else ():
-        starts.setdefault(float(vector[width]), vector)
+    for _, vector in sorted(candidates, key=lambda c: c[0]) if shapes else ():
+        starts.setdefault(float(vector[shapes[0]]), vector)
     best, ends = (found if few is data else refine(problem, few, goal, found[0], quick=True)), [found[0]]
+    acceptable = 0.5 * float(chdtri(len(few) - best[0].size, SIGNIFICANCE))
     for vector in starts.values():
-        if chdtrc(len(few) - vector.size, 2.0 * best[1]) >= SIGNIFICANCE:
+        if best[1] <= acceptable:
             break
         vector = refine(problem, few, soft, vector, quick=True, limit=SHORT)[0]
         if min(np.abs(vector - end).max() for end in ends) > APART:
             ends.append(vector)
             best = min(best, refine(problem, few, goal, vector, quick=True), key=lambda f: f[1])
+    if len(shapes) > 1 and best[1] <= acceptable:
+        for vector in _valleys(problem, few, goal, best[0], shapes[0], [starts[w] for w in sorted(starts)]):
+            best = min(best, refine(problem, few, goal, vector, quick=True), key=lambda f: f[1])
     if np.abs(best[0] - found[0]).max() <= APART:
         return found
     return min(found, approach(problem, data, best[0], say), key=lambda f: f[1])
+
+
+def _valleys(
+    problem: Problem, data: Observations, goal: Objective, known: Floats, width: int, starts: Sequence[Floats]
+) -> list[Floats]:
+    """The valleys of the profile over the width that a search may miss, that of the `known` point left out.
+
+    The profile is known at the widths of the starts, and half-way between them where both neighbours are low.
+    """
+    profile = [_at_width(problem, data, goal, start, width, PROFILED) for start in starts]
+    low = min(cost for cost, _ in profile) + NEAR
+    for (a, left), (b, right) in list(pairwise(profile)):
+        if max(a, b) < FAR * low:
+            profile.append(_at_width(problem, data, goal, 0.5 * (left + right), width, PROFILED - 2))
+    profile.sort(key=lambda found: float(found[1][width]))
+    costs = np.array([np.inf, *(cost for cost, _ in profile), np.inf])
+    here = costs[1:-1]
+    rows = np.flatnonzero((here <= costs[:-2]) & (here <= costs[2:]) & (here < low)).tolist()
+    nearest = int(np.argmin([abs(x[width] - known[width]) for _, x in profile]))
+    own = min(rows, key=lambda row: abs(row - nearest))
+    return [profile[row][1] for row in rows if row != own or abs(row - nearest) > 1]
+
+
+def _at_width(
+    problem: Problem, data: Observations, goal: Objective, start: Floats, width: int, evaluations: int
+) -> tuple[float, Floats]:
+    """The lowest cost of Gauss-Newton steps of all parameters but the width, and where that is."""
+    others, (lower, upper), x = np.delete(np.arange(start.size), width), problem.bounds, start
+    least, best = math.inf, start
+    for left in reversed(range(evaluations)):
+        here = apparent(problem.model(x), data, quick=True)
+        residual = np.concatenate([goal.residual(here), problem.pulls(x)])
+        if (cost := 0.5 * float(residual @ residual)) < least:
+            least, best = cost, x
+        if left:
+            columns = derivatives(problem, data, x, here=here, only=others)
+            slopes = np.concatenate([goal.jacobian(here, columns), problem.pull_slopes(x)[:, others]])
+            x = x.copy()
+            x[others] = last_step(x[others], residual, slopes, lower[others], upper[others])
+    return least, best
 
 
 def _levelled(problem: Problem, data: Observations, starts: Sequence[Floats], say: Say) -> list[tuple[float, Floats]]:
