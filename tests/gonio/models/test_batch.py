@@ -208,6 +208,15 @@ def test_values_without_uncertainty_are_left_out_and_too_few_are_said() -> None:
     assert np.isnan(found.covariance[1]).all()
 
 
+def test_arrays_that_may_not_be_written_are_taken() -> None:
+    """As those of a pandas table."""
+    d = drawn("oren-nayar", 3, 9)
+    before = fitted("oren-nayar", d)
+    for array in (*d["at"], d["values"], d["u"]):
+        array.flags.writeable = False
+    assert np.array_equal(fitted("oren-nayar", d).values, before.values)
+
+
 def test_a_model_that_is_not_true_gets_a_misfit() -> None:
     d = drawn("cook-torrance", 50, 11)
     theta_i, _, theta_r, _ = directions(d["at"][2], d["at"][3], 0.0, 0.0).angles

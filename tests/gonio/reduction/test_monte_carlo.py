@@ -1,6 +1,7 @@
 """Parts of the check by drawing: variances and derivatives that formulas give."""
 
 import math
+from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -11,6 +12,7 @@ from gonio.geometry import Directions
 from gonio.reduction import monte_carlo
 from gonio.rig import Pose
 from gonio.rig.description import Holder
+from gonio.typing import Floats
 from tests.gonio.numpy_rig import describe
 
 DRAWS = 40_000
@@ -141,3 +143,24 @@ def test_curves_go_through_their_points_and_need_four_that_are_apart() -> None:
     near = place.copy()
     near[1, 0] = near[0, 0] + 1e-9
     assert monte_carlo._curves(goals, near, log) == [None] * 4
+
+
+def lobe(curve: Callable[[Floats], Floats], slope: list[float]) -> monte_carlo._Inputs:
+    """Of one point at theta_r = 0.5 and theta_i = 0.3 with a BRDF of 2 sinh(1) and no doubt of its slopes."""
+    return inputs(
+        _lobes=SimpleNamespace(slope=np.array([slope]), spike=np.zeros(1), u_spike=np.zeros(1)), _curves=[curve],
+        _place=np.array([[0.5, 0.0, 0.3, 0.0]]), _size=np.ones(1), _doubts=np.zeros((1, 4, 4)), _small=2.0,
+        _log=np.ones(1), _near=np.zeros(1, bool), _under=False,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(("dx", "di"), [(0.1, 0.0), (0.1, 0.1), (0.05, -0.1)])
+def test_a_lobe_moves_along_its_curve_by_what_the_view_moves_from_the_mirror(dx: float, di: float) -> None:
+    """The curve is of theta_r - theta_i; what its slope does not say of theta_i comes on top, linearly."""
+    slope = [0.8, 0.0, -0.5, 0.0]  # of the logarithm; a curve of the slope 0.8 would have -0.8
+    moved = np.array([[[dx, 0.0, di, 0.0]]])
+    change = lobe(lambda x: 3.0 * x**2, slope)._changes(np.random.default_rng(1), moved)[0, 0]
+    along = dx - di
+    log = 3.0 * ((0.2 + along) ** 2 - 0.2**2) + 0.8 * dx - 0.5 * di - 0.8 * along
+    expected = 2.0 * math.sinh(1.0 + log) * math.cos(0.3 + di) / math.cos(0.3) - 2.0 * math.sinh(1.0)
+    assert change == pytest.approx(expected, rel=1e-12)  # roundings of the formula itself
