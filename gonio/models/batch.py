@@ -161,7 +161,7 @@ def pose(
     return Posed(
         model, known, own, free, np.array([model.names.index(one) for one in free]), lower, upper,
         _compiled(name, absorbs and not folded, folded),
-        tuple(np.require(a, float, "CW") for a in (x_mm, y_mm, source_mm.T, camera_mm.T, values, u)),
+        tuple(np.require(a, float, ["C", "W"]) for a in (x_mm, y_mm, source_mm.T, camera_mm.T, values, u)),
         np.ascontiguousarray(np.zeros((0, n)) if common is None else common, float),
         np.arange(n, dtype=np.int64)[None] if blocks is None else np.ascontiguousarray(blocks, np.int64),
     )  # fmt: skip
