@@ -3,6 +3,7 @@
 This module imports next to nothing: from its `main` on a signal ends in one line, and before that it kills.
 """
 
+import gc
 import os
 import sys
 
@@ -15,6 +16,8 @@ def main() -> None:
     ending.listen()
     # numpy's matrices are small here: threads of BLAS that wait for each other cost ten times what they save
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    # what a command makes stays until it ends: at the usual 700 objects the collector walks over all of it in vain
+    gc.set_threshold(50_000)
     try:
         from gonio.cli import application
 
