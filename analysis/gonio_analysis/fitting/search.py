@@ -208,7 +208,8 @@ def _starts(problem: Problem, data: Observations) -> list[Floats]:
     if "k" in problem.free and not known:
         shapes = {tuple((n, x) for n, x in start.items() if n != "ior"): None for start in starts}
         starts = [{**dict(shape), "ior": n, "k": k} for shape in shapes for n, k in parameters.INDICES]
-    return [problem.vector({"k": 1.0, **start, **known}) for start in starts]
+    vectors = [problem.vector({"k": 1.0, **start, **known}) for start in starts]
+    return list({vector.tobytes(): vector for vector in vectors}.values())  # what is fixed makes some of them equal
 
 
 def _coarse(
