@@ -9,18 +9,33 @@ before averaging over phi_a,
 
 with m_s = min(1, 2/S') the lit part of one facet, m_v = min(1, 2/V) the visible part of the other, and J the mean of
 the kernel K' (eq. 8) over them. Kinks in phi_a lie where S or V is 0 or 2 and where A cos(phi_a) = +-B cos(phi_a -
-Delta); kinks in theta_a where such lines meet. Between kinks everything is analytic, and Gauss-Legendre rules are
-used in variables that crowd their nodes toward the ends.
+Delta). Between kinks everything is analytic, and Gauss-Legendre rules are used in variables that crowd their nodes
+toward the ends.
+
+One slope is integrated over phi_a in arcs between its kinks. For all slopes theta_a is integrated first. With t =
+tan(theta_a), x = tan(theta_i) cos(phi_a) and y = tan(theta_r) cos(phi_a - Delta), S = 1 + x t and V = 1 + y t; with l
+the larger and m the smaller of |x| and |y|, and e = +-1 the sign of x y, a facet and its opposite give together
+
+    slopes                once                 twice, times rho/pi
+    t < 1/l               2 + 2 e l m t^2      2 pi (1 - c) (1 - e l m t^2)
+    1/l < t < 1/m         2 + 2 e m t          pi (1 - e m t) (1 - c + sin(theta_a) (sqrt(1 + l^2) - l))
+    1/m < t, e = 1        2 + 2 m t            0
+    1/m < t, e = -1       0                    4 J(2/(1 + l t), 2/(1 + m t))
+
+All but the last are sums of functions of theta_a alone times functions of phi_a: their integrals over theta_a are
+polynomials of the bounds, made once for a sigma. Then over half a circle of phi_a there are four intervals without
+kinks: between the zeros of x, y, x - y and x + y.
 """
 
 import functools
 import math
-from math import acos, atan2, cos, hypot, pi, sin, sqrt, tan
+from math import acos, atan2, cos, floor, hypot, pi, sin, sqrt, tan
 
 import numpy as np
+from numpy.polynomial import chebyshev
 
 from gonio.models._compile import device, table
-from gonio.models._math import exp, log, sincos
+from gonio.models._math import atan_over, exp, log, sincos
 from gonio.typing import Floats, NDArray
 
 
@@ -50,21 +65,22 @@ def WEIGHTS() -> Floats:
 GRADES = 2
 """Of steepness, to a unit of its logarithm: an arc takes the rule of the next steeper grade."""
 STEEPEST_GRADE = 128
-MORE = (1.5, 2.5, 8.5)
-"""Quarters of points beyond what the grade asks: plain arcs, arcs with a ridge, those near the forward direction."""
+RULES = ((1.1, 1.5, 36), (1.1, 8.5, 36), (2.0, 3.0, 62))
+"""Quarters of points to a unit of reach, more, and at most: plain arcs, those with a ridge, all slopes at once."""
+MOST_NODES = 4 * 4 * RULES[2][2]
 
 
 @functools.cache
 def _crowded() -> tuple[Floats, Floats, NDArray[np.int64]]:
     """Nodes and weights on (-1, 1) that crowd to both ends, s = tanh(reach x / 2) / tanh(reach / 2), rule after rule.
 
-    reach is the logarithm of the steepness. Also where the rules begin: first by grade, then in the order of `MORE`.
+    reach is the logarithm of the steepness. Also where the rules begin: first by grade, then in the order of `RULES`.
     """
     nodes, weights = [], []
     for grade in range(1, STEEPEST_GRADE + 1):
         reach = grade / GRADES
-        for more in MORE:
-            x, weight = _gauss(min(int(1.1 * reach + more), 36))
+        for steep, more, most in RULES:
+            x, weight = _gauss(min(int(steep * reach + more), most))
             t, end = np.tanh(0.5 * reach * x), math.tanh(0.5 * reach)
             nodes.append(t / end)
             weights.append(weight * (1.0 - t * t) * 0.5 * reach / end)
@@ -90,7 +106,6 @@ def ARC_BEGINS() -> NDArray[np.int64]:
 
 
 STEEPEST = 1e12  # the largest tangent of a direction: at exactly grazing the limit is reached to 1e-11
-RATIO = 10.0  # intervals of theta_a that span a larger ratio are divided
 
 
 @device
@@ -125,10 +140,10 @@ def groove_point(s, v, c, second):  # type: ignore[no-untyped-def]
 
 
 @device
-def twice_over_arc(half, sm, cm, smd, cmd, a, b, ti, tr, sine, c, more, work):  # type: ignore[no-untyped-def]
+def twice_over_arc(half, sm, cm, smd, cmd, a, b, ti, tr, sine, c, work):  # type: ignore[no-untyped-def]
     """The integral of min(S', 2) min(V, 2) J over one arc around an azimuth m, from sin and cos of m and of m - Delta.
 
-    Nodes crowd to both ends as far as the steepness asks; `more` is the place in `MORE` that a ridge has. Where only
+    Nodes crowd to both ends as far as the steepness asks; most of them where there is a ridge. Where only
     one facet is cut, J has the closed form V J = pi (1 - c + sin(theta_a) (sqrt(1 + w^2) - w)), w = tan(theta_r)
     cos(phi_a - Delta), and S' is a plain cosine.
     """
@@ -141,7 +156,7 @@ def twice_over_arc(half, sm, cm, smd, cmd, a, b, ti, tr, sine, c, more, work):  
     # cut on both sides, J has a ridge along S' = V as narrow as the smaller of 1/B and tan(theta_r)
     steep = (b if seen_cut else a) if one_cut else max(a, b) + 1.0 / max(ti, tr)
     ridge = not one_cut and abs(a * cm + b * cmd) < 0.5 * (b * cmd - a * cm)
-    rule = len(MORE) * min(int(GRADES * log(1.0 + 4.0 * steep * half)), STEEPEST_GRADE - 1) + (more if ridge else 0)
+    rule = len(RULES) * min(int(GRADES * log(1.0 + 4.0 * steep * half)), STEEPEST_GRADE - 1) + (1 if ridge else 0)
     x = ARC_NODES[ARC_BEGINS[rule] : ARC_BEGINS[rule + 1]]
     weight = ARC_WEIGHTS[ARC_BEGINS[rule] : ARC_BEGINS[rule + 1]]
     if one_cut:
@@ -203,7 +218,7 @@ def arc_edges(a, b, delta, turns, edges):  # type: ignore[no-untyped-def]
 
 
 @device
-def around(ti, tr, delta, turns, tangent, c, second, more, edges, work):  # type: ignore[no-untyped-def]
+def around(ti, tr, delta, turns, tangent, c, second, edges, work):  # type: ignore[no-untyped-def]
     """The mean over phi_a for grooves of one slope, without cos(theta_a)."""
     a = ti * tangent
     b = tr * tangent
@@ -228,7 +243,7 @@ def around(ti, tr, delta, turns, tangent, c, second, more, edges, work):  # type
             continue
         s = 1.0 + a * cm
         if second > 0.0 and s < 2.0 and (v > 2.0 or s < 0.0):
-            total += second * twice_over_arc(half, sm, cm, smd, cmd, a, b, ti, tr, tangent * c, c, more, work)
+            total += second * twice_over_arc(half, sm, cm, smd, cmd, a, b, ti, tr, tangent * c, c, work)
         if s <= 0.0:
             continue
         # integrals over the arc from the values at its middle: no difference of large terms
@@ -255,57 +270,211 @@ def directions(lx, ly, lz, vx, vy, vz):  # type: ignore[no-untyped-def]
     return ti, tr, delta, (atan2(ti - cd, sd), atan2(ti + cd, -sd))
 
 
+TERMS = 24
+"""Of the polynomials for integrals over slopes: with them the BRDF is off by 4e-11 where nothing else is."""
+
+
+@functools.cache
+def _over_slopes() -> tuple[Floats, Floats, Floats]:
+    """Points v in (0, 1), and what makes polynomials of values h at the points, by two products.
+
+    For m = 1, 2, 3 the first gives the Chebyshev series of the integral of u^m h(v u^2) over u in (0, 1), the second
+    its powers of 2v - 1. One matrix for both would lose ten digits.
+    """
+    x = np.cos(pi * (np.arange(TERMS) + 0.5) / TERMS)
+    v = 0.5 * (1.0 + x)
+    series = np.linalg.inv(chebyshev.chebvander(x, TERMS - 1))
+    node, weight = _gauss(TERMS // 4 + 1)
+    u = 0.5 * (1.0 + node)
+    at = chebyshev.chebvander(2.0 * v[:, None] * u * u - 1.0, TERMS - 1)
+    made = [series @ np.einsum("u,iuk->ik", 0.5 * weight * u**m, at) @ series for m in (1, 2, 3)]
+    powers = [np.pad(chebyshev.cheb2poly(np.eye(k + 1)[k]), (0, TERMS - 1 - k)) for k in range(TERMS)]
+    return v, np.array(made), np.array(powers).T
+
+
+@functools.lru_cache(maxsize=64)
+def gaussian_constants(sigma: float) -> tuple[float, ...]:
+    """What `gaussian_grooves` takes after its first two constants, for sigma [rad] above 0.
+
+    1/(2 sigma^2); c, for which the integral of P sin(theta_a) is 1; the angle beyond which P is below 1e-11; then, with
+    E = P/c, polynomials in 2 (theta/largest)^2 - 1 for the integrals from 0 to theta of E sin cos and E sin cos^2, over
+    theta^2; of E sin^2 and E sin^2 cos, over theta^3; of E sin^3 and (E - E(pi/2)) sin^3/cos, over theta^4.
+    """
+    largest = min(pi / 2, sigma * sqrt(2.0 * math.log(1e11)))
+    node, weight = _gauss(12)
+    theta = 0.5 * largest * (node + 1.0)
+    norm = 1.0 / (float(weight @ (np.exp(-0.5 * (theta / sigma) ** 2) * np.sin(theta))) * 0.5 * largest)
+    v, series, powers = _over_slopes()
+    theta = largest * np.sqrt(v)
+    e, c, n = np.exp(-0.5 * (theta / sigma) ** 2), np.cos(theta), np.sin(theta) / theta
+    less = e - math.exp(-0.5 * (0.5 * pi / sigma) ** 2)  # without the pole at pi/2
+    h = np.array([[e * n * c, e * n * c * c], [e * n**2, e * n**2 * c], [e * n**3, less * n**3 / c]])
+    made = powers @ (series @ h.swapaxes(1, 2))
+    return 0.5 / (sigma * sigma), norm, largest, *made.swapaxes(1, 2).ravel().tolist()
+
+
+@device
+def log_part(z):  # type: ignore[no-untyped-def]
+    """log(1 + z) - z/(1 + z): twice the integral of sin^3/cos from 0 to the slope of the tangent sqrt(z)."""
+    x = min(z, 0.0625)
+    near = 7.0 / 8.0 - x * (8.0 / 9.0 - x * (9.0 / 10.0 - x * (10.0 / 11.0)))
+    near = 4.0 / 5.0 - x * (5.0 / 6.0 - x * (6.0 / 7.0 - x * near))
+    near = 1.0 / 2.0 - x * (2.0 / 3.0 - x * (3.0 / 4.0 - x * near))
+    return z * z * near if z < 0.0625 else log(1.0 + z) - z / (1.0 + z)
+
+
+@device
+def slope_of(cot):  # type: ignore[no-untyped-def]
+    """The slope [rad] of a cotangent above 0."""
+    gentle = cot > 1.0
+    r = 1.0 / cot if gentle else cot
+    angle = r * atan_over(r * r)
+    return angle if gentle else 0.5 * pi - angle
+
+
+@device
+def slopes_at(theta, largest, powers, out):  # type: ignore[no-untyped-def]
+    """Fill the rows of `out` with the integrals over slopes from 0 to each theta; the last row is for its own use."""
+    x, per = out[6], 2.0 / (largest * largest)
+    for j in range(theta.size):
+        x[j] = per * theta[j] * theta[j] - 1.0
+    for i in range(6):
+        row = out[i]
+        first = TERMS * i
+        for j in range(theta.size):
+            row[j] = 0.0
+        for k in range(first + TERMS - 4, first - 1, -4):
+            a, b, c, d = powers[k], powers[k + 1], powers[k + 2], powers[k + 3]
+            for j in range(theta.size):
+                row[j] = (((row[j] * x[j] + d) * x[j] + c) * x[j] + b) * x[j] + a
+        for j in range(theta.size):
+            square = theta[j] * theta[j]
+            row[j] *= square if i < 2 else square * theta[j] if i < 4 else square * square
+
+
+@device
+def azimuths(ti, tr, delta, turns, largest, weight, sign, larger, smaller):  # type: ignore[no-untyped-def]
+    """Nodes and weights over half a circle of phi_a: fill in the sign of x y and the larger and smaller of |x|, |y|.
+
+    Returns how many they are.
+    """
+    sd, cd = sincos(delta)
+    edges = np.empty(5)  # where x or y is 0, or both are of one size, from pi/2 to 3 pi/2
+    edges[0] = 0.5 * pi
+    count = 1
+    for turn in (delta + 0.5 * pi, turns[0], turns[1]):
+        edge = max(turn - pi * floor(turn / pi - 0.5), edges[0])
+        k = count
+        while edges[k - 1] > edge:
+            edges[k] = edges[k - 1]
+            k -= 1
+        edges[k] = edge
+        count += 1
+    edges[4] = 1.5 * pi
+    steep = max(ti, tr) * min(1.0, largest)  # of all that slopes up to the largest see
+    size = 0
+    for i in range(4):
+        half = 0.5 * (edges[i + 1] - edges[i])
+        if half < 1e-16:
+            continue
+        sm, cm = sincos(0.5 * (edges[i + 1] + edges[i]))
+        smd = sm * cd - cm * sd
+        cmd = cm * cd + sm * sd
+        rule = len(RULES) * min(int(GRADES * log(1.0 + 4.0 * steep * half)), STEEPEST_GRADE - 1) + 2
+        first = ARC_BEGINS[rule]
+        for j in range(ARC_BEGINS[rule + 1] - first):
+            sj, cj = sincos(half * ARC_NODES[first + j])
+            x = abs(ti * (cm * cj - sm * sj))
+            y = abs(tr * (cmd * cj - smd * sj))
+            weight[size + j] = half * ARC_WEIGHTS[first + j]
+            sign[size + j] = 1.0 if cm * cmd >= 0.0 else -1.0
+            larger[size + j] = max(max(x, y), 1e-30)
+            smaller[size + j] = max(min(x, y), 1e-30)
+        size += ARC_BEGINS[rule + 1] - first
+    return size
+
+
+@device
+def twice_over_slopes(per_2_sigma2, least, largest, weight, sign, larger, smaller, theta):  # type: ignore[no-untyped-def]
+    """4 J where both facets are cut, over azimuths and the slopes from `theta` on; none of these is below `least`."""
+    wide = max(largest - least, 0.0) * sqrt(8.0 * per_2_sigma2)  # in units of sigma
+    rule = min(int(4.0 + 0.3 * wide), 26)
+    first = 2 * rule * (rule - 1)
+    nodes, weights = NODES[first : first + 4 * rule], WEIGHTS[first : first + 4 * rule]
+    sums = np.zeros(4 * rule)
+    for j in range(theta.size):
+        low = theta[j]
+        if sign[j] > 0.0 or low >= largest:
+            continue
+        half = 0.5 * (largest - low)
+        scale = half * weight[j]
+        big, small = larger[j], smaller[j]
+        for k in range(nodes.size):
+            u = nodes[k]
+            slope = low + half * (1.0 + 0.5 * u * (3.0 - u * u))
+            s, c = sincos(slope)
+            ms = min(2.0 * c / (c + big * s), 1.0)
+            mv = min(2.0 * c / (c + small * s), 1.0)
+            e = exp(-slope * slope * per_2_sigma2)
+            sums[k] += scale * (1.0 - u * u) * e * s * c * mean_exchange(ms, mv, c)
+    total = 0.0
+    for k in range(nodes.size):
+        total += weights[k] * sums[k]
+    return 6.0 * total
+
+
 @device
 def gaussian_grooves(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
     """The BRDF for P(theta_a) = c exp(-theta_a^2/(2 sigma^2)), Oren1994 eq. 13.
 
-    p: rho/pi, rho/pi of the second bounce, 1/(2 sigma^2), c, the largest theta_a.
+    p: rho/pi, rho/pi of the second bounce, then `gaussian_constants`.
     """
-    albedo_pi, second, per_2_sigma2, norm, largest = p
+    albedo_pi, second, per_2_sigma2, norm, largest = p[:5]
+    powers = np.array(p[5:])
     ti, tr, delta, turns = directions(lx, ly, lz, vx, vy, vz)
-    edges = np.empty(16)
-    work = np.empty(144)
-    knots = np.empty(8)
-    knots[0] = 0.0
-    count = 1
-    for tangent in (ti, tr, ti * abs(cos(turns[0])), ti * abs(cos(turns[1]))):
-        knot = atan2(1.0, tangent)
-        if knot < largest:
-            k = count
-            while knots[k - 1] > knot:
-                knots[k] = knots[k - 1]
-                k -= 1
-            knots[k] = knot
-            count += 1
-    knots[count] = largest
-    steep = max(ti, tr)
-    # near the forward direction S' and V are nearly equal at every azimuth, and rings change fast beside a knot
-    forward = ti * ti + tr * tr + 2.0 * ti * tr * cos(delta) < 0.01 * steep * steep
-    more = 2 if forward else 1
+    if not ti + tr + delta < np.inf:  # the loop refuses it later
+        return np.nan
+    if max(ti, tr) * tan(largest) <= 1.0:  # nothing is shadowed or masked
+        one = np.empty((7, 1))
+        slopes_at(np.full(1, largest), largest, powers, one)
+        whole, cross, cubic = one[0, 0], 0.5 * ti * tr * cos(delta), one[5, 0]
+        twice = whole - one[1, 0] - cross * (cubic - one[4, 0])
+        return albedo_pi * norm * (whole + cross * cubic + second * pi * twice)
+    work = np.empty((5, MOST_NODES))
+    weight, sign, larger, smaller, values = work[0], work[1], work[2], work[3], work[4]
+    size = azimuths(ti, tr, delta, turns, largest, weight, sign, larger, smaller)
+    theta = np.empty(2 * size + 1)
+    for j in range(size):
+        theta[j] = min(slope_of(larger[j]), largest)
+        theta[size + j] = min(slope_of(smaller[j]), largest)
+    theta[2 * size] = largest
+    at = np.empty((7, theta.size))
+    slopes_at(theta, largest, powers, at)
+    f0, q0, f1, q1, f2, g2 = at[0], at[1], at[2], at[3], at[4], at[5]
+    all_0, all_1 = f0[2 * size], f1[2 * size]
+    at_grazing = 0.5 * exp(-0.25 * pi * pi * per_2_sigma2)
+    for j in range(size):
+        k = size + j
+        big, small = larger[j], sign[j] * smaller[j]
+        # the rows of the table above, in order; `cubic` is the integral of E sin^3/cos
+        cubic = g2[j] + at_grazing * log_part(1.0 / (big * big))
+        d0, d1, d2 = f0[k] - f0[j], f1[k] - f1[j], f2[k] - f2[j]
+        e0, e1 = q0[k] - q0[j], q1[k] - q1[j]
+        once = f0[k] + small * (big * cubic + d1)
+        once += all_0 - f0[k] + small * (all_1 - f1[k]) if small > 0.0 else 0.0
+        twice = 2.0 * (f0[j] - q0[j] - small * big * (cubic - f2[j]))
+        less = 1.0 / (sqrt(1.0 + big * big) + big)  # sqrt(1 + l^2) - l
+        twice += d0 - e0 + less * e1 - small * (d1 - e1 + less * d2)
+        values[j] = weight[j] * (2.0 * once + second * pi * twice)
     total = 0.0
-    for j in range(count):
-        low = knots[j]
-        while low < knots[j + 1]:
-            high = knots[j + 1] if low == 0.0 else min(knots[j + 1], RATIO * low)
-            half = 0.5 * (high - low)
-            if half > 1e-16:
-                smooth = steep * tan(low + half) <= 1.0
-                wide = half * sqrt(8.0 * per_2_sigma2)  # the interval in units of sigma
-                rule = min(int((2.5 if smooth else 3.5) + 0.9 * wide), 16)
-                if forward and not smooth:
-                    rule += 2
-                exponent = high * high * per_2_sigma2
-                if high > 1.2 and exponent < 7.0:  # S and V grow without bound toward 90 degrees
-                    rule += 8 if smooth else 2 if exponent > 2.5 else 4
-                for k in range(2 * rule * (rule - 1), 2 * rule * (rule + 1)):
-                    u = NODES[k]
-                    weight = half * WEIGHTS[k] * (1.0 if smooth else 1.5 * (1.0 - u * u))
-                    theta = low + half * (1.0 + (u if smooth else 0.5 * u * (3.0 - u * u)))
-                    sine, c = sincos(theta)
-                    ring = around(ti, tr, delta, turns, sine / c, c, second, more, edges, work)
-                    total += weight * exp(-theta * theta * per_2_sigma2) * sine * c * ring
-            low = high
-    value = albedo_pi * norm * total
+    for j in range(size):
+        total += values[j]
+    if second > 0.0:
+        least = slope_of(max(min(ti, tr), 1e-30))
+        total += second * twice_over_slopes(
+            per_2_sigma2, least, largest, weight, sign, larger, smaller, theta[size : 2 * size]
+        )
+    value = albedo_pi * norm * total / (2.0 * pi)
     return np.inf if lz <= 0.0 and vz <= 0.0 and value > 1e6 else value
 
 
@@ -317,7 +486,7 @@ def isotropic_grooves(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def
     """
     albedo_pi, second, tan_a, cos_a = p
     ti, tr, delta, turns = directions(lx, ly, lz, vx, vy, vz)
-    ring = around(ti, tr, delta, turns, tan_a, cos_a, second, 2, np.empty(16), np.empty(144))
+    ring = around(ti, tr, delta, turns, tan_a, cos_a, second, np.empty(16), np.empty(144))
     value = albedo_pi * cos_a * ring
     return np.inf if lz <= 0.0 and vz <= 0.0 and value > 1e6 else value
 

@@ -1,6 +1,5 @@
 """Oren and Nayar, "Generalization of Lambert's Reflectance Model", SIGGRAPH 1994: V-grooves of Lambertian facets."""
 
-import functools
 import math
 from dataclasses import dataclass, replace
 from itertools import product
@@ -12,7 +11,7 @@ import numpy as np
 from gonio.errors import ArgumentError
 from gonio.models import hemispherical
 from gonio.models._compile import device, of_columns
-from gonio.models._groove_integral import gaussian_grooves, isotropic_grooves, parallel_grooves
+from gonio.models._groove_integral import gaussian_constants, gaussian_grooves, isotropic_grooves, parallel_grooves
 from gonio.models._math import atan_over_near
 from gonio.models.engine import SPLIT, Constants, Kernel
 from gonio.models.model import Model, store
@@ -248,8 +247,7 @@ class OrenNayar(Model):
         if self.form == "exact":
             if sigma < 1e-9:  # flat to the last digit
                 return isotropic_grooves, (once, twice, 0.0, 1.0)
-            norm, reach = _gaussian(sigma)
-            return gaussian_grooves, (once, twice, 0.5 / (sigma * sigma), norm, reach)
+            return gaussian_grooves, (once, twice, *gaussian_constants(sigma))
         s2 = sigma * sigma
         narrow = s2 / (s2 + 0.09)
         return _KERNELS[self.form], (
@@ -266,17 +264,3 @@ class OrenNayar(Model):
         tolerance = max(tolerance, 1e-6) if self.form in ("exact", "single-slope") else tolerance
         even = self.groove_azimuth_deg is None
         return hemispherical.over_directions(self, theta, phi, wavelength_nm, viewer, even=even, tolerance=tolerance)
-
-
-@functools.lru_cache(maxsize=64)
-def _gaussian(sigma: float) -> tuple[float, float]:
-    """c, for which the distribution's integral with sin(theta_a) is 1, and the angle beyond which it is below 1e-11."""
-    reach = min(pi / 2, sigma * sqrt(2.0 * math.log(1e11)))
-    node, weight = _rule()
-    theta = 0.5 * reach * (node + 1.0)
-    return 1.0 / (float(weight @ (np.exp(-0.5 * (theta / sigma) ** 2) * np.sin(theta))) * 0.5 * reach), reach
-
-
-@functools.cache
-def _rule() -> tuple[Floats, Floats]:
-    return np.polynomial.legendre.leggauss(48)
