@@ -25,6 +25,7 @@ from gonio.models._batch_algebra import (
 )
 from gonio.models._batch_misfit import nearest
 from gonio.models._batch_models import FREE_BASE, FREE_LEVELS, FREE_LOBE
+from gonio.models._batch_scaled import ABOVE, scaled
 from gonio.models._batch_steps import CONSTANTS, DERIVE, LEVELS, SHADE, TAKE, UNIT, by_differences, minimised, room_for
 from gonio.models._batch_sums import moments_by_sums, room_for_sums, summed, walked
 from gonio.models._compile import fingerprint
@@ -39,6 +40,8 @@ FLAT = 50.0
 """Other rows of a valley are tried where chi-square is at most this much above an acceptable one."""
 UNCLEAR, AGAIN = 10.0, 10
 """Below this many times an acceptable chi-square by some of the values, so many rows are compared by all of them."""
+NEAR_VALLEY, NEAR, NEARLY_FLAT = 3.0, 200.0, 5.0
+"""`CLOSE_VALLEY`, `CLOSE` and `FLAT` where what was found is rough, so that `_batch_scaled` looks for other valleys."""
 NARROWINGS = 3
 """Steps of the width alone, before all parameters are fitted."""
 FEWEST_OF_SOME = 25
@@ -118,24 +121,35 @@ def judged(levels, how, by_sums, z, w, grid, starts, profile, weight, weighted, 
 
 @viewing
 def judged_again(  # type: ignore[no-untyped-def]
-    shade, levels, columns, z, w, units, starts, how, profile, whole, shaded_rows, weight, weighted, count
+    shade, levels, columns, z, w, units, starts, how, profile, whole, shaded_rows, anew, weight, weighted, count
 ):
     """`judged` by all values, for the rows that are lowest by some of them; the others count as no lower than these.
 
     `whole` has the lobes of all values, where `shaded_rows` is 1: neighbours with the same directions share them.
+    `anew`: room for the rows, their parameters and their lobes, which are evaluated in one call.
     """
+    again, trials, fresh = anew
     s0, sz, szz = weighed(z, w, weight, weighted, count)
-    highest = -np.inf
-    for _ in range(AGAIN):
-        row, least = -1, np.inf
+    highest, chosen, missing, size = -np.inf, 0, 0, starts.shape[1]
+    while chosen < min(AGAIN, profile.size):
+        row = -1
         for other in range(profile.size):
-            if shaded_rows[other] < 2 and profile[other] < least:
-                row, least = other, profile[other]
-        if row < 0:
-            break
-        g = whole[row * count : row * count + count]
+            if shaded_rows[other] < 2 and (row < 0 or profile[other] < profile[row]):
+                row = other
+        again[chosen] = row
         if shaded_rows[row] == 0:
-            shade(columns, units[row], 1, g)
+            copied(units[row], trials, missing * size, size)
+            missing += 1
+        shaded_rows[row] += 2
+        chosen += 1
+    if missing:
+        shade(columns, trials[: missing * size], missing, fresh[: missing * count])
+    missing = 0
+    for row in again[:chosen]:
+        g = whole[row * count : row * count + count]
+        if shaded_rows[row] == 2:
+            copied(fresh[missing * count : missing * count + count], g, 0, count)
+            missing += 1
         shaded_rows[row] = 3
         sg, sgg, sgz = moments(g, weight, weighted, count)
         level, base, gain = levelled(how, s0, sz, sg, sgg, sgz)
@@ -239,6 +253,7 @@ RESULT = types.int64(
     *(types.FunctionType(one) for one in (TAKE, SHADE, DERIVE, UNIT, LEVELS, CONSTANTS)),
     *(WHOLE, REAL[::1], REAL[::1], REAL[:, ::1], REAL[:, ::1], REAL[:, ::1], REAL[:, ::1], REAL[:, ::1]),
     *(WHOLE[::1], REAL[::1], REAL[::1], REAL[:, ::1], WHOLE, WHOLE[:, ::1], REAL[::1], WHOLE, WHOLE),
+    *(REAL[::1], WHOLE[::1]),
     *(REAL[:, ::1], REAL[:, :, ::1], REAL[::1], REAL[::1], WHOLE[::1], WHOLE, WHOLE),
 )
 
@@ -250,11 +265,12 @@ def lowest(  # type: ignore[no-untyped-def]
 ):  # fmt: skip
     """Chi-square of the lowest valley; its parameters in `theta`, their covariance in `spread`.
 
-    `axis`: what `unit` tells, how many widths the grid has, which parameter the width is, or -1, and whether all goes
-    `by_sums`.
+    `axis`: what `unit` tells, how many widths the grid has, which parameter the width is, or -1, whether all goes
+    `by_sums`, and the scales and the pair of parameters for `scaled`.
     """
-    (how, widths, width, by_sums), (room, on_sums) = axis, rooms
-    lobes, units, whole, shaded_rows, starts, profile = of_grid  # a call of more than 30 arguments makes numba warn
+    (how, widths, width, by_sums, scales, pair), (room, on_sums) = axis, rooms
+    # a call of more than 30 arguments makes numba warn
+    lobes, units, whole, shaded_rows, anew, starts, profile = of_grid
     f, weight, weighted, sums, turned = rows[0, :count], rows[1], rows[2], on_sums[0], on_sums[4]
     if by_sums:
         summed(columns, z, w, count, sums)
@@ -265,13 +281,13 @@ def lowest(  # type: ignore[no-untyped-def]
         profile[row] *= count / some_z.size
     if some_z.size < count and profile[lowest_row(profile, 0, 1)] < UNCLEAR * acceptable:
         judged_again(
-            shade, levels, columns, z, w, units, starts, how, profile, whole, shaded_rows, weight, weighted,
+            shade, levels, columns, z, w, units, starts, how, profile, whole, shaded_rows, anew, weight, weighted,
             count,
         )  # fmt: skip
     first, second = valleys(profile, widths)
-    best, which = np.inf, first
+    best, found, which, times, close, more = np.inf, np.inf, first, CLOSE_VALLEY, CLOSE, FLAT
     while which >= 0:
-        if best <= acceptable and profile[which] > max(CLOSE_VALLEY * best + 20.0, CLOSE):
+        if best <= acceptable and profile[which] > max(times * best + 20.0, close):
             break
         if width >= 0 and not by_sums:
             narrowed(
@@ -296,20 +312,46 @@ def lowest(  # type: ignore[no-untyped-def]
             for a in range(free.size):
                 copied(matrix[a], around[a], 0, free.size)
             inverted(matrix, moves, triangle, spread)
-        block, flat = which - which % widths, min(best, acceptable) + FLAT
+        rough = scales.size and theta[pair[0]] > scales[1]
+        if rough:
+            times, close, more = NEAR_VALLEY, NEAR, NEARLY_FLAT
+        block, flat = which - which % widths, min(best, acceptable) + more
         for row in range(block, block + widths):
             other = abs(row - which) > 1 and profile[row] < flat
             if not (other or (row == second and which == first)):
                 profile[row] = np.inf
         profile[which] = np.inf
+        if rough and best <= acceptable:
+            for row in range(profile.size):
+                if grid[row, pair[0]] > scales[1]:
+                    profile[row] = np.inf
         which = lowest_row(profile, 0, 1)  # the second valley, or one of another index or another sigma
         which = which if profile[which] < np.inf else -1
+    if scales.size and (best > acceptable or theta[pair[0]] > scales[1]):
+        others, count_of_others, promised = scaled(
+            shade, derive, columns, z, w, relative, theta, free, lower, upper, around, best, found == best, scales,
+            pair, room, work, count,
+        )  # fmt: skip
+        for row in range(count_of_others):
+            if promised[row] < best + ABOVE:
+                copied(others[row], end, 0, end.size)
+                found = minimised(
+                    shade, derive, columns, z, w, 0.0, relative, end, free, lower, upper, f, work, matrix, moves, room,
+                    count, best, theta, around,
+                )  # fmt: skip
+                if found < best:
+                    best = found
+                    copied(end, theta, 0, end.size)
+                    for a in range(free.size):
+                        copied(matrix[a], around[a], 0, free.size)
+                    inverted(matrix, moves, triangle, spread)
     return best
 
 
 def fit_pixels(  # type: ignore[no-untyped-def]
     take, shade, derive, unit, levels, constants, count_of_columns, x, y, source, camera, values, u, common, free,
-    lower, upper, grid, widths, numbers, critical, every, width, theta, spread, chi, tau, used, start, stop,
+    lower, upper, grid, widths, numbers, critical, every, width, scales, pair, theta, spread, chi, tau, used, start,
+    stop,
 ):  # fmt: skip
     """Fit pixels `start` to `stop`, one after the other; see `gonio.models.batch.fit`."""
     n, k, r, size = values.shape[1], free.size, common.shape[0], grid.shape[1]
@@ -320,6 +362,7 @@ def fit_pixels(  # type: ignore[no-untyped-def]
     triangle, moves, end, profile = np.empty((k, k)), np.empty(k, np.bool_), np.empty(size), np.empty(grid.shape[0])
     around = np.empty((k, k))
     whole, shaded_rows = np.empty(grid.shape[0] * n), np.zeros(grid.shape[0], np.int64)
+    anew = np.empty(AGAIN, np.int64), np.empty(AGAIN * size), np.empty(AGAIN * n)
     logarithms, measured, small = np.empty(size), z, 0.0
     lobes, units, how, before = np.empty(grid.shape[0] * max(n, 4)), grid.copy(), 0, -1
     few_i, few_r, few = np.empty(3 * n), np.empty(3 * n), np.empty(count_of_columns * n)
@@ -367,9 +410,9 @@ def fit_pixels(  # type: ignore[no-untyped-def]
             shade(some, units.ravel(), grid.shape[0], lobes[: grid.shape[0] * some_z.size])
         chi[p] = lowest(
             shade, derive, unit, levels, constants, columns, z, w, some_z, some_w, relative, grid,
-            (how, widths, width, by_sums), free, lower, upper, critical[count], rows,
-            (lobes, units, whole, shaded_rows, starts, profile), work, matrix, around, moves, triangle, end, theta[p],
-            spread[p], (room, on_sums), count,
+            (how, widths, width, by_sums, scales, pair), free, lower, upper, critical[count], rows,
+            (lobes, units, whole, shaded_rows, anew, starts, profile), work, matrix, around, moves, triangle, end,
+            theta[p], spread[p], (room, on_sums), count,
         )  # fmt: skip
         if chi[p] > critical[count]:
             # where a narrow lobe lies beside the values, their logarithms lead towards it

@@ -289,6 +289,9 @@ class Batched:
     bend: tuple[Callable[..., Any], Kernel, int] | None = None
     """Parameters and which of them -> base, constants, and whether the derivative is known; a kernel with that
     number of constants gives d ln(f - base), or d f where base < 0. Others are taken by differences."""
+    scaled: tuple[str, ...] = ()
+    """The two parameters that change little where both are scaled (`_batch_scaled`). `own` begins with the factor that
+    turns the first one into a number of `SCALES`."""
     fold: tuple[Kernel, Kernel] | None = None
     """For a known index: what takes the second column's place, of columns and Fresnel's constants; and the kernel."""
 
@@ -306,10 +309,12 @@ def _spread(low: float, high: float, count: int) -> tuple[float, ...]:
 
 ROUGH_TIER = 2.0
 """Of He-Torrance's series, for starts: 1e-6."""
-SIGMAS = (0.025, 0.05, 0.1, 0.2, 0.35, 0.55, 0.9, 1.6)
-"""sigma0 [um]. Wider steps of these or of the slopes end in wrong valleys, 3 in 4000 instead of 1 in 16 000."""
-SLOPES = (0.03, 0.07, 0.13, 0.22, 0.35, 0.5, 0.65, 0.8, 1.0, 1.3)
+SIGMAS = (0.025, 0.05, 0.1, 0.2, 0.4, 0.9)
+"""sigma0 [um]. Between those of rough surfaces `_batch_scaled` looks."""
+SLOPES = (0.03, 0.047, 0.075, 0.12, 0.2, 0.33, 0.5, 0.65, 0.8, 1.0, 1.3)
 """2 sigma0 / tau."""
+SCALES = (1.3, 1.75, 2.25, 2.75, 3.3, 4.0, 4.8, 5.7, 6.8, 8.5, 12.0, 30.0)
+"""2 pi sigma0 / wavelength, where other valleys are looked for: below, chi-square has one valley."""
 INDICES = ("ior", (1.5, 3.0, 20.0))
 MODELS = {
     "cook-torrance": Batched(
@@ -335,7 +340,7 @@ MODELS = {
     "he-torrance": Batched(
         ("sigma0_um", "diffuse_albedo", "tau_um", "ior", "k"), _htsg_kernels.lobe_state, 11, waves_constants,
         base_affine, base_unit, base_levels, (INDICES, ("sigma0_um", SIGMAS), ("slope", SLOPES)),
-        every=4, own=lambda wavelength_nm: (2.0 * pi / (1e-3 * wavelength_nm), 1.0),
+        every=4, scaled=("sigma0_um", "tau_um"), own=lambda wavelength_nm: (2.0 * pi / (1e-3 * wavelength_nm), 1.0),
     ),
 }  # fmt: skip
 """By the names of the command line."""

@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from gonio.errors import ConfigError
 from gonio.models import _loops, engine
-from gonio.models._batch_models import MODELS, ROUGH_TIER, Batched, fresnel_terms, without_absorption
+from gonio.models._batch_models import MODELS, ROUGH_TIER, SCALES, Batched, fresnel_terms, without_absorption
 from gonio.models._compile import fingerprint, jit, loop
 from gonio.models.engine import Kernel
 from gonio.typing import Floats
@@ -113,11 +113,15 @@ def fit(
     )  # fmt: skip
     run = _batch_loops.engine()
     width = posed.model.names.index(posed.model.grid[-1][0]) if posed.model.grid[-1][0] in posed.free else -1
+    pair = np.array([posed.model.names.index(one) for one in posed.model.scaled], np.int64)
+    scales = (
+        np.array(SCALES) / posed.own[0] if pair.size and set(posed.model.scaled) <= set(posed.free) else np.empty(0)
+    )
     engine.in_parts(
         lambda start, stop: run(
             *posed.compiled, *posed.given, posed.common, posed.which, posed.lower, posed.upper, grid, widths,
-            posed.blocks, _critical(n, len(posed.free)), posed.model.every, width, out.values, out.covariance,
-            out.chi_square, out.tau, out.used, start, stop,
+            posed.blocks, _critical(n, len(posed.free)), posed.model.every, width, scales, pair, out.values,
+            out.covariance, out.chi_square, out.tau, out.used, start, stop,
         ),
         pixels,
         WORTH,
