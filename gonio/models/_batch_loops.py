@@ -374,15 +374,16 @@ def fit_pixels(  # type: ignore[no-untyped-def]
         how = unit(units[row])
         if by_sums:
             constants(units[row], -1, lobes[4 * row : 4 * row + 4])
+    columns, relative, block = packed[:0], of_causes[:0].reshape((r, 0)), of_blocks[:0].reshape((numbers.shape[0], 0))
     for p in range(start, stop):
         count, same = taken(values[p], u[p], z, own, w, at)
         used[p] = count
         chi[p], tau[p], theta[p], spread[p] = np.nan, 0.0, np.nan, np.nan
         same = same and count == before
-        columns = packed[: count_of_columns * count]
-        relative = of_causes[: r * count].reshape((r, count))
-        block = of_blocks[: numbers.shape[0] * count].reshape((numbers.shape[0], count))
         if not same:
+            columns = packed[: count_of_columns * count]
+            relative = of_causes[: r * count].reshape((r, count))
+            block = of_blocks[: numbers.shape[0] * count].reshape((numbers.shape[0], count))
             for j in range(count):
                 source_of[:, j], camera_of[:, j], relative[:, j] = source[:, at[j]], camera[:, at[j]], common[:, at[j]]
                 block[:, j] = numbers[:, at[j]]

@@ -7,7 +7,7 @@ whether a step is left, are told by the values themselves: in sums the differenc
 
 import numpy as np
 
-from gonio.models._batch_algebra import called, copied, dot, solve, summing, viewing
+from gonio.models._batch_algebra import called, copied, dot, inlined, solve, summing, viewing
 from gonio.models._batch_steps import FIRST_DAMPING, MOST_STEPS, MOST_TRIALS, SETTLED, toward
 
 SUMS = 15
@@ -51,7 +51,7 @@ def summed(columns, z, w, count, out):  # type: ignore[no-untyped-def]
     out[8], out[9], out[10], out[11], out[12], out[13], out[14] = s23, s33, z0, z1, z2, z3, zz
 
 
-@viewing
+@inlined
 def four(x, y):  # type: ignore[no-untyped-def]
     """`dot` of four numbers."""
     return x[0] * y[0] + x[1] * y[1] + (x[2] * y[2] + x[3] * y[3])
@@ -64,7 +64,7 @@ def moments_by_sums(sums, x, turned):  # type: ignore[no-untyped-def]
     return turned[0], four(x, turned), x[0] * sums[10] + x[1] * sums[11] + x[2] * sums[12] + x[3] * sums[13]
 
 
-@viewing
+@inlined
 def product(sums, x, out):  # type: ignore[no-untyped-def]
     """The matrix of the sums times four constants."""
     out[0] = sums[0] * x[0] + sums[1] * x[1] + sums[2] * x[2] + sums[3] * x[3]
@@ -73,7 +73,7 @@ def product(sums, x, out):  # type: ignore[no-untyped-def]
     out[3] = sums[3] * x[0] + sums[6] * x[1] + sums[8] * x[2] + sums[9] * x[3]
 
 
-@viewing
+@inlined
 def missed_by_sums(sums, x, misses):  # type: ignore[no-untyped-def]
     """Chi-square of four constants; `misses` become the sums of residuals times 1 and each column."""
     product(sums, x, misses)
