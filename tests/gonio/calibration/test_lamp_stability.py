@@ -112,6 +112,17 @@ def test_a_flickering_monitor_frame_is_told_and_does_not_make_the_noise() -> Non
     assert found.noise == pytest.approx(NOISE, rel=0.15)  # three of its u
 
 
+def test_frames_beyond_five_standard_deviations_are_told_and_no_others() -> None:
+    t = times()
+    signal, sigma = level(t), math.hypot(NOISE, SHOT)
+    signal = signal * (1.0 + sigma * np.clip(np.random.default_rng(6).standard_normal(t.size), -3.0, 3.0))
+    signal[[100, 300]] = level(t)[[100, 300]] * (1.0 + sigma * np.array([4.2, 6.5]))
+    found = lamp_stability.fit(t, signal, SHOT * signal)
+    # the noise of this series is found within 10 %, so that 4.2 and 6.5 stay on their sides of 5
+    assert found.noise == pytest.approx(NOISE, rel=0.1)
+    assert found.outliers.tolist() == [t[300]]
+
+
 @pytest.mark.parametrize(
     ("duration", "words"), [(600.0, "too short: the lamp warms up"), (80.0, "frames; at least 24")]
 )

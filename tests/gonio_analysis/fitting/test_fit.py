@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -265,3 +266,15 @@ def test_outliers_pull_a_robust_fit_less(loss: str) -> None:
     # huber and soft_l1 let an outlier pull like 1 standard deviation: 10 of them move the mean by some 0.1 %
     assert robust.parameters["albedo"].value == pytest.approx(0.5, rel=0.004)
     assert loss in robust.weighting
+
+
+def test_what_is_not_determined_spreads_evenly_between_its_bounds() -> None:
+    """As a parameter that stands at a bound, it has the variance of an even distribution, (upper - lower)^2/12."""
+    found = fit(measure(PAINT, incidences=(10.0,), views=np.arange(40.0, 71.0, 5)), "cook-torrance", ior=1.5 + 0j)
+    spread = np.diag([np.inf, 4.0e4, 1.0e-6])
+    bounded = replace(found, spread=spread).bounded_spread
+    lower, upper = found.problem.bounds
+    assert found.free == ("s", "m", "diffuse_albedo")
+    assert np.diag(bounded) == pytest.approx([*((upper - lower)[:2] ** 2 / 12.0), 1.0e-6], rel=1e-12)
+    related = np.array([[4.0, 1.0, 0.0], [1.0, 9.0, 0.0], [0.0, 0.0, 1.0e-6]])
+    assert np.array_equal(replace(found, spread=related).bounded_spread, related)
