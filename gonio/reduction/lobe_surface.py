@@ -16,7 +16,6 @@ import math
 
 import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve, solve_triangular
-from scipy.optimize import minimize
 from scipy.spatial import cKDTree
 from scipy.special import ndtri
 
@@ -251,6 +250,8 @@ class Surface:
     def _learn(self, start: Floats) -> tuple[Floats, float]:
         """The most probable sizes and lengths, and their cost."""
         around = list(zip(USUAL - 6.0, USUAL + 5.0, strict=True))[: start.size]
+        from scipy.optimize import minimize  # where a lobe has to be fitted
+
         found = minimize(self._cost, start, jac=True, method="L-BFGS-B", bounds=around)
         return found.x, float(found.fun)
 
