@@ -2,6 +2,7 @@
 
 import os
 import signal
+import time
 from collections.abc import Iterator
 from typing import Any
 
@@ -64,3 +65,8 @@ def cluster() -> Iterator[Any]:
         dashboard_address="127.0.0.1:0",
     ) as found:
         yield found
+        # to be closed while it starts a worker anew is an error of distributed's own: wait until those are back that a
+        # test has ended; a minute, so that a failure ends
+        ends = time.monotonic() + 60.0
+        while len(found.scheduler.workers) < len(found.workers) and time.monotonic() < ends:
+            time.sleep(0.02)
