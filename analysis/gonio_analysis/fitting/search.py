@@ -137,6 +137,8 @@ def _valleys(
     """
     profile = [_at_width(problem, data, goal, start, width, PROFILED) for start in starts]
     low = min(cost for cost, _ in profile) + NEAR
+    if not math.isfinite(low):
+        return []
     for (a, left), (b, right) in list(pairwise(profile)):
         if max(a, b) < FAR * low:
             profile.append(_at_width(problem, data, goal, 0.5 * (left + right), width, PROFILED - 2))
@@ -158,7 +160,10 @@ def _at_width(
     for left in reversed(range(evaluations)):
         here = apparent(problem.model(x), data, quick=True)
         residual = np.concatenate([goal.residual(here), problem.pulls(x)])
-        if (cost := 0.5 * float(residual @ residual)) < least:
+        cost = 0.5 * float(residual @ residual)
+        if not math.isfinite(cost):
+            break
+        if cost < least:
             least, best = cost, x
         if left:
             columns = derivatives(problem, data, x, here=here, only=others)
