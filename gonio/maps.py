@@ -12,6 +12,7 @@ import math
 import os
 import re
 import shutil
+import zipfile
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -22,7 +23,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from gonio.disk import require_name, sha256_of, write_whole
+from gonio.disk import half_written, require_name, sha256_of, write_whole
 from gonio.errors import ConfigError, DataError, os_error_as
 from gonio.typing import Array, Bools, DataFrame, Floats, Ints, JsonObject, NDArray
 
@@ -129,7 +130,7 @@ class Parts:
     Raises
     ------
     ConfigError
-        The file exists, the folder holds tiles of other settings, or it cannot be written.
+        The file exists and is no map, the folder holds tiles of other settings or none, or it cannot be written.
     """
 
     def __init__(self, path: Path, settings: JsonObject) -> None:
@@ -137,18 +138,23 @@ class Parts:
         self.path, self.folder = path, path.with_name(path.name + ".parts")
         if path.exists() and not is_map(path):
             raise ConfigError(f"{path}: is there already, and no map; choose another name")
-        text = json.dumps({"format": FORMAT, **settings}, sort_keys=True, indent=1)
+        text = json.dumps({"format": FORMAT, **settings}, sort_keys=True, indent=1).encode()
         known = self.folder / "settings.json"
         with os_error_as(ConfigError, f"{self.folder}: cannot be written"):
             if known.exists():
-                if known.read_text(encoding="utf-8") != text:
+                if known.read_bytes() != text:
                     raise ConfigError(
                         f"{self.folder}: holds parts of another map of this name; remove the folder, or choose"
-                        " another --out"
+                        f" another name than {path.name}"
                     )
             else:
                 self.folder.mkdir(parents=True, exist_ok=True)
-                write_whole(known, text.encode())
+                if not all(half_written(entry.name, {known.name}) for entry in self.folder.iterdir()):
+                    raise ConfigError(
+                        f"{self.folder}: holds what is no part of a map, and would go with it; move it away, or choose"
+                        f" another name than {path.name}"
+                    )
+                write_whole(known, text)
 
     def has(self, tile: Tile) -> bool:
         """Whether a tile is done."""
@@ -166,7 +172,8 @@ class Parts:
         return {name: packed.array() for name, packed in self._packed(tile, names).items()}
 
     def _packed(self, tile: Tile, names: Sequence[str] = ()) -> dict[str, Packed]:
-        with np.load(self.folder / tile.name) as found:
+        path = self.folder / tile.name
+        with readable_part(path), path.open("rb") as file, np.load(file) as found:
             about = json.loads(str(found[ABOUT]))
             return {name: Packed(about[name][0], tuple(about[name][1]), found[name]) for name in names or about}
 
@@ -197,6 +204,15 @@ class Parts:
                 f"{self.path}: cannot be written: {error.strerror or error}; the tiles that are done stay, and the same"
                 " command goes on with the others"
             ) from None
+
+
+@contextmanager
+def readable_part(path: Path) -> Iterator[None]:
+    """Turn what reading a damaged file of a folder of parts raises into a `DataError` that says what to do."""
+    try:
+        yield
+    except (ValueError, KeyError, EOFError, zipfile.BadZipFile):
+        raise DataError(f"{path}: is damaged; remove the folder {path.parent}, and the command begins anew") from None
 
 
 def _plain(error: Exception) -> Exception:

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gonio.errors import ConfigError
-from gonio.maps import Tile
+from gonio.maps import Tile, readable_part
 from gonio.reduction.map_planes import BLURRED, FULL, HOT, OUTSIDE, PIXEL, SHADOWED, MapPoint, Planes, lattices
 from gonio.rig import imaging
 from gonio.rig.description import RigDescription
@@ -164,9 +164,10 @@ class Lookup:
     def _picture(self, k: int, rows: slice, cols: slice) -> npt.NDArray[Any]:
         """A part of a picture, of which no more is kept: a map would count as memory."""
         path = self._planes.file(self._point, k)
-        if k not in self._offsets:
-            self._offsets[k] = np.load(path, mmap_mode="r").offset
-        return np.array(np.memmap(path, PIXEL, "r", self._offsets[k], self._size(k))[rows, cols])
+        with readable_part(path):
+            if k not in self._offsets:
+                self._offsets[k] = np.load(path, mmap_mode="r").offset
+            return np.array(np.memmap(path, PIXEL, "r", self._offsets[k], self._size(k))[rows, cols])
 
     def _between(self, k: int, x: Floats, y: Floats) -> tuple[Floats, Floats, Ints]:
         """Linear interpolation between the four pixels around each spot."""

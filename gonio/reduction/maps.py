@@ -214,7 +214,7 @@ def _shifts(
         with counter("registering") as progress:
             shift, u = shifts(planes, cells, points, progress)
         maps.write_tile(kept, {"shift": shift, "u": u})
-    with np.load(kept) as held:
+    with maps.readable_part(kept), kept.open("rb") as file, np.load(file) as held:
         return held["shift"], held["u"]
 
 

@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from gonio.errors import DataError
-from gonio.maps import MapFile, Packed, Tile, Variable, tiles
+from gonio.errors import ConfigError, DataError
+from gonio.maps import MapFile, Packed, Parts, Tile, Variable, tiles
 from tests.gonio_analysis import map_files
 
 ROWS, COLS, POINTS = 70, 130, 5
@@ -106,3 +106,31 @@ def test_a_chunk_that_is_damaged_is_named(tmp_path: Path) -> None:
         found.values(Tile(slice(0, 64), slice(0, 64)))
         with pytest.raises(DataError, match=r"map.h5: rows 0 to 64, columns 64 to 128 cannot be read: .* make the map"):
             found.values(Tile(slice(0, 64), slice(64, 128)))
+
+
+def test_a_folder_of_parts_with_files_of_others_is_left_alone(tmp_path: Path) -> None:
+    """It would be removed with them once the map is whole."""
+    folder = tmp_path / "map.h5.parts"
+    folder.mkdir()
+    (folder / "mine.txt").write_text("notes", encoding="utf-8")
+    with pytest.raises(ConfigError, match=r"map.h5.parts: holds what is no part of a map.* than map.h5"):
+        Parts(tmp_path / "map.h5", {})
+    assert [path.name for path in folder.iterdir()] == ["mine.txt"]
+
+
+def test_settings_that_are_no_text_are_those_of_another_map(tmp_path: Path) -> None:
+    folder = tmp_path / "map.h5.parts"
+    folder.mkdir()
+    (folder / "settings.json").write_bytes(b"\xff")
+    with pytest.raises(ConfigError, match=r"map.h5.parts: holds parts of another map"):
+        Parts(tmp_path / "map.h5", {})
+
+
+@pytest.mark.parametrize("left", [0, 1, 100])
+def test_a_tile_that_is_damaged_is_named(tmp_path: Path, left: int) -> None:
+    parts, tile = Parts(tmp_path / "map.h5", {}), Tile(slice(0, 64), slice(0, 64))
+    parts.write(tile, {"brdf": np.ones((64, 64))})
+    path = parts.folder / tile.name
+    path.write_bytes(path.read_bytes()[:left])
+    with pytest.raises(DataError, match=rf"{path.name}: is damaged; remove the folder .*map.h5.parts, and the command"):
+        parts.read(tile)

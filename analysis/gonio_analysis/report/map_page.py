@@ -153,10 +153,12 @@ def _facts(file: MapFile, grid: Grid) -> list[tuple[str, str]]:
         width = float(np.nanmedian(file.array("footprint_mm")))
         rows.append(("footprint", f"typically {number(width)} mm, blur of the lens included"))
     if "shift_mm" in file.names:
-        shift, u = (np.linalg.norm(file.array(n).astype(float), axis=1) for n in ("shift_mm", "u_shift_mm"))
-        if np.isfinite(shift).any():
+        shift, u = (file.array(name).astype(float) for name in ("shift_mm", "u_shift_mm"))
+        told = np.isfinite(u)  # of an edge or of streaks that across it alone
+        if told.any():
+            largest = number(np.abs(shift[told]).max(), 2)
             rows.append(
-                ("registration", f"shifts up to {number(np.nanmax(shift), 2)} mm, u up to {number(np.nanmax(u), 2)} mm")
+                ("registration", f"shifts up to {largest} mm along x or y, u up to {number(u[told].max(), 2)} mm")
             )
     if file.causes:
         rows.append(("causes that pixels share", ", ".join(name.removeprefix("s_") for name in file.causes)))

@@ -4,6 +4,7 @@ import csv
 import json
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 from gonio_analysis.plots.pixels import round_length
@@ -179,5 +180,15 @@ def test_the_page_of_a_map_of_values(tmp_path: Path) -> None:
     assert (mirror["determined"], mirror["median"]) == (39, pytest.approx(0.75))
     assert mirror["typical_u"] == pytest.approx(0.015, rel=1e-6)  # float32 in the file
     assert "a standard uncertainty of its own of 2.0 %" in told["conclusion"]
+    assert "shifts up to 0.010 mm along x or y, u up to 0.010 mm" in page_of(tmp_path / "o")
     said = gonio(tmp_path, "report", path, "--out", "p", "--map", path, expect=2)
     says(said.stderr, "is a map of values itself")
+    u_shift = np.tile([0.002, np.nan], (n, 1))  # an edge along y: nothing tells the shift along it
+    with h5py.File(path, "r+") as held:
+        held["u_shift_mm"][...], held["shift_mm"][:, 1] = u_shift, 0.5
+    assert gonio(tmp_path, "report", path, "--out", "e", expect=0).stderr.count("Warning") == 0
+    assert "shifts up to 0.010 mm along x or y, u up to 0.0020 mm" in page_of(tmp_path / "e")
+
+
+def page_of(folder: Path) -> str:
+    return (folder / "index.html").read_text(encoding="utf-8").replace("\u00a0", " ")
