@@ -29,7 +29,7 @@ from gonio.typing import Array, Bools, DataFrame, Floats, Ints, JsonObject, NDAr
 
 FORMAT = "gonio-map-1"
 ABOUT = "about"
-"""Of a tile's file: kinds and shapes of its packed arrays."""
+"""Key of a tile's file for the kinds and shapes of its packed arrays."""
 TILE = 64
 """Pixels along a side of a tile."""
 GZIP = 1
@@ -59,7 +59,7 @@ class Tile:
 
     @property
     def name(self) -> str:
-        """Of its file among the parts."""
+        """Name of its file among the parts."""
         return f"{self.rows.start:06d}-{self.cols.start:06d}.npz"
 
     @property
@@ -107,7 +107,7 @@ class Variable:
     """An array of a map file: either given, or put together from the tiles."""
 
     dims: tuple[str, ...]
-    """Of "y", "x", "point" and others; those of tiles begin with y, x."""
+    """Dimensions, of "y", "x", "point" and others; those of tiles begin with y, x."""
     data: Array | None = None
     """None: it comes from the tiles."""
     dtype: str = "f8"
@@ -474,7 +474,7 @@ class FitFile(MapFile):
         return {name: float(value) for name, value in found.items()} if isinstance(found, dict) else {}
 
     def unit(self, name: str) -> str:
-        """Of a parameter; "" where it has none."""
+        """Unit of a parameter; "" where it has none."""
         found = str(self._file[name].attrs.get("units", ""))
         return "" if found == "1" else found
 
@@ -496,7 +496,7 @@ class FitFile(MapFile):
         return value, np.where(np.isfinite(value) & (u > 0), u, np.nan)
 
     def correlations(self, names: list[str], tile: Tile) -> Floats:
-        """Of parameters with each other, shape (rows, columns, k, k); 0 where the file has none."""
+        """Correlations of parameters with each other, shape (rows, columns, k, k); 0 where the file has none."""
         out = np.zeros((*tile.shape, len(names), len(names))) + np.eye(len(names))
         if "correlation" in self.names:
             found = np.nan_to_num(self.array("correlation", tile).astype(float))

@@ -51,7 +51,7 @@ except ImportError:
 
 
 def _flags(*names: str) -> int:
-    """Of flags of `os.open` those that there are."""
+    """Flags of `os.open`: those that this system has."""
     out = 0
     for name in names:
         out |= getattr(os, name, 0)

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 WHERE_KNOWN = {"where_known": True}
-"""Of a field that JSON has only where it is not None."""
+"""Metadata of a field that JSON has only where it is not None."""
 
 
 def as_json(value: Any) -> Any:
@@ -53,7 +53,7 @@ class SharedGeometry:
     """Those that are the same at all of them."""
     n_points: int
     n_free: int
-    """Of all wavelengths together."""
+    """Number of free parameters of all wavelengths together."""
     chi_square: float | None
     reduced_chi_square: float | None
 
@@ -104,7 +104,7 @@ class Reflectance:
     u_independent: float | None = None
     """The same, were every value's uncertainty independent of the others'."""
     with_misfit: float | None = None
-    """Of a model that is not true: with what the values say of its misfit."""
+    """Where the model is not true: its value with what the measurement says of the misfit."""
     u_with_misfit: float | None = None
     """Standard uncertainty of that."""
     unmeasured: float | None = None
@@ -118,7 +118,7 @@ class MuellerElement:
     name: str
     points: int
     rms: float | None
-    """Of the measured values."""
+    """Root mean square of the measured values."""
     mean_residual: float | None
     """Measured less model."""
     rms_residual: float | None
@@ -252,7 +252,7 @@ class HealthSummary:
     highest_h: float
     time_h: list[float]
     value: list[float]
-    """Of every stretch of the run the lowest and the highest one."""
+    """The lowest and the highest value in every stretch of the run."""
 
 
 @dataclass(frozen=True)
@@ -300,7 +300,7 @@ class BudgetPart:
     median: float
     largest: float
     share: float
-    """Of the variance, mean over the values."""
+    """Share of the variance, mean over the values."""
 
 
 @dataclass(frozen=True)
@@ -323,7 +323,7 @@ class BudgetFacts:
     """How many are in it: those within 3 u of zero are not."""
     median: float
     highest: float
-    """Of u_brdf / |brdf|."""
+    """Highest value of u_brdf / |brdf|."""
     median_apart: float
     highest_apart: float
     """The same without the certificate of the white reference."""

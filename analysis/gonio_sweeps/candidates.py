@@ -89,7 +89,7 @@ def candidates(plan: Plan, description: RigDescription, given: TomlTable) -> Can
 
 
 def half_angles(description: RigDescription) -> tuple[float, float]:
-    """Of the cones of lamp and lens [rad]."""
+    """Half-angles of the cones of lamp and lens [rad]."""
     return math.radians(description.lamp.half_angle_deg), math.radians(description.camera.lens_half_angle_deg)
 
 

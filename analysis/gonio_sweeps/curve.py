@@ -34,7 +34,7 @@ from gonio_sweeps.sampler import BudgetSampler, highest, short
 COVERING = 5
 """One of this many chosen points goes where the curve is measured least, whatever the process expects there."""
 STEEP_TURNS = (1, 3)
-"""Of every `COVERING` points these go into the steepest gap, as long as there is one."""
+"""Of every `COVERING` points so many go into the steepest gap, as long as there is one."""
 STEEP = 0.7
 """A gap is steep where the logarithm of the curve changes by more from the nearest point on."""
 DONE = 0.05
@@ -129,7 +129,7 @@ def batch(
 
 @dataclass
 class _State:
-    """Of one band: what is not known yet, at the places of a grid."""
+    """What is not known yet of one band, at the places of a grid."""
 
     covariance: Floats
     noise: Floats
@@ -150,7 +150,7 @@ class _State:
         return np.asarray(np.sqrt(np.maximum(np.diag(self.covariance), 0.0)) * self.scale)
 
     def gain(self, weight: Floats) -> Floats:
-        """Of every place: the fall of the weighted variance, were it measured."""
+        """For every place: the fall of the weighted variance, were it measured."""
         u = self.u_rel
         share = weight * np.where(u > self.goal, np.minimum((u / self.goal) ** 2, WORST), DONE)
         # in units of what is there, where that is far above the goal: a place that nothing is known of is not all
@@ -158,7 +158,7 @@ class _State:
         return np.asarray(down.sum(axis=0) / (np.diag(self.covariance) + self.noise))
 
     def take(self, k: int) -> None:
-        """A value at a place is there, whatever it is."""
+        """Lower the covariance as a value measured at a place does, whatever it is."""
         column = self.covariance[:, k].copy()
         self.covariance -= np.outer(column, column) / (column[k] + self.noise[k])
 
@@ -166,7 +166,7 @@ class _State:
 FIRST, FURTHER = 12, 7
 """Points of the first covering: of one angle of incidence, and of each further one, in a plane."""
 GROWTH = 0.25
-"""A batch adds this part of the points so far."""
+"""Points of a batch, as a part of the points so far."""
 SMALLEST, LARGEST = 5, 25
 """Points of a batch, at least and at most: each ends with a visit to the reference."""
 NEAR_MIRROR_DEG = (2.0, 3.0, 4.0, 5.0, 6.0)
@@ -187,9 +187,9 @@ class CurveSettings(Strict):
     u_rel: Positive | None = None
     """Relative standard uncertainty wanted of the curve everywhere, of what further points can improve."""
     floor: Positive = 1e-3
-    """Of the largest value: below it `u_rel` counts relative to this value."""
+    """Part of the largest value: below it `u_rel` counts relative to this value."""
     most_points: int | None = None
-    """Of the whole run. Where it is stated, points are chosen for what each tells, whatever its time."""
+    """Most points of the whole run. Where it is stated, points are chosen for what each tells, whatever its time."""
     theta_i_deg: Any = None
     theta_r_deg: Any = None
     dphi_deg: Any = None
@@ -271,7 +271,7 @@ class Curve(BudgetSampler[CurveSettings]):
         return self._ordered(spread(self._places, count, self._at_mirror()))
 
     def _at_mirror(self) -> list[int]:
-        """Of each angle of incidence the candidate nearest to the mirror direction, and one on either side of it."""
+        """For each angle of incidence the candidate nearest to the mirror direction, and one on either side of it."""
         d = self._directions
         flank, out = FLANK * sum(self._cones), []
         for theta_i in np.unique(d.theta_i):
@@ -394,7 +394,7 @@ def _place(p: Point) -> str:
 
 
 def _angle_errors(description: RigDescription) -> AngleErrors:
-    """Of the worst axis of the rig: one number for all directions."""
+    """Uncertainty of the angles of the rig's worst axis: one number for all directions."""
     axes = angle_axes(description)
     read = max(math.hypot(a.encoder_step_deg / math.sqrt(12.0), a.encoder_noise_deg) for a in axes.values())
     return AngleErrors(math.radians(read), max(zero_uncertainties(description).values(), default=0.0))

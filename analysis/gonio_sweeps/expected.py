@@ -300,7 +300,7 @@ class Known:
 
     @property
     def covariance(self) -> Floats:
-        """Of parameters and causes."""
+        """Covariance of parameters and causes."""
         size = np.sqrt(np.diag(self.information))
         return np.asarray(np.linalg.inv(self.information / np.outer(size, size)) / np.outer(size, size))
 

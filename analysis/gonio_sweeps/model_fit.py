@@ -1,10 +1,10 @@
 """What the values so far say of the model: its parameters, how well they are known, and whether it is the right one.
 
 Two tests of the residuals, with a stated rate of false alarms, say whether it describes what was measured. Both use
-whitened residuals, so that common causes of the run do not count as misfit. One is chi-square: values that scatter more
-than they should. The other asks whether the residuals hang together: smooth functions of the directions are fitted to
-them, and what chi-square falls by has a chi-square distribution of its own. A wrong model shows there long before
-single values stand out.
+whitened residuals, so that common causes of the run do not count as misfit. One is chi-square, which tells of values
+that scatter more than they should. The other asks whether the residuals hang together: smooth functions of the
+directions are fitted to them, and what chi-square falls by has a chi-square distribution of its own. A wrong model
+shows there long before single values stand out.
 """
 
 import math
@@ -38,7 +38,7 @@ from gonio_sweeps.sampler import short
 FALSE_ALARMS = 0.01
 """Probability that a run with the right model is held to have a wrong one, over all looks together."""
 DEGREE = 3
-"""Of the smooth functions: Legendre polynomials of the place between its smallest and largest coordinates."""
+"""Degree of the smooth functions: Legendre polynomials of the place between its smallest and largest coordinates."""
 SPARE = 4
 """Values beyond parameters and smooth functions that the second test needs."""
 
@@ -50,7 +50,7 @@ class LackOfFit:
     chi_square: float
     degrees_of_freedom: int
     p_value: float
-    """Of both tests together: the smaller one, twice."""
+    """Of both tests together: twice the smaller p value."""
 
     def rejects(self, look: int) -> bool:
         """Whether the model is held to be wrong, at the look of this number (0 is the first).

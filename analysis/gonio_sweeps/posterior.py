@@ -25,7 +25,7 @@ from gonio.typing import DataFrame, Floats
 from gonio_sweeps.lobe import Spike, begun, suspected, within
 
 NEGLIGIBLE = 2e-6
-"""Of the largest value: what is added to uncertainties, so that the faintest values do not bend the whole curve."""
+"""Part of the largest value that is added to uncertainties, so that the faintest values do not bend the whole curve."""
 FAINT = 10.0
 """Values below this many times the smallest uncertainty may be negative: the logarithm then becomes the value."""
 FEWEST = 3
@@ -69,9 +69,9 @@ class AngleErrors:
     """Standard uncertainties of the angles [rad], in the plane of incidence and across it alike."""
 
     read: float
-    """Of a reading, independent from point to point."""
+    """Uncertainty of a reading, independent from point to point."""
     zero: float
-    """Of the zeros of both arms, each common to all points."""
+    """Uncertainty of the zeros of both arms, each common to all points."""
 
 
 @dataclass(frozen=True)
@@ -153,7 +153,7 @@ class Posterior:
 
     @cached_property
     def parameters(self) -> Floats:
-        """Of the kernel, learned from these points."""
+        """The kernel's parameters, learned from these points."""
         return self._learned.p
 
     @property
@@ -362,7 +362,7 @@ class Posterior:
 
     @cached_property
     def left_out(self) -> Floats:
-        """Of each point: its departure from what the others predict, in standard deviations."""
+        """For each point: its departure from what the others predict, in standard deviations."""
         return self._without_causes.left_out
 
     @property

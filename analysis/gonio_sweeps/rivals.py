@@ -42,7 +42,7 @@ BATCH = 8
 REPEATS = 3
 """Visits to one point in a batch, at most."""
 LEAST_WEIGHT = 0.02
-"""Of a rival that the values have almost ruled out: a fit may have failed."""
+"""Least weight of a rival, also of one that the values have almost ruled out: a fit may have failed."""
 DEAREST = 0.25
 """Part of the time that is left which one point may take, at most."""
 EVERY_S = 3.0
@@ -57,7 +57,7 @@ class RivalSettings(Strict):
     models: tuple[str, ...] = Field(min_length=2)
     """Models, as `gonio fit --model`, or sample files (.toml), whose parameters are known."""
     ior: str | float | tuple[float, float] | None = None
-    """Of the models that have optical constants, as with how = "parameters"."""
+    """Optical constants of the models that have them, as with how = "parameters"."""
     wavelength_nm: Positive | None = None
     theta_i_deg: Any = None
     theta_r_deg: Any = None
@@ -102,7 +102,7 @@ class Stand:
 
     @property
     def ranges(self) -> Floats:
-        """Of the free parameters on the search scale."""
+        """Ranges of the free parameters on the search scale."""
         if self.problem is None:
             return np.zeros(0)
         lower, upper = self.problem.bounds

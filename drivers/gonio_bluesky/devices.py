@@ -47,7 +47,7 @@ class Status:
 
     @classmethod
     def finished(cls) -> Status:
-        """Of what takes no time."""
+        """A status that is done at once, for what takes no time."""
         status = cls()
         status.finish(None)
         return status

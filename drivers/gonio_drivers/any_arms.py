@@ -25,7 +25,7 @@ class ArmsReading:
     time_s: float
     counts: Mapping[str, float] = field(default_factory=dict)
     spread: Pose = field(default_factory=Pose)
-    """Of several readings, the largest less the smallest [rad]."""
+    """The largest less the smallest of several readings [rad]."""
 
 
 @dataclass

@@ -47,7 +47,7 @@ TAKEN = "taken"
 RAW = (".dng", ".cr2", ".nef", ".arw")
 IMAGES = (".png", ".tif", ".tiff")
 EXPOSURE_TOLERANCE = 1e-3
-"""Of the RAW files of a sequence."""
+"""Largest relative error of the exposure of a sequence's RAW files."""
 
 
 class FolderCamera:

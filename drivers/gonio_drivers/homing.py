@@ -26,9 +26,9 @@ STILL_COUNTS = 4
 BACK_OFF_DEG = 3.0
 ACCELERATION_DEG_S2 = 180.0
 TURN_MARGIN = 0.25
-"""Of a servo's turn: what is found further from where it should be could as well be another turn."""
+"""Part of a servo's turn: what is found further from where it should be could as well be another turn."""
 INPUT_MODE = 3
-"""Of an external port: digital input, pulled up (ROBOTIS e-Manual, "External Port")."""
+"""Mode of an external port: digital input, pulled up (ROBOTIS e-Manual, "External Port")."""
 OVERSHOOT = 1.1
 
 

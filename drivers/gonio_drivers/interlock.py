@@ -29,7 +29,7 @@ from gonio_drivers.joints import Joint
 
 KEY = "devices.interlock"
 NAME = "interlock"
-"""Of its readings."""
+"""Name of its readings."""
 PERIOD_S = 0.005
 """Between two looks at a serial line."""
 BUS_PERIOD_S = 0.02

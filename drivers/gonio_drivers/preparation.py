@@ -14,7 +14,7 @@ from gonio_drivers.joints import COUNTS, EXTENDED_CURRENT_MODE, POSITION_MODE, P
 VELOCITY_UNIT_DEG_S = 0.229 * 6
 ACCELERATION_UNIT_DEG_S2 = 214.577 * 360 / 3600
 LARGEST_PROFILE = 32_767
-"""Of the items Profile Acceleration and Profile Velocity."""
+"""Largest value of the items Profile Acceleration and Profile Velocity."""
 MOST_TURNS = 256
 SHADOW, LAST_ID, NO_ID = "Secondary(Shadow) ID", 252, 255
 HELD_DEG = 2.0

@@ -9,7 +9,7 @@ from gonio_drivers.patience import Patience
 
 WAIT_S = 0.002
 LATE_S = 0.005
-"""Of a longer gap between two looks no more counts as waiting: this computer, or the adapter's driver, was held up."""
+"""Most that one gap between two looks counts as waiting: in a longer one this computer or the adapter was held up."""
 PATIENCE_MS = 50.0
 """Added to the SDK's timeout of 34 ms: a busy computer or a slow adapter is no fault."""
 HEADER = b"\xff\xff\xfd"

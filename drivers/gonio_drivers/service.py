@@ -28,7 +28,7 @@ LAST_ID = 252
 EVERYBODY_S = 0.85
 """Servos answer a broadcast ping in turn, 3 ms for each of 253 ids."""
 ONE_S = 0.06
-"""Of one servo, behind an adapter with a latency of 16 ms on a busy computer."""
+"""Time for one servo, behind an adapter with a latency of 16 ms on a busy computer."""
 LOOKS = 3
 RESTART_S = 3.0
 CODES = {9_600: 0, 57_600: 1, 115_200: 2, 1_000_000: 3, 2_000_000: 4, 3_000_000: 5, 4_000_000: 6}

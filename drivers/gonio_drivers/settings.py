@@ -33,9 +33,9 @@ class Homing(Strict):
     """Where the axis stands there; for a stall its hard stop, where the axis has one."""
     speed_deg_per_s: Positive = 5.0
     current: Annotated[int, Field(ge=1)] | None = None
-    """Of a stall, in the servo's own units: what it may push with."""
+    """Largest current at a stall, in the servo's own units: what it may push with."""
     external_port: Literal[1, 2, 3] | None = None
-    """Of the servo, that the switch is wired to."""
+    """The servo's external port that the switch is wired to."""
     line: Line | None = None
     """Instead of an external port: an input of a serial adapter."""
     closed_reads: Literal[0, 1] = 1

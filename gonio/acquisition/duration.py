@@ -43,7 +43,7 @@ class Parts:
     """Frames of visits to the white reference."""
     dark_s: float = 0.0
     warm_up_s: float = 0.0
-    """Of the lamp, before the first step."""
+    """Time that the lamp warms up, before the first step."""
 
     @property
     def total_s(self) -> float:

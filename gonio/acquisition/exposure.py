@@ -45,9 +45,9 @@ EXPOSURE_TOLERANCE = 0.2
 QUANTUM_S = 5e-5
 """Half of the step of a camera that counts its exposure in units of 100 us, as UVC does."""
 BLACK_TOLERANCE = 0.05
-"""Of the range between black and white: metering is then off by less than a tenth."""
+"""Part of the range between black and white: metering is then off by less than a tenth."""
 CLASSES = 8
-"""Of brightness, that the pixels of a region are sorted into where a bracket is planned."""
+"""Classes of brightness that the pixels of a region are sorted into where a bracket is planned."""
 PILED = 32
 """Pixels of one level that are taken for full ones."""
 BLOCKS = 256

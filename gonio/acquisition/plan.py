@@ -36,7 +36,7 @@ SAME_DEG = 1e-7
 """Points closer than this in every angle [deg] are one point: above rounding, and far below an encoder's step."""
 GRAZING_DEG = 1e-6
 PLAN_COLUMNS = ["point", *ANGLES, "flag", "reason"]
-"""Of a plan.csv."""
+"""Columns of a plan.csv."""
 
 
 class Adaptive(Strict):

@@ -22,7 +22,7 @@ from gonio.rig.outlines import Outline
 from gonio.typing import Axes, Figure
 
 COLOURS = {"light": "#e69f00", "camera": "#0072b2", "tilt": "#009e73", "spin": "#009e73", "bench": "#7f7f7f"}
-"""Of what carries a body: Okabe and Ito's colours, which all eyes tell apart."""
+"""Colours of what carries a body: Okabe and Ito's, which all eyes tell apart."""
 CARRIED = {"light": "on the light arm", "camera": "on the camera arm", "tilt": "holder", "spin": "holder",
            "bench": "on the bench"}  # fmt: skip
 LEFT_OUT = ("#d55e00", "#cc79a7", "#56b4e9", "#f0c419", "#000000", "#999999")

@@ -20,7 +20,7 @@ from gonio.typing import Bools, Floats
 Side = Literal["reflection", "transmission"]
 Flags = Bools
 DIGITS = 12
-"""Of angles of grids in degrees: 40.0 and not 39.99999999999999, at 2e-14 rad."""
+"""Digits of the angles of grids in degrees: 40.0 and not 39.99999999999999, at 2e-14 rad."""
 MAX_POINTS = 1_000_000
 ANGLES = ("theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg")
 Row = tuple[float, float, float, float]
@@ -150,7 +150,7 @@ class Sweep(Repeated):
     dphi_deg: Annotated[Angles, _in_range(-360, 360)] | None = None
     """phi_r - phi_i: 0 is retro, 180 the mirror half-plane. A negative theta_r lies on the opposite side."""
     side: Side = "reflection"
-    """Of transmission theta_r goes on beyond the horizon, from 90 to 180 in size: 180 is behind, along the normal."""
+    """In transmission theta_r goes on beyond the horizon, from 90 to 180 in size: 180 is behind, along the normal."""
 
     @property
     def size(self) -> int:
@@ -211,7 +211,7 @@ class Hemisphere(Repeated):
     theta_r_max_deg: Annotated[float, Field(gt=0, le=90)] = 90.0
     """Half-angle of the cap. Its parts reach to there, and their middles, where the points lie, not quite."""
     side: Side = "reflection"
-    """Of transmission the cap lies around the direction behind the sample."""
+    """In transmission the cap lies around the direction behind the sample."""
 
     @model_validator(mode="after")
     def _one_density(self) -> Hemisphere:
@@ -256,7 +256,7 @@ class HalfVector(Repeated):
     phi_h_deg: Annotated[SpacedAngles, _in_range(-360, 360)] = (0.0, 180.0)
     """Azimuth of the half vector less that of the light. By default in the plane of incidence, on both sides."""
     side: Side = "reflection"
-    """Of transmission the detector's direction is mirrored at the surface: theta_h = 0 is straight through."""
+    """In transmission the detector's direction is mirrored at the surface: theta_h = 0 is straight through."""
 
     @property
     def size(self) -> int:

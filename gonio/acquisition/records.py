@@ -43,7 +43,7 @@ Count = Annotated[int, Field(ge=0, lt=_LARGEST)]
 Seconds = Annotated[float, Field(ge=-1e11, le=1e11)]
 """Some three thousand years either way: more is no time that a clock tells."""
 Exposure = Annotated[float, Field(gt=0.0, le=1e6)]
-"""Of a frame [s]: `gonio.rig.dng.write_dng` takes no longer one."""
+"""Exposure of a frame [s]: `gonio.rig.dng.write_dng` takes no longer one."""
 Angle = Annotated[float, Field(ge=-100.0, le=100.0)]
 """What an encoder may read [rad]: some turns."""
 Degrees = Annotated[float, Field(ge=-720.0, le=720.0)]
@@ -261,7 +261,7 @@ class StepRecord(_Record):
     point: int | None = field(metadata=_key(Count | None, _number))
     """Row of the plan, for a point."""
     time_s: float = field(metadata=_key(Seconds, _number))
-    """Of its first frame on the rig's clock."""
+    """Time of its first frame on the rig's clock."""
     goal: Pose = field(metadata=_pose_key())
     pose: Pose = field(metadata=_pose_key())
     """What the encoders read before the frames; for a dark, after them."""
@@ -306,7 +306,7 @@ class FrameLabel(_Record):
     kind: Kind = field(metadata=_key(Kind))
     point: int | None = field(metadata=_key(Count | None, _number))
     number: int = field(metadata=_key(Count, _number, name="frame"))
-    """Of the frame in its step, from 1."""
+    """Number of the frame in its step, from 1."""
     count: int = field(metadata=_key(Count, _number, name="of"))
     """How many frames the step has; with planned brackets, up to the last one of the bands that were planned so far."""
     frame: FrameRecord = field(metadata=_key(_keys(FrameRecord).shapes(), FrameRecord.members, FrameRecord.of, name=""))
@@ -396,7 +396,7 @@ _EVERY = {"n": Count, "event": str, "wall": NotRequired[Annotated[str, AfterVali
 
 @cache
 def _adapter(kind: str) -> TypeAdapter[JsonObject]:
-    """What reads a line of a kind; of one that nobody knows here ("") what every line has; "label" reads labels."""
+    """What checks a line of the journal of this kind; "" checks what all lines have, "label" the labels of frames."""
     if kind == "label":
         return TypeAdapter(_shape(_keys(FrameLabel).shapes() | {"format": Literal["gonio-frame-1"]}))
     own = {"event": Literal[kind], **_KINDS[kind]} if kind else {}

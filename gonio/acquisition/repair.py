@@ -51,7 +51,7 @@ class Found:
     frames: int = 0
     """How many the journal names."""
     unchecked: int = 0
-    """Of how many only the size was looked at."""
+    """Frames of which only the size was looked at."""
 
 
 def find_damage(run: Run, *, whole: bool = False, progress: Progress | None = None) -> Found:

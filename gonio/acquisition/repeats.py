@@ -65,7 +65,7 @@ class Pictures:
 
     @property
     def suspects(self) -> set[int]:
-        """Steps with a frame that another one has the pixels of; without noise, one of another exposure."""
+        """Steps with a frame whose pixels equal another's; without noise, another's of a different exposure."""
         keys, steps = np.array(self._keys, dtype=np.int64), np.array(self._steps, dtype=np.int64)
         _, where, counts = np.unique(keys, return_inverse=True, return_counts=True)
         if not self._noisy:

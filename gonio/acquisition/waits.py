@@ -378,7 +378,7 @@ class Bytes:
         camera, acquisition = description.camera, description.acquisition
         pixel = 1.5 if camera.white_level_dn <= 4095 else 2.0
         self.frame = int(pixel * camera.width * camera.height) + HEAD
-        """Of a frame's file."""
+        """Bytes of a frame's file."""
         each = self.frame + LINE_OF_FRAME
         points = acquisition.frames + 1
         if acquisition.u_rel_target is not None:

@@ -87,9 +87,9 @@ class Alignment:
     """What the scans say of the zeros."""
 
     zeros: dict[str, Zero]
-    """Of the axes that are determined."""
+    """Zeros of the axes that are determined."""
     axes: tuple[str, ...]
-    """Of the rows and columns of `covariance`, which is that of the scans alone [deg^2]."""
+    """Axes of the rows and columns of `covariance`, which is that of the scans alone [deg^2]."""
     covariance: Floats
     rank: int
     departure_deg: float

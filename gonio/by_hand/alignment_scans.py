@@ -23,7 +23,7 @@ BRIGHT = 0.3
 """Level of a pixel that belongs to the spot, of full scale."""
 SPOT_PIXELS = 12
 DIM = 0.02
-"""Of full scale: of frames that are darker, also the longest ones, nobody knows whether the lamp was lit."""
+"""Part of full scale: where all frames are darker, also the longest ones, nobody knows whether the lamp was lit."""
 SEARCH_EXPOSURES = 0.01, 1.0, 20.0
 """In exposures of a matt white surface: a mirror is brighter by its cones, a spot may be fainter than it should."""
 MARKED = 0.4

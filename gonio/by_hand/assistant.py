@@ -85,7 +85,7 @@ class Assistant:
         self.ended = False
         """Somebody has said `quit`."""
         self.exposure_s: float = 0.0
-        """Of the next frame [s]; 0: what a matt white would need."""
+        """Exposure of the next frame [s]; 0: what a matt white would need."""
         self._manual, self._tell, self._say, self._clock = manual, tell, say, clock
         self._rig_file, self._out = rig_file, out
         self._zeros: dict[tuple[str, ...], Any] = {}

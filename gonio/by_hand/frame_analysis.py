@@ -36,7 +36,7 @@ OF_PIXELS = 0.5
 FEW = 0.01
 """Saturated pixels of a region, beyond which its noise is not determined."""
 USABLE = 0.5
-"""Of a region: where more of it is saturated, it has no focus measure."""
+"""Largest part of a region that may be saturated: with more it has no focus measure."""
 WIDEST = 1024
 """The spot is looked for in a picture that is not wider than this; larger frames are averaged down."""
 SMOOTH_PX = 1.0
@@ -170,7 +170,7 @@ def _grown(span: slice, size: int) -> slice:
 
 @dataclass(frozen=True, slots=True)
 class Noise:
-    """Of the pixels of a region in one frame."""
+    """Noise of the pixels of a region in one frame."""
 
     dn: float
     """Standard deviation of a pixel from frame to frame [DN], at the region's mean signal."""
@@ -213,7 +213,7 @@ def channels(camera: Camera) -> tuple[Channel, ...]:
 
 @dataclass(frozen=True, slots=True)
 class Levels:
-    """Of the pixels of one colour of a frame."""
+    """Levels of the pixels of one colour of a frame."""
 
     channel: Channel
     counts: tuple[int, ...]

@@ -33,7 +33,7 @@ ZOOM_PX = 96
 """Pixels of the frame along each side of the enlarged part, at most."""
 JPEG_QUALITY = 85
 FAINTEST = 0.02
-"""Of full scale: a picture that is darker than this throughout is not brightened any more, to noise that looks lit."""
+"""Part of full scale: a picture that is darker throughout is not brightened further, to noise that looks lit."""
 SRGB_GAMMA = 1.0 / 2.2
 """Screens undo it: what is shown is proportional to the light."""
 SPECK_PX = 3
@@ -229,7 +229,7 @@ def _beam(description: RigDescription, view: kinematics.View) -> list[list[float
 
 @dataclass(frozen=True, slots=True)
 class Pictures:
-    """Of one frame; grey, with saturated pixels red."""
+    """Pictures of one frame; grey, with saturated pixels red."""
 
     whole: bytes
     """JPEG, in the proportions of the frame."""

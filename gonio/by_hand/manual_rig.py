@@ -58,7 +58,7 @@ class Moved:
     landed: dict[str, float]
     """What the encoders read there [rad]."""
     branch: str = ""
-    """Of a move by directions: which way of reaching them was taken, and on further lines what of the others."""
+    """For a move by directions: which way of reaching them was taken, and on further lines what of the others."""
 
 
 class ManualRig:

@@ -47,7 +47,7 @@ BLOCKS = 24
 INSIDE = 0.9
 """Part of the white's radius whose spots count: its edge is not as white."""
 ZERO_STEP_DEG = 0.1
-"""Of a numerical slope."""
+"""Step of a numerical slope."""
 FORESHORTENED = 1.3
 """Least ratio of the cosines of the steepest camera angle and of the most oblique one."""
 
@@ -227,7 +227,7 @@ def draw(table: DataFrame, found: Profile) -> Figure:
 
 
 RIM = 0.9
-"""Of the reference's radius: what lies inside is used."""
+"""Part of the reference's radius: what lies inside is used."""
 MOST = 20_000
 """Pixels used of each direction."""
 BEAM = ((1, 0), (0, 1), (2, 0), (1, 1), (0, 2), (4, 0), (2, 2), (0, 4))

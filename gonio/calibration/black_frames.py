@@ -71,7 +71,7 @@ def fit(frames: Sequence[BlackFrame], camera: Camera, channel: Channel = "mono")
 
 
 def _covariance(frames: Sequence[BlackFrame], camera: Camera, channel: Channel, found: StrayLight) -> Floats:
-    """Of the two fractions, with the radius as a third unknown."""
+    """Covariance of the two fractions, with the radius as a third unknown."""
     normal = np.zeros((3, 3))
     for frame in frames:
         rows, cols = frame.black

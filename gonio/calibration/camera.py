@@ -25,9 +25,9 @@ from gonio.typing import Bools, Figure, Floats, TomlTable
 UNDETERMINED = 0.05
 """Standard uncertainty of `vignetting` from which on it is not: lenses lose a tenth or two at the corners."""
 LEVEL = 0.9
-"""Of saturation: frames above are not used for the linearity."""
+"""Part of saturation: frames above are not used for the linearity."""
 LEAST_DN = 2.0
-"""Of a part's signal."""
+"""Least signal of a part."""
 NOT_BLACK = 0.25
 """Share of the mean that a lens may spread: from here on it is no lens, but something bright where black should be."""
 
@@ -39,7 +39,7 @@ class CameraCalibration:
     values: TomlTable
     """Keys of the rig file's table [camera]."""
     names: list[str]
-    """Of the numbers with uncertainties, as `nonlinearity[0]`."""
+    """Names of the numbers with uncertainties, as `nonlinearity[0]`."""
     covariance: Floats
     notes: list[str]
     measured: TomlTable

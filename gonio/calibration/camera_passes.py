@@ -17,7 +17,7 @@ from gonio.typing import Floats
 CLIPPED = 1e-3
 """Part of the pixels of dark frames that may read 0 DN: beyond it their noise is cut off."""
 BRIGHT = 0.9
-"""Of the brightest part of the flats: pixels above it are the region of the photon transfer."""
+"""Part of the flats' brightest level: pixels above it are the region of the photon transfer."""
 PARTS = (BRIGHT, 0.45, 0.2, 0.09, 0.04, 0.02, 0.01)
 """Edges of the parts of other brightness, from which the linearity is determined."""
 FEWEST_PIXELS = 200
@@ -25,7 +25,7 @@ PAIR = 5.0
 """Standard deviations of the lamp's noise that the frames of a pair may differ by, beyond half a per cent."""
 BIASED_PAIR = 0.005
 MAP_LEVELS = 0.2, 0.8
-"""Of the brightest flats: flats of which the map of responsivities is made."""
+"""Parts of the brightest flats' level between which flats make the map of responsivities."""
 
 
 class Passes:

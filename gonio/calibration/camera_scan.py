@@ -180,9 +180,9 @@ LIGHT_DEG, CAMERA_DEG = 30.0, 0.0
 LEVEL = 0.7
 EXPOSURES = 10
 LEAST_DN = 100.0
-"""Of the brightest hundredth over the black level, below which nothing is concluded."""
+"""Least level of the brightest hundredth over black, below which nothing is concluded."""
 PART = 0.2
-"""Of the brightness of the brightest hundredth: pixels that are darker say little of the gain."""
+"""Part of the brightness of the brightest hundredth: pixels that are darker say little of the gain."""
 NONLINEAR = 0.03
 """Relative: what a departure from linearity, which nobody has taken out yet, does to a gain."""
 BLACK_DN = 2.0

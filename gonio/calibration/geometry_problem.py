@@ -22,7 +22,7 @@ from gonio.rig.fiducials import corners_mm
 from gonio.typing import Floats, TomlTable
 
 ORDERS = (1, 2)
-"""Of an encoder's errors within its turn: a disc off its centre, and one that is bent or has two reading heads."""
+"""Orders of an encoder's errors within a turn: a disc off its centre; a bent one, or one with two reading heads."""
 INK = "holder.fiducials.marker_mm"
 """Ink spreads, and a corner's window sees more black than white: both move corners, so this number is no result."""
 KNOWN = 0.5
@@ -32,9 +32,9 @@ CORNER_FLOOR_PX = 0.01
 SPOT_FLOOR_PX = 0.1
 """What the middle of the lamp is off: brightness is not quite even over its image."""
 STEP = 1e-3
-"""Of a numerical slope, of `Unknown.within`: a nonlinear model is straight over it, and rounding is far below it."""
+"""Step of a numerical slope, in `Unknown.within`: the model is straight over it, and rounding is far below it."""
 LOST_PX = 1e5
-"""Of what a rig with some values would not see at all."""
+"""Residual of what a rig with some values would not see at all."""
 LEAST_HARMONIC_DEG = 0.02
 """What is expected of an encoder's errors where none are seen."""
 LEARNING_STEPS = 200
@@ -42,7 +42,7 @@ LEARNT = 0.1
 """Change of the logarithm of an expected variance below which no number moves by a tenth of its uncertainty."""
 MOST_STEPS = 15
 CLOSED = 0.03
-"""Of the last step, in standard deviations."""
+"""Largest last step of a search that has converged, in standard deviations."""
 Given = tuple[Sequence[str], Floats, Floats]
 """Paths, values and covariance of numbers that something else has determined: intrinsics from a board."""
 
@@ -247,7 +247,7 @@ class Problem:
         return out
 
     def residuals(self, x: Floats) -> Floats:
-        """Of all sightings, then of what was expected."""
+        """Residuals of all sightings, then of what was expected."""
         return np.concatenate([*self.of_sightings(self.described(x)), self._prior @ x])
 
     def jacobian(self, x: Floats) -> Floats:

@@ -37,9 +37,9 @@ AWAY_DEG = 3.0
 """From where an axis comes that has to arrive with its backlash open, or taken up: more than any backlash."""
 GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
 INSIDE, INSIDE_UNSURE = 0.85, 0.6
-"""Of the mirror's radius: its edge may lie a little beside where markers show it, or the rig file alone."""
+"""Part of the mirror's radius: its edge may lie a little beside where markers show it, or the rig file alone."""
 SATURATED = 0.97
-"""Of full scale: a pixel as bright may be brighter."""
+"""Part of full scale: a pixel as bright may be brighter."""
 SURE, SURE_PX = 12, 0.4
 """Corners, and their scatter, that show the mirror's edge."""
 DARK = {
@@ -55,7 +55,7 @@ SHAPELESS = (
 SIZE_U = 0.05
 """Relative standard uncertainty of the sizes of lamp and pupil in the rig file."""
 SPOT_NOISE = 0.02
-"""Of full scale: what does not fit as well as this is no lamp in a mirror, or the mirror's edge is in it."""
+"""Part of full scale: what does not fit as well as this is no lamp in a mirror, or the mirror's edge is in it."""
 WORST_PX = 0.15
 PIXELS = 4000
 """Pixels, about, of the binned image in which a spot is fitted."""
@@ -350,7 +350,7 @@ def spot_of(light: Floats, description: RigDescription, inside: Bools | None) ->
     reach = lamp + pupil
 
     def left(p: Floats) -> Floats:
-        """Of column, row, brightness, factor of the size, background."""
+        """Residuals of column, row, brightness, factor of the size, background."""
         r = np.hypot(x - p[0], y - p[1])
         form = np.minimum(p[2] * overlap_of_discs(r, p[3] * lamp, p[3] * pupil) + p[4], 1.0)  # where it saturates
         return np.append(form - values, (p[3] - 1.0) / SIZE_U * SPOT_NOISE)

@@ -28,10 +28,10 @@ Grey = NDArray[np.uint8]
 NAMES = ("f", "c_x", "c_y", "k1", "k2", "p1", "p2")
 FEWEST_IMAGES = 3
 FEWEST_CORNERS = 6
-"""Of a picture: a homography has eight unknowns, which four corners fix, and none would be left to tell an error."""
+"""Fewest corners of a picture: a homography's eight unknowns need four, and none would be left to tell an error."""
 FAR = 4.0
 MOST_REJECTED = 0.1
-"""Of all corners. Where more are far off, it is not single corners that are wrong."""
+"""Largest part of all corners that may be left out. Where more are far off, it is not single corners that are wrong."""
 ALIKE_DEG = 2.0
 """The normals of some two boards lie further apart than this: copies of one picture are none more."""
 RATIO = 0.05
@@ -39,7 +39,7 @@ RATIO = 0.05
 LOOSE = 0.1
 """A focal length with a larger relative uncertainty is none."""
 LARGEST_RMS = 1.0
-"""Of what the fit leaves [px]. Ten times what corners scatter in sharp pictures: another board, or blur."""
+"""Largest rms that the fit leaves [px]. Ten times what corners scatter in sharp pictures: another board, or blur."""
 ORIGINS = (
     "DICT_4X4_1000", "DICT_5X5_1000", "DICT_6X6_1000", "DICT_7X7_1000", "DICT_ARUCO_ORIGINAL", "DICT_APRILTAG_36h11",
 )  # fmt: skip
@@ -394,11 +394,11 @@ class _Fit:
         return np.concatenate(rows)
 
     def rms_by_image(self) -> list[float]:
-        """Of the distances [px], picture by picture."""
+        """Root mean square of the distances [px], picture by picture."""
         return [_rms(left) for left in self._used_left(self.x)]
 
     def covariance(self) -> Floats:
-        """Of the intrinsics: the poses are taken along. The scatter is what the fit leaves."""
+        """Covariance of the intrinsics: the poses are taken along. The scatter is what the fit leaves."""
         jacobian, residuals = self._jacobian(self.x), self._residuals(self.x)
         scale = np.sqrt(np.sum(jacobian**2, axis=0))
         freedom = max(len(residuals) - len(self.x), 1)

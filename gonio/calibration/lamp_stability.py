@@ -56,9 +56,9 @@ class Stability:
     """Of the stretches around the model."""
     freedom: int
     probability: float
-    """Of a larger chi-square by chance."""
+    """Probability of a larger chi-square by chance."""
     worst: tuple[float, float, float]
-    """Of the stretch that departs most: time [s], relative departure, departure in standard deviations."""
+    """The stretch that departs most: time [s], relative departure, departure in standard deviations."""
     outliers: Floats
     """Times of single frames that depart by more than five standard deviations [s]."""
     duration_s: float

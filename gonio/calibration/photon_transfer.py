@@ -17,9 +17,9 @@ from gonio.rig.light_and_camera import Camera, straightened
 from gonio.typing import Bools, Floats, NDArray
 
 FIT_RANGE = 0.7
-"""Of saturation: the points of the gain's line (6.6)."""
+"""Part of saturation up to which points count for the gain's line (6.6)."""
 LINEARITY_RANGE = 0.05, 0.95
-"""Of saturation: the points of the linearity error (7)."""
+"""Parts of saturation between which points count for the linearity error (7)."""
 QUANTISATION = 1.0 / 12.0
 LEAST_DARK_VARIANCE = 0.24
 """Temporal variance of dark frames [DN^2] below which rounding hides it (6.6): the standard takes this value then."""
@@ -71,7 +71,7 @@ class PhotonTransfer:
     linearity_error: float
     """Mean absolute departure from a straight line over exposure, between 5 and 95 % of saturation, as a fraction."""
     signal_dn: Floats
-    """Of the flats, above the dark level, ascending; and what goes with each."""
+    """Signal of the flats, above the dark level, ascending; and what goes with each."""
     variance_dn2: Floats
     """Above that of the dark frames."""
     exposures_s: Floats
@@ -262,7 +262,7 @@ SECOND = np.outer([1.0, -2.0, 1.0], [1.0, -2.0, 1.0])
 CORRELATED = 1.94
 """Variance of the variance by `SECOND`, over that of as many independent pixels: 1 + 2 (2/3)^2 + 2/36."""
 OUTLIER = 9.0
-"""Of median second differences, beyond which one is a defect's: six standard deviations."""
+"""Factor of the median second difference, beyond which one is a defect's: six standard deviations."""
 FEWEST = 500
 """Pixels that tell single ones from a smooth course."""
 WORST, ROUNDS = 0.3, 20
@@ -282,7 +282,7 @@ class Unevenness:
 
 
 def unevenness(picture: Floats, temporal_variance: float) -> Unevenness:
-    """Of a mean picture whose pixels have a known temporal variance (8.2): the three parts by the standard's split."""
+    """The three parts, as in the standard (8.2), of a mean picture whose pixels have a known temporal variance."""
     rows, cols = picture.shape
     total = float(picture.var(ddof=1)) - temporal_variance
     of_rows, of_cols = float(picture.mean(axis=1).var(ddof=1)), float(picture.mean(axis=0).var(ddof=1))

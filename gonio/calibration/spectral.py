@@ -17,13 +17,13 @@ from gonio.rig.light_and_camera import Bands
 from gonio.typing import Floats, TomlTable
 
 FLOOR = 0.02
-"""Of the peak: what lies below is baseline, and not of the band."""
+"""Part of the peak: what lies below is baseline, and not of the band."""
 FEWEST = 7
 
 
 @dataclass(frozen=True, slots=True)
 class Spectrum:
-    """Of a band: its centroid, its full width at half maximum [nm], and their standard uncertainties."""
+    """A band's centroid, its full width at half maximum [nm], and their standard uncertainties."""
 
     name: str
     centre_nm: float

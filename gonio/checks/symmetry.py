@@ -19,7 +19,7 @@ NEAR = float(np.radians(0.1))
 DIFFERENT = 0.10
 """Typical difference beyond which a symmetry is called broken where no uncertainty is known."""
 SIGNIFICANCE = 0.01
-"""Of a chi-square: one good run in a hundred is beyond it."""
+"""Significance of a chi-square: one good run in a hundred is beyond it."""
 FEWEST = 3
 VISITS = 9
 """Neighbours by which values in one direction are found."""

@@ -87,7 +87,7 @@ class Taken:
     """What became of the frames and the points of one band."""
 
     frames: int
-    """Of points and visits, with the lamp lit."""
+    """Frames of points and visits, with the lamp lit."""
     frames_left_out: int
     """Because a used pixel was nearly full."""
     scatter: float

@@ -43,7 +43,7 @@ class Asked:
     holder: str | None
     search_deg: float
     share: float
-    """Of the poses."""
+    """Share of the poses."""
     seed: int
     yes: bool
 

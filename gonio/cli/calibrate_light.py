@@ -76,7 +76,7 @@ class _Found:
         self.blocks.append(covariance)
 
     def uncertainty(self) -> ParameterUncertainty:
-        """Of all numbers so far."""
+        """Uncertainties of all numbers so far."""
         return ParameterUncertainty.of(self.names, block_diag(*self.blocks) if self.names else np.zeros((0, 0)))
 
 

@@ -162,6 +162,6 @@ def _unknown(name: str, known: list[str], exports: list[str]) -> str:
 
 
 _TEXTURES = "textures"
-"""Of maps of fits."""
+"""Folder for the textures of maps of fits."""
 _RENDERERS = {"mitsuba": "rgl", "radiance": "klems"}
 """What writes tables for a renderer -> the format that writes models for it."""

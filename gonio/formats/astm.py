@@ -113,7 +113,7 @@ def _known(frame: DataFrame) -> dict[str, str]:
 
 
 def remarks(frame: DataFrame) -> list[str]:
-    """Of a run: which keywords of the header nobody has stated."""
+    """For a run: which keywords of the header nobody has stated."""
     if "reduced_by" not in frame.attrs.get("provenance", {}):
         return []
     lacking = [f"{name} (laboratory.{HEADER[name]})" for name in REQUIRED if name not in _known(frame)]

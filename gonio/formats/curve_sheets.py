@@ -19,7 +19,7 @@ class CurveRows:
     """The rows of one curve: one incidence, one plane through the normal, one wavelength, one polarisation."""
 
     name: str
-    """Of the table, as in "550 nm, 45 deg"; each once."""
+    """Name of the table, as in "550 nm, 45 deg"; each once."""
     rows: DataFrame
     """In the order of `signed_deg`."""
     signed_deg: Floats

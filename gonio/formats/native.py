@@ -61,7 +61,7 @@ _SURPRISE = re.compile(rb"[\x00-\x08\x0d-\x1f\x7f\"']")
 _WIDE = 1000
 """Columns from which on pandas takes longer than the reader that goes line by line."""
 MOST_ROWS = 20_000_000
-"""Of a table that is read at once."""
+"""Most rows of a table that is read at once."""
 NEEDED = tuple(name for name in COLUMNS if name not in _DEFAULTS)
 
 

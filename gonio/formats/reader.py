@@ -32,7 +32,7 @@ COLUMNS = (*ANGLES, "wavelength_nm", "polarisation", "brdf", "u_brdf", "u_random
 POLARISATIONS = ("unpolarised", "ss", "sp", "ps", "pp", "s", "p")
 """Incident, then reflected; "s" and "p" alone: polarised incidence, and a receiver that takes both."""
 SIDES = ("reflection", "transmission")
-"""Of the column `side`, which a table has where some of it is transmission."""
+"""Words of the column `side`, which a table has where some of it is transmission."""
 MUELLER = tuple(f"m{i}{j}" for i in range(4) for j in range(4) if i or j)
 """Columns of a table that holds Mueller matrices: their elements over the first one, which is `brdf` (conventions)."""
 U_MUELLER = tuple(f"u_{name}" for name in MUELLER)
@@ -44,7 +44,7 @@ EXTRA = ("sample", "side", *MUELLER, *U_MUELLER, U_ANGLES)
 LARGEST = 2**30
 """No file above this size is opened: CSV tables of this program may have it."""
 MAX_BYTES = 2**28
-"""Of other formats; those whose readers need many bytes of memory a byte have less."""
+"""Most bytes of a file; less where a reader needs many bytes of memory a byte."""
 RGB_NM = {"red": 610.0, "green": 550.0, "blue": 465.0}
 """Where a model is evaluated for a file that has colours."""
 

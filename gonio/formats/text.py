@@ -18,7 +18,7 @@ from gonio.errors import DataError
 from gonio.typing import Floats
 
 MAX_LINES = 5_000_000
-"""Of a text that is read line by line."""
+"""Most lines of a text that is read line by line."""
 
 
 class Text:

@@ -33,12 +33,12 @@ from gonio.typing import DataFrame
 OLD, NEW = bytes.fromhex("d0cf11e0a1b11ae1"), b"PK\x03\x04"
 """How workbooks of 1997 and of today begin."""
 MOST_BYTES = 128 * 2**20
-"""Of one part of a workbook of today, unpacked."""
+"""Most bytes of one part of an .xlsx workbook, unpacked."""
 MOST_CELLS = 1_000_000
 MOST_COLUMNS = 16_384
-"""Of a worksheet, by the format's own limits: all cells of a row are held at once."""
+"""Most columns of a worksheet, by the format's own limits: all cells of a row are held at once."""
 MOST_TAGS = 6 * MOST_CELLS
-"""Of one part: a cell has itself, its value, and what its row and its text add; each begins and ends."""
+"""Most tags of one part: a cell has itself, its value, and what its row and its text add; each begins and ends."""
 
 Sheet = dict[tuple[int, int], float | str]
 """Numbers and texts by (row, column), both from 0."""

@@ -12,7 +12,7 @@ KEPT = 3
 
 
 class Pictures(Protocol):
-    """Of one frame."""
+    """Pictures of one frame."""
 
     @property
     def whole(self) -> bytes:

@@ -40,7 +40,7 @@ class ProvisionalValues:
     u: Floats
     """Standard uncertainty [1/sr] of what is counted here."""
     visits: list[tuple[int, float, float]]
-    """Of each visit to the reference: its step, its level over that of the first, standard uncertainty of that."""
+    """For each visit to the reference: its step, its level over that of the first, standard uncertainty of that."""
 
 
 class _Band:
@@ -52,7 +52,7 @@ class _Band:
         self.rows: dict[int, int] = {}
         """Where the numbers of a point stand, by its step."""
         self.numbers = array("d")
-        """Of each point its number in the plan, rate, variance, time and the four angles [rad]."""
+        """For each point: its number in the plan, rate, variance, time and the four angles [rad]."""
 
     def add(self, step: int, found: Reduced) -> None:
         if found.point is None:

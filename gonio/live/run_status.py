@@ -22,7 +22,7 @@ SILENT_S = 60.0
 """Longest time between two lines of a run that lives; or every `LATE` steps."""
 LATE = 10.0
 KEPT = 50
-"""Of steps that are long ago each so-many-th is told in full; with them time series have points enough."""
+"""Of steps that are long ago each 50th is told in full; with them time series have points enough."""
 OWN = ("n", "event", "wall", "crc")
 
 

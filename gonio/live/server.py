@@ -45,7 +45,7 @@ SLOW_S = 10.0
 CONNECTIONS = 96
 """At once; whoever comes later is told 503."""
 STREAMS = 64
-"""Of these, streams of events at most, so that room for pages is left."""
+"""Most streams of events among the connections, so that room for pages is left."""
 HEARTBEAT_S = 3.0
 """Time between two signs of life of an idle stream."""
 RETRY_MS = 1000

@@ -109,9 +109,9 @@ class Now:
     """What has been worked out so far."""
 
     journal: str = ""
-    """Of which journal (`gonio.live.follow.Follower.identity`)."""
+    """Identity of the journal (`gonio.live.follow.Follower.identity`)."""
     version: int = 0
-    """Of the values; 0 before there are any."""
+    """Version of the values; 0 before there are any."""
     behind: int = 0
     """Steps that were not reduced then."""
     frame: list[Any] | None = None

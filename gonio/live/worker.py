@@ -29,7 +29,7 @@ from gonio.live.shared import CURVES, FRAME, LOCK, LOOKED, LOOKED_S, NOW, Now
 from gonio.rig.dng import read_raw
 
 SHARE = 0.02
-"""Of a processor, while the run goes on: the time that values and pictures may take, for all watchers together."""
+"""Share of a processor that values and pictures may take while the run goes on, for all watchers together."""
 ONCE_S = 0.04
 """Processor time of one turn."""
 LONGEST_S = 5.0

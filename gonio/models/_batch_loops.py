@@ -47,7 +47,7 @@ NARROWINGS = 3
 FEWEST_OF_SOME = 25
 """Values that tell the start at least, where some of them do (`Batched.every`)."""
 LINEAR_BELOW = 0.05
-"""Of the median value: below it the scale of logarithms is linear (`observations.LINEAR_BELOW`)."""
+"""Part of the median value: below it the scale of logarithms is linear (`observations.LINEAR_BELOW`)."""
 
 
 @viewing

@@ -308,7 +308,7 @@ def _spread(low: float, high: float, count: int) -> tuple[float, ...]:
 
 
 ROUGH_TIER = 2.0
-"""Of He-Torrance's series, for starts: 1e-6."""
+"""Tier of He-Torrance's series for starts: 1e-6."""
 SIGMAS = (0.025, 0.05, 0.1, 0.2, 0.4, 0.9)
 """sigma0 [um]. Between those of rough surfaces `_batch_scaled` looks."""
 SLOPES = (0.03, 0.047, 0.075, 0.12, 0.2, 0.33, 0.5, 0.65, 0.8, 1.0, 1.3)

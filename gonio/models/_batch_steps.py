@@ -33,13 +33,13 @@ CONSTANTS = types.int64(ROW, types.int64, ROW)
 derivatives; 0 for other models."""
 
 STEP = 1e-6
-"""Of a parameter, relative, for a derivative by differences: its error is 1e-6 of the derivative."""
+"""Relative step of a parameter for a derivative by differences: its error is 1e-6 of the derivative."""
 SETTLED = 1e-8
 """Decrease of chi-square that a last step would bring: it is then shorter than 1e-4 standard errors."""
 MOST_STEPS, MOST_TRIALS = 400, 12
 FIRST_DAMPING = 1e-3
 NEAR_BOUND = 1e-4
-"""Of a parameter's range."""
+"""Part of a parameter's range."""
 SAME_VALLEY = 0.1
 """Squared distance, in standard errors, from a minimum that is known: what is above it and as near leads to it."""
 

@@ -59,7 +59,7 @@ def four(x, y):  # type: ignore[no-untyped-def]
 
 @viewing
 def moments_by_sums(sums, x, turned):  # type: ignore[no-untyped-def]
-    """`_batch_algebra.moments` of the model with four constants."""
+    """`_batch_algebra.moments` of a model whose parameters are four constants."""
     product(sums, x, turned)
     return turned[0], four(x, turned), x[0] * sums[10] + x[1] * sums[11] + x[2] * sums[12] + x[3] * sums[13]
 

@@ -63,7 +63,7 @@ def WEIGHTS() -> Floats:
 
 
 GRADES = 2
-"""Of steepness, to a unit of its logarithm: an arc takes the rule of the next steeper grade."""
+"""Grades of steepness, to a unit of its logarithm: an arc takes the rule of the next steeper grade."""
 STEEPEST_GRADE = 128
 RULES = ((1.1, 1.5, 36), (1.1, 8.5, 36), (2.0, 3.0, 62))
 """Quarters of points to a unit of reach, more, and at most: plain arcs, those with a ridge, all slopes at once."""
@@ -271,7 +271,7 @@ def directions(lx, ly, lz, vx, vy, vz):  # type: ignore[no-untyped-def]
 
 
 TERMS = 24
-"""Of the polynomials for integrals over slopes: with them the BRDF is off by 4e-11 where nothing else is."""
+"""Terms of the polynomials for integrals over slopes: with them the BRDF is off by 4e-11 where nothing else is."""
 
 
 @functools.cache

@@ -20,7 +20,7 @@ from gonio.typing import Floats
 AT_ONCE = 2_000_000
 """Numbers of sums of products that are held at once."""
 LEAST_PIVOT = 1e-14
-"""Of a diagonal element, as in `_batch_algebra.solve`."""
+"""Least pivot, as a part of a diagonal element, as in `_batch_algebra.solve`."""
 
 
 @dataclass(frozen=True)
@@ -195,7 +195,7 @@ class _Together:
         return chi, self._covariance(sums, self._moves(sums, which))
 
     def _chi_square(self, sums: Floats) -> Floats:
-        """Of all wavelengths, the causes being what they are found to be."""
+        """Chi-square of all wavelengths, the causes being what they are found to be."""
         whole = sums.sum(axis=1)
         return np.asarray(whole[:, -1, -1] - np.einsum("pc,pc->p", whole[:, self._k : -1, -1], self._found(whole)))
 
@@ -251,7 +251,7 @@ class _Together:
         return step, gain + np.einsum("pc,pc->p", causes - alone, whole[:, self._k : -1, -1])
 
     def _covariance(self, sums: Floats, moves: npt.NDArray[np.bool_]) -> Floats:
-        """Of each wavelength's parameters."""
+        """Covariance of each wavelength's parameters."""
         matrix, _, by_rest, inverse = self._reduced(sums, moves, np.zeros(len(sums)))
         others, shared, own = np.linalg.inv(matrix)[:, None], self._geometry, self._own
         reach = by_rest[..., :-1] @ others

@@ -34,9 +34,9 @@ class Correction:
     """The misfit of a model as a process that has learned from measured values."""
 
     process: Process
-    """Of asinh(measured/2e) - asinh(model/2e)."""
+    """The process of asinh(measured/2e) - asinh(model/2e)."""
     directions: Directions
-    """Of the values that it rests on, `folded` where the model is isotropic."""
+    """Directions of the values that it rests on, `folded` where the model is isotropic."""
     small: float
     """e [1/sr]."""
     wider: float

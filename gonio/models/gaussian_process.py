@@ -28,7 +28,7 @@ NAMES = ("h", "lobe", "l_lobe", "own", "l_own", "view", "l_view", "l_incidence",
 LIMB = 1.5
 """theta_r is stretched by 1 + LIMB tan(theta_r): shadowing sets in within the last degrees before grazing."""
 CURVATURE_STEP = 1e-3
-"""Of the parameters' logarithms."""
+"""Step of the parameters' logarithms."""
 JITTER = 1e-10
 
 

@@ -36,7 +36,7 @@ from gonio.typing import ArrayLike, Floats, NDArray
 
 LARGEST_UM = 1e12
 ORDERS = (4, 6, 8, 12, 18, 27, 40)
-"""Of the rules that integrate the lobe over the hemisphere, one after the other."""
+"""Orders of the rules that integrate the lobe over the hemisphere, one after the other."""
 """Largest roughness and correlation length [um]; the inverse is the smallest correlation length. Beyond these the
 constants of the series leave the range of floating-point numbers."""
 

@@ -189,10 +189,10 @@ class Levels:
     """What starts are made of: albedos that Lambertian reflectors of these values would have, and the wavelength."""
 
     diffuse: float
-    """Of the lower values."""
+    """Albedo of the lower values."""
     median: float
     peak: float
-    """Of the highest."""
+    """Albedo of the highest values."""
     wavelength_um: float
 
 

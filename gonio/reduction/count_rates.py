@@ -76,7 +76,7 @@ class RunFrames:
         self.points: list[int | None] = []
         """What each of `steps` looks at: a point, or None for the reference."""
         self.flags: dict[int, str] = {}
-        """Of points without frames."""
+        """By point without frames: its flag."""
         self.lost_visits: list[str] = []
         """The flags of the visits to the reference without frames."""
         self.geometry = GeometryErrors(run.description)

@@ -51,7 +51,7 @@ class Darks:
 
     @property
     def line(self) -> tuple[Floats, Floats, float]:
-        """Of every pixel of the rectangle: dark signal [DN] at an exposure, its slope [DN/s]; and that exposure [s]."""
+        """For each pixel of the rectangle: dark signal [DN] at an exposure, its slope [DN/s]; and that exposure [s]."""
         return self._mean, self._slope, self._centre
 
     @property

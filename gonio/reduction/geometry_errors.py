@@ -36,7 +36,7 @@ GEOMETRIC = tuple(
 )
 """Keys that directions and light at a pose depend on."""
 NEGLIGIBLE = 1e-12
-"""Of a correlation's eigenvalues: rounding."""
+"""Eigenvalues of a correlation that are rounding."""
 
 
 def zero_keys(description: RigDescription) -> dict[str, str]:

@@ -19,15 +19,15 @@ import numpy as np
 from gonio.typing import Bools, Floats, Ints
 
 WEAKEST = 0.1
-"""Of a walk, in one interval, over the noise of a visit: below it a lamp is as good as steady."""
+"""Least step of a walk in one interval, over the noise of a visit: below it a lamp is as good as steady."""
 STRONGEST = 10.0
-"""Of a walk, over the largest difference of two neighbouring visits in as much time."""
+"""Largest step of a walk, over the largest difference of two neighbouring visits in as much time."""
 PER_DECADE = 3
 """Strengths that are tried."""
 SMOOTHLY = 0.1
 """Probability, before the visits are seen, that a lamp that wanders does so smoothly."""
 SINGLE = 0.002
-"""Of a jump in the interval where one is likeliest; and of one visit that is off."""
+"""Prior probability of a jump in the interval where one is likeliest; and of one visit that is off."""
 FEWEST = 4
 """Degrees of freedom above which a jump, or one visit that is off, can be told from a walk."""
 DRIFT = 0.5
@@ -62,7 +62,7 @@ class LampVisits:
     values: Floats
     variances: Floats
     session: Ints
-    """Of each visit; the lamp was dark between two of them."""
+    """Session of each visit; the lamp was dark between two of them."""
 
 
 def wander(visits: LampVisits, times_s: Floats, line: Callable[[Floats], tuple[Floats, Floats]]) -> Wander:
@@ -128,7 +128,7 @@ class _Single(NamedTuple):
     begin: float
     end: float
     squared: float
-    """Of the jump."""
+    """Square of the jump."""
     off: Floats
     """Variance of each visit."""
 

@@ -32,9 +32,9 @@ OFFSET = 25.0
 ROUNDING = 1e-8
 """Variance of ln f at least: matrices of values that are all but alike have no factor below that."""
 STEP = 1e-4
-"""Of the differences that tell how theta_h and the others follow x, y and theta_i [rad]."""
+"""Step of the differences that tell how theta_h and the others follow x, y and theta_i [rad]."""
 BEND = math.radians(0.5)
-"""Of those for curvatures of ln f [rad]."""
+"""Step of the differences for curvatures of ln f [rad]."""
 ALLOWED = 7
 """Further sets of sizes and lengths that slopes are averaged over."""
 EXACT = 128
@@ -157,7 +157,7 @@ def _smooth(distance: Floats, length: float) -> tuple[Floats, Floats]:
 
 
 def _kinked(distance: Floats, length: float) -> tuple[Floats, Floats]:
-    """The same of 3/2: shadowing sets in with a kink."""
+    """The same for Matern's covariance of order 3/2, which is less smooth: shadowing sets in with a kink."""
     x = math.sqrt(3.0) / length * np.abs(distance)
     falls = np.exp(-x)
     return (1.0 + x) * falls, -3.0 / length**2 * falls

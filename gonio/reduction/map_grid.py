@@ -30,7 +30,7 @@ class Grid:
 
     pixel_mm: float
     radius_mm: float
-    """Of the sample's disc."""
+    """Radius of the sample's disc."""
 
     @property
     def places(self) -> Floats:

@@ -40,7 +40,7 @@ REACH = BESIDE + 1
 """And of those whose merging says how large its noise is."""
 RING = 360
 PIXEL = np.dtype([("brdf", "f4"), ("u", "f4"), ("flag", "u1")])
-"""Of a picture: BRDF [1/sr], its own standard uncertainty, and why it must not be used."""
+"""A pixel of a picture: BRDF [1/sr], its own standard uncertainty, and why it must not be used."""
 
 
 @dataclass(frozen=True)
@@ -151,7 +151,7 @@ class DarkPlane:
 
     @cached_property
     def usual_rate(self) -> float:
-        """Of most pixels [e-/s]: the median of a part of them."""
+        """The rate of most pixels [e-/s]: the median of a part of them."""
         every = max(1, math.isqrt(self._line[:, 1].size // STRIP))
         return float(np.median(self._line[::every, 1, ::every])) * self._gain
 

@@ -254,7 +254,7 @@ class _Tiling:
 
 
 def _median(values: Floats) -> Floats:
-    """Of each column, without NaN; 1 where there is no number, or none above 0."""
+    """Median of each column, without NaN; 1 where there is no number, or none above 0."""
     out = np.array(
         [np.median(column[np.isfinite(column)]) if np.isfinite(column).any() else 1.0 for column in values.T]
     )

@@ -344,11 +344,11 @@ def _turn_of(which: str, description: RigDescription, visit: Reduced, axis: str)
 
 SCRAMBLINGS = 8
 MOST_INPUTS = 21201
-"""Of Sobol's sequence, as scipy has it."""
+"""Most inputs that Sobol's sequence has in scipy."""
 TINY = 2.0**-40
 """Numbers are at least this far from 0 and 1, so that a normal number is finite."""
 HALVINGS = 50
-"""Of the range in which a limit lies."""
+"""Times that the range in which a limit lies is halved."""
 
 Factor = tuple[Callable[[Floats], Floats], int]
 """Makes numbers (m,) of uniform ones in (0, 1), shape (m, inputs); and how many inputs it has."""
@@ -369,7 +369,7 @@ class Drawn:
 
     @property
     def mean(self) -> float:
-        """Of the value."""
+        """Mean of the value."""
         return float(self.first.mean() * self.rest.mean())
 
     @property

@@ -46,10 +46,10 @@ FARTHEST = 3.0
 TOLD = 5.0
 """Standard errors that the contrast of a picture stands above zero, at least."""
 PLAIN = 0.4
-"""Of a picture's variance: a texture whose squared slopes are less is not told from noise that neighbours share."""
+"""Part of a picture's variance: a texture of smaller squared slopes is not told from noise that neighbours share."""
 FAINT = 0.03
-"""Of the squared slopes across a texture: an axis that has less is not told. The stairs that pixels make of a straight
-edge have 0.01 along it."""
+"""Part of the squared slopes across a texture: an axis that has less is not told. The stairs that pixels make of a
+straight edge have 0.01 along it."""
 SURE = 1e-4
 """Cells: least uncertainty of a comparison, also of pictures that are equal to the bit."""
 UNSURE = 0.5

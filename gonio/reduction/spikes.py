@@ -202,7 +202,7 @@ class Spikes:
     correction: Floats
     """What the value lacks on average [1/sr]: errors of the angles lead down from the top of a spike."""
     variance: Floats
-    """Of the value [1/sr^2], from the errors of all angles together and from the amplitude's."""
+    """Variance of the value [1/sr^2], from the errors of all angles together and from the amplitude's."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,9 +15,9 @@ class Merged:
     rate: float
     """[e-/s]"""
     variance: float
-    """Of everything that is independent from step to step, the pixels' responsivities left out."""
+    """Variance of all that is independent from step to step, the pixels' responsivities left out."""
     chi_square: float
-    """Of the frames around their mean."""
+    """Chi-square of the frames around their mean."""
     frames: int
     """How many are used."""
     hits: int = 0

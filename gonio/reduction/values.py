@@ -27,7 +27,7 @@ class MeasuredBand:
     frames: RunFrames
     band: Band
     points: list[Reduced]
-    """Of those behind the sample the directions are mirrored at its plane."""
+    """Directions of those behind the sample are mirrored at its plane."""
     visit: Reduced
     """The first visit to the white reference."""
     fitted: white_reference.Level
@@ -114,9 +114,9 @@ class BandResult:
     """Reduced chi-square of the frames around the means of their steps."""
     freedom: int
     frames: int
-    """Of points and visits, used or not."""
+    """Frames of points and visits, used or not."""
     left_out: int
-    """Of these: because a used pixel is nearly full."""
+    """Of these, frames left out because a used pixel is nearly full."""
     merged: JsonObject = field(default_factory=dict)
     """How the frames were merged pixel by pixel; empty where whole frames were."""
 

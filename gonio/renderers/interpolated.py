@@ -31,7 +31,7 @@ FEWEST = 3
 """Values that make a slice of an angle of incidence."""
 _FADE = float(np.radians(10.0))
 _LOWEST_COSINE = 0.01
-"""Of a direction at or below the horizon of a slice: what it says there has a hundredth of the weight of the normal."""
+"""A direction at or below the horizon of a slice weighs in as if at this cosine: a hundredth of the normal's weight."""
 _DISTINCT = float(np.radians(0.02))
 """Half angles of one place: their values are averaged (`geometry.SAME_DIRECTION`)."""
 
@@ -64,7 +64,7 @@ class Interpolated:
         self.left_out = len(theta_i) - sum(g.size for g in kept)
         """Rows of angles of incidence that have too few."""
         self.incidences: Floats = np.array([theta_i[g].mean() for g in kept])
-        """Of the slices [rad], ascending."""
+        """Incidences of the slices [rad], ascending."""
         self.slices = [Slice(rows.angles[g], rows.values[g]) for g in kept]
         self.receivers: Floats = np.unique(np.round(rows.angles[:, 1], 4))
         """The polar angles of the receiver in the table [rad]."""

@@ -18,7 +18,7 @@ from gonio.maps import FitFile
 from gonio.typing import Bools, Floats, NDArray
 
 LEVELS = 65535
-"""Of 16 bits."""
+"""Largest level of 16 bits."""
 WIDTHS = {"cook-torrance": ("m", "beckmann"), "ggx": ("alpha", "ggx")}
 """The parameter that renderers call alpha, and the distribution it belongs to."""
 USES = {

@@ -14,9 +14,9 @@ from gonio.typing import Floats
 BENCH, LIGHT, CAMERA, TILT, SPIN = range(5)
 """What carries a point."""
 DEEPEST = 256
-"""Boxes that wait; a box that is halved leaves one more, and an angle can be halved some 20 times."""
+"""Most boxes on the stack: halving a box adds one, and an angle can be halved some 20 times."""
 STEPS = 64
-"""Of the search for the two closest points; a box against a box takes fewer than ten."""
+"""Most steps of the search for the two closest points; a box against a box takes fewer than ten."""
 SOON, DOWNHILL = 300, 40
 """Boxes after which the smallest distance of the bodies is looked for downhill, and the steps of that."""
 SAME = 1e-12

@@ -12,7 +12,7 @@ from gonio.typing import Floats
 MOST = 5
 """Axes."""
 PROBE = 1e-7
-"""Of differences [rad]."""
+"""Step of differences [rad]."""
 FIRST_DAMPING = 1e-3
 LARGEST_DAMPING = 1e6
 

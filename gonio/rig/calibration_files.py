@@ -44,7 +44,7 @@ FIXED = {
 
 
 TABLES = ("geometry", "arms", "holder", "lamp", "camera", "reference", "bands")
-"""Of the rig file: what a calibration may have measured."""
+"""Tables of the rig file that a calibration may have measured."""
 
 
 class Calibration(Strict):
@@ -61,7 +61,7 @@ class Calibration(Strict):
     values: TomlTable
     """Keys of the rig file, in its tables."""
     uncertainty: ParameterUncertainty = ParameterUncertainty(parameters=[], u=[], correlation=[])
-    """Of numbers of `values`, by their paths."""
+    """Uncertainties of numbers of `values`, by their paths."""
     measured: TomlTable = Field(default_factory=dict)
     """What else was found, for people and reports."""
 

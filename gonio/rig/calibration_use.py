@@ -10,7 +10,7 @@ from gonio.config import NonNegative, Strict
 from gonio.typing import Floats, TomlTable
 
 ROUNDED = 1e-5
-"""Of a correlation in a file that a person wrote, with five decimals."""
+"""Rounding of a correlation in a file that a person wrote, with five decimals."""
 
 
 class ParameterUncertainty(Strict):
@@ -23,7 +23,7 @@ class ParameterUncertainty(Strict):
     correlation: list[list[Annotated[float, Field(ge=-1, le=1)]]]
     """One row for each of `parameters`."""
     misfit: NonNegative = 0.0
-    """Of a model with a misfit: the relative standard deviation of measurements from it (docs/misfit.md)."""
+    """Where the model has a misfit: the relative standard deviation of measurements from it (docs/misfit.md)."""
 
     @classmethod
     def of(cls, parameters: list[str], covariance: Floats) -> "ParameterUncertainty":

@@ -190,7 +190,7 @@ class Fiducials(Strict):
     ring_mm: Positive = 18.0
     """Radius of the circle of their centres."""
     albedo: Fraction = 0.8
-    """Of the paper; the black is as `holder.holder_albedo` (simulation)."""
+    """Albedo of the paper; the black is as `holder.holder_albedo` (simulation)."""
 
     @model_validator(mode="after")
     def _apart(self) -> Fiducials:

@@ -33,9 +33,9 @@ from gonio.typing import Floats
 
 STEPS = 40
 PROBE = 1e-7
-"""Of differences [rad]: their slopes are good to as much, and every step brings the pose as much closer."""
+"""Step of differences [rad]: their slopes are good to as much, and every step brings the pose as much closer."""
 LONGEST_STEP = 0.3
-"""Of one axis in one step [rad]: near a singular pose a longer one leads astray."""
+"""Longest step of one axis [rad]: near a singular pose a longer one leads astray."""
 HALVINGS = 10
 CONVERGED = 1e-9
 """Directions that differ by less [rad] are the same."""

@@ -36,7 +36,7 @@ class Specimen(Strict):
     """The sample as a thing: what a simulated sample's file does not say."""
 
     name: Words | None = None
-    """Of a simulated run that of the sample's file, unless it is given."""
+    """Name of the sample; in a simulated run that of the sample's file, unless it is given."""
     type: Words | None = None
     """By how it reflects: "diffuse reflectance standard", "brushed metal"."""
     shape: Words | None = None
@@ -111,7 +111,7 @@ class Laboratory(Strict):
     sample: Specimen = Specimen()
     instrument: Instrument = Instrument()
     temperature_c: Annotated[float, Field(gt=-273.15)] | None = None
-    """Of the room [C], while the sample was measured."""
+    """Temperature of the room [C], while the sample was measured."""
     u_temperature_c: Annotated[float, Field(ge=0)] | None = None
     relative_humidity_percent: Annotated[float, Field(ge=0, le=100)] | None = None
     title: Words | None = None

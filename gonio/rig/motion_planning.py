@@ -75,7 +75,7 @@ class Space:
     """A rig's bodies, two by two, and the angles of its axes."""
 
     names: tuple[str, ...]
-    """Of the axes that the rig has."""
+    """Names of the axes that the rig has."""
     rest: Angles
     limits: tuple[tuple[float, float], ...]
     """By axis of `AXES` [rad]."""
@@ -85,7 +85,7 @@ class Space:
     shapes: tuple[Shape, ...]
     groups: tuple[Pairs, ...]
     harmonics: tuple[tuple[tuple[int, float, float], ...], ...]
-    """Of the encoder of each axis of `AXES` [rad]."""
+    """Harmonics of the encoder of each axis of `AXES` [rad]."""
     known: dict[tuple[object, ...], tuple[int, tuple[float, ...]]] = field(default_factory=dict)
     """Verdicts on boxes of angles."""
 

@@ -161,7 +161,7 @@ class SampleTexture(Strict):
     """A PNG (grey, 8 or 16 bits) or an NPY array (height, width) of values in [0, 1], beside the sample file. It fills
     0 <= u < size_mm[0], 0 <= v < size_mm[1], its first row above, and repeats."""
     sha256: str | None = None
-    """Of the file, as it was when the sample file was read."""
+    """SHA-256 of the file, as it was when the sample file was read."""
     pattern: Literal["checker", "stripes", "bricks", "dots", "speckle", "edge", "gradient", "scratch"] | None = None
     """The first five repeat, as a picture does. "edge": 1 where u >= 0. "gradient": from 0 to 1, along u, over
     size_mm[0] around the origin. "scratch": 1 in a rectangle around the origin, size_mm[0] long and size_mm[1] wide."""
@@ -172,7 +172,7 @@ class SampleTexture(Strict):
     origin_mm: tuple[float, float] = (0.0, 0.0)
     """In the sample's x and y."""
     azimuth_deg: float = 0.0
-    """Of u, from the sample's x toward its y."""
+    """Azimuth of u, from the sample's x toward its y."""
 
     @model_validator(mode="after")
     def _whole(self) -> "SampleTexture":

@@ -33,7 +33,7 @@ class Integrator:
         to_see = scene.world.casts_shadows or bool(self._discs) or scene.ambient is not None
         self._mirrors = to_see and any(material.has_spike for material in scene.material)
         self._axis = _polariser(scene)
-        """Of the polariser before the camera, in the scene."""
+        """Axis of the polariser before the camera, in the scene."""
         self._one_material = len(set(map(id, scene.material))) == 1
         self._any_seen = any(disc.visible for disc in self._discs)
 

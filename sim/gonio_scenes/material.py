@@ -24,7 +24,7 @@ and to 1e-5 for rough surfaces (docs/scenes.md)."""
 AMBIENT_AZIMUTHS = 25
 """Azimuths of surfaces that have a direction of their own."""
 AMBIENT_TOLERANCE = 1e-5
-"""Of each value of the table: well below the error of the interpolation."""
+"""Tolerance of each value of the table: well below the error of the interpolation."""
 
 
 # --- textures: a number in [0, 1] for each point of a surface ----------

@@ -23,12 +23,12 @@ BATCH = 4
 """Rays of a pixel between two looks at its error."""
 FIRST_BATCHES = 3
 MOST_BATCHES = 8
-"""Of a pixel without a tolerance: their scatter tells the error to a quarter, and each still fills the pixel evenly."""
+"""Most batches of a pixel without a tolerance: their scatter tells the error to a quarter, and each fills it evenly."""
 PRIOR = 16
 """Batches that the scatter around a pixel counts for. It asks a pixel beside an edge for some contrast/tolerance rays:
 as many as an edge in its own corner needs not to be missed."""
 MAX_RAYS = 4096
-"""Of a pixel that is brought to a tolerance; one that stays above it is counted."""
+"""Most rays of a pixel that is brought to a tolerance; one that stays above it is counted."""
 
 Indices = NDArray[np.int64]
 Step = Callable[[int, int], None]
@@ -51,7 +51,7 @@ class Picture:
     above_tolerance: int
     """Pixels that `MAX_RAYS` did not bring to the tolerance."""
     share_on_shapes: float
-    """Of the pixels, those whose centre sees a shape."""
+    """Share of the pixels whose centre sees a shape."""
 
     def centres(self) -> Iterator[Hits]:
         """What the rays through the pixels' centres meet, some rows of pixels after the other; traced anew."""
@@ -196,15 +196,15 @@ class _Sums:
     """What batches of rays gave so far, pixel by pixel."""
 
     total: Floats
-    """Of the rays, (pixels, wavelengths)."""
+    """Sum of the rays, (pixels, wavelengths)."""
     squares: Floats
-    """Of the batches' means, each as often as it has rays."""
+    """Sum of squares of the batches' means, each as often as it has rays."""
     batches: Indices
     rays: Indices
 
     @classmethod
     def of(cls, pixels: int, waves: int) -> Self:
-        """Of no rays."""
+        """The sums of no rays."""
         return cls(np.zeros((pixels, waves)), np.zeros((pixels, waves)), *np.zeros((2, pixels), np.int64))
 
     @property

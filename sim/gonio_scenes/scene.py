@@ -49,22 +49,22 @@ class UncertaintyTable(Strict):
     """The table [photograph.uncertainty]: standard uncertainties of what a reduction takes for known."""
 
     irradiance_rel: NonNegative = 0.0
-    """Of the absolute scale: the light's strength and the sensor's responsivity together."""
+    """Uncertainty of the absolute scale: the light's strength and the sensor's responsivity together."""
     light_deg: NonNegative = 0.0
-    """Of a directional light, along each of two axes across its direction."""
+    """Uncertainty of a directional light, along each of two axes across its direction."""
     light_mm: NonNegative = 0.0
-    """Of the place of a point or a disc of light, along x, y and z each."""
+    """Uncertainty of the place of a point or a disc of light, along x, y and z each."""
     center_mm: NonNegative = 0.0
-    """Of the shape's place, along x, y and z each."""
+    """Uncertainty of the shape's place, along x, y and z each."""
     radius_mm: NonNegative = 0.0
     camera_mm: NonNegative = 0.0
-    """Of the camera's place, along x, y and z each; it goes on looking in the same direction."""
+    """Uncertainty of the camera's place, along x, y and z each; it goes on looking in the same direction."""
     pointing_deg: NonNegative = 0.0
-    """Of the camera's turn to the right, and of that upward."""
+    """Uncertainty of the camera's turn to the right, and of that upward."""
     roll_deg: NonNegative = 0.0
-    """Of the camera's turn about its axis."""
+    """Uncertainty of the camera's turn about its axis."""
     field_rel: NonNegative = 0.0
-    """Of the size of a pixel on the plane at distance 1: the focal length."""
+    """Uncertainty of the size of a pixel on the plane at distance 1: the focal length."""
     black_level_dn: NonNegative = 0.0
 
 
@@ -74,9 +74,9 @@ class PhotographTable(Strict):
     sensor: SensorTable | None = None
     """Needed for raw frames, simulated or real."""
     exposure_s: Positive | None = None
-    """Of the simulated frame; a raw file says its own."""
+    """Exposure of the simulated frame; a raw file says its own."""
     seed: Annotated[int, Field(ge=0, lt=1 << 63)] = 0
-    """Of the simulated frame's noise."""
+    """Seed of the simulated frame's noise."""
     shape: str | None = None
     """The name of the shape that is measured; a scene of one shape need not say it."""
     channel: Literal["R", "G", "B"] | None = None
@@ -88,9 +88,9 @@ class PhotographTable(Strict):
     theta_max_deg: Annotated[float, Field(gt=0, le=90)] = 80.0
     """Directions nearer to grazing are not used."""
     noise_rel: NonNegative | None = None
-    """Of a picture of linear radiances: standard deviation of a pixel, relative."""
+    """In a picture of linear radiances: standard deviation of a pixel, relative."""
     noise: NonNegative | None = None
-    """Of a picture of linear radiances: standard deviation of a pixel, in units of radiance."""
+    """In a picture of linear radiances: standard deviation of a pixel, in units of radiance."""
     uncertainty: UncertaintyTable = UncertaintyTable()
 
     @model_validator(mode="after")

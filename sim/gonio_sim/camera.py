@@ -110,7 +110,7 @@ class Sensor:
         return levels
 
     def _dark_current(self) -> Floats:
-        """Of each pixel [e-/s]; hot pixels have more, by an exponential distribution."""
+        """Dark current of each pixel [e-/s]; hot pixels have more, by an exponential distribution."""
         if self._hot is None:
             random = np.random.default_rng(int(self._key(Stream.HOT)))
             hot = random.random(self._size) < self._camera.hot_pixels

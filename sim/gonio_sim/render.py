@@ -167,7 +167,7 @@ class Renderer:
 
     @property
     def _radius(self) -> float:
-        """Of the sample [mm]."""
+        """Radius of the sample [mm]."""
         sample, holder = self._world.sample, self._world.truth.holder
         return ((sample and sample.diameter_mm) or holder.sample_diameter_mm) / 2
 

@@ -47,7 +47,7 @@ class Part:
     rows: Whole
     cols: Whole
     weight: Floats
-    """Of the level in each of these pixels; over all levels they add up to 1, and some may be negative."""
+    """Weight of the level in each of these pixels; over all levels they add up to 1, and some may be negative."""
 
 
 class Textures:
@@ -122,7 +122,7 @@ class Textures:
         return [of(seen.x_mm), of(seen.y_mm)]
 
     def _weights(self, levels: list[Floats], x: Floats, y: Floats) -> sparse.csr_array:
-        """Of each level in each pixel (pixels, levels), from its spots (pixels, spots)."""
+        """Weight of each level in each pixel (pixels, levels), from its spots (pixels, spots)."""
         place = np.zeros((*x.shape, 1), dtype=np.int64)
         weight = np.ones(place.shape)
         for one, of_few, own in zip(self._loaded, self._of_few, levels, strict=True):

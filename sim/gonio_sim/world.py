@@ -88,9 +88,9 @@ class World:
         self.open = False
         self.lamp_on = False
         self.brightness = 1.0
-        """Of the lamp, relative to the level that the rig file means."""
+        """Brightness of the lamp, relative to the level that the rig file means."""
         self.last_level = 1.0
-        """Of the lamp, during the last frame."""
+        """Level of the lamp during the last frame."""
         self.ambient_e_per_s = 0.0
         """Photo-electrons a second that light in the room adds to every pixel."""
         self.band: Band | None = None

@@ -36,7 +36,7 @@ MODEL_INCIDENCES_DEG = (0.0, 8.0, 30.0, 45.0, 60.0)
 INCIDENCES = [math.radians(theta) for theta in MODEL_INCIDENCES_DEG]
 AZIMUTH = "The model depends on the sample's azimuth: the source stands at phi_i = 180 degrees."
 FEWER = 3
-"""Of the directions that stand for the light over a hemisphere every third is taken: all incidences come together."""
+"""Every third of the directions that stand for the light over a hemisphere is taken: all incidences come together."""
 SHARE_OF_U = 0.1
 """Share of a standard uncertainty: slopes of a model's quantities are taken over it. They are straight there, and its
 effect is far above the error of the quadratures wherever the uncertainty is."""
@@ -266,7 +266,7 @@ class _Light:
 
 
 def _lights(numbers: _Numbers, model: Model, wavelength_nm: float) -> dict[str, list[_Light]]:
-    """Of every number that is a sum over directions."""
+    """The light for every number that is a sum over directions."""
 
     def point(theta_i_deg: float, signed_deg: float, share: float) -> _Light:
         at = Directions.stack([_in_plane(theta_i_deg, signed_deg)])

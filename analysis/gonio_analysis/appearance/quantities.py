@@ -33,7 +33,7 @@ PEAK = math.radians(2.5)
 """Distance from the mirror direction beyond which a specular peak may hide between values."""
 MOST_INCIDENCES = 12
 FEWEST_DIRECTIONS = 20
-"""Of an integral over a hemisphere."""
+"""Fewest directions of an integral over a hemisphere."""
 SAME_PLACE = 1e-3
 """On the projected hemisphere: values of one direction, about 0.06 degrees."""
 NEAR_8 = math.radians(2.5)

@@ -39,13 +39,13 @@ LARGEST_GAP = math.radians(10.0)
 WING = math.radians(6.0)
 """On both sides of the mirror direction, within which a gloss needs values."""
 LARGEST_LN_RATIO = 3.0
-"""Of a value out of the plane of incidence to what the curve says of it; beyond, the curve says nothing."""
+"""Largest log ratio of a value out of the plane of incidence to what the curve says; beyond, the curve says nothing."""
 WINDOW = math.radians(25.0)
 """Around the mirror direction: values out of the plane of incidence that count for a gloss."""
 BEYOND = 0.02
 """Share of a glossmeter's flux that may come from beyond the measured directions."""
 LARGEST_ERROR_GU, LARGEST_ERROR = 1.0, 0.2
-"""Of a gloss that is stated: the larger of a number of units and a share."""
+"""A gloss is stated up to this error: the larger of a number of gloss units and a share."""
 MIRROR = HeTorrance(sigma0_um=0.0, tau_um=1.0, ior=STANDARD_INDEX)
 """A surface with nothing but a spike, of known reflectivity: what an instrument's cones make of one."""
 
@@ -72,7 +72,7 @@ class Sampled:
     gradient: Floats
     """By every value of the observations, (n,)."""
     error: float
-    """Of the interpolation between values, estimated."""
+    """Estimated error of the interpolation between values."""
     note: str | None = None
 
     def times(self, factor: float) -> Sampled:
@@ -326,7 +326,7 @@ class _Across:
 
     meter: Glossmeter
     mesh: Any
-    """Of the values' places."""
+    """Triangles between the places of the values."""
     rows: Rows
     at: Directions
     f: Floats

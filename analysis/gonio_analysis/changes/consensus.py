@@ -33,7 +33,7 @@ from gonio_analysis.fitting.value_covariance import Covariance
 Method = Literal["weighted", "dersimonian-laird", "mandel-paule", "reml"]
 METHODS: tuple[Method, ...] = get_args(Method)
 EVERY_SUBSET = 14
-"""Of more laboratories, the one that fits worst is taken away until the rest agree."""
+"""With more laboratories than this, the one that fits worst is taken away until the rest agree."""
 
 
 class Consensus(NamedTuple):
@@ -239,7 +239,7 @@ _TAU: dict[Method, Callable[[Floats, Floats], float]] = {
 
 
 ROUNDS = 100
-"""Of scales, weights and scatters."""
+"""Most rounds in which scales, weights and scatters are found in turn."""
 SETTLED = 1e-10
 """Scales that change by less in a round have settled."""
 FACTOR = 3.0
@@ -347,7 +347,7 @@ class _Fit:
     tilt: float
     """The scale times the zero [rad]."""
     variance: Floats
-    """Of both; infinite of a tilt that is undetermined."""
+    """Variance of both; infinite where a tilt is undetermined."""
     of_causes: Floats
     """(2, causes) what one standard deviation of each cause does to both."""
 

@@ -34,7 +34,7 @@ from gonio_analysis.fitting.value_covariance import Covariance
 LEVEL = 0.01
 """Probability that somebody is accused where all are honest."""
 TESTS = 3
-"""Of scales, of zeros and of scatters: they share `LEVEL`."""
+"""Tests of scales, of zeros and of scatters: they share `LEVEL`."""
 AGAIN = 5
 """How often laboratories that are off are turned back and carried again."""
 CLOSE = 0.05
@@ -58,7 +58,7 @@ class Laboratory:
     u_scale: float
     """By everything that it states."""
     degree: float
-    """Of equivalence: its scale less 1."""
+    """Degree of equivalence: its scale less 1."""
     u_degree: float
     scale_consistent: bool
     zero: float | None
@@ -266,7 +266,7 @@ def _ready(sides: Sequence[Side], wavelength_nm: float | None) -> tuple[list[Sid
 
 
 def _covariance(side: Side) -> Covariance:
-    """Of a side that states one."""
+    """The covariance of a side that states one."""
     known = side.measured.covariance
     assert known is not None
     return known

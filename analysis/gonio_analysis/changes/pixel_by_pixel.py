@@ -13,9 +13,9 @@ from gonio.typing import Bools, Floats
 from gonio_analysis.changes.verdict import FALSE_DISCOVERIES
 
 Singles = npt.NDArray[np.float32]
-"""Of very many pixels: seven digits are more than a difference has."""
+"""Values of very many pixels: seven digits are more than a difference has."""
 SAME_PLACE = 1e-3
-"""Of a pixel: grids that lie closer are one."""
+"""Part of a pixel: grids that lie closer are one."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class MapChange:
     y_mm: Floats
     parameters: list[ParameterChange]
     chi_square: Singles
-    """Of the differences of all parameters of a pixel together."""
+    """Chi-square of the differences of all parameters of a pixel together."""
     freedom: npt.NDArray[np.uint8]
     """How many parameters were compared; 0: none."""
     p: Floats
@@ -58,7 +58,7 @@ class MapChange:
 
     @property
     def share(self) -> float:
-        """Of the compared pixels, those that changed; NaN of none."""
+        """Share of the compared pixels that changed; NaN where none is compared."""
         return int(self.changed.sum()) / self.compared if self.compared else float("nan")
 
 

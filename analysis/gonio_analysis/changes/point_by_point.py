@@ -54,7 +54,7 @@ class Side:
     data: Observations | None = None
     model: Any = None
     misfit: float = 0.0
-    """Of a model that is not true: by how much measurements are off it (docs/misfit.md)."""
+    """Where the model is not true: relative standard deviation of measurements from it (docs/misfit.md)."""
     through: Side | None = None
     """The transmission of a table that has both."""
     behind: bool = False
@@ -126,7 +126,7 @@ class Change:
     u_b: Floats
     """Standard uncertainty of each alone [1/sr], NaN where none is stated."""
     error: Floats
-    """Of the interpolation [1/sr]; 0 where there was none."""
+    """Error of the interpolation [1/sr]; 0 where there was none."""
     onto: str
     """Whose directions they are: "A" or "B"; the other's values were carried or evaluated there."""
     covariance: Covariance | None

@@ -20,7 +20,7 @@ from gonio_analysis.changes.resampling import carry, slope_in_plane
 from gonio_analysis.fitting.observations import Observations, observations
 
 SHARE = 0.6
-"""Of the directions, by signal f cos(theta_r): the brightest."""
+"""Share of the directions that is used, the brightest by their signal f cos(theta_r)."""
 FEWEST = 10
 """Common directions that tell a shape."""
 TO_SIGMA = 1.4826

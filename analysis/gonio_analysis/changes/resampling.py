@@ -56,7 +56,7 @@ class Carried:
     common: Floats
     """(n, k) common causes of B [1/sr]."""
     error: Floats
-    """Of the interpolation [1/sr]; 0 in the same direction."""
+    """Error of the interpolation [1/sr]; 0 in the same direction."""
     missing: dict[str, int]
     """Why values of A have no counterpart, and how many."""
 
@@ -285,7 +285,7 @@ class Interpolation:
             self._parts.append(part)
 
     def error(self, values: Floats) -> Floats:
-        """Of the interpolation of `values` at the known directions; 0 in the same direction."""
+        """Error of interpolating `values` to the known directions; 0 in the same direction."""
         out = np.zeros(len(self.nodes))
         for part in self._parts:
             out[part.rows] = np.maximum(part.parabola(values), _off_logarithms(values[part.nodes], part.weights))

@@ -15,7 +15,7 @@ FALSE_DISCOVERIES = 0.05
 """Share of the marked values that are marked by chance."""
 BEYOND = 2.0
 CONDITION = 1e4
-"""Of a common factor and a zero: above it the values do not tell one from the other."""
+"""Condition number of a common factor and a zero, above which the values do not tell one from the other."""
 
 
 @dataclass(frozen=True)
@@ -116,7 +116,7 @@ class Within:
     with_scale: float
     """With a common factor free."""
     scale: float
-    """That factor of B over A."""
+    """The common factor, B over A."""
     with_zero: float | None = None
     """With a zero of the angle free too; None where the values do not show one."""
     zero: float | None = None

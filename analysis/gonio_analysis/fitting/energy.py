@@ -14,7 +14,7 @@ from gonio_analysis.fitting.observations import Observations
 from gonio_analysis.result_records import Reflectance
 
 STEP = 1e-3
-"""Of derivatives by the parameters, on the search scale; right to a thousandth where integrals are to `TOLERANCE`."""
+"""Step of derivatives by the parameters, on the search scale; right to a thousandth, with integrals to `TOLERANCE`."""
 TOLERANCE = 1e-6
 ABOVE_ONE = 1e-4
 """What a model may reflect beyond all that it receives: far below any uncertainty, above the error of the integral."""

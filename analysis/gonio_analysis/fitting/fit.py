@@ -41,7 +41,7 @@ BOUND_FIRST = 30.0
 EXCESS = 2e-5
 """What the bound on rho_dh gives way by, about."""
 AT_BOUND = 1e-3
-"""Of a parameter's range: nearer to a bound its own place is tried, too."""
+"""Part of a parameter's range: one nearer to a bound than this is tried on the bound, too."""
 TURNS = 8
 """Times that parameters and tau are found in turn, at most."""
 SETTLED = 1e-3

@@ -48,7 +48,7 @@ ABSENT = 1e-9
 IMPOSSIBLE = 1e30
 """-2 ln of a likelihood that is 0."""
 FARTHEST = 100.0
-"""Of ln tau an end of its interval: there nothing is known of it."""
+"""Distance of an end of tau's interval, in ln tau, beyond which nothing is known of it."""
 K95 = 1.959964
 
 
@@ -189,13 +189,13 @@ class Misfit:
     residuals: Training
     """On the scale of logarithms, with the stated uncertainties."""
     directions: Directions
-    """Of the residuals, `folded` where the model is isotropic."""
+    """Directions of the residuals, `folded` where the model is isotropic."""
     spike: float
     """Relative standard uncertainty of the model's specular spike."""
 
     @property
     def interval(self) -> tuple[float, float]:
-        """Of tau, 95 %."""
+        """The 95 % interval of tau."""
         far = math.exp(min(K95 * self.u_log, FARTHEST))
         return self.tau / far, self.tau * far
 

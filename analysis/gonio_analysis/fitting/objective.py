@@ -122,7 +122,7 @@ class Objective:
 
     measured: Floats
     weights: Covariance | None
-    """Of the residuals of "weighted" [1/sr], or of "log"; None where residuals count as they are."""
+    """Weights of the residuals of "weighted" [1/sr], or of "log"; None where residuals count as they are."""
     small: float = 1.0
     """e [1/sr]."""
     loss: str = "linear"
@@ -147,7 +147,7 @@ class Objective:
         return replace(self, measured=self.measured[rows], weights=weights, cosine=cosine)
 
     def residual(self, predicted: Floats) -> Floats:
-        """Of a prediction [1/sr], shape (n,), or of several, (m, n); a sum of squares is what a fit minimises."""
+        """Residuals of a prediction [1/sr], shape (n,), or of several, (m, n); a fit minimises their sum of squares."""
         if self.metric in ("weighted", "ngan", "relative"):
             return self._white((predicted - self.measured) * self._factor)
         return self._white((self.scaled(predicted) - self.scaled(self.measured)) * self._factor)

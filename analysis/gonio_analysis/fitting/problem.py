@@ -22,7 +22,7 @@ STARTS = 4
 MARGIN = 1e-4
 """The bound on rho_dh lies so far below 1, for it gives a little."""
 BOUND_STEP = 1e-3
-"""Of the derivatives of rho_dh, whose integral is right to 1e-5."""
+"""Step for the derivatives of rho_dh, whose integral is right to 1e-5."""
 
 
 def check_metric(metric: str | None) -> None:
@@ -98,7 +98,7 @@ class Bound:
     width: float
 
     def rho_dh(self, model: Any) -> Floats:
-        """Of a model, at each angle of incidence."""
+        """Directional-hemispherical reflectance of a model, at each angle of incidence."""
         return rho_dh(model, np.array(self.theta_i), self.phi_i, self.wavelength_nm, 1e-5)
 
 

@@ -16,7 +16,7 @@ from gonio_analysis.fitting.fit import FitResult
 from gonio_analysis.fitting.problem import FitRequest
 
 STEP = 1e-5
-"""Of the search scale, over which arguments are differentiated: they are smooth functions of few operations."""
+"""Step of the search scale over which arguments are differentiated: they are smooth functions of few operations."""
 
 
 def check_target(path: Path, asked: FitRequest) -> None:

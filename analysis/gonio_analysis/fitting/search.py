@@ -57,7 +57,7 @@ LARGEST = 1e6
 LEVELLED = 3
 """Steps to the level of a Lambertian part."""
 LONGEST = 0.1
-"""Of the last step, on the search scale."""
+"""Longest that the last step of a search may be, on the search scale."""
 
 
 def search_from(problem: Problem, data: Observations, starts: Sequence[Values], say: Say = silent) -> Floats:

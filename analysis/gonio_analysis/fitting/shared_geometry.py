@@ -35,7 +35,7 @@ class _Block:
     problem: Problem
     data: Observations
     goal: Objective
-    """Of the independent part of the covariance."""
+    """The objective with the independent part of the covariance."""
     index: Rows
     """Where the parameters of `problem` stand among all."""
     common: Floats
@@ -43,13 +43,13 @@ class _Block:
     rules: list[Rules | None] | None = None
 
     def scaled(self, data: Observations, predicted: Floats) -> Objective:
-        """Of values of this wavelength, with their common causes as they are at a prediction."""
+        """Values of this wavelength, scaled with their common causes as they are at a prediction."""
         if self.goal.tau:
             return with_misfit(data, self.goal.tau, predicted)
         return scaled_to(data, predicted, self.goal.metric)
 
     def residual(self, x: Floats, data: Observations) -> Floats:
-        """Of values of this wavelength, whitened."""
+        """Whitened residuals of values of this wavelength."""
         model = self.problem.model(x)
         return self.scaled(data, apparent(model, data, quick=True)).residual(apparent(model, data))
 
@@ -168,7 +168,7 @@ class _Task:
 
     @property
     def _bounds(self) -> tuple[Floats, Floats]:
-        """Of all parameters, and of the causes, which may be anything."""
+        """Bounds of all parameters, and of the causes, which may be anything."""
         anything = np.full(self._causes, np.inf)
         return np.append(self._lower, -anything), np.append(self._upper, anything)
 

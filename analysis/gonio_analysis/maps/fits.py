@@ -49,7 +49,7 @@ def make(
         Address of a Dask scheduler; its workers need this package, and neither the map nor a disk that is shared.
         Otherwise the threads of this process fit, which are as fast as processes and start at once.
     count, say
-        Told how many tiles are done, of how many; and lines for a person.
+        Called with how many tiles are done, and how many there are; and lines for a person.
 
     Raises
     ------
@@ -185,7 +185,7 @@ class Summary:
     """Median of the misfit of pixels that are rejected; NaN without any."""
     parameters: dict[str, Parameter]
     materials: list[dict[str, float]]
-    """Of each material: its pixels, chi-square a degree of freedom, and parameters with u."""
+    """By material: its pixels, chi-square a degree of freedom, and parameters with u."""
 
     def to_json(self) -> dict[str, Any]:
         """Plain numbers; None for those that are not there."""

@@ -84,7 +84,7 @@ def make(where: str, out: Path, asked: FitRequest, how: Reading, *, dask: str | 
     dask
         Address of a Dask scheduler; otherwise the fits run on the processors here.
     count
-        Told how many tables are done, of how many.
+        Called with how many tables are done, and how many there are.
 
     Raises
     ------

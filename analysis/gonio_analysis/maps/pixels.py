@@ -75,7 +75,7 @@ class Plan:
 
     @property
     def numbered(self) -> list[tuple[int, str]]:
-        """Of each of `columns` the wavelength, by number (0: the one that is shown), and the parameter."""
+        """By column of `columns`: the wavelength, by number (0: the one that is shown), and the parameter."""
         own = [name for name in self.free if name not in self.geometry]
         return [(0, name) for name in self.free] + [(k, name) for k in range(1, len(self.others) + 1) for name in own]
 
@@ -185,9 +185,9 @@ class Places:
     """Pixels of a tile: where they lie, and their values, packed."""
 
     x_mm: Floats
-    """Of the columns."""
+    """Places of the columns."""
     y_mm: Floats
-    """Of the rows."""
+    """Places of the rows."""
     held: Held
 
     @property

@@ -15,11 +15,11 @@ VALUES, UNCERTAINTIES, SIGNED = "viridis", "cividis", "RdBu_r"
 STEPS = 128
 """Colours of a map: enough for an eye, and a third of the bytes of 256 in a noisy picture."""
 UNKNOWN = "#c4c9d0"
-"""Of what is not determined; no colour of the maps."""
+"""Colour of what is not determined; no colour of the maps."""
 KINDS = ("#f4f1e8", "#0072B2", "#E69F00", "#CC79A7", "#D55E00", "#009E73", "#56B4E9", "#8a6d3b", "#000000")
-"""Of categories; the first one is the usual."""
+"""Colours of categories; the first one is the usual."""
 RULER_IN = 0.39
-"""Of the ruler below a map."""
+"""Height of the ruler below a map."""
 Extent = tuple[float, float, float, float]
 """Left, right, lower and upper edge of a map [mm]."""
 

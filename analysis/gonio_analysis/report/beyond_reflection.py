@@ -288,7 +288,7 @@ def _lines(curves: Sequence[Curve], normalised: bool) -> list[Line]:
 
 
 def _columns(names: list[str]) -> int:
-    """Of a legend that is as wide as the figure."""
+    """Columns of a legend that is as wide as the figure."""
     return 6 if max(map(len, names), default=0) < 10 else 3
 
 

@@ -16,7 +16,7 @@ from gonio_analysis.report.viewer import View
 
 VERSIONS = ("gonio", "numpy", "scipy", "numba", "pandas", "matplotlib")
 MOST_ROWS = 300
-"""Of a table on a page; the files in `tables/` have all of them."""
+"""Most rows of a table on a page; the files in `tables/` have all of them."""
 MOST_FACTS, MOST_WORDS = 200, 2000
 """Entries of a list, and characters of one."""
 
@@ -96,7 +96,7 @@ class Block:
 
 @dataclass(frozen=True)
 class Heading(Block):
-    """Of the page (1), a section (2) or a part of one (3)."""
+    """A heading of the page (1), a section (2) or a part of one (3)."""
 
     level: Literal[1, 2, 3]
     text: str

@@ -142,7 +142,7 @@ def _on_panels(figure: Any, *, curves: list[BudgetCurve], names: list[str], rows
         curve, shares = curves[k], 100 * np.array(curves[k].shares)
         shares = np.vstack([shares, 100 - shares.sum(axis=0)])
         ax.stackplot(curve.theta_r_deg, shares, colors=colours, lw=0)
-        ax.set_title(f"θi = {curve.theta_i_deg:g}°", fontsize=7.5, pad=4)  # in the middle: the label 100 % is left
+        ax.set_title(f"θi = {curve.theta_i_deg:g}°", fontsize=7.5, pad=4)  # centred, as the label 100 % is at the left
         ax.set_xlim(-90, 90)
         in_plane.degrees_along(ax, 60, 60)
         ax.set_ylim(0, 100)

@@ -187,16 +187,16 @@ def _on_disc(figure: Any, *, theta_r: Floats, dphi: Floats, value: Floats, **loo
 
 
 def _columns(lines: Sequence[Line]) -> int:
-    """Of the legend."""
+    """Columns of the legend."""
     return min(len(lines), 6 if max(len(line.label) for line in lines) < 12 else 3)
 
 
 MOST_MAPS = 4
 """Laboratories that have maps: those farthest off."""
 OFF = "#b3261e"
-"""Of a laboratory that is not consistent."""
+"""Colour of a laboratory that is not consistent."""
 COLUMNS = 6
-"""Of a legend."""
+"""Columns of a legend."""
 
 
 def draw_laboratories(c: Comparison) -> list[Drawing]:

@@ -67,7 +67,7 @@ class DatasetSummary:
     best: str | None
     conclusion: str
     rho_dh: list[Reflectance]
-    """Of the measurement itself."""
+    """Directional-hemispherical reflectances of the measurement itself."""
     rho_dh_combined: list[Reflectance]
     """Over the models that cannot be told from the nearest one (`ChoiceSummary.near`); empty where one is true."""
     symmetries: list[Pairs]

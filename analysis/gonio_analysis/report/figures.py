@@ -41,7 +41,7 @@ NORMS = {
     "model": "by the fitted model at the mirror direction",
 }
 MOST_CAUSES = 20
-"""Of uncertainty, common to all values, in one figure."""
+"""Most causes of uncertainty, common to all values, in one figure."""
 
 
 def draw(d: Dataset, facts: DatasetSummary, most: int) -> list[Drawing]:
@@ -325,7 +325,7 @@ def _on_bars(figure: Any, *, parts: list[tuple[str, float, float]]) -> None:
 
 
 def budget_height(parts: int) -> float:
-    """Of the figures of an uncertainty budget [in], which stand side by side."""
+    """Height of the figures of an uncertainty budget [in], which stand side by side."""
     return 0.7 + 0.3 * parts
 
 

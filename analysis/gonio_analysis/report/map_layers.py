@@ -153,7 +153,7 @@ class Materials:
     """Pixels that are alike, fitted together."""
 
     kind: npt.NDArray[np.intp]
-    """Of every pixel the material, -1 where it belongs to none."""
+    """The material of every pixel, -1 where it belongs to none."""
     rows: list[dict[str, float]]
     """Their parameters."""
 
@@ -243,7 +243,7 @@ def of_fits(file: FitFile, say: Callable[[str], None] = lambda text: None) -> li
 
 
 def gravest(file: FitFile) -> npt.NDArray[np.intp]:
-    """Of every pixel 0, or 1 and more for the gravest of its flags in the order of `SEVERE`."""
+    """For every pixel 0, or 1 and more for the gravest of its flags in the order of `SEVERE`."""
     out = np.zeros(file.shape, np.intp)
     for k, name in reversed(list(enumerate(SEVERE, 1))):
         out[file.flagged(name)] = k
@@ -276,7 +276,7 @@ def map_of(file: FitFile, given: Path | None) -> Path | None:
 
 
 WIDE_IN, LONGEST_IN = 5.6, 4.1
-"""Of a figure, and of the longer side of a map."""
+"""Width of a figure, and the longer side of a map."""
 LEFT_IN, RIGHT_IN, BELOW_IN, ABOVE_IN = 0.62, 1.15, 0.62, 0.12
 DECADE = 10.0
 """Quantiles so far apart have a logarithmic scale of colours."""
@@ -350,7 +350,7 @@ def _nth(step: int) -> str:
 
 
 def _inches(grid: Grid) -> tuple[float, float]:
-    """Of a figure that holds a map of this shape."""
+    """Width and height of a figure that holds a map of this shape."""
     _, _, high = _size(grid.extent)
     return WIDE_IN, high + BELOW_IN + ABOVE_IN
 
@@ -363,7 +363,7 @@ def _size(extent: Extent) -> tuple[float, float, float]:
 
 
 def _axes(figure: Any, extent: Extent) -> tuple[Any, Any]:
-    """Of the map and of its colour bar."""
+    """Axes for the map and for its colour bar."""
     left, wide, tall = _size(extent)
     across, high = figure.get_figwidth(), figure.get_figheight()
     ax = figure.add_axes((left / across, BELOW_IN / high, wide / across, tall / high))

@@ -27,9 +27,9 @@ DRAWN_PIXELS = 2500
 OF_THE_PAGE = ("", "cook-torrance", "ggx", "blinn", "oren-nayar")
 """Models that its program evaluates (`pixels.js`); the first is no model."""
 STEP_DEG = 2.5
-"""Of other models' curves."""
+"""Step of other models' curves."""
 LEVELS = 65534
-"""Of 16 bits: 0 is what is not determined."""
+"""Levels that 16 bits leave: 0 is what is not determined."""
 FINE = 1e-5
 """A relative uncertainty below this is this."""
 View = dict[str, Any]

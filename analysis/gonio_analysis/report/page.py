@@ -102,7 +102,7 @@ def _reference(band: Mapping[str, Any]) -> str:
 
 
 MOST_BYTES = 4_500_000
-"""Of one page: what a mail takes and a browser shows at once."""
+"""Most bytes of one page: what a mail takes and a browser shows at once."""
 TOLD_APART = 3.0
 """Standard uncertainties by which parameters of two samples differ for a headline to name them."""
 MOST_APART = 3

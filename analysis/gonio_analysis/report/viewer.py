@@ -21,7 +21,7 @@ LEVELS = ((MOST_LISTED, 40), (MOST_CURVES, 40), (MOST_CURVES, 12), (3, 8), (2, 4
 """Curves of one wavelength, and wavelengths: the first of these that leaves `FEWEST` values a curve is taken."""
 FEWEST = 60
 MEASURED_BYTES, THEORY_BYTES = 28, 17
-"""Of one value."""
+"""Bytes of one measured value, and of one of theory."""
 COLUMNS = ("wavelength_nm", "curve", "series", "signed_angle_deg", "brdf", "u_brdf")
 
 

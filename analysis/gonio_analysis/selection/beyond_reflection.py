@@ -35,7 +35,7 @@ class Transmitted:
 
     name: str
     rows: int
-    """Of transmission in the table, at every wavelength."""
+    """Rows of transmission in the table, at every wavelength."""
     data: Observations
     wavelength_nm: float
     curves: list[Curve]

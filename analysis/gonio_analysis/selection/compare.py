@@ -170,12 +170,12 @@ class Dataset:
 
     @cached_property
     def rho_dh(self) -> list[Reflectance]:
-        """Of the measurement itself."""
+        """Directional-hemispherical reflectances of the measurement itself."""
         return energy.of_table(self.data)
 
     @cached_property
     def rho_dh_combined(self) -> list[Reflectance]:
-        """Of the models that cannot be told from the nearest one, shown or not."""
+        """rho_dh of the models that cannot be told from the nearest one, shown or not."""
         near = [(self.choice.near.get(j.candidate.label), j) for j in self.choice.judged]
         shown = {label: one.rho_dh for label, one in self.fitted.items()}
         return energy.combined(

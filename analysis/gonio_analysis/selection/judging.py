@@ -32,7 +32,7 @@ RANGE = float(np.radians(15.0))
 ALIKE = 1e-3
 """A median of model / measured that is nearer to 1 is not worth a word."""
 ONE_WAY = 0.7
-"""Of the root mean square of ln(model / measured) in a region: a median nearer to 0 does not say how far off it is."""
+"""Part of the root mean square of ln(model / measured) in a region: a nearer median does not say how far off it is."""
 FEWEST = 3
 """Values of a region that `farthest` may name."""
 
@@ -46,7 +46,7 @@ class Region:
     excess: float
     """Sum of squares of ln(model / measured) in the region."""
     share: float
-    """Of that of all values."""
+    """Share of the sum over all values."""
     ratio: float | None
     """Median of model / measurement there, over values above 3 u."""
     single_ratio: float | None = None

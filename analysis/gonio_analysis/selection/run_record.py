@@ -45,7 +45,7 @@ REFERENCE = {
     "beam": "the lamp itself, seen straight through an attenuator",
 }
 STRETCHES = 120
-"""Of a run, of each of which the lowest and the highest value of a quantity are kept."""
+"""Stretches of a run, of each of which the lowest and the highest value of a quantity are kept."""
 PAUSE = re.compile(rb'\{"n":\d+,"event":"(suspended|continued)"')
 """How the lines of a journal begin that tell of a pause; a long run's others are not parsed for it."""
 SETTINGS = ("level",)
@@ -54,11 +54,11 @@ KIND = re.compile(rb'\{"n":\d+,"event":"(\w+)"(?:,"step":\d+,"kind":"(\w+)")?')
 """How the lines of a journal begin."""
 ENDINGS = {"end": "all was measured", "interrupted": "was interrupted", "device_error": "a device failed"}
 UNKNOWN = "no word of an end"
-"""Of a session whose process was killed, or that goes on now."""
+"""Ending of a session whose process was killed, or that goes on now."""
 LARGEST = 5
 """Causes whose shares are drawn."""
 MOST_POINTS = 120
-"""Of one curve."""
+"""Most points of one curve."""
 INFORMATION = ("nu_eff", "coarse", "cone_difference", "flag")
 """Columns behind the parts that are no parts."""
 

@@ -27,7 +27,7 @@ from gonio.typing import JsonObject
 
 Record = JsonObject
 Step = Callable[[int, int], None]
-"""Told how many runs are done, of how many."""
+"""Called with how many runs are done, and how many there are."""
 
 
 @dataclass(frozen=True)
@@ -115,7 +115,7 @@ class Campaigns:
         return [record for name in wanted if (record := self.record(name)) is not None]
 
     def record(self, name: str) -> Record | None:
-        """Of one run; None where there is none yet, or one that a disk has damaged."""
+        """The record of one run; None where there is none yet, or one that a disk has damaged."""
         try:
             record = json.loads(self._path(name).read_text(encoding="utf-8"))
         except (FileNotFoundError, ValueError):

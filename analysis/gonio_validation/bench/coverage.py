@@ -63,7 +63,7 @@ def make(
     command
         The command line, for the record.
     step
-        Told how many campaigns are done, of how many.
+        Called with how many campaigns are done, and how many there are.
 
     Returns
     -------

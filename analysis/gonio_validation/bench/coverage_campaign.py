@@ -40,12 +40,12 @@ from gonio_validation.bench.campaigns import Record
 from gonio_validation.bench.coverage_hidden import Campaign
 
 FORMAT = 3
-"""Of a record."""
+"""Version of a record's format."""
 WRONG = {"oren-nayar": "lambert", "phong": "cook-torrance", "blinn": "phong", "cook-torrance": "blinn",
          "he-torrance": "cook-torrance"}  # fmt: skip
 """Which model is fitted that the sample does not have, by the one that it has."""
 SPIKE = 0.01
-"""Of the reflected light: with more of it in the specular spike no wrong model is looked at."""
+"""Part of the reflected light: with more of it in the specular spike no wrong model is looked at."""
 BESIDE = math.radians(1.5)
 """Distance from a measured direction at which a value of a wrong model is looked at [rad]."""
 GRAZING = math.radians(65.0)
@@ -54,7 +54,7 @@ EDGE = math.radians(0.3)
 SERIES_S = (2700.0, 45.0)
 """How long the lamp is watched, and how often [s]."""
 PAIRS = 1
-"""Of flats, at each of 23 exposures."""
+"""Pairs of flats, at each of 23 exposures."""
 STRAYS: tuple[Literal["trap", "edge"], ...] = ("trap", "edge")
 SEARCH_DEG = 8.0
 """How far a scan looks for the lamp: the sum of two zero offsets of 3 deg, and some."""

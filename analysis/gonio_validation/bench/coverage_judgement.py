@@ -18,7 +18,7 @@ from gonio.typing import Floats, JsonObject
 
 Record = Mapping[str, Any]
 LEVEL = 0.95
-"""Of every interval that is judged, and of those of what is counted here."""
+"""Level of every interval that is judged, and of the intervals of what is counted here."""
 REACH = 1.959963984540054
 """Standard deviations on either side of a normal interval of 95 %."""
 RESAMPLES = 2000
@@ -36,7 +36,7 @@ class Count:
     what: str
     """The quantity."""
     group: str
-    """Of which campaigns: "all", or those of a model, a plan or a region; of "parameters" model and parameter."""
+    """The campaigns that count: "all", or those of a model, a plan or a region; of "parameters" model and parameter."""
     campaigns: int
     inside: int
     low: float

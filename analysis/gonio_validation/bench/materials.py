@@ -72,7 +72,7 @@ def make(
     dask
         Address of a Dask scheduler whose workers fit; they read the files at the paths that they have here.
     command, step
-        The command line, for the record; told how many materials are done, of how many.
+        The command line, for the record; called with how many materials are done, and how many there are.
 
     Returns
     -------

@@ -20,7 +20,7 @@ SCALAR, COMPILED = "scalar_rgb", "llvm_ad_rgb"
 TILE = 8
 """Pixels along a side of a tile."""
 FLOAT32 = 2e-6
-"""Of a tile's radiance: what Mitsuba's float32 may be off without noise; some thirty roundings of 6e-8."""
+"""Part of a tile's radiance that Mitsuba's float32 may be off without noise: some thirty roundings of 6e-8."""
 HELP = (
     f"{COMPILED} needs LLVM 16 or newer, and none was found: install it (Debian 12: libllvm19), or name its library in "
     f"{peers.LLVM}"

@@ -63,7 +63,7 @@ class Fit:
 
     @property
     def g(self) -> float:
-        """Of He's fits, (4 pi sigma/lambda)^2 at normal incidence, with sigma in um."""
+        """(4 pi sigma/lambda)^2 of He's fits at normal incidence, with sigma in um."""
         return (4.0 * math.pi * self.numbers["roughness"] / WAVELENGTH_UM) ** 2
 
     def model(self, colour: int) -> Model | None:

@@ -122,7 +122,7 @@ class PeerTime(TimeSummary):
     """The same of a peer, in a process of its own."""
 
     threads: int | None
-    """Of its process, idle ones included; None where the system does not say."""
+    """Threads of its process, idle ones included; None where the system does not say."""
 
 
 @dataclass(frozen=True)

@@ -69,7 +69,7 @@ def make(
     command
         The command line, for the record.
     step
-        Told how many comparisons are done, of how many.
+        Called with how many comparisons are done, and how many there are.
 
     Returns
     -------

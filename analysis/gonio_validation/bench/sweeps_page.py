@@ -58,7 +58,7 @@ class Held:
     runs: int
     inside: float
     lowest: float
-    """Of any run: a whole curve moves with its scale."""
+    """Lowest share of any run: a whole curve moves with its scale."""
 
     @property
     def holds(self) -> bool:
@@ -113,7 +113,7 @@ def by_points(found: Sequence[JsonObject]) -> list[ByPoints]:
 
 
 def held(records: Sequence[Record]) -> list[Held]:
-    """Of the adaptive runs when they ended: one by one sample, and all together."""
+    """What held when the adaptive runs ended: one by one sample, and all together."""
     out = []
     for geometry in dict.fromkeys(r["geometry"] for r in records):
         own = [(r["sample"], _ends(r)) for r in records if r["geometry"] == geometry]
@@ -124,7 +124,7 @@ def held(records: Sequence[Record]) -> list[Held]:
 
 
 def _ends(record: Record) -> list[float]:
-    """Of every adaptive run of a comparison: the part of the curve within its intervals when it ended."""
+    """For every adaptive run of a comparison: the part of the curve within its intervals when it ended."""
     last = {r["plan"]: float(r["inside"]) for r in record["results"] if r["plan"].startswith("adaptive")}
     return list(last.values())
 

@@ -160,7 +160,7 @@ SIZES: dict[Geometry, tuple[int, ...]] = {"in plane": (20, 35, 60), "hemisphere"
 AROUND_DEG = 12.0
 """Half-width about the mirror direction in which a mirror-dense plan has the other half of its points."""
 FLOOR = 1e-3
-"""Of the largest value: errors of values below it count relative to this value."""
+"""Part of the largest value: errors of values below it count relative to this value."""
 
 SAMPLES: dict[str, tuple[str, dict[str, object]]] = {
     "rough aluminium": ("he-torrance", {"sigma0_um": 0.28, "tau_um": 1.77, "ior": "Al"}),

@@ -55,7 +55,7 @@ CHOICES = (
 )
 """The drawn one first; a claim gets a verdict where all of them agree."""
 ROUGHNESSES = (CHOICES[1], CHOICES[0], CHOICES[2])
-"""Of them those that differ in sigma, by sigma."""
+"""Those that differ in sigma, in the order of sigma."""
 
 
 def build(figure: int, progress: Callable[[str], None]) -> PaperFigure:

@@ -18,13 +18,13 @@ from gonio_validation.verify.finding import Finding, most, near
 
 DIGITS = Path(__file__).with_name("digits.json")
 CLOSED, INTEGRAL = 1e-9, 1e-7
-"""Of closed formulas: processors round differently, and inputs are a double's; of the exact integral its own bound."""
+"""Bounds for closed formulas (processors round differently, and inputs are a double's) and for the exact integral."""
 PLAIN = 1e-9
 """Kernels and plain formulas round alike to 1e-12, but where facets are steep."""
 WHITES = {"D65": (0.31272, 0.32903), "A": (0.44757, 0.40745), "D50": (0.34567, 0.35851)}
 """x, y for the 2 degree observer (CIE 15:2004, table T.3)."""
 SUMS = (106.8655, 106.8569, 106.8922)
-"""Of the 2 degree observer's three functions at every nanometre from 360 to 830 nm."""
+"""Sums of the 2 degree observer's three functions at every nanometre from 360 to 830 nm."""
 
 
 def models(_folder: Path) -> list[Finding]:

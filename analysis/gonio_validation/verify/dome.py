@@ -148,7 +148,7 @@ def _turned(errors: Errors, normal: tuple[float, ...], arm: float, radius: float
 
 
 def _irradiance(errors: Errors) -> Floats:
-    """Of a square Lambertian LED on the sample, by the vectors of its edges, and its own cosine."""
+    """Irradiance by a square Lambertian LED on the sample, from the vectors of its edges, and its own cosine."""
     normal = _turned(errors, NORMAL, SIDE_M / math.sqrt(3.0), NOISE_OF_SCAN_M)
     light_normal = _turned(errors, LIGHT_NORMAL, ARM_M, LED_PLACE_M)
     errors.start()

@@ -39,7 +39,7 @@ def _checksums() -> list[Finding]:
 
 
 def _own() -> list[tuple[str, str]]:
-    """Of an installation for editing: one checksum a package, over names and contents."""
+    """For an installation for editing: one checksum a package, over names and contents."""
     import importlib.util
 
     out = []

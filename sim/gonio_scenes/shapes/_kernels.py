@@ -305,7 +305,7 @@ LEAF = 4
 FLAT = 1e-6
 """Slope below which the square of a cone loses too many digits: its rays are solved for from the plane nearby."""
 POLISHED = 0.005
-"""Of the distance from a cone at which a ray has met it: roots nearer than this are left as they are."""
+"""Part of the distance from a cone at which a ray has met it: roots nearer than this are left as they are."""
 
 
 @compiled

@@ -12,7 +12,7 @@ from gonio_scenes.shapes._kernels import INF, compiled
 EDGE = 1e-10
 """How far outside a triangle, in barycentric coordinates, a ray still meets it, so that no rounding opens an edge."""
 STEP = 1e-6
-"""Of the mesh's size: how far beyond a hit that does not count the next search begins. Eight float32 roundings."""
+"""Part of the mesh's size by which the next search begins beyond a hit that does not count: eight float32 roundings."""
 
 DONE, AGAIN, UNCLEAR = 0, 1, 2
 

@@ -191,9 +191,9 @@ class Box(AxisTable):
 MAX_POINTS = 10_000
 """Points of a profile in a scene file."""
 CHORD_ERROR = 5e-7
-"""Of the shape's size: what the frusta of a smooth surface are off it; half of what is promised."""
+"""Part of the shape's size by which the frusta of a smooth surface are off it; half of what is promised."""
 MARGIN = 1e-12
-"""Of the shape's size: neighbouring frusta overlap by it, so that rounding opens no gap between them."""
+"""Part of the shape's size by which neighbouring frusta overlap, so that rounding opens no gap between them."""
 
 
 class Revolution(AxisTable):

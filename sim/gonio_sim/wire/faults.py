@@ -15,7 +15,7 @@ SERVO = ("stall", "overheat", "dropout", "reboot", "voltage-alarm")
 LAMP = ("lamp-nak", "lamp-silent", "lamp-reset")
 CAMERA = ("file-late", "file-truncated", "wrong-exposure", "file-duplicate", "file-missing")
 HEALTH = ("hot", "sag", "estop")
-"""Of a servo, for a while: near its temperature limit, near its lowest voltage, the contact at its port open."""
+"""Passing faults of a servo: near its temperature limit, near its lowest voltage, the contact at its port open."""
 LIGHT = ("unlock", "room-light")
 """The source out of lock, and light in the room, for a while."""
 NAMES = WIRE + SERVO + LAMP + CAMERA + HEALTH + LIGHT

@@ -29,7 +29,7 @@ FORWARD, REVERSE, HOMING, HOMED, ENABLED = 1 << 5, 1 << 4, 1 << 9, 1 << 10, 1 <<
 COUNTS_PER_DEG = 409600 / 3
 """K10CR1: 200 steps of 2048 microsteps, a gear of 120:1."""
 VELOCITY_UNIT, ACCELERATION_UNIT = 53.68, 53.68 * 204.94e-6
-"""Of the trinamic controllers (page "Position, velocity and acceleration units"), for counts/s and counts/s^2."""
+"""Units of the trinamic controllers (page "Position, velocity and acceleration units"), for counts/s and counts/s^2."""
 
 
 class KinesisTwin(Device):

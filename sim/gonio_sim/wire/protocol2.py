@@ -24,7 +24,7 @@ LONGEST = 1024
 LONGEST_GAP_S = 0.0015
 """Between two bytes of an instruction packet; after a longer one a device waits for the next header."""
 BITS = 10
-"""Of a byte on the line: start, eight, stop."""
+"""Bits of a byte on the line: start, eight, stop."""
 
 
 def _table() -> tuple[int, ...]:

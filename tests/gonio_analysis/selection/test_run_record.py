@@ -65,7 +65,7 @@ def test_a_table_without_uncertainties_is_said_to_have_none(tmp_path: Path) -> N
     assert "its table states no uncertainty" in facts.reference
     (run / "reference.csv").unlink()
     facts = known(run_facts(run))
-    assert "standard uncertainty 0.40 %" in facts.reference  # the run knows it without the file
+    assert "standard uncertainty 0.40 %" in facts.reference  # it stands in the run itself
     assert "its table is no longer where it was" in facts.reference
 
 

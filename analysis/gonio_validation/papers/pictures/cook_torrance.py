@@ -173,7 +173,7 @@ def _grey(tables: TomlTable) -> None:
 
 
 SLOPES = ((0.1, 0.2), (0.2, 0.3), (0.3, 0.6))
-"""Of the borders and interiors of the links, tried beside those of the picture."""
+"""Slopes for the borders and interiors of the links, tried beside those of the picture."""
 
 
 def _slopes(border: float, interior: float) -> Change:

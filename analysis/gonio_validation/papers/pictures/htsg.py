@@ -105,7 +105,7 @@ class _Images:
     strengths: list[float]
     """At 700 nm, (a) to (e), and a perfect mirror's is 1."""
     correlations: list[float]
-    """Of their edges with a perfect mirror's, where the image is not faint."""
+    """Correlations of their edges with a perfect mirror's, where the image is not faint."""
     of_blurred: float
     in_blue: float
     """Strength of (a) at 400 nm."""

@@ -39,7 +39,7 @@ from gonio_validation.papers.pictures.sheet import contact_sheet, verdicts
 Step = Callable[[int, int], None]
 """Told how much is done, of how much."""
 JPEG_QUALITY = 90
-"""Of the pictures in the page; the PNG beside it are without loss."""
+"""Quality of the pictures in the page; the PNG beside it are without loss."""
 
 
 def make(out: str | Path, *, command: str = "", step: Step | None = None) -> Path:

@@ -10,7 +10,7 @@ from gonio_validation.papers.figure import Claim
 from gonio_validation.papers.pictures.catalogue import SHOWN, Shown
 
 WIDTH, HIGH = 1360, 140
-"""Of the sheet, and of a picture on it at least [px]."""
+"""Width of the sheet, and least height of a picture on it [px]."""
 TITLE, LABEL, GAP, MARGIN = 34, 17, 7, 16
 BETWEEN = 24
 """Between two figures of a row."""
