@@ -2,6 +2,7 @@
 makes that impossible.
 """
 
+import hashlib
 import math
 from array import array
 from collections.abc import Iterable
@@ -15,11 +16,14 @@ from gonio.errors import DataError
 from gonio.rig import Frame, light_and_camera
 from gonio.rig.dng import pixels_sha256, read_raw
 from gonio.rig.light_and_camera import Camera
+from gonio.typing import NDArray
 
 IMPOSSIBLE = -50.0
 """Natural logarithm of a probability that no run has frames enough for: 1e11 frames have 1e22 pairs."""
 SMALLEST_DN = 0.5
 """A pixel whose noise is smaller may well read the same twice."""
+ROWS = 13
+"""An odd number meets every colour, and no spot that is as high is missed."""
 SHOWS_DN = 2.0
 """A change of a frame's mean level by more, which another exposure makes, is seen in it without any noise."""
 
@@ -50,6 +54,11 @@ def cannot_be_alike(camera: Camera, one: Frame, other: Frame) -> bool:
     return float(np.sum(np.minimum(chances, 0.0) * counts)) < IMPOSSIBLE
 
 
+def some_rows_sha256(mosaic: NDArray[np.uint16]) -> str:
+    """SHA-256 of every `ROWS`th row of pixels: enough to suspect that two frames are alike."""
+    return hashlib.sha256(mosaic[::ROWS].tobytes()).hexdigest()
+
+
 class Pictures:
     """Which steps of a run have frames of the same pixels, in 24 bytes a frame."""
 
@@ -58,7 +67,7 @@ class Pictures:
         self._keys, self._steps, self._exposures_s = array("q"), array("q"), array("d")
 
     def add(self, pixels: str, step: int, exposure_s: float) -> None:
-        """One more frame: the checksum of its pixels, the number of its step, and its exposure [s]."""
+        """One more frame: a checksum of its pixels or of some, the number of its step, and its exposure [s]."""
         self._keys.append(int(pixels[:15], 16))
         self._steps.append(step)
         self._exposures_s.append(exposure_s)

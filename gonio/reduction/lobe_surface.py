@@ -293,11 +293,12 @@ class Surface:
         by_place = np.swapaxes(by_place, 1, 2) / (2.0 * STEP)
         slope, covariance, curvature = np.zeros((len(at), 4)), np.zeros((len(at), 4, 4)), np.zeros((len(at), 2))
         for some, used in self._blocks(at):
-            mean, covariances = self._of_coordinates(at[some], used)
+            among = _Covariance(self._at[used, None], self._at[used])
+            mean, covariances = self._of_coordinates(at[some], used, among)
             turn = by_place[some, : mean.shape[1]]
             slope[some] = np.einsum("nc,ncx->nx", mean, turn)
             covariance[some] = np.einsum("ncx,ncd,ndy->nxy", turn, covariances, turn)
-            curvature[some] = self._curvatures(places[some], used)
+            curvature[some] = self._curvatures(places[some], used, among)
         return slope, covariance, curvature
 
     def _blocks(self, at: Floats) -> list[tuple[Ints, Ints]]:
@@ -317,21 +318,17 @@ class Surface:
             out.append((block, np.union1d(near, self._common)))
         return out
 
-    def _factor(self, used: Ints, logs: Floats) -> Floats:
-        """Cholesky's factor of the covariance of some values."""
-        among = _Covariance(self._at[used, None], self._at[used]).of(logs)
-        return np.asarray(
-            cho_factor(
-                among + np.diag(self._variance[used] + np.exp(2.0 * logs[SCATTER])), lower=True, overwrite_a=True
-            )[0]
-        )
+    def _factor(self, used: Ints, among: _Covariance, logs: Floats) -> Floats:
+        """Cholesky's factor of the covariance of some values, which `among` is without their noise."""
+        noise = np.diag(self._variance[used] + np.exp(2.0 * logs[SCATTER]))
+        return np.asarray(cho_factor(among.of(logs) + noise, lower=True, overwrite_a=True)[0])
 
-    def _of_coordinates(self, at: Floats, used: Ints) -> tuple[Floats, Floats]:
+    def _of_coordinates(self, at: Floats, used: Ints, among: _Covariance) -> tuple[Floats, Floats]:
         """Derivatives of ln f by coordinates (n, c), and their covariances."""
         toward = _Covariance(at[:, None], self._at[used])
         means, covariances = [], []
         for logs in self._sets:
-            factor = self._factor(used, logs)
+            factor = self._factor(used, among, logs)
             toward.of(logs)
             rows = np.moveaxis(toward.by_first(), 0, 1)
             solved = solve_triangular(factor, rows.reshape(-1, used.size).T, lower=True)
@@ -345,10 +342,10 @@ class Surface:
         covariance = np.einsum("s,sncd->ncd", self._weights, np.array(covariances))
         return mean, covariance + np.einsum("s,snc,snd->ncd", self._weights, off, off)
 
-    def _curvatures(self, places: Floats, used: Ints) -> Floats:
+    def _curvatures(self, places: Floats, used: Ints, among: _Covariance) -> Floats:
         """Second derivatives of ln f along x and y, of the most probable set."""
         moves = np.concatenate([BEND * np.eye(4)[:2], -BEND * np.eye(4)[:2], np.zeros((1, 4))])
-        solved = cho_solve((self._factor(used, self._sets[0]), True), self._log[used])
+        solved = cho_solve((self._factor(used, among, self._sets[0]), True), self._log[used])
         toward = _Covariance(coordinates(places[:, None] + moves)[:, :, None], self._at[used])
         values = toward.of(self._sets[0]) @ solved
         return np.asarray((values[:, :2] + values[:, 2:4] - 2.0 * values[:, 4:]) / BEND**2)

@@ -3,9 +3,11 @@ can do with what stands there. A forged line has the right checksum.
 """
 
 import copy
+import hashlib
 import json
 import shutil
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +22,7 @@ from gonio.errors import GonioError
 from gonio.live.run_status import RunStatus
 from gonio.live.watching import Watched
 from gonio.reduction import brdf
+from gonio.rig.dng import encode_dng, read_raw, read_record
 from tests.command_line import gonio
 
 WALL = "2026-11-20T10:00:00.000Z"
@@ -119,6 +122,27 @@ def test_every_reader_names_a_forged_line_or_can_do_with_it(measured: Path, tmp_
             except Exception as error:
                 raise AssertionError(f"{what}: {name}: {error!r}") from error
     assert refused >= len(READERS), "nothing was forged"
+
+
+def test_changed_pixels_are_found_where_the_journal_was_changed_with_them(measured: Path, tmp_path: Path) -> None:
+    path = tmp_path / "run"
+    shutil.copytree(measured, path)
+    lines = (path / "journal.jsonl").read_bytes().splitlines(keepends=True)
+    at, event = next((k, e) for k, e in enumerate(map(json.loads, lines)) if e.get("kind") == "point")
+    entry = event["frames"][-1]
+    file = path / "frames" / entry["file"]
+    data = file.read_bytes()
+    taken = read_raw(file)
+    mosaic = taken.mosaic.copy()
+    mosaic[1, 1] += 1
+    data = encode_dng(replace(taken, mosaic=mosaic), read_record(data))
+    file.write_bytes(data)
+    entry["sha256"] = hashlib.sha256(data).hexdigest()
+    event.pop("crc")
+    (path / "journal.jsonl").write_bytes(b"".join([*lines[:at], sealed(event), *lines[at + 1 :]]))
+    table = brdf.reduce(Run.open(path))
+    assert table["flag"].tolist().count("contradictory") == 1
+    assert any("does not hold the pixels" in note for note in table.attrs["notes"])
 
 
 @pytest.mark.slow

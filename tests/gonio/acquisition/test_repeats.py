@@ -12,7 +12,7 @@ import pytest
 from gonio.acquisition import repair, repeats, session
 from gonio.acquisition.run import Run
 from gonio.errors import DataError, DeviceError
-from gonio.reduction import brdf
+from gonio.reduction import brdf, count_rates
 from gonio.rig import Frame
 from gonio.rig.light_and_camera import Camera
 from tests.gonio.acquisition.conftest import Measure
@@ -73,6 +73,15 @@ def test_an_older_picture_is_found_among_the_frames(measure: Measure, monkeypatc
     one, two = (each[table["flag"] == ""] for each in (table, whole))
     apart = (one["brdf"] - two["brdf"]).to_numpy(float)
     assert (abs(apart) < 5.0 * np.hypot(one["u_brdf"].to_numpy(float), two["u_brdf"].to_numpy(float))).all()
+
+
+def test_frames_that_are_alike_in_the_rows_looked_at_are_compared_whole(
+    measure: Measure, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = measure()
+    table = brdf.reduce(run)
+    monkeypatch.setattr(count_rates, "some_rows_sha256", lambda mosaic: "0" * 64)
+    assert brdf.reduce(run).equals(table)
 
 
 def frame(mosaic: np.ndarray, exposure_s: float = 0.1) -> Frame:
