@@ -31,9 +31,9 @@ from gonio.typing import DataFrame, Floats
 from gonio_analysis.changes.resampling import Carried, Known, carry, common_wavelengths, slope_in_plane
 from gonio_analysis.changes.verdict import Verdict, Within, judge, within
 from gonio_analysis.fitting.forward import apparent
-from gonio_analysis.fitting.objective import metrics, scaled_to
+from gonio_analysis.fitting.objective import metrics, ratio_to, scaled_to
 from gonio_analysis.fitting.observations import Observations, describe_left_out, observations, of_reader
-from gonio_analysis.fitting.value_covariance import Covariance
+from gonio_analysis.fitting.value_covariance import ADDED, Covariance
 
 if TYPE_CHECKING:
     from gonio.measurement import Reading
@@ -393,7 +393,7 @@ def _measurements(sides: list[Side], say: Say) -> Change:
     covariance = _of_difference(at, carried, causes, (onto, other))
     u_carried = np.full(len(at), np.nan)
     if causes is not None:
-        u_carried = np.sqrt(carried.random**2 + (carried.common**2).sum(axis=1) + carried.error**2)
+        u_carried = carried.u
     values = {onto: (at.brdf, at.u), other: (carried.value, u_carried)}
     return _change(a, b, at, onto, values, covariance, notes=notes, error=carried.error, missing=carried.missing)
 
@@ -442,6 +442,9 @@ def _of_difference(
     """Covariance of the carried values less those where they were carried to; None where neither side states any.
 
     `moved` names the causes of the carried values; None where nothing is stated of them.
+
+    What causes do is scaled to the mean of both values. A column that goes with noisy values of its own side alone
+    would pull the common factor, by n u^2 / 2 for n values and a cause of relative u.
     """
     own = at.covariance
     if own is None and moved is None:
@@ -455,7 +458,13 @@ def _of_difference(
     common = [carried.common] if own is None else [own.common, carried.common]
     stated = (() if own is None else own.causes, moved or ())
     causes = [f"{cause} of {side}" for side, of_side in zip(names, stated, strict=True) for cause in of_side]
-    return Covariance(random, np.hstack(common), tuple(causes))
+    whole, middle = np.hstack(common), 0.5 * (at.brdf + carried.value)
+    ratios = (ratio_to(middle, *one) for one in ((at.brdf, at.u), (carried.value, carried.u)))
+    shares = [(cause, ratio) for of_side, ratio in zip(stated, ratios, strict=True) for cause in of_side]
+    for column, (cause, ratio) in zip(whole.T, shares, strict=True):
+        if not cause.startswith(ADDED):
+            column *= ratio
+    return Covariance(random, whole, tuple(causes))
 
 
 @dataclass(frozen=True)

@@ -66,6 +66,11 @@ class Carried:
         return int(np.count_nonzero(self.error))
 
     @property
+    def u(self) -> Floats:
+        """(n,) combined standard uncertainty [1/sr]."""
+        return np.asarray(np.sqrt(self.random**2 + (self.common**2).sum(axis=1) + self.error**2))
+
+    @property
     def relative_error(self) -> Floats:
         """(n,) `error` over the values."""
         return self.error / np.maximum(np.abs(self.value), 1e-300)

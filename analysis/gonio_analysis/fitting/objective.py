@@ -243,7 +243,7 @@ def on_log_scale(data: Observations, small: float, predicted: Floats, tau: float
     """
     if data.covariance is None:
         return independent(np.full(len(data), tau)) if tau else None
-    ratio = _to_model(data, predicted)
+    ratio = ratio_to(predicted, data.brdf, data.u)
     known = data.covariance.scaled(ratio)
     slope = 1.0 / np.hypot(data.brdf, 2 * small)
     of_model = 1.0 / np.hypot(data.brdf * ratio, 2 * small)
@@ -274,12 +274,13 @@ def scaled_to(data: Observations, predicted: Floats, metric: str | None = None) 
     goal = objective(data, metric)
     if goal.metric != "weighted" or not goal.weights or not goal.weights.causes:
         return goal
-    return replace(goal, weights=goal.weights.scaled(_to_model(data, predicted)))
+    return replace(goal, weights=goal.weights.scaled(ratio_to(predicted, data.brdf, data.u)))
 
 
-def _to_model(data: Observations, predicted: Floats) -> Floats:
-    seen = data.brdf > 3 * data.u
-    ratio = np.where(seen, predicted / np.where(seen, data.brdf, 1.0), 1.0)
+def ratio_to(expected: Floats, measured: Floats, u: Floats) -> Floats:
+    """What `Covariance.scaled` takes: expected over measured values, 1 for those that are within 3 u of zero."""
+    seen = measured > 3 * u
+    ratio = np.where(seen, expected / np.where(seen, measured, 1.0), 1.0)
     return np.asarray(np.clip(ratio, 0.5, 2.0))
 
 

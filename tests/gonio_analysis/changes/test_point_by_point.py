@@ -19,6 +19,7 @@ from gonio_analysis.fitting.value_covariance import Covariance
 from gonio_analysis.report import change_figures
 from gonio_analysis.report.drawing import Drawing
 from scipy.special import ndtri
+from scipy.stats import chi2
 
 from gonio import measurement
 from gonio.errors import ConfigError, DataError
@@ -182,6 +183,18 @@ def test_each_test_is_named_where_it_finds_something(tmp_path: Path) -> None:
     assert facts["verdict"]["p_scale"] < 0.01 / 3
     assert facts["conclusion"].startswith("The sample changed, by the common factor: ")
     assert "and on the common factor of B over A" in (tmp_path / "out" / "index.html").read_text(encoding="utf-8")
+
+
+def test_references_of_different_quality_pull_no_common_factor() -> None:
+    """Columns of noisy values pulled it by n u^2 / 2: 2 % of 99 values and a reference of 2 %, 1.0 standard errors."""
+    pulls = []
+    for seed in range(30):
+        a, b = (measure(GLOSS, noise=0.003, reference=u, seed=seed + k) for u, k in ((0.02, 100), (0.002, 200)))
+        found = known(change(side(a), side(b)).verdict)
+        assert found.u_scale == pytest.approx(np.hypot(0.02, 0.002), rel=0.03)  # the noise adds little
+        pulls.append(found.scale / found.u_scale)
+    assert abs(np.mean(pulls)) < 3.0 / np.sqrt(30)  # three standard errors of the mean of 30
+    assert np.sum(np.square(pulls)) < chi2.ppf(0.999, 30)
 
 
 def test_identical_inputs_are_called_identical(tmp_path: Path) -> None:
