@@ -19,6 +19,8 @@ from gonio.typing import TomlTable
 
 MAX_DEPTH = 32
 """Tables and lists within each other; a rig file has four levels."""
+LONGEST_SHOWN = 100
+"""Characters of a value in a message."""
 _LONG_KEY = re.compile(rf"""(?<![\w"'-])(?:[\w"'-]++[ \t]*+\.[ \t]*+){{{2 * MAX_DEPTH}}}""")
 """A dotted key for whose length squared tomllib takes memory; no text that has a space between two words is one."""
 
@@ -124,7 +126,14 @@ def parse(table: type[Table], values: TomlTable, source: str | Path) -> Table:
     try:
         return table.model_validate(values)
     except ValidationError as error:
-        lines = [f"{source}: {_explain(table, item)}" for item in error.errors() if not _is_said(item)]
+        told = [_explain(table, item) for item in error.errors() if not _is_said(item)]
+    ways: dict[str, list[str]] = {}
+    for where, what in told:
+        ways.setdefault(where, []).append(what)
+    lines = [
+        f"{source}: {where}{' or '.join(dict.fromkeys(what)).replace(' or must be ', ' or ')}"
+        for where, what in ways.items()
+    ]
     raise ConfigError("\n".join(lines[:8]))
 
 
@@ -139,29 +148,53 @@ def load(table: type[Table], path: str | Path) -> Table:
     return parse(table, read_toml(path), path)
 
 
-def _explain(table: type[BaseModel], item: Any) -> str:
-    location, tables = _found(table, item["loc"])
+_KINDS = {
+    "string": "text in quotes", "bool": "true or false", "int": "a whole number", "float": "a number",
+    "tuple": "a list in square brackets", "list": "a list in square brackets", "dict": "a table", "model": "a table",
+}  # fmt: skip
+"""What a value must be, by the first word of the kind of pydantic's error (as in tuple_type, int_from_float)."""
+_WAY = re.compile(r"str|float|int|(tuple|list|dict)\[.*\]")
+"""What pydantic adds to the place of a value that may be of several kinds: the one that it tried."""
+
+
+def _explain(table: type[BaseModel], item: Any) -> tuple[str, str]:
+    """Where it is and what was given; and what is wrong, where that does not say it."""
+    loc, kind = item["loc"], item["type"]
+    location, tables = _found(table, loc[:-1] if loc and _WAY.fullmatch(str(loc[-1])) else loc)
     where = _dotted(location)
-    if item["type"] == "extra_forbidden":
-        known = list(_found(table, item["loc"][:-1])[1][0].model_fields)
-        near = difflib.get_close_matches(str(item["loc"][-1]), known, n=1)
+    if kind == "extra_forbidden":
+        known = list(_found(table, loc[:-1])[1][0].model_fields)
+        near = difflib.get_close_matches(str(loc[-1]), known, n=1)
         hint = f'did you mean "{near[0]}"?' if near else f"known here: {', '.join(sorted(known))}"
-        return f"unknown key {where}; {hint}"
-    if item["type"] in ("union_tag_invalid", "union_tag_not_found"):
+        return f"unknown key {where}; {hint}", ""
+    if kind in ("union_tag_invalid", "union_tag_not_found"):
         key, known = item["ctx"]["discriminator"].strip("'"), [tag for each in tables for tag in _tags(each)]
-        if item["type"] == "union_tag_not_found":
-            return f"the key {where}.{key} is missing; known here: {', '.join(known)}"
+        if kind == "union_tag_not_found":
+            return f"the key {where}.{key} is missing; known here: {', '.join(known)}", ""
         near = difflib.get_close_matches(item["ctx"]["tag"], known, n=1)
         hint = f'did you mean "{near[0]}"?' if near else f"known here: {', '.join(known)}"
-        return f"{where}.{key} = {item['ctx']['tag']!r}: is unknown; {hint}"
-    if item["type"] == "missing" and isinstance(location[-1], int):
-        return f"{_dotted(location[:-1])} = {item['input']!r}: its entry {location[-1] + 1} is missing"
-    if item["type"] == "missing":
-        return f"the key {where} is missing"
-    message = item["msg"].removeprefix("Value error, ")
+        return f"{where}.{key} = {item['ctx']['tag']!r}: is unknown; {hint}", ""
+    if kind == "missing" and isinstance(location[-1], int):
+        return f"{_dotted(location[:-1])} = {_shown(item['input'])}: ", f"its entry {location[-1] + 1} is missing"
+    if kind == "missing":
+        return f"the key {where} is missing", ""
     value = item.get("input")
-    shown = "" if isinstance(value, dict) else f" = {value!r}"
-    return f"{where or 'the file'}{shown}: {message[:1].lower()}{message[1:]}"
+    head = f"{where or 'the file'}{'' if isinstance(value, dict) else f' = {_shown(value)}'}: "
+    if kind in ("too_long", "too_short"):
+        ends = {"too_long": "at most {max_length}", "too_short": "at least {min_length}"}[kind].format(**item["ctx"])
+        return head, f"must hold {ends}, and holds {item['ctx']['actual_length']}"
+    if re.search("_(type|parsing|from_float)$", kind) and (what := _KINDS.get(kind.partition("_")[0])):
+        if what == _KINDS["tuple"] and tables != _found(table, loc[:-1])[1]:
+            return head, f"must be a list of tables, each below [[{where}]]"
+        return head, f"must be {what}{' (it is a table)' if isinstance(value, dict) else ''}"
+    message = item["msg"].removeprefix("Value error, ").replace("Input should", "must", 1)
+    return head, f"{message[:1].lower()}{message[1:]}"
+
+
+def _shown(value: Any) -> str:
+    """A value as messages have it."""
+    text = repr(value)
+    return text if len(text) <= LONGEST_SHOWN else f"{text[:LONGEST_SHOWN]}..."
 
 
 def _dotted(location: list[Any]) -> str:

@@ -54,6 +54,55 @@ def test_missing_key() -> None:
     assert message({"rig": "sim", "bands": RIG["bands"]}) == "bench.toml: the key name is missing"
 
 
+class Inner(Strict):
+    """A table inside another."""
+
+    a: float = 1.0
+
+
+class Kinds(Strict):
+    """A key of each kind."""
+
+    angles: tuple[float, ...] = ()
+    pair: tuple[float, float] = (1, 2)
+    some: Annotated[tuple[float, ...], Field(min_length=1)] = (1.0,)
+    text: str = ""
+    yes: bool = False
+    count: int = 0
+    number: float = 0.0
+    by_name: dict[str, float] | None = None
+    inner: Inner = Inner()
+    many: tuple[Inner, ...] = ()
+    ior: str | float | tuple[float, float] | None = None
+
+
+@pytest.mark.parametrize(
+    ("values", "told"),
+    [
+        ({"angles": 5}, "angles = 5: must be a list in square brackets"),
+        ({"angles": {"from": 5}}, "angles: must be a list in square brackets (it is a table)"),
+        ({"pair": [1, 2, 3]}, "pair = [1, 2, 3]: must hold at most 2, and holds 3"),
+        ({"pair": list(range(9999))}, f"pair = {str(list(range(40)))[:100]}...: must hold at most 2, and holds 9999"),
+        ({"some": []}, "some = []: must hold at least 1, and holds 0"),
+        ({"text": 5}, "text = 5: must be text in quotes"),
+        ({"yes": 5}, "yes = 5: must be true or false"),
+        ({"count": 1.5}, "count = 1.5: must be a whole number"),
+        ({"number": {"a": 1}}, "number: must be a number (it is a table)"),
+        ({"number": float("nan")}, "number = nan: must be a finite number"),
+        ({"by_name": 5}, "by_name = 5: must be a table"),
+        ({"by_name": {"x": [1]}}, "by_name.x = [1]: must be a number"),
+        ({"inner": 5}, "inner = 5: must be a table"),
+        ({"many": {"a": 1}}, "many: must be a list of tables, each below [[many]]"),
+        ({"many": [5]}, "many[1] = 5: must be a table"),
+        ({"ior": float("nan")}, "ior = nan: must be text in quotes or a finite number or a list in square brackets"),
+    ],
+)
+def test_a_value_of_another_kind_is_one_message_in_words_of_toml(values: dict[str, Any], told: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        parse(Kinds, values, "x.toml")
+    assert str(caught.value) == f"x.toml: {told}"
+
+
 @pytest.mark.parametrize(
     ("table", "words"),
     [

@@ -27,7 +27,7 @@ def refusal(**keys: Any) -> str:
     ("keys", "says"),
     [
         ({"kind": "sphere"}, "radius_mm is missing"),
-        ({"kind": "sphere", "radius_mm": -1}, "radius_mm = -1: input should be greater than 0"),
+        ({"kind": "sphere", "radius_mm": -1}, "radius_mm = -1: must be greater than 0"),
         ({"kind": "sphere", "radius_mm": float("nan")}, "radius_mm = nan"),
         ({"kind": "sphere", "radius_mm": 1e12}, "less than or equal to 1000000000"),
         ({"kind": "sphere", "radius_mm": 1, "axis": [0, 0, 0]}, "is no direction"),
@@ -39,7 +39,7 @@ def refusal(**keys: Any) -> str:
         ({"kind": "box", "size_mm": [1, 0, 3]}, "size_mm[2] = 0"),
         ({"kind": "cylinder", "radius_mm": 1}, "height_mm is missing"),
         ({"kind": "plane", "tile_mm": [1, -1]}, "tile_mm[2] = -1"),
-        ({"kind": "revolution", "profile_mm": [[1, 2]]}, "at least 2 items"),
+        ({"kind": "revolution", "profile_mm": [[1, 2]]}, "must hold at least 2, and holds 1"),
         ({"kind": "revolution", "profile_mm": [[1, 2], [-0.5, 3]]}, "profile_mm[2] has r = -0.5"),
         ({"kind": "revolution", "profile_mm": [[1, 2], [1, 2]]}, "[1] and [2] are one point"),
         ({"kind": "revolution", "profile_mm": [[0, 2], [0, 3]]}, "lies on the axis"),
