@@ -27,6 +27,8 @@ NOT_OWN = f"was not written by this version of gonio (as its {MANIFEST} tells), 
 """Why a file is not replaced: versions that wrote no manifest left what nothing tells from a person's own files."""
 STDOUT = "-"
 """The path that stands for standard output."""
+MEASURED = ("run.toml", "plan.csv", "journal.jsonl", "chosen.json")
+"""Files of a run that nothing makes again, beside those of its folder `frames`."""
 LONGEST_NAME, LONGEST_PATH = 255, 4000
 """Bytes that file systems take; the path leaves room for what is written below it."""
 
@@ -103,8 +105,17 @@ def _pieces(data: bytes | Iterable[bytes | memoryview]) -> Iterable[bytes | memo
     return (data,) if isinstance(data, bytes) else data
 
 
+def require_not_measured(path: Path) -> None:
+    """Raise `ConfigError` where a path is a file that a run was measured into: no result replaces it."""
+    frame = path.parent.name == "frames"
+    run = path.parent.parent if frame else path.parent
+    if (frame or path.name in MEASURED) and (run / "journal.jsonl").is_file() and path.exists():
+        raise ConfigError(f"{path}: is a file of the run {run}, and is not replaced; name another file")
+
+
 def put(path: Path, data: bytes) -> None:
-    """Write a file as `write_whole`; raises `DataError`, which names it, where it cannot be written."""
+    """Write a result as `write_whole`; raises `DataError`, which names it, where it cannot be written."""
+    require_not_measured(path)
     with os_error_as(DataError, f"{path}: cannot be written"):
         write_whole(path, data)
 

@@ -3,16 +3,13 @@
 import gzip
 import io
 import json
-import os
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
 from pathlib import Path
-from typing import IO, cast
 
-from gonio import platform
 from gonio.acquisition.run import Run
-from gonio.disk import require_name
+from gonio.disk import is_stream, require_name
 from gonio.errors import ConfigError, DataError
+from gonio.formats.reader import write_bytes
 from gonio.typing import JsonObject
 from gonio_bluesky.event_documents import Document, documents
 
@@ -39,30 +36,30 @@ def write(source: str, target: Path) -> list[str]:
     if target.is_dir():
         raise ConfigError(f"{target}: is a folder; name the file to write, as {target / 'run.jsonl'}")
     check, remarks = _checker()
-    temporary = target.with_name(f".{target.name}.{os.getpid()}.new")
     counted = 0
-    try:
-        with ExitStack() as stack:
-            raw = stack.enter_context(temporary.open("wb"))
-            out: IO[bytes] = raw
-            if target.suffix == ".gz":  # without name and time, so that the same run gives the same bytes
-                out = stack.enter_context(cast("IO[bytes]", gzip.GzipFile("", "wb", fileobj=raw, mtime=0)))
-            text = stack.enter_context(io.TextIOWrapper(out, encoding="utf-8", newline="\n"))
-            for kind, document in documents(run, remarks):
-                check(kind, document)
-                text.write(json.dumps([kind, document], ensure_ascii=False, allow_nan=False) + "\n")
-                counted += 1
-            text.flush()
-            if out is not raw:
-                out.close()
-            raw.flush()
-            platform.sync(raw.fileno())
-        temporary.replace(target)
-    except OSError as error:
-        raise ConfigError(f"{target}: cannot be written: {error.strerror}") from None
-    finally:
-        temporary.unlink(missing_ok=True)
+
+    def lines() -> Iterator[bytes]:
+        nonlocal counted
+        for kind, document in documents(run, remarks):
+            check(kind, document)
+            counted += 1
+            yield (json.dumps([kind, document], ensure_ascii=False, allow_nan=False) + "\n").encode()
+
+    pieces = _packed(lines()) if target.suffix == ".gz" else lines()
+    write_bytes(target, b"".join(pieces) if is_stream(target) else pieces)
     return [*remarks, f"{counted} documents"]
+
+
+def _packed(lines: Iterator[bytes]) -> Iterator[bytes]:
+    """Compressed with gzip, without name and time, so that the same run gives the same bytes."""
+    held = io.BytesIO()
+    with gzip.GzipFile("", "wb", fileobj=held, mtime=0) as out:
+        for line in lines:
+            out.write(line)
+            yield held.getvalue()
+            held.seek(0)
+            held.truncate()
+    yield held.getvalue()
 
 
 def read(path: str | Path) -> Iterator[Document]:

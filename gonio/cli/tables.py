@@ -39,6 +39,9 @@ def convert(
         return
     if target.is_dir():
         raise ConfigError(f"{target}: is a folder; name the file to write in it, as {target / 'table.csv'}")
+    original = Path(measurement.split(source)[0])
+    if target.is_file() and original.exists() and target.samefile(original):
+        raise ConfigError(f"{target}: is the file that is converted, and is not replaced; name another")
     how = reading(columns, blank)
     exports = plugins.available("gonio.exports")
     if target_format is not None:

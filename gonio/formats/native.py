@@ -36,6 +36,7 @@ from gonio.formats.reader import (
     attributes,
     flag_holes,
     quantity,
+    require_place,
     write_bytes,
 )
 from gonio.formats.text import cell_of, column_names, decode, number, plain_word, require_cells, require_text, separator
@@ -239,6 +240,7 @@ def write(frame: DataFrame, path: Path) -> None:
         meta = json.dumps(plain(frame.attrs), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
     except (TypeError, ValueError) as error:
         raise DataError(f"{path}: an attribute of the table cannot be written as JSON: {error}") from None
+    require_place(path)
     if not is_stream(path):  # nothing lies beside standard output, a pipe or a device
         _require_own_attributes(meta_path(path))
         write_bytes(meta_path(path), meta.encode())

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, NotRequired, TypedDict, cast
 
 import numpy as np
 
-from gonio.disk import write_whole
+from gonio.disk import require_not_measured, write_whole
 from gonio.errors import ConfigError, DataError, os_error_as, refuse_masked
 from gonio.typing import Array, ArrayLike, DataFrame, Floats, JsonObject
 
@@ -311,13 +311,19 @@ def write_bytes(path: str | Path, data: bytes | Iterable[bytes | memoryview]) ->
     Raises
     ------
     ConfigError
-        The folder is missing or cannot be written to.
+        The folder is missing or cannot be written to, or a run was measured into the file.
     """
     path = Path(path)
-    if not path.parent.is_dir():
-        raise ConfigError(f"{path}: cannot be written: there is no folder {path.parent}")
+    require_place(path)
     with os_error_as(ConfigError, f"{path}: cannot be written"):
         write_whole(path, data)
+
+
+def require_place(path: Path) -> None:
+    """`ConfigError` where the folder of a file is missing, or a run was measured into the file."""
+    if not path.parent.is_dir():
+        raise ConfigError(f"{path}: cannot be written: there is no folder {path.parent}")
+    require_not_measured(path)
 
 
 Need = str | tuple[str, ...]

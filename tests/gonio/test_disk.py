@@ -365,3 +365,20 @@ def test_a_folder_to_work_in_goes_at_its_end_and_those_of_dead_processes_go_with
         assert work.name.startswith(f".radiance.{os.getpid()}.")
         (work / "radiance.npz").write_bytes(b"whole")
     assert sorted(tmp_path.iterdir()) == sorted([alive, *others])
+
+
+def test_no_result_replaces_what_a_run_was_measured_into(measure: Measure, tmp_path: Path) -> None:
+    run = measure("RUN")
+    frame = next(iter(sorted((run.path / "frames").iterdir())))
+    table = pd.DataFrame({"theta_i_deg": [30.0], "phi_i_deg": 0.0, "theta_r_deg": 10.0, "phi_r_deg": 180.0})
+    table = table.assign(wavelength_nm=550.0, polarisation="unpolarised", brdf=0.2, u_brdf=0.01, u_random=0.01, flag="")
+    before = tree(run.path)
+    for path in (run.path / "run.toml", run.path / "plan.csv", run.path / "journal.jsonl", frame):
+        for form in ("gonio", "astm"):
+            with pytest.raises(ConfigError, match=rf"{path.name}: is a file of the run .*RUN, and is not replaced"):
+                measurement.write(table, path, format=form)
+        with pytest.raises(ConfigError, match="name another file"):
+            disk.put(path, b"picture")
+    assert tree(run.path) == before
+    measurement.write(table, run.path / "frames" / "new.astm")  # replaces nothing
+    measurement.write(table, tmp_path / "plan.csv")  # of no run

@@ -249,6 +249,18 @@ def test_what_the_command_says(folder: Path, tmp_path: Path) -> None:
         assert what in done.stderr
     assert not (tmp_path / "x.jsonl").exists()
     assert {path.name for path in tmp_path.iterdir()} == {"run.jsonl"}
+    done = gonio(tmp_path, "convert", folder, "-", "--to", "bluesky", expect=0)
+    assert done.stdout == (tmp_path / "run.jsonl").read_text(encoding="utf-8")
+    assert "-: " in done.stderr
+    assert {path.name for path in tmp_path.iterdir()} == {"run.jsonl"}
+
+
+def test_the_documents_of_a_run_do_not_replace_its_journal(tmp_path: Path) -> None:
+    run = measure(plan_in(tmp_path), tmp_path / "RUN")
+    before = run.path.joinpath("journal.jsonl").read_bytes()
+    with pytest.raises(ConfigError, match=r"journal.jsonl: is a file of the run .*RUN, and is not replaced"):
+        write(str(run.path), run.path / "journal.jsonl")
+    assert run.path.joinpath("journal.jsonl").read_bytes() == before
 
 
 def test_it_is_written_unchecked_where_the_event_model_is_missing(

@@ -29,6 +29,7 @@ def check_target(path: Path, asked: FitRequest) -> None:
     if path.suffix != ".toml":
         raise ConfigError(f'--save {path}: other commands know a sample file by the ending ".toml"')
     disk.require_name(path)
+    disk.require_not_measured(path)
     if not path.parent.is_dir():
         raise ConfigError(f"--save {path}: there is no folder {path.parent}")
     if path.is_dir():

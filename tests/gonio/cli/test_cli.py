@@ -480,6 +480,18 @@ def test_a_format_that_there_is_not_lists_all(tmp_path: Path, source: str) -> No
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.parametrize(("source", "form"), [("sample.toml", "rgl"), ("one.csv", "astm"), ("one.csv:one", "gonio")])
+def test_what_is_converted_is_not_replaced(tmp_path: Path, source: str, form: str) -> None:
+    one_value(tmp_path)
+    (tmp_path / "sample.toml").write_text('name = "matt"\nmodel = "lambert"\n[parameters]\nalbedo = 0.5\n')
+    target = source.partition(":")[0]
+    before = (tmp_path / target).read_bytes()
+    done = gonio(tmp_path, "convert", source, target, "--to", form, expect=2)
+    says(done.stderr, f"{target}: is the file that is converted, and is not replaced; name another")
+    assert (tmp_path / target).read_bytes() == before
+    assert "there is no such file" in gonio(tmp_path, "convert", "absent.csv", target, expect=2).stderr
+
+
 def test_a_model_has_no_datacite_record(tmp_path: Path) -> None:
     (tmp_path / "sample.toml").write_text('name = "matt"\nmodel = "lambert"\n[parameters]\nalbedo = 0.5\n')
     done = gonio(tmp_path, "convert", "sample.toml", "out.json", "--to", "datacite")
