@@ -46,6 +46,22 @@ def test_fit_prints_a_table(table: Path, capsys: pytest.CaptureFixture[str]) -> 
     says(capsys.readouterr().out, "sigma_deg", "fixed", "reduced chi-square")
 
 
+@pytest.mark.parametrize("nm", ["-550", "nan", "inf"])
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("fit", "--model", "lambert"), ("compare", "--models", "lambert", "--out", "o"),
+        ("compare", "paint.csv", "--change", "--out", "o"), ("compare", "paint.csv", "--laboratories", "--out", "o"),
+        ("remounts", "other.csv"), ("appearance",),
+    ],
+)  # fmt: skip
+def test_a_wavelength_that_is_none_is_refused(table: Path, nm: str, words: tuple[str, ...]) -> None:
+    (table.parent / "other.csv").write_bytes(table.read_bytes())
+    done = gonio(table.parent, words[0], table.name, *words[1:], "--wavelength-nm", nm, expect=2)
+    assert "a wavelength is above 0 nm" in done.stderr
+    assert not (table.parent / "o").exists()
+
+
 @pytest.mark.slow
 def test_compare_prints_the_path(table: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     commands.compare([str(table)], tmp_path / "out", models="lambert, oren-nayar")

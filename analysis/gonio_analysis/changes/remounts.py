@@ -67,8 +67,10 @@ class Remounts:
         low, high = (math.sqrt(self.freedom / chi2.ppf(p, self.freedom)) for p in (0.975, 0.025))
         degrees = f"{math.degrees(self.zero):.2g}" if self.zero else "0"
         of_zero = f"{math.degrees(self.u_zero):.2g}"
+        wave = self.at.wavelength_nm[0]
         return [
-            f"{len(self.names)} mounts in {len(self.at)} common directions, the brightest {100 * SHARE:g} %",
+            f"{len(self.names)} mounts in {len(self.at)} common directions{f' at {wave:g} nm' if wave == wave else ''},"
+            f" the brightest {100 * SHARE:g} %",
             f"two mounts differ by {100 * self.typical:.2g} % (median)",
             f"scale: {100 * self.scale:.2g} %, with {self.freedom} degree{'s' * (self.freedom > 1)} of freedom: known "
             f"to a factor of {low:.2g} to {high:.2g} (95 %)",

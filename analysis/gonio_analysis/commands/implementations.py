@@ -22,7 +22,7 @@ from gonio_analysis.commands.arguments import given_constants, once, read_ior, w
 from gonio_analysis.fitting import fit as fitting
 from gonio_analysis.fitting import parameters, profile_likelihood, saving
 from gonio_analysis.fitting.energy import of_model
-from gonio_analysis.fitting.observations import Observations, check_u_rel, observations, together
+from gonio_analysis.fitting.observations import Observations, check_u_rel, check_wavelength, observations, together
 from gonio_analysis.fitting.problem import FitRequest, check_metric
 from gonio_analysis.fitting.profile_likelihood import Interval
 from gonio_analysis.fitting.spectrum import fit_table
@@ -268,6 +268,7 @@ def report(specs: list[str], out: Path, models: list[str], *, ior: str | None, *
     """The report on models fitted to measurements; options as `gonio_analysis.report.make`."""
     check_metric(options["metric"])
     check_u_rel(options["u_rel"])
+    check_wavelength(options["wavelength_nm"])
     return comparison.make(
         specs, out, models=models, ior=read_ior(ior), command=command_line(), progress=console.note, **options
     )  # fmt: skip
@@ -307,6 +308,7 @@ def change(specs: list[str], out: Path, wavelength_nm: float | None, u_rel: floa
     if any(maps):
         raise ConfigError(f"--change compares two maps, or two tables: {specs[maps.index(False)]} is no map")
     check_u_rel(u_rel)
+    check_wavelength(wavelength_nm)
     return change_page.make(
         specs, out, wavelength_nm=wavelength_nm, u_rel=u_rel, how=how, command=command_line(), progress=console.note
     )
@@ -317,6 +319,7 @@ def laboratories(
 ) -> Path:
     """The report on laboratories compared; `shared` as --shared gives it."""
     check_u_rel(u_rel)
+    check_wavelength(wavelength_nm)
     pairs = [one.partition("=") for one in shared]
     whose = once("--shared", [(cause, who.split(",") if equals else None) for cause, equals, who in pairs])
     return laboratories_page.make(
@@ -327,8 +330,7 @@ def laboratories(
 
 def appearance(sample: str, wavelength_nm: float | None, out: Path | None, how: Reading, *, as_json: bool) -> None:
     """Print the quantities of a table or a model, and write a page with them."""
-    if wavelength_nm is not None and not 0.0 < wavelength_nm < float("inf"):
-        raise ConfigError(f"--wavelength-nm {wavelength_nm:g}: a wavelength is above 0 nm")
+    check_wavelength(wavelength_nm)
     found = appearance_page.of(sample, wavelength_nm=wavelength_nm, how=how)
     page = None if out is None else appearance_page.make(found, out, command=command_line())
     remember([sample], how)

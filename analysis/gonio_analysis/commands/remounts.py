@@ -1,6 +1,7 @@
 """`gonio remounts`."""
 
 import json
+from io import BytesIO
 from pathlib import Path
 from typing import Annotated
 
@@ -24,13 +25,16 @@ def remounts(
     """What an instrument repeats to when a sample is mounted again: scale, zero of the angle, and the rest."""
     from gonio import measurement
     from gonio.cli import console
+    from gonio.disk import put
     from gonio.errors import ConfigError
     from gonio_analysis.changes import remounts as scatter
+    from gonio_analysis.fitting.observations import check_wavelength
 
     if len(set(mounts)) < 2:
         raise ConfigError("gonio remounts: two tables are needed at least, each named once")
     if (add_to is None) != (out is None):
         raise ConfigError("--add-to and --out go together: the table that is read, and the one that is written")
+    check_wavelength(wavelength_nm)
     how = reading(columns, blank)
     tables = {}
     for one in dict.fromkeys(mounts):
@@ -43,10 +47,12 @@ def remounts(
     else:
         console.show(*found.lines())
     if picture is not None:
+        drawn = BytesIO()
         try:
-            scatter.draw(found).savefig(picture, dpi=150)
-        except (OSError, ValueError) as error:
+            scatter.draw(found).savefig(drawn, format=picture.suffix.removeprefix(".") or "png", dpi=150)
+        except ValueError as error:
             raise ConfigError(f"--picture {picture}: cannot be written: {error}") from None
+        put(picture, drawn.getvalue())
     if add_to is not None and out is not None:
         path, sample = measurement.split(add_to)
         table = measurement.read(path, sample=sample, columns=how.columns, blank=how.blank)

@@ -439,6 +439,12 @@ def check_u_rel(u_rel: float | None) -> None:
         raise ConfigError(f"--u-rel {u_rel:g}: a relative uncertainty lies between 0 and 1, as 0.03 for 3 %")
 
 
+def check_wavelength(wavelength_nm: float | None) -> None:
+    """Raise `ConfigError` for a wavelength [nm] that is none."""
+    if wavelength_nm is not None and not 0.0 < wavelength_nm < np.inf:
+        raise ConfigError(f"--wavelength-nm {wavelength_nm:g}: a wavelength is above 0 nm")
+
+
 def _assumed(brdf: Floats, wavelength_nm: Floats, u_rel: float) -> Floats:
     """u_rel times each value; those far below the median of their wavelength count as a tenth of it."""
     _, group = np.unique(wavelength_nm, return_inverse=True)

@@ -15,7 +15,7 @@ from gonio.maps import FIT_FLAGS, Held, MapFile, Tile
 from gonio.models import batch, batch_spectra
 from gonio.typing import Floats
 from gonio_analysis.fitting.misfit import groupings
-from gonio_analysis.fitting.observations import DEFAULT_WAVELENGTH_NM
+from gonio_analysis.fitting.observations import DEFAULT_WAVELENGTH_NM, check_wavelength
 from gonio_analysis.fitting.problem import FitRequest, pose
 from gonio_analysis.fitting.spectrum import geometry, picked
 
@@ -150,8 +150,7 @@ Points = tuple[npt.NDArray[np.intp], float]
 
 def _wavelengths(map_file: MapFile, asked: FitRequest, same: tuple[str, ...]) -> tuple[Points, list[Points], list[str]]:
     """Points that are fitted and shown, points that are fitted with them, and what is said of it."""
-    if asked.wavelength_nm is not None and not 0.0 < asked.wavelength_nm < math.inf:
-        raise ConfigError(f"--wavelength-nm {asked.wavelength_nm:g}: a wavelength is above 0 nm")
+    check_wavelength(asked.wavelength_nm)
     waves = map_file.array("wavelength_nm").astype(float)
     if not waves.size:
         raise DataError(f"{map_file.path}: has no points")

@@ -90,6 +90,10 @@ def test_the_command_writes_a_table_that_fits_read(tmp_path: Path) -> None:
     assert json.loads(done.stdout)["degrees_of_freedom"] == 1
     assert (tmp_path / "p.png").stat().st_size > 5000
     assert measurement.uncertainty(measurement.read(tmp_path / "c.csv"))[2] == ["remount_scale", "remount_zero"]
+    lines = gonio(tmp_path, "remounts", "a.csv", "b.csv", "--wavelength-nm", "700", expect=0).stdout
+    assert "common directions at 550 nm, the brightest 60 %" in lines  # the one that there is
+    assert "not supported" in gonio(tmp_path, "remounts", "a.csv", "b.csv", "--picture", "p.txt", expect=2).stderr
+    assert not (tmp_path / "p.txt").exists()
     assert "two tables are needed" in gonio(tmp_path, "remounts", "a.csv", expect=2).stderr
 
 
