@@ -9,8 +9,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from gonio.calibration import beam, black_frames, linearity, photon_transfer
-from gonio.calibration.camera_frames import CameraFrame
-from gonio.calibration.camera_passes import Passes
+from gonio.calibration.camera_frames import CameraFrame, Passes
 from gonio.errors import DataError
 from gonio.reduction.stray_light import spread
 from gonio.rig import Pose

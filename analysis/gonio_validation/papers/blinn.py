@@ -10,8 +10,17 @@ from gonio_analysis.report.text import number
 from gonio.models import Blinn, Phong
 from gonio.models.blinn import PRESETS
 from gonio.typing import Floats
-from gonio_validation.papers.figure import Claim, PaperFigure, Parameter, Results, Row, agreed
-from gonio_validation.papers.panels import polar_panel, signed, theory
+from gonio_validation.papers.figure import (
+    Claim,
+    PaperFigure,
+    Parameter,
+    Results,
+    Row,
+    agreed,
+    polar_panel,
+    signed,
+    theory,
+)
 
 PAPER = "Blinn, Models of Light Reflection for Computer Synthesized Pictures, SIGGRAPH 1977"
 INCIDENCE_DEG = {5: 30.0, 6: 70.0}

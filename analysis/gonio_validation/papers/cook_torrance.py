@@ -13,8 +13,20 @@ from gonio.models import fresnel
 from gonio.typing import Floats
 from gonio_validation.papers import cook_torrance_3
 from gonio_validation.papers.cook_torrance_3 import PAPER, SIMILAR
-from gonio_validation.papers.figure import Claim, CurveRow, Panel, PaperFigure, Parameter, Results, agreed
-from gonio_validation.papers.panels import WIDTH_IN, Trace, at, plain_axes, trace_panel
+from gonio_validation.papers.figure import (
+    WIDTH_IN,
+    Claim,
+    CurveRow,
+    Panel,
+    PaperFigure,
+    Parameter,
+    Results,
+    Trace,
+    agreed,
+    at,
+    plain_axes,
+    trace_panel,
+)
 
 D65_SOURCE = "CIE 15, relative power at 380 to 780 nm in steps of 5 nm"
 NM = np.arange(380.0, 781.0, 5.0)

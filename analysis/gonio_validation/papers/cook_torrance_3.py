@@ -7,8 +7,17 @@ from gonio_analysis.report.text import number
 
 from gonio.models import CookTorrance
 from gonio.typing import Floats
-from gonio_validation.papers.figure import Claim, PaperFigure, Parameter, Results, Row
-from gonio_validation.papers.panels import Trace, polar_panel, theory, trace_panel
+from gonio_validation.papers.figure import (
+    Claim,
+    PaperFigure,
+    Parameter,
+    Results,
+    Row,
+    Trace,
+    polar_panel,
+    theory,
+    trace_panel,
+)
 
 PAPER = "Cook and Torrance, A Reflectance Model for Computer Graphics, ACM Transactions on Graphics 1 (1982) 7-24"
 SLOPES = (0.2, 0.6)

@@ -1,8 +1,17 @@
-"""What the page of a paper's figure consists of: parameters, claims, drawings, results."""
+"""What the page of a paper's figure consists of: parameters, claims, results, and the drawings that figures share."""
+
+from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
+
+import numpy as np
+from gonio_analysis.curves.in_plane import Line
+from gonio_analysis.plots import in_plane, style
+
+from gonio import geometry
+from gonio.typing import Floats
 
 Origin = Literal["paper", "database", "derived", "assumed"]
 ORIGINS: dict[Origin, str] = {
@@ -102,3 +111,173 @@ class PaperFigure:
     """Provenance beyond command, date and versions."""
     files: Mapping[str, bytes] = field(default_factory=dict)
     """Further files of the page, by their path in its folder."""
+
+
+NOTHING = np.empty(0)
+WIDTH_IN = 5.6
+POLAR_IN, ANGLE_IN = 3.22, 3.2
+"""Height of a drawing above its legend, axes' labels included."""
+X_LABEL_IN = 0.45
+LEGEND_ROW_IN = 0.185
+THEORY, SIMULATED = "theory", "simulated measurement"
+RETRO_TO_MIRROR = "θr: retro side negative, mirror side positive"
+MIRROR_TO_RETRO = "θr: mirror side positive (left), retro side negative (right), as the paper draws it"
+
+
+@dataclass(frozen=True)
+class Trace:
+    """A curve over something that is not an angle of the instrument."""
+
+    label: str
+    x: Floats
+    y: Floats
+    dashed: bool = False
+
+
+def theory(label: str, angle: Floats, value: Floats, mirror: float | None = None) -> Line:
+    """A curve without a measurement."""
+    return Line(label, angle, value, NOTHING, NOTHING, NOTHING, mirror)
+
+
+def signed(theta_deg: Floats) -> tuple[Floats, Floats]:
+    """Polar angle and azimuth [rad] of signed in-plane angles [deg], for a source at azimuth 0."""
+    return geometry.unsigned(np.radians(theta_deg))
+
+
+def at(x: Floats, y: Floats, where: float) -> float:
+    """The value of a curve at an abscissa that it has (or the nearest to it)."""
+    return float(y[int(np.argmin(np.abs(x - where)))])
+
+
+def polar_panel(
+    name: str, caption: str, lines: Sequence[Line], radius_label: str, *, most: float = 2.5, retro_right: bool = False
+) -> Panel:
+    """The half-disc of `in_plane.polar` with its legend; curves that go beyond `most` are cut at the rim."""
+    rim = in_plane.radius_of(lines, most)
+    key = Key(in_plane.handles(lines), measured=any(line.measured.size for line in lines))
+    high = POLAR_IN + key.high
+
+    def on(figure: Any) -> None:
+        ax = figure.add_axes((0.01, key.high / high, 0.98, (POLAR_IN - 0.02) / high))
+        in_plane.polar(ax, lines, radius=rim, radius_label=radius_label, retro_right=retro_right, called="simulated")
+        key.draw(figure)
+
+    return Panel(name, caption, (WIDTH_IN, high), on, ("signed angle [deg]", radius_label), line_rows(lines))
+
+
+def angle_panel(
+    name: str,
+    caption: str,
+    lines: Sequence[Line],
+    y_label: str,
+    *,
+    logarithmic: bool = False,
+    x_label: str = "",
+    retro_right: bool = False,
+) -> Panel:
+    """Curves over the signed angle, on a linear or a logarithmic axis."""
+    key = Key(in_plane.handles(lines), measured=any(line.measured.size for line in lines))
+    high = ANGLE_IN + key.high
+
+    def on(figure: Any) -> None:
+        ax = _axes(figure, key)
+        if logarithmic:
+            in_plane.semilog(ax, lines, unit=y_label)
+        else:
+            in_plane.linear(ax, lines, y_label=y_label, retro_right=retro_right)
+        ax.set_xlabel(x_label or (MIRROR_TO_RETRO if retro_right else RETRO_TO_MIRROR))
+        key.draw(figure)
+
+    axes = (f"{x_label or 'signed angle'} [deg]", y_label)
+    return Panel(name, caption, (WIDTH_IN, high), on, axes, line_rows(lines))
+
+
+def trace_panel(
+    name: str, caption: str, traces: Sequence[Trace], x_label: str, y_label: str, *, bottom: float | None = 0.0
+) -> Panel:
+    """Curves over anything."""
+    lines = [theory(trace.label, trace.x, trace.y) for trace in traces]
+    paired = any(trace.dashed for trace in traces)
+    strokes = [(0, (4, 2)) if t.dashed else "-" if paired else in_plane.stroke(k, lines) for k, t in enumerate(traces)]
+    handles = in_plane.handles(lines)
+    for handle, ls in zip(handles, strokes, strict=True):
+        handle.set_linestyle(ls)
+    key = Key(handles, measured=False)
+
+    def on(figure: Any) -> None:
+        ax = _axes(figure, key)
+        for k, (trace, ls) in enumerate(zip(traces, strokes, strict=True)):
+            ax.plot(trace.x, trace.y, lw=1.4, zorder=3, color=in_plane.style(k)["color"], ls=ls)
+        ax.margins(x=0.0)
+        if bottom is not None:
+            ax.set_ylim(bottom=bottom)
+        plain_axes(ax, x_label, y_label)
+        key.draw(figure)
+
+    rows: list[CurveRow] = [(t.label, "theory", x, y, None) for t in traces for x, y in zip(t.x, t.y, strict=True)]
+    return Panel(name, caption, (WIDTH_IN, ANGLE_IN + key.high), on, (x_label, y_label), rows)
+
+
+def _axes(figure: Any, key: Key) -> Any:
+    """Axes above a legend."""
+    high = figure.get_figheight()
+    below = (X_LABEL_IN + key.high) / high
+    return figure.add_axes((0.13, below, 0.83, 1.0 - below - 0.1 / high))
+
+
+def plain_axes(ax: Any, x_label: str, y_label: str) -> None:
+    """Grid, labels and frame in the style of `in_plane`'s plots."""
+    ax.set_xlabel(x_label, fontsize=8)
+    ax.set_ylabel(y_label, fontsize=8)
+    ax.grid(color=style.FAINT, lw=0.5)
+    ax.tick_params(labelsize=7.5, color="#77808c")
+    ax.set_axisbelow(True)
+    for side, spine in ax.spines.items():
+        spine.set_visible(side in ("left", "bottom"))
+        spine.set_color("#77808c")
+
+
+class Key:
+    """A drawing's legend below its axes: the curves, and what solid and dashed lines are."""
+
+    def __init__(self, handles: Sequence[Any], *, measured: bool) -> None:
+        self._curves = [handle for handle in handles if handle.get_label()]
+        self._kinds = in_plane.kinds(THEORY, SIMULATED) if measured else []
+        longest = max((len(handle.get_label()) for handle in self._curves), default=1)
+        self._columns = min(len(self._curves), max(1, int(104 / (longest + 9))))
+
+    @property
+    def high(self) -> float:
+        """In inches."""
+        rows = -(-len(self._curves) // self._columns) if self._curves else 0
+        return LEGEND_ROW_IN * (rows + bool(self._kinds)) + 0.03
+
+    def draw(self, figure: Any) -> None:
+        """At the bottom of the figure."""
+        look = {"fontsize": 7.5, "frameon": False, "columnspacing": 1.1, "borderpad": 0.1, "labelspacing": 0.3}
+        above = LEGEND_ROW_IN / figure.get_figheight() if self._kinds else 0.0
+        if self._kinds:
+            figure.legend(handles=self._kinds, loc="lower center", ncol=2, handlelength=2.6, borderaxespad=0.1, **look)
+        if self._curves:
+            figure.legend(
+                handles=self._curves,
+                loc="lower center",
+                ncol=self._columns,
+                handlelength=2.6,
+                borderaxespad=0.1,
+                bbox_to_anchor=(0.5, above),
+                **look,
+            )
+
+
+def line_rows(lines: Sequence[Line]) -> list[CurveRow]:
+    """The points of curves for `curves.csv`; angles in degrees."""
+    rows: list[CurveRow] = []
+    for line in lines:
+        for kind, angle, value, u in (
+            ("theory", line.theory_angle, line.theory, np.full(line.theory.size, np.nan)),
+            ("simulated", line.angle, line.measured, line.u),
+        ):
+            # without the rounding of the way from degrees to radians and back
+            rows += [(line.label, kind, *row) for row in zip(np.round(np.degrees(angle), 10), value, u, strict=True)]
+    return rows

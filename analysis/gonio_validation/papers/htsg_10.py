@@ -8,7 +8,17 @@ from gonio_analysis.curves.in_plane import Line
 from gonio_analysis.report.text import number
 
 from gonio.typing import Floats
-from gonio_validation.papers.figure import Claim, Panel, PaperFigure, Parameter, Results, agreed
+from gonio_validation.papers.figure import (
+    Claim,
+    Panel,
+    PaperFigure,
+    Parameter,
+    Results,
+    agreed,
+    angle_panel,
+    at,
+    polar_panel,
+)
 from gonio_validation.papers.htsg_scans import agreement, label, scan
 from gonio_validation.papers.htsg_surfaces import (
     CONE_SR,
@@ -19,7 +29,6 @@ from gonio_validation.papers.htsg_surfaces import (
     index_parameter,
     measure,
 )
-from gonio_validation.papers.panels import angle_panel, at, polar_panel
 
 SLOPE = 4.4
 """sigma0 / tau"""

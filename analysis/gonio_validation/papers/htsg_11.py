@@ -11,11 +11,10 @@ from gonio_analysis.report.text import number
 from gonio import geometry, materials
 from gonio.models import fresnel
 from gonio_validation.papers import htsg_scans
-from gonio_validation.papers.figure import Claim, PaperFigure, Parameter
+from gonio_validation.papers.figure import Claim, PaperFigure, Parameter, angle_panel
 from gonio_validation.papers.htsg_scans import BRDF, Scan, agreement, each, scan
 from gonio_validation.papers.htsg_surfaces import CONE_SR, PAPER, HtsgSurface, cones_parameter, energy_limit, measure
 from gonio_validation.papers.htsg_surfaces import scan as directions
-from gonio_validation.papers.panels import angle_panel
 
 PLASTIC_A, PLASTIC_RHO = 0.15, 0.195
 INCIDENCES = (15.0, 30.0, 45.0, 60.0)

@@ -11,9 +11,8 @@ from gonio_analysis.report.text import number
 
 from gonio import geometry
 from gonio.typing import Floats
-from gonio_validation.papers.figure import Panel, Results
+from gonio_validation.papers.figure import NOTHING, Panel, Results, angle_panel, polar_panel, signed
 from gonio_validation.papers.htsg_surfaces import CONE_SR, CONES, Simulated, beside, divided
-from gonio_validation.papers.panels import NOTHING, angle_panel, polar_panel, signed
 
 BRDF = "BRDF [1/sr]"
 

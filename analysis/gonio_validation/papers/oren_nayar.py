@@ -11,7 +11,19 @@ from gonio_analysis.report.text import number
 from gonio.models import OrenNayar
 from gonio.typing import Floats
 from gonio_validation.papers import oren_nayar_samples
-from gonio_validation.papers.figure import Claim, PaperFigure, Parameter, Results, agreed
+from gonio_validation.papers.figure import (
+    Claim,
+    PaperFigure,
+    Parameter,
+    Results,
+    Trace,
+    agreed,
+    angle_panel,
+    at,
+    signed,
+    theory,
+    trace_panel,
+)
 from gonio_validation.papers.oren_nayar_samples import (
     DRAWN_DEG,
     JUDGED_DEG,
@@ -22,7 +34,6 @@ from gonio_validation.papers.oren_nayar_samples import (
     between,
     sides,
 )
-from gonio_validation.papers.panels import Trace, angle_panel, at, signed, theory, trace_panel
 
 INCIDENCES = (0.0, 15.0, 30.0, 45.0, 60.0, 75.0)
 AZIMUTHS = (0.0, 45.0, 90.0, 135.0, 180.0)

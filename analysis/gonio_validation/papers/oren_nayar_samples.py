@@ -14,8 +14,20 @@ from gonio_analysis.report.text import number
 
 from gonio.models import Blinn, Lambert, OrenNayar, Sum
 from gonio.typing import Floats
-from gonio_validation.papers.figure import Claim, PaperFigure, Parameter, Results, Row, agreed
-from gonio_validation.papers.panels import Trace, angle_panel, at, signed, theory, trace_panel
+from gonio_validation.papers.figure import (
+    Claim,
+    PaperFigure,
+    Parameter,
+    Results,
+    Row,
+    Trace,
+    agreed,
+    angle_panel,
+    at,
+    signed,
+    theory,
+    trace_panel,
+)
 
 PAPER = "Oren and Nayar, Generalization of Lambert's Reflectance Model, SIGGRAPH 1994"
 LOST = "lost in the scan"

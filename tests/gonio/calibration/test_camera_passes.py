@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from gonio.calibration.camera import calibrate
-from gonio.calibration.camera_passes import Passes
+from gonio.calibration.camera_frames import Passes
 from gonio.calibration.camera_scan import contradictions
 from gonio.errors import DataError
 from gonio.rig import Frame

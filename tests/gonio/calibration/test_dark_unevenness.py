@@ -7,8 +7,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from gonio.calibration.camera_frames import CameraFrame
-from gonio.calibration.camera_passes import Passes
+from gonio.calibration.camera_frames import CameraFrame, Passes
 from gonio.rig.description import RigDescription
 from gonio.rig.light_and_camera import Camera, Lamp
 

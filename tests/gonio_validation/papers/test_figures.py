@@ -24,9 +24,8 @@ from gonio_validation.papers import (
     oren_nayar,
     oren_nayar_samples,
 )
-from gonio_validation.papers.figure import Claim, agreed
+from gonio_validation.papers.figure import Claim, Trace, agreed, trace_panel
 from gonio_validation.papers.index import FIGURES
-from gonio_validation.papers.panels import Trace, trace_panel
 from matplotlib.figure import Figure
 
 from gonio.errors import ConfigError

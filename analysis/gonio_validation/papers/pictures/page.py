@@ -30,8 +30,7 @@ from gonio_scenes.render import render
 from gonio_scenes.scene import read
 
 from gonio.typing import JsonObject
-from gonio_validation.papers.figure import Claim
-from gonio_validation.papers.panels import Trace, trace_panel
+from gonio_validation.papers.figure import Claim, Trace, trace_panel
 from gonio_validation.papers.pictures import blinn, cook_torrance, htsg, oren_nayar
 from gonio_validation.papers.pictures.catalogue import SHOWN, TITLE, names, scene_file
 from gonio_validation.papers.pictures.sheet import contact_sheet, verdicts
