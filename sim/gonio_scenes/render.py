@@ -108,9 +108,9 @@ def render(scene: Scene, *, step: Step | None = None) -> Picture:
     error: Floats | None = None
     samples: Indices = np.broadcast_to(np.int64(1), count)
     above = 0
-    if not through_centres:
-        radiance, error, samples, above = _averaged(scene, integrator, told)
-    with np.errstate(over="ignore"):
+    with np.errstate(over="ignore"):  # what is no finite number is refused
+        if not through_centres:
+            radiance, error, samples, above = _averaged(scene, integrator, told)
         finite = bool(np.isfinite(radiance.sum()))
     if not finite:
         raise ConfigError(

@@ -107,6 +107,8 @@ def test_a_picture_of_many_wavelengths_is_shown_without_a_copy_of_it() -> None:
 def test_a_picture_that_is_no_finite_numbers_is_refused() -> None:
     with pytest.raises(ConfigError, match=r"^scene\.toml: light: radiances of the picture are no finite numbers"):
         rendered(camera=SMALL, light=3 * [SPHERE["light"][0] | {"irradiance": 1.7e308}])
+    with pytest.raises(ConfigError, match="radiances of the picture are no finite numbers"):  # sums of rays overflow
+        rendered(camera=SMALL | {"samples": 4}, light=[SPHERE["light"][0] | {"irradiance": 1.7e308}])
 
 
 # ---- how many rays a picture takes to a tolerance, and what it says of its error ----
