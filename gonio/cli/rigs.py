@@ -227,8 +227,8 @@ def set_zero(
 
     if not Path(rig).is_file():
         raise ConfigError(f'"{rig}" is no rig file to write into: gonio rig show {rig} > my.toml, then --rig my.toml')
-    if not math.isfinite(at):
-        raise ConfigError(f"--at {at:g}: must be a finite angle")
+    if not abs(at) <= 360.0:
+        raise ConfigError(f"--at {at:g}: an axis stands at an angle from -360 to 360 deg")
     manual = manual_rig_of(rig, "arms")
     hint = ": look for a loose magnet, a loose cable, or a servo near its end; nothing is written"
     zero = read_zero(manual, axis, at, manual.read_arms, hint=hint)

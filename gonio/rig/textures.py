@@ -63,8 +63,8 @@ def _texels(path: Path, where: str) -> Floats:
 def _of_npy(data: bytes, where: str) -> Floats:
     try:
         array = np.load(io.BytesIO(data), allow_pickle=False)
-    except (ValueError, EOFError, OSError) as error:
-        raise DataError(f"{where}: is no NPY array: {error}") from None
+    except (ValueError, EOFError, OSError):
+        raise DataError(f"{where}: is no NPY array of numbers, or is damaged") from None
     if not isinstance(array, np.ndarray) or array.dtype.kind not in "fiub":
         raise DataError(f"{where}: must hold real numbers")
     array = array.astype(np.float64)

@@ -169,8 +169,8 @@ def _npz(scene: Scene, table: PhotographTable, path: Path, data: bytes) -> tuple
         with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
             radiance, waves = (np.asarray(arrays[name]) for name in ("radiance", "wavelength_nm"))
             u = np.asarray(arrays["u_radiance"], np.float64) if "u_radiance" in arrays else None
-    except (ValueError, OSError, KeyError, zipfile.BadZipFile, EOFError) as error:
-        raise DataError(f"{path}: is no radiance.npz of gonio render: {error}") from None
+    except (ValueError, OSError, KeyError, zipfile.BadZipFile, EOFError):
+        raise DataError(f"{path}: is no radiance.npz of gonio render, or is damaged") from None
     if radiance.ndim != 3 or waves.shape != radiance.shape[2:] or (u is not None and u.shape != radiance.shape):
         raise DataError(f"{path}: radiance has the shape {radiance.shape}; (height, width, wavelengths) is needed")
     k = _wavelength(scene, path, waves)
@@ -228,8 +228,8 @@ def _one_of(channels: JsonObject, table: PhotographTable, path: Path) -> Any:
 def _npy(scene: Scene, table: PhotographTable, path: Path, data: bytes) -> tuple[Any, None]:
     try:
         array = np.load(io.BytesIO(data), allow_pickle=False)
-    except (ValueError, OSError, EOFError) as error:
-        raise DataError(f"{path}: cannot be read as an array: {error}") from None
+    except (ValueError, OSError, EOFError):
+        raise DataError(f"{path}: is no NPY array of numbers, or is damaged") from None
     return _plane(table, path, array), None
 
 

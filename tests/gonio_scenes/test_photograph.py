@@ -293,7 +293,9 @@ SHAPE = (CAMERA["height"], CAMERA["width"])
 @pytest.mark.parametrize(
     ("name", "content", "message"),
     [
-        ("a.npy", b"", "cannot be read as an array"),
+        ("a.npy", b"", "is no NPY array of numbers, or is damaged"),
+        ("a.npy", b"no array", "is no NPY array of numbers, or is damaged"),
+        ("a.npz", b"no archive", "is no radiance.npz of gonio render, or is damaged"),
         ("a.npz", b"PK", "no radiance.npz"),
         ("a.tif", b"II*", "cannot be read as TIFF"),
         ("a.dng", b"nothing", r"\[photograph.sensor\]"),

@@ -159,6 +159,15 @@ def test_commands_on_a_simulated_rig(tmp_path: Path, words: list[str], code: int
     assert (done.returncode, message in done.stdout + done.stderr) == (code, True), done.stdout + done.stderr
 
 
+@pytest.mark.parametrize("at", ["1e6", "nan", "-inf"])
+def test_no_axis_stands_at_an_absurd_angle(tmp_path: Path, at: str) -> None:
+    (tmp_path / "my.toml").write_text(run(tmp_path, "rig", "show", "sim").stdout, encoding="utf-8")
+    before = (tmp_path / "my.toml").read_bytes()
+    done = run(tmp_path, "rig", "set-zero", "light", "--rig", "my.toml", "--at", at)
+    assert (done.returncode, "an axis stands at an angle from -360 to 360 deg" in done.stderr) == (2, True)
+    assert [(path.name, path.read_bytes()) for path in tmp_path.iterdir()] == [("my.toml", before)]
+
+
 # ---- what was measured by hand is kept, whatever fails afterwards ----
 
 
