@@ -253,6 +253,10 @@ class Holder(Axis):
         return self
 
 
+Reflectance = Annotated[float, Field(gt=0, le=1)]
+"""Of a white: a black one tells nothing."""
+
+
 class Reference(Strict):
     """The white reference: how it is reached, and what its certificate says."""
 
@@ -260,7 +264,7 @@ class Reference(Strict):
     """Which white it is, as on its certificate: tables of one white share its error (docs/laboratories.md)."""
     how: Literal["beside", "axis", "swap", "beam"] = "swap"
     """"beam": no white at all. The holder is empty, and the camera looks into the lamp through `attenuation`."""
-    albedo: Fraction | None = 0.99
+    albedo: Reflectance | None = 0.99
     table: str | None = None
     """A measurement table of the reference's BRDF, instead of a Lambertian albedo; a path beside the rig file."""
     u_rel: NonNegative = 0.0
@@ -268,7 +272,7 @@ class Reference(Strict):
     """A digital calibration certificate (DCC, XML) that says both, instead of them; a path beside the rig file."""
     certificate_quantity: str | None = None
     """Which of the certificate's quantities is meant, by a part of its name or its id; where there are several."""
-    spectrum: tuple[tuple[Positive, Fraction, NonNegative], ...] = ()
+    spectrum: tuple[tuple[Positive, Reflectance, NonNegative], ...] = ()
     """[nm, albedo, relative standard uncertainty] where a certificate has several wavelengths; linear in between."""
     error: Literal["drawn", "none"] = "none"
     """Simulation: draw the reference's true error from the seed, or have none."""

@@ -175,6 +175,12 @@ def test_a_reference_is_linear_between_the_wavelengths_of_its_certificate() -> N
     assert Reference(albedo=0.95, u_rel=0.02).at(2000.0) == (0.95, 0.02)
 
 
+@pytest.mark.parametrize("given", [{"albedo": 0.0}, {"spectrum": ((500.0, 0.0, 0.01),)}])
+def test_a_white_that_reflects_nothing_is_refused_before_it_is_measured(given: dict[str, Any]) -> None:
+    with pytest.raises(ValidationError, match="greater than 0"):
+        Reference.model_validate(given)
+
+
 @pytest.mark.parametrize(("how", "attenuation"), [("beam", None), ("swap", 0.5)])
 def test_a_beam_and_its_attenuation_go_together(how: str, attenuation: float | None) -> None:
     Reference(how="beam", attenuation=0.5)
