@@ -254,11 +254,12 @@ class LaboratoryValues:
 
     value: Floats
     covariance: Covariance
-    interpolated: int
+    error: Floats
+    """Of the interpolation [1/sr], which the covariance holds too; 0 in the same direction."""
 
     def take(self, rows: Rows) -> LaboratoryValues:
         """Some of them."""
-        return LaboratoryValues(self.value[rows], self.covariance.take(rows), self.interpolated)
+        return LaboratoryValues(self.value[rows], self.covariance.take(rows), self.error[rows])
 
 
 @dataclass(frozen=True)
@@ -293,7 +294,8 @@ def common_shape(at: Observations, found: Sequence[LaboratoryValues], keys: Sequ
             ]
             scales = np.array([fit.scale for fit in fits])
             off = [v - fit.scale * shape + fit.tilt * slope for v, fit in zip(y, fits, strict=True)]
-            scatter, p_scatter = _scatters(off, covariances, weights / weights.sum(axis=0), bool(slope.any()))
+            errors = np.array([one.error / s for one, s in zip(found, scales, strict=True)])
+            scatter, p_scatter = _scatters(off, covariances, weights, scales, errors, bool(slope.any()))
             if np.all(np.abs(scales / before - 1.0) < SETTLED):
                 break
         if again == 0:
@@ -375,19 +377,36 @@ def _fitted(values: Floats, covariance: Covariance, shape: Floats, slope: Floats
 
 
 def _scatters(
-    off: Sequence[Floats], covariances: Sequence[Covariance], shares: Floats, with_slope: bool
+    off: Sequence[Floats],
+    covariances: Sequence[Covariance],
+    weights: Floats,
+    scales: Floats,
+    errors: Floats,
+    with_slope: bool,
 ) -> tuple[Floats, Floats]:
-    """How many times as much each laboratory scatters as it states, and the probability of as much by chance."""
-    k, n = shares.shape
+    """How many times as much each laboratory scatters as it states, and the probability of as much by chance.
+
+    The probability is that of its distances from the shape of the others, where it scatters as it states. Of their
+    variance the others make a share, which is known as well as their own scatter.
+    """
+    k, n = weights.shape
     scatter, p = np.ones(k), np.ones(k)
-    if k < 3:
+    left = n - (2.0 if with_slope else 1.0)
+    if k < 3 or left < 1.0:
         return scatter, p
     for i, (residual, c) in enumerate(zip(off, covariances, strict=True)):
-        free = np.maximum(1.0 - shares[i], 1e-6)
-        freedom = float(free.sum()) - (2.0 if with_slope else 1.0) * float(free.mean())
-        if freedom < 1.0:
-            continue
-        squares = Covariance(c.random * np.sqrt(free), c.common, c.causes).chi_square(residual)
-        of_all = squares / max(n - (2.0 if with_slope else 1.0), 1.0)
-        scatter[i], p[i] = np.sqrt(of_all), float(chdtrc(freedom, freedom * of_all))
+        others = np.delete(weights, i, axis=0)
+        shares, off_others = others / others.sum(axis=0), np.delete(errors, i, axis=0)
+        # interpolations within one lobe err to one side, not each to its own, and by up to twice what is stated
+        one_sided = (2.0 * (errors[i] - (shares * off_others).sum(axis=0))) ** 2
+        one_sided -= errors[i] ** 2 + np.sum((shares * off_others) ** 2, axis=0)
+        of_others = scales[i] ** 2 * (1.0 / others.sum(axis=0) + np.maximum(one_sided, 0.0))
+        free = np.maximum(1.0 - weights[i] / weights.sum(axis=0), 1e-6)
+        apart = residual / free
+        expected = np.hypot(c.random, np.sqrt(of_others))
+        of_all = Covariance(expected, c.common, c.causes).chi_square(apart) / left
+        known = left / (1.0 + float(np.mean(of_others / expected**2)) ** 2 / (k - 2))
+        p[i] = float(chdtrc(known, known * of_all))
+        stated = np.sqrt(c.random**2 * free + scales[i] ** 2 * np.maximum(one_sided, 0.0) * free**2)
+        scatter[i] = np.sqrt(Covariance(stated, c.common, c.causes).chi_square(residual) / left)
     return scatter, p

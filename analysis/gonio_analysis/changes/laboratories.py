@@ -172,7 +172,7 @@ def compared(
         values=np.array([one.value for one in first]),
         u=np.array([one.covariance.total for one in first]),
         onto=sides[base].name,
-        interpolated=tuple(one.interpolated for one in first),
+        interpolated=tuple(int(np.count_nonzero(one.error)) for one in first),
         scales=relative,
         methods={m: consensus(solved.scales / by, solved.v_scales / by**2, m) for m in METHODS},
         chi_square=chi_square,
@@ -312,25 +312,32 @@ def _same_things(table: DataFrame | None) -> dict[str, str]:
 
 
 def _common(sides: Sequence[Side], say: Say) -> tuple[int, Rows, list[LaboratoryValues]]:
-    """In whose directions the most values are shared, which of them, and every laboratory's values there."""
+    """In whose directions the most values are shared, which of them, and every laboratory's values there.
+
+    Values that are interpolated from fewer count as those: they share their noise.
+    """
     best: tuple[tuple[int, float], int, Rows, list[tuple[Rows, LaboratoryValues]]] | None = None
     least = (np.inf, "", "", "")
     for base, still in enumerate(sides):
-        of_all, rough = still.measured, 0.0
+        of_all, rough, sources = still.measured, 0.0, len(still.measured)
         each = list[tuple[Rows, LaboratoryValues]]()
         for side in sides:
             if side is still:
-                each.append((np.arange(len(of_all)), LaboratoryValues(of_all.brdf, _covariance(still), 0)))
+                each.append(
+                    (np.arange(len(of_all)), LaboratoryValues(of_all.brdf, _covariance(still), np.zeros(len(of_all))))
+                )
                 continue
             rows, found, carried = _carried(of_all, side, 0.0, say)
             each.append((rows, found))
             rough += float(np.sum(carried.relative_error))
+            sources = min(sources, carried.sources)
             if rows.size < least[0]:
                 least = (rows.size, still.source, side.source, describe_left_out(carried.missing))
         counts = np.bincount(np.concatenate([rows for rows, _ in each]), minlength=len(of_all))
         rows = np.flatnonzero(counts == len(sides))
-        if best is None or (rows.size, -rough) > best[0]:
-            best = ((rows.size, -rough), base, rows, each)
+        score = min(rows.size, sources), -rough
+        if best is None or score > best[0]:
+            best = (score, base, rows, each)
     assert best is not None
     _, base, rows, each = best
     if not rows.size:
@@ -349,7 +356,7 @@ def _carried(at: Observations, side: Side, turn: float, say: Say = silent) -> tu
         data = replace(data, directions=directions, unused=Unused()).take(above)
     found = carry(at, data, say)
     covariance = Covariance(np.hypot(found.random, found.error), found.common, _covariance(side).causes)
-    return found.rows, LaboratoryValues(found.value, covariance, found.interpolated), found
+    return found.rows, LaboratoryValues(found.value, covariance, found.error), found
 
 
 def _zeros(solved: CommonShape, turned: Floats) -> tuple[Floats, Any]:

@@ -59,6 +59,8 @@ class Carried:
     """Error of the interpolation [1/sr]; 0 in the same direction."""
     missing: dict[str, int]
     """Why values of A have no counterpart, and how many."""
+    sources: int
+    """How many values of B they are made of."""
 
     @property
     def interpolated(self) -> int:
@@ -104,7 +106,7 @@ def carry(a: Observations, b: Observations, say: Say = silent, known: Known | No
     n = len(a)
     k = len(b.covariance.causes) if b.covariance is not None else 0
     value, random, error = np.full(n, np.nan), np.zeros(n), np.zeros(n)
-    common = np.zeros((n, k))
+    common, used = np.zeros((n, k)), np.zeros(len(b), dtype=bool)
     missing = {"at another wavelength": n}
     unused = _Holes.of(b.unused)
     common_waves = common_wavelengths(a, b)
@@ -132,6 +134,7 @@ def carry(a: Observations, b: Observations, say: Say = silent, known: Known | No
                 reason = "outside the other's directions, or in a hole of them"
                 missing[reason] = missing.get(reason, 0) + int((~found).sum())
             rows, near, w = group[found], partner[nodes[found]], weights[found]
+            used[near[w > 0.0]] = True
             value[rows], error[rows] = (w * b.brdf[near]).sum(axis=1), curvature[found]
             if b.covariance is not None:
                 random[rows] = np.sqrt((w**2 * b.covariance.random[near] ** 2).sum(axis=1))
@@ -144,7 +147,7 @@ def carry(a: Observations, b: Observations, say: Say = silent, known: Known | No
         random = random[rows]
         common = common[rows]
         error = error[rows]
-    return Carried(rows, value, random, common, error, missing)
+    return Carried(rows, value, random, common, error, missing, int(np.count_nonzero(used)))
 
 
 def turned_in_plane(directions: Directions, by: float) -> tuple[Directions, Any]:
