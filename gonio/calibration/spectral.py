@@ -17,7 +17,8 @@ from gonio.rig.light_and_camera import Bands
 from gonio.typing import Floats, TomlTable
 
 FLOOR = 0.02
-"""Part of the peak: what lies below is baseline, and not of the band."""
+"""Part of the peak: what lies below is baseline, and not of the band. Of its centroid values up to three
+times it are a growing part: a cut would move it by where single wavelengths lie."""
 FEWEST = 7
 
 
@@ -84,20 +85,25 @@ def spectrum(name: str, wavelength_nm: Floats, signal: Floats, u_signal: Floats 
             f'band "{name}": its spectrum from {x[0]:g} to {x[-1]:g} nm does not hold the band whole: it must fall '
             "below a tenth of its peak at both ends"
         )
-    left, u_left = _crossing(x, y, u_signal, int(below[-1]), half)
-    right, u_right = _crossing(x, y, u_signal, int(above[0]) - 1, half)
-    used = y > FLOOR * y[top]
-    width = np.gradient(x)[used]
-    total = float(np.sum(y[used] * width))
-    centre = float(np.sum(x[used] * y[used] * width)) / total
-    u_centre = math.sqrt(float(np.sum(((x[used] - centre) * width * u_signal[used]) ** 2))) / total
-    return Spectrum(name, centre, right - left, u_centre, math.hypot(u_left, u_right))
+    left, u_left, by_left = _crossing(x, y, u_signal, int(below[-1]), half)
+    right, u_right, by_right = _crossing(x, y, u_signal, int(above[0]) - 1, half)
+    # the peak may lie between two wavelengths
+    u_half = 0.5 * math.hypot(float(u_signal[top]), 0.25 * float(y[top] - min(y[top - 1], y[top + 1])))
+    u_fwhm = math.hypot(u_left, u_right, u_half * (by_left + by_right))
+    over = y / (FLOOR * y[top])
+    share = np.clip(0.5 * (over - 1.0), 0.0, 1.0)
+    width = np.gradient(x)
+    total = float(np.sum(y * share * width))
+    centre = float(np.sum(x * y * share * width)) / total
+    lever = (x - centre) * width * np.where((share > 0.0) & (share < 1.0), share + 0.5 * over, share)
+    return Spectrum(name, centre, right - left, float(np.linalg.norm(lever * u_signal)) / total, u_fwhm)
 
 
-def _crossing(x: Floats, y: Floats, u: Floats, k: int, half: float) -> tuple[float, float]:
-    """Where the line from value k to the next crosses half of the peak, and its standard uncertainty."""
+def _crossing(x: Floats, y: Floats, u: Floats, k: int, half: float) -> tuple[float, float, float]:
+    """Where the line from value k to the next crosses half of the peak, its standard uncertainty, and its shift for a
+    change of that half by 1."""
     slope = float((y[k + 1] - y[k]) / (x[k + 1] - x[k]))
-    return float(x[k] + (half - y[k]) / slope), float(max(u[k], u[k + 1])) / abs(slope)
+    return float(x[k] + (half - y[k]) / slope), float(max(u[k], u[k + 1])) / abs(slope), 1.0 / abs(slope)
 
 
 def wavelength_scale(path: str | Path) -> Scale:
