@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from gonio_drivers.interlock import Contact, Interlock, Latch, SerialLine, Tripped
+from gonio_drivers.interlock import SerialLine, Tripped
 from gonio_drivers.lab import LAB
 from gonio_sim.wire import faults, motion, tether
 from gonio_sim.wire.twins import Twins
@@ -304,39 +304,6 @@ def test_a_servo_without_external_ports_is_refused(serve: Serve) -> None:
 
 
 # ---- a serial line ----
-
-
-class Line(Contact):
-    """A contact by a script."""
-
-    name, period_s = "a line", 0.001
-
-    def __init__(self) -> None:
-        self.state: bool | DeviceError = True
-
-    def closed(self) -> bool:
-        if isinstance(self.state, DeviceError):
-            raise self.state
-        return self.state
-
-    def __exit__(self, *_: object) -> None: ...
-
-
-@pytest.mark.parametrize("state", [False, DeviceError("the port went away")])
-def test_an_open_or_lost_contact_darkens_at_once_and_is_kept(tmp_path: Path, state: bool | DeviceError) -> None:
-    line, dark, latch = Line(), threading.Event(), Latch(tmp_path / "state" / "stop.json")
-    with Interlock(line, dark.set, latch) as guard:
-        guard.require()
-        line.state = state
-        assert dark.wait(10.0)
-        line.state = True  # closing it again changes nothing
-        with pytest.raises(Tripped, match="emergency stop"):
-            guard.require()
-    with Interlock(line, dark.set, latch) as again, pytest.raises(Tripped, match="not acknowledged yet"):
-        again.require()
-    assert "a line" in again.acknowledge()
-    with Interlock(line, dark.set, latch) as fresh:
-        fresh.require()
 
 
 def test_modem_lines_of_a_serial_port_are_read() -> None:

@@ -48,14 +48,6 @@ def hemisphere(model: object, *, step: float = 10.0, shift: float = 0.0) -> pd.D
     )  # fmt: skip
 
 
-def test_values_in_the_same_direction_are_taken_as_they_are() -> None:
-    data = observations(measure(GLOSS))
-    same = carry(data, data)
-    assert np.array_equal(same.value, data.brdf)
-    assert same.interpolated == 0
-    assert not same.missing
-
-
 def test_interpolation_in_plane_stays_within_its_stated_error() -> None:
     coarse, fine = (
         measure(GLOSS, noise=0.0, floor=1e-9),

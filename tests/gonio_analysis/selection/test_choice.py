@@ -2,7 +2,6 @@
 
 import itertools
 import json
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 from types import SimpleNamespace
@@ -17,7 +16,6 @@ from gonio_analysis.fitting.profile_likelihood import profiles
 from gonio_analysis.result_records import as_json
 from gonio_analysis.selection import choice as choosing
 from gonio_analysis.selection.choice import Choice, candidates, choose
-from gonio_analysis.selection.compare import jump
 from gonio_analysis.selection.judging import Candidate, blocks, incidences
 
 from gonio.errors import ConfigError, DataError
@@ -247,27 +245,3 @@ def test_the_tape_of_cea_is_nearest_to_the_retroreflecting_model() -> None:
     lobe = np.linalg.norm(light - view, axis=-1) < 0.052
     assert lobe.sum() > 50
     assert np.median(np.abs(np.log(result.predicted[lobe] / near.brdf[lobe]))) < 0.25
-
-
-@pytest.mark.parametrize(
-    ("value", "u", "jumps"),
-    [
-        (0.1, 0.0, []),
-        (0.29, 0.0, []),
-        (0.31, 0.0, ["m"]),
-        (0.034, 0.0, []),
-        (0.032, 0.0, ["m"]),
-        (0.5, 0.15, []),
-        (0.5, 0.12, ["m"]),
-        (-1.0, 0.0, []),
-    ],
-)
-def test_a_width_jumps_by_more_than_a_factor_of_three_and_more_than_three_uncertainties(
-    value: float, u: float, jumps: list[str]
-) -> None:
-    def fitted(width: float, level: float) -> Any:
-        found = {"m": SimpleNamespace(value=width, u=u / math.sqrt(2.0)), "s": SimpleNamespace(value=level, u=None)}
-        scale = {"m": SimpleNamespace(scale="log"), "s": SimpleNamespace(scale="linear")}
-        return SimpleNamespace(free=list(found), parameters=found, problem=SimpleNamespace(parameter=scale.get))
-
-    assert jump(fitted(0.1, 0.001), fitted(value, 0.9)) == jumps, "levels may follow a colour"
