@@ -10,7 +10,7 @@ from scipy.linalg import block_diag
 
 from gonio.calibration import beam, black_frames, linearity, photon_transfer
 from gonio.calibration.camera_frames import CameraFrame, Passes
-from gonio.errors import DataError
+from gonio.errors import ConfigError, DataError
 from gonio.reduction.stray_light import spread
 from gonio.rig import Pose
 from gonio.rig.calibration_files import Calibration
@@ -86,8 +86,7 @@ def calibrate_response(frames: Sequence[CameraFrame], description: RigDescriptio
     """The response curve of a camera of 8 bits, from flats of one still scene at several exposures."""
     camera = description.camera
     flats = [frame for frame in frames if frame.kind == "flat"]
-    if camera.bits != 8:
-        raise DataError(f"camera.bits = {camera.bits}: a response curve is for cameras of 8 bits")
+    require_8_bits(camera)
     if not flats:
         raise DataError("there are no flat frames: a response curve needs a bracket of exposures")
     images = [frame.read(camera) for frame in flats]
@@ -98,6 +97,14 @@ def calibrate_response(frames: Sequence[CameraFrame], description: RigDescriptio
     return CameraCalibration(
         values, [], np.zeros((0, 0)), notes, {"flats": len(flats)}, None, None, None, np.zeros((2, 0))
     )
+
+
+def require_8_bits(camera: Camera) -> None:
+    """Raise `ConfigError` where a camera is none of 8 bits, which alone have a response curve."""
+    if camera.bits != 8:
+        raise ConfigError(
+            f"camera.bits = {camera.bits}: a response curve is for cameras of 8 bits; leave out --response"
+        )
 
 
 class _Work(Passes):

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from gonio.acquisition.measure import find_rig
 from gonio.by_hand.manual_rig import ManualRig, usual_band
-from gonio.calibration.camera import CameraCalibration, calibrate_response, draw
+from gonio.calibration.camera import CameraCalibration, calibrate_response, draw, require_8_bits
 from gonio.calibration.camera import calibrate as reduced
 from gonio.calibration.camera_frames import CameraFrame, read_list
 from gonio.calibration.camera_scan import Scan
@@ -69,6 +69,9 @@ def calibrate(
             f"{rig}: the camera has a response curve (camera.response): photon transfer is for linear cameras, "
             "and its noise stays that of the rig file; --response measures the curve again"
         )
+    if response:
+        require_8_bits(description.camera)
+        kinds = ["flats"]
     band = usual_band(description, asked.wavelength_nm)
     taken = read_list(frames) if frames is not None else _take(rig, folder, kinds, asked)
     found = calibrate_response(taken, description) if response else reduced(taken, description, band.channel)

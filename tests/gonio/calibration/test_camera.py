@@ -273,6 +273,12 @@ def test_many_pairs_that_differ_are_refused(bench: Path, tmp_path: Path) -> None
     assert not list(tmp_path.glob("bad*"))
 
 
+def test_a_response_is_refused_before_frames_are_taken_of_a_camera_that_has_none(tmp_path: Path) -> None:
+    words = ("calibrate", "camera", "--rig", "sim", "--response", "--out", "camera.toml", "--yes")
+    assert "camera.bits = 12: a response curve is for cameras of 8 bits" in gonio(tmp_path, *words, expect=2).stderr
+    assert not list(tmp_path.iterdir())
+
+
 def test_response_of_a_video_camera_goes_through_a_run(tmp_path: Path) -> None:
     """A gamma of 2.2: the bracket gives the curve, and a run with it gives the sample's BRDF."""
     gamma = (255.0 * (np.arange(256) / 255.0) ** 2.2).tolist()

@@ -169,6 +169,18 @@ def test_gamma_of_a_video_camera_is_found() -> None:
         linearity.curve(frames[:4], exposures[:4])
 
 
+def test_pairs_of_one_exposure_may_differ_as_a_lamp_does() -> None:
+    """A scatter of 1 % is two steps of a bright frame: only a longer exposure that is darker is a fault."""
+    light, exposures = np.geomspace(0.05, 1.6, 1600).reshape(40, 40), np.repeat(np.geomspace(0.02, 4.0, 16), 2)
+    lamp = 1.0 + 0.01 * np.tile([1.0, -1.0], 16)
+    frames = [np.rint(255.0 * np.minimum(light * t, 1.0)).astype(np.uint8) for t in exposures * lamp]
+    found = np.array(linearity.curve(frames, exposures))
+    # the lamp's 1 % in each frame, of which there are 32
+    assert np.abs(found[40:] / np.arange(40.0, 256.0) - 1.0).max() < 0.01
+    with pytest.raises(DataError, match="a longer exposure are darker"):
+        linearity.curve(frames[::-1], exposures)
+
+
 def test_dark_current_doubles_where_arrhenius_says() -> None:
     t = np.array([0.0, 10.0, 20.0, 30.0])
     rate = 3.0 * np.exp(-0.6 / photon_transfer.BOLTZMANN_EV * (1 / (t + 273.15) - 1 / 288.15))
