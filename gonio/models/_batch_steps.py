@@ -36,7 +36,8 @@ STEP = 1e-6
 """Relative step of a parameter for a derivative by differences: its error is 1e-6 of the derivative."""
 SETTLED = 1e-8
 """Decrease of chi-square that a last step would bring: it is then shorter than 1e-4 standard errors."""
-MOST_STEPS, MOST_TRIALS = 400, 12
+MOST_STEPS, MOST_TRIALS = 1500, 12
+"""Levels and an index may replace each other along a bent valley of 500 steps and more."""
 FIRST_DAMPING = 1e-3
 NEAR_BOUND = 1e-4
 """Part of a parameter's range."""

@@ -46,6 +46,13 @@ TURNS = 8
 """Times that parameters and tau are found in turn, at most."""
 SETTLED = 1e-3
 """Change of ln tau that ends it: a hundredth of what tau is uncertain by, or less."""
+UNSETTLED = 0.1
+"""Part of chi-square over its degrees of freedom that one more step would take away, above which a search has not come
+to its end: those that have leave 1e-16, or 1e-2 where values are many decades apart."""
+NOT_AT_THE_END = (
+    "The search has not come to its end: one more step would lower chi-square by {:.2g}, so parameters may be off by"
+    " more than is stated. Parameters replace each other here: fix one (--fix) or say what is known of it (--prior)."
+)
 AGAIN = 8
 """Steps of a fit without a block, from where the linear step says it ends."""
 
@@ -176,7 +183,7 @@ def fit(
     elif not goal.whitened:
         notes.append("Standard errors come from the scatter of the residuals; there is no chi-square.")
     notes += remarks(result)
-    return replace(result, notes=[*data.notes, *notes], wall_s=time.perf_counter() - began)
+    return replace(result, notes=[*data.notes, *result.notes, *notes], wall_s=time.perf_counter() - began)
 
 
 def elsewhere(first: FitResult, by_wavelength: Mapping[float, Observations], name: str) -> list[FitResult]:
@@ -195,9 +202,14 @@ def _result(
     """What a solution comes to; its standard errors are those of a true model."""
     found = at_solution(problem, data, goal, vector, wavelength_nm)
     spread, condition = covariance(jacobian)
+    total = float(found.whitened @ found.whitened) / max(len(data) - len(problem.free), 1)
     if not goal.whitened:
-        total = float(found.whitened @ found.whitened)
-        spread = spread * max(total / (len(data) - len(problem.free)), ROUNDING)
+        spread = spread * max(total, ROUNDING)
+    lower, upper = problem.bounds
+    basis = np.linalg.qr(jacobian[:, (lower < vector) & (vector < upper)])[0]
+    left = float(np.sum((np.concatenate([found.whitened, problem.pulls(vector)]) @ basis) ** 2))
+    if left > UNSETTLED * total:
+        found = replace(found, notes=[NOT_AT_THE_END.format(left)])
     return replace(found, condition=condition).known_to(spread)
 
 

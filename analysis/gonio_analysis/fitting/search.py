@@ -42,6 +42,8 @@ APART = 0.05
 """On the search scale: starts that are nearer to each other are one."""
 SHORT = 12
 """Steps of a search that begins again inside a bound: enough to see which of several goes lowest."""
+LONG = 2000
+"""Evaluations of a search that goes on to its end: levels and an index may replace each other along a bent valley."""
 PROFILED = 5
 """Evaluations at a width of the profile, each but the last followed by a step."""
 NEAR = 25.0
@@ -268,7 +270,7 @@ def refine(
     start: Floats,
     *,
     quick: bool = False,
-    limit: int = 60,
+    limit: int = LONG,
     say: Say = silent,
     free: Rows | None = None,
     ratio: Floats | None = None,

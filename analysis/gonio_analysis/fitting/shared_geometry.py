@@ -16,13 +16,12 @@ from gonio_analysis.fitting.forward import apparent, averaging, pointlike
 from gonio_analysis.fitting.objective import Objective, alone, scaled_to, with_misfit
 from gonio_analysis.fitting.observations import Observations
 from gonio_analysis.fitting.problem import Problem
-from gonio_analysis.fitting.search import derivatives, last_step, least, to_full
+from gonio_analysis.fitting.search import LONG, derivatives, last_step, least, to_full
 from gonio_analysis.fitting.value_covariance import independent
 
 if TYPE_CHECKING:
     from gonio.instrument import Rules
 
-TRIALS = 60
 Evaluated = tuple[Floats, Floats]
 """Residuals (m,) and their derivatives (m, p)."""
 
@@ -163,7 +162,7 @@ class _Task:
             count += 1
             return self._evaluate(x, quick=quick)
 
-        self._found = _least(evaluate, np.append(vector, np.zeros(self._causes)), *self._bounds, limit=TRIALS)
+        self._found = _least(evaluate, np.append(vector, np.zeros(self._causes)), *self._bounds, limit=LONG)
         return self._found[: self._size]
 
     @property

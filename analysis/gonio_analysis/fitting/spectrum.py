@@ -24,8 +24,8 @@ from gonio_analysis.fitting.forward import apparent
 from gonio_analysis.fitting.misfit import estimated_tau
 from gonio_analysis.fitting.observations import Observations, observations
 from gonio_analysis.fitting.problem import FitRequest, Problem, pose
-from gonio_analysis.fitting.search import covariance
-from gonio_analysis.fitting.shared_geometry import TRIALS, _Task
+from gonio_analysis.fitting.search import LONG, covariance
+from gonio_analysis.fitting.shared_geometry import _Task
 from gonio_analysis.fitting.solution import ROUNDING, SIGNIFICANCE, residuals_on_log_scale
 from gonio_analysis.result_records import SharedGeometry
 
@@ -106,7 +106,7 @@ def fit_shared(
     taken = {w: one.take(np.arange(0, len(one), every)) if every > 1 else one for w, one in whole.items()}
     task = _Task(problem, common, taken)
     words = f"{name}: {label or first.name}, {len(whole)} wavelengths together, trial points"
-    pace = Pace(words, TRIALS, say, at_most=True)
+    pace = Pace(words, LONG, say, at_most=True)
     begun = (task.begin(s) for s in [first, *elsewhere(first, taken, name)])
     task, vector = _solved(task, min(begun, key=lambda found: found[1])[0], pace.step)
     vector, jacobian, total = task.settle(vector)

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 from typing import cast
 
 import numpy as np
+import pandas as pd
 import pytest
 from gonio_analysis.fitting import search
 from gonio_analysis.fitting.fit import fit
@@ -55,6 +56,46 @@ def test_a_search_that_ends_on_a_bound_begins_again_inside(seed: int) -> None:
     # a tenth of what one parameter may cost
     assert known(found.chi_square) == pytest.approx(known(near.chi_square), abs=0.1)
     assert not found.parameters["ior"].at_bound
+
+
+GLOSSY = {"s": 0.923, "m": 0.0619, "diffuse_albedo": 0.487, "ior": 1.624}
+
+
+def glossy(truth: dict[str, float], seed: int, incidences: tuple[float, ...], step_deg: float) -> pd.DataFrame:
+    """A narrow lobe on a bright base with noise of 0.1 %: s, diffuse_albedo and n replace each other along a long,
+    bent valley.
+    """
+    views = np.arange(-75.0, 76.0, step_deg)
+    model = build("cook-torrance", dict(truth))
+    return measure(model, noise=0.001, floor=0.0, seed=seed, incidences=incidences, views=views)
+
+
+@pytest.mark.parametrize(
+    ("truth", "seed", "incidences", "step_deg"),
+    [
+        (GLOSSY, 1, (21.6, 33.9, 37.8), 3.0),
+        ({"s": 0.897, "m": 0.0588, "diffuse_albedo": 0.699, "ior": 2.515}, 36, (17.0, 30.7, 46.7, 55.5), 7.0),
+        ({"s": 0.876, "m": 0.0366, "diffuse_albedo": 0.356, "ior": 1.598}, 93, (13.5, 19.1, 28.2, 35.2), 3.0),
+    ],
+)
+def test_a_search_along_a_long_valley_comes_to_its_end(
+    truth: dict[str, float], seed: int, incidences: tuple[float, ...], step_deg: float
+) -> None:
+    """After 60 evaluations chi-square is 34 to 57 above its least."""
+    table = glossy(truth, seed, incidences, step_deg)
+    found, near = fit(table, "cook-torrance"), fit(table, "cook-torrance", start=[truth])
+    # both end where a step changes the sum by 1e-8 of it
+    assert known(found.chi_square) == pytest.approx(known(near.chi_square), rel=1e-6)
+    assert not any("has not come to its end" in note for note in found.notes)
+
+
+def test_a_search_that_runs_out_of_steps_says_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    least = search.least
+    monkeypatch.setattr(search, "least", lambda *args, limit, **how: least(*args, limit=min(limit, 20), **how))
+    assert any(
+        "has not come to its end" in note
+        for note in fit(glossy(GLOSSY, 1, (21.6, 33.9, 37.8), 3.0), "cook-torrance").notes
+    )
 
 
 @pytest.mark.parametrize(
