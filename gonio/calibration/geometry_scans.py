@@ -19,6 +19,7 @@ from gonio.by_hand.alignment_scans import BRIGHT, Scans
 from gonio.by_hand.manual_rig import ManualRig
 from gonio.calibration import fiducials
 from gonio.calibration.geometry_problem import Sighting
+from gonio.disk import content
 from gonio.errors import ConfigError, DataError, DeviceError, os_error_as
 from gonio.geometry import overlap_of_discs
 from gonio.rig import Pose, imaging, kinematics
@@ -420,14 +421,16 @@ def read_sightings(path: Path) -> list[Sighting]:
 
     Raises
     ------
+    ConfigError
+        There is no such file.
     DataError
         It cannot be read, or a line is no sighting.
     """
     file = path / FILE if path.is_dir() else path
     try:
-        lines = file.read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise DataError(f"{file}: cannot be read: {getattr(error, 'strerror', None) or error}") from None
+        lines = content(file, str(file), unreadable=DataError).decode().splitlines()
+    except UnicodeDecodeError as error:
+        raise DataError(f"{file}: cannot be read: {error}") from None
     out = [_sighting(line, f"{file}, line {number}") for number, line in enumerate(lines, 1)]
     if not out:
         raise DataError(f"{file}: holds no sighting")

@@ -1,10 +1,12 @@
 """Tables of numbers that a calibration reads."""
 
 from collections.abc import Sequence
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
 
+from gonio.disk import content
 from gonio.errors import DataError
 from gonio.typing import DataFrame
 
@@ -16,16 +18,17 @@ def read_numbers(
 
     Raises
     ------
+    ConfigError
+        There is no such file.
     DataError
         The file cannot be read, lacks a column, is empty, or holds what is no number; the message names the row.
     """
     import pandas as pd
 
+    data = content(Path(path), str(path), unreadable=DataError)
     try:
-        table = pd.read_csv(path, skipinitialspace=True, comment="#", dtype=str)
-    except FileNotFoundError:
-        raise DataError(f"{path}: there is no such file") from None
-    except (OSError, ValueError) as error:
+        table = pd.read_csv(BytesIO(data), skipinitialspace=True, comment="#", dtype=str)
+    except ValueError as error:
         raise DataError(f"{path}: cannot be read as a table: {error}") from None
     missing = [name for name in (*words, *needed) if name not in table]
     if missing:

@@ -123,7 +123,7 @@ def _require_axes(sightings: Sequence[Sighting], description: RigDescription, sc
 
 def _lens(description: RigDescription, images: Path, board: Path) -> Intrinsics:
     if not images.is_dir():
-        raise DataError(f"{images}: is no folder of pictures")
+        raise ConfigError(f"{images}: is no folder of pictures")
     files = sorted(f for f in images.iterdir() if f.suffix.lower() in PICTURES)
     if not files:
         raise DataError(f"{images}: holds no picture ({', '.join(PICTURES)})")

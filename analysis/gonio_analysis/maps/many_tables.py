@@ -62,7 +62,10 @@ def listed(where: str) -> list[str]:
         try:
             lines = path.read_text(encoding="utf-8").splitlines()
         except (OSError, ValueError) as error:
-            raise ConfigError(f"--each {where}: a folder, or a text file with a table a line: {error}") from None
+            why = getattr(error, "strerror", None) or error
+            raise ConfigError(
+                f"--each {where}: a folder, or a text file with a table a line, is needed: {why}"
+            ) from None
         found = list(dict.fromkeys(line.strip() for line in lines if line.strip() and not line.startswith("#")))
     if not found:
         raise ConfigError(f"--each {where}: names no table")

@@ -171,7 +171,7 @@ def test_what_cannot_be_used_is_refused_in_words(tmp_path: Path) -> None:
     (tmp_path / "few.csv").write_text("time_s,signal_dn_per_s,u_shot_dn_per_s\n0,1,0.1\n")
     for more, words, code in (
         (("--series", "few.csv"), "the column exposure_s is missing", 1),
-        (("--series", "none.csv"), "there is no such file", 1),
+        (("--series", "none.csv"), "there is no such file", 2),
         (("--lines", "few.csv"), "the column line_nm is missing", 1),
     ):
         said = calibrated(tmp_path, *more)

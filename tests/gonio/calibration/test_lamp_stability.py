@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 from gonio.calibration import lamp_stability
-from gonio.errors import DataError
+from gonio.errors import ConfigError, DataError
 from gonio.typing import Floats
 
 LOSS, TAU, DRIFT, NOISE, SHOT = 0.08, 420.0, 0.012, 0.003, 0.0005
@@ -152,5 +152,7 @@ def test_bad_series_are_refused_by_file_row_and_column(tmp_path: Path) -> None:
     good.drop(columns="exposure_s").to_csv(file, index=False)
     with pytest.raises(DataError, match="the column exposure_s is missing"):
         lamp_stability.read_series(file)
-    with pytest.raises(DataError, match="no such file"):
+    with pytest.raises(DataError, match="pipe"):  # which has no end
+        lamp_stability.read_series(Path("/dev/zero"))
+    with pytest.raises(ConfigError, match="no such file"):
         lamp_stability.read_series(tmp_path / "none.csv")
