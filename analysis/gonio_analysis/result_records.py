@@ -50,7 +50,7 @@ class SharedGeometry:
 
     wavelengths_nm: list[float]
     parameters: list[str]
-    """Those that are the same at all of them."""
+    """Parameters that are the same at all wavelengths."""
     n_points: int
     n_free: int
     """Number of free parameters of all wavelengths together."""
@@ -243,7 +243,7 @@ class HealthSummary:
     quantity: str
     unit: str
     steps: int
-    """At which it was read."""
+    """Steps at which it was read."""
     lowest: float
     lowest_h: float
     """When, in hours from the run's first step."""
@@ -368,7 +368,7 @@ class RunFacts:
     budget: list[BudgetFacts] = field(default_factory=list)
     """One a wavelength; empty for runs that an older version reduced."""
     sessions: list[SessionSummary] = field(default_factory=list)
-    """Those in which steps were taken."""
+    """Sessions in which steps were taken."""
 
 
 @dataclass(frozen=True)

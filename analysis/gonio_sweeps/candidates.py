@@ -348,7 +348,7 @@ class _Line:
     variance: Floats
     """Of one visit to each."""
     there: list[int]
-    """Those that were visited or are taken, as numbers in `line`."""
+    """Candidates that were visited or are taken, as numbers in `line`."""
     squares: Floats
     """Square of the relative error in the middle of the gap after each point, over the fourth power of the gap."""
 

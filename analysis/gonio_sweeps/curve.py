@@ -135,7 +135,7 @@ class _State:
     noise: Floats
     """Variance that a point would have."""
     scale: Floats
-    """From the scale of the process to relative uncertainty."""
+    """Factor from the scale of the process to relative uncertainty."""
     goal: float
 
     @classmethod

@@ -75,7 +75,7 @@ class Spike:
     """Half angles of lamp and lens [rad]."""
     theta_i: Floats
     height: Floats
-    """In the mirror direction [1/sr]."""
+    """Height of the spike in the mirror direction [1/sr]."""
 
     def scaled(self, factor: Floats) -> Spike:
         """With other heights."""

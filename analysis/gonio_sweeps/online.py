@@ -41,7 +41,7 @@ class GrowingValues:
     common: dict[str, Floats]
     """By cause: the change of every value [1/sr] for one standard deviation of it; the zeros of the angles left out."""
     time_s: Floats
-    """On the rig's clock."""
+    """Time on the rig's clock."""
 
     def __len__(self) -> int:
         return int(self.brdf.size)

@@ -346,7 +346,7 @@ class Parameters(BudgetSampler[ParameterSettings]):
             gains = np.zeros(len(cost))
             for c, design, u, target, part in zip(covariances, designs, errors, weights, share, strict=True):
                 gains += part * expected.gains(c, free, design, u, _weights(c, free, target))
-            score = np.where(times < (1 if known.tau else REPEATS), gains / cost, -1.0)  # a misfit is the same again
+            score = np.where(times < (1 if known.tau else REPEATS), gains / cost, -1.0)  # a misfit stays on repetition
             k = highest(score)
             if gains[np.isfinite(cost)].max(initial=0.0) < LEAST_GAIN:
                 break

@@ -30,7 +30,7 @@ FAINT = 10.0
 """Values below this many times the smallest uncertainty may be negative: the logarithm then becomes the value."""
 FEWEST = 3
 SLOPE_STEP = float(np.radians(0.05))
-"""Over which slopes are taken [rad]: an encoder's half step or so."""
+"""Step over which slopes are taken [rad]: an encoder's half step or so."""
 K95 = 1.959964
 SEARCHES = 3
 """For the kernel's parameters, where lobe and base are summands: each begins where the last one left these."""
@@ -39,7 +39,7 @@ STEPS, SETTLED = 40, 0.1
 FAINTEST = 1e-6
 """Least size that a part begins with, in units of the link's: its logarithm is finite."""
 COMPARED_AGAIN = 1.25
-"""Beyond `ENOUGH` values all forms are compared again when their number has grown by this factor."""
+"""Growth of the number of values beyond `ENOUGH` after which all forms are compared again."""
 Slopes = tuple[Floats, Floats, Floats]
 MISFIT = 1.15
 """A root mean square of left-out residuals above it says that the process is smoother than the sample."""

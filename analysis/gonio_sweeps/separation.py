@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from gonio.acquisition.measure import Prepared
 
 SIGMAS = 5.0
-"""At which two things count as told apart."""
+"""Standard deviations at which two things count as told apart."""
 WIDE = 1e3
 """Standard deviations, of its own range, within which a rival's parameter may be anywhere."""
 NOTHING_SEEN = 1e3

@@ -109,7 +109,7 @@ class Measurement:
         self._measurable = frozenset(self._order)
         self._rows = {_key(point): row for row, point in reversed(list(enumerate(plan.points)))}
         self._next = 0
-        """In `_order`; all before it are done."""
+        """Place of the next step in `_order`; all before it are done."""
         self._gate = _Gate(self._scheduled)
         self._done: set[int] = set()
         self._thread: threading.Thread | None = None

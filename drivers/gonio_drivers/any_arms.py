@@ -103,7 +103,7 @@ class Arms(ABC, Generic[J]):
         self.every = every
         """All axes of the rig file, `absent` ones too, and the changer."""
         self.joints: dict[str, J] = {}
-        """Those that are used."""
+        """The joints that are used."""
         self.last: ArmsReading | None = None
         self.faulted = False
         """An axis has failed: nothing moves any more until the rig is opened again."""

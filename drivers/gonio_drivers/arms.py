@@ -69,7 +69,7 @@ class ServoArms(Arms[joints.Joint]):
         self._motion = Motion(self.bus, self.joints, servos, lambda: self.allowed())
         self.holds = servos.on_exit == "hold"
         self.deaf = False
-        """At the last `stop` no servo was heard: nobody knows whether it was."""
+        """Whether no servo was heard at the last `stop`: nobody knows then whether the servos heard it."""
 
     # ---- opening and leaving ----
 

@@ -25,7 +25,7 @@ OFF = {
 }  # fmt: skip
 """What a camera that has the feature must have it at: linear values, timed by us alone (names of the SFNC)."""
 EXPOSURES = ("ExposureTime", "ExposureTimeAbs")
-"""In microseconds; the second in cameras from before the SFNC 2.0."""
+"""Names of the exposure, in microseconds; the second in cameras from before the SFNC 2.0."""
 GAINS, BLACKS = ("Gain", "GainRaw"), ("BlackLevel", "BlackLevelRaw")
 BASES = {"RGGB": "BayerRG", "BGGR": "BayerBG", "GRBG": "BayerGR", "GBRG": "BayerGB", "mono": "Mono"}
 ONCE_MORE_S = 0.01

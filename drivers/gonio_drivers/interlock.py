@@ -31,7 +31,7 @@ KEY = "devices.interlock"
 NAME = "interlock"
 """Name of its readings."""
 PERIOD_S = 0.005
-"""Between two looks at a serial line."""
+"""Time between two looks at a serial line."""
 BUS_PERIOD_S = 0.02
 """The same at a servo's port, which the bus has to carry."""
 AGAIN_S = (0.0, 0.05, 0.2)

@@ -95,7 +95,7 @@ class Joint(Servo, AnyJoint):
     report: Report | None = None
     """The last one."""
     strained: list[Report] = field(default_factory=list)
-    """Those of the highest current and of the lowest voltage since somebody emptied this list."""
+    """Reports of the highest current and of the lowest voltage since somebody emptied this list."""
     also: dict[str, int] = field(default_factory=dict)
     """What its preparation sets beside the rest, by item."""
     turns: int = 0

@@ -60,7 +60,7 @@ class Dialect(config.Strict):
     set: str
     get: str
     got: str
-    """With one group: the number."""
+    """Pattern of an answer whose one group is the number."""
     full_scale: Positive
     """Setting for level 1."""
     resolution: NonNegative

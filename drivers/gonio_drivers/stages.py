@@ -51,7 +51,7 @@ class StageState:
     """What a stage says of itself."""
 
     position_deg: float
-    """In the stage's own readout, counted from its home."""
+    """Angle in the stage's own readout, counted from its home."""
     moving: bool
     homed: bool
     """Its readout means something: it has found its home since it was switched on."""
@@ -177,7 +177,7 @@ class Way:
     turned_s: float = 0.0
     """When it was last seen at another place."""
     looks: int = 0
-    """At it, since it last moved or said so."""
+    """Times that it was looked at since it last moved or said so."""
     at_deg: float = math.nan
     tries: int = 1
 

@@ -26,7 +26,7 @@ from gonio.rig.motion_planning import Blocked, route
 from gonio.typing import Floats, NDArray
 
 SETTLE_S = 0.2
-"""From the end of a move until the axes are known to stand still."""
+"""Time from the end of a move until the axes are known to stand still."""
 SAME_PLACE = math.radians(1e-6)
 """An axis this close to its goal stays where it is: far below an encoder's step."""
 

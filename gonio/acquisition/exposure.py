@@ -51,7 +51,7 @@ CLASSES = 8
 PILED = 32
 """Pixels of one level that are taken for full ones."""
 BLOCKS = 256
-"""That a frame is divided into at least, to see how bright its brightest pixels are."""
+"""Least number of blocks of a frame in which the brightest pixels are looked for."""
 MANY = 4_000_000
 """Pixels from which on a part of them is looked at."""
 STEEP = 3.0

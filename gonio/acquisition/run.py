@@ -227,7 +227,7 @@ class Run:
         batches = self._indexed.chosen
         self._require_own_choices(batches)
         count = len(self.planned.flags) + sum(len(batch["points"]) for batch in batches)
-        if self._index.last_point >= count:  # of a line that counts, or of one that was taken back
+        if self._index.last_point >= count:  # by a line that counts, or by one that a later line took back
             for step in self.steps():
                 if step.point is not None and step.point >= count:
                     line = self._index.lines[step.step] + 1

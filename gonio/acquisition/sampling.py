@@ -20,7 +20,7 @@ class Choice:
     """What is measured next, or that nothing is."""
 
     points: tuple[Point, ...]
-    """In the order in which they are measured; the same point may come again. None: it is enough."""
+    """Points in the order in which they are measured; the same point may come again. None: it is enough."""
     why: TomlTable = field(default_factory=dict)
     """What the journal keeps of the reasons: numbers and words, in lists and tables; numpy's too (`keepable`)."""
     message: str = ""

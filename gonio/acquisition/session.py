@@ -85,7 +85,7 @@ class _Session:
         self._still_deg = {
             name: max(MOVED_STEPS * axis.encoder_step_deg, MOVED_DEG) for name, axis in rig.description.axes().items()
         }
-        """By how much an axis may seem to move that stands still."""
+        """Largest angle by which an axis may seem to move that stands still."""
         self._lit = False
         self._target: Target | None = None
         self._taken_steps: list[_Taken] = []

@@ -24,7 +24,7 @@ from gonio.rig import Frame, Health, Pose, Reading, Rig, Step
 from gonio.rig.description import ROOM_LIGHT, RigDescription
 
 RECHECK_S = 2.0
-"""Between two looks while the run waits."""
+"""Time between two looks while the run waits."""
 NAP_S = 0.1
 """Ctrl-C is heard so soon meanwhile."""
 LAMP = "lamp"
@@ -184,9 +184,9 @@ def require(rig: Rig) -> None:
 
 
 LOOK_S = 0.2
-"""Between two looks while a run is held."""
+"""Time between two looks while a run is held."""
 WAITS_S = {"camera": (2.0, 10.0, 60.0), "lamp": (5.0, 30.0, 120.0)}
-"""Before a step is taken again after a fault that may pass, by its kind: as many attempts more as there are waits."""
+"""Waits before a step is taken again after a fault that may pass, by its kind: one more attempt after each."""
 JITTER = 0.1
 """Relative scatter of the waits, so that two rigs on one line do not ask in step."""
 RESERVE = 2_000_000

@@ -25,7 +25,7 @@ SPOT_PIXELS = 12
 DIM = 0.02
 """Part of full scale: where all frames are darker, also the longest ones, nobody knows whether the lamp was lit."""
 SEARCH_EXPOSURES = 0.01, 1.0, 20.0
-"""In exposures of a matt white surface: a mirror is brighter by its cones, a spot may be fainter than it should."""
+"""Exposures of a search, in that of a matt white: a mirror is brighter by its cones, a spot may be too faint."""
 MARKED = 0.4
 """The longest where there are printed markers: their white stays below `BRIGHT`, and is not taken for the lamp."""
 LONGEST_S = 2.0

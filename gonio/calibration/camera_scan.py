@@ -32,7 +32,7 @@ from gonio.typing import Bools, Floats
 Put = Literal["reference", "trap", "edge", "sample"]
 
 DARK_FRAMES = 8
-"""At each of four exposures."""
+"""Dark frames at each of four exposures."""
 LOW = np.linspace(0.03, 0.7, 14)
 HIGH = np.linspace(0.75, 1.15, 9)
 """Levels of the flats, as fractions of full scale: the gain's range, and around saturation."""

@@ -74,7 +74,7 @@ class Fit:
     residuals_px: list[Floats] = field(default_factory=list)
     """A sighting each: what is left of the spot, where there is one, and of the corners, shape (n, 2)."""
     sightings: tuple[Sighting, ...] = ()
-    """Those that were used."""
+    """The sightings that were used."""
     dropped: tuple[str, ...] = ()
     """What was left out because it lies too far from all else."""
     warnings: tuple[str, ...] = ()

@@ -33,9 +33,9 @@ MARKER_POSES = 120
 AGAINST_POSES = 24
 FEWEST = 6
 STEEPEST_DEG = 72.0
-"""Beyond it a mirror of the sample's size shows a sliver of the lamp, and markers run together."""
+"""Largest angle; beyond it a mirror of the sample's size shows a sliver of the lamp, and markers run together."""
 AWAY_DEG = 3.0
-"""From where an axis comes that has to arrive with its backlash open, or taken up: more than any backlash."""
+"""Way to a pose that is to be reached with its backlash open, or taken up: more than any backlash."""
 GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
 INSIDE, INSIDE_UNSURE = 0.85, 0.6
 """Part of the mirror's radius: its edge may lie a little beside where markers show it, or the rig file alone."""

@@ -39,7 +39,7 @@ class Stability:
     """What a series tells of a lamp."""
 
     level: float
-    """In the unit of the series, of the lamp when it is warm, without drift."""
+    """Level of the warm lamp, in the unit of the series, without drift."""
     loss: float
     """a: how far below that the lamp is when it is lit; 0 where no warm-up is seen."""
     time_constant_s: float

@@ -64,7 +64,7 @@ class PhotonTransfer:
     hidden: bool
     """Rounding hides the dark noise: it is at most the one that is given."""
     saturation_dn: float
-    """Above the dark level, where the variance is largest [DN]."""
+    """Level above the dark one where the variance is largest [DN]."""
     u_saturation_dn: float
     saturated: bool
     """False where the variance still grows at the brightest flats: saturation lies above."""
@@ -73,7 +73,7 @@ class PhotonTransfer:
     signal_dn: Floats
     """Signal of the flats, above the dark level, ascending; and what goes with each."""
     variance_dn2: Floats
-    """Above that of the dark frames."""
+    """Variance above that of the dark frames."""
     exposures_s: Floats
     total_variance_dn2: Floats
 
@@ -143,7 +143,7 @@ def photon_transfer(
     Parameters
     ----------
     flats, darks
-        In any order; pairs of one exposure are averaged. Over one region, of nearly one brightness.
+        Of one region of nearly one brightness, in any order; pairs of one exposure are averaged.
     dark_level
         Mean of the dark frames: level [DN] and slope over exposure [DN/s].
     camera

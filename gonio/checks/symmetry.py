@@ -67,7 +67,7 @@ class Pairs:
     """rms of ln(one / other)."""
     largest: float
     chi_square: float | None
-    """With the covariance of the values; None where no uncertainty is known."""
+    """Chi-square with the covariance of the values; None where no uncertainty is known."""
     logs: list[float]
     """ln(one / other) of every pair."""
     places: list[Place]

@@ -39,11 +39,11 @@ from gonio.live.event_log import EventLog
 HEAD_BYTES = 16384
 """A request's head is not longer."""
 HEAD_S = 5.0
-"""From the connection to the end of the request's head, at most."""
+"""Longest time from the connection to the end of the request's head."""
 SLOW_S = 10.0
 """A client that takes a piece of an answer no faster is dropped."""
 CONNECTIONS = 96
-"""At once; whoever comes later is told 503."""
+"""Most connections at once; whoever comes later is told 503."""
 STREAMS = 64
 """Most streams of events among the connections, so that room for pages is left."""
 HEARTBEAT_S = 3.0

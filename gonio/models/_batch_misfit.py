@@ -22,7 +22,7 @@ TURNS = 8
 """Times that parameters and misfit are found in turn, at most."""
 LEAST_TAU = 1e-12
 LOWEST, HIGHEST = -27.6, 6.9
-"""Between these ln tau is sought."""
+"""Limits between which ln tau is sought."""
 TOGETHER = 8
 """Factors whose product has one logarithm; each lies between 1e-30 and 1e30."""
 LEAST_LEFT = 1e-3

@@ -40,7 +40,7 @@ class Fits:
     covariance: Floats
     """Of the free parameters, shape (P, k, k), in their order; a row of zeros where one ended at a bound."""
     chi_square: Floats
-    """With the stated uncertainties (P,)."""
+    """Chi-square with the stated uncertainties (P,)."""
     tau: Floats
     """Relative misfit of a model that is rejected (P,); 0 elsewhere."""
     used: npt.NDArray[np.int64]

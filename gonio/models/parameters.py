@@ -38,7 +38,7 @@ class Fitted:
     lower: float
     upper: float
     scale: Literal["linear", "log"] = "linear"
-    """On which the search moves; "log" for lengths, widths and indices."""
+    """Scale on which the search moves; "log" for lengths, widths and indices."""
     unit: str = ""
     starts: tuple[float, ...] | Literal["diffuse", "peak"] = ()
     """Where to search from: every combination of all parameters' starts. "diffuse" is pi times the lower values that
@@ -204,7 +204,7 @@ class Declaration:
     parameters: Mapping[str, Fitted]
     """All that can be fitted."""
     free: tuple[str, ...]
-    """Those that are fitted unless the user says otherwise."""
+    """Parameters that are fitted unless the user says otherwise."""
     fixed: Values
     """Values of those that are not fitted unless the user frees them."""
     arguments: Callable[[Values], Arguments]

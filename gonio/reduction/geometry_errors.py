@@ -84,9 +84,9 @@ class Sights:
     """
 
     known: Floats
-    """With the rig as it is known."""
+    """Values with the rig as it is known."""
     changed: Floats
-    """With the rig one standard deviation of each cause up and down, shape (causes, 2, 5)."""
+    """Values with the rig one standard deviation of each cause up and down, shape (causes, 2, 5)."""
 
     underfilled: bool = False
     """The flux of the whole beam is known: it does not depend on where the place is, and spreads as cos(theta_r)."""

@@ -29,7 +29,7 @@ class SoFar:
     directions: Directions
     """What the encoders read."""
     time_s: Floats
-    """On the rig's clock."""
+    """Time on the rig's clock."""
     level: Floats
     """Signal per unit BRDF when each was measured [e- sr/s]."""
     brdf: Floats

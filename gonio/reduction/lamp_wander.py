@@ -119,7 +119,7 @@ class _Curve(NamedTuple):
     weight: float
     mean: Floats
     variance: Floats
-    """At some times, or the whole covariance."""
+    """Variance at some times, or the whole covariance."""
 
 
 class _Single(NamedTuple):

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from gonio.acquisition.run import Run
 
 MANY_POINTS = 1500
-"""With more, one tile is made at a time: it takes 0.3 MB a point."""
+"""Number of points above which one tile is made at a time: it takes 0.3 MB a point."""
 Counter = Callable[[str], AbstractContextManager[Callable[[int, int], None]]]
 """Shows how much of a named piece of work is done."""
 

@@ -317,7 +317,7 @@ class Region:
     """What makes a used pixel's signal the region's: `gonio.rig.regions.per_weight`, over the pixels' responsivities
     where they are mapped."""
     lit: Roi
-    """Those of its pixels that the beam falls on."""
+    """Pixels of the region that the beam falls on."""
 
 
 @dataclass(frozen=True, slots=True)

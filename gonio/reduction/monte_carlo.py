@@ -37,7 +37,7 @@ from gonio.rig.regions import filling
 from gonio.typing import ArrayLike, DataFrame, Floats
 
 FEWEST = 100
-"""With fewer draws the ends of a 95 % interval are not told."""
+"""Fewest draws: with fewer the ends of a 95 % interval are not told."""
 COVERAGE = 1.959964
 """Standard deviations of a normal number's 95 % interval."""
 KEPT = 2.5e7

@@ -66,11 +66,11 @@ class OverlapFraction:
     """What one point sees of a spike, as parts of its amplitude."""
 
     at_read: float = 0.0
-    """At the directions that were read."""
+    """Overlap at the directions that were read."""
     mean: float = 0.0
-    """Over the patch, and over the errors of the angles."""
+    """Mean over the patch, and over the errors of the angles."""
     variance: float = 0.0
-    """Over the errors of the angles."""
+    """Variance over the errors of the angles."""
     most: float = 0.0
     """For the largest errors of the angles, of `FAR` standard deviations."""
     least: float = 0.0
@@ -192,7 +192,7 @@ class Spikes:
     """What is known of the spike at every point; arrays have one number a point."""
 
     amplitude: Floats
-    """At full overlap [1/sr]; 0 without a spike, and where it is only bounded."""
+    """Amplitude at full overlap [1/sr]; 0 without a spike, and where it is only bounded."""
     u_amplitude: Floats
     """Its standard uncertainty [1/sr]; a bound, where nothing tells the amplitude."""
     lobe: Floats

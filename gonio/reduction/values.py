@@ -96,7 +96,7 @@ class BandResult:
 
     band: Band
     points: list[Reduced]
-    """Those that have a value."""
+    """The points that have a value."""
     seen: list[Reduced]
     """The usable visits to the white reference."""
     values: Values

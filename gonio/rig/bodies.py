@@ -62,7 +62,7 @@ class Pairs:
     counts: np.ndarray
     levers: Floats
     distances: Floats
-    """That two bodies have to keep, radii and clearance included; or that the ends of a cable may be apart [mm]."""
+    """Distances that two bodies keep, radii and clearance included; or that a cable's ends may be apart [mm]."""
     planned: Floats
     """The same with `PLANNED_MM` to spare."""
 

@@ -79,7 +79,7 @@ class Cable(Strict):
     to_on: Literal["bench", "light", "camera", "tilt", "spin"]
     to_mm: Point
     length_mm: Positive
-    """Between the two ends. They never come further apart than this, in a straight line."""
+    """Largest distance of the two ends, in a straight line."""
     radius_mm: NonNegative = 3.0
     sag_mm: NonNegative | None = None
     """How far the cable hangs, at most, beside the straight line between its ends. All that is so close to that line

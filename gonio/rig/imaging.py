@@ -267,7 +267,7 @@ def _distorted(camera: Camera, x: Floats, y: Floats) -> tuple[Floats, Floats]:
 STRAIGHT_STEPS = 100
 ASTRAY = 1e3
 STRAIGHT = 1e-12
-"""In image distances: a millionth of a pixel, for any camera."""
+"""Tolerance in image distances: a millionth of a pixel, for any camera."""
 
 
 @lru_cache(maxsize=8)

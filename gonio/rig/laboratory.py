@@ -38,7 +38,7 @@ class Specimen(Strict):
     name: Words | None = None
     """Name of the sample; in a simulated run that of the sample's file, unless it is given."""
     type: Words | None = None
-    """By how it reflects: "diffuse reflectance standard", "brushed metal"."""
+    """Kind by how it reflects: "diffuse reflectance standard", "brushed metal"."""
     shape: Words | None = None
     """As "disc" or "cuboid"."""
     diameter_mm: Positive | None = None
@@ -66,7 +66,7 @@ class Instrument(Strict):
     lamp_range_nm: tuple[Positive, Positive] | None = None
     """Shortest and longest wavelength of its light."""
     beam_diameter_mm: Positive | None = None
-    """On the sample."""
+    """Diameter of the beam on the sample."""
     camera: Words | None = None
     camera_range_nm: tuple[Positive, Positive] | None = None
     """Shortest and longest wavelength that the sensor answers to."""

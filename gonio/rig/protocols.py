@@ -231,7 +231,7 @@ class Homed:
     off_deg: float
     """Where it was found, from there."""
     spread_deg: float
-    """Between the repetitions, largest minus smallest."""
+    """Largest less smallest of the repetitions."""
     found: int
     """How often."""
 

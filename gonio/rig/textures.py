@@ -170,7 +170,7 @@ class SampleTexture(Strict):
     size_mm: tuple[Positive, Positive] | None = None
     """Along u and v; all patterns but an edge have one."""
     origin_mm: tuple[float, float] = (0.0, 0.0)
-    """In the sample's x and y."""
+    """Place of the origin in the sample's x and y."""
     azimuth_deg: float = 0.0
     """Azimuth of u, from the sample's x toward its y."""
 

@@ -167,9 +167,9 @@ class DirectionalTable(_Light):
 
     kind: Literal["directional"]
     toward: Vector
-    """From the scene to the light; its length does not matter."""
+    """Direction from the scene to the light; its length does not matter."""
     irradiance: Spectral
-    """On a surface that faces the light."""
+    """Irradiance on a surface that faces the light."""
 
     @model_validator(mode="after")
     def _sound(self) -> "DirectionalTable":
@@ -212,7 +212,7 @@ class RigTable(_Light):
 
     kind: Literal["rig"]
     irradiance: Spectral
-    """At the origin, on a surface that faces the lamp."""
+    """Irradiance at the origin, on a surface that faces the lamp."""
     samples: Annotated[int, Field(ge=1, le=65536)] = 16
     visible: bool = False
 

@@ -47,7 +47,7 @@ class Vantage:
     light: Light
     shape: Shape
     shift: Floats
-    """By which the shape lies beside its described place [mm]."""
+    """Shift of the shape beside its described place [mm]."""
 
     def at(self, column: Floats, row: Floats) -> Seen:
         """What places of the picture see; 0 is the picture's left and upper edge."""

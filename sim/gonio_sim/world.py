@@ -30,7 +30,7 @@ FRAMES_S = 10.0
 LAST_S = 1e-3
 """The end of a step's time, which is left to the frames of a step that is too long [s]."""
 SETTLE_S = 0.2
-"""From the end of a move until the arms stand still [s]."""
+"""Time from the end of a move until the arms stand still [s]."""
 
 
 class Stream(IntEnum):

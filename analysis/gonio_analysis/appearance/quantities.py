@@ -35,7 +35,7 @@ MOST_INCIDENCES = 12
 FEWEST_DIRECTIONS = 20
 """Fewest directions of an integral over a hemisphere."""
 SAME_PLACE = 1e-3
-"""On the projected hemisphere: values of one direction, about 0.06 degrees."""
+"""Distance on the projected hemisphere within which values are of one direction, about 0.06 degrees."""
 NEAR_8 = math.radians(2.5)
 FARTHEST_FROM_8 = math.radians(30.0)
 
@@ -219,7 +219,7 @@ REACH_NM = (420.0, 680.0)
 """A table's wavelengths have to lie no farther apart than this, and to reach these, for a colour."""
 EIGHT = math.radians(8.0)
 RETRO_GAP_DEG = 1.0
-"""Between two values that one near the source is interpolated from."""
+"""Largest gap between two values that one near the source is interpolated from."""
 
 
 def of_table(

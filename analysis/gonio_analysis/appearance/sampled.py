@@ -35,13 +35,13 @@ NEARLY_AS_GOOD, ANY_MISFIT = 1.5, 0.01
 """A shape whose misfit is at most this many times the best one's, plus this much, may be right as well."""
 
 LARGEST_GAP = math.radians(10.0)
-"""Between two directions of a curve that a third is interpolated from."""
+"""Largest gap between two directions of a curve that a third is interpolated from."""
 WING = math.radians(6.0)
-"""On both sides of the mirror direction, within which a gloss needs values."""
+"""Width on both sides of the mirror direction within which a gloss needs values."""
 LARGEST_LN_RATIO = 3.0
 """Largest log ratio of a value out of the plane of incidence to what the curve says; beyond, the curve says nothing."""
 WINDOW = math.radians(25.0)
-"""Around the mirror direction: values out of the plane of incidence that count for a gloss."""
+"""Window around the mirror direction: values out of the plane of incidence that count for a gloss."""
 BEYOND = 0.02
 """Share of a glossmeter's flux that may come from beyond the measured directions."""
 LARGEST_ERROR_GU, LARGEST_ERROR = 1.0, 0.2
@@ -70,7 +70,7 @@ class Sampled:
 
     value: float
     gradient: Floats
-    """By every value of the observations, (n,)."""
+    """Derivatives by every value of the observations, (n,)."""
     error: float
     """Estimated error of the interpolation between values."""
     note: str | None = None

@@ -56,7 +56,7 @@ class Laboratory:
     scale: float
     """Its values over the consensus."""
     u_scale: float
-    """By everything that it states."""
+    """Standard uncertainty of its scale by everything that it states."""
     degree: float
     """Degree of equivalence: its scale less 1."""
     u_degree: float

@@ -31,7 +31,7 @@ from gonio.typing import Floats, Ints
 from gonio_analysis.fitting.observations import SAME_BAND_NM, Observations, Unused
 
 TURN = float(np.radians(0.25))
-"""By which directions are turned for the slope along the plane of incidence [rad]."""
+"""Turn of directions for the slope along the plane of incidence [rad]."""
 
 AT_ONCE = 1 << 16
 """Directions that are turned together: their vectors take 200 bytes each."""

@@ -114,11 +114,11 @@ class Within:
 
     as_they_are: float
     with_scale: float
-    """With a common factor free."""
+    """The same with a common factor free."""
     scale: float
     """The common factor, B over A."""
     with_zero: float | None = None
-    """With a zero of the angle free too; None where the values do not show one."""
+    """The same with a zero of the angle free too; None where the values do not show one."""
     zero: float | None = None
     """By how much B's angle reads larger than A's, in the plane of incidence [rad]."""
 

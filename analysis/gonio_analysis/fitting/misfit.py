@@ -27,7 +27,7 @@ from gonio_analysis.fitting.observations import Observations
 from gonio_analysis.fitting.value_covariance import Covariance
 
 SMALLEST, LARGEST = 1e-12, 1e3
-"""Between these tau is sought."""
+"""Limits between which tau is sought."""
 MOST_LEARNED = 100
 """Values that the process learns its parameters from, evenly taken of more: twenty steps take 50 ms."""
 MOST_NODES = 300
@@ -187,7 +187,7 @@ class Misfit:
     small: float
     """e [1/sr] of the scale."""
     residuals: Training
-    """On the scale of logarithms, with the stated uncertainties."""
+    """Residuals on the scale of logarithms, with the stated uncertainties."""
     directions: Directions
     """Directions of the residuals, `folded` where the model is isotropic."""
     spike: float

@@ -39,7 +39,7 @@ HIGHEST = ("ngan", "cube-root", "relative")
 AT_BOUND = 1e-3
 """Closer to a bound than this part of its range a parameter has come to its end."""
 APART = 0.05
-"""On the search scale: starts that are nearer to each other are one."""
+"""Distance on the search scale: starts that are nearer to each other are one."""
 SHORT = 12
 """Steps of a search that begins again inside a bound: enough to see which of several goes lowest."""
 LONG = 2000

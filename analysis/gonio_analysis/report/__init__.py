@@ -32,7 +32,7 @@ Measured = tuple[str, str, Any, RunFacts | None]
 FITTING = ("scipy.optimize", "gonio.models.engine", "gonio.instrument")
 """What takes long to import, of what fits need."""
 MARKERS = 40_000
-"""On one page; each takes about 60 bytes."""
+"""Most markers on one page; each takes about 60 bytes."""
 
 
 def make(
@@ -74,7 +74,7 @@ def make(
     Returns
     -------
     Path
-        Of `index.html`.
+        Where `index.html` is.
 
     Raises
     ------

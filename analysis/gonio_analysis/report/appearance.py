@@ -127,7 +127,7 @@ def make(a: Appearance, out: str | Path, *, command: str = "") -> Path:
     Returns
     -------
     Path
-        Of `index.html`.
+        Where `index.html` is.
 
     Raises
     ------

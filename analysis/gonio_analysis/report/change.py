@@ -44,7 +44,7 @@ from gonio_analysis.result_records import RunFacts, finite
 from gonio_analysis.selection.run_record import run_facts
 
 FIGURES = 6
-"""That a comparison has, about."""
+"""Figures that a comparison has, about."""
 CLOSER = 0.9
 """A scale or a zero is worth words where what it leaves is less than this share."""
 SPIKE = 30.0
@@ -91,7 +91,7 @@ def make(
     Returns
     -------
     Path
-        Of `index.html`.
+        Where `index.html` is.
     """
     with files.staged(out) as stage, figure_workers(FIGURES) as workers:
         sides = [side(spec, how, u_rel) for spec in specs]

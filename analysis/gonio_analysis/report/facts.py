@@ -69,7 +69,7 @@ class DatasetSummary:
     rho_dh: list[Reflectance]
     """Directional-hemispherical reflectances of the measurement itself."""
     rho_dh_combined: list[Reflectance]
-    """Over the models that cannot be told from the nearest one (`ChoiceSummary.near`); empty where one is true."""
+    """rho_dh of the models that cannot be told from the nearest (`ChoiceSummary.near`); empty where one is true."""
     symmetries: list[Pairs]
     sections: dict[str, Any] | None = field(default=None, metadata=WHERE_KNOWN)
     """Numbers of sections of their own (`gonio_analysis.report.section`), by their names."""

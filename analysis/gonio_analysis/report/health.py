@@ -30,7 +30,7 @@ BETTER = {"current": "current_max", "load": "load_max", "voltage": "voltage_min"
 """What is drawn instead, where both were read: the extreme of every poll since the step before."""
 UNITS = {"C": "°C"}
 MOST_PAUSES = 20
-"""That are told one by one."""
+"""Most pauses that are told one by one."""
 
 
 def draw(run: RunFacts | None, slug: str) -> list[Drawing]:

@@ -33,7 +33,7 @@ from gonio_analysis.report.files import write_columns
 from gonio_analysis.report.text import number, percent, with_u
 
 FIGURES = 5
-"""That a comparison has, about."""
+"""Figures that a comparison has, about."""
 IN_WORDS = {
     "weighted": "weighted mean", "dersimonian-laird": "DerSimonian-Laird", "mandel-paule": "Mandel-Paule",
     "reml": "REML",
@@ -84,7 +84,7 @@ def make(
     Returns
     -------
     Path
-        Of `index.html`.
+        Where `index.html` is.
     """
     if len(specs) < 2:
         raise ConfigError("--laboratories compares two or more tables of one sample; one is named")

@@ -32,7 +32,7 @@ from gonio_analysis.report.map_layers import Grid, Real, block_medians, facts_of
 from gonio_analysis.report.text import number, percent, with_u
 
 FIGURES = 6
-"""That a comparison has, about."""
+"""Figures that a comparison has, about."""
 TOP = 6.0
 """Standard deviations at which colours are saturated."""
 METHOD = (
@@ -65,7 +65,7 @@ def make(
     Returns
     -------
     Path
-        Of `index.html`.
+        Where `index.html` is.
 
     Raises
     ------

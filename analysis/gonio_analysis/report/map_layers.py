@@ -27,7 +27,7 @@ PICTURE, EMBEDDED = 256, 200
 """Pixels along the longer side of a picture, and of what a page holds for its program, at most."""
 Real = npt.NDArray[np.floating[Any]]
 QUANTILES = (0.005, 0.995)
-"""Between which colours are told apart."""
+"""Quantiles between which colours are told apart."""
 BINS = 60
 SEVERE = ("too_few", "undetermined", "rejected", "at_bound")
 """Flags of a fit, the gravest first."""

@@ -166,7 +166,7 @@ def _facts(file: MapFile, grid: Grid) -> list[tuple[str, str]]:
 
 
 FIGURES = 10
-"""That a map has, about."""
+"""Figures that a map has, about."""
 BY_CHANCE = 0.01
 """Share of pixels that reject a model that is true (`gonio.models.batch.SIGNIFICANCE`)."""
 MEANINGS = {
@@ -210,7 +210,7 @@ def make(
     Returns
     -------
     Path
-        Of `index.html`.
+        Where `index.html` is.
 
     Raises
     ------

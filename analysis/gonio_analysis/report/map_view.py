@@ -17,7 +17,7 @@ from gonio_analysis.plots import pixels
 from gonio_analysis.report.map_layers import Grid, Layer
 
 MEASURED_VALUES = 125_000
-"""On one page; each takes 4 bytes."""
+"""Most measured values on one page; each takes 4 bytes."""
 CURVES = 4
 """Angles of incidence of the polar plot."""
 DRAWN_DEG = (15.0, 45.0, 65.0)

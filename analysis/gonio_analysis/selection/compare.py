@@ -138,11 +138,11 @@ class Dataset:
     source: str
     table: DataFrame
     data: Observations
-    """At the wavelength of the report."""
+    """The values at the wavelength of the report."""
     wavelengths: list[float]
     wavelength_nm: float
     every_curve: list[Curve]
-    """In plane, drawn or not."""
+    """All curves in the plane of incidence, drawn or not."""
     fitted: dict[str, Fitted]
     skipped: dict[str, str]
     """Model -> why it was not fitted."""

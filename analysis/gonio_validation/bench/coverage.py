@@ -17,7 +17,7 @@ from gonio_validation.bench.page import begun
 CAMPAIGNS, FEW = 200, 12
 """Without a number; and of a quick run."""
 POINTS, FEW_POINTS = 40, 15
-"""At most, of a campaign's plan."""
+"""Most points of a campaign's plan."""
 
 
 class CoverageSettings(Strict):
@@ -68,7 +68,7 @@ def make(
     Returns
     -------
     Path
-        Of `index.html`.
+        Where `index.html` is.
 
     Raises
     ------

@@ -40,11 +40,11 @@ class Way:
 
     name: str
     prepare: Callable[[Parameters], Evaluate]
-    """From parameters to a function of the arrays; what it costs is not timed."""
+    """Turns parameters into a function of the arrays; what it costs is not timed."""
     ours: bool = False
     note: str = ""
     convert: Callable[..., tuple[Any, ...]] | None = None
-    """From the quantity's arrays to what the function takes; not timed."""
+    """Turns the quantity's arrays into what the function takes; not timed."""
     accurate: bool = True
     """Whether its results are comparable (a peer may compute another formula)."""
     stated: float | None = None

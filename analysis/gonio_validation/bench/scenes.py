@@ -119,7 +119,7 @@ def make(out: str | Path, *, quick: bool = False, command: str = "", step: Step 
     Returns
     -------
     Path
-        Of `index.html`.
+        Where `index.html` is.
 
     Raises
     ------

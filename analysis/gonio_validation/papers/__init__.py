@@ -70,7 +70,7 @@ def make(name: str, out: str | Path, *, command: str = "", progress: Callable[[s
     Returns
     -------
     Path
-        Of `index.html`.
+        Where `index.html` is.
 
     Raises
     ------

@@ -91,7 +91,7 @@ class Results:
 
     caption: str
     columns: Mapping[str, Callable[[Any], str]]
-    """By their headers: what a cell says, from its row."""
+    """By the header of a column: what makes the text of its cell from a row."""
     rows: Sequence[Row]
 
 

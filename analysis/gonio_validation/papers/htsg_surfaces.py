@@ -94,7 +94,7 @@ def energy_limit(model: Any, wavelength_nm: float) -> tuple[float | None, float]
 SEED = 1
 BAND_NM = 10.0
 AROUND_DEG = (-5.0, -3.0, -2.0, -1.0, 0.0, 1.0, 2.0, 3.0, 5.0)
-"""From the mirror direction, beside the even steps: the spike, and the lobe on both sides of it."""
+"""Angles from the mirror direction, beside the even steps: the spike, and the lobe on both sides of it."""
 
 AROUND = float(np.radians(11.0))
 """How far from the mirror direction [rad] the lobe below a spike is read."""

@@ -21,7 +21,7 @@ class Answer:
     servo: Servo
     status: bytes
     delay_s: float
-    """From the end of the instruction packet."""
+    """Time from the end of the instruction packet."""
 
 
 class ServoBus(Device):

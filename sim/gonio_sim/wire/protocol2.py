@@ -22,7 +22,7 @@ ALERT = 0x80
 LONGEST = 1024
 """Longest packet that a device takes [bytes]; a header that announces more is not a header."""
 LONGEST_GAP_S = 0.0015
-"""Between two bytes of an instruction packet; after a longer one a device waits for the next header."""
+"""Longest gap between two bytes of an instruction packet; after a longer one a device waits for the next header."""
 BITS = 10
 """Bits of a byte on the line: start, eight, stop."""
 

@@ -151,7 +151,7 @@ class Follower:
     turned: Callable[[float], float]
     """Angle of the axis [rad] that this stands for."""
     axis: Axis
-    """With the errors of its encoder within a turn."""
+    """The axis with the errors of its encoder within a turn."""
     zero_error: float
     from_above: bool = False
     """Whether the rig approaches its goals from above; the arm then has no backlash."""

@@ -103,7 +103,7 @@ class _Images:
     """What one camera sees of the mirror images of Fig. 12."""
 
     strengths: list[float]
-    """At 700 nm, (a) to (e), and a perfect mirror's is 1."""
+    """Strengths at 700 nm, (a) to (e); a perfect mirror's is 1."""
     correlations: list[float]
     """Correlations of their edges with a perfect mirror's, where the image is not faint."""
     of_blurred: float

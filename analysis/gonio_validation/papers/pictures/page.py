@@ -56,7 +56,7 @@ def make(out: str | Path, *, command: str = "", step: Step | None = None) -> Pat
     Returns
     -------
     Path
-        Of `index.html`.
+        Where `index.html` is.
 
     Raises
     ------

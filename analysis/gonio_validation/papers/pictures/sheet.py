@@ -13,7 +13,7 @@ WIDTH, HIGH = 1360, 140
 """Width of the sheet, and least height of a picture on it [px]."""
 TITLE, LABEL, GAP, MARGIN = 34, 17, 7, 16
 BETWEEN = 24
-"""Between two figures of a row."""
+"""Space between two figures of a row."""
 DPI = 100
 
 
