@@ -68,6 +68,8 @@ class Pairs:
     largest: float
     chi_square: float | None
     """Chi-square with the covariance of the values; None where no uncertainty is known."""
+    freedom: float
+    """Independent numbers that scatter as much as it does: fewer than pairs where values stand in several."""
     logs: list[float]
     """ln(one / other) of every pair."""
     places: list[Place]
@@ -85,7 +87,7 @@ class Pairs:
 
         if self.chi_square is None:
             return self.typical > DIFFERENT
-        return bool(chdtrc(self.pairs, self.chi_square) < SIGNIFICANCE)
+        return bool(chdtrc(self.freedom, self.freedom * self.chi_square / self.pairs) < SIGNIFICANCE)
 
     def summary(self) -> dict[str, object]:
         """Plain numbers and words."""
@@ -203,8 +205,9 @@ def _compared(data: CheckedValues, pairs: Rows, kind: str, words: str) -> Pairs 
     logs = np.diff(np.log(data.brdf[pairs]), axis=1)[:, 0]
     typical, largest = float(np.sqrt(np.mean(logs**2))), float(np.abs(logs).max())
     chi_square = data.chi_square(pairs) if known else None
+    freedom = data.freedom(pairs) if known else len(pairs)
     places = _places(data, pairs, logs)
-    return Pairs(kind, words, len(pairs), typical, largest, chi_square, logs.tolist(), places)
+    return Pairs(kind, words, len(pairs), typical, largest, chi_square, freedom, logs.tolist(), places)
 
 
 def _places(data: CheckedValues, pairs: Rows, logs: Floats) -> list[Place]:

@@ -47,18 +47,30 @@ class CheckedValues:
         """Chi-square of ln(f_j / f_i) over pairs (i, j), shape (n, 2), with the whole covariance of the values.
 
         What is common to both values of a pair cancels, and what is common to several pairs counts once. A value that
-        stands in several pairs counts as often: checks make pairs in which each value stands once, or nearly so.
+        stands in several pairs counts as often: `freedom`.
         """
         assert self.random is not None, "without uncertainties there is no chi-square"
         i, j = pairs.T
         logs = np.log(self.brdf[j] / self.brdf[i])
         size = np.hypot(self.random[i] / self.brdf[i], self.random[j] / self.brdf[j])
-        shared = self._common[j] / self.brdf[j, None] - self._common[i] / self.brdf[i, None]
-        scaled, shape = logs / size, shared / size[:, None]
+        # a column goes with the measured values, noise and all, or with the true ones: the noise that is left of the
+        # wrong one would take the differences for itself
+        by_each = (self._common[j] / self.brdf[j, None] - self._common[i] / self.brdf[i, None]) / size[:, None]
+        by_both = (self._common[j] - self._common[i]) * (2.0 / (self.brdf[i] + self.brdf[j]) / size)[:, None]
+        shape = np.where((by_each**2).sum(axis=0) < (by_both**2).sum(axis=0), by_each, by_both)
+        scaled = logs / size
         # Woodbury: (1 + T T^T)^-1 = 1 - T (1 + T^T T)^-1 T^T
         along = shape.T @ scaled
         inner = np.eye(shape.shape[1]) + shape.T @ shape
         return max(float(scaled @ scaled - along @ np.linalg.solve(inner, along)), 0.0)
+
+    def freedom(self, pairs: Rows) -> float:
+        """Of the chi-square of these pairs: n^2 over the sum of the squared correlations between n differences."""
+        assert self.random is not None
+        variance = (self.random[pairs] / self.brdf[pairs]) ** 2
+        share, n = variance / variance.sum(axis=1, keepdims=True), len(pairs)
+        in_all, alone = (np.bincount(pairs.ravel(), each.ravel()) for each in (share, share**2))
+        return n**2 / (n + float(np.sum(in_all**2 - alone)))
 
 
 def values_of(frame: DataFrame) -> dict[float, CheckedValues]:

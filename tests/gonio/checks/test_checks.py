@@ -77,6 +77,20 @@ def test_a_cause_that_all_pairs_share_counts_once() -> None:
     assert sides.chi_square == pytest.approx(1.0, rel=0.02)  # Sherman-Morrison: 1 less the noise's share
 
 
+def test_differences_around_a_ring_of_azimuths_are_correlated() -> None:
+    """Each of four azimuths less the next: correlations of -1/2 with both neighbours, tr(R^2) = 1.5 n."""
+    turned = [grid(turn=turn).angles for turn in np.radians([0.0, 90.0, 180.0, 270.0])]
+    at = Directions(*np.concatenate(turned, axis=1))
+    found = []
+    for seed in range(120):
+        (ring,) = (p for p in symmetries(drawn(seed, at, matte(at))) if p.kind == "azimuth of incidence")
+        assert ring.freedom == pytest.approx(ring.pairs / 1.5, rel=0.02)  # of noise that differs with the values drawn
+        found.append(some(ring.chi_square))
+    # a chi-square of the same spread: a variance of 120 numbers is known to 13 %, and 2/3 is 2.5 of that off
+    assert np.var(found) == pytest.approx(2.0 * ring.pairs**2 / ring.freedom, rel=0.3)
+    assert np.mean(found) == pytest.approx(ring.pairs, rel=0.02)  # known to 0.5 %
+
+
 @pytest.mark.parametrize(("typical", "verdict"), [(0.03, "ok"), (0.07, "look"), (0.15, "bad")])
 def test_without_uncertainties_limits_are_fixed(typical: float, verdict: str) -> None:
     at = grid()
