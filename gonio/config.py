@@ -151,6 +151,7 @@ def load(table: type[Table], path: str | Path) -> Table:
 _KINDS = {
     "string": "text in quotes", "bool": "true or false", "int": "a whole number", "float": "a number",
     "tuple": "a list in square brackets", "list": "a list in square brackets", "dict": "a table", "model": "a table",
+    "date": "a date, as 2026-11-22",
 }  # fmt: skip
 """What a value must be, by the first word of the kind of pydantic's error (as in tuple_type, int_from_float)."""
 _WAY = re.compile(r"str|float|int|(tuple|list|dict)\[.*\]")

@@ -15,7 +15,7 @@ import shutil
 import zipfile
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -23,11 +23,13 @@ from typing import Any, Self
 
 import numpy as np
 
-from gonio.disk import half_written, require_name, sha256_of, write_whole
+from gonio.disk import half_written, read_file, require_name, sha256_of, write_whole
 from gonio.errors import ConfigError, DataError, os_error_as
 from gonio.typing import Array, Bools, DataFrame, Floats, Ints, JsonObject, NDArray
 
 FORMAT = "gonio-map-1"
+SIGNATURE = b"\x89HDF\r\n\x1a\n"
+"""How an HDF5 file begins."""
 ABOUT = "about"
 """Key of a tile's file for the kinds and shapes of its packed arrays."""
 TILE = 64
@@ -266,13 +268,16 @@ def _attribute(value: Any) -> Any:
 
 
 def is_map(path: str | Path) -> bool:
-    """Whether a file is a map of ours, of values or of fits."""
+    """Whether a file is a map of ours, of values or of fits; `DataError` where it is HDF5 that cannot be read."""
     if not str(path).endswith((".h5", ".nc", ".hdf5")) or not Path(path).is_file():
         return False
     try:
         with library().File(path, "r") as file:
             return bool(file.attrs.get("format") == FORMAT)
-    except OSError:
+    except OSError as error:
+        with suppress(OSError):
+            if read_file(path, len(SIGNATURE)) == SIGNATURE:
+                raise DataError(f"{path}: is damaged: {error}") from None
         return False
 
 
@@ -328,8 +333,25 @@ class MapFile:
             self._file = library().File(self.path, "r")
         except OSError as error:
             raise DataError(f"{path}: cannot be read as HDF5: {error}") from None
+        try:
+            self._require_map()
+        except DataError:
+            self._file.close()
+            raise
+
+    def _require_map(self) -> None:
+        """Raise `DataError` where the file is no map, or lacks what every map has."""
         if self._file.attrs.get("format") != FORMAT:
-            raise DataError(f"{path}: is no map: it lacks the attribute format = {FORMAT}; see docs/maps.md")
+            raise DataError(f"{self.path}: is no map: it lacks the attribute format = {FORMAT}; see docs/maps.md")
+        for name in ("x", "y"):
+            places = self.array(name)
+            if places.ndim != 1 or places.dtype.kind not in "fiu" or not np.isfinite(places).all():
+                raise DataError(f"{self.path}: {name} is no list of places on the sample in mm")
+        if "brdf" in self._file:
+            count = self._file["brdf"].shape[-1]
+            for name in (*ANGLES, "wavelength_nm", "source_mm", "camera_mm"):
+                if len(found := self.array(name)) != count or not np.isfinite(found).all():
+                    raise DataError(f"{self.path}: {name} has no finite value for each of the {count} points of brdf")
 
     def __enter__(self) -> Self:
         return self
@@ -352,9 +374,12 @@ class MapFile:
         return list(self._file)
 
     def array(self, name: str, tile: Tile | None = None) -> Array:
-        """A variable, or a tile of it; raises `DataError` where there is none."""
+        """A variable, or a tile of it; raises `DataError` where there is none, or it is damaged."""
         found = self._variable(name)
-        return np.asarray(found[()] if tile is None else found[tile.rows, tile.cols])
+        try:
+            return np.asarray(found[()] if tile is None else found[tile.rows, tile.cols])
+        except OSError as error:
+            raise DataError(f"{self.path}: {name} is damaged: {error}") from None
 
     def chunk(self, name: str, tile: Tile) -> Packed | Array:
         """A tile of a variable: packed as the file has it where it is a chunk of it, otherwise as an array."""
@@ -375,7 +400,7 @@ class MapFile:
 
     def dims(self, name: str) -> tuple[str, ...]:
         """The dimensions of a variable."""
-        return tuple(d[0].name.strip("/") for d in self._file[name].dims if len(d))
+        return tuple((d[0].name or "").strip("/") for d in self._file[name].dims if len(d))
 
     @cached_property
     def x_mm(self) -> Floats:
@@ -453,6 +478,8 @@ class FitFile(MapFile):
         if not self.parameters:
             self._file.close()
             raise DataError(f"{path}: is a map of values, not of fits: gonio fit {path} --model M --out FITS.h5")
+        if "model" not in self.attrs:
+            raise DataError(f"{path}: does not say which model was fitted (attribute model)")
 
     @cached_property
     def parameters(self) -> list[str]:

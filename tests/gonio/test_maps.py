@@ -9,7 +9,7 @@ import numpy.typing as npt
 import pytest
 
 from gonio.errors import ConfigError, DataError
-from gonio.maps import MapFile, Packed, Parts, Tile, Variable, tiles
+from gonio.maps import MapFile, Packed, Parts, Tile, Variable, is_map, tiles
 from tests.gonio_analysis import map_files
 
 ROWS, COLS, POINTS = 70, 130, 5
@@ -48,7 +48,7 @@ def test_chunks_are_read_as_hdf5_reads_them(tmp_path: Path) -> None:
         assert (file["brdf"].compression, file["brdf"].compression_opts, file["brdf"].shuffle) == ("gzip", 1, True)
         with h5py.File(tmp_path / "other.h5", "w") as other:
             other.attrs.update(file.attrs)
-            for name in ("x", "y"):
+            for name in file.keys() - {"brdf", "u_random", "flag"}:
                 file.copy(name, other)
             for name in ("brdf", "u_random", "flag"):
                 chunk = (64, 64, POINTS)
@@ -106,6 +106,42 @@ def test_a_chunk_that_is_damaged_is_named(tmp_path: Path) -> None:
         found.values(Tile(slice(0, 64), slice(0, 64)))
         with pytest.raises(DataError, match=r"map.h5: rows 0 to 64, columns 64 to 128 cannot be read: .* make the map"):
             found.values(Tile(slice(0, 64), slice(64, 128)))
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "told"),
+    [
+        ("x", None, "has no variable x"),
+        ("y", np.full(ROWS, np.nan), "y is no list of places on the sample in mm"),
+        ("y", np.array([b"a"] * ROWS), "y is no list of places on the sample in mm"),
+        ("source_mm", None, "has no variable source_mm"),
+        ("camera_mm", np.full((POINTS, 3), np.nan), "camera_mm has no finite value for each of the 5 points of brdf"),
+        ("theta_i_deg", np.zeros(POINTS - 1), "theta_i_deg has no finite value for each of the 5 points of brdf"),
+    ],
+)
+def test_what_every_map_has_is_required(tmp_path: Path, name: str, value: Any, told: str) -> None:
+    write(tmp_path / "map.h5")
+    with h5py.File(tmp_path / "map.h5", "r+") as file:
+        del file[name]
+        if value is not None:
+            file.create_dataset(name, data=value)
+    with pytest.raises(DataError, match=rf"map.h5: {told}"):
+        MapFile(tmp_path / "map.h5")
+
+
+def test_a_map_that_is_cut_short_or_has_a_hole_is_damaged(tmp_path: Path) -> None:
+    write(tmp_path / "map.h5")
+    whole = (tmp_path / "map.h5").read_bytes()
+    with h5py.File(tmp_path / "map.h5") as file:
+        begin = file["brdf"].id.get_chunk_info(0).byte_offset
+    (tmp_path / "hole.h5").write_bytes(whole[:begin] + bytes(500) + whole[begin + 500 :])
+    with MapFile(tmp_path / "hole.h5") as found, pytest.raises(DataError, match=r"hole.h5: brdf is damaged: "):
+        found.array("brdf")
+    (tmp_path / "short.h5").write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(DataError, match=r"short.h5: is damaged: .*truncated"):
+        is_map(tmp_path / "short.h5")
+    (tmp_path / "other.h5").write_bytes(b"of another kind")
+    assert not is_map(tmp_path / "other.h5")
 
 
 def test_a_folder_of_parts_with_files_of_others_is_left_alone(tmp_path: Path) -> None:

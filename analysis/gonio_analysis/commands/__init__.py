@@ -248,7 +248,8 @@ def report(
     if values is not None:
         raise ConfigError(f"--map {values}: goes with a map of fits; {run} is none")
     if not run.is_dir():
-        raise ConfigError(f"{run}: there is no such folder; gonio report takes a run (for a file: gonio compare)")
+        what = "is neither the folder of a run nor a map" if run.exists() else "there is no such folder"
+        raise ConfigError(f"{run}: {what}; gonio report takes a run (for a file: gonio compare)")
     print(
         implementations.report(
             [str(run)], out or run / "report", names_of(models), normalise=normalise.value, ior=ior,

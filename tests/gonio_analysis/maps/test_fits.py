@@ -392,8 +392,10 @@ def test_foreign_and_damaged_files_are_one_message(tmp_path: Path) -> None:
     (tmp_path / "cut.h5").write_bytes(whole[: len(whole) // 2])
     with h5py.File(tmp_path / "other.h5", "w") as file:
         file["data"] = 1.0
-    for name, message in (("cut", "is no map"), ("other", "is no map"), ("none", "there is no such file")):
-        ended = gonio(tmp_path, "fit", f"{name}.h5", "--model", "ggx", "--out", "fits.h5", expect=2)
+    for name, message, code in (
+        ("cut", "cut.h5: is damaged", 1), ("other", "is no map", 2), ("none", "there is no such file", 2)
+    ):  # fmt: skip
+        ended = gonio(tmp_path, "fit", f"{name}.h5", "--model", "ggx", "--out", "fits.h5", expect=code)
         assert message in ended.stderr
         assert "Traceback" not in ended.stderr
     with h5py.File(path, "r+") as file:
