@@ -24,19 +24,10 @@ from gonio.rig import Frame, Pose, Step, Target
 from gonio.rig.description import RigDescription, SampleDescription
 from gonio.rig.light_and_camera import Band
 from gonio.typing import Floats
+from tests.gonio.rig.plain_rig import rotation
 
 Brdf = Callable[[Floats, Floats, Floats, Floats], Floats]
 """f [1/sr] of unit vectors to lamp and lens, shape (..., 3), and of a spot's x and y [mm], in the sample's frame."""
-
-
-def turned(axis: str, angle: float) -> Floats:
-    """The matrix of a right-handed rotation about x, y or z by an angle [rad]."""
-    first = "xyz".index(axis)
-    second, third = (first + 1) % 3, (first + 2) % 3
-    out = np.eye(3)
-    out[second, second] = out[third, third] = np.cos(angle)
-    out[third, second], out[second, third] = np.sin(angle), -np.sin(angle)
-    return out
 
 
 @dataclass(frozen=True)
@@ -53,9 +44,9 @@ class Placed:
     @classmethod
     def at(cls, pose: Pose) -> Placed:
         """From the angles of the axes [rad]."""
-        to_sample = (turned("x", -pose.tilt) @ turned("z", pose.spin)).T
-        lamp = turned("y", pose.light)
-        camera = turned("z", pose.azimuth) @ turned("y", pose.camera)
+        to_sample = (rotation("x", -pose.tilt) @ rotation("z", pose.spin)).T
+        lamp = rotation("y", pose.light)
+        camera = rotation("z", pose.azimuth) @ rotation("y", pose.camera)
         return cls(to_sample @ lamp, to_sample @ camera)
 
     @property

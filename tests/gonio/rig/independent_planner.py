@@ -19,6 +19,7 @@ from gonio.rig.description import Body, RigDescription
 from gonio.rig.inverse_kinematics import Unreachable, reach
 from gonio.rig.light_and_camera import Band, Bands
 from gonio.typing import Floats
+from tests.gonio.rig.plain_rig import rotation, turn
 
 NAMES = ("light", "camera", "tilt", "spin", "azimuth")
 SAME = 1e-9
@@ -127,18 +128,6 @@ def _some_bodies(rng: np.random.Generator, far: Floats) -> tuple[list[dict[str, 
 # ---- an independent look at them ----
 
 
-def turned(axis: str, angle: Floats) -> Floats:
-    """Right-handed rotations, shape (..., 3, 3)."""
-    c, s, o, i = np.cos(angle), np.sin(angle), np.zeros_like(angle), np.ones_like(angle)
-    rows = {"x": [i, o, o, o, c, -s, o, s, c], "y": [c, o, s, o, i, o, -s, o, c], "z": [c, -s, o, s, c, o, o, o, i]}
-    out: Floats = np.stack(rows[axis], axis=-1).reshape(*np.shape(angle), 3, 3)
-    return out
-
-
-def small(axis: str, degrees: float) -> Floats:
-    return turned(axis, np.array(math.radians(degrees)))
-
-
 def frames(rig: RigDescription, read: dict[str, Floats]) -> dict[str, tuple[Floats, Floats]]:
     """Rotation and shift of all that is carried, at many poses: the axes as docs/pose_to_pixel.md has them."""
     arms, holder = rig.arms, rig.holder
@@ -148,18 +137,19 @@ def frames(rig: RigDescription, read: dict[str, Floats]) -> dict[str, tuple[Floa
             true[name] = true[name] - np.radians(c * np.cos(k * read[name]) + s * np.sin(k * read[name]))
     out = {"bench": (np.broadcast_to(np.eye(3), (len(read["light"]), 3, 3)), np.zeros((len(read["light"]), 3)))}
     for name, axis in (("light", arms.light), ("camera", arms.camera)):
-        leaning = small("x", axis.axis_tilt_deg[0]) @ small("z", axis.axis_tilt_deg[1])
+        leaning = turn("xz", *axis.axis_tilt_deg).as_matrix()
         shift = np.array([axis.axis_offset_mm[0], 0.0, axis.axis_offset_mm[1]])
-        out[name] = leaning @ turned("y", true[name]), np.broadcast_to(shift, (len(read["light"]), 3))
+        out[name] = leaning @ rotation("y", true[name]), np.broadcast_to(shift, (len(read["light"]), 3))
     if arms.azimuth is not None:
-        leaning = small("x", arms.azimuth.axis_tilt_deg[0]) @ small("y", arms.azimuth.axis_tilt_deg[1])
-        turn, foot = leaning @ turned("z", true["azimuth"]) @ leaning.T, np.array([*arms.azimuth.axis_offset_mm, 0.0])
-        onto, shift = out["camera"]
-        out["camera"] = turn @ onto, foot + np.einsum("pij,pj->pi", turn, shift - foot)
+        leaning = turn("xy", *arms.azimuth.axis_tilt_deg).as_matrix()
+        swing = leaning @ rotation("z", true["azimuth"]) @ leaning.T
+        foot, (onto, shift) = np.array([*arms.azimuth.axis_offset_mm, 0.0]), out["camera"]
+        out["camera"] = swing @ onto, foot + np.einsum("pij,pj->pi", swing, shift - foot)
     beside = np.array([0.0, holder.tilt_axis_offset_mm, 0.0])
-    tilt = turned("x", -true["tilt"])
+    tilt = rotation("x", -true["tilt"])
     out["tilt"] = tilt, beside - tilt @ beside
-    out["spin"] = tilt @ small("y", holder.spin_axis_tilt_deg) @ turned("z", true["spin"]), out["tilt"][1]
+    spin = rotation("y", math.radians(holder.spin_axis_tilt_deg)) @ rotation("z", true["spin"])
+    out["spin"] = tilt @ spin, out["tilt"][1]
     return out
 
 
@@ -264,7 +254,7 @@ def shown(rig: RigDescription, pose: Pose) -> Floats:
     """The unit vectors to source and detector in the sample's frame, one after the other."""
     at = frames(rig, {name: np.array([getattr(pose, name)]) for name in NAMES})
     holder = rig.holder
-    surface = small("x", holder.surface_tilt_deg[0]) @ small("y", holder.surface_tilt_deg[1])
+    surface = turn("xy", *holder.surface_tilt_deg).as_matrix()
     out = []
     for head in solids(rig)[:2]:
         onto, shift = at[head.on[0]]

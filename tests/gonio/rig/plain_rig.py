@@ -18,9 +18,9 @@ def turn(axes: str, *angles_deg: float) -> Any:
     return Rotation.from_euler(axes.upper(), angles_deg, degrees=True)  # capital letters: about the turned axes
 
 
-def rotation(axis: str, angle: float) -> Floats:
-    """The matrix of a right-handed rotation about x, y or z [rad]."""
-    return np.asarray(Rotation.from_euler(axis.upper(), angle).as_matrix())
+def rotation(axis: str, angle: Floats | float) -> Floats:
+    """The matrix of a right-handed rotation about x, y or z [rad]; of n angles shape (n, 3, 3)."""
+    return np.asarray(Rotation.from_rotvec(np.multiply.outer(angle, np.eye(3)["xyz".index(axis)])).as_matrix())
 
 
 def true_deg(axis: ArmAxis, read_deg: float) -> float:
