@@ -10,6 +10,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
+from importlib import import_module
 
 import numpy as np
 
@@ -109,11 +110,11 @@ def _reference(measured: MeasuredBand, values: Values) -> None:
     values.common |= measured.fitted.changes(values.brdf, measured.times_s, measured.u_reference)
 
 
+_MODULES = ("light_and_lens",)
+"""Modules beside this one with `CAUSES`. To add a cause: write `mine.py` with them, and name it here."""
 CAUSES: tuple[Cause, ...] = (
     _reference,
-    light_and_lens.camera,
-    light_and_lens.beam,
-    light_and_lens.polarisation,
+    *(cause for name in _MODULES for cause in import_module(f"gonio.reduction.{name}").CAUSES),
 )
 """The causes of uncertainty that act on each band alone, beside noise, darks and angles (docs/budget.md)."""
 

@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from gonio.reduction.count_rates import camera_parameters
-from gonio.reduction.values import BandResult, MeasuredBand, Values
+from gonio.reduction.values import BandResult, Cause, MeasuredBand, Values
 from gonio.rig import Pose, imaging, kinematics, regions
 from gonio.rig.calibration_files import covariance_of
 from gonio.rig.description import RigDescription
@@ -203,3 +203,6 @@ def _causes(description: RigDescription) -> dict[str, Floats]:
             direction[[list(parameters).index(name) for name in names]] = vectors[:, k] * math.sqrt(values[k])
             out[cause if number == 0 else f"{cause}_{number + 1}"] = direction
     return out
+
+
+CAUSES: tuple[Cause, ...] = (camera, beam, polarisation)

@@ -223,7 +223,7 @@ def _beside(d: DatasetSummary, figures: object) -> list[Block]:
     return [] if quantities is None else [Heading(3, "Appearance"), quantities]
 
 
-SECTION = Section("appearance", _beside)
+SECTIONS = (Section("appearance", _beside),)
 
 
 LETTERS = ("L*", "a*", "b*")

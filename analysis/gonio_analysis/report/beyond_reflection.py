@@ -124,13 +124,6 @@ def _on_grid(figure: Any, *, lines: dict[str, list[Line]]) -> None:
     figure.supxlabel("θr, positive on the mirror side", fontsize=8, y=0.012)
 
 
-POLARISATION = Section(
-    "polarisation",
-    lambda d, figures: [] if d.mueller is None else mueller_section(d.mueller, figures.get("mueller", ())),
-    lambda d, facts: [] if d.polarisation is None else draw_mueller(d.polarisation, d.name, facts.slug),
-)
-
-
 RIM = 1.0
 
 
@@ -309,12 +302,21 @@ def _on_axis(figure: Any, *, lines: list[Line]) -> None:
     legend(figure, names, _columns(names))
 
 
-TRANSMISSION = Section(
-    "transmission",
-    lambda d, figures: (
-        []
-        if d.transmission is None
-        else section(d.transmission, (*figures.get("both-sides", ()), *figures.get("transmission", ())), d.rho_dh)
+SECTIONS = (
+    Section(
+        "transmission",
+        lambda d, figures: (
+            []
+            if d.transmission is None
+            else section(d.transmission, (*figures.get("both-sides", ()), *figures.get("transmission", ())), d.rho_dh)
+        ),
+        lambda d, facts: (
+            [] if d.transmitted is None else draw(d.transmitted, d.curves, facts.slug, simulated=d.simulated)
+        ),
     ),
-    lambda d, facts: [] if d.transmitted is None else draw(d.transmitted, d.curves, facts.slug, simulated=d.simulated),
+    Section(
+        "polarisation",
+        lambda d, figures: [] if d.mueller is None else mueller_section(d.mueller, figures.get("mueller", ())),
+        lambda d, facts: [] if d.polarisation is None else draw_mueller(d.polarisation, d.name, facts.slug),
+    ),
 )

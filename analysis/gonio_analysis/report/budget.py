@@ -153,8 +153,10 @@ def _on_panels(figure: Any, *, curves: list[BudgetCurve], names: list[str], rows
     key(figure, [Patch(color=c, label=cause(n)) for c, n in zip(colours, names, strict=True)], 3)
 
 
-SECTION = Section(
-    "uncertainty",
-    lambda d, figures: [Heading(3, "Uncertainty"), *_words(d, figures)],
-    lambda d, facts: draw(of(facts.run, facts.wavelength_nm), facts.slug),
+SECTIONS = (
+    Section(
+        "uncertainty",
+        lambda d, figures: [Heading(3, "Uncertainty"), *_words(d, figures)],
+        lambda d, facts: draw(of(facts.run, facts.wavelength_nm), facts.slug),
+    ),
 )

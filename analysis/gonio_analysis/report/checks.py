@@ -165,8 +165,10 @@ def _pairs(ax: Any, c: ChecksSummary) -> tuple[str, str]:
     return "share of the pairs", "ln(one / other)" if far else "difference [%]"
 
 
-SECTION = Section(
-    "checks",
-    lambda d, figures: section(d.checks, d.rho_dh, figures.get(KIND, ())),
-    lambda d, facts: draw(facts.checks, facts.rho_dh, facts.slug),
+SECTIONS = (
+    Section(
+        "checks",
+        lambda d, figures: section(d.checks, d.rho_dh, figures.get(KIND, ())),
+        lambda d, facts: draw(facts.checks, facts.rho_dh, facts.slug),
+    ),
 )

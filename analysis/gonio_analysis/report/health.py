@@ -133,11 +133,6 @@ def _on_panels(
     key(figure, [Line2D([], [], color=colour[d], lw=1.2, label=d) for d in devices], min(len(devices), 6))
 
 
-SECTION = Section(
-    "health", lambda d, figures: section(d.run, figures.get(KIND, ())), lambda d, facts: draw(facts.run, facts.slug)
-)
-
-
 MOST_BANDS = 4
 """Columns of the table; summary.json has all bands."""
 MOST_SESSIONS = 40
@@ -193,4 +188,9 @@ def _clock(wall: str, began: str = "") -> str:
     return f"{_time(wall):%H:%M}" + (f" (+{days} d)" if days else "")
 
 
-SESSIONS = Section("sessions", lambda d, figures: sessions_section(d.run))
+SECTIONS = (
+    Section("sessions", lambda d, figures: sessions_section(d.run)),
+    Section(
+        "health", lambda d, figures: section(d.run, figures.get(KIND, ())), lambda d, facts: draw(facts.run, facts.slug)
+    ),
+)

@@ -1,14 +1,20 @@
-"""The parts that a sample's page ends with, in their order. To add one: its file, and its name here."""
+"""The parts that a sample's page ends with, in their order.
 
-from gonio_analysis.report import appearance, beyond_reflection, budget, checks, health, wavelengths
+To add one: write `mine.py` beside this with `SECTIONS`, and name it in `_MODULES`.
+"""
 
-SECTIONS = (
-    beyond_reflection.TRANSMISSION,
-    beyond_reflection.POLARISATION,
-    appearance.SECTION,
-    checks.SECTION,
-    budget.SECTION,
-    wavelengths.SECTION,
-    health.SESSIONS,
-    health.SECTION,
+from importlib import import_module
+
+from gonio_analysis.report.section import Section
+
+_MODULES = (
+    "beyond_reflection",
+    "appearance",
+    "checks",
+    "budget",
+    "wavelengths",
+    "health",
+)
+SECTIONS: tuple[Section, ...] = tuple(
+    section for name in _MODULES for section in import_module(f"gonio_analysis.report.{name}").SECTIONS
 )

@@ -10,4 +10,4 @@ def _blocks(d: DatasetSummary, figures: ByKind) -> list[Block]:
     return [Heading(3, "Parameters over wavelength"), Figures(figures["series"])] if "series" in figures else []
 
 
-SECTION = Section("wavelengths", _blocks)
+SECTIONS = (Section("wavelengths", _blocks),)
