@@ -114,7 +114,7 @@ class Watched:
     def _follow(self) -> None:
         looked = -LOOK_S
         while not self._ended:
-            if not self._is_attended():
+            if not self.wanted and not self.log.listeners:  # nobody looks: the journal is not even read
                 with self._news:
                     self._news.wait_for(lambda: self._ended, POLL_S)
                 continue
@@ -251,10 +251,6 @@ class Watched:
         """The last frame as a PNG; None where there is none yet."""
         found = self.shared.read(FRAME) if self.values.frame else None
         return Content(found, "image/png") if found is not None else None
-
-    def _is_attended(self) -> bool:
-        """Whether somebody looks: else the journal is not even read."""
-        return self.wanted or self.log.listeners > 0
 
 
 def asked(run: Run) -> str:

@@ -86,7 +86,12 @@ def render(scene: Scene, *, step: Step | None = None) -> Picture:
     camera, waves = scene.camera, scene.wavelength_nm.size
     integrator = Integrator(scene)
     count, seen = camera.pixels, 0
-    noisy = camera.lens_radius > 0 or camera.samples > 1 or scene.tolerance > 0 or _soft(scene)
+    noisy = (
+        camera.lens_radius > 0
+        or camera.samples > 1
+        or scene.tolerance > 0
+        or any(light.samples > 1 for light in scene.lights)
+    )
     told = step or (lambda done, of: None)
     one_ray = camera.samples == 1 and scene.tolerance == 0.0
     through_centres = one_ray and camera.lens_radius == 0
@@ -134,11 +139,6 @@ def _blocks(scene: Scene, size: int = BLOCK) -> Iterator[Indices]:
     """All pixels, by their numbers, block by block."""
     count = scene.camera.pixels
     return (np.arange(first, min(first + size, count)) for first in range(0, count, size))
-
-
-def _soft(scene: Scene) -> bool:
-    """Whether a light is a sum over its points."""
-    return any(light.samples > 1 for light in scene.lights)
 
 
 def _random(scene: Scene, batch: int, first: int) -> np.random.Generator:

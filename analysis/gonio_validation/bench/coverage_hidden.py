@@ -420,10 +420,6 @@ def _anywhere(rng: np.random.Generator, count: int) -> list[Angles]:
     ]
 
 
-def _scattered(rng: np.random.Generator) -> list[Angles]:
-    return _anywhere(rng, 40)
-
-
 def _around_many_mirrors(rng: np.random.Generator) -> list[Angles]:
     """Each point has an angle of incidence of its own, and lies around the mirror direction of that."""
     reach, out = _even(rng, 5.0, 25.0), []
@@ -445,7 +441,7 @@ PLANS: dict[str, Callable[[np.random.Generator], list[Angles]]] = {
     "around the mirror": _around_the_mirror,
     "out of plane": _out_of_plane,
     "grazing": _grazing,
-    "scattered": _scattered,
+    "scattered": lambda rng: _anywhere(rng, 40),
     "around many mirrors": _around_many_mirrors,
     "few": _few,
 }

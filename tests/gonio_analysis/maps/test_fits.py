@@ -403,15 +403,3 @@ def test_foreign_and_damaged_files_are_one_message(tmp_path: Path) -> None:
     with pytest.raises(DataError, match="without values"):
         made(path, tmp_path / "fits.h5")
     assert not (tmp_path / "fits.h5.parts").exists()
-
-
-def test_a_damaged_tile_is_named(tmp_path: Path) -> None:
-    path = tmp_path / "map.h5"
-    write(path, lambda x, y: PLASTIC, rows=2, cols=2)
-    with h5py.File(path, "r") as file:
-        chunk = file["brdf"].id.get_chunk_info(0)
-    content = bytearray(path.read_bytes())
-    content[chunk.byte_offset : chunk.byte_offset + chunk.size] = bytes(chunk.size)
-    path.write_bytes(content)
-    with pytest.raises(DataError, match="rows 0 to 2, columns 0 to 2 cannot be read"):
-        made(path, tmp_path / "fits.h5")
