@@ -153,6 +153,9 @@ def compared(
     sides, notes = _ready(sides, wavelength_nm)
     keys, in_words = _keys(sides, shared)
     base, rows, first = _common(sides, say)
+    for side, one in zip(sides, first, strict=True):
+        if not one.value.sum() > 0.0:
+            raise DataError(f"{side.source}: its {rows.size} common values are not above 0: they tell no scale")
     say(f"comparing: {len(sides)} laboratories in {rows.size} common directions")
     at, first, solved, turned = _settled(sides, sides[base].measured.take(rows), first, keys)
     scales = equivalence(solved.scales, solved.v_scales, LEVEL / TESTS)

@@ -80,7 +80,9 @@ def judge(value_a: Floats, value_b: Floats, covariance: Covariance) -> Verdict:
     p = 2 * ndtr(-np.abs(z))
     mean = covariance.whiten(0.5 * (value_a + value_b))
     strength = float(mean @ mean)
-    scale, u_scale = float(mean @ covariance.whiten(difference)) / strength, float(strength**-0.5)
+    scale, u_scale = 0.0, np.inf  # of two that are 0 everywhere
+    if strength > 0.0:
+        scale, u_scale = float(mean @ covariance.whiten(difference)) / strength, float(strength**-0.5)
     found = Verdict(
         chi_square=total,
         p_value=float(chdtrc(n, total)),

@@ -82,6 +82,8 @@ def highest_tau(z: Floats, jacobian: Floats, stated: Covariance) -> float:
     low, high = math.log(SMALLEST), math.log(LARGEST)
     start = min(math.log(estimated_tau(z, jacobian, stated)), high - 1.0)
     least = unlikely(start)
+    if unlikely(high) - least <= K95**2:
+        return LARGEST  # the values are all noise: they leave room for any misfit
     return math.exp(float(brentq(lambda x: unlikely(x) - least - K95**2, max(start, low), high, xtol=1e-3)))
 
 

@@ -223,6 +223,8 @@ def _conclusion(c: Change) -> str:
     if c.identical:
         return f"The two are identical: each of the {n} values of B is that of A."
     typical = f"They differ typically by {spoken_difference(c.metrics['log_ratio'])}"
+    if c.metrics["log_ratio"] is None:
+        typical = "No value stands out of its uncertainty in both, so that no ratio is told"
     stated = c.within.as_they_are > 0.0 and v is not None
     agreement = f"{'Beyond what they state they' if stated else 'They'} agree {_agreement(c.within)}"
     if v is None:

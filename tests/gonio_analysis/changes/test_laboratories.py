@@ -204,6 +204,9 @@ def test_tables_that_cannot_be_compared_are_refused() -> None:
         compared({"A": a, "B": b.assign(u_brdf=np.nan, u_random=np.nan, s_reference=np.nan, s_theta_r_zero=np.nan)})
     with pytest.raises(DataError, match="no direction"):
         compared({"A": a, "B": b.assign(theta_i_deg=b["theta_i_deg"] + 7.0)})
+    for level in (0.0, -0.1):  # noise around nothing: no scale, and no shape of all
+        with pytest.raises(DataError, match=r"B: its \d+ common values are not above 0"):
+            compared({"A": a, "B": b.assign(brdf=level)})
     with pytest.raises(ConfigError, match="there is no laboratory Z; there are A, B"):
         compared({"A": a, "B": b}, reference=["Z"])
     with pytest.raises(ConfigError, match="states no such cause; it states reference, theta_r_zero"):

@@ -198,6 +198,18 @@ def test_identical_inputs_are_called_identical(tmp_path: Path) -> None:
     assert change(side(frame), side(frame))._conclusion == "identical"
 
 
+def test_two_that_are_black_have_no_common_factor(tmp_path: Path) -> None:
+    black = hemisphere(GLOSS).assign(brdf=0.0, u_brdf=0.01, u_random=0.01)
+    measurement.write(black, tmp_path / "a.csv")
+    measurement.write(black.assign(brdf=-0.001), tmp_path / "b.csv")
+    found = change(side(black), side(black))
+    assert found.verdict is not None
+    assert (found.verdict.scale, found.verdict.u_scale, found.verdict.changed) == (0.0, np.inf, False)
+    commands.compare([str(tmp_path / name) for name in ("a.csv", "b.csv")], tmp_path / "out", change=True)
+    told = json.loads((tmp_path / "out" / "summary.json").read_text(encoding="utf-8"))
+    assert "No value stands out of its uncertainty in both, so that no ratio is told." in told["conclusion"]
+
+
 def test_what_agrees_with_a_scale_and_a_zero_free_says_so() -> None:
     a, b = measure(GLOSS, noise=0.0, floor=1e-9), measure(GLOSS, noise=0.0, floor=1e-9)
     silent = ["u_brdf", "u_random"]

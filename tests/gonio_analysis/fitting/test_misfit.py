@@ -90,6 +90,15 @@ def test_a_true_model_has_no_misfit_and_its_numbers_stay() -> None:
     assert result.weighting.startswith("the table's covariance")
 
 
+def test_values_that_are_all_noise_leave_room_for_any_misfit() -> None:
+    """A black sample: what is not told of the model is not said."""
+    table = measure(Lambert(albedo=0.5), noise=0.01).assign(brdf=0.0, u_brdf=0.01, u_random=0.01)
+    found = fit(table, "lambert")
+    assert not found.rejected
+    assert found.tau is not None
+    assert found.tau.interval[1] >= 1.0  # all of the value
+
+
 def test_neither_the_smallest_uncertainty_nor_a_vanishing_value_decides() -> None:
     table, _ = of_facets(3, "in plane")
     table.loc[5, ["u_brdf", "u_random"]] *= 1e-4  # one value claims to be known to 4e-7
