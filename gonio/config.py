@@ -3,7 +3,6 @@
 Ranges of numbers that keys of a rig file share.
 """
 
-import difflib
 import re
 import tomllib
 from functools import cache
@@ -14,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from gonio.disk import only_file
-from gonio.errors import ConfigError
+from gonio.errors import ConfigError, did_you_mean
 from gonio.typing import TomlTable
 
 MAX_DEPTH = 32
@@ -165,15 +164,13 @@ def _explain(table: type[BaseModel], item: Any) -> tuple[str, str]:
     where = _dotted(location)
     if kind == "extra_forbidden":
         known = list(_found(table, loc[:-1])[1][0].model_fields)
-        near = difflib.get_close_matches(str(loc[-1]), known, n=1)
-        hint = f'did you mean "{near[0]}"?' if near else f"known here: {', '.join(sorted(known))}"
+        hint = did_you_mean(str(loc[-1]), known, f"known here: {', '.join(sorted(known))}")
         return f"unknown key {where}; {hint}", ""
     if kind in ("union_tag_invalid", "union_tag_not_found"):
         key, known = item["ctx"]["discriminator"].strip("'"), [tag for each in tables for tag in _tags(each)]
         if kind == "union_tag_not_found":
             return f"the key {where}.{key} is missing; known here: {', '.join(known)}", ""
-        near = difflib.get_close_matches(item["ctx"]["tag"], known, n=1)
-        hint = f'did you mean "{near[0]}"?' if near else f"known here: {', '.join(known)}"
+        hint = did_you_mean(item["ctx"]["tag"], known, f"known here: {', '.join(known)}")
         return f"{where}.{key} = {item['ctx']['tag']!r}: is unknown; {hint}", ""
     if kind == "missing" and isinstance(location[-1], int):
         return f"{_dotted(location[:-1])} = {_shown(item['input'])}: ", f"its entry {location[-1] + 1} is missing"

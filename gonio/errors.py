@@ -5,7 +5,7 @@ and what to do. Each class carries the exit code that the command line ends with
 """
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import Literal
 
 
@@ -76,6 +76,14 @@ class Interrupted(GonioError):
     """The run was stopped by the user, after the arms were parked and the lamp was dark (exit code 130)."""
 
     exit_code = 130
+
+
+def did_you_mean(name: str, known: Iterable[str], otherwise: str = "") -> str:
+    """The end of a message on an unknown name: the known one that is nearest; `otherwise` where none is near."""
+    import difflib
+
+    near = difflib.get_close_matches(name, list(known), n=1)
+    return f'did you mean "{near[0]}"?' if near else otherwise
 
 
 def refuse_masked(name: str, value: object) -> None:

@@ -1,7 +1,6 @@
 """Entry points: rigs, cameras, models, commands and exports of runs, ours and others' alike."""
 
 import contextlib
-import difflib
 import functools
 import sys
 from importlib.metadata import EntryPoint, entry_points
@@ -9,7 +8,7 @@ from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from typing import Any, Literal
 
-from gonio.errors import ConfigError, GonioError
+from gonio.errors import ConfigError, GonioError, did_you_mean
 
 Group = Literal[
     "gonio.rigs",
@@ -84,8 +83,7 @@ def load(group: Group, name: str) -> Any:
     if in_file(name):
         return _of_file(kind, name)
     if name not in points:
-        near = difflib.get_close_matches(name, points, n=1)
-        hint = f'did you mean "{near[0]}"?' if near else f"installed: {', '.join(points) or 'none'}"
+        hint = did_you_mean(name, points, f"installed: {', '.join(points) or 'none'}")
         raise ConfigError(f'there is no {kind} named "{name}"; {hint}')
     try:
         return imported(points[name])

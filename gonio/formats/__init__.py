@@ -3,12 +3,11 @@
 To add one: write `formats/mine.py` with a `FORMAT`, and name it in `_MODULES`.
 """
 
-import difflib
 from functools import cache
 from importlib import import_module
 from pathlib import Path
 
-from gonio.errors import ConfigError, DataError
+from gonio.errors import ConfigError, DataError, did_you_mean
 from gonio.formats.reader import Format
 
 _MODULES = (
@@ -61,8 +60,7 @@ def named(name: str) -> Format:
     formats = all_formats()
     name = _ALSO.get(name, name)
     if name not in formats:
-        near = difflib.get_close_matches(name, formats, n=1)
-        hint = f'did you mean "{near[0]}"?' if near else f"known: {', '.join(formats)}"
+        hint = did_you_mean(name, formats, f"known: {', '.join(formats)}")
         raise ConfigError(f'there is no file format named "{name}"; {hint}')
     return formats[name]
 

@@ -1,7 +1,6 @@
 """What every reflectance model is: a frozen set of parameters, and a BRDF over angles or unit vectors."""
 
 import dataclasses
-import difflib
 import functools
 import inspect
 from abc import ABC, abstractmethod
@@ -10,7 +9,7 @@ from typing import Any, ClassVar, cast, overload
 
 import numpy as np
 
-from gonio.errors import ArgumentError
+from gonio.errors import ArgumentError, did_you_mean
 from gonio.geometry import Directions
 from gonio.models import engine, hemispherical
 from gonio.models.engine import SPLIT, Constants, Geometry, Kernel
@@ -482,7 +481,6 @@ def build_model(kind: type[Model], name: str, parameters: Mapping[str, Any]) -> 
     known = _arguments(kind)
     for key in parameters:
         if key not in known:
-            near = difflib.get_close_matches(key, known, n=1)
-            hint = f'did you mean "{near[0]}"?' if near else f"it has {', '.join(known)}"
+            hint = did_you_mean(key, known, f"it has {', '.join(known)}")
             raise ArgumentError(f'the model "{name}" has no parameter "{key}"; {hint}')
     return kind(**parameters)

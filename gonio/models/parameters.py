@@ -5,7 +5,6 @@ parameters hang together: optical constants that are known, shares that add up t
 """
 
 import cmath
-import difflib
 import functools
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -15,7 +14,7 @@ from typing import Any, Literal, TypeAlias, cast
 
 import numpy as np
 
-from gonio.errors import ArgumentError, ConfigError, refuse_masked
+from gonio.errors import ArgumentError, ConfigError, did_you_mean, refuse_masked
 from gonio.typing import Floats, NDArray
 
 Index = complex | str | Sequence[float] | Callable[[float], complex]
@@ -107,11 +106,8 @@ def choice(name: str, value: Any, allowed: Sequence[str]) -> str:
     """One of a few names; raises `ArgumentError` with the nearest of them otherwise."""
     if isinstance(value, str) and value in allowed:
         return str(value)
-    near = difflib.get_close_matches(str(value), allowed, n=1)
-    listed = ", ".join(f'"{option}"' for option in allowed)
-    raise ArgumentError(
-        f"{name} = {value!r}: must be one of {listed}" + (f'; did you mean "{near[0]}"?' if near else "")
-    )
+    listed, hint = ", ".join(f'"{option}"' for option in allowed), did_you_mean(str(value), allowed)
+    raise ArgumentError(f"{name} = {value!r}: must be one of {listed}" + (hint and f"; {hint}"))
 
 
 @functools.lru_cache(maxsize=64)
@@ -228,8 +224,7 @@ class Declaration:
             The model has none (with the nearest name).
         """
         if name not in self.parameters:
-            near = difflib.get_close_matches(name, self.parameters, n=1)
-            hint = f'did you mean "{near[0]}"?' if near else f"it has: {', '.join(self.parameters)}"
+            hint = did_you_mean(name, self.parameters, f"it has: {', '.join(self.parameters)}")
             raise ConfigError(f'{self.name} has no parameter "{name}" that can be fitted or fixed; {hint}')
         return self.parameters[name]
 

@@ -1,6 +1,5 @@
 """The scene file: checked tables, and the scene that they describe."""
 
-import difflib
 import itertools
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,7 +10,7 @@ from pydantic import Field, model_validator
 
 from gonio.acquisition.measure import find_rig
 from gonio.config import NonNegative, Positive, Strict, load
-from gonio.errors import ConfigError, DataError
+from gonio.errors import ConfigError, DataError, did_you_mean
 from gonio.models import examine
 from gonio.rig.description import RigDescription
 from gonio.typing import Floats
@@ -135,8 +134,7 @@ class SceneFile(Strict):
                 raise ValueError(f"{key} = []: a scene needs one [[{key}]] at least")
         for k, shape in enumerate(self.shape):
             if shape.material not in self.material:
-                near = difflib.get_close_matches(shape.material, self.material, n=1)
-                hint = f'did you mean "{near[0]}"?' if near else f"there are: {', '.join(self.material) or 'none'}"
+                hint = did_you_mean(shape.material, self.material, f"there are: {', '.join(self.material) or 'none'}")
                 raise ValueError(
                     f'shape[{k + 1}].material = "{shape.material}": no [material] table of that name; {hint}'
                 )

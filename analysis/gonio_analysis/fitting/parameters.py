@@ -1,6 +1,5 @@
 """Models by name, as fits see them: what their classes declare (`gonio.models.parameters`), and sums of two."""
 
-import difflib
 import math
 from collections.abc import Callable, Mapping
 from contextlib import suppress
@@ -9,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from gonio import plugins
-from gonio.errors import ConfigError
+from gonio.errors import ConfigError, did_you_mean
 from gonio.models import Sum
 from gonio.models.model import Model, build_model
 from gonio.models.parameters import ALBEDO, Arguments, Declaration, Fitted, Ior, Levels, Values
@@ -63,8 +62,7 @@ def family(name: str, *, slopes: int = 1, ior: Ior = None) -> Declaration:
         No such model can be fitted, or an option does not belong to it.
     """
     if "+" not in name and not _there(name):
-        near = difflib.get_close_matches(name, known(), n=1)
-        hint = f'did you mean "{near[0]}"?' if near else f"known: {', '.join(known())}"
+        hint = did_you_mean(name, known(), f"known: {', '.join(known())}")
         raise ConfigError(f'there is no model named "{name}" to fit; {hint}')
     if slopes != 1 and ("+" in name or not kind(name).several_slopes):
         several = ", ".join(one for one in known() if kind(one).several_slopes)
