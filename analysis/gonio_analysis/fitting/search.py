@@ -89,10 +89,10 @@ def search(problem: Problem, data: Observations, say: Say = silent) -> Floats:
         by_metric = [(float(cost.sum()), v) for cost, v in zip(costs, starts, strict=True)]
         begin.append(_coarse(problem, brightest, goal, by_metric)[0][0])
     found = min((approach(problem, data, vector, say) for vector in begin), key=lambda f: f[1])
-    if inside := _inside(problem, found[0], starts):
-        goal = replace(alone(few, asked.metric), loss=asked.loss)
-        short = [refine(problem, few, goal, vector, quick=True, limit=SHORT) for vector in inside]
-        found = min(found, approach(problem, data, min(short, key=lambda f: f[1])[0], say), key=lambda f: f[1])
+    goal = replace(alone(few, asked.metric), loss=asked.loss)
+    if inside := _inside(problem, found[0], starts) + _of_other_indices(problem, few, goal, found[0]):
+        ends = [refine(problem, few, goal, vector, quick=True) for vector in inside]
+        found = min(found, approach(problem, data, min(ends, key=lambda f: f[1])[0], say), key=lambda f: f[1])
     if asked.metric is None and asked.loss == "linear" and data.covariance is not None and data.u_rel_assumed is None:
         found = _beyond(problem, data, few, found, candidates, say)
     return found[0]
@@ -137,13 +137,13 @@ def _valleys(
 
     The profile is known at the widths of the starts, and half-way between them where both neighbours are low.
     """
-    profile = [_at_width(problem, data, goal, start, width, PROFILED) for start in starts]
+    profile = [_holding([width], problem, data, goal, start, PROFILED) for start in starts]
     low = min(cost for cost, _ in profile) + NEAR
     if not math.isfinite(low):
         return []
     for (a, left), (b, right) in list(pairwise(profile)):
         if max(a, b) < FAR * low:
-            profile.append(_at_width(problem, data, goal, 0.5 * (left + right), width, PROFILED - 2))
+            profile.append(_holding([width], problem, data, goal, 0.5 * (left + right), PROFILED - 2))
     profile.sort(key=lambda found: float(found[1][width]))
     costs = np.array([np.inf, *(cost for cost, _ in profile), np.inf])
     here = costs[1:-1]
@@ -153,11 +153,20 @@ def _valleys(
     return [profile[row][1] for row in rows if row != own or abs(row - nearest) > 1]
 
 
-def _at_width(
-    problem: Problem, data: Observations, goal: Objective, start: Floats, width: int, evaluations: int
+def _of_other_indices(problem: Problem, data: Observations, goal: Objective, found: Floats) -> list[Floats]:
+    """Where to begin again where nothing is known of n and k: a glass and metals, whose lobes are much alike."""
+    if "k" not in problem.free or problem.family.fixed.get("k"):
+        return []
+    values, held = problem.values(found), [k for k, n in enumerate(problem.free) if n in ("ior", "k")]
+    starts = [problem.vector({**values, "ior": n, "k": k}) for n, k in parameters.INDICES]
+    return [_holding(held, problem, data, goal, start, PROFILED)[1] for start in starts]
+
+
+def _holding(
+    held: Sequence[int], problem: Problem, data: Observations, goal: Objective, start: Floats, evaluations: int
 ) -> tuple[float, Floats]:
-    """The lowest cost of Gauss-Newton steps of all parameters but the width, and where that is."""
-    others, (lower, upper), x = np.delete(np.arange(start.size), width), problem.bounds, start
+    """The lowest cost of Gauss-Newton steps of all parameters but those held, and where that is."""
+    others, (lower, upper), x = np.delete(np.arange(start.size), held), problem.bounds, start
     least, best = math.inf, start
     for left in reversed(range(evaluations)):
         here = apparent(problem.model(x), data, quick=True)
