@@ -75,6 +75,16 @@ _KERNELS: dict[str, Kernel] = {
 }
 
 
+def _brushed_along(values: Values) -> Values:
+    """The same model with the smaller width along the brushing, whose azimuth lies within [-90, 90) degrees."""
+    if not values.keys() >= {"alpha_along", "alpha_across", "brushing_deg"}:
+        return values
+    along, across, turn = values["alpha_along"], values["alpha_across"], values["brushing_deg"]
+    turn += 90.0 * (along > across)
+    narrow, wide = min(along, across), max(along, across)
+    return {**values, "alpha_along": narrow, "alpha_across": wide, "brushing_deg": (turn + 90.0) % 180.0 - 90.0}
+
+
 @dataclass(frozen=True, repr=False)
 class AnisotropicFacets(Model):
     """Mirror facets with a direction over a diffuse base: brdf = s F D G_2/(4 (N.L)(N.V)) + (1 - s) albedo/pi [1/sr].
@@ -143,7 +153,11 @@ class AnisotropicFacets(Model):
             "brushing_deg": Fitted(-180.0, 180.0, unit="deg"),
             "diffuse_albedo": DIFFUSE,
         }
-        return optical(cls.name, rows, ior, starts, flat=lambda v: {"diffuse_albedo": (1.0 - v["s"]) / math.pi})
+
+        def flat(v: Values) -> Values:
+            return {"diffuse_albedo": (1.0 - v["s"]) / math.pi}
+
+        return optical(cls.name, rows, ior, starts, flat=flat, stated=_brushed_along)
 
     @classmethod
     def undetermined_by(cls, directions: Directions) -> str:

@@ -214,6 +214,8 @@ class Declaration:
     """d(model)/d(parameter) [1/sr] of the parameters whose effect is the same in every direction."""
     base_starts: Callable[[float], list[Values]] = lambda albedo: [{"albedo": albedo}]
     """The same where it is the base of a sum, from the albedo of the lower values."""
+    stated: Callable[[Values], Values] = lambda values: values
+    """Of the values that make one and the same model, those by which it is stated."""
 
     def parameter(self, name: str) -> Fitted:
         """The parameter of that name.
@@ -265,6 +267,7 @@ def optical(
     needs_wavelength: bool = False,
     flat: Callable[[Values], Values] = lambda values: {},
     derived: Callable[[Values], Values] = lambda values: {},
+    stated: Callable[[Values], Values] = lambda values: values,
 ) -> Declaration:
     """Of a model whose parameters are its constructor's arguments, and which has optical constants besides.
 
@@ -280,7 +283,8 @@ def optical(
         return {**{n: x for n, x in values.items() if n in rows}, "ior": optical_argument(values, ior)}
 
     needs = needs_wavelength or isinstance(ior, str)
-    return Declaration(name, {**rows, **OPTICAL}, free, fixed, arguments, starts, needs, derived, flat)
+    declared = {**rows, **OPTICAL}
+    return Declaration(name, declared, free, fixed, arguments, starts, needs, derived, flat, stated=stated)
 
 
 def _starts(row: Fitted, levels: Levels) -> list[float]:

@@ -122,7 +122,17 @@ def _minimised(
     done = asked.metric is None and problem.bound is None  # the search has made the same sum small, without more ado
     if not (done and pointlike(data) and (goal.weights is None or not goal.weights.causes)):
         vector = refine(problem, data, goal, vector, say=say)[0]
-    return data, goal, *settle(problem, data, goal, vector)
+    return data, goal, *settle(problem, data, goal, _as_stated(problem, vector))
+
+
+def _as_stated(problem: Problem, vector: Floats) -> Floats:
+    """The same model by the values that state it, where nothing holds one of them."""
+    values = problem.values(vector)
+    stated = problem.family.stated(values)
+    moved = {name for name in stated if stated[name] != values[name]}
+    other, (lower, upper) = problem.vector(stated), problem.bounds
+    free = moved <= set(problem.free) and not problem.priors
+    return other if moved and free and bool(np.all((lower <= other) & (other <= upper))) else vector
 
 
 def fit(
