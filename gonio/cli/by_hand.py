@@ -386,6 +386,7 @@ def _progress() -> Iterator[Callable[[int, int], None]]:
 
 
 def _scan_file(axis: str, out: Path | None) -> Path:
+    from gonio.acquisition.run_folder import check_writable
 
     file, number = out or Path(f"scan-{axis}.csv"), 1
     while file.exists() or file.with_suffix(".png").exists():
@@ -397,6 +398,7 @@ def _scan_file(axis: str, out: Path | None) -> Path:
         raise ConfigError(f"--out {file}: must end with .csv")
     if not file.absolute().parent.is_dir():
         raise ConfigError(f"--out {file}: there is no folder {file.parent}")
+    check_writable(file)
     return file
 
 

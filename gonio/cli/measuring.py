@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from functools import partial
@@ -70,7 +71,7 @@ def measure(
     points, skipped = sum(not flag for flag in flags), _flags(flags)  # every step is done where this is reached
     console.show(
         f"{out}: {points} points measured" + (f", {len(flags) - points} not ({skipped})" if skipped else ""),
-        f"next: gonio reduce {out}",
+        f"next: gonio reduce {shlex.quote(str(out))}",
     )
 
 

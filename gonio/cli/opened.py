@@ -54,12 +54,17 @@ def require_rig_file(rig: str) -> None:
 
 
 def require_new(out: Path, *beside: Path) -> None:
-    """Raise `ConfigError` where OUT is no name for a new .toml, or it, or what is written beside it, is there."""
+    """Raise `ConfigError` where OUT is no name for a new .toml, or it, or what is written beside it, is there or cannot
+    be written.
+    """
+    from gonio.acquisition.run_folder import check_writable
+
     for name in (out, *beside):
         if name.exists():
             raise ConfigError(f"{name}: is there already; name another file with --out")
     if out.suffix != ".toml" or not out.absolute().parent.is_dir():
         raise ConfigError(f"--out {out}: must end with .toml, and lie in a folder that is there")
+    check_writable(out)  # an hour's data would have no place
 
 
 def free_name(out: Path, what: str, suffix: str) -> Path:

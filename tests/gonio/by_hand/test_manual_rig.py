@@ -159,6 +159,24 @@ def test_commands_on_a_simulated_rig(tmp_path: Path, words: list[str], code: int
     assert (done.returncode, message in done.stdout + done.stderr) == (code, True), done.stdout + done.stderr
 
 
+@pytest.mark.skipif(not Path("/proc").is_dir(), reason="no folder that takes no file from anybody")
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("rig", "scan", "light", "--from", "0", "--to", "5", "--step", "1", "--out", "/proc/s.csv"),
+        ("rig", "align", "--yes", "--out", "/proc/a.toml"),
+        ("calibrate", "light", "--yes", "--out", "/proc/l.toml"),
+        ("calibrate", "camera", "--yes", "--out", "/proc/c.toml"),
+        ("calibrate", "geometry", "--yes", "--out", "/proc/g.toml"),
+    ],
+)
+def test_nothing_is_measured_that_cannot_be_written(tmp_path: Path, words: tuple[str, ...]) -> None:
+    (tmp_path / "my.toml").write_text(run(tmp_path, "rig", "show", "sim").stdout, encoding="utf-8")
+    done = run(tmp_path, *words, "--rig", "my.toml")
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1), done.stderr
+    assert f"{words[-1]}: /proc is not writable; choose another folder" in done.stderr
+
+
 @pytest.mark.parametrize("at", ["1e6", "nan", "-inf"])
 def test_no_axis_stands_at_an_absurd_angle(tmp_path: Path, at: str) -> None:
     (tmp_path / "my.toml").write_text(run(tmp_path, "rig", "show", "sim").stdout, encoding="utf-8")
