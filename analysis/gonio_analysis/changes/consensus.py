@@ -338,7 +338,7 @@ def _at_the_shape(one: LaboratoryValues, expected: Floats) -> Covariance:
         x, r = np.log(expected[used]), np.log(c.random[used])
         spread = float(np.var(x))
         power = float(np.clip(np.mean((x - x.mean()) * (r - r.mean())) / spread, 0.0, 1.0)) if spread > 1e-4 else 1.0
-    return Covariance(c.random * factor**power, c.scaled(factor).common, c.causes)
+    return Covariance(c.random * factor**power, c.scaled(factor, expected).common, c.causes)
 
 
 @dataclass(frozen=True)

@@ -244,7 +244,7 @@ def on_log_scale(data: Observations, small: float, predicted: Floats, tau: float
     if data.covariance is None:
         return independent(np.full(len(data), tau)) if tau else None
     ratio = ratio_to(predicted, data.brdf, data.u)
-    known = data.covariance.scaled(ratio)
+    known = data.covariance.scaled(ratio, predicted)
     slope = 1.0 / np.hypot(data.brdf, 2 * small)
     of_model = 1.0 / np.hypot(data.brdf * ratio, 2 * small)
     return Covariance(np.hypot(known.random * slope, tau), known.common * of_model[:, None], known.causes)
@@ -274,7 +274,7 @@ def scaled_to(data: Observations, predicted: Floats, metric: str | None = None) 
     goal = objective(data, metric)
     if goal.metric != "weighted" or not goal.weights or not goal.weights.causes:
         return goal
-    return replace(goal, weights=goal.weights.scaled(ratio_to(predicted, data.brdf, data.u)))
+    return replace(goal, weights=goal.weights.scaled(ratio_to(predicted, data.brdf, data.u), predicted))
 
 
 def ratio_to(expected: Floats, measured: Floats, u: Floats) -> Floats:

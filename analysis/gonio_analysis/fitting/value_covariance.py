@@ -22,6 +22,8 @@ AT_ONCE = 1 << 16
 ADDED = ("dark", "black")
 """Causes whose names begin so add to a value, whatever it is: offsets of a sensor. All others change it in proportion.
 """
+CLEARLY = 0.25
+"""Ratio of the variances of a column's logarithm over expected and over measured values: below it it follows those."""
 
 
 @dataclass(frozen=True)
@@ -128,19 +130,32 @@ class Covariance:
         white = self.whiten(residual)
         return float(white @ white)
 
-    def scaled(self, factor: Floats) -> Covariance:
-        """The covariance with the common part of value i times `factor[i]`.
+    def scaled(self, factor: Floats, expected: Floats) -> Covariance:
+        """The covariance with the common part of value i times `factor[i]`, to that of the `expected` values [1/sr].
 
         The effect of most common causes is proportional to the true value. Columns that were computed from measured,
         noisy values pull a fit toward low values (Peelle's puzzle); once a model is fitted, `factor` = fitted /
-        measured takes that pull away. What is `ADDED` holds no measured value, and would take up its noise.
+        measured takes that pull away. What is `ADDED` holds no measured value, and would take up its noise; so would
+        a column that is in proportion to the expected values as it is.
         """
-        added = np.array([cause.startswith(ADDED) for cause in self.causes], dtype=bool)
-        return Covariance(self.random, self.common * np.where(added, 1.0, factor[:, None]), self.causes)
+        kept = [
+            cause.startswith(ADDED) or _follows(c, factor, expected)
+            for cause, c in zip(self.causes, self.common.T, strict=True)
+        ]
+        return Covariance(self.random, self.common * np.where(kept, 1.0, factor[:, None]), self.causes)
 
     def take(self, rows: npt.NDArray[np.intp] | npt.NDArray[np.bool_]) -> Covariance:
         """The covariance of some of the values."""
         return Covariance(self.random[rows], self.common[rows], self.causes)
+
+
+def _follows(column: Floats, factor: Floats, expected: Floats) -> bool:
+    """Whether a cause's column goes with expected values, and clearly not with measured ones, expected / factor."""
+    share = column / np.where(expected == 0.0, np.nan, expected)
+    if not (np.all(share > 0.0) or np.all(share < 0.0)):
+        return False
+    as_it_is, by_factor = (float(np.var(np.log(np.abs(x)))) for x in (share, share * factor))
+    return as_it_is < CLEARLY * by_factor
 
 
 def independent(u: Floats) -> Covariance:

@@ -175,7 +175,7 @@ def measure(
     data = observations(frame, name)
     assert data.covariance is not None  # the rig "sim" states its uncertainties
     seen = apparent(surface.model, data)
-    chi = data.covariance.scaled(seen / data.brdf).chi_square(data.brdf - seen) / len(data)
+    chi = data.covariance.scaled(seen / data.brdf, seen).chi_square(data.brdf - seen) / len(data)
     words = (
         f"{len(data)} of {points} directions on the rig sim, seed {SEED}, lamp and lens of {solid_angle_sr:.5f} sr "
         "each; to repeat it, in simulated/: gonio measure plan.toml --rig rig.toml --sample sample.toml --seed "

@@ -300,3 +300,17 @@ def test_the_brushing_lies_along_the_smaller_width() -> None:
     # what the user fixes stays
     other = fit(joined(*parts), "anisotropic", ior=1.5, fix={"brushing_deg": turn + 90.0 if turn < 0 else turn - 90.0})
     assert other.parameters["alpha_along"].value > other.parameters["alpha_across"].value
+
+
+@pytest.mark.parametrize("of_true", [False, True])
+def test_a_reference_stated_of_measured_or_of_true_values_pulls_nothing(of_true: bool) -> None:
+    """Scaled as if it held noise, a column of true values pulled k_d by n u^2: 99 values and 2 %, 1.8 u."""
+    sample, pulls = build("phong", {"k_d": 0.3, "k_s": 0.3, "exponent": 30.0}), []
+    true = measure(sample, noise=0.0, floor=1e-12)["brdf"]
+    for seed in range(30):
+        frame = measure(sample, noise=0.01, floor=1e-12, reference=0.02, seed=seed)
+        if of_true:
+            frame["s_reference"] = 0.02 * true
+        found = fit(frame, "phong").parameters["k_d"]
+        pulls.append((found.value - 0.3) / known(found.u))
+    assert abs(np.mean(pulls)) < 3.0 / math.sqrt(30)  # three standard errors of the mean

@@ -72,7 +72,7 @@ def test_a_value_alone_is_compared_with_what_all_others_predict_of_it() -> None:
 def test_total_scaled_and_take() -> None:
     c = some(8)
     np.testing.assert_allclose(c.total, np.sqrt(np.diag(dense(c))), rtol=1e-14)  # a few roundings
-    np.testing.assert_array_equal(c.scaled(np.full(30, 2.0)).common, 2 * c.common)
+    np.testing.assert_array_equal(c.scaled(np.full(30, 2.0), np.ones(30)).common, 2 * c.common)
     np.testing.assert_array_equal(c.take(np.array([3, 1])).common, c.common[[3, 1]])
 
 
