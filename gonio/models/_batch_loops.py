@@ -259,6 +259,18 @@ RESULT = types.int64(
 
 
 @viewing
+def lower_of(found, best, end, theta, matrix, around, moves, triangle, spread):  # type: ignore[no-untyped-def]
+    """The lower chi-square of two; where it is that of `end`, this is brought into `theta`, `around` and `spread`."""
+    if not found < best:
+        return best
+    copied(end, theta, 0, end.size)
+    for a in range(moves.size):
+        copied(matrix[a], around[a], 0, moves.size)
+    inverted(matrix, moves, triangle, spread)
+    return found
+
+
+@viewing
 def lowest(  # type: ignore[no-untyped-def]
     shade, derive, unit, levels, constants, columns, z, w, some_z, some_w, relative, grid, axis, free, lower, upper,
     acceptable, rows, of_grid, work, matrix, around, moves, triangle, end, theta, spread, rooms, count,
@@ -306,12 +318,7 @@ def lowest(  # type: ignore[no-untyped-def]
                 shade, derive, columns, z, w, 0.0, relative, end, free, lower, upper, f, work, matrix, moves, room,
                 count, best, theta, around,
             )  # fmt: skip
-        if found < best:
-            best = found
-            copied(end, theta, 0, end.size)
-            for a in range(free.size):
-                copied(matrix[a], around[a], 0, free.size)
-            inverted(matrix, moves, triangle, spread)
+        best = lower_of(found, best, end, theta, matrix, around, moves, triangle, spread)
         rough = scales.size and theta[pair[0]] > scales[1]
         if rough:
             times, close, more = NEAR_VALLEY, NEAR, NEARLY_FLAT
@@ -327,6 +334,33 @@ def lowest(  # type: ignore[no-untyped-def]
                     profile[row] = np.inf
         which = lowest_row(profile, 0, 1)  # the second valley, or one of another index or another sigma
         which = which if profile[which] < np.inf else -1
+    start = starts[0]
+    for a in range(free.size):  # a bound that a search ended on may hide the valley inside
+        if lower[free[a]] < theta[free[a]] < upper[free[a]]:
+            continue
+        for row in range(grid.shape[0]):
+            value = grid[row, free[a]]
+            new = lower[free[a]] < value < upper[free[a]]
+            for before in range(row):
+                new = new and grid[before, free[a]] != value
+            if new:
+                copied(theta, start, 0, end.size)
+                start[free[a]] = value
+                copied(start, end, 0, end.size)
+                if width >= 0 and not by_sums:
+                    unit(end)
+                    shade(columns, end, 1, work[1, :count])
+                    narrowed(
+                        shade, derive, unit, levels, columns, start, width, lower[width], upper[width], weight,
+                        weighted, work[1, :count], f, work[0, :count], end, count,
+                    )  # fmt: skip
+                for b in range(end.size):
+                    end[b] = min(max(start[b], lower[b]), upper[b])
+                found = minimised(
+                    shade, derive, columns, z, w, 0.0, relative, end, free, lower, upper, f, work, matrix, moves, room,
+                    count, best, theta, around,
+                )  # fmt: skip
+                best = lower_of(found, best, end, theta, matrix, around, moves, triangle, spread)
     if scales.size and (best > acceptable or theta[pair[0]] > scales[1]):
         others, count_of_others, promised = scaled(
             shade, derive, columns, z, w, relative, theta, free, lower, upper, around, best, found == best, scales,
@@ -339,12 +373,7 @@ def lowest(  # type: ignore[no-untyped-def]
                     shade, derive, columns, z, w, 0.0, relative, end, free, lower, upper, f, work, matrix, moves, room,
                     count, best, theta, around,
                 )  # fmt: skip
-                if found < best:
-                    best = found
-                    copied(end, theta, 0, end.size)
-                    for a in range(free.size):
-                        copied(matrix[a], around[a], 0, free.size)
-                    inverted(matrix, moves, triangle, spread)
+                best = lower_of(found, best, end, theta, matrix, around, moves, triangle, spread)
     return best
 
 
