@@ -133,6 +133,18 @@ def test_steps_without_a_hit_lose_no_pixel() -> None:
         assert hits.sum() <= 3  # 0.5 are allowed on average; more than 3 once in 500
 
 
+@pytest.mark.parametrize("count", [2, 3, 5])
+def test_a_pixel_of_a_dark_frame_that_was_hit_takes_the_mean_of_the_others(count: int) -> None:
+    dark = np.random.default_rng(4).integers(60, 69, (count, 8, 8)).astype(np.uint16)
+    dark[1, 2, 3] = 900
+    clean, hits = merging.without_hits(rig().camera, dark, BLACK)
+    assert hits == 1
+    assert clean[1, 2, 3] == pytest.approx(np.delete(dark[:, 2, 3], 1).mean(), rel=1e-12)
+    kept = np.ones(dark.shape, dtype=bool)
+    kept[1, 2, 3] = False
+    assert (clean[kept] == dark[kept]).all()
+
+
 def test_the_lamp_s_flicker_makes_frames_count_alike() -> None:
     """Bright frames: the lamp is the only noise that matters, whatever their exposure."""
     description = rig(lamp=0.01)
