@@ -32,8 +32,11 @@ from gonio.shown import interval, with_u
 from gonio.typing import Floats
 from gonio_analysis.fitting import parameters
 from gonio_analysis.fitting.forward import apparent
-from gonio_analysis.fitting.search import refine, to_full
+from gonio_analysis.fitting.search import derivatives, refine, to_full
 from gonio_analysis.fitting.solution import ROUNDING, Solution
+
+STEPS = 4
+"""Most last steps of a small fit that holds parameters at their bounds."""
 
 
 class Near:
@@ -56,13 +59,60 @@ class Near:
         return self.goal.total(np.concatenate([white, self.problem.pulls(vector)]))
 
     def refit(self, start: Floats, free: Rows, *, limit: int = 30) -> tuple[Floats, float]:
-        """The best point with only the parameters `free` moving, and its sum of squares."""
-        if free.size == 0:
-            return start, self.cost(start)
-        x, half = refine(
-            self.problem, self.data, self.goal, start, quick=True, limit=limit, free=free, ratio=self._ratio
-        )
-        return x, 2.0 * half
+        """The best point with only the parameters `free` moving, and its sum of squares.
+
+        A search stays some 1e-10 inside the bounds: where values near 0 are known to 1 %, an albedo of 1e-10 in place
+        of 0 may cost more than anything else. Parameters at their bounds therefore move apart, by Newton's steps.
+        """
+        held = np.intersect1d(free, self._at_bound(start))
+        x, total = self._apart(start, free, held, limit)
+        ends = np.intersect1d(free, self._at_bound(x))
+        if np.array_equal(ends, held):
+            return x, total
+        lower, upper = self.problem.bounds
+        begin, come = x.copy(), np.setdiff1d(ends, held)
+        begin[come] = np.where(x - lower < upper - x, lower, upper)[come]
+        return min((x, total), self._apart(begin, free, ends, limit), key=lambda found: found[1])
+
+    def _at_bound(self, x: Floats) -> Rows:
+        """Parameters that are nearer to a bound than a search can tell."""
+        lower, upper = self.problem.bounds
+        return np.flatnonzero(np.minimum(x - lower, upper - x) <= 1e-6 * np.minimum(upper - lower, 1.0))
+
+    def _apart(self, x: Floats, free: Rows, held: Rows, limit: int) -> tuple[Floats, float]:
+        """As `refit`, with those `held` moving only by the last steps, which may end on a bound exactly."""
+        moving = np.setdiff1d(free, held)
+        if moving.size:
+            x, half = refine(
+                self.problem, self.data, self.goal, x, quick=True, limit=limit, free=moving, ratio=self._ratio
+            )
+        total = 2.0 * half if moving.size else self.cost(x)
+        for _ in range(STEPS if held.size else 0):
+            y = self._stepped(x, free)
+            after = self.cost(y)
+            if not after < total:
+                break
+            x, total = y, after
+        return x, total
+
+    def _stepped(self, x: Floats, free: Rows) -> Floats:
+        """Where Newton's step ends of the parameters that no bound stops."""
+        lower, upper = self.problem.bounds
+        here = apparent(self.problem.model(x), self.data, quick=True)
+        predicted = here * self._ratio
+        columns = derivatives(self.problem, self.data, x, here=here, only=free) * self._ratio[:, None]
+        slopes = np.concatenate([self.goal.jacobian(predicted, columns), self.problem.pull_slopes(x)[:, free]])
+        residual = np.concatenate([self.goal.residual(predicted), self.problem.pulls(x)])
+        robust = self.goal.robust_weights(residual)
+        slopes, residual = slopes * robust[:, None], residual * robust
+        downhill = -(slopes.T @ residual)
+        open_ = ~((x <= lower)[free] & (downhill <= 0) | (x >= upper)[free] & (downhill >= 0))
+        y, rows, slopes = x.copy(), free[open_], slopes[:, open_]
+        if rows.size:
+            size = np.maximum(np.linalg.norm(slopes, axis=0), 1e-300)
+            step = np.linalg.lstsq(slopes / size, -residual, rcond=1e-10)[0] / size
+            y[rows] = np.clip(x[rows] + step, lower[rows], upper[rows])
+        return y
 
 
 POOR = 0.05

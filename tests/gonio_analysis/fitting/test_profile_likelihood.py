@@ -113,3 +113,15 @@ def test_values_beyond_any_mirror_are_left_out() -> None:
     table = measure(MATTE, noise=0.02)
     table.loc[3, "brdf"] = 1.7e308
     assert fit(table, "lambert").data.omitted["beyond 1e+30 1/sr"].size == 1
+
+
+@pytest.mark.parametrize("noise", [0.01, 0.001])
+def test_a_base_that_is_none_narrows_no_interval(noise: float) -> None:
+    """Away from a lobe of purely relative noise, a base of 1e-10 in place of 0 is far more than all uncertainties."""
+    table = measure(build("cook-torrance", {"s": 0.43, "slopes": 0.17, "ior": 1.9}), noise=noise, floor=0.0)
+    free, held = fit(table, "cook-torrance"), fit(table, "cook-torrance", fix={"diffuse_albedo": 0.0})
+    assert free.parameters["diffuse_albedo"].value == 0.0
+    for name in ("s", "ior"):
+        found, wanted = (one.intervals(name)[name] for one in (free, held))
+        # each end of either is found within CLOSE = 0.02 of a root of 1.96: 1 % of its half
+        assert found.high - found.low == pytest.approx(wanted.high - wanted.low, rel=0.02), name
