@@ -69,8 +69,8 @@ def make(
         wanted = plan(map_file, asked)
         for text in wanted.notes:
             say(text)
-        about = _about(map_file, wanted) | ({} if materials is None else {"materials": materials})
-        parts = Parts(out, about)
+        about = _about(map_file, wanted)
+        parts = Parts(out, about)  # the tiles are the same whatever materials are found of them
         every = map_file.tiles()
         todo = [tile for tile in every if not parts.has(tile)]
         if len(todo) < len(every):
@@ -81,7 +81,7 @@ def make(
             sizes, variables = _layout(map_file, wanted)
             if materials is not None:
                 more, found = shared.variables(map_file, parts, wanted, kinds, say)
-                sizes, variables = sizes | more, variables | found
+                sizes, variables, about = sizes | more, variables | found, about | {"materials": materials}
             parts.assemble(sizes, variables, {n: map_file.attrs[n] for n in KEPT if n in map_file.attrs} | about)
     return wanted
 

@@ -10,7 +10,7 @@ import pytest
 from gonio_analysis.fitting.problem import FitRequest
 from gonio_analysis.maps import fits
 
-from gonio.errors import ConfigError
+from gonio.errors import ConfigError, DataError
 from gonio.maps import MapFile
 from tests.command_line import gonio
 from tests.gonio_analysis.maps.made import write
@@ -120,6 +120,22 @@ def test_numbers_of_materials_that_are_none(tmp_path: Path) -> None:
                 count=lambda a, b: None, say=print,
             )  # fmt: skip
     assert not (tmp_path / "fits.h5.parts").exists()
+
+
+def test_a_map_without_materials_is_fitted_all_the_same(tmp_path: Path) -> None:
+    path, out, said = tmp_path / "map.h5", tmp_path / "fits.h5", list[str]()
+    write(path, lambda x, y: PAINTS[0], rows=1, cols=1)
+
+    def fit(materials: str | None) -> None:
+        asked = FitRequest("cook-torrance")
+        fits.make(path, out, asked, materials=materials, count=lambda a, b: None, say=said.append)
+
+    with pytest.raises(DataError, match="too few for materials"):
+        fit("3")
+    fit(None)
+    assert said[-1] == "1 of 1 tiles were done before"
+    with MapFile(out) as found:
+        assert "materials" not in found.attrs
 
 
 @pytest.mark.slow
