@@ -109,7 +109,9 @@ class Snapshot:
 
 
 def require_free(file: Path) -> tuple[Path, Path]:
-    """The names of a frame and of its picture; raises `ConfigError` where one is taken, or says no format."""
+    """The names of a frame and of its picture; `ConfigError` where one is taken, of no format, or cannot be written."""
+    from gonio.acquisition.run_folder import check_writable
+
     if file.suffix.lower() not in SUFFIXES:
         raise ConfigError(f"{file}: a frame is written as {', '.join(SUFFIXES)}; the name must end so")
     names = file, file.with_name(f"{file.stem}-view.png")
@@ -118,6 +120,7 @@ def require_free(file: Path) -> tuple[Path, Path]:
             raise ConfigError(f"{name}: is there already; name another file")
     if not file.absolute().parent.is_dir():
         raise ConfigError(f"{file}: there is no folder {file.parent}")
+    check_writable(file)
     return names
 
 

@@ -164,6 +164,7 @@ def test_commands_on_a_simulated_rig(tmp_path: Path, words: list[str], code: int
     "words",
     [
         ("rig", "scan", "light", "--from", "0", "--to", "5", "--step", "1", "--out", "/proc/s.csv"),
+        ("rig", "snap", "/proc/a.png"),
         ("rig", "align", "--yes", "--out", "/proc/a.toml"),
         ("calibrate", "light", "--yes", "--out", "/proc/l.toml"),
         ("calibrate", "camera", "--yes", "--out", "/proc/c.toml"),
