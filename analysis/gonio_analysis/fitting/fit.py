@@ -216,9 +216,11 @@ def _result(
     if not goal.whitened:
         spread = spread * max(total, ROUNDING)
     lower, upper = problem.bounds
-    basis = np.linalg.qr(jacobian[:, (lower < vector) & (vector < upper)])[0]
-    left = float(np.sum((np.concatenate([found.whitened, problem.pulls(vector)]) @ basis) ** 2))
-    if left > UNSETTLED * total:
+    columns = jacobian[:, np.minimum(vector - lower, upper - vector) > AT_BOUND * (upper - lower)]
+    columns = columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+    residual = np.concatenate([found.whitened, problem.pulls(vector)])
+    left = float(np.sum((columns @ np.linalg.lstsq(columns, residual, rcond=1e-10)[0]) ** 2))
+    if left > UNSETTLED * total and problem.asked.loss == "linear":
         found = replace(found, notes=[NOT_AT_THE_END.format(left)])
     return replace(found, condition=condition).known_to(spread)
 
