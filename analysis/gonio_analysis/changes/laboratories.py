@@ -26,7 +26,7 @@ from gonio_analysis.changes.consensus import (
     equivalence,
     joint,
 )
-from gonio_analysis.changes.point_by_point import Side, laid_on, require_alike
+from gonio_analysis.changes.point_by_point import Side, instead, laid_on, require_alike
 from gonio_analysis.changes.resampling import Carried, carry, turned_in_plane
 from gonio_analysis.fitting.observations import Observations, Unused, describe_left_out
 from gonio_analysis.fitting.value_covariance import Covariance
@@ -150,7 +150,7 @@ def compared(
     DataError
         A table states no uncertainties, or there is no direction that all of them have.
     """
-    sides, notes = _ready(sides, wavelength_nm)
+    sides, notes = _ready(sides, wavelength_nm, say)
     keys, in_words = _keys(sides, shared)
     base, rows, first = _common(sides, say)
     for side, one in zip(sides, first, strict=True):
@@ -244,7 +244,7 @@ def _judged(
 # ---- what comes in ----
 
 
-def _ready(sides: Sequence[Side], wavelength_nm: float | None) -> tuple[list[Side], tuple[str, ...]]:
+def _ready(sides: Sequence[Side], wavelength_nm: float | None, say: Say) -> tuple[list[Side], tuple[str, ...]]:
     """The sides with their planes of incidence laid on the first one's, and what is to be said."""
     out, notes = list[Side](), list[str]()
     for side in sides:
@@ -258,7 +258,11 @@ def _ready(sides: Sequence[Side], wavelength_nm: float | None) -> tuple[list[Sid
         if side.through is not None:
             notes.append(f"{side.name} holds transmission too: it is left out.")
         if wavelength_nm is not None:
-            side = replace(side, data=side.data.nearest(wavelength_nm)[0])
+            data, own = side.data.nearest(wavelength_nm)
+            side = replace(side, data=data)
+            if abs(own - wavelength_nm) > 1 and (note := instead(own, wavelength_nm)) not in notes:
+                notes.append(note)
+                say(note)
         if out:
             require_alike(out[0], side)
             data, told = laid_on(out[0].measured, side.measured)

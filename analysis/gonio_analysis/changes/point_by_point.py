@@ -268,6 +268,8 @@ def compared(sides: list[Side], *, wavelength_nm: float | None = None, say: Say 
     require_alike(sides[0], sides[1])
     apart = _through(sides[0], sides[1], wavelength_nm, say)
     *sides[:], notes = _at_one(sides[0], sides[1], wavelength_nm)
+    for note in notes:
+        say(note)
     notes += apart
     if all(x.data is not None for x in sides):
         found = _measurements(sides, say)
@@ -359,7 +361,7 @@ def _at_one(a: Side, b: Side, wavelength_nm: float | None) -> tuple[Side, Side, 
     if len(measured) == 2:
         pairs = [p for p in common_wavelengths(measured[0], measured[1]) if not np.isnan(p).any()]
     if len(pairs) < 2:
-        return a, b, []
+        return a, b, [instead(own, wavelength_nm) for own, _ in pairs if abs(own - wavelength_nm) > 1]
     own, other = min(pairs, key=lambda p: abs(p[0] - wavelength_nm))
     sides = [
         x if x.data is None else replace(x, data=x.data.at(wave))
@@ -367,6 +369,11 @@ def _at_one(a: Side, b: Side, wavelength_nm: float | None) -> tuple[Side, Side, 
     ]
     note = f"{own:g} nm alone is compared, the nearest of {len(pairs)} wavelengths to {wavelength_nm:g} nm."
     return sides[0], sides[1], [note]
+
+
+def instead(own: float, wavelength_nm: float) -> str:
+    """A note on a wavelength [nm] that nobody asked for."""
+    return f"{own:g} nm is compared instead of {wavelength_nm:g} nm, the nearest there is."
 
 
 def _measurements(sides: list[Side], say: Say) -> Change:

@@ -288,3 +288,14 @@ def test_a_laboratory_is_not_compared_with_itself(three: Path) -> None:
     assert (code, "named twice" in text) == (2, True)
     code, text = said("--laboratories", three / "A.csv", "--out", three / "page")
     assert (code, "two or more" in text) == (2, True)
+
+
+@pytest.mark.parametrize("way", ["--laboratories", "--change"])
+def test_another_wavelength_than_was_asked_for_is_said(three: Path, way: str) -> None:
+    files = three / "A.csv", three / "B.csv"
+    code, text = said(way, *files, "--wavelength-nm", "600", "--out", three / "page")
+    told = "550 nm is compared instead of 600 nm"
+    assert (code, text.count(told)) == (0, 1), text
+    assert any(told in note for note in json.loads((three / "page/summary.json").read_text())["notes"])
+    code, text = said(way, *files, "--wavelength-nm", "550.3", "--out", three / "page")
+    assert (code, "instead of" in text) == (0, False), text
