@@ -224,7 +224,7 @@ def _overview(c: Comparison) -> Drawing:
 def _on_overview(figure: Any, *, who: Sequence[Laboratory]) -> None:
     axes = figure.subplots(1, 3, sharey=True)
     high = figure.get_figheight()
-    figure.subplots_adjust(0.16, 0.52 / high, 0.985, 1.0 - 0.12 / high, wspace=0.08)
+    figure.subplots_adjust(0.16, 0.52 / high, 0.985, 1.0 - 0.12 / high, wspace=0.16)
     rows = np.arange(len(who))[::-1]
     zeros = [(math.nan if x.zero is None else math.degrees(x.zero), 2 * math.degrees(x.u_zero or 0.0)) for x in who]
     scatters = [math.nan if x.scatter is None else x.scatter for x in who]
@@ -241,6 +241,7 @@ def _on_overview(figure: Any, *, who: Sequence[Laboratory]) -> None:
             else:
                 look = {"color": INK if ok else OFF, "elinewidth": 1.2, "capsize": 2}
                 ax.errorbar(value, row, xerr=u or None, fmt="o", ms=4, **look)
+        ax.locator_params(axis="x", nbins=5)
         ax.set_xlabel(label)
         in_plane.clean(ax)
     axes[2].set_xlim(0.0, None if any(value > 0 and math.isfinite(value) for value in scatters) else 2.0)

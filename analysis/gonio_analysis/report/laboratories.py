@@ -100,11 +100,12 @@ def make(
 
 
 def names(specs: Sequence[str]) -> list[str]:
-    """What laboratories are called: by their files or runs, by the folders of those that are called alike."""
-    paths = [Path(spec) for spec in specs]
+    """What laboratories are called: by their files or runs; those that are called alike by their folders."""
+    paths = [Path(spec).absolute() for spec in specs]
+    paths = [path.parent if path.name == "brdf.csv" else path for path in paths]
     own = [path.stem if path.suffix.lower() in (".csv", ".json", ".xlsx", ".txt") else path.name for path in paths]
     if len(set(own)) < len(own):
-        own = [path.absolute().parent.name for path in paths]
+        own = [path.parent.name if own.count(name) > 1 else name for path, name in zip(paths, own, strict=True)]
     if len(set(own)) < len(own):
         own = list(specs)
     if len(set(own)) < len(own):
@@ -275,7 +276,7 @@ def _laboratories(c: Comparison) -> Table:
     rows = []
     for x in c.laboratories:
         zero = "–" if x.zero is None or x.u_zero is None else with_u(_degrees(x.zero), _degrees(x.u_zero))
-        off = (number(100 * x.degree, 2), number(200 * x.u_degree, 2), f"{x.e_n:.2f}")
+        off = (number(100 * x.degree, 2), number(200 * x.u_degree, 2), f"{round(x.e_n, 2) + 0.0:.2f}".replace("-", "−"))
         scatter = "–" if x.scatter is None else f"{x.scatter:.2f}"
         rows.append([x.name, with_u(x.scale, x.u_scale), *off, zero, scatter, says(x) or "agrees"])
     head = ["laboratory", "scale", "d / %", "U(d) / %", "E_n", "zero / °", "scatter", ""]

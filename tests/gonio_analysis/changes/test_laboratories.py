@@ -1,6 +1,7 @@
 """Laboratories compared: drawn tables whose errors are known, and the command."""
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,10 @@ import pytest
 from gonio_analysis.changes import laboratories as comparison
 from gonio_analysis.changes.laboratories import Comparison, Laboratory
 from gonio_analysis.changes.point_by_point import of_table
+from gonio_analysis.report.change_figures import _on_overview
+from gonio_analysis.report.laboratories import names
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
 
 import gonio
 from gonio.errors import ConfigError, DataError
@@ -250,7 +255,10 @@ def test_the_report_names_who_is_off(three: Path) -> None:
     drawn = {x["name"] for x in summary["figures"]}
     assert {"overview", "polar", "deviations", "youden"} <= drawn
     assert any(name.startswith("map-") for name in drawn)
-    assert "a reference" in (out / "index.html").read_text(encoding="utf-8")
+    page = (out / "index.html").read_text(encoding="utf-8")
+    assert "a reference" in page
+    cells = re.findall(r">([^<]*)</td>", page)
+    assert {f"{x['e_n']:.2f}".replace("-", "−") for x in summary["laboratories"]} <= set(cells)
 
 
 def test_tables_without_uncertainties_need_an_assumption(three: Path) -> None:
@@ -299,3 +307,30 @@ def test_another_wavelength_than_was_asked_for_is_said(three: Path, way: str) ->
     assert any(told in note for note in json.loads((three / "page/summary.json").read_text())["notes"])
     code, text = said(way, *files, "--wavelength-nm", "550.3", "--out", three / "page")
     assert (code, "instead of" in text) == (0, False), text
+
+
+def test_laboratories_are_called_by_what_tells_them_apart() -> None:
+    assert names(["a/brdf.csv", "b.csv"]) == ["a", "b"]
+    assert names(["nist/run/brdf.csv", "ptb/run/brdf.csv", "c.csv"]) == ["nist", "ptb", "c"]
+    assert names(["nist/blue.csv", "ptb/blue.csv", "c.csv"]) == ["nist", "ptb", "c"]
+    assert names(["a/run", "b"]) == ["run", "b"]
+
+
+@pytest.mark.parametrize("reach", [0.0024, 0.013, 0.4, 5.2, 97.0])
+def test_ticks_of_the_overview_do_not_touch_each_other(reach: float) -> None:
+    who = [
+        Laboratory(
+            name=name, source=name, scale=1.0 + d, u_scale=0.01 * reach, degree=d, u_degree=0.002 * reach,
+            scale_consistent=True, zero=np.radians(100 * d), u_zero=np.radians(0.2 * reach), zero_consistent=True,
+            scatter=1.0 + reach, scatter_consistent=True,
+        )
+        for name, d in (("A", -0.01 * reach), ("B", 0.01 * reach))
+    ]  # fmt: skip
+    figure = Figure(figsize=(7.0, 1.5))
+    FigureCanvasAgg(figure)
+    _on_overview(figure, who=who)
+    figure.draw_without_rendering()
+    labels = [label for ax in figure.axes for place, label in zip(ax.get_xticks(), ax.get_xticklabels(), strict=True)
+              if ax.get_xlim()[0] <= place <= ax.get_xlim()[1]]  # fmt: skip
+    boxes = [label.get_window_extent().padded(1.0) for label in labels]
+    assert not [(a, b) for k, a in enumerate(boxes) for b in boxes[k + 1 :] if a.overlaps(b)]
