@@ -213,14 +213,17 @@ def _result(
     found = at_solution(problem, data, goal, vector, wavelength_nm)
     spread, condition = covariance(jacobian)
     total = float(found.whitened @ found.whitened) / max(len(data) - len(problem.free), 1)
-    if not goal.whitened:
+    if goal.loss != "linear":
+        spread = spread * max(goal.widened(found.whitened, len(data) - len(problem.free)), ROUNDING)
+    elif not goal.whitened:
         spread = spread * max(total, ROUNDING)
     lower, upper = problem.bounds
     columns = jacobian[:, np.minimum(vector - lower, upper - vector) > AT_BOUND * (upper - lower)]
     columns = columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
     residual = np.concatenate([found.whitened, problem.pulls(vector)])
+    residual = residual * goal.robust_weights(residual)
     left = float(np.sum((columns @ np.linalg.lstsq(columns, residual, rcond=1e-10)[0]) ** 2))
-    if left > UNSETTLED * total and problem.asked.loss == "linear":
+    if left > UNSETTLED * total:
         found = replace(found, notes=[NOT_AT_THE_END.format(left)])
     return replace(found, condition=condition).known_to(spread)
 
@@ -384,7 +387,7 @@ def remarks(result: FitResult) -> list[str]:
     elif result.rejected and result.shared is None:
         notes.append(
             "The data reject this model, and the metric or loss that was chosen knows no misfit: the standard errors"
-            " are those of a true model, and too small."
+            " are those of a true model, and too small, unless it is outliers that a robust loss is for."
         )
     if not pairs and result.condition > 1e3:
         notes.append(f"The parameters are poorly determined together (condition number {result.condition:.2g}).")

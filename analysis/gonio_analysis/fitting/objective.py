@@ -99,6 +99,11 @@ LOSSES: dict[str, tuple[Callable[[Floats], Floats], Callable[[Floats], Floats]]]
     "arctan": (np.arctan, lambda z2: (1.0 + z2**2) ** -0.5),
 }
 """Name -> the loss of a squared residual, and the root of its derivative."""
+PSI_STEP = 1e-4
+"""Half of the step over which the slope of psi is taken, in residuals: far below the width of every loss, 1."""
+LEAST_SLOPE = 0.1
+"""Least mean slope of psi, in mean weights: 0.40 to 0.75 of normal residuals. It may be below 0 where most residuals
+are outliers; the covariance of such a fit says nothing."""
 
 
 METRICS = {
@@ -188,6 +193,23 @@ class Objective:
     def robust_weights(self, residual: Floats) -> Floats:
         """sqrt(d loss / d z^2) at whitened residuals z: what rows of a linearised problem are multiplied by."""
         return np.asarray(LOSSES[self.loss][1](residual**2))
+
+    def widened(self, residual: Floats, freedom: int) -> float:
+        """What a robust loss makes of the covariance that its weights state, by residuals as they scatter.
+
+        With psi = z d loss/d z^2 the variance of an estimate is K^2 mean(psi^2)/mean(psi')^2 times that of least
+        squares, K = 1 + p/n var(psi')/mean(psi')^2 [Huber1981, section 7.6]; weights alone state 1/mean(psi/z).
+        """
+        if self.loss == "linear":
+            return 1.0
+        below, psi, above = (
+            z * self.robust_weights(z) ** 2 for z in (residual - PSI_STEP, residual, residual + PSI_STEP)
+        )
+        slopes = (above - below) / (2.0 * PSI_STEP)
+        weight = float(np.mean(self.robust_weights(residual) ** 2))
+        slope = max(float(np.mean(slopes)), LEAST_SLOPE * weight)
+        k = 1.0 + max(1.0 - freedom / residual.size, 0.0) * float(np.var(slopes)) / slope**2
+        return k * k * weight * float(np.sum(psi**2)) / (max(freedom, 1) * slope * slope)
 
     @property
     def words(self) -> str:

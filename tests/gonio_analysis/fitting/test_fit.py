@@ -268,6 +268,23 @@ def test_outliers_pull_a_robust_fit_less(loss: str) -> None:
     assert loss in robust.weighting
 
 
+@pytest.mark.parametrize(("loss", "wider"), [("huber", 1.0523), ("soft_l1", 1.0388), ("cauchy", 1.1459),
+                                              ("arctan", 1.4336)])  # fmt: skip
+def test_errors_of_a_robust_fit_are_those_of_an_m_estimate(loss: str, wider: float) -> None:
+    """Of normal residuals: sqrt(E psi^2)/E psi', by quadrature over the normal distribution."""
+    table = measure(MATTE, views=np.linspace(-80, 80, 2000), noise=0.02, floor=0.0)
+    plain, robust = (known(fit(table, "lambert", loss=one).parameters["albedo"].u) for one in ("linear", loss))
+    # 6000 values: means of psi^2 and psi' are known to 1 and 2 % for arctan, the worst; three standard deviations
+    assert robust / plain == pytest.approx(wider, rel=0.06 if loss == "arctan" else 0.03)
+
+
+def test_a_robust_fit_that_is_at_its_end_does_not_say_otherwise() -> None:
+    for seed in range(6):
+        table = measure(PAINT, seed=seed, noise=0.02)
+        table.loc[seed::12, "brdf"] *= 1.2  # a twelfth of the values lies ten standard deviations too high
+        assert not [note for note in fit(table, "cook-torrance", loss="huber").notes if "come to its end" in note]
+
+
 def test_what_is_not_determined_spreads_evenly_between_its_bounds() -> None:
     """As a parameter that stands at a bound, it has the variance of an even distribution, (upper - lower)^2/12."""
     found = fit(measure(PAINT, incidences=(10.0,), views=np.arange(40.0, 71.0, 5)), "cook-torrance", ior=1.5 + 0j)
