@@ -32,6 +32,8 @@ REJECTED = 1e-3
 """A series whose stretches depart from the model more rarely than this by chance is refused."""
 CLIP = 4.0
 """Standard deviations beyond which a difference of neighbouring frames is no noise, and is left out of its estimate."""
+OF_VARIANCE = 35.0 / 9.0
+"""Variance of the estimate of a noise's variance sigma^2 from n frames, in sigma^4/n, for equal spacings."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +58,7 @@ class Stability:
     """Of the stretches around the model."""
     freedom: int
     probability: float
-    """Probability of a larger chi-square by chance."""
+    """Probability of a larger chi-square by chance, with a noise that is an estimate itself."""
     worst: tuple[float, float, float]
     """The stretch that departs most: time [s], relative departure, departure in standard deviations."""
     outliers: Floats
@@ -158,8 +160,11 @@ def fit(time_s: Floats, signal: Floats, u_shot: Floats) -> Stability:
             "measure for longer"
         )
     chi_square, freedom, worst = _stretches(time_s, residuals, np.sqrt(variance), 4 if loss else 2)
-    from scipy.stats import chi2
+    from scipy.stats import chi2, f
 
+    # the lamp's noise is known from the frames alone: the variance's estimate has so many degrees of freedom
+    known = 2.0 * len(time_s) / OF_VARIANCE
+    by_chance = f.sf(chi_square / freedom, freedom, known) if noise > 0.0 else chi2.sf(chi_square, freedom)
     units = np.diag([scale, 1.0, 1.0, 1.0])
     return Stability(
         level=level * scale,
@@ -172,7 +177,7 @@ def fit(time_s: Floats, signal: Floats, u_shot: Floats) -> Stability:
         shot=float(np.median(shot)),
         chi_square=chi_square,
         freedom=freedom,
-        probability=float(chi2.sf(chi_square, freedom)),
+        probability=float(by_chance),
         worst=worst,
         outliers=np.asarray(time_s)[abs(residuals) > 5.0],
         duration_s=duration,
@@ -193,8 +198,7 @@ def noise_of(time_s: Floats, y: Floats, shot: Floats) -> tuple[float, float]:
     kept = abs(pseudo) <= CLIP * typical if typical > 0 else np.ones(pseudo.size, bool)
     total = float(np.mean(pseudo[kept] ** 2))
     variance = total - float(np.mean(explained[kept]))
-    # the variance of the estimator is 35/9 sigma^4 / n for equal spacings
-    u_variance = math.sqrt(35.0 / 9.0 / max(int(np.count_nonzero(kept)), 1)) * total
+    u_variance = math.sqrt(OF_VARIANCE / max(int(np.count_nonzero(kept)), 1)) * total
     noise = math.sqrt(max(variance, 0.0))
     return noise, u_variance / (2.0 * noise) if noise > 0.0 and variance > u_variance else math.sqrt(u_variance)
 
