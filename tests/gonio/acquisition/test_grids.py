@@ -183,7 +183,10 @@ def test_grids_of_a_cap_stay_in_it() -> None:
         ),
         ("[[half_vector]]\ntheta_i_deg = [45]\ntheta_h_deg = [5]\nside = 'both'\n", ["side = 'both'", "transmission"]),
         ("[[sweep]]\ntheta_i_deg = [45]\ntheta_r_deg = [5]\nrepeats = 0\n", ["sweep[1].repeats = 0", "1"]),
-        ("[[sweep]]\ntheta_i_deg = [45]\ntheta_r_deg = [5]\nrepeats = 1.5\n", ["sweep[1].repeats = 1.5", "integer"]),
+        (
+            "[[sweep]]\ntheta_i_deg = [45]\ntheta_r_deg = [5]\nrepeats = 1.5\n",
+            ["sweep[1].repeats = 1.5", "whole number"],
+        ),
         ("[[sweep]]\ntheta_i_deg = [45]\ntheta_r_deg = [5]\nrepeats = true\n", ["sweep[1].repeats", "number"]),
         ("order = 'quick'\n[[sweep]]\ntheta_i_deg = [45]\ntheta_r_deg = [5]\n", ["order = 'quick'", "short"]),
         ("reference_every = -1\n[[sweep]]\ntheta_i_deg = [45]\ntheta_r_deg = [5]\n", ["reference_every = -1", "0"]),
