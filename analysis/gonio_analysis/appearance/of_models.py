@@ -118,7 +118,7 @@ def of_fits(parts: Sequence[tuple[float, FitResult]], *, name: str, source: str 
     each = [of_fit(fit, name=name, source=source, residual=True) for _, fit in parts]
     weights = np.array([weight for weight, _ in parts])
     notes = dict.fromkeys(note for one in each for note in one.notes)
-    mean: Appearance = _mean(weights / weights.sum(), each)
+    mean: Appearance = _mean(weights / weights.sum(), [replace(one, notes=[]) for one in each])
     return replace(mean, notes=list(notes))
 
 
