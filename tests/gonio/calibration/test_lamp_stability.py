@@ -52,6 +52,7 @@ def test_pulls_of_forty_series_have_unit_spread() -> None:
     assert np.all((table.std(axis=0) > 0.68) & (table.std(axis=0) < 1.35))
 
 
+@pytest.mark.slow
 def test_short_series_of_lamps_that_follow_the_model_are_rejected_by_chance_alone() -> None:
     """The noise is an estimate from 60 frames, too: chi-square of one that came out small is no reason."""
     t, short = np.linspace(5.0, 3600.0, 60), []

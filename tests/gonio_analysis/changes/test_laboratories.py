@@ -115,6 +115,7 @@ def test_honest_laboratories_agree_and_the_consensus_is_the_truth(shape: Any) ->
     assert found.scales.reference.u == pytest.approx(0.005 / np.sqrt(5), rel=0.2)
 
 
+@pytest.mark.slow
 def test_the_most_precise_of_three_is_not_accused_for_its_precision() -> None:
     """By how much more it could scatter is hardly known: 18 of these 40 were accused where that was taken as known."""
     rng = np.random.default_rng(77)
