@@ -33,7 +33,7 @@ from gonio_analysis.fitting.objective import Objective, objective, on_log_scale,
 from gonio_analysis.fitting.observations import DEFAULT_WAVELENGTH_NM, Observations, observations
 from gonio_analysis.fitting.problem import STARTS, Bound, FitRequest, Problem, pose, together
 from gonio_analysis.fitting.profile_likelihood import Interval, Near, tied, walked
-from gonio_analysis.fitting.search import covariance, derivatives, refine, search, search_from, settle
+from gonio_analysis.fitting.search import covariance, derivatives, gauss_newton, refine, search, search_from, settle
 from gonio_analysis.fitting.solution import ROUNDING, Solution, residuals_on_log_scale
 
 BOUND_FIRST = 30.0
@@ -48,7 +48,7 @@ SETTLED = 1e-3
 """Change of ln tau that ends it: a hundredth of what tau is uncertain by, or less."""
 UNSETTLED = 0.1
 """Part of chi-square over its degrees of freedom that one more step would take away, above which a search has not come
-to its end: those that have leave 1e-16, or 1e-2 where values are many decades apart."""
+to its end: of ten models' fits all that had left less than 1e-15."""
 NOT_AT_THE_END = (
     "The search has not come to its end: one more step would lower chi-square by {:.2g}, so parameters may be off by"
     " more than is stated. Parameters replace each other here: fix one (--fix) or say what is known of it (--prior)."
@@ -219,10 +219,9 @@ def _result(
         spread = spread * max(total, ROUNDING)
     lower, upper = problem.bounds
     columns = jacobian[:, np.minimum(vector - lower, upper - vector) > AT_BOUND * (upper - lower)]
-    columns = columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
     residual = np.concatenate([found.whitened, problem.pulls(vector)])
     residual = residual * goal.robust_weights(residual)
-    left = float(np.sum((columns @ np.linalg.lstsq(columns, residual, rcond=1e-10)[0]) ** 2))
+    left = float(np.sum((columns @ gauss_newton(columns, residual)) ** 2))
     if left > UNSETTLED * total:
         found = replace(found, notes=[NOT_AT_THE_END.format(left)])
     return replace(found, condition=condition).known_to(spread)

@@ -200,8 +200,6 @@ class Objective:
         With psi = z d loss/d z^2 the variance of an estimate is K^2 mean(psi^2)/mean(psi')^2 times that of least
         squares, K = 1 + p/n var(psi')/mean(psi')^2 [Huber1981, section 7.6]; weights alone state 1/mean(psi/z).
         """
-        if self.loss == "linear":
-            return 1.0
         below, psi, above = (
             z * self.robust_weights(z) ** 2 for z in (residual - PSI_STEP, residual, residual + PSI_STEP)
         )

@@ -32,7 +32,7 @@ from gonio.shown import interval, with_u
 from gonio.typing import Floats
 from gonio_analysis.fitting import parameters
 from gonio_analysis.fitting.forward import apparent
-from gonio_analysis.fitting.search import derivatives, refine, to_full
+from gonio_analysis.fitting.search import derivatives, gauss_newton, refine, to_full
 from gonio_analysis.fitting.solution import ROUNDING, Solution
 
 STEPS = 4
@@ -109,9 +109,7 @@ class Near:
         open_ = ~((x <= lower)[free] & (downhill <= 0) | (x >= upper)[free] & (downhill >= 0))
         y, rows, slopes = x.copy(), free[open_], slopes[:, open_]
         if rows.size:
-            size = np.maximum(np.linalg.norm(slopes, axis=0), 1e-300)
-            step = np.linalg.lstsq(slopes / size, -residual, rcond=1e-10)[0] / size
-            y[rows] = np.clip(x[rows] + step, lower[rows], upper[rows])
+            y[rows] = np.clip(x[rows] + gauss_newton(slopes, residual), lower[rows], upper[rows])
         return y
 
 

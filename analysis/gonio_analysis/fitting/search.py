@@ -387,11 +387,16 @@ def last_step(vector: Floats, residual: Floats, jacobian: Floats, lower: Floats,
     inside = (vector > lower + margin) & (vector < upper - margin)
     step = np.zeros(vector.size)
     if inside.any():
-        size = np.maximum(np.linalg.norm(jacobian[:, inside], axis=0), 1e-300)
-        step[inside] = np.linalg.lstsq(jacobian[:, inside] / size, -residual, rcond=1e-10)[0] / size
+        step[inside] = gauss_newton(jacobian[:, inside], residual)
     longest = np.where(np.isfinite(upper - lower), LONGEST, np.inf)
     moved = np.clip(vector + np.clip(step, -longest, longest), lower, upper)
     return np.where(moved <= lower + margin, lower, np.where(moved >= upper - margin, upper, moved))
+
+
+def gauss_newton(jacobian: Floats, residual: Floats) -> Floats:
+    """The step (p,) that makes residual + jacobian step smallest, whatever the parameters' scales."""
+    size = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300)
+    return np.asarray(np.linalg.lstsq(jacobian / size, -residual, rcond=1e-10)[0] / size)
 
 
 def derivatives(
