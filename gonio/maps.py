@@ -23,13 +23,12 @@ from typing import Any, Self
 
 import numpy as np
 
+from gonio import hdf5
 from gonio.disk import half_written, read_file, require_name, sha256_of, write_whole
 from gonio.errors import ConfigError, DataError, os_error_as
 from gonio.typing import Array, Bools, DataFrame, Floats, Ints, JsonObject, NDArray
 
 FORMAT = "gonio-map-1"
-SIGNATURE = b"\x89HDF\r\n\x1a\n"
-"""How an HDF5 file begins."""
 ABOUT = "about"
 """Key of a tile's file for the kinds and shapes of its packed arrays."""
 TILE = 64
@@ -42,14 +41,12 @@ FIT_FLAGS = ("too_few", "at_bound", "undetermined", "rejected")
 """What is said of a fitted pixel, by bits of `flag` from the lowest."""
 ANGLES = ("theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg")
 
-
-def library() -> Any:
-    """h5py; raises `ConfigError` where it is not installed."""
-    try:
-        import h5py
-    except ImportError:
-        raise ConfigError("map files need the package h5py: pip install gonio[hdf5]") from None
-    return h5py
+_STATED = {
+    **{"x": "mm", "y": "mm", "source_mm": "mm", "camera_mm": "mm", "wavelength_nm": "nm"},
+    **{"brdf": "1/sr", "u_random": "1/sr"},
+    **dict.fromkeys(ANGLES, "deg"),
+}
+"""Units that maps are in: a file that states others is refused."""
 
 
 @dataclass(frozen=True)
@@ -183,7 +180,7 @@ class Parts:
         """Make the file of all tiles, which then go. `sizes`: of every dimension, "y" and "x" among them."""
         unfinished = self.folder / "whole.h5"
         try:
-            with library().File(unfinished, "w", libver="latest") as file:
+            with hdf5.library().File(unfinished, "w", libver="latest") as file:
                 _fill(file, sizes, variables, attrs)
                 for tile in tiles(sizes["y"], sizes["x"]):
                     for name, packed in self._packed(tile).items():
@@ -271,14 +268,11 @@ def is_map(path: str | Path) -> bool:
     """Whether a file is a map of ours, of values or of fits; `DataError` where it is HDF5 that cannot be read."""
     if not str(path).endswith((".h5", ".nc", ".hdf5")) or not Path(path).is_file():
         return False
-    try:
-        with library().File(path, "r") as file:
-            return bool(file.attrs.get("format") == FORMAT)
-    except OSError as error:
-        with suppress(OSError):
-            if read_file(path, len(SIGNATURE)) == SIGNATURE:
-                raise DataError(f"{path}: is damaged: {error}") from None
-        return False
+    with suppress(OSError):
+        if read_file(path, len(hdf5.SIGNATURE)) != hdf5.SIGNATURE:
+            return False
+    with hdf5.opened(Path(path)) as file:
+        return bool(file.attrs.get("format") == FORMAT)
 
 
 @dataclass(frozen=True)
@@ -329,10 +323,7 @@ class MapFile:
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
-        try:
-            self._file = library().File(self.path, "r")
-        except OSError as error:
-            raise DataError(f"{path}: cannot be read as HDF5: {error}") from None
+        self._file = hdf5.opened(self.path)
         try:
             self._require_map()
         except DataError:
@@ -343,6 +334,12 @@ class MapFile:
         """Raise `DataError` where the file is no map, or lacks what every map has."""
         if self._file.attrs.get("format") != FORMAT:
             raise DataError(f"{self.path}: is no map: it lacks the attribute format = {FORMAT}; see docs/maps.md")
+        for name, unit in _STATED.items():
+            shown = f"{self.path}: {name}"
+            if name not in self._file or str(self._file[name].attrs.get("units")) == "1":  # as of `Variable`: unstated
+                continue
+            if hdf5.factor(self._file[name], unit, shown) != 1.0:
+                raise DataError(f"{shown} is in other units than {unit}; write the map anew in these")
         for name in ("x", "y"):
             places = self.array(name)
             if places.ndim != 1 or places.dtype.kind not in "fiu" or not np.isfinite(places).all():

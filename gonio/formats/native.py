@@ -42,7 +42,7 @@ from gonio.formats.reader import (
 from gonio.formats.text import cell_of, column_names, decode, number, plain_word, require_cells, require_text, separator
 from gonio.typing import Bools, DataFrame, Floats, Series
 
-_WORDS = ("polarisation", "side", "sample", "flag")
+WORDS = ("polarisation", "side", "sample", "flag")
 _TEXTS = ("sample", "flag")
 """Words that are anybody's."""
 _DEFAULTS: dict[str, float | str] = {
@@ -95,8 +95,8 @@ def require_kinds(frame: DataFrame, path: Path) -> None:
     """`DataError` unless these are columns of a measurement table, with words and numbers where they belong."""
     check_columns(list(frame.columns), str(path), needed=NEEDED)
     for name in frame.columns:
-        if (frame[name].dtype.kind in "biuf") == (name in _WORDS):
-            raise DataError(f"{path}: the column {name} holds {'words' if name not in _WORDS else 'numbers'}")
+        if (frame[name].dtype.kind in "biuf") == (name in WORDS):
+            raise DataError(f"{path}: the column {name} holds {'words' if name not in WORDS else 'numbers'}")
 
 
 def taken(frame: DataFrame, stored: Any, path: Path) -> DataFrame:
@@ -147,7 +147,7 @@ def _read_in_pieces(file: BinaryIO) -> DataFrame | None:
     file.seek(begin)
     try:
         check_columns(header, "", needed=NEEDED)
-        words = [name for name in _WORDS if name in header]
+        words = [name for name in WORDS if name in header]
         kinds: dict[str, type[str | np.float64]] = {name: str if name in words else np.float64 for name in header}
         empty: Any = {name: ["", "nan", "NaN"] for name in header if name not in words}
         # exact by default since pandas 3.1, which asks not to say so
@@ -177,7 +177,7 @@ def together(chunks: Iterable[DataFrame], header: Sequence[str], rows: int) -> D
     """Pieces of a table as one, without holding a row twice; None where they have not `rows` rows."""
     import pandas as pd
 
-    columns: dict[str, Any] = {name: [] if name in _WORDS else np.empty(rows) for name in header}
+    columns: dict[str, Any] = {name: [] if name in WORDS else np.empty(rows) for name in header}
     same: dict[tuple[str, int], Series] = {}
     end = 0
     for chunk in chunks:
@@ -186,7 +186,7 @@ def together(chunks: Iterable[DataFrame], header: Sequence[str], rows: int) -> D
             return None
         for name, column in columns.items():
             words = chunk[name]
-            if name not in _WORDS:
+            if name not in WORDS:
                 column[begin:end] = words.to_numpy()
                 continue
             words = words.fillna("")
@@ -196,7 +196,7 @@ def together(chunks: Iterable[DataFrame], header: Sequence[str], rows: int) -> D
                 column.append(words)
     if end != rows or not rows:
         return None
-    for name in (name for name in header if name in _WORDS):
+    for name in (name for name in header if name in WORDS):
         columns[name] = pd.concat(columns[name], ignore_index=True)
     return pd.DataFrame(columns, copy=False)
 
@@ -217,7 +217,7 @@ def _read_line_by_line(text: str, path: Path) -> DataFrame:
                 require_cells(cells, header, f"{path}, line {line + row}")
             for part, name, column in zip(parts, header, zip(*chunk, strict=True), strict=True):
                 plain = column if mark == "," else tuple(cell.replace(",", ".") for cell in column)
-                words = name in _WORDS
+                words = name in WORDS
                 part.append(np.array(column, dtype=object) if words else _floats(plain, name, path, line))
             line += len(chunk)
     except csv.Error as error:

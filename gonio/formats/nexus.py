@@ -6,29 +6,21 @@ NeXpy draw: `NXdata` with `signal`, `axes` and `_errors`, `NXsample`, `NXprocess
 
 import io
 import json
+import math
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from gonio import __version__
-from gonio.errors import ConfigError, DataError
+from gonio import __version__, hdf5
+from gonio.errors import DataError
 from gonio.formats import native
 from gonio.formats.curve_sheets import MOST, curves
 from gonio.formats.reader import Format, write_bytes
 from gonio.typing import DataFrame
 
-MAGIC = b"\x89HDF\r\n\x1a\n"
 TABLE = "entry/table"
 UNITS = {"wavelength_nm": "nm"}
-
-
-def _library() -> Any:
-    try:
-        import h5py
-    except ImportError:
-        raise ConfigError("HDF5 files need the package h5py: pip install gonio[hdf5]") from None
-    return h5py
 
 
 def _units(column: str) -> str:
@@ -60,7 +52,7 @@ def _column(group: Any, name: str, values: Any, units: str | None, words: Any) -
 
 def write(frame: DataFrame, path: Path) -> None:
     """The table, its attributes, and its curves where there are not too many."""
-    h5py = _library()
+    h5py = hdf5.library()
     words = h5py.string_dtype("utf-8")
     attrs = native.plain(frame.attrs)
     buffer = io.BytesIO()
@@ -108,39 +100,66 @@ def remarks(frame: DataFrame) -> list[str]:
 
 
 def read(data: bytes, path: Path) -> DataFrame:
-    """A table that `write` has written."""
+    """A table that `write` has written, or somebody else in the same way: each column in the units that it states."""
     import pandas as pd
 
-    h5py = _library()
-    try:
-        with h5py.File(io.BytesIO(data), "r") as file:
+    with hdf5.opened(path, data) as file:
+        try:
             if TABLE not in file or "gonio_columns" not in file[TABLE].attrs:
                 raise DataError(
                     f"{path}: is HDF5 without a table of gonio (entry/table); there is no standard for BRDFs"
                 )
-            table, columns = file[TABLE], {}
-            for name in map(str, table.attrs["gonio_columns"]):
-                dataset = table[name]
-                kind = h5py.check_string_dtype(dataset.dtype)
-                values = dataset.asstr()[()] if kind is not None else dataset[()]
-                columns[name] = np.asarray(values, dtype=object if kind is not None else np.float64)
-            stored = json.loads(file["entry/reduction/attributes/data"].asstr()[()])
-    except DataError:
-        raise
-    except Exception as error:  # what HDF5 raises of damaged files is of any kind
-        raise DataError(f"{path}: the HDF5 file is damaged, or none of gonio: {str(error)[:80]}") from None
+            table = file[TABLE]
+            if math.prod(table.attrs.get_id("gonio_columns").shape) > 1000:
+                raise DataError(f"{path}: {TABLE} names more than 1000 columns")
+            names = [str(name) for name in np.ravel(table.attrs["gonio_columns"])]
+            native.check_columns(names, f"{path}: {TABLE}", needed=native.NEEDED)
+            columns = {name: _read_column(table, name, path) for name in names}
+            stored = _stored(file, path)
+        except DataError:
+            raise
+        except Exception as error:  # what HDF5 raises of damaged files is of any kind
+            raise DataError(f"{path}: the HDF5 file is damaged, or none of gonio: {str(error)[:80]}") from None
     if len({len(column) for column in columns.values()}) != 1:
         raise DataError(f"{path}: the columns of entry/table differ in length")
     return native.taken(pd.DataFrame(columns), stored, path)
+
+
+def _read_column(table: Any, name: str, path: Path) -> Any:
+    shown = f"{path}: {TABLE}/{name}"
+    if name not in table:
+        raise DataError(f"{shown} is missing, although gonio_columns names it")
+    dataset = table[name]
+    if name in native.WORDS:
+        return hdf5.values(dataset, shown, native.MOST_ROWS, "OS")
+    numbers = hdf5.values(dataset, shown, native.MOST_ROWS).astype(np.float64)
+    for key in ("_FillValue", "missing_value"):
+        if key in dataset.attrs:
+            numbers[np.isin(numbers, np.ravel(dataset.attrs[key]))] = np.nan
+    wanted = _units(name)
+    factor = hdf5.factor(dataset, "deg" if wanted == "degree" else wanted, shown)
+    if name.endswith("_deg") and factor != 1.0:  # as many decimals as the numbers had: pi / 2 is 90
+        return np.round(numbers * factor, 10 if dataset.dtype.itemsize > 4 else 5)
+    return numbers * factor
+
+
+def _stored(file: Any, path: Path) -> Any:
+    """The attributes of the table."""
+    name = "entry/reduction/attributes/data"
+    note = file[name]
+    if note.shape != () or note.dtype.itemsize > hdf5.BATCH_BYTES // 4:
+        raise DataError(f"{path}: {name} is not one text")
+    return json.loads(note.asstr()[()])
 
 
 FORMAT = Format(
     name="nexus",
     title="NeXus (HDF5)",
     endings=(".h5", ".hdf5", ".nxs"),
-    sniff=lambda head: head.startswith(MAGIC),
+    sniff=lambda head: head.startswith(hdf5.SIGNATURE),
     read=read,
     write=write,
     remarks=remarks,
+    max_bytes=128 * 2**20,
     carries=native.FORMAT.carries,
 )

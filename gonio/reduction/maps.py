@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from gonio import maps
+from gonio import hdf5, maps
 from gonio.errors import ConfigError, DataError
 from gonio.maps import ANGLES, FLAGS, Parts, Tile, Variable
 from gonio.reduction.brdf import Reduction
@@ -62,7 +62,7 @@ class Written:
 
 def require(run: Run, path: Path, pixel_mm: float | None) -> None:
     """Raise what `write` would of a run that gives no map, of a file's name and of a pixel size, before any work."""
-    maps.library()
+    hdf5.library()
     description = run.description
     if path.suffix not in (".h5", ".nc", ".hdf5"):
         raise ConfigError(f"{path}: a map is an HDF5 file; give --map a name that ends with .h5")
