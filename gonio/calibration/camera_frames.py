@@ -20,7 +20,7 @@ import numpy as np
 from gonio.calibration import photon_transfer
 from gonio.disk import read_file, write_whole
 from gonio.errors import ConfigError, DataError, DeviceError
-from gonio.rig import Frame, Pose, dng
+from gonio.rig import Frame, Pose, dng, raw_tags
 from gonio.rig.description import RigDescription
 from gonio.rig.imaging import Channel, of_channel
 from gonio.rig.light_and_camera import Camera, linear_dn
@@ -71,7 +71,9 @@ def _read(path: Path, camera: Camera, exposure_s: float) -> Frame:
         return dng.read_raw(path)
     import cv2
 
-    image = cv2.imdecode(np.frombuffer(read_file(path), np.uint8), cv2.IMREAD_UNCHANGED)
+    data = read_file(path)
+    raw_tags.require_plain(data, path)
+    image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     if image is None:
         raise DataError(f"{path}: is damaged, or no picture that can be read")
     if image.ndim == 3 and image.shape[2] >= 3 and camera.bits == 8:

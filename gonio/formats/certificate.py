@@ -12,8 +12,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree
 
-from gonio.errors import ConfigError, os_error_as
+from gonio.disk import read_file
+from gonio.errors import ConfigError, DataError, os_error_as
+from gonio.formats import xml_text
 
+MOST_BYTES = 16 * 2**20
 _RATIOS = {"\\one": 1.0, "1": 1.0, "": 1.0, "\\percent": 0.01, "%": 0.01}
 _LENGTHS = {"\\nano\\metre": 1.0, "\\nano\\meter": 1.0, "\\micro\\metre": 1e3, "\\metre": 1e9, "\\milli\\metre": 1e6}
 _MEANT = re.compile("reflectan|albedo|remission|radiance.?factor|reflexionsgrad|strahldichtefaktor", re.IGNORECASE)
@@ -73,13 +76,13 @@ def reflectance(path: Path, wanted: str | None = None) -> Reflectance:
 
 def _root(path: Path) -> ElementTree.Element:
     with os_error_as(ConfigError, f"{path}: reference.certificate cannot be read"):
-        data = path.read_bytes()
-    if re.search(rb"<!(DOCTYPE|ENTITY)", data):
-        raise ConfigError(f"{path}: reference.certificate: the XML declares entities, which no certificate needs")
+        data = read_file(path, MOST_BYTES + 1)
+    if len(data) > MOST_BYTES:
+        raise ConfigError(f"{path}: reference.certificate is larger than {MOST_BYTES >> 20} MiB")
     try:
-        root = ElementTree.fromstring(data)
-    except ElementTree.ParseError as error:
-        raise ConfigError(f"{path}: reference.certificate is no XML: {error}") from None
+        root = xml_text.root(data, f"{path}: reference.certificate")
+    except DataError as error:
+        raise ConfigError(str(error)) from None
     if _local(root) != "digitalCalibrationCertificate":
         raise ConfigError(f"{path}: reference.certificate is no digital calibration certificate (DCC)")
     return root

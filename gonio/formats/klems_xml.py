@@ -26,6 +26,7 @@ from xml.sax.saxutils import escape
 import numpy as np
 
 from gonio.errors import DataError
+from gonio.formats import xml_text
 from gonio.formats.reader import ANGLES, SIDES, Format, table, wrap_deg, write_bytes
 from gonio.formats.text import integer, number
 from gonio.typing import DataFrame, Floats
@@ -115,17 +116,7 @@ def read(data: bytes, path: Path) -> DataFrame:
 
 def _layer(data: bytes, path: Path) -> ElementTree.Element:
     """The element that holds the matrices."""
-    if re.search(rb"<!(DOCTYPE|ENTITY)", data):
-        raise DataError(f"{path}: has a document type, which no Klems file needs")
-    try:
-        root = ElementTree.fromstring(data)
-    except ElementTree.ParseError as error:
-        line, column = error.position
-        raise DataError(
-            f"{path}, line {line}, column {column + 1}: not valid XML: {str(error).partition(':')[0]}"
-        ) from None
-    except (ValueError, LookupError) as error:
-        raise DataError(f"{path}: not valid XML: {str(error)[:100]}") from None
+    root = xml_text.root(data, str(path))
     layer = root.find(".//{*}Layer")
     if layer is None:
         raise DataError(f"{path}: there is no element Layer; this is not a WINDOW file")

@@ -35,6 +35,11 @@ _KINDS = {1: "u1", 2: "i1", 3: "<u2", 4: "<i2", 5: "<u4", 6: "<i4", 7: "<u8", 8:
 _COLOURS = tuple(RGB_NM)
 _NODES, _INCIDENCES = 128, 64
 _SWEEPS = 30
+_MOST_FIELDS, _MOST_DIMENSIONS = 1000, 8
+_MOST_VALUES = {"spectra": 2**26, "rgb": 2**26}
+_MOST_OTHERS = 2**23
+"""Most values of a field by its name, and of others: they are held as doubles, some of them several times."""
+_MOST_ROWS = 12_000_000
 
 
 def tensors(data: bytes, path: Path) -> dict[str, Array]:
@@ -48,6 +53,8 @@ def tensors(data: bytes, path: Path) -> dict[str, Array]:
     if data[:12] != _MAGIC or len(data) < 18 or data[12] != 1:
         raise DataError(f"{path}, byte 0: is not a tensor_file of version 1")
     (count,) = struct.unpack_from("<I", data, 14)
+    if count > _MOST_FIELDS:
+        raise DataError(f"{path}, byte 14: states {count} fields; at most {_MOST_FIELDS} are read")
     out: dict[str, Array] = {}
     at = 18
     for _ in range(count):
@@ -58,12 +65,17 @@ def tensors(data: bytes, path: Path) -> dict[str, Array]:
             at += 2 + length
             dimensions, kind, offset = struct.unpack_from("<HBQ", data, at)
             at += 11
+            if dimensions > _MOST_DIMENSIONS:
+                raise DataError(
+                    f"{path}, byte {start}: the field {name[:40]!r} has {dimensions} dimensions; at most "
+                    f"{_MOST_DIMENSIONS} are read"
+                )
             shape = struct.unpack_from(f"<{dimensions}Q", data, at)
             at += 8 * dimensions
         except struct.error:
             raise DataError(f"{path}, byte {start}: the list of fields is cut") from None
         size = math.prod(shape)
-        if kind not in _KINDS or dimensions > 8 or size < 1:
+        if kind not in _KINDS or size < 1:
             raise DataError(f"{path}, byte {start}: the field {name[:40]!r} has no type or shape of this format")
         dtype = np.dtype(_KINDS[kind])
         if offset + size * dtype.itemsize > len(data):
@@ -112,6 +124,9 @@ class RglMeasured:
     def _take(self, fields: dict[str, Array], name: str, dimensions: int) -> Floats:
         if name not in fields:
             raise DataError(f"{self.path}: the field {name} is missing")
+        most = _MOST_VALUES.get(name, _MOST_OTHERS)
+        if fields[name].size > most:
+            raise DataError(f"{self.path}: the field {name} has {fields[name].size} values; at most {most} are read")
         found = np.asarray(fields[name], dtype=np.float64)
         if found.ndim != dimensions or not np.isfinite(found).all():
             raise DataError(f"{self.path}: the field {name} needs {dimensions} dimensions and finite values")
@@ -240,10 +255,12 @@ def read(data: bytes, path: Path) -> DataFrame:
     once = (theta_r > 0) | (dphi == 0)  # the normal is one direction
     theta_i, phi_in, theta_r = theta_i[once], phi_in[once], theta_r[once]
     phi_r = np.mod(phi_in + dphi[once], 360.0)
+    channels = measured.values.shape[2]
+    if theta_i.size * channels > _MOST_ROWS:
+        raise DataError(f"{path}: {theta_i.size} directions of {channels} wavelengths are more than {_MOST_ROWS} rows")
     brdf, valid = measured.brdf(*(np.deg2rad(a) for a in (theta_i, phi_in, theta_r, phi_r)))
     if not np.isfinite(brdf).all():
         raise DataError(f"{path}: the file's tables give values that are not finite")
-    channels = brdf.shape[1]
     nm = measured.wavelengths_nm
     sample = None
     if nm is None:

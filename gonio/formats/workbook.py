@@ -28,17 +28,19 @@ from gonio.formats import native
 from gonio.formats.curve_sheets import curves
 from gonio.formats.reader import Format, write_bytes
 from gonio.formats.text import csv_of
+from gonio.formats.xml_text import require_plain
 from gonio.typing import DataFrame
 
 OLD, NEW = bytes.fromhex("d0cf11e0a1b11ae1"), b"PK\x03\x04"
 """How workbooks of 1997 and of today begin."""
 MOST_BYTES = 128 * 2**20
-"""Most bytes of one part of an .xlsx workbook, unpacked."""
+"""Most bytes of all parts of an .xlsx workbook together, unpacked."""
+MOST_PARTS = 2000
 MOST_CELLS = 1_000_000
 MOST_COLUMNS = 16_384
 """Most columns of a worksheet, by the format's own limits: all cells of a row are held at once."""
 MOST_TAGS = 6 * MOST_CELLS
-"""Most tags of one part: a cell has itself, its value, and what its row and its text add; each begins and ends."""
+"""Most tags of all parts together: a cell has itself, its value, and its row and text; each begins and ends."""
 
 Sheet = dict[tuple[int, int], float | str]
 """Numbers and texts by (row, column), both from 0."""
@@ -107,17 +109,22 @@ def _bounded(data: bytes, path: Path) -> None:
         names = archive.namelist()
         if "xl/workbook.xml" not in names:
             raise DataError(f"{path}: is a zip, but no Excel workbook; unpack it first")
+        if len(names) > MOST_PARTS or sum(part.file_size for part in archive.infolist()) > MOST_BYTES:
+            raise DataError(
+                f"{path}: has {len(names)} parts that unpack to "
+                f"{sum(part.file_size for part in archive.infolist()) >> 20} MiB; "
+                f"read are {MOST_PARTS} parts of {MOST_BYTES >> 20} MiB together"
+            )
+        tags = 0
         for name in names:
-            with archive.open(name) as stream:
-                text = stream.read(MOST_BYTES + 1)
-            if len(text) > MOST_BYTES:
-                raise DataError(f"{path}: part {name!r} unpacks to more than {MOST_BYTES >> 20} MiB")
-            if text.count(b"<") > MOST_TAGS:
+            text = archive.read(name)
+            tags += text.count(b"<")
+            if tags > MOST_TAGS:
                 raise DataError(f"{path}: part {name!r} has more than {MOST_TAGS // 2} elements, empty cells included")
             if max(sum(map(row.count, (b"<c ", b"<c>", b"<c/"))) for row in text.split(b"<row")) > MOST_COLUMNS:
                 raise DataError(f"{path}: part {name!r} has more than {MOST_COLUMNS} cells in a row")
-            if re.search(rb"<!(DOCTYPE|ENTITY)", text):
-                raise DataError(f"{path}: part {name!r} has a document type, which no workbook needs")
+            if name.endswith((".xml", ".rels")):
+                require_plain(text, f"{path}: part {name!r}")
 
 
 def _plain(value: object) -> float | str:

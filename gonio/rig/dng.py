@@ -5,12 +5,9 @@ monochrome LinearRaw image, 12-bit packed where the white level allows it and 16
 exact rational of the EXIF directory.
 """
 
-import contextlib
 import datetime
 import hashlib
-import math
 import struct
-from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import lru_cache
 from io import BytesIO
@@ -21,17 +18,18 @@ import numpy as np
 
 from gonio.disk import read_file, write_whole
 from gonio.errors import ArgumentError, DataError, os_error_as
+from gonio.rig import raw_tags
 from gonio.rig.protocols import Frame
+from gonio.rig.raw_tags import EPOCH
 from gonio.typing import NDArray
 
 BAYER = ("RGGB", "BGGR", "GRBG", "GBRG")
-_ORDERS = {b"II*\0": "<", b"MM\0*": ">"}
-"""How numbers lie in a TIFF file, by its first bytes."""
-_WANTED = {256, 257, 258, 259, 262, 270, 273, 274, 277, 278, 279, 305, 324, 325, 330} | {
-    *(33421, 33422, 33434, 34665, 36867, 37521, 50706, 50714, 50717)
+_OWN = {
+    *(254, 256, 257, 258, 259, 262, 270, 273, 274, 277, 278, 279, 305),
+    *(33421, 33422, 34665, 50706, 50714, 50717),
 }
-_EPOCH = datetime.datetime(1970, 1, 1)
-_LATEST_S = (datetime.datetime(9999, 12, 31) - _EPOCH).total_seconds()
+"""Tags that are read, and that a file of our own may have: with any other it is read as anybody's."""
+_LATEST_S = (datetime.datetime(9999, 12, 31) - EPOCH).total_seconds()
 _LARGEST = 2**32 - 1
 # TIFF 6.0 field types: struct code and size
 _TYPES = {1: ("B", 1), 2: ("c", 1), 3: ("H", 2), 4: ("I", 4), 5: ("II", 8), 7: ("B", 1), 9: ("i", 4), 10: ("ii", 8)}
@@ -113,7 +111,7 @@ def encode_dng(frame: Frame, record: str = "") -> bytes:
         strip = np.ascontiguousarray(frame.mosaic, dtype="<u2")
     kind = (rows, columns, bits, frame.pattern, frame.black_level_dn, frame.white_level_dn)
     empty, at = _head(*kind, len(record))
-    t = _EPOCH + datetime.timedelta(seconds=frame.time_s)
+    t = EPOCH + datetime.timedelta(seconds=frame.time_s)
     stamp = f"{t.year:04d}:{t.month:02d}:{t.day:02d} {t.hour:02d}:{t.minute:02d}:{t.second:02d}".encode()
     head = bytearray(empty)
     struct.pack_into("<II", head, at[33434], *_rational(frame.exposure_s))
@@ -211,8 +209,10 @@ def read_raw(path: str | Path, data: bytes | None = None) -> Frame:
     """Read a raw frame: the linear mosaic exactly as it lies in the file (DNG, CR2, NEF, ARW, ...).
 
     A file that `write_dng` wrote is read directly, many times faster than through rawpy, which reads all others. Of
-    these, too, exposure, fractional black level and clock come from the directories, where rawpy rounds them. A file
-    that does not say its time to a fraction of a second has `time_s` = NaN.
+    these, too, exposure, levels and clock come from the directories, where rawpy rounds them. A black level of several
+    values (of colours, rows or columns) is their mean: frames are measured against dark frames, pixel by pixel. A file
+    that does not say its time to a fraction of a second has `time_s` = NaN. The mosaic stays as the sensor has it,
+    within the active area: how a viewer would turn or develop it changes no count.
 
     Parameters
     ----------
@@ -224,47 +224,80 @@ def read_raw(path: str | Path, data: bytes | None = None) -> Frame:
     Raises
     ------
     DataError
-        The file is missing, truncated, damaged, not a raw file, has several samples a pixel, or does not say its
-        exposure.
+        The file is missing, truncated, damaged, not a raw file, has several samples a pixel, colour filters that are
+        not 2 x 2, or values that are not plain counts (with the tag that says so); or it does not say its exposure.
     """
     path = Path(path)
     if data is None:
         with os_error_as(DataError, f"{path}: cannot be read"):
             data = read_file(path)
-    tags = _read_directories(data, path)
+    tags = raw_tags.read(data, path)
     own = _read_own(tags, data)
     if own is not None and tags.exposure_s and tags.black_level_dn is not None:
         mosaic, pattern, white = own
         return Frame(mosaic, tags.exposure_s, tags.black_level_dn, white, pattern, time_s=tags.time_s, file=path)
+    frame = _by_libraw(data, tags, path)
+    if not (np.isfinite(frame.exposure_s) and frame.exposure_s > 0):
+        raise DataError(f"{path}: does not say its exposure time (EXIF tag 33434)")
+    if not frame.black_level_dn < frame.white_level_dn:
+        raise DataError(
+            f"{path}: the black level, {frame.black_level_dn:g} DN, is not below the white one, "
+            f"{frame.white_level_dn:g} DN"
+        )
+    return frame
+
+
+def _by_libraw(data: bytes, tags: raw_tags.Tags, path: Path) -> Frame:
     import rawpy
 
     try:
         with rawpy.RawPy() as raw:
             raw.open_buffer(BytesIO(data))
+            if (pixels := raw.sizes.raw_width * raw.sizes.raw_height) > raw_tags.MOST_PIXELS:
+                raise DataError(f"{path}: has {pixels} pixels; at most {raw_tags.MOST_PIXELS} are read")
             raw.unpack()
             if raw.raw_type != rawpy.RawType.Flat:
                 raise DataError(f"{path}: holds {raw.num_colors} samples a pixel; a mosaic holds one")
-            mosaic = np.array(raw.raw_image_visible, dtype=np.uint16)
-            cells = raw.raw_pattern
-            bayer = cells is not None and cells.shape == (2, 2)
-            pattern = "".join(raw.color_desc.decode()[k] for k in cells.ravel()) if bayer else "mono"
+            if tags.pattern is not None:  # LibRaw moves odd edges of an active area
+                mosaic, pattern = _active(raw.raw_image, tags, path), tags.pattern
+            else:
+                mosaic = np.array(raw.raw_image_visible, dtype=np.uint16)
+                pattern = "mono" if raw.num_colors == 1 else _pattern(raw.raw_pattern, raw.color_desc.decode(), path)
             black = [float(level) for level in raw.black_level_per_channel]
-            white = float(raw.white_level)
-            exposure = tags.exposure_s or float(raw.other.shutter_speed)
-    except rawpy.LibRawError as error:
+            white = float(raw.white_level) if tags.white_level_dn is None else tags.white_level_dn
+            exposure = float(raw.other.shutter_speed) if tags.exposure_s is None else tags.exposure_s
+    except (rawpy.LibRawError, NotImplementedError) as error:
         text = error.args[0].decode() if error.args and isinstance(error.args[0], bytes) else str(error)
         raise DataError(f"{path}: is damaged or not a raw frame: {text}") from None
-    if not (np.isfinite(exposure) and exposure > 0):
-        raise DataError(f"{path}: does not say its exposure time (EXIF tag 33434)")
     # Makers' colours may differ by a count; every frame is measured against dark frames, pixel by pixel.
     mean = black[0] if pattern == "mono" else sum(black) / len(black)
     level = mean if tags.black_level_dn is None else tags.black_level_dn
     return Frame(mosaic, exposure, level, white, pattern, time_s=tags.time_s, file=path)
 
 
-def _read_own(tags: "_Tags", data: bytes) -> tuple[NDArray[np.uint16], str, float] | None:
+def _active(whole: NDArray[np.uint16], tags: raw_tags.Tags, path: Path) -> NDArray[np.uint16]:
+    if whole.shape != tags.size:
+        raise DataError(f"{path}: states {tags.size} pixels, and LibRaw finds {whole.shape}")
+    top, left, bottom, right = tags.active
+    return np.array(whole[top:bottom, left:right], dtype=np.uint16)
+
+
+def _pattern(cells: NDArray[np.uint8] | None, names: str, path: Path) -> str:
+    """The Bayer pattern; `DataError` for other colour filters."""
+    shape = cells.shape if cells is not None else ()
+    pattern = "".join(names[k : k + 1] for k in cells.ravel()) if cells is not None else "unknown"
+    if shape != (2, 2) or pattern not in BAYER:
+        shown = f"{' x '.join(map(str, shape))}, {pattern[:36]}"
+        raise DataError(f"{path}: its colour filters are {shown}; read are 2 x 2: {', '.join(BAYER)}, and none")
+    return pattern
+
+
+def _read_own(tags: raw_tags.Tags, data: bytes) -> tuple[NDArray[np.uint16], str, float] | None:
     """Mosaic, pattern and white level [DN] of a file as `encode_dng` makes it; None where anything is otherwise."""
-    one = {tag: values[0] for tag, values in tags.own.items() if isinstance(values, list) and len(values) == 1}
+    if not tags.own.keys() <= _OWN:
+        return None
+    lists = ((tag, values) for tag, values in tags.own.items() if isinstance(values, list) and len(values) == 1)
+    one = {tag: values[0] for tag, values in lists if isinstance(values[0], int)}
     columns, rows, bits, start, size, white = (one.get(tag, 0) for tag in (256, 257, 258, 273, 279, 50717))
     layout = one.get(259), one.get(262), one.get(277), one.get(278), one.get(274)
     if bits not in (12, 16) or min(columns, rows, start, white) <= 0 or size != rows * -(-columns * bits // 8):
@@ -290,85 +323,5 @@ def _read_own(tags: "_Tags", data: bytes) -> tuple[NDArray[np.uint16], str, floa
 
 def read_record(data: bytes) -> str:
     """The record in the ImageDescription of a frame's file; "" where the file has none, or is damaged there."""
-    order = _ORDERS.get(data[:4])
-    if order is None:
-        return ""
-    try:
-        fields, _ = _read_directory(data, struct.unpack_from(order + "I", data, 4)[0], order)
-    except struct.error:
-        return ""
-    text = fields.get(270, b"")
+    text = raw_tags.first_directory(data).get(270, b"")
     return text.decode("ascii", "replace") if isinstance(text, bytes) else ""
-
-
-@dataclass
-class _Tags:
-    """What the directories of a TIFF-based file say."""
-
-    exposure_s: float | None = None
-    black_level_dn: float | None = None
-    time_s: float = math.nan
-    own: dict[int, Any] = field(default_factory=dict)
-    """All fields of the image's directory, where this program wrote the file."""
-
-
-def _read_directories(data: bytes, path: Path) -> _Tags:
-    """Walk the TIFF directories; refuse image data that reach beyond the end, which rawpy would fill with zeros."""
-    tags = _Tags()
-    order = _ORDERS.get(data[:4])
-    if order is None:
-        return tags  # CR3, RAF and others are containers of their own: rawpy judges them
-    try:
-        queue, seen = [struct.unpack_from(order + "I", data, 4)[0]], set[int]()
-        clock = b""
-        while queue and len(seen) < 64:
-            at = queue.pop(0)
-            if at == 0 or at in seen:
-                continue
-            seen.add(at)
-            fields, following = _read_directory(data, at, order)
-            if fields.get(305) == b"gonio":
-                tags.own = fields
-            queue += [following, *fields.get(34665, []), *fields.get(330, [])]
-            for starts, sizes in ((273, 279), (324, 325)):  # of strips, and of tiles
-                for start, size in zip(fields.get(starts, []), fields.get(sizes, []), strict=False):
-                    if (end := start + size) > len(data):
-                        raise DataError(f"{path}: is truncated: its image ends at byte {end}, the file at {len(data)}")
-            if 33434 in fields and tags.exposure_s is None and fields[33434][1]:
-                tags.exposure_s = fields[33434][0] / fields[33434][1]
-            if 36867 in fields and 37521 in fields:
-                clock = fields[36867] + b"." + fields[37521]
-            black = fields.get(50714, [])
-            if 50706 in fields and len(black) == 2 and black[1]:
-                tags.black_level_dn = black[0] / black[1]
-        if clock:
-            with contextlib.suppress(ValueError):
-                moment = datetime.datetime.strptime(clock.decode("ascii", "replace"), "%Y:%m:%d %H:%M:%S.%f")
-                tags.time_s = (moment - _EPOCH).total_seconds()
-    except struct.error:
-        raise DataError(f"{path}: is damaged: a directory reaches beyond the end at byte {len(data)}") from None
-    except (TypeError, IndexError, ValueError) as error:
-        raise DataError(f"{path}: is damaged: a directory holds what cannot be ({error})") from None
-    return tags
-
-
-def _read_directory(data: bytes, at: int, order: str) -> tuple[dict[int, Any], int]:
-    """The fields that matter here, and the offset of the next directory (0 for none)."""
-    (count,) = struct.unpack_from(order + "H", data, at)
-    fields: dict[int, Any] = {}
-    for k in range(count):
-        tag, kind, items = struct.unpack_from(order + "HHI", data, at + 2 + 12 * k)
-        if tag not in _WANTED or kind not in _TYPES:
-            continue
-        code, size = _TYPES[kind]
-        place = at + 10 + 12 * k
-        if items * size > 4:
-            (place,) = struct.unpack_from(order + "I", data, place)
-        if place + items * size > len(data):
-            raise struct.error
-        if kind == 2:
-            fields[tag] = data[place : place + items].rstrip(b"\0 ")
-        else:
-            fields[tag] = list(struct.unpack_from(f"{order}{items * len(code)}{code[0]}", data, place))
-    (following,) = struct.unpack_from(order + "I", data, at + 2 + 12 * count)
-    return fields, following

@@ -1,0 +1,116 @@
+"""Files that were made to take memory, time or other people's files: each ends in one message that names the file.
+
+Kinds: a container that unpacks to far more than it has; a count that is believed before it is looked at; a text whose
+encoding hides what is refused in it.
+"""
+
+import io
+import struct
+import time
+import zipfile
+from pathlib import Path
+
+import pytest
+
+from gonio import measurement
+from gonio.errors import ConfigError, DataError
+from gonio.formats import certificate, rgl, workbook, xml_text
+
+TYPED = '<?xml version="1.0"{}?><!DOCTYPE a [<!ENTITY b "c">]><WindowElement>&b;</WindowElement>'
+SOON_S = 5.0
+"""A refusal before anything is unpacked takes milliseconds; a busy computer some hundred."""
+
+
+@pytest.mark.parametrize(
+    ("encoding", "stated"),
+    [
+        ("utf-8", ""),
+        ("utf-8", ' encoding="UTF-8"'),
+        ("utf-8-sig", ""),
+        ("utf-16", ' encoding="UTF-16"'),
+        ("utf-16-le", ""),
+        ("utf-16-be", ""),
+        ("latin-1", ' encoding="ISO-8859-1"'),
+    ],
+)
+def test_no_encoding_hides_a_document_type(tmp_path: Path, encoding: str, stated: str) -> None:
+    data = TYPED.format(stated).encode(encoding)
+    for name, read in (("a.xml", measurement.read), ("c.xml", certificate.reflectance)):
+        (tmp_path / name).write_bytes(data)
+        with pytest.raises((DataError, ConfigError), match=rf"{name}.*document type"):
+            read(tmp_path / name)
+
+
+@pytest.mark.parametrize("name", ["UTF-7", "utf-32", "cp037", "no-such", "hex", "idna"])
+def test_an_encoding_that_is_not_read_is_named(name: str) -> None:
+    with pytest.raises(DataError, match=rf"a\.xml: its encoding is '{name}'"):
+        xml_text.root(f'<?xml version="1.0" encoding="{name}"?><a/>'.encode(), "a.xml")
+
+
+@pytest.mark.parametrize(
+    ("data", "said"),
+    [
+        (b"<a>" * 300, "more than 200 elements within each other"),
+        (b'<?xml version="1.0" encoding="UTF-8"?><a>\xff</a>', "byte 41 is no text in utf-8"),
+        (b"<a><b></a>", "line 1, column 9: not valid XML"),
+        (b"", "not valid XML"),
+        (b"<a>\0</a>", "not valid XML"),
+    ],
+)
+def test_what_is_no_xml_is_named(data: bytes, said: str) -> None:
+    with pytest.raises(DataError, match=rf"a\.xml.*{said}"):
+        xml_text.root(data, "a.xml")
+
+
+def test_text_in_utf16_is_read() -> None:
+    assert xml_text.root('<?xml version="1.0" encoding="UTF-16"?><a>é</a>'.encode("utf-16"), "a.xml").text == "é"
+
+
+def packed(parts: dict[str, bytes]) -> bytes:
+    made = io.BytesIO()
+    with zipfile.ZipFile(made, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, data in parts.items():
+            archive.writestr(name, data)
+    return made.getvalue()
+
+
+@pytest.mark.parametrize(
+    ("parts", "said"),
+    [
+        ({f"xl/worksheets/sheet{k}.xml": bytes(5 * 2**20) for k in range(30)}, "31 parts that unpack to 150 MiB"),
+        ({f"xl/{k}.xml": b"<a/>" for k in range(2001)}, "has 2002 parts"),
+        ({"xl/a.xml": b"<d/>" * 3_000_000, "xl/b.xml": b"<d/>" * 3_000_001}, "elem"),
+        ({"xl/a.xml": TYPED.format(' encoding="UTF-16"').encode("utf-16")}, "part 'xl/a.xml': has a document type"),
+        ({"xl/a.xml": b'<?xml version="1.0" encoding="UTF-7"?><a/>'}, "part 'xl/a.xml': its encoding is 'UTF-7'"),
+    ],
+)
+def test_all_parts_of_a_workbook_are_bounded_together(parts: dict[str, bytes], said: str) -> None:
+    data = packed({"xl/workbook.xml": b"<a/>", **parts})
+    with pytest.raises(DataError, match=rf"b\.xlsx.*{said}"):
+        workbook.as_csv(data, Path("b.xlsx"), {"a"})
+
+
+def tensor(count: int, *fields: bytes) -> bytes:
+    return b"tensor_file\0\1\0" + struct.pack("<I", count) + b"".join(fields)
+
+
+def field(name: bytes, shape: tuple[int, ...], kind: int = 10, dimensions: int | None = None) -> bytes:
+    stated = len(shape) if dimensions is None else dimensions
+    return struct.pack("<H", len(name)) + name + struct.pack(f"<HBQ{len(shape)}Q", stated, kind, 0, *shape)
+
+
+@pytest.mark.parametrize(
+    ("data", "said"),
+    [
+        (tensor(1, field(b"rgb", (2**40,) * 60_000)), "has 60000 dimensions; at most 8"),
+        (tensor(2**31, field(b"a", (1,)) * 5000), "states 2147483648 fields"),
+        (tensor(1, field(b"rgb", (2**62, 2**62))), "reaches beyond the end"),
+        (tensor(1, field(b"rgb", (1,), dimensions=8)), "the list of fields is cut"),
+        (tensor(1, field(b"rgb", (1,), kind=77)), "no type or shape"),
+    ],
+)
+def test_counts_of_a_tensor_file_are_looked_at_first(data: bytes, said: str) -> None:
+    began = time.perf_counter()
+    with pytest.raises(DataError, match=rf"t\.bsdf, byte .*{said}"):
+        rgl.tensors(data, Path("t.bsdf"))
+    assert time.perf_counter() - began < SOON_S
