@@ -12,13 +12,12 @@ from collections.abc import Collection
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from gonio import seals
 from gonio.errors import ConfigError, DataError
 
 if TYPE_CHECKING:
     from gonio.typing import Array
 
-SIGNATURE = b"\x89HDF\r\n\x1a\n"
-"""How an HDF5 file begins."""
 MOST_LINKS = 20_000
 """Most groups and datasets that a file may have: each is looked at before anything is read."""
 FILTERS = {1: "deflate", 2: "shuffle", 3: "fletcher32", 32000: "lzf"}
@@ -64,6 +63,7 @@ def opened(path: Path, data: bytes | None = None) -> Any:
         h5py is not installed.
     """
     h5py = library()
+    seals.look(path)
     try:
         file = h5py.File(path if data is None else io.BytesIO(data), "r")
     except Exception as error:  # what HDF5 raises of damaged files is of any kind

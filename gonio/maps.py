@@ -15,7 +15,7 @@ import shutil
 import zipfile
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -23,12 +23,14 @@ from typing import Any, Self
 
 import numpy as np
 
-from gonio import hdf5
-from gonio.disk import half_written, read_file, require_name, sha256_of, write_whole
-from gonio.errors import ConfigError, DataError, os_error_as
+from gonio import hdf5, platform, seals
+from gonio.disk import half_written, require_name, sha256_of, write_whole
+from gonio.errors import ConfigError, DataError, GonioError, os_error_as
 from gonio.typing import Array, Bools, DataFrame, Floats, Ints, JsonObject, NDArray
 
 FORMAT = "gonio-map-1"
+VERSION = ("v110", "v110")
+"""Of HDF5: the oldest whose own records all have checksums."""
 ABOUT = "about"
 """Key of a tile's file for the kinds and shapes of its packed arrays."""
 TILE = 64
@@ -180,15 +182,18 @@ class Parts:
         """Make the file of all tiles, which then go. `sizes`: of every dimension, "y" and "x" among them."""
         unfinished = self.folder / "whole.h5"
         try:
-            with hdf5.library().File(unfinished, "w", libver="latest") as file:
+            with hdf5.library().File(unfinished, "w", libver=VERSION) as file:
                 _fill(file, sizes, variables, attrs)
                 for tile in tiles(sizes["y"], sizes["x"]):
                     for name, packed in self._packed(tile).items():
                         _put(file[name], tile, packed)
+            seals.seal(unfinished)
         except (OSError, RuntimeError) as error:  # a file that HDF5 cannot close is a RuntimeError
             unfinished.unlink(missing_ok=True)
             raise _plain(error) from None
         unfinished.replace(self.path)
+        for folder in (self.path.parent, self.folder):
+            platform.sync_folder(folder)  # the file has its name on the disk before a tile goes
         for tile in tiles(sizes["y"], sizes["x"]):
             (self.folder / tile.name).unlink()
         shutil.rmtree(self.folder)  # what the tiles are of goes after them
@@ -268,11 +273,22 @@ def is_map(path: str | Path) -> bool:
     """Whether a file is a map of ours, of values or of fits; `DataError` where it is HDF5 that cannot be read."""
     if not str(path).endswith((".h5", ".nc", ".hdf5")) or not Path(path).is_file():
         return False
-    with suppress(OSError):
-        if read_file(path, len(hdf5.SIGNATURE)) != hdf5.SIGNATURE:
-            return False
-    with hdf5.opened(Path(path)) as file:
+    if not seals.look(path):
+        return False
+    with _understood(f"{path}: is damaged"), hdf5.opened(Path(path)) as file:
         return bool(file.attrs.get("format") == FORMAT)
+
+
+@contextmanager
+def _understood(what: str) -> Iterator[None]:
+    """Turn whatever h5py raises of a file that it cannot make sense of into a `DataError`: `what`, and its reason."""
+    try:
+        yield
+    except GonioError:
+        raise
+    except Exception as error:
+        reason = error.args[0] if isinstance(error, KeyError) and error.args else error  # its text has quotes
+        raise DataError(f"{what}: {reason}") from None
 
 
 @dataclass(frozen=True)
@@ -332,20 +348,22 @@ class MapFile:
 
     def _require_map(self) -> None:
         """Raise `DataError` where the file is no map, or lacks what every map has."""
-        if self._file.attrs.get("format") != FORMAT:
+        if self.attrs.get("format") != FORMAT:
             raise DataError(f"{self.path}: is no map: it lacks the attribute format = {FORMAT}; see docs/maps.md")
         for name, unit in _STATED.items():
             shown = f"{self.path}: {name}"
-            if name not in self._file or str(self._file[name].attrs.get("units")) == "1":  # as of `Variable`: unstated
+            if name not in self.names or self.said(name, "units") == "1":  # as of `Variable`: unstated
                 continue
-            if hdf5.factor(self._file[name], unit, shown) != 1.0:
+            with _understood(shown):
+                factor = hdf5.factor(self._variable(name), unit, shown)
+            if factor != 1.0:
                 raise DataError(f"{shown} is in other units than {unit}; write the map anew in these")
         for name in ("x", "y"):
             places = self.array(name)
             if places.ndim != 1 or places.dtype.kind not in "fiu" or not np.isfinite(places).all():
                 raise DataError(f"{self.path}: {name} is no list of places on the sample in mm")
-        if "brdf" in self._file:
-            count = self._file["brdf"].shape[-1]
+        if "brdf" in self.names:
+            count = self._variable("brdf").shape[-1]
             for name in (*ANGLES, "wavelength_nm", "source_mm", "camera_mm"):
                 if len(found := self.array(name)) != count or not np.isfinite(found).all():
                     raise DataError(f"{self.path}: {name} has no finite value for each of the {count} points of brdf")
@@ -356,27 +374,27 @@ class MapFile:
     def __exit__(self, *_: object) -> None:
         self._file.close()
 
-    @property
+    @cached_property
     def attrs(self) -> dict[str, Any]:
         """Attributes of the file; those that were lists or tables are again."""
         out = {}
-        for name, value in self._file.attrs.items():
-            text = value if isinstance(value, str) else None
-            out[name] = json.loads(text) if text and text[0] in "{[" else value
+        with _understood(f"{self.path}: its attributes cannot be read"):
+            for name, value in self._file.attrs.items():
+                text = value if isinstance(value, str) else None
+                out[name] = json.loads(text) if text and text[0] in "{[" else value
         return out
 
-    @property
+    @cached_property
     def names(self) -> list[str]:
         """Its variables."""
-        return list(self._file)
+        with _understood(f"{self.path}: cannot be read"):
+            return list(self._file)
 
     def array(self, name: str, tile: Tile | None = None) -> Array:
         """A variable, or a tile of it; raises `DataError` where there is none, or it is damaged."""
         found = self._variable(name)
-        try:
+        with _understood(f"{self.path}: {name} is damaged"):
             return np.asarray(found[()] if tile is None else found[tile.rows, tile.cols])
-        except OSError as error:
-            raise DataError(f"{self.path}: {name} is damaged: {error}") from None
 
     def chunk(self, name: str, tile: Tile) -> Packed | Array:
         """A tile of a variable: packed as the file has it where it is a chunk of it, otherwise as an array."""
@@ -391,13 +409,22 @@ class MapFile:
         return np.asarray(found[tile.rows, tile.cols])
 
     def _variable(self, name: str) -> Any:
-        if name not in self._file:
+        if name not in self.names:
             raise DataError(f"{self.path}: has no variable {name}")
-        return self._file[name]
+        with _understood(f"{self.path}: {name} cannot be read"):
+            return self._file[name]
 
     def dims(self, name: str) -> tuple[str, ...]:
         """The dimensions of a variable."""
-        return tuple((d[0].name or "").strip("/") for d in self._file[name].dims if len(d))
+        found = self._variable(name)
+        with _understood(f"{self.path}: {name} cannot be read"):
+            return tuple((d[0].name or "").strip("/") for d in found.dims if len(d))
+
+    def said(self, name: str, attribute: str) -> str:
+        """An attribute of a variable, as text; "" where it has none."""
+        found = self._variable(name)
+        with _understood(f"{self.path}: {name} cannot be read"):
+            return str(found.attrs.get(attribute, ""))
 
     @cached_property
     def x_mm(self) -> Floats:
@@ -431,10 +458,8 @@ class MapFile:
         """The values of a tile, which are not unpacked yet; raises `DataError` where they cannot be read."""
         where = f"rows {tile.rows.start} to {tile.rows.stop}, columns {tile.cols.start} to {tile.cols.stop}"
         where = f"{self.path}: {where}"
-        try:
+        with _understood(f"{where} cannot be read"):
             return Held(where, *(self.chunk(name, tile) for name in ("brdf", "u_random", "flag")))
-        except OSError as error:
-            raise DataError(f"{where} cannot be read: {error}; make the map anew") from None
 
     def values(self, tile: Tile) -> tuple[Floats, Floats]:
         """BRDF [1/sr] and its own standard uncertainty of a tile, shape (rows, columns, n); NaN where flagged."""
@@ -499,7 +524,7 @@ class FitFile(MapFile):
 
     def unit(self, name: str) -> str:
         """Unit of a parameter; "" where it has none."""
-        found = str(self._file[name].attrs.get("units", ""))
+        found = self.said(name, "units")
         return "" if found == "1" else found
 
     @cached_property
@@ -524,7 +549,7 @@ class FitFile(MapFile):
         out = np.zeros((*tile.shape, len(names), len(names))) + np.eye(len(names))
         if "correlation" in self.names:
             found = np.nan_to_num(self.array("correlation", tile).astype(float))
-            for k, pair in enumerate(str(self._file["correlation"].attrs.get("pairs", "")).split()):
+            for k, pair in enumerate(self.said("correlation", "pairs").split()):
                 first, _, second = pair.partition(":")
                 if first in names and second in names:
                     a, b = names.index(first), names.index(second)

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from gonio import __version__, hdf5
+from gonio import __version__, hdf5, seals
 from gonio.errors import DataError
 from gonio.formats import native
 from gonio.formats.curve_sheets import MOST, curves
@@ -87,7 +87,7 @@ def write(frame: DataFrame, path: Path) -> None:
         note.create_dataset("type", data="application/json", dtype=words, track_times=False)
         text = json.dumps(attrs, ensure_ascii=False, allow_nan=False)
         note.create_dataset("data", data=text, dtype=words, track_times=False)
-    write_bytes(path, buffer.getvalue())
+    write_bytes(path, seals.sealed(buffer.getvalue()))
 
 
 def remarks(frame: DataFrame) -> list[str]:
@@ -156,7 +156,7 @@ FORMAT = Format(
     name="nexus",
     title="NeXus (HDF5)",
     endings=(".h5", ".hdf5", ".nxs"),
-    sniff=lambda head: head.startswith(hdf5.SIGNATURE),
+    sniff=lambda head: head.startswith(seals.SIGNATURE),
     read=read,
     write=write,
     remarks=remarks,

@@ -1,5 +1,7 @@
 """Map files: chunks that are packed here, and those that other programs write."""
 
+import random
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -8,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from gonio import platform, seals
 from gonio.errors import ConfigError, DataError
 from gonio.maps import MapFile, Packed, Parts, Tile, Variable, is_map, tiles
 from tests.gonio_analysis import map_files
@@ -95,8 +98,16 @@ def test_files_of_other_programs_have_other_chunks(tmp_path: Path, options: dict
             np.testing.assert_array_equal(found.values(tile)[0], brdf[tile.rows, tile.cols])
 
 
+def unsealed(path: Path) -> bytes:
+    """A map as earlier versions wrote them, and as programs leave it that change it."""
+    whole = path.read_bytes()[: -seals.LENGTH]
+    path.write_bytes(whole)
+    return whole
+
+
 def test_a_chunk_that_is_damaged_is_named(tmp_path: Path) -> None:
     write(tmp_path / "map.h5")
+    unsealed(tmp_path / "map.h5")
     with h5py.File(tmp_path / "map.h5") as file:
         chunk = file["u_random"].id.get_chunk_info(1)
     with open(tmp_path / "map.h5", "r+b") as stream:
@@ -131,7 +142,7 @@ def test_what_every_map_has_is_required(tmp_path: Path, name: str, value: Any, t
 
 def test_a_map_that_is_cut_short_or_has_a_hole_is_damaged(tmp_path: Path) -> None:
     write(tmp_path / "map.h5")
-    whole = (tmp_path / "map.h5").read_bytes()
+    whole = unsealed(tmp_path / "map.h5")
     with h5py.File(tmp_path / "map.h5") as file:
         begin = file["brdf"].id.get_chunk_info(0).byte_offset
     (tmp_path / "hole.h5").write_bytes(whole[:begin] + bytes(500) + whole[begin + 500 :])
@@ -142,6 +153,98 @@ def test_a_map_that_is_cut_short_or_has_a_hole_is_damaged(tmp_path: Path) -> Non
         is_map(tmp_path / "short.h5")
     (tmp_path / "other.h5").write_bytes(b"of another kind")
     assert not is_map(tmp_path / "other.h5")
+
+
+PAGE = 4096
+
+
+def damages(whole: bytes, count: int) -> Iterator[bytes]:
+    """Files as disks and copies spoil them: pages of zeros, of ones or of noise, two exchanged, a bit, a cut."""
+    rng = random.Random(3)
+    starts = range(0, len(whole), PAGE)
+    for k in range(count):
+        one, other = rng.sample(starts[:-1], 2)
+        page = slice(one if k % 12 else starts[-1], None if k % 12 == 0 else one + PAGE)  # the last one, too
+        spoilt, size = bytearray(whole), len(whole[page])
+        if k % 6 < 3:
+            spoilt[page] = (bytes(size), b"\xff" * size, rng.randbytes(size))[k % 6]
+        elif k % 6 == 3:
+            spoilt[page], spoilt[other : other + PAGE] = whole[other : other + PAGE], whole[page]
+        elif k % 6 == 4:
+            spoilt[rng.randrange(len(whole))] ^= 1 << rng.randrange(8)
+        else:
+            del spoilt[rng.randrange(len(whole) - seals.LENGTH) :]
+        yield bytes(spoilt)
+
+
+def test_no_damage_of_a_map_is_read(tmp_path: Path) -> None:
+    """Kind: bytes that are not those that were written. None becomes a number, none stops the program."""
+    path = tmp_path / "map.h5"
+    write(path)
+    assert is_map(path)
+    for spoilt in damages(path.read_bytes(), 60):
+        path.unlink()  # a new file each time: what was looked at is known by its number and times
+        path.write_bytes(spoilt)
+        for read in (is_map, MapFile):
+            try:
+                found = read(path)
+            except DataError as error:
+                assert str(path) in str(error)  # noqa: PT017
+            else:  # nothing of HDF5 is left of it
+                assert found is False
+                assert spoilt[:8] != seals.SIGNATURE
+
+
+def test_a_file_that_hdf5_does_not_come_back_from_is_damaged(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Kind: a library that works without end. The collection of long attributes is without a length."""
+    path = tmp_path / "map.h5"
+    write(path)
+    whole = unsealed(path)
+    at = whole.index(b"GCOL")
+    path.write_bytes(whole[: at + 16] + bytes(PAGE - 16) + whole[at + PAGE :])
+    monkeypatch.setattr(seals, "LOOK_S", 1.0)
+    for read in (is_map, MapFile):
+        with pytest.raises(
+            DataError, match=r"map.h5: HDF5 does not get through it in 1 s: it is damaged .remove it and"
+        ):
+            read(path)
+
+
+def test_whoever_changes_a_map_takes_its_seal_away(tmp_path: Path) -> None:
+    path = tmp_path / "map.h5"
+    write(path)
+    assert seals.SEAL.search(path.read_bytes())
+    with h5py.File(path, "r+") as file:
+        file["u_random"][0, 0, 0] = 7.0
+    assert not seals.SEAL.search(path.read_bytes())
+    with MapFile(path) as found:
+        assert found.array("u_random")[0, 0, 0] == 7.0
+
+
+def test_a_map_is_on_the_disk_before_its_tiles_go(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Kind: sources that are removed while their product is in memory alone."""
+    done: list[str] = []
+
+    def noted(owner: Any, name: str) -> None:
+        work = getattr(owner, name)
+
+        def instead(*arguments: Any) -> Any:
+            done.append(f"{name} {arguments[0] if isinstance(arguments[0], Path) else ''}".removesuffix(" "))
+            return work(*arguments)
+
+        monkeypatch.setattr(owner, name, instead)
+
+    noted(platform, "sync_folder")
+    noted(platform, "sync")
+    noted(Path, "replace")
+    noted(Path, "unlink")
+    write(tmp_path / "map.h5")
+    order = [
+        "sync", f"replace {tmp_path / 'map.h5.parts' / 'whole.h5'}", f"sync_folder {tmp_path}",
+        f"sync_folder {tmp_path / 'map.h5.parts'}", f"unlink {tmp_path / 'map.h5.parts' / '000000-000000.npz'}",
+    ]  # fmt: skip
+    begin = done.index(order[1]) - 1
+    assert done[begin : begin + 5] == order
 
 
 def test_a_folder_of_parts_with_files_of_others_is_left_alone(tmp_path: Path) -> None:

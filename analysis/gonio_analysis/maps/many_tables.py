@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import gonio
-from gonio import measurement
+from gonio import measurement, platform
 from gonio.disk import require_name, write_whole
 from gonio.errors import ConfigError, GonioError, os_error_as
 from gonio.formats import own_columns
@@ -116,6 +116,7 @@ def make(where: str, out: Path, asked: FitRequest, how: Reading, *, dask: str | 
                 count(many, len(todo))
         every = [row for job in jobs for row in done[job.table, job.digest]]
         write_whole(out, _csv(names, every, head=True))
+        platform.sync_folder(out.parent)  # the table has its name on the disk before the rows of this try go
         part.unlink()
     return Outcome(every, len(jobs) - len(todo))
 
