@@ -15,7 +15,7 @@ from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gonio import platform
+from gonio import canvas, platform
 from gonio.errors import ConfigError, DataError, GonioError, os_error_as
 
 if TYPE_CHECKING:
@@ -123,7 +123,7 @@ def put(path: Path, data: bytes) -> None:
 def put_picture(path: Path, figure: "Figure") -> None:
     """Write a figure as PNG; raises `DataError`, which names it, where it cannot be written."""
     drawn = BytesIO()
-    figure.savefig(drawn, format="png", dpi=110)
+    canvas.save(figure, drawn, format="png", dpi=110)
     put(path, drawn.getvalue())
 
 

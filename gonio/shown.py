@@ -1,6 +1,7 @@
 """Numbers in words, with their uncertainties, and how results show themselves at a prompt and in a notebook."""
 
 import math
+import re
 from collections.abc import Sequence
 from html import escape
 
@@ -8,6 +9,16 @@ SMALL = 1e-4
 """Numbers below this have a power of ten."""
 SHARPEST = 1e-12
 """An uncertainty below this share of its value is rounding; with it nobody wants all digits of the value."""
+
+
+_UNSEEN = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069\ud800-\udfff\ufffe\uffff]")
+"""What no page, terminal or drawing shows as a character: control characters, signs that turn the direction of the
+text that follows, halves of characters, and no characters. Tabs and ends of lines are none of them."""
+
+
+def visible(text: str) -> str:
+    """A text where people read it: what would act on the page or the terminal, or end it, stands there as its code."""
+    return _UNSEEN.sub(lambda found: found[0].encode("unicode_escape").decode(), text)
 
 
 def marked(name: str, simulated: bool) -> str:

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from gonio import canvas
 from gonio.calibration.intrinsics import refine, stretched
 from gonio.disk import put
 from gonio.errors import ConfigError
@@ -109,7 +110,7 @@ def _png(marks: Fiducials, aperture_mm: float, half: float) -> bytes:
     axes.set(xlim=(-half, half), ylim=(-half, half))
     axes.axis("off")
     drawn = io.BytesIO()
-    figure.savefig(drawn, format="png", dpi=DPI)
+    canvas.save(figure, drawn, format="png", dpi=DPI)
     return drawn.getvalue()
 
 

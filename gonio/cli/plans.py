@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from gonio import canvas
 from gonio.cli import console
 from gonio.errors import ConfigError, os_error_as
 
@@ -109,9 +110,8 @@ def _draw(seen: Prepared, file: Path, step: int | None) -> None:
 
 
 def _saved(figure: Figure, file: Path) -> None:
-
     with os_error_as(ConfigError, f"{file}: cannot be written"):
-        figure.savefig(file, dpi=150)
+        canvas.save(figure, file, dpi=150)
     console.show(f"picture: {file}")
 
 

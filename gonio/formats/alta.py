@@ -18,7 +18,17 @@ from pathlib import Path
 import numpy as np
 
 from gonio.errors import DataError
-from gonio.formats.reader import Format, fold, plain_degrees, single, spectra, wide, write_lines
+from gonio.formats.reader import (
+    NOT_IN_A_LINE,
+    Format,
+    fold,
+    plain_degrees,
+    require_held,
+    single,
+    spectra,
+    wide,
+    write_lines,
+)
 from gonio.formats.text import Text, estimate, integer, number, numbers
 from gonio.typing import DataFrame, Floats
 
@@ -76,7 +86,7 @@ def read(data: bytes, path: Path) -> DataFrame:
         values,
         attrs={
             "source_file": str(path),
-            "sample": keywords.get("SAMPLE", "").strip('"') or None,
+            "sample": keywords.get("SAMPLE", "").removeprefix('"').removesuffix('"') or None,
             "provenance": {key: keywords[key] for key in ("ORIGIN", "URL") if key in keywords},
             "notes": notes,
         },
@@ -120,7 +130,8 @@ def write(frame: DataFrame, path: Path) -> None:
     angles, wavelengths, values = wide(usable.fillna({"wavelength_nm": 0.0}) if broad else usable, path, "ALTA text")
     if np.isnan(values).any():
         raise DataError(f"{path}: ALTA text needs every wavelength in every direction; a direction lacks one")
-    sample = re.sub(r"[\r\n\"]", " ", str(frame.attrs.get("sample") or ""))
+    sample = re.sub(r"[\r\n]", " ", str(frame.attrs.get("sample") or ""))
+    require_held(sample, path, "ALTA text", NOT_IN_A_LINE)
     lines = [f'#SAMPLE "{sample}"', f"#DIM 4 {wavelengths.size}", "#VS 0", "#PARAM_IN SPHERICAL_TL_PL_TV_PV",
              "#PARAM_OUT INV_STERADIAN"]  # fmt: skip
     if not broad:

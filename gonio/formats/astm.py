@@ -15,7 +15,7 @@ import numpy as np
 
 from gonio.errors import DataError
 from gonio.formats import reader
-from gonio.formats.reader import Format, fold, plain_degrees, spectra, wide, write_lines
+from gonio.formats.reader import NOT_IN_A_LINE, Format, fold, plain_degrees, require_held, spectra, wide, write_lines
 from gonio.formats.text import Text, estimate, integer, numbers
 from gonio.typing import DataFrame
 
@@ -124,6 +124,8 @@ def write(frame: DataFrame, path: Path) -> None:
     """Angles in radians and values, all digits; a flagged row becomes a zero, which reads as "clamped"."""
     angles, wavelengths, values = wide(frame, path, "ASTM E1392")
     lines = [f"{key} {value}" for key, value in (_known(frame) | {"MEAS_NAME": "BRDF"}).items()]
+    for line in (str(frame.attrs.get("sample") or ""), *lines):
+        require_held(line, path, "ASTM E1392", NOT_IN_A_LINE)
     lines += [
         f"NUM_POINTS {len(angles)}",
         "VARS " + ",".join(_ANGLES + [f"{nm!r}nm" for nm in wavelengths.tolist()]),

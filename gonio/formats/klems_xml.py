@@ -27,7 +27,7 @@ import numpy as np
 
 from gonio.errors import DataError
 from gonio.formats import xml_text
-from gonio.formats.reader import ANGLES, SIDES, Format, table, wrap_deg, write_bytes
+from gonio.formats.reader import ANGLES, NOT_XML, SIDES, Format, require_held, table, wrap_deg, write_bytes
 from gonio.formats.text import integer, number
 from gonio.typing import DataFrame, Floats
 
@@ -196,6 +196,7 @@ def write(frame: DataFrame, path: Path) -> None:
     for known, group in groups:
         told = dict(zip(words, known, strict=True))
         name, kind = told.get("sample", frame.attrs.get("sample") or ""), told.get("side", "reflection")
+        require_held(str(name), path, "XML", NOT_XML)
         match = _NAME.fullmatch(str(name))
         product, side, band = match.groups() if match else (str(name), "front", "Visible")
         turn = 1.0 if side == "front" else -1.0

@@ -27,6 +27,7 @@ from gonio.formats.reader import (
     EXTRA,
     LARGEST,
     MUELLER,
+    NO_TEXT,
     POLARISATIONS,
     SIDES,
     U_ANGLES,
@@ -36,6 +37,7 @@ from gonio.formats.reader import (
     attributes,
     flag_holes,
     quantity,
+    require_held,
     require_place,
     write_bytes,
 )
@@ -232,6 +234,8 @@ def write(frame: DataFrame, path: Path) -> None:
     check_columns(list(frame.columns), str(path))
     check(frame, lambda row: f"{path}, row {row + 1}")
     words = [name for name in _TEXTS if name in frame.columns]
+    for word in (str(word) for name in words for word in frame[name].unique()):
+        require_held(word, path, "a CSV", NO_TEXT)
     cells = frame.assign(**{name: _per_word(frame[name], cell_of) for name in words})
     # pandas writes a carriage return without quotes, as if it ended no line
     ends = any("\r" in word for name in words for word in cells[name].unique())

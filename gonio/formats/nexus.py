@@ -7,6 +7,7 @@ NeXpy draw: `NXdata` with `signal`, `axes` and `_errors`, `NXsample`, `NXprocess
 import io
 import json
 import math
+import re
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from gonio import __version__, hdf5, seals
 from gonio.errors import DataError
 from gonio.formats import native
 from gonio.formats.curve_sheets import MOST, curves
-from gonio.formats.reader import Format, write_bytes
+from gonio.formats.reader import Format, require_held, write_bytes
 from gonio.typing import DataFrame
 
 TABLE = "entry/table"
@@ -55,6 +56,9 @@ def write(frame: DataFrame, path: Path) -> None:
     h5py = hdf5.library()
     words = h5py.string_dtype("utf-8")
     attrs = native.plain(frame.attrs)
+    texts = (word for column in ("sample", "flag") if column in frame.columns for word in frame[column].unique())
+    for word in (str(attrs.get("sample") or ""), *map(str, texts)):
+        require_held(word, path, "HDF5", re.compile("\x00"))
     buffer = io.BytesIO()
     with h5py.File(buffer, "w", track_order=True) as file:
         file.attrs.update(NX_class="NXroot", default="entry", creator=f"gonio {__version__}")

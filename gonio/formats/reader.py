@@ -11,6 +11,7 @@ Also here is what a table states of its laboratory (`[laboratory]` of the run), 
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,6 +21,7 @@ import numpy as np
 
 from gonio.disk import require_not_measured, write_whole
 from gonio.errors import ConfigError, DataError, os_error_as, refuse_masked
+from gonio.shown import visible
 from gonio.typing import Array, ArrayLike, DataFrame, Floats, JsonObject
 
 if TYPE_CHECKING:
@@ -297,6 +299,24 @@ def reflection_only(frame: DataFrame, path: Path, format_name: str) -> None:
         raise DataError(
             f"{path}: {format_name} holds reflection only, and {count} of {len(frame)} rows are transmission (theta_r "
             "beyond 90 degrees); write it as .csv, or leave those rows out (side = reflection)"
+        )
+
+
+NO_TEXT = re.compile(r"[\x00-\x08\x0e-\x1f\x7f\ud800-\udfff]")
+"""What no reader takes for text (`gonio.formats.text.require_text`), and halves of a character."""
+NOT_IN_A_LINE = re.compile(rf"{NO_TEXT.pattern}|[\x0b\x0c\x85\u2028\u2029]")
+"""And what ends a line beside its end."""
+NOT_XML = re.compile(r"[\x00-\x08\x0b-\x1f\x7f\ud800-\udfff\ufffe\uffff]")
+"""What XML does not hold, or gives back as something else; and what no reader takes for text."""
+
+
+def require_held(text: str, path: Path, format_name: str, unfit: re.Pattern[str]) -> None:
+    """`DataError` where a text has a character that a format cannot hold: nothing is written instead of it."""
+    if bad := unfit.search(text):
+        named = bad[0].encode("unicode_escape").decode()
+        raise DataError(
+            f"{path}: {visible(text[:60])!r} has the character {named}, which {format_name} cannot hold; rename it, or "
+            "write .parquet"
         )
 
 

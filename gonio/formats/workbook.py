@@ -26,7 +26,7 @@ import numpy as np
 from gonio.errors import DataError
 from gonio.formats import native
 from gonio.formats.curve_sheets import curves
-from gonio.formats.reader import Format, write_bytes
+from gonio.formats.reader import NOT_XML, Format, require_held, write_bytes
 from gonio.formats.text import csv_of
 from gonio.formats.xml_text import require_plain
 from gonio.typing import DataFrame
@@ -225,32 +225,46 @@ def write(frame: DataFrame, path: Path) -> None:
         raise DataError(f"{path}: {len(frame)} rows are too many for a workbook; write .parquet or .csv")
     every = list(curves(frame, path))
     book = Workbook(write_only=True)
-    _fill(book.create_sheet("table"), list(frame.columns), [frame[name].tolist() for name in frame.columns])
+    _fill(book.create_sheet("table"), list(frame.columns), [frame[name].tolist() for name in frame.columns], path)
     names: set[str] = {"table", "about"}
     shown = ("wavelength_nm", "brdf", "u_brdf", "flag")
     for curve in every:
         header = ["viewing angle [deg]", "wavelength [nm]", "BRDF [1/sr]", "u(BRDF) [1/sr]", "flag"]
         columns = [curve.signed_deg.tolist(), *(curve.rows[name].tolist() for name in shown)]
-        _fill(book.create_sheet(_sheet_name(curve.name, names)), header, columns)
+        _fill(book.create_sheet(_sheet_name(curve.name, names)), header, columns, path)
     text = json.dumps(native.plain(frame.attrs), ensure_ascii=True, allow_nan=False)
     parts = [text[k : k + MOST_TEXT] for k in range(0, len(text), MOST_TEXT)]
-    _fill(book.create_sheet("about"), [ABOUT], [parts])
+    _fill(book.create_sheet("about"), [ABOUT], [parts], path)
     buffer = io.BytesIO()
     book.save(buffer)
     write_bytes(path, buffer.getvalue())
 
 
-def _fill(sheet: Any, header: list[str], columns: list[list[Any]]) -> None:
-    sheet.append(header)
-    for row in zip(*columns, strict=True):
-        sheet.append(
-            [None if value == "" or (isinstance(value, float) and np.isnan(value)) else value for value in row]
-        )
+def _fill(sheet: Any, header: list[str], columns: list[list[Any]], path: Path) -> None:
+    for row in ([header], zip(*columns, strict=True)):
+        for values in row:
+            sheet.append([_written(value, sheet, path) for value in values])
+
+
+def _written(value: Any, sheet: Any, path: Path) -> Any:
+    """What a cell is written as: a text always as text, whatever it looks like to a spreadsheet."""
+    from openpyxl.cell import WriteOnlyCell
+
+    if not isinstance(value, str):
+        return None if isinstance(value, float) and np.isnan(value) else value
+    if not value:
+        return None
+    require_held(value, path, "a workbook", NOT_XML)
+    cell = WriteOnlyCell(sheet, value)
+    cell.data_type = "s"
+    if value[0] in "=+-@":
+        cell.quotePrefix = True
+    return cell
 
 
 def _sheet_name(name: str, taken: set[str]) -> str:
     """A name that Excel takes, and that no other sheet has."""
-    plain = re.sub(r"[\[\]:*?/\\']", "-", name)[:27] or "curve"
+    plain = re.sub(rf"[\[\]:*?/\\']|{NOT_XML.pattern}", "-", name)[:27] or "curve"
     numbered = (f"{plain} {count}" for count in itertools.count(2))
     out = next(one for one in itertools.chain([plain], numbered) if one.lower() not in taken)
     taken.add(out.lower())

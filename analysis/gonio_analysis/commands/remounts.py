@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from gonio import canvas
 from gonio.cli.opened import Blank, Columns, reading, remember
 
 
@@ -49,7 +50,8 @@ def remounts(
     if picture is not None:
         drawn = BytesIO()
         try:
-            scatter.draw(found).savefig(drawn, format=picture.suffix.removeprefix(".") or "png", dpi=150)
+            kind = picture.suffix.removeprefix(".") or "png"
+            canvas.save(scatter.draw(found), drawn, format=kind, dpi=150)
         except ValueError as error:
             raise ConfigError(f"--picture {picture}: cannot be written: {error}") from None
         put(picture, drawn.getvalue())

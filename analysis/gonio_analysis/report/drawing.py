@@ -24,8 +24,9 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any, BinaryIO, TypeVar
 
-from gonio import platform
+from gonio import canvas, platform
 from gonio.cli.console import Pace, Say, silent
+from gonio.shown import visible
 
 SVG = {
     "svg.fonttype": "none",
@@ -78,10 +79,11 @@ class Drawing(Described):
         png, svg = io.BytesIO(), io.StringIO()
         with rc_context(SVG):
             figure = Canvas(figsize=self.inches)
-            self.on(figure)
+            with canvas.literal():
+                self.on(figure)
             quick = {"compress_level": 3}  # a tenth larger than at best, in a third of the time
-            figure.savefig(png, format="png", dpi=PNG_DPI, metadata={"Software": "gonio"}, pil_kwargs=quick)
-            figure.savefig(svg, format="svg", metadata={"Date": None, "Creator": "gonio"})
+            canvas.save(figure, png, format="png", dpi=PNG_DPI, metadata={"Software": "gonio"}, pil_kwargs=quick)
+            canvas.save(figure, svg, format="svg", metadata={"Date": None, "Creator": "gonio"})
         words = (self.name, self.kind, self.model, self.caption, self.alt)
         return Figure(*words, _tidy(svg.getvalue(), self.name), png.getvalue())
 
@@ -98,11 +100,12 @@ def _tidy(svg: str, name: str) -> str:
 
     What is referred to is numbered as it comes, so that the same drawing gives the same bytes in every process.
     """
+    svg = visible(svg)
     svg = re.sub(r"<metadata>.*?</metadata>", "", svg[svg.index("<svg") :], flags=re.DOTALL)
     for size in ("height", "width"):
         svg = re.sub(rf'(<svg[^>]*?) {size}="[^"]*"', r"\1", svg, count=1)
     svg = _numbered(svg, "f" + hashlib.sha256(name.encode()).hexdigest()[:8])
-    svg = re.sub(r"font-family: 'DejaVu Sans'(, sans-serif)*(; )?", "", svg)
+    svg = re.sub(r"font-family: 'DejaVu Sans'(, sans-serif|, '[^']*')*(; )?", "", svg)
     svg = svg.replace("<svg", f'<svg style="font-family: {FONTS}"', 1)
     # inside of tags alone: what a label says stays as it is
     svg = re.sub(r"<[^>]*>", lambda tag: re.sub(r"\.(\d\d)\d+|\.(\d+)", _decimals, tag[0]), svg)

@@ -10,6 +10,7 @@ from html import escape
 from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
+from gonio.shown import visible
 from gonio_analysis.report.blocks import Block, Figures, Group, Page, PixelViewer, Viewer, figures_of, spans
 from gonio_analysis.report.text import glued
 
@@ -88,14 +89,14 @@ def _escaped(value: object) -> str:
     """Words as HTML has them, with the entities of Python's own `html.escape`."""
     from markupsafe import Markup
 
-    return value if isinstance(value, Markup) else Markup(escape(str(value)))
+    return value if isinstance(value, Markup) else Markup(escape(visible(str(value))))
 
 
 def _labelled(svg: str, alt: str) -> str:
     """A drawing with the words that stand for it."""
     from markupsafe import Markup
 
-    return Markup(svg.replace("<svg", f'<svg role="img" aria-label="{escape(alt)}"', 1))
+    return Markup(svg.replace("<svg", f'<svg role="img" aria-label="{escape(visible(alt))}"', 1))
 
 
 def _embedded(view: Mapping[str, Any]) -> str:

@@ -15,6 +15,8 @@ from typing import Any
 
 import numpy as np
 
+from gonio import canvas
+from gonio.shown import visible
 from gonio_analysis.report.blocks import (
     Block,
     Facts,
@@ -57,9 +59,9 @@ def write(path: Path, pages: Sequence[Page]) -> None:
     from matplotlib import rc_context
     from matplotlib.backends.backend_pdf import PdfPages
 
-    look = {"pdf.fonttype": 3, "font.family": ["sans-serif"], "font.sans-serif": ["DejaVu Sans"]}
+    look = {"pdf.fonttype": 3, "font.family": ["sans-serif"], "font.sans-serif": [canvas.FONT]}
     about = {"CreationDate": None, "Producer": "gonio", "Title": pages[0].title}
-    with rc_context(look), PdfPages(path, metadata=about) as sink:
+    with canvas.literal(), rc_context(look), PdfPages(path, metadata=about) as sink:
         sheet = _Sheet(sink)
         for page in pages:
             _set(sheet, page.blocks)
@@ -68,7 +70,7 @@ def write(path: Path, pages: Sequence[Page]) -> None:
 
 def _lines_of(text: Text) -> str:
     """A text with single spaces, as a browser sets it."""
-    return re.sub(r"[ \t\r\n]+", " ", plain(text)).strip(" ")
+    return visible(re.sub(r"[ \t\r\n]+", " ", plain(text)).strip(" "))
 
 
 def _set(sheet: _Sheet, blocks: Sequence[Block]) -> None:
@@ -114,7 +116,8 @@ def _words() -> Any:
             for x, y, text, size, weight, colour in self.lines:
                 pen = renderer.new_gc()
                 pen.set_foreground(colour)
-                renderer.draw_text(pen, x, y, text, FontProperties(family="DejaVu Sans", size=size, weight=weight), 0.0)
+                families = [canvas.FONT, *canvas.fallbacks(text)]
+                renderer.draw_text(pen, x, y, text, FontProperties(family=families, size=size, weight=weight), 0.0)
 
     return Words()
 
@@ -127,19 +130,23 @@ def _tall(png: bytes) -> float:
     return COLUMN * high / wide
 
 
+def _advance(character: str, weight: str) -> float:
+    """Width of a character over the size of its font: the first that has it, and else the box of a missing glyph."""
+    from matplotlib.font_manager import FontProperties, findfont, get_font
+
+    family = (canvas.fallbacks(character) or [canvas.FONT])[0]
+    font = get_font(findfont(FontProperties(family=family, weight=weight)))
+    font.set_size(10, 72)
+    glyph = font.load_glyph(font.get_char_index(ord(character)))  # 0 is the box
+    return float(glyph.linearHoriAdvance) / 65536 / 10
+
+
 class _Sheet:
     """Pages that fill from the top; lengths are points, `y` counts down from the upper edge."""
 
     def __init__(self, sink: Any) -> None:
-        from matplotlib.font_manager import FontProperties, findfont, get_font
-
         self._sink = sink
-        self._fonts = {
-            w: get_font(findfont(FontProperties(family="DejaVu Sans", weight=w))) for w in ("normal", "bold")
-        }
-        for font in self._fonts.values():
-            font.set_size(10, 72)
-        self._advances: dict[str, dict[str, float]] = {w: {} for w in self._fonts}
+        self._advances: dict[str, dict[str, float]] = {"normal": {}, "bold": {}}
         self._number = 0
         self._turn()
 
@@ -265,7 +272,7 @@ class _Sheet:
         """Width of a text: its characters' advances (kerning is a few thousandths of that)."""
         known = self._advances[weight]
         for character in set(text) - known.keys():
-            known[character] = self._fonts[weight].load_char(ord(character)).linearHoriAdvance / 65536 / 10
+            known[character] = _advance(character, weight)
         return sum(known[character] for character in text) * size
 
     def _wrap(self, text: str, size: float, width: float, weight: str = "normal") -> list[str]:

@@ -2,6 +2,7 @@
 
 import io
 import json
+import random
 import re
 import zlib
 from pathlib import Path
@@ -28,6 +29,8 @@ from gonio_analysis.report.blocks import (
 )
 from gonio_analysis.report.drawing import Figure
 from gonio_analysis.report.viewer import View
+
+from tests.names import CONTROLS, SCRIPTS, drawn_names
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -128,3 +131,17 @@ def test_a_heading_stands_on_the_page_of_its_figures(monkeypatch: pytest.MonkeyP
         blocks = [Paragraph(f"line {k}", "note") for k in range(lines)]
         pdf.write(tmp_path / "t.pdf", [Page("t", (*blocks, Heading(3, "Heading"), Figures((tall,))))])
         assert placed["Heading"] == placed["figures"], lines
+
+
+def test_names_of_every_script_and_what_no_font_has(tmp_path: Path) -> None:
+    """The kind: a character that the font of the page lacks, or that acts on whoever sets it."""
+    names = [*SCRIPTS.values(), *drawn_names(random.Random(7), 10), f"a{CONTROLS}\ud800b", "$x$", "x" * 300]
+    blocks = (Heading(1, names[0]), facts([(name, name) for name in names]), table("", ["a"], [[n] for n in names]))
+    pdf.write(tmp_path / "a.pdf", [Page(names[0], blocks)])
+    assert (tmp_path / "a.pdf").read_bytes().startswith(b"%PDF")
+
+
+def test_a_missing_glyph_is_as_wide_as_its_box() -> None:
+    none = pdf._advance("\u5857", "normal")
+    assert none > 0.3
+    assert pdf._advance("a", "bold") > pdf._advance("a", "normal") > 0.4
