@@ -223,30 +223,29 @@ def write(frame: DataFrame, path: Path) -> None:
 
     if len(frame) >= MOST_ROWS or frame.size > MOST_CELLS // 2:
         raise DataError(f"{path}: {len(frame)} rows are too many for a workbook; write .parquet or .csv")
-    every = list(curves(frame, path))
-    book = Workbook(write_only=True)
-    _fill(book.create_sheet("table"), list(frame.columns), [frame[name].tolist() for name in frame.columns], path)
+    sheets = [("table", list(frame.columns), [frame[name].tolist() for name in frame.columns])]
     names: set[str] = {"table", "about"}
     shown = ("wavelength_nm", "brdf", "u_brdf", "flag")
-    for curve in every:
+    for curve in curves(frame, path):
         header = ["viewing angle [deg]", "wavelength [nm]", "BRDF [1/sr]", "u(BRDF) [1/sr]", "flag"]
         columns = [curve.signed_deg.tolist(), *(curve.rows[name].tolist() for name in shown)]
-        _fill(book.create_sheet(_sheet_name(curve.name, names)), header, columns, path)
+        sheets.append((_sheet_name(curve.name, names), header, columns))
     text = json.dumps(native.plain(frame.attrs), ensure_ascii=True, allow_nan=False)
-    parts = [text[k : k + MOST_TEXT] for k in range(0, len(text), MOST_TEXT)]
-    _fill(book.create_sheet("about"), [ABOUT], [parts], path)
+    sheets.append(("about", [ABOUT], [[text[k : k + MOST_TEXT] for k in range(0, len(text), MOST_TEXT)]]))
+    for _, header, columns in sheets:  # before a workbook is begun, which would have to be ended
+        for word in {word for words in (header, *columns) for word in words if isinstance(word, str)}:
+            require_held(word, path, "a workbook", NOT_XML)
+    book = Workbook(write_only=True)
+    for name, header, columns in sheets:
+        sheet = book.create_sheet(name)
+        for values in (header, *zip(*columns, strict=True)):
+            sheet.append([_written(value, sheet) for value in values])
     buffer = io.BytesIO()
     book.save(buffer)
     write_bytes(path, buffer.getvalue())
 
 
-def _fill(sheet: Any, header: list[str], columns: list[list[Any]], path: Path) -> None:
-    for row in ([header], zip(*columns, strict=True)):
-        for values in row:
-            sheet.append([_written(value, sheet, path) for value in values])
-
-
-def _written(value: Any, sheet: Any, path: Path) -> Any:
+def _written(value: Any, sheet: Any) -> Any:
     """What a cell is written as: a text always as text, whatever it looks like to a spreadsheet."""
     from openpyxl.cell import WriteOnlyCell
 
@@ -254,7 +253,6 @@ def _written(value: Any, sheet: Any, path: Path) -> Any:
         return None if isinstance(value, float) and np.isnan(value) else value
     if not value:
         return None
-    require_held(value, path, "a workbook", NOT_XML)
     cell = WriteOnlyCell(sheet, value)
     cell.data_type = "s"
     if value[0] in "=+-@":

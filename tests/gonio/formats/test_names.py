@@ -97,6 +97,7 @@ def test_an_export_that_cannot_hold_a_name_ends_in_words(tmp_path: Path) -> None
     assert not (tmp_path / "a.xlsx").exists()
 
 
+@pytest.mark.slow
 def test_every_format_of_tables_takes_any_name_or_says_why_not(tmp_path: Path) -> None:
     for kind in formats.all_formats().values():  # but GTC archives, which hold no names
         for name in [*NAMES[::30], *(f"a{sign}b" for sign in CONTROLS)] if kind.write and kind.name != "gtc" else ():
