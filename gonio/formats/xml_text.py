@@ -59,7 +59,8 @@ def root(data: bytes, where: str) -> ElementTree.Element:
         It is no XML (with the line), has a document type, or elements within each other without end.
     """
     text = require_plain(data, where)
-    depth, first = 0, None
+    depth = 0
+    first: ElementTree.Element | None = None
     parser = ElementTree.XMLParser(encoding="utf-8")  # of the text as it is decoded, whatever it states
     try:
         for event, element in ElementTree.iterparse(io.BytesIO(text.encode()), ("start", "end"), parser):

@@ -37,7 +37,7 @@ def dng(changes: dict[int, tuple[int, Any] | None] | None = None, *, order: str 
     start = behind + sum(4 * len(v[1]) * 2 for v in kept.values()) + 64
     for tag, (kind, items) in kept.items():
         items = [start] if tag == 273 else items
-        data: bytes = items if kind == 2 else struct.pack(f"{order}{len(items)}{CODES[kind]}", *items)
+        data: Any = items if kind == 2 else struct.pack(f"{order}{len(items)}{CODES[kind]}", *items)
         count = len(items) // (2 if kind in (RATIONAL, SRATIONAL) else 1)
         entries += struct.pack(order + "HHI", tag, kind, count)
         if len(data) > 4:
