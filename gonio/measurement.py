@@ -28,7 +28,7 @@ from __future__ import annotations
 
 import io
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
@@ -47,8 +47,8 @@ if TYPE_CHECKING:
     from gonio.models import Model
 
 __all__ = [
-    "COLUMNS", "Reading", "is_simulated", "meta_path", "parse", "read", "reflection", "samples", "split", "tables",
-    "transmission", "turned_over", "uncertainty", "unpolarised", "write", "write_model",
+    "COLUMNS", "Reading", "is_simulated", "meta_path", "of_reader", "parse", "read", "reflection", "said_once",
+    "samples", "split", "tables", "transmission", "turned_over", "uncertainty", "unpolarised", "write", "write_model",
 ]  # fmt: skip
 
 
@@ -390,6 +390,26 @@ def _of_side(frame: DataFrame, side: str) -> tuple[DataFrame, int]:
     out = frame[here].drop(columns="side").reset_index(drop=True)
     out.attrs = {**frame.attrs, "quantity": "brdf" if side == "reflection" else "btdf"}
     return out, int((~here).sum())
+
+
+def of_reader(table: DataFrame) -> list[str]:
+    """What whoever read or made a table has to say of it, as sentences."""
+    notes = table.attrs.get("notes")
+    told = (str(note).strip() for note in notes) if isinstance(notes, list | tuple) else ()
+    every = (text[:1].upper() + text[1:] for text in told if text)
+    return list(dict.fromkeys(text if text.endswith((".", "!", "?")) else f"{text}." for text in every))
+
+
+def said_once(several: Mapping[str, Sequence[str]]) -> list[str]:
+    """Notes of several tables by their names, each with the names of all that it belongs to."""
+    names: dict[str, list[str]] = {}
+    for name, notes in several.items():
+        for note in notes:
+            names.setdefault(note, []).append(name)
+    return [
+        f"{', '.join(of) if len(of) < max(len(several), 2) else f'all {len(of)} tables'}: {note}"
+        for note, of in names.items()
+    ]
 
 
 def split(spec: str | Path) -> tuple[str, str | None]:

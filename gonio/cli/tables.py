@@ -68,6 +68,8 @@ def convert(
     else:
         path, sample = measurement.split(source)
         table = measurement.read(path, format=source_format, sample=sample, columns=how.columns, blank=how.blank)
+        for note in measurement.of_reader(table):
+            console.note(note)
         remarks, done = _table(
             table, target, target_format, sample or table.attrs.get("sample") or Path(path).stem, wavelength_nm
         )

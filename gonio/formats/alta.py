@@ -73,6 +73,8 @@ def read(data: bytes, path: Path) -> DataFrame:
             )
     values = rows[:, coordinates:]
     notes = ["the format states no uncertainties and no solid angles"]
+    if "PARAM_OUT" not in keywords:
+        notes.append("the file has no #PARAM_OUT: values are taken as BRDF in 1/sr (INV_STERADIAN)")
     if quantity == "INV_STERADIAN_COSINE_FACTOR":
         for row in np.flatnonzero(theta_i >= 90)[:1]:
             raise DataError(f"{text.where(lines[int(row)])}: a cosine factor of zero cannot be divided out")

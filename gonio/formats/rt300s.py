@@ -33,6 +33,9 @@ _LIMITS = (360.0, 89.0, 89.0, math.inf)
 FEWEST_REPEATS = 10
 """Degrees of freedom from which a scatter is stated: it is then known to about a quarter of itself."""
 
+MOST_BELOW = 1.0
+"""How far below zero signals may lie, of the largest: a blank by itself, which is noise, reaches 0.5 to 0.8."""
+
 
 def read(data: bytes, path: Path, blank: Path | None = None) -> DataFrame:
     """The measurement table in an RT-300S workbook; `DataError` says what is wrong with the file, and where.
@@ -71,7 +74,8 @@ def read(data: bytes, path: Path, blank: Path | None = None) -> DataFrame:
         if own is not None:
             u = np.sqrt(own**2 + (own if theirs is None else theirs) ** 2 / dark[:, 1])
             notes.append("uncertainties are from the scatter of directions that were measured several times")
-    notes.append("the smallest signal of the file is taken as zero, as the laboratory does")
+    zero = _zero(signal, blank, path)
+    notes.append(f"the smallest signal of the file, {zero:.3g}, is taken as zero, as the laboratory does")
     notes.append("the file states no uncertainties and no solid angles")
     cosine = np.cos(np.deg2rad(rows[:, 2]))
     azimuth, incidence, receive = rows[:, :3].T
@@ -84,12 +88,25 @@ def read(data: bytes, path: Path, blank: Path | None = None) -> DataFrame:
         theta_r_deg=theta_r,
         phi_r_deg=phi_r,
         wavelength_nm=650.0,
-        brdf=(signal - np.nanmin(signal)) / (np.pi * cosine),
+        brdf=(signal - zero) / (np.pi * cosine),
         u_brdf=u / (np.pi * cosine),
         u_random=u / (np.pi * cosine),
         flag=np.select([blocked, np.isnan(signal)], ["blocked", "no_blank"], ""),
         attrs={"source_file": str(path), "sample": path.stem, "notes": notes},
     )
+
+
+def _zero(signal: Floats, blank: Path | None, path: Path) -> float:
+    """The smallest signal; `DataError` where it lies so far below zero that it is no noise of a dark detector."""
+    low, high = float(np.nanmin(signal)), float(np.nanmax(signal))
+    if low < 0 and -low > MOST_BELOW * high:
+        less = f", less those of the blank {blank.name}," if blank is not None else ""
+        raise DataError(
+            f"{path}: its signals{less} go from {low:.4g} to {high:.4g}: below zero they are no reflected light, and"
+            f" at most {MOST_BELOW:g} of the largest one is noise that can be taken as zero; "
+            + ("is this the sample's blank? Name it with --blank" if blank is not None else "is RT exported as it is?")
+        )
+    return low
 
 
 def _measurements(sheets: Sequence[Sheet], path: Path) -> Floats:

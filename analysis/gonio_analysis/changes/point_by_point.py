@@ -25,14 +25,14 @@ from gonio import geometry, measurement, shown
 from gonio.cli.console import Say, silent
 from gonio.errors import ConfigError, DataError
 from gonio.geometry import SAME_ANGLE, Directions
-from gonio.measurement import is_simulated
+from gonio.measurement import is_simulated, of_reader
 from gonio.models.corrected import Corrected, folded
 from gonio.typing import DataFrame, Floats
 from gonio_analysis.changes.resampling import Carried, Known, carry, common_wavelengths, slope_in_plane
 from gonio_analysis.changes.verdict import Verdict, Within, judge, within
 from gonio_analysis.fitting.forward import apparent
 from gonio_analysis.fitting.objective import metrics, ratio_to, scaled_to
-from gonio_analysis.fitting.observations import Observations, describe_left_out, observations, of_reader
+from gonio_analysis.fitting.observations import Observations, describe_left_out, observations
 from gonio_analysis.fitting.value_covariance import ADDED, Covariance
 
 if TYPE_CHECKING:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -38,6 +39,8 @@ from gonio_analysis.report.verdict import after_misfit, in_words, of_fit, reflec
 if TYPE_CHECKING:
     from gonio.measurement import Reading
 
+NOTES = 10
+"""Most kinds of notes of readers that are said of very many tables."""
 PLAIN = ("model", "ior", "fix", "wavelength_nm", "separate")
 """What of a request maps are fitted by."""
 
@@ -118,6 +121,10 @@ def fit_each(where: list[str], out: Path | None, asked: FitRequest, how: Reading
         found = each_table.make(where[0], out, asked, how, dask=dask, count=count)
     if found.before:
         console.note(f"{found.before} tables were done before")
+    told = Counter(row.get("notes") or "" for row in found.rows)
+    for text, count in told.most_common(NOTES):
+        if text:
+            console.note(f"{count} of {len(found.rows)}: {text}")
     flags = [row.get("flag") or "" for row in found.rows]
     failed = [row["table"] for row, flag in zip(found.rows, flags, strict=True) if flag.startswith("not fitted")]
     rejected = sum("rejected" in flag.split("; ") for flag in flags)

@@ -42,6 +42,8 @@ def remounts(
         path, sample = measurement.split(one)
         name = Path(path).stem if Path(path).stem not in tables else one
         tables[name] = measurement.read(path, sample=sample, columns=how.columns, blank=how.blank)
+    for note in measurement.said_once({name: measurement.of_reader(table) for name, table in tables.items()}):
+        console.note(note)
     found = scatter.remounts(tables, wavelength_nm)
     if as_json:
         print(json.dumps(found.to_json(), indent=1))

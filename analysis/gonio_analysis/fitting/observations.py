@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -13,6 +13,7 @@ import numpy.typing as npt
 from gonio.checks.values import CheckedValues
 from gonio.errors import ConfigError, DataError
 from gonio.geometry import AT_HORIZON, Directions
+from gonio.measurement import of_reader, said_once
 from gonio.typing import DataFrame, Floats
 from gonio_analysis.fitting.value_covariance import Covariance, independent
 from gonio_analysis.result_records import CauseSummary
@@ -411,26 +412,6 @@ def _own_causes(stated: Mapping[str, Covariance]) -> Covariance | None:
     causes = tuple(f"{cause}@{name}" for name, one in stated.items() for cause in one.causes)
     common = np.asarray(block_diag(*(one.common for one in stated.values())))
     return Covariance(np.concatenate([one.random for one in stated.values()]), common, causes)
-
-
-def of_reader(table: DataFrame) -> list[str]:
-    """What whoever read or made a table has to say of it, as sentences."""
-    notes = table.attrs.get("notes")
-    told = (str(note).strip() for note in notes) if isinstance(notes, list | tuple) else ()
-    every = (text[:1].upper() + text[1:] for text in told if text)
-    return list(dict.fromkeys(text if text.endswith((".", "!", "?")) else f"{text}." for text in every))
-
-
-def said_once(several: Mapping[str, Sequence[str]]) -> list[str]:
-    """Notes of several tables by their names, each with the names of all that it belongs to."""
-    names: dict[str, list[str]] = {}
-    for name, notes in several.items():
-        for note in notes:
-            names.setdefault(note, []).append(name)
-    return [
-        f"{', '.join(of) if len(of) < max(len(several), 2) else f'all {len(of)} tables'}: {note}"
-        for note, of in names.items()
-    ]
 
 
 def check_u_rel(u_rel: float | None) -> None:

@@ -123,7 +123,19 @@ def make(where: str, out: Path, asked: FitRequest, how: Reading, *, dask: str | 
 
 def _columns(free: Iterable[str]) -> list[str]:
     parameters = [column for name in free for column in (name, f"u_{name}")]
-    return ["table", "sample", "wavelength_nm", "n", *parameters, "misfit", "chi_square", "flag", "sha256", "settings"]
+    return [
+        "table",
+        "sample",
+        "wavelength_nm",
+        "n",
+        *parameters,
+        "misfit",
+        "chi_square",
+        "flag",
+        "notes",
+        "sha256",
+        "settings",
+    ]
 
 
 def _is_run(path: Path) -> bool:
@@ -188,6 +200,7 @@ def _rows(job: _Job) -> list[Row]:
     for sample, frame in samples.items():
         try:
             data = observations(frame, job.table, job.asked.u_rel)
+            row["notes"] = " ".join(measurement.of_reader(frame))
             out.append(row | {"sample": sample} | _fitted(fit_table(data, job.asked, name=job.table)[0]))
         except Exception as error:  # whatever is wrong with one table, the others go on
             out.append(row | {"sample": sample, "flag": _reason(error)})

@@ -10,11 +10,10 @@ from typing import Any
 
 from gonio import measurement
 from gonio.errors import ConfigError
-from gonio.measurement import Reading
+from gonio.measurement import Reading, of_reader, said_once
 from gonio.models.parameters import Ior
 from gonio.typing import DataFrame
 from gonio_analysis.curves.in_plane import Normalise
-from gonio_analysis.fitting.observations import of_reader, said_once
 from gonio_analysis.report import beyond_reflection, detail_figures, figures, files, html, page, pdf, viewer
 from gonio_analysis.report.comparison import summarise
 from gonio_analysis.report.drawing import Drawing, FigureWorkers, figure_workers

@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from gonio.measurement import Reading
+from gonio.measurement import Reading, of_reader, said_once
 from gonio_analysis.changes.point_by_point import Change, Compared, compared, side
 from gonio_analysis.changes.resampling import RowsAt
 from gonio_analysis.changes.verdict import FALSE_DISCOVERIES, LEVEL, Verdict, Within
 from gonio_analysis.curves.in_plane import Curve, curves, labels, selection
 from gonio_analysis.fitting.objective import DESCRIPTIONS, meaning
-from gonio_analysis.fitting.observations import Observations, describe_left_out, said_once
+from gonio_analysis.fitting.observations import Observations, describe_left_out
 from gonio_analysis.plots import thinning
 from gonio_analysis.report import change_figures, files, html, viewer
 from gonio_analysis.report.blocks import (
@@ -97,6 +97,8 @@ def make(
         sides = [side(spec, how, u_rel) for spec in specs]
         if len({x.name for x in sides}) < len(sides):
             sides = [replace(x, name=f"{x.name} ({letter})") for x, letter in zip(sides, "AB", strict=True)]
+        for note in said_once({x.name: of_reader(x.table) for x in sides if x.table is not None}):
+            progress(note)
         progress("comparing {1} with {0}".format(*(x.title for x in sides)))
         found = compared(sides, wavelength_nm=wavelength_nm, say=progress)
         progress("drawing")

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from gonio.errors import ConfigError
-from gonio.measurement import Reading
+from gonio.measurement import Reading, of_reader, said_once
 from gonio_analysis.changes.consensus import METHODS, Consensus
 from gonio_analysis.changes.laboratories import LEVEL, Comparison, Laboratory, compared
 from gonio_analysis.changes.point_by_point import side
@@ -90,6 +90,8 @@ def make(
         raise ConfigError("--laboratories compares two or more tables of one sample; one is named")
     with files.staged(out) as stage, figure_workers(FIGURES) as workers:
         sides = [replace(side(spec, how, u_rel), name=name) for spec, name in zip(specs, names(specs), strict=True)]
+        for note in said_once({x.name: of_reader(x.table) for x in sides if x.table is not None}):
+            progress(note)
         found = compared(sides, shared or {}, wavelength_nm=wavelength_nm, say=progress)
         progress(conclusion(found))
         drawn = workers.draw(change_figures.draw_laboratories(found), progress)

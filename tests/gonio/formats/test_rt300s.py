@@ -224,3 +224,27 @@ def test_repeats_of_sample_and_blank_give_uncertainties(tmp_path: Path) -> None:
     expected = math.hypot(0.02, 0.01 / 3.0) / (math.pi * np.cos(np.deg2rad(frame["theta_r_deg"])))
     np.testing.assert_allclose(frame["u_brdf"], expected, rtol=0.36)
     np.testing.assert_allclose(frame["u_random"], frame["u_brdf"], rtol=1e-12)  # no cause is common: one number, twice
+
+
+@pytest.mark.parametrize("signals", [(-30.0, -2.0, -1.0), (-5.0, 0.0, -1.0), (-30.0, 2.0, 1.0)])
+def test_signals_below_zero_are_no_light(tmp_path: Path, signals: tuple[float, ...]) -> None:
+    """An export in decibels, or of an inverted detector: shifted to zero it would look like a BRDF."""
+    rows = [(-90, 30.0, receive, rt) for receive, rt in zip((60.0, 40.0, 20.0), signals, strict=True)]
+    (tmp_path / "s.xls").write_bytes(workbook([rows]))
+    with pytest.raises(DataError, match=rf"s\.xls: its signals go from {min(signals):g} to {max(signals):g}: below"):
+        measurement.read(tmp_path / "s.xls")
+
+
+def test_a_blank_that_is_brighter_than_its_sample_is_named(tmp_path: Path) -> None:
+    (tmp_path / "s.xls").write_bytes(workbook(SAMPLE))
+    bright = [[(a, i, r, rt + 9.0) for a, i, r, rt in sheet] for sheet in SAMPLE]
+    (tmp_path / "blank.xls").write_bytes(workbook(bright))
+    with pytest.raises(DataError, match=r"s\.xls: its signals, less those of the blank blank\.xls, go from -9 to -9"):
+        measurement.read(tmp_path / "s.xls")
+
+
+def test_what_is_taken_as_zero_is_said_with_its_value(tmp_path: Path) -> None:
+    (tmp_path / "s.xls").write_bytes(workbook(SAMPLE))
+    assert "the smallest signal of the file, 0.25, is taken as zero" in " ".join(
+        measurement.read(tmp_path / "s.xls").attrs["notes"]
+    )

@@ -5,9 +5,10 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
-from gonio_analysis.fitting.observations import observations, of_reader
+from gonio_analysis.fitting.observations import observations
 
 from gonio import measurement
+from gonio.measurement import of_reader
 from gonio.models import build
 from tests.command_line import gonio, says
 from tests.gonio_analysis.synthetic import measure
@@ -38,19 +39,29 @@ def noted(folder: Path, name: str, note: str = NOTE, *, waves: tuple[float, ...]
         ("appearance", "a.csv", "--out", "out"),
         ("compare", "a.csv", "b.csv", "--change", "--out", "out"),
         ("compare", "a.csv", "b.csv", "--models", "lambert", "--out", "out"),
+        ("convert", "a.csv", "a.xlsx"),
+        ("remounts", "a.csv", "b.csv", "--wavelength-nm", "550"),
+        ("fit", "--each", "tables.txt", "--model", "lambert", "--out", "fits.csv"),
     ],
-    ids=("fit", "compare", "appearance", "change", "two"),
+    ids=("fit", "compare", "appearance", "change", "two", "convert", "remounts", "each"),
 )
 def test_a_reader_s_note_is_said_once(tmp_path: Path, command: tuple[str, ...]) -> None:
     noted(tmp_path, "a", waves=(450.0, 550.0, 650.0))
     noted(tmp_path, "b", waves=(450.0, 550.0, 650.0))
+    (tmp_path / "tables.txt").write_text("a.csv\nb.csv\n", encoding="utf-8")
     done = gonio(tmp_path, *command, expect=0)
-    if "--change" not in command:
-        assert done.stderr.count(SAID) == 1, done.stderr
-    if "--out" in command:
+    assert done.stderr.count(SAID) == 1, done.stderr
+    if "out" in command:
         page = (tmp_path / "out" / "index.html").read_text(encoding="utf-8")
         sections = 2 if command[:3] == ("compare", "a.csv", "b.csv") and "--change" not in command else 1
         assert page.count(SAID) == sections
+
+
+def test_laboratories_notes_are_said(tmp_path: Path) -> None:
+    noted(tmp_path, "a")
+    noted(tmp_path, "b")
+    done = gonio(tmp_path, "compare", "--laboratories", "a.csv", "b.csv", "--out", "out")
+    assert done.stderr.count(SAID) == 1, done.stderr
 
 
 def test_a_note_of_transmission_alone_is_on_its_page(tmp_path: Path) -> None:
