@@ -138,9 +138,21 @@ def _parsed(
     check_columns(list(frame.columns), str(path))
     if chosen.name != "gonio":  # whose reader has checked, with line numbers
         check(frame, lambda row: f"{path}, row {row + 1} of the table")
+    frame.attrs.update(_whole(dict(frame.attrs)))
     if "sample" in frame.columns:
+        if any(name != _whole(name) for name in frame["sample"].unique()):
+            frame["sample"] = frame["sample"].map(_whole)
         frame.attrs["samples"] = frame["sample"].unique().tolist()
     return frame
+
+
+def _whole(value: Any) -> Any:
+    """A value whose texts have no halves of characters, which JSON may hold and no page or file takes: their codes."""
+    if isinstance(value, str):
+        return value.encode("utf-8", "backslashreplace").decode()
+    if isinstance(value, list | tuple):
+        return [_whole(one) for one in value]
+    return {_whole(key): _whole(one) for key, one in value.items()} if isinstance(value, Mapping) else value
 
 
 def write(frame: DataFrame, path: str | Path, *, format: str | None = None) -> list[str]:

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 from gonio import platform
 from gonio.cli.signals import Ending, deafen
 from gonio.errors import ConfigError, DataError, GonioError
+from gonio.shown import visible
 
 if TYPE_CHECKING:
     import typer
@@ -189,7 +190,7 @@ def _fail(message: str, code: int) -> int:
     except DataError:  # nobody takes the results: Python would complain once more at the end
         os.dup2(platform.nowhere(), sys.stdout.fileno())
     if message:
-        print(f"gonio: {message}", file=sys.stderr)
+        print(f"gonio: {visible(message)}", file=sys.stderr)
     return code
 
 

@@ -16,6 +16,7 @@ from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any, Self
 
 from gonio import platform
+from gonio.shown import visible
 
 if TYPE_CHECKING:
     from rich.console import Console, RenderableType
@@ -38,7 +39,11 @@ def show(*things: RenderableType) -> None:
 
     console = _console(stderr=False)
     for thing in things:
-        console.print(thing, highlight=False, markup=False)
+        if isinstance(thing, Table):
+            for column in thing.columns:
+                column.header = visible(str(column.header))
+                column._cells = [visible(cell) if isinstance(cell, str) else cell for cell in column._cells]
+        console.print(visible(thing) if isinstance(thing, str) else thing, highlight=False, markup=False)
         if isinstance(thing, Table):
             console.print()
 
@@ -49,7 +54,7 @@ def table(*headings: str, title: str | None = None) -> Table:
     from rich.table import Table
     from rich.text import Text
 
-    heading = Text(title, no_wrap=True, overflow="ignore") if title is not None else None
+    heading = Text(visible(title), no_wrap=True, overflow="ignore") if title is not None else None
     return Table(
         *headings, title=heading, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD,
         show_edge=False, padding=(0, 1, 0, 0),
@@ -58,7 +63,7 @@ def table(*headings: str, title: str | None = None) -> Table:
 
 def note(text: str) -> None:
     """One line for the person at the terminal, on stderr."""
-    print(text, file=sys.stderr, flush=True)
+    print(visible(text), file=sys.stderr, flush=True)
 
 
 def duration(seconds: float) -> str:
@@ -265,9 +270,9 @@ def _on_terminal(pause: Pause | None) -> Iterator[Progress]:
 def _console(*, stderr: bool) -> Console:
     from rich.console import Console
 
-    out = Console(stderr=stderr, soft_wrap=False)
+    out = Console(stderr=stderr, soft_wrap=False, emoji=False)
     # a table in a pipe is for grep: as wide as it needs to be
-    return out if out.is_terminal else Console(stderr=stderr, width=max(out.width, 120))
+    return out if out.is_terminal else Console(stderr=stderr, width=max(out.width, 120), emoji=False)
 
 
 PAUSE, GO_ON, END = "p ", "c", "q"

@@ -15,7 +15,7 @@ from gonio_analysis.fitting.observations import describe_left_out
 from gonio_analysis.report import checks, verdict
 from gonio_analysis.report.blocks import stamp
 from gonio_analysis.report.facts import DatasetSummary, Summary
-from gonio_analysis.report.text import number, slug, spoken_difference
+from gonio_analysis.report.text import number, slugs, spoken_difference
 from gonio_analysis.result_records import MeasuredValue, as_json, finite
 from gonio_analysis.selection.compare import Dataset
 from gonio_analysis.selection.judging import nearness
@@ -33,10 +33,6 @@ VALUES = ("wavelength_nm", "theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg
 
 def summarise(datasets: Sequence[Dataset], *, title: str, normalise: str, command: str) -> Summary:
     """The summary of a comparison; see `gonio_analysis.report.write`."""
-    slugs: list[str] = []
-    for d in datasets:
-        base = slug(d.name) or "sample"
-        slugs.append(base if base not in slugs else f"{base}-{len(slugs) + 1}")
     return Summary(
         title=_title(title, datasets),
         **stamp(command),
@@ -46,7 +42,7 @@ def summarise(datasets: Sequence[Dataset], *, title: str, normalise: str, comman
         mirror_tolerance_deg=math.degrees(AT_MIRROR),
         log_metrics_above_u=BELOW,
         metrics={k: {"label": label, "meaning": meaning} for k, (label, meaning) in DESCRIPTIONS.items()},
-        datasets=[_dataset(d, slug) for d, slug in zip(datasets, slugs, strict=True)],
+        datasets=[_dataset(d, slug) for d, slug in zip(datasets, slugs([d.name for d in datasets]), strict=True)],
     )
 
 

@@ -1,5 +1,6 @@
 """Numbers in words: how a report prints them."""
 
+import itertools
 import math
 import re
 from collections.abc import Sequence
@@ -10,6 +11,10 @@ from gonio_analysis.result_records import Reflectance
 number = shown.number
 with_u = shown.with_u
 
+LONGEST_SLUG = 80
+"""Characters: names of files are made with several, and have 255."""
+SECTIONS = ("conventions", "provenance")
+"""Parts of a page that are no sample."""
 CAUSES = {
     "combined": "all of them together",
     "random (independent)": "noise, encoder steps: what differs from value to value",
@@ -87,8 +92,19 @@ def quantity(value: str, symbol: str) -> str:
 
 
 def slug(name: str) -> str:
-    """A name as file names and the identifiers of a page have it."""
-    return re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-")
+    """A name as file names and the identifiers of a page have it; "" of what has no letter of ASCII and no digit."""
+    return re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-")[:LONGEST_SLUG].strip("-")
+
+
+def slugs(names: Sequence[str]) -> list[str]:
+    """Of each name one of its own, which no part of a page and no file of another name has either."""
+    out: list[str] = []
+    for name in names:
+        base = slug(name) or "sample"
+        base += "-1" if base in SECTIONS or base.endswith("-all") else ""
+        numbered = (f"{base}-{k}" for k in itertools.count(len(out) + 1))
+        out.append(next(one for one in itertools.chain([base], numbered) if one not in out))
+    return out
 
 
 def difference(rms_of_logarithm: float | None) -> str:

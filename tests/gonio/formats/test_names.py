@@ -105,3 +105,23 @@ def test_every_format_of_tables_takes_any_name_or_says_why_not(tmp_path: Path) -
                 measurement.write(one(name), tmp_path / "a", format=kind.name)
             except GonioError as error:
                 says(str(error), str(tmp_path))
+
+
+def test_half_a_character_is_its_code_from_the_reader_on(tmp_path: Path) -> None:
+    measurement.write(several("a", "b"), tmp_path / "a.parquet")
+    measurement.write(one("plain"), tmp_path / "a.csv")
+    meta = tmp_path / "a.meta.json"
+    meta.write_text(meta.read_text(encoding="utf-8").replace("plain", "pl\\ud800ain"), encoding="utf-8")
+    assert measurement.read(tmp_path / "a.csv").attrs["sample"] == "pl\\ud800ain"
+
+
+def test_a_terminal_shows_names_and_obeys_none(tmp_path: Path) -> None:
+    """Colours, emoji by name, and escapes that clear a screen or change its title."""
+    names = ["[red]x[/red]", ":red_circle:", "a\x9b2Jb"]
+    measurement.write(several(*names), tmp_path / "a.csv")
+    done = gonio(tmp_path, "convert", "a.csv", "a.astm", expect=1)
+    says(done.stderr, "[red]x[/red]", ":red_circle:", "a\\x9b2Jb")
+    fitted = gonio(tmp_path, "fit", "a.csv:[red]x[/red]", "--model", "lambert", expect=0)
+    says(fitted.stdout, "[red]x[/red]")
+    fitted = gonio(tmp_path, "fit", "a.csv:a\x9b2Jb", "--model", "lambert", expect=0)
+    assert "\x9b" not in fitted.stdout + fitted.stderr
