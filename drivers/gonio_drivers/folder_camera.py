@@ -65,8 +65,11 @@ class FolderCamera:
         self._camera = camera
         self._folder = Path(camera.folder).expanduser()
         self._description = description.camera
+        self._suffixes = tuple(f".{suffix.lstrip('.').lower()}" for suffix in camera.suffixes)
         self._release: serial.Serial | None = None
         self._seen: set[tuple[Path, int]] = set()
+        self._others: set[str] = set()
+        """Names of files with other suffixes that were there before."""
         self._known: deque[str] = deque(maxlen=REMEMBERED)
         self._taken: deque[Path] = deque()
         self._owed = 0
@@ -82,7 +85,7 @@ class FolderCamera:
         if trigger.how == "serial":
             ports.require_free(trigger.port, PORT_KEY)
             self._release = ports.opened(trigger.port, int(trigger.baud), RELEASE_S, PORT_KEY)
-        self._seen = set(self._files().items())
+        self._seen, self._others = set(self._files().items()), self._other_names()
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -183,7 +186,9 @@ class FolderCamera:
                 self._owed = max(0, self._owed - 1)
                 return moved, frame
             if over:
-                raise NoFile(f"no new file in {self._folder} within {timeout_s:.1f} s after the exposure was asked")
+                raise NoFile(
+                    f"no new file in {self._folder} within {timeout_s:.1f} s after the exposure was asked{self._told()}"
+                )
             clock.sleep(POLL_S)
 
     def _await_stragglers(self, exposure_s: float) -> None:
@@ -223,12 +228,28 @@ class FolderCamera:
         out = {}
         with os_error_as(DeviceError, f"{self._folder}: cannot be looked into"):
             for path in sorted(self._folder.iterdir(), key=lambda p: p.name):
-                if path.suffix.lower() in self._camera.suffixes and not path.name.startswith("."):
+                if path.suffix.lower() in self._suffixes and not path.name.startswith("."):
                     with contextlib.suppress(FileNotFoundError):  # a temporary name
                         status = path.stat()
                         if stat.S_ISREG(status.st_mode):
                             out[path] = status.st_ino
         return out
+
+    def _other_names(self) -> set[str]:
+        """Files that are there now, and are passed over for their suffix."""
+        with os_error_as(DeviceError, f"{self._folder}: cannot be looked into"):
+            there = (path for path in self._folder.iterdir() if path.suffix.lower() not in self._suffixes)
+            return {path.name for path in there if not path.name.startswith(".") and path.is_file()}
+
+    def _told(self) -> str:
+        """What to say of files that came with another suffix than is waited for; "" where none did."""
+        came = sorted(self._other_names() - self._others)
+        if not came:
+            return ""
+        return (
+            f'; "{came[0]}" came{" and others" if came[1:] else ""}, and only {", ".join(self._suffixes)} count '
+            "(devices.camera.suffixes): name its suffix there if it is a RAW file, or let the camera write RAW"
+        )
 
     def _new(self) -> dict[Path, int]:
         there = self._files()

@@ -169,6 +169,27 @@ def test_a_fault_that_stays_ends_in_an_error(tethered: Tether, fault: str, messa
         camera.capture(0.01)
 
 
+@pytest.mark.parametrize("name", ["IMG_1.CR3", "IMG_1.jpg", "x.raf"])
+def test_a_file_of_another_suffix_is_named_where_none_comes_that_counts(tmp_path: Path, name: str) -> None:
+    """A camera writes what it is set to: the message says what came, which key chooses, and what it chooses now."""
+    (tmp_path / "old.jpg").write_bytes(b"old")
+    said = rf'no new file in .*"{name}" came, and only \.dng, \.cr2, \.nef, \.arw count \(devices\.camera\.suffixes\)'
+    with opened(tmp_path) as camera:
+        with pytest.raises(DeviceError, match=r"no new file in .* asked$"):
+            camera._take(0.0)
+        (tmp_path / name).write_bytes(b"new")
+        with pytest.raises(DeviceError, match=said):
+            camera._take(0.0)
+
+
+@pytest.mark.parametrize("suffix", [".TIF", "tif", "TIF"])
+def test_a_suffix_may_be_named_as_people_write_it(tmp_path: Path, suffix: str) -> None:
+    table = {"folder": str(tmp_path), "timeout_s": 1.0, "trigger": {"how": "none"}, "suffixes": [suffix]}
+    with FolderCamera(DESCRIPTION, settings.FolderCamera.model_validate(table)) as camera:
+        (tmp_path / "a.tif").write_bytes(b"new")
+        assert [path.name for path in camera._new()] == ["a.tif"]
+
+
 def test_files_that_are_there_already_are_left_alone(tethered: Tether) -> None:
     old = tethered.folder / "OLD.DNG"
     write_dng(plain(7), old)
