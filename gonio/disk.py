@@ -411,6 +411,15 @@ def write_own(folder: Path, files: Mapping[str, bytes | Path]) -> None:
     write_manifest(folder, own | new)
 
 
+def free_name(path: Path) -> Path:
+    """The path, or where something lies there the same with the first number, from 2 on, that is free."""
+    free, count = path, 1
+    while os.path.lexists(free):
+        count += 1
+        free = path.with_name(f"{path.stem}-{count}{path.suffix}")
+    return free
+
+
 def set_aside(path: Path, folder: Path) -> Path:
     """Move a file into a folder, made where it is absent, under a name that is free there; where it lies then.
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from gonio.acquisition import exposure
 from gonio.by_hand import frame_analysis
-from gonio.disk import put, put_picture
+from gonio.disk import free_name, put, put_picture
 from gonio.errors import ConfigError, DataError
 from gonio.rig import Frame, Pose, dng, kinematics, regions
 from gonio.rig.description import RigDescription
@@ -109,19 +109,19 @@ class Snapshot:
 
 
 def require_free(file: Path) -> tuple[Path, Path]:
-    """The names of a frame and of its picture; `ConfigError` where one is taken, of no format, or cannot be written."""
+    """The names of a frame and of its picture, of which a free one is found; `ConfigError` where that of the frame is
+    taken, or of no format, or cannot be written.
+    """
     from gonio.acquisition.run_folder import check_writable
 
     if file.suffix.lower() not in SUFFIXES:
         raise ConfigError(f"{file}: a frame is written as {', '.join(SUFFIXES)}; the name must end so")
-    names = file, file.with_name(f"{file.stem}-view.png")
-    for name in names:
-        if name.exists():
-            raise ConfigError(f"{name}: is there already; name another file")
+    if file.exists():
+        raise ConfigError(f"{file}: is there already; name another file")
     if not file.absolute().parent.is_dir():
         raise ConfigError(f"{file}: there is no folder {file.parent}")
     check_writable(file)
-    return names
+    return file, free_name(file.with_name(f"{file.stem}-view.png"))
 
 
 def take(manual: "ManualRig", file: Path | None, *, exposure_s: float | None) -> Snapshot:

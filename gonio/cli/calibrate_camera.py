@@ -11,7 +11,7 @@ from gonio.calibration.camera import calibrate as reduced
 from gonio.calibration.camera_frames import CameraFrame, read_list
 from gonio.calibration.camera_scan import Scan
 from gonio.cli import console, opened
-from gonio.disk import put_picture
+from gonio.disk import free_name, put_picture
 from gonio.errors import ConfigError
 from gonio.rig.calibration_files import read_calibration, write_calibration
 from gonio.rig.description import RigDescription
@@ -61,7 +61,8 @@ def calibrate(
     """
     kinds = asked.kinds
     maps, picture, folder = (out.with_name(f"{out.stem}{end}") for end in ("-maps.npz", ".png", "-frames"))
-    opened.require_new(out, maps, picture, *([folder] if frames is None else []))
+    picture = free_name(picture)
+    opened.require_new(out, maps, *([folder] if frames is None else []))
     # what was measured before of the camera is not to be taken out of what is measured now
     description = find_rig(rig, without="camera").description
     if not response and _has_response(description, rig):

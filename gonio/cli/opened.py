@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from gonio import disk
 from gonio.cli import console
 from gonio.errors import ConfigError, DeviceError, Interrupted
 
@@ -69,11 +70,7 @@ def require_new(out: Path, *beside: Path) -> None:
 
 def free_name(out: Path, what: str, suffix: str) -> Path:
     """A name beside OUT that is not taken: a command that was cut short, or refused, has left its data."""
-    name, number = out.with_name(f"{out.stem}-{what}{suffix}"), 1
-    while name.exists():
-        number += 1
-        name = out.with_name(f"{out.stem}-{what}-{number}{suffix}")
-    return name
+    return disk.free_name(out.with_name(f"{out.stem}-{what}{suffix}"))
 
 
 # ---- the holder ----

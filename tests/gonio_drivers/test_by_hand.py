@@ -300,6 +300,10 @@ def test_a_frame_needs_the_camera_alone(twins: Twins, tmp_path: Path, name: str)
     assert json.loads(done.stdout)["mean_dn"] == pytest.approx(mosaic.mean())
     assert (tmp_path / "shot-view.png").stat().st_size > 1000
     by_hand(rig, "snap", name, code=2, says="is there already")
+    # the picture of another frame is no obstacle, and stays
+    other, view = "shot.tif" if name == "shot.dng" else "shot.dng", (tmp_path / "shot-view.png").read_bytes()
+    assert "shot-view-2.png" in by_hand(rig, "snap", other, "--exposure", "0.01").stdout
+    assert (tmp_path / "shot-view.png").read_bytes() == view
 
 
 def test_a_scan_is_a_lamberts_cosine_and_ends_dark_and_holding(twins: Twins, tmp_path: Path) -> None:
