@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from gonio import platform
-from gonio.acquisition.journal import Event, decode
+from gonio.acquisition.journal import Event, decode, is_whole
 from gonio.acquisition.records import event_of
 from gonio.disk import only_file
 from gonio.errors import DataError
@@ -86,7 +86,7 @@ class Follower:
         for k, line in enumerate(lines):
             event = decode(line + b"\n", self._number)
             if event is None:
-                if more or k + 1 < len(lines):
+                if more or k + 1 < len(lines) or is_whole(line + b"\n"):
                     self.damaged = f"line {self._number + 1} of the journal is damaged: gonio run repair"
                 break
             try:

@@ -48,6 +48,8 @@ NOTHING = b'{"view":null,"maps":[],"visits":[],"says":""}'
 """What the page draws where there are no values."""
 GOING = ("running", "suspended", "paused", "silent")
 """States of a run that may go on by itself."""
+OVER = ("ended", "interrupted", "failed", "died")
+"""States after which nothing comes, unless somebody resumes the run."""
 
 
 class Watched:
@@ -277,7 +279,7 @@ LINES = 200
 
 
 def show(watched: Watched) -> None:
-    """Show a run until a signal ends it."""
+    """Show a run until it is over, or a signal ends this."""
     watched.wanted = True
     if sys.stdout.isatty():
         _panel(watched)
@@ -290,7 +292,8 @@ def _panel(watched: Watched) -> None:
     from rich.live import Live
 
     with Live(get_renderable=lambda: render(watched), console=Console(), refresh_per_second=1.0 / DRAWN_S):
-        threading.Event().wait()
+        while watched.stands["state"] not in OVER:
+            threading.Event().wait(DRAWN_S)
 
 
 def _lines(watched: Watched) -> None:
@@ -311,6 +314,8 @@ def _lines(watched: Watched) -> None:
         if told != (status["state"], status["why"]):
             told = status["state"], status["why"]
             print(summary(status), flush=True)
+        if status["state"] in OVER and number == status["events"]:
+            return
         threading.Event().wait(DRAWN_S)
 
 

@@ -97,7 +97,7 @@ def watch(
     host: Annotated[
         str, typer.Option(help="Address to serve at; other machines see the page at 0.0.0.0.")
     ] = "127.0.0.1",
-    text: Annotated[bool, typer.Option("--text", help="Show the run in the terminal, too.")] = False,
+    text: Annotated[bool, typer.Option("--text", help="Show the run in the terminal, too; end with it.")] = False,
 ) -> None:
     """Follow a run from another process, or look at one that has ended. Prints the page's address first."""
     from gonio_analysis.commands import watching

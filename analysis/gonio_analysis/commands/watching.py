@@ -8,6 +8,8 @@ from importlib.resources import files
 from pathlib import Path
 from typing import NoReturn
 
+from gonio.acquisition.run import Run
+from gonio.acquisition.run_folder import begun
 from gonio.cli import console
 from gonio.errors import ConfigError
 from gonio.live import shared, watching
@@ -45,9 +47,11 @@ def _file(name: str) -> str:
 
 
 def watch(run: Path, host: str, port: int | None, text: bool) -> None:
-    """Serve the page until a signal ends it; the address is the first line that is printed."""
+    """Serve the page until a signal ends it, or with `text` the run; the address is the first line that is printed."""
     if run.exists() and not run.is_dir():
         raise ConfigError(f"{run}: is not a folder; a run is a folder that `gonio measure` writes")
+    if begun(run):
+        Run.open(run)  # what was changed after it was written is refused
     kept, token = shared.recall(run)
     shown = Shown(run)
     try:
@@ -70,7 +74,7 @@ def watch(run: Path, host: str, port: int | None, text: bool) -> None:
 
 
 def _show(run: Path, server: Server, watched: Watched, text: bool) -> None:
-    """Until a signal ends it."""
+    """Until a signal ends it, or with `text` the run."""
     print(server.address, flush=True)
     try:
         shared.remember(run, server.port, server.token)

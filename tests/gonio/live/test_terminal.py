@@ -1,5 +1,6 @@
 """The run in the terminal says what the page says."""
 
+import threading
 from collections.abc import Iterator
 
 import pytest
@@ -12,7 +13,7 @@ from gonio.live.watching import Watched
 from tests.command_line import says
 from tests.gonio.live.runs import Played
 from tests.gonio.live.test_watching import until
-from tests.gonio.live.test_worker import worked
+from tests.gonio.live.test_worker import measuring, worked
 
 
 @pytest.fixture
@@ -59,20 +60,34 @@ def test_a_summary_in_a_line() -> None:
     assert watching.summary(status) == "running: step 3 of 9, about 2 h 00 min left, 1 flagged, 5 GB free (so)"
 
 
-def test_plain_lines_come_where_nobody_looks(
-    ended: Watched, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+def test_plain_lines_come_where_nobody_looks_and_end_with_the_run(
+    ended: Watched, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    class Enough(Exception):
-        """The user has seen enough."""
-
-    class Once:
-        def wait(self, seconds: float) -> None:
-            raise Enough
-
-    monkeypatch.setattr("threading.Event", Once)
-    with pytest.raises(Enough):
-        watching.show(ended)
+    watching.show(ended)
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].endswith(f"session: a session begins: 24 steps to take (gonio {gonio.__version__})")
     assert sum("  step " in line for line in lines) == 24
     assert lines[-1].startswith("ended: step 24 of 24, 1 flagged")
+
+
+@pytest.mark.parametrize("last", ["end", "interrupted", "device_error"])
+def test_text_returns_where_a_run_was_over_before_or_ends_meanwhile(
+    played: Played, last: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """However it came to its end: who waits for the command in a script waits for nothing else."""
+    before = played.lines[:-1]
+    number = len(before)
+    played.lines = [*before, encode({"n": number, "event": last, "message": "so", "wall": "2026-01-02T03:04:05Z"})]
+    played.go_on(number - 2)
+    with measuring(played.path), Watched(played.path) as watched:
+        watched.wanted = True
+        shown = threading.Thread(target=watching.show, args=(watched,))
+        shown.start()
+        until(lambda: len(watched.log) == number - 2)
+        played.go_on(3)
+        shown.join(60.0)  # a hung one fails here
+        assert not shown.is_alive()
+    with Watched(played.path) as again:
+        watching.show(again)
+    word = {"end": "ended", "interrupted": "interrupted", "device_error": "failed"}[last]
+    assert sum(line.startswith(f"{word}: step 24 of 24") for line in capsys.readouterr().out.splitlines()) == 2
