@@ -6,7 +6,7 @@ Also here is how long the rest of a run takes, by the rig file's durations and b
 
 On a laboratory rig the rig's clock tells travel and frames apart, and each is corrected by itself. A simulated rig's
 clock is no watch, and what is computed there takes no time to travel: steps of a kind are timed by the clock on the
-wall.
+wall, and nothing is said before two points were taken.
 """
 
 import contextlib
@@ -127,6 +127,9 @@ class Remaining:
         self._left = every[self._places]
         """Their numbers."""
         self._taken: deque[_Taken] = deque(maxlen=REMEMBERED)
+        self._begun: set[str] = set()
+        """Kinds of steps that were taken. On a simulated rig the first of each says nothing: it loads and compiles what
+        the others find there."""
         self._last: StepRecord | None = None
         self._done = 0
         self._more = 0
@@ -179,8 +182,9 @@ class Remaining:
         else:
             self._more = max(self._more - 1, 0)
         seconds: Mapping[str, float] = {} if self._simulated else _by_rig_clock(record, last)
-        if self._simulated and wall_s is not None:
+        if self._simulated and wall_s is not None and record.kind in self._begun:
             seconds = {record.kind: wall_s}
+        self._begun.add(record.kind)
         if seconds and record.frames:
             before = last.pose if last is not None else record.pose
             self._taken.append(_Taken(before, Step(record.step, record.kind, record.point, record.goal), seconds))

@@ -129,10 +129,24 @@ def test_on_a_simulated_rig_the_clock_on_the_wall_counts() -> None:
     taken, _ = records(steps, 1.0, 1.0, 0.0, seed=3)
     remaining = Remaining(DURATIONS, steps, (), simulated=True)
     assert remaining.left is None  # how fast the computer is nobody knows
-    for record in taken[:20]:
+    for record in taken[:30]:
         remaining.took(record, 3.0 if record.kind == "dark" else 0.5 if record.kind == "reference" else 0.2)
-    kinds = [step.kind for step in steps[20:]]
+    kinds = [step.kind for step in steps[30:]]
     assert left(remaining).seconds == pytest.approx(0.5 * kinds.count("reference") + 0.2 * kinds.count("point"))
+
+
+def test_on_a_simulated_rig_the_first_step_of_a_kind_says_nothing() -> None:
+    """It loads and compiles what the others find there: 24 minutes were told of a run of two."""
+    steps = steps_of(60)
+    taken, _ = records(steps, 1.0, 1.0, 0.0, seed=3)
+    remaining, seen = Remaining(DURATIONS, steps, (), simulated=True), set[str]()
+    for record in taken[:30]:
+        remaining.took(record, 0.2 if record.kind in seen else 20.0)
+        seen.add(record.kind)
+        found = remaining.left
+        assert (found is None) == (record.step < 3)  # dark, reference, a point
+        if found is not None:
+            assert found.seconds == pytest.approx(0.2 * (len(steps) - record.step - 1))
 
 
 def test_steps_that_are_chosen_later_are_taken_for_such_as_were() -> None:
@@ -180,7 +194,9 @@ def test_a_measurement_tells_how_long_it_goes_on(tmp_path: Path, repeatable: boo
     assert watching.said[-1] == "0 s left"
     assert (watching.said[0] == "") == repeatable
     if repeatable:
-        assert watching.said[1].startswith("3 min")  # three steps of a minute
+        told = [text for text in watching.said[1:] if text]
+        assert watching.said[1] == ""  # the first of its kind
+        assert told[0].startswith("60 s")  # one step is left, of a minute
 
 
 @pytest.mark.parametrize(
