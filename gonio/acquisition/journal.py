@@ -2,7 +2,8 @@
 
 A line is an object with the event, a sequence number `n`, the wall-clock time `wall` (UTC), and at its end `crc`, the
 CRC-32 of all that stands before it. A process that dies while it writes leaves a torn last line: it counts as never
-written, and the next writer cuts it off. Damage anywhere else is an error, because the file was changed.
+written, and the next writer cuts it off. Damage anywhere else, or a line that is gone, is an error, because the file
+was changed.
 
 The order of events is that of their lines. `wall` is for people: a computer's clock may be set while a run is measured.
 """
@@ -120,12 +121,13 @@ def _scan(path: Path) -> "tuple[array[int], int]":
     starts, good, number = array("q"), 0, 0
     with open(path, "rb", opener=only_file) as file:
         for line in file:
-            if not is_whole(line) or not (line.startswith(b'{"n":%d,' % number) or decode(line, number)):
-                if line.endswith(b"\n") and file.read(1):
+            whole = is_whole(line)
+            if not whole or not (line.startswith(b'{"n":%d,' % number) or decode(line, number)):
+                if whole or (line.endswith(b"\n") and file.read(1)):
                     raise DataError(
-                        f"{path}: line {number + 1} is damaged (its checksum or its number is wrong): the file was "
-                        f"changed after it was written; `gonio run repair {path.parent}` keeps what can be read, or "
-                        "restore the file from a copy"
+                        f"{path}: line {number + 1} is {_wrong(line, number)}: the file was changed after it was "
+                        f"written; `gonio run repair {path.parent}` keeps what can be read, or restore the file from a "
+                        "copy"
                     )
                 # what a power cut leaves may be zeros
                 if not (good or line.startswith((b'{"', b"{\n")) or line.strip(b"\0") in (b"", b"{")):
@@ -135,6 +137,36 @@ def _scan(path: Path) -> "tuple[array[int], int]":
             good += len(line)
             number += 1
     return starts, good
+
+
+def _wrong(line: bytes, number: int) -> str:
+    """What is wrong with a line that is not the one with this number."""
+    found = decode(line)
+    there = found.get("n") if found is not None else None
+    if isinstance(there, int) and there > number:
+        return f"missing ({there - number} of them: line {there + 1} as it was written follows)"
+    return "damaged (its checksum or its number is wrong)"
+
+
+def files_named(path: Path) -> Iterator[dict[str, str]]:
+    """What whole lines of a journal say of the files beside the frames, in order: SHA-256 by name.
+
+    Where the first line says nothing of them, none does: an earlier version has begun the run.
+    """
+    with contextlib.suppress(OSError), open(path, "rb", opener=only_file) as file:
+        for number, line in enumerate(file):
+            event = decode(line) if number == 0 or b'"files":{' in line else None
+            if event is not None and isinstance(event.get("files"), dict):
+                yield event["files"]
+            elif event is not None and number == 0:
+                return
+
+
+def first_event(path: Path) -> Event:
+    """The event of a journal's first line; nothing where that is damaged, or cannot be read."""
+    with contextlib.suppress(OSError), open(path, "rb", opener=only_file) as file:
+        return decode(file.readline(), 0) or {}
+    return {}
 
 
 def read_events(path: Path) -> Events:

@@ -57,7 +57,7 @@ def measure(
     if done and not rig.repeatable:
         left = [numbers.again(step) for step in (steps[0], steps[1]) if step.index in done] + left
     watch = Watch(rig)
-    run.append({"event": "session", "gonio": __version__, "steps": len(steps), "left": len(left)})
+    run.append({"event": "session", "gonio": __version__, "steps": len(steps), "left": len(left)} | run.identity)
     progress.start(len(done) + len(left), len(done))
     try:
         _take_all(rig, run, left, numbers, watch, progress, stop, sampler)

@@ -209,7 +209,7 @@ def carry_out(
     begun_before = resume and begun(out)
     plan, rig, points, sampler = prepared(plan, rig, out if begun_before else None)
     request = Request(plan, rig.description, sample, seed, command, points)
-    _check_patches(rig, sample)
+    check_patches(rig, sample)
     steps: Sequence[Step] = [] if begun_before else rig.schedule(plan, request.points)
     device = _open(rig, out, sample, seed, resume, yes)
     if not begun_before:
@@ -332,7 +332,7 @@ def check(
     from gonio.acquisition.run_folder import begun
 
     plan, rig, points, _ = seen = assessed(plan, rig)
-    _check_patches(rig, sample)
+    check_patches(rig, sample)
     steps = rig.schedule(plan, points)
     _open(rig, out, sample, seed, resume, yes)
     if not (resume and begun(out)):
@@ -376,8 +376,8 @@ def _check_room(out: Path, rig: RigChoice, plan: Plan, steps: int, progress: Pro
     progress.say(f"{text}; the run waits where it is full (--yes)")
 
 
-def _check_patches(rig: RigChoice, sample: SampleDescription | None) -> None:
-    """The measured patch must lie on the sample, and that of the reference on the reference alone."""
+def check_patches(rig: RigChoice, sample: SampleDescription | None) -> None:
+    """Raise `ConfigError` where the measured patch does not lie on the sample, or that of the reference on it alone."""
     description = rig.description
     reference, patch = description.reference, description.acquisition.roi_radius_mm
     diameter = (sample and sample.diameter_mm) or description.holder.sample_diameter_mm

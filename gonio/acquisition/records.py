@@ -391,7 +391,14 @@ def _time_of_day(value: str) -> str:
     return value
 
 
-_EVERY = {"n": Count, "event": str, "wall": NotRequired[Annotated[str, AfterValidator(_time_of_day)]]}
+_EVERY = {
+    "n": Count,
+    "event": str,
+    "wall": NotRequired[Annotated[str, AfterValidator(_time_of_day)]],
+    "run": NotRequired[str],
+    "files": NotRequired[dict[str, str]],
+}
+"""What any line may hold; `run` and `files` are `Run.identity`."""
 
 
 @cache

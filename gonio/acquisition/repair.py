@@ -6,7 +6,6 @@ journal is kept beside the one that is made again.
 
 import contextlib
 import hashlib
-import json
 import os
 import re
 from array import array
@@ -18,12 +17,13 @@ import numpy as np
 
 from gonio import platform
 from gonio.acquisition.frame_writer import BESIDE, NAME, label_of, pixels_of
-from gonio.acquisition.journal import Event, Steps, decode, encode, locked, now
-from gonio.acquisition.records import FrameFile, FrameLabel, FrameRecord, StepRecord, event_of
+from gonio.acquisition.journal import Steps, encode, locked
+from gonio.acquisition.records import FrameFile, FrameLabel, FrameRecord, StepRecord
+from gonio.acquisition.remade import at_once, in_time, numbered, readable, taken, untold, with_choices
 from gonio.acquisition.repeats import Pictures, repeated
-from gonio.acquisition.run import CHOSEN, Run
+from gonio.acquisition.run import Run
 from gonio.acquisition.run_folder import begun
-from gonio.disk import half_written, is_own, read_file, read_manifest, set_aside, write_whole
+from gonio.disk import free_name, half_written, read_file, set_aside, write_whole
 from gonio.errors import ConfigError, DataError, os_error_as
 from gonio.rig.dng import encode_dng, read_raw, read_record
 from gonio.typing import NDArray
@@ -239,23 +239,17 @@ class Repaired:
     damaged: list[str]
     """Frames that are missing or damaged: their steps will be taken again."""
     undetermined: list[str]
-    """Frames that say nothing of themselves, or not enough, or belong to another run."""
+    """Frames that say nothing of themselves, or not enough."""
+    foreign: list[str]
+    """Frames that say that they belong to another run."""
     journal: Path | None
     """Where the journal lies that was there before."""
     unproved: list[str]
     """Frames of an earlier version, which hold no checksum of their pixels, and none is left of them elsewhere."""
-
-
-def _done(events: Iterable[Event]) -> dict[int, StepRecord]:
-    """The steps that the journal's lines name as taken, and not as lost."""
-    done: dict[int, StepRecord] = {}
-    for event in events:
-        if event["event"] == "step":
-            done[event["step"]] = StepRecord.from_json(event)
-        elif event["event"] == "lost":
-            for number in event["steps"]:
-                done.pop(number, None)
-    return done
+    untold: list[str]
+    """What could not be checked, a sentence each."""
+    changed: bool
+    """Whether the journal was made again."""
 
 
 def _judged(run: Run, frames: "_Frames", done: dict[int, StepRecord]) -> tuple[list[StepRecord], dict[int, list[str]]]:
@@ -272,7 +266,8 @@ def _judged(run: Run, frames: "_Frames", done: dict[int, StepRecord]) -> tuple[l
     sound = {step.step: step for step in (*(done[n] for n in done if n not in lost), *rebuilt)}
     alike = repeated(run, (sound[n] for n in sorted(frames.pictures.suspects & {*sound})))
     lost |= {number: texts for number, texts in alike.items() if number in done}
-    return [step for step in rebuilt if step.step not in alike], lost
+    apart = {*alike, *(at_once(sound.values()) if run.sample is None else ())}
+    return [step for step in rebuilt if step.step not in apart], lost
 
 
 def repair(path: str | Path, *, progress: Progress | None = None) -> Repaired | None:
@@ -289,6 +284,8 @@ def repair(path: str | Path, *, progress: Progress | None = None) -> Repaired | 
         A folder with run.toml and frames/.
     progress
         Told how many frames have been looked at, and how many there are.
+
+    Frames that name another run, or a step that was taken while another one was, make no step.
 
     Returns
     -------
@@ -310,42 +307,34 @@ def repair(path: str | Path, *, progress: Progress | None = None) -> Repaired | 
     _listed(run.path / "frames")
     require_frames_only(run, os.listdir(run.path / "frames"))
     with _held(journal) as before:
-        events, torn = _readable(before)
-        readable = len(events)
-        events, choices = _with_choices(run, events)
-        torn = torn or len(events) < readable
+        events, torn = readable(before)
+        kept = len(events)
+        events, choices = with_choices(run, events)
+        torn = torn or len(events) < kept
         frames = _Frames(run, progress)
-        done = _done(events)
+        done = taken(events)
         rebuilt, lost = _judged(run, frames, done)
-        numbers = [step.step for step in rebuilt]
         what = [text for number in sorted(lost) for text in lost[number]]
         named = {frame.file for step in (*done.values(), *rebuilt) for frame in step.frames}
-        undetermined = sorted(name for name in frames.names if name not in named)
-        if not torn and events and not rebuilt and not lost:
+        undetermined = sorted(name for name in frames.names if name not in named and name not in frames.foreign)
+        needed = bool(torn or not events or rebuilt or lost)
+        if not (needed or frames.foreign):
             return None
-        new = [*events, *choices, *(step.to_json() for step in rebuilt)]
-        if lost:
-            new.append({"event": "lost", "steps": sorted(lost), "frames": what})
-        new.append({"event": "repaired", "kept": len(events), "rebuilt": numbers})
-        kept = _keep(journal) if before else None
-        write_whole(journal, b"".join(encode(_numbered(event, n)) for n, event in enumerate(new)))
-    unproved = sorted(step.frames[-1].file for step in rebuilt if step.step in frames.unproved)
-    return Repaired(len(events), numbers, what, undetermined, kept, unproved)
-
-
-def _with_choices(run: Run, events: list[Event]) -> tuple[list[Event], list[Event]]:
-    """Events without choices that were not made, as `CHOSEN` tells, and the choices that stand in none of them."""
-    own = read_manifest(run.path).get(CHOSEN)
-    if own is None or not is_own(run.path / CHOSEN, own):
-        return events, []
-    made = {batch["first_step"]: batch for batch in json.loads(read_file(run.path / CHOSEN))}
-    kept: list[Event] = []
-    for event in events:
-        batch = made.get(event["first_step"]) if event["event"] == "chosen" else None
-        if event["event"] != "chosen" or (batch is not None and batch["points"] == event["points"]):
-            kept.append(event)
-            made.pop(event["first_step"] if batch is not None else None, None)
-    return kept, list(made.values())
+        found = Repaired(
+            kept=len(events), rebuilt=[step.step for step in rebuilt], damaged=what, undetermined=undetermined,
+            foreign=sorted(frames.foreign), journal=_keep(journal) if before and needed else None,
+            unproved=sorted(step.frames[-1].file for step in rebuilt if step.step in frames.unproved),
+            untold=untold(run, rebuilt, done) if needed else [], changed=needed,
+        )  # fmt: skip
+        if needed:
+            new = [*in_time(run, events, rebuilt), *choices]
+            if lost:
+                new.append({"event": "lost", "steps": sorted(lost), "frames": what})
+            new.append({"event": "repaired", "kept": len(events), "rebuilt": found.rebuilt})
+            if not any("files" in event for event in new):
+                new[0] |= run.identity
+            write_whole(journal, b"".join(encode(numbered(event, n)) for n, event in enumerate(new)))
+    return found
 
 
 @contextlib.contextmanager
@@ -360,33 +349,9 @@ def _held(journal: Path) -> Iterator[bytes]:
         yield data
 
 
-def _readable(data: bytes) -> tuple[list[Event], bool]:
-    """The events whose lines are whole and hold what they should, each once and in the order of their numbers; and
-    whether anything else is there.
-    """
-    lines = data.splitlines(keepends=True)
-    events = []
-    for line in dict.fromkeys(lines):
-        event = decode(line)
-        with contextlib.suppress(DataError):
-            if event is not None and event_of(line):
-                events.append(event)
-    whole = len(events) == len(lines) and all(event["n"] == n for n, event in enumerate(events))
-    return sorted(events, key=lambda event: int(event["n"])), not whole
-
-
-def _numbered(event: Event, number: int) -> Event:
-    """An event with its place in the journal; `wall` stays that of the event, where it is known."""
-    content = {key: value for key, value in event.items() if key not in ("n", "wall", "crc")}
-    return {"n": number, **content, "wall": event.get("wall", now())}
-
-
 def _keep(journal: Path) -> Path:
     """Give a journal a second name, which stays when the first is taken by another file."""
-    free, count = journal.with_name("journal.damaged.jsonl"), 1
-    while os.path.lexists(free):
-        count += 1
-        free = journal.with_name(f"journal.damaged-{count}.jsonl")
+    free = free_name(journal.with_name("journal.damaged.jsonl"))
     os.link(journal, free)
     return free
 
@@ -399,6 +364,8 @@ class _Frames:
         """By step: its record, from the label of its last frame."""
         self.unproved: set[int] = set()
         """Steps whose last frame does not say what its pixels are."""
+        self.foreign: set[str] = set()
+        """Frames that name another run."""
         self.pictures = Pictures(run.description.camera)
         self._digests: dict[str, str] = {}
         self._strange: dict[str, str] = {}
@@ -424,6 +391,7 @@ class _Frames:
             return
         if label.run != self._run.key:
             self._strange[name] = "says that it belongs to another run"
+            self.foreign.add(name)
             return
         pixels = _sound_pixels(label, path, data)
         if not pixels:
@@ -450,10 +418,10 @@ class _Frames:
         out = []
         for frame in step.frames:
             digest = self._digests.get(frame.file)
-            if digest is None or digest != frame.sha256:
-                out.append(f"frames/{frame.file} {_state_of(self._run, step, frame)[0] or 'cannot be read'}")
-            elif frame.file in self._strange:
+            if frame.file in self._strange:
                 out.append(f"frames/{frame.file} {self._strange[frame.file]}")
+            elif digest is None or digest != frame.sha256:
+                out.append(f"frames/{frame.file} {_state_of(self._run, step, frame)[0] or 'cannot be read'}")
         return out
 
 

@@ -1,4 +1,7 @@
-"""Going on with a run: what its frames and its journal are worth is found first, and acted on when nothing refuses."""
+"""What is left of a run, and going on with it.
+
+What its frames and its journal are worth is found first, and acted on when nothing refuses.
+"""
 
 import os
 from dataclasses import dataclass
@@ -9,8 +12,10 @@ from gonio.acquisition.plan import plan_csv
 from gonio.acquisition.repair import ASIDE, Found, find_damage, require_frames_only, set_orphans_aside
 from gonio.acquisition.run import Run
 from gonio.acquisition.run_settings import Request, differences, settings_for
+from gonio.acquisition.schedule import Schedule
 from gonio.disk import write_own
 from gonio.errors import ConfigError, os_error_as
+from gonio.rig import Pose
 from gonio.rig.laboratory import Laboratory
 
 
@@ -48,6 +53,23 @@ class Resumed:
                 text = f"{len(orphans)} files of no step that is done were moved to {ASIDE}/: {names}"
                 run.append({"event": "remark", "message": text})
         return orphans
+
+
+def unfinished(run: Run) -> str:
+    """What of a run was not measured yet, in words; "" where every step is done."""
+    rows = [row for row, flag in enumerate(run.planned.flags) if not flag]
+    planned, done = Schedule(run.description, rows, lambda row: Pose()), set(run.steps().numbers)
+    left = [planned[number] for number in range(len(planned)) if number not in done]
+    left += [step for step in run.grown_steps() if step.index not in done]
+    points = run.points.flags.count("")
+    measured = points - sum(step.kind == "point" for step in left)
+    if not left and (run.settings.adaptive is None or run.enough):
+        return ""
+    rest = ", and its sampler has not said that this is enough"
+    if left:
+        rest = "" if measured < points else f", and {len(left)} visits to the reference or dark steps are not"
+    known = f"{measured} of {points} points are measured{rest}"
+    return f"the run is not finished: {known}; `gonio measure ... --resume` goes on"
 
 
 def reopened(path: Path, request: Request) -> Resumed:

@@ -19,7 +19,7 @@ import os
 import re
 import sys
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import islice
@@ -29,7 +29,7 @@ from typing import Any, Self
 import numpy as np
 
 from gonio.acquisition.frame_writer import NAME, label_of
-from gonio.acquisition.journal import Event, Events, Index, Journal, Steps, read_events
+from gonio.acquisition.journal import Event, Events, Index, Journal, Steps, files_named, first_event, read_events
 from gonio.acquisition.plan import ANGLES, PLAN_COLUMNS, Point, plan_csv, points_sha256
 from gonio.acquisition.run_folder import OURS, check_new, check_writable, make_folder, remove_begun
 from gonio.acquisition.run_settings import Request, RunSettings, named_files, resolved, settings_for
@@ -168,13 +168,16 @@ class Run:
             settings = parse(RunSettings, values, path / "run.toml")
         except ConfigError as error:
             raise DataError(str(error)) from None
-        own = read_manifest(path)
-        for name in sorted(own.keys() & AS_BEGUN):
-            if os.path.lexists(path / name) and not is_own(path / name, own[name]):
-                raise DataError(
-                    f"{path / name}: was changed after it was written (its checksum differs), and the frames were not "
-                    "taken with what it says now; restore it. What is to be another rig, measure into another folder"
-                )
+        if changed := _changed(path, AS_BEGUN):
+            raise DataError(
+                f"{path / changed}: was changed after it was written (its checksum differs), and the frames were not "
+                "taken with what it says now; restore it. What is to be another rig, measure into another folder"
+            )
+        if first_event(path / "journal.jsonl").get("run", settings.run.id) != settings.run.id:
+            raise DataError(
+                f"{path / 'journal.jsonl'}: is the journal of another run than run.toml ([run] id); restore it, or "
+                f"move it away: `gonio run repair {path}` makes it again from what the frames carry"
+            )
         return cls(path, resolved(settings, path))
 
     @property
@@ -282,7 +285,7 @@ class Run:
         """The points of plan.csv: all that was known when the run began."""
         path, run = self.path / "plan.csv", self.settings.run
         own = read_manifest(self.path).get("plan.csv")
-        if own is not None and path.is_file() and not is_own(path, own):
+        if path.is_file() and _changed(self.path, {"plan.csv"}):
             raise DataError(f"{path}: was changed after it was written (its checksum differs); {RESTORE}")
         angles: list[Floats] = [np.empty((0, len(ANGLES)))]
         flags: list[str] = []
@@ -346,9 +349,22 @@ class Run:
                 waiting = False
         return out[1:]
 
-    @cached_property
+    @property
     def key(self) -> str:
-        """What tells the frames of this run from those of others: a hash of plan, seed, rig and sample."""
+        """What tells the frames of this run from those of others: its id; of earlier versions `asked_key`."""
+        return self.settings.run.id or self.asked_key
+
+    @property
+    def identity(self) -> JsonObject:
+        """What a line of the journal says of the run: its id, and SHA-256 of the files that its frames rest on."""
+        if self.settings.run.id is None:
+            return {}
+        there = [name for name in sorted(AS_BEGUN | {"plan.csv"}) if (self.path / name).is_file()]
+        return {"run": self.settings.run.id, "files": {name: sha256_of(self.path / name) for name in there}}
+
+    @cached_property
+    def asked_key(self) -> str:
+        """A hash of plan, seed, rig and sample: the same for every run that measures them."""
         run, sample = self.settings.run, self.settings.sample
         content = [run.plan_sha256, run.seed, run.rig, self.settings.rig.name]
         content += [sample.name, sample.model] if sample is not None else []
@@ -388,9 +404,13 @@ class Run:
         if laboratory is None or laboratory == self.settings.laboratory:
             return
         tables = tomllib.loads(read_file(self.path / "run.toml").decode()) | {"laboratory": laboratory.stated()}
-        write_own(self.path, {"run.toml": to_toml(tables).encode()})
+        data = to_toml(tables).encode()
+        self.append(  # before: what no line names is refused
+            {"event": "remark", "message": "[laboratory] of run.toml is what rig file and plan say now"}
+            | ({"files": {"run.toml": hashlib.sha256(data).hexdigest()}} if self.settings.run.id else {})
+        )
+        write_own(self.path, {"run.toml": data})
         self.settings = self.settings.model_copy(update={"laboratory": laboratory})
-        self.append({"event": "remark", "message": "[laboratory] of run.toml is what rig file and plan say now"})
 
     def take_back(self, damaged: Mapping[int, Sequence[str]]) -> list[str]:
         """Say in the journal which steps count no more, because of which frames; what is wrong with each frame."""
@@ -449,6 +469,20 @@ class Run:
         if self.journal is not None:
             self.journal.close()
             self._closed, self.journal = self.journal.events, None
+
+
+def _changed(path: Path, names: Collection[str]) -> str:
+    """Which file of a run, of these names, is not as the manifest names it, or a line of the journal; "" for none."""
+    there = {name for name in names if os.path.lexists(path / name)}
+    own = read_manifest(path)
+    wrong = {name for name in there & own.keys() if not is_own(path / name, own[name])}
+    named: dict[str, bool] = {}
+    for files in files_named(path / "journal.jsonl"):
+        for name in there & files.keys():
+            named[name] = named.get(name, False) or is_own(path / name, {files[name]})
+        if all(named.values()):  # the first line's, unless the laboratory was stated anew
+            break
+    return min(wrong | {name for name, same in named.items() if not same}, default="")
 
 
 def own_files(path: Path) -> Manifest:

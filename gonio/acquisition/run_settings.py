@@ -5,11 +5,14 @@ import datetime
 import hashlib
 import json
 import platform
+import secrets
 from dataclasses import dataclass
 from functools import cached_property
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+from pydantic import Field
 
 from gonio.acquisition.plan import Adaptive, Assessed, Plan, assess
 from gonio.config import Strict
@@ -43,6 +46,8 @@ class Header(Strict):
     rig: str
     """The entry point that drove it."""
     seed: int
+    id: Annotated[str, Field(pattern=r"^[0-9a-f]{32}$")] | None = None
+    """128 random bits, which journal and frames hold too; None in runs from before there was one."""
 
 
 class RunSettings(Strict):
@@ -93,6 +98,7 @@ def settings_for(request: Request, description: RigDescription) -> RunSettings:
             bands=tuple(band.name for band in request.plan.bands(description)),
             rig=description.rig,
             seed=request.seed,
+            id=secrets.token_hex(16),
         ),
         versions=versions,
         rig=description.model_copy(update={"laboratory": None}),

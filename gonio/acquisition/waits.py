@@ -276,7 +276,7 @@ class Holding:
         waits = WAITS_S[fault.kind]
         if attempt > len(waits):
             raise PassingFault(f"{fault}; step {step.index} was tried {attempt} times", fault.kind) from None
-        turn = zlib.crc32(f"{self._run.key} {step.index} {attempt}".encode()) / 2**32
+        turn = zlib.crc32(f"{self._run.asked_key} {step.index} {attempt}".encode()) / 2**32
         wait_s = waits[attempt - 1] * (1.0 + JITTER * (2.0 * turn - 1.0))
         event = {"event": "retry", "step": step.index, "device": fault.kind, "attempt": attempt, "message": str(fault)}
         said = f"step {step.index}: {fault}; lamp dark, taken again in {lasting(wait_s)} ({attempt} of {len(waits)})"

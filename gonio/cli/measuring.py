@@ -27,8 +27,10 @@ def measure(
     sample: Annotated[
         Path | None, typer.Option(help="What a simulated rig measures: a sample.toml, or the name of a shipped one.")
     ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of a simulated rig.")] = 0,
-    resume: Annotated[bool, typer.Option("--resume", help="Go on with a run that was cut short.")] = False,
+    seed: Annotated[int | None, typer.Option(min=0, help="Seed of a simulated rig; 0 where none is given.")] = None,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Go on with a run that was cut short; sample and seed are its own.")
+    ] = False,
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Check everything and show the plan; move nothing.")
     ] = False,
@@ -43,6 +45,10 @@ def measure(
 
     asked, chosen = load_plan(plan), find_rig(rig)
     described = load_sample(sample) if sample is not None else None
+    if resume and begun(out) and None in (sample, seed):
+        kept = Run.open(out)
+        described, seed = described or kept.sample, kept.seed if seed is None else seed
+    seed = seed or 0
     if dry_run:
         plans.describe(asked, check(asked, chosen, out, sample=described, seed=seed, resume=resume, yes=yes), out=out)
         if resume and begun(out):

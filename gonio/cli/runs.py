@@ -43,6 +43,16 @@ def repair_run(run: Folder) -> None:
     if done is None:
         console.show(f"{run}: journal and frames are whole; nothing was changed")
         return
+    if done.foreign:
+        console.note(
+            f"{len(done.foreign)} frames say that they belong to another run. They count for nothing here, and stay "
+            "where they are; --resume moves them to set-aside/:"
+        )
+        for line in some(done.foreign):
+            console.note(f"  frames/{line}")
+    if not done.changed:
+        console.show(f"{run}: the journal is whole, and so are the frames that it names; nothing was changed")
+        return
     if done.journal is not None:
         console.note(f"the journal that was there is kept as {done.journal}")
     if done.damaged:
@@ -64,6 +74,8 @@ def repair_run(run: Folder) -> None:
         )
         for line in some(done.unproved):
             console.note(f"  frames/{line}")
+    for line in done.untold:
+        console.note(line)
     steps = len(Run.open(run).steps())
     console.show(
         f"{run}: the journal holds {steps} steps, {len(done.rebuilt)} of them made again from their frames",

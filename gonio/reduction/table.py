@@ -13,6 +13,7 @@ import numpy as np
 import gonio
 from gonio import geometry
 from gonio.acquisition.plan import ANGLES
+from gonio.acquisition.resuming import unfinished
 from gonio.acquisition.run import Run
 from gonio.checks.values import values_of
 from gonio.checks.verdicts import Check, Taken, VisitsOfBand, of_run, of_values
@@ -222,8 +223,9 @@ def _notes_on_zeros(description: RigDescription) -> list[str]:
 
 
 def notes_on_frames(frames: RunFrames) -> list[str]:
-    """What is wrong with the frames of a run, and with its camera."""
-    out, camera = [], frames.description.camera
+    """What is missing of a run, and what is wrong with its frames, and with its camera."""
+    camera = frames.description.camera
+    out = [left] if (left := unfinished(frames.run)) else []
     if wrong := frames.contradictory:
         more = f", and {len(wrong) - 1} more frames" if len(wrong) > 1 else ""
         out.append(

@@ -10,9 +10,10 @@ CHANGES = [
     (re.compile(r'("(?:python|gonio|numpy|scipy|numba|pandas|matplotlib)": ?)"[^"]*"'), r"\1<version>"),
     (re.compile(r'("version": |\bgonio )"?\d+\.\d+\.\d+\b"?'), r"\1<version>"),
     (re.compile(r'"crc": ?"[0-9a-f]{8}"'), '"crc":"<of the line>"'),
+    (re.compile(r'"run": ?"[0-9a-f]{32}"'), '"run":"<id>"'),
     (re.compile(r"(?:/[\w.+-]+)+/(?=[\w.-]+)"), "<folder>/"),
 ]
-"""Times, versions and folders."""
+"""Times, versions, the id of a run, and folders."""
 SHA256 = re.compile(r"\b[0-9a-f]{64}\b")
 """Of frames: the same to the byte on one processor, and not from one kind of processor to another."""
 TINY = 1e-14
