@@ -1,11 +1,20 @@
-"""`gonio sim serve`: the twins of a laboratory rig, for rehearsal without hardware."""
+"""`gonio sim serve`: the twins of a laboratory rig, for rehearsal without hardware.
 
+What `gonio measure` would refuse is refused before anything is served.
+"""
+
+from __future__ import annotations
+
+import shlex
 import signal
 import threading
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+if TYPE_CHECKING:
+    from gonio.rig.description import SampleDescription
 
 app = typer.Typer(help="Twins of laboratory devices.", no_args_is_help=True)
 
@@ -48,6 +57,8 @@ def serve(
             raise ConfigError(f"--fault {name}: there is no such fault; known: {', '.join(faults.NAMES)}")
     choice = find_rig(rig)
     described = load_sample(sample) if sample is not None else None
+    if not choice.description.devices:
+        raise ConfigError(f"{rig}: has no table [devices]: twins stand for a laboratory's devices (gonio rig show lab)")
     require_own(out, ["rig.toml"])
     stop = threading.Event()
     for number in platform.ENDING:
@@ -55,7 +66,10 @@ def serve(
     with Twins(choice.description, described, seed, folder=out.absolute(), scale=time_scale, tcp=tcp) as twins:
         path = out / "rig.toml"
         write_own(out, {path.name: rig_file(twins.description, Path(rig).parent).encode()})
+        _require_measurable(rig, path, described)
         print(f"twins of {rig} are running, {time_scale:g} times as fast; Ctrl-C ends them")
+        if time_scale != 1.0:
+            print(f"  what is estimated by the rig file alone is the real rig's time, {time_scale:g} times as long")
         if tcp:
             print("\n".join(f"  {name}: {peer.port}" for name, peer in twins.peers.items()))
         if twins.replays:
@@ -64,11 +78,31 @@ def serve(
             )
         elif twins.driver != "folder":
             print(f'  a tethered camera with RAW files stands in for driver = "{twins.driver}", which has no twin')
-        print(f"  gonio rig check --rig {path}")
-        print(f"  gonio measure PLAN --rig {path} --out RUN --yes", flush=True)
+        print(f"  gonio rig check --rig {shlex.quote(str(path))}")
+        print(f"  gonio measure PLAN --rig {shlex.quote(str(path))} --out RUN --yes", flush=True)
         if not stop.wait(after):
             for name in wanted:
                 what, _, axis = name.partition(":")
                 twins.inject(what, axis=axis or None)
                 print(f"  fault armed: {name}", flush=True)
             stop.wait()
+
+
+def _require_measurable(rig: str, path: Path, sample: SampleDescription | None) -> None:
+    """Raise `ConfigError`, which names the rig that was asked for, where `measure` refuses that of its twins."""
+    from gonio.acquisition.measure import check_patches, find_rig
+    from gonio.acquisition.schedule import reference_pose
+    from gonio.errors import ConfigError
+
+    try:
+        choice = find_rig(str(path))
+        if choice.open().repeatable:
+            raise ConfigError(
+                f'rig = "{choice.description.rig}" simulates all by itself and drives no device; rig = "lab" drives '
+                "those of the table [devices]"
+            )
+        check_patches(choice, sample)
+        reference_pose(choice.description)
+    except ConfigError as error:
+        text = str(error).removeprefix(f"{path}: ")
+        raise ConfigError(f"{rig}: gonio measure would refuse its twins: {text}") from None

@@ -235,7 +235,7 @@ class Twins:
         devices, out = self._devices.servos, {}
         built = dict(devices.axes) if devices.changer is None else devices.axes | {"changer": devices.changer}
         for name, axis in built.items():
-            start = axis.zero_count + START_DEG.get(name, 1.0) / 360 * COUNTS * axis.per_turn
+            start = axis.zero_count + self._start_deg(name) / 360 * COUNTS * axis.per_turn
             mechanics = Mechanics(short_counts=short_counts, within=lambda: float(rng.uniform(-0.5, 0.5)))
             servo = out[name] = Servo(
                 axis.id, self._clock, model=axis.model, baud=devices.baud, position=start, mechanics=mechanics
@@ -246,11 +246,16 @@ class Twins:
             out[contact.axis].contacts.add(contact.input)
         return out
 
+    def _start_deg(self, name: str) -> float:
+        """Where an axis hangs when the power comes: within its limits."""
+        low, high = self.world.description.limits_deg().get(name, (-math.inf, math.inf))
+        return min(max(START_DEG.get(name, 1.0), low), high)
+
     def _built_stages(self) -> dict[str, KinesisTwin]:
         """Stages by axis, and the arms that stand on them."""
         stages: dict[str, KinesisTwin] = {}
         for name, stage in self._devices.stages.axes.items() if self._devices.stages is not None else ():
-            readout = stage.zero_deg + START_DEG.get(name, 1.0) * stage.direction
+            readout = stage.zero_deg + self._start_deg(name) * stage.direction
             twin = stages[name] = KinesisTwin(self._clock, position=readout * COUNTS_PER_DEG, serial=stage.serial)
             self._follow(name, twin, twin.shaft, stage.turned)
         return stages
@@ -414,6 +419,13 @@ def _parsed(description: RigDescription) -> _Devices:
             f'devices.light.dialect = "{devices.light.dialect}" has no twin; twins speak {", ".join(LAMPS)}'
         )
     kind, arms = ("servo", devices.servos) if devices.stages is None else ("stage", devices.stages)
+    if devices.interlock is not None and devices.interlock.axis is None:
+        raise ConfigError(
+            "devices.interlock.port: a contact on a serial line has no twin; leave the table out of the file, or name "
+            "a servo's port (devices.interlock.axis)"
+        )
+    if description.lamp.monitor:
+        raise ConfigError("lamp.monitor = true: the lamp's twin has no monitor; leave the key out of the file")
     missing = [name for name in description.axes() if name not in arms.axes]
     if missing:
         key = f"devices.{kind}s.axes.{missing[0]}"
@@ -425,6 +437,8 @@ def rig_file(description: RigDescription, folder: Path = Path()) -> str:
     """A rig file, as it is written to disk, with the calibrations of another one that lies in `folder`."""
     use = description.calibration
     tables = uncalibrated(description).model_dump(mode="json", exclude_none=True, exclude={"calibration"})
+    if "certificate" in tables["reference"]:  # which says them again
+        tables["reference"] = {k: v for k, v in tables["reference"].items() if k not in ("albedo", "u_rel", "spectrum")}
     if use.files:
         files = [str((folder / name).absolute()) for name in use.files]
         tables["calibration"] = {"files": files, "when_unfit": use.when_unfit}
