@@ -9,6 +9,7 @@ What the two renderers compute alike is direct light. `Export.left_out` names wh
 
 import json
 import math
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -133,8 +134,9 @@ class _Writer:
             # the remaining channels repeat the last wavelength
             channels = np.minimum(np.arange(first, first + CHANNELS), waves.size - 1)
             suffix = "" if waves.size <= CHANNELS else "-" + "-".join(f"{wave:g}" for wave in shown) + "nm"
+            of = channels, suffix
             bsdfs = [
-                _node("bsdf", "twosided", self._bsdf(name, material, plugins[name], channels, suffix), id=_id(name))
+                _node("bsdf", "twosided", self._bsdf(name, material, plugins[name], *of), id=self._id(name))
                 for name, material in materials.items()
             ]
             root = _node("scene", "", *self._frame(), *bsdfs, *shapes, *self._lights(channels), version="3.0.0")
@@ -186,18 +188,28 @@ class _Writer:
             return _node("bsdf", plugin, *(_value("rgb", part, _text(values)) for part, values in parts))
         self._require_isotropic(name, material, channels)
         # Mitsuba calls the viewer's side the incident one, and its cosine is the light's
-        self.files[f"{name}{suffix}.bsdf"] = rgl.sliced(
+        file = f"{self._plain(name)}{suffix}.bsdf"
+        self.files[file] = rgl.sliced(
             lambda viewer, light: self._values(material, channels, light, viewer),
             name,
             nodes=self.nodes,
             incidences=self.incidences,
         )
-        return _node("bsdf", plugin, _value("string", "filename", f"{name}{suffix}.bsdf"))
+        return _node("bsdf", plugin, _value("string", "filename", file))
 
     def _values(self, material: Material, channels: Channels, omega_i: Floats, omega_r: Floats) -> Floats:
         """The BRDF without the spike where every texture is 0: (n, channels)."""
         f = material.untextured(omega_i, omega_r)
         return np.broadcast_to(f, (f.shape[0], self.scene.wavelength_nm.size))[:, channels]
+
+    def _id(self, name: str) -> str:
+        return f"material-{self._plain(name)}"
+
+    def _plain(self, name: str) -> str:
+        """A material's name as files and XML have it: its number, which is no other's name, where it is not plain."""
+        if re.fullmatch(r"(?!\d+$)[\w-]{1,60}", name, re.ASCII):
+            return name
+        return str(list(dict.fromkeys(table.material for table in self.scene.tables.shape)).index(name) + 1)
 
     def _require_isotropic(self, name: str, material: Material, channels: Channels) -> None:
         turns = np.deg2rad([0.0, 37.0, 101.0])
@@ -256,7 +268,7 @@ class _Writer:
 
     def _shape(self, k: int) -> ElementTree.Element:
         shape, table = self.scene.world.shapes[k], self.scene.tables.shape[k]
-        where, material = f"shape[{k + 1}] ({table.kind})", _node("ref", "", id=_id(table.material))
+        where, material = f"shape[{k + 1}] ({table.kind})", _node("ref", "", id=self._id(table.material))
         parts = _triangles(shape, table.kind)
         if parts is not None:
             file, inside = f"shape-{k + 1}.ply", 1.0 - math.cos(math.pi / TURN)
@@ -403,10 +415,6 @@ def _node(tag: str, kind: str, *children: ElementTree.Element, **attributes: str
 
 def _value(tag: str, name: str, value: object) -> ElementTree.Element:
     return _node(tag, "", name=name, value=repr(float(value)) if isinstance(value, float) else str(value))
-
-
-def _id(material: str) -> str:
-    return f"material-{material}"
 
 
 def _text(values: Floats) -> str:

@@ -257,3 +257,13 @@ def test_mitsuba_renders_every_shape_as_we_do(name: str, tmp_path: Path) -> None
     assert np.median(np.abs(ratio - 1.0)) < 0.01
     assert np.quantile(ratio, 0.01) > 0.8
     assert ratio.mean() == pytest.approx(1.0, abs=0.005)
+
+
+@pytest.mark.parametrize("name", ["../../m", "塗料", "a.b", "1", "<\x0b&>", "m" * 300, "a\0"])
+def test_a_material_of_any_name_has_a_file_and_an_id_of_its_own(name: str) -> None:
+    """Names are data: none leads out of the folder, ends the XML, or is that of another material."""
+    shapes = [SPHERE["shape"][0] | {"material": one} for one in (name, "m")]
+    made = mitsuba.export(scene(shape=shapes, material={name: GLOSS, "m": GLOSS}), **SMALL)
+    slices = [file for file in made.files if file.endswith(".bsdf")]
+    assert slices == ["1.bsdf", "m.bsdf"]
+    assert {one.attrib["id"] for one in xml(made).findall("bsdf")} == {"material-1", "material-m"}

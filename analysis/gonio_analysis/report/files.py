@@ -25,6 +25,7 @@ from gonio import platform
 from gonio.disk import MANIFEST, NOT_OWN, foreign_files, manifest_of, remove_own, require_name, write_manifest
 from gonio.errors import ConfigError, os_error_as
 from gonio.formats.text import cell_of
+from gonio.shown import visible
 from gonio.typing import Floats
 from gonio_analysis.report import html, pdf, viewer
 from gonio_analysis.report.comparison import VALUES, usable
@@ -206,7 +207,7 @@ def _cell(value: object) -> object:
         return ""
     if isinstance(value, float | np.floating):
         return "" if np.isnan(value) else repr(float(value))
-    return cell_of(value) if isinstance(value, str) else value
+    return cell_of(visible(value)) if isinstance(value, str) else value
 
 
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
