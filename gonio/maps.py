@@ -29,6 +29,7 @@ from gonio.errors import ConfigError, DataError, GonioError, os_error_as
 from gonio.typing import Array, Bools, DataFrame, Floats, Ints, JsonObject, NDArray
 
 FORMAT = "gonio-map-1"
+SUFFIXES = (".h5", ".nc", ".hdf5")
 VERSION = ("v110", "v110")
 """Of HDF5: the oldest whose own records all have checksums."""
 ABOUT = "about"
@@ -271,7 +272,7 @@ def _attribute(value: Any) -> Any:
 
 def is_map(path: str | Path) -> bool:
     """Whether a file is a map of ours, of values or of fits; `DataError` where it is HDF5 that cannot be read."""
-    if not str(path).endswith((".h5", ".nc", ".hdf5")) or not Path(path).is_file():
+    if Path(path).suffix not in SUFFIXES or not Path(path).is_file():
         return False
     if not seals.look(path):
         return False

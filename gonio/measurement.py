@@ -181,17 +181,7 @@ def write(frame: DataFrame, path: str | Path, *, format: str | None = None) -> l
         The file cannot be written, or the format is unknown or only read.
     """
     path = Path(path)
-    if format:
-        chosen = formats.named(format)
-    else:  # standard output and devices have no ending
-        chosen = native.FORMAT if is_stream(path) and not path.suffix else formats.of_name(path)
-    if chosen.write is None and chosen.write_model is not None:
-        raise ConfigError(
-            f'{path}: "{chosen.name}" is written of models, which have a value in every direction, and not of tables: '
-            "fit one, and convert a sample file (TOML) with its parameters; or fill the table with --to mitsuba"
-        )
-    if chosen.write is None:
-        raise ConfigError(f'{path}: files of the format "{chosen.name}" are read, not written')
+    chosen = written_as(path, format)
     check_columns(list(frame.columns), str(path))
     check(frame, lambda row: f"{path}, row {row + 1}")
     if "transmission" not in chosen.carries:
@@ -223,6 +213,22 @@ def _left_out(frame: DataFrame, path: Path, chosen: Format) -> list[str]:
             f"{chosen.title} knows one flag: {count} rows flagged {', '.join(others)} will read as {chosen.only_flag}"
         )
     return lost
+
+
+def written_as(path: Path, format: str | None = None) -> Format:
+    """The format that `write` writes a table in; raises its `ConfigError` of the format, before there is a table."""
+    if format:
+        chosen = formats.named(format)
+    else:  # standard output and devices have no ending
+        chosen = native.FORMAT if is_stream(path) and not path.suffix else formats.of_name(path)
+    if chosen.write is None and chosen.write_model is not None:
+        raise ConfigError(
+            f'{path}: "{chosen.name}" is written of models, which have a value in every direction, and not of tables: '
+            "fit one, and convert a sample file (TOML) with its parameters; or fill the table with --to mitsuba"
+        )
+    if chosen.write is None:
+        raise ConfigError(f'{path}: files of the format "{chosen.name}" are read, not written')
+    return chosen
 
 
 def write_model(model: Model, path: str | Path, *, name: str, format: str | None = None) -> list[str]:

@@ -14,7 +14,7 @@ from gonio.cli import console
 from gonio.errors import ConfigError
 
 Jobs = Annotated[int | None, typer.Option(help="Processes. [default: one a processor]")]
-NAME_HELP = 'A figure, as htsg-8; "all" of them; "pictures", the rendered ones; or "list", which names them.'
+NAME_HELP = 'A figure, as htsg-8; "all" of them; "pictures", all the rendered ones; or "list", which names them.'
 
 bench = typer.Typer(help="Measure the workbench itself.", no_args_is_help=True)
 
@@ -26,21 +26,22 @@ def figures(
     """Make a paper's figure again, and judge the paper's claims. Prints the page's path."""
     from gonio_validation.papers import PICTURES, check
     from gonio_validation.papers.index import FIGURES
-    from gonio_validation.papers.pictures.catalogue import TITLE
+    from gonio_validation.papers.pictures.catalogue import SHOWN, TITLE
 
+    rendered = {shown.name: shown.title for shown in SHOWN if shown.name not in FIGURES}
     if name == "list":
         rows = console.table("name", "what it shows")
-        for key, what in (*FIGURES.items(), (PICTURES, TITLE)):
+        for key, what in (*FIGURES.items(), *rendered.items(), (PICTURES, TITLE)):
             rows.add_row(key, what)
         console.show(rows)
         return
-    if name not in ("all", PICTURES):
+    if name not in ("all", PICTURES, *rendered):
         check(name)
     if out is None:
         raise ConfigError(f"gonio figures {name}: --out DIR is missing, the folder of the page")
-    if name == PICTURES:
+    if name == PICTURES or name in rendered:
         with console.counter("rendering") as step:
-            _made("papers.pictures.page", out, step=step)
+            _made("papers.pictures.page", out, figure=None if name == PICTURES else name, step=step)
     else:
         _made("papers", name, out, progress=console.note)
 
@@ -58,9 +59,13 @@ def verify(out: Annotated[Path | None, typer.Option(help="Folder of a page to si
     """Check that this installation computes what it should. Exit code 1 where a part fails."""
     import tempfile
 
+    from gonio_analysis.report import files
+
     from gonio.acquisition.run import command_line
     from gonio_validation import verify as of_all
 
+    if out is not None:
+        files.require(out)
     with tempfile.TemporaryDirectory(prefix="gonio-verify-") as folder:
         found = of_all.verify(Path(folder), command_line(), console.note)
     console.note(found["conclusion"])

@@ -33,6 +33,8 @@ def convert(
 ) -> None:  # fmt: skip
     """Convert a measurement, or a model, to another file format. By file ending, or by a format's name."""
     from gonio import measurement, plugins
+    from gonio.acquisition.run_folder import check_writable
+    from gonio.disk import is_stream
 
     if target_format == _TEXTURES:
         _textures(source, target, source_format or columns or blank or wavelength_nm)
@@ -42,6 +44,8 @@ def convert(
     original = Path(measurement.split(source)[0])
     if target.is_file() and original.exists() and target.samefile(original):
         raise ConfigError(f"{target}: is the file that is converted, and is not replaced; name another")
+    if not is_stream(target):
+        check_writable(target.parent)
     how = reading(columns, blank)
     exports = plugins.available("gonio.exports")
     if target_format is not None:
@@ -66,6 +70,8 @@ def convert(
             f"--wavelength-nm {wavelength_nm:g}: goes with a table and --to {', '.join(_RENDERERS)}; leave it out"
         )
     else:
+        if target_format not in (*_RENDERERS, "datacite"):
+            measurement.written_as(target, target_format)
         path, sample = measurement.split(source)
         table = measurement.read(path, format=source_format, sample=sample, columns=how.columns, blank=how.blank)
         for note in measurement.of_reader(table):

@@ -64,7 +64,7 @@ def require(run: Run, path: Path, pixel_mm: float | None) -> None:
     """Raise what `write` would of a run that gives no map, of a file's name and of a pixel size, before any work."""
     hdf5.library()
     description = run.description
-    if path.suffix not in (".h5", ".nc", ".hdf5"):
+    if path.suffix not in maps.SUFFIXES:
         raise ConfigError(f"{path}: a map is an HDF5 file; give --map a name that ends with .h5")
     if path.exists() and not maps.is_map(path):
         raise ConfigError(f"{path}: is there already, and no map; choose another name")

@@ -26,11 +26,13 @@ from gonio.reduction.values import BandResult
 from gonio.rig import kinematics
 from gonio.rig.description import RigDescription
 from gonio.rig.regions import filling
-from gonio.typing import DataFrame, Floats, NDArray
+from gonio.typing import Bools, DataFrame, Floats, NDArray
 
 CLIPPED = 1e-3
 """Dark frames with a larger part of their pixels at 0 DN are cut off there."""
 DAMAGED = "missing or damaged and are left out"
+MIRROR = math.radians(0.1)
+"""A nominal direction that is nearer to the mirror's is it: plans are rounded to hundredths of a degree [rad]."""
 NAMED = 10
 """Damaged frames, or bands, that are named in a note, at most."""
 NUMBERS = re.compile(r"\([-\d., ]+\)(, \([-\d., ]+\))*( deg( and \d+ more)?)?|-?\d[\d.]*(e[-+]\d+)?")
@@ -286,6 +288,17 @@ def _first(names: list[str], kind: str) -> str:
     return ", ".join(names[:NAMED]) + (f" and {len(names) - NAMED} more{kind}" if len(names) > NAMED else "")
 
 
+def _beside(goals: Directions, unknown: Bools) -> str:
+    """What to measure where nothing tells a spike: without the mirror directions that are measured already."""
+    off = np.hypot(goals.theta_r * np.cos(goals.dphi) + goals.theta_i, goals.theta_r * np.sin(goals.dphi))
+    there = goals.theta_i[off < MIRROR]
+    known = all((abs(there - theta_i) < MIRROR).any() for theta_i in goals.theta_i[unknown])
+    where = "points within 10 degrees on both sides of {} that the spike does not reach"
+    if known:
+        return "measure " + where.format("the mirror direction")
+    return "measure the mirror direction too, and " + where.format("it")
+
+
 def _notes(result: BandResult, goals: Directions) -> list[str]:
     """What a band has to say, without its name (`said_once`); `goals` are the points' nominal directions."""
     out = white_reference.notes(result.level, result.visits, result.unusable)
@@ -293,8 +306,7 @@ def _notes(result: BandResult, goals: Directions) -> list[str]:
     if values.bounded.any():
         out.append(
             f"nothing tells whether a specular spike stands at {_listed(goals[values.bounded])}: what "
-            "errors of the angles would do to one is in u_brdf, which is large; measure the mirror direction too, and "
-            "points within 10 degrees on both sides of it that the spike does not reach"
+            f"errors of the angles would do to one is in u_brdf, which is large; {_beside(goals, values.bounded)}"
         )
     if values.coarse.any():
         out.append(

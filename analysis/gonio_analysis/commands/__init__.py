@@ -236,9 +236,11 @@ def report(
 ) -> None:
     """Write the report of one run, or of a map: what is in every pixel."""
     from gonio.errors import ConfigError
-    from gonio.maps import is_map
+    from gonio.maps import SUFFIXES, is_map
     from gonio_analysis.commands import implementations
 
+    if out is None and run.is_file() and run.suffix in SUFFIXES:
+        raise ConfigError(f"{run}: the report on a map needs a folder: --out DIR")
     if is_map(run):
         fitting = {"ior": ior, "wavelength-nm": wavelength_nm, "metric": metric, "u-rel": u_rel,
                    "energy": energy or None, "separate": separate or None}  # fmt: skip

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from gonio import maps, measurement, shown
 from gonio.acquisition.run import command_line
+from gonio.acquisition.run_folder import check_writable
 from gonio.cli import console
 from gonio.cli.opened import remember
 from gonio.errors import ConfigError
@@ -31,8 +32,8 @@ from gonio_analysis.maps import fits
 from gonio_analysis.maps import many_tables as each_table
 from gonio_analysis.report import appearance as appearance_page
 from gonio_analysis.report import change as change_page
+from gonio_analysis.report import files, map_change, map_page
 from gonio_analysis.report import laboratories as laboratories_page
-from gonio_analysis.report import map_change, map_page
 from gonio_analysis.report.text import quantity, with_u
 from gonio_analysis.report.verdict import after_misfit, in_words, of_fit, reflectances
 
@@ -117,6 +118,7 @@ def fit_each(where: list[str], out: Path | None, asked: FitRequest, how: Reading
         raise ConfigError(f"--each {where[0]}: name the table of its fits with --out TABLE.csv")
     if out.suffix != ".csv":
         raise ConfigError(f"--out {out}: one row a table is written as CSV; choose a name that ends in .csv")
+    check_writable(out.parent)
     with console.counter("fitting tables", lines=True) as count:
         found = each_table.make(where[0], out, asked, how, dask=dask, count=count)
     if found.before:
@@ -338,6 +340,8 @@ def laboratories(
 def appearance(sample: str, wavelength_nm: float | None, out: Path | None, how: Reading, *, as_json: bool) -> None:
     """Print the quantities of a table or a model, and write a page with them."""
     check_wavelength(wavelength_nm)
+    if out is not None:
+        files.require(out)
     found = appearance_page.of(sample, wavelength_nm=wavelength_nm, how=how)
     page = None if out is None else appearance_page.make(found, out, command=command_line())
     remember([sample], how)

@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 
 import gonio
+from gonio.acquisition.run_folder import check_writable
 from gonio.errors import ConfigError, DataError
-from gonio.maps import FIT_FLAGS, MapFile, Parts, Tile, Variable
+from gonio.maps import FIT_FLAGS, SUFFIXES, MapFile, Parts, Tile, Variable, is_map
 from gonio.models.engine import alone
 from gonio.reduction.threads import in_threads
 from gonio.typing import Floats, JsonObject
@@ -58,10 +59,13 @@ def make(
     DataError
         The map is damaged, or lacks something.
     """
-    if out.suffix not in (".h5", ".nc", ".hdf5"):
+    if out.suffix not in SUFFIXES:
         raise ConfigError(f"--out {out}: fits of a map are an HDF5 file; choose a name that ends in .h5")
     if out.exists() and out.samefile(path):
         raise ConfigError(f"--out {out}: is the map itself; choose another name")
+    if out.exists() and not is_map(out):
+        raise ConfigError(f"--out {out}: is there already, and no map; choose another name")
+    check_writable(out.parent)
     kinds = _count_of(materials)
     with MapFile(path) as map_file:
         if "brdf" not in map_file.names:

@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gonio import platform
+from gonio.acquisition.run_folder import check_writable
 from gonio.disk import MANIFEST, NOT_OWN, foreign_files, manifest_of, remove_own, require_name, write_manifest
 from gonio.errors import ConfigError, os_error_as
 from gonio.formats.text import cell_of
@@ -266,6 +267,14 @@ def staged(folder: str | Path) -> Iterator[Staged]:
         if isinstance(error, OSError) and (error.errno in FULL or str(work.parent) in str(error.filename)):
             raise ConfigError(f"{shown}: cannot be written: {error.strerror}") from None
         raise
+
+
+def require(folder: str | Path) -> None:
+    """Raise the `ConfigError` of `staged` where a folder takes no report, before the work that it would be of."""
+    shown = Path(folder)
+    require_name(shown)
+    _check(shown.resolve(), shown)
+    check_writable(shown.parent)
 
 
 def write(folder: Path, summary: object, figures: Iterable[Figure] = ()) -> None:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from gonio.errors import ConfigError
 from gonio_validation.papers.index import FIGURES
+from gonio_validation.papers.pictures.catalogue import SHOWN
 
 if TYPE_CHECKING:
     from gonio_validation.papers.figure import PaperFigure
@@ -48,7 +49,8 @@ def build(name: str, progress: Callable[[str], None] = silent) -> PaperFigure:
 def check(name: str) -> None:
     """Raise `ConfigError` where there is no such figure."""
     if name not in FIGURES:
-        near = difflib.get_close_matches(name.lower(), [*FIGURES, "all", PICTURES, "list"], n=1, cutoff=0.5)
+        known = [*FIGURES, *(shown.name for shown in SHOWN), "all", PICTURES, "list"]
+        near = difflib.get_close_matches(name.lower(), known, n=1, cutoff=0.5)
         hint = f'did you mean "{near[0]}"?' if near else '"gonio figures list" names them'
         raise ConfigError(f'there is no figure named "{name}"; {hint}')
 

@@ -510,7 +510,7 @@ def test_reduce_says_what_the_table_notes(tmp_path: Path) -> None:
     )
     done = gonio(tmp_path, "reduce", "run")
     (note,) = measurement.read(tmp_path / "run" / "brdf.csv").attrs["notes"]
-    assert "measure the mirror direction too" in note
+    assert "measure points within 10 degrees on both sides of the mirror direction" in note  # that itself is measured
     assert note in " ".join(done.stderr.split())
 
 

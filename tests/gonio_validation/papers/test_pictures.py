@@ -15,6 +15,8 @@ from gonio_validation.papers.pictures import page as pictures
 from gonio_validation.papers.pictures.catalogue import SHOWN, names, scene_file
 from gonio_validation.papers.pictures.cook_torrance import ambient_as_printed
 
+from tests.command_line import gonio
+
 pytestmark = pytest.mark.slow
 
 OPEN = None
@@ -212,3 +214,16 @@ def test_page_has_every_picture_and_verdict(tmp_path: Path, monkeypatch: pytest.
     assert (page.parent / "contact_sheet.png").stat().st_size > 10_000
     assert told[-1][0] == told[-1][1]
     assert all(a[0] <= b[0] for a, b in pairwise(told))
+    page = pictures.make(tmp_path / "one", figure="blinn-8")
+    summary = json.loads((page.parent / "summary.json").read_text(encoding="utf-8"))
+    assert (summary["title"], [f["figure"] for f in summary["figures"]]) == (shown[0].title, ["blinn-8"])
+    assert sorted(p.stem for p in (page.parent / "pictures").iterdir()) == sorted(n for n, _ in shown[0].pictures)
+
+
+def test_every_rendered_figure_goes_by_its_own_name(tmp_path: Path) -> None:
+    """Kind: what a list of names leaves out. A missing --out is said before anything is rendered."""
+    listed = gonio(tmp_path, "figures", "list", expect=0).stdout
+    for one in SHOWN:
+        assert f"{one.name} " in listed
+    for one in SHOWN[:2]:
+        assert f"figures {one.name}: --out DIR is missing" in gonio(tmp_path, "figures", one.name, expect=2).stderr

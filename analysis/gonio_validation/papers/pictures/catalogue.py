@@ -1,5 +1,6 @@
 """Which pictures there are: the papers' figures, the scene files that make them, and what the texts call them."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
@@ -126,9 +127,9 @@ SHOWN = (
 )
 
 
-def names() -> list[str]:
-    """Every scene, once, in the order of the figures."""
-    return list(dict.fromkeys(name for shown in SHOWN for name, _ in shown.pictures))
+def names(of: Iterable[Shown] | None = None) -> list[str]:
+    """Every scene of some figures, or of all, once, in their order."""
+    return list(dict.fromkeys(name for shown in (SHOWN if of is None else of) for name, _ in shown.pictures))
 
 
 def scene_file(name: str) -> Path:

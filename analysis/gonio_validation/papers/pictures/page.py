@@ -3,7 +3,7 @@
 import base64
 import shutil
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import cv2
@@ -32,7 +32,7 @@ from gonio_scenes.scene import read
 from gonio.typing import JsonObject
 from gonio_validation.papers.figure import Claim, Trace, trace_panel
 from gonio_validation.papers.pictures import blinn, cook_torrance, htsg, oren_nayar
-from gonio_validation.papers.pictures.catalogue import SHOWN, TITLE, names, scene_file
+from gonio_validation.papers.pictures.catalogue import SHOWN, TITLE, Shown, names, scene_file
 from gonio_validation.papers.pictures.sheet import contact_sheet, verdicts
 
 Step = Callable[[int, int], None]
@@ -41,13 +41,15 @@ JPEG_QUALITY = 90
 """Quality of the pictures in the page; the PNG beside it are without loss."""
 
 
-def make(out: str | Path, *, command: str = "", step: Step | None = None) -> Path:
-    """Render every picture, judge what the texts say of them, and write the page: all of it or nothing.
+def make(out: str | Path, *, figure: str | None = None, command: str = "", step: Step | None = None) -> Path:
+    """Render the pictures, judge what the texts say of them, and write the page: all of it or nothing.
 
     Parameters
     ----------
     out
         Folder of the page; an earlier page there is replaced.
+    figure
+        The one that is made, as in `catalogue.SHOWN`: "htsg-12"; None for all of them, with a sheet of all.
     command
         The command line, for the record.
     step
@@ -63,14 +65,17 @@ def make(out: str | Path, *, command: str = "", step: Step | None = None) -> Pat
     ConfigError
         The folder cannot be written or holds something else.
     """
+    which = [shown for shown in SHOWN if figure in (None, shown.name)]
+    title = TITLE if figure is None else which[0].title
     with files.staged(out) as stage:
-        images, times = _rendered(stage.work, step or (lambda done, of: None))
+        images, times = _rendered(stage.work, names(which), step or (lambda done, of: None))
         began = time.perf_counter()
-        judged = {shown.name: claims(shown.name) for shown in SHOWN}
+        judged = {shown.name: claims(shown.name) for shown in which}
         times["claims"] = time.perf_counter() - began
-        (stage.work / "contact_sheet.png").write_bytes(contact_sheet(images, judged))
+        if figure is None:
+            (stage.work / "contact_sheet.png").write_bytes(contact_sheet(images, judged))
         found = {
-            "title": TITLE,
+            "title": title,
             **stamp(command),
             "seconds": {name: round(seconds, 3) for name, seconds in times.items()},
             "figures": [
@@ -81,11 +86,11 @@ def make(out: str | Path, *, command: str = "", step: Step | None = None) -> Pat
                     "remark": shown.remark,
                     "claims": [c.summary for c in judged[shown.name]],
                 }
-                for shown in SHOWN
+                for shown in which
             ],
         }
-        plot = _cross_sections()
-        files.write_page(stage.work, _page(found, images, judged, plot), found, [plot])
+        plots = [_cross_sections()] if "oren-nayar-13" in judged else []
+        files.write_page(stage.work, _page(found, which, images, judged, plots), found, plots)
     return Path(out) / "index.html"
 
 
@@ -117,13 +122,13 @@ def claims(figure: str, height: int | None = None) -> list[Claim]:
     return judges[figure](height)
 
 
-def _rendered(folder: Path, step: Step) -> tuple[dict[str, Image], dict[str, float]]:
-    """Every picture as RGB, and the seconds that each took; its PNG and its scene file are written."""
+def _rendered(folder: Path, wanted: Sequence[str], step: Step) -> tuple[dict[str, Image], dict[str, float]]:
+    """Pictures as RGB, and the seconds that each took; its PNG and its scene file are written."""
     images: dict[str, Image] = {}
     times: dict[str, float] = {}
     (folder / "pictures").mkdir()
     (folder / "scenes").mkdir()
-    scenes = {name: read(scene_file(name)) for name in names()}
+    scenes = {name: read(scene_file(name)) for name in wanted}
     work = {n: s.camera.pixels * s.camera.samples * s.wavelength_nm.size for n, s in scenes.items()}
     total, before = sum(work.values()), 0
     for name, scene in scenes.items():
@@ -170,11 +175,15 @@ def _notes(found: JsonObject) -> list[Block]:
     ]
 
 
-def _page(found: JsonObject, images: Mapping[str, Image], judged: Mapping[str, list[Claim]], plot: Figure) -> Page:
-    every = [c for shown in SHOWN for c in judged[shown.name]]
+def _page(
+    found: JsonObject, which: Sequence[Shown], images: Mapping[str, Image], judged: Mapping[str, list[Claim]],
+    plots: Sequence[Figure],
+) -> Page:  # fmt: skip
+    every = [c for shown in which for c in judged[shown.name]]
+    of = f" of {len(which)} figures" if len(which) > 1 else ""
     body: list[Block] = [
-        header(TITLE, f"Rendered with gonio {found['versions']['gonio']}, {found['created'][:10]}."),
-        Paragraph(f"{len(images)} pictures of {len(SHOWN)} figures. {verdicts(every)}.", "lead"),
+        header(found["title"], f"Rendered with gonio {found['versions']['gonio']}, {found['created'][:10]}."),
+        Paragraph(f"{len(images)} picture{'s' * (len(images) > 1)}{of}. {verdicts(every)}.", "lead"),
         Paragraph(
             "Each verdict is measured from the radiances of one ray a pixel, by the criterion beside it. Where the "
             "paper leaves open what a claim hangs on, several choices are tried; without agreement there is no "
@@ -182,12 +191,12 @@ def _page(found: JsonObject, images: Mapping[str, Image], judged: Mapping[str, l
             "chosen so that it is seen. Shapes, places and cameras are "
             "chosen in every picture."
         ),
-        Contents(tuple((shown.name, shown.title.partition(":")[0]) for shown in SHOWN)),
+        Contents(tuple((shown.name, shown.title.partition(":")[0]) for shown in which)),
     ]
-    for shown in SHOWN:
+    for shown in which:
         figures = tuple(_raster(name, label, images[name]) for name, label in shown.pictures)
         if shown.name == "oren-nayar-13":
-            figures = (plot, *figures)
+            figures = (*plots, *figures)
         rows = [[c.verdict, c.text, c.found, c.criterion] for c in judged[shown.name]]
         body.append(
             section(
@@ -207,7 +216,7 @@ def _page(found: JsonObject, images: Mapping[str, Image], judged: Mapping[str, l
             "`summary.json`."
         ),
     ]
-    return Page(TITLE, tuple(body))
+    return Page(found["title"], tuple(body))
 
 
 def _raster(name: str, label: str, image: Image) -> Figure:
