@@ -182,6 +182,7 @@ def write(frame: DataFrame, path: str | Path, *, format: str | None = None) -> l
     """
     path = Path(path)
     chosen = written_as(path, format)
+    assert chosen.write is not None
     check_columns(list(frame.columns), str(path))
     check(frame, lambda row: f"{path}, row {row + 1}")
     if "transmission" not in chosen.carries:

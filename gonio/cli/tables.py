@@ -70,7 +70,7 @@ def convert(
             f"--wavelength-nm {wavelength_nm:g}: goes with a table and --to {', '.join(_RENDERERS)}; leave it out"
         )
     else:
-        if target_format not in (*_RENDERERS, "datacite"):
+        if target_format not in (*_RENDERERS, "datacite") and original.exists():
             measurement.written_as(target, target_format)
         path, sample = measurement.split(source)
         table = measurement.read(path, format=source_format, sample=sample, columns=how.columns, blank=how.blank)
