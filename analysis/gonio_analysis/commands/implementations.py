@@ -124,9 +124,9 @@ def fit_each(where: list[str], out: Path | None, asked: FitRequest, how: Reading
     if found.before:
         console.note(f"{found.before} tables were done before")
     told = Counter(row.get("notes") or "" for row in found.rows)
-    for text, count in told.most_common(NOTES):
+    for text, many in told.most_common(NOTES):
         if text:
-            console.note(f"{count} of {len(found.rows)}: {text}")
+            console.note(f"{many} of {len(found.rows)}: {text}")
     flags = [row.get("flag") or "" for row in found.rows]
     failed = [row["table"] for row, flag in zip(found.rows, flags, strict=True) if flag.startswith("not fitted")]
     rejected = sum("rejected" in flag.split("; ") for flag in flags)
