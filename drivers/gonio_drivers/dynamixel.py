@@ -51,6 +51,11 @@ ERRORS = {
     6: "the value is beyond a limit that is set in the servo",
     7: "the address cannot be read or written now (EEPROM is locked while torque is on)",
 }
+OLD_IDS = range(254)
+OLD_ANSWER_S = 0.004
+"""A servo of protocol 1 begins to answer within 0.5 ms (ROBOTIS e-Manual, "Return Delay Time")."""
+OLD_LISTEN_S = 0.05
+"""For an answer that an adapter or a busy computer holds back."""
 UNHEARD = {COMM_RX_TIMEOUT: "no answer", COMM_RX_CORRUPT: "a damaged answer"}
 HARDWARE_ERRORS = {
     0: "input voltage out of range",
@@ -159,21 +164,57 @@ class Bus:
         time is over is heard, however long it was held up meanwhile. A line that never falls silent is listened to
         for `BABBLE_S` more at most.
         """
-        heard, end = b"", math.inf
         with self._line():
             self._calm(0.0)
             self._packets.txPacket(self._port, _request(identity, instruction, parameters))
-            self._port.setPacketTimeoutMillis(1e3 * listen_s)
-            while len(heard) <= LONGEST:
-                # before the look: what has come by then is heard
-                over = self._port.isPacketTimeout() or clock.monotonic() > end
-                if more := self._port.readPort(1024):
-                    end = min(end, clock.monotonic() + listen_s + BABBLE_S)
-                    heard += more
-                    self._port.setPacketTimeoutMillis(1e3 * listen_s)
-                elif over:
-                    break
+            return self._listen(listen_s)
+
+    def _listen(self, listen_s: float) -> bytes:
+        """As of `overhear`, on a line that is ours."""
+        heard, end = b"", math.inf
+        self._port.setPacketTimeoutMillis(1e3 * listen_s)
+        while len(heard) <= LONGEST:
+            # before the look: what has come by then is heard
+            over = self._port.isPacketTimeout() or clock.monotonic() > end
+            if more := self._port.readPort(1024):
+                end = min(end, clock.monotonic() + listen_s + BABBLE_S)
+                heard += more
+                self._port.setPacketTimeoutMillis(1e3 * listen_s)
+            elif over:
+                break
         return heard
+
+    # ---- servos of another protocol ----
+
+    def old_ids(self) -> list[int]:
+        """The ids that answer a ping of protocol 1 at this line speed; takes some seconds."""
+        with self._line():
+            self._calm(0.0)
+            for identity in OLD_IDS:
+                self._port.writePort(list(_old_ping(identity)))
+                clock.sleep(OLD_ANSWER_S + 120 / self._port.getBaudRate())  # 12 bytes of question and answer
+            heard = self._listen(OLD_LISTEN_S)
+            there = _old_answers(heard)
+            if there or not heard:
+                return there
+            for identity in OLD_IDS:  # answers have damaged each other, or what talks here is something else
+                self._port.writePort(list(_old_ping(identity)))
+                there += [each for each in _old_answers(self._listen(OLD_LISTEN_S)) if each == identity]
+            return there
+
+    def old_servos(self) -> str:
+        """A text for messages: which servos answer to protocol 1, at whatever line speed, and what to do; or ""."""
+        found = (self.baud, ids) if (ids := self.old_ids()) else self._at_another_speed(self.old_ids)
+        if found is None:
+            return ""
+        baud, ids = found
+        one = len(ids) == 1
+        return (
+            f"servo{'' if one else 's'} id {', '.join(map(str, ids))} on {self.port} at {baud} baud "
+            f"answer{'s' if one else ''} to Dynamixel protocol 1, and this driver speaks protocol 2: where the model "
+            "has both (X series; MX with the firmware MX(2.0)), set its item Protocol Type to 2 with the Dynamixel "
+            "Wizard; AX, RX, EX and DX servos have protocol 1 alone and cannot be used"
+        )
 
     def elsewhere(self, identity: int) -> str:
         """A text for messages: the other line speed at which a servo with this id answers, and what to do; or "".
@@ -365,6 +406,27 @@ def _request(identity: int, instruction: int, parameters: bytes) -> list[int]:
     """An instruction packet; the SDK fills in its header and its checksum."""
     length = len(parameters) + 3
     return [0, 0, 0, 0, identity, length & 0xFF, length >> 8, instruction, *parameters, 0, 0]
+
+
+def _old_ping(identity: int) -> bytes:
+    """A ping of protocol 1."""
+    return bytes([0xFF, 0xFF, identity, 2, INST_PING, ~(identity + 2 + INST_PING) & 0xFF])
+
+
+def _old_answers(heard: bytes) -> list[int]:
+    """Whose status packets of protocol 1, without data, are in what was heard.
+
+    Some adapters return what was sent. A ping reads as a status packet with error 1: one alone is no answer.
+    """
+    seen: dict[int, list[bytes]] = {}
+    at = heard.find(b"\xff\xff")
+    while at >= 0:
+        packet = heard[at : at + 6]
+        good = len(packet) == 6 and packet[2] in OLD_IDS and packet[3] == 2 and sum(packet[2:]) & 0xFF == 0xFF
+        if good:
+            seen.setdefault(packet[2], []).append(packet)
+        at = heard.find(b"\xff\xff", at + (6 if good else 1))
+    return sorted(n for n, packets in seen.items() if len(packets) > 1 or packets[0] != _old_ping(n))
 
 
 def hardware_error(byte: int) -> str:

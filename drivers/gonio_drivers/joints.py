@@ -196,6 +196,8 @@ class Joint(Servo, AnyJoint):
         if (elsewhere := self.bus.scan()) is not None:
             baud, found = elsewhere
             return f"{said}, but at {baud} baud: {_listed(found)}; set devices.servos.baud to that speed"
+        if old := self.bus.old_servos():
+            return f"{said}; {old}"
         return f"{said}, nor does any servo at another speed; is the servo power on, and the cable in?"
 
     def falsified(self) -> dict[str, int]:

@@ -36,6 +36,8 @@ from gonio_drivers.settings import Devices
 from gonio_drivers.stages import StageArms
 
 RETAKES = 3
+PERSON_S = 3600.0
+"""How long a lamp that is lit waits for a person who swaps sample and reference."""
 ALL: tuple[Device, ...] = ("light", "arms", "camera")
 
 
@@ -49,6 +51,7 @@ class GuardedCamera:
         light: SerialLight,
         arms: ServoArms | StageArms,
         clock: Callable[[], float],
+        late_s: float,
     ) -> None:
         self.watched: frozenset[str] = frozenset(ALL)
         """The devices beside it that are open, and looked at after each frame."""
@@ -59,7 +62,7 @@ class GuardedCamera:
         self.allowed: Callable[[], None] = lambda: None
         """Called before and after each frame; raises where nothing may go on."""
         self._camera = camera
-        self._clock = clock
+        self._clock, self._late_s = clock, late_s
         self._light = light
         self._arms = arms
 
@@ -74,6 +77,9 @@ class GuardedCamera:
         self.signals.again()
         for _ in range(RETAKES):
             self.allowed()
+            self._light.alive(exposure_s + self._late_s)
+            if "light" in self.watched:
+                self._light.require_time()  # or a long exposure would be for nothing
             begun = self._clock()
             frame = self._camera.capture(exposure_s)
             self.allowed()
@@ -121,12 +127,15 @@ class LabRig:
                 raise
             self._camera = cameras.Unbuilt(error)
         self._clock_starts = clock.time() - clock.monotonic()
-        self.camera = GuardedCamera(description.camera, self._camera, self.light, self.arms, self.time_s)
+        late_s = description.camera.frame_overhead_s
+        if isinstance(patience_s := devices.camera.get("timeout_s", 0.0), int | float):
+            late_s += patience_s  # how long a driver of ours waits for a frame beside its exposure
+        self.camera = GuardedCamera(description.camera, self._camera, self.light, self.arms, self.time_s, late_s)
         self.interlock: interlock.Interlock | None = None
         if devices.interlock is not None:
             servos = self.arms.joints if isinstance(self.arms, ServoArms) else {}
             self.interlock = interlock.build(devices.interlock, servos, self.light.darken_at_once)
-            self.light.allowed = self.arms.allowed = self.camera.allowed = self.interlock.require
+        self.light.allowed = self.arms.allowed = self.camera.allowed = self._look
         self._camera_driver = str(devices.camera.get("driver"))
         self._confirm = confirm
         self._target_file = devices.holder.target_file if devices.holder else None
@@ -135,6 +144,13 @@ class LabRig:
         self._holds_on_exit = self.arms.holds
         self._stays = self._parked = self._as_found = False
         self._stack = contextlib.ExitStack()
+
+    def _look(self) -> None:
+        """Called at every turn of a wait or a motion, and around exposures: nothing has stopped the rig; a sign of
+        life."""
+        if self.interlock is not None:
+            self.interlock.require()
+        self.light.alive()
 
     def begin(self, step: Step) -> None:
         """Nothing to prepare: a laboratory takes every step as it comes."""
@@ -145,6 +161,7 @@ class LabRig:
         if how == "axis":
             self.arms.change(target)
         elif how in ("swap", "beam") and self._confirm and target != self._target:
+            self.light.alive(PERSON_S)
             ask_for(target, beam=how == "beam")
         self._target = target
 

@@ -2,7 +2,7 @@
 
 Nothing is believed that was not read back: every setting is followed by its query, and the lamp counts as dark or lit
 only when its controller says so. It is darkened when the port is opened, when it is left, and after every failure;
-`guard` darkens it when the program is killed.
+`guard` darkens it when the program is killed, or shows no sign of life.
 """
 
 import contextlib
@@ -10,7 +10,7 @@ import re
 from collections.abc import Callable, Iterator
 from typing import Self
 
-from gonio.errors import ConfigError, DeviceError, Disturbed, GonioError, Interrupted
+from gonio.errors import ConfigError, DeviceError, Disturbed, GonioError, Interrupted, PassingFault
 from gonio.rig import clock
 from gonio.rig.description import RigDescription
 from gonio.rig.light_and_camera import Band
@@ -21,6 +21,8 @@ from gonio_drivers.patience import Patience
 WAVELENGTH_STEP_NM = 0.1
 GUARD_S = 10.0
 """The guard of a program that has died is done by then."""
+STILL_S = 60.0
+"""A lit lamp goes dark so long after the last sign of life of this program, beside what it was expected to wait for."""
 LOOK_S = 0.1
 """How often it is asked, in a longer wait, whether the lamp may still shine."""
 
@@ -49,7 +51,8 @@ class SerialLight:
         self._line = LampLine(light.port, self._dialect)
         self._guard: guard.Guard | None = None
         self.limit_s = 0.0
-        """Time after opening [s] at which the guard darkens the lamp, even if this program stands still; 0: never."""
+        """Time after opening [s] at which the guard darkens the lamp, even if this program stands still; 0: `STILL_S`
+        after its last sign of life."""
         self._channel = light.channel
         self._band: Band | None = None
         self._monitored: float | None = None
@@ -72,11 +75,13 @@ class SerialLight:
         try:
             self._wake()
             self.off()
-            self._guard = guard.Guard(self._light.port, self._baud, self._orders_to_darken(), self.limit_s)
+            orders = self._orders_to_darken()
+            watching = guard.Guard(self._light.port, self._baud, orders, self.limit_s, self.darken_at_once)
             try:
-                self._guard.start()
+                watching.start()
             except OSError as error:
-                log.warning("lamp on %s: nothing darkens it after a kill -9: %s", self._light.port, error)
+                raise DeviceError(f"{self._no_guard}: {error}") from None
+            self._guard = watching
         except BaseException as error:
             if isinstance(error, Interrupted) or not isinstance(error, GonioError):
                 # a lamp that was found lit is darkened, whoever interrupts this
@@ -146,6 +151,8 @@ class SerialLight:
         try:
             self._off()
             self.known_dark = True
+            if self._guard is not None:
+                self._guard.rest()
         except DeviceError as failure:
             raise DeviceError(f"{failure}; the lamp may still be lit: switch it off by hand") from None
 
@@ -156,8 +163,11 @@ class SerialLight:
         ------
         LampReset
             It was not; what has been exposed since the last look is worth nothing.
+        DeviceError
+            As of `require_time`.
         """
         d = self._dialect
+        self.require_time()
         answer = self._ask_state(self._channel)
         as_meant = re.fullmatch(d.state_on if self.lit else d.state_off, answer) is not None
         if as_meant and (not self.lit or (self._level_kept() and self._band_kept())):
@@ -241,11 +251,76 @@ class SerialLight:
             )
         self._line.drain_errors()
 
+    # ---- signs of life ----
+
     def keep(self, seconds: float) -> None:
-        """While it is open: the guard darkens it `seconds` from now, even if this program stands still; 0: never."""
+        """While it is open: the guard darkens it `seconds` from now, even if this program stands still; 0: `STILL_S`
+        after the last sign of life."""
         watching = self._guard
         if watching is not None:
             watching.allow(seconds)
+
+    def alive(self, busy_s: float = 0.0) -> None:
+        """A sign of life, from any thread; the next one comes within `busy_s` and `STILL_S`, or the guard darkens."""
+        watching = self._guard
+        if watching is not None and self.lit:
+            watching.alive(STILL_S + busy_s)
+
+    def require_time(self) -> None:
+        """Raise where the guard does not let the lamp shine that is meant to; it is dark then.
+
+        Raises
+        ------
+        PassingFault
+            There was no sign of life for too long. What was exposed since is worth nothing, and it may be lit again.
+        DeviceError
+            Its time was set, and is over; or another process has ordered darkness; or no guard can be kept alive.
+        """
+        watching = self._guard
+        if watching is None:
+            return
+        said = watching.says()
+        for text in watching.news():
+            log.warning("%s", text)
+        if said == guard.GOOD or not (self.lit or said == guard.ORDERED):
+            return
+        dark = f"the lamp on {self._light.port} stays dark"
+        self._warmed = False
+        self.off()
+        if said == guard.ORDERED:
+            raise DeviceError(f"{dark}: `gonio rig dark`, run beside this program, has darkened it")
+        if said == guard.LOST:
+            raise DeviceError(self._no_guard)
+        over = f"{dark}: its time is over, and its guard has darkened it"
+        if watching.by_hand:
+            raise DeviceError(over)
+        raise PassingFault(
+            f"{over}, because this program stood still, or waited for a device, for more than {STILL_S:g} s", "lamp"
+        )
+
+    @property
+    def _no_guard(self) -> str:
+        return f"the lamp on {self._light.port} stays dark: the process that would darken it after a kill -9 cannot run"
+
+    def darken_elsewhere(self) -> str:
+        """Have the guard of another program that holds the port darken the lamp; what was done, "" where there is none.
+
+        Raises
+        ------
+        DeviceError
+            The guard cannot open the port.
+        """
+        ordered = guard.order_dark(self._light.port)
+        if ordered is None:
+            return ""
+        program, sent = ordered
+        who = f"process {program}, which holds {self._light.port}"
+        if not sent:
+            raise DeviceError(
+                f"the lamp's guard cannot open the port; it has told {who}: that darkens the lamp unless it stands "
+                "still. Look at the lamp"
+            )
+        return f"the order to darken is out, through the guard of {who} and may not light it again; look at the lamp"
 
     def darken_at_once(self) -> None:
         """Send what darkens the lamp, from whatever thread, and wait for nothing; `off` sees that it is dark."""
@@ -261,16 +336,14 @@ class SerialLight:
 
     def _shine(self) -> None:
         self.allowed()
-        if self._guard is not None and self._guard.over():
-            raise DeviceError(
-                f"the lamp on {self._light.port} stays dark: its time is over, and its guard has darkened it"
-            )
+        self.lit = True  # it is meant to, from now on
+        self.alive()
+        self.require_time()
         d, self.known_dark = self._dialect, False
         value = self._light.level * d.full_scale
         command = d.set.format(value=value, channel=self._channel)
         self._set(command, d.get.format(channel=self._channel), d.got, value, d.resolution)
         self._switch(d.on, d.state_on, self._channel)
-        self.lit = True
 
     def _off(self) -> None:
         for channel in self._channels_to_darken():
@@ -343,6 +416,8 @@ class SerialLight:
             clock.sleep(min(seconds, LOOK_S))
             seconds -= LOOK_S
             self.allowed()
+            self.alive()
+            self.require_time()
 
     def _close(self, *, in_order: bool) -> None:
         """Close the port; the guard tries once more where the lamp may not be dark."""

@@ -55,12 +55,23 @@ class ServoService:
         return ports.present() if description is None else [_servos(description).port]
 
     def servos(self, port: str, say: Callable[[str], None]) -> list[FoundServo]:
-        """Every servo that answers on a port, at every line speed."""
+        """Every servo that answers on a port, at every line speed.
+
+        Raises
+        ------
+        DeviceError
+            None answers, and some answer to another protocol than ours.
+        """
         found: list[FoundServo] = []
         for baud in dynamixel.speeds(port):
             say(f"asking at {baud} baud")
             with dynamixel.Bus(port, baud, key="devices.servos") as bus:
                 found += _at(bus)
+        if not found:
+            say("asking in protocol 1")
+            with dynamixel.Bus(port, dynamixel.speeds(port)[0], key="devices.servos") as bus:
+                if old := bus.old_servos():
+                    raise DeviceError(f"no servo answers to protocol 2; {old}")
         return found
 
     def assign(self, servo: FoundServo, *, identity: int | None = None, baud: int | None = None) -> FoundServo:

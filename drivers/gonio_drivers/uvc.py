@@ -64,6 +64,8 @@ def backend() -> Backend:
 
 
 WHITE = 65535.0
+LACKING = -1.0
+"""What OpenCV reads of a property that a camera has not."""
 
 
 class UvcCamera:
@@ -118,11 +120,12 @@ class UvcCamera:
         self._require("height", cv2.CAP_PROP_FRAME_HEIGHT, self._description.height)
         self._dtype = None
         self._capture.set(cv2.CAP_PROP_CONVERT_RGB, 0)  # Y16 would become 8 bit
-        self._require("automatic white balance", cv2.CAP_PROP_AUTO_WB, 0)
+        self._switch_off("automatic white balance", cv2.CAP_PROP_AUTO_WB)
+        self._switch_off("automatic focus", cv2.CAP_PROP_AUTOFOCUS)
         if self._camera.gain is not None:
             self._require("gain", cv2.CAP_PROP_GAIN, self._camera.gain)
         self._capture.set(cv2.CAP_PROP_AUTO_EXPOSURE, self._by.automatic)
-        self._require("automatic exposure", cv2.CAP_PROP_AUTO_EXPOSURE, self._by.manual)
+        self._switch_off("automatic exposure", cv2.CAP_PROP_AUTO_EXPOSURE, self._by.manual)
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -193,6 +196,12 @@ class UvcCamera:
                 "set the camera to YUYV, GREY or Y16)"
             )
         return np.asarray(grey)
+
+    def _switch_off(self, what: str, property_: int, off: float = 0) -> None:
+        """As `_require`; what the camera has not, of which OpenCV reads -1, is off already."""
+        self._capture.set(property_, off)
+        if self._capture.get(property_) != LACKING:
+            self._require(what, property_, off)
 
     def _require(self, what: str, property_: int, value: float) -> None:
         """Set something, and read it back: cameras ignore settings without a word."""

@@ -14,9 +14,12 @@ from gonio.acquisition.run import Run
 from gonio.acquisition.sampling import Sampler, keepable
 from gonio.acquisition.schedule import Batch
 from gonio.acquisition.session import _Numbers, _Session, log
-from gonio.acquisition.waits import Watch
+from gonio.acquisition.waits import Watch, alive
 from gonio.errors import DeviceError, Interrupted
 from gonio.rig import Rig, Step
+
+CHOOSING_S = 600.0
+"""A sampler may take as long as this to choose, with the lamp lit."""
 
 
 def measure(
@@ -113,6 +116,7 @@ def _chosen(
         return []
     if stop.requested:
         raise Interrupted("stopped")
+    alive(rig, CHOOSING_S)
     choice = sampler.next(run)
     adaptive = run.settings.adaptive
     why = keepable(choice.why, adaptive.how if adaptive is not None else type(sampler).__name__)

@@ -19,7 +19,7 @@ from gonio.acquisition.progress import Live, Progress, Stop
 from gonio.acquisition.records import FrameFile, StepRecord
 from gonio.acquisition.repeats import REPEATED, cannot_be_alike
 from gonio.acquisition.run import Run
-from gonio.acquisition.waits import Cause, Holding, Suspended, Watch, require
+from gonio.acquisition.waits import Cause, Holding, Suspended, Watch, alive, require
 from gonio.errors import DeviceError, Disturbed, Interrupted, PassingFault
 from gonio.rig import Frame, Pose, Reading, Rig, Step, Target
 from gonio.rig.kinematics import View, left_its_side, view
@@ -169,6 +169,7 @@ class _Session:
             if self._rig.repeatable:  # a repetition gives the same frame once more, which is no fault of the camera
                 self._picture = None, -1
             try:
+                alive(self._rig)
                 self._rig.begin(step)
                 return self._dark(step) if step.kind == "dark" else self._lit_step(step)
             except Suspended as suspended:

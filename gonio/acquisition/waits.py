@@ -183,6 +183,13 @@ def require(rig: Rig) -> None:
         allowed()
 
 
+def alive(rig: Rig, busy_s: float = 0.0) -> None:
+    """A sign of life for a lamp that goes dark without one; the next one comes in `busy_s` and a little at most."""
+    tell = getattr(rig.light, "alive", None)
+    if tell is not None:
+        tell(busy_s)
+
+
 LOOK_S = 0.2
 """Time between two looks while a run is held."""
 WAITS_S = {"camera": (2.0, 10.0, 60.0), "lamp": (5.0, 30.0, 120.0)}

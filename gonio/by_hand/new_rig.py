@@ -184,6 +184,8 @@ class Found:
     lamps: list[tuple[str, str, str]] = field(default_factory=list)
     """Port, dialect, what it calls itself."""
     releases: list[str] = field(default_factory=list)
+    failures: list[str] = field(default_factory=list)
+    """Of ports that could not be asked, or at which something answers that is of no use."""
 
 
 def look(plugin: DriverPlugin, ports: Sequence[str], say: Callable[[str], None]) -> Found:
@@ -205,6 +207,7 @@ def look(plugin: DriverPlugin, ports: Sequence[str], say: Callable[[str], None])
                 said = "nobody that is known here"
         except DeviceError as error:
             said = str(error)
+            found.failures.append(f"{name}: {said}")
         say(f"  {said}")
     return found
 
@@ -237,7 +240,7 @@ def make(
     form["name"] = ask("name", "A name for the rig", "my goniometer", some)
     say("Looking at the ports. Nothing is lit or moved by it; servos are sought at every line speed.")
     found = look(plugin, ports or plugin.ports(), say)
-    _servos(plugin, person, say, form, found.servos)
+    _servos(plugin, person, say, form, found)
     _lamp(person, form, found)
     _camera(person, form, found)
     _geometry(person, form)
@@ -261,10 +264,12 @@ def make(
 
 
 def _servos(
-    plugin: DriverPlugin, person: Person | Answers, say: Callable[[str], None], form: Any, servos: list[FoundServo]
+    plugin: DriverPlugin, person: Person | Answers, say: Callable[[str], None], form: Any, found: Found
 ) -> None:
-    ask, table = person.about, form["devices"]["servos"]
+    ask, table, servos = person.about, form["devices"]["servos"], found.servos
     at = sorted({(s.port, s.baud) for s in servos})
+    if not servos and found.failures:
+        raise ConfigError("no servo was found; " + "; ".join(found.failures))
     if not servos:
         raise ConfigError(
             "no servo answers on any port at any line speed: is their supply on, the cable in, and the port free? "

@@ -101,6 +101,9 @@ def park(rig: RigOption) -> None:
     for device, text in (("light", "lamp dark"), ("arms", "arms parked")):
         try:
             manual = manual_rig_of(rig, device)  # type: ignore[arg-type]
+            if device == "light" and (said := _darkened_elsewhere(manual)):
+                done.append(said)
+                continue
             with told_where(manual) if device == "arms" else told_dark(manual):
                 _leave_in_order(manual, device)
             done.append(text)
@@ -153,12 +156,21 @@ def acknowledge(rig: RigOption) -> None:
 
 @app.command()
 def dark(rig: RigOption) -> None:
-    """Darken the lamp; needs nothing else."""
+    """Darken the lamp; needs nothing else. Where another program has its port, that program's guard darkens it."""
 
     manual = manual_rig_of(rig, "light")
+    if said := _darkened_elsewhere(manual):
+        console.note(f"{manual.description.name}: {said}")
+        return
     with told_dark(manual), manual:
         manual.lamp(False)
     console.note(f"{manual.description.name}: lamp dark" + ("" if hasattr(manual, "only") else ", arms parked"))
+
+
+def _darkened_elsewhere(manual: ManualRig) -> str:
+    """What was done to darken the lamp of another program, which holds its port; "" where there is none."""
+    darken: Callable[[], str] | None = getattr(manual.light, "darken_elsewhere", None)
+    return "" if darken is None else darken()
 
 
 @app.command()

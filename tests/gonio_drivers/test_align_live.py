@@ -54,7 +54,7 @@ def test_no_order_of_the_guard_comes_after_a_new_lighting(lamp: Plugged) -> None
             assert not lamp.twin.shine.lit
         light.keep(1000.0)
         light.on()
-        assert not some(light._guard).over()
+        assert some(light._guard).says() == b"good"
         light.check()  # after whatever lay on the line before this question
         assert lamp.twin.shine.lit
     assert not lamp.twin.shine.lit

@@ -459,11 +459,55 @@ def test_the_luminance_of_a_frame_that_is_not_converted_is_used(response: str) -
 @pytest.mark.parametrize(
     ("stubborn", "what"),
     [(cv2.CAP_PROP_EXPOSURE, "exposure = 60"), (cv2.CAP_PROP_AUTO_EXPOSURE, "automatic exposure"),
-     (cv2.CAP_PROP_AUTO_WB, "automatic white balance"), (cv2.CAP_PROP_GAIN, "gain")],
+     (cv2.CAP_PROP_AUTO_WB, "automatic white balance"), (cv2.CAP_PROP_AUTOFOCUS, "automatic focus"),
+     (cv2.CAP_PROP_GAIN, "gain")],
 )  # fmt: skip
 def test_settings_that_are_ignored_are_noticed(response: str, stubborn: int, what: str) -> None:
     def use() -> None:
         with video(VideoStandIn(images, stubborn=[stubborn]), response, gain=2.0) as camera:
+            camera.capture(0.006)
+
+    with pytest.raises(DeviceError, match=f"does not take {what}"):
+        use()
+
+
+class Lacking(VideoStandIn):
+    """A camera without some properties: OpenCV's `set` is False, and its `get` is -1."""
+
+    def __init__(self, *lacking: int) -> None:
+        super().__init__(images)
+        self._lacking = lacking
+
+    def set(self, prop: int, value: float) -> bool:
+        return prop not in self._lacking and super().set(prop, value)
+
+    def get(self, prop: int) -> float:
+        return -1.0 if prop in self._lacking else super().get(prop)
+
+
+AUTOMATIC = [cv2.CAP_PROP_AUTO_WB, cv2.CAP_PROP_AUTOFOCUS, cv2.CAP_PROP_AUTO_EXPOSURE]
+
+
+@pytest.mark.parametrize("backend", [cv2.CAP_V4L2, cv2.CAP_DSHOW])
+@pytest.mark.parametrize("lacking", [*([one] for one in AUTOMATIC), AUTOMATIC])
+def test_what_a_video_camera_lacks_is_off(
+    response: str, monkeypatch: pytest.MonkeyPatch, lacking: list[int], backend: int
+) -> None:
+    """Kind: what is to be switched off, and is not there, is off: a grey camera has no white balance."""
+    monkeypatch.setattr(cv2.videoio_registry, "getCameraBackends", lambda: (backend,))
+    stand_in = Lacking(*lacking)
+    with video(stand_in, response):
+        there = [stand_in.get(prop) for prop in (cv2.CAP_PROP_AUTO_WB, cv2.CAP_PROP_AUTOFOCUS)]
+        assert set(there) <= {0.0, -1.0}
+
+
+@pytest.mark.parametrize(
+    ("lacking", "what"),
+    [(cv2.CAP_PROP_EXPOSURE, "exposure = 60"), (cv2.CAP_PROP_GAIN, "gain"), (cv2.CAP_PROP_FRAME_WIDTH, "width")],
+)
+def test_what_a_video_camera_lacks_and_is_needed_is_an_error(response: str, lacking: int, what: str) -> None:
+    def use() -> None:
+        with video(Lacking(lacking), response, gain=2.0) as camera:
             camera.capture(0.006)
 
     with pytest.raises(DeviceError, match=f"does not take {what}"):

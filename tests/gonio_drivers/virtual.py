@@ -244,8 +244,19 @@ class Unneeded:
     def allow(self, limit_s: float) -> None:
         """No limit."""
 
-    def over(self) -> bool:
-        return False
+    by_hand = False
+
+    def alive(self, limit_s: float) -> None:
+        """No limit."""
+
+    def rest(self) -> None:
+        """No limit."""
+
+    def says(self) -> bytes:
+        return b"good"
+
+    def news(self) -> list[str]:
+        return []
 
     def release(self, *, in_order: bool) -> None:
         """Nothing to be ended."""

@@ -50,6 +50,7 @@ class VideoStandIn:
             cv2.CAP_PROP_AUTO_EXPOSURE: AUTOMATIC,
             cv2.CAP_PROP_EXPOSURE: 157.0,
             cv2.CAP_PROP_AUTO_WB: 1.0,
+            cv2.CAP_PROP_AUTOFOCUS: 1.0,
         }
         self._queue: deque[tuple[float, Array]] = deque()
         self.fall_behind()
