@@ -14,7 +14,7 @@ from gonio_analysis.curves.in_plane import Line
 from gonio_analysis.plots import diagnostics, in_plane, style, thinning
 from gonio_analysis.report.drawing import Drawing
 from gonio_analysis.report.facts import DatasetSummary
-from gonio_analysis.report.text import cause, number, percent, slug
+from gonio_analysis.report.text import cause, model_slug, number, percent
 from gonio_analysis.selection.compare import Dataset, Fitted
 
 PANEL_PT = 335.0
@@ -115,7 +115,7 @@ def _polar(d: Dataset, facts: DatasetSummary, names: Sequence[str], most: int) -
     )
     on = partial(_on_half_disc, lines=lines, rim=rim, label=label, legend=legend, called=_called(d))
     high = 3.22 + LEGEND_ROW_IN * legend.rows
-    return Drawing(f"{facts.slug}-polar-{slug(model)}", "polar", model, caption, alt, (5.6, high), on)
+    return Drawing(f"{facts.slug}-polar-{model_slug(model)}", "polar", model, caption, alt, (5.6, high), on)
 
 
 def measurement(d: Dataset) -> str:
@@ -204,7 +204,7 @@ def _absolute(d: Dataset, facts: DatasetSummary, names: Sequence[str], most: int
         legend=legend,
     )  # fmt: skip
     high = (3.57 if lines else 1.6) + 0.46 + LEGEND_ROW_IN * legend.rows
-    return Drawing(f"{facts.slug}-absolute-{slug(model)}", "absolute", model, caption, alt, (5.6, high), on)
+    return Drawing(f"{facts.slug}-absolute-{model_slug(model)}", "absolute", model, caption, alt, (5.6, high), on)
 
 
 def _band(f: Fitted) -> str:
@@ -342,7 +342,7 @@ def _series(facts: DatasetSummary, model: str, f: Fitted) -> Drawing:
     )
     high = 0.35 + 1.55 * -(-len(values) // SERIES_COLUMNS)
     on = partial(_on_series, x=x, values=values)
-    return Drawing(f"{facts.slug}-series-{slug(model)}", "series", model, caption, caption, (5.6, high), on)
+    return Drawing(f"{facts.slug}-series-{model_slug(model)}", "series", model, caption, caption, (5.6, high), on)
 
 
 def _on_series(figure: Any, *, x: Any, values: dict[str, Floats]) -> None:

@@ -21,7 +21,7 @@ from gonio.typing import Floats
 from gonio_analysis.plots import pixels
 from gonio_analysis.plots.pixels import Extent
 from gonio_analysis.report.drawing import Drawing
-from gonio_analysis.report.text import number, slug
+from gonio_analysis.report.text import model_slug, number
 
 PICTURE, EMBEDDED = 256, 200
 """Pixels along the longer side of a picture, and of what a page holds for its program, at most."""
@@ -290,11 +290,12 @@ def draw(grid: Grid, layers: Sequence[Layer]) -> list[Drawing]:
     for one in layers:
         colours = pixels.UNCERTAINTIES if one.name == "tau" else pixels.VALUES
         what = "misfit tau, relative" if one.name == "tau" else one.label
-        out.append(_map(grid, f"map-{slug(one.name)}", one.picture, what, _limits(one), colours, _share(grid, one)))
+        file = model_slug(one.name)
+        out.append(_map(grid, f"map-{file}", one.picture, what, _limits(one), colours, _share(grid, one)))
         if one.picture_u is not None and np.isfinite(one.picture_u).any():
             low, high = np.quantile(one.picture_u[np.isfinite(one.picture_u)], QUANTILES).tolist()
             label = "u of " + labelled(one.name, one.unit)
-            out.append(_map(grid, f"map-u-{slug(one.name)}", one.picture_u, label, (low, high), pixels.UNCERTAINTIES))
+            out.append(_map(grid, f"map-u-{file}", one.picture_u, label, (low, high), pixels.UNCERTAINTIES))
     shown = [one for one in layers if one.spread.determined and one.spread.high > one.spread.low]
     return [*out, *([_histograms(shown)] if shown else [])]
 

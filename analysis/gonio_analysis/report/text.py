@@ -1,5 +1,6 @@
 """Numbers in words: how a report prints them."""
 
+import hashlib
 import itertools
 import math
 import re
@@ -94,6 +95,12 @@ def quantity(value: str, symbol: str) -> str:
 def slug(name: str) -> str:
     """A name as file names and the identifiers of a page have it; "" of what has no letter of ASCII and no digit."""
     return re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-")[:LONGEST_SLUG].strip("-")
+
+
+def model_slug(name: str) -> str:
+    """A model's or a parameter's name as file names have it: two in another script are not the same."""
+    code = "" if name.isascii() else hashlib.sha256(name.encode()).hexdigest()[:6]
+    return f"{slug(name)}-{code}".strip("-")
 
 
 def slugs(names: Sequence[str]) -> list[str]:
