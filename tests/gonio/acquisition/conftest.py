@@ -17,6 +17,12 @@ from tests.gonio.numpy_rig import plan_in
 Measure = Callable[..., Run]
 
 
+@pytest.fixture(autouse=True)
+def one_id(monkeypatch: pytest.MonkeyPatch) -> None:
+    """All runs have one id, so that they can be compared to the byte: nothing else differs from run to run."""
+    monkeypatch.setattr("gonio.acquisition.run_settings.secrets.token_hex", lambda size: "1d" * size)
+
+
 @pytest.fixture
 def plan(tmp_path: Path) -> Plan:
     return plan_in(tmp_path)
@@ -37,7 +43,9 @@ def measure(plan: Plan, tmp_path: Path) -> Measure:
 def measured(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of the whole run; not to be written to."""
     folder = tmp_path_factory.mktemp("measured")
-    return numpy_rig.measured(plan_in(folder), folder / "run", command="gonio measure ...").path
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("gonio.acquisition.run_settings.secrets.token_hex", lambda size: "1d" * size)
+        return numpy_rig.measured(plan_in(folder), folder / "run", command="gonio measure ...").path
 
 
 @pytest.fixture(scope="session")

@@ -23,6 +23,12 @@ from tests.command_line import gonio, some
 from tests.gonio.acquisition.conftest import Measure
 from tests.gonio.numpy_rig import Plugin
 
+
+@pytest.fixture(autouse=True)
+def one_id() -> None:
+    """Each run has an id of its own here."""
+
+
 LAB = {"sample": None, "seed": 0, "yes": True}
 
 
