@@ -28,6 +28,7 @@ from __future__ import annotations
 
 import io
 import os
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -40,7 +41,17 @@ from gonio.disk import is_stream, only_file
 from gonio.errors import ConfigError, DataError, os_error_as
 from gonio.formats import native, own_columns, rt300s
 from gonio.formats.native import check, check_columns, meta_path, uncertainty
-from gonio.formats.reader import ANGLES, COLUMNS, LARGEST, MUELLER, U_ANGLES, U_MUELLER, Format, reflection_only
+from gonio.formats.reader import (
+    ANGLES,
+    COLUMNS,
+    LARGEST,
+    MUELLER,
+    U_ANGLES,
+    U_MUELLER,
+    Format,
+    note_copies,
+    reflection_only,
+)
 from gonio.typing import DataFrame
 
 if TYPE_CHECKING:
@@ -138,6 +149,7 @@ def _parsed(
     check_columns(list(frame.columns), str(path))
     if chosen.name != "gonio":  # whose reader has checked, with line numbers
         check(frame, lambda row: f"{path}, row {row + 1} of the table")
+    note_copies(frame)
     frame.attrs.update(_whole(dict(frame.attrs)))
     if "sample" in frame.columns:
         if any(name != _whole(name) for name in frame["sample"].unique()):
@@ -412,10 +424,12 @@ def _of_side(frame: DataFrame, side: str) -> tuple[DataFrame, int]:
 
 
 def of_reader(table: DataFrame) -> list[str]:
-    """What whoever read or made a table has to say of it, as sentences."""
+    """What whoever read or made a table has to say of it, as sentences; a name keeps its letters."""
     notes = table.attrs.get("notes")
     told = (str(note).strip() for note in notes) if isinstance(notes, list | tuple) else ()
-    every = (text[:1].upper() + text[1:] for text in told if text)
+    every = (
+        text if re.match(r"\S*[^a-z\s]|brdf\b|btdf\b", text) else text[:1].upper() + text[1:] for text in told if text
+    )
     return list(dict.fromkeys(text if text.endswith((".", "!", "?")) else f"{text}." for text in every))
 
 

@@ -3,12 +3,15 @@
 To add one: write `formats/mine.py` with a `FORMAT`, and name it in `_MODULES`.
 """
 
+import re
 from functools import cache
 from importlib import import_module
 from pathlib import Path
 
 from gonio.errors import ConfigError, DataError, did_you_mean
+from gonio.formats.column_hints import columns_line
 from gonio.formats.reader import Format
+from gonio.formats.text import column_names
 
 _MODULES = (
     "native",
@@ -87,8 +90,16 @@ def of_content(data: bytes, path: Path) -> Format:
     by_ending = [f for f in formats if ending in f.endings]
     choice = [f for f in found if f in by_ending] or found or by_ending
     if not choice:
-        raise DataError(f"{path}: is in no format known here ({', '.join(f.title for f in formats)})")
+        known = ", ".join(f.title for f in formats)
+        raise DataError(f"{path}: is in no format known here ({known}){_of_ones_own(head)}")
     return choice[0]
+
+
+def _of_ones_own(head: bytes) -> str:
+    """How to read a text that may be a table of one's own; "" for other files."""
+    if re.search(rb"[\x00-\x08\x0e-\x1f]|^\s*[<{\[]", head):
+        return ""
+    return f"; a table with its columns' names in the first line: {columns_line(column_names(head))}"
 
 
 def of_name(path: Path) -> Format:

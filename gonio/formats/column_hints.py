@@ -4,21 +4,31 @@ import difflib
 import itertools
 import re
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Mapping, Sequence
 
-from gonio.formats.reader import COLUMNS
+from gonio.formats.reader import ANGLES, COLUMNS
+
+NEEDED = (*ANGLES, "brdf")
+"""The columns that every table has."""
 
 _ANGLE = re.compile(
     r"(theta|tetha|thetha|theat|teta|phi|θ|ϑ|φ|ϕ|polar|azimuth)_?"
     r"(i|in|inc|incident|incidence|src|source|light|r|o|out|s|refl|reflected|scat|scattered|det|detector|view)"
 )
 """Half and difference angles (theta_h, theta_d) are none of these, and are no measurement table's."""
+_REVERSED = re.compile(
+    r"(source|src|light|incident|incidence|inc|in|viewing|view|detector|det|receiver|reflected|reflection|observation|"
+    r"obs|out)_?(zenith|polar|theta|azimuth|phi|z|a)(_angle)?"
+)
+_SHORT = {"ti": "theta_i_deg", "pi": "phi_i_deg", "tr": "theta_r_deg", "pr": "phi_r_deg"}
+"""Angles where all four are called so."""
 _AZIMUTHS = ("phi", "φ", "ϕ", "azimuth")
 _INCIDENT = ("i", "src", "source", "light")
 _UNITS = {
     "": "", "deg": "deg", "degree": "deg", "degrees": "deg", "°": "deg", "rad": "rad", "radian": "rad",
     "radians": "rad", "nm": "nm", "um": "um", "µm": "um", "μm": "um", "micron": "um", "microns": "um",
-    "1/sr": "1/sr", "sr^-1": "1/sr", "sr-1": "1/sr", "per_sr": "1/sr", "%": "%", "percent": "%", "pct": "%",
+    "1/sr": "1/sr", "sr^-1": "1/sr", "sr^_1": "1/sr", "sr-1": "1/sr", "sr⁻¹": "1/sr",
+    "per_sr": "1/sr", "%": "%", "percent": "%", "pct": "%",
 }  # fmt: skip
 _NAMES = {
     "wavelength_nm": {"wavelength", "lambda", "wl", "wvl", "λ"},
@@ -52,41 +62,81 @@ def column_hints(header: Sequence[str]) -> list[str]:
 
     There is none for a column that the table has already, nor where several columns could be the same one.
     """
-    present = set(header)
-    hints = defaultdict(list)
+    return [_sentence(name, column, unit) for column, (name, unit) in _found(header).items()]
+
+
+def columns_line(header: Sequence[str], named: Mapping[str, str] | None = None) -> str:
+    """How to read a table under its own names, with the option `--columns` to copy.
+
+    `named` are names of the file's columns that are known already, by the table's. What is not known is NAME.
+    """
+    found = _found(header)
+    pairs = []
+    for column in (*COLUMNS, "sample"):
+        if column in header or (column not in NEEDED and column not in found):
+            continue
+        own, unit = found.get(column, ("NAME", ""))
+        own, unit = (named[column], "") if named and column in named else (own, unit)
+        pairs.append(f"{column.removesuffix('_deg').removesuffix('_nm')}={own.strip()}" + (f":{unit}" if unit else ""))
+    line = f'--columns "{",".join(pairs) or "brdf=brdf"}"'
+    names = ", ".join(repr(name.strip()[:40]) for name in header[:16])
+    unknown = f" (NAME: one of the file's columns {names})" if "=NAME" in line else ""
+    return (
+        f"to read it as it is, without its other columns, add {line}{unknown}, or write <name>.columns.toml beside it"
+    )
+
+
+def unit_in(name: str) -> str:
+    """The unit that a column's name says, as "deg", "rad", "nm", "um", "1/sr" or "%"; "" where it says none."""
+    return _word_and_unit(name)[1]
+
+
+def _found(header: Sequence[str]) -> dict[str, tuple[str, str]]:
+    """Columns of the table that the header lacks: the one of its names that nearly is it, and the unit to name."""
+    found = defaultdict(list)
     for name in itertools.islice((name for name in header if name not in COLUMNS and len(name) <= 40), _LOOKED_AT):
-        for column, sentence in _nearly(name):
-            if column not in present:
-                hints[column].append(sentence)
-    return [sentences[0] for sentences in hints.values() if len(sentences) == 1]
+        near = _nearly(name)
+        if near is not None and near[0] not in header:
+            found[near[0]].append((name, near[1]))
+    short = {name.strip().lower(): name for name in header}
+    if short.keys() >= _SHORT.keys():
+        found |= {column: [(short[name], "")] for name, column in _SHORT.items()}
+    return {column: several[0] for column, several in found.items() if len(several) == 1}
 
 
-def _nearly(name: str) -> Iterator[tuple[str, str]]:
-    """The column that this name is nearly that of, if any, and what to do."""
+def _sentence(name: str, column: str, unit: str) -> str:
+    """How to make a column of this name that of the table."""
+    if unit == "percent":
+        return f"divide {name!r} by 100 pi, if it is a reflectance factor in percent, and name it {column!r}"
+    if unit == "factor":
+        return f"divide {name!r} by pi and name it {column!r}"
+    if unit in _CONVERTED:
+        return f"{_CONVERTED[unit]} and name it {column!r} (now {name!r})"
+    remark = _REMARKS.get(column, "")
+    return f"rename {name!r} to {column!r}" + (f" ({remark})" if remark else "")
+
+
+def _nearly(name: str) -> tuple[str, str] | None:
+    """The column that this name is nearly that of, if any, and the unit that `--columns` needs for it, if any."""
     word, unit = _word_and_unit(name)
     if unit == "%" and (word in _FACTOR or _BY_NAME.get(word) == "brdf"):
-        yield "brdf", f"divide {name!r} by 100 pi, if it is a reflectance factor in percent, and name it 'brdf'"
-        return
+        return "brdf", "percent"
     if word in _FACTOR and not unit:
-        yield "brdf", f"divide {name!r} by pi and name it 'brdf'"
-        return
-    angle = _ANGLE.fullmatch(word)
-    if angle:
-        kind, side = "phi" if angle[1] in _AZIMUTHS else "theta", "i" if angle[2].startswith(_INCIDENT) else "r"
+        return "brdf", "factor"
+    angle, reverse = _ANGLE.fullmatch(word), _REVERSED.fullmatch(word)
+    if angle or reverse:
+        what, where = angle.groups() if angle else reverse.group(2, 1) if reverse else ("", "")
+        kind, side = "phi" if what in (*_AZIMUTHS, "a") else "theta", "i" if where.startswith(_INCIDENT) else "r"
         column = f"{kind}_{side}_deg"
     else:
         near = difflib.get_close_matches(word, _SPELT, n=1, cutoff=0.85)
         found = _BY_NAME.get(word) or (_SPELT[near[0]] if near else None)
         if found is None:
-            return
+            return None
         column = found
     if unit and (unit not in _ALLOWED or not column.endswith(_ALLOWED[unit])):
-        return
-    remark = _REMARKS.get(column, "")
-    if unit in _CONVERTED:
-        yield column, f"{_CONVERTED[unit]} and name it {column!r} (now {name!r})"
-    else:
-        yield column, f"rename {name!r} to {column!r}" + (f" ({remark})" if remark else "")
+        return None
+    return column, unit if unit in _CONVERTED else ""
 
 
 _SPELT = {"wavelength": "wavelength_nm", "polarisation": "polarisation", "sample": "sample", "u_random": "u_random"}
@@ -99,6 +149,8 @@ def _word_and_unit(name: str) -> tuple[str, str]:
     bracketed = re.fullmatch(r"(.*?)_*[\[(]\s*(.*?)\s*[\])]", plain)
     if bracketed and bracketed[2] in _UNITS:
         return bracketed[1].strip("_"), _UNITS[bracketed[2]]
+    if plain.endswith("%"):
+        return plain.rstrip("%_"), "%"
     word, _, unit = plain.rpartition("_")
     if word and unit in _UNITS:
         return word.strip("_"), _UNITS[unit]

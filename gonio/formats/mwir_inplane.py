@@ -51,6 +51,7 @@ def read(data: bytes, path: Path) -> DataFrame:
             "broad band (2 to 5.7 um): there is no single wavelength",
             "the file states no uncertainties and no solid angle of the receiver",
             "BRDF from radiance with 3463.986 W/m^2/sr for the source and its solid angle of 7.915e-4 sr",
+            *cells.notes(),
         ],
     }
     return table(

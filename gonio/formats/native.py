@@ -21,7 +21,7 @@ import numpy as np
 
 from gonio.disk import is_stream, read_file, require_name
 from gonio.errors import ConfigError, DataError
-from gonio.formats.column_hints import column_hints
+from gonio.formats.column_hints import NEEDED, column_hints, columns_line
 from gonio.formats.reader import (
     COLUMNS,
     EXTRA,
@@ -41,10 +41,20 @@ from gonio.formats.reader import (
     require_place,
     write_bytes,
 )
-from gonio.formats.text import cell_of, column_names, decode, number, plain_word, require_cells, require_text, separator
+from gonio.formats.sheets import WORDS
+from gonio.formats.text import (
+    DecimalMark,
+    cell_of,
+    column_names,
+    decode,
+    number,
+    plain_word,
+    require_cells,
+    require_text,
+    separator,
+)
 from gonio.typing import Bools, DataFrame, Floats, Series
 
-WORDS = ("polarisation", "side", "sample", "flag")
 _TEXTS = ("sample", "flag")
 """Words that are anybody's."""
 _DEFAULTS: dict[str, float | str] = {
@@ -65,9 +75,6 @@ _WIDE = 1000
 """Columns from which on pandas takes longer than the reader that goes line by line."""
 MOST_ROWS = 20_000_000
 """Most rows of a table that is read at once."""
-NEEDED = tuple(name for name in COLUMNS if name not in _DEFAULTS)
-
-
 ROUNDED = 0.01
 """Relative: by so much rounding to two digits can make a part larger than the whole."""
 
@@ -111,12 +118,14 @@ def taken(frame: DataFrame, stored: Any, path: Path) -> DataFrame:
 def _completed(frame: DataFrame, attrs: Attributes, path: Path) -> DataFrame:
     """The table with the columns that a file may lack, and its attributes; `DataError` where a value is not allowed."""
     absent = [name for name in _DEFAULTS if name not in frame.columns]
+    read_as = frame.attrs.get("notes", [])
     if absent:
         causes = [name for name in frame.columns if name.startswith("s_")]
         frame = frame.assign(**{name: _DEFAULTS[name] for name in absent})
         words, numbers = ([name for name in some if name in frame.columns] for some in (EXTRA[:2], EXTRA[2:]))
         frame = frame[[*COLUMNS[:6], *words, *COLUMNS[6:9], *causes, *numbers, "flag"]]
     frame.attrs.update(attrs)
+    frame.attrs["notes"] = [*read_as, *frame.attrs["notes"]]
     if absent:
         shown = ", ".join(absent)
         frame.attrs["notes"] = [*frame.attrs["notes"], f"the file has no columns {shown}: taken as unknown, or none"]
@@ -207,7 +216,8 @@ def _read_line_by_line(text: str, path: Path) -> DataFrame:
     """The columns of any file, as text and numbers; messages name line and column."""
     import pandas as pd
 
-    mark = separator(re.split(r"[\r\n]", text, maxsplit=1)[0])
+    mark = separator(text)
+    decimal = None if mark == "," else DecimalMark(path)
     reader = csv.reader(io.StringIO(text, newline=""), delimiter=mark, strict=True)
     try:
         header = next(reader, [])
@@ -218,15 +228,17 @@ def _read_line_by_line(text: str, path: Path) -> DataFrame:
             for row, cells in enumerate(chunk):
                 require_cells(cells, header, f"{path}, line {line + row}")
             for part, name, column in zip(parts, header, zip(*chunk, strict=True), strict=True):
-                plain = column if mark == "," else tuple(cell.replace(",", ".") for cell in column)
-                words = name in WORDS
-                part.append(np.array(column, dtype=object) if words else _floats(plain, name, path, line))
+                part.append(_column(column, name, path, line, decimal))
             line += len(chunk)
     except csv.Error as error:
         raise DataError(f"{path}, line {reader.line_num}: {error}") from None
     if line == 2:
         raise DataError(f"{path}: has a header and no rows")
-    return pd.DataFrame({name: np.concatenate(part) for name, part in zip(header, parts, strict=True)})
+    frame = pd.DataFrame({name: np.concatenate(part) for name, part in zip(header, parts, strict=True)})
+    if decimal is not None:
+        decimal.require_settled()
+        frame.attrs["notes"] = decimal.notes()
+    return frame
 
 
 def write(frame: DataFrame, path: Path) -> None:
@@ -285,6 +297,8 @@ def check_columns(header: list[str], where: str, *, needed: tuple[str, ...] = CO
             known = f"a measurement table has {', '.join(NEEDED)}, and may have {', '.join(_DEFAULTS)}, side, "
             known += "s_<cause> and m01 to m33"
             hints = "".join(f"; {hint}" for hint in column_hints(header))
+            if needed == NEEDED and header and not twice:
+                known += f"; {columns_line(header)}"
             raise DataError(f"{where}: columns {what}: {shown}{hints}; {known}")
 
 
@@ -311,6 +325,8 @@ def check(frame: DataFrame, where: Any) -> None:
     _check_angles(frame, demand)
     wavelength, value = of("wavelength_nm"), of("brdf")
     demand(known(wavelength) & (wavelength != 0), "wavelength_nm", "a positive number, or NaN for a broad band")
+    told = "from 100 to 200000 nanometres; of a column in micrometres: --columns wavelength=NAME:um"
+    demand(~((wavelength < 100.0) | (wavelength > 200_000.0)), "wavelength_nm", told)
     words = _one_of(frame["polarisation"], lambda word: word in POLARISATIONS)
     demand(words, "polarisation", f"one of {', '.join(POLARISATIONS)}")
     demand(np.isfinite(value) | flagged, "brdf", "a row without a flag needs a finite value [1/sr]")
@@ -365,7 +381,16 @@ def _one_of(words: Series, allowed: Callable[[Any], bool]) -> Any:
     return ~words.isin(bad) if bad else np.ones(len(words), dtype=bool)
 
 
-def _floats(cells: tuple[str, ...], name: str, path: Path, line: int) -> Floats:
+def _column(cells: Sequence[str], name: str, path: Path, line: int, decimal: DecimalMark | None) -> Any:
+    """The words or the numbers of some rows of a column, from a line on."""
+    if name in WORDS:
+        return np.array(cells, dtype=object)
+    if decimal is not None:
+        cells = decimal.plain(cells, lambda row: f"{path}, line {line + row}", name)
+    return _floats(cells, name, path, line)
+
+
+def _floats(cells: Sequence[str], name: str, path: Path, line: int) -> Floats:
     """A column of numbers, NaN where the cell is empty; exact, as Python reads them."""
     joined = "".join(cells)
     if joined.isascii() and "_" not in joined:
@@ -421,7 +446,7 @@ FORMAT = Format(
     name="gonio",
     title="measurement table",
     endings=(".csv",),
-    sniff=lambda head: {"theta_i_deg", "brdf"} <= column_names(head),
+    sniff=lambda head: {"theta_i_deg", "brdf"} <= set(column_names(head)),
     read=read,
     in_pieces=True,
     write=write,

@@ -18,6 +18,7 @@ from gonio.errors import DataError
 from gonio.formats import native
 from gonio.formats.curve_sheets import MOST, curves
 from gonio.formats.reader import Format, require_held, write_bytes
+from gonio.formats.sheets import WORDS
 from gonio.typing import DataFrame
 
 TABLE = "entry/table"
@@ -134,7 +135,7 @@ def _read_column(table: Any, name: str, path: Path) -> Any:
     if name not in table:
         raise DataError(f"{shown} is missing, although gonio_columns names it")
     dataset = table[name]
-    if name in native.WORDS:
+    if name in WORDS:
         return hdf5.values(dataset, shown, native.MOST_ROWS, "OS")
     numbers = hdf5.values(dataset, shown, native.MOST_ROWS).astype(np.float64)
     for key in ("_FillValue", "missing_value"):

@@ -23,7 +23,7 @@ from gonio.typing import DataFrame, Floats
 
 def read(data: bytes, path: Path) -> DataFrame:
     """The measurement table in one of NIST's Mueller CSVs; `DataError` says what is wrong with the file, and where."""
-    names = column_names(data[:4096])
+    names = set(column_names(data[:4096]))
     value = "fr11" if "fr11" in names else "f_r11"
     azimuth = "phii" if "phii" in names else "phi"
     cells = csv_table(data, path, ["lambda", "thetai", azimuth, "thetar", "phir", value])
@@ -47,6 +47,7 @@ def read(data: bytes, path: Path) -> DataFrame:
         "the file states no uncertainties and no solid angles",
         "the BRDF is f_r11, for unpolarised light",
         told,
+        *cells.notes(),
     ]
     return table(
         theta_i_deg=theta_i,
@@ -90,7 +91,7 @@ def _rotation(psi: Floats) -> Floats:
 
 
 def _sniff(head: bytes) -> bool:
-    names = column_names(head)
+    names = set(column_names(head))
     return {"lambda", "thetai", "thetar"} <= names and not names.isdisjoint(("f_r11", "fr11"))
 
 

@@ -36,6 +36,7 @@ def read(data: bytes, path: Path) -> DataFrame:
     notes = [
         "the file holds reflectance factors R; brdf = R / pi",
         "the format states no uncertainties and no solid angles",
+        *cells.notes(),
     ]
     if blocked.any():
         notes.append(f'{blocked.sum()} of {factor.size} values are zero: the zone around retro, flagged "blocked"')
@@ -67,7 +68,7 @@ FORMAT = Format(
     name="reflectance-factor",
     title="reflectance-factor table",
     endings=(".csv",),
-    sniff=lambda head: set(_ANGLES) <= column_names(head),
+    sniff=lambda head: set(_ANGLES) <= set(column_names(head)),
     read=read,
     write=write,
     carries=frozenset({"flag"}),

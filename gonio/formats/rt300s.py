@@ -25,7 +25,8 @@ from gonio.disk import read_file
 from gonio.errors import ConfigError, DataError, os_error_as
 from gonio.formats import workbook
 from gonio.formats.reader import MAX_BYTES, Format, fold, table
-from gonio.formats.workbook import OLD, Sheet, worksheets
+from gonio.formats.sheets import Percent, Sheet, no_number, place
+from gonio.formats.workbook import OLD, worksheets
 from gonio.typing import DataFrame, Floats
 
 _LABELS = ("Azimuth", "Incidence", "Receive", "RT")
@@ -122,8 +123,14 @@ def _measurements(sheets: Sequence[Sheet], path: Path) -> Floats:
         for column in sorted({column for _, column in sheet if column > 0}):
             values = [sheet.get((labels[label], column)) for label in _LABELS]
             for label, value, limit in zip(_LABELS, values, _LIMITS, strict=True):
-                if not isinstance(value, float) or not math.isfinite(value) or abs(value) > limit:
-                    raise DataError(f"{path}, worksheet {number}, column {column}: {label} is {repr(value)[:40]}")
+                if (
+                    not isinstance(value, float)
+                    or not math.isfinite(value)
+                    or abs(value) > limit
+                    or isinstance(value, Percent)
+                ):
+                    at = place(f"{path}, worksheet {number}", labels[label], column)
+                    raise DataError(f"{at}: {label} is {no_number(value)}")
             rows.append(values)
     if not rows:
         raise DataError(f"{path}: the workbook holds no measurement")

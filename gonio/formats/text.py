@@ -60,15 +60,103 @@ def decode(data: bytes, path: Path) -> str:
         return data.decode("latin-1")
 
 
-def separator(header: str) -> str:
-    """What separates the cells of a CSV with this header line: a comma, or a semicolon, or a tab."""
-    return next((mark for mark in ",;\t" if mark in header), ",")
+_LOOKED_AT = 65_536, 20
+"""Characters and lines of a CSV from which its separator is told."""
 
 
-def column_names(head: bytes) -> set[str]:
-    """The names in the first line of a CSV, to tell its format by, in whatever order they stand."""
-    line = re.split(rb"[\r\n]", head.removeprefix(b"\xef\xbb\xbf").lstrip(), maxsplit=1)[0].decode("latin-1")
-    return {name.strip().strip('"').strip() for name in line.split(separator(line))}
+def separator(text: str) -> str:
+    """What separates the cells of a CSV that begins with its header: a comma, or a semicolon, or a tab.
+
+    It is the mark that the header has outside its quotes, and the rows as often. Of several, the one that is there most
+    often: the comma in "R (632,8 nm)" and the decimal commas below it separate nothing.
+    """
+    header, *rows = [line for line in re.split(r"[\r\n]+", text[: _LOOKED_AT[0]]) if line.strip()][: _LOOKED_AT[1]] or [
+        ""
+    ]
+
+    def count(line: str, mark: str) -> int:
+        return re.sub(r'"[^"]*"', "", line).count(mark)
+
+    def rank(mark: str) -> tuple[bool, int]:
+        often = count(header, mark)
+        return sum(count(row, mark) == often for row in rows) * 2 >= len(rows), often
+
+    marks = [mark for mark in ",;\t" if count(header, mark)]
+    return max(marks, key=rank, default=",")
+
+
+def column_names(head: bytes) -> list[str]:
+    """The names in the first line of a CSV, to tell its format by."""
+    text = head.removeprefix(b"\xef\xbb\xbf").lstrip().decode("latin-1")
+    line = re.split(r"[\r\n]", text, maxsplit=1)[0]
+    return [name.strip().strip('"').strip() for name in line.split(separator(text))]
+
+
+_MARKED = re.compile(r"[+-]?\d*[.,]\d*(?:[eE][+-]?\d+)?")
+_THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2}[.,]\d{3}")
+"""What may be a whole number as well, with a mark between its thousands."""
+
+
+class DecimalMark:
+    """The decimal mark of the numbers in a file whose cells are not separated by commas: one for the whole file.
+
+    A comma beside points is a mark between thousands, or the reverse, and which of them nobody can tell.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.seen: dict[str, tuple[str, str]] = {}
+        """The first number with each mark: where it stands, and its cell."""
+        self.unsettled: tuple[str, str, str] | None = None
+        """The first number that may be one of thousands, beside one without a mark: where, its cell, and that one's."""
+        self.settled = False
+
+    def plain(self, cells: Sequence[str], where: Callable[[int], str], name: str) -> Sequence[str]:
+        """The cells of a column with decimal points; `where(k)` says where cell k stands.
+
+        Raises
+        ------
+        DataError
+            A cell has the other mark than one before, or both.
+        """
+        joined = "\n".join(cells)
+        if "," not in joined and "." not in joined:
+            return cells
+        for mark in ",.":
+            if mark in joined and mark not in self.seen:
+                k = next(k for k, cell in enumerate(cells) if mark in cell)
+                self.seen[mark] = f"{where(k)}, {name}", cells[k].strip()
+        if len(self.seen) > 1:
+            (at, one), (there, other) = self.seen[","], self.seen["."]
+            raise DataError(
+                f"{at} is {_shown(one)}, and {there} is {_shown(other)}: decimal commas and points in one file; "
+                "write all numbers with one of them, and without marks between thousands"
+            )
+        self._settle(cells, where, name)
+        return [cell.replace(",", ".") for cell in cells] if "," in joined else cells
+
+    def _settle(self, cells: Sequence[str], where: Callable[[int], str], name: str) -> None:
+        """Heed what tells a decimal mark from one between thousands."""
+        if self.settled:
+            return
+        marked = [(k, cell.strip()) for k, cell in enumerate(cells) if "," in cell or "." in cell]
+        self.settled = any(_MARKED.fullmatch(cell) and not _THOUSANDS.fullmatch(cell) for _, cell in marked)
+        whole = next((cell.strip() for cell in cells if re.fullmatch(r"\s*[+-]?[1-9]\d*\s*", cell)), None)
+        if not self.settled and self.unsettled is None and whole is not None and marked:
+            self.unsettled = f"{where(marked[0][0])}, {name}", marked[0][1], whole
+
+    def require_settled(self) -> None:
+        """`DataError` where nothing in the file tells whether 1,234 beside 987 is 1.234 or 1234."""
+        if self.unsettled is not None and not self.settled:
+            at, cell, whole = self.unsettled
+            raise DataError(
+                f"{at} is {_shown(cell)} beside {_shown(whole)}, and no number of the file tells whether its mark is a "
+                f"decimal one; write {_shown(cell.replace(',', '').replace('.', ''))}, or {_shown(cell + '0')}"
+            )
+
+    def notes(self) -> list[str]:
+        """What was taken, as a sentence, where there were decimal commas."""
+        return [f"numbers have decimal commas, as {self.seen[','][1]}"] if "," in self.seen else []
 
 
 @dataclass(frozen=True)
@@ -79,8 +167,8 @@ class CsvTable:
     header: list[str]
     rows: list[list[str]]
     line_numbers: list[int]
-    decimal_comma: bool
-    """Whether a comma in a number is its decimal point: where cells are separated by something else."""
+    decimal: DecimalMark | None
+    """The decimal mark of its numbers, where cells are separated by something else than commas; else a point."""
 
     def column(self, name: str, *, estimates: bool = False) -> Floats:
         """The numbers of a column; `DataError` naming the line of the first cell that is none.
@@ -88,8 +176,20 @@ class CsvTable:
         Among measured values (`estimates`) an empty cell is NaN.
         """
         k, read = self.header.index(name), estimate if estimates else number
-        cells = (row[k].replace(",", ".") if self.decimal_comma else row[k] for row in self.rows)
+        cells: Sequence[str] = [row[k] for row in self.rows]
+        if self.decimal is not None:
+            cells = self._plain(cells, name, self.decimal)
         return np.array([read(cell, self.where(j), name) for j, cell in enumerate(cells)])
+
+    def _plain(self, cells: Sequence[str], name: str, decimal: DecimalMark) -> Sequence[str]:
+        """The cells of a column with decimal points."""
+        plain = decimal.plain(cells, self.where, name)
+        if decimal.unsettled is not None and not decimal.settled:
+            mark = "," if "," in decimal.unsettled[1] else "."
+            marked = (cell.strip() for row in self.rows for cell in row if mark in cell)
+            decimal.settled = any(_MARKED.fullmatch(cell) and not _THOUSANDS.fullmatch(cell) for cell in marked)
+            decimal.require_settled()
+        return plain
 
     def angles(self, name: str, limit_deg: float, told: str) -> Floats:
         """The angles of a column; `DataError`, with what is told, where one lies beyond +- the limit [degrees]."""
@@ -106,6 +206,10 @@ class CsvTable:
         """`file, line N`, for the row with index `row`."""
         return f"{self.path}, line {self.line_numbers[row]}"
 
+    def notes(self) -> list[str]:
+        """How the numbers of the columns that were read are written, where that is not as in Python."""
+        return [] if self.decimal is None else self.decimal.notes()
+
 
 def csv_table(data: bytes, path: Path, needed: Sequence[str]) -> CsvTable:
     """A CSV with a header line that has at least the `needed` columns; every row as long as the header.
@@ -118,7 +222,7 @@ def csv_table(data: bytes, path: Path, needed: Sequence[str]) -> CsvTable:
         A column is missing or there twice, a row is too long or too short (with its line), or there are no rows.
     """
     text = decode(data, path)
-    mark = separator(re.split(r"[\r\n]", text.lstrip(), maxsplit=1)[0])
+    mark = separator(text)
     reader = csv.reader(io.StringIO(text, newline=""), delimiter=mark, strict=True)
     header: list[str] = []
     rows: dict[int, list[str]] = {}
@@ -132,10 +236,11 @@ def csv_table(data: bytes, path: Path, needed: Sequence[str]) -> CsvTable:
     except csv.Error as error:
         raise DataError(f"{path}, line {reader.line_num}: {error}") from None
     if missing := [name for name in needed if header.count(name) != 1]:
-        raise DataError(f"{path}, line 1: columns missing, or there twice: {', '.join(missing)}")
+        there = ", ".join(repr(name[:40]) for name in header[:16])
+        raise DataError(f"{path}, line 1: columns missing, or there twice: {', '.join(missing)}; the file has {there}")
     if not rows:
         raise DataError(f"{path}: has a header and no rows")
-    return CsvTable(path, header, list(rows.values()), list(rows), decimal_comma=mark != ",")
+    return CsvTable(path, header, list(rows.values()), list(rows), None if mark == "," else DecimalMark(path))
 
 
 def require_cells(cells: Sequence[str], header: Sequence[str], where: str) -> None:

@@ -15,9 +15,11 @@ import io
 import itertools
 import json
 import re
+import warnings
 import zipfile
 from collections.abc import Collection, Iterator, Sequence
-from datetime import date, datetime, time
+from dataclasses import dataclass, field
+from datetime import date, time, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -25,9 +27,10 @@ import numpy as np
 
 from gonio.errors import DataError
 from gonio.formats import native
+from gonio.formats.column_hints import NEEDED
 from gonio.formats.curve_sheets import curves
 from gonio.formats.reader import NOT_XML, Format, require_held, write_bytes
-from gonio.formats.text import csv_of
+from gonio.formats.sheets import Cell, Odd, Percent, Sheet, Takes, table_of, under_its_own_names
 from gonio.formats.xml_text import require_plain
 from gonio.typing import DataFrame
 
@@ -42,8 +45,10 @@ MOST_COLUMNS = 16_384
 MOST_TAGS = 6 * MOST_CELLS
 """Most tags of all parts together: a cell has itself, its value, and its row and text; each begins and ends."""
 
-Sheet = dict[tuple[int, int], float | str]
-"""Numbers and texts by (row, column), both from 0."""
+_ERROR = "an error and no number; mend what it comes from, or empty the cell where nothing was measured"
+_DATE = "a date or a time and no number; format the column as a number, and enter the value again"
+_BOOLEAN = "true or false and no number"
+_FORMULA = "a formula without a stored value; open the workbook in a spreadsheet program, and save it"
 
 
 def worksheets(data: bytes, path: Path) -> list[Sheet]:
@@ -54,14 +59,18 @@ def worksheets(data: bytes, path: Path) -> list[Sheet]:
     DataError
         This is no such workbook, it is encrypted, damaged, or holds more than is read.
     """
+    if not is_workbook(data):
+        raise DataError(
+            f"{path}: is no Excel workbook, whatever its name; save it as .xlsx, or name it .csv if it is one"
+        )
     made = _of_1997(data) if data.startswith(OLD) else _of_today(data, path)
     out: list[Sheet] = []
     left = MOST_CELLS
     try:
-        for rows in made:
-            out.append({})
+        for sheet, rows in made:
+            out.append(sheet)
             for row, column, value in rows:
-                out[-1][row, column] = value
+                sheet[row, column] = value
                 left -= 1
                 if left < 0:
                     raise DataError(f"{path}: the workbook has more than {MOST_CELLS} cells")
@@ -72,43 +81,153 @@ def worksheets(data: bytes, path: Path) -> list[Sheet]:
     return out
 
 
-Cells = Iterator[tuple[int, int, float | str]]
+Cells = Iterator[tuple[int, int, Cell]]
 
 
-def _of_1997(data: bytes) -> Iterator[Cells]:
+def _of_1997(data: bytes) -> Iterator[tuple[Sheet, Cells]]:
     import xlrd
 
-    with xlrd.open_workbook(file_contents=data, logfile=io.StringIO(), on_demand=True) as book:
-        for sheet in book.sheets():
+    with xlrd.open_workbook(file_contents=data, logfile=io.StringIO(), on_demand=True, formatting_info=True) as book:
+        for number in range(book.nsheets):
+            found = book.sheet_by_index(number)
+            sheet = Sheet()
+            sheet.merged = [(top, end - 1, left, right - 1) for top, end, left, right in found.merged_cells]
+            sheet.hidden = {row for row, info in found.rowinfo_map.items() if info.hidden}
             yield (
-                (row, column, value if kind == xlrd.XL_CELL_TEXT else float(value))
-                for row in range(sheet.nrows)
-                for column, (kind, value) in enumerate(zip(sheet.row_types(row), sheet.row_values(row), strict=True))
-                if kind not in (xlrd.XL_CELL_EMPTY, xlrd.XL_CELL_BLANK)
+                sheet,
+                (
+                    (row, column, _old_cell(found, row, column))
+                    for row in range(found.nrows)
+                    for column, kind in enumerate(found.row_types(row))
+                    if kind not in (xlrd.XL_CELL_EMPTY, xlrd.XL_CELL_BLANK)
+                ),
             )
+            book.unload_sheet(number)
 
 
-def _of_today(data: bytes, path: Path) -> Iterator[Cells]:
+def _old_cell(sheet: Any, row: int, column: int) -> Cell:
+    import xlrd
+
+    kind, value = sheet.cell_type(row, column), sheet.cell_value(row, column)
+    if kind == xlrd.XL_CELL_NUMBER:
+        book, place = sheet.book, sheet.cell_xf_index(row, column)
+        known = book.format_map.get(book.xf_list[place].format_key) if place < len(book.xf_list) else None
+        return Percent(value) if known is not None and _is_percent(known.format_str) else float(value)
+    if kind == xlrd.XL_CELL_TEXT:  # no cell but a formula's holds an empty text
+        return value or Odd("an empty text", f"or {_FORMULA}", word=False)
+    if kind == xlrd.XL_CELL_ERROR:
+        return Odd(xlrd.error_text_from_code.get(value, "an error"), _ERROR, word=False)
+    if kind == xlrd.XL_CELL_BOOLEAN:
+        return Odd("TRUE" if value else "FALSE", _BOOLEAN, word=True)
+    try:
+        shown = xlrd.xldate_as_datetime(value, sheet.book.datemode).isoformat(" ").removesuffix(" 00:00:00")
+    except (ValueError, OverflowError):
+        shown = f"{value:g}"
+    return Odd(shown, _DATE, word=True)
+
+
+def _of_today(data: bytes, path: Path) -> Iterator[tuple[Sheet, Cells]]:
     import openpyxl
 
-    _bounded(data, path)
-    book = openpyxl.load_workbook(io.BytesIO(data), read_only=True, data_only=True, keep_links=False)
-    for sheet in book.worksheets:
+    parts = _bounded(data, path)
+
+    def opened(*, values: bool) -> Any:
+        return openpyxl.load_workbook(io.BytesIO(data), read_only=True, data_only=values, keep_links=False)
+
+    book = opened(values=True)
+    formulas = opened(values=False).worksheets if any(part.formulas for part in parts.values()) else []
+    stale = parts["xl/workbook.xml"].stale
+    for number, found in enumerate(book.worksheets):
+        part = parts.get(found._worksheet_path, _Part())
+        sheet = Sheet()
+        sheet.merged, sheet.hidden = part.merged, part.hidden
+        others = [formulas[number]] if part.formulas else []
+        yield sheet, _new_cells([found, *others], part, stale=stale)
+
+
+def _new_cells(sheets: list[Any], part: "_Part", *, stale: bool) -> Cells:
+    """The cells of a worksheet: of its values, and of its formulas where it has some."""
+    for sheet in sheets:
         sheet.reset_dimensions()  # what a file says of its size is not believed
-        yield (
-            (cell.row - 1, cell.column - 1, _plain(cell.value))
-            for row in sheet.iter_rows()
-            for cell in row
-            if cell.value is not None
-        )
+    percent: dict[str, bool] = {}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # a date beyond all calendars is told as the error that it becomes
+        for rows in zip(*(sheet.iter_rows() for sheet in sheets), strict=True):
+            for cell, *formula in zip(*rows, strict=True):
+                value = _new_cell(cell, percent)
+                if formula and formula[0].data_type == "f":
+                    empty = value is None and (cell.data_type != "str" or cell.coordinate in part.bare)
+                    if empty or (stale and value == 0.0):
+                        said = formula[0].value
+                        value = Odd(str(getattr(said, "text", said))[:60], _FORMULA, word=False)
+                if value is not None:
+                    yield cell.row - 1, cell.column - 1, value
 
 
-def _bounded(data: bytes, path: Path) -> None:
-    """Raise `DataError` for a part that unpacks to more than is read, before anything takes a tree of it."""
+def _new_cell(cell: Any, percent: dict[str, bool]) -> Cell | None:
+    value = cell.value
+    if value is None:
+        return None
+    if cell.data_type == "e":
+        return Odd(str(value), _ERROR, word=False)
+    if isinstance(value, bool):
+        return Odd(str(value).upper(), _BOOLEAN, word=True)
+    if isinstance(value, int | float):
+        shown = cell.number_format
+        if shown not in percent:
+            percent[shown] = _is_percent(shown)
+        return Percent(value) if percent[shown] else float(value)
+    if isinstance(value, date | time | timedelta):  # a datetime is a date
+        return Odd(str(value).removesuffix(" 00:00:00"), _DATE, word=True)
+    return str(value)
+
+
+def _is_percent(number_format: str) -> bool:
+    """Whether numbers are shown times a hundred: a quoted or escaped percent sign only stands there."""
+    return "%" in re.sub(r'"[^"]*"|\\.|\[[^\]]*\]', "", number_format).split(";")[0]
+
+
+@dataclass(frozen=True)
+class _Part:
+    """What one part of an .xlsx workbook says beside its cells."""
+
+    formulas: bool = False
+    bare: frozenset[str] = frozenset()
+    """Cells with a formula that gives a text, and no stored one."""
+    stale: bool = False
+    """Whether zeros that formulas have are what a program wrote that cannot compute them."""
+    merged: list[tuple[int, int, int, int]] = field(default_factory=list)
+    hidden: set[int] = field(default_factory=set)
+
+
+_BARE = re.compile(
+    r'<(?:\w+:)?c\s([^>]*\bt="str"[^>]*)>\s*<(?:\w+:)?f\b(?:[^>]*/>|[^>]*>[^<]*</[\w:]+>)\s*</(?:\w+:)?c>'
+)
+_MERGED = re.compile(r'<(?:\w+:)?mergeCell\s[^>]*?\bref="([A-Z]{1,3}\d{1,7}:[A-Z]{1,3}\d{1,7})"')
+_HIDDEN = re.compile(r'<(?:\w+:)?row\s(?=[^>]*\bhidden="(?:1|true)")[^>]*?\br="(\d{1,7})"')
+
+
+def _part(text: str) -> _Part:
+    from openpyxl.utils.cell import range_boundaries
+
+    merged = (range_boundaries(found) for found in _MERGED.findall(text))
+    places = (re.search(r'\br="([A-Z]+\d+)"', found) for found in _BARE.findall(text))
+    return _Part(
+        formulas=re.search(r"<(\w+:)?f[\s>/]", text) is not None,
+        bare=frozenset(place[1] for place in places if place),
+        stale=re.search(r'\bfullCalcOnLoad="(1|true)"', text) is not None,
+        merged=[(top - 1, bottom - 1, left - 1, right - 1) for left, top, right, bottom in merged],
+        hidden={int(found) - 1 for found in _HIDDEN.findall(text)},
+    )
+
+
+def _bounded(data: bytes, path: Path) -> dict[str, _Part]:
+    """What each part says; `DataError` for one that unpacks to more than is read, before any tree is made of it."""
+    parts: dict[str, _Part] = {}
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
         names = archive.namelist()
         if "xl/workbook.xml" not in names:
-            raise DataError(f"{path}: is a zip, but no Excel workbook; unpack it first")
+            raise DataError(f"{path}: {_other_zip(names)}")
         if len(names) > MOST_PARTS or sum(part.file_size for part in archive.infolist()) > MOST_BYTES:
             raise DataError(
                 f"{path}: has {len(names)} parts that unpack to "
@@ -124,16 +243,16 @@ def _bounded(data: bytes, path: Path) -> None:
             if max(sum(map(row.count, (b"<c ", b"<c>", b"<c/"))) for row in text.split(b"<row")) > MOST_COLUMNS:
                 raise DataError(f"{path}: part {name!r} has more than {MOST_COLUMNS} cells in a row")
             if name.endswith((".xml", ".rels")):
-                require_plain(text, f"{path}: part {name!r}")
+                parts[name] = _part(require_plain(text, f"{path}: part {name!r}"))
+    return parts
 
 
-def _plain(value: object) -> float | str:
-    """A cell's number or text; a date is the number that it is kept as."""
-    if isinstance(value, date | datetime | time):
-        from openpyxl.utils.datetime import to_excel
-
-        return float(to_excel(value))
-    return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else str(value)
+def _other_zip(names: Collection[str]) -> str:
+    """What a zip is that is no .xlsx workbook, and what to do with it."""
+    for name, what in (("META-INF/manifest.xml", "an OpenDocument file (.ods)"), ("xl/workbook.bin", "binary (.xlsb)")):
+        if name in names:
+            return f"is {what}, which is not read; open it in a spreadsheet program, and save it as .xlsx or as .csv"
+    return "is a zip, but no Excel workbook; unpack it first"
 
 
 ABOUT = "attributes of the table, as JSON"
@@ -141,8 +260,6 @@ MOST_ROWS = 1_048_576
 MOST_TEXT = 30_000
 """Characters of a cell: Excel takes 32 767."""
 MAX_BYTES = 64 * 2**20
-MAX_PLACES = 4_000_000
-"""Rows times columns, empty ones too: what the lines of the CSV take, four times the cells of a workbook."""
 
 
 def is_workbook(data: bytes) -> bool:
@@ -150,58 +267,24 @@ def is_workbook(data: bytes) -> bool:
     return data.startswith((OLD, NEW))
 
 
-def as_csv(data: bytes, path: Path, needed: Collection[str]) -> tuple[bytes, list[str]]:
+def as_csv(data: bytes, path: Path, needed: Collection[str], takes: Takes = lambda _: {}) -> tuple[bytes, list[str]]:
     """The worksheet of a table as a CSV, and notes on which it is.
+
+    `takes` tells of a header which of its columns are read, and their units; "" of words.
 
     Raises
     ------
     DataError
-        It is no such workbook, is damaged, or holds nothing; a cell stands in a column without a name.
+        It is no such workbook, is damaged, or holds nothing; a cell stands in a column without a name; a cell of a
+        column that is read is no number where one belongs.
     """
-    return _table_of(worksheets(data, path), path, needed)
-
-
-def _table_of(sheets: Sequence[Sheet], path: Path, needed: Collection[str]) -> tuple[bytes, list[str]]:
-    full = [(number, sheet) for number, sheet in enumerate(sheets, start=1) if sheet]
-    if not full:
-        raise DataError(f"{path}: the workbook holds no cells")
-    number, sheet = next(((n, s) for n, s in full if set(needed) <= set(_header(s).values())), full[0])
-    header = _header(sheet)
-    first = min(row for row, _ in sheet)
-    rows = len({row for row, _ in sheet})
-    where = f"{path}, worksheet {number}"
-    if rows * len(header) > MAX_PLACES:
-        raise DataError(
-            f"{where}: {rows} rows of {len(header)} columns are more than {MAX_PLACES} places, "
-            "most of them empty; leave out the columns that hold nothing"
-        )
-    lines: dict[int, list[str]] = {}
-    place = {column: k for k, column in enumerate(header)}
-    for (row, column), value in sheet.items():
-        if row > first and column not in place:
-            raise DataError(
-                f"{where}, row {row + 1}: a cell in a column without a name; the sheet's first line names them"
-            )
-        if row > first:
-            lines.setdefault(row, [""] * len(place))[place[column]] = _cell(value)
-    notes = [f"worksheet {number} of {len(sheets)} is read"] if len(sheets) > 1 else []
-    return csv_of(header.values(), (lines[row] for row in sorted(lines))), notes
-
-
-def _header(sheet: Sheet) -> dict[int, str]:
-    """Names of the columns by their places: the first line that is not empty."""
-    first = min(row for row, _ in sheet)
-    return {column: _cell(value).strip() for (row, column), value in sorted(sheet.items()) if row == first}
-
-
-def _cell(value: float | str) -> str:
-    return value if isinstance(value, str) else repr(value)
+    return table_of(worksheets(data, path), path, needed, takes)
 
 
 def read(data: bytes, path: Path) -> DataFrame:
     """The measurement table in a workbook whose columns have the table's own names."""
     sheets = worksheets(data, path)
-    text, notes = _table_of(sheets, path, native.NEEDED)
+    text, notes = table_of(sheets, path, NEEDED, under_its_own_names)
     stored = _stored(sheets)
     frame = native.read(io.BytesIO(text), path, stored)
     frame.attrs["notes"] = [*([] if stored else notes), *frame.attrs["notes"]]

@@ -16,6 +16,7 @@ from gonio import measurement
 from gonio.cli.tables import convert
 from gonio.errors import ConfigError, DataError
 from gonio.formats import own_columns, workbook
+from gonio.formats.sheets import Sheet
 from tests.command_line import gonio, says, some
 
 PLAIN = """theta_i_deg,phi_i_deg,theta_r_deg,phi_r_deg,wavelength_nm,brdf,u_brdf
@@ -49,7 +50,7 @@ def assert_plain(frame: pd.DataFrame) -> None:
 def test_names_and_units_of_ones_own(mark: str, point: str) -> None:
     frame = measurement.parse(mine(mark, point).encode(), Path("mine.csv"), columns=own_columns.pairs(SPEC))
     assert_plain(frame)
-    says(frame.attrs["notes"], "brdf is the file's column 'R' [factor]", "columns left out: 'run'")
+    says(frame.attrs["notes"], "the file's column 'R' [factor] is brdf", "columns left out: 'run'")
 
 
 def test_the_file_beside_the_table_is_read_by_every_command(tmp_path: Path) -> None:
@@ -142,7 +143,7 @@ def test_a_workbook_under_the_tables_names_needs_none() -> None:
 def test_an_old_workbook_under_ones_own_names(monkeypatch: pytest.MonkeyPatch) -> None:
     numbers = [[v if isinstance(v, str) else float(str(v)) for v in row] for row in ROWS]
     cells = {(r, c): value for r, row in enumerate(numbers) for c, value in enumerate(row)}
-    monkeypatch.setattr(workbook, "worksheets", lambda data, path: [cells])  # the reader has tests of its own
+    monkeypatch.setattr(workbook, "worksheets", lambda data, path: [Sheet(cells)])  # the reader has tests of its own
     assert_plain(measurement.parse(workbook.OLD, Path("mine.xls"), columns=own_columns.pairs(SPEC)))
 
 

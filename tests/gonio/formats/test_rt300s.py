@@ -110,7 +110,7 @@ def test_the_blank_beside_is_subtracted(tmp_path: Path) -> None:
     ("data", "told"),
     [
         (workbook(SAMPLE)[:3000], "the workbook is damaged"),
-        (workbook([[(-90, 30.0, 95.0, 1.0)]]), "worksheet 1, column 1: Receive is 95.0"),
+        (workbook([[(-90, 30.0, 95.0, 1.0)]]), "worksheet 1, row 4, column B: Receive is 95.0"),
         (workbook(SAMPLE).replace(b" RT", b" XX"), "column 0 has no label RT"),
         (workbook([[]]), "holds no measurement"),
         (
