@@ -281,6 +281,11 @@ def _points_of(path: Path, lines: "csv.DictReader[str]") -> list[Point]:
     lines.fieldnames, points = columns, []
     for row in lines:
         values = {}
+        if more := row.get(None, ()):  # type: ignore[call-overload]
+            raise ConfigError(
+                f"{path}: line {lines.line_num}: {len(columns) + len(more)} cells, and the header names {len(columns)} "
+                "columns; commas separate cells, and numbers have decimal points"
+            )
         side = (row.get("side") or "reflection").strip()
         if side not in ("reflection", "transmission"):
             raise ConfigError(f"{path}: line {lines.line_num}: side = {side[:40]!r}; reflection or transmission")

@@ -120,6 +120,8 @@ def _listed(path: Path) -> list[CameraFrame]:
     out = []
     for number, row in enumerate(rows, 2):
         where = f"{path}, line {number}"
+        if None in row:
+            raise ConfigError(f"{where}: more cells than the header names columns; numbers have decimal points")
         if row.get("kind") not in get_args(Kind) or not row.get("file"):
             raise ConfigError(f"{where}: needs file and kind ({', '.join(get_args(Kind))})")
         file = path.parent / row["file"]

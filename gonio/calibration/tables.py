@@ -30,6 +30,8 @@ def read_numbers(
         table = pd.read_csv(BytesIO(data), skipinitialspace=True, comment="#", dtype=str)
     except ValueError as error:
         raise DataError(f"{path}: cannot be read as a table: {error}") from None
+    if not isinstance(table.index, pd.RangeIndex):  # pandas takes the first cells as names of the rows
+        raise DataError(f"{path}: row 1 has more cells than the header names columns; numbers need decimal points")
     missing = [name for name in (*words, *needed) if name not in table]
     if missing:
         raise DataError(f"{path}: the column {missing[0]} is missing; needed are {', '.join((*words, *needed))}")

@@ -9,7 +9,7 @@ import os
 import re
 import tomllib
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -57,7 +57,7 @@ class Column:
     own: str
     unit: str
     """"" of words."""
-    follows: bool
+    follows: bool = field(compare=False)
     """Whether the unit is that of `brdf`, because none is named."""
 
 

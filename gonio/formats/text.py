@@ -68,7 +68,7 @@ def separator(text: str) -> str:
     """What separates the cells of a CSV that begins with its header: a comma, or a semicolon, or a tab.
 
     It is the mark that the header has outside its quotes, and the rows as often. Of several, the one that is there most
-    often: the comma in "R (632,8 nm)" and the decimal commas below it separate nothing.
+    often, and rather no comma: the one in "R (632,8 nm)" and the decimal commas below it separate nothing.
     """
     header, *rows = [line for line in re.split(r"[\r\n]+", text[: _LOOKED_AT[0]]) if line.strip()][: _LOOKED_AT[1]] or [
         ""
@@ -81,7 +81,7 @@ def separator(text: str) -> str:
         often = count(header, mark)
         return sum(count(row, mark) == often for row in rows) * 2 >= len(rows), often
 
-    marks = [mark for mark in ",;\t" if count(header, mark)]
+    marks = [mark for mark in "\t;," if count(header, mark)]
     return max(marks, key=rank, default=",")
 
 

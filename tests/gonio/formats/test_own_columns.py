@@ -50,7 +50,7 @@ def assert_plain(frame: pd.DataFrame) -> None:
 def test_names_and_units_of_ones_own(mark: str, point: str) -> None:
     frame = measurement.parse(mine(mark, point).encode(), Path("mine.csv"), columns=own_columns.pairs(SPEC))
     assert_plain(frame)
-    says(frame.attrs["notes"], "the file's column 'R' [factor] is brdf", "columns left out: 'run'")
+    says(" ".join(frame.attrs["notes"]), "'R' [factor] is brdf", "columns left out: 'run'")
 
 
 def test_the_file_beside_the_table_is_read_by_every_command(tmp_path: Path) -> None:
@@ -211,3 +211,128 @@ def test_a_cell_without_a_column_and_an_empty_workbook_are_told() -> None:
         measurement.parse(xlsx([["title"], [1], [1, 2]]), Path("mine.xlsx"))
     with pytest.raises(DataError, match="the workbook holds no cells"):
         measurement.parse(xlsx([[]]), Path("mine.xlsx"))
+
+
+# ---- units that nobody has named ----
+
+ANGLES = "theta_i=ti,phi_i=pi,theta_r=tr,phi_r=pr"
+SCALES = {"1/sr": 1.0, "factor": 1 / math.pi, "percent": 0.01 / math.pi}
+
+
+def table(*more: str, rows: Sequence[str] = ("30,0,10,180,62,2", "30,0,20,180,58,3")) -> bytes:
+    return "\n".join([",".join(["ti", "pi", "tr", "pr", *more]), *rows, ""]).encode()
+
+
+@pytest.mark.parametrize("unit", list(SCALES))
+@pytest.mark.parametrize("key", ["u_brdf", "u_random", "u_angles", "s_lamp"])
+def test_an_uncertainty_has_the_unit_of_brdf(key: str, unit: str) -> None:
+    """Kind: a column that belongs to another is read in a unit of its own; 2 % of a factor was 2 per steradian."""
+    columns = own_columns.pairs(f"{ANGLES},{key}=dR,brdf=R:{unit}")
+    frame = measurement.parse(table("R", "dR"), Path("a.csv"), columns=columns)
+    # two roundings, by 100 and by pi
+    assert frame[key].tolist() == pytest.approx([2 * SCALES[unit], 3 * SCALES[unit]], rel=1e-15)
+    told = " ".join(frame.attrs["notes"])
+    assert f"'dR' [{unit}] is {key}" in told
+    assert (f"write {key} = 'dR:1/sr'" in told) == (unit != "1/sr")
+
+
+def test_a_unit_that_is_named_for_an_uncertainty_wins() -> None:
+    of = "theta_i=ti,phi_i=pi,theta_r=tr,phi_r=pr,brdf=R:percent,u_random=dR:"
+    expected = {"1/sr": [2.0, 3.0], "factor": [2 / math.pi, 3 / math.pi], "relative": [1.24 / math.pi, 1.74 / math.pi],
+                "relative-percent": [0.0124 / math.pi, 0.0174 / math.pi]}  # fmt: skip
+    for unit, values in expected.items():
+        frame = measurement.parse(table("R", "dR"), Path("a.csv"), columns=own_columns.pairs(of + unit))
+        assert frame["u_random"].tolist() == pytest.approx(values, rel=2e-15)  # four roundings
+    signed = measurement.parse(
+        table("R", "dR", rows=["30,0,10,180,-62,2"]), Path("a.csv"),
+        columns=own_columns.pairs(f"{ANGLES},brdf=R:1/sr,u_random=dR:relative-percent"),
+    )  # fmt: skip
+    assert signed["u_random"].tolist() == pytest.approx([1.24], rel=1e-15)  # an uncertainty has no sign
+
+
+def test_an_uncertainty_under_the_tables_name_follows_too() -> None:
+    frame = measurement.parse(table("R", "u_brdf"), Path("a.csv"), columns=own_columns.pairs(f"{ANGLES},brdf=R:factor"))
+    assert frame["u_brdf"].tolist() == [2 / math.pi, 3 / math.pi]
+    says(" ".join(frame.attrs["notes"]), "the unit of brdf is that of 'u_brdf' [factor] too")
+
+
+def test_a_file_that_an_older_version_wrote_is_read_right_and_told(tmp_path: Path) -> None:
+    """Kind: what was remembered wrongly goes on being wrong. A new file states each unit."""
+    (tmp_path / "a.csv").write_bytes(table("R", "dR"))
+    pairs = own_columns.pairs(f"{ANGLES},brdf=R:percent,u_random=dR")
+    old = "".join(f'{key} = "{own}"\n' for key, own in pairs.items())
+    (tmp_path / "a.columns.toml").write_text(old)
+    done = gonio(tmp_path, "convert", "a.csv", "-", "--to", "gonio", expect=0)
+    assert repr(3 * 0.01 / math.pi)[:12] in done.stdout
+    assert "write u_random = 'dR:1/sr'" in " ".join(done.stderr.split())
+    (tmp_path / "a.columns.toml").unlink()
+    some(own_columns.remember(tmp_path / "a.csv", pairs))
+    assert 'u_random = "dR:percent"' in (tmp_path / "a.columns.toml").read_text()
+    assert own_columns.remember(tmp_path / "a.csv", pairs) is None  # it says the same
+
+
+@pytest.mark.parametrize(
+    ("spec", "more", "told"),
+    [
+        (f"{ANGLES},brdf=R (%)", ("R (%)", "U"), "brdf=R (%):percent, or brdf=R (%):1/sr"),
+        (f"{ANGLES},brdf=R:factor,u_brdf=U [1/sr]", ("R", "U [1/sr]"), "u_brdf=U [1/sr]:1/sr, or"),
+        (f"{ANGLES},brdf=R:factor,u_brdf=U%", ("R", "U%"), "u_brdf=U%:percent, or u_brdf=U%:relative-percent, or"),
+        (f"{ANGLES},brdf=R,wavelength=lambda_um", ("R", "lambda_um"), "wavelength=lambda_um:um, or"),
+        (f"{ANGLES.replace('=ti', '=t [rad]')},brdf=R", ("R", "U"), "theta_i=t [rad]:rad, or"),
+    ],
+)
+def test_a_name_that_says_another_unit_than_the_one_taken_is_refused(
+    spec: str, more: tuple[str, str], told: str
+) -> None:
+    """Kind: a unit that stands in the file's own header, and is passed over."""
+    with pytest.raises(ConfigError) as caught:
+        measurement.parse(table(*more), Path("a.csv"), columns=own_columns.pairs(spec))
+    assert told in str(caught.value)
+
+
+def test_a_wavelength_in_another_unit_is_refused() -> None:
+    """Kind: 0.55 in a column of nanometres, and 550 in one of micrometres."""
+    for text, unit in (("0.55", "nm"), ("10.6", "nm"), ("5.5e-7", "nm"), ("550", "um")):
+        data = table("R", "wl", rows=[f"30,0,10,180,0.3,{text}"])
+        with pytest.raises(DataError, match=r"line 2: wavelength_nm = .*; from 100 to 200000 nanometres"):
+            measurement.parse(data, Path("a.csv"), columns=own_columns.pairs(f"{ANGLES},brdf=R,wavelength=wl:{unit}"))
+    with pytest.raises(DataError, match=r"wavelength_nm = 0\.55"):
+        measurement.parse(PLAIN.replace(",550,", ",0.55,").encode(), Path("plain.csv"))
+
+
+def test_rows_that_are_copies_are_told(tmp_path: Path) -> None:
+    """Kind: one measurement that counts twice. Repeats with other values are no copies."""
+    line = PLAIN.splitlines()[1]
+    twice = measurement.parse((PLAIN + line + "\n").encode(), Path("plain.csv"))
+    told = "rows that are the same as another in every column: 1 (the first are 1 and 3 of the table)"
+    says(" ".join(twice.attrs["notes"]), told)
+    repeat = measurement.parse((PLAIN + line.replace("0.25", "0.26") + "\n").encode(), Path("plain.csv"))
+    assert not any("the same as another" in note for note in repeat.attrs["notes"])
+    (tmp_path / "a.csv").write_text(PLAIN + line + "\n")
+    done = gonio(tmp_path, "convert", "a.csv", "b.csv", expect=0)
+    assert "Rows that are the same as another" in done.stderr
+
+
+def test_a_refusal_of_columns_has_a_line_to_copy(tmp_path: Path) -> None:
+    """Kind: a message that says what is wrong, and not how to go on."""
+    header = "Incident Zenith,Source Azimuth,theta_r [rad],view_a,Reflectance factor,remark"
+    (tmp_path / "a.csv").write_text(f"{header}\n30,0,0.5,180,0.9,x\n")
+    with pytest.raises(DataError) as caught:
+        measurement.read(tmp_path / "a.csv")
+    _, _, rest = str(caught.value).partition('--columns "')
+    line = rest.partition('"')[0]
+    frame = measurement.read(tmp_path / "a.csv", columns=own_columns.pairs(line))
+    assert frame["brdf"].tolist() == [0.9 / math.pi]
+    assert frame["theta_r_deg"].tolist() == pytest.approx([math.degrees(0.5)], rel=1e-15)
+    with pytest.raises(
+        DataError, match=r"in no format known here .* --columns \"theta_i=NAME,.*\.columns\.toml beside it"
+    ):
+        measurement.parse(b"u v w\n1 2 3\n", Path("a.txt"))
+
+
+def test_a_name_keeps_its_letters_in_a_note() -> None:
+    """Kind: an identifier that becomes a capitalised word."""
+    frame = pd.DataFrame()
+    frame.attrs["notes"] = ["theta_i_deg is here", "brdf is there", "a.csv is read", "one is not", "'x' is y"]
+    told = ["theta_i_deg is here.", "brdf is there.", "a.csv is read.", "One is not.", "'x' is y."]
+    assert measurement.of_reader(frame) == told
