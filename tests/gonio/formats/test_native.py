@@ -37,7 +37,7 @@ def checked(frame: pd.DataFrame) -> None:
         ("theta_r_deg", (0.0, 90.0), (-0.001, 90.001, math.nan)),
         ("phi_i_deg", (0.0, 359.999), (-0.001, 360.0, math.nan)),
         ("phi_r_deg", (0.0, 359.999), (-0.001, 360.0, math.nan)),
-        ("wavelength_nm", (1e-3, 1e6, math.nan), (0.0, -1.0, math.inf)),
+        ("wavelength_nm", (100.0, 2e5, math.nan), (0.0, -1.0, 0.55, 10.6, 2.01e5, math.inf)),
         ("brdf", (-1.0, 0.0, 1e9), (math.nan, math.inf)),
         ("u_brdf", (0.01, 1.0, math.nan), (-0.1, math.inf)),
         ("u_random", (0.0, 0.02, math.nan), (-0.1, math.inf)),
