@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from gonio.errors import DataError
-from gonio.formats.reader import ANGLES
+from gonio.formats.reader import ANGLES, COLUMNS, EXTRA
 from gonio.formats.text import csv_of
 
 WORDS = ("polarisation", "side", "sample", "flag")
@@ -53,6 +53,13 @@ class Sheet(dict[tuple[int, int], Cell]):
 
 
 def table_of(sheets: Sequence[Sheet], path: Path, needed: Collection[str], takes: Takes) -> tuple[bytes, list[str]]:
+    """The table of the first worksheet whose header has the needed columns, as a CSV, and notes on what was taken.
+
+    Raises
+    ------
+    DataError
+        No worksheet has cells, one stands in a column without a name, or one is no number where one belongs.
+    """
     full = [(number, sheet) for number, sheet in enumerate(sheets, start=1) if sheet]
     if not full:
         raise DataError(f"{path}: the workbook holds no cells")
@@ -166,4 +173,5 @@ def _shown(value: Cell) -> str:
 def under_its_own_names(header: Iterable[str]) -> dict[str, str]:
     """The units of the columns of a measurement table; "" of words."""
     units = {name: "deg" for name in ANGLES} | {"wavelength_nm": "nm"} | dict.fromkeys(WORDS, "")
-    return {name: units.get(name, "1/sr") for name in header}
+    known = (*COLUMNS, *EXTRA)
+    return {name: units.get(name, "1/sr") for name in header if name in known or name.startswith("s_")}

@@ -70,9 +70,8 @@ def separator(text: str) -> str:
     It is the mark that the header has outside its quotes, and the rows as often. Of several, the one that is there most
     often, and rather no comma: the one in "R (632,8 nm)" and the decimal commas below it separate nothing.
     """
-    header, *rows = [line for line in re.split(r"[\r\n]+", text[: _LOOKED_AT[0]]) if line.strip()][: _LOOKED_AT[1]] or [
-        ""
-    ]
+    most, lines = _LOOKED_AT
+    header, *rows = [line for line in re.split(r"[\r\n]+", text[:most]) if line.strip()][:lines] or [""]
 
     def count(line: str, mark: str) -> int:
         return re.sub(r'"[^"]*"', "", line).count(mark)
