@@ -281,7 +281,7 @@ def _points_of(path: Path, lines: "csv.DictReader[str]") -> list[Point]:
     lines.fieldnames, points = columns, []
     for row in lines:
         values = {}
-        if more := row.get(None, ()):  # type: ignore[call-overload]
+        if more := row.get(None, ()):
             raise ConfigError(
                 f"{path}: line {lines.line_num}: {len(columns) + len(more)} cells, and the header names {len(columns)} "
                 "columns; commas separate cells, and numbers have decimal points"

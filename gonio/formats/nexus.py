@@ -16,6 +16,7 @@ import numpy as np
 from gonio import __version__, hdf5, seals
 from gonio.errors import DataError
 from gonio.formats import native
+from gonio.formats.column_hints import NEEDED
 from gonio.formats.curve_sheets import MOST, curves
 from gonio.formats.reader import Format, require_held, write_bytes
 from gonio.formats.sheets import WORDS
@@ -118,7 +119,7 @@ def read(data: bytes, path: Path) -> DataFrame:
             if math.prod(table.attrs.get_id("gonio_columns").shape) > 1000:
                 raise DataError(f"{path}: {TABLE} names more than 1000 columns")
             names = [str(name) for name in np.ravel(table.attrs["gonio_columns"])]
-            native.check_columns(names, f"{path}: {TABLE}", needed=native.NEEDED)
+            native.check_columns(names, f"{path}: {TABLE}", needed=NEEDED)
             columns = {name: _read_column(table, name, path) for name in names}
             stored = _stored(file, path)
         except DataError:

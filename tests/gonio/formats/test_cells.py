@@ -34,8 +34,8 @@ def xlsx(
     sheet = book.active
     for row in rows:
         sheet.append(list(row))
-    for (row, column), text in (formats or {}).items():
-        sheet.cell(row + 1, column + 1).number_format = text
+    for (at, column), text in (formats or {}).items():
+        sheet.cell(at + 1, column + 1).number_format = text
     if merged:
         sheet.merge_cells(merged)
     if hidden:
@@ -188,7 +188,10 @@ def test_an_rt300s_workbook_refuses_what_is_no_number() -> None:
 )
 def test_a_percent_format_and_the_unit_percent_count_once(shown: str, unit: str, values: list[float]) -> None:
     """Kind: a number format and a unit that both divide by 100."""
-    rows = [["ti", "pi", "tr", "pr", "R"], *([30.0, 0.0, float(r), 180.0, 0.62] for r in (0, 10, 20))]
+    rows: list[list[object]] = [
+        ["ti", "pi", "tr", "pr", "R"],
+        *([30.0, 0.0, float(r), 180.0, 0.62] for r in (0, 10, 20)),
+    ]
     data = xlsx(rows, {(row, 4): shown for row in (1, 2, 3)})
     frame = measurement.parse(data, Path("a.xlsx"), columns={**OWN, "brdf": f"R:{unit}"})
     assert frame["brdf"].tolist() == pytest.approx(values, rel=1e-15)  # one rounding each of the scale and of pi
@@ -203,7 +206,10 @@ def test_a_percent_format_where_no_share_belongs_is_refused() -> None:
             measurement.parse(xlsx([HEADER, *ROWS], {(1, column): "0.0%"}), Path("a.xlsx"))
     with pytest.raises(DataError, match="row 2, column F: brdf is a number in percent format"):
         measurement.parse(xls([HEADER, *ROWS], percent=True), Path("a.xls"))
-    rows = [["ti", "pi", "tr", "pr", "R"], *([30.0, 0.0, float(r), 180.0, 0.62] for r in (0, 10, 20))]
+    rows: list[list[object]] = [
+        ["ti", "pi", "tr", "pr", "R"],
+        *([30.0, 0.0, float(r), 180.0, 0.62] for r in (0, 10, 20)),
+    ]
     data = xlsx(rows, {(1, 4): "0%", (2, 4): "0%"})
     with pytest.raises(DataError, match=r"row 2, column E: R is a number in percent format, and that in row 4 is not"):
         measurement.parse(data, Path("a.xlsx"), columns={**OWN, "brdf": "R:percent"})
@@ -239,7 +245,10 @@ def test_merged_cells_are_refused_and_hidden_rows_are_told() -> None:
 
 def test_dates_above_a_table_of_ones_own_are_no_numbers_of_it() -> None:
     """Kind: a date in a header is legal: it is a name."""
-    rows = [["ti", "pi", "tr", "pr", "R", date(2031, 3, 7)], *([30.0, 0.0, float(r), 180.0, 0.6, 1.0] for r in (0, 10))]
+    rows: list[list[object]] = [
+        ["ti", "pi", "tr", "pr", "R", date(2031, 3, 7)],
+        *([30.0, 0.0, float(r), 180.0, 0.6, 1.0] for r in (0, 10)),
+    ]
     frame = measurement.parse(xlsx(rows), Path("a.xlsx"), columns={**OWN, "brdf": "R"})
     assert "columns left out: '2031-03-07'" in frame.attrs["notes"]
 
@@ -264,7 +273,10 @@ def test_other_workbooks_are_named_with_the_way_out(names: tuple[str, ...], told
 
 
 def test_units_of_a_workbook_are_those_of_own_columns() -> None:
-    rows = [["ti", "pi", "tr", "pr", "R", "dR"], *([30.0, 0.0, float(r), 180.0, 62.0, 0.05] for r in (0, 10))]
+    rows: list[list[object]] = [
+        ["ti", "pi", "tr", "pr", "R", "dR"],
+        *([30.0, 0.0, float(r), 180.0, 62.0, 0.05] for r in (0, 10)),
+    ]
     data = xlsx(rows, {(row, 5): "0%" for row in (1, 2)})
     pairs = own_columns.pairs("theta_i=ti,phi_i=pi,theta_r=tr,phi_r=pr,brdf=R:percent,u_random=dR:relative-percent")
     frame = measurement.parse(data, Path("a.xlsx"), columns=pairs)
