@@ -7,6 +7,7 @@ import zipfile
 from collections.abc import Mapping, Sequence
 from datetime import date, datetime, time, timedelta
 from pathlib import Path
+from typing import Any
 
 import openpyxl
 import pytest
@@ -24,7 +25,7 @@ BAD, OWN = (2, 5), {"theta_i": "ti", "phi_i": "pi", "theta_r": "tr", "phi_r": "p
 
 
 def xlsx(
-    rows: Sequence[Sequence[object]],
+    rows: Sequence[Any],
     formats: Mapping[tuple[int, int], str] | None = None,
     merged: str = "",
     hidden: int = 0,
