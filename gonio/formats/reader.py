@@ -345,7 +345,7 @@ def require_held(text: str, path: Path, format_name: str, unfit: re.Pattern[str]
     if bad := unfit.search(text):
         named = bad[0].encode("unicode_escape").decode()
         raise DataError(
-            f"{path}: {visible(text[:60])!r} has the character {named}, which {format_name} cannot hold; rename it, or "
+            f'{path}: "{visible(text[:60])}" has the character {named}, which {format_name} cannot hold; rename it, or '
             "write .parquet"
         )
 
