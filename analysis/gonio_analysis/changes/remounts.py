@@ -206,8 +206,9 @@ def draw(known: Remounts) -> Figure:
     figure = Figure(figsize=(9.0, 3.6), layout="constrained")
     left, right = figure.subplots(1, 2, width_ratios=[2, 1], sharey=True)
     angle = np.degrees(known.at.directions.along)
+    dots = {}
     for name, y in zip(known.names, known.deviations, strict=True):
-        left.scatter(angle, 100.0 * y, s=7, alpha=0.5, lw=0, label=name)
+        dots[name] = left.scatter(angle, 100.0 * y, s=7, alpha=0.5, lw=0)
         right.hist(100.0 * y, bins=40, orientation="horizontal", histtype="step", lw=1.5)
     limit = 100.0 * float(np.quantile(np.abs(known.deviations), 0.99)) * 1.2
     left.axhline(0.0, color="0.8", lw=0.8)
@@ -216,6 +217,6 @@ def draw(known: Remounts) -> Figure:
         xlabel="receiver along the plane of incidence / deg", xticks=range(-90, 91, 30),
     )  # fmt: skip
     right.set(xlabel="directions")
-    left.legend(fontsize=8, loc="best", markerscale=2)
+    left.legend(list(dots.values()), list(dots), fontsize=8, loc="best", markerscale=2)
     figure.suptitle(f"Two mounts differ by {100 * known.typical:.2g} % (median)", fontsize=10)
     return figure
