@@ -15,7 +15,17 @@ import numpy as np
 
 from gonio.errors import DataError
 from gonio.formats import reader
-from gonio.formats.reader import NOT_IN_A_LINE, Format, fold, plain_degrees, require_held, spectra, wide, write_lines
+from gonio.formats.reader import (
+    NOT_IN_A_LINE,
+    Format,
+    fold,
+    one_value_a_direction,
+    plain_degrees,
+    require_held,
+    spectra,
+    wide,
+    write_lines,
+)
 from gonio.formats.text import Text, estimate, integer, numbers
 from gonio.typing import DataFrame
 
@@ -53,7 +63,7 @@ def read(data: bytes, path: Path) -> DataFrame:
         notes.append("the file states no wavelength")
     if clamped.any():
         notes.insert(0, f'{clamped.sum()} of {clamped.size} values are zero: clamped, and flagged "clamped"')
-    return spectra(
+    frame = spectra(
         (*fold(theta_i, phi_i, slack_deg=0.06), *fold(theta_r, phi_r, slack_deg=0.06)),
         wavelengths,
         values[:, 4:],
@@ -65,6 +75,7 @@ def read(data: bytes, path: Path) -> DataFrame:
             "notes": notes,
         },
     )
+    return one_value_a_direction(frame, np.column_stack([theta_i, phi_i, theta_r, phi_r]), path)
 
 
 def _rows(

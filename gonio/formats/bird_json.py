@@ -20,7 +20,7 @@ import numpy as np
 from gonio.errors import DataError
 from gonio.formats._bird_writer import _STATES, _Variable, write
 from gonio.formats.native import checked_attributes
-from gonio.formats.reader import Format, fold, get, laboratory_of, table
+from gonio.formats.reader import Format, fold, get, laboratory_of, one_value_a_direction, table
 from gonio.typing import DataFrame, Floats, JsonObject
 
 _STOKES = {(1.0, 1.0, 0.0, 0.0): "s", (1.0, -1.0, 0.0, 0.0): "p", (1.0, 0.0, 0.0, 0.0): "u"}
@@ -32,7 +32,11 @@ def read(data: bytes, path: Path) -> DataFrame:
     content = _load(data, path)
     section = content.get("data")
     if not isinstance(section, dict):
-        raise DataError(f'{path}: a BiRD file needs an object "data"')
+        keys = ", ".join(_short(key) for key in list(content)[:6])
+        raise DataError(
+            f'{path}: is JSON, and not of BiRD, which has an object "data" with a variable "BRDF"; its keys are '
+            f"{keys}. Tables of one's own are read as CSV, with --columns"
+        )
     file = _Section(section, path)
     brdf = file.numbers("BRDF", {"1/sr": 1.0, "sr^-1": 1.0})
     count = brdf.size
@@ -80,6 +84,8 @@ def read(data: bytes, path: Path) -> DataFrame:
     for name in columns:
         if name.startswith("s_"):
             frame.insert(len(frame.columns) - 1, name, columns[name])
+    raw = np.column_stack([angles[name] for name in ("theta_i", "phi_i", "theta_r", "phi_r")])
+    frame = one_value_a_direction(frame, raw, path)
     if isinstance(own := get(metadata, "adhoc_section.gonio"), dict):
         frame.attrs.update(checked_attributes(own | {"source_file": str(path)}, f"{path}: metadata.adhoc_section"))
     return frame
@@ -234,7 +240,8 @@ FORMAT = Format(
     title="BiRD universal BRDF JSON",
     endings=(".brdf", ".json"),
     sniff=lambda head: (
-        head.lstrip(b"\xef\xbb\xbf \t\r\n")[:1] == b"{" and (b'"metadata"' in head or b'"theta_i"' in head)
+        head.lstrip(b"\xef\xbb\xbf \t\r\n")[:1] == b"{"
+        and (b'"theta_i"' in head or (b'"metadata"' in head and re.search(rb'"data"\s*:\s*\{', head) is not None))
     ),
     read=read,
     write=write,

@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 
 from gonio.errors import DataError
-from gonio.formats.reader import Format, fold, table, wrap_deg
+from gonio.formats.reader import Format, fold, one_value_a_direction, table, wrap_deg
 from gonio.formats.text import Text, number, numbers
 from gonio.typing import DataFrame
 
@@ -80,6 +80,7 @@ def read(data: bytes, path: Path) -> DataFrame:
     if not rows:
         raise DataError(f"{path}: holds a header and no values")
     theta_i, phi_i, theta_r, phi_r, value, dsf = np.array(rows).T
+    stated = np.column_stack([theta_i, phi_i, theta_r, phi_r])
     (theta_i, phi_i), (theta_r, phi_r) = fold(theta_i, phi_i), fold(theta_r, phi_r)
     front, behind = (theta_i <= 90.0) & (theta_r <= 90.0), (theta_i > 90.0) & (theta_r > 90.0)
     used = front | behind
@@ -102,7 +103,7 @@ def read(data: bytes, path: Path) -> DataFrame:
     brdf = np.where(dsf[used] > 0.0, value[used] / np.where(grazing, 1.0, cosine), value[used])
     called = name or path.stem
     sides = np.where(behind[used], f"{called} back", f"{called} front") if front.any() and behind.any() else None
-    return table(
+    frame = table(
         theta_i_deg=theta_i,
         phi_i_deg=wrap_deg(phi_i),
         theta_r_deg=theta_r,
@@ -113,6 +114,7 @@ def read(data: bytes, path: Path) -> DataFrame:
         sample=sides,
         attrs={"source_file": str(path), "sample": called, "notes": notes},
     )
+    return one_value_a_direction(frame, stated[used], path)
 
 
 def _rows(text: Text) -> tuple[list[tuple[float, ...]], set[str], str | None]:

@@ -47,6 +47,8 @@ LARGEST = 2**30
 """No file above this size is opened: CSV tables of this program may have it."""
 MAX_BYTES = 2**28
 """Most bytes of a file; less where a reader needs many bytes of memory a byte."""
+SAME = 1e-6
+"""Relative: two values that a file states for one direction are one where they differ by rounding to seven digits."""
 RGB_NM = {"red": 610.0, "green": 550.0, "blue": 465.0}
 """Where a model is evaluated for a file that has colours."""
 
@@ -160,6 +162,46 @@ def table(
     frame.attrs.update(attributes(**({"quantity": quantity(frame)} | dict(attrs))))
     flag_holes(frame)
     return frame
+
+
+def one_value_a_direction(frame: DataFrame, stated_deg: Floats, path: Path) -> DataFrame:
+    """The table with one row where a file states one direction in two ways, as azimuths of 0 and 360 degrees.
+
+    Parameters
+    ----------
+    frame
+        The table, in the file's order.
+    stated_deg
+        The four angles as the file states them, shape (n, 4); n divides the rows of the table.
+    path
+        For messages.
+
+    Raises
+    ------
+    DataError
+        The values of such a direction differ.
+    """
+    place = [name for name in (*ANGLES, "wavelength_nm", "polarisation", "sample", "side") if name in frame.columns]
+    if not frame.duplicated(place).any():
+        return frame
+    stated = np.repeat(stated_deg, len(frame) // len(stated_deg), axis=0)
+    group = frame.groupby(place, sort=False, dropna=False).ngroup().to_numpy()
+    first = np.unique(group, return_index=True)[1][group]
+    again = (stated[first] != stated).any(axis=1)
+    if not again.any():
+        return frame  # the same statement twice is a repeated measurement
+    value = frame["brdf"].to_numpy(np.float64)
+    same = np.isclose(value, value[first], rtol=SAME, atol=0.0, equal_nan=True)
+    for row in np.flatnonzero(again & ~same)[:1]:
+        a, b = (", ".join(f"{angle:g}" for angle in stated[k]) for k in (first[row], row))
+        raise DataError(
+            f"{path}: the directions ({a}) and ({b}) degrees are one, and their values are {value[first[row]]:g} and "
+            f"{value[row]:g}; keep the one that holds"
+        )
+    out: DataFrame = frame[~again].reset_index(drop=True)
+    note = f"{int(again.sum())} values are of a direction that is stated in two ways (as 0 and 360 degrees): left out"
+    out.attrs = {**frame.attrs, "notes": [*frame.attrs.get("notes", ()), note]}
+    return out
 
 
 def spectra(

@@ -19,7 +19,7 @@ import numpy as np
 
 from gonio import geometry
 from gonio.errors import DataError
-from gonio.formats.reader import ANGLES, Format, single, table, wrap_deg, write_lines
+from gonio.formats.reader import ANGLES, SAME, Format, single, table, wrap_deg, write_lines
 from gonio.formats.text import Text, integer, number, numbers
 from gonio.typing import DataFrame, Floats
 
@@ -53,11 +53,20 @@ def read(data: bytes, path: Path) -> DataFrame:
     file.keyword("Monochrome", ())
     file.keyword("DataBegin", ())
     azimuth, radial = axes["ScatterAzimuth"], axes["ScatterRadial"]
-    blocks = []
+    blocks, first = [], dict[float, Floats]()
     for rotation, incidence in itertools.product(axes["SampleRotation"], axes["AngleOfIncidence"]):
         file.keyword("TIS", None)
         matrix = np.array([file.row(radial.size) for _ in azimuth])
-        blocks.append(_block(rotation, incidence, azimuth, radial, matrix))
+        if rotation == axes["SampleRotation"][0]:
+            first[incidence] = matrix
+        elif rotation - axes["SampleRotation"][0] == 360.0:
+            _require_same("SampleRotation", incidence, first[incidence], matrix, path)
+            continue
+        if azimuth[-1] - azimuth[0] == 360.0:
+            _require_same("ScatterAzimuth", incidence, matrix[0], matrix[-1], path)
+            blocks.append(_block(rotation, incidence, azimuth[:-1], radial, matrix[:-1]))
+        else:
+            blocks.append(_block(rotation, incidence, azimuth, radial, matrix))
     file.keyword("DataEnd", ())
     rows = np.concatenate(blocks)
     if through:  # a detector at the horizon belongs to neither side
@@ -79,6 +88,16 @@ def read(data: bytes, path: Path) -> DataFrame:
         flag=np.where(unmeasured, "not_measured", ""),
         attrs={"source_file": str(path), "sample": path.stem, "notes": notes},
     )
+
+
+def _require_same(axis: str, incidence: float, first: Floats, last: Floats, path: Path) -> None:
+    """`DataError` unless the values at both ends of a whole turn, which are one direction, agree."""
+    for a, b in zip(first.ravel(), last.ravel(), strict=True):
+        if not math.isclose(a, b, rel_tol=SAME):
+            raise DataError(
+                f"{path}: AngleOfIncidence {incidence:g}: both ends of {axis} are one direction, and a value is "
+                f"{a:g} at one and {b:g} at the other"
+            )
 
 
 class _Lines:

@@ -40,10 +40,9 @@ def noted(folder: Path, name: str, note: str = NOTE, *, waves: tuple[float, ...]
         ("compare", "a.csv", "b.csv", "--change", "--out", "out"),
         ("compare", "a.csv", "b.csv", "--models", "lambert", "--out", "out"),
         ("convert", "a.csv", "a.xlsx"),
-        ("remounts", "a.csv", "b.csv", "--wavelength-nm", "550"),
         ("fit", "--each", "tables.txt", "--model", "lambert", "--out", "fits.csv"),
     ],
-    ids=("fit", "compare", "appearance", "change", "two", "convert", "remounts", "each"),
+    ids=("fit", "compare", "appearance", "change", "two", "convert", "each"),
 )
 def test_a_reader_s_note_is_said_once(tmp_path: Path, command: tuple[str, ...]) -> None:
     noted(tmp_path, "a", waves=(450.0, 550.0, 650.0))

@@ -1,0 +1,104 @@
+"""What a file states of its own values: one direction in two ways, a wavelength in another unit, a kind by its keys.
+
+Each case stands for a kind of statement that is obeyed, or refused by name; none is passed over.
+"""
+
+import json
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gonio import formats, measurement
+from gonio.errors import DataError
+
+ENDS = (0.0, 90.0, 180.0, 360.0)
+
+
+def bird(path: Path, phi_r: Sequence[float], brdf: Sequence[float], nm: float = 550.0, **keys: object) -> Path:
+    count = len(brdf)
+
+    def column(unit: str, values: Sequence[float]) -> dict[str, object]:
+        return {"unit": unit, "values": list(values)}
+
+    data = {"theta_i": column("deg", [30.0] * count), "phi_i": column("deg", [0.0] * count)}
+    data |= {"theta_r": column("deg", [20.0] * count), "phi_r": column("deg", phi_r)}
+    data |= {"wavelength_i": column("nm", [nm] * count), "BRDF": column("1/sr", brdf)}
+    path.write_text(json.dumps({"metadata": {}, "data": data, **keys}), encoding="utf-8")
+    return path
+
+
+def astm(path: Path, phi_r: Sequence[float], brdf: Sequence[float]) -> Path:
+    lines = [f"VARS theta_i,phi_i,theta_s,phi_s,550nm\n{'':s}"]
+    lines += [f"0.523599,0,0.349066,{math.radians(phi):.6f},{value}" for phi, value in zip(phi_r, brdf, strict=True)]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return path
+
+
+def pab(path: Path, phi_r: Sequence[float], brdf: Sequence[float]) -> Path:
+    lines = ["#format: theta phi BSDF", "#intheta 30", "#inphi 0"]
+    lines += [f"20 {phi} {value}" for phi, value in zip(phi_r, brdf, strict=True)]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize("make", [bird, astm, pab])
+def test_a_whole_turn_counts_its_ends_once(tmp_path: Path, make: type) -> None:
+    frame = measurement.read(make(tmp_path / "a.brdf", ENDS, (0.1, 0.2, 0.3, 0.1)))
+    np.testing.assert_allclose(np.sort(frame["phi_r_deg"]), [0.0, 90.0, 180.0], atol=1e-4)  # ASTM's six decimals
+    assert any("stated in two ways" in note for note in frame.attrs["notes"])
+
+
+@pytest.mark.parametrize("make", [bird, astm, pab])
+def test_ends_of_a_turn_that_differ_are_named(tmp_path: Path, make: type) -> None:
+    with pytest.raises(DataError, match=r"a\.brdf: .*, 0\) and .*, 360\) degrees are one.* 0\.1 and 0\.4"):
+        measurement.read(make(tmp_path / "a.brdf", ENDS, (0.1, 0.2, 0.3, 0.4)))
+
+
+def test_a_repeated_measurement_stays(tmp_path: Path) -> None:
+    assert len(measurement.read(pab(tmp_path / "a.txt", (0.0, 90.0, 90.0), (0.1, 0.2, 0.21)))) == 3
+
+
+def zemax(path: Path, azimuths: Sequence[float], rows: Sequence[str], rotations: Sequence[float] = (0.0,)) -> Path:
+    block = "TIS 0.1\n" + "\n".join(rows)
+    path.write_text(
+        "Source Measured\nSymmetry ASymmetrical4D\nSpectralContent Monochrome\nScatterType BRDF\n"
+        f"SampleRotation {len(rotations)}\n{' '.join(map(str, rotations))}\nAngleOfIncidence 1\n10\n"
+        f"ScatterAzimuth {len(azimuths)}\n{' '.join(map(str, azimuths))}\nScatterRadial 2\n5 20\n"
+        "Monochrome\nDataBegin\n" + "\n".join([block] * len(rotations)) + "\nDataEnd\n",
+        encoding="utf-8",
+    )
+    return path
+
+
+def test_a_grid_of_a_whole_turn_counts_its_ends_once(tmp_path: Path) -> None:
+    rows = ["0.1 0.2", "0.3 0.4", "0.5 0.6", "0.1 0.2"]
+    assert len(measurement.read(zemax(tmp_path / "a.bsdf", ENDS, rows))) == 6
+    assert len(measurement.read(zemax(tmp_path / "b.bsdf", ENDS, rows, (0.0, 360.0)))) == 6
+    with pytest.raises(DataError, match=r"c\.bsdf: AngleOfIncidence 10: both ends of ScatterAzimuth .* 0\.2 .* 0\.25"):
+        measurement.read(zemax(tmp_path / "c.bsdf", ENDS, [*rows[:3], "0.1 0.25"]))
+
+
+@pytest.mark.parametrize("nm", [0.55, 10.6, 5e-7])
+def test_micrometres_in_a_column_of_nanometres_are_refused(tmp_path: Path, nm: float) -> None:
+    with pytest.raises(DataError, match=rf"wavelength_nm = {nm:g}; from 100 to 200000 nanometres"):
+        measurement.read(bird(tmp_path / "a.brdf", (0.0, 90.0), (0.1, 0.2), nm))
+    (tmp_path / "a.csv").write_text(
+        f"theta_i_deg,phi_i_deg,theta_r_deg,phi_r_deg,wavelength_nm,brdf\n30,0,20,0,{nm},0.1\n", encoding="utf-8"
+    )
+    with pytest.raises(DataError, match=r"a\.csv, line 2: wavelength_nm"):
+        measurement.read(tmp_path / "a.csv")
+
+
+def test_json_of_another_kind_is_not_called_bird(tmp_path: Path) -> None:
+    other = {"$schema": "s", "metadata": {"name": "x"}, "brdf": {"lookupTable": [[5e-7, 0.0, 0.0, 0.1]]}}
+    (tmp_path / "a.xompt").write_text(json.dumps(other), encoding="utf-8")
+    with pytest.raises(DataError, match="is in no format known"):
+        formats.of_content((tmp_path / "a.xompt").read_bytes(), tmp_path / "a.xompt")
+    (tmp_path / "a.json").write_text(json.dumps(other), encoding="utf-8")
+    with pytest.raises(
+        DataError, match=r"""a\.json: is JSON, and not of BiRD.*keys are '\$schema', 'metadata', 'brdf'"""
+    ):
+        measurement.read(tmp_path / "a.json")
