@@ -6,6 +6,7 @@ and what to do. Each class carries the exit code that the command line ends with
 
 import contextlib
 from collections.abc import Iterable, Iterator
+from pathlib import Path
 from typing import Literal
 
 
@@ -19,6 +20,25 @@ class DataError(GonioError):
     """A file or a table is unreadable, damaged, or does not hold what was asked of it (exit code 1)."""
 
     exit_code = 1
+
+
+class Incomplete(DataError):
+    """What was asked for is written, and parts of it are missing (exit code 1).
+
+    Parameters
+    ----------
+    written
+        What is there.
+    message
+        Says which parts are missing, and why.
+    """
+
+    def __init__(self, written: Path, message: str) -> None:
+        super().__init__(message)
+        self.written = written
+
+    def __reduce__(self) -> tuple[type["Incomplete"], tuple[Path, str]]:
+        return Incomplete, (self.written, str(self))
 
 
 class DamagedFrame(DataError):

@@ -1,11 +1,13 @@
-"""Entry points: rigs, cameras, models, commands and exports of runs, ours and others' alike."""
+"""Entry points: rigs, cameras, models, commands, sections of reports, exports; ours and others' alike."""
 
 import contextlib
 import functools
 import sys
+import zlib
 from importlib.metadata import EntryPoint, entry_points
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
+from types import ModuleType
 from typing import Any, Literal
 
 from gonio.errors import ConfigError, GonioError, did_you_mean
@@ -17,6 +19,7 @@ Group = Literal[
     "gonio.models",
     "gonio.choosers",
     "gonio.exports",
+    "gonio.sections",
     "gonio.commands",
 ]
 
@@ -96,14 +99,27 @@ def in_file(name: str) -> bool:
     return ".py:" in name
 
 
-@functools.lru_cache(maxsize=32)
 def _of_file(kind: str, name: str) -> Any:
     """A class in a file that is no package: the file is run once."""
     path, _, wanted = name.rpartition(":")
-    file = Path(path)
-    if not file.is_file():
+    if not Path(path).is_file():
         raise ConfigError(f"{path}: there is no such file, in which the {kind} {wanted} would be")
-    spec = spec_from_file_location(f"_gonio_file_{file.stem}", file)
+    module = _run(str(Path(path).absolute()), path)
+    if not isinstance(getattr(module, wanted, None), type):
+        classes = [n for n, v in vars(module).items() if isinstance(v, type) and v.__module__ == module.__name__]
+        raise ConfigError(f'{path}: has no class "{wanted}"; it has: {", ".join(classes) or "none"}')
+    return getattr(module, wanted)
+
+
+_files: dict[str, ModuleType] = {}
+"""Files that were run, by their whole path."""
+
+
+def _run(file: str, shown: str) -> ModuleType:
+    """A file as a module, whose name tells files of one name in different folders apart."""
+    if file in _files:
+        return _files[file]
+    spec = spec_from_file_location(f"_gonio_file_{Path(file).stem}_{zlib.crc32(file.encode()):08x}", file)
     assert spec is not None
     assert spec.loader is not None
     module = module_from_spec(spec)
@@ -114,11 +130,34 @@ def _of_file(kind: str, name: str) -> Any:
     except (KeyboardInterrupt, MemoryError, GonioError):
         raise
     except BaseException as error:
-        raise ConfigError(f"{path}: cannot be run: {' '.join(f'{type(error).__name__}: {error}'.split())}") from error
-    if not isinstance(getattr(module, wanted, None), type):
-        classes = [n for n, v in vars(module).items() if isinstance(v, type) and v.__module__ == spec.name]
-        raise ConfigError(f'{path}: has no class "{wanted}"; it has: {", ".join(classes) or "none"}')
-    return getattr(module, wanted)
+        raise ConfigError(f"{shown}: cannot be run: {' '.join(f'{type(error).__name__}: {error}'.split())}") from error
+    _files[file] = module
+    return module
+
+
+Carried = tuple[list[str], list[tuple[Group, str, str]]]
+
+
+def carried() -> Carried:
+    """What this process has beside what is installed, for another one that works for it: see `carry`.
+
+    Raises
+    ------
+    ConfigError
+        Something was defined in the main program, which no other process can import.
+    """
+    for (group, name), point in _added.items():
+        if point.module == "__main__":
+            raise ConfigError(f'the {kind_of(group)} "{name}" is of the main program, and of no module')
+    return list(_files), [(group, name, point.value) for (group, name), point in _added.items()]
+
+
+def carry(there: Carried) -> None:
+    """Have what another process has: run its files, and know its names."""
+    for file in there[0]:
+        _run(file, file)
+    for group, name, value in there[1]:
+        _added[group, name] = EntryPoint(name, value, group)
 
 
 class Broken(Exception):

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 from gonio import platform
 from gonio.cli.signals import Ending, deafen
-from gonio.errors import ConfigError, DataError, GonioError
+from gonio.errors import ConfigError, DataError, GonioError, Incomplete
 from gonio.shown import visible
 
 if TYPE_CHECKING:
@@ -77,6 +77,8 @@ def run(ending: Ending) -> Any:
     except Exception as error:
         cause = error.cause if isinstance(error, _Passing) else error
         if isinstance(cause, GonioError):
+            if isinstance(cause, Incomplete):
+                print(cause.written)
             return _fail(str(cause), cause.exit_code)
         if ending.heard or isinstance(cause, KeyboardInterrupt):  # libraries make errors of their own of it
             raise KeyboardInterrupt from None

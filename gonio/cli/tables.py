@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import contextlib
 import difflib
+import os
+import shutil
+import traceback
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from gonio.cli import console
 from gonio.cli.opened import Blank, Columns, reading, remember
-from gonio.errors import ConfigError
+from gonio.disk import is_stream
+from gonio.errors import ConfigError, DataError, GonioError
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -124,10 +130,52 @@ def _export(source: str, target: Path, name: str, more: object) -> None:
     if more is not None or not Path(source).is_dir():
         what = "goes with --to alone" if more is not None else "is no folder"
         raise ConfigError(f"{source}: {what}; --to {name} takes a run as `gonio measure` has written it")
-    *remarks, done = plugins.load("gonio.exports", name)(source, target)
+    *remarks, done = _exported(plugins.load("gonio.exports", name), source, target, name)
     for remark in remarks:
         console.note(remark)
     _done(target, done)
+
+
+def _exported(write: Any, source: str, target: Path, name: str) -> list[str]:
+    """What an export says; one that fails leaves the place as it was."""
+    with _as_it_was(target):
+        try:
+            said = [str(line) for line in write(source, target)]
+            if not said:
+                raise ValueError("it does not say what it has written")
+            return said
+        except (GonioError, OSError, MemoryError):
+            raise
+        except Exception as error:
+            if os.environ.get("GONIO_TRACEBACK"):
+                traceback.print_exception(error)
+            what = f"{type(error).__name__}: {' '.join(str(error).split())}"
+            raise DataError(
+                f"{source}: the export --to {name} has failed ({what}); GONIO_TRACEBACK=1 shows where"
+            ) from error
+
+
+@contextlib.contextmanager
+def _as_it_was(target: Path) -> Iterator[None]:
+    """Where the block fails, what it had begun there goes, and a file that it had replaced comes back."""
+    if is_stream(target) or target.is_dir():
+        yield
+        return
+    before = target.with_name(f".{target.name}.{os.getpid()}.before") if target.is_file() else None
+    if before is not None:
+        shutil.copy2(target, before)
+    try:
+        yield
+    except BaseException:
+        if target.is_dir() and not target.is_symlink():
+            shutil.rmtree(target, ignore_errors=True)
+        if before is not None:
+            os.replace(before, target)
+        else:
+            target.unlink(missing_ok=True)
+        raise
+    if before is not None:
+        before.unlink()
 
 
 def _textures(source: str, target: Path, more: object) -> None:

@@ -15,7 +15,7 @@ from gonio.acquisition.run import command_line
 from gonio.acquisition.run_folder import check_writable
 from gonio.cli import console
 from gonio.cli.opened import remember
-from gonio.errors import ConfigError
+from gonio.errors import ConfigError, Incomplete
 from gonio.maps import is_map
 from gonio.measurement import Reading
 from gonio_analysis import report as comparison
@@ -343,11 +343,21 @@ def appearance(sample: str, wavelength_nm: float | None, out: Path | None, how: 
     if out is not None:
         files.require(out)
     found = appearance_page.of(sample, wavelength_nm=wavelength_nm, how=how)
-    page = None if out is None else appearance_page.make(found, out, command=command_line())
+    page = missing = None
+    try:
+        page = None if out is None else appearance_page.make(found, out, command=command_line())
+    except Incomplete as error:  # the quantities are known all the same
+        missing = error
     remember([sample], how)
     if as_json:
         print(json.dumps(results.as_json(found), indent=1, ensure_ascii=False, allow_nan=False))
-        return
+    else:
+        _print_appearance(found, page)
+    if missing is not None:
+        raise missing
+
+
+def _print_appearance(found: results.Appearance, page: Path | None) -> None:
     at = f" at {found.wavelength_nm:g} nm" if found.wavelength_nm is not None else ""
     rows = console.table("quantity", "value", "", title=f"{found.title}{at}")
     for one in appearance_page.listed(found):

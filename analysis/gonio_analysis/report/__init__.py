@@ -14,10 +14,12 @@ from gonio.measurement import Reading, of_reader, said_once
 from gonio.models.parameters import Ior
 from gonio.typing import DataFrame
 from gonio_analysis.curves.in_plane import Normalise
-from gonio_analysis.report import beyond_reflection, detail_figures, figures, files, html, page, pdf, viewer
+from gonio_analysis.report import beyond_reflection, detail_figures, figures, files, lost, page, sections, viewer
+from gonio_analysis.report.blocks import titled
 from gonio_analysis.report.comparison import summarise
 from gonio_analysis.report.drawing import Drawing, FigureWorkers, figure_workers
 from gonio_analysis.report.facts import DatasetSummary, Summary
+from gonio_analysis.report.section import drawings_of, facts_of
 from gonio_analysis.report.sections import SECTIONS
 from gonio_analysis.result_records import RunFacts
 from gonio_analysis.selection import parallel
@@ -79,12 +81,15 @@ def make(
     ------
     ConfigError, DataError
         From reading, fitting and writing; then nothing is left behind.
+    Incomplete
+        The page is there, and names parts that could not be made (`gonio_analysis.report.lost`).
     """
 
     check_models(models)
     with files.staged(out) as stage:
         found = [one for spec in specs for one in _read(spec, how)]
-        _cite([table for _, _, table, _ in found], stage.work, progress)
+        tables = [table for _, _, table, _ in found]
+        lost.kept("datacite.json", lambda: _cite(tables, stage.work, progress), lambda loss: None)
         transmission_only, found = _transmission_only(found, wavelength_nm, u_rel)
         names = _distinct([sample for sample, *_ in found], [source for _, source, *_ in found])
         told = {name: of_reader(one[2]) for name, one in zip(names, found, strict=True)}
@@ -104,7 +109,7 @@ def make(
                 datasets = [job(progress=progress, share=workers.share) for job in jobs]
             else:
                 fitted = dict[int, Dataset]()
-                for k, dataset in parallel.each(_examined, jobs, dask=dask):
+                for k, dataset in parallel.each(_examined, jobs, dask=dask, pool=workers):
                     fitted[k] = dataset
                     progress(f"{dataset.name}: fitted ({len(fitted)} of {len(jobs)})")
                 datasets = [fitted[k] for k in range(len(jobs))]
@@ -198,29 +203,33 @@ def write(
         What `summary.json` holds: every number of the page.
     """
     summary = summarise(datasets, title=title, normalise=normalise, command=command)
-    own = [{one.name: facts for one in SECTIONS if (facts := one.facts(d)) is not None} for d in datasets]
+    own = [facts_of(sections.every(SECTIONS), d) for d in datasets]
     known = [replace(facts, sections=more or None) for facts, more in zip(summary.datasets, own, strict=True)]
     summary = replace(summary, datasets=known, transmission_only=transmission_only)
     both = list(zip(datasets, known, strict=True))
     progress("drawing")
     slugs = page.slugs_of_transmission(summary)
     groups = _drawings(both)
-    groups += [beyond_reflection.draw(t, (), slug) for t, slug in zip(transmission_only, slugs, strict=True)]
+    for t, slug in zip(transmission_only, slugs, strict=True):
+        groups.append(_kept("figures", t.name, partial(beyond_reflection.draw, t, (), slug)))
     wanted = [drawing for group in groups for drawing in group]
     room, listed = viewer.BYTES // max(len(datasets), 1), list[str]()
     views: list[viewer.View | None] = []
 
     def views_and_tables() -> None:
-        views.extend(viewer.viewer(d, facts, normalise, room) if d.curves else None for d, facts in both)
+        for d, facts in both:
+            view = partial(viewer.viewer, d, facts, normalise, room)
+            what = f"the interactive plot of {d.name}"
+            views.append(lost.kept(what, view, lambda loss: None) if d.curves else None)
         listed.extend(files.write_tables(datasets, summary, views, folder / "tables"))
 
     rest = iter(every := (workers or FigureWorkers()).draw(wanted, progress, views_and_tables))
-    summary = replace(summary, figures=wanted, tables=listed)
-    pages = page.render(summary, [[next(rest) for _ in group] for group in groups], views)
-    for name, one in pages.items():
-        (folder / name).write_text(html.document(one), encoding="utf-8", newline="\n")
-    files.write(folder, summary, every)
-    pdf.write(folder / "report.pdf", list(pages.values()))
+    summary = replace(summary, figures=every, tables=listed)
+    drawn = [[next(rest) for _ in group] for group in groups]
+
+    bare = {"index.html": titled(summary.title)}
+    pages = lost.kept("the page", lambda: page.render(summary, drawn, views), lambda loss: bare)
+    files.write_pages(folder, pages, summary, every, printed=True)
     return summary
 
 
@@ -228,10 +237,24 @@ def _drawings(both: Sequence[tuple[Dataset, DatasetSummary]]) -> list[list[Drawi
     """What is to be drawn of each sample, in the order of the page."""
     # measured values in one panel, so that those of all panels take about half of the room of a page
     most = min(max(MARKERS // max(sum(3 * len(d.fitted) + 6 for d, _ in both), 1), 300), 2400)
-    return [
-        [*figures.draw(d, f, most), *detail_figures.draw(d, f, most), *(x for one in SECTIONS for x in one.draw(d, f))]
-        for d, f in both
-    ]
+    taken: dict[str, Drawing] = {}
+    groups = []
+    for d, f in both:
+        group = [
+            *_kept("figures", d.name, partial(figures.draw, d, f, most)),
+            *_kept("figures out of plane", d.name, partial(detail_figures.draw, d, f, most)),
+        ]
+        taken |= {one.name: one for one in group}
+        for one in sections.every(SECTIONS):
+            more = drawings_of(one, d, f, taken)
+            taken |= {one.name: one for one in more}
+            group += more
+        groups.append(group)
+    return groups
+
+
+def _kept(what: str, name: str, draw: Callable[[], Sequence[Drawing]]) -> list[Drawing]:
+    return lost.kept(f"{what} of {name}", lambda: list(draw()), lambda loss: [])
 
 
 def _distinct(names: Sequence[str], sources: Sequence[str]) -> list[str]:

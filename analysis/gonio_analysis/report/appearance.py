@@ -15,7 +15,7 @@ from gonio.typing import Floats
 from gonio_analysis.appearance.glossmeter import GLOSSMETERS, SOURCE_DEG
 from gonio_analysis.appearance.of_models import of_sample
 from gonio_analysis.appearance.quantities import of_table
-from gonio_analysis.report import files
+from gonio_analysis.report import files, lost
 from gonio_analysis.report.blocks import (
     Block,
     Figures,
@@ -29,6 +29,7 @@ from gonio_analysis.report.blocks import (
     provenance,
     stamp,
     table,
+    titled,
 )
 from gonio_analysis.report.drawing import Drawing, Figure, FigureWorkers
 from gonio_analysis.report.facts import DatasetSummary
@@ -135,9 +136,11 @@ def make(a: Appearance, out: str | Path, *, command: str = "") -> Path:
         The folder cannot be written, or holds something that this program did not write.
     """
     with files.staged(out) as stage:
-        figures, made = FigureWorkers().draw(_drawings(a)), stamp(command)
+        drawings = lost.kept("figures", lambda: _drawings(a), lambda loss: [])
+        figures, made = FigureWorkers().draw(drawings), stamp(command)
         summary = {**as_json(a), **made, "figures": figures}
-        files.write_page(stage.work, _page(a, made, figures), summary, figures, printed=True)
+        page = lost.kept("the page", lambda: _page(a, made, figures), lambda loss: titled(a.title))
+        files.write_page(stage.work, page, summary, figures, printed=True)
     return Path(out) / "index.html"
 
 

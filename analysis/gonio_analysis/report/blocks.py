@@ -11,6 +11,7 @@ from importlib.metadata import version
 from typing import Any, Literal, TypedDict
 
 from gonio_analysis.report.drawing import Figure
+from gonio_analysis.report.lost import Loss, so_far
 from gonio_analysis.report.text import cut, glued
 from gonio_analysis.report.viewer import View
 
@@ -104,10 +105,12 @@ class Heading(Block):
 
 @dataclass(frozen=True)
 class Paragraph(Block):
-    """A paragraph: the line below the title ("sub"), the conclusion ("lead"), a remark ("note") or any other."""
+    """A paragraph: the line below the title ("sub"), the conclusion ("lead"), a remark ("note"), what is missing
+    ("lost") or any other.
+    """
 
     text: Text
-    look: Literal["", "sub", "lead", "note"] = ""
+    look: Literal["", "sub", "lead", "note", "lost"] = ""
 
 
 @dataclass(frozen=True)
@@ -132,7 +135,7 @@ class Facts(Block):
 
 @dataclass(frozen=True)
 class Figures(Block):
-    """Figures side by side; one without its drawing (`svg`) is named only where a page has no room for it."""
+    """Figures side by side; one without its drawing (`svg`) is named only: a page has no room, or it has failed."""
 
     figures: tuple[Figure, ...]
     small: bool = False
@@ -282,6 +285,33 @@ def notes(texts: Sequence[str]) -> Notes:
 def lead(text: str) -> Paragraph:
     """The conclusion, in large type."""
     return Paragraph(glued(text), "lead")
+
+
+def missing(loss: Loss) -> Paragraph:
+    """What stands in the place of a part that could not be made."""
+    return Paragraph((strong("Missing: "), f"{loss.words}."), "lost")
+
+
+def with_notice(page: Page) -> Page:
+    """The page with what it has lost until now named at its top."""
+    losses = so_far()
+    if not losses:
+        return page
+    told = section(
+        [
+            Heading(2, "What is missing"),
+            Paragraph("These parts of the page could not be made; the others are whole.", "lost"),
+            Notes(tuple(f"{one.words}." for one in losses)),
+        ],
+        "missing",
+    )
+    first = 1 if page.blocks and isinstance(page.blocks[0], Group) and page.blocks[0].tag == "header" else 0
+    return Page(page.title, (*page.blocks[:first], told, *page.blocks[first:]))
+
+
+def titled(title: str) -> Page:
+    """A page with its title alone, where the page itself cannot be made: `with_notice` says why."""
+    return Page(title, (Group("header", (Heading(1, title),)),))
 
 
 def figures_of(blocks: Iterable[Block]) -> list[Figure]:

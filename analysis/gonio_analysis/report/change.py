@@ -15,7 +15,7 @@ from gonio_analysis.curves.in_plane import Curve, curves, labels, selection
 from gonio_analysis.fitting.objective import DESCRIPTIONS, meaning
 from gonio_analysis.fitting.observations import Observations, describe_left_out
 from gonio_analysis.plots import thinning
-from gonio_analysis.report import change_figures, files, html, viewer
+from gonio_analysis.report import change_figures, files, html, lost, viewer
 from gonio_analysis.report.blocks import (
     MOST_ROWS,
     Block,
@@ -35,6 +35,7 @@ from gonio_analysis.report.blocks import (
     provenance,
     stamp,
     table,
+    titled,
 )
 from gonio_analysis.report.drawing import Figure, FigureWorkers, figure_workers
 from gonio_analysis.report.files import ROWS_AT_ONCE, write_columns, write_csv
@@ -121,15 +122,22 @@ def _write(
     at, shown = replace(c.at, brdf=c.value_a, rows=np.arange(len(c.at))).nearest(wavelength_nm)
     every = curves(at)
     drawn = selection(every)
-    figures = workers.draw(change_figures.draw(c, at, drawn, shown), progress)
-    write_columns(folder / "tables" / "change.csv", COLUMNS, _columns(c))
-    tables = ["change.csv"]
+    drawings = lost.kept("figures", lambda: change_figures.draw(c, at, drawn, shown), lambda loss: [])
+    figures = workers.draw(drawings, progress)
+    tables = files.written(folder / "tables" / "change.csv", lambda path: write_columns(path, COLUMNS, _columns(c)))
     if len(waves) > 1:
-        tables.append("wavelengths.csv")
-        write_csv(folder / "tables" / "wavelengths.csv", list(waves[0]), (list(w.values()) for w in waves))
+        tables += files.written(
+            folder / "tables" / "wavelengths.csv",
+            lambda path: write_csv(path, list(waves[0]), (list(w.values()) for w in waves)),
+        )
     last = {"shown_wavelength_nm": shown, "figures": figures, "tables": tables}
-    view = _view(c, at, selection(every, viewer.MOST_LISTED), drawn, shown) if drawn else None
-    page = _page(c, made, conclusion, runs, waves, figures, view)
+    listed = selection(every, viewer.MOST_LISTED)
+    view = None
+    if drawn:
+        view = lost.kept("the interactive plot", lambda: _view(c, at, listed, drawn, shown), lambda loss: None)
+    page = lost.kept(
+        "the page", lambda: _page(c, made, conclusion, runs, waves, figures, view), lambda loss: titled(_title(c))
+    )
     summary = {**_summary(c, made, conclusion, runs), "wavelengths": waves, "notes": _notes(c), **last}
     files.write_page(folder, page, summary, figures, printed=True)
 

@@ -1,12 +1,13 @@
 """Every number and every sentence of a report, as plain JSON: the page is printed from this and from nothing else."""
 
 import math
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, TypeVar
 
 import numpy as np
 
 from gonio import shown
+from gonio.checks.symmetry import Pairs
 from gonio.geometry import AT_MIRROR, IN_PLANE
 from gonio.typing import DataFrame
 from gonio_analysis.appearance.quantities import of_table
@@ -15,10 +16,13 @@ from gonio_analysis.fitting.observations import describe_left_out
 from gonio_analysis.report import checks, verdict
 from gonio_analysis.report.blocks import stamp
 from gonio_analysis.report.facts import DatasetSummary, Summary
+from gonio_analysis.report.lost import kept
 from gonio_analysis.report.text import number, slugs, spoken_difference
-from gonio_analysis.result_records import MeasuredValue, as_json, finite
+from gonio_analysis.result_records import Appearance, MeasuredValue, as_json, finite
 from gonio_analysis.selection.compare import Dataset
 from gonio_analysis.selection.judging import nearness
+
+T = TypeVar("T")
 
 MOST_VALUES = 200
 """Measured values that a page lists where it has no model."""
@@ -60,6 +64,11 @@ def _title(title: str, datasets: Sequence[Dataset]) -> str:
 
 def _dataset(d: Dataset, slug: str) -> DatasetSummary:
     attrs, covariance, best = d.table.attrs, d.data.covariance, _best(d)
+
+    def known(what: str, make: Callable[[], T], instead: T) -> T:
+        return kept(f"{what} of {d.name}", make, lambda _: instead)
+
+    symmetries = known("symmetries", lambda: d.symmetries, list[Pairs]())
     stated = covariance is not None and d.data.u_rel_assumed is None
     provenance = attrs.get("provenance") or {}
     return DatasetSummary(
@@ -86,7 +95,7 @@ def _dataset(d: Dataset, slug: str) -> DatasetSummary:
         brdf_min=float(d.data.brdf.min()),
         brdf_max=float(d.data.brdf.max()),
         median_u_rel=None if covariance is None else _median_u_rel(d),
-        budget=d.data.budget() if stated else [],
+        budget=known("the budget", d.data.budget, []) if stated else [],
         curves_known=d.curves_known,
         scanned=d.curves[0].scanned if d.curves else None,
         out_of_plane_deg=math.degrees(max((c.out_of_plane for c in d.curves), default=0.0)),
@@ -101,18 +110,23 @@ def _dataset(d: Dataset, slug: str) -> DatasetSummary:
         values=[] if d.fitted else _values(d),
         usable_everywhere=len(usable(d)),
         best=best,
-        conclusion=_conclusion(d, best),
-        appearance=None
-        if len(d.table) > MOST_FOR_APPEARANCE
-        else of_table(d.table, name=d.name, source=d.source, wavelength_nm=finite(d.wavelength_nm)),
+        conclusion=known("the headline", lambda: _conclusion(d, best, symmetries), d.choice.words),
+        appearance=known("quantities of appearance", lambda: _appearance(d), None),
         transmission=d.transmitted,
-        mueller=d.polarisation,
+        mueller=known("Mueller matrices", lambda: d.polarisation, None),
         simulated=d.simulated,
-        checks=checks.summary(d.data.checked, d.symmetries, provenance, _bands(d)),
-        rho_dh=d.rho_dh,
-        rho_dh_combined=d.rho_dh_combined,
-        symmetries=d.symmetries,
+        checks=known("checks", lambda: checks.summary(d.data.checked, symmetries, provenance, _bands(d)), None),
+        rho_dh=known("rho_dh", lambda: d.rho_dh, []),
+        rho_dh_near=known("rho_dh of models that are as near", lambda: d.rho_dh_near, {}),
+        rho_dh_combined=known("rho_dh with the misfit", lambda: d.rho_dh_combined, []),
+        symmetries=symmetries,
     )
+
+
+def _appearance(d: Dataset) -> Appearance | None:
+    if len(d.table) > MOST_FOR_APPEARANCE:
+        return None
+    return of_table(d.table, name=d.name, source=d.source, wavelength_nm=finite(d.wavelength_nm))
 
 
 def _median_u_rel(d: Dataset) -> float | None:
@@ -159,7 +173,7 @@ def _best(d: Dataset) -> str | None:
     return min(d.fitted, key=lambda name: aic.get(name, math.inf)) if d.fitted else None
 
 
-def _conclusion(d: Dataset, best: str | None) -> str:
+def _conclusion(d: Dataset, best: str | None, symmetries: Sequence[Pairs]) -> str:
     if best is None:
         return f"No model was fitted. {d.choice.words}"
     f, tried = d.fitted[best], len(d.choice.judged)
@@ -185,7 +199,7 @@ def _conclusion(d: Dataset, best: str | None) -> str:
         told = [f"{best} is {others}{typical}.", verdict.where(f.missed)]
         told.append(f"The metric {f.fit.goal.metric} takes no account of uncertainties: nothing is rejected.")
     told.append(verdict.too_bright({name: other.rho_dh for name, other in d.fitted.items()}, best))
-    told.append(verdict.direction_of_its_own(d.symmetries, d.fitted))
+    told.append(verdict.direction_of_its_own(symmetries, d.fitted))
     told.append(verdict.disagreement({name: other.metrics for name, other in d.fitted.items()}, best))
     return " ".join(sentence for sentence in told if sentence)
 

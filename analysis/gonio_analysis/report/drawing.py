@@ -1,32 +1,23 @@
 """Drawings of a page, and the figures that several processes make of them: the same files as one process makes.
 
-A drawing is sent to a process as a pickle of a few thousand values, and comes back as its SVG and PNG: only this
-process writes files. Fits that do not wait for each other go the same way, with the same results to the last digit.
-The others read from a pipe, and end when it closes, however this process ends. They import what drawing needs and
-nothing else, in no relation to the program that runs here: a script needs no guard around its main part, and a
-process that was spawned may have such processes of its own.
+A drawing is sent to a process (`gonio_analysis.processes`) as a pickle of a few thousand values, and comes back as its
+SVG and PNG. Fits that do not wait for each other go the same way, with the same results to the last digit.
 """
 
 import hashlib
-import importlib
 import io
-import os
-import pickle
-import queue
 import re
-import signal
-import subprocess
-import sys
-import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, BinaryIO, TypeVar
+from typing import Any
 
 from gonio import canvas, platform
-from gonio.cli.console import Pace, Say, silent
+from gonio.cli.console import Say, silent
 from gonio.shown import visible
+from gonio_analysis.processes import Outcome, Processes
+from gonio_analysis.report import lost
 
 SVG = {
     "svg.fonttype": "none",
@@ -61,6 +52,12 @@ class Figure(Described):
 
     svg: str
     png: bytes
+    failed: str = ""
+    """Why it could not be drawn: then it has neither."""
+
+    def summary(self) -> dict[str, str]:
+        """What `summary.json` says of it."""
+        return {**super().summary(), **({"failed": self.failed} if self.failed else {})}
 
 
 @dataclass(frozen=True)
@@ -84,15 +81,23 @@ class Drawing(Described):
             quick = {"compress_level": 3}  # a tenth larger than at best, in a third of the time
             canvas.save(figure, png, format="png", dpi=PNG_DPI, metadata={"Software": "gonio"}, pil_kwargs=quick)
             canvas.save(figure, svg, format="svg", metadata={"Date": None, "Creator": "gonio"})
-        words = (self.name, self.kind, self.model, self.caption, self.alt)
-        return Figure(*words, _tidy(svg.getvalue(), self.name), png.getvalue())
+        return Figure(*self._words, _tidy(svg.getvalue(), self.name), png.getvalue())
+
+    def without(self, loss: lost.Loss) -> Figure:
+        """The figure where it could not be drawn."""
+        return Figure(*self._words, "", b"", loss.error)
+
+    @property
+    def _words(self) -> tuple[str, str, str, str, str]:
+        return self.name, self.kind, self.model, self.caption, self.alt
 
 
 def rendered(
     name: str, kind: str, model: str, caption: str, alt: str, inches: tuple[float, float], on: Callable[[Any], None]
 ) -> Figure:
     """What `on` draws on a canvas of some `inches`, at once."""
-    return Drawing(name, kind, model, caption, alt, inches, on).rendered()
+    drawing = Drawing(name, kind, model, caption, alt, inches, on)
+    return lost.kept(f'figure "{name}"', drawing.rendered, drawing.without)
 
 
 def _tidy(svg: str, name: str) -> str:
@@ -147,20 +152,16 @@ def _joined(svg: str) -> str:
 FEW = 6
 """Fewer figures than this are drawn here alone: to start a process takes as long as two of them."""
 MOST_PROCESSES = 8
-T = TypeVar("T")
-_SERVE = "from gonio_analysis.report.drawing import serve; serve()"
+IMPORTS = ("matplotlib.backends.backend_agg", "matplotlib.backends.backend_svg", "matplotlib.figure")
 
 
-class FigureWorkers:
+class FigureWorkers(Processes):
     """Processes that draw beside this one, and do what else is independent of each other before there is a drawing."""
-
-    def __init__(self, processes: Sequence[subprocess.Popen[bytes]] = ()) -> None:
-        self._processes = processes
 
     def draw(
         self, drawings: Sequence[Drawing], say: Say = silent, meanwhile: Callable[[], object] = lambda: None
     ) -> list[Figure]:
-        """Every drawing as SVG and PNG, in their order.
+        """Every drawing as SVG and PNG, in their order; one that fails while a page is made is named in its place.
 
         Parameters
         ----------
@@ -171,41 +172,12 @@ class FigureWorkers:
         meanwhile
             Done here, while the others begin to draw.
         """
-        return self._shared([partial(_rendered, one) for one in drawings], "drawing: figures", say, meanwhile)
-
-    def share(self, jobs: Sequence[Callable[[Say], T]], what: str = "", say: Say = silent) -> list[T]:
-        """See `gonio_analysis.selection.parallel.Share`."""
-        return self._shared(jobs, what, say, lambda: None)
-
-    def _shared(
-        self, jobs: Sequence[Callable[[Say], T]], what: str, say: Say, meanwhile: Callable[[], object]
-    ) -> list[T]:
-        pace, made = Pace(what, len(jobs), say), dict[int, T]()
-        waiting: queue.SimpleQueue[int] = queue.SimpleQueue()
-        for k in range(len(jobs)):
-            waiting.put(k)
-        helping = self._processes[: max(len(jobs) - 1, 0)]
-        workers = [threading.Thread(target=_hand_over, args=(p, jobs, waiting, made, say)) for p in helping]
-        for hand in workers:
-            hand.start()
-        try:
-            meanwhile()
-            for k in _taken(waiting):
-                made[k] = jobs[k](say)
-                pace.step(len(made))
-        except BaseException:
-            self.stop()
-            raise
-        finally:
-            for hand in workers:
-                hand.join()
-        # figures that a process had taken and died over are drawn here
-        return [made[k] if k in made else job(say) for k, job in enumerate(jobs)]
-
-    def stop(self) -> None:
-        """End the processes."""
-        for process in self._processes:
-            process.kill()
+        jobs = [partial(_tried, one) for one in drawings]
+        found = self.outcomes(jobs, "drawing: figures", say, meanwhile)
+        return [
+            lost.kept(f'figure "{one.name}"', partial(_figure, made), one.without)
+            for one, made in zip(drawings, found, strict=True)
+        ]
 
 
 @contextmanager
@@ -222,87 +194,26 @@ def figure_workers(figures: int, processes: int | None = None, modules: Sequence
         What they import while they wait, beside what drawing needs.
     """
     count = min(platform.processors(), MOST_PROCESSES) if processes is None else processes
-    others = min(count, figures // 2) - 1 if figures >= FEW and sys.executable else 0
-    started: list[subprocess.Popen[bytes]] = []
+    pool = FigureWorkers((*IMPORTS, *modules))
     try:
-        for _ in range(others):
-            try:
-                started.append(_start(modules))
-            except OSError:  # no process or no memory for one: the figures are drawn by those that there are
-                break
-        yield FigureWorkers(started)
+        pool.grow(min(count, figures // 2) - 1 if figures >= FEW else 0)
+        yield pool
     finally:
-        for process in started:
-            process.kill()
-        for process in started:
-            process.communicate()
+        pool.end()
 
 
-def serve() -> None:
-    """Do the jobs that stand on standard input until it ends; the arguments are modules that will be needed."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the process that started this one decides
-    source, sink = sys.stdin.buffer, os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)  # what a library prints is no figure
-    import matplotlib.backends.backend_agg
-    import matplotlib.backends.backend_svg
-    import matplotlib.figure  # noqa: F401
-
-    for module in sys.argv[1:]:
-        importlib.import_module(module)
-    while True:
-        try:
-            job: Callable[[Say], object] = pickle.load(source)
-        except EOFError:
-            return
-        _send((True, job(lambda text: _send((False, text), sink))), sink)
+def _tried(drawing: Drawing, say: Say) -> Figure | Exception:
+    """The figure, or why there is none: an error of one ends no other."""
+    try:
+        return drawing.rendered()
+    except MemoryError:
+        raise
+    except Exception as error:
+        return error
 
 
-def _send(message: tuple[bool, object], sink: BinaryIO) -> None:
-    """A result, or else a line of progress."""
-    pickle.dump(message, sink)
-    sink.flush()
-
-
-def _rendered(drawing: Drawing, say: Say) -> Figure:
-    return drawing.rendered()
-
-
-def _start(modules: Sequence[str]) -> subprocess.Popen[bytes]:
-    return subprocess.Popen(
-        [sys.executable, "-P", "-c", _SERVE, *modules],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-    )
-
-
-def _hand_over(
-    process: subprocess.Popen[bytes],
-    jobs: Sequence[Callable[[Say], T]],
-    waiting: queue.SimpleQueue[int],
-    made: dict[int, T],
-    say: Say,
-) -> None:
-    """Have a process do what is waiting. One that dies leaves its job to this process."""
-    assert process.stdin is not None
-    assert process.stdout is not None
-    for k in _taken(waiting):
-        try:
-            pickle.dump(jobs[k], process.stdin)
-            process.stdin.flush()
-            while k not in made:
-                done, content = pickle.load(process.stdout)
-                if done:
-                    made[k] = content
-                else:
-                    say(content)
-        except (OSError, EOFError, pickle.UnpicklingError):
-            return
-
-
-def _taken(waiting: queue.SimpleQueue[int]) -> Iterator[int]:
-    while True:
-        try:
-            yield waiting.get_nowait()
-        except queue.Empty:
-            return
+def _figure(made: Outcome[Figure | Exception]) -> Figure:
+    found = made.result()
+    if isinstance(found, Exception):
+        raise found
+    return found

@@ -7,7 +7,7 @@ from typing import Any
 from gonio import shown
 from gonio.checks.symmetry import Pairs
 from gonio.formats.reader import TableBand
-from gonio_analysis.report.drawing import Drawing
+from gonio_analysis.report.drawing import Described
 from gonio_analysis.result_records import (
     WHERE_KNOWN,
     Appearance,
@@ -68,8 +68,10 @@ class DatasetSummary:
     conclusion: str
     rho_dh: list[Reflectance]
     """Directional-hemispherical reflectances of the measurement itself."""
+    rho_dh_near: dict[str, list[Reflectance]]
+    """rho_dh of each model that cannot be told from the nearest (`Choice.near`), whether `models` has it or not."""
     rho_dh_combined: list[Reflectance]
-    """rho_dh of the models that cannot be told from the nearest (`ChoiceSummary.near`); empty where one is true."""
+    """rho_dh of these models together; empty where one is true."""
     symmetries: list[Pairs]
     sections: dict[str, Any] | None = field(default=None, metadata=WHERE_KNOWN)
     """Numbers of sections of their own (`gonio_analysis.report.section`), by their names."""
@@ -106,5 +108,5 @@ class Summary:
     datasets: list[DatasetSummary]
     transmission_only: Sequence[Transmitted] = field(default_factory=list)
     """Samples of which no reflection was measured."""
-    figures: Sequence[Drawing] = ()
+    figures: Sequence[Described] = ()
     tables: Sequence[str] = ()

@@ -6,16 +6,16 @@ Among its files are the tables as CSV.
 from __future__ import annotations
 
 import csv
-import errno
 import io
 import json
 import os
 import re
 import shutil
 import tempfile
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -27,15 +27,15 @@ from gonio.disk import MANIFEST, NOT_OWN, foreign_files, manifest_of, remove_own
 from gonio.errors import ConfigError, os_error_as
 from gonio.formats.text import cell_of
 from gonio.shown import visible
-from gonio.typing import Floats
-from gonio_analysis.report import html, pdf, viewer
+from gonio.typing import Floats, JsonObject
+from gonio_analysis.report import html, lost, pdf, viewer
+from gonio_analysis.report.blocks import Page, titled, with_notice
 from gonio_analysis.report.comparison import VALUES, usable
 from gonio_analysis.report.facts import DatasetSummary, Summary
 from gonio_analysis.result_records import as_json
 from gonio_analysis.selection.compare import Dataset, Drawn
 
 if TYPE_CHECKING:
-    from gonio_analysis.report.blocks import Page
     from gonio_analysis.report.drawing import Figure
 
 ROWS_AT_ONCE = 10_000
@@ -45,20 +45,55 @@ def write_tables(
     datasets: Sequence[Dataset], summary: Summary, views: Sequence[viewer.View | None], folder: Path
 ) -> list[str]:
     """Write parameters, metrics, curves, theory, profiles, and parameters over wavelength; the names of the files."""
-    facts = summary.datasets
+    files = [*written(folder / "parameters.csv", partial(_parameters, summary))]
+    files += written(folder / "metrics.csv", partial(_metrics, summary))
+    for d, s, view in zip(datasets, summary.datasets, views, strict=True):
+        files += written(folder / f"{s.slug}-values.csv", partial(_values, d))
+        files += written(folder / f"{s.slug}-curves.csv", partial(_curves, d))
+        if s.values and s.usable_everywhere > len(s.values):
+            files += written(folder / f"{s.slug}-all-values.csv", partial(_all_values, d))
+        if s.budget:
+            files += written(folder / f"{s.slug}-budget.csv", partial(_budget, s))
+        if view is not None:
+            files += written(folder / f"{s.slug}-interactive.csv", partial(_interactive, view))
+        if any(f.series for f in s.models.values()):
+            files += written(folder / f"{s.slug}-wavelengths.csv", partial(_wavelengths, s))
+        if s.choice.intervals and s.choice.named:
+            files += written(folder / f"{s.slug}-profiles.csv", partial(_profiles, s))
+    return files
+
+
+def written(path: Path, write: Callable[[Path], object]) -> list[str]:
+    """The name of a table that is written, as a list; an empty one where it fails while a page is made."""
+
+    def make() -> list[str]:
+        write(path)
+        return [path.name]
+
+    def instead(loss: lost.Loss) -> list[str]:
+        path.unlink(missing_ok=True)
+        return []
+
+    return lost.kept(f"tables/{path.name}", make, instead)
+
+
+def _parameters(summary: Summary, path: Path) -> None:
     write_csv(
-        folder / "parameters.csv",
+        path,
         ("sample", "model", "parameter", "value", "standard_error", "fixed", "at_bound"),
         (
             (s.name, m, n, p.value, p.u, p.fixed, p.at_bound or "")
-            for s in facts
+            for s in summary.datasets
             for m, f in s.models.items()
             for n, p in f.fit.parameters.items()
         ),
     )
+
+
+def _metrics(summary: Summary, path: Path) -> None:
     names = list(summary.metrics)
     write_csv(
-        folder / "metrics.csv",
+        path,
         ("sample", "model", "points", "free_parameters", "reduced_chi_square", "p_value", *names, "n_log"),
         (
             (
@@ -71,64 +106,62 @@ def write_tables(
                 *(f.metrics[n] for n in names),
                 f.metrics["n_log"],
             )
-            for s in facts
+            for s in summary.datasets
             for m, f in s.models.items()
         ),
     )
-    files = ["parameters.csv", "metrics.csv"]
-    for d, s, view in zip(datasets, facts, views, strict=True):
-        files += _of_dataset(d, s.slug, folder)
-        if s.values and s.usable_everywhere > len(s.values):
-            files.append(f"{s.slug}-all-values.csv")
-            rows = usable(d)
-            write_columns(folder / files[-1], VALUES, [[rows[name].to_numpy() for name in VALUES]])
-        if s.budget:
-            files.append(f"{s.slug}-budget.csv")
-            header = ("cause", "median_relative", "p95_relative")
-            write_csv(folder / files[-1], header, ((b.cause, b.median, b.p95) for b in s.budget))
-        if view is not None:
-            files.append(f"{s.slug}-interactive.csv")
-            write_csv(folder / files[-1], viewer.COLUMNS, viewer.rows(view))
-        files += _of_choice(s, folder)
-    return files
 
 
-def _of_choice(s: DatasetSummary, folder: Path) -> list[str]:
-    """Parameters over wavelength, and profiles of the model that is named; the names of the files."""
-    tables: dict[str, tuple[Sequence[str], Iterable[Sequence[Any]]]] = {}
-    if any(f.series for f in s.models.values()):
-        tables[f"{s.slug}-wavelengths.csv"] = (
-            ("model", "wavelength_nm", "points", "reduced_chi_square", "parameter", "value", "standard_error"),
-            (
-                (m, r.wavelength_nm, len(r.data), r.reduced_chi_square, n, p.value, p.u)
-                for m, f in s.models.items()
-                for r in f.series
-                for n, p in r.parameters.items()
-            ),
-        )
-    if s.choice.intervals and s.choice.named:
-        named = s.choice.named.candidate.label
-        tables[f"{s.slug}-profiles.csv"] = (
-            ("model", "parameter", "value", "rise_of_chi_square"),
-            (
-                (named, n, value, rise)
-                for n, i in s.choice.intervals.items()
-                for value, rise in zip(i.values.tolist(), i.rise.tolist(), strict=True)
-            ),
-        )
-    for name, (header, rows) in tables.items():
-        write_csv(folder / name, header, rows)
-    return list(tables)
+def _all_values(d: Dataset, path: Path) -> None:
+    rows = usable(d)
+    write_columns(path, VALUES, [[rows[name].to_numpy() for name in VALUES]])
 
 
-def _of_dataset(d: Dataset, slug: str, folder: Path) -> list[str]:
-    """Fitted values with every model's prediction, and the plotted curves."""
+def _budget(s: DatasetSummary, path: Path) -> None:
+    write_csv(path, ("cause", "median_relative", "p95_relative"), ((b.cause, b.median, b.p95) for b in s.budget))
+
+
+def _interactive(view: viewer.View, path: Path) -> None:
+    write_csv(path, viewer.COLUMNS, viewer.rows(view))
+
+
+def _wavelengths(s: DatasetSummary, path: Path) -> None:
+    """Parameters over wavelength."""
+    write_csv(
+        path,
+        ("model", "wavelength_nm", "points", "reduced_chi_square", "parameter", "value", "standard_error"),
+        (
+            (m, r.wavelength_nm, len(r.data), r.reduced_chi_square, n, p.value, p.u)
+            for m, f in s.models.items()
+            for r in f.series
+            for n, p in r.parameters.items()
+        ),
+    )
+
+
+def _profiles(s: DatasetSummary, path: Path) -> None:
+    """Profiles of the model that is named."""
+    assert s.choice.named is not None
+    named = s.choice.named.candidate.label
+    write_csv(
+        path,
+        ("model", "parameter", "value", "rise_of_chi_square"),
+        (
+            (named, n, value, rise)
+            for n, i in s.choice.intervals.items()
+            for value, rise in zip(i.values.tolist(), i.rise.tolist(), strict=True)
+        ),
+    )
+
+
+def _values(d: Dataset, path: Path) -> None:
+    """Fitted values with every model's prediction."""
     data = d.data
     angles = [_degrees(x) for x in data.directions.angles]
     models, c = list(d.fitted), data.covariance
     values = [v for f in d.fitted.values() for v in (f.fit.predicted, f.fit.whitened)]
     write_columns(
-        folder / f"{slug}-values.csv",
+        path,
         (
             *("theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg", "brdf", "u_brdf"),
             *(f"{m} {what}" for m in models for what in ("brdf", "whitened_residual")),
@@ -136,15 +169,18 @@ def _of_dataset(d: Dataset, slug: str, folder: Path) -> list[str]:
         ),
         [[*angles, data.brdf, data.u, *values, *((c.random, *c.common.T) if c is not None else ())]],
     )
+
+
+def _curves(d: Dataset, path: Path) -> None:
+    """The plotted curves."""
     header = ("model", "curve", "kind", "signed_angle_deg", "brdf", "u_brdf", "normalised", "u_normalised")
     parts = [part for m, f in d.fitted.items() for c in f.drawn for part in _of_drawn(m, c)]
     columns = [list(column) for column in zip(*parts, strict=True)] or [[] for _ in range(9)]
     write_columns(
-        folder / f"{slug}-curves.csv",
+        path,
         (*header, "normalised_by"),
         [[np.concatenate(column) if column else np.empty(0) for column in columns]],
     )
-    return [f"{slug}-values.csv", f"{slug}-curves.csv"]
 
 
 def _of_drawn(model: str, c: Drawn) -> list[list[Any]]:
@@ -211,10 +247,6 @@ def _cell(value: object) -> object:
     return cell_of(visible(value)) if isinstance(value, str) else value
 
 
-FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-"""Errors of a write that name no file."""
-
-
 @dataclass(frozen=True)
 class Staged:
     """A folder in the making."""
@@ -236,6 +268,8 @@ def staged(folder: str | Path) -> Iterator[Staged]:
     ------
     ConfigError
         The folder cannot be written, or holds something that this program did not write.
+    Incomplete
+        All is written, but for parts that could not be made (`gonio_analysis.report.lost`).
     """
     shown = Path(folder)
     require_name(shown)
@@ -257,16 +291,19 @@ def staged(folder: str | Path) -> Iterator[Staged]:
         os.umask(mask)
         work.chmod(0o777 & ~mask)
         write_manifest(work, {})
-        yield Staged(work, final)
+        with lost.collecting() as losses:
+            yield Staged(work, final)
         write_manifest(work, manifest_of(work))
         _check(final, shown)  # once more: somebody may have put something there meanwhile
         _put(work, final)
     except BaseException as error:
         shutil.rmtree(work, ignore_errors=True)
         _remove(made)
-        if isinstance(error, OSError) and (error.errno in FULL or str(work.parent) in str(error.filename)):
+        if isinstance(error, OSError) and (error.errno in lost.FULL or str(work.parent) in str(error.filename)):
             raise ConfigError(f"{shown}: cannot be written: {error.strerror}") from None
         raise
+    if losses:
+        raise lost.incomplete(shown / "index.html", losses)
 
 
 def require(folder: str | Path) -> None:
@@ -277,25 +314,61 @@ def require(folder: str | Path) -> None:
     check_writable(shown.parent)
 
 
-def write(folder: Path, summary: object, figures: Iterable[Figure] = ()) -> None:
-    """Write `summary.json` and the drawings (`figures/`, as SVG and PNG) into a folder that exists."""
+def write_pages(
+    folder: Path,
+    pages: Mapping[str, Page],
+    summary: object,
+    figures: Iterable[Figure] = (),
+    *,
+    printed: bool = False,
+) -> None:
+    """Write pages by the name of their file, `summary.json` and the drawings (`figures/`, as SVG and PNG).
+
+    What fails is named on the pages, which therefore come last, and in `summary.json`; `printed` as `report.pdf`, too.
+    """
     for figure in figures:
-        drawn = folder / "figures"
-        drawn.mkdir(exist_ok=True)
-        (drawn / f"{figure.name}.svg").write_text(figure.svg, encoding="utf-8", newline="\n")
-        (drawn / f"{figure.name}.png").write_bytes(figure.png)
-    text = json.dumps(as_json(summary), indent=1, ensure_ascii=False, allow_nan=False)
-    (folder / "summary.json").write_text(text + "\n", encoding="utf-8", newline="\n")
+        if not figure.failed:
+            lost.kept(f'files of figure "{figure.name}"', partial(_write_figure, folder, figure), lambda loss: None)
+    content = lost.kept("summary.json", partial(_plain, summary), lambda loss: {})
+    if printed:
+        path = folder / "report.pdf"
+        noticed = [with_notice(page) for page in pages.values()]
+        lost.kept("report.pdf", partial(pdf.write, path, noticed), lambda loss: path.unlink(missing_ok=True))
+    for name, page in pages.items():
+        made = lost.kept(f"the page {name}", partial(_encoded, page), lambda loss: None)
+        (folder / name).write_bytes(_encoded(titled(page.title)) if made is None else made)
+    if failed := lost.so_far():
+        content |= {"failed": as_json(failed)}
+    (folder / "summary.json").write_bytes(_as_text(content))
+
+
+def _write_figure(folder: Path, figure: Figure) -> None:
+    drawn = folder / "figures"
+    drawn.mkdir(exist_ok=True)
+    (drawn / f"{figure.name}.svg").write_text(figure.svg, encoding="utf-8", newline="\n")
+    (drawn / f"{figure.name}.png").write_bytes(figure.png)
+
+
+def _plain(summary: object) -> JsonObject:
+    """What JSON can hold of a summary; an error where it cannot hold all of it."""
+    content: JsonObject = as_json(summary)
+    _as_text(content)
+    return content
+
+
+def _as_text(content: JsonObject) -> bytes:
+    return (json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n").encode()
+
+
+def _encoded(page: Page) -> bytes:
+    return html.document(with_notice(page)).encode()
 
 
 def write_page(
     folder: Path, page: Page, summary: object, figures: Iterable[Figure] = (), *, printed: bool = False
 ) -> None:
-    """Write `index.html`, and with it what `write` writes; `printed` as `report.pdf`, too."""
-    write(folder, summary, figures)
-    (folder / "index.html").write_text(html.document(page), encoding="utf-8", newline="\n")
-    if printed:
-        pdf.write(folder / "report.pdf", [page])
+    """Write `index.html`, and with it what `write_pages` writes."""
+    write_pages(folder, {"index.html": page}, summary, figures, printed=printed)
 
 
 def _check(final: Path, shown: Path) -> None:

@@ -11,7 +11,7 @@ from gonio.measurement import Reading, of_reader, said_once
 from gonio_analysis.changes.consensus import METHODS, Consensus
 from gonio_analysis.changes.laboratories import LEVEL, Comparison, Laboratory, compared
 from gonio_analysis.changes.point_by_point import side
-from gonio_analysis.report import change_figures, files
+from gonio_analysis.report import change_figures, files, lost
 from gonio_analysis.report.blocks import (
     Figures,
     Heading,
@@ -27,6 +27,7 @@ from gonio_analysis.report.blocks import (
     provenance,
     stamp,
     table,
+    titled,
 )
 from gonio_analysis.report.drawing import Figure, figure_workers
 from gonio_analysis.report.files import write_columns
@@ -94,10 +95,12 @@ def make(
             progress(note)
         found = compared(sides, shared or {}, wavelength_nm=wavelength_nm, say=progress)
         progress(conclusion(found))
-        drawn = workers.draw(change_figures.draw_laboratories(found), progress)
-        last = {"figures": drawn, "tables": _write_tables(found, stage.work / "tables")}
-        made = stamp(command)
-        files.write_page(stage.work, _page(found, made, drawn), {**_summary(found, made), **last}, drawn, printed=True)
+        drawings = lost.kept("figures", lambda: change_figures.draw_laboratories(found), lambda loss: [])
+        drawn = workers.draw(drawings, progress)
+        tables = lost.kept("tables", lambda: _write_tables(found, stage.work / "tables"), lambda loss: [])
+        last, made = {"figures": drawn, "tables": tables}, stamp(command)
+        page = lost.kept("the page", lambda: _page(found, made, drawn), lambda loss: titled(_title(found)))
+        files.write_page(stage.work, page, {**_summary(found, made), **last}, drawn, printed=True)
     return Path(out) / "index.html"
 
 

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from gonio_analysis.changes.pixel_by_pixel import MapChange, ParameterChange, change
 from gonio_analysis.changes.verdict import FALSE_DISCOVERIES
-from gonio_analysis.report import files, map_layers
+from gonio_analysis.report import files, lost, map_layers
 from gonio_analysis.report.blocks import (
     Block,
     Figures,
@@ -25,6 +25,7 @@ from gonio_analysis.report.blocks import (
     provenance,
     stamp,
     table,
+    titled,
 )
 from gonio_analysis.report.drawing import Drawing, Figure, figure_workers
 from gonio_analysis.report.files import write_columns, write_csv
@@ -76,11 +77,12 @@ def make(
         progress(f"comparing {specs[1]} with {specs[0]}")
         found = change(*specs)
         progress(conclusion(found))
-        figures = workers.draw(_drawings(found), progress)
-        tables = _write_tables(found, stage.work / "tables")
+        figures = workers.draw(lost.kept("figures", lambda: _drawings(found), lambda loss: []), progress)
+        tables = lost.kept("tables", lambda: _write_tables(found, stage.work / "tables"), lambda loss: [])
         made = stamp(command)
         summary = {**_summary(found, specs, made), "figures": figures, "tables": tables}
-        files.write_page(stage.work, _page(found, specs, made, figures), summary, figures, printed=True)
+        page = lost.kept("the page", lambda: _page(found, specs, made, figures), lambda loss: titled(_title(specs)))
+        files.write_page(stage.work, page, summary, figures, printed=True)
     return Path(out) / "index.html"
 
 

@@ -16,7 +16,7 @@ from gonio.geometry import Directions
 from gonio.maps import FLAGS, FitFile, MapFile, Tile
 from gonio.reduction.threads import in_threads
 from gonio_analysis.curves.in_plane import evenly
-from gonio_analysis.report import files, html, map_layers, map_view
+from gonio_analysis.report import files, html, lost, map_layers, map_view
 from gonio_analysis.report.blocks import (
     Block,
     Figures,
@@ -33,6 +33,7 @@ from gonio_analysis.report.blocks import (
     provenance,
     stamp,
     table,
+    titled,
 )
 from gonio_analysis.report.drawing import Figure, figure_workers
 from gonio_analysis.report.files import write_csv
@@ -224,11 +225,12 @@ def make(
     with files.staged(out) as stage, figure_workers(FIGURES) as workers:
         told = _of_fits(path, values, progress) if fitted else _of_values(path, progress)
         figures = workers.draw(told.drawings, progress)
-        tables = _write_tables(told, stage.work / "tables")
+        tables = lost.kept("tables", lambda: _write_tables(told, stage.work / "tables"), lambda loss: [])
         made = stamp(command)
         summary = {"title": told.title, **made, "conclusion": told.conclusion, **told.summary}
         summary |= {"figures": figures, "tables": tables}
-        files.write_page(stage.work, _page(told, made, figures), summary, figures, printed=True)
+        page = lost.kept("the page", lambda: _page(told, made, figures), lambda loss: titled(told.title))
+        files.write_page(stage.work, page, summary, figures, printed=True)
     return Path(out) / "index.html"
 
 

@@ -29,6 +29,7 @@ from gonio_analysis.report.blocks import (
 )
 from gonio_analysis.report.drawing import Figure
 from gonio_analysis.report.facts import DatasetSummary, Summary
+from gonio_analysis.report.section import part
 from gonio_analysis.report.text import difference, number, percent, slug, with_u
 from gonio_analysis.report.viewer import View
 from gonio_analysis.result_records import RunFacts
@@ -129,8 +130,17 @@ def render(summary: Summary, drawn: Sequence[Sequence[Figure]], views: Sequence[
     """
     datasets, title = summary.datasets, summary.title
     several = len(datasets) > 1
-    last = [*_transmission_only(summary, drawn[len(datasets) :]), _conventions(summary), _provenance(summary)]
-    frame = Page(title, (*(_overview(summary, {}) if several else ()), *last, FOOTER))
+    rest = drawn[len(datasets) :]
+    last = [
+        *part("samples of transmission alone", title, lambda: _transmission_only(summary, rest)),
+        *part("conventions", title, lambda: [_conventions(summary)]),
+        *part("provenance", title, lambda: [_provenance(summary)]),
+    ]
+
+    def overview(place: Mapping[str, str]) -> list[Block]:
+        return part("the overview", title, lambda: _overview(summary, place)) if several else []
+
+    frame = Page(title, (*overview({}), *last, FOOTER))
     room = MOST_BYTES - html.size(html.document(frame)) - 300 * len(datasets) - 10_000
     room -= html.size(html.program()) if any(views) else 0
     sections = [
@@ -150,7 +160,7 @@ def render(summary: Summary, drawn: Sequence[Sequence[Figure]], views: Sequence[
     for name, group in zip(names, groups, strict=True):
         first = name == "index.html"
         here = {slug: f"{'' if at == name else at}#{slug}" for slug, at in place.items()}
-        blocks = [_header(summary, here, names, name), *(_overview(summary, here) if first and several else ())]
+        blocks = [_header(summary, here, names, name), *(overview(here) if first else ())]
         blocks += [sections[k] for k in group]
         pages[name] = Page(title, (*blocks, *(last if first else ()), FOOTER))
     return pages

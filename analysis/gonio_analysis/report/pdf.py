@@ -73,14 +73,14 @@ def _lines_of(text: Text) -> str:
     return visible(re.sub(r"[ \t\r\n]+", " ", plain(text)).strip(" "))
 
 
-def _set(sheet: _Sheet, blocks: Sequence[Block]) -> None:
+def _set(sheet: _Sheet | _Nowhere, blocks: Sequence[Block]) -> None:
     """What is printed of blocks, in their order."""
     for block, after in zip_longest(blocks, blocks[1:]):
         match block:
             case Group():
                 _set(sheet, block.blocks)
             case Heading():
-                beside = [f.png for f in after.figures[:2]] if isinstance(after, Figures) else []
+                beside = [f.png for f in after.figures[:2] if f.png] if isinstance(after, Figures) else []
                 sheet.text(f"h{block.level}", _lines_of(block.text), beside)
             case Paragraph():
                 sheet.text("p", _lines_of(block.text))
@@ -95,8 +95,17 @@ def _set(sheet: _Sheet, blocks: Sequence[Block]) -> None:
                 cells = [[_lines_of(cell) for cell in row] for row in [block.header, *block.rows]]
                 sheet.table(_lines_of(block.caption), cells, block.right)
             case Figures():
-                for k in range(0, len(block.figures), 2):
-                    sheet.figures([(f.png, _lines_of(glued(f.caption))) for f in block.figures[k : k + 2]])
+                drawn = [f for f in block.figures if not f.failed]
+                for f in block.figures:
+                    if f.failed:
+                        sheet.text("p", _lines_of(f"Missing: this figure could not be drawn: {f.failed}. {f.caption}"))
+                for k in range(0, len(drawn), 2):
+                    sheet.figures([(f.png, _lines_of(glued(f.caption))) for f in drawn[k : k + 2]])
+
+
+def check(blocks: Sequence[Block]) -> None:
+    """Raise what setting these blocks would, for the kinds of their words."""
+    _set(_Nowhere(), blocks)
 
 
 def _words() -> Any:
@@ -139,6 +148,18 @@ def _advance(character: str, weight: str) -> float:
     font.set_size(10, 72)
     glyph = font.load_glyph(font.get_char_index(ord(character)))  # 0 is the box
     return float(glyph.linearHoriAdvance) / 65536 / 10
+
+
+class _Nowhere:
+    """Takes what a sheet takes."""
+
+    def text(self, kind: str, content: str, beside: Sequence[bytes] = ()) -> None: ...
+
+    def facts(self, rows: Sequence[tuple[str, str]]) -> None: ...
+
+    def table(self, caption: str, rows: Sequence[Sequence[str]], right: Set[int]) -> None: ...
+
+    def figures(self, pair: Sequence[tuple[bytes, str]]) -> None: ...
 
 
 class _Sheet:

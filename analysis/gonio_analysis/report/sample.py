@@ -1,14 +1,14 @@
 """One sample's section of the page: what was measured, which models were fitted, how far they are off."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from gonio import geometry
 from gonio.checks.symmetry import Pairs
 from gonio.formats.reader import TableBand
 from gonio_analysis.fitting.objective import meaning as meaning_of_metric
 from gonio_analysis.fitting.solution import Estimate
-from gonio_analysis.report import blocks, verdict
+from gonio_analysis.report import blocks, sections, verdict
 from gonio_analysis.report.blocks import (
     Block,
     Facts,
@@ -29,6 +29,8 @@ from gonio_analysis.report.blocks import (
 )
 from gonio_analysis.report.drawing import Figure
 from gonio_analysis.report.facts import DatasetSummary, Summary
+from gonio_analysis.report.section import Figures as ByKind
+from gonio_analysis.report.section import blocks_of, part
 from gonio_analysis.report.sections import SECTIONS
 from gonio_analysis.report.text import angle, cause, difference, number, percent, reasons, with_u
 from gonio_analysis.report.viewer import View
@@ -62,27 +64,42 @@ def section(s: Summary, d: DatasetSummary, figures: Sequence[Figure], view: View
     shared = any(f.fit.shared is not None for f in d.models.values())
     skipped = {m: why for m, why in d.skipped.items() if len(d.choice.judged) < 2 or m not in d.choice.left_out}
     values = "Simulated values" if d.simulated else "Measured values"
-    out: list[Block] = [
-        *([Heading(2, d.title)] if len(s.datasets) > 1 else []),
-        lead(d.conclusion),
-        Heading(3, what),
-        _facts(d),
-        notes(d.notes),
-        *verdict.which_model(d.choice, d.wavelength_nm if shared else None),
-        *([Heading(3, "Models"), _models(d)] if d.models else [Heading(3, values), _values(d)]),
-        Notes(tuple((strong(m), f" was not fitted: {why}") for m, why in skipped.items())),
-        *_energy(d),
-    ]
-    if "polar" in by:
-        out += [Heading(3, "In the plane of incidence, normalised"), _polar_words(s, d)]
-        out += [*([Viewer(d.slug, view)] if view else []), Figures(by["polar"])]
+    parts: dict[str, Callable[[], Sequence[Block]]] = {
+        "the headline": lambda: [*([Heading(2, d.title)] if len(s.datasets) > 1 else []), lead(d.conclusion)],
+        "what was measured": lambda: [Heading(3, what), _facts(d), notes(d.notes)],
+        "the choice of a model": lambda: verdict.which_model(d.choice, d.wavelength_nm if shared else None),
+        "models": lambda: [Heading(3, "Models"), _models(d)] if d.models else [Heading(3, values), _values(d)],
+        "models that were not fitted": lambda: [
+            Notes(tuple((strong(m), f" was not fitted: {why}") for m, why in skipped.items()))
+        ],
+        "energy and symmetry": lambda: _energy(d),
+        "plots in plane": lambda: _in_plane(s, d, by.get("polar", ()), view),
+        "other plots": lambda: _other_plots(by),
+        "parameters": lambda: _with_heading("Parameters", d, [*_parameters(d), Figures(by.get("profile", ()))]),
+        "metrics": lambda: _with_heading("Metrics", d, _metrics(s, d)),
+    }
+    out = [block for words, make in parts.items() for block in part(words, d.name, make)]
+    return blocks.section([*out, *(b for one in sections.every(SECTIONS) for b in blocks_of(one, d, by))], d.slug)
+
+
+def _in_plane(s: Summary, d: DatasetSummary, figures: tuple[Figure, ...], view: View | None) -> list[Block]:
+    if not figures:
+        return []
+    heading = Heading(3, "In the plane of incidence, normalised")
+    return [heading, _polar_words(s, d), *([Viewer(d.slug, view)] if view else []), Figures(figures)]
+
+
+def _other_plots(by: ByKind) -> list[Block]:
+    out: list[Block] = []
     for heading, kinds in OTHER_FIGURES.items():
         if shown := tuple(f for kind in kinds for f in by.get(kind, ())):
             out += [Heading(3, heading), Figures(shown)]
-    if d.models:
-        out += [Heading(3, "Parameters"), *_parameters(d), Figures(by.get("profile", ()))]
-        out += [Heading(3, "Metrics"), *_metrics(s, d)]
-    return blocks.section([*out, *(block for one in SECTIONS for block in one.blocks(d, by))], d.slug)
+    return out
+
+
+def _with_heading(heading: str, d: DatasetSummary, found: Sequence[Block]) -> list[Block]:
+    """Blocks about models, where there are any."""
+    return [Heading(3, heading), *found] if d.models else []
 
 
 def _values(d: DatasetSummary) -> Table:
@@ -198,8 +215,8 @@ def _energy(d: DatasetSummary) -> list[Block]:
     for reason, angles in reasons(d.rho_dh).items():
         where = f"at θi = {', '.join(dict.fromkeys(angles))}" if len(angles) <= 8 else f"at {len(angles)} incidences"
         said.append(f"The measurement's own rho_dh {where}: {reason}.")
-    for name in d.choice.near:
-        shares = {r.theta_i_deg: r.unmeasured for r in d.models[name].rho_dh if r.unmeasured}
+    for name, found in d.rho_dh_near.items():
+        shares = {r.theta_i_deg: r.unmeasured for r in found if r.unmeasured}
         far = ", ".join(f"{percent(share)} at θi = {angle(at)}" for at, share in shares.items() if share > FAR)
         if far:
             said.append(f"Of the light that {name} reflects, part goes where no value near tells the misfit: {far}.")

@@ -1,13 +1,23 @@
-"""What a part of a sample's page is: its facts, its drawings and its words, in one file."""
+"""What a part of a sample's page is: its facts, its drawings and its words, in one file.
+
+Whoever wrote it, what it gives is tried before it comes into the page: a part that fails is named in its place
+(`gonio_analysis.report.lost`).
+"""
 
 from __future__ import annotations
 
+import json
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from gonio_analysis.report.blocks import Block
+from gonio_analysis.report import html, pdf
+from gonio_analysis.report.blocks import Block, missing
 from gonio_analysis.report.drawing import Drawing, Figure
+from gonio_analysis.report.lost import kept
+from gonio_analysis.result_records import as_json
 
 if TYPE_CHECKING:
     from gonio_analysis.report.facts import DatasetSummary
@@ -33,3 +43,63 @@ class Section:
     """Its drawings, which `blocks` finds by their kind."""
     facts: Callable[[Dataset], Any] = lambda d: None
     """Numbers of its own, which stand under `sections` in `summary.json`, by its name; None for none."""
+
+
+def part(what: str, name: str, make: Callable[[], Sequence[Block]]) -> list[Block]:
+    """Blocks of a sample's page that can be printed, or the line that stands in their place.
+
+    Parameters
+    ----------
+    what, name
+        Which part, as in 'section "spread"', and of which sample.
+    make
+        Makes them.
+    """
+
+    def tried() -> list[Block]:
+        blocks = list(make())
+        for one in blocks:
+            if not isinstance(one, Block):
+                raise TypeError(f"{one!r} is no block of gonio_analysis.report.blocks")
+        html.fragment(blocks).encode()
+        pdf.check(blocks)
+        return blocks
+
+    return kept(f"{what} of {name}", tried, lambda loss: [missing(loss)])
+
+
+def blocks_of(one: Section, d: DatasetSummary, figures: Figures) -> list[Block]:
+    """What a section says of a sample."""
+    return part(f'section "{one.name}"', d.name, lambda: one.blocks(d, figures))
+
+
+def facts_of(sections: Sequence[Section], d: Dataset) -> dict[str, Any]:
+    """The numbers of sections that have any, by their names: such that JSON can hold."""
+
+    def tried(one: Section) -> Any:
+        found = one.facts(d)
+        json.dumps(as_json(found), ensure_ascii=False, allow_nan=False).encode()
+        return found
+
+    every = {
+        one.name: kept(f'numbers of section "{one.name}" of {d.name}', partial(tried, one), lambda _: None)
+        for one in sections
+    }
+    return {name: facts for name, facts in every.items() if facts is not None}
+
+
+def drawings_of(one: Section, d: Dataset, facts: DatasetSummary, taken: Mapping[str, object]) -> list[Drawing]:
+    """Its drawings, whose names are those of files and of no other figure (`taken`)."""
+
+    def tried() -> list[Drawing]:
+        found = list(one.draw(d, facts))
+        for drawing in found:
+            if not isinstance(drawing, Drawing):
+                raise TypeError(f"{drawing!r} is no Drawing")
+            if not re.fullmatch(r"[\w][\w.,+@ -]*", drawing.name):
+                raise ValueError(f"{drawing.name!r} is no name of a figure: it is that of its file")
+            if drawing.name in taken or [other.name for other in found].count(drawing.name) > 1:
+                raise ValueError(f"{drawing.name!r} is the name of another figure; begin it with facts.slug")
+        return found
+
+    return kept(f'drawings of section "{one.name}" of {d.name}', tried, lambda _: [])

@@ -174,13 +174,16 @@ class Dataset:
         return energy.of_table(self.data)
 
     @cached_property
-    def rho_dh_combined(self) -> list[Reflectance]:
-        """rho_dh of the models that cannot be told from the nearest one, shown or not."""
-        near = [(self.choice.near.get(j.candidate.label), j) for j in self.choice.judged]
+    def rho_dh_near(self) -> dict[str, list[Reflectance]]:
+        """rho_dh of the models that cannot be told from the nearest one (`Choice.near`), by label, shown or not."""
+        fits = {j.candidate.label: j.fit for j in self.choice.judged}
         shown = {label: one.rho_dh for label, one in self.fitted.items()}
-        return energy.combined(
-            [(w, shown.get(j.candidate.label) or energy.of_model(j.fit)) for w, j in near if w is not None]
-        )
+        return {label: shown.get(label) or energy.of_model(fits[label]) for label in self.choice.near}
+
+    @cached_property
+    def rho_dh_combined(self) -> list[Reflectance]:
+        """rho_dh of those models taken together."""
+        return energy.combined([(self.choice.near[label], found) for label, found in self.rho_dh_near.items()])
 
     @cached_property
     def symmetries(self) -> list[Pairs]:

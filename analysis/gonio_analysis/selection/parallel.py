@@ -4,15 +4,12 @@ import os
 import socket
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import CancelledError, Future, ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
-from multiprocessing import get_context, parent_process
-from multiprocessing.connection import wait
+from concurrent.futures import CancelledError, Future
 from typing import Any, Protocol, TypeVar
 
-from gonio import platform
 from gonio.cli.console import Pace, Say, silent
 from gonio.errors import ConfigError, DataError
+from gonio_analysis.processes import Processes, processes
 
 FEW = 4
 """Fewer jobs than this run here: to start a process and its imports takes longer than most fits."""
@@ -47,7 +44,12 @@ def here(jobs: Sequence[Callable[[Say], Out]], what: str = "", say: Say = silent
 
 
 def each(
-    function: Callable[[In], Out], jobs: Iterable[In], *, dask: str | None = None, workers: int | None = None
+    function: Callable[[In], Out],
+    jobs: Iterable[In],
+    *,
+    dask: str | None = None,
+    workers: int | None = None,
+    pool: Processes | None = None,
 ) -> Iterator[tuple[int, Out]]:
     """The number of every job and the function's result for it, as they become ready.
 
@@ -56,7 +58,7 @@ def each(
     Parameters
     ----------
     function
-        Of a module's top level: other processes have to find it.
+        Of a module's top level, so that other processes find it; what is the main program's own is done here.
     jobs
         One argument each. Fewer than `FEW` run here, unless a scheduler is named.
     dask
@@ -64,13 +66,16 @@ def each(
         at is done by another one. Jobs are taken when workers are near them, so that few are in memory at a time.
     workers
         Processes, where no scheduler is named: one for each processor by default. With 1 all jobs run here.
+    pool
+        Processes that are there already; more are started where it has too few.
 
     Raises
     ------
     ConfigError
         The optional package `distributed` is missing, or the scheduler does not answer.
     DataError
-        A process died: most often for want of memory. Or a job ended several workers, or the scheduler went.
+        A job ended the process that it was given to, and another one after that: most often for want of memory. Or it
+        ended several workers of a cluster, or the scheduler went.
     """
     if dask is not None:
         yield from _on_cluster(function, jobs, dask)
@@ -78,40 +83,19 @@ def each(
     jobs = list(jobs)
     if len(jobs) < FEW or workers == 1:
         yield from enumerate(map(function, jobs))
+        return
+    count = min(len(jobs), workers or os.cpu_count() or 1)
+    if pool is None:
+        yield from _on_processors(function, jobs, count)
     else:
-        yield from _on_processors(function, jobs, min(len(jobs), workers or os.cpu_count() or 1))
+        pool.grow(count)
+        yield from pool.each(function, jobs)
 
 
 def _on_processors(function: Callable[[In], Out], jobs: Sequence[In], workers: int) -> Iterator[tuple[int, Out]]:
     """Whatever ends this, an error, a signal or the death of this process, ends the other processes at once."""
-    pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_stay_with_parent)
-    try:
-        with platform.deaf_children():
-            waiting = {pool.submit(function, job): k for k, job in enumerate(jobs)}
-        for future in as_completed(waiting):
-            yield waiting.pop(future), future.result()
-    except BrokenProcessPool:
-        raise DataError(
-            "a process that worked on a sample has died: most often for want of memory; give fewer samples at once"
-        ) from None
-    except BaseException:
-        for process in list((pool._processes or {}).values()):  # has a public name from Python 3.14 on
-            process.kill()
-        raise
-    finally:
-        pool.shutdown(cancel_futures=True)
-
-
-def _stay_with_parent() -> None:
-    """End this process when the one that started it has gone, in whatever way."""
-    parent = parent_process()
-    assert parent is not None
-
-    def watch() -> None:
-        wait([parent.sentinel])
-        os._exit(1)
-
-    threading.Thread(target=watch, daemon=True).start()
+    with processes(workers) as pool:
+        yield from pool.each(function, jobs)
 
 
 def _on_cluster(function: Callable[[In], Out], jobs: Iterable[In], address: str) -> Iterator[tuple[int, Out]]:

@@ -468,6 +468,50 @@ def test_an_export_does_not_hide_a_format(tmp_path: Path, monkeypatch: pytest.Mo
     assert len(measurement.read(tmp_path / "one.astm")) == 1
 
 
+EXPORTS = """
+from pathlib import Path
+def file(run, out):
+    out.write_text("half")
+    raise ValueError("of the\\nstranger")
+def folder(run, out):
+    out.unlink(missing_ok=True)
+    out.mkdir()
+    (out / "a").write_text("half")
+    raise ValueError("of the\\nstranger")
+def silent(run, out):
+    out.write_text("whole")
+    return []
+def nothing(run, out):
+    out.write_text("whole")
+def unread(run, out):
+    raise OSError(13, "not yours", str(out))
+"""
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("file", "ValueError: of the stranger"), ("folder", "ValueError: of the stranger"),
+        ("silent", "does not say what it has written"), ("nothing", "TypeError"), ("unread", ""),
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("before", [False, True])
+def test_an_export_that_fails_leaves_the_place_as_it_was(tmp_path: Path, name: str, said: str, before: bool) -> None:
+    """What another package writes: a line and an exit code, and nothing half-written."""
+    site = installed(tmp_path, "gonio.exports", f"mine = stranger:{name}\n", EXPORTS)
+    (tmp_path / "run").mkdir()
+    if before:
+        (tmp_path / "out").write_text("earlier")
+    done = process(tmp_path, "convert", "run", "out", "--to", "mine", PYTHONPATH=site)
+    assert done.returncode == (2 if name == "unread" else 1)
+    assert done.stderr.count("\n") == 1
+    assert "should not happen" not in done.stderr
+    says(done.stderr, said, *(["--to mine", "GONIO_TRACEBACK=1"] if said else []))
+    assert sorted(p.name for p in tmp_path.iterdir()) == (["out"] if before else []) + ["run", "site"]
+    if before:
+        assert (tmp_path / "out").read_text() == "earlier"
+
+
 @pytest.mark.parametrize("source", ["one.csv", "sample.toml"])
 def test_a_format_that_there_is_not_lists_all(tmp_path: Path, source: str) -> None:
     one_value(tmp_path)

@@ -28,6 +28,7 @@ from gonio_analysis.selection.judging import Candidate
 
 from gonio import measurement
 from gonio.cli.console import Say
+from gonio.errors import DataError
 from gonio.models import Phong, build
 from tests.gonio_analysis.synthetic import joined, measure
 
@@ -227,11 +228,14 @@ def test_any_number_of_processes_makes_the_same_figures() -> None:
     assert [f.name for f in second] == [d.name for d in wanted]
 
 
-def test_a_process_that_dies_leaves_its_drawing_to_this_one() -> None:
-    with figure_workers(8, processes=3) as workers:
-        made = workers.draw(drawings(_ends_elsewhere, here=[os.getpid()] * 8))
-    assert len(made) == 8
-    assert all(f.svg for f in made)
+def test_a_drawing_that_ends_its_processes_is_not_drawn_in_this_one() -> None:
+    """What killed another process, as by taking all memory, would take this one along."""
+    with pytest.raises(DataError, match="has died"), figure_workers(8, processes=3) as workers:
+        workers.draw(drawings(_ends_elsewhere, here=[os.getpid()] * 8), meanwhile=partial(_until_one_has_gone, workers))
+
+
+def _until_one_has_gone(workers: Any) -> None:
+    workers._processes[0].wait(timeout=600)
 
 
 def test_a_drawing_that_fails_ends_every_process() -> None:
