@@ -36,6 +36,12 @@ def _no_waiting_for_the_disk(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("os.fsync", lambda descriptor: None)
 
 
+@pytest.fixture
+def one_id(monkeypatch: pytest.MonkeyPatch) -> None:
+    """All runs have one id, so that they can be compared to the byte: nothing else differs from run to run."""
+    monkeypatch.setattr("secrets.token_hex", lambda size: "1d" * size)
+
+
 @pytest.fixture(autouse=True)
 def _hears_its_signals() -> Iterator[None]:
     """A test that left this process deaf to Ctrl-C would make the programs deaf that later tests start."""

@@ -71,6 +71,7 @@ def test_a_list_scan_on_sim_gives_the_same_table(tmp_path: Path) -> None:
     assert (tmp_path / "B" / "brdf.csv").read_bytes() == (tmp_path / "A" / "brdf.csv").read_bytes()
 
 
+@pytest.mark.usefixtures("one_id")
 def test_every_step_and_frame_is_that_of_the_engine(plan: Path, tmp_path: Path) -> None:
     whole = measured(load_plan(plan), tmp_path / "A")
     seen = []
@@ -124,6 +125,7 @@ def test_points_are_taken_in_the_order_of_the_run(plan: Path, tmp_path: Path) ->
     assert [step.kind for step in Run.open(tmp_path / "B").steps()] == ["dark", "reference", "point"]
 
 
+@pytest.mark.usefixtures("one_id")
 def test_a_scan_that_ends_early_is_a_run_to_be_resumed(plan: Path, tmp_path: Path) -> None:
     whole = measured(load_plan(plan), tmp_path / "A")
     plugin = Plugin()

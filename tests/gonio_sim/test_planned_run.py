@@ -59,6 +59,7 @@ def test_a_polished_metal_over_seven_decades(tmp_path: Path) -> None:
     assert np.polyfit(np.log(true), np.log(table["brdf"]), 1)[0] == pytest.approx(1.0, abs=1e-3)
 
 
+@pytest.mark.usefixtures("one_id")
 def test_a_planned_run_resumes_to_the_same(tmp_path: Path) -> None:
     description = rig(u_rel_target=0.002)
     whole = measured(tmp_path, description, *ANGLES, name="whole")

@@ -18,9 +18,8 @@ Measure = Callable[..., Run]
 
 
 @pytest.fixture(autouse=True)
-def one_id(monkeypatch: pytest.MonkeyPatch) -> None:
-    """All runs have one id, so that they can be compared to the byte: nothing else differs from run to run."""
-    monkeypatch.setattr("gonio.acquisition.run_settings.secrets.token_hex", lambda size: "1d" * size)
+def _compared(one_id: None) -> None:
+    """Runs are compared to the byte."""
 
 
 @pytest.fixture
@@ -44,7 +43,7 @@ def measured(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of the whole run; not to be written to."""
     folder = tmp_path_factory.mktemp("measured")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("gonio.acquisition.run_settings.secrets.token_hex", lambda size: "1d" * size)
+        patch.setattr("secrets.token_hex", lambda size: "1d" * size)
         return numpy_rig.measured(plan_in(folder), folder / "run", command="gonio measure ...").path
 
 
