@@ -9,6 +9,8 @@ Signals are in DN. With none of the keys (`camera.response`, `camera.nonlinearit
 Also here is the noise of a camera's pixels by the linear model of EMVA 1288 (release 4.0, section 2.4).
 """
 
+import zipfile
+import zlib
 from dataclasses import dataclass
 from functools import lru_cache
 from io import BytesIO
@@ -347,13 +349,18 @@ def read_maps(path: str, shape: tuple[int, int]) -> PixelMaps:
         The file is missing, is no such file, or is of a camera of another size.
     """
     try:
-        with np.load(BytesIO(read_file(path)), allow_pickle=False) as held:
+        data = read_file(path)
+        with zipfile.ZipFile(BytesIO(data)) as archive:
+            unpacked = sum(part.file_size for part in archive.infolist())
+        if unpacked > (most := 64 * shape[0] * shape[1] + 2**16):  # three arrays of at most 16 bytes a pixel
+            raise ConfigError(f"{path}: unpacks to {unpacked} bytes; maps of this camera have at most {most}")
+        with np.load(BytesIO(data), allow_pickle=False) as held:
             if int(held["format"]) != FORMAT:
                 raise ConfigError(f"{path}: maps of format {int(held['format'])}; this program reads {FORMAT}")
             maps = PixelMaps(*(np.asarray(held[name]) for name in PixelMaps.__dataclass_fields__))
     except OSError as error:
         raise ConfigError(f"{path}: the maps of camera.maps cannot be read: {error.strerror or error}") from None
-    except (ValueError, KeyError, EOFError):
+    except (ValueError, KeyError, EOFError, MemoryError, zipfile.BadZipFile, zlib.error):
         raise ConfigError(f"{path}: is no file of maps (camera.maps); `gonio calibrate camera` writes one") from None
     for name in PixelMaps.__dataclass_fields__:
         found = getattr(maps, name).shape

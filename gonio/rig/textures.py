@@ -63,7 +63,7 @@ def _texels(path: Path, where: str) -> Floats:
 def _of_npy(data: bytes, where: str) -> Floats:
     try:
         array = np.load(io.BytesIO(data), allow_pickle=False)
-    except (ValueError, EOFError, OSError):
+    except (ValueError, EOFError, OSError, MemoryError):
         raise DataError(f"{where}: is no NPY array of numbers, or is damaged") from None
     if not isinstance(array, np.ndarray) or array.dtype.kind not in "fiub":
         raise DataError(f"{where}: must hold real numbers")
@@ -79,6 +79,8 @@ def _of_png(data: bytes, where: str) -> Floats:
     image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if data else None
     if image is None:
         raise DataError(f"{where}: is no picture that can be read; PNG and NPY are")
+    if image.dtype.kind != "u":
+        raise DataError(f"{where}: holds {image.dtype}; a texture's picture holds unsigned whole numbers")
     if image.ndim == 3 and image.shape[2] >= 3 and not (image[..., :1] == image[..., :3]).all():
         raise DataError(f"{where}: is in colour; a texture is grey")
     grey = image[..., 0] if image.ndim == 3 else image

@@ -15,6 +15,7 @@ import pytest
 from gonio import measurement
 from gonio.errors import ConfigError, DataError
 from gonio.formats import certificate, rgl, workbook, xml_text
+from gonio.rig.light_and_camera import read_maps
 
 TYPED = '<?xml version="1.0"{}?><!DOCTYPE a [<!ENTITY b "c">]><WindowElement>&b;</WindowElement>'
 SOON_S = 5.0
@@ -114,3 +115,17 @@ def test_counts_of_a_tensor_file_are_looked_at_first(data: bytes, said: str) -> 
     with pytest.raises(DataError, match=rf"t\.bsdf, byte .*{said}"):
         rgl.tensors(data, Path("t.bsdf"))
     assert time.perf_counter() - began < SOON_S
+
+
+@pytest.mark.parametrize(
+    ("data", "said"),
+    [
+        (packed({"format.npy": bytes(10**6)}), "unpacks to 1000000 bytes"),
+        (packed({"format.npy": b"x"})[:-30], "is no file of maps"),
+        (b"PK\3\4", "is no file of maps"),
+    ],
+)
+def test_maps_of_a_camera_are_bounded_before_they_are_unpacked(tmp_path: Path, data: bytes, said: str) -> None:
+    (tmp_path / "m.npz").write_bytes(data)
+    with pytest.raises(ConfigError, match=rf"m\.npz: {said}"):
+        read_maps(str(tmp_path / "m.npz"), (20, 30))
