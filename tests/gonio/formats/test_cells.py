@@ -189,7 +189,7 @@ def test_an_rt300s_workbook_refuses_what_is_no_number() -> None:
 )
 def test_a_percent_format_and_the_unit_percent_count_once(shown: str, unit: str, values: list[float]) -> None:
     """Kind: a number format and a unit that both divide by 100."""
-    rows: list[list[object]] = [
+    rows: list[Any] = [
         ["ti", "pi", "tr", "pr", "R"],
         *([30.0, 0.0, float(r), 180.0, 0.62] for r in (0, 10, 20)),
     ]
@@ -207,7 +207,7 @@ def test_a_percent_format_where_no_share_belongs_is_refused() -> None:
             measurement.parse(xlsx([HEADER, *ROWS], {(1, column): "0.0%"}), Path("a.xlsx"))
     with pytest.raises(DataError, match="row 2, column F: brdf is a number in percent format"):
         measurement.parse(xls([HEADER, *ROWS], percent=True), Path("a.xls"))
-    rows: list[list[object]] = [
+    rows: list[Any] = [
         ["ti", "pi", "tr", "pr", "R"],
         *([30.0, 0.0, float(r), 180.0, 0.62] for r in (0, 10, 20)),
     ]
@@ -246,7 +246,7 @@ def test_merged_cells_are_refused_and_hidden_rows_are_told() -> None:
 
 def test_dates_above_a_table_of_ones_own_are_no_numbers_of_it() -> None:
     """Kind: a date in a header is legal: it is a name."""
-    rows: list[list[object]] = [
+    rows: list[Any] = [
         ["ti", "pi", "tr", "pr", "R", date(2031, 3, 7)],
         *([30.0, 0.0, float(r), 180.0, 0.6, 1.0] for r in (0, 10)),
     ]
@@ -274,7 +274,7 @@ def test_other_workbooks_are_named_with_the_way_out(names: tuple[str, ...], told
 
 
 def test_units_of_a_workbook_are_those_of_own_columns() -> None:
-    rows: list[list[object]] = [
+    rows: list[Any] = [
         ["ti", "pi", "tr", "pr", "R", "dR"],
         *([30.0, 0.0, float(r), 180.0, 62.0, 0.05] for r in (0, 10)),
     ]
