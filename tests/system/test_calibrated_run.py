@@ -1,6 +1,7 @@
 """Runs on a rig whose file names calibrations: what they say of these, and what they need of them later."""
 
 import datetime
+import hashlib
 import json
 import math
 from pathlib import Path
@@ -9,6 +10,7 @@ from typing import Any
 import pytest
 from gonio_sim.rig import SIM
 
+from gonio.acquisition.journal import Journal
 from gonio.acquisition.measure import find_rig
 from gonio.disk import write_own
 from gonio.measurement import read
@@ -118,7 +120,10 @@ def test_a_run_is_resumed_where_its_calibration_has_run_out_and_that_is_only_war
     assert gonio(bench, *MEASURE).returncode == 0
     text = (bench / "run" / "run.toml").read_text()
     assert text.count("\nremarks = []\n") == 1
-    write_own(bench / "run", {"run.toml": text.replace("\nremarks = []\n", '\nremarks = ["x"]\n').encode()})
+    before = text.replace("\nremarks = []\n", '\nremarks = ["x"]\n').encode()
+    with Journal(bench / "run" / "journal.jsonl") as journal:  # as if it had been begun so
+        journal.append({"event": "remark", "message": "", "files": {"run.toml": hashlib.sha256(before).hexdigest()}})
+    write_own(bench / "run", {"run.toml": before})
     gonio(bench, *MEASURE, "--resume", expect=0)
 
 
