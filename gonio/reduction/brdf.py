@@ -16,7 +16,7 @@ import numpy as np
 
 from gonio.acquisition.run import Run
 from gonio.errors import ConfigError, DataError
-from gonio.reduction import angle_errors, light_and_lens, white_reference
+from gonio.reduction import angle_errors, light_and_lens, reference_table, white_reference
 from gonio.reduction.angle_errors import change_of_cosine, encoder_steps, is_behind, turned_over
 from gonio.reduction.count_rates import RunFrames
 from gonio.reduction.dark_signal import PATTERNS
@@ -230,10 +230,7 @@ def level(run: Run, wanted_s: Floats, visits: list[Reduced], band: Band) -> tupl
         variance = float(calibration_files.covariance_of(description, ["reference.attenuation"])[0, 0])
         u_rel = math.hypot(u_rel, math.sqrt(variance) / (reference.attenuation or 1.0))
     elif reference.table is not None:
-        from gonio import measurement
-
-        table = measurement.read(reference.table)
-        table.attrs.setdefault("source_file", reference.table)
+        table = reference_table.read(reference.table)
         known = np.array([brdf_of_reference(table, visit.directions, band.centre_nm) for visit in visits])
         u_rel = math.hypot(u_rel, u_of_reference(table, visits[0].directions, band.centre_nm) / float(known[0]))
     elif albedo:

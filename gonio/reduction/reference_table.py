@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
@@ -11,6 +12,28 @@ from gonio.typing import ArrayLike, Bools, DataFrame, Floats
 
 SAME_CURVE = 1e-6
 """Rows whose angles of incidence differ by less [rad] belong to one curve."""
+
+
+def read(path: str) -> DataFrame:
+    """The table of a reference's BRDF; `DataError` where it holds several samples, of which one is the reference."""
+    from gonio import measurement
+
+    table = measurement.read(path)
+    if "sample" in table.columns:
+        listed = "; ".join(table.attrs["samples"])
+        raise DataError(
+            f"{path}: reference.table holds {len(table.attrs['samples'])} samples, and one is the reference: write that"
+            f" one with `gonio convert FILE:SAMPLE OUT.csv`; they are: {listed}"
+        )
+    table.attrs.setdefault("source_file", path)
+    return table
+
+
+def notes(path: str) -> list[str]:
+    """What the reader of a reference's table has to say of it, as sentences."""
+    from gonio import measurement
+
+    return [f"reference table {Path(path).name}: {text}" for text in measurement.of_reader(read(path))]
 
 
 def brdf_of_reference(table: DataFrame, directions: Directions, wavelength_nm: float) -> float:

@@ -18,7 +18,7 @@ from gonio.acquisition.run import Run
 from gonio.checks.values import values_of
 from gonio.checks.verdicts import Check, Taken, VisitsOfBand, of_run, of_values
 from gonio.geometry import SAME_AZIMUTH, Directions, half_angle_of_cone
-from gonio.reduction import light_and_lens, white_reference
+from gonio.reduction import light_and_lens, reference_table, white_reference
 from gonio.reduction.angle_errors import CAUSES, angle_axes, encoder_steps, zero_uncertainties
 from gonio.reduction.count_rates import FULL, RETAKE, RunFrames
 from gonio.reduction.dark_signal import COLUMNS
@@ -83,6 +83,7 @@ def assemble(frames: RunFrames, results: list[BandResult]) -> DataFrame:
         },
         notes=[f"calibration {remark}; it was used all the same" for remark in description.calibration.remarks]
         + notes
+        + (reference_table.notes(stated) if (stated := description.reference.table) else [])
         + _notes_on_zeros(description)
         + light_and_lens.notes(description, results)
         + said_once([(result.band.name, _notes(result, nominal[result.rows])) for result in results]),

@@ -238,7 +238,7 @@ class Renderer:
     @cached_property
     def _table(self) -> DataFrame:
         """The certificate, where it is a table."""
-        from gonio.measurement import read
+        from gonio.reduction.reference_table import read
 
         assert self._world.truth.reference.table is not None
         return read(self._world.truth.reference.table)

@@ -18,6 +18,7 @@ from gonio.errors import DataError
 from gonio.typing import DataFrame, Figure, Floats
 from gonio_analysis.changes.resampling import carry, slope_in_plane
 from gonio_analysis.fitting.observations import Observations, observations
+from gonio_analysis.result_records import finite
 
 SHARE = 0.6
 """Share of the directions that is used, the brightest by their signal f cos(theta_r)."""
@@ -25,6 +26,8 @@ FEWEST = 10
 """Common directions that tell a shape."""
 TO_SIGMA = 1.4826
 """Standard deviation of normal numbers over the median of their sizes."""
+ROUNDING = 1e-9
+"""Relative: deviations below this are rounding of the tables' numbers, and have nothing in common."""
 CLOSE = math.radians(12.0)
 """Neighbours whose residuals are compared lie no farther apart."""
 
@@ -53,7 +56,8 @@ class Remounts:
     independent: float
     """Relative, from direction to direction."""
     neighbours: float
-    """Correlation of what is left between neighbouring directions: 0 where it is independent."""
+    """Correlation of what is left between neighbouring directions: 0 where it is independent; NaN where nothing is
+    left, or too few directions have neighbours."""
 
     @property
     def freedom(self) -> int:
@@ -66,7 +70,9 @@ class Remounts:
 
         low, high = (math.sqrt(self.freedom / chi2.ppf(p, self.freedom)) for p in (0.975, 0.025))
         degrees = f"{math.degrees(self.zero):.2g}" if self.zero else "0"
-        of_zero = f"{math.degrees(self.u_zero):.2g}"
+        of_zero = f"zero of the angle: {degrees} deg; one mount's is known to {math.degrees(self.u_zero):.2g} deg"
+        alike = f"correlation of what is left between neighbours: {self.neighbours:.2f}"
+        alike += "; it is smooth over the directions, and does not average out" * (self.neighbours > 0.3)
         wave = self.at.wavelength_nm[0]
         return [
             f"{len(self.names)} mounts in {len(self.at)} common directions{f' at {wave:g} nm' if wave == wave else ''},"
@@ -74,14 +80,13 @@ class Remounts:
             f"two mounts differ by {100 * self.typical:.2g} % (median)",
             f"scale: {100 * self.scale:.2g} %, with {self.freedom} degree{'s' * (self.freedom > 1)} of freedom: known "
             f"to a factor of {low:.2g} to {high:.2g} (95 %)",
-            f"zero of the angle: {degrees} deg; one mount's is known to {of_zero} deg",
+            of_zero if math.isfinite(self.u_zero) else "zero of the angle: the values are flat, and do not tell it",
             f"independent: {100 * self.independent:.2g} % of each value",
-            f"correlation of what is left between neighbours: {self.neighbours:.2f}"
-            + ("; it is smooth over the directions, and does not average out" if self.neighbours > 0.3 else ""),
+            alike if math.isfinite(self.neighbours) else "nothing is left that neighbours could have in common",
         ]
 
     def to_json(self) -> dict[str, object]:
-        """The numbers, with angles in degrees."""
+        """The numbers, with angles in degrees; None for what the tables do not tell."""
         return {
             "mounts": list(self.names),
             "directions": len(self.at),
@@ -92,8 +97,8 @@ class Remounts:
             "degrees_of_freedom": self.freedom,
             "scales": self.scales.tolist(),
             "zeros_deg": np.degrees(self.zeros).tolist(),
-            "u_zero_deg": math.degrees(self.u_zero),
-            "neighbours": self.neighbours,
+            "u_zero_deg": finite(math.degrees(self.u_zero)),
+            "neighbours": finite(self.neighbours),
         }
 
 
@@ -136,7 +141,7 @@ def remounts(tables: Mapping[str, DataFrame], wavelength_nm: float | None = None
     scales, zeros, left = (np.array(x) for x in zip(*(_regressed(each, slope) for each in y), strict=True))
     independent = math.sqrt(len(sides) / (len(sides) - 1)) * TO_SIGMA * float(np.median(np.abs(left)))
     steep = float(np.linalg.norm(slope - slope.mean()))
-    u_zero = independent / steep if steep > 0.0 else math.inf
+    u_zero = independent / steep if steep > ROUNDING else math.inf
     pairs = [np.abs(a - b) for k, a in enumerate(y) for b in y[k + 1 :]]
     where = shape.take(bright)
     mounts = math.sqrt(len(sides) - 1)
@@ -164,10 +169,11 @@ def _alike(left: Floats, at: Observations) -> float:
     new = (away > 1e-6) & (away < CLOSE)
     has, first = new.any(axis=1), new.argmax(axis=1)
     one, other = np.flatnonzero(has), near[has, first[has]]
-    if one.size < FEWEST:
-        return math.nan
     clipped = np.clip(left, *np.quantile(left, [0.02, 0.98]))
-    return float(np.corrcoef(clipped[:, one].ravel(), clipped[:, other].ravel())[0, 1])
+    pairs = clipped[:, one].ravel(), clipped[:, other].ravel()
+    if one.size < FEWEST or min(map(np.ptp, pairs)) < ROUNDING:
+        return math.nan
+    return float(np.corrcoef(*pairs)[0, 1])
 
 
 def with_remount(table: DataFrame, known: Remounts) -> DataFrame:
@@ -210,7 +216,7 @@ def draw(known: Remounts) -> Figure:
     for name, y in zip(known.names, known.deviations, strict=True):
         dots[name] = left.scatter(angle, 100.0 * y, s=7, alpha=0.5, lw=0)
         right.hist(100.0 * y, bins=40, orientation="horizontal", histtype="step", lw=1.5)
-    limit = 100.0 * float(np.quantile(np.abs(known.deviations), 0.99)) * 1.2
+    limit = 100.0 * max(float(np.quantile(np.abs(known.deviations), 0.99)) * 1.2, ROUNDING)  # of mounts that are alike
     left.axhline(0.0, color="0.8", lw=0.8)
     left.set(
         ylim=(-limit, limit), ylabel="deviation from the mean / %",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -225,6 +225,7 @@ def fit(tables: list[str], asked: FitRequest, how: Reading, wanted: Wanted) -> N
         if wanted.intervals:
             out["intervals"] = results.as_json(walked)
         print(json.dumps(out, indent=1, ensure_ascii=False))
+        _say(result.notes)
         return
     if 0 < sum(simulated) < len(tables):
         console.note("simulated: " + ", ".join(t for t, made in zip(tables, simulated, strict=True) if made))
@@ -269,7 +270,12 @@ def _print(result: fitting.FitResult, sample: str, walked: dict[str, Interval]) 
         between, remark = [ends] if walked else [], f"; {told}" if told else ""
         rows.add_row(name, value + (f" ({e.material})" if e.material else ""), *between, kind + remark)
     console.show(rows, of_fit(result))
-    for text in result.notes:
+    _say(result.notes)
+
+
+def _say(notes: Iterable[str]) -> None:
+    """Notes for whoever sits at the terminal, also where the result goes to a program as JSON."""
+    for text in notes:
         console.note(text)
 
 
@@ -352,18 +358,17 @@ def appearance(sample: str, wavelength_nm: float | None, out: Path | None, how: 
     if as_json:
         print(json.dumps(results.as_json(found), indent=1, ensure_ascii=False, allow_nan=False))
     else:
-        _print_appearance(found, page)
+        _print_appearance(found)
+    _say(found.notes)
+    if page is not None and not as_json:
+        print(page)
     if missing is not None:
         raise missing
 
 
-def _print_appearance(found: results.Appearance, page: Path | None) -> None:
+def _print_appearance(found: results.Appearance) -> None:
     at = f" at {found.wavelength_nm:g} nm" if found.wavelength_nm is not None else ""
     rows = console.table("quantity", "value", "", title=f"{found.title}{at}")
     for one in appearance_page.listed(found):
         rows.add_row(one.label, one.value, one.remark)
     console.show(rows)
-    for text in found.notes:
-        console.note(text)
-    if page is not None:
-        print(page)

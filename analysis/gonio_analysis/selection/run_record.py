@@ -130,11 +130,10 @@ def _reference(folder: Path, reference: Reference) -> str:
 
 
 def _stated(path: str) -> str:
-    from gonio import measurement
     from gonio.reduction import reference_table
 
     try:
-        found = reference_table.stated(measurement.read(path))
+        found = reference_table.stated(reference_table.read(path))
     except GonioError:
         return "is no longer where it was"
     return "states no uncertainty" if found is None else f"states {_range(*found)}"

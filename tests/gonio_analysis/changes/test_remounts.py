@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from gonio_analysis.changes.remounts import remounts, with_remount
+from gonio_analysis.changes.remounts import draw, remounts, with_remount
 
 from gonio import measurement
 from gonio.errors import DataError
@@ -106,3 +106,26 @@ def test_measured_mounts_differ_as_they_were_found_to() -> None:
     assert 0.08 < found["invar"].typical < 0.12
     assert 0.03 < found["steel"].typical < 0.06
     assert found["invar"].neighbours > 0.5, "what a mount changes is smooth over the directions"
+
+
+def flat(value: float = 0.159) -> pd.DataFrame:
+    """A diffuse sample, whose numbers are alike in every direction: nothing is left of them."""
+    return mount().assign(brdf=value)
+
+
+@pytest.mark.parametrize("other", [0.159, 0.161])
+def test_mounts_of_which_nothing_is_left_have_no_neighbours_in_common(tmp_path: Path, other: float) -> None:
+    found = remounts({"a": flat(), "b": flat(other)})
+    said = " ".join(found.lines())
+    assert "do not tell it" in said
+    assert "nothing is left" in said
+    assert not {"inf", "nan"} & set(said.replace(";", " ").split())
+    draw(found)  # axes of no height would warn
+    for name, one in (("a", flat()), ("b", flat(other))):
+        one.attrs["notes"] = ["values were percent"]
+        measurement.write(one, tmp_path / f"{name}.csv")
+    done = gonio(tmp_path, "remounts", "a.csv", "b.csv", "--json", "--picture", "p.png", expect=0)
+    known = json.loads(done.stdout, parse_constant=pytest.fail)  # NaN and Infinity are no JSON
+    assert known["neighbours"] is None
+    assert known["u_zero_deg"] is None
+    assert done.stderr.count("all 2 tables: Values were percent.") == 1

@@ -40,9 +40,11 @@ def noted(folder: Path, name: str, note: str = NOTE, *, waves: tuple[float, ...]
         ("compare", "a.csv", "b.csv", "--change", "--out", "out"),
         ("compare", "a.csv", "b.csv", "--models", "lambert", "--out", "out"),
         ("convert", "a.csv", "a.xlsx"),
+        ("fit", "a.csv", "--model", "lambert", "--json"),
+        ("appearance", "a.csv", "--json"),
         ("fit", "--each", "tables.txt", "--model", "lambert", "--out", "fits.csv"),
     ],
-    ids=("fit", "compare", "appearance", "change", "two", "convert", "each"),
+    ids=("fit", "compare", "appearance", "change", "two", "convert", "fit-json", "appearance-json", "each"),
 )
 def test_a_reader_s_note_is_said_once(tmp_path: Path, command: tuple[str, ...]) -> None:
     noted(tmp_path, "a", waves=(450.0, 550.0, 650.0))
