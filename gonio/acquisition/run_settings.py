@@ -173,12 +173,27 @@ def named_files(description: RigDescription) -> tuple[dict[str, bytes], RigDescr
         source = Path(path)
         try:
             files[name] = read_file(source)
-            if name.endswith(".csv") and meta_path(source).exists():
-                files[meta_path(Path(name)).name] = read_file(meta_path(source))
+            if name.endswith(".csv"):
+                _require_whole(source, files[name])
+                if meta_path(source).exists():
+                    files[meta_path(Path(name)).name] = read_file(meta_path(source))
         except FileNotFoundError:
             raise ConfigError(f"{source}: {what} ([{table}] {key}) is not there") from None
         description = _with_file(description, table, key, name)
     return files, description
+
+
+def _require_whole(source: Path, data: bytes) -> None:
+    """`ConfigError` where a table is read with what lies beside it, from which its copy is taken away."""
+    from gonio.formats import own_columns, rt300s
+
+    own = own_columns.beside(source) is not None
+    if own or rt300s.FORMAT.sniff(data):
+        beside = own_columns.beside_path(source).name if own else "a blank"
+        raise ConfigError(
+            f"{source}: reference.table is read with {beside} beside it, and a run keeps the table alone; "
+            f"write it anew with `gonio convert {source} OUT.csv` and name that one"
+        )
 
 
 def resolved(settings: RunSettings, path: Path) -> RunSettings:

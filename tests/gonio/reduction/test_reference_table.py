@@ -1,14 +1,21 @@
 """The BRDF of a white reference from its table: linear between rows, an error beyond them."""
 
 import math
-from typing import Any
+from pathlib import Path
+from typing import Any, cast
 
 import pandas as pd
 import pytest
 
-from gonio.errors import DataError
+from gonio.acquisition.run import Run
+from gonio.acquisition.run_settings import named_files
+from gonio.errors import ConfigError, DataError
+from gonio.formats.workbook import OLD
 from gonio.geometry import Directions
+from gonio.reduction import reference_table
+from gonio.reduction.brdf import reduce_in_parts
 from gonio.reduction.reference_table import brdf_of_reference, u_of_reference
+from tests.gonio.reduction.made_run import Maker, describe, in_plane
 
 
 def table(waves: tuple[float, ...] = (500.0, 600.0)) -> pd.DataFrame:
@@ -125,3 +132,38 @@ def test_a_table_of_which_a_part_is_uncertain_is_refused_where_it_is_not() -> No
     assert u_of_reference(known, visit(0.0, 30.0), 500.0) == pytest.approx(0.002)
     with pytest.raises(DataError, match="some values have an uncertainty, and those around the visit"):
         u_of_reference(known, visit(0.0, 70.0), 500.0)
+
+
+HEADER = "theta_i_deg,phi_i_deg,theta_r_deg,phi_r_deg,brdf"
+
+
+def test_what_a_reader_assumes_of_a_reference_is_said_of_the_run(tmp_path: Path) -> None:
+    """Kind: a table that a command reads beside the one that it is about."""
+    white = tmp_path / "white.csv"
+    rows = "".join(f"{i},0,{r},{phi},0.31\n" for i in (0, 30, 60) for r in (0, 30, 60, 80) for phi in (0, 180))
+    white.write_text(f"{HEADER}\n{rows}", encoding="utf-8")
+    run = Maker(tmp_path, describe(), lambda d: 0.2).make([in_plane(30.0, 20.0)], (0.5,))
+    run.description = describe(reference={"albedo": None, "table": str(white)})
+    notes = reduce_in_parts(cast(Run, run)).table.attrs["notes"]
+    assert any(note.startswith("reference table white.csv: There is no white.meta.json") for note in notes)
+
+
+def test_several_samples_are_no_reference(tmp_path: Path) -> None:
+    path = tmp_path / "white.csv"
+    path.write_text(f"{HEADER},sample\n0,0,10,0,0.3,a\n0,0,10,0,0.2,b\n", encoding="utf-8")
+    with pytest.raises(DataError, match=r"white\.csv: reference\.table holds 2 samples.*gonio convert.*a; b"):
+        reference_table.read(str(path))
+
+
+def test_a_reference_that_is_read_with_a_file_beside_it_is_not_copied_without(tmp_path: Path) -> None:
+    """Kind: a copy that would read otherwise than its original; here percent as 1/sr."""
+    path = tmp_path / "white.csv"
+    path.write_text(f"{HEADER}\n0,0,10,0,99\n", encoding="utf-8")
+    rig = describe(reference={"albedo": None, "table": str(path)})
+    assert named_files(rig)[0]["reference.csv"] == path.read_bytes()
+    (tmp_path / "white.columns.toml").write_text('brdf = "brdf:percent"\n', encoding="utf-8")
+    with pytest.raises(ConfigError, match=r"white\.csv: reference\.table is read with white\.columns\.toml beside it"):
+        named_files(rig)
+    path.write_bytes(OLD)  # an instrument's workbook, whose blank is looked for beside it
+    with pytest.raises(ConfigError, match="gonio convert"):
+        named_files(rig)
