@@ -145,8 +145,10 @@ class _Certificate:
 
     def _interpolated(self, x: float, at: Floats, values: ArrayLike, place: str) -> float:
         """Linear between the values at `at`; up to `SAME_ANGLE` beyond the ends, the value there."""
-        order = np.argsort(at)
-        at, values = at[order], np.asarray(values)[order]
+        _, first, same, count = np.unique(
+            np.round(at / SAME_CURVE), return_index=True, return_inverse=True, return_counts=True
+        )
+        at, values = at[first], np.bincount(same, np.asarray(values)) / count  # of repeats, the mean
         if at.size == 0 or not at[0] - SAME_ANGLE <= x <= at[-1] + SAME_ANGLE:
             raise DataError(f"{self.source}: the visit to the reference at {place} lies outside of this table")
         if self.bent:

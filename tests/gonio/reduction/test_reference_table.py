@@ -167,3 +167,13 @@ def test_a_reference_that_is_read_with_a_file_beside_it_is_not_copied_without(tm
     path.write_bytes(OLD)  # an instrument's workbook, whose blank is looked for beside it
     with pytest.raises(ConfigError, match="gonio convert"):
         named_files(rig)
+
+
+def test_a_direction_that_is_there_twice_counts_as_its_mean() -> None:
+    """Kind: repeats where a formula wants places that differ; the parabola divided by their distance."""
+    once = table()
+    twice = pd.concat([once, once.assign(brdf=once["brdf"] + 0.02)], ignore_index=True)
+    twice.attrs = once.attrs
+    wanted = linear(0.0, 42.0, 500.0) + 0.01
+    assert brdf_of_reference(twice, visit(0.0, 42.0), 500.0) == pytest.approx(wanted, rel=1e-12)
+    assert u_of_reference(twice, visit(0.0, 42.0), 500.0) == pytest.approx(0.0, abs=1e-12)
