@@ -5,7 +5,8 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -13,7 +14,7 @@ import pandas as pd
 
 from gonio.acquisition.records import FrameRecord, Kind, StepRecord
 from gonio.geometry import Directions
-from gonio.rig import Frame, Pose
+from gonio.rig import Frame, Pose, Step
 from gonio.rig.description import Acquisition, Arms, Reference, RigDescription
 from gonio.rig.dng import write_dng
 from gonio.rig.inverse_kinematics import reach
@@ -47,6 +48,12 @@ def in_plane(theta_i_deg: float, signed_theta_r_deg: float) -> tuple[float, floa
     return (theta_i_deg, 0.0, abs(signed_theta_r_deg), 180.0 if signed_theta_r_deg >= 0 else 0.0)
 
 
+class Taken(list[StepRecord]):
+    """Steps that are said to be all that were planned."""
+
+    numbers: ClassVar = range(100_000)
+
+
 @dataclass
 class MadeRun:
     """Has what `reduce` reads of a `gonio.acquisition.run.Run`."""
@@ -62,8 +69,19 @@ class MadeRun:
     lit_anew_s: list[float] = field(default_factory=list)
     batches: tuple[()] = ()
 
-    def steps(self) -> list[StepRecord]:
-        return self.taken
+    settings: SimpleNamespace = field(default_factory=lambda: SimpleNamespace(adaptive=None))
+
+    def steps(self) -> Taken:
+        return Taken(self.taken)
+
+    @property
+    def planned(self) -> SimpleNamespace:
+        return SimpleNamespace(flags=self.plan["flag"].tolist())
+
+    points = planned
+
+    def grown_steps(self) -> list[Step]:
+        return []
 
     def frame_path(self, name: str) -> Path:
         return self.path / name
