@@ -50,9 +50,10 @@ from gonio.formats.reader import (
     U_MUELLER,
     Format,
     note_copies,
+    one_value_a_direction,
     reflection_only,
 )
-from gonio.typing import DataFrame
+from gonio.typing import DataFrame, Floats
 
 if TYPE_CHECKING:
     from gonio.models import Model
@@ -127,10 +128,11 @@ def _parsed(
     if columns is None and (stored := own_columns.beside(path)) is not None:
         where = str(own_columns.beside_path(path))
     notes: list[str] = []
+    stated: Floats | None = None
     if stored is not None and format in (None, "gonio", "xlsx"):
         format = "gonio"
         if _size(file) <= formats.named(format).max_bytes:
-            data, notes = own_columns.renamed(file.read(), path, stored, where)
+            data, notes, stated = own_columns.renamed(file.read(), path, stored, where)
             file = io.BytesIO(data)
     elif columns is not None:
         raise ConfigError(
@@ -144,6 +146,8 @@ def _parsed(
     content: Any = file if chosen.in_pieces else file.read()
     with np.errstate(all="ignore"):  # absurd numbers overflow to what `check` then names
         frame = chosen.read(content, path) if blank is None else rt300s.read(content, path, blank)
+    if stated is not None:
+        frame = one_value_a_direction(frame, stated, path)
     frame.attrs["notes"] = [*notes, *frame.attrs.get("notes", ())]
     frame.attrs.setdefault("format", chosen.name)
     check_columns(list(frame.columns), str(path))

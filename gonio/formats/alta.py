@@ -22,10 +22,12 @@ from gonio.formats.reader import (
     NOT_IN_A_LINE,
     Format,
     fold,
+    one_value_a_direction,
     plain_degrees,
     require_held,
     single,
     spectra,
+    whole_turns,
     wide,
     write_lines,
 )
@@ -65,7 +67,10 @@ def read(data: bytes, path: Path) -> DataFrame:
     if not lines:
         raise DataError(f"{path}: there is no line of data")
     rows = _rows(text, lines, coordinates, count)
-    theta_i, phi_i, theta_r, phi_r = _directions(kind, rows[:, :coordinates])
+    stated = _stated(kind, rows[:, :coordinates])
+    theta_i, phi_i, theta_r, phi_r = (
+        angle for theta, phi in (stated[:2], stated[2:]) for angle in fold(theta, phi, slack_deg=0.001)
+    )
     for name, theta in (("light", theta_i), ("viewer", theta_r)):
         for row in np.flatnonzero(theta > 90)[:1]:
             raise DataError(
@@ -82,7 +87,7 @@ def read(data: bytes, path: Path) -> DataFrame:
         notes.append("values were BRDF times cos(theta_i); the cosine is divided out")
     if math.isnan(wavelengths[0]):
         notes.append("the file states no wavelength")
-    return spectra(
+    frame = spectra(
         (theta_i, phi_i, theta_r, phi_r),
         wavelengths,
         values,
@@ -93,6 +98,7 @@ def read(data: bytes, path: Path) -> DataFrame:
             "notes": notes,
         },
     )
+    return one_value_a_direction(frame, np.column_stack(stated), path)
 
 
 def _rows(text: Text, lines: list[int], coordinates: int, count: int) -> Floats:
@@ -108,7 +114,8 @@ def _rows(text: Text, lines: list[int], coordinates: int, count: int) -> Floats:
     return rows
 
 
-def _directions(kind: str, rows: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+def _stated(kind: str, rows: Floats) -> list[Floats]:
+    """The four angles as the coordinates state them [degrees]."""
     first, second, third, *_ = columns = list(rows.T)
     light, viewer = (columns[0], columns[1]), (columns[2], columns[-1])
     if kind == "ISOTROPIC_TL_TV_PROJ_DPHI":
@@ -116,10 +123,11 @@ def _directions(kind: str, rows: Floats) -> tuple[Floats, Floats, Floats, Floats
     elif kind == "ISOTROPIC_TV_TL_DPHI":
         light, viewer = (second, 0.0 * first), (first, third)
     # the digits of a float stand for 1e-13 degrees here; files round pi/2 up
-    (theta_i, phi_i), (theta_r, phi_r) = (
-        fold(plain_degrees(theta, 13), plain_degrees(phi, 13), slack_deg=0.001) for theta, phi in (light, viewer)
-    )
-    return theta_i, phi_i, theta_r, phi_r
+    return [
+        angle
+        for theta, phi in (light, viewer)
+        for angle in (plain_degrees(theta, 13), whole_turns(plain_degrees(phi, 13)))
+    ]
 
 
 def write(frame: DataFrame, path: Path) -> None:

@@ -369,7 +369,12 @@ def _check_angles(frame: DataFrame, demand: Callable[[Any, str, str], None]) -> 
         demand(~behind | ((theta > 90) & (theta <= 180)), column, told)
     for column in ("phi_i_deg", "phi_r_deg"):
         phi = frame[column].to_numpy(np.float64)
-        demand((phi >= 0) & (phi < 360), column, "azimuths lie in [0, 360) degrees")
+        demand((phi >= 0) & (phi < 360), column, f"azimuths lie in [0, 360) degrees; {_TURNED}")
+
+
+_TURNED = (
+    "write 360 as 0 and -90 as 270, and no direction twice; or --columns with the four angles reads them as they are"
+)
 
 
 def _per_word(words: Series, change: Callable[[str], str]) -> Series:

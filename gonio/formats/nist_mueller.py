@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from gonio.errors import DataError
-from gonio.formats.reader import MUELLER, Format, fold, table
+from gonio.formats.reader import MUELLER, Format, fold, one_value_a_direction, table
 from gonio.formats.text import column_names, csv_table
 from gonio.typing import DataFrame, Floats
 
@@ -31,10 +31,10 @@ def read(data: bytes, path: Path) -> DataFrame:
     for row in np.flatnonzero(~((um > 0) & (um < 1000)))[:1]:
         raise DataError(f"{cells.where(int(row))}: lambda = {um[row]:g}; a wavelength in micrometres is needed")
     in_deg = {"thetai": azimuth, "thetar": "phir"}
-    (theta_i, phi_i), (theta_r, phi_r) = (
-        fold(cells.angles(theta, 90.0, "; a polar angle in +-90 degrees is needed"), cells.column(phi))
-        for theta, phi in in_deg.items()
-    )
+    beyond = "; a polar angle in +-90 degrees is needed"
+    pairs = [(cells.angles(theta, 90.0, beyond), cells.column(phi)) for theta, phi in in_deg.items()]
+    stated = [angle for pair in pairs for angle in pair]
+    (theta_i, phi_i), (theta_r, phi_r) = fold(*stated[:2]), fold(*stated[2:])
     mueller, told = None, "the file lacks some of the 15 Mueller ratios: none are read"
     if named := _ratios(names):
         matrices = np.ones((um.size, 4, 4))
@@ -49,7 +49,7 @@ def read(data: bytes, path: Path) -> DataFrame:
         told,
         *cells.notes(),
     ]
-    return table(
+    frame = table(
         theta_i_deg=theta_i,
         phi_i_deg=phi_i,
         theta_r_deg=theta_r,
@@ -59,6 +59,7 @@ def read(data: bytes, path: Path) -> DataFrame:
         mueller=mueller,
         attrs={"source_file": str(path), "sample": path.stem, "notes": notes},
     )
+    return one_value_a_direction(frame, np.column_stack(stated), path)
 
 
 def _ratios(names: set[str]) -> dict[tuple[int, int], str] | None:

@@ -19,7 +19,7 @@ from gonio.disk import read_file, write_whole
 from gonio.errors import ConfigError, DataError
 from gonio.formats import workbook
 from gonio.formats.column_hints import NEEDED, columns_line, unit_in
-from gonio.formats.reader import ANGLES, COLUMNS, U_ANGLES, plain_degrees
+from gonio.formats.reader import ANGLES, COLUMNS, U_ANGLES, plain_degrees, whole_turns, wrap_deg
 from gonio.formats.sheets import WORDS
 from gonio.formats.text import CsvTable, csv_of, csv_table
 from gonio.typing import Floats
@@ -206,8 +206,11 @@ def _require_as_named(name: str, column: Column, where: str) -> None:
         )
 
 
-def renamed(data: bytes, path: Path, columns: Mapping[str, str], where: str) -> tuple[bytes, list[str]]:
+def renamed(data: bytes, path: Path, columns: Mapping[str, str], where: str) -> tuple[bytes, list[str], Floats]:
     """The table as a CSV, under the measurement table's names and in its units, and notes on what was done to it.
+
+    Third are the four angles as the file states them, shape (n, 4) [degrees]: azimuths from -360 to 360 become those
+    of the table, so that a direction may be there in two ways (`gonio.formats.reader.one_value_a_direction`).
 
     A column of a measurement table's name that no pair names is taken as it is, and an uncertainty in the unit of
     `brdf`; every other one is left out. `where` names the origin of the pairs in messages.
@@ -242,6 +245,9 @@ def renamed(data: bytes, path: Path, columns: Mapping[str, str], where: str) -> 
             f"{columns_line(table.header, {name: column.own for name, column in found.items()})}"
         )
     values = {name: _in_units(table, name, column) for name, column in every.items() if name not in WORDS}
+    stated = np.column_stack([values[name] for name in ANGLES])
+    for name in ("phi_i_deg", "phi_r_deg"):
+        values[name] = _azimuths(values[name], every[name].unit)
     for name, column in every.items():
         if share := _SHARES.get(column.unit):
             signed = values["brdf"] if _is_cause(name) else np.abs(values["brdf"])
@@ -252,7 +258,13 @@ def renamed(data: bytes, path: Path, columns: Mapping[str, str], where: str) -> 
     notes += [*table.notes(), *_told(every)]
     if left := [name for name in table.header if name not in {column.own for column in every.values()}]:
         notes.append(f"columns left out: {', '.join(repr(name[:40]) for name in left[:8])}")
-    return csv_of(list(every), zip(*cells, strict=True)), notes
+    return csv_of(list(every), zip(*cells, strict=True)), notes, stated
+
+
+def _azimuths(phi: Floats, unit: str) -> Floats:
+    """Azimuths in [0, 360) degrees; those beyond a turn as they are, which the table then refuses."""
+    phi = whole_turns(phi) if unit == "rad" else phi
+    return np.where(np.abs(phi) <= 360.0, wrap_deg(phi), phi)
 
 
 def _in_units(table: CsvTable, name: str, column: Column) -> Floats:

@@ -105,6 +105,19 @@ def plain_degrees(radians: ArrayLike, decimals: int) -> Floats:
     return degrees
 
 
+def whole_turns(phi_deg: Floats) -> Floats:
+    """Azimuths of a file in radians: those within `_RADIANS_SHORT` of a multiple of 180 degrees are that.
+
+    6.2832 stands for 360 degrees, which is the direction that 0 is; not for 360.0004.
+    """
+    near = 180.0 * np.round(phi_deg / 180.0)
+    return np.where(np.abs(phi_deg - near) <= _RADIANS_SHORT, near, phi_deg)
+
+
+_RADIANS_SHORT = 0.003
+"""Half of the fourth decimal of a radian, in degrees: fewer decimals are no angles of a goniometer."""
+
+
 def wrap_deg(phi_deg: ArrayLike) -> Floats:
     """Azimuths in [0, 360) degrees."""
     phi = np.asarray(phi_deg, dtype=np.float64)

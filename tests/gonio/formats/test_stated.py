@@ -44,17 +44,70 @@ def pab(path: Path, phi_r: Sequence[float], brdf: Sequence[float]) -> Path:
     return path
 
 
-@pytest.mark.parametrize("make", [bird, astm, pab])
+def alta(path: Path, phi_r: Sequence[float], brdf: Sequence[float]) -> Path:
+    lines = ["#DIM 3 1", "#PARAM_IN ISOTROPIC_TV_TL_DPHI", "#PARAM_OUT INV_STERADIAN"]
+    # degrees 20 and 30 in radians, and azimuths with the decimals that people write
+    lines += [f"0.349066 0.523599 {math.radians(phi):.5f} {value}" for phi, value in zip(phi_r, brdf, strict=True)]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return path
+
+
+def nist(path: Path, phi_r: Sequence[float], brdf: Sequence[float]) -> Path:
+    lines = ["lambda,thetai,phi,thetar,phir,f_r11"]
+    lines += [f"0.55,30,0,20,{phi},{value}" for phi, value in zip(phi_r, brdf, strict=True)]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return path
+
+
+def own(path: Path, phi_r: Sequence[float], brdf: Sequence[float]) -> Path:
+    path = path.with_suffix(".csv")
+    lines = ["ti;pr;tr;R"] + [f"30;{phi};20;{value}" for phi, value in zip(phi_r, brdf, strict=True)]
+    path.write_text("\n".join([lines[0] + ";pi", *(f"{line};0" for line in lines[1:])]) + "\n", encoding="utf-8")
+    path.with_suffix(".columns.toml").write_text(
+        'theta_i = "ti"\nphi_i = "pi"\ntheta_r = "tr"\nphi_r = "pr"\nbrdf = "R"\n', encoding="utf-8"
+    )
+    return path
+
+
+def own_rad(path: Path, phi_r: Sequence[float], brdf: Sequence[float]) -> Path:
+    path = own(path, phi_r, brdf)
+    lines = [f"30;{math.radians(phi):.4f};20;{value};0" for phi, value in zip(phi_r, brdf, strict=True)]
+    path.write_text("\n".join(["ti;pr;tr;R;pi", *lines]) + "\n", encoding="utf-8")
+    pairs = path.with_suffix(".columns.toml")
+    pairs.write_text(pairs.read_text(encoding="utf-8").replace('"pr"', '"pr:rad"'), encoding="utf-8")
+    return path
+
+
+MAKERS = [bird, astm, pab, alta, nist, own, own_rad]
+
+
+@pytest.mark.parametrize("make", MAKERS)
 def test_a_whole_turn_counts_its_ends_once(tmp_path: Path, make: type) -> None:
     frame = measurement.read(make(tmp_path / "a.brdf", ENDS, (0.1, 0.2, 0.3, 0.1)))
-    np.testing.assert_allclose(np.sort(frame["phi_r_deg"]), [0.0, 90.0, 180.0], atol=1e-4)  # ASTM's six decimals
+    # radians to four decimals are known to 3e-3 degrees
+    np.testing.assert_allclose(np.sort(frame["phi_r_deg"]), [0.0, 90.0, 180.0], atol=3e-3)
     assert any("stated in two ways" in note for note in frame.attrs["notes"])
 
 
-@pytest.mark.parametrize("make", [bird, astm, pab])
+@pytest.mark.parametrize("make", MAKERS)
 def test_ends_of_a_turn_that_differ_are_named(tmp_path: Path, make: type) -> None:
-    with pytest.raises(DataError, match=r"a\.brdf: .*, 0\) and .*, 360\) degrees are one.* 0\.1 and 0\.4"):
+    with pytest.raises(DataError, match=r"a\.(brdf|csv): .*, 0\) and .*, 360(\.001)?\) degrees are one.* 0\.1 and 0\.4"):
         measurement.read(make(tmp_path / "a.brdf", ENDS, (0.1, 0.2, 0.3, 0.4)))
+
+
+@pytest.mark.parametrize("make", [pab, nist, own, own_rad, alta])
+def test_half_turns_of_either_sign_are_one_direction(tmp_path: Path, make: type) -> None:
+    frame = measurement.read(make(tmp_path / "a.brdf", (-180.0, -90.0, 0.0, 90.0, 180.0), (0.1, 0.2, 0.3, 0.4, 0.1)))
+    np.testing.assert_allclose(np.sort(frame["phi_r_deg"]), [0.0, 90.0, 180.0, 270.0], atol=3e-3)  # four decimals
+
+
+def test_other_azimuths_of_a_table_are_refused_with_the_remedy(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text("theta_i_deg,phi_i_deg,theta_r_deg,phi_r_deg,brdf\n30,0,20,0,0.1\n30,0,20,360,0.1\n", "utf-8")
+    with pytest.raises(DataError, match=r"a\.csv, line 3: phi_r_deg = 360; .* write 360 as 0.*--columns"):
+        measurement.read(path)
+    with pytest.raises(DataError, match=r"phi_r_deg = 540; azimuths lie"):  # beyond a turn it is another mistake
+        measurement.read(own(tmp_path / "b.csv", (0.0, 540.0), (0.1, 0.1)))
 
 
 def test_a_repeated_measurement_stays(tmp_path: Path) -> None:
