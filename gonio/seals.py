@@ -24,10 +24,18 @@ END_AT = slice(28, 36)
 """Where versions 2 and 3 of a file's first block say where HDF5 ends."""
 PIECE = 1 << 22
 REMEDY = "remove it and make it anew, or fetch a copy"
-LOOK_S = 15.0
-"""Longest time for a look; the usual one takes 0.3 s, most of it the start of Python."""
+LOOK_S = 8
+"""Longest time of a processor for a look; the usual one takes 0.3 s, most of it the start of Python."""
+WAIT_S = 120.0
+"""Longest wait for it, on a busy computer or one that knows no limit of a processor's time."""
 LOOK = """
-import itertools, sys, h5py
+import itertools, sys
+try:
+    import resource
+    resource.setrlimit(resource.RLIMIT_CPU, (int(sys.argv[2]), int(sys.argv[2])))
+except ImportError:
+    pass
+import h5py
 def tried(read):
     try:
         return read()
@@ -128,14 +136,14 @@ def _look_from_afar(path: str) -> None:
     """Raise `DataError` where HDF5's library does not come back from a file, or dies of it."""
     try:
         ended = subprocess.run(
-            [sys.executable, "-P", "-c", LOOK, path],
+            [sys.executable, "-P", "-c", LOOK, path, str(LOOK_S)],
             stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-            timeout=LOOK_S, check=False,
+            timeout=WAIT_S, check=False,
         )  # fmt: skip
     except subprocess.TimeoutExpired:
         raise DataError(
-            f"{path}: HDF5 does not get through it in {LOOK_S:g} s: it is damaged ({REMEDY}), or this computer is too"
+            f"{path}: HDF5 does not get through it in {WAIT_S:g} s: it is damaged ({REMEDY}), or this computer is too"
             " busy (try again)"
         ) from None
     if ended.returncode < 0:
-        raise DataError(f"{path}: is damaged: HDF5 ends in the middle of it; {REMEDY}")
+        raise DataError(f"{path}: is damaged: HDF5 does not get through it; {REMEDY}")

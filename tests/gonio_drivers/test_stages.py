@@ -123,6 +123,7 @@ def test_an_axis_arrives_from_above_where_the_rig_file_says_so(tmp_path: Path) -
 def test_a_reading_beyond_a_hard_stop_opens_nothing(tmp_path: Path) -> None:
     narrow = {"light": on_stages().arms.light.model_dump() | {"limits_deg": (-5.0, 5.0), "hard_stops_deg": (-6.0, 6.0)}}
     with Twins(on_stages(arms=narrow), SAMPLE, 3, folder=tmp_path / "twin", scale=SCALE) as served:
+        served.stages["light"].push(-4.0 * COUNTS_PER_DEG)  # from -5, where its limits keep it
         assert abs(angle(served, "light")) > 8.0
         with pytest.raises(DeviceError, match=r"axis light reads .* beyond its hard stops at -6 and 6 deg: its zero"):
             arms_of(served).__enter__()

@@ -143,6 +143,7 @@ def test_half_of_a_grid_s_time_decides(tmp_path: Path, truth: SampleDescription,
     assert expected.spent_s(Durations(run.description, run.bands), run) <= 0.5 * whole_s
 
 
+@pytest.mark.usefixtures("one_id")
 def test_a_run_goes_on_as_it_would_have_gone(tmp_path: Path) -> None:
     plan = load_plan(plan_file(tmp_path, CHOSEN.replace("MODELS", '"oren-nayar", "blinn"')))
 

@@ -91,7 +91,9 @@ def test_a_whole_turn_counts_its_ends_once(tmp_path: Path, make: type) -> None:
 
 @pytest.mark.parametrize("make", MAKERS)
 def test_ends_of_a_turn_that_differ_are_named(tmp_path: Path, make: type) -> None:
-    with pytest.raises(DataError, match=r"a\.(brdf|csv): .*, 0\) and .*, 360(\.001)?\) degrees are one.* 0\.1 and 0\.4"):
+    with pytest.raises(
+        DataError, match=r"a\.(brdf|csv): .*, 0\) and .*, 360(\.001)?\) degrees are one.* 0\.1 and 0\.4"
+    ):
         measurement.read(make(tmp_path / "a.brdf", ENDS, (0.1, 0.2, 0.3, 0.4)))
 
 
