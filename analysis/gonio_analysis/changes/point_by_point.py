@@ -7,9 +7,8 @@ Significance. The difference has the covariance of both measurements (of two run
 interpolation's error. Each value is judged against what all the others predict of it (`Covariance.alone`). So a common
 change of scale, which a new reference could make, does not count as a change of every value. Of n values 4.6 % lie
 beyond 2 standard deviations by chance. A value therefore counts as changed only by the false-discovery procedure of
-Benjamini and Hochberg (1995). The verdict on the whole rests on three tests that share `LEVEL`: chi-square of all
-values, the largest single one of n, and the common factor of B over A. A change of scale is one number, which
-chi-square of many values drowns.
+Benjamini and Hochberg (1995). The verdict on the whole rests on tests that share `LEVEL`: chi-square of all values,
+the largest single one of n, the common factor of B over A, and a zero of either arm (`gonio_analysis.changes.verdict`).
 """
 
 from __future__ import annotations
@@ -170,13 +169,25 @@ class Change:
     @cached_property
     def verdict(self) -> Verdict | None:
         """Whether they differ by more than they state; None where neither side states an uncertainty."""
-        return None if self.covariance is None else judge(self.value_a, self.value_b, self.covariance)
+        if self.covariance is None:
+            return None
+        return judge(self.value_a, self.value_b, self.covariance, self.zeros)
+
+    @cached_property
+    def zeros(self) -> dict[str, Floats]:
+        """What each of B's angles does to its values where it reads too large [1/(sr rad)].
+
+        A value stands for f(true) cos(true theta_i) / cos(read theta_i). Lobes follow the mirror direction: a source
+        that is turned does to f what a receiver does that is turned the other way.
+        """
+        mean = 0.5 * (self.value_a + self.value_b)
+        slope = slope_in_plane(replace(self.at, brdf=mean))
+        return {"theta_r": -slope, "theta_i": slope + mean * np.tan(self.at.directions.theta_i)}
 
     @cached_property
     def within(self) -> Within:
         """Within what they agree."""
-        slope = slope_in_plane(replace(self.at, brdf=0.5 * (self.value_a + self.value_b)))
-        return within(self.value_a, self.value_b, self.covariance, slope)
+        return within(self.value_a, self.value_b, self.covariance, self.zeros, self.verdict)
 
     @property
     def difference(self) -> Floats:

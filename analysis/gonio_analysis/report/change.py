@@ -10,7 +10,7 @@ import numpy as np
 from gonio.measurement import Reading, of_reader, said_once
 from gonio_analysis.changes.point_by_point import Change, Compared, compared, side
 from gonio_analysis.changes.resampling import RowsAt
-from gonio_analysis.changes.verdict import FALSE_DISCOVERIES, LEVEL, Verdict, Within
+from gonio_analysis.changes.verdict import CLOSER, FALSE_DISCOVERIES, LEVEL, OFTEN, Effect, Verdict, Within
 from gonio_analysis.curves.in_plane import Curve, curves, labels, selection
 from gonio_analysis.fitting.objective import DESCRIPTIONS, meaning
 from gonio_analysis.fitting.observations import Observations, describe_left_out
@@ -46,8 +46,11 @@ from gonio_analysis.selection.run_record import run_facts
 
 FIGURES = 6
 """Figures that a comparison has, about."""
-CLOSER = 0.9
-"""A scale or a zero is worth words where what it leaves is less than this share."""
+ALIKE = 0.9
+"""Cosine between what the zeros of both arms do, above which either may be it."""
+LARGEST_ZERO = float(np.radians(5.0))
+"""An error of an angle that nobody makes unseen."""
+_ANGLES = {"theta_r": "θr", "theta_i": "θi"}
 SPIKE = 30.0
 """Largest value over the median above which it hides all others in a polar plot: a logarithmic one comes first."""
 COLUMNS = (
@@ -167,6 +170,7 @@ def _summary(c: Change, made: Stamp, conclusion: str, runs: Sequence[RunFacts | 
             "scale": w.scale,
             "with_zero": w.with_zero,
             "zero_deg": None if w.zero is None else np.degrees(w.zero),
+            "zero_of": None if w.zero is None else w.angle,
         },
         "conclusion": conclusion,
         "metrics": {k: {"label": DESCRIPTIONS[k][0], "value": c.metrics[k]} for k in DESCRIPTIONS},
@@ -198,7 +202,16 @@ def _verdict(v: Verdict) -> dict[str, object]:
         "scale": v.scale,
         "u_scale": v.u_scale,
         "p_scale": v.p_scale,
+        "detectable_scale": finite(v.factor.detectable),
+        "zeros": {angle: _zero(zero) for angle, zero in v.zeros.items()},
+        "remains_rel": v.remains,
+        "detectable_in": OFTEN,
     }
+
+
+def _zero(x: Effect) -> dict[str, object]:
+    value, u, detectable = (finite(float(np.degrees(one))) for one in (x.value, x.u, x.detectable))
+    return {"zero_deg": value, "u_zero_deg": u, "p": x.p, "found": x.found, "detectable_deg": detectable}
 
 
 def _wavelengths(c: Change) -> Waves:
@@ -253,7 +266,39 @@ def _conclusion(c: Change) -> str:
     )
     test = f"chi-square is {v.chi_square:.4g} for {n} values (p {_p(v.p_value)})"
     scale = f"The common factor of B over A is {with_u(1 + v.scale, v.u_scale)} (p {_p(v.p_scale)})."
+    scale += _zeros_found(v) + ("" if v.changed else _limits(v))
     return f"{head}: {test}; {chance}{kept}. {scale} {typical}. {agreement}."
+
+
+def _zeros_found(v: Verdict) -> str:
+    """What is said of zeros that were found; "" where none was."""
+    found = [angle for angle, x in v.zeros.items() if x.found]
+    said = "".join(
+        f" B's {_ANGLES[angle]} reads too large by ({with_u(np.degrees(x.value), np.degrees(x.u))})° (p {_p(x.p)})."
+        for angle, x in v.zeros.items()
+        if x.found
+    )
+    if len(found) == 1 and abs(v.alike) > ALIKE:
+        (other,) = (name for angle, name in _ANGLES.items() if angle not in found)
+        said += (
+            f" An error of {other}, in the {'other' if v.alike < 0 else 'same'} direction, would look much the same."
+        )
+    return said
+
+
+def _limits(v: Verdict) -> str:
+    """What it would take to see an effect, in a sentence."""
+    sizes = [f"a factor that is off by {percent(v.factor.detectable)}"] if v.factor.detectable < 1.0 else []
+    sizes += [
+        f"a zero of {_ANGLES[angle]} of {np.degrees(x.detectable):.2g}°"
+        for angle, x in v.zeros.items()
+        if x.detectable < LARGEST_ZERO
+    ]
+    flat = "" if len(sizes) > 1 else " These values hardly show a zero of an angle."
+    if not sizes:
+        return flat
+    listed = ", ".join(sizes[:-1]) + " or " * (len(sizes) > 1) + sizes[-1]
+    return f" Alone, {listed} would be found in {100 * OFTEN:g} % of the cases.{flat}"
 
 
 def _agreement(w: Within) -> str:
@@ -264,11 +309,14 @@ def _agreement(w: Within) -> str:
     def so(x: float) -> str:
         return f"within {percent(x)}" if x > 0.0 else "as they state"
 
-    said = so(w.as_they_are)
-    if w.with_scale < CLOSER * w.as_they_are:
+    said, divided = so(w.as_they_are), w.with_scale < CLOSER * w.as_they_are
+    if divided:
         said += f"; {so(w.with_scale)} where B is divided by {w.scale:.4g}"
     if w.with_zero is not None and w.zero is not None and w.with_zero < CLOSER * w.with_scale:
-        said += f"; {so(w.with_zero)} where B's angle is taken back by {np.degrees(w.zero):.2g}° too"
+        name = _ANGLES[w.angle]
+        said += (
+            f"; {so(w.with_zero)} where B's {name} is taken back by {number(np.degrees(w.zero), 2)}°{' too' * divided}"
+        )
     return said
 
 
@@ -395,6 +443,21 @@ def _method(v: Verdict) -> Paragraph:
         f" {100 * FALSE_DISCOVERIES:g} % of the marks be wrong."
         f" The verdict rests on chi-square of all values (p {_p(v.p_value)}), on the largest of"
         f" them ({v.largest:.2f} standard deviations, p {_p(v.p_largest)}), and on the common factor of B over A"
-        f" ({with_u(1 + v.scale, v.u_scale)}, p {_p(v.p_scale)}), each at a third of {100 * LEVEL:g} %; where"
-        f" nothing changed it says so in {100 * (1 - LEVEL):g} % of the cases."
+        f" ({with_u(1 + v.scale, v.u_scale)}, p {_p(v.p_scale)}){_zeros_tested(v)}, each at"
+        f" {100 * LEVEL / len(v.tests):.2g} %; where nothing changed it says so in {100 * (1 - LEVEL):g} % of the"
+        f" cases.{_limits(v)}"
+        + (
+            " The factor and the zeros are named, and have their uncertainties, with what remains beside them as an"
+            f" uncertainty of each value ({percent(v.remains)})."
+            if v.remains > 0.0
+            else ""
+        )
+    )
+
+
+def _zeros_tested(v: Verdict) -> str:
+    return "".join(
+        f" and the zero of {_ANGLES[angle]} (B reads too large by"
+        f" ({with_u(np.degrees(x.value), np.degrees(x.u))})°, p {_p(x.p)})"
+        for angle, x in v.zeros.items()
     )
