@@ -199,6 +199,8 @@ def _require_unpacked(dataset: Any, shown: str) -> None:
 def factor(dataset: Any, wanted: str, shown: str) -> float:
     """What the values of a dataset are multiplied by to be in `wanted` (a key of `UNITS`), by its attribute `units`.
 
+    Anything with `attrs` will do.
+
     Raises
     ------
     DataError

@@ -30,7 +30,7 @@ from gonio.errors import ConfigError, DataError
 from gonio.live.alignment import AlignmentPage
 from gonio.live.server import Server
 from gonio.rig.description import RigDescription
-from gonio.shown import apart, number
+from gonio.shown import apart, number, visible
 
 PROMPTS = {
     "mirror": "Put a front-surface mirror into the holder, as the sample lies",
@@ -281,7 +281,7 @@ class Terminal:
     def say(self, text: str) -> None:
         """A line on stderr, above the status line."""
         with self._lock:
-            print((CLEAR if self._drawn else "") + text, file=sys.stderr, flush=True)
+            print((CLEAR if self._drawn else "") + visible(text), file=sys.stderr, flush=True)
             self._drawn = False
 
     @contextlib.contextmanager
@@ -341,6 +341,7 @@ class Terminal:
         keys = self._keys
         prompt = f"[{keys.axis} {keys.step_deg:g} deg] > {keys.typed}"
         room = shutil.get_terminal_size().columns - 1
+        status = visible(status)
         text = f"{status}  {prompt}"
         if len(text) > room:
             text = f"{status[: max(room - len(prompt) - 2, 0)]}  {prompt}"[-room:]

@@ -257,7 +257,7 @@ class _Bar(_Rest):
             self.screen.start()
 
     def say(self, text: str) -> None:
-        self._console.print(text, highlight=False, markup=False)
+        self._console.print(visible(text), highlight=False, markup=False)
 
 
 @contextlib.contextmanager

@@ -125,7 +125,12 @@ def _values(
             expanded = _numbers(
                 real, ("uncertainty", "uncertaintyXMLList", "valueExpandedMU", "valueExpandedMUXMLList"), path
             )
-            k = _numbers(real, ("coverageFactor", "coverageFactorXMLList"), path) or (1.0,)
+            k = _numbers(real, ("coverageFactor", "coverageFactorXMLList"), path)
+            if expanded and (not k or min(k) <= 0):
+                said = f"of {min(k):g}" if k else "missing"
+                raise ConfigError(
+                    f"{path}: {_name(quantity)}: an expanded uncertainty, and its coverageFactor is {said}"
+                )
             k = k * len(expanded) if len(k) == 1 else k
             if len(k) != len(expanded) and expanded:
                 raise ConfigError(

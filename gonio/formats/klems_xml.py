@@ -74,7 +74,7 @@ def read(data: bytes, path: Path) -> DataFrame:
     product = " ".join((layer.findtext("{*}Material/{*}Name") or path.stem).split()) or path.stem
     parts = []
     for element in layer.iterfind("{*}WavelengthData"):
-        band = _text(element, "Wavelength", path)
+        band = _band(element, path)
         for block in element.iterfind("{*}WavelengthDataBlock"):
             direction = _text(block, "WavelengthDataDirection", path)
             kind, _, lit = direction.partition(" ")
@@ -114,6 +114,17 @@ def read(data: bytes, path: Path) -> DataFrame:
     )
 
 
+def _band(element: ElementTree.Element, path: Path) -> str:
+    """The band that values are averages over; `DataError` where it is a single wavelength, or has no name."""
+    band = _text(element, "Wavelength", path)
+    unit = _child(element, "Wavelength", path).get("unit", "Integral")
+    if unit.strip().lower() != "integral" or not band or re.fullmatch(r"[\d.,eE+-]+", band):
+        raise DataError(
+            f'{path}: Wavelength is "{band[:40]}", unit "{unit[:40]}"; read are bands, as Visible (unit "Integral")'
+        )
+    return band
+
+
 def _layer(data: bytes, path: Path) -> ElementTree.Element:
     """The element that holds the matrices."""
     root = xml_text.root(data, str(path))
@@ -131,10 +142,21 @@ def _bases(definition: ElementTree.Element, path: Path) -> Iterator[tuple[str, B
             theta = number(_text(block, "Theta", path), f"{path}, {name[:40]}", "Theta")
             if not 0 <= theta <= 90:
                 raise DataError(f"{path}: {name[:40]}: Theta = {theta:g} lies outside [0, 90] degrees")
+            _require_within(block, theta, f"{path}: {name[:40]}", path)
             rings.append((theta, integer(_text(block, "nPhis", path), f"{path}, {name[:40]}", "nPhis", 1, 1000)))
         if not rings or sum(count for _, count in rings) > 4000:
             raise DataError(f"{path}: {name[:40]} has {sum(count for _, count in rings)} patches; 1 to 4000 are read")
         yield name, _rings(iter(rings))
+
+
+def _require_within(block: ElementTree.Element, theta: float, where: str, path: Path) -> None:
+    """`DataError` where a ring's polar angle does not lie within the bounds that it states."""
+    bounds = block.find("{*}ThetaBounds")
+    if bounds is None:
+        return
+    low, high = (number(_text(bounds, name, path), where, name) for name in ("LowerTheta", "UpperTheta"))
+    if not (0 <= low <= theta <= high <= 90 and low < high):
+        raise DataError(f"{where}: Theta = {theta:g} lies outside its ThetaBounds, {low:g} to {high:g} degrees")
 
 
 def _block(

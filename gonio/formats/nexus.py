@@ -20,7 +20,7 @@ from gonio.formats.column_hints import NEEDED
 from gonio.formats.curve_sheets import MOST, curves
 from gonio.formats.reader import Format, require_held, write_bytes
 from gonio.formats.sheets import WORDS
-from gonio.typing import DataFrame
+from gonio.typing import Array, DataFrame, Floats
 
 TABLE = "entry/table"
 UNITS = {"wavelength_nm": "nm"}
@@ -142,11 +142,18 @@ def _read_column(table: Any, name: str, path: Path) -> Any:
     for key in ("_FillValue", "missing_value"):
         if key in dataset.attrs:
             numbers[np.isin(numbers, np.ravel(dataset.attrs[key]))] = np.nan
-    wanted = _units(name)
-    factor = hdf5.factor(dataset, "deg" if wanted == "degree" else wanted, shown)
-    if name.endswith("_deg") and factor != 1.0:  # as many decimals as the numbers had: pi / 2 is 90
-        return np.round(numbers * factor, 10 if dataset.dtype.itemsize > 4 else 5)
-    return numbers * factor
+    return in_units(numbers, name, hdf5.factor(dataset, unit_of(name), shown), fine=dataset.dtype.itemsize > 4)
+
+
+def unit_of(column: str) -> str:
+    """The unit of a column, as a key of `gonio.hdf5.UNITS`."""
+    return "deg" if (wanted := _units(column)) == "degree" else wanted
+
+
+def in_units(numbers: Array, column: str, factor: float, *, fine: bool = True) -> Floats:
+    """The numbers of a column times a factor; angles with as many decimals as they had: pi / 2 is 90."""
+    scaled = np.asarray(numbers, np.float64) * factor
+    return np.round(scaled, 10 if fine else 5) if column.endswith("_deg") and factor != 1.0 else scaled
 
 
 def _stored(file: Any, path: Path) -> Any:

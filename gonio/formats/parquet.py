@@ -5,12 +5,17 @@ Attributes of the table lie in the metadata, as pandas keeps them.
 
 import io
 import json
+from collections.abc import Mapping
 from pathlib import Path
-from typing import BinaryIO
+from types import SimpleNamespace
+from typing import Any, BinaryIO
 
+from gonio import hdf5
 from gonio.errors import ConfigError, DataError
-from gonio.formats import native
+from gonio.formats import native, nexus
+from gonio.formats.column_hints import NEEDED
 from gonio.formats.reader import Format, write_bytes
+from gonio.formats.sheets import WORDS
 from gonio.typing import DataFrame
 
 MAGIC = b"PAR1"
@@ -34,23 +39,89 @@ def write(frame: DataFrame, path: Path) -> None:
 
 
 def read(file: BinaryIO, path: Path) -> DataFrame:
-    """A table of the measurement table's columns."""
+    """A table of the measurement table's columns, each in the unit that it states; numbers, and words as texts.
+
+    What it takes in memory is bounded by what the file's metadata say, before a column is unpacked.
+    """
     _require_library()
     from pyarrow.parquet import ParquetFile
 
     try:
         content = ParquetFile(file)
-        frame = content.schema_arrow.empty_table().to_pandas()
-        attrs = json.loads((content.schema_arrow.metadata or {}).get(b"PANDAS_ATTRS", b"{}"))
+        stored = json.loads((content.schema_arrow.metadata or {}).get(b"PANDAS_ATTRS", b"{}"))
+        names, rows = [str(name) for name in content.schema_arrow.names], int(content.metadata.num_rows)
     except Exception as error:  # what pyarrow raises of damaged files is of any kind
         raise _damaged(path, error) from None
-    native.require_kinds(frame, path)
+    native.check_columns(names, str(path), needed=NEEDED)
+    factors = _factors(content.schema_arrow, stored, path)
+    _require_bounded(content.metadata, path)
     try:
-        chunks = (batch.to_pandas() for batch in content.iter_batches(native.CHUNK))
-        some = native.together(chunks, list(frame.columns), content.metadata.num_rows)
+        file.seek(0)
+        # a long text that is there often is held once
+        words = [name for name in names if name in WORDS]
+        content = ParquetFile(file, metadata=content.metadata, read_dictionary=words)
+        chunks = (_plain(batch.to_pandas(), factors) for batch in content.iter_batches(native.CHUNK))
+        some = native.together(chunks, names, rows)
     except Exception as error:
         raise _damaged(path, error) from None
-    return native.taken(frame if some is None else some, attrs, path)
+    if some is None:
+        raise DataError(f"{path}: the Parquet file is damaged: it states {rows} rows, and holds others")
+    return native.taken(some, stored, path)
+
+
+def _factors(schema: Any, stored: Any, path: Path) -> dict[str, float]:
+    """What numbers are multiplied by, by the units that their columns state; `DataError` for other types of values."""
+    from pyarrow import types
+
+    units = stored.get("units") if isinstance(stored, dict) else None
+    found: dict[str, float] = {}
+    for field in schema:
+        shown = f"{path}: the column {field.name}"
+        kind = field.type.value_type if types.is_dictionary(field.type) else field.type
+        words = types.is_string(kind) or types.is_large_string(kind)
+        numbers = types.is_integer(field.type) or types.is_floating(field.type)
+        if not (words if field.name in WORDS else numbers):
+            what = "texts" if field.name in WORDS else "integers or floating-point numbers"
+            raise DataError(f"{shown} holds {str(field.type)[:60]}; {what} are needed")
+        if words:
+            continue
+        own = {key.decode("utf-8", "replace").lower(): value for key, value in (field.metadata or {}).items()}
+        said = own.get("units", own.get("unit", units.get(field.name) if isinstance(units, dict) else None))
+        stating = SimpleNamespace(attrs=own if said is None else own | {"units": said})
+        if (factor := hdf5.factor(stating, nexus.unit_of(field.name), shown)) != 1.0:
+            found[field.name] = factor
+    return found
+
+
+def _require_bounded(known: Any, path: Path) -> None:
+    """`DataError` where the metadata state more rows than a table has, or more bytes than they can need."""
+    if not 0 < known.num_rows <= native.MOST_ROWS:
+        raise DataError(f"{path}: has {known.num_rows} rows; 1 to {native.MOST_ROWS} are read")
+    for number in range(known.num_row_groups):
+        group = known.row_group(number)
+        for k in range(group.num_columns):
+            column = group.column(k)
+            most = _MOST_TEXT if column.path_in_schema in WORDS else 16 * group.num_rows + 2**20
+            if column.total_uncompressed_size > most:
+                raise DataError(
+                    f"{path}: row group {number}, column {column.path_in_schema[:40]}: unpacks to "
+                    f"{column.total_uncompressed_size} bytes; at most {most} are read of {group.num_rows} rows"
+                )
+
+
+_MOST_TEXT = 2**27
+"""Bytes of a column of words."""
+
+
+def _plain(frame: DataFrame, factors: Mapping[str, float]) -> DataFrame:
+    """Some rows, words as texts and numbers in the table's units."""
+    for name in frame.columns:
+        if name in WORDS:
+            frame[name] = frame[name].astype(object)
+        elif name in factors:
+            numbers = frame[name].to_numpy()
+            frame[name] = nexus.in_units(numbers, name, factors[name], fine=numbers.dtype.itemsize > 4)
+    return frame
 
 
 def _damaged(path: Path, error: Exception) -> DataError:

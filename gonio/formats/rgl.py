@@ -111,9 +111,12 @@ class RglMeasured:
         self.isotropic = self.phi_i.size <= 2
         self.cumulative, self.marginal = self._distribution()
         nodes = math.prod(grid) * math.prod(self.values.shape[3:])
+        self._require_known(fields)
         valid = fields.get("valid")
         self.valid = None
-        if valid is not None and valid.dtype == np.uint8 and valid.size == -(-nodes // 8):
+        if valid is not None:
+            if valid.dtype != np.uint8 or valid.size != -(-nodes // 8):
+                raise DataError(f"{path}: the field valid has {valid.size} {valid.dtype}; a bit a node is needed")
             bits = np.unpackbits(valid.ravel())[:nodes]
             self.valid = bits.reshape(*grid, *self.values.shape[3:]).astype(bool)
         text = fields.get("description")
@@ -121,12 +124,23 @@ class RglMeasured:
             bytes(text.tobytes()).decode("utf-8", "replace").strip("\0 ")[:80] if text is not None else path.stem
         )
 
+    def _require_known(self, fields: dict[str, Array]) -> None:
+        """`DataError` for angles that are not in radians, and for values without the factor of the distribution."""
+        for name, axis, limit in (("theta_i", self.theta_i, math.pi / 2), ("phi_i", self.phi_i, 2 * math.pi)):
+            if axis[0] < -limit - 1e-3 or axis[-1] > limit + 1e-3 or (name == "theta_i" and axis[0] < -1e-3):
+                raise DataError(f"{self.path}: {name} goes from {axis[0]:g} to {axis[-1]:g}; radians are needed")
+        jacobian = fields.get("jacobian")
+        if jacobian is not None and (jacobian.size != 1 or jacobian.ravel()[0] != 1):
+            raise DataError(f"{self.path}: jacobian is not 1: values without the distribution's factor are not read")
+
     def _take(self, fields: dict[str, Array], name: str, dimensions: int) -> Floats:
         if name not in fields:
             raise DataError(f"{self.path}: the field {name} is missing")
         most = _MOST_VALUES.get(name, _MOST_OTHERS)
         if fields[name].size > most:
             raise DataError(f"{self.path}: the field {name} has {fields[name].size} values; at most {most} are read")
+        if fields[name].dtype.kind != "f":
+            raise DataError(f"{self.path}: the field {name} holds {fields[name].dtype}; real numbers are needed")
         found = np.asarray(fields[name], dtype=np.float64)
         if found.ndim != dimensions or not np.isfinite(found).all():
             raise DataError(f"{self.path}: the field {name} needs {dimensions} dimensions and finite values")

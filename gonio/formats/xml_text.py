@@ -32,7 +32,7 @@ def decoded(data: bytes, where: str) -> str:
         name = stated[1].decode("latin-1") if stated else "utf-8"
         try:
             encoding = codecs.lookup(name).name
-        except LookupError:
+        except (LookupError, ValueError):  # ValueError: of a zero byte
             encoding = ""
         if encoding not in _ENCODINGS:
             raise DataError(f"{where}: its encoding is {name!r}, which is not read; save it as UTF-8")

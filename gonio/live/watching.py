@@ -28,7 +28,7 @@ from gonio.live.follow import Follower
 from gonio.live.run_status import RunStatus, ago, is_one_of_many, plain, rounded, shortened
 from gonio.live.server import Content, Request
 from gonio.live.shared import CURVES, FRAME, Now, Shared
-from gonio.shown import with_u
+from gonio.shown import visible, with_u
 from gonio.typing import JsonObject
 
 if TYPE_CHECKING:
@@ -304,19 +304,23 @@ def _lines(watched: Watched) -> None:
             for event in events:
                 number += 1
                 if event["event"] != "step":
-                    print(f"{_clock(event)}  {event_line(event)}", flush=True)
+                    _say(f"{_clock(event)}  {event_line(event)}")
                     continue
                 steps += 1
                 part = max(status["total"] // LINES, 1)
                 if event.get("flag") or steps % part == 0:
-                    print(f"{_clock(event)}  {step_line(event)}", flush=True)
+                    _say(f"{_clock(event)}  {step_line(event)}")
             status = watched.stands
         if told != (status["state"], status["why"]):
             told = status["state"], status["why"]
-            print(summary(status), flush=True)
+            _say(summary(status))
         if status["state"] in OVER and number == status["events"]:
             return
         threading.Event().wait(DRAWN_S)
+
+
+def _say(text: str) -> None:
+    print(visible(text), flush=True)
 
 
 def _clock(event: JsonObject) -> str:
@@ -390,7 +394,7 @@ def render(watched: Watched) -> RenderableType:
     step = next((event for event in reversed(events) if event["event"] == "step"), None)
 
     def row(name: str, text: str) -> None:
-        rows.add_row(name, Text(text))  # brackets are no markup
+        rows.add_row(name, Text(visible(text)))  # brackets are no markup
 
     if step is not None:
         row("now", step_line(step))
@@ -413,5 +417,5 @@ def render(watched: Watched) -> RenderableType:
         row("session", f"{len(status['sessions'])}., {ago(last - began)}")
     bar = Table.grid(expand=True)  # a bar alone does not end its line
     bar.add_row(ProgressBar(total=max(status["total"], 1), completed=status["done"]))
-    name = watched.path.absolute().name
-    return Panel(Group(Text(summary(status), style="bold"), bar, rows), title=name, title_align="left")
+    name = Text(visible(watched.path.absolute().name))
+    return Panel(Group(Text(visible(summary(status)), style="bold"), bar, rows), title=name, title_align="left")

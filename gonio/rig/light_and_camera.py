@@ -340,6 +340,10 @@ class PixelMaps:
         write_whole(Path(path), packed.getvalue())
 
 
+_DAMAGED = (ValueError, TypeError, LookupError, EOFError, MemoryError, NotImplementedError)
+"""What numpy and zipfile raise of damaged files, among others."""
+
+
 def read_maps(path: str, shape: tuple[int, int]) -> PixelMaps:
     """The maps of a camera of `shape` (height, width).
 
@@ -360,10 +364,14 @@ def read_maps(path: str, shape: tuple[int, int]) -> PixelMaps:
             maps = PixelMaps(*(np.asarray(held[name]) for name in PixelMaps.__dataclass_fields__))
     except OSError as error:
         raise ConfigError(f"{path}: the maps of camera.maps cannot be read: {error.strerror or error}") from None
-    except (ValueError, KeyError, EOFError, MemoryError, zipfile.BadZipFile, zlib.error):
+    except (*_DAMAGED, zipfile.BadZipFile, zlib.error):
         raise ConfigError(f"{path}: is no file of maps (camera.maps); `gonio calibrate camera` writes one") from None
     for name in PixelMaps.__dataclass_fields__:
         found = getattr(maps, name).shape
+        if (kind := getattr(maps, name).dtype).kind != ("b" if name == "defects" else "f"):
+            raise ConfigError(
+                f"{path}: {name} holds values of the kind {kind}, which `gonio calibrate camera` never does"
+            )
         if found != shape:
             raise ConfigError(
                 f"{path}: {name} is of shape {found}; the rig file has camera.height = {shape[0]}, "

@@ -2,6 +2,7 @@
 
 import io
 import zipfile
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -163,14 +164,30 @@ def _require_size(scene: Scene, path: Path, shape: tuple[int, ...]) -> None:
 # --- files of linear radiances ---------------------------------------------------------------------------------------
 
 
+MOST_WAVES = 10_000
+"""Most wavelengths of a file of radiances."""
+
+
 def _npz(scene: Scene, table: PhotographTable, path: Path, data: bytes) -> tuple[Any, Floats | None]:
     """`radiance.npz` of `gonio render`."""
     try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            sizes = {part.filename.removesuffix(".npy"): part.file_size for part in archive.infolist()}
         with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
-            radiance, waves = (np.asarray(arrays[name]) for name in ("radiance", "wavelength_nm"))
-            u = np.asarray(arrays["u_radiance"], np.float64) if "u_radiance" in arrays else None
-    except (ValueError, OSError, KeyError, zipfile.BadZipFile, EOFError):
+            most = MOST_WAVES
+            found: dict[str, Array] = {}
+            for name in ("wavelength_nm", "radiance", "u_radiance"):
+                if name == "u_radiance" and name not in arrays:
+                    continue
+                if sizes[name] > 16 * most + 4096:  # doubles, of any precision, and a header
+                    raise DataError(f"{path}: {name} unpacks to {sizes[name]} bytes; at most {most} numbers are read")
+                found[name] = np.asarray(arrays[name])
+                if found[name].dtype.kind != "f":
+                    raise DataError(f"{path}: {name} holds {found[name].dtype}; floating-point numbers are needed")
+                most = found["wavelength_nm"].size * scene.camera.height * scene.camera.width
+    except (ValueError, OSError, KeyError, EOFError, MemoryError, NotImplementedError, zipfile.BadZipFile, zlib.error):
         raise DataError(f"{path}: is no radiance.npz of gonio render, or is damaged") from None
+    radiance, waves, u = found["radiance"], found["wavelength_nm"], found.get("u_radiance")
     if radiance.ndim != 3 or waves.shape != radiance.shape[2:] or (u is not None and u.shape != radiance.shape):
         raise DataError(f"{path}: radiance has the shape {radiance.shape}; (height, width, wavelengths) is needed")
     k = _wavelength(scene, path, waves)
@@ -228,7 +245,7 @@ def _one_of(channels: JsonObject, table: PhotographTable, path: Path) -> Any:
 def _npy(scene: Scene, table: PhotographTable, path: Path, data: bytes) -> tuple[Any, None]:
     try:
         array = np.load(io.BytesIO(data), allow_pickle=False)
-    except (ValueError, OSError, EOFError):
+    except (ValueError, OSError, EOFError, MemoryError):
         raise DataError(f"{path}: is no NPY array of numbers, or is damaged") from None
     return _plane(table, path, array), None
 

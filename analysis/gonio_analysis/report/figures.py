@@ -14,7 +14,7 @@ from gonio_analysis.curves.in_plane import Line
 from gonio_analysis.plots import diagnostics, in_plane, style, thinning
 from gonio_analysis.report.drawing import Drawing
 from gonio_analysis.report.facts import DatasetSummary
-from gonio_analysis.report.text import cause, model_slug, number, percent
+from gonio_analysis.report.text import cause, model_slugs, number, percent
 from gonio_analysis.selection.compare import Dataset, Fitted
 
 PANEL_PT = 335.0
@@ -63,7 +63,8 @@ def draw(d: Dataset, facts: DatasetSummary, most: int) -> list[Drawing]:
         out.append(_overlay(d, groups, facts, most))
     if facts.budget:
         out.append(_budget(facts))
-    out += [_series(facts, model, f) for model, f in d.fitted.items() if len(f.series) > 1]
+    files = model_slugs(d.fitted)
+    out += [_series(facts, model, f, files[model]) for model, f in d.fitted.items() if len(f.series) > 1]
     return out
 
 
@@ -115,7 +116,7 @@ def _polar(d: Dataset, facts: DatasetSummary, names: Sequence[str], most: int) -
     )
     on = partial(_on_half_disc, lines=lines, rim=rim, label=label, legend=legend, called=_called(d))
     high = 3.22 + LEGEND_ROW_IN * legend.rows
-    return Drawing(f"{facts.slug}-polar-{model_slug(model)}", "polar", model, caption, alt, (5.6, high), on)
+    return Drawing(f"{facts.slug}-polar-{model_slugs(d.fitted)[model]}", "polar", model, caption, alt, (5.6, high), on)
 
 
 def measurement(d: Dataset) -> str:
@@ -204,7 +205,9 @@ def _absolute(d: Dataset, facts: DatasetSummary, names: Sequence[str], most: int
         legend=legend,
     )  # fmt: skip
     high = (3.57 if lines else 1.6) + 0.46 + LEGEND_ROW_IN * legend.rows
-    return Drawing(f"{facts.slug}-absolute-{model_slug(model)}", "absolute", model, caption, alt, (5.6, high), on)
+    return Drawing(
+        f"{facts.slug}-absolute-{model_slugs(d.fitted)[model]}", "absolute", model, caption, alt, (5.6, high), on
+    )
 
 
 def _band(f: Fitted) -> str:
@@ -329,7 +332,7 @@ def budget_height(parts: int) -> float:
     return 0.7 + 0.3 * parts
 
 
-def _series(facts: DatasetSummary, model: str, f: Fitted) -> Drawing:
+def _series(facts: DatasetSummary, model: str, f: Fitted, file: str) -> Drawing:
     x = np.array([r.wavelength_nm for r in f.series])
     values = {
         name: np.array([(r.parameters[name].value, r.parameters[name].u) for r in f.series], dtype=float)
@@ -342,7 +345,7 @@ def _series(facts: DatasetSummary, model: str, f: Fitted) -> Drawing:
     )
     high = 0.35 + 1.55 * -(-len(values) // SERIES_COLUMNS)
     on = partial(_on_series, x=x, values=values)
-    return Drawing(f"{facts.slug}-series-{model_slug(model)}", "series", model, caption, caption, (5.6, high), on)
+    return Drawing(f"{facts.slug}-series-{file}", "series", model, caption, caption, (5.6, high), on)
 
 
 def _on_series(figure: Any, *, x: Any, values: dict[str, Floats]) -> None:

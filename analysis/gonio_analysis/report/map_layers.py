@@ -21,7 +21,7 @@ from gonio.typing import Floats
 from gonio_analysis.plots import pixels
 from gonio_analysis.plots.pixels import Extent
 from gonio_analysis.report.drawing import Drawing
-from gonio_analysis.report.text import model_slug, number
+from gonio_analysis.report.text import model_slugs, number
 
 PICTURE, EMBEDDED = 256, 200
 """Pixels along the longer side of a picture, and of what a page holds for its program, at most."""
@@ -286,11 +286,11 @@ COLUMNS = 3
 
 def draw(grid: Grid, layers: Sequence[Layer]) -> list[Drawing]:
     """Maps of layers, each with that of its uncertainty, then their histograms."""
-    out = []
+    out, files = [], model_slugs(one.name for one in layers)
     for one in layers:
         colours = pixels.UNCERTAINTIES if one.name == "tau" else pixels.VALUES
         what = "misfit tau, relative" if one.name == "tau" else one.label
-        file = model_slug(one.name)
+        file = files[one.name]
         out.append(_map(grid, f"map-{file}", one.picture, what, _limits(one), colours, _share(grid, one)))
         if one.picture_u is not None and np.isfinite(one.picture_u).any():
             low, high = np.quantile(one.picture_u[np.isfinite(one.picture_u)], QUANTILES).tolist()

@@ -4,7 +4,7 @@ import hashlib
 import itertools
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 from gonio import shown
 from gonio_analysis.result_records import Reflectance
@@ -97,9 +97,18 @@ def slug(name: str) -> str:
     return re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-")[:LONGEST_SLUG].strip("-")
 
 
-def model_slug(name: str) -> str:
-    """A model's or a parameter's name as file names have it: two in another script are not the same."""
-    code = "" if name.isascii() else hashlib.sha256(name.encode()).hexdigest()[:6]
+def model_slugs(names: Iterable[str]) -> dict[str, str]:
+    """Models' or parameters' names as file names have them: no two are the same, in whatever script or punctuation."""
+    out: dict[str, str] = {}
+    for name in names:
+        base = _model_slug(name)
+        numbered = (f"{base}-{k}" for k in itertools.count(len(out) + 1))
+        out[name] = next(one for one in itertools.chain([base], numbered) if one not in out.values())
+    return out
+
+
+def _model_slug(name: str) -> str:
+    code = "" if name.isascii() and slug(name) else hashlib.sha256(name.encode()).hexdigest()[:6]
     return f"{slug(name)}-{code}".strip("-")
 
 

@@ -116,3 +116,10 @@ def test_what_is_ambiguous_or_wrong_is_named(tmp_path: Path) -> None:
     dcc(tmp_path, ("Reflectance", one))
     with pytest.raises(ConfigError, match=r"reference.certificate and reference.albedo both say"):
         find_rig(rig_file(tmp_path, 'certificate = "white.xml"\nalbedo = 0.9'))
+
+
+@pytest.mark.parametrize(("k", "said"), [("<si:coverageFactor>0</si:coverageFactor>", "of 0"), ("", "missing")])
+def test_an_expanded_uncertainty_without_its_factor_is_refused(tmp_path: Path, k: str, said: str) -> None:
+    stated = OLD.format(value=0.9, unit="\\one", u=0.01).replace("<si:coverageFactor>2</si:coverageFactor>", k)
+    with pytest.raises(ConfigError, match=rf"white\.xml: Reflectance: .*its coverageFactor is {said}"):
+        reflectance(dcc(tmp_path, ("Reflectance", stated)))

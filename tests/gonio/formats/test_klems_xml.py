@@ -87,6 +87,18 @@ def test_a_screen_lets_most_light_straight_through(shared: Callable[[str], Path]
         (window()[:500], "line 6"),
         (window().replace(b"<Window", b'<!DOCTYPE x [<!ENTITY a "b">]><Window', 1), "document type"),
         (window().replace(b"<nPhis>2<", b"<nPhis>900000<"), "nPhis = "),
+        (
+            window().replace(b'"Integral">Visible', b'"Micron">0.55'),
+            'Wavelength is "0.55", unit "Micron"; read are bands',
+        ),
+        (window().replace(b">Visible<", b">550<"), 'Wavelength is "550"'),
+        (
+            window().replace(
+                b"<Theta>45</Theta>",
+                b"<Theta>45</Theta><ThetaBounds><LowerTheta>0</LowerTheta><UpperTheta>0.9</UpperTheta></ThetaBounds>",
+            ),
+            "Theta = 45 lies outside its ThetaBounds, 0 to 0.9 degrees",
+        ),
     ],
 )
 def test_damage_is_named(data: bytes, told: str) -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
-from gonio_analysis.report.text import model_slug, slug, slugs
+from gonio_analysis.report.text import model_slugs, slug, slugs
 
 from gonio import measurement
 from tests.command_line import gonio
@@ -26,8 +26,10 @@ def test_each_name_has_files_of_its_own() -> None:
     assert not {"conventions", "provenance", "a-all"} & set(found)
     assert slugs(["tame", "Two words"]) == ["tame", "two-words"]
     assert slug("../../etc") == "etc"
-    assert model_slug("oren-nayar+blinn") == "oren-nayar-blinn"
-    assert len({model_slug(name) for name in SCRIPTS.values()}) == len(SCRIPTS)
+    alike = ["oren-nayar+blinn", "oren-nayar, blinn", "oren nayar blinn", "oren-nayar-blinn-2", "+", "++"]
+    names = [*SCRIPTS.values(), *alike]
+    assert model_slugs(names)["oren-nayar+blinn"] == "oren-nayar-blinn"
+    assert len(set(model_slugs(names).values())) == len(names)  # a file, and so a figure, of its own each
 
 
 def test_a_report_holds_every_name(tmp_path: Path) -> None:
