@@ -137,8 +137,8 @@ def test_maps_of_a_camera_are_bounded_before_they_are_unpacked(tmp_path: Path, d
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"theta_i": np.float32([0.0, 45.0])}, r"theta_i goes from 0 to 45; radians are needed"),
-        ({"theta_i": np.uint8([0, 1])}, r"the field theta_i holds uint8; real numbers are needed"),
+        ({"theta_i": np.array([0.0, 45.0], np.float32)}, r"theta_i goes from 0 to 45; radians are needed"),
+        ({"theta_i": np.array([0, 1], np.uint8)}, r"the field theta_i holds uint8; real numbers are needed"),
         ({"jacobian": np.zeros(1, np.uint8)}, r"jacobian is not 1"),
         ({"valid": np.zeros(3, np.uint8)}, r"the field valid has 3 uint8; a bit a node is needed"),
         ({"rgb": np.zeros((1, 2, 3, 2, 2), np.uint16)}, r"the field rgb holds uint16"),
@@ -146,8 +146,8 @@ def test_maps_of_a_camera_are_bounded_before_they_are_unpacked(tmp_path: Path, d
 )
 def test_what_a_tensor_file_states_is_obeyed_or_refused(change: dict[str, Any], said: str) -> None:
     """Kind: a container's own statement (angles in degrees, integers, values without a factor, a mask)."""
-    fields = {
-        "phi_i": np.zeros(1, np.float32), "theta_i": np.float32([0.0, 1.0]), "ndf": np.ones((2, 2), np.float32),
+    fields: dict[str, Any] = {
+        "phi_i": np.zeros(1, np.float32), "theta_i": np.array([0.0, 1.0], np.float32), "ndf": np.ones((2, 2), np.float32),
         "sigma": np.ones((2, 2), np.float32), "vndf": np.ones((1, 2, 2, 2), np.float32),
         "rgb": np.ones((1, 2, 3, 2, 2), np.float32),
     }  # fmt: skip
@@ -158,7 +158,9 @@ def test_what_a_tensor_file_states_is_obeyed_or_refused(change: dict[str, Any], 
 
 def test_maps_of_a_camera_hold_what_maps_hold(tmp_path: Path) -> None:
     path = tmp_path / "m.npz"
-    maps = {name: np.ones((2, 3), np.float32) for name in ("responsivity", "u_responsivity", "dark_offset_e")}
+    maps: dict[str, Any] = {
+        name: np.ones((2, 3), np.float32) for name in ("responsivity", "u_responsivity", "dark_offset_e")
+    }
     np.savez(path, format=1, defects=np.zeros((2, 3), bool), **maps | {"responsivity": np.ones((2, 3), complex)})
     with pytest.raises(ConfigError, match=r"m\.npz: responsivity holds values of the kind complex128"):
         read_maps(str(path), (2, 3))

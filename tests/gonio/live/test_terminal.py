@@ -1,13 +1,18 @@
 """The run in the terminal says what the page says."""
 
+import re
+import sys
 import threading
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 from rich.console import Console
 
 import gonio
 from gonio.acquisition.journal import encode
+from gonio.cli.align import Terminal
+from gonio.cli.console import _Bar
 from gonio.live import watching
 from gonio.live.watching import Watched
 from tests.command_line import says
@@ -91,3 +96,24 @@ def test_text_returns_where_a_run_was_over_before_or_ends_meanwhile(
         watching.show(again)
     word = {"end": "ended", "interrupted": "interrupted", "device_error": "failed"}[last]
     assert sum(line.startswith(f"{word}: step 24 of 24") for line in capsys.readouterr().out.splitlines()) == 2
+
+
+ACTS = "name [/bold] \x1b[2J\u202e"
+
+
+def test_names_act_on_no_terminal(
+    ended: Watched, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Kind: a name as data of a screen; control characters, a turned direction, and brackets as of rich's markup."""
+    monkeypatch.setattr(watching, "event_line", lambda event: ACTS)
+    monkeypatch.setattr(ended, "path", Path(f"/somewhere/{ACTS}"))
+    watching.show(ended)
+    Terminal(["light"]).say(ACTS)
+    screen = Console(width=110, file=sys.stdout)
+    screen.print(watching.render(ended))
+    _Bar(screen, None).say(ACTS)
+    said = capsys.readouterr()
+    for text in (said.out, said.err):
+        assert not {"\x1b[2J", "\u202e"} & set(re.findall("\x1b\\[2J|\u202e", text))
+        assert r"name [/bold] \x1b[2J\u202e" in text
+    assert said.out.count("[/bold]") >= 4  # lines, the panel's title, its events, the bar
