@@ -147,7 +147,8 @@ def test_maps_of_a_camera_are_bounded_before_they_are_unpacked(tmp_path: Path, d
 def test_what_a_tensor_file_states_is_obeyed_or_refused(change: dict[str, Any], said: str) -> None:
     """Kind: a container's own statement (angles in degrees, integers, values without a factor, a mask)."""
     fields: dict[str, Any] = {
-        "phi_i": np.zeros(1, np.float32), "theta_i": np.array([0.0, 1.0], np.float32), "ndf": np.ones((2, 2), np.float32),
+        "phi_i": np.zeros(1, np.float32), "theta_i": np.array([0.0, 1.0], np.float32),
+        "ndf": np.ones((2, 2), np.float32),
         "sigma": np.ones((2, 2), np.float32), "vndf": np.ones((1, 2, 2, 2), np.float32),
         "rgb": np.ones((1, 2, 3, 2, 2), np.float32),
     }  # fmt: skip
