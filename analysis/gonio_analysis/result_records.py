@@ -69,7 +69,7 @@ class MisfitSummary:
     value: float
     u: float
     interval: tuple[float, float]
-    """95 %; of a model that is not rejected from 0 to what the data leave room for."""
+    """95 %; of a model that is not rejected from 0 to the smooth misfit that half of the tests would find."""
 
     def of(self, what: str) -> str:
         """As in "describes this sample to 4.7 % (4 to 5.6)"; far from it nothing is described."""

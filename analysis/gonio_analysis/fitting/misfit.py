@@ -74,19 +74,6 @@ def estimated_tau(z: Floats, jacobian: Floats, stated: Covariance | None) -> flo
     return math.exp(float(found.x))
 
 
-def highest_tau(z: Floats, jacobian: Floats, stated: Covariance) -> float:
-    """What the residuals of a model that is not rejected leave room for: the upper end of tau's interval of 95 %."""
-    from scipy.optimize import brentq
-
-    unlikely = _unlikely(z, jacobian, stated)
-    low, high = math.log(SMALLEST), math.log(LARGEST)
-    start = min(math.log(estimated_tau(z, jacobian, stated)), high - 1.0)
-    least = unlikely(start)
-    if unlikely(high) - least <= K95**2:
-        return LARGEST  # the values are all noise: they leave room for any misfit
-    return math.exp(float(brentq(lambda x: unlikely(x) - least - K95**2, max(start, low), high, xtol=1e-3)))
-
-
 def _unlikely(z: Floats, jacobian: Floats, stated: Covariance) -> Callable[[float], float]:
     """-2 ln of the restricted likelihood, of ln tau."""
     basis = np.linalg.qr(jacobian[:, np.linalg.norm(jacobian, axis=0) > 0])[0]
@@ -167,15 +154,34 @@ def block_spread(
     return out
 
 
-def jackknife(values: Floats, directions: Directions) -> tuple[float, float]:
-    """Mean of values, and its standard uncertainty by leaving out blocks of their directions."""
-    variances = []
+def u_of_log_tau(z: Floats, noise: Floats, tau: float, directions: Directions, freedom: int) -> float:
+    """Standard uncertainty of ln tau, by leaving out blocks of directions.
+
+    A value counts by what it tells of tau^2: the square of tau^2 / (tau^2 + its noise^2). One that is known poorly
+    does not, for its square is noise.
+
+    Parameters
+    ----------
+    z, noise : (n,) arrays
+        Residuals on the scale of logarithms, and their standard uncertainties.
+    tau, directions
+        What was found, and where, shape (n,).
+    freedom
+        Values less fitted parameters, 1 or more.
+    """
+    weight = (tau**2 / (tau**2 + noise**2)) ** 2
+    # few blocks may agree by chance: nothing is better known than with as many independent residuals
+    least = math.sqrt(0.5 / max(float(weight.sum()) * freedom / z.size, 1.0))
+    variances, part = [], weight * (z**2 - noise**2)
     for number in groupings(directions):
-        total, count = np.bincount(number, values), np.bincount(number)
-        if count.size > 1:
-            left = (total.sum() - total) / (count.sum() - count)
-            variances.append((count.size - 1) / count.size * float(((left - left.mean()) ** 2).sum()))
-    return float(values.mean()), math.sqrt(float(np.mean(variances))) if variances else math.inf
+        total, count = np.bincount(number, part), np.bincount(number, weight)
+        rest = count.sum() - count
+        told = rest > LEAST_LEFT * count.sum()  # without a block that tells all, nothing is left to tell
+        if np.count_nonzero(told) > 1:
+            left = ((total.sum() - total) / np.where(told, rest, 1.0))[told]
+            variances.append((left.size - 1) / left.size * float(((left - left.mean()) ** 2).sum()))
+    by_blocks = math.sqrt(float(np.mean(variances))) if variances else math.inf
+    return max(0.5 * by_blocks / tau**2, least)
 
 
 @dataclass(frozen=True)
@@ -248,9 +254,7 @@ def misfit(model: Any, data: Observations, goal: Objective, predicted: Floats, f
     noise = np.zeros(len(data)) if stated is None else stated.random
     u = np.hypot(noise, ROUGH * goal.tau)
     common = np.zeros((len(data), 1)) if stated is None or not stated.causes else stated.common
-    _, u_square = jackknife(z**2 - noise**2, data.directions)
-    # few blocks may agree by chance: nothing is better known than with as many independent residuals
-    u_log = max(0.5 * u_square / goal.tau**2, math.sqrt(0.5 / freedom))
+    u_log = u_of_log_tau(z, noise, goal.tau, data.directions, freedom)
     spike = goal.tau if sees_spike(model, data) else 1.0  # a spike that no value has light of is a guess
     residuals = Training(Coordinates.of(where), z, u, common, prior=_prior(goal.tau))
     return Misfit(goal.tau, u_log, goal.small, residuals, where, spike)

@@ -38,6 +38,12 @@ RESOLUTION = 1e-15
 """Of a value, and of a middling one of its table: what is smaller than their rounding is no uncertainty."""
 MOST_LISTED = 12
 """Rows that a note names."""
+SEEN = 3.0
+"""Standard uncertainties that a value is above zero by, for its neighbours to be measured by it."""
+BEYOND, AROUND = 30.0, 3
+"""A value with u beyond so many times the median of so many seen ones around it says nothing that they do not."""
+STEEP = 3.0
+"""What half vectors count, beside directions of the detector, where neighbours are sought: lobes follow them."""
 LARGEST = 1e30
 """[1/sr] No BRDF: a perfect mirror seen through a cone of a nanoradian has less. Squares of such values overflow."""
 
@@ -242,8 +248,8 @@ def _none_left(name: str, rows: int, omitted: Mapping[str, Floats]) -> DataError
 def observations(table: DataFrame, name: str = "the table", u_rel: float | None = None) -> Observations:
     """The usable rows of a measurement table.
 
-    Left out, and counted by reason, is what cannot be used (`_why_left_out`), and rows without an uncertainty in a
-    table that states one elsewhere.
+    Left out, and counted by reason, is what cannot be used (`_why_left_out`), rows without an uncertainty in a table
+    that states one elsewhere, and rows that are known so poorly that they say nothing.
 
     Parameters
     ----------
@@ -261,12 +267,16 @@ def observations(table: DataFrame, name: str = "the table", u_rel: float | None 
     directions = Directions.from_table(table)
     brdf, wavelength = (table[name].to_numpy(np.float64) for name in ("brdf", "wavelength_nm"))
     why, reasons = _why_left_out(table, directions, brdf)
-    known, stated = _stated(table, brdf, why == 0)
+    known, stated, seen = _stated(table, brdf, why == 0)
     notes = of_reader(table)
     if stated[why == 0].any() and (lacking := (why == 0) & ~stated).any():
         why[lacking] = len(reasons)
         reasons.append("without an uncertainty")
         notes.append(_lacking(np.flatnonzero(lacking)))
+    unused = _unused(directions, wavelength, why != 0)
+    empty = _saying_nothing(directions, wavelength, np.abs(brdf), (why == 0) & stated, seen, known)
+    why[empty] = len(reasons)
+    reasons.append(f"with u beyond {BEYOND:g} times the values around")
     keep = np.arange(len(table), dtype=np.int32)
     if why.any():
         keep = keep[why == 0]
@@ -299,7 +309,7 @@ def observations(table: DataFrame, name: str = "the table", u_rel: float | None 
         source_solid_angle_sr=source or 0.0,
         receiver_solid_angle_sr=receiver or 0.0,
         omitted=omitted,
-        unused=_unused(directions, wavelength, why != 0),
+        unused=unused,
         notes=tuple(notes),
         u_rel_assumed=None if stated[keep].any() else u_rel,
         **_of_angles(table, keep),
@@ -312,15 +322,48 @@ def _unused(directions: Directions, wavelength_nm: Floats, rows: npt.NDArray[np.
     return Unused(directions[left], wavelength_nm[left])
 
 
+def _saying_nothing(
+    directions: Directions,
+    wavelength_nm: Floats,
+    size: Floats,
+    used: npt.NDArray[np.bool_],
+    seen: npt.NDArray[np.bool_],
+    known: Callable[[Some], Covariance],
+) -> npt.NDArray[np.intp]:
+    """Rows within 3 u of zero whose u is far beyond the values (of `size`) around them: they change no fit.
+
+    They would count all the same: among the degrees of freedom, in the scale of logarithms, as blocks of directions.
+    """
+    from scipy.spatial import cKDTree
+
+    rows, out = np.flatnonzero(used & ~seen), [np.zeros(0, np.intp)]
+
+    def places(which: npt.NDArray[np.intp]) -> Floats:
+        d = directions[which]
+        omega_i, omega_r = Directions(d.theta_i, np.zeros(d.shape), d.theta_r, d.phi_r - d.phi_i).vectors
+        half = omega_i + omega_r
+        return np.hstack([STEEP * half / np.linalg.norm(half, axis=1, keepdims=True), omega_r])
+
+    for wave in np.unique(wavelength_nm[rows]):
+        same = np.isnan(wavelength_nm) if np.isnan(wave) else wavelength_nm == wave
+        here, others = rows[same[rows]], np.flatnonzero(used & seen & same)
+        if others.size >= AROUND:
+            near = others[cKDTree(places(others)).query(places(here), AROUND)[1]]
+            u = known(here.astype(np.int32)).total
+            out.append(here[u > BEYOND * np.median(size[near], axis=1)])
+    return np.concatenate(out)
+
+
 def _stated(
     table: DataFrame, brdf: Floats, used: npt.NDArray[np.bool_]
-) -> tuple[Callable[[Some], Covariance], npt.NDArray[np.bool_]]:
-    """What gives the covariance of some rows of a table, and which rows state an uncertainty that can weigh them."""
+) -> tuple[Callable[[Some], Covariance], npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
+    """What gives the covariance of some rows of a table, which rows state an uncertainty that can weigh them, and
+    which are `SEEN`."""
     from gonio import measurement
 
     causes = [name.removeprefix("s_") for name in table.columns if name.startswith("s_")]
     random, common = np.empty(len(table)), np.empty((len(table), len(causes)))
-    stated = np.empty(len(table), dtype=bool)
+    stated, seen = np.empty((2, len(table)), dtype=bool)
     sizes = brdf[used]
     middling = np.median(np.abs(sizes, out=sizes), overwrite_input=True) if sizes.size else 0.0
     del sizes
@@ -331,9 +374,10 @@ def _stated(
         total = np.sqrt(own**2 + (common[some] ** 2).sum(axis=1))
         with np.errstate(invalid="ignore"):
             stated[some] = np.isfinite(total) & (total > RESOLUTION * np.maximum(np.abs(brdf[some]), middling))
+            seen[some] = np.abs(brdf[some]) > SEEN * total
         # a value whose independent part is 0 (an ideal rig) would have infinite weight
         random[some] = np.maximum(own, 1e-6 * total)
-    return lambda rows: Covariance(random[rows], common[rows], tuple(causes)), stated
+    return lambda rows: Covariance(random[rows], common[rows], tuple(causes)), stated, seen
 
 
 def _lacking(rows: npt.NDArray[np.intp]) -> str:

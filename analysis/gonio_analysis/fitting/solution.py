@@ -16,11 +16,12 @@ from gonio.models.corrected import folded
 from gonio.models.parameters import OPTICAL
 from gonio.typing import Floats
 from gonio_analysis.fitting.forward import ByWavelength, apparent, known_wavelength
-from gonio_analysis.fitting.misfit import Misfit, highest_tau
+from gonio_analysis.fitting.misfit import Misfit
 from gonio_analysis.fitting.objective import Objective, on_log_scale, smallest
 from gonio_analysis.fitting.observations import Observations
 from gonio_analysis.fitting.problem import Problem
 from gonio_analysis.fitting.search import STEP, derivatives
+from gonio_analysis.fitting.unnoticed import unnoticed
 from gonio_analysis.fitting.value_covariance import Covariance
 from gonio_analysis.result_records import MisfitSummary, SharedGeometry, as_json
 
@@ -130,9 +131,7 @@ class Solution:
         own_way = asked.metric is not None or asked.loss != "linear"
         if data.covariance is None or own_way or self.rejected or self.problem.each:
             return None
-        residual, columns, stated = residuals_on_log_scale(self.problem, data, self.vector)
-        assert stated is not None
-        most = highest_tau(residual, columns, stated)
+        most = unnoticed(self.problem, data, self.goal, self.vector, SIGNIFICANCE)
         return MisfitSummary(0.0, 0.5 * most, (0.0, most))
 
     @property

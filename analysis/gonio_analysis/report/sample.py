@@ -161,13 +161,14 @@ def _facts(d: DatasetSummary) -> Facts:
 
 def _models(d: DatasetSummary) -> Table:
     marks = ["best" if name == d.best and len(d.models) > 1 else "" for name in d.models]
+    alone = all(f.fit.misfit is None for f in d.models.values())  # beside tau it would be a second measure of one thing
     rows = [
         [
             name,
             fitted_words(d, name, f),
             verdict.misfit_words(f.fit.tau),
             number(f.fit.reduced_chi_square) + " (assumed u)" * (f.fit.data.u_rel_assumed is not None),
-            difference(f.metrics["log_ratio"]),
+            *([difference(f.metrics["log_ratio"])] * alone),
             f.fit.verdict.partition("; it ")[0] + "; ⚠ reflects more than it receives" * f.reflects_too_much,
         ]
         for name, f in d.models.items()
@@ -178,10 +179,10 @@ def _models(d: DatasetSummary) -> Table:
     if any(f.fit.tau is not None for f in d.models.values()):
         note += f"{verdict.TAU} "
     return table(
-        note + "Typical difference: rms of ln(model / measured).",
-        ["model", "fitted parameters", "misfit tau", chi, "typical difference", "verdict"],
+        note + "Typical difference: rms of ln(model / measured)." * alone,
+        ["model", "fitted parameters", "misfit tau", chi, *["typical difference"] * alone, "verdict"],
         rows,
-        right=(2, 3, 4),
+        right=(2, 3, 4) if alone else (2, 3),
         marks=marks,
     )
 

@@ -14,18 +14,16 @@ from gonio_analysis.fitting.fit import FitResult
 from gonio_analysis.fitting.objective import DESCRIPTIONS
 from gonio_analysis.fitting.profile_likelihood import Interval
 from gonio_analysis.fitting.solution import SIGNIFICANCE
+from gonio_analysis.fitting.unnoticed import SMOOTH
 from gonio_analysis.report.blocks import Block, Heading, Notes, Paragraph, Table, Text, code, table
 from gonio_analysis.report.text import angle, difference, glued, number, percent, with_u
 from gonio_analysis.result_records import MisfitSummary, Reflectance
 from gonio_analysis.selection.choice import Choice
-from gonio_analysis.selection.judging import ALIKE, DECISIVE, Judged, Region, farthest
+from gonio_analysis.selection.judging import DECISIVE, Judged
+from gonio_analysis.selection.regions import Region, farthest, worst
 
 NOT_SMALL = 0.5
 """Beyond this, what may go unnoticed is no small misfit, and nothing is said of it."""
-FEATURE = 2.0
-"""A ratio beyond this factor is said as a factor, and not in percent."""
-SINGLE = 1.5
-"""A single value is named beside the region where it is farther off by this factor."""
 CLEARLY = 1.05
 """A metric names another model where that one is better by this factor; less is no disagreement."""
 JUDGES = ("log_ratio", "ngan", "cube_root")
@@ -47,10 +45,10 @@ def disagreement(metrics: Mapping[str, Mapping[str, float | None]], best: str) -
 
 def of_fit(result: FitResult) -> str:
     """What `gonio fit` says of one model: how far off it is and where, or what its chi-square is."""
-    chi, found = result.reduced_chi_square, farthest(result) if result.misfit is not None else None
-    if found is not None and found.off:
+    chi = result.reduced_chi_square
+    if result.misfit is not None:
         by = "" if chi is None else f"; reduced chi-square {number(chi)}, {result.by_chi_square}"
-        return f"{result.described}, worst {found.off}{by}"
+        return f"{result.described}{worst(farthest(result))}{by}"
     return (result.verdict if chi is None else f"reduced chi-square {number(chi)}: {result.verdict}") + unnoticed(
         result
     )
@@ -68,28 +66,14 @@ def unnoticed(result: FitResult) -> str:
     """How far off a model may be that the data do not reject, as part of a sentence; "" where nothing says so."""
     if result.rejected or result.chi_square is None or result.tau is None or result.tau.interval[1] > NOT_SMALL:
         return ""
-    return f"; a misfit of at most {percent(result.tau.interval[1])} would go unnoticed"
+    return f"; a misfit of at most {percent(result.tau.interval[1])} {UNNOTICED}"
 
 
 def where(missed: Region | None) -> str:
-    """The region that a model misses most, and the single value, as sentences; "" where there is none."""
-    if missed is None or missed.ratio is None:
+    """The region that a model misses most, and the single value, as a sentence; "" where there is none."""
+    if missed is None or not missed.off:
         return ""
-    said = (
-        f"Of all regions it is farthest off at {missed.words} ({missed.values} values): it is"
-        f" {times(missed.ratio)} there, by the median."
-    )
-    single = missed.single_ratio
-    if single is not None and abs(math.log(single)) > abs(math.log(missed.ratio)) + math.log(SINGLE):
-        said += f" The value that it misses most lies at {missed.single_words}: there it is {times(single)}."
-    return said
-
-
-def times(ratio: float) -> str:
-    """How a model stands to a measurement: in percent near it, as a factor far from it."""
-    if 1 / FEATURE < ratio < FEATURE:
-        return f"{number(100 * abs(ratio - 1), 2)} % {'above' if ratio > 1 else 'below'} the measurement"
-    return f"{number(ratio, 2)} {'times' if ratio > 1 else 'of'} the measurement"
+    return f"It is worst {missed.off}" + (f"; {missed.single}." if missed.single else ".")
 
 
 def too_bright(found: Mapping[str, Sequence[Reflectance]], best: str) -> str:
@@ -133,9 +117,11 @@ def direction_of_its_own(found: Sequence[Pairs], tried: Iterable[str] = ()) -> s
     )
 
 
+UNNOTICED = f"that is smooth over {math.degrees(SMOOTH):g}° would go unnoticed in half of the cases"
+"""What is known of a misfit of a model that is not rejected."""
 TAU = (
-    "Tau is the model's own misfit, relative, with its 95 % interval; of a model that the data do not reject, what"
-    " would go unnoticed."
+    "Tau is the model's own misfit, relative, with its 95 % interval; of a model that the data do not reject, a misfit"
+    f" {UNNOTICED}."
 )
 """For tables that have such a column."""
 
@@ -179,7 +165,7 @@ def which_model(choice: Choice, alone_nm: float | None = None) -> list[Block]:
                 " are fitted to all wavelengths together, with one geometry."
             )
         )
-    fails = "farthest off, with the median there"
+    fails = "worst"
     caption = (
         "From the simplest up. AIC and BIC are differences to the lowest; the held-out error is the mean squared"
         f" residual{', in units of the uncertainty,' * stated} of values left out by"
@@ -229,11 +215,9 @@ def _rule(choice: Choice, stated: bool) -> str:
 
 
 def _fails(c: Judged) -> str:
-    region = c.fails
-    if region is None or (not c.rejected and c.fit.reduced_chi_square is not None):
+    if c.fails is None or c.fails.typical < c.fails.tau or (not c.rejected and c.fit.reduced_chi_square is not None):
         return ""
-    off = [f"model {times(region.ratio)}"] if region.ratio is not None and abs(region.ratio - 1) >= ALIKE else []
-    return f"{region.words}: {', '.join(off)}"
+    return c.fails.off
 
 
 def in_words(i: Interval, value: float | None) -> tuple[str, str]:

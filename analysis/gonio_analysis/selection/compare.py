@@ -28,8 +28,9 @@ from gonio_analysis.result_records import Reflectance, RunFacts
 from gonio_analysis.selection import parallel
 from gonio_analysis.selection.beyond_reflection import Polarisation, Transmitted, polarisation, transmitted
 from gonio_analysis.selection.choice import Choice, candidates, choose
-from gonio_analysis.selection.judging import DECISIVE, Judged, Region, deviance, farthest
+from gonio_analysis.selection.judging import DECISIVE, Judged, deviance
 from gonio_analysis.selection.parallel import Share
+from gonio_analysis.selection.regions import Region, farthest
 
 MOST_ANGLES = 1000
 """Measured angles of one curve at which theory is evaluated too."""

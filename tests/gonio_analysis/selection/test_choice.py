@@ -111,7 +111,7 @@ def test_blocks_to_leave_out_are_neighbours() -> None:
     data = observations(measure(MATTE))
     groups, by = blocks(data)
     assert by == "angle of incidence"
-    assert [round(float(np.degrees(a))) for a, _ in incidences(data)] == [10, 30, 60]
+    assert [round(float(np.degrees(a))) for a, _ in incidences(data.directions.theta_i)] == [10, 30, 60]
     assert sorted(np.concatenate(groups)) == list(range(len(data)))
     one = observations(measure(MATTE, incidences=(30.0,)))
     groups, by = blocks(one)
