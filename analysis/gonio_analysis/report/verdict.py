@@ -120,8 +120,8 @@ def direction_of_its_own(found: Sequence[Pairs], tried: Iterable[str] = ()) -> s
 UNNOTICED = f"that is smooth over {math.degrees(SMOOTH):g}° would go unnoticed in half of the cases"
 """What is known of a misfit of a model that is not rejected."""
 TAU = (
-    "Tau is the model's own misfit, relative, with its 95 % interval; of a model that the data do not reject, a misfit"
-    f" {UNNOTICED}."
+    "Tau is the model's own misfit, relative, with its 95 % interval. Of a model that the data do not reject it is what"
+    f" may be there: a misfit of that size {UNNOTICED}."
 )
 """For tables that have such a column."""
 
