@@ -8,7 +8,12 @@ where neighbours are more than `FARTHEST` apart there is none.
 Lobes follow the mirror direction, so that positions are counted from it: r = sin(theta_r) (cos dphi, sin dphi) +
 (sin(theta_i), 0). A difference of a few hundredths of a degree between two incidences then moves the lobe along.
 
-The error of an interpolation between x_k with weights w_k is stated as the larger of two:
+Along the plane of incidence, between four neighbours that all stand clearly out of their noise, the logarithms follow
+a cubic: lobes rise by large factors, and chords of them are off by many times the noise. Its error is stated as the
+larger of two: the difference from the cubic of the values themselves, and half the difference of the two parabolas
+through three of the four logarithms.
+
+Elsewhere interpolation is linear. Its error between x_k with weights w_k is stated as the larger of two:
 
 - sum_k w_k |g_k - g| |x_k - x| / 2, with g_k the gradient that the values around x_k have, and g that of the
   interpolant. It is exact for a parabola in one dimension.
@@ -36,8 +41,14 @@ TURN = float(np.radians(0.25))
 AT_ONCE = 1 << 16
 """Directions that are turned together: their vectors take 200 bytes each."""
 
-MOST_KEPT = 300_000
-"""Directions of the interpolations that are kept for further wavelengths: they take some 200 bytes each."""
+MOST_KEPT = 200_000
+"""Directions of the interpolations that are kept for further wavelengths: they take some 300 bytes each."""
+
+CLEAR = 5.0
+"""Values have a logarithm where they are above so many standard uncertainties of their noise."""
+
+LOUD = 1.7
+"""Sum of the weights' sizes above which a cubic tells more noise than shape; at an end of even steps it is 1.63."""
 
 ON_EDGE = 1e-12
 """Share of a triangle's height: a point that is less far outside lies on its edge."""
@@ -128,7 +139,8 @@ def carry(a: Observations, b: Observations, say: Say = silent, known: Known | No
             normal = float(incident.phi_i[0]) if incident.theta_i.max() < SAME_ANGLE else None
             holes = unused.at(b, partner, gone, normal)
             between = known.between(_places(incident, normal), _places(b.directions[partner], normal), holes)
-            nodes, weights, curvature = between.nodes, between.weights, between.error(b.brdf[partner])
+            noise = b.covariance.random[partner] if b.covariance is not None else None
+            nodes, weights, curvature = between.of(b.brdf[partner], noise)
             found = nodes[:, 0] >= 0
             if not found.all():
                 reason = "outside the other's directions, or in a hole of them"
@@ -292,12 +304,22 @@ class Interpolation:
             self.nodes[part.rows], self.weights[part.rows] = part.nodes, part.weights
             self._parts.append(part)
 
-    def error(self, values: Floats) -> Floats:
-        """Error of interpolating `values` to the known directions; 0 in the same direction."""
-        out = np.zeros(len(self.nodes))
+    def of(self, values: Floats, noise: Floats | None) -> tuple[Ints, Floats, Floats]:
+        """Of values in the known directions: nodes and weights (n, m), and the error; 0 in the same direction.
+
+        `noise` is the values' independent standard uncertainty; None where none is stated.
+        """
+        nodes, weights, error = self.nodes, self.weights, np.zeros(len(self.nodes))
         for part in self._parts:
-            out[part.rows] = np.maximum(part.parabola(values), _off_logarithms(values[part.nodes], part.weights))
-        return out
+            error[part.rows] = np.maximum(part.parabola(values), _off_logarithms(values[part.nodes], part.weights))
+            if isinstance(part, _Along) and part.rows.size and part.cubic.size:
+                found, fine, off = part.finer(values, noise)
+                if nodes is self.nodes:
+                    nodes = np.concatenate([nodes, np.repeat(nodes[:, :1], 1, axis=1)], axis=1)
+                    weights = np.concatenate([weights, np.zeros((len(weights), 1))], axis=1)
+                rows = part.rows[found]
+                nodes[rows], weights[rows], error[rows] = part.around[found], fine, off
+        return nodes, weights, error
 
 
 class Known:
@@ -329,6 +351,23 @@ class _Along:
     """Their angles [rad]."""
     left: Ints
     """Place of the left neighbour among them."""
+    around: Ints
+    """(n, 4) the neighbours of cubics; empty where there are fewer."""
+    cubic: Floats
+    """(n, 4) their weights; 0 where a cubic would reach across a hole or tell noise."""
+    apart: Floats
+    """(n, 4) half the difference of the parabolas through the first three and the last three."""
+
+    def finer(self, values: Floats, noise: Floats | None) -> tuple[Ints, Floats, Floats]:
+        """Which goals cubics of logarithms reach, their weights (m, 4), and the error."""
+        f = values[self.around]
+        clear = f > (0.0 if noise is None else CLEAR * noise[self.around])
+        found = np.flatnonzero(clear.all(axis=1) & self.cubic.any(axis=1))
+        f, w = f[found], self.cubic[found]
+        logs = np.log(f)
+        value = np.exp((w * logs).sum(axis=1))
+        off = np.maximum(np.abs(value - (w * f).sum(axis=1)), value * np.abs((self.apart[found] * logs).sum(axis=1)))
+        return found, w * value[:, None] / f, off
 
     def parabola(self, values: Floats) -> Floats:
         """The error that gradients tell."""
@@ -382,7 +421,32 @@ def _along(goal: _Places, known: _Places, holes: _Places, rows: Ints, line: Ints
     rows, k, t, gap = rows[good], k[good], t[good], gap[good]
     w = (t - x[k]) / gap
     nodes = np.stack([line[k], line[k + 1], line[k]], axis=1)
-    return _Along(rows, nodes, np.stack([1 - w, w, np.zeros(w.size)], axis=1), line, x, k)
+    weights = np.stack([1 - w, w, np.zeros(w.size)], axis=1)
+    return _Along(rows, nodes, weights, line, x, k, *_cubics(line, x, k, t, blocked))
+
+
+def _cubics(line: Ints, x: Floats, left: Ints, goal: Floats, blocked: Floats) -> tuple[Ints, Floats, Floats]:
+    """`_Along.around`, `cubic` and `apart` of goals right of the nodes `left`."""
+    if x.size < 4:
+        return np.zeros((goal.size, 0), dtype=line.dtype), np.zeros((goal.size, 0)), np.zeros((goal.size, 0))
+    around = np.clip(left - 1, 0, x.size - 4)[:, None] + np.arange(4)
+    at = x[around]
+    cubic, apart = _lagrange(at, goal), np.zeros(at.shape)
+    apart[:, :3] += 0.5 * _lagrange(at[:, :3], goal)
+    apart[:, 1:] -= 0.5 * _lagrange(at[:, 1:], goal)
+    free = np.searchsorted(blocked, at[:, 0]) == np.searchsorted(blocked, at[:, 3])
+    good = free & (np.diff(at, axis=1).max(axis=1) <= FARTHEST) & (np.abs(cubic).sum(axis=1) <= LOUD)
+    return line[around], np.where(good[:, None], cubic, 0.0), apart
+
+
+def _lagrange(at: Floats, goal: Floats) -> Floats:
+    """Weights (n, m) of values at m places each, for the polynomial through them at the goals (n,)."""
+    out = np.ones(at.shape)
+    for j in range(at.shape[1]):
+        for k in range(at.shape[1]):
+            if k != j:
+                out[:, j] *= (goal - at[:, k]) / (at[:, j] - at[:, k])
+    return out
 
 
 def _off_logarithms(values: Floats, weights: Floats) -> Floats:
