@@ -23,7 +23,7 @@ from gonio.reduction.dark_signal import PATTERNS
 from gonio.reduction.merging import FALSE_ALARMS, noise_is_known
 from gonio.reduction.reference_table import brdf_of_reference, u_of_reference
 from gonio.reduction.step_rates import Reduced, Rejected
-from gonio.reduction.table import DARK, GEOMETRY, LAMP, assemble, assemble_budget, left_out
+from gonio.reduction.table import DARK, GEOMETRY, LAMP, POLARISATION, assemble, assemble_budget, left_out
 from gonio.reduction.threads import in_threads
 from gonio.reduction.values import BandResult, Cause, MeasuredBand, Values, joined, share
 from gonio.rig import calibration_files
@@ -73,8 +73,8 @@ def reduce_in_parts(run: Run, *, progress: Callable[[int, int], None] | None = N
         `s_dark_1` to `s_dark_3` (noise of the dark frames), `s_theta_i_zero`, `s_theta_r_zero` and, with those axes,
         `s_tilt_zero`, `s_azimuth_zero`, `s_spin_zero`; `s_geometry_1` to at most `s_geometry_4` (what a calibration
         leaves open of the rig's geometry); and where the rig file or a calibration tells of them `s_linearity`,
-        `s_stray_light`, `s_beam`, `s_polarisation`, `s_wavelength`, `s_bandwidth`. A plan with points behind the
-        sample gives a column `side`.
+        `s_stray_light`, `s_beam`, `s_polarisation_1` to `_12`, `s_wavelength`, `s_bandwidth`. A plan with points behind
+        the sample gives a column `side`.
 
     Raises
     ------
@@ -98,8 +98,10 @@ def reduce_in_parts(run: Run, *, progress: Callable[[int, int], None] | None = N
     frames.require_no_repeats()
     results = [_reduce_band(frames, band, steps) for band, steps in zip(run.bands, reduced, strict=True)]
     light_and_lens.add_wavelength(frames.description, results)
-    for part, names in (("dark", DARK), ("geometry", GEOMETRY), ("visits", LAMP)):
-        share([result.values for result in results], part, names)
+    columns = (("dark", DARK), ("geometry", GEOMETRY), ("visits", LAMP), ("polarisation", POLARISATION))
+    for part, names in columns:
+        if part in results[0].values.shared:
+            share([result.values for result in results], part, names)
     table = assemble(frames, results)
     table.attrs["provenance"]["not_in_budget"] = left_out(run.description, table)
     return Reduction(table, assemble_budget(table, results), results)

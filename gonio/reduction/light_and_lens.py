@@ -11,6 +11,7 @@ import math
 import numpy as np
 
 from gonio.reduction.count_rates import camera_parameters
+from gonio.reduction.unknown_shape import of_unknown_shape
 from gonio.reduction.values import BandResult, Cause, MeasuredBand, Values
 from gonio.rig import Pose, imaging, kinematics, regions
 from gonio.rig.calibration_files import covariance_of
@@ -37,11 +38,15 @@ def beam(measured: MeasuredBand, values: Values) -> None:
 
 
 def polarisation(measured: MeasuredBand, values: Values) -> None:
-    """Add `s_polarisation` where the rig file or a calibration tells how far lamp or camera polarise."""
+    """Add what polarisation does, where the rig file or a calibration tells how far lamp or camera polarise.
+
+    Its size is a bound at each point, and its shape over the directions is not known (`of_unknown_shape`).
+    """
     description = measured.description
     if description.lamp.polarisation.degree or description.camera.polarisation.degree:
         bounds = [polarisation_bound(description, point.pose) for point in measured.points]
-        values.common["s_polarisation"] = values.brdf * (np.array(bounds) / math.sqrt(3.0))
+        u = values.brdf * (np.array(bounds) / math.sqrt(3.0))
+        values.shared["polarisation"] = u[:, None] * of_unknown_shape([point.directions for point in measured.points])
 
 
 def _beam(measured: MeasuredBand, covariance: Floats, brdf: Floats) -> tuple[Floats, Floats]:

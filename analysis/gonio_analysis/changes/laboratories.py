@@ -42,9 +42,10 @@ CLOSE = 0.05
 OF_CALIBRATIONS = {
     "geometry": ("geometry",),
     "camera": ("linearity", "stray_light"),
-    "light": ("beam", "polarisation", "wavelength", "bandwidth"),
+    "light": ("beam", "wavelength", "bandwidth"),
 }
-"""What the names of the causes of a kind of calibration begin with."""
+"""What the names of the causes of a kind of calibration begin with. Of polarisation it gives a bound alone: its columns
+are patterns of one run."""
 
 
 @dataclass(frozen=True)

@@ -49,7 +49,7 @@ CAUSES = {
     "geometry": "calibrated geometry: zeros, axes, distances, lens",
 }
 """What the causes of an uncertainty are that our own reduction budgets (docs/radiometry.md), by their names."""
-BOTH = ("beam", "geometry")
+BOTH = ("beam", "geometry", "polarisation")
 """Causes of which a part is common to all values, and each value has a part of its own."""
 
 

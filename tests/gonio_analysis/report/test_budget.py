@@ -12,7 +12,16 @@ from gonio.reduction import angle_errors, table
 from gonio.reduction.table import COMPONENTS
 
 CAMERA = ("s_linearity", "s_linearity_2", "s_stray_light", "s_stray_light_2")
-COMMON = (*table.COMMON, *table.DARK, *table.GEOMETRY, *table.LIGHT, *angle_errors.CAUSES.values(), *CAMERA)
+COMMON = (
+    *table.COMMON,
+    *table.DARK,
+    *table.GEOMETRY,
+    *table.LAMP,
+    *table.POLARISATION,
+    *table.LIGHT,
+    *angle_errors.CAUSES.values(),
+    *CAMERA,
+)
 
 
 @pytest.mark.parametrize("common", [True, False])
@@ -24,7 +33,13 @@ def test_every_cause_that_a_reduction_budgets_is_told_in_words_of_its_own(common
 
 
 def test_a_common_part_and_an_own_part_of_one_cause_are_told_apart() -> None:
-    assert meaning("beam", common=True) != meaning("beam", common=False)
+    for name in ("beam", "polarisation"):
+        assert meaning(name, common=True) != meaning(name, common=False)
+
+
+def test_tables_with_one_column_of_polarisation_keep_their_words() -> None:
+    assert meaning("polarisation", common=True) == "what lamp and lens polarise"
+    assert meaning("polarisation 3", common=True) == "what lamp and lens polarise: pattern 3"
 
 
 def test_titles_of_the_panels_keep_clear_of_the_scales() -> None:
