@@ -79,7 +79,8 @@ def test_errors_that_live_on_a_lobe_agree_with_the_bound_and_not_with_one_column
     noise = np.full(len(plan), 0.005)
     bound = 0.18 * np.sin(np.radians(0.5 * (signed + theta_i))) ** 2 + 0.01
     lobe = 20.0 * np.exp(-((signed - theta_i) ** 2) / (2.0 * width_deg**2))
-    held, old = [], []
+    held: list[float] = []
+    old: list[float] = []
     for seed in range(40):
         rng = np.random.default_rng([int(width_deg), seed])
         # a lamp's unknown azimuth gives some of the bound, with either sign
