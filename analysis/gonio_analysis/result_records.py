@@ -109,6 +109,16 @@ class Reflectance:
     """Standard uncertainty of that."""
     unmeasured: float | None = None
     """Share of the light that goes where no value near by tells the misfit: only the model tells it."""
+    given: float | None = field(default=None, metadata=WHERE_KNOWN)
+    """Where a model has no level of its own: what it says by itself, given it and its n and k; `rho_dh` is at the
+    measured level."""
+    u_given: float | None = field(default=None, metadata=WHERE_KNOWN)
+    """Standard uncertainty of that."""
+
+    @property
+    def of_model(self) -> tuple[float | None, float | None]:
+        """The model's own number and its uncertainty."""
+        return (self.rho_dh, self.u) if self.given is None else (self.given, self.u_given)
 
 
 @dataclass(frozen=True)

@@ -123,6 +123,7 @@ class AnisotropicFacets(Model):
     diffuse_albedo: float = 0.0
     name: ClassVar[str] = "anisotropic"
     rank: ClassVar[int] = 7
+    assumes: ClassVar[str] = "facets that are large against the wavelength (Walter et al. 2007)"
     in_sums: ClassVar[str] = "gloss"
     has_ior: ClassVar[bool] = True
 

@@ -293,6 +293,7 @@ class Blinn(Model):
     fresnel: str
     name: ClassVar[str] = "blinn"
     rank: ClassVar[int] = 4
+    assumes: ClassVar[str] = "facets that are large against the wavelength (Torrance and Sparrow 1967)"
     in_sums: ClassVar[str] = "gloss"
     bases: ClassVar[tuple[str, ...]] = ("oren-nayar",)
     has_ior: ClassVar[bool] = True

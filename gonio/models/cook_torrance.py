@@ -158,6 +158,7 @@ class CookTorrance(Model):
     fresnel: str
     name: ClassVar[str] = "cook-torrance"
     rank: ClassVar[int] = 5
+    assumes: ClassVar[str] = "facets that are large against the wavelength (Cook and Torrance 1982, sec. 1)"
     in_sums: ClassVar[str] = "gloss"
     bases: ClassVar[tuple[str, ...]] = ("oren-nayar", "retroreflecting")
     has_ior: ClassVar[bool] = True

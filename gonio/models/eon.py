@@ -75,6 +75,7 @@ class EON(Model):
     r: float = 0.5
     name: ClassVar[str] = "eon"
     rank: ClassVar[int] = 11
+    assumes: ClassVar[str] = "facets that are large against the wavelength (Oren and Nayar 1994)"
     in_sums: ClassVar[str] = "base"
     fitted: ClassVar[Mapping[str, Fitted]] = {
         "rho": Fitted(1e-6, 1.0, starts="diffuse"),

@@ -6,7 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from gonio.errors import DataError
+from gonio.models.corrected import Corrected
 from gonio.models.model import Model
+from gonio.models.sum import Sum
 
 INCIDENCES_DEG = (0.0, 30.0, 60.0, 75.0, 85.0)
 """Where the reflected light is added up."""
@@ -31,6 +33,10 @@ class Examination:
     """Pairs of directions whose value is below 0."""
     undefined: int
     """Pairs whose value is not a number."""
+    outside: str = ""
+    """What `outside` says."""
+    assumes: str = ""
+    """What `assumptions` says."""
 
     @property
     def too_bright(self) -> str:
@@ -46,7 +52,35 @@ class Examination:
         light = self.too_bright.removeprefix(f"{self.name} ") or share
         counted = ((self.negative, "negative"), (self.undefined, "NaN"))
         wrong = [f"{n} of {DRAWN} values are {what}" for n, what in counted if n]
-        return f"{self.name}: {'; '.join([exchanged, light, *wrong])}"
+        validity = [text.removeprefix(f"{self.name} ").rstrip(".") for text in (self.outside, self.assumes) if text]
+        return f"{self.name}: {'; '.join([exchanged, light, *wrong, *validity])}"
+
+
+def _single(model: Model) -> list[Model]:
+    """A model, or those that it is made of."""
+    if isinstance(model, Corrected):
+        return _single(model.model)
+    return [one for term, _ in model.terms for one in _single(term)] if isinstance(model, Sum) else [model]
+
+
+def outside(model: Model, wavelength_nm: float) -> str:
+    """Where a model is used outside the conditions of its own derivation, a sentence for each (`Model.outside`).
+
+    Parameters
+    ----------
+    model
+        Any model; of a sum each term counts.
+    wavelength_nm
+        Wavelength [nm].
+    """
+    found = [(one.name, one.outside(wavelength_nm)) for one in _single(model)]
+    return " ".join(f"{name} is used outside its validity: {why}." for name, why in found if why)
+
+
+def assumptions(model: Model) -> str:
+    """What a model's derivation asks of a surface that no parameter of it tells, a sentence for each model."""
+    found = {one.name: one.assumes for one in _single(model) if one.assumes}
+    return " ".join(f"{name} holds for {what}; it has no length that would tell." for name, what in found.items())
 
 
 def examine(model: Model, wavelength_nm: float = 550.0) -> Examination:
@@ -77,4 +111,5 @@ def examine(model: Model, wavelength_nm: float = 550.0) -> Examination:
             continue
         shares.append((float(rho), angle))
     most, at = max(shares, default=(math.nan, math.nan))
-    return Examination(model.name, changed, most, at, int(np.sum(there < 0.0)), int(np.sum(np.isnan(there))))
+    wrong = (int(np.sum(there < 0.0)), int(np.sum(np.isnan(there))))
+    return Examination(model.name, changed, most, at, *wrong, outside(model, wavelength_nm), assumptions(model))

@@ -93,6 +93,7 @@ class GGX(Model):
     alpha_y: float | None = None
     name: ClassVar[str] = "ggx"
     rank: ClassVar[int] = 13
+    assumes: ClassVar[str] = "facets that are large against the wavelength (Walter et al. 2007)"
     in_sums: ClassVar[str] = "weighted gloss"
     has_ior: ClassVar[bool] = True
 

@@ -52,6 +52,7 @@ class Hapke(ArrayModel):
     h_function: str = "1981"
     name: ClassVar[str] = "hapke"
     rank: ClassVar[int] = 17
+    assumes: ClassVar[str] = "particles that are large against the wavelength (Hapke 1984)"
     fitted: ClassVar[Mapping[str, Fitted]] = {
         "w": Fitted(1e-3, 1.0, starts=(0.2, 0.6, 0.95)),
         "h": Fitted(1e-3, 2.0, "log", starts=(0.03, 0.3)),

@@ -35,6 +35,9 @@ from gonio.models.parameters import (
 from gonio.typing import ArrayLike, Floats, NDArray
 
 LARGEST_UM = 1e12
+STEEP = 0.25
+"""Mean square slope above which slopes are not gentle. At it the lobe of a perfect reflector has lost a third of the
+light at normal incidence: what meets the surface twice is not in it."""
 ORDERS = (4, 6, 8, 12, 18, 27, 40)
 """Orders of the rules that integrate the lobe over the hemisphere, one after the other."""
 """Largest roughness and correlation length [um]; the inverse is the smallest correlation length. Beyond these the
@@ -122,6 +125,30 @@ class HeTorrance(Model):
             shadowing=choice("shadowing", self.shadowing, ("smith", "paper")),
             tolerance=number("tolerance", self.tolerance, min(TIERS)),
         )
+
+    def outside(self, wavelength_nm: float) -> str:
+        """Which of the paper's conditions fail: the tangent plane (sec. 2.2) and gentle slopes (sec. 3.1).
+
+        Notes
+        -----
+        The surface's heights have the autocorrelation sigma0^2 exp(-r^2/tau^2). Its derivatives at r = 0 are the mean
+        squares of slope and curvature along a line: <z'^2> = 2 (sigma0/tau)^2 and <z''^2> = 12 sigma0^2/tau^4. The
+        paper asks for a radius of curvature that is large against the wavelength, and for <z'^2> much below 1. It
+        states no number; said is what breaks a condition by any reading: a radius tau^2/(2 sqrt(3) sigma0) below one
+        wavelength, and a mean square slope above `STEEP`.
+        """
+        if self.sigma0_um == 0.0:
+            return ""
+        ratio, said = self.sigma0_um / self.tau_um, []
+        radius, wave = self.tau_um / (2.0 * math.sqrt(3.0) * ratio), 1e-3 * wavelength_nm
+        if radius < wave:
+            said.append(
+                f"the surface's radius of curvature, tau^2/(2 sqrt(3) sigma0) = {radius:.2g} um, has to be large"
+                f" against the wavelength of {wave:.3g} um"
+            )
+        if 2.0 * ratio**2 > STEEP:
+            said.append(f"its mean square slope, 2 (sigma0/tau)^2 = {2.0 * ratio**2:.2g}, has to be small against 1")
+        return " and ".join(said) + " (He et al. 1991, secs. 2.2 and 3.1)" * bool(said)
 
     @property
     def convention(self) -> str:

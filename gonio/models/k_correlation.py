@@ -25,6 +25,9 @@ from gonio.models.parameters import (
 )
 from gonio.typing import Floats
 
+ROUGH = 0.1
+"""Total integrated scatter above which the first order of the smooth-surface theory does not do."""
+
 
 @dataclass(frozen=True, repr=False)
 class KCorrelation(ArrayModel):
@@ -78,6 +81,18 @@ class KCorrelation(ArrayModel):
     def __post_init__(self) -> None:
         store(self, sigma_um=positive("sigma_um", self.sigma_um, "um"), b_um=positive("b_um", self.b_um, "um"))
         store(self, c=number("c", self.c, 1.0 + 1e-6, 10.0), ior=checked_index(self.ior))
+
+    def outside(self, wavelength_nm: float) -> str:
+        """Whether the surface is too rough for the first order: (4 pi sigma_rel/lambda)^2 has to be far below 1.
+
+        The next order is half of the square of that [Stover2012]: beyond `ROUGH` it is 5 % of the scatter.
+        """
+        if (scatter := self.tis(wavelength_nm)) <= ROUGH:
+            return ""
+        return (
+            f"its surface has to be smooth: (4 pi sigma_rel/lambda)^2 = {scatter:.2g} has to be small against 1 (Stover"
+            " 2012)"
+        )
 
     @property
     def convention(self) -> str:

@@ -58,6 +58,8 @@ class Model(ABC):
     """Bases under its gloss that are tried unasked."""
     hides_index: ClassVar[bool] = False
     """Whether no data tell n + ik of a gloss over it."""
+    assumes: ClassVar[str] = ""
+    """What its derivation asks of the surface and none of its parameters tells, after "holds for"; "" for nothing."""
     grain: ClassVar[int] = SPLIT
     """How many evaluations are worth a thread of their own."""
 
@@ -100,6 +102,10 @@ class Model(ABC):
     @classmethod
     def undetermined_by(cls, directions: Directions) -> str:
         """Why it cannot be told from other models in these directions; "" where it can."""
+        return ""
+
+    def outside(self, wavelength_nm: float) -> str:
+        """Which conditions of its derivation these parameters break at a wavelength [nm], as a clause; "" for none."""
         return ""
 
     @property

@@ -162,6 +162,7 @@ class OrenNayar(Model):
     interreflections: bool
     name: ClassVar[str] = "oren-nayar"
     rank: ClassVar[int] = 2
+    assumes: ClassVar[str] = "facets that are large against the wavelength (Oren and Nayar 1994, sec. 2)"
     in_sums: ClassVar[str] = "base"
 
     @classmethod

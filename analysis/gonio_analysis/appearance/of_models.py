@@ -25,10 +25,12 @@ if TYPE_CHECKING:
     from gonio.models import Model
     from gonio.rig.description import SampleDescription
     from gonio_analysis.fitting.fit import FitResult
+    from gonio_analysis.fitting.level import Level
 
 DEFAULT_WAVELENGTH_NM = 550.0
 KNOWN_BY_PARAMETERS = "Uncertainties are those of the sample's parameters, as its file states them."
 KNOWN_BY_MISFIT = "Values and uncertainties hold the smooth curve of the model's misfit, as the file states it."
+MEASURED_LEVEL = "The model has no level of its own: values are at the measured level, whose uncertainty theirs hold."
 SPECTRUM_NM = tuple(np.arange(400.0, 701.0, 10.0).tolist())
 """Where a model's colour is evaluated [nm]."""
 MODEL_INCIDENCES_DEG = (0.0, 8.0, 30.0, 45.0, 60.0)
@@ -59,9 +61,10 @@ def of_model(model: Model, *, name: str, source: str = "", wavelength_nm: float 
 
 
 def _of_the_model(model: Model, wavelength_nm: float) -> list[str]:
-    """What is said of the model itself: that it reflects more than it receives, that the azimuth counts."""
-    too_bright = models.examine(model, wavelength_nm).too_bright
-    return [f"{too_bright}."] * bool(too_bright) + [AZIMUTH] * model.depends_on_azimuth
+    """What is said of the model itself: that it reflects more than it receives, its validity, the azimuth."""
+    found = models.examine(model, wavelength_nm)
+    said = [f"{found.too_bright}." * bool(found.too_bright), found.outside, AZIMUTH * model.depends_on_azimuth]
+    return [text for text in said if text]
 
 
 def of_sample(sample: SampleDescription, *, source: str = "", wavelength_nm: float | None = None) -> Appearance:
@@ -146,6 +149,8 @@ def of_fit(fit: FitResult, *, name: str, source: str = "", residual: bool = Fals
     Those of a model that the data reject are off by what the values tell of its misfit, which their uncertainties
     hold. With `residual` they are those of the model with the smooth curve of its misfit.
     """
+    from gonio_analysis.fitting.level import level
+
     wavelength = DEFAULT_WAVELENGTH_NM if math.isnan(fit.wavelength_nm) else fit.wavelength_nm
     numbers = _of_model(fit.model, wavelength)
     lower, upper = fit.problem.bounds
@@ -154,7 +159,11 @@ def of_fit(fit: FitResult, *, name: str, source: str = "", residual: bool = Fals
         return fit.problem.model(point) if bool(np.all((point >= lower) & (point <= upper))) else None
 
     notes = [*fit.notes, *_of_the_model(fit.model, wavelength)]
-    _propagate(numbers, moved, fit.vector, fit.spread, wavelength, notes)
+    levers = _propagate(numbers, moved, fit.vector, fit.spread, wavelength, notes)
+    at_level = level(fit)
+    if at_level is not None and levers.size:
+        _at_level(numbers, fit.model, at_level, levers @ at_level.pull, wavelength)
+        notes.append(MEASURED_LEVEL)
     if fit.misfit is not None:
         notes += _with_misfit(numbers, fit.model, fit.misfit.correction, wavelength, corrected=residual)
     return _assembled(numbers, _length, name, source, "fit", wavelength, INCIDENCES, notes)
@@ -167,9 +176,10 @@ def _propagate(
     covariance: Floats,
     wavelength_nm: float,
     notes: list[str],
-) -> None:
+) -> Floats:
     """Give numbers of a model their gradients, in units of the independent directions of a covariance.
 
+    Returned are these directions, (k, parameters).
     `moved` is the model at a point of the parameters, None where there is none; then the slope is taken on one side.
     """
     u = np.sqrt(np.maximum(np.diag(covariance), 0.0))
@@ -185,7 +195,7 @@ def _propagate(
             notes.append("The parameters lie at bounds on both sides: uncertainties are left out.")
             for key, one in numbers.values.items():
                 numbers.values[key] = replace(one, gradient=np.full(1, np.nan))
-            return
+            return np.zeros(0)
         if len(sides) < len(ends):
             sides.append((0.0, numbers.values))
         (first, ahead), (second, behind) = sides
@@ -194,6 +204,21 @@ def _propagate(
                 gradient[k] = (ahead[key].value - behind[key].value) / (SHARE_OF_U * (first - second))
     for key, gradient in gradients.items():
         numbers.values[key] = replace(numbers.values[key], gradient=gradient)
+    return levers
+
+
+def _at_level(numbers: _Numbers, model: Model, measured: Level, pull: Floats, wavelength_nm: float) -> None:
+    """Bring numbers of a model without a level of its own to the measured level; `pull` is by their gradients' axes."""
+    slopes: dict[str, float] = {}
+    for theta_i, aspecular in MULTI_ANGLE:
+        key = _key(theta_i, aspecular)
+        if f"L {key}" in numbers.values:
+            xyz = _xyz(model, theta_i, aspecular)
+            slopes |= dict(zip((f"{letter} {key}" for letter in "Lab"), colour.lab_slope(xyz) @ xyz, strict=True))
+    for key, one in numbers.values.items():
+        per = float(slopes.get(key, one.value)) - float(one.gradient @ pull)
+        value, gradient = one.value + per * measured.off, np.append(one.gradient, per * measured.u)
+        numbers.values[key] = replace(one, value=value, gradient=gradient)
 
 
 def _length(one: Sampled) -> float | None:

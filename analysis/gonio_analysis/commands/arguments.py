@@ -10,7 +10,6 @@ from gonio.errors import ConfigError
 
 if TYPE_CHECKING:
     from gonio.models.parameters import Ior
-    from gonio_analysis.fitting.fit import FitResult
     from gonio_analysis.fitting.problem import FitRequest
 
 T = TypeVar("T")
@@ -72,12 +71,6 @@ def with_u_ior(asked: FitRequest, text: str, wavelength_nm: float) -> FitRequest
     return replace(
         asked, ior=index, fix=fix, free=(*asked.free, *moved), priors={**(asked.priors or {}), **moved}, separate=True
     )
-
-
-def given_constants(result: FitResult) -> str:
-    """What a result takes as exact, in words: optical constants that were not fitted."""
-    problem = result.problem
-    return "n, k" if problem.ior is not None and "ior" not in problem.free else ""
 
 
 def names_of(models: str) -> list[str]:

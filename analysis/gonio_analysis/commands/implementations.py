@@ -20,7 +20,7 @@ from gonio.maps import is_map
 from gonio.measurement import Reading
 from gonio_analysis import report as comparison
 from gonio_analysis import result_records as results
-from gonio_analysis.commands.arguments import given_constants, once, read_ior, with_u_ior
+from gonio_analysis.commands.arguments import once, read_ior, with_u_ior
 from gonio_analysis.fitting import fit as fitting
 from gonio_analysis.fitting import parameters, profile_likelihood, saving
 from gonio_analysis.fitting.energy import of_model
@@ -225,7 +225,7 @@ def fit(tables: list[str], asked: FitRequest, how: Reading, wanted: Wanted) -> N
         if wanted.intervals:
             out["intervals"] = results.as_json(walked)
         print(json.dumps(out, indent=1, ensure_ascii=False))
-        _say(result.notes)
+        _say(filter(None, [*result.notes, result.assumes]))
         return
     if 0 < sum(simulated) < len(tables):
         console.note("simulated: " + ", ".join(t for t, made in zip(tables, simulated, strict=True) if made))
@@ -233,7 +233,7 @@ def fit(tables: list[str], asked: FitRequest, how: Reading, wanted: Wanted) -> N
     if wanted.residual:
         console.note(after_misfit(result))
     if rho_dh:
-        console.note(reflectances(result.name, rho_dh, given=given_constants(result)))
+        console.note(reflectances(result.name, rho_dh, given=result.given))
 
 
 def _observed(table: str, u_rel: float | None, how: Reading) -> tuple[str, Observations, bool]:
@@ -270,7 +270,7 @@ def _print(result: fitting.FitResult, sample: str, walked: dict[str, Interval]) 
         between, remark = [ends] if walked else [], f"; {told}" if told else ""
         rows.add_row(name, value + (f" ({e.material})" if e.material else ""), *between, kind + remark)
     console.show(rows, of_fit(result))
-    _say(result.notes)
+    _say(filter(None, [*result.notes, result.assumes]))
 
 
 def _say(notes: Iterable[str]) -> None:

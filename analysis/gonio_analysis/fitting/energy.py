@@ -10,6 +10,7 @@ from gonio.models.corrected import UNMEASURED, folded, reflected
 from gonio.typing import Floats
 from gonio_analysis.fitting.fit import FitResult
 from gonio_analysis.fitting.forward import ByWavelength, known_wavelength, rho_angles, rho_dh
+from gonio_analysis.fitting.level import TIGHTER, Level, level
 from gonio_analysis.fitting.observations import Observations
 from gonio_analysis.result_records import Reflectance
 
@@ -22,13 +23,14 @@ ABOVE_ONE = 1e-4
 
 def too_much(found: Sequence[Reflectance]) -> bool:
     """Whether a model reflects more than it receives at one of these incidences."""
-    return any(r.rho_dh is not None and r.rho_dh > 1.0 + ABOVE_ONE for r in found)
+    return any(r.of_model[0] is not None and r.of_model[0] > 1.0 + ABOVE_ONE for r in found)
 
 
 def of_model(result: FitResult) -> list[Reflectance]:
     """rho_dh of a fitted model at `rho_angles`, with its standard uncertainty.
 
-    For a model that is not rejected it comes from the fit's covariance. For one with a misfit (docs/misfit.md) it is
+    For a model that is not rejected it comes from the fit's covariance, and where the model has no level of its own, at
+    the level of the measurement (`gonio_analysis.fitting.level`). For one with a misfit (docs/misfit.md) it is
     the integral of the misfit: what the residuals say of it, and what they leave open. The parameters count as
     far as no value near by tells the misfit. Empty for a fit of several wavelengths together.
     """
@@ -49,7 +51,20 @@ def of_model(result: FitResult) -> list[Reflectance]:
     found = [(t, float(r), float(e)) for t, r, e in zip(theta, value, u, strict=True)]
     if result.misfit is not None:
         return [_with_misfit(result, t, phi, wave, r, e) for t, r, e in found]
-    return [Reflectance(math.degrees(t), r, e if math.isfinite(e) else None, "") for t, r, e in found]
+    at_level = level(result)
+    if at_level is None:
+        return [Reflectance(math.degrees(t), r, e if math.isfinite(e) else None, "") for t, r, e in found]
+    along = jacobian[felt].T @ (result.spread[np.ix_(felt, felt)] @ at_level.pull[felt])
+    return [_measured(at_level, one, float(moves)) for one, moves in zip(found, along, strict=True)]
+
+
+def _measured(at_level: Level, found: tuple[float, float, float], along: float) -> Reflectance:
+    """rho_dh at the measured level, with the model's own where that is sharper."""
+    theta_i, value, u = found
+    measured, of_measured = at_level.applied(value, u, along)
+    if not of_measured > TIGHTER * u:
+        return Reflectance(math.degrees(theta_i), value, u if math.isfinite(u) else None, "")
+    return Reflectance(math.degrees(theta_i), measured, of_measured, "", given=value, u_given=u)
 
 
 def _with_misfit(

@@ -361,8 +361,8 @@ def known_by_blocks(result: FitResult) -> FitResult:
 
 
 def remarks(result: FitResult) -> list[str]:
-    """How well each of several tables is described, and what the data cannot tell, in words."""
-    notes = []
+    """How well each of several tables is described, what the data cannot tell, and where the model does not hold."""
+    notes = [result.outside] if result.outside else []
     for k, part in enumerate(() if result.chi_square is None else result.data.parts):
         white = result.whitened[: len(result.data)][result.data.part == k]
         notes.append(f"{part.name}: chi-square {float(white @ white):.4g} of {white.size} values.")

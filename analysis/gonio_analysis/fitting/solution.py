@@ -1,7 +1,7 @@
 """What a fit has found: parameters with their errors, how far the model is off, and what is said of both."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Self
@@ -13,6 +13,7 @@ from gonio.errors import ArgumentError
 from gonio.geometry import Directions
 from gonio.models import Corrected
 from gonio.models.corrected import folded
+from gonio.models.examine import assumptions, outside
 from gonio.models.parameters import OPTICAL
 from gonio.typing import Floats
 from gonio_analysis.fitting.forward import ByWavelength, apparent, known_wavelength
@@ -199,6 +200,27 @@ class Solution:
         felt = np.abs(slopes).max(axis=1) > 0  # a parameter that the values do not feel may be without an uncertainty
         sizes, axes = np.linalg.eigh(self.bounded_spread[np.ix_(felt, felt)])
         return np.asarray(slopes[felt].T @ (axes * np.sqrt(np.maximum(sizes, 0.0))))
+
+    @property
+    def _each(self) -> Mapping[float, Any]:
+        """The model at each wavelength [nm] that was fitted together."""
+        alone = {known_wavelength(self.wavelength_nm): self.model}
+        return self.model.models if isinstance(self.model, ByWavelength) else alone
+
+    @property
+    def outside(self) -> str:
+        """Where the model is used outside the conditions of its own derivation, in sentences; "" where it is not."""
+        return " ".join(dict.fromkeys(said for at, one in self._each.items() if (said := outside(one, at))))
+
+    @property
+    def assumes(self) -> str:
+        """What the model's derivation asks of the surface that no parameter tells, in sentences; "" for nothing."""
+        return assumptions(next(iter(self._each.values())))
+
+    @property
+    def given(self) -> str:
+        """What is taken as exact, in words: optical constants that were not fitted."""
+        return "n, k" if self.problem.ior is not None and "ior" not in self.problem.free else ""
 
     @property
     def correlation(self) -> Floats:

@@ -199,6 +199,7 @@ def _conclusion(d: Dataset, best: str | None, symmetries: Sequence[Pairs]) -> st
         told = [f"{best} is {others}{typical}.", verdict.where(f.missed)]
         told.append(f"The metric {f.fit.goal.metric} takes no account of uncertainties: nothing is rejected.")
     told.append(verdict.too_bright({name: other.rho_dh for name, other in d.fitted.items()}, best))
+    told.append(f.fit.outside)
     told.append(verdict.direction_of_its_own(symmetries, d.fitted))
     told.append(verdict.disagreement({name: other.metrics for name, other in d.fitted.items()}, best))
     return " ".join(sentence for sentence in told if sentence)

@@ -276,8 +276,9 @@ def _conventions(s: Summary) -> Group:
     lines: dict[str, list[str]] = {}
     for d in s.datasets:
         for name, f in d.models.items():
-            if f.fit.model.convention not in lines.setdefault(name, []):
-                lines[name].append(f.fit.model.convention)
+            said = " ".join([f.fit.model.convention, *filter(None, [f.fit.assumes])])
+            if said not in lines.setdefault(name, []):
+                lines[name].append(said)
     return section(
         [
             Heading(2, "Conventions"),

@@ -207,7 +207,7 @@ def _energy(d: DatasetSummary) -> list[Block]:
     if at:
         caption = (
             "Directional-hemispherical reflectance rho_dh by angle of incidence: the share of the light that is"
-            " reflected. Uncertainties of models follow from the covariance of their parameters"
+            " reflected, at the measured level. Uncertainties of models follow from the covariance of their parameters"
             + (", which rests on the assumed uncertainty." if d.u_rel_assumed is not None else ".")
             + _of_misfits(d)
         )
@@ -216,6 +216,8 @@ def _energy(d: DatasetSummary) -> list[Block]:
     for reason, angles in reasons(d.rho_dh).items():
         where = f"at θi = {', '.join(dict.fromkeys(angles))}" if len(angles) <= 8 else f"at {len(angles)} incidences"
         said.append(f"The measurement's own rho_dh {where}: {reason}.")
+    for name, f in d.models.items():
+        said += filter(None, [verdict.conditional(name, f.rho_dh, f.fit.given)])
     for name, found in d.rho_dh_near.items():
         shares = {r.theta_i_deg: r.unmeasured for r in found if r.unmeasured}
         far = ", ".join(f"{percent(share)} at θi = {angle(at)}" for at, share in shares.items() if share > FAR)

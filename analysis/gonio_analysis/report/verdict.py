@@ -27,20 +27,29 @@ NOT_SMALL = 0.5
 CLEARLY = 1.05
 """A metric names another model where that one is better by this factor; less is no disagreement."""
 JUDGES = ("log_ratio", "ngan", "cube_root")
-"""Whose winners are compared with that of the fit's own metric."""
+"""Whose winners are compared with each other."""
 
 
 def disagreement(metrics: Mapping[str, Mapping[str, float | None]], best: str) -> str:
-    """Which metrics name another model than `best`, as a sentence; "" where none does."""
-    others: dict[str, list[str]] = {}
+    """Where metrics name different models, which, as a sentence; "" where one model is nearest by all of them.
+
+    How far off `best`, the one that a page puts first, is by each stands beside it.
+    """
+    nearest: dict[str, list[str]] = {}
+    alike = set(metrics)
     for name in JUDGES:
         known = {model: v for model, values in metrics.items() if (v := values.get(name)) is not None}
-        first, own = min(known, key=known.__getitem__, default=best), known.get(best)
-        if first != best and (own is None or own > CLEARLY * known[first]):
-            off = "" if own is None else f" ({best} is {own / max(known[first], 1e-300):.2g} times as far off by it)"
-            others.setdefault(first, []).append(DESCRIPTIONS[name][0] + off)
-    said = "; ".join(f"{model} is nearest by {' and by '.join(labels)}" for model, labels in others.items())
-    return f"The metrics disagree about the nearest: {said}." if said else ""
+        if not known:
+            continue
+        first = min(known, key=known.__getitem__)
+        alike &= {model for model, v in known.items() if v <= CLEARLY * known[first]}
+        own = known.get(best)
+        off = "" if own is None or best == first else f" ({best} is {own / max(known[first], 1e-300):.2g} times as far"
+        nearest.setdefault(first, []).append(DESCRIPTIONS[name][0] + (off and f"{off} off by it)"))
+    if alike or len(nearest) < 2:
+        return ""
+    said = "; ".join(f"{model} is nearest by {' and by '.join(labels)}" for model, labels in nearest.items())
+    return f"The metrics disagree about the nearest: {said}."
 
 
 def of_fit(result: FitResult) -> str:
@@ -78,11 +87,11 @@ def where(missed: Region | None) -> str:
 
 def too_bright(found: Mapping[str, Sequence[Reflectance]], best: str) -> str:
     """Which models reflect more than they receive, as sentences; "" where none does."""
-    worst = {m: max(rs, key=lambda r: r.rho_dh or 0.0) for m, rs in found.items() if too_much(rs)}
+    worst = {m: max(rs, key=lambda r: r.of_model[0] or 0.0) for m, rs in found.items() if too_much(rs)}
     if not worst:
         return ""
     said = [
-        f"{m} (rho_dh = {with_u(r.rho_dh, r.u)} at θi = {angle(r.theta_i_deg)})"
+        f"{m} (rho_dh = {with_u(*r.of_model)} at θi = {angle(r.theta_i_deg)})"
         for m, r in sorted(worst.items(), key=lambda item: item[0] != best)
     ]
     verb = "reflects more than it receives" if len(said) == 1 else "reflect more than they receive"
@@ -92,13 +101,25 @@ def too_bright(found: Mapping[str, Sequence[Reflectance]], best: str) -> str:
 def reflectances(model: str, found: Sequence[Reflectance], given: str = "") -> str:
     """rho_dh of one model as a line, with a word on what is above 1; "" where there is none.
 
-    `given` is what its uncertainty takes as exact.
+    `given` is what the model takes as exact: see `conditional`.
     """
     if not found:
         return ""
     line = ", ".join(f"{with_u(r.rho_dh, r.u)} at {angle(r.theta_i_deg)}" for r in found)
-    exact = f" (given {given})" if given else ""
-    return f"rho_dh, by angle of incidence{exact}: {line}. {too_bright({model: found}, model)}".rstrip()
+    alone = conditional(model, found, given)
+    exact = " at the measured level" if alone else f" (given {given})" if given else ""
+    said = [f"rho_dh, by angle of incidence{exact}: {line}.", alone, too_bright({model: found}, model)]
+    return " ".join(text for text in said if text)
+
+
+def conditional(model: str, found: Sequence[Reflectance], given: str = "") -> str:
+    """rho_dh that a model without a level of its own says by itself, as a sentence with its condition; "" for others.
+
+    `given` is what it takes as exact, as "n, k".
+    """
+    alone = [f"{with_u(r.given, r.u_given)} at {angle(r.theta_i_deg)}" for r in found if r.given is not None]
+    exact = f"{model}, {given.replace(', ', ' and ')}" if given else model
+    return f"Given {exact} alone, rho_dh would be {', '.join(alone)}." if alone else ""
 
 
 def direction_of_its_own(found: Sequence[Pairs], tried: Iterable[str] = ()) -> str:
@@ -202,8 +223,8 @@ def _rule(choice: Choice, stated: bool) -> str:
     said = [TAU] if any(c.fit.tau is not None for c in choice.judged) else []
     if choice.near:
         said.append(
-            "The nearest model predicts best, as logarithms, what was left out; another one is as near where the"
-            " difference lies within twice its own uncertainty."
+            "The nearest model predicts best, as logarithms, what was left out; another one is as near where that"
+            " difference, and that of the misfits, lie within twice their own uncertainties."
         )
     else:
         said.append(

@@ -8,6 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from gonio import shown
 from gonio.checks.values import Rows
 from gonio.cli.console import Say, silent
 from gonio.geometry import Directions
@@ -16,7 +17,7 @@ from gonio.typing import Floats
 from gonio_analysis.fitting import parameters
 from gonio_analysis.fitting.fit import FitResult
 from gonio_analysis.fitting.misfit import groupings
-from gonio_analysis.fitting.objective import smallest
+from gonio_analysis.fitting.objective import on_log_scale, smallest
 from gonio_analysis.fitting.observations import Observations
 from gonio_analysis.fitting.problem import FitRequest
 from gonio_analysis.fitting.profile_likelihood import Near
@@ -46,6 +47,14 @@ def _parts(groups: list[Rows], count: int) -> list[list[Rows]]:
 
 TOLD_APART = 2.0
 """Standard uncertainties of the difference of two models' errors beyond which they are told apart."""
+FEW = ("One angle", "Two angles", "Three angles", "Four angles")
+"""So few say little of how well a model predicts another one: with four, "twice the uncertainty" is Student's 3.2."""
+LEAST_KNOWN = 0.5
+"""Standard uncertainty of ln tau from two independent residuals; no table tells less. So a model whose misfit is 4.2
+times that of another is never as near: exp(2 sqrt(2) 0.5) = 4.1."""
+COMPARABLE = 1.5
+"""Misfits within this factor are alike, however well they are known: neither model is true, and the places measured
+are one choice of many."""
 DECISIVE = 10.0
 """Difference in AIC beyond which the worse model has essentially no support (Burnham and Anderson 2002, 2.6)."""
 MANY = 20_000
@@ -171,21 +180,54 @@ def _held_out(result: FitResult, folds: Sequence[Rows]) -> tuple[float | None, F
 
 
 def _near(judged: Sequence[Judged]) -> dict[str, float]:
-    """`Choice.near`: the weight of a model falls with its excess over the nearest, in uncertainties of that excess."""
+    """`Choice.near`: the weight of a model falls with its excess over the nearest, in uncertainties of that excess.
+
+    One whose values left out do not tell it from the nearest is as near only if its own misfit is: few blocks tell
+    little, and a model that misses by a factor more is no nearer for that.
+    """
     tested = [j for j in judged if j.misses is not None and j.fit.misfit is not None]
     if len(tested) < len(judged):  # one is not rejected, or a metric was asked for
         return {}
+    told = _told(tested)
+    alike = [j for j in tested if told[j.candidate.label] <= TOLD_APART]
+    least = min(alike, key=_departure)
+    near = [j for j in alike if not _farther(j, least)]
+    if len(near) < len(alike):
+        told = _told(near)
+    labels = [j.candidate.label for j in sorted(near, key=_prediction)]
+    return {label: math.exp(-0.5 * max(told[label], 0.0) ** 2) for label in labels}
+
+
+def _told(tested: Sequence[Judged]) -> dict[str, float]:
+    """By how much each model predicts worse what was left out than the one that does so best: see `_excess`."""
     best = min(tested, key=_prediction)
-    out = {best.candidate.label: 1.0}
-    for j in sorted(tested, key=_prediction):
+    out = {}
+    for j in tested:
         assert j.misses is not None
         assert best.misses is not None
         kept = np.isfinite(j.misses)
-        if j is not best:
-            excess = _excess(j.misses[kept], best.misses[kept], j.fit.data.directions[kept])
-            if excess <= TOLD_APART:
-                out[j.candidate.label] = math.exp(-0.5 * max(excess, 0.0) ** 2)
+        behind = _excess(j.misses[kept], best.misses[kept], j.fit.data.directions[kept])
+        out[j.candidate.label] = 0.0 if j is best else behind
     return out
+
+
+def _departure(j: Judged) -> float:
+    """How far a model is typically off the values that it was fitted to, relative: its misfit, and noise beside it."""
+    misfit, data = j.fit.misfit, j.fit.data
+    assert misfit is not None
+    stated = on_log_scale(data, misfit.small, j.fit.predicted)
+    return math.hypot(misfit.tau, 0.0 if stated is None else float(np.median(stated.random)))
+
+
+def _farther(j: Judged, least: Judged) -> bool:
+    """Whether one model is farther off its own values than another, beyond doubt and by `COMPARABLE`.
+
+    Were it as near, its residuals would be as many independent ones as the other's: each ln tau is known as well.
+    """
+    assert least.fit.misfit is not None
+    u = math.sqrt(2.0) * min(least.fit.misfit.u_log, LEAST_KNOWN)
+    behind = math.log(max(_departure(j), 1e-300) / max(_departure(least), 1e-300))
+    return behind > max(TOLD_APART * u, math.log(COMPARABLE))
 
 
 def _excess(worse: Floats, better: Floats, directions: Directions) -> float:
@@ -210,6 +252,7 @@ def _prediction(j: Judged) -> float:
 def _reject(judged: Sequence[Judged]) -> list[Judged]:
     """Why the data reject each, where they do."""
     best, near = min(judged, key=lambda j: j.aic), _near(judged)
+    nearest = next((j for j in judged if j.candidate.label == next(iter(near), None)), best)
     out = []
     for j in judged:
         p = j.fit.p_value
@@ -218,12 +261,21 @@ def _reject(judged: Sequence[Judged]) -> list[Judged]:
             why = f"reduced chi-square {j.fit.reduced_chi_square:.4g} (p {'< 0.0001' if p < 1e-4 else f'= {p:.2g}'})"
         elif near:
             if j.candidate.label not in near:
-                why = f"{next(iter(near))} predicts values that were left out better"
+                why = _behind(j, nearest)
         elif j.aic - best.aic > DECISIVE and (best.fit.p_value is None or best.fit.p_value >= SIGNIFICANCE):
             behind = j.aic - best.aic
             why = f"{best.candidate.label} describes the same values better by {behind:.{behind < 100:d}f} in AIC"
         out.append(replace(j, rejected=why))
     return out
+
+
+def _behind(j: Judged, nearest: Judged) -> str:
+    """Why a model is not as near as the nearest, in words."""
+    label = nearest.candidate.label
+    if _told([j, nearest])[j.candidate.label] > TOLD_APART:
+        return f"{label} predicts values that were left out better"
+    times = _departure(j) / max(_departure(nearest), 1e-300)
+    return f"its misfit is {shown.number(times, 2)} times that of {label}"
 
 
 def nearness(label: str, result: FitResult, fails: Region | None, near: Mapping[str, float], tried: int) -> str:
@@ -251,8 +303,21 @@ def nearness(label: str, result: FitResult, fails: Region | None, near: Mapping[
     text = f"{label} is {which}: it {result.tau.of('this sample')}{worst(fails)}."
     others = [n for n in near if n not in (label, first)]
     if others:
-        text += f" This plan cannot tell {'it' if first == label else 'either'} from {', '.join(others)}."
+        text += f" {_untold(result.data)} {'it' if first == label else 'either'} from {', '.join(others)}."
+    elif first != label and few_incidences(result.data):
+        text += f" {_untold(result.data)} the two apart."
     return text
+
+
+def few_incidences(data: Observations) -> str:
+    """As in "Three angles of incidence", where they are too few to say how well a model predicts another; else ""."""
+    count = len(incidences(data.directions.theta_i))
+    return f"{FEW[count - 1]} of incidence" if count <= len(FEW) else ""
+
+
+def _untold(data: Observations) -> str:
+    few = few_incidences(data)
+    return f"{few} {'does' if few.startswith('One ') else 'do'} not tell" if few else "This plan cannot tell"
 
 
 def _compared(judged: Sequence[Judged], named: Judged, best: Judged) -> str:
