@@ -217,7 +217,9 @@ def _energy(d: DatasetSummary) -> list[Block]:
         where = f"at θi = {', '.join(dict.fromkeys(angles))}" if len(angles) <= 8 else f"at {len(angles)} incidences"
         said.append(f"The measurement's own rho_dh {where}: {reason}.")
     for name, f in d.models.items():
-        said += filter(None, [verdict.conditional(name, f.rho_dh, f.fit.given)])
+        said += [
+            f"rho_dh {text[0].lower()}{text[1:]}" for text in [verdict.conditional(name, f.rho_dh, f.fit.given)] if text
+        ]
     for name, found in d.rho_dh_near.items():
         shares = {r.theta_i_deg: r.unmeasured for r in found if r.unmeasured}
         far = ", ".join(f"{percent(share)} at θi = {angle(at)}" for at, share in shares.items() if share > FAR)

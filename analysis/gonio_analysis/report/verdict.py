@@ -118,8 +118,8 @@ def conditional(model: str, found: Sequence[Reflectance], given: str = "") -> st
     `given` is what it takes as exact, as "n, k".
     """
     alone = [f"{with_u(r.given, r.u_given)} at {angle(r.theta_i_deg)}" for r in found if r.given is not None]
-    exact = f"{model}, {given.replace(', ', ' and ')}" if given else model
-    return f"Given {exact} alone, rho_dh would be {', '.join(alone)}." if alone else ""
+    exact = f" (given {given})" if given else ""
+    return f"By {model} alone{exact}: {', '.join(alone)}." if alone else ""
 
 
 def direction_of_its_own(found: Sequence[Pairs], tried: Iterable[str] = ()) -> str:

@@ -34,7 +34,7 @@ def test_the_reference_is_in_the_uncertainty_and_the_condition_beside_the_digits
         assert abs(known(r.given) - true) < 4 * known(r.u_given)
     said = reflectances("he-torrance", of_model(result), result.given)
     assert said.startswith("rho_dh, by angle of incidence at the measured level: ")
-    assert "Given he-torrance, n and k alone, rho_dh would be " in said
+    assert "By he-torrance alone (given n, k): " in said
     eight = of_fit(result, name="rough").rho_dh_8
     (own,) = (r for r in of_model(result) if r.theta_i_deg == pytest.approx(8.0))
     # appearance follows the same rule; its slopes are taken over a tenth of a standard uncertainty
