@@ -92,7 +92,7 @@ class Reflectance:
 
     theta_i_deg: float
     rho_dh: float | None
-    """None where a table does not allow it."""
+    """None where a table does not allow it, or its directions do not determine it."""
     u: float | None
     """Standard uncertainty; None where it is not determined."""
     why: str

@@ -19,6 +19,7 @@ from gonio.typing import Floats
 from gonio_analysis.appearance.assembled import MULTI_ANGLE, RETRO, _assembled, _key, _Numbers
 from gonio_analysis.appearance.glossmeter import BOTH_COUNT, GLOSSMETERS, HAZEMETERS, gloss, parts
 from gonio_analysis.appearance.sampled import NotMeasured, Sampled
+from gonio_analysis.fitting.energy import ANYWHERE, UNDETERMINED, UNKNOWN
 from gonio_analysis.result_records import Appearance, Quantity, finite
 
 if TYPE_CHECKING:
@@ -115,8 +116,8 @@ def of_fits(parts: Sequence[tuple[float, FitResult]], *, name: str, source: str 
     Returns
     -------
     Appearance
-        Weighted means. Their variances are those of the models, and that among them. A quantity that one of the models
-        has no value of has none.
+        Weighted means. Their variances are those of the models, and that among them. A model that does not determine a
+        quantity has no weight in it; one that has none for another reason leaves none.
     """
     each = [of_fit(fit, name=name, source=source, residual=True) for _, fit in parts]
     weights = np.array([weight for weight, _ in parts])
@@ -129,9 +130,13 @@ def _mean(weights: Floats, each: Sequence[Any]) -> Any:
     """The weighted mean of quantities, or of records and lists of them."""
     first = each[0]
     if isinstance(first, Quantity):
-        for one in each:
-            if one.value is None or one.u is None:
-                return one
+        known = np.array([one.value is not None and one.u is not None for one in each])
+        missing = [one for one, there in zip(each, known, strict=True) if not there]
+        other = [one for one in missing if one.why != UNDETERMINED]
+        if other or not known.any():
+            return (other or missing)[0]
+        each = [one for one, there in zip(each, known, strict=True) if there]
+        first, weights = each[0], weights[known] / weights[known].sum()
         values, u = (np.array([getattr(one, key) for one in each]) for key in ("value", "u"))
         mean = float(weights @ values)
         return replace(first, value=mean, u=math.sqrt(float(weights @ (u**2 + (values - mean) ** 2))))
@@ -159,13 +164,15 @@ def of_fit(fit: FitResult, *, name: str, source: str = "", residual: bool = Fals
         return fit.problem.model(point) if bool(np.all((point >= lower) & (point <= upper))) else None
 
     notes = [*fit.notes, *_of_the_model(fit.model, wavelength)]
-    levers = _propagate(numbers, moved, fit.vector, fit.spread, wavelength, notes)
-    at_level = level(fit)
-    if at_level is not None and levers.size:
-        _at_level(numbers, fit.model, at_level, levers @ at_level.pull, wavelength)
-        notes.append(MEASURED_LEVEL)
     if fit.misfit is not None:
+        _propagate_far(numbers, [_of_model(fit.problem.model(point), wavelength) for point in fit.around])
         notes += _with_misfit(numbers, fit.model, fit.misfit.correction, wavelength, corrected=residual)
+    else:
+        levers = _propagate(numbers, moved, fit.vector, fit.spread, wavelength, notes)
+        at_level = level(fit)
+        if at_level is not None and levers.size:
+            _at_level(numbers, fit.model, at_level, levers @ at_level.pull, wavelength)
+            notes.append(MEASURED_LEVEL)
     return _assembled(numbers, _length, name, source, "fit", wavelength, INCIDENCES, notes)
 
 
@@ -219,6 +226,13 @@ def _at_level(numbers: _Numbers, model: Model, measured: Level, pull: Floats, wa
         per = float(slopes.get(key, one.value)) - float(one.gradient @ pull)
         value, gradient = one.value + per * measured.off, np.append(one.gradient, per * measured.u)
         numbers.values[key] = replace(one, value=value, gradient=gradient)
+
+
+def _propagate_far(numbers: _Numbers, around: Sequence[_Numbers]) -> None:
+    """The same from both ends of every direction of a covariance, each no farther than bounds and data let it go."""
+    for key, one in numbers.values.items():
+        ends = [there.values[key].value if key in there.values else one.value for there in around]
+        numbers.values[key] = replace(one, gradient=(np.array(ends) - one.value) / math.sqrt(2.0))
 
 
 def _length(one: Sampled) -> float | None:
@@ -355,8 +369,19 @@ def _with_misfit(
             )
         if left > UNMEASURED and lobe.sum() > spike:
             unmeasured.append(key)
+    _leave_out(numbers, [key for key in unmeasured if key[:2] != "L "])
     named = dict.fromkeys(_in_words(key) for key in unmeasured if key != "rho_dh_8")
     return [f"No value near tells the misfit of: {', '.join(named)}. There the model alone speaks."] if named else []
+
+
+def _leave_out(numbers: _Numbers, keys: Sequence[str]) -> None:
+    """Take back numbers of which the directions tell too little."""
+    for key in keys:
+        one = numbers.values[key]
+        most = min(UNKNOWN * one.value, ANYWHERE if key[:6] == "rho_dh" else math.inf)
+        if float(np.linalg.norm(one.gradient)) > most:
+            del numbers.values[key]
+            numbers.take(key, NotMeasured(UNDETERMINED))
 
 
 def _colour_with_misfit(

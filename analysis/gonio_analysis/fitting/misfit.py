@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from gonio.checks.values import Rows
 from gonio.geometry import Directions
-from gonio.models.corrected import Correction, folded
+from gonio.models.corrected import LEVEL, Correction, folded
 from gonio.models.gaussian_process import OF_CURVES, Coordinates, Prior, Process, Training, objective
 from gonio.typing import Floats
 from gonio_analysis.fitting.forward import sees_spike
@@ -269,7 +269,7 @@ def _prior(tau: float) -> Prior:
         centres[k], spreads[k] = math.log(share * tau), min(spreads[k], 1.0)
     centres[3] = math.log(0.7)
     spreads[-1] = 1.0
-    return Prior(centres, spreads, level=0.5 * tau, cosine=0.5 * tau)
+    return Prior(centres, spreads, level=LEVEL * tau, cosine=0.5 * tau)
 
 
 def _evenly(n: int, most: int) -> npt.NDArray[np.bool_]:

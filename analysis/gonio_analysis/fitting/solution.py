@@ -18,9 +18,10 @@ from gonio.models.parameters import OPTICAL
 from gonio.typing import Floats
 from gonio_analysis.fitting.forward import ByWavelength, apparent, known_wavelength
 from gonio_analysis.fitting.misfit import Misfit
-from gonio_analysis.fitting.objective import Objective, on_log_scale, smallest
+from gonio_analysis.fitting.objective import Objective, on_log_scale, smallest, with_misfit
 from gonio_analysis.fitting.observations import Observations
 from gonio_analysis.fitting.problem import Problem
+from gonio_analysis.fitting.propagation import points_around
 from gonio_analysis.fitting.search import STEP, derivatives
 from gonio_analysis.fitting.unnoticed import unnoticed
 from gonio_analysis.fitting.value_covariance import Covariance
@@ -28,6 +29,8 @@ from gonio_analysis.result_records import MisfitSummary, SharedGeometry, as_json
 
 SIGNIFICANCE = 0.01
 """A model is rejected where noise alone makes so large a chi-square less often than this."""
+LOOSE = 0.3
+"""Relative standard uncertainty above which slopes do not carry it any more: lobes are no straight functions."""
 ROUNDING = 1e-24
 """Scatter (squared, in the residuals' units) that a fit without one is taken to have: that of its own arithmetic."""
 
@@ -167,9 +170,13 @@ class Solution:
             raise ArgumentError("predict: of several wavelengths that are fitted together, fit one at a time")
         wave = known_wavelength(self.wavelength_nm)
         model = np.asarray(self.model.brdf(*at.angles, wavelength_nm=wave))
-        own = np.linalg.norm(self._parameter_root(at, wave), axis=1)
         if self.misfit is None:
+            own = np.linalg.norm(self._straight_root(at, wave), axis=1)
+            loose = own > LOOSE * np.abs(model)
+            if loose.any():
+                own[loose] = np.linalg.norm(self.parameter_root(at[loose], wave), axis=1)
             return model, own
+        own = np.linalg.norm(self.parameter_root(at, wave), axis=1)
         known = self.misfit.correction
         at = folded(at, self.model)
         brdf, root = known.beside(at, model)
@@ -190,8 +197,22 @@ class Solution:
         out[np.diag_indices_from(out)] = np.where(alone, limited, np.diag(out))
         return out
 
-    def _parameter_root(self, at: Directions, wave: float) -> Floats:
-        """root @ root.T is the covariance of the model's values (n, p) [1/sr] from its parameters."""
+    @cached_property
+    def around(self) -> Floats:
+        """Points of the search scale that carry the parameters' uncertainty (`propagation.points_around`)."""
+        goal = self.goal
+        if goal.weights is None and self.misfit is not None:  # nothing is stated: the misfit takes everything
+            goal = with_misfit(self.data, self.misfit.tau, self.predicted)
+        return points_around(self.problem, self.data, goal, self.vector, self.bounded_spread)
+
+    def parameter_root(self, at: Directions, wave: float) -> Floats:
+        """root @ root.T is the covariance of the model's values (n, k) [1/sr] that its parameters make."""
+        points = (self.vector, *self.around)
+        values = np.array([self.problem.model(v).brdf(*at.angles, wavelength_nm=wave) for v in points])
+        return np.asarray(values[1:] - values[0]).T / math.sqrt(2.0)
+
+    def _straight_root(self, at: Directions, wave: float) -> Floats:
+        """The same of a model that is a straight function of its parameters (n, p)."""
 
         def values(vector: Floats) -> Floats:
             return np.asarray(self.problem.model(vector).brdf(*at.angles, wavelength_nm=wave))

@@ -253,11 +253,7 @@ def section(
                 right=(1, 2, 3),
             )
         )
-    missing = (
-        f"tau_dh at {'θi = ' + ', '.join(where) if len(where) <= 8 else f'{len(where)} incidences'}: {reason}."
-        for reason, where in reasons(t.tau_dh).items()
-    )
-    return [*out, Notes(tuple(missing)), Figures(tuple(figures))]
+    return [*out, Notes(tuple(reasons("tau_dh", t.tau_dh))), Figures(tuple(figures))]
 
 
 def _beside(tau: Reflectance, rho_dh: Sequence[Reflectance]) -> tuple[str, str]:

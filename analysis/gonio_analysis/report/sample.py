@@ -212,14 +212,13 @@ def _energy(d: DatasetSummary) -> list[Block]:
             + _of_misfits(d)
         )
         out.append(table(caption, ["θi", *columns], rows, right=tuple(range(1, len(columns) + 1))))
-    said: list[Text] = []
-    for reason, angles in reasons(d.rho_dh).items():
-        where = f"at θi = {', '.join(dict.fromkeys(angles))}" if len(angles) <= 8 else f"at {len(angles)} incidences"
-        said.append(f"The measurement's own rho_dh {where}: {reason}.")
+    said: list[Text] = [*reasons("The measurement's own rho_dh", d.rho_dh)]
     for name, f in d.models.items():
         said += [
             f"rho_dh {text[0].lower()}{text[1:]}" for text in [verdict.conditional(name, f.rho_dh, f.fit.given)] if text
         ]
+        said += reasons(f"rho_dh of {name}", f.rho_dh)
+    said += reasons("rho_dh of the nearest, with the misfit,", d.rho_dh_combined)
     for name, found in d.rho_dh_near.items():
         shares = {r.theta_i_deg: r.unmeasured for r in found if r.unmeasured}
         far = ", ".join(f"{percent(share)} at θi = {angle(at)}" for at, share in shares.items() if share > FAR)

@@ -71,13 +71,17 @@ def angle(deg: float) -> str:
     return f"{round(deg, 1) + 0.0:g}°".replace("-", "−")
 
 
-def reasons(found: Sequence[Reflectance]) -> dict[str, list[str]]:
-    """Why reflectances are missing, or what was assumed -> at which angles of incidence."""
-    why: dict[str, list[str]] = {}
+def reasons(what: str, found: Sequence[Reflectance]) -> list[str]:
+    """Why reflectances are missing, or what was assumed, and at which angles of incidence, as sentences."""
+    why: dict[str, dict[str, None]] = {}
     for r in found:
         if r.why:
-            why.setdefault(r.why, []).append(angle(r.theta_i_deg))
-    return why
+            why.setdefault(r.why, {})[angle(r.theta_i_deg)] = None
+    out = []
+    for reason, at in why.items():
+        where = f"θi = {', '.join(at)}" if len(at) <= 8 else f"{len(at)} incidences"
+        out.append(f"{what} at {where}: {reason}.")
+    return out
 
 
 def unit(symbol: str) -> str:

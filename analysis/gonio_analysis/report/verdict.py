@@ -16,7 +16,7 @@ from gonio_analysis.fitting.profile_likelihood import Interval
 from gonio_analysis.fitting.solution import SIGNIFICANCE
 from gonio_analysis.fitting.unnoticed import SMOOTH
 from gonio_analysis.report.blocks import Block, Heading, Notes, Paragraph, Table, Text, code, table
-from gonio_analysis.report.text import angle, difference, glued, number, percent, with_u
+from gonio_analysis.report.text import angle, difference, glued, number, percent, reasons, with_u
 from gonio_analysis.result_records import MisfitSummary, Reflectance
 from gonio_analysis.selection.choice import Choice
 from gonio_analysis.selection.judging import DECISIVE, Judged
@@ -105,10 +105,11 @@ def reflectances(model: str, found: Sequence[Reflectance], given: str = "") -> s
     """
     if not found:
         return ""
-    line = ", ".join(f"{with_u(r.rho_dh, r.u)} at {angle(r.theta_i_deg)}" for r in found)
+    line = ", ".join(f"{with_u(r.rho_dh, r.u)} at {angle(r.theta_i_deg)}" for r in found if r.rho_dh is not None)
     alone = conditional(model, found, given)
     exact = " at the measured level" if alone else f" (given {given})" if given else ""
-    said = [f"rho_dh, by angle of incidence{exact}: {line}.", alone, too_bright({model: found}, model)]
+    said = [f"rho_dh, by angle of incidence{exact}: {line}."] if line else []
+    said += [*reasons(f"rho_dh of {model}", found), alone, too_bright({model: found}, model)]
     return " ".join(text for text in said if text)
 
 
