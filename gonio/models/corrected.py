@@ -95,7 +95,7 @@ class Correction:
         """How little values near by say of the misfit, (n,): the part of its variance that they leave, 0 to 1."""
         places = Coordinates.of(at)
         left = np.clip(self.process.variance_at(places) / self.process.prior_variance_at(places), 0.0, 1.0)
-        return np.maximum(left, 1.0 - np.exp(-((self._distance(at)[0] / FORGOTTEN) ** 2)))
+        return np.asarray(np.maximum(left, 1.0 - np.exp(-((self._distance(at)[0] / FORGOTTEN) ** 2))))
 
     def _distance(self, at: Directions) -> tuple[Floats, Floats]:
         """How far the value is that says most of each direction (n,), and how far the misfit may have grown there.
@@ -115,7 +115,7 @@ class Correction:
         """Covariance (n, n) of what the misfit may grow by between values and away from them."""
         places, size = _places(at), self._distance(at)[1]
         square = np.sum((places[:, None] - places) ** 2, axis=-1)
-        return np.outer(size, size) * np.exp(-0.5 * square / TOGETHER**2)
+        return np.asarray(np.outer(size, size) * np.exp(-0.5 * square / TOGETHER**2))
 
     @property
     def parameters(self) -> Parameters:
@@ -182,7 +182,7 @@ def _places(at: Directions) -> Floats:
     theta_h, theta_d = at.half
     grazing = theta_d - np.log(np.maximum(np.cos(theta_d), 1e-3))
     around = np.sin(theta_h) * np.sin(theta_d) * np.abs((at.dphi + np.pi) % (2 * np.pi) - np.pi)
-    return np.stack([-np.arcsinh(theta_h / PEAK), grazing, around], axis=-1) / SPACING
+    return np.asarray(np.stack([-np.arcsinh(theta_h / PEAK), grazing, around], axis=-1) / SPACING)
 
 
 class Corrected(ArrayModel):

@@ -20,6 +20,7 @@ from gonio_analysis.appearance.assembled import MULTI_ANGLE, RETRO, _assembled, 
 from gonio_analysis.appearance.glossmeter import BOTH_COUNT, GLOSSMETERS, HAZEMETERS, gloss, parts
 from gonio_analysis.appearance.sampled import NotMeasured, Sampled
 from gonio_analysis.fitting.energy import ANYWHERE, UNDETERMINED, UNKNOWN
+from gonio_analysis.fitting.propagation import axes_of
 from gonio_analysis.result_records import Appearance, Quantity, finite
 
 if TYPE_CHECKING:
@@ -43,8 +44,6 @@ FEWER = 3
 SHARE_OF_U = 0.1
 """Share of a standard uncertainty: slopes of a model's quantities are taken over it. They are straight there, and its
 effect is far above the error of the quadratures wherever the uncertainty is."""
-LEAST_VARIANCE = 1e-10
-"""Eigenvalue of a correlation below which parameters determine each other: a sample file's has twelve decimals."""
 
 
 def _sum_of(parts: Sequence[Callable[[], Sampled]], weight: float) -> Sampled:
@@ -189,11 +188,7 @@ def _propagate(
     Returned are these directions, (k, parameters).
     `moved` is the model at a point of the parameters, None where there is none; then the slope is taken on one side.
     """
-    u = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    scale = np.where(u > 0.0, u, 1.0)
-    sizes, directions = np.linalg.eigh(covariance / np.outer(scale, scale))
-    kept = sizes > LEAST_VARIANCE
-    levers = (u[:, None] * directions[:, kept] * np.sqrt(sizes[kept])).T
+    levers = axes_of(covariance)
     gradients: dict[str, Floats] = {key: np.zeros(len(levers)) for key in numbers.values}
     for k, lever in enumerate(levers):
         ends = [(sign, moved(centre + sign * SHARE_OF_U * lever)) for sign in (1.0, -1.0)]

@@ -24,7 +24,7 @@ NEAREST = 1e-4
 HALVINGS = 8
 """Steps of the search for the farthest point: right to 4 % of a standard deviation, above what an uncertainty needs."""
 LEAST_VARIANCE = 1e-10
-"""Eigenvalue of a correlation below which an axis is none."""
+"""Eigenvalue of a correlation below which parameters determine each other: a sample file's has twelve decimals."""
 
 
 def axes_of(spread: Floats) -> Floats:
@@ -48,7 +48,6 @@ def points_around(problem: Problem, data: Observations, goal: Objective, vector:
     spread : (p, p) array
         Its covariance, finite.
     """
-    lower, upper = problem.bounds
 
     def total(at: Floats) -> float:
         pulls = problem.pulls(at)
@@ -62,23 +61,26 @@ def points_around(problem: Problem, data: Observations, goal: Objective, vector:
     for axis in axes:
         straight = float(np.sum((columns @ axis) ** 2))
         allowed = least + min(BENT * max(straight, 1.0), most)
-        out += [_farthest(vector, sign * axis, lower, upper, lambda at, a=allowed: total(at) <= a) for sign in (1, -1)]
+        out += [_farthest(total, allowed, vector, sign * axis, problem.bounds) for sign in (1.0, -1.0)]
     return np.array(out).reshape(-1, vector.size)
 
 
-def _farthest(vector: Floats, axis: Floats, lower: Floats, upper: Floats, near: Callable[[Floats], bool]) -> Floats:
+def _farthest(
+    total: Callable[[Floats], float], allowed: float, vector: Floats, axis: Floats, bounds: tuple[Floats, Floats]
+) -> Floats:
     """The farthest point on a line that is inside the bounds and near the data, at most one standard deviation away."""
+    lower, upper = bounds
     with np.errstate(divide="ignore", invalid="ignore"):
         room = np.where(axis > 0, (upper - vector) / axis, np.where(axis < 0, (lower - vector) / axis, np.inf))
     far = min(1.0, max(float(room.min()), 0.0))
 
     def at(part: float) -> Floats:
-        return np.clip(vector + part * axis, lower, upper)
+        return np.asarray(np.clip(vector + part * axis, lower, upper))
 
-    if far == 0.0 or near(at(far)):
+    if far == 0.0 or total(at(far)) <= allowed:
         return at(far)
     low, high = math.log(NEAREST * far), math.log(far)
     for _ in range(HALVINGS):
         middle = 0.5 * (low + high)
-        low, high = (middle, high) if near(at(math.exp(middle))) else (low, middle)
+        low, high = (middle, high) if total(at(math.exp(middle))) <= allowed else (low, middle)
     return at(math.exp(low))
