@@ -281,7 +281,7 @@ def order_dark(port: str) -> tuple[int, bool] | None:
         there = [(program, folder) for program, folder in _guards(port) if platform.is_alive(program)]
         for program, folder in there:
             with contextlib.suppress(OSError):  # it is just being started, or is another user's
-                if folder and os.stat(folder).st_uid == os.getuid() and (said := _knock(folder)):
+                if folder and platform.is_private(os.stat(folder)) and (said := _knock(folder)):
                     return program, said == b"done"
         if over or not there:
             return None

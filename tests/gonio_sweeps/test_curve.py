@@ -396,6 +396,7 @@ def test_a_budget_that_the_first_points_do_not_fit_into_is_refused(tmp_path: Pat
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("one_id")
 def test_a_run_that_is_stopped_and_gone_on_with_is_the_same_run(tmp_path: Path) -> None:
     plan = plan_in(tmp_path, PLAN + "most_points = 19\n")
 

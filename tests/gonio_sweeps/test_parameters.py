@@ -281,6 +281,7 @@ def measured(plan: Plan, out: Path, **options: Any) -> Run:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("one_id")
 def test_a_run_reaches_its_target_and_stopping_it_changes_nothing(tmp_path: Path) -> None:
     plan = plan_in(tmp_path, PLAN.format(keys=MATTE.format(albedo=0.0045, sigma=0.2)))
     whole = measured(plan, tmp_path / "whole")

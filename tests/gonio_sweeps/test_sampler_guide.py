@@ -74,6 +74,7 @@ def here(stranger: str, monkeypatch: pytest.MonkeyPatch) -> str:
     return stranger
 
 
+@pytest.mark.usefixtures("one_id")
 def test_its_chooser_measures_and_goes_on_as_it_would_have_gone(tmp_path: Path, here: str) -> None:
     whole = measure(tmp_path, "whole")
     (end,) = [event for event in whole.events() if event["event"] == "enough"]

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import shlex
 import signal
+import sys
 import threading
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -14,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from gonio.rig.description import SampleDescription
+    from gonio.rig.description import RigDescription, SampleDescription
 
 app = typer.Typer(help="Twins of laboratory devices.", no_args_is_help=True)
 
@@ -63,13 +64,12 @@ def serve(
     stop = threading.Event()
     for number in platform.ENDING:
         signal.signal(number, lambda *_: stop.set())
+    _require_twins(choice.description)
     with Twins(choice.description, described, seed, folder=out.absolute(), scale=time_scale, tcp=tcp) as twins:
         path = out / "rig.toml"
         write_own(out, {path.name: rig_file(twins.description, Path(rig).parent).encode()})
         _require_measurable(rig, path, described)
         print(f"twins of {rig} are running, {time_scale:g} times as fast; Ctrl-C ends them")
-        if time_scale != 1.0:
-            print(f"  what is estimated by the rig file alone is the real rig's time, {time_scale:g} times as long")
         if tcp:
             print("\n".join(f"  {name}: {peer.port}" for name, peer in twins.peers.items()))
         if twins.replays:
@@ -79,13 +79,29 @@ def serve(
         elif twins.driver != "folder":
             print(f'  a tethered camera with RAW files stands in for driver = "{twins.driver}", which has no twin')
         print(f"  gonio rig check --rig {shlex.quote(str(path))}")
-        print(f"  gonio measure PLAN --rig {shlex.quote(str(path))} --out RUN --yes", flush=True)
+        print(f"  gonio measure PLAN --rig {shlex.quote(str(path))} --out RUN --yes")
+        if time_scale != 1.0:
+            print(f"  what is estimated by the rig file alone is the real rig's time, {time_scale:g} times as long")
+        sys.stdout.flush()
         if not stop.wait(after):
             for name in wanted:
                 what, _, axis = name.partition(":")
                 twins.inject(what, axis=axis or None)
                 print(f"  fault armed: {name}", flush=True)
             stop.wait()
+
+
+def _require_twins(description: RigDescription) -> None:
+    """Raise `ConfigError` where a device would be silent, which `measure` asks for."""
+    from gonio.errors import ConfigError
+
+    if "interlock" in description.devices and "axis" not in description.devices["interlock"]:
+        raise ConfigError(
+            "devices.interlock.port: a contact on a serial line has no twin; leave the table out of the file, or name "
+            "a servo's port (devices.interlock.axis)"
+        )
+    if description.lamp.monitor:
+        raise ConfigError("lamp.monitor = true: the lamp's twin has no monitor; leave the key out of the file")
 
 
 def _require_measurable(rig: str, path: Path, sample: SampleDescription | None) -> None:

@@ -419,13 +419,6 @@ def _parsed(description: RigDescription) -> _Devices:
             f'devices.light.dialect = "{devices.light.dialect}" has no twin; twins speak {", ".join(LAMPS)}'
         )
     kind, arms = ("servo", devices.servos) if devices.stages is None else ("stage", devices.stages)
-    if devices.interlock is not None and devices.interlock.axis is None:
-        raise ConfigError(
-            "devices.interlock.port: a contact on a serial line has no twin; leave the table out of the file, or name "
-            "a servo's port (devices.interlock.axis)"
-        )
-    if description.lamp.monitor:
-        raise ConfigError("lamp.monitor = true: the lamp's twin has no monitor; leave the key out of the file")
     missing = [name for name in description.axes() if name not in arms.axes]
     if missing:
         key = f"devices.{kind}s.axes.{missing[0]}"

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from gonio_sim.wire.serve import _require_measurable
+from gonio_sim.wire.serve import _require_measurable, _require_twins
 from gonio_sim.wire.twins import Twins, rig_file
 
 from gonio.acquisition.measure import find_rig
@@ -67,10 +67,10 @@ def test_axes_hang_within_their_limits(tmp_path: Path, limits: list[float]) -> N
     assert limits[0] <= math.degrees(twins.followers["camera"].encoder()) <= limits[1]
 
 
-def test_what_has_no_twin_is_named(tmp_path: Path) -> None:
+def test_what_has_no_twin_is_named() -> None:
     for described, words in (
         (changed(devices={"interlock": {"port": "/dev/ttyS9"}}), r"devices\.interlock\.port: .* no twin"),
         (changed(lamp={"monitor": True}), r"lamp\.monitor = true: .* no monitor"),
     ):
         with pytest.raises(ConfigError, match=words):
-            Twins(described, None, 0, folder=tmp_path)
+            _require_twins(described)
