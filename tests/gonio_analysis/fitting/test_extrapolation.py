@@ -123,7 +123,8 @@ def test_a_misfit_grows_away_from_the_values_and_not_at_them() -> None:
     correction = known(fit(table(two_scales, scattered(4), 4), "blinn").misfit).correction
     at = correction.directions
     assert np.max(correction._distance(at)[1]) < 1e-6  # at a value it is as far off as that value is
-    grazing = Directions.from_degrees(*(np.array([60.0, 70.0, 80.0]) * k for k in (1, 0, 1)), 180.0)
+    steep = np.array([60.0, 70.0, 80.0])
+    grazing = Directions.from_degrees(steep, np.zeros(3), steep, np.full(3, 180.0))
     grown = correction._distance(grazing)[1]
     tau = correction.process.data.prior.level * 2
     assert np.all(np.diff(grown) > 0)
@@ -191,7 +192,8 @@ def test_a_model_that_does_not_determine_a_number_has_no_weight_in_it() -> None:
     sure = Reflectance(8.0, 0.3, 0.01, "", with_misfit=0.31, u_with_misfit=0.02)
     open_ = Reflectance(8.0, None, None, energy.UNDETERMINED)
     (found,) = energy.combined([(0.5, [sure]), (1.0, [open_])])
-    assert (found.rho_dh, found.u) == (pytest.approx(0.31, rel=1e-12), pytest.approx(0.02, rel=1e-12))
+    assert found.rho_dh == pytest.approx(0.31, rel=1e-12)
+    assert found.u == pytest.approx(0.02, rel=1e-12)
     (none,) = energy.combined([(1.0, [open_]), (0.2, [open_])])
     assert (none.rho_dh, none.u, none.why) == (None, None, energy.UNDETERMINED)
 

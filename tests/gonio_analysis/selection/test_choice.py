@@ -16,7 +16,8 @@ from gonio_analysis.fitting.profile_likelihood import profiles
 from gonio_analysis.result_records import as_json
 from gonio_analysis.selection import choice as choosing
 from gonio_analysis.selection.choice import Choice, candidates, choose
-from gonio_analysis.selection.judging import Candidate, blocks, incidences
+from gonio_analysis.selection.judging import Candidate, blocks
+from gonio_analysis.selection.regions import incidences
 
 from gonio.errors import ConfigError, DataError
 from gonio.measurement import read
