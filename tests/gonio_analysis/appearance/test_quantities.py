@@ -12,6 +12,7 @@ from gonio_analysis.appearance.of_models import _mean, of_fit, of_model, of_samp
 from gonio_analysis.appearance.quantities import of_table
 from gonio_analysis.curves.in_plane import curves
 from gonio_analysis.fitting.fit import fit
+from gonio_analysis.fitting.level import level
 from gonio_analysis.fitting.observations import Observations, observations
 from gonio_analysis.report.appearance import listed
 from gonio_analysis.result_records import Quantity
@@ -259,8 +260,12 @@ def test_haze_of_a_metal_is_none(metal: Model) -> None:
 def test_the_uncertainty_of_a_fit_is_that_of_its_parameters() -> None:
     result = fit(noisy(measured(PAINT, swept(20.0, 60.0)), np.random.default_rng(3)), "he-torrance", ior=1.5)
     stated = of_fit(result, name="paint")
-    drawn = np.random.default_rng(5).multivariate_normal(result.vector, result.spread, 60)
-    values = [gloss(result.problem.model(v), GLOSSMETERS[1], 550.0)[0] for v in drawn]
+    rng, at = np.random.default_rng(5), known(level(result))  # with n given the model has no level of its own
+    levels = rng.normal(0.0, at.u, 60)
+    drawn = rng.multivariate_normal(result.vector, result.spread, 60) - np.outer(levels, result.spread @ at.pull)
+    values = [
+        (1.0 + g) * gloss(result.problem.model(v), GLOSSMETERS[1], 550.0)[0] for g, v in zip(levels, drawn, strict=True)
+    ]
     # 60 draws know their scatter to 9 %; three times that
     assert known(stated.gloss_60_gu.u) == pytest.approx(np.std(values, ddof=1), rel=0.27)
     assert known(stated.rho_dh_8.u) > 0.0
