@@ -88,7 +88,7 @@ def _require_alone(file: Any, path: Path) -> None:
         """Why the file is refused; None: the next link is looked at."""
         shown = f"{path}: {name.decode('utf-8', 'replace')[:80]!r}"
         if info.type == h5py.h5l.TYPE_EXTERNAL:
-            other = file.id.links.get_val(name)[0].decode("utf-8", "replace")[:80]
+            other = _end_of(file.id.links.get_val(name)[0].decode("utf-8", "replace"))
             return f"{shown} is an external link, to the file {other!r}: {_REFUSED}"
         if info.type not in (h5py.h5l.TYPE_HARD, h5py.h5l.TYPE_SOFT):
             return f"{shown} is a link of somebody's own kind ({info.type}): {_REFUSED}"
@@ -108,14 +108,19 @@ def _require_alone(file: Any, path: Path) -> None:
 _REFUSED = "a file that reads others is not read; copy what it needs into it"
 
 
+def _end_of(path: str) -> str:
+    """A path of somebody's choice, in a message: its end tells the file."""
+    return path if len(path) <= 80 else f"...{path[-77:]}"
+
+
 def _require_within(dataset: Any, shown: str) -> None:
     h5py = library()
     plist = dataset.get_create_plist()
     if plist.get_external_count():
-        other = plist.get_external(0)[0].decode("utf-8", "replace")[:80]
+        other = _end_of(plist.get_external(0)[0].decode("utf-8", "replace"))
         raise DataError(f"{shown} has its values in the file {other!r} (external storage): {_REFUSED}")
     if plist.get_layout() == h5py.h5d.VIRTUAL:
-        others = sorted({plist.get_virtual_filename(k)[:80] for k in range(min(plist.get_virtual_count(), 100))})
+        others = sorted({_end_of(plist.get_virtual_filename(k)) for k in range(min(plist.get_virtual_count(), 100))})
         raise DataError(f"{shown} is virtual, of the files {', '.join(map(repr, others[:3])) or 'none'}: {_REFUSED}")
     if plist.get_layout() == h5py.h5d.CHUNKED:
         codes = [plist.get_filter(k)[0] for k in range(plist.get_nfilters())]

@@ -11,6 +11,7 @@ import pytest
 import tomli_w
 from gonio_analysis.appearance.of_models import of_fit
 from gonio_analysis.fitting.fit import FitResult, fit
+from gonio_analysis.fitting.level import level
 from gonio_analysis.fitting.saving import save
 from gonio_analysis.report.appearance import of
 
@@ -49,8 +50,13 @@ def test_uncertainties_of_appearance_come_back_from_the_file(
     result = fitted(model, name, **options)
     save(result, tmp_path / "sample.toml", name="paint", source="a table")
     exact, stored = of_fit(result, name="paint"), of(str(tmp_path / "sample.toml"))
+    measured_level = level(result) is not None  # the fit's numbers are at it, the file's are the model's own
     for key in ("gloss_20_gu", "gloss_60_gu", "gloss_85_gu", "rho_dh_8", "radiance_factor_45_0"):
         one, other = getattr(exact, key), getattr(stored, key)
+        if measured_level:
+            assert abs(known(other.value) - known(one.value)) < 3.0 * known(one.u), key  # by the noise of the level
+            assert known(other.u) < 1.02 * known(one.u), key
+            continue
         assert known(other.value) == pytest.approx(known(one.value), rel=1e-9), key  # the same arguments
         # arguments follow the search scale to first order, and a gloss is bent over a standard uncertainty
         assert known(other.u) == pytest.approx(known(one.u), rel=0.02), key
