@@ -300,12 +300,7 @@ def repair(path: str | Path, *, progress: Progress | None = None) -> Repaired | 
     """
     run = Run.open(path)
     journal = run.path / "journal.jsonl"
-    if not os.path.lexists(run.path / "frames"):
-        raise ConfigError(f"{run.path}: holds no frames: there is nothing to make a journal from")
-    if os.path.lexists(run.path / "plan.csv"):
-        _ = run.planned
-    _listed(run.path / "frames")
-    require_frames_only(run, os.listdir(run.path / "frames"))
+    _require_frames(run)
     with _held(journal) as before:
         events, torn = readable(before)
         kept = len(events)
@@ -335,6 +330,16 @@ def repair(path: str | Path, *, progress: Progress | None = None) -> Repaired | 
                 new[0] |= run.identity
             write_whole(journal, b"".join(encode(numbered(event, n)) for n, event in enumerate(new)))
     return found
+
+
+def _require_frames(run: Run) -> None:
+    """Raise `ConfigError` or `DataError` where there is nothing to make a journal from, or something strange."""
+    if not os.path.lexists(run.path / "frames"):
+        raise ConfigError(f"{run.path}: holds no frames: there is nothing to make a journal from")
+    if os.path.lexists(run.path / "plan.csv"):
+        _ = run.planned
+    _listed(run.path / "frames")
+    require_frames_only(run, os.listdir(run.path / "frames"))
 
 
 @contextlib.contextmanager

@@ -39,19 +39,12 @@ def convert(
 ) -> None:  # fmt: skip
     """Convert a measurement, or a model, to another file format. By file ending, or by a format's name."""
     from gonio import measurement, plugins
-    from gonio.acquisition.run_folder import check_writable
-    from gonio.disk import is_stream
 
     if target_format == _TEXTURES:
         _textures(source, target, source_format or columns or blank or wavelength_nm)
         return
-    if target.is_dir():
-        raise ConfigError(f"{target}: is a folder; name the file to write in it, as {target / 'table.csv'}")
     original = Path(measurement.split(source)[0])
-    if target.is_file() and original.exists() and target.samefile(original):
-        raise ConfigError(f"{target}: is the file that is converted, and is not replaced; name another")
-    if not is_stream(target):
-        check_writable(target.parent)
+    _require_place(target, original)
     how = reading(columns, blank)
     exports = plugins.available("gonio.exports")
     if target_format is not None:
@@ -89,6 +82,19 @@ def convert(
         console.note(remark)
     remember([source], how)
     _done(target, done)
+
+
+def _require_place(target: Path, original: Path) -> None:
+    """Raise `ConfigError` where nothing can be written to the target, or it is what is read."""
+    from gonio.acquisition.run_folder import check_writable
+    from gonio.disk import is_stream
+
+    if target.is_dir():
+        raise ConfigError(f"{target}: is a folder; name the file to write in it, as {target / 'table.csv'}")
+    if target.is_file() and original.exists() and target.samefile(original):
+        raise ConfigError(f"{target}: is the file that is converted, and is not replaced; name another")
+    if not is_stream(target):
+        check_writable(target.parent)
 
 
 def _model(source: str, target: Path, to: str | None) -> tuple[list[str], str]:

@@ -42,7 +42,6 @@ def read(data: bytes, path: Path) -> DataFrame:
     """The measurement table in ALTA text; `DataError` says what is wrong with the file, and where."""
     text = Text(data, path)
     keywords: dict[str, str] = {}
-    lines = []
     for content in text.lines:
         if content.startswith("#"):
             word, *rest = content[1:].split(maxsplit=1) or [""]

@@ -43,13 +43,11 @@ def read(data: bytes, path: Path) -> DataFrame:
     angles = {name: file.angles(name, count) for name in ("theta_i", "phi_i", "theta_r", "phi_r")}
     theta_i, phi_i = fold(angles["theta_i"], angles["phi_i"], slack_deg=0.001)
     theta_r, phi_r = fold(angles["theta_r"], angles["phi_r"], slack_deg=0.001)
-    notes = []
     units = {"nm": 1.0, "μm": 1000.0}
     stated = [file.numbers(name, units, count) for name in ("wavelength_i", "wavelength_r") if name in section]
     if stated and not np.array_equal(stated[0], stated[-1]):
         raise DataError(f"{path}: data.wavelength_r differs from data.wavelength_i; fluorescence is not a BRDF")
-    if not stated:
-        notes.append("the file states no wavelength")
+    notes = [] if stated else ["the file states no wavelength"]
     u_brdf = _uncertainty(file, brdf)
     notes.append(
         "the file states no uncertainties"
@@ -84,8 +82,7 @@ def read(data: bytes, path: Path) -> DataFrame:
     for name in columns:
         if name.startswith("s_"):
             frame.insert(len(frame.columns) - 1, name, columns[name])
-    raw = np.column_stack([angles[name] for name in ("theta_i", "phi_i", "theta_r", "phi_r")])
-    frame = one_value_a_direction(frame, raw, path)
+    frame = one_value_a_direction(frame, np.column_stack(list(angles.values())), path)
     if isinstance(own := get(metadata, "adhoc_section.gonio"), dict):
         frame.attrs.update(checked_attributes(own | {"source_file": str(path)}, f"{path}: metadata.adhoc_section"))
     return frame

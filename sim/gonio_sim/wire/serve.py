@@ -16,6 +16,7 @@ import typer
 
 if TYPE_CHECKING:
     from gonio.rig.description import RigDescription, SampleDescription
+    from gonio_sim.wire.twins import Twins
 
 app = typer.Typer(help="Twins of laboratory devices.", no_args_is_help=True)
 
@@ -69,26 +70,29 @@ def serve(
         path = out / "rig.toml"
         write_own(out, {path.name: rig_file(twins.description, Path(rig).parent).encode()})
         _require_measurable(rig, path, described)
-        print(f"twins of {rig} are running, {time_scale:g} times as fast; Ctrl-C ends them")
-        if tcp:
-            print("\n".join(f"  {name}: {peer.port}" for name, peer in twins.peers.items()))
-        if twins.replays:
-            print(
-                f"  the camera has no twin: the images in {twins.description.devices['camera']['folder']} are replayed"
-            )
-        elif twins.driver != "folder":
-            print(f'  a tethered camera with RAW files stands in for driver = "{twins.driver}", which has no twin')
-        print(f"  gonio rig check --rig {shlex.quote(str(path))}")
-        print(f"  gonio measure PLAN --rig {shlex.quote(str(path))} --out RUN --yes")
-        if time_scale != 1.0:
-            print(f"  what is estimated by the rig file alone is the real rig's time, {time_scale:g} times as long")
-        sys.stdout.flush()
+        _announce(rig, path, twins)
         if not stop.wait(after):
             for name in wanted:
                 what, _, axis = name.partition(":")
                 twins.inject(what, axis=axis or None)
                 print(f"  fault armed: {name}", flush=True)
             stop.wait()
+
+
+def _announce(rig: str, path: Path, twins: Twins) -> None:
+    """What runs, and what to type next."""
+    print(f"twins of {rig} are running, {twins.scale:g} times as fast; Ctrl-C ends them")
+    if twins.tcp:
+        print("\n".join(f"  {name}: {peer.port}" for name, peer in twins.peers.items()))
+    if twins.replays:
+        print(f"  the camera has no twin: the images in {twins.description.devices['camera']['folder']} are replayed")
+    elif twins.driver != "folder":
+        print(f'  a tethered camera with RAW files stands in for driver = "{twins.driver}", which has no twin')
+    print(f"  gonio rig check --rig {shlex.quote(str(path))}")
+    print(f"  gonio measure PLAN --rig {shlex.quote(str(path))} --out RUN --yes")
+    if twins.scale != 1.0:
+        print(f"  what is estimated by the rig file alone is the real rig's time, {twins.scale:g} times as long")
+    sys.stdout.flush()
 
 
 def _require_twins(description: RigDescription) -> None:

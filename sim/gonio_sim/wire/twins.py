@@ -213,7 +213,7 @@ class Twins:
         if not scale > 0:
             raise ConfigError(f"--time-scale {scale:g}: must be positive")
         self._devices = _parsed(description)
-        self._folder, self._tcp = folder, tcp
+        self._folder, self.tcp = folder, tcp
         self.scale = scale
         self.faults = fault_names.Faults()
         self._clock = scaled_clock(scale)
@@ -294,7 +294,7 @@ class Twins:
 
     def _peer(self, name: str, device: Device) -> SerialPeer | SocketPeer:
         tells = name == "lamp" and self.lamp.resets_on_open
-        if not self._tcp:
+        if not self.tcp:
             return SerialPeer(device, self._folder / name, tells_opening=tells)
         speed = {"servos": self._devices.servos.baud, "lamp": self.lamp.bauds[0]}.get(name, STAGE_BAUD)
         return SocketPeer(device, speed, tells_opening=tells)
