@@ -111,7 +111,7 @@ class Reflectance:
     """Share of the light that goes where no value near by tells the misfit: only the model tells it."""
     given: float | None = field(default=None, metadata=WHERE_KNOWN)
     """Where a model has no level of its own: what it says by itself, given it and its n and k; `rho_dh` is at the
-    measured level."""
+    measured level. Where the directions leave `rho_dh` open: the model's integral, which bounds of energy judge."""
     u_given: float | None = field(default=None, metadata=WHERE_KNOWN)
     """Standard uncertainty of that."""
 

@@ -35,10 +35,10 @@ __all__ = ["lamp"]
 
 QUICK = (
     "from gonio.acquisition import waits; from gonio_drivers import guard, light; "
-    "waits.WAITS_S['lamp'] = (0.1, 0.1, 0.1); light.STILL_S = 4.0; guard.ANSWER_S = 2.0; guard.LOOK_S = 0.2; "
+    "waits.WAITS_S['lamp'] = (0.1, 0.1, 0.1); light.STILL_S = 15.0; guard.ANSWER_S = 2.0; guard.LOOK_S = 0.2; "
     "from gonio.cli import main; main()"
 )
-"""The command with short waits: what is stated as a minute are four seconds here."""
+"""The command with short waits: what is stated as a minute are 15 seconds here, which a busy machine keeps."""
 PHASES = ["dark frames", "warm-up", "exposure", "move", "darkening"]
 
 

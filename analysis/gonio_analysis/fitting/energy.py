@@ -80,7 +80,7 @@ def _stated(found: Reflectance) -> Reflectance:
     """A reflectance that is known; of one that may be anywhere no number is left."""
     if found.rho_dh is None or found.u is None or found.u <= min(UNKNOWN * found.rho_dh, ANYWHERE):
         return found
-    return Reflectance(found.theta_i_deg, None, None, UNDETERMINED, unmeasured=found.unmeasured)
+    return Reflectance(found.theta_i_deg, None, None, UNDETERMINED, unmeasured=found.unmeasured, given=found.rho_dh)
 
 
 def _with_misfit(result: FitResult, theta_i: float, phi_i: float, wave: float, value: float) -> Reflectance:

@@ -118,7 +118,7 @@ def conditional(model: str, found: Sequence[Reflectance], given: str = "") -> st
 
     `given` is what it takes as exact, as "n, k".
     """
-    alone = [f"{with_u(r.given, r.u_given)} at {angle(r.theta_i_deg)}" for r in found if r.given is not None]
+    alone = [f"{with_u(r.given, r.u_given)} at {angle(r.theta_i_deg)}" for r in found if r.u_given is not None]
     exact = f" (given {given})" if given else ""
     return f"By {model} alone{exact}: {', '.join(alone)}." if alone else ""
 

@@ -107,8 +107,9 @@ def test_a_fit_within_the_bound_reflects_no_more_than_it_receives() -> None:
     frame = measure(bright, noise=0.01, floor=0.0, incidences=(10.0, 30.0))
     free = fit(frame, "phong")
     held = fit(frame, "phong", energy=True)
-    assert max(r.rho_dh or 0 for r in energy.of_model(free)) > 5
-    assert 0.99 < max(r.rho_dh or 0 for r in energy.of_model(held)) <= 1.0 + energy.ABOVE_ONE  # on the bound
+    # two incidences in the plane leave it open, and the model's own number is judged all the same
+    assert max(r.of_model[0] or 0 for r in energy.of_model(free)) > 5
+    assert 0.99 < max(r.of_model[0] or 0 for r in energy.of_model(held)) <= 1.0 + energy.ABOVE_ONE  # on the bound
     assert any("bound to 1" in n for n in held.notes)
     assert known(held.reduced_chi_square) > 100  # and the data say so
 
