@@ -229,7 +229,7 @@ def write(
 
     bare = {"index.html": titled(summary.title)}
     pages = lost.kept("the page", lambda: page.render(summary, drawn, views), lambda loss: bare)
-    files.write_pages(folder, pages, summary, every, printed=True)
+    files.write_pages(folder, pages, summary, every)
     return summary
 
 

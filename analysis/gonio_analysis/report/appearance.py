@@ -140,7 +140,7 @@ def make(a: Appearance, out: str | Path, *, command: str = "") -> Path:
         figures, made = FigureWorkers().draw(drawings), stamp(command)
         summary = {**as_json(a), **made, "figures": figures}
         page = lost.kept("the page", lambda: _page(a, made, figures), lambda loss: titled(a.title))
-        files.write_page(stage.work, page, summary, figures, printed=True)
+        files.write_page(stage.work, page, summary, figures)
     return Path(out) / "index.html"
 
 
@@ -221,9 +221,15 @@ def _signed(angle: float) -> str:
     return f"{angle:g}".replace("-", "−")
 
 
+def _in_short(a: Appearance | None) -> str:
+    """The first quantities that are known."""
+    rows = [] if a is None else [one for one in listed(a, reflectances=False) if one.value != "–"]
+    return ", ".join(f"{one.label}: {one.value}" for one in rows[:2])
+
+
 def _beside(d: DatasetSummary, figures: object) -> list[Block]:
     quantities = None if d.appearance is None else known(d.appearance)
-    return [] if quantities is None else [Heading(3, "Appearance"), quantities]
+    return [] if quantities is None else [Heading(3, "Appearance", _in_short(d.appearance)), quantities]
 
 
 SECTIONS = (Section("appearance", _beside),)

@@ -103,7 +103,7 @@ def mueller_section(m: Polarisation, figures: Sequence[Figure]) -> list[Block]:
     ]
     header = ["element", "values", "rms", "mean residual", "rms residual", "χ² a value"]
     return [
-        Heading(3, "Polarisation: Mueller matrix"),
+        Heading(3, "Polarisation: Mueller matrix", f"{m.points} values"),
         Paragraph(words),
         Figures(tuple(figures)),
         table("", header, rows, right=(1, 2, 3, 4, 5)),
@@ -237,7 +237,9 @@ def section(
     rows += [("values used", f"{len(at)} of {t.rows}" + (f"; left out: {left_out}" if left_out else ""))]
     rows += [] if math.isnan(t.wavelength_nm) else [("wavelength", f"{t.wavelength_nm:g} nm")]
     rows.append(("BTDF", f"{number(float(at.brdf.min()))} to {number(float(at.brdf.max()))} sr⁻¹"))
-    out: list[Block] = [Heading(3, title), facts(rows), notes(t.notes)]
+    first = next((tau for tau in t.tau_dh if tau.rho_dh is not None), None)
+    short = "" if first is None else f"lets {with_u(first.rho_dh, first.u)} through at {angle(first.theta_i_deg)}"
+    out: list[Block] = [Heading(3, title, short, open=True), facts(rows), notes(t.notes)]
     known = [
         [angle(tau.theta_i_deg), with_u(tau.rho_dh, tau.u), *_beside(tau, rho_dh)]
         for tau in t.tau_dh

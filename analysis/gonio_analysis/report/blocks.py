@@ -1,12 +1,12 @@
 """What a page is made of: headings, paragraphs, tables, facts, figures, notes and the interactive plot.
 
-`gonio_analysis.report.html` and `gonio_analysis.report.pdf` write the same blocks; neither reads what the other wrote.
+`gonio_analysis.report.frame` puts them in the order of a page; `gonio_analysis.report.html` writes them.
 """
 
 import datetime
 import platform
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib.metadata import version
 from typing import Any, Literal, TypedDict
 
@@ -41,12 +41,14 @@ def stamp(command: str) -> Stamp:
 
 @dataclass(frozen=True)
 class Span:
-    """Some words of a text that look different from the others, or lead elsewhere."""
+    """Some words of a text that look different from the others, lead elsewhere, or are explained at a touch."""
 
     text: str
-    look: Literal["", "strong", "code", "break"] = ""
-    """"break" begins a new line; it reads as its text where there are no lines."""
+    look: Literal["", "strong", "code", "name", "break"] = ""
+    """"name" stays on one line; "break" begins a new line, and reads as its text where there are no lines."""
     href: str = ""
+    meaning: str = ""
+    """What the words mean, in one line."""
 
 
 Text = str | Span | tuple[str | Span, ...]
@@ -61,6 +63,11 @@ def strong(text: str) -> Span:
 def code(text: str) -> Span:
     """A name as it is typed."""
     return Span(text, "code")
+
+
+def term(text: str, meaning: str) -> Span:
+    """A term, with its meaning at a touch."""
+    return Span(text, meaning=meaning)
 
 
 def spans(text: Text) -> tuple[Span, ...]:
@@ -78,7 +85,7 @@ def plain(text: Text) -> str:
 def _glued(text: Text) -> Text:
     if isinstance(text, str):
         return glued(text)
-    return tuple(Span(glued(part.text), part.look, part.href) for part in spans(text))
+    return tuple(replace(part, text=glued(part.text)) for part in spans(text))
 
 
 class Block:
@@ -97,10 +104,17 @@ class Block:
 
 @dataclass(frozen=True)
 class Heading(Block):
-    """A heading of the page (1), a section (2) or a part of one (3)."""
+    """A heading of the page (1), a section (2) or a part of one (3).
+
+    `gonio_analysis.report.frame.folded` folds what follows one of a part, down to the next.
+    """
 
     level: Literal[1, 2, 3]
     text: str
+    result: Text = ""
+    """The part in a few words, which stand beside its heading while it is folded."""
+    open: bool = False
+    """Whether the part is unfolded at first."""
 
 
 @dataclass(frozen=True)
@@ -118,19 +132,21 @@ class Table(Block):
     """A table; the first cell of each row is its heading. See `table`."""
 
     caption: str
-    header: tuple[str, ...]
+    header: tuple[Text, ...]
     rows: tuple[tuple[Text, ...], ...]
     right: frozenset[int]
     """Columns that end at the right."""
     marks: tuple[str, ...]
     """What a row is: "best", or nothing."""
+    draws: tuple[str, ...] = ()
+    """What the interactive plot above or beside the table calls each row: a click on the row draws it."""
 
 
 @dataclass(frozen=True)
 class Facts(Block):
     """Names and values."""
 
-    rows: tuple[tuple[str, Text], ...]
+    rows: tuple[tuple[Text, Text], ...]
 
 
 @dataclass(frozen=True)
@@ -140,6 +156,8 @@ class Figures(Block):
     figures: tuple[Figure, ...]
     small: bool = False
     """Whether more than two fit into a row: pictures rather than drawings."""
+    printed: bool = False
+    """Whether they stand on paper alone, where the interactive plot that shows the same cannot."""
 
     @property
     def empty(self) -> bool:
@@ -189,11 +207,15 @@ class Footer(Block):
 
 @dataclass(frozen=True)
 class Group(Block):
-    """The head of a page, or a section that links lead to by its `slug`."""
+    """The head of a page, a section that links lead to by its `slug`, or what stands together."""
 
-    tag: Literal["header", "section"]
+    tag: Literal["header", "section", "div", "details"]
     blocks: tuple[Block, ...]
     slug: str = ""
+    look: Literal["", "answer", "beside"] = ""
+    """"answer" is the first screen; "beside" puts its parts side by side where there is room."""
+    heading: Heading | None = None
+    """Of "details": what stands there while the rest is folded."""
 
 
 @dataclass(frozen=True)
@@ -233,11 +255,12 @@ def provenance(made: Mapping[str, Any], *first: tuple[str, str], called: str = "
 
 def table(
     caption: str,
-    header: Sequence[str],
+    header: Sequence[Text],
     rows: Iterable[Sequence[Text]],
     *,
     right: tuple[int, ...] = (),
     marks: Sequence[str] = (),
+    draws: Sequence[str] = (),
     most: tuple[int, str] | None = None,
     of: tuple[int, str] | None = None,
 ) -> Table:
@@ -262,6 +285,7 @@ def table(
         tuple(tuple(row[k] for k in kept if k < len(row)) for row in every),
         frozenset(new for new, k in enumerate(kept) if k in right),
         tuple(marks),
+        tuple(draws),
     )
 
 

@@ -97,6 +97,18 @@ def section(found: BudgetFacts, figures: Sequence[Figure]) -> list[Block]:
     return [*out, Paragraph("Not in the budget:"), Notes(left_out)] if left_out else out
 
 
+def _in_short(d: DatasetSummary) -> str:
+    """The typical uncertainty of a value, and the cause that makes most of it."""
+    if not d.uncertainty_stated:
+        return "none is stated" if d.u_rel_assumed is None else f"{percent(d.u_rel_assumed)} of each value is assumed"
+    parts = of(d.run, d.wavelength_nm)
+    if parts is not None and parts.parts:
+        most = max(parts.parts, key=lambda p: p.share)
+        return f"median {percent(parts.median)}; {percent(most.share)} of the variance: {cause(most.cause)}"
+    most_of = max(d.budget[1:], key=lambda p: p.median, default=None)
+    return f"median {percent(d.median_u_rel)}" + (f"; mostly {cause(most_of.cause)}" if most_of else "")
+
+
 def _words(d: DatasetSummary, by: ByKind) -> list[Block]:
     """What is known of the values' uncertainties."""
     if d.u_rel_assumed is not None:
@@ -156,7 +168,7 @@ def _on_panels(figure: Any, *, curves: list[BudgetCurve], names: list[str], rows
 SECTIONS = (
     Section(
         "uncertainty",
-        lambda d, figures: [Heading(3, "Uncertainty"), *_words(d, figures)],
+        lambda d, figures: [Heading(3, "Uncertainty", _in_short(d)), *_words(d, figures)],
         lambda d, facts: draw(of(facts.run, facts.wavelength_nm), facts.slug),
     ),
 )

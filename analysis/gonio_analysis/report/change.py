@@ -142,7 +142,7 @@ def _write(
         "the page", lambda: _page(c, made, conclusion, runs, waves, figures, view), lambda loss: titled(_title(c))
     )
     summary = {**_summary(c, made, conclusion, runs), "wavelengths": waves, "notes": _notes(c), **last}
-    files.write_page(folder, page, summary, figures, printed=True)
+    files.write_page(folder, page, summary, figures)
 
 
 def _title(c: Change) -> str:

@@ -14,7 +14,7 @@ from gonio.checks.verdicts import Check
 from gonio_analysis.curves.in_plane import evenly
 from gonio_analysis.plots.in_plane import COLOURS, clean
 from gonio_analysis.plots.style import FAINT
-from gonio_analysis.report.blocks import Block, Figures, Heading, Notes, Paragraph, Table, Text, strong, table
+from gonio_analysis.report.blocks import Block, Figures, Heading, Notes, Table, Text, strong, table
 from gonio_analysis.report.drawing import Drawing, Figure
 from gonio_analysis.report.section import Section
 from gonio_analysis.report.text import angle, number, with_u
@@ -82,8 +82,7 @@ def section(c: ChecksSummary | None, rho: Sequence[Reflectance], figures: Sequen
     ]
     advice = [(strong(one.name), f": {one.advice}.") for one in c.checks if one.advice and one.verdict != "ok"]
     out: list[Block] = [
-        Heading(3, "Checks"),
-        Paragraph(in_words(c) + "."),
+        Heading(3, "Checks", in_words(c)),
         table("", ["check", "verdict", "what was found", "the limit"], rows),
         Notes(tuple(advice)),
         Figures(tuple(figures)),

@@ -69,6 +69,7 @@ def _dataset(d: Dataset, slug: str) -> DatasetSummary:
         return kept(f"{what} of {d.name}", make, lambda _: instead)
 
     symmetries = known("symmetries", lambda: d.symmetries, list[Pairs]())
+    said = known("the headline", lambda: _conclusion(d, best, symmetries), [d.choice.words])
     stated = covariance is not None and d.data.u_rel_assumed is None
     provenance = attrs.get("provenance") or {}
     return DatasetSummary(
@@ -110,7 +111,8 @@ def _dataset(d: Dataset, slug: str) -> DatasetSummary:
         values=[] if d.fitted else _values(d),
         usable_everywhere=len(usable(d)),
         best=best,
-        conclusion=known("the headline", lambda: _conclusion(d, best, symmetries), d.choice.words),
+        verdict=said[0],
+        conclusion=" ".join(said),
         appearance=known("quantities of appearance", lambda: _appearance(d), None),
         transmission=d.transmitted,
         mueller=known("Mueller matrices", lambda: d.polarisation, None),
@@ -173,9 +175,10 @@ def _best(d: Dataset) -> str | None:
     return min(d.fitted, key=lambda name: aic.get(name, math.inf)) if d.fitted else None
 
 
-def _conclusion(d: Dataset, best: str | None, symmetries: Sequence[Pairs]) -> str:
+def _conclusion(d: Dataset, best: str | None, symmetries: Sequence[Pairs]) -> list[str]:
+    """The verdict in one or two sentences, and after it what else is to be said."""
     if best is None:
-        return f"No model was fitted. {d.choice.words}"
+        return [f"No model was fitted. {d.choice.words}"]
     f, tried = d.fitted[best], len(d.choice.judged)
     ratio, chi = f.metrics["log_ratio"], f.fit.reduced_chi_square
     typical = "" if ratio is None else f"; model and measurement differ typically by {spoken_difference(ratio)}"
@@ -189,20 +192,19 @@ def _conclusion(d: Dataset, best: str | None, symmetries: Sequence[Pairs]) -> st
         elif f.fit.rejected:
             told.append(f"{best}: reduced chi-square {number(chi)}; {f.fit.by_chi_square}.")
     elif chi is not None:
-        which = "the simplest of the models tried that the data do not reject" if tried > 1 else "the only model tried"
-        if d.choice.named is None or f.fit.rejected:
-            which = "the best of the models tried" if tried > 1 else "the only model tried"
-        said = f"{best} is {which}: reduced chi-square {chi:.3g}, {f.fit.verdict}{typical}"
-        told = [f"{said}{verdict.unnoticed(f.fit)}."]
+        told = [verdict.of_true_model(best, f.fit, tried, named=d.choice.named is not None)]
+        told.append(f"{typical[2:3].upper()}{typical[3:]}." if typical else "")
     else:
         others = f"the nearest of the {tried} models tried" if tried > 1 else "the only model tried"
         told = [f"{best} is {others}{typical}.", verdict.where(f.missed)]
         told.append(f"The metric {f.fit.goal.metric} takes no account of uncertainties: nothing is rejected.")
-    told.append(verdict.too_bright({name: other.rho_dh for name, other in d.fitted.items()}, best))
-    told.append(f.fit.outside)
-    told.append(verdict.direction_of_its_own(symmetries, d.fitted))
-    told.append(verdict.disagreement({name: other.metrics for name, other in d.fitted.items()}, best))
-    return " ".join(sentence for sentence in told if sentence)
+    warnings = [
+        verdict.too_bright({name: other.rho_dh for name, other in d.fitted.items()}, best),
+        f.fit.outside,
+        verdict.direction_of_its_own(symmetries, d.fitted),
+        verdict.disagreement({name: other.metrics for name, other in d.fitted.items()}, best),
+    ]
+    return [sentence for sentence in (*told, *warnings) if sentence]
 
 
 def _notes(d: Dataset) -> list[str]:

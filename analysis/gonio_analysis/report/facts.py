@@ -65,7 +65,10 @@ class DatasetSummary:
     values: list[MeasuredValue]
     usable_everywhere: int
     best: str | None
+    verdict: str
+    """The answer, in one or two sentences."""
     conclusion: str
+    """The verdict, and what else is to be said about it."""
     rho_dh: list[Reflectance]
     """Directional-hemispherical reflectances of the measurement itself."""
     rho_dh_near: dict[str, list[Reflectance]]

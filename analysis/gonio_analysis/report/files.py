@@ -28,7 +28,7 @@ from gonio.errors import ConfigError, os_error_as
 from gonio.formats.text import cell_of
 from gonio.shown import visible
 from gonio.typing import Floats, JsonObject
-from gonio_analysis.report import html, lost, pdf, viewer
+from gonio_analysis.report import html, lost, viewer
 from gonio_analysis.report.blocks import Page, titled, with_notice
 from gonio_analysis.report.comparison import VALUES, usable
 from gonio_analysis.report.facts import DatasetSummary, Summary
@@ -314,26 +314,15 @@ def require(folder: str | Path) -> None:
     check_writable(shown.parent)
 
 
-def write_pages(
-    folder: Path,
-    pages: Mapping[str, Page],
-    summary: object,
-    figures: Iterable[Figure] = (),
-    *,
-    printed: bool = False,
-) -> None:
+def write_pages(folder: Path, pages: Mapping[str, Page], summary: object, figures: Iterable[Figure] = ()) -> None:
     """Write pages by the name of their file, `summary.json` and the drawings (`figures/`, as SVG and PNG).
 
-    What fails is named on the pages, which therefore come last, and in `summary.json`; `printed` as `report.pdf`, too.
+    What fails is named on the pages, which therefore come last, and in `summary.json`.
     """
     for figure in figures:
         if not figure.failed:
             lost.kept(f'files of figure "{figure.name}"', partial(_write_figure, folder, figure), lambda loss: None)
     content = lost.kept("summary.json", partial(_plain, summary), lambda loss: {})
-    if printed:
-        path = folder / "report.pdf"
-        noticed = [with_notice(page) for page in pages.values()]
-        lost.kept("report.pdf", partial(pdf.write, path, noticed), lambda loss: path.unlink(missing_ok=True))
     for name, page in pages.items():
         made = lost.kept(f"the page {name}", partial(_encoded, page), lambda loss: None)
         (folder / name).write_bytes(_encoded(titled(page.title)) if made is None else made)
@@ -364,11 +353,9 @@ def _encoded(page: Page) -> bytes:
     return html.document(with_notice(page)).encode()
 
 
-def write_page(
-    folder: Path, page: Page, summary: object, figures: Iterable[Figure] = (), *, printed: bool = False
-) -> None:
+def write_page(folder: Path, page: Page, summary: object, figures: Iterable[Figure] = ()) -> None:
     """Write `index.html`, and with it what `write_pages` writes."""
-    write_pages(folder, {"index.html": page}, summary, figures, printed=printed)
+    write_pages(folder, {"index.html": page}, summary, figures)
 
 
 def _check(final: Path, shown: Path) -> None:

@@ -66,8 +66,9 @@ def section(run: RunFacts | None, figures: Sequence[Figure]) -> list[Block]:
         for h in run.health
     ]  # fmt: skip
     head = ["device", "quantity", "lowest", "median", "highest", "highest after"]
+    waited = f"it waited {len(run.pauses)} times" if run.pauses else "it never waited"
     return [
-        Heading(3, "The health of the run"),
+        Heading(3, "The health of the run", f"{len({h.device for h in run.health})} devices; {waited}"),
         Paragraph(_extremes(run)),
         Notes(tuple(map(_pause, run.pauses[:MOST_PAUSES]))),
         *([table("Read after the frames of every step.", head, rows, right=(2, 3, 4, 5))] if rows else []),
@@ -160,7 +161,8 @@ def sessions_section(run: RunFacts | None) -> list[Block]:
     if len(bands) > len(shown) or len(run.sessions) > MOST_SESSIONS:
         caption += " summary.json has all bands and sessions."
     right = (2, *range(4, 4 + len(shown)))
-    return [Heading(3, "The sessions of the run"), Paragraph(words), table(caption, head, rows, right=right)]
+    count = f"{len(run.sessions)} sessions"
+    return [Heading(3, "The sessions of the run", count), Paragraph(words), table(caption, head, rows, right=right)]
 
 
 def _level(session: SessionSummary, band: str) -> str:

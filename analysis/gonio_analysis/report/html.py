@@ -2,27 +2,40 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cache
 from html import escape
+from importlib.metadata import version
 from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
 from gonio.shown import visible
-from gonio_analysis.report.blocks import Block, Figures, Group, Page, PixelViewer, Viewer, figures_of, spans
+from gonio_analysis.report.blocks import Block, Figures, Group, Page, PixelViewer, Viewer, figures_of, plain, spans
 from gonio_analysis.report.text import glued
 
 if TYPE_CHECKING:
     from jinja2 import Template
+
+LOOK = ("style.css", "document.html.jinja", "blocks.html.jinja", "viewer.js", "page.js")
+"""The files that say how a page looks."""
 
 
 def document(page: Page) -> str:
     """A page as HTML text."""
     shown = program() if _has(page.blocks, Viewer | PixelViewer) else ""
     shown += _file("pixels.js") if _has(page.blocks, PixelViewer) else ""
-    return _template("document").render(title=page.title, blocks=page.blocks, style=_file("style.css"), program=shown)
+    shown += _file("page.js")
+    look = {"style": _file("style.css"), "program": shown, "made_by": made_by()}
+    return _template("document").render(title=page.title, blocks=page.blocks, **look)
+
+
+def made_by() -> str:
+    """Which program made a page, and which version of the page's look: "gonio 0.2.0, page 3f2a91c7"."""
+    look = "".join(_file(name) for name in LOOK)
+    return f"gonio {version('gonio')}, page {hashlib.sha256(look.encode()).hexdigest()[:8]}"
 
 
 def program() -> str:
@@ -81,7 +94,13 @@ def _template(name: str) -> Template:
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
-    environment.filters |= {"spans": spans, "glued": glued, "embedded": _embedded, "labelled": _labelled}
+    environment.filters |= {
+        "spans": spans,
+        "plain": plain,
+        "glued": glued,
+        "embedded": _embedded,
+        "labelled": _labelled,
+    }
     return environment.get_template(name)
 
 

@@ -100,7 +100,7 @@ def make(
         tables = lost.kept("tables", lambda: _write_tables(found, stage.work / "tables"), lambda loss: [])
         last, made = {"figures": drawn, "tables": tables}, stamp(command)
         page = lost.kept("the page", lambda: _page(found, made, drawn), lambda loss: titled(_title(found)))
-        files.write_page(stage.work, page, {**_summary(found, made), **last}, drawn, printed=True)
+        files.write_page(stage.work, page, {**_summary(found, made), **last}, drawn)
     return Path(out) / "index.html"
 
 

@@ -82,7 +82,7 @@ def make(
         made = stamp(command)
         summary = {**_summary(found, specs, made), "figures": figures, "tables": tables}
         page = lost.kept("the page", lambda: _page(found, specs, made, figures), lambda loss: titled(_title(specs)))
-        files.write_page(stage.work, page, summary, figures, printed=True)
+        files.write_page(stage.work, page, summary, figures)
     return Path(out) / "index.html"
 
 

@@ -230,7 +230,7 @@ def make(
         summary = {"title": told.title, **made, "conclusion": told.conclusion, **told.summary}
         summary |= {"figures": figures, "tables": tables}
         page = lost.kept("the page", lambda: _page(told, made, figures), lambda loss: titled(told.title))
-        files.write_page(stage.work, page, summary, figures, printed=True)
+        files.write_page(stage.work, page, summary, figures)
     return Path(out) / "index.html"
 
 

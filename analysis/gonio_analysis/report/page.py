@@ -7,7 +7,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from gonio_analysis.report import beyond_reflection, blocks, html, sample
+from gonio_analysis.report import beyond_reflection, frame, html, sample
 from gonio_analysis.report.blocks import (
     MOST_ROWS,
     Block,
@@ -23,12 +23,14 @@ from gonio_analysis.report.blocks import (
     facts,
     footer,
     header,
+    lead,
     section,
     strong,
     table,
 )
 from gonio_analysis.report.drawing import Figure
 from gonio_analysis.report.facts import DatasetSummary, Summary
+from gonio_analysis.report.model_tables import fitted_words
 from gonio_analysis.report.section import part
 from gonio_analysis.report.text import difference, number, percent, slug, with_u
 from gonio_analysis.report.viewer import View
@@ -38,10 +40,10 @@ MOST_SOURCES = 50
 """Samples whose provenance stands on the page."""
 
 
-def _provenance(s: Summary) -> Group:
+def _provenance(s: Summary) -> list[Block]:
     """The section, from a summary."""
     made = [("report made", s.created), ("command", s.command or "–"), ("versions", _versions(s))]
-    out: list[Block] = [Heading(2, "Provenance"), facts(made)]
+    out: list[Block] = [Heading(3, "Provenance", f"{s.created[:10]}, gonio {s.versions['gonio']}"), facts(made)]
     if len(s.datasets) > MOST_SOURCES:
         out.append(Paragraph(f"The first {MOST_SOURCES} of {len(s.datasets)} samples; summary.json has all."))
     for d in s.datasets[:MOST_SOURCES]:
@@ -58,8 +60,8 @@ def _provenance(s: Summary) -> Group:
         rows += _flat(given)
         rows += [("calibration", _calibration(one)) for one in calibrations]
         rows += [("white reference", _reference(band)) for band in visits]
-        out += [Heading(3, d.title), facts(rows)]
-    return blocks.section(out, "provenance")
+        out += [Paragraph(strong(d.title)), facts(rows)]
+    return out
 
 
 def _versions(s: Summary | RunFacts) -> str:
@@ -133,15 +135,19 @@ def render(summary: Summary, drawn: Sequence[Sequence[Figure]], views: Sequence[
     rest = drawn[len(datasets) :]
     last = [
         *part("samples of transmission alone", title, lambda: _transmission_only(summary, rest)),
-        *part("conventions", title, lambda: [_conventions(summary)]),
-        *part("provenance", title, lambda: [_provenance(summary)]),
+        *frame.folded(
+            [
+                *part("conventions", title, lambda: _conventions(summary)),
+                *part("provenance", title, lambda: _provenance(summary)),
+            ]
+        ),
     ]
 
     def overview(place: Mapping[str, str]) -> list[Block]:
         return part("the overview", title, lambda: _overview(summary, place)) if several else []
 
-    frame = Page(title, (*overview({}), *last, FOOTER))
-    room = MOST_BYTES - html.size(html.document(frame)) - 300 * len(datasets) - 10_000
+    bare = Page(title, (*overview({}), *last, FOOTER))
+    room = MOST_BYTES - html.size(html.document(bare)) - 300 * len(datasets) - 10_000
     room -= html.size(html.program()) if any(views) else 0
     sections = [
         html.within(sample.section(summary, *parts), max(room, MOST_BYTES // 4))
@@ -182,8 +188,6 @@ def _transmission_only(s: Summary, drawn: Sequence[Sequence[Figure]]) -> list[Gr
 
 def _header(s: Summary, place: Mapping[str, str], names: Sequence[str], name: str) -> Group:
     links = [(place[d.slug], d.title) for d in s.datasets] if len(s.datasets) > 1 else []
-    if name == "index.html":
-        links += [("#conventions", "Conventions"), ("#provenance", "Provenance")]
     sub = (
         f"{'BRDF' if s.datasets else 'BTDF'} comparison, {s.created[:10]}, gonio {s.versions['gonio']}."
         " Uncertainties are standard uncertainties (k = 1)."
@@ -205,25 +209,35 @@ def _overview(s: Summary, place: Mapping[str, str]) -> list[Block]:
         link = Span(d.title, href=place.get(d.slug, f"#{d.slug}"))
         for name, f in d.models.items():
             numbers = (number(f.fit.reduced_chi_square), difference(f.metrics["log_ratio"]))
-            rows.append((link, strong(name), *numbers, sample.fitted_words(d, name, f)))
+            rows.append((link, strong(name), *numbers, fitted_words(d, name, f)))
         for name in d.skipped:
             rows.append((link, strong(name), "–", "–", "not fitted: see there"))
+    first = frame.answer(
+        [lead(text) for text in distinguished(s)],
+        [],
+        [
+            table(
+                "The nearest model of each sample, and by how much it differs typically: rms of ln(model / measured).",
+                ["sample", "best model", "typical difference", "verdict"],
+                [_headline(d, place) for d in s.datasets],
+                right=(2,),
+                most=(MOST_ROWS, "metrics.csv"),
+            )
+        ],
+    )
     return [
-        Heading(2, "All samples"),
-        table(
-            "The nearest model of each sample, and by how much it differs typically: rms of ln(model / measured).",
-            ["sample", "best model", "typical difference", "verdict"],
-            [_headline(d, place) for d in s.datasets],
-            right=(2,),
-            most=(MOST_ROWS, "metrics.csv"),
-        ),
-        *[Paragraph(text) for text in distinguished(s)],
-        table(
-            "Every model on every sample. Parameters of a geometry that several wavelengths share say so.",
-            ["sample", "model", "reduced χ²", "typical difference", "fitted parameters"],
-            rows,
-            right=(2, 3),
-            most=(MOST_ROWS, "metrics.csv and parameters.csv"),
+        first,
+        *frame.folded(
+            [
+                Heading(3, "Every model on every sample", f"{len(rows)} fits"),
+                table(
+                    "Every model on every sample. Parameters of a geometry that several wavelengths share say so.",
+                    ["sample", "model", "reduced χ²", "typical difference", "fitted parameters"],
+                    rows,
+                    right=(2, 3),
+                    most=(MOST_ROWS, "metrics.csv and parameters.csv"),
+                ),
+            ]
         ),
     ]
 
@@ -272,27 +286,24 @@ def _apart(s: Summary, model: str) -> list[str] | None:
     return [text for _, text in sorted(found, reverse=True)[:MOST_APART]] if free else None
 
 
-def _conventions(s: Summary) -> Group:
+def _conventions(s: Summary) -> list[Block]:
     lines: dict[str, list[str]] = {}
     for d in s.datasets:
         for name, f in d.models.items():
             said = " ".join([f.fit.model.convention, *filter(None, [f.fit.assumes])])
             if said not in lines.setdefault(name, []):
                 lines[name].append(said)
-    return section(
-        [
-            Heading(2, "Conventions"),
-            Paragraph(
-                "The BRDF is reflected radiance over irradiance, in sr⁻¹. "
-                "Polar angles count from the surface's normal; both directions leave the surface, toward source and"
-                " detector. In the plane of incidence angles are signed: positive on the mirror side, negative on the"
-                " retro side. Models are averaged over the stated cones of source and receiver before they are"
-                " compared; a specular spike is carried through that average."
-            ),
-            Facts(tuple((name, _below(texts)) for name, texts in lines.items())),
-        ],
-        "conventions",
-    )
+    return [
+        Heading(3, "Conventions", "angles, units, what each model takes for granted"),
+        Paragraph(
+            "The BRDF is reflected radiance over irradiance, in sr⁻¹. "
+            "Polar angles count from the surface's normal; both directions leave the surface, toward source and"
+            " detector. In the plane of incidence angles are signed: positive on the mirror side, negative on the"
+            " retro side. Models are averaged over the stated cones of source and receiver before they are"
+            " compared; a specular spike is carried through that average."
+        ),
+        Facts(tuple((name, _below(texts)) for name, texts in lines.items())),
+    ]
 
 
 def _below(texts: Sequence[str]) -> Text:

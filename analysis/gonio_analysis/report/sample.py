@@ -1,14 +1,14 @@
 """One sample's section of the page: what was measured, which models were fitted, how far they are off."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 from gonio import geometry
 from gonio.checks.symmetry import Pairs
 from gonio.formats.reader import TableBand
 from gonio_analysis.fitting.objective import meaning as meaning_of_metric
-from gonio_analysis.fitting.solution import Estimate
-from gonio_analysis.report import blocks, sections, verdict
+from gonio_analysis.report import blocks, frame, sections, verdict
+from gonio_analysis.report import model_tables as models
 from gonio_analysis.report.blocks import (
     Block,
     Facts,
@@ -20,7 +20,6 @@ from gonio_analysis.report.blocks import (
     Table,
     Text,
     Viewer,
-    code,
     facts,
     lead,
     notes,
@@ -32,23 +31,17 @@ from gonio_analysis.report.facts import DatasetSummary, Summary
 from gonio_analysis.report.section import Figures as ByKind
 from gonio_analysis.report.section import blocks_of, part
 from gonio_analysis.report.sections import SECTIONS
-from gonio_analysis.report.text import angle, cause, difference, number, percent, reasons, with_u
+from gonio_analysis.report.text import angle, cause, cut, difference, glued, number, percent, reasons, with_u
 from gonio_analysis.report.viewer import View
-from gonio_analysis.selection.compare import Fitted
 
 FAR = 0.1
 """Share of a model's light in directions that were not measured, above which it is named."""
-
-
-OTHER_FIGURES = {
-    "In the plane of incidence, absolute, with residuals": ("absolute",),
-    "All models together": ("overlay",),
-    "Out of the plane of incidence": ("heat", "slices", "lobe"),
-}
+MOST_NAMED = 120
+"""Characters of names beside the heading of a folded part."""
 
 
 def section(s: Summary, d: DatasetSummary, figures: Sequence[Figure], view: View | None) -> Group:
-    """One sample's section of the page.
+    """One sample's part of the page: the answer open, the rest folded.
 
     Parameters
     ----------
@@ -60,46 +53,113 @@ def section(s: Summary, d: DatasetSummary, figures: Sequence[Figure], view: View
     by: dict[str, tuple[Figure, ...]] = {}
     for f in figures:
         by[f.kind] = (*by.get(f.kind, ()), f)
-    what = "What was simulated, and how" if d.simulated else "What was measured, and how"
-    shared = any(f.fit.shared is not None for f in d.models.values())
-    skipped = {m: why for m, why in d.skipped.items() if len(d.choice.judged) < 2 or m not in d.choice.left_out}
-    values = "Simulated values" if d.simulated else "Measured values"
-    parts: dict[str, Callable[[], Sequence[Block]]] = {
-        "the headline": lambda: [*([Heading(2, d.title)] if len(s.datasets) > 1 else []), lead(d.conclusion)],
-        "what was measured": lambda: [Heading(3, what), _facts(d), notes(d.notes)],
-        "the choice of a model": lambda: verdict.which_model(d.choice, d.wavelength_nm if shared else None),
-        "models": lambda: [Heading(3, "Models"), _models(d)] if d.models else [Heading(3, values), _values(d)],
-        "models that were not fitted": lambda: [
-            Notes(tuple((strong(m), f" was not fitted: {why}") for m, why in skipped.items()))
-        ],
-        "energy and symmetry": lambda: _energy(d),
-        "plots in plane": lambda: _in_plane(s, d, by.get("polar", ()), view),
-        "other plots": lambda: _other_plots(by),
-        "parameters": lambda: _with_heading("Parameters", d, [*_parameters(d), Figures(by.get("profile", ()))]),
-        "metrics": lambda: _with_heading("Metrics", d, _metrics(s, d)),
-    }
-    out = [block for words, make in parts.items() for block in part(words, d.name, make)]
-    return blocks.section([*out, *(b for one in sections.every(SECTIONS) for b in blocks_of(one, d, by))], d.slug)
+
+    def made(parts: Mapping[str, Callable[[], Sequence[Block]]]) -> list[Block]:
+        return [block for words, make in parts.items() for block in part(words, d.name, make)]
+
+    first = frame.answer(
+        made({"the verdict": lambda: [lead(d.verdict)]}),
+        made({"plots in plane": lambda: _picture(d, by, view)}),
+        made({"models": lambda: [models.compared(d)] if d.models else [_values(d)]}),
+    )
+    chosen = frame.beside(made({"plots": lambda: _plots(d, by)}), made({"parameters": lambda: models.chosen(d)}))
+    folds = made(
+        {
+            "the choice of a model": lambda: _choice(s, d),
+            "other models": lambda: _other_models(d, by),
+            "the polar plot": lambda: _polar_plot(s, d),
+            "energy and symmetry": lambda: _energy(d),
+            "intervals": lambda: _intervals(d, by),
+            "out of plane": lambda: _out_of_plane(by),
+        }
+    )
+    folds += [b for one in sections.every(SECTIONS) for b in blocks_of(one, d, by)]
+    folds += made({"what was measured": lambda: _measured(d)})
+    inside = (first, *chosen, *frame.folded(folds, d.slug))
+    if len(s.datasets) == 1:
+        return blocks.section(inside, d.slug)
+    return Group("details", inside, d.slug, heading=Heading(2, d.title, d.verdict))
 
 
-def _in_plane(s: Summary, d: DatasetSummary, figures: tuple[Figure, ...], view: View | None) -> list[Block]:
-    if not figures:
+def _of_best(d: DatasetSummary, figures: Sequence[Figure], *, best: bool = True) -> tuple[Figure, ...]:
+    """Figures of the model that is put first, or of the others."""
+    return tuple(f for f in figures if (f.model == d.best) is best)
+
+
+def _picture(d: DatasetSummary, by: ByKind, view: View | None) -> list[Block]:
+    """The interactive polar plot; on paper the drawing of the model that is put first."""
+    polar = _of_best(d, by.get("polar", ()))
+    if view is not None:
+        return [Viewer(d.slug, view), Figures(polar, printed=True)]
+    return [Figures(polar or by.get("heat", ())[:1])]
+
+
+def _plots(d: DatasetSummary, by: ByKind) -> list[Block]:
+    """Semilog with residuals, parameters over wavelength, and one map of the hemisphere: of the model put first."""
+    maps = by.get("heat", ())[:1] if by.get("polar") else ()
+    shown = (*_of_best(d, by.get("absolute", ())), *_of_best(d, by.get("series", ())), *maps)
+    return [Figures(shown)]
+
+
+def _other_models(d: DatasetSummary, by: ByKind) -> list[Block]:
+    others = [name for name in d.models if name != d.best]
+    if not others:
         return []
-    heading = Heading(3, "In the plane of incidence, normalised")
-    return [heading, _polar_words(s, d), *([Viewer(d.slug, view)] if view else []), Figures(figures)]
+    every = [*by.get("overlay", ()), *_of_best(d, by.get("polar", ()), best=False)]
+    every += [f for kind in ("absolute", "series") for f in _of_best(d, by.get(kind, ()), best=False)]
+    head = Heading(3, "Other models", cut(", ".join(others), MOST_NAMED))
+    return [head, models.parameters(d, others), *_remarks(d, others), Figures(tuple(every))]
 
 
-def _other_plots(by: ByKind) -> list[Block]:
-    out: list[Block] = []
-    for heading, kinds in OTHER_FIGURES.items():
-        if shown := tuple(f for kind in kinds for f in by.get(kind, ())):
-            out += [Heading(3, heading), Figures(shown)]
-    return out
+def _remarks(d: DatasetSummary, of: Sequence[str]) -> list[Block]:
+    """What fits say of themselves, and what nobody says of the data."""
+    said: dict[str, list[str]] = {}
+    for m in of:
+        for n in d.models[m].notes:
+            if n not in d.notes + d.data_notes:
+                said.setdefault(n, []).append(m)
+    return [Notes(tuple((strong(", ".join(names)), f": {n}") for n, names in said.items()))]
 
 
-def _with_heading(heading: str, d: DatasetSummary, found: Sequence[Block]) -> list[Block]:
-    """Blocks about models, where there are any."""
-    return [Heading(3, heading), *found] if d.models else []
+def _choice(s: Summary, d: DatasetSummary) -> list[Block]:
+    """The verdict in full, and the statistics behind it."""
+    rest = d.conclusion.removeprefix(d.verdict).strip()
+    skipped = {m: why for m, why in d.skipped.items() if len(d.choice.judged) < 2 or m not in d.choice.left_out}
+    out: list[Block] = [Paragraph(glued(rest))] if rest else []
+    out += verdict.which_model(d)
+    out += [Notes(tuple((strong(m), f" was not fitted: {why}") for m, why in skipped.items()))]
+    out += _metrics(s, d) if d.models else []
+    out += _remarks(d, [d.best]) if d.best else []
+    out = [block for block in out if not block.empty]
+    return [Heading(3, "How the model was chosen", verdict.tally(d)), *out] if out else []
+
+
+def _polar_plot(s: Summary, d: DatasetSummary) -> list[Block]:
+    if not any(f.drawn for f in d.models.values()):
+        return []
+    words = ", ".join(dict.fromkeys(c.norm.kind for f in d.models.values() for c in f.drawn))
+    said = {"mirror": "the value in the mirror direction", "max": "the largest value", "model": "the model's value"}
+    result = " or ".join(said[kind] for kind in words.split(", "))
+    return [Heading(3, "What the polar plot shows", f"radius: BRDF over {result}"), _polar_words(s, d)]
+
+
+def _intervals(d: DatasetSummary, by: ByKind) -> list[Block]:
+    shown = Figures(by.get("profile", ()))
+    return [] if shown.empty else [Heading(3, "Profiles of the parameters", ", ".join(d.choice.intervals)), shown]
+
+
+def _out_of_plane(by: ByKind) -> list[Block]:
+    maps = by.get("heat", ())
+    shown = Figures((*(maps[1:] if by.get("polar") else maps), *by.get("slices", ()), *by.get("lobe", ())))
+    return [] if shown.empty else [Heading(3, "Out of the plane of incidence", "maps, slices and lobe"), shown]
+
+
+def _measured(d: DatasetSummary) -> list[Block]:
+    what = "What was simulated, and how" if d.simulated else "What was measured, and how"
+    rig = d.run.rig if d.run else d.source or "a table"
+    at = "" if d.wavelength_nm is None else f", {d.wavelength_nm:g} nm"
+    many = "value" if d.used == 1 else "values"
+    return [Heading(3, what, f"{d.used} {many}{at}, {rig}"), _facts(d), notes(d.notes)]
 
 
 def _values(d: DatasetSummary) -> Table:
@@ -159,34 +219,6 @@ def _facts(d: DatasetSummary) -> Facts:
     )
 
 
-def _models(d: DatasetSummary) -> Table:
-    marks = ["best" if name == d.best and len(d.models) > 1 else "" for name in d.models]
-    alone = all(f.fit.misfit is None for f in d.models.values())  # beside tau it would be a second measure of one thing
-    rows = [
-        [
-            name,
-            fitted_words(d, name, f),
-            verdict.misfit_words(f.fit.tau),
-            number(f.fit.reduced_chi_square) + " (assumed u)" * (f.fit.data.u_rel_assumed is not None),
-            *([difference(f.metrics["log_ratio"])] * alone),
-            f.fit.verdict.partition("; it ")[0] + "; ⚠ reflects more than it receives" * f.reflects_too_much,
-        ]
-        for name, f in d.models.items()
-    ]
-    together = next((f.fit.shared for f in d.models.values() if f.fit.shared is not None), None)
-    chi = "reduced χ²" if together is None else f"reduced χ², {len(together.wavelengths_nm)} wavelengths together"
-    note = "● marks the model that the first line names. " if any(marks) else ""
-    if any(f.fit.tau is not None for f in d.models.values()):
-        note += f"{verdict.TAU} "
-    return table(
-        note + "Typical difference: rms of ln(model / measured)." * alone,
-        ["model", "fitted parameters", "misfit tau", chi, *["typical difference"] * alone, "verdict"],
-        rows,
-        right=(2, 3, 4) if alone else (2, 3),
-        marks=marks,
-    )
-
-
 def _energy(d: DatasetSummary) -> list[Block]:
     """Reflectances of the models and of the measurement, and its symmetries."""
     if not d.models:
@@ -203,7 +235,7 @@ def _energy(d: DatasetSummary) -> list[Block]:
     if d.rho_dh_combined:
         columns["nearest, with the misfit"] = {round(r.theta_i_deg, 1): r for r in d.rho_dh_combined}
     rows = [[f"{a:g}°", *(with_u(c[a].rho_dh, c[a].u) if a in c else "–" for c in columns.values())] for a in at]
-    out: list[Block] = [Heading(3, "Energy and symmetry")]
+    out: list[Block] = [Heading(3, "Energy and symmetry", _in_short(d))]
     if at:
         caption = (
             "Directional-hemispherical reflectance rho_dh by angle of incidence: the share of the light that is"
@@ -226,6 +258,16 @@ def _energy(d: DatasetSummary) -> list[Block]:
             said.append(f"Of the light that {name} reflects, part goes where no value near tells the misfit: {far}.")
     checked = set() if d.checks is None else {one.name for one in d.checks.checks}
     return [*out, Notes((*said, *(_symmetry(s) for s in d.symmetries if s.kind not in checked)))]
+
+
+def _in_short(d: DatasetSummary) -> str:
+    """A reflectance at one incidence, and symmetries that are broken."""
+    found = d.rho_dh_combined or (d.models[d.best].rho_dh if d.best else [])
+    first = next((r for r in found if r.rho_dh is not None), None)
+    said = "reflectance not determined" if first is None else f"reflects {with_u(first.rho_dh, first.u)} at"
+    said += "" if first is None else f" {angle(first.theta_i_deg)}"
+    broken = [s.kind for s in d.symmetries if s.broken]
+    return said + (f"; broken: {', '.join(broken)}" if broken else "")
 
 
 def _symmetry(s: Pairs) -> str:
@@ -273,70 +315,6 @@ def _polar_words(s: Summary, d: DatasetSummary) -> Paragraph:
     )
 
 
-def _parameters(d: DatasetSummary) -> list[Block]:
-    rows: list[Sequence[Text]] = []
-    for name, f in d.models.items():
-        label, told = name, f.fit.model.parameter_notes
-        for p, e in [*f.fit.parameters.items(), *f.fit.derived.items()]:
-            kind = "derived" if p in f.fit.derived else "fixed" if e.fixed else "fitted"
-            kind += f", at its {e.at_bound} bound" if e.at_bound else ""
-            kind += f"; {told[p]}" if p in told else ""
-            value = _value(d, name, p, e)
-            value += f" ({e.material})" if e.material else ""
-            rows.append((label, code(p), value, kind, _strongest(f, p)))
-            label = ""
-    remarks: dict[str, list[str]] = {}
-    for m, f in d.models.items():
-        for n in f.notes:
-            if n not in d.notes + d.data_notes:
-                remarks.setdefault(n, []).append(m)
-    return [
-        table(" ".join(_of_errors(d)), ["model", "parameter", "value", "", "strongest correlation"], rows),
-        Notes(tuple((strong(", ".join(of)), f": {n}") for n, of in remarks.items())),
-    ]
-
-
-def _of_errors(d: DatasetSummary) -> list[str]:
-    """What the standard errors of these models are, in sentences."""
-    off = [f.fit.misfit is not None for f in d.models.values()]
-    said = []
-    if not all(off):
-        said.append(
-            "Standard errors come from the scatter of the residuals, by the metric of the fit."
-            if all(f.fit.chi_square is None for f in d.models.values())
-            else f"Standard errors rest on the assumed uncertainty of {percent(d.u_rel_assumed)} of each value."
-            if d.u_rel_assumed is not None
-            else "Standard errors are those of least squares with the stated covariance; they are not scaled by χ²."
-        )
-    if any(off):
-        said.append(
-            "Of a model with a misfit tau the parameters are those of the nearest one over the measured directions. The"
-            " errors say by how much they change where a part of the directions is left out."
-        )
-    return said
-
-
-def _value(d: DatasetSummary, model: str, parameter: str, e: Estimate) -> str:
-    """value ± u; the interval alone where a standard error would contradict it."""
-    i = d.choice.intervals.get(parameter) if d.choice.named and model == d.choice.named.candidate.label else None
-    # an interval is of the choice, at one wavelength alone
-    if i is not None and d.models[model].fit.shared is None and not d.choice.linear(parameter):
-        value, ends = verdict.in_words(i, e.value)
-        return f"{value} ({100 * i.level:g} % interval {ends})"
-    return with_u(e.value, 0.0 if e.fixed else e.u)
-
-
-def _strongest(f: Fitted, parameter: str) -> Text:
-    if parameter not in f.fit.free:
-        return ""
-    row = dict(zip(f.fit.free, f.fit.correlation[f.fit.free.index(parameter)].tolist(), strict=True))
-    known = {k: v for k, v in row.items() if k != parameter and math.isfinite(v)}
-    if not known:
-        return ""
-    other = max(known, key=lambda k: abs(known[k]))
-    return f"{number(known[other], 2)} with ", code(other)
-
-
 def _metrics(s: Summary, d: DatasetSummary) -> list[Block]:
     known = d.uncertainty_stated or d.u_rel_assumed is not None
     names = [n for n in s.metrics if any(f.metrics[n] is not None for f in d.models.values())]
@@ -345,14 +323,6 @@ def _metrics(s: Summary, d: DatasetSummary) -> list[Block]:
         table("", ["model", *(s.metrics[n]["label"] for n in names)], rows, right=tuple(range(1, len(names) + 1))),
         facts((s.metrics[n]["label"], meaning_of_metric(n, known=known)) for n in names),
     ]
-
-
-def fitted_words(d: DatasetSummary, model: str, f: Fitted) -> str:
-    """The fitted parameters of a model, with their uncertainties."""
-    said = ", ".join(f"{n} = {_value(d, model, n, p)}" for n, p in f.fit.parameters.items() if not p.fixed)
-    if f.fit.shared is not None:
-        said += f"; geometry shared by {len(f.fit.shared.wavelengths_nm)} wavelengths"
-    return said
 
 
 def _cone(solid_angle_sr: float | None) -> str:

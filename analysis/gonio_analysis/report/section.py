@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from gonio_analysis.report import html, pdf
+from gonio_analysis.report import html
 from gonio_analysis.report.blocks import Block, missing
 from gonio_analysis.report.drawing import Drawing, Figure
 from gonio_analysis.report.lost import kept
@@ -62,7 +62,6 @@ def part(what: str, name: str, make: Callable[[], Sequence[Block]]) -> list[Bloc
             if not isinstance(one, Block):
                 raise TypeError(f"{one!r} is no block of gonio_analysis.report.blocks")
         html.fragment(blocks).encode()
-        pdf.check(blocks)
         return blocks
 
     return kept(f"{what} of {name}", tried, lambda loss: [missing(loss)])

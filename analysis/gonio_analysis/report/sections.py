@@ -16,7 +16,6 @@ _MODULES = (
     "appearance",
     "checks",
     "budget",
-    "wavelengths",
     "health",
 )
 SECTIONS: tuple[Section, ...] = tuple(

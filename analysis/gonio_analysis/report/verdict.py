@@ -1,6 +1,6 @@
 """What a report says of the nearest model: how far off, where, by which metric, and what else was tried.
 
-The section "Which model" goes from the simplest up, with what the data say of each.
+How models compare in numbers goes from the simplest up.
 """
 
 import math
@@ -15,7 +15,8 @@ from gonio_analysis.fitting.objective import DESCRIPTIONS
 from gonio_analysis.fitting.profile_likelihood import Interval
 from gonio_analysis.fitting.solution import SIGNIFICANCE
 from gonio_analysis.fitting.unnoticed import SMOOTH
-from gonio_analysis.report.blocks import Block, Heading, Notes, Paragraph, Table, Text, code, table
+from gonio_analysis.report.blocks import Block, Notes, Paragraph, Text, table, term
+from gonio_analysis.report.facts import DatasetSummary
 from gonio_analysis.report.text import angle, difference, glued, number, percent, reasons, with_u
 from gonio_analysis.result_records import MisfitSummary, Reflectance
 from gonio_analysis.selection.choice import Choice
@@ -76,6 +77,18 @@ def unnoticed(result: FitResult) -> str:
     if result.rejected or result.chi_square is None or result.tau is None or result.tau.interval[1] > NOT_SMALL:
         return ""
     return f"; a misfit of at most {percent(result.tau.interval[1])} {UNNOTICED}"
+
+
+def of_true_model(best: str, fit: FitResult, tried: int, *, named: bool) -> str:
+    """The verdict on a model whose chi-square says how good it is, in one or two sentences."""
+    chi = f"reduced χ² {number(fit.reduced_chi_square, 3)}"
+    if not named or fit.rejected:
+        which = f"the best of the {tried} models tried" if tried > 1 else "the only model tried"
+        return f"{best} is {which}, and does not describe the values within their uncertainties: {chi}, {fit.verdict}."
+    which = f", the simplest of the {tried} models tried that does" if tried > 1 else ""
+    said = f"{best} describes the values within their uncertainties{which} ({chi}, {fit.verdict})."
+    open_ = unnoticed(fit).removeprefix("; ")
+    return said + (f" {open_[:1].upper()}{open_[1:]}." if open_ else "")
 
 
 def where(missed: Region | None) -> str:
@@ -141,62 +154,73 @@ def direction_of_its_own(found: Sequence[Pairs], tried: Iterable[str] = ()) -> s
 
 UNNOTICED = f"that is smooth over {math.degrees(SMOOTH):g}° would go unnoticed in half of the cases"
 """What is known of a misfit of a model that is not rejected."""
-TAU = (
-    "Tau is the model's own misfit, relative, with its 95 % interval. Of a model that the data do not reject it is what"
+MISFIT = (
+    "This is the model's misfit, relative, with its 95 % interval. Of a model that the data do not reject it is what"
     f" may be there: a misfit of that size {UNNOTICED}."
 )
 """For tables that have such a column."""
 
 
-def which_model(choice: Choice, alone_nm: float | None = None) -> list[Block]:
-    """The section; nothing where one model alone was tried.
+def brief(choice: Choice, label: str, fit: FitResult) -> str:
+    """What the data say of a model, in a word or two."""
+    if choice.near:
+        return "nearest" if label == next(iter(choice.near)) else "as near" if label in choice.near else "farther off"
+    why = next((c.rejected for c in choice.judged if c.candidate.label == label), "rejected" if fit.rejected else "")
+    if fit.reduced_chi_square is None:
+        return "farther off" if why else "as near as any"
+    return "rejected" if why else "not rejected"
 
-    Parameters
-    ----------
-    choice
-        What was tried.
-    alone_nm
-        The wavelength that it was made at, where the models shown afterwards share the geometry of several.
-    """
-    tried = choice.judged
+
+def tally(d: DatasetSummary) -> str:
+    """The finding over all models, in a few words."""
+    tried = len(d.choice.judged)
+    if d.choice.near and tried > 1:
+        return f"{len(d.choice.near)} of {tried} cannot be told from the nearest"
+    rejected = sum(bool(c.rejected) for c in d.choice.judged)
+    if not tried or d.choice.judged[0].fit.reduced_chi_square is None:
+        return "one model was tried" if tried == 1 else f"{tried} models were tried" if tried else "none"
+    return f"{rejected} of {tried} {'is' if rejected == 1 else 'are'} rejected"
+
+
+def which_model(d: DatasetSummary) -> list[Block]:
+    """How the models compare in numbers; nothing where one model alone was tried."""
+    choice, tried = d.choice, d.choice.judged
     if len(tried) < 2:
         return []
+    alone_nm = d.wavelength_nm if any(f.fit.shared is not None for f in d.models.values()) else None
     stated = any(c.fit.reduced_chi_square is not None for c in tried)
     aic, bic = (min(xs) for xs in ([c.aic for c in tried], [c.bic for c in tried]))
     rows = [
         [
             c.candidate.label,
-            str(len(c.fit.free)),
-            misfit_words(c.fit.tau),
-            *map(number, (c.fit.reduced_chi_square, c.aic - aic, c.bic - bic, c.held_out)),
-            f"{c.wall_s:.1f} s",
-            _verdict(c, choice.near),
-            _fails(c),
+            "–" if alone_nm is None else misfit_words(c.fit.tau),
+            # of those that the page shows it stands among the metrics
+            "–" if alone_nm is None and c.candidate.label in d.models else number(c.fit.reduced_chi_square),
+            *map(number, (c.aic - aic, c.bic - bic, c.held_out)),
+            _reason(c),
         ]
         for c in tried
     ]
-    named = next((c for c in tried if c.candidate.label in choice.near), choice.named)
-    marks = ["best" if c is named else "" for c in tried]
-    out: list[Block] = [Heading(3, "Which model"), Paragraph(glued(choice.words))]
-    chi = "reduced χ²"
+    out: list[Block] = [Paragraph(glued(choice.words))]
+    at = "" if alone_nm is None else f" at {alone_nm:g} nm alone"
     if alone_nm is not None:
-        chi += f", {alone_nm:g} nm alone"
         out.append(
             Paragraph(
-                f"The choice is made at {alone_nm:g} nm alone, and so are the numbers of this section. The models below"
+                f"The choice is made at {alone_nm:g} nm alone, and so are the numbers of this table. The models above"
                 " are fitted to all wavelengths together, with one geometry."
             )
         )
-    fails = "worst"
-    caption = (
-        "From the simplest up. AIC and BIC are differences to the lowest; the held-out error is the mean squared"
-        f" residual{', in units of the uncertainty,' * stated} of values left out by"
-        f" {choice.held_out_by}. {_rule(choice, stated)}"
-    )
-    header = ["model", "parameters", "misfit tau", chi, "ΔAIC", "ΔBIC", "held-out", "time", "verdict", fails]
-    out.append(table(caption, header, rows, right=(1, 2, 3, 4, 5, 6, 7), marks=marks))
-    if choice.intervals:
-        out.append(_intervals(choice))
+    unit = "in units of the uncertainty" if stated else "of logarithms"
+    header: list[Text] = [
+        "model",
+        f"misfit{at}",
+        f"reduced χ²{at}",
+        term("ΔAIC", "Akaike's information criterion, less that of the best: -2 ln(likelihood) + 2 parameters."),
+        term("ΔBIC", "Bayes's (Schwarz's) information criterion, less that of the best."),
+        term("prediction error", f"Mean squared, {unit}, of values left out by {choice.held_out_by}."),
+        "why",
+    ]
+    out.append(table(_rule(choice, stated), header, rows, right=(1, 2, 3, 4, 5)))
     return [*out, Notes(tuple(f"{m} was not tried: {why}." for m, why in choice.left_out.items()))]
 
 
@@ -207,39 +231,23 @@ def misfit_words(misfit: MisfitSummary | None) -> str:
     return misfit.words if misfit.value > 0 else f"< {percent(misfit.interval[1])}"
 
 
-def _verdict(c: Judged, near: Mapping[str, float]) -> str:
-    """Without the chi-square that stands beside it."""
-    label = c.candidate.label
-    if near:
-        place = "nearest" if label == next(iter(near)) else "as near" if label in near else "farther off"
-        return f"{place}; not true by χ²" if c.fit.reduced_chi_square is not None else place
-    why = re.sub(r"^reduced chi-square \S+ \((.*)\)$", r"\1", c.rejected)
-    if c.fit.reduced_chi_square is None:
-        return f"behind: {why}" if why else "as near as any"
-    return f"rejected: {why}" if why else "not rejected"
+def _reason(c: Judged) -> str:
+    """Why a model is rejected, without the chi-square that stands beside it."""
+    return re.sub(r"^reduced chi-square \S+ \((.*)\)$", r"\1", c.rejected)
 
 
 def _rule(choice: Choice, stated: bool) -> str:
     """By what models are judged, in sentences."""
-    said = [TAU] if any(c.fit.tau is not None for c in choice.judged) else []
     if choice.near:
-        said.append(
+        return (
             "The nearest model predicts best, as logarithms, what was left out; another one is as near where that"
             " difference, and that of the misfits, lie within twice their own uncertainties."
         )
-    else:
-        said.append(
-            f"A model is {'rejected' if stated else 'behind'} where"
-            + (f" the probability of its chi-square is below {100 * SIGNIFICANCE:g} %, or where" * stated)
-            + f" another is better by more than {DECISIVE:g} in AIC."
-        )
-    return " ".join(said)
-
-
-def _fails(c: Judged) -> str:
-    if c.fails is None or c.fails.typical < c.fails.tau or (not c.rejected and c.fit.reduced_chi_square is not None):
-        return ""
-    return c.fails.off
+    return (
+        f"A model is {'rejected' if stated else 'behind'} where"
+        + (f" the probability of its χ² is below {100 * SIGNIFICANCE:g} %, or where" * stated)
+        + f" another is better by more than {DECISIVE:g} in AIC."
+    )
 
 
 def in_words(i: Interval, value: float | None) -> tuple[str, str]:
@@ -247,24 +255,3 @@ def in_words(i: Interval, value: float | None) -> tuple[str, str]:
     low, high, middle = interval(i.low, i.high, i.low if value is None else value)
     ends = (low + " (bound)" * i.open_low, high + " (bound)" * i.open_high)
     return "–" if value is None else middle, " to ".join(ends)
-
-
-def _intervals(choice: Choice) -> Table:
-    assert choice.named is not None
-    named = choice.named.fit
-    rows: list[Sequence[Text]] = []
-    for name, i in choice.intervals.items():
-        p = named.parameters[name]
-        # an error of the linearised fit beside an interval that contradicts it would be two truths
-        value, ends = in_words(i, p.value)
-        rows.append([code(name), with_u(p.value, p.u) if choice.linear(name) else value, ends])
-    how = (
-        "intervals by its standard errors"
-        if (named.misfit is not None)
-        else "profile-likelihood intervals: each is held while all others follow"
-    )
-    return table(
-        f"Parameters of {choice.named.candidate.label} with {how}.",
-        ["parameter", "value and standard error (where it says the same as the interval)", "95 % interval"],
-        rows,
-    )

@@ -65,8 +65,72 @@
       this.labels = new Set(data.shown);
       this.series = new Set(data.chosen);
       this.resized = new ResizeObserver(() => this.draw());
+      this.rows = this.pickable();
+      this.keep = () => {}; // told of the state that a reader chose (page.js keeps it in the address)
+      this.first = this.state();
       this.build();
       root.hidden = false;
+    }
+
+    // --- what a reader chose, as a short text ----------------------------------------------------------------------
+    state() {
+      const places = (names, chosen) => names.map((name, k) => (chosen.has(name) ? k : "")).filter((k) => k !== "").join(".");
+      const { data } = this;
+      return [this.plot, this.norm, this.wave, places(data.labels, this.labels),
+        places([...data.points, ...data.models], this.series)].join("_");
+    }
+
+    restore(state) {
+      const [plot, norm, wave, labels, series] = state.split("_"), { data } = this;
+      if (series === undefined || !data.waves[wave] || !NORMS.some(([key]) => key === norm)) return;
+      const named = (names, places) => new Set(names.filter((_, k) => places.split(".").includes(String(k))));
+      Object.assign(this, { plot, norm, wave: Number(wave) });
+      this.labels = named(data.labels, labels);
+      this.series = named([...data.points, ...data.models], series);
+      this.again();
+    }
+
+    /** The controls and the plot anew. */
+    again() {
+      this.resized.disconnect();
+      this.root.replaceChildren();
+      this.build();
+      this.draw();
+    }
+
+    chosen() {
+      this.at = null;
+      this.draw();
+      const state = this.state();
+      this.keep(state === this.first ? "" : state);
+    }
+
+    // --- the table beside it: a click on a row draws what it is about -----------------------------------------------
+    pickable() {
+      const near = this.root.closest(".answer") || this.root.parentElement;
+      const rows = [...near.querySelectorAll("tr[data-draws]")].filter((row) => this.data.models.includes(row.dataset.draws));
+      for (const row of rows) {
+        const head = row.cells[0], button = html("button", { type: "button" }, ...head.childNodes);
+        head.append(button);
+        row.addEventListener("click", (event) => event.target.closest(".term, a") || this.pick(row.dataset.draws));
+      }
+      return rows;
+    }
+
+    /** One model alone. */
+    pick(name) {
+      for (const model of this.data.models) if (model !== name) this.series.delete(model);
+      this.series.add(name);
+      for (const box of this.root.querySelectorAll("[data-key=series]")) box.checked = this.series.has(box.value);
+      this.chosen();
+    }
+
+    marked() {
+      for (const row of this.rows) {
+        const shown = this.series.has(row.dataset.draws);
+        row.classList.toggle("drawn", shown);
+        row.querySelector("button").setAttribute("aria-pressed", String(shown));
+      }
     }
 
     /** Other data in place of those that are shown, of a run that goes on; what the reader has chosen stays. */
@@ -79,10 +143,7 @@
         this.draw();
       } else {
         this.wave = Math.max(0, data.waves.findIndex((w) => w.nm === was.waves[this.wave].nm));
-        this.resized.disconnect();
-        this.root.replaceChildren();
-        this.build();
-        this.draw();
+        this.again();
       }
       const same = (s) => s.p.angle === at.p.angle && s.line.name === at.line.name && s.line.curve.label === at.line.curve.label;
       if (at) this.point(this.spots.find(same) || null);
@@ -104,8 +165,7 @@
         box.checked = chosen.has(name);
         box.addEventListener("change", () => {
           if (box.checked) chosen.add(name); else chosen.delete(name);
-          this.at = null;
-          this.draw();
+          this.chosen();
         });
         return html("label", {}, box, ...(key === "curve" ? [swatch(data.labels.indexOf(name))] : []), name);
       }));
@@ -114,14 +174,13 @@
         select.value = String(this[key]);
         select.addEventListener("change", () => {
           this[key] = key === "wave" ? Number(select.value) : select.value;
-          this.at = null;
-          this.draw();
+          this.chosen();
         });
         return html("label", { class: "choice" }, title, select);
       };
       const order = [...data.labels].sort((a, b) => parseFloat(a.split("=")[1]) - parseFloat(b.split("=")[1]));
       const choices = [
-        choice("Plot", "plot", [["polar", "polar"], ["log", "logarithmic"]]),
+        choice("Plot", "plot", [["polar", "polar"], ["log", "semilog"]]),
         choice("Divided by", "norm", NORMS.filter(([key]) => key !== "model" || data.models.length)),
       ];
       if (data.waves.length > 1) {
@@ -192,6 +251,7 @@
       const focused = this.picture && document.activeElement === this.picture;
       this.stage.replaceChildren(picture);
       this.picture = picture;
+      this.marked();
       if (focused) picture.focus();
       this.point(null);
     }
@@ -376,10 +436,10 @@
     }
   }
 
-  window.gonio = { digits, withU, degrees }; // for a program that fills such a plot
+  window.gonio = { digits, withU, degrees, viewers: [] }; // for a program that fills such a plot, and for page.js
   for (const root of document.querySelectorAll(".viewer")) {
     const data = document.getElementById(`${root.id}-data`);
-    if (data) new Viewer(root, JSON.parse(data.textContent));
+    if (data) window.gonio.viewers.push(new Viewer(root, JSON.parse(data.textContent)));
     else root.show = (view) => { if (root.viewer) root.viewer.renew(view); else root.viewer = new Viewer(root, view); };
   }
 })();

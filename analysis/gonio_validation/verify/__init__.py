@@ -9,7 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from gonio_analysis.report import files, pdf
+from gonio_analysis.report import files
 from gonio_analysis.report.blocks import (
     Block,
     Heading,
@@ -106,7 +106,6 @@ def make(out: Path, result: JsonObject) -> Path:
     with files.staged(out) as stage:
         page = _page(result)
         files.write_page(stage.work, page, as_json(result), ())
-        pdf.write(stage.work / "report.pdf", [page])
     return out / "index.html"
 
 

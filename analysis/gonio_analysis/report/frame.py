@@ -1,0 +1,93 @@
+"""How a page is laid out, whatever it is of: verdict, picture, table, then what is folded.
+
+Docs: docs/page.md.
+"""
+
+from collections.abc import Iterable, Sequence
+
+from gonio_analysis.report.blocks import Block, Group, Heading, Page, header
+from gonio_analysis.report.text import slug
+
+
+def answer(verdict: Sequence[Block], picture: Sequence[Block] = (), table: Sequence[Block] = (), *more: Block) -> Group:
+    """The first screen: a verdict, and below it a picture with a table beside it; on a phone one below the other.
+
+    `more` stands below both.
+    """
+    return Group("section", (*verdict, *beside(picture, table), *_shown(more)), look="answer")
+
+
+def beside(left: Iterable[Block], right: Iterable[Block]) -> list[Block]:
+    """Blocks side by side where there is room: a picture and what is said of it."""
+    sides = [Group("div", tuple(side)) for side in (_shown(left), _shown(right)) if side]
+    return [Group("div", tuple(sides), look="beside")] if len(sides) > 1 else list(sides)
+
+
+def folded(blocks: Iterable[Block], within: str = "") -> list[Block]:
+    """Blocks, of which each heading of a part (level 3) folds what follows it, down to the next.
+
+    Parameters
+    ----------
+    within
+        The identifier of what they stand in; those of the parts begin with it.
+    """
+    out: list[Block] = []
+    heading: Heading | None = None
+    inside: list[Block] = []
+    taken = set[str]()
+
+    def close() -> None:
+        if heading is None:
+            out.extend(_shown(inside))
+        elif shown := _shown(inside):
+            name = "-".join(filter(None, (within, slug(heading.text) or "part")))
+            while name in taken:
+                name += "-more"
+            taken.add(name)
+            out.append(Group("details", tuple(shown), name, heading=heading))
+
+    for block in blocks:
+        if isinstance(block, Heading):
+            close()
+            inside = []
+            heading = block if block.level == 3 else None
+            out += [] if block.level == 3 else [block]
+        else:
+            inside.append(block)
+    close()
+    return out
+
+
+def page(
+    title: str,
+    sub: str,
+    first: Group,
+    *,
+    shown: Sequence[Block] = (),
+    folds: Iterable[Block] = (),
+    foot: Block,
+    also: Sequence[Block] = (),
+    called: str = "",
+) -> Page:
+    """A page.
+
+    Parameters
+    ----------
+    title, sub
+        Its heading; what it is and when it was made.
+    first
+        See `answer`.
+    shown, folds
+        What follows: open, and folded by its headings (`folded`).
+    foot
+        Its last line.
+    also
+        Belongs to the head: links.
+    called
+        The title of the browser's tab, where it is not that of the page.
+    """
+    return Page(called or title, (header(title, sub, *also), first, *shown, *folded(folds), foot))
+
+
+def _shown(blocks: Iterable[Block]) -> list[Block]:
+    return [block for block in blocks if not block.empty]
