@@ -23,13 +23,13 @@ def beside(left: Iterable[Block], right: Iterable[Block]) -> list[Block]:
     return [Group("div", tuple(sides), look="beside")] if len(sides) > 1 else list(sides)
 
 
-def folded(blocks: Iterable[Block], within: str = "") -> list[Block]:
+def folded(blocks: Iterable[Block], within: str = "page") -> list[Block]:
     """Blocks, of which each heading of a part (level 3) folds what follows it, down to the next.
 
     Parameters
     ----------
     within
-        The identifier of what they stand in; those of the parts begin with it.
+        The identifier of what they stand in: those of the parts are "SAMPLE.checks", and no name has a dot.
     """
     out: list[Block] = []
     heading: Heading | None = None
@@ -40,7 +40,7 @@ def folded(blocks: Iterable[Block], within: str = "") -> list[Block]:
         if heading is None:
             out.extend(_shown(inside))
         elif shown := _shown(inside):
-            name = "-".join(filter(None, (within, slug(heading.text) or "part")))
+            name = f"{within}.{slug(heading.text) or 'part'}"
             while name in taken:
                 name += "-more"
             taken.add(name)

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 
+from gonio.shown import interval
 from gonio_analysis.fitting.solution import Estimate
 from gonio_analysis.report import verdict
 from gonio_analysis.report.blocks import Block, Heading, Span, Table, Text, code, table, term
@@ -12,6 +13,8 @@ from gonio_analysis.selection.compare import Fitted
 from gonio_analysis.selection.judging import Judged
 from gonio_analysis.selection.regions import Region
 
+SHORT = 18
+"""Characters of a name that stay on one line."""
 NORMAL_95 = 1.959964
 """Standard uncertainties to either end of a 95 % interval of a normal distribution."""
 TOO_BRIGHT = term(
@@ -51,8 +54,9 @@ def _row(d: DatasetSummary, label: str, j: Judged | None, alone: bool) -> list[T
     if f is not None and f.reflects_too_much:
         said = (f"{said}; ", TOO_BRIGHT)
     wall = "–" if j is None else f"{j.wall_s:.1f}\u00a0s"
+    name: Text = Span(label, "name") if len(label) <= SHORT else label
     return [
-        label,
+        name,
         str(len(fit.free)),
         typical,
         _worst(missed, rejected=fit.rejected or fit.chi_square is None),
@@ -96,7 +100,7 @@ def _value(d: DatasetSummary, model: str, parameter: str, e: Estimate) -> tuple[
         return (with_u(e.value, e.u) if d.choice.linear(parameter) else value), ends
     if e.fixed or e.u is None or not math.isfinite(e.u):
         return with_u(e.value, 0.0 if e.fixed else e.u) + (f" ({e.material})" if e.material else ""), ""
-    low, high, _ = verdict.interval(e.value - NORMAL_95 * e.u, e.value + NORMAL_95 * e.u, e.value)
+    low, high, _ = interval(e.value - NORMAL_95 * e.u, e.value + NORMAL_95 * e.u, e.value)
     return with_u(e.value, e.u), f"{low} to {high}"
 
 

@@ -19,7 +19,6 @@ from gonio_analysis.report import (
     laboratories,
     lost,
     page,
-    pdf,
     sample,
     viewer,
 )
@@ -81,7 +80,6 @@ BROKEN = {
     "facts without an end": Section("broken", says, facts=lambda d: Loop()),
     "no blocks": Section("broken", lambda d, f: [None]),  # type: ignore[list-item]
     "blocks of None": Section("broken", lambda d, f: None),  # type: ignore[arg-type, return-value]
-    "a paragraph of a number": Section("broken", lambda d, f: [Paragraph(3)]),  # type: ignore[arg-type]
     "a table without rows": Section("broken", lambda d, f: [Table("", (), None, frozenset(), ())]),  # type: ignore[arg-type]
     "a figure": Section("broken", says, drawings(on_error, "one", "two")),
     "a figure that ends its process": Section("broken", says, drawings(partial(on_end, here=os.getpid()), *"abcdefgh")),
@@ -93,11 +91,6 @@ GOOD = Section("good", says, drawings(on_nothing, "whole"), lambda d: {"values":
 SEVERAL = (GOOD, Section("besides", lambda d, f: [Paragraph("Words besides.")]))
 TWICE = (Section("twice", says), Section("twice", says))
 NO_SECTION = 5
-
-
-@pytest.fixture(scope="module")
-def no_pdf() -> None:
-    """There is one."""
 
 
 @pytest.fixture(scope="module")
@@ -149,7 +142,6 @@ def test_a_section_of_a_stranger_that_fails(
     summary, page = made(table, tmp_path / "out", "Error: ")
     assert "Words besides." in page
     assert summary["datasets"][0]["sections"]["good"] == {"values": 33}
-    assert (tmp_path / "out" / "report.pdf").stat().st_size > 1000
     assert (tmp_path / "out" / "figures" / "whole.png").is_file()
     assert "parameters.csv" in summary["tables"]
     place = page.index("Words of a stranger") if "Words of a stranger" in page else page.rindex("Missing: ")
@@ -193,7 +185,7 @@ def test_one_section_or_several_of_other_packages(table: str, tmp_path: Path, br
 @pytest.mark.parametrize(
     ("where", "name", "part"),
     [
-        (pdf, "write", "report.pdf"), (files, "_parameters", "tables/parameters.csv"),
+        (files, "_parameters", "tables/parameters.csv"),
         (files, "_curves", "tables/matte-curves.csv"), (viewer, "viewer", "interactive plot"),
         (report, "_cite", "datacite.json"), (sample, "_energy", "energy and symmetry"), (page, "render", "the page"),
         (page, "_provenance", "provenance"), (comparison, "of_table", "quantities of appearance"),
@@ -219,7 +211,6 @@ def test_parts_of_our_own_that_fail(
     assert "ZeroDivisionError" in page
     assert (tmp_path / "out" / "tables" / "metrics.csv").is_file()
     assert (tmp_path / "out" / "tables" / "parameters.csv").is_file() == (name != "_parameters")
-    assert (tmp_path / "out" / "report.pdf").is_file() == (name != "write")
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt, SystemExit, MemoryError, OSError(28, "No space left on device")])
@@ -259,7 +250,6 @@ def test_other_pages(kind: str, broken: str, table: str, tmp_path: Path, monkeyp
     page = (tmp_path / "out" / "index.html").read_text(encoding="utf-8")
     assert "What is missing" in page
     assert json.loads((tmp_path / "out" / "summary.json").read_text(encoding="utf-8"))["failed"]
-    assert (tmp_path / "out" / "report.pdf").is_file()
 
 
 def test_a_figure_that_ends_every_process_is_named() -> None:

@@ -16,7 +16,7 @@ from gonio_analysis.fitting.profile_likelihood import Interval
 from gonio_analysis.fitting.value_covariance import independent
 from gonio_analysis.report import figures
 from gonio_analysis.report.comparison import summarise
-from gonio_analysis.report.sample import fitted_words
+from gonio_analysis.report.model_tables import fitted_words
 from gonio_analysis.result_records import RunFacts, SampleFacts
 from gonio_analysis.selection.compare import examine, jump, jumps
 

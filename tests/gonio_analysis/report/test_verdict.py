@@ -7,8 +7,8 @@ import numpy as np
 import pandas as pd
 import pytest
 from gonio_analysis.fitting.fit import fit
-from gonio_analysis.report import verdict
-from gonio_analysis.report.blocks import Table
+from gonio_analysis.report import model_tables
+from gonio_analysis.report.blocks import plain
 from gonio_analysis.report.facts import DatasetSummary
 from gonio_analysis.selection.compare import examine
 
@@ -205,16 +205,15 @@ def test_the_headline_and_the_choice_name_the_same_model_as_the_nearest() -> Non
 def test_the_column_of_misfits_says_what_it_ranks_by() -> None:
     for frame in (measure(PAINT, noise=0.03), bare(noise=0.03)):
         facts = headline(frame, "lambert", "oren-nayar")
-        found = next(b for b in verdict.which_model(facts.choice) if isinstance(b, Table))
-        assert found.header[-1] == "worst"
-        of_misfit = list(found.header).index("misfit tau")
-        cells = [str(row[-1]).replace("\u00a0", " ") for row in found.rows]
-        for cell, one in zip(cells, facts.choice.judged, strict=True):
-            if one.fails is not None and cell:
-                assert one.fails.off == cell, "the number of the headline, and no second one"
-        assert any(cells)
-        for row, one in zip(found.rows, facts.choice.judged, strict=True):
-            assert str(row[of_misfit]).replace("\u00a0", " ") == some(one.fit.tau).words
+        found = model_tables.compared(facts)
+        header = list(map(plain, found.header))
+        judged = {one.candidate.label: one for one in facts.choice.judged}
+        assert header[2:4] == ["off by", "worst"]
+        for row in found.rows:
+            label, off, worst = (plain(row[k]).replace("\u00a0", " ") for k in (0, 2, 3))
+            assert off == some(judged[label].fit.tau).words
+            assert not worst or some(judged[label].fails).off == worst, "the number of the headline, and no second one"
+        assert any(plain(row[3]) for row in found.rows)
 
 
 def test_a_value_of_zero_does_not_make_a_table_silent() -> None:
