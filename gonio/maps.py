@@ -187,7 +187,7 @@ class Parts:
                 _fill(file, sizes, variables, attrs)
                 for tile in tiles(sizes["y"], sizes["x"]):
                     for name, packed in self._packed(tile).items():
-                        _put(file[name], tile, packed)
+                        _put(file[RENAMED.get(name, name)], tile, packed)
             seals.seal(unfinished)
         except (OSError, RuntimeError) as error:  # a file that HDF5 cannot close is a RuntimeError
             unfinished.unlink(missing_ok=True)
@@ -329,6 +329,11 @@ class Held:
         return out
 
 
+RENAMED = {"tau": "misfit"}
+"""Variables by the names that earlier versions wrote; both are read."""
+WRITTEN = {new: old for old, new in RENAMED.items()}
+
+
 class MapFile:
     """A map file that is read tile by tile.
 
@@ -389,7 +394,7 @@ class MapFile:
     def names(self) -> list[str]:
         """Its variables."""
         with _understood(f"{self.path}: cannot be read"):
-            return list(self._file)
+            return [RENAMED.get(name, name) for name in self._file]
 
     def array(self, name: str, tile: Tile | None = None) -> Array:
         """A variable, or a tile of it; raises `DataError` where there is none, or it is damaged."""
@@ -410,10 +415,11 @@ class MapFile:
         return np.asarray(found[tile.rows, tile.cols])
 
     def _variable(self, name: str) -> Any:
+        name = RENAMED.get(name, name)
         if name not in self.names:
             raise DataError(f"{self.path}: has no variable {name}")
         with _understood(f"{self.path}: {name} cannot be read"):
-            return self._file[name]
+            return self._file[name if name in self._file else WRITTEN[name]]
 
     def dims(self, name: str) -> tuple[str, ...]:
         """The dimensions of a variable."""

@@ -137,7 +137,7 @@ def require_budget(where: str, budget_s: float, durations: Durations, poses: Seq
     least += batch_s(durations, poses, seconds, Pose())
     if budget_s < least:
         raise ConfigError(
-            f"{where} budget_h = {budget_s / 3600.0:g}: dark frames, a visit to the reference and the first "
+            f"{where} budget_h = {budget_s / 3600.0:g}: dark frames, a measurement of the reference and the first "
             f"{len(poses)} points alone take about {least / 3600.0:.2g} h on this rig"
         )
 

@@ -260,7 +260,7 @@ def draw(s: Separation) -> Figure:
     figure.colorbar(dots, ax=ax, label="seconds to five sigma", pad=0.02)
     never = "" if np.all(ever) else "; crosses: never"
     figure.suptitle(
-        f"Visits to one point alone, until {s.names[0]} and {s.names[1]} are told apart{never}", fontsize=10
+        f"Measurements of one point alone, until {s.names[0]} and {s.names[1]} are told apart{never}", fontsize=10
     )
     return figure
 

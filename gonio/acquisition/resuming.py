@@ -67,7 +67,7 @@ def unfinished(run: Run) -> str:
         return ""
     rest = ", and its sampler has not said that this is enough"
     if left:
-        rest = "" if measured < points else f", and {len(left)} visits to the reference or dark steps are not"
+        rest = "" if measured < points else f", and {len(left)} measurements of the reference or dark steps are not"
     known = f"{measured} of {points} points are measured{rest}"
     return f"the run is not finished: {known}; `gonio measure ... --resume` goes on"
 

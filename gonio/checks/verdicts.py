@@ -177,18 +177,18 @@ def of_run(taken: Taken, visits: VisitsOfBand, band: str) -> list[Check]:
 
 def _reference(visits: VisitsOfBand) -> Check:
     name = "reference drift"
-    lost = f"; {len(visits.lost)} visits cannot be used ({_counted(visits.lost)})" if visits.lost else ""
+    lost = f"; {len(visits.lost)} measurements of it cannot be used ({_counted(visits.lost)})" if visits.lost else ""
     if visits.unknown:
-        advice = "visit the white reference at the start, at the end and between (reference.every)"
+        advice = "measure the white reference at the start, at the end and between (reference.every)"
         return Check(name, "undetermined", None, visits.unknown + lost, "", advice)
     swing = visits.peak_to_peak
     figure = (
-        f"{visits.used} visits, {_percent(swing)} from lowest to highest, drift "
+        f"{visits.used} measurements, {_percent(swing)} from lowest to highest, drift "
         f"({with_u(100 * visits.drift_per_hour, 100 * visits.u_drift_per_hour)}) % an hour{lost}"
     )
     verdict: Verdict = "bad" if swing > SWING else "ok" if visits.straight and not lost else "look"
     figure += "" if visits.straight else f"; they lie on no straight line (chi-square {visits.chi_square:.3g})"
-    limit = f"visits lie on a straight line (probability above 1 %) and swing by less than {_percent(SWING)}"
+    limit = f"measurements lie on a straight line (probability above 1 %) and swing by less than {_percent(SWING)}"
     return Check(name, verdict, swing, figure, limit)
 
 

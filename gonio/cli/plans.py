@@ -92,7 +92,7 @@ def _separate(seen: Prepared, samples: tuple[Path, Path], picture: Path | None) 
     found = plugin.separation(seen, a, b)
     said, rows = plugin.about(found)
     table = console.table(
-        "theta_i_deg", "theta_r_deg", "dphi_deg", f"{a.name} / sr^-1", f"{b.name} / sr^-1", "chi-square of a visit",
+        "theta_i_deg", "theta_r_deg", "dphi_deg", f"{a.name} / sr^-1", f"{b.name} / sr^-1", "chi-square of one",
         "five sigma after", title="points that tell most for their time",
     )  # fmt: skip
     for row in rows:
@@ -186,7 +186,7 @@ def _effort(written: Plan, points: list[Assessed], rig: RigChoice, steps: list[S
         ("dark", parts.dark_s), ("warm-up", parts.warm_up_s),
     ]  # fmt: skip
     lines = [
-        f"{len(steps)} steps with {visits} visits to the white reference; about {duration(parts.total_s)} "
+        f"{len(steps)} steps with {visits} measurements of the white reference; about {duration(parts.total_s)} "
         "on the rig's clock, for a matt sample of albedo 0.5",
         "time: " + ", ".join(f"{name} {duration(seconds)}" for name, seconds in named if seconds),
     ]

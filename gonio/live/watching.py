@@ -403,7 +403,7 @@ def render(watched: Watched) -> RenderableType:
         if told:
             row("devices", "  ".join(told))
     if watched.values.bands:
-        row("reference", f"{drift_line(watched)} since the first visit")
+        row("reference", f"{drift_line(watched)} since the first measurement of it")
         row("values", "\n".join([*values_lines(watched), "provisional"]))
     flags = [event for event in events if event["event"] == "step" and event.get("flag")]
     if flags:

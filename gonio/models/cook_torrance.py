@@ -290,8 +290,8 @@ class CookTorrance(Model):
     @property
     def parameter_notes(self) -> Mapping[str, str]:
         if self.normalisation == "paper":
-            return {"s": "share of R_s as printed, 4 times the energy-true form"}
-        return {"s": "share of the energy-true R_s, a quarter of the print"}
+            return {"s": "share of R_s as the paper prints it, 4 times that of convention = normalised"}
+        return {"s": "share of the normalised R_s, a quarter of what the paper prints"}
 
     def _weighted(self, wavelength_nm: float, diffuse: float, scale: float) -> tuple[Kernel, Constants]:
         scale /= pi * (4.0 if self.normalisation == "normalised" else 1.0)

@@ -221,12 +221,14 @@ def level(run: Run, wanted_s: Floats, visits: list[Reduced], band: Band) -> tupl
     description, reference = run.description, run.description.reference
     if not visits:
         raise DataError(
-            f"{run.path}: no usable visit to the white reference in band {band.name}; see its frames: where they are "
-            "full, lower acquisition.exposure_target, and calibrate the camera"
+            f"{run.path}: no usable measurement of the white reference in band {band.name}; see its frames: where they "
+            "are full, lower acquisition.exposure_target, and calibrate the camera"
         )
     rates, (albedo, u_rel) = np.array([visit.rate for visit in visits]), reference.at(band.centre_nm)
     if rates.min() <= 0:
-        raise DataError(f"{run.path}: a visit to the white reference in band {band.name} saw no light; see its frames")
+        raise DataError(
+            f"{run.path}: a measurement of the white reference in band {band.name} saw no light; see its frames"
+        )
     if reference.how == "beam":
         known = np.ones(len(visits))
         variance = float(calibration_files.covariance_of(description, ["reference.attenuation"])[0, 0])

@@ -75,8 +75,8 @@ def u_of_reference(table: DataFrame, directions: Directions, wavelength_nm: floa
         own = replace(certificate, brdf=certificate.u_brdf).at_wavelength(*at)
         if not math.isfinite(own):
             raise DataError(
-                f"{certificate.source}: some values have an uncertainty, and those around the visit to the reference "
-                "have none: fill in u_brdf there"
+                f"{certificate.source}: some values have an uncertainty, and those around the measurement of the "
+                "reference have none: fill in u_brdf there"
             )
     return math.hypot(own, bent - line)
 
@@ -92,7 +92,9 @@ def stated(table: DataFrame) -> tuple[float, float] | None:
 def _certificate(table: DataFrame, directions: Directions) -> "_Certificate":
     source = table.attrs.get("source_file") or "the table of the white reference"
     if not _in_plane(directions):
-        raise DataError(f"{source}: holds curves in the plane of incidence; the visit to the reference lies out of it")
+        raise DataError(
+            f"{source}: holds curves in the plane of incidence; the measurement of the reference lies out of it"
+        )
     rows = table[table["flag"] == ""]
     if (rows["polarisation"] != "unpolarised").any():
         raise DataError(f"{source}: a table of a white reference must be unpolarised")
@@ -150,7 +152,7 @@ class _Certificate:
         )
         at, values = at[first], np.bincount(same, np.asarray(values)) / count  # of repeats, the mean
         if at.size == 0 or not at[0] - SAME_ANGLE <= x <= at[-1] + SAME_ANGLE:
-            raise DataError(f"{self.source}: the visit to the reference at {place} lies outside of this table")
+            raise DataError(f"{self.source}: the measurement of the reference at {place} lies outside of this table")
         if self.bent:
             return _parabola(x, at, values)
         return float(np.interp(x, at, values))

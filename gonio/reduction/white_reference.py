@@ -148,8 +148,8 @@ def fit(
     later = np.diff(every[0], prepend=-np.inf) > SAME_TIME_S
     times_s, values, variances = _means(*every, later)
     if len(times_s) == 1:
-        several = f"the {len(later)} visits to the white reference have one and the same time"
-        return _constant(*every, "one visit to the white reference only" if len(later) == 1 else several)
+        several = f"the {len(later)} measurements of the white reference have one and the same time"
+        return _constant(*every, "one measurement of the white reference only" if len(later) == 1 else several)
     weights = 1.0 / variances
     level, u_level = float(np.average(values, weights=weights)), float(weights.sum() ** -0.5)
     after = times_s - times_s[0]  # seconds since 1970 have few digits to spare
@@ -166,7 +166,7 @@ def fit(
         if far.any():
             return _constant(
                 *every,
-                f"the visits to the white reference lie within {after[-1]:.3g} s, and points up to "
+                f"the measurements of the white reference lie within {after[-1]:.3g} s, and points up to "
                 f"{outside.max():.3g} s away from them",
             )
     chi_square = chi_square if freedom else 0.0
@@ -224,13 +224,15 @@ def notes(fitted: Level, visits: int, unusable: list[str]) -> list[str]:
     out = []
     if unusable:
         why = ", ".join(f"{unusable.count(flag)} {flag}" for flag in dict.fromkeys(unusable))
-        out.append(f"{len(unusable)} of {visits + len(unusable)} visits to the white reference cannot be used ({why})")
+        out.append(
+            f"{len(unusable)} of {visits + len(unusable)} measurements of the white reference cannot be used ({why})"
+        )
     if fitted.unknown:
-        only = " except for what the visits scatter" if fitted.scatter else ""
+        only = " except for how far the measurements scatter" if fitted.scatter else ""
         out.append(f"{fitted.unknown}, so a drift of the lamp is not in u_brdf{only}")
     if not fitted.straight:
         out.append(
-            "the visits to the white reference do not lie on a straight line (chi-square "
-            f"{fitted.chi_square:.1f} of {visits} visits): the level is interpolated between them"
+            "the measurements of the white reference do not lie on a straight line (chi-square "
+            f"{fitted.chi_square:.1f} of {visits} measurements): the level is interpolated between them"
         )
     return out

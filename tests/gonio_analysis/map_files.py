@@ -47,7 +47,7 @@ def fits(
         whole |= {name: (Variable(at, units=unit), value), f"u_{name}": (Variable(at, units=unit), u[name])}
     meanings = {"flag_masks": [1 << k for k in range(len(FIT_FLAGS))], "flag_meanings": " ".join(FIT_FLAGS)}
     whole |= {
-        "tau": (Variable(at), np.broadcast_to(np.asarray(tau, float), shape)),
+        "misfit": (Variable(at), np.broadcast_to(np.asarray(tau, float), shape)),
         "chi_square": (Variable(at), np.ones(shape)),
         "n_values": (Variable(at, dtype="i4"), np.full(shape, 100)),
         "flag": (Variable(at, dtype="u1", attrs=meanings), np.broadcast_to(np.asarray(flag, np.uint8), shape)),

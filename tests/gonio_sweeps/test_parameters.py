@@ -240,7 +240,11 @@ def test_a_wrong_key_is_named(tmp_path: Path, keys: str, said: str) -> None:
 @pytest.mark.parametrize(
     ("before", "after", "said"),
     [
-        ("budget_h = 0.5", "budget_h = 0.01", "budget_h = 0.01: dark frames, a visit to the reference and the first"),
+        (
+            "budget_h = 0.5",
+            "budget_h = 0.01",
+            "budget_h = 0.01: dark frames, a measurement of the reference and the first",
+        ),
         ("theta_i_deg = [20, 45, 70]", "theta_i_deg = [95]", "theta_i_deg: 95 deg is outside 0 to 90 deg"),
         ("step = 4", "stop = 9", "theta_r_deg"),
     ],

@@ -164,10 +164,10 @@ def _print_map(found: fits.Summary, title: str) -> None:
         numbers = [f"{v:.4g}{unit}" if math.isfinite(v) else "-" for v in (one.median, one.spread)]
         rows.add_row(name, *numbers, f"{one.u:.2g}{unit}" if math.isfinite(one.u) else "-", masked)
     share = 100.0 * found.rejected / max(found.fitted, 1)
-    tau = f", their misfit tau {found.tau:.2g} (median)" if found.rejected else ""
+    misfit = f", their misfit {found.misfit:.2g} (median)" if found.rejected else ""
     console.show(
         rows,
-        f"fitted {found.fitted} of {found.pixels} pixels; the model is rejected in {share:.3g} % of them{tau};"
+        f"fitted {found.fitted} of {found.pixels} pixels; the model is rejected in {share:.3g} % of them{misfit};"
         f" a parameter is at its bound in {found.at_bound}",
         "spread: half the distance between the 16th and the 84th percentile over the map",
     )

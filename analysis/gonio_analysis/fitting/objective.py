@@ -36,12 +36,18 @@ BELOW = 3.0
 """Logarithmic metrics leave out values below this many standard uncertainties."""
 
 DESCRIPTIONS = {
-    "weighted": ("weighted residual", "rms of the whitened residuals; 1 agrees with the stated uncertainties"),
+    "weighted": ("residual / u", "rms of (model - measured) / u, correlations taken out; 1 agrees with the stated u"),
     "log_ratio": ("log ratio", "rms of ln(model / measured), values above 3 u; 0.1 is a typical disagreement of 10 %"),
     "log_cosine": ("log(1 + f cos)", "rms of the difference of ln(1 + f cos θi), values above 3 u"),
-    "ngan": ("Ngan cos-weighted", "rms of (model - measured) cos θi, in 1/sr: governed by the highest values"),
-    "cube_root": ("cube root", "rms of the difference of (f cos θi)^(1/3)"),
-    "relative": ("relative", "rms of (model - measured) / measured, values above 3 u: costs too low a model less"),
+    "ngan": (
+        "cosine-weighted difference",
+        "rms of (model - measured) cos θi, in 1/sr, after Ngan et al. 2005: governed by the highest values",
+    ),
+    "cube_root": ("cube-root difference", "rms of the difference of (f cos θi)^(1/3)"),
+    "relative": (
+        "relative difference",
+        "rms of (model - measured) / measured, values above 3 u: costs too low a model less",
+    ),
 }
 """Name -> short label, and what it is."""
 
@@ -107,9 +113,9 @@ are outliers; the covariance of such a fit says nothing."""
 
 
 METRICS = {
-    "weighted": "whitened by the covariance",
+    "weighted": "differences in units of their uncertainty, correlations taken out",
     "log": "logarithmic",
-    "ngan": "differences times cos theta_i, as Ngan, Durand and Matusik (2005)",
+    "ngan": "differences times cos theta_i, after Ngan et al. 2005",
     "cube-root": "differences of the cube roots of f cos theta_i",
     "relative": "differences relative to the measured value",
 }

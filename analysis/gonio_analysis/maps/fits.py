@@ -152,7 +152,7 @@ def _layout(map_file: MapFile, wanted: Plan) -> tuple[dict[str, int], dict[str, 
         out["correlation"] = Variable(
             (*yx, "pair"), None, "f4", about="correlation of parameters", attrs={"pairs": listed}
         )
-    out["tau"] = Variable(yx, None, "f4", about="relative misfit of a model that is rejected")
+    out["misfit"] = Variable(yx, None, "f4", about="relative misfit of a model that is rejected")
     out["chi_square"] = Variable(yx, None, "f4", about="chi-square with the stated uncertainties")
     out["n_values"] = Variable(yx, None, "i4", about="values that were fitted")
     masks = {
@@ -185,7 +185,7 @@ class Summary:
     fitted: int
     rejected: int
     at_bound: int
-    tau: float
+    misfit: float
     """Median of the misfit of pixels that are rejected; NaN without any."""
     parameters: dict[str, Parameter]
     materials: list[dict[str, float]]
@@ -211,12 +211,12 @@ def summary(path: Path) -> Summary:
             found = {name: fits.array(name, tile) for name in names}
             unknown = [int((fitted & ~np.isfinite(found[name])).sum()) for name in units]
             counts = [int(fitted.sum()), int(rejected.sum()), int(((flag & AT_BOUND) != 0).sum()), *unknown]
-            found["tau"] = np.where(rejected, fits.array("tau", tile), np.nan)
+            found["misfit"] = np.where(rejected, fits.array("misfit", tile), np.nan)
             return counts, {name: array.ravel()[::step].astype(float) for name, array in found.items()}
 
         seen = list(in_threads(look, fits.tiles()))
         fitted, rejected, bound, *unknown = np.sum([counts for counts, _ in seen], axis=0).tolist()
-        some = {name: np.concatenate([arrays[name] for _, arrays in seen]) for name in (*names, "tau")}
+        some = {name: np.concatenate([arrays[name] for _, arrays in seen]) for name in (*names, "misfit")}
         some = {name: values[np.isfinite(values)] for name, values in some.items()}
         parameters = {}
         for (name, unit), masked in zip(units.items(), unknown, strict=True):
@@ -227,7 +227,7 @@ def summary(path: Path) -> Summary:
             )
         of_kinds = {name: fits.array(name) for name in fits.names if name.startswith(("material_", "u_material_"))}
         kinds = [dict(zip(of_kinds, map(float, row), strict=True)) for row in zip(*of_kinds.values(), strict=True)]
-    return Summary(size, fitted, rejected, bound, _middle(some["tau"]), parameters, kinds)
+    return Summary(size, fitted, rejected, bound, _middle(some["misfit"]), parameters, kinds)
 
 
 def _middle(values: Floats) -> float:

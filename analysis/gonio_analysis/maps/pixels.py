@@ -253,6 +253,6 @@ def _judged(plan: Plan, fits: batch.Fits) -> Arrays:
         out[f"u_{name}"] = np.where(masked[:, k] | (error[:, k] == 0.0), np.nan, error[:, k])
     if related:
         out["correlation"] = np.stack(related, axis=1).astype(np.float32)
-    out["tau"] = np.where(there, fits.tau, np.nan).astype(np.float32)
+    out["misfit"] = np.where(there, fits.tau, np.nan).astype(np.float32)
     out["chi_square"] = fits.chi_square.astype(np.float32)
     return out | {"n_values": fits.used.astype(np.int32), "flag": flag.astype(np.uint8)}

@@ -365,7 +365,7 @@ def residuals(
     else:
         ax.set_ylim(-max(top * 1.15, 3.0), max(top * 1.15, 3.0))
     angle_axis(ax)
-    ax.set_ylabel("whitened\nresidual" if whitened else "model /\nmeasured")
+    ax.set_ylabel("residual\n/ u" if whitened else "model /\nmeasured")
     return artists
 
 

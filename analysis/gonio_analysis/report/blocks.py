@@ -12,7 +12,7 @@ from typing import Any, Literal, TypedDict
 
 from gonio_analysis.report.drawing import Figure
 from gonio_analysis.report.lost import Loss, so_far
-from gonio_analysis.report.text import cut, glued
+from gonio_analysis.report.text import cause, cut, glued, meaning
 from gonio_analysis.report.viewer import View
 
 VERSIONS = ("gonio", "numpy", "scipy", "numba", "pandas", "matplotlib")
@@ -68,6 +68,11 @@ def code(text: str) -> Span:
 def term(text: str, meaning: str) -> Span:
     """A term, with its meaning at a touch."""
     return Span(text, meaning=meaning)
+
+
+def caused(name: str, *, common: bool = True) -> Span:
+    """A cause of an uncertainty, with what it is at a touch."""
+    return term(cause(name), meaning(name, common=common))
 
 
 def spans(text: Text) -> tuple[Span, ...]:
@@ -289,13 +294,17 @@ def table(
     )
 
 
-def facts(rows: Iterable[tuple[str, str]]) -> Facts:
+def facts(rows: Iterable[tuple[Text, Text]]) -> Facts:
     """A list of names and values; what is too long for a page is cut, and stands in summary.json."""
     every = list(rows)
     kept = every[:MOST_FACTS]
     if len(every) > len(kept):
         kept.append(("more", f"{len(every) - len(kept)} further entries stand in summary.json"))
-    return Facts(tuple((cut(k, MOST_WORDS), glued(cut(v, MOST_WORDS))) for k, v in kept))
+    return Facts(tuple((_cut(k), _glued(_cut(v))) for k, v in kept))
+
+
+def _cut(text: Text) -> Text:
+    return cut(text, MOST_WORDS) if isinstance(text, str) else text
 
 
 def notes(texts: Sequence[str]) -> Notes:

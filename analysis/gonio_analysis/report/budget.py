@@ -13,13 +13,13 @@ from gonio_analysis.curves.in_plane import evenly
 from gonio_analysis.plots import in_plane
 from gonio_analysis.plots.in_plane import COLOURS, clean
 from gonio_analysis.plots.style import FAINT
-from gonio_analysis.report.blocks import MOST_ROWS, Block, Figures, Heading, Notes, Paragraph, strong, table
+from gonio_analysis.report.blocks import MOST_ROWS, Block, Figures, Heading, Notes, Paragraph, Text, caused, table, term
 from gonio_analysis.report.drawing import Drawing, Figure
 from gonio_analysis.report.facts import DatasetSummary
 from gonio_analysis.report.figures import LEGEND_ROW_IN, key
 from gonio_analysis.report.section import Figures as ByKind
 from gonio_analysis.report.section import Section
-from gonio_analysis.report.text import CAUSES, cause, meaning, number, percent
+from gonio_analysis.report.text import cause, number, percent
 from gonio_analysis.result_records import BudgetCurve, BudgetFacts, RunFacts
 
 KIND = "budget-shares"
@@ -29,6 +29,9 @@ PANEL_IN = 1.45
 FOOT_IN = 0.45
 COLUMNS = 2
 LEAST = 1e-5
+MEDIAN = term("median u / f", "Standard uncertainty over the value: half of the values have a smaller one.")
+SHARE = term("share of variance", "The part of u² that the cause makes, averaged over the values.")
+KIND_OF_CAUSE = term("kind", "Common: one error moves all values together. Own: each value has its own error.")
 
 
 def of(run: RunFacts | None, wavelength_nm: float | None) -> BudgetFacts | None:
@@ -63,17 +66,14 @@ def draw(found: BudgetFacts | None, slug: str) -> list[Drawing]:
 
 def section(found: BudgetFacts, figures: Sequence[Figure]) -> list[Block]:
     """The table of the parts, what is not among them, and the figure."""
-    rows = [["combined", percent(found.median), percent(found.highest), percent(1.0), "", CAUSES["combined"]]]
+    rows: list[list[Text]] = [[caused("combined"), percent(found.median), percent(found.highest), percent(1.0), ""]]
     rows += [
-        [cause(p.cause), _percent(p.median), _percent(p.largest), _percent(p.share), "common" if p.common else "own",
-         meaning(p.cause, common=p.common)]
+        [caused(p.cause, common=p.common), _percent(p.median), _percent(p.largest), _percent(p.share),
+         "common" if p.common else "own"]
         for p in found.parts if p.largest > 0.0
     ]  # fmt: skip
-    head = ["cause", "median u / f", "largest", "share of variance", "kind", "what it is"]
-    caption = (
-        "Standard uncertainties (k = 1) relative to the value, and the mean share of the variance. A cause is"
-        " common to all values, or each value has its own."
-    )
+    head: list[Text] = ["cause", MEDIAN, term("largest", "The largest u / f of a value."), SHARE, KIND_OF_CAUSE]
+    caption = "Standard uncertainties (k = 1) relative to the value, and the mean share of the variance."
     out: list[Block] = [table(caption, head, rows, right=(1, 2, 3))]
     words = (
         f"Expanded uncertainty (k = 2) of the {found.values} values in this budget, those beyond 3 u: median"
@@ -84,16 +84,16 @@ def section(found: BudgetFacts, figures: Sequence[Figure]) -> list[Block]:
         words += f" Effective degrees of freedom: at least {number(found.nu_eff, 2)}."
     if found.coarse:
         words += (
-            f" {found.coarse} values lie beside a lobe that the plan's steps do not resolve (coarse in budget.csv):"
-            " their uncertainty is that of the steepest lobe that the data allow."
+            f" {found.coarse} values lie beside a lobe that the plan's steps do not resolve (column coarse of"
+            " budget.csv): their uncertainty is that of the steepest lobe that the data allow."
         )
-    nothing = ", ".join(cause(p.cause) for p in found.parts if p.largest <= 0.0)
-    words += f" Budgeted, and without a part in these values: {nothing}." if nothing else ""
-    out.append(Paragraph(words))
+    nothing = [part for p in found.parts if p.largest <= 0.0 for part in (", ", caused(p.cause, common=p.common))][1:]
+    without = (" Budgeted, and without a part in these values: ", *nothing, ".") if nothing else ()
+    out.append(Paragraph((words, *without)))
     if found.monte_carlo:
         out.append(Paragraph(f"Checked by drawing the inputs: {found.monte_carlo}."))
     out.append(Figures(tuple(figures)))
-    left_out = tuple((strong(cause(name)), f": {why}") for name, why in found.left_out.items())
+    left_out = tuple((caused(name), f": {why}") for name, why in found.left_out.items())
     return [*out, Paragraph("Not in the budget:"), Notes(left_out)] if left_out else out
 
 
@@ -128,9 +128,9 @@ def _words(d: DatasetSummary, by: ByKind) -> list[Block]:
     drawn, parts = Figures((*by["budget"], *by.get("budget-angle", ()))), of(d.run, d.wavelength_nm)
     if parts is not None:
         return [drawn, *section(parts, by.get(KIND, ()))]
-    rows = [[cause(p.cause), percent(p.median), percent(p.p95), meaning(p.cause, common=True)] for p in d.budget]
+    rows: list[list[Text]] = [[caused(p.cause), percent(p.median), percent(p.p95)] for p in d.budget]
     caption, most = "Standard uncertainties relative to the value.", (MOST_ROWS, f"{d.slug}-budget.csv")
-    return [drawn, table(caption, ["cause", "median", "95th percentile", "what it is"], rows, right=(1, 2), most=most)]
+    return [drawn, table(caption, ["cause", MEDIAN, "95th percentile"], rows, right=(1, 2), most=most)]
 
 
 def _percent(value: float) -> str:

@@ -181,7 +181,7 @@ def _absolute(d: Dataset, facts: DatasetSummary, names: Sequence[str], most: int
     low = thinning.of_residuals(lines, PANEL_PT, 0.25 * PANEL_PT, most)
     some = thinning.residuals(angle, values, PANEL_PT, 0.25 * PANEL_PT, most)
     kind = (
-        "whitened residuals: model minus measurement in standard deviations, correlations taken out (band: ±2)"
+        "residuals in standard deviations: model minus measurement over u, correlations taken out (band: ±2)"
         + ", of the assumed uncertainty" * (data.u_rel_assumed is not None)
         + ", the model's own misfit among them" * (f.fit.misfit is not None)
         if stated
@@ -214,7 +214,7 @@ def _band(f: Fitted) -> str:
     """A sentence on the band around theory; "" where the data do not reject the model."""
     if f.fit.misfit is None or f.fit.tau is None:
         return ""
-    return f" Light band: theory and its misfit tau, {f.fit.tau.words}, to either side."
+    return f" Light band: theory and its misfit, {f.fit.tau.words}, to either side."
 
 
 def _above(lines: Sequence[Line]) -> str:

@@ -153,9 +153,11 @@ def sessions_section(run: RunFacts | None) -> list[Block]:
     head = ["session", "from, to (UTC)", "steps", "its end", *(f"reference, {band}" for band in shown)]
     words = (
         f"It was measured in {len(run.sessions)} sessions, and the lamp was dark in between. The white reference joins"
-        " them: values are relative to its visits."
+        " them: values are relative to its measurements."
     )
-    caption = "Reference: mean signal of the visits of a session, relative to the first one's, ± standard deviation."
+    caption = (
+        "Reference: mean signal of its measurements in a session, relative to the first one's, ± standard deviation."
+    )
     if not shown:
         caption = "What the reference says stands here once the run is reduced."
     if len(bands) > len(shown) or len(run.sessions) > MOST_SESSIONS:
@@ -168,9 +170,9 @@ def sessions_section(run: RunFacts | None) -> list[Block]:
 def _level(session: SessionSummary, band: str) -> str:
     found: list[ReferenceLevel] = [level for level in session.levels if level.band == band]
     if not found:
-        return "no visit"
+        return "not measured"
     (level,) = found
-    visits = f"{level.visits} visit" + "s" * (level.visits != 1)
+    visits = f"{level.visits} measurement" + "s" * (level.visits != 1)
     if level.scatter is None:
         return f"{level.relative:.5f} ({visits})"
     return f"{with_u(level.relative, level.scatter)} ({visits})"

@@ -232,13 +232,15 @@ def picture_of(grid: Grid, kind: npt.NDArray[np.intp]) -> npt.NDArray[np.intp]:
 
 
 def of_fits(file: FitFile, say: Callable[[str], None] = lambda text: None) -> list[Layer]:
-    """Every parameter, then the misfit tau."""
+    """Every parameter, then the misfit."""
     grid, out = Grid.of(file), []
     for name in file.parameters:
         say(f"reading {name}")
         out.append(layer(grid, name, file.unit(name), *file.parameter(name)))
-    if "tau" in file.names:
-        out.append(layer(grid, "tau", "", np.where(file.flagged("too_few"), np.nan, file.array("tau").astype(float))))
+    if "misfit" in file.names:
+        out.append(
+            layer(grid, "misfit", "", np.where(file.flagged("too_few"), np.nan, file.array("misfit").astype(float)))
+        )
     return out
 
 
@@ -288,8 +290,8 @@ def draw(grid: Grid, layers: Sequence[Layer]) -> list[Drawing]:
     """Maps of layers, each with that of its uncertainty, then their histograms."""
     out, files = [], model_slugs(one.name for one in layers)
     for one in layers:
-        colours = pixels.UNCERTAINTIES if one.name == "tau" else pixels.VALUES
-        what = "misfit tau, relative" if one.name == "tau" else one.label
+        colours = pixels.UNCERTAINTIES if one.name == "misfit" else pixels.VALUES
+        what = "misfit, relative" if one.name == "misfit" else one.label
         file = files[one.name]
         out.append(_map(grid, f"map-{file}", one.picture, what, _limits(one), colours, _share(grid, one)))
         if one.picture_u is not None and np.isfinite(one.picture_u).any():

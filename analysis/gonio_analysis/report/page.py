@@ -32,7 +32,7 @@ from gonio_analysis.report.drawing import Figure
 from gonio_analysis.report.facts import DatasetSummary, Summary
 from gonio_analysis.report.model_tables import fitted_words
 from gonio_analysis.report.section import part
-from gonio_analysis.report.text import difference, number, percent, slug, with_u
+from gonio_analysis.report.text import FILLING, difference, number, percent, slug, with_u
 from gonio_analysis.report.viewer import View
 from gonio_analysis.result_records import RunFacts
 
@@ -57,7 +57,8 @@ def _provenance(s: Summary) -> list[Block]:
         given = {k: v for k, v in d.provenance.items() if k not in ("checks", "not_in_budget", "monte_carlo")}
         calibrations = given.pop("calibrations", [])
         visits = given.pop("reference", []) if d.run else []
-        rows += _flat(given)
+        filling = FILLING.get(given.pop("filling", "") if d.run else "")
+        rows += [*_flat(given), *([("beam on the sample", filling)] if filling else [])]
         rows += [("calibration", _calibration(one)) for one in calibrations]
         rows += [("white reference", _reference(band)) for band in visits]
         out += [Paragraph(strong(d.title)), facts(rows)]
@@ -88,7 +89,7 @@ def _calibration(used: Mapping[str, Any]) -> str:
 
 
 def _reference(band: Mapping[str, Any]) -> str:
-    """What the visits to the white reference said, as `gonio.reduction.brdf.reduce` leaves it."""
+    """What the measurements of the white reference said, as `gonio.reduction.brdf.reduce` leaves it."""
     level, slope, u_slope = band["level_e_per_s_sr"], band["drift_per_hour"], band["u_drift_per_hour"]
     drift, steady = "unknown", "that tell no drift"
     if slope is not None:
@@ -97,7 +98,7 @@ def _reference(band: Mapping[str, Any]) -> str:
     # a table of an earlier version does not say how well the BRDF of the reference is known
     known = f", known to {percent(band['u_brdf_rel'])}" if "u_brdf_rel" in band else ""
     return (
-        f"{band['band']}: BRDF {number(band['brdf'], 4)} sr⁻¹{known}; {band['visits']} visits {steady} "
+        f"{band['band']}: BRDF {number(band['brdf'], 4)} sr⁻¹{known}; {band['visits']} measurements {steady} "
         f"(chi-square {number(band['chi_square'])}); level {number(level, 4)} electrons a second and steradian,"
         f" known to {percent(band['u_level_rel'])}; drift {drift}; frames of one step scatter as the noise "
         f"model says, times {number(band['frame_scatter'])} in variance"

@@ -83,7 +83,7 @@
     build() {
       const { data, layers } = this;
       this.shown = layers.flatMap((l) => [
-        { text: l.label, values: l.values, low: l.low, high: l.high, palette: l.name === "tau" ? "cividis" : "viridis" },
+        { text: l.label, values: l.values, low: l.low, high: l.high, palette: l.name === "misfit" ? "cividis" : "viridis" },
         ...(l.us ? [{ text: `u of ${l.label}`, values: l.us, low: l.u.low, high: l.u.high, palette: "cividis" }] : []),
       ]);
       this.shown.push({ text: "flags" });
@@ -194,7 +194,7 @@
       }
       const k = row * data.cols + col, p = { k: 0, ...data.fixed };
       for (const l of this.layers) p[l.name] = l.values[k];
-      const whole = model && this.layers.every((l) => l.name === "tau" || !Number.isNaN(l.values[k]));
+      const whole = model && this.layers.every((l) => l.name === "misfit" || !Number.isNaN(l.values[k]));
       if (!data.model) where += "";
       else if (!whole) where += " The model is not determined here.";
       this.where.textContent = where.trim();

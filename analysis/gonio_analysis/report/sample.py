@@ -20,18 +20,20 @@ from gonio_analysis.report.blocks import (
     Table,
     Text,
     Viewer,
+    caused,
     facts,
     lead,
     notes,
     strong,
     table,
+    term,
 )
 from gonio_analysis.report.drawing import Figure
 from gonio_analysis.report.facts import DatasetSummary, Summary
 from gonio_analysis.report.section import Figures as ByKind
 from gonio_analysis.report.section import blocks_of, part
 from gonio_analysis.report.sections import SECTIONS
-from gonio_analysis.report.text import angle, cause, cut, difference, glued, number, percent, reasons, with_u
+from gonio_analysis.report.text import angle, cut, difference, glued, number, percent, reasons, with_u
 from gonio_analysis.report.viewer import View
 
 FAR = 0.1
@@ -184,7 +186,7 @@ def _values(d: DatasetSummary) -> Table:
 def _facts(d: DatasetSummary) -> Facts:
     run = d.run
     wavelengths = [w for w in d.wavelengths_nm if w is not None]
-    rows: list[tuple[str, str]] = [("source", d.source or "–")]
+    rows: list[tuple[Text, Text]] = [("source", d.source or "–")]
     if run:
         left_out = ", ".join(f"{count} {flag}" for flag, count in run.points_not_reachable.items())
         rows.append(("rig", f"{run.rig} ({run.driver}), seed {run.seed}"))
@@ -201,12 +203,12 @@ def _facts(d: DatasetSummary) -> Facts:
     used = f"{d.used} of {d.rows_here}" + " at this wavelength" * (len(wavelengths) > 1)
     negative = f"; {d.negative} values are negative within the noise" if d.negative else ""
     cones = [("source", d.source_solid_angle_sr), ("receiver", d.receiver_solid_angle_sr)]
-    uncertainty = "none stated"
+    uncertainty: Text = "none stated"
     if d.uncertainty_stated:
-        causes = ", ".join(cause(c) for c in d.causes) or "none"
-        uncertainty = f"median {percent(d.median_u_rel)}; causes common to all values: {causes}"
+        causes = [part for c in d.causes for part in (", ", caused(c))][1:] or ["none"]
+        uncertainty = (f"median {percent(d.median_u_rel)}; causes common to all values: ", *causes)
     elif d.u_rel_assumed is not None:
-        uncertainty += f"; {percent(d.u_rel_assumed)} of each value is assumed"
+        uncertainty = f"none stated; {percent(d.u_rel_assumed)} of each value is assumed"
     return facts(
         [
             *rows,
@@ -285,7 +287,7 @@ def _of_misfits(d: DatasetSummary) -> str:
     """What the reflectances of models hold that are not true."""
     if not any(r.with_misfit is not None for f in d.models.values() for r in f.rho_dh):
         return ""
-    said = " Of a model with a misfit tau they hold that misfit over the whole hemisphere."
+    said = " Of a model with a misfit they hold that misfit over the whole hemisphere."
     if d.rho_dh_combined:
         said += f" The last column is {', '.join(d.choice.near)} with what the values say of the misfit"
         if len(d.choice.near) > 1:
@@ -310,19 +312,23 @@ def _polar_words(s: Summary, d: DatasetSummary) -> Paragraph:
     return Paragraph(
         f"{first}The {moving} moves from −90° (retro side, left) to 90° (mirror side, right); the short "
         "strokes on the rim mark the mirror directions. In plane means within "
-        f"{s.in_plane_tolerance_deg:g}° of the plane of incidence; the values shown are within "
-        f"{number(d.out_of_plane_deg, 2) if d.out_of_plane_deg > 1e-6 else '0'}°."
+        f"{s.in_plane_tolerance_deg:g}° of the plane of incidence; {_aside(d)}."
     )
+
+
+def _aside(d: DatasetSummary) -> str:
+    """How far the values that are shown as in plane lie out of it."""
+    if d.out_of_plane_deg > 1e-6:
+        return f"the values shown lie up to {number(d.out_of_plane_deg, 2)}° out of it"
+    return "the values shown lie in it"
 
 
 def _metrics(s: Summary, d: DatasetSummary) -> list[Block]:
     known = d.uncertainty_stated or d.u_rel_assumed is not None
     names = [n for n in s.metrics if any(f.metrics[n] is not None for f in d.models.values())]
     rows = [[m, *(number(f.metrics[n]) for n in names)] for m, f in d.models.items()]
-    return [
-        table("", ["model", *(s.metrics[n]["label"] for n in names)], rows, right=tuple(range(1, len(names) + 1))),
-        facts((s.metrics[n]["label"], meaning_of_metric(n, known=known)) for n in names),
-    ]
+    heads = [term(s.metrics[n]["label"], meaning_of_metric(n, known=known)) for n in names]
+    return [table("", ["model", *heads], rows, right=tuple(range(1, len(names) + 1)))]
 
 
 def _cone(solid_angle_sr: float | None) -> str:

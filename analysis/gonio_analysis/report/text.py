@@ -20,26 +20,23 @@ CAUSES = {
     "combined": "all of them together",
     "random (independent)": "noise, encoder steps: what differs from value to value",
     "reference": "certificate of the white reference",
-    "reference noise": "noise of the visits to the white reference",
-    "lamp drift": "drift of the lamp from the first visit to the last",
-    "dark 1": "noise of the dark frames: the strongest pattern that values share",
-    "dark 2": "noise of the dark frames: the second pattern",
-    "dark 3": "noise of the dark frames: the third pattern",
+    "reference noise": "noise of the measurements of the white reference",
+    "lamp drift": "drift of the lamp from the first measurement of the reference to the last",
     "theta i zero": "zero of the light arm",
     "theta r zero": "zero of the camera arm",
     "tilt zero": "zero of the holder's tilt",
     "azimuth zero": "zero of the azimuth arm",
     "spin zero": "zero of the holder's spin, of a sample that has a direction",
     "noise": "photons, read noise, rounding and lamp, from frame to frame",
-    "dark": "noise of the dark frames that differs from value to value",
-    "prnu": "responsivities of the pixels that the reference does not share",
+    "dark": "noise of the dark frames",
+    "prnu": "responsivities of the pixels that the reference does not share (photo response non-uniformity)",
     "encoder": "encoders read whole steps",
     "zeros even": "what an axis's zero does to a curved lobe, whichever its sign",
     "spike blur": "a specular spike blurred by errors of the angles",
     "coarse steps": "how steep a lobe may be between the plan's points",
     "region": "curvature of the lobe over the region of interest",
-    "lamp wander": "what the lamp may do between visits to the white reference",
-    "visits": "what the lamp may do between visits to the white reference: what differs from value to value",
+    "lamp wander": "what the lamp may do between measurements of the white reference",
+    "visits": "what the lamp may do between measurements of the white reference: what differs from value to value",
     "stray light": "stray light in lens and room",
     "linearity": "departure of the sensor from a straight line",
     "polarisation": "what lamp and lens polarise",
@@ -49,21 +46,47 @@ CAUSES = {
     "geometry": "calibrated geometry: zeros, axes, distances, lens",
 }
 """What the causes of an uncertainty are that our own reduction budgets (docs/radiometry.md), by their names."""
-BOTH = ("beam", "geometry", "polarisation")
+FILLING = {
+    "over": "larger than the region of interest (overfilled)",
+    "under": "smaller than the region of interest (underfilled)",
+}
+"""How large the beam is on the sample, by what the provenance of a table calls it."""
+BOTH = ("beam", "dark", "geometry", "polarisation")
 """Causes of which a part is common to all values, and each value has a part of its own."""
+SHOWN = {
+    "dark": "dark frames",
+    "prnu": "pixel responsivities",
+    "encoder": "encoder resolution",
+    "zeros even": "axis zeros, second order",
+    "spike blur": "blur of the spike",
+    "coarse steps": "lobe between points",
+    "region": "region of interest",
+    "lamp wander": "lamp instability",
+    "visits": "lamp instability",
+    "beam": "beam profile",
+}
+"""How pages name causes where their columns' names would not be understood."""
+
+
+def _pattern(name: str) -> tuple[str, str]:
+    """A cause, and the number behind its name, which tells one independent pattern of an error from others."""
+    stem, _, pattern = name.rpartition(" ")
+    return (stem, pattern) if pattern.isdigit() and stem in CAUSES else (name, "")
 
 
 def meaning(name: str, *, common: bool) -> str:
-    """What a cause is, in words: a number behind its name tells one independent pattern of an error from others."""
-    stem, _, pattern = name.rpartition(" ")
-    if name not in CAUSES and pattern.isdigit():
-        return f"{CAUSES[stem]}: pattern {pattern}" if stem in CAUSES else ""
-    return CAUSES.get(name, "") + (": what differs from value to value" if name in BOTH and not common else "")
+    """What a cause is, in words."""
+    stem, pattern = _pattern(name.replace("_", " "))
+    if pattern:
+        return f"{CAUSES[stem]}: pattern {pattern} of those that values share, the strongest first"
+    return CAUSES.get(stem, "") + (": what differs from value to value" if stem in BOTH and not common else "")
 
 
 def cause(name: str) -> str:
     """The name of a cause as a page has it: that of its column without "s_", angles as Greek letters."""
-    return name.replace("_", " ").replace("theta i ", "θi ").replace("theta r ", "θr ")
+    stem, pattern = _pattern(name.replace("_", " "))
+    words = SHOWN.get(stem, stem).replace("theta i ", "θi ").replace("theta r ", "θr ")
+    return f"{words} {pattern}" if pattern else words
 
 
 def angle(deg: float) -> str:

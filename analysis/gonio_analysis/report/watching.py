@@ -105,7 +105,7 @@ def so_far(
     ]
     says = f"{behind} steps are not reduced yet." if behind else ""
     if known and known[0].steps:
-        says = f"At the plan's angles; the reference is known up to its last visit. {says}".strip()
+        says = f"At the plan's angles; the reference is known up to its last measurement. {says}".strip()
     return {"view": view if waves else None, "maps": maps, "visits": visits, "says": says}
 
 

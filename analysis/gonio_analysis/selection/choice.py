@@ -227,7 +227,7 @@ def choose(
             raise DataError(f"{name}: {words}")
         return Choice([], None, {}, f"{words}.", "", left_out)
     folds, by = blocks(next(iter(fits.values())).data)
-    told = f"{name}: errors of values held out, models"
+    told = f"{name}: predicting values left out, models"
     tested = share([partial(_tested, r, folds) for r in fits.values()], told, progress)
     judged = _reject([_judged(c, r, t, walls[c]) for (c, r), t in zip(fits.items(), tested, strict=True)])
     named, intervals, lower = _walked(judged, share)

@@ -311,7 +311,7 @@ CAUSES = (
         "`gonio calibrate light --only lamp`: how long to wait, and the noise",
         _lamp,
     ),
-    Cause("drift", "drift of the lamp, up to 3 % an hour either way", "visits to the white reference", _drift),
+    Cause("drift", "drift of the lamp, up to 3 % an hour either way", "measurements of the white reference", _drift),
     Cause(
         "camera",
         "gain (2 to 4 e-/DN), read noise, dark current, PRNU and DSNU of every pixel, nonlinearity up to 1.5 %, stray "

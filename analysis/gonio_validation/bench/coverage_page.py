@@ -80,13 +80,14 @@ HIDDEN = TableSection(
 )  # fmt: skip
 FAR = TableSection(
     "Points far off", "far", "worst",
-    "The largest pull of a campaign, for the campaigns in which it is largest. Angles in degrees, values in 1/sr.",
+    "The largest normalised error of a campaign, for the campaigns in which it is largest. Angles in degrees, values"
+    " in 1/sr.",
     (
         Column("campaign", "campaign"), Column("model", "model"), Column("plan", "plan"), Column("region", "region"),
         Column("theta_i", "theta_i_deg", "{:.2f}".format), Column("theta_r", "theta_r_deg", "{:.2f}".format),
         Column("dphi", "dphi_deg", "{:.2f}".format), Column("BRDF", "brdf", lambda x: number(x, 4)),
         Column("true", "truth", lambda x: number(x, 4)), Column("u", "u_brdf", two_digits),
-        Column("pull", "pull", "{:+.2f}".format),
+        Column("normalised error", "pull", "{:+.2f}".format),
     ),
     tuple(range(4, 11)),
 )  # fmt: skip
@@ -100,7 +101,12 @@ REFUSED = TableSection(
 
 def render(s: JsonObject, figures: Sequence[Figure]) -> Page:
     """The page."""
-    links = (("coverage", "Coverage"), ("pulls", "Pulls"), ("hidden", "What is hidden"), ("far", "Points far off"))
+    links = (
+        ("coverage", "Coverage"),
+        ("pulls", "Normalised errors"),
+        ("hidden", "What is hidden"),
+        ("far", "Points far off"),
+    )
     what = (
         f", seed {s['seed']}: {s['campaigns']} campaigns, {s['values']} "
         f"values of BRDF, {number(s['seconds'] / max(s['campaigns'], 1), 2)} s of one process a campaign."
@@ -148,14 +154,16 @@ def _coverage(s: JsonObject, figures: Sequence[Figure]) -> Group:
 
 def _pulls(s: JsonObject, figures: Sequence[Figure]) -> Group:
     words = (
-        "A pull is (found - true) / u, one a campaign. Its standard deviation should be 1: larger, and uncertainties "
-        "are too small; smaller, and they are too large. Intervals are 95 %, of campaigns drawn again. Probabilities "
-        "of the tests of all values together are uniform where the stated covariance is right."
+        "A normalised error is (found - true) / u, one a campaign. Its standard deviation should be 1: larger, and "
+        "uncertainties are too small; smaller, and they are too large. Intervals are 95 %, of campaigns drawn again. "
+        "Probabilities of the tests of all values together are uniform where the stated covariance is right."
     )
     shown = listed(s["pulls"], PULLS, tuple(range(2, 9)))
     caption = "Campaigns by the probability of a larger chi-square, in ten equal bins from 0 to 1."
     uniform = listed(s["uniform"], UNIFORM, (1, 2), caption)
-    return part("Pulls", "pulls", words, Figures(tuple(f for f in figures if f.kind != "forest")), shown, uniform)
+    return part(
+        "Normalised errors", "pulls", words, Figures(tuple(f for f in figures if f.kind != "forest")), shown, uniform
+    )
 
 
 # --- drawings -----------------------------------------------------------------------------------------------------
@@ -217,8 +225,10 @@ def _histograms(s: JsonObject) -> Figure:
             plain_axes(ax, "x")
         left.set_ylabel("campaigns", fontsize=8)
 
-    caption = "Pulls, with the normal distribution of standard deviation 1. Those beyond 4 stand in the last bin."
-    alt = f"Histograms of {len(s['single_pulls'])} pulls of points and {len(s['parameter_pulls'])} of parameters."
+    caption = (
+        "Normalised errors, with the normal distribution of standard deviation 1. Those beyond 4 stand in the last bin."
+    )
+    alt = f"Histograms of {len(s['single_pulls'])} errors of points and {len(s['parameter_pulls'])} of parameters."
     return rendered("pulls", "histogram", "", caption, alt, (5.4, 2.6), on)
 
 

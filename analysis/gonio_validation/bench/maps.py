@@ -51,7 +51,7 @@ TIMES = [
 ERRORS = [
     Column("model", "model"),
     Column("from gonio fit", "from_fit", _in("u", 2)),
-    Column("pulls: standard deviation", "pull_sd", lambda values: ", ".join(f"{x:.3f}" for x in values)),
+    Column("(found - true) / u: standard deviation", "pull_sd", lambda values: ", ".join(f"{x:.3f}" for x in values)),
     Column("beyond 5 u", "beyond_5"),
     Column("worse than the truth", "worse_than_truth"),
 ]
@@ -181,7 +181,7 @@ def make(
             header("Fits of maps: speed against error", f"{POINTS} directions, noise of {100 * NOISE:g} %."),
             Heading(2, "Time"),
             Paragraph("Processor time of one thread, in microseconds a pixel: starts, fit, standard errors. Rejected: "
-                      "the model is not true, so tau is found and errors come from leaving out "
+                      "the model is not true, so its misfit is found and errors come from leaving out "
                       "blocks. scipy: least squares on the same kernel, from the truth on."),
             listed(rows, TIMES, (1, 2, 3, 4, 5, 6)),
             Heading(2, "Error"),

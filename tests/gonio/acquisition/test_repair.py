@@ -258,7 +258,7 @@ def test_reduction_needs_one_visit(run: Run) -> None:
     for number in (1, 5, 8):
         for frame in run.steps()[number].frames:
             lose(run.frame_path(frame.file), "missing")
-    with pytest.raises(DataError, match="no usable visit to the white reference"):
+    with pytest.raises(DataError, match="no usable measurement of the white reference"):
         brdf.reduce(run)
 
 

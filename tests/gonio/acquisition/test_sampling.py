@@ -94,7 +94,7 @@ def test_a_run_grows_until_its_chooser_has_enough(plan: Plan, tmp_path: Path) ->
     assert (first == first[3]).sum() >= 2, "the point that was chosen again has a row of its own"
     seen = next(event for event in run.events() if event["event"] == "chosen")["why"]["brdf"]
     assert seen == pytest.approx(table["brdf"][:3].max(), rel=2e-3), (
-        "later visits to the reference move it by their noise"
+        "later measurements of the reference move it by their noise"
     )
 
 

@@ -164,7 +164,7 @@ def test_energy_is_judged_by_the_uncertainty() -> None:
     ("taken", "visits", "name", "verdict"),
     [
         (WELL, OVER, "", "ok"),
-        (WELL, replace(OVER, unknown="one visit to the white reference only"), "reference drift", "undetermined"),
+        (WELL, replace(OVER, unknown="one measurement of the white reference only"), "reference drift", "undetermined"),
         (WELL, replace(OVER, straight=False, chi_square=40.0), "reference drift", "look"),
         (WELL, replace(OVER, lost=["saturated"]), "reference drift", "look"),
         (WELL, replace(OVER, peak_to_peak=0.2), "reference drift", "bad"),

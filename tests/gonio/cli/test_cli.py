@@ -83,7 +83,7 @@ def test_plan_show_tells_what_cannot_be_measured_and_how_long_it_takes(folder: P
         gonio(folder, "plan", "show", "plan.toml", "--rig", "sim", expect=0).stdout,
         "blocked: -20",
         "1 blocked: the bodies of source and detector block 3.2 deg around retro",
-        "visits to the white reference; about",
+        "measurements of the white reference; about",
     )
 
 

@@ -48,7 +48,7 @@ def test_a_cut_run_is_said_to_be_and_goes_on_by_what_it_holds(tmp_path: Path) ->
     ("lines", "words"),
     [
         (5, "2 of 5 points are measured;"),
-        (9, "5 of 5 points are measured, and 1 visits to the reference or dark"),
+        (9, "5 of 5 points are measured, and 1 measurements of the reference or dark"),
         (10, ""),
     ],
 )

@@ -100,7 +100,9 @@ def test_a_process_that_is_gone_is_said_at_once_where_it_can_be_told(told: Told)
 def test_a_run_grows_by_what_is_chosen(told: Told) -> None:
     points = [[30.0, 0.0, float(k), 180.0] for k in range(4)]
     event = told.take("chosen", 50.0, first_step=10, points=points, why={"sigma": 0.01234, "curve": "theta_i 30"})
-    assert told.run_status.total == 10 + 4 + 2, "a visit to the reference after three points, and one after the last"
+    assert told.run_status.total == 10 + 4 + 2, (
+        "a measurement of the reference after three points, and one after the last"
+    )
     assert event["text"] == "4 points more, from step 10 on"
     assert event["why"] == ["sigma: 0.01234", "curve: theta_i 30"]
     assert event["points_deg"] == points

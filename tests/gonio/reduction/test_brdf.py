@@ -257,8 +257,8 @@ def test_visits_that_were_lost_are_told(tmp_path: Path) -> None:
     run.taken[visits[0]] = replace(run.taken[visits[0]], flag="moved", frames=())
     run.taken[visits[2]] = replace(run.taken[visits[2]], frames=())
     notes = reduce(run).attrs["notes"]
-    assert notes[0].endswith("2 of 3 visits to the white reference cannot be used (1 moved, 1 not_measured)")
-    assert "one visit to the white reference only" in notes[1]
+    assert notes[0].endswith("2 of 3 measurements of the white reference cannot be used (1 moved, 1 not_measured)")
+    assert "one measurement of the white reference only" in notes[1]
 
 
 def test_saturated_frames_are_left_out_and_saturated_points_flagged(tmp_path: Path) -> None:
@@ -365,7 +365,7 @@ def test_a_frame_that_is_not_the_journal_s_is_left_out_and_named(tmp_path: Path,
     ("kept", "message"),
     [
         (("reference", "point"), "no dark frames"),
-        (("dark", "point"), "no usable visit to the white reference in band 550 nm"),
+        (("dark", "point"), "no usable measurement of the white reference in band 550 nm"),
         (("dark",), "no point was measured"),
     ],
 )

@@ -138,7 +138,7 @@ def test_one_visit_tells_no_drift_whatever_its_numbers(seed: int) -> None:
         np.testing.assert_array_equal(fitted.at(at), value)
         np.testing.assert_array_equal(fitted.drift(at), 0.0)
         np.testing.assert_allclose(fitted.noise(at), relative * value, rtol=1e-13)
-        assert "one visit" in fitted.unknown
+        assert "one measurement" in fitted.unknown
 
 
 @pytest.mark.parametrize("start", [0.0, 1.9e9])
@@ -151,7 +151,7 @@ def test_visits_at_one_time_are_averaged_and_tell_no_drift(start: float, apart: 
     assert fitted.level == pytest.approx((10.0 / 0.04 + 10.3 / 0.01 + 9.9 / 0.04) / 150, rel=1e-12)
     assert fitted.u_level == pytest.approx(150**-0.5, rel=1e-12)
     (note,) = white_reference.notes(fitted, 3, [])
-    assert note.startswith("the 3 visits to the white reference have one and the same time")
+    assert note.startswith("the 3 measurements of the white reference have one and the same time")
     assert note.endswith("a drift of the lamp is not in u_brdf")
 
 
@@ -208,8 +208,8 @@ def test_a_line_is_kept_where_it_changes_little_or_the_points_are_near() -> None
 def test_visits_that_cannot_be_used_are_counted_by_their_flags() -> None:
     fitted = white_reference.fit(np.array([5.0]), np.array([10.0]), np.ones(1))
     lost, alone = white_reference.notes(fitted, 1, ["moved", "saturated", "moved"])
-    assert lost == "3 of 4 visits to the white reference cannot be used (2 moved, 1 saturated)"
-    assert alone.startswith("one visit to the white reference only")
+    assert lost == "3 of 4 measurements of the white reference cannot be used (2 moved, 1 saturated)"
+    assert alone.startswith("one measurement of the white reference only")
 
 
 @pytest.mark.slow

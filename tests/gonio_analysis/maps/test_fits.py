@@ -23,6 +23,7 @@ from gonio.geometry import Directions
 from gonio.maps import FitFile, MapFile, Parts
 from gonio.typing import Floats
 from tests.command_line import gonio, no_room_beyond, some
+from tests.gonio_analysis import map_files
 from tests.gonio_analysis.maps.made import write
 
 NAMES = ("s", "m", "diffuse_albedo", "ior")
@@ -228,7 +229,7 @@ def test_a_wrong_model_has_a_misfit_in_every_pixel(tmp_path: Path) -> None:
         alone = fit(values.table(2, 1), "cook-torrance")
         assert alone.misfit is not None
         # the two end their turns of parameters and misfit where ln tau moves by 1e-3
-        assert found.array("tau")[2, 1] == pytest.approx(alone.misfit.tau, rel=3e-3)
+        assert found.array("misfit")[2, 1] == pytest.approx(alone.misfit.tau, rel=3e-3)
         for name in NAMES:
             one = alone.parameters[name]
             assert one.u is not None
@@ -304,7 +305,7 @@ def test_wavelengths_share_the_geometry_as_in_the_ordinary_fit(
                 assert u == pytest.approx(one.u, rel=0.5 if wrong else 5e-3)
         assert sorted(found.parameters) == sorted(set(names))
         if wrong:
-            assert found.array("tau")[1, 0] == pytest.approx(some(alone[0].misfit).tau, rel=1e-3)
+            assert found.array("misfit")[1, 0] == pytest.approx(some(alone[0].misfit).tau, rel=1e-3)
 
 
 @pytest.mark.slow
@@ -405,3 +406,14 @@ def test_foreign_and_damaged_files_are_one_message(tmp_path: Path) -> None:
     with pytest.raises(DataError, match="without values"):
         made(path, tmp_path / "fits.h5")
     assert not (tmp_path / "fits.h5.parts").exists()
+
+
+def test_fits_of_earlier_versions_are_read_whose_misfit_was_called_tau(tmp_path: Path) -> None:
+    path = map_files.fits(tmp_path / "fits.h5", {"m": np.full((2, 3), 0.2)}, {"m": np.full((2, 3), 0.01)}, tau=0.05)
+    with h5py.File(path, "r+") as file:
+        file.move("misfit", "tau")
+    with FitFile(path) as found:
+        assert "misfit" in found.names
+        assert "tau" not in found.names
+        for name in ("misfit", "tau"):
+            assert found.array(name) == pytest.approx(0.05)

@@ -2,8 +2,8 @@
 
 import pytest
 from gonio_analysis.report import budget
-from gonio_analysis.report.blocks import Paragraph, Table
-from gonio_analysis.report.text import meaning
+from gonio_analysis.report.blocks import Paragraph, Table, plain
+from gonio_analysis.report.text import cause, meaning
 from gonio_analysis.result_records import BudgetCurve, BudgetFacts, BudgetPart
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -37,9 +37,13 @@ def test_a_common_part_and_an_own_part_of_one_cause_are_told_apart() -> None:
         assert meaning(name, common=True) != meaning(name, common=False)
 
 
-def test_tables_with_one_column_of_polarisation_keep_their_words() -> None:
+def test_numbers_behind_a_cause_tell_its_patterns() -> None:
     assert meaning("polarisation", common=True) == "what lamp and lens polarise"
-    assert meaning("polarisation 3", common=True) == "what lamp and lens polarise: pattern 3"
+    assert meaning("polarisation 3", common=True) == (
+        "what lamp and lens polarise: pattern 3 of those that values share, the strongest first"
+    )
+    assert cause("lamp_wander_2") == "lamp instability 2"
+    assert cause("s_3") == "s 3", "the name of a cause that others wrote"
 
 
 def test_titles_of_the_panels_keep_clear_of_the_scales() -> None:
@@ -63,7 +67,7 @@ def test_a_cause_without_a_part_has_no_row_of_zeros() -> None:
     )  # fmt: skip
     found = budget.section(facts, [])
     (rows,) = (block.rows for block in found if isinstance(block, Table))
-    assert [row[0] for row in rows] == ["combined", "noise"]
-    said = " ".join(str(block.text) for block in found if isinstance(block, Paragraph))
+    assert [plain(row[0]) for row in rows] == ["combined", "noise"]
+    said = " ".join(plain(block.text) for block in found if isinstance(block, Paragraph))
     assert "57 values in this budget, those beyond 3 u" in said
     assert "without a part in these values: geometry" in said

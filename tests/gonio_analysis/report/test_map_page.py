@@ -63,7 +63,7 @@ def test_the_numbers_of_the_page_are_those_of_the_file(report: Path) -> None:
 def test_every_parameter_has_maps_with_stated_colours(report: Path) -> None:
     told = json.loads((report / "summary.json").read_text(encoding="utf-8"))
     captions = {one["name"]: one["caption"] for one in told["figures"]}
-    names = ["map-s", "map-u-s", "map-m", "map-u-m", "map-ior", "map-u-ior", "map-tau", "map-flags", "histograms"]
+    names = ["map-s", "map-u-s", "map-m", "map-u-m", "map-ior", "map-u-ior", "map-misfit", "map-flags", "histograms"]
     assert list(captions) == names
     assert captions["map-m"].startswith("m: colours from 0.100 to 0.790, quantiles 0.005 and 0.995")
     assert "Grey: not determined, 380 of 2800 pixels" in captions["map-m"]

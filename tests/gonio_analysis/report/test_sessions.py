@@ -93,4 +93,4 @@ def test_a_run_of_one_session_says_nothing_of_it(facts: RunFacts) -> None:
 def test_a_session_over_midnight_and_one_that_was_killed(facts: RunFacts) -> None:
     one = replace(facts.sessions[0], ended="2026-03-03T06:10:00.000Z", ending="no word of an end", levels=[])
     said = repr(health.sessions_section(replace(facts, sessions=[one, facts.sessions[2]])))
-    says(said, "22:05 – 06:10 (+1 d)", "no word of an end", "no visit")
+    says(said, "22:05 – 06:10 (+1 d)", "no word of an end", "not measured")

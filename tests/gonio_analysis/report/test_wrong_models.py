@@ -90,7 +90,7 @@ def test_plots_have_a_band_of_tau(page: tuple[Any, str]) -> None:
     (summary, folder), _ = page
     for name, caption in {f["name"]: f["caption"] for f in summary["figures"]}.items():
         if "-polar-" in name or "-absolute-" in name:
-            assert "Light band: theory and its misfit tau, " in caption, name
+            assert "Light band: theory and its misfit, " in caption, name
             assert "opacity: 0.14" in (folder / "figures" / f"{name}.svg").read_text(encoding="utf-8"), name
 
 
