@@ -9,6 +9,8 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
+from gonio_analysis.report.html import made_by
+from PIL import Image
 
 from tests.command_line import some
 from tests.places import ROOT
@@ -93,6 +95,12 @@ def test_a_dead_link_a_dead_anchor_and_a_font_from_elsewhere_are_found(tmp_path:
 def test_the_first_page_is_the_readme_as_seen_from_docs(hooks: ModuleType) -> None:
     text = hooks.first_page("[a](docs/analysis.md) ![r](docs/report.png) [d](docs/decisions) [m](docs/measurements)")
     assert text == "[a](analysis.md) ![r](report.png) [d](decisions/index.md) [m](measurements/index.md)"
+
+
+def test_the_picture_of_the_readme_is_of_todays_page() -> None:
+    with Image.open(ROOT / "docs" / "report.png") as picture:
+        made = picture.info["Software"]
+    assert made == made_by(), "the page has changed since: python tools/report_picture.py"
 
 
 def test_a_notebook_becomes_a_page(hooks: ModuleType) -> None:

@@ -114,7 +114,9 @@ def in_words(c: ChecksSummary) -> str:
     counts = Counter(one.verdict for one in c.checks)
     determined = len(c.checks) - counts["undetermined"]
     ok = f"{counts['ok']} of {determined} checks {'is' if counts['ok'] == 1 else 'are'} ok"
-    said = ok if determined else "No check is determined by these values"
+    if not determined:
+        return "none is determined by these values"
+    said = ok
     for verdict, words in WORDS.items():
         names = ", ".join(one.name for one in c.checks if one.verdict == verdict)
         said += f"; {words}: {names}" if names else ""

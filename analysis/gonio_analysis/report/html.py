@@ -99,7 +99,7 @@ def _template(name: str) -> Template:
         "plain": plain,
         "glued": glued,
         "embedded": _embedded,
-        "labelled": _labelled,
+        "labelled": labelled,
     }
     return environment.get_template(name)
 
@@ -111,7 +111,7 @@ def _escaped(value: object) -> str:
     return value if isinstance(value, Markup) else Markup(escape(visible(str(value))))
 
 
-def _labelled(svg: str, alt: str) -> str:
+def labelled(svg: str, alt: str) -> str:
     """A drawing with the words that stand for it."""
     from markupsafe import Markup
 

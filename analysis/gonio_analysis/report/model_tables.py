@@ -100,8 +100,13 @@ def _value(d: DatasetSummary, model: str, parameter: str, e: Estimate) -> tuple[
         return (with_u(e.value, e.u) if d.choice.linear(parameter) else value), ends
     if e.fixed or e.u is None or not math.isfinite(e.u):
         return with_u(e.value, 0.0 if e.fixed else e.u) + (f" ({e.material})" if e.material else ""), ""
-    low, high, _ = interval(e.value - NORMAL_95 * e.u, e.value + NORMAL_95 * e.u, e.value)
-    return with_u(e.value, e.u), f"{low} to {high}"
+    if parameter in d.models[model].fit.derived:
+        return with_u(e.value, e.u), ""
+    problem = d.models[model].fit.problem
+    lowest, highest = (problem.values(end)[parameter] for end in problem.bounds)
+    below, above = e.value - NORMAL_95 * e.u, e.value + NORMAL_95 * e.u
+    low, high, _ = interval(max(below, lowest), min(above, highest), e.value)
+    return with_u(e.value, e.u), f"{low}{' (bound)' * (below < lowest)} to {high}{' (bound)' * (above > highest)}"
 
 
 def _remark(f: Fitted, parameter: str, e: Estimate) -> Text:

@@ -10,26 +10,34 @@ import numpy as np
 
 from gonio import measurement, plugins
 from gonio.errors import ArgumentError, ConfigError, DataError
-from gonio.models import Lambert, Model, Sum
+from gonio.models import Model, Sum
 from gonio.models.parameters import Ior
 from gonio.typing import DataFrame
 from gonio_analysis.changes import point_by_point
 from gonio_analysis.changes.consensus import consensus as consensus
 from gonio_analysis.changes.point_by_point import Change, Side
-from gonio_analysis.curves.in_plane import Normalise, curves, labels, norm, selection
+from gonio_analysis.curves.in_plane import Normalise
 from gonio_analysis.fitting.fit import FitResult
-from gonio_analysis.fitting.forward import ByWavelength
 from gonio_analysis.fitting.observations import check_u_rel, observations
 from gonio_analysis.fitting.problem import FitRequest, check_metric
 from gonio_analysis.fitting.spectrum import fit_table
-from gonio_analysis.plots import in_plane
-from gonio_analysis.selection.compare import Dataset, Drawn, check_models, examine, theory_angles
+from gonio_analysis.report.cells import (
+    ShownComparison,
+    ShownFit,
+    in_notebook,
+    of_data,
+    on_half_disc,
+    on_logarithm,
+    shown_comparison,
+    shown_fit,
+)
+from gonio_analysis.selection.compare import Drawn, check_models, examine
 
 Table: TypeAlias = "DataFrame | str | Path"
 """A measurement table, or where one is: a file, a run, or "FILE:SAMPLE"."""
 
 
-def fit(table: Table, model: str | type[Model] | Model, *, name: str | None = None, **options: Any) -> FitResult:
+def fit(table: Table, model: str | type[Model] | Model, *, name: str | None = None, **options: Any) -> ShownFit:
     """Fit one model to a table: at one wavelength, with the geometry of the surface shared by all that it has.
 
     Parameters
@@ -52,7 +60,7 @@ def fit(table: Table, model: str | type[Model] | Model, *, name: str | None = No
         Too few usable values.
     """
     frame, called = _table(table, name)
-    return fit_table(frame, FitRequest(_model_name(model), **options), name=called)[0]
+    return shown_fit(fit_table(frame, FitRequest(_model_name(model), **options), name=called)[0])
 
 
 def compare(
@@ -65,7 +73,7 @@ def compare(
     normalise: Normalise = "mirror",
     metric: str | None = None,
     u_rel: float | None = None,
-) -> Dataset:
+) -> ShownComparison:
     """Fit several models to a table, and say which the data ask for (`Dataset.choice`).
 
     Parameters
@@ -95,10 +103,11 @@ def compare(
     check_models(names)
     check_metric(metric)
     check_u_rel(u_rel)
-    return examine(
+    found = examine(
         frame, names, name=called, ior=ior, wavelength_nm=wavelength_nm, normalise=normalise, metric=metric,
         u_rel=u_rel,
     )  # fmt: skip
+    return shown_comparison(found)
 
 
 def change(a: Table | Model, b: Table | Model, *, wavelength_nm: float | None = None) -> Change:
@@ -148,20 +157,14 @@ def polar(
     """
     if model is None and normalise == "model":
         raise ArgumentError('normalise = "model": no model is given')
-    words = {"mirror": "BRDF / BRDF in the mirror direction", "max": "BRDF / its maximum", "model": "BRDF / model's"}
-    lines = [d.normalised() for d in _drawn(table, model, wavelength_nm, normalise)]
-    return in_plane.polar(ax, lines, radius_label=words[normalise])
+    return on_half_disc(ax, _drawn(table, model, wavelength_nm, normalise), normalise)
 
 
 def semilog(
     ax: Any, table: Table, model: Model | FitResult | None = None, *, wavelength_nm: float | None = None
 ) -> list[Any]:
     """The same curves absolute, on a logarithmic axis; arguments, result and errors as `polar`."""
-    drawn = _drawn(table, model, wavelength_nm, "mirror")
-    angle = "θr" if drawn[0].curve.scanned == "theta_r" else "θi"  # the angle that runs along a curve
-    artists = in_plane.semilog(ax, [d.absolute() for d in drawn])
-    ax.set_xlabel(f"{angle}: retro side negative, mirror side positive")
-    return artists
+    return on_logarithm(ax, _drawn(table, model, wavelength_nm, "mirror"))
 
 
 def _drawn(
@@ -171,28 +174,10 @@ def _drawn(
     if wavelength_nm is None and isinstance(model, FitResult) and np.isfinite(model.wavelength_nm):
         wavelength_nm = model.wavelength_nm
     data, wave = observations(frame, called).nearest(wavelength_nm)
-    shown = selection(curves(data))
-    if not shown:
+    found = of_data(data, model, wave, normalise)
+    if not found:
         raise DataError(f"{called}: no two usable values lie on one curve in the plane of incidence")
-    alone, out = _alone(model, wave), []
-    for curve, label in zip(shown, labels(shown), strict=True):
-        angle = theory = np.empty(0)
-        if alone is not None:
-            angle = theory_angles(curve, data)
-            theory = curve.theory(alone, angle, data)
-        by = norm(curve, normalise, Lambert(1.0) if alone is None else alone, data)
-        out.append(Drawn(curve, by, label, angle, theory, np.full(curve.angle.size, np.nan)))
-    return out
-
-
-def _alone(model: Model | FitResult | None, wavelength_nm: float) -> Model | None:
-    """The model that holds at a wavelength."""
-    one = model.model if isinstance(model, FitResult) else model
-    if isinstance(one, ByWavelength):
-        one = one.models[wavelength_nm]
-    if one is not None and not isinstance(one, Model):
-        raise ArgumentError(f"model must be one of gonio.models, or a fit, not {type(one).__name__}")
-    return one
+    return found
 
 
 def _model_name(model: str | type[Model] | Model) -> str:
@@ -225,3 +210,6 @@ def _side(one: Table | Model, letter: str) -> Side:
         return Side(f"{letter}: {one.name}", letter, model=one)
     frame, called = _table(one, None)
     return point_by_point.of_table(f"{letter}: {called}", called, frame)
+
+
+in_notebook()

@@ -29,8 +29,11 @@
   function unfold(node) {
     for (let one = node && node.closest("details"); one; one = one.parentElement.closest("details")) one.open = true;
   }
+  function named(name) {
+    try { return document.getElementById(decodeURIComponent(name)); } catch { return null; } // no name of ours: "%"
+  }
   function follow() {
-    const node = location.hash.includes("=") ? null : document.getElementById(decodeURIComponent(location.hash.slice(1)));
+    const node = location.hash.includes("=") ? null : named(location.hash.slice(1));
     if (!node) return;
     unfold(node);
     node.scrollIntoView();

@@ -93,14 +93,14 @@ def _picture(d: DatasetSummary, by: ByKind, view: View | None) -> list[Block]:
     polar = _of_best(d, by.get("polar", ()))
     if view is not None:
         return [Viewer(d.slug, view), Figures(polar, printed=True)]
-    return [Figures(polar or by.get("heat", ())[:1])]
+    return [Figures(polar or by.get("heat", ())[:1] or _of_best(d, by.get("absolute", ())))]
 
 
 def _plots(d: DatasetSummary, by: ByKind) -> list[Block]:
     """Semilog with residuals, parameters over wavelength, and one map of the hemisphere: of the model put first."""
-    maps = by.get("heat", ())[:1] if by.get("polar") else ()
-    shown = (*_of_best(d, by.get("absolute", ())), *_of_best(d, by.get("series", ())), *maps)
-    return [Figures(shown)]
+    polar, maps = by.get("polar"), by.get("heat", ())[:1]
+    absolute = _of_best(d, by.get("absolute", ())) if polar or maps else ()  # else it is the picture
+    return [Figures((*absolute, *_of_best(d, by.get("series", ())), *(maps if polar else ())))]
 
 
 def _other_models(d: DatasetSummary, by: ByKind) -> list[Block]:

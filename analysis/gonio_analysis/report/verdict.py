@@ -175,7 +175,9 @@ def tally(d: DatasetSummary) -> str:
     """The finding over all models, in a few words."""
     tried = len(d.choice.judged)
     if d.choice.near and tried > 1:
-        return f"{len(d.choice.near)} of {tried} cannot be told from the nearest"
+        others = len(d.choice.near) - 1
+        told = f"{others} of {tried - 1} others cannot be told from the nearest"
+        return told if others else f"one of {tried} is nearest, and told from the others"
     rejected = sum(bool(c.rejected) for c in d.choice.judged)
     if not tried or d.choice.judged[0].fit.reduced_chi_square is None:
         return "one model was tried" if tried == 1 else f"{tried} models were tried" if tried else "none"

@@ -210,17 +210,6 @@ class Dataset:
     def __repr__(self) -> str:
         return f"<{self.title}: {len(self.data)} values, {len(self.choice.judged)} models fitted; {self.choice.words}>"
 
-    def _repr_html_(self) -> str:
-        rows = []
-        for j in self.choice.judged:
-            chi = j.fit.reduced_chi_square
-            found = ", ".join(
-                f"{n} = {shown.value(e.value, e.u, e.unit)}" for n, e in j.fit.parameters.items() if not e.fixed
-            )
-            rows.append([j.candidate.label, found, "–" if chi is None else f"{chi:.4g}", f"{j.aic:.1f}", j.rejected])
-        header = ["model", "fitted parameters", "reduced χ²", "AIC", "rejected because of"]
-        return shown.html(self.title, header, rows, [self.choice.words])
-
 
 def examine(
     table: DataFrame,
