@@ -17,7 +17,7 @@ from PIL.PngImagePlugin import PngInfo
 ROOT = Path(__file__).resolve().parents[1]
 PICTURE = ROOT / "docs" / "report.png"
 WIDTH, HEIGHT, SCALE = 1280, 800, 1.5
-COLOURS = 96
+COLOURS = 256
 
 
 def make(page: Path, made_by: str, folder: Path) -> bytes:

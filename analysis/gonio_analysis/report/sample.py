@@ -326,9 +326,10 @@ def _aside(d: DatasetSummary) -> str:
 def _metrics(s: Summary, d: DatasetSummary) -> list[Block]:
     known = d.uncertainty_stated or d.u_rel_assumed is not None
     names = [n for n in s.metrics if any(f.metrics[n] is not None for f in d.models.values())]
-    rows = [[m, *(number(f.metrics[n]) for n in names)] for m, f in d.models.items()]
+    rows = [[m, number(f.fit.reduced_chi_square), *(number(f.metrics[n]) for n in names)] for m, f in d.models.items()]
     heads = [term(s.metrics[n]["label"], meaning_of_metric(n, known=known)) for n in names]
-    return [table("", ["model", *heads], rows, right=tuple(range(1, len(names) + 1)))]
+    chi = term("reduced χ²", "χ² over the number of values less that of the free parameters; about 1 of a true model.")
+    return [table("", ["model", chi, *heads], rows, right=tuple(range(1, len(names) + 2)))]
 
 
 def _cone(solid_angle_sr: float | None) -> str:

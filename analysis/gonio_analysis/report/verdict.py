@@ -196,7 +196,7 @@ def which_model(d: DatasetSummary) -> list[Block]:
         [
             c.candidate.label,
             "–" if alone_nm is None else misfit_words(c.fit.tau),
-            # of those that the page shows it stands among the metrics
+            # of one wavelength it stands among the metrics
             "–" if alone_nm is None and c.candidate.label in d.models else number(c.fit.reduced_chi_square),
             *map(number, (c.aic - aic, c.bic - bic, c.held_out)),
             _reason(c),
