@@ -57,7 +57,8 @@ class ShownFit(FitResult):
         DataError
             No two values lie on one curve in the plane of incidence.
         """
-        return _plotted(ax, of_data(self.data, self.model, self.wavelength_nm, normalise), semilog, normalise)
+        drawn = of_data(self.data, self.model, self.wavelength_nm, normalise)
+        return plotted(ax, drawn, semilog=semilog, normalise=normalise)
 
     def _repr_html_(self) -> str:
         drawn = of_data(self.data, self.model, self.wavelength_nm, "mirror")
@@ -70,7 +71,7 @@ class ShownComparison(Dataset):
     def plot(self, ax: Any = None, *, model: str = "", semilog: bool = False) -> Any:
         """Draw the measurement with one model, by default the one that is put first; see `ShownFit.plot`."""
         drawn = self._drawn(model)
-        return _plotted(ax, drawn, semilog, drawn[0].norm.kind if drawn else "mirror")
+        return plotted(ax, drawn, semilog=semilog, normalise=drawn[0].norm.kind if drawn else "mirror")
 
     def _drawn(self, model: str = "") -> list[Drawn]:
         best = self.choice.best
@@ -130,7 +131,8 @@ def on_logarithm(ax: Any, drawn: Sequence[Drawn]) -> list[Any]:
     return artists
 
 
-def _plotted(ax: Any, drawn: Sequence[Drawn], semilog: bool, normalise: str) -> Any:
+def plotted(ax: Any, drawn: Sequence[Drawn], *, semilog: bool, normalise: str) -> Any:
+    """See `ShownFit.plot`."""
     if not drawn:
         raise DataError("no two values lie on one curve in the plane of incidence")
     if ax is None:
