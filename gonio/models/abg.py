@@ -40,7 +40,7 @@ class ABg(Model):
     A
         Level far from the mirror direction [1/sr], at least 0.
     B
-        Above 0: A/B is the peak, and B^(1/g) the half width in |beta - beta_0|.
+        Where the lobe bends, above 0: A/B is the peak, and B^(1/g) the half width in |beta - beta_0|.
     g
         Slope, at least 0; 0 is Lambertian with A/(B + 1).
 

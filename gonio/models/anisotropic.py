@@ -96,9 +96,11 @@ class AnisotropicFacets(Model):
 
     Parameters
     ----------
-    alpha_along, alpha_across
-        Widths of the distribution of slopes along and across the brushing, in [1e-50, 10]: the slope at which D cos^4
-        of the facet's angle has fallen to a quarter.
+    alpha_along
+        Width of the distribution of slopes along the brushing, in [1e-50, 10]: the slope at which D cos^4 of the
+        facet's angle has fallen to a quarter.
+    alpha_across
+        The same across the brushing.
     brushing_deg
         Azimuth of the brushing from the sample's x axis [deg]; 180 degrees more are the same.
     ior

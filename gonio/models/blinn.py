@@ -179,7 +179,7 @@ class Phong(Model):
     k_s
         Weight of the highlight, at least 0.
     exponent
-        Blinn's c1, at least 0.
+        Blinn's c1, at least 0: the larger, the narrower the highlight.
 
     Raises
     ------

@@ -123,8 +123,10 @@ class CookTorrance(Model):
 
     Parameters
     ----------
-    s, d
-        Shares of specular and diffuse reflectance, in [0, 1], s + d <= 1. Without d it is 0; with `m` it is 1 - s.
+    s
+        Share of the facets, in [0, 1].
+    d
+        Share of the diffuse base, in [0, 1], s + d <= 1. Without it 0; with `m` it is 1 - s.
     slopes
         Pairs (rms slope m, weight); weights are at least 0 and sum to 1. A single number is one slope.
     ior
@@ -140,7 +142,7 @@ class CookTorrance(Model):
     fresnel
         "exact", or "schlick": F_0 + (1 - F_0)(1 - V.H)^5 (Schlick 1994), as many published fits have it.
     m
-        One rms slope instead of `slopes`, as a fit names it.
+        Rms slope of the facets, above 0: one slope in the place of `slopes`.
 
     Raises
     ------

@@ -30,7 +30,7 @@ class Hapke(ArrayModel):
     h
         Angular width of the opposition effect, above 0.
     b0
-        Its size, in [0, 1].
+        Size of the opposition effect, in [0, 1].
     b
         First Legendre coefficient of the phase function, in [-1, 1]; above 0 light goes back.
     theta_bar_deg

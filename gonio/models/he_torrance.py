@@ -60,7 +60,8 @@ class HeTorrance(Model):
     ior
         Complex refractive index n + ik: a number, [n, k], a material's name, or a function of wavelength_nm.
     diffuse_albedo
-        a in [0, 1]; the paper's a(lambda) is this albedo, its BRDF a/pi (the print's eq. 72 leaves the pi out).
+        Albedo of the uniform diffuse part, in [0, 1]: the paper's a(lambda), whose BRDF is a/pi (the print's eq. 72
+        leaves the pi out).
     shadowing
         "smith": eq. 25 with the factor exp(-h^2) that the print lacks; "paper": as printed.
     tolerance

@@ -6,7 +6,9 @@ parameters hang together: optical constants that are known, shares that add up t
 
 import cmath
 import functools
+import inspect
 import math
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
@@ -162,6 +164,44 @@ def indices_at(ior: Any, wavelength_nm: Floats) -> NDArray[np.complex128]:
     """n + ik at wavelengths [nm] (n,), of a material's name, a function of wavelengths, one number or n of them."""
     index: Any = _material(ior) if isinstance(ior, str) else ior
     return np.broadcast_to(np.asarray(index(wavelength_nm) if callable(index) else index), wavelength_nm.shape)
+
+
+# --- what parameters are, in words ------------------------------------------------------------------------------------
+
+FURTHER = {
+    "k": "Imaginary part of the index n + ik: absorption.",
+    "weight": "Weight of the glossy model in the sum.",
+    "m_1": "Rms slope of the first kind of facets.",
+    "m_2": "Rms slope of the second kind of facets.",
+    "w_1": "Share of the facets of slope m_1, in [0, 1].",
+    "w_2": "Share of the facets of slope m_2: 1 - w_1.",
+    "slope_m": "Rms slope of the surface, 2 sigma0 / tau.",
+}
+"""What fits name and constructors do not take, or under another name."""
+_NAMES = re.compile(r"(\w+(?:, \w+)*)(?: : .*)?")
+
+
+def described(*kinds: type) -> dict[str, str]:
+    """What each parameter of models is, in a line, as "Parameters" in the docstrings of their classes say it.
+
+    Of two that have a parameter of one name the first is told.
+    """
+    found: dict[str, str] = {}
+    for doc in (one.__doc__ for kind in kinds for one in kind.__mro__ if "__doc__" in vars(one)):
+        names: list[str] = []
+        own: dict[str, str] = {}
+        for line in re.split(r"\n\n(?=\S)", _parameters(doc or ""))[0].split("\n"):
+            if line[:1].strip() and (match := _NAMES.fullmatch(line)):
+                names = match[1].split(", ")
+            for name in names:
+                own[name] = f"{own[name]} {line.strip()}".strip() if line[:1] == " " else own.get(name, "")
+        found = own | found
+    return {name: text.replace("`", "") for name, text in (FURTHER | found).items()}
+
+
+def _parameters(doc: str) -> str:
+    _, _, rest = inspect.cleandoc(doc).partition("\nParameters\n----------\n")
+    return re.split(r"\n\n\w+\n-+\n", rest)[0]
 
 
 # --- what a fit may move of a model, and where it begins: one declaration a model, ours as a third party's --------

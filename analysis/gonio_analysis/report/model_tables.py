@@ -3,6 +3,8 @@
 import math
 from collections.abc import Sequence
 
+from gonio.models import Model, Sum
+from gonio.models.parameters import described
 from gonio.shown import interval
 from gonio_analysis.fitting.solution import Estimate
 from gonio_analysis.report import verdict
@@ -79,8 +81,9 @@ def parameters(d: DatasetSummary, of: Sequence[str]) -> Table:
     rows: list[Sequence[Text]] = []
     for name in of:
         label, f = name, d.models[name]
+        told = _meanings(f.fit.model)
         for p, e in [*f.fit.parameters.items(), *f.fit.derived.items()]:
-            row = [code(p), *_value(d, name, p, e), _remark(f, p, e)]
+            row = [Span(p, "code", meaning=told.get(p, "")), *_value(d, name, p, e), _remark(f, p, e)]
             rows.append(row if len(of) == 1 else [label, *row])
             label = ""
     interval = term("95 % interval", " ".join(_of_intervals(d, of)))
@@ -88,6 +91,11 @@ def parameters(d: DatasetSummary, of: Sequence[str]) -> Table:
     return table(
         " ".join(_of_errors([d.models[m] for m in of], d)), header if len(of) == 1 else ["model", *header], rows
     )
+
+
+def _meanings(model: Model) -> dict[str, str]:
+    """What the parameters of a fitted model are, in a line each."""
+    return described(*(type(term) for term, _ in model.terms)) if isinstance(model, Sum) else described(type(model))
 
 
 def _value(d: DatasetSummary, model: str, parameter: str, e: Estimate) -> tuple[str, str]:
