@@ -1,4 +1,4 @@
-"""Polynomials of the HTSG series, fitted in 40 digits (docs/models.md); do not edit."""
+"""Polynomials of the HTSG series, fitted in 40 digits (docs/reference/models_evaluation.md); do not edit."""
 
 # ruff: noqa: E501
 # mypy: allow-untyped-defs, allow-untyped-calls

@@ -279,7 +279,7 @@ class Model(ABC):
         -------
         float64 array of the shape that the arguments broadcast to without the last axis; 0 where either vector is
         below the surface. Two float32 arrays give a float32 result, by float32 arithmetic where a model has it
-        (docs/models.md states its error).
+        (docs/reference/models_evaluation.md states its error).
 
         Raises
         ------

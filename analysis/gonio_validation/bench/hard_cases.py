@@ -25,9 +25,9 @@ DIGITS = {
     "fresnel": 13.0,
 }
 SINGLE = 4.5
-"""Digits of float32 results: docs/models.md states 2.5e-5 for Cook-Torrance, and less for the others."""
+"""Digits of float32 results: 2.5e-5 of Cook-Torrance, less of the others (docs/reference/models_evaluation.md)."""
 SMALL_IN_SINGLE = 1e-25
-"""1/sr: what docs/models.md states of float32 holds above it."""
+"""1/sr: what docs/reference/models_evaluation.md states of float32 holds above it."""
 
 
 @dataclass

@@ -213,7 +213,7 @@ def test_a_numba_without_the_names_that_the_pipeline_rests_on_gives_the_same(tmp
     assert set(ours) == set(stock)
     for name, values in ours.items():
         # other products are contracted; the float32 result comes of float64 arithmetic, and the model's own is
-        # within 3e-5 of that (docs/models.md)
+        # within 3e-5 of that (docs/reference/models_evaluation.md)
         tolerance = 3e-5 if name == "float32" else 1e-14
         assert stock[name].dtype == values.dtype
         np.testing.assert_allclose(stock[name], values, rtol=tolerance, atol=0, err_msg=name)

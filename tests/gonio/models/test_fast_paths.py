@@ -75,7 +75,7 @@ def test_float32_vectors_give_float32_results_within_the_stated_error(model: Mod
     expected = np.asarray(model.brdf_vectors(unit(light), unit(view)))
     assert not np.isnan(found).any()
     lit = np.abs(expected) > 1e-25  # float32 has fewer digits below 1e-38 / conditioning, and 0 below
-    # what docs/models.md states: rounding of the inputs' components, 6e-8 / cos(theta), and of some twenty operations
+    # docs/reference/models_evaluation.md: rounding of the inputs' components, 6e-8 / cos(theta), and of twenty steps
     grazing = np.minimum(light[:, 2], view[:, 2])
     error = np.abs(found.astype(np.float64) - expected) / np.maximum(np.abs(expected), 1e-25)
     random_lit = lit & (grazing > 0.01)
