@@ -216,7 +216,9 @@ def twins(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, request: pytest.Fixtu
         yield served
 
 
-COMMAND = [sys.executable, "-c", "from gonio.cli import main; main()"]
+PATIENT = f"from gonio_drivers import motion, sdk; motion.GRACE_S, sdk.PATIENCE_MS = {LONGEST_S}, {1e3 * HANGS_S}; "
+COMMAND = [sys.executable, "-c", PATIENT + "from gonio.cli import main; main()"]
+"""The command as a process of its own, which waits for the twins in this one: as of `be_patient`."""
 
 
 def written(twins: Twins, tmp_path: Path, **changes: Any) -> Path:

@@ -62,6 +62,7 @@ class Plugged:
         end = time.monotonic() + PATIENCE_S
         while self.twin.shine.lit:
             assert time.monotonic() < end
+            time.sleep(0.01)
 
     def shines(self, band: Band = BANDS[1]) -> bool:
         """Whether the twin shines as it was asked to."""
