@@ -420,7 +420,7 @@ def left_out(description: RigDescription, table: DataFrame) -> list[dict[str, st
     if any(account["visits"] < WANDERS for account in table.attrs["provenance"]["reference"]):
         out.append({
             "cause": "lamp_wander",
-            "why": f"fewer than {WANDERS} measurements of the white reference do not tell whether the lamp wanders",
+            "why": f"fewer than {WANDERS} measurements of the white reference do not tell how steady the lamp is",
         })  # fmt: skip
     azimuth = np.radians(table["phi_i_deg"].to_numpy(dtype=float))
     turned = np.abs(np.sin(azimuth - azimuth[:1])) > math.sin(SAME_AZIMUTH)

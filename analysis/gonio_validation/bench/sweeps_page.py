@@ -161,7 +161,7 @@ LEVELS = (
     Column("in 95 % interval", "inside", lambda part: "–" if part is None else _percent(part)),
 )  # fmt: skip
 TIME = (
-    "Root mean square of the relative error of the curve, over rig time: frames, metering, ways, visits to the "
+    "Root mean square of the relative error of the curve, over rig time: frames, metering, ways, "
     f"reference, darks. Errors of values below {FLOOR:g} of the largest one count relative to that. Where not said "
     "otherwise curves are made by the Gaussian process, of fixed plans too; interpolated means monotone cubics "
     "through logarithms in plane, and linear ones over triangles out of it."
