@@ -68,7 +68,7 @@ def _row(d: DatasetSummary, label: str, j: Judged | None, alone: bool) -> list[T
 
 
 def _worst(missed: Region | None, *, rejected: bool) -> str:
-    return missed.off if missed is not None and rejected and missed.typical >= missed.tau else ""
+    return missed.off if missed is not None and rejected and missed.typical >= missed.misfit else ""
 
 
 def chosen(d: DatasetSummary) -> list[Block]:

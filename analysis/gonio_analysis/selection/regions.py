@@ -43,7 +43,7 @@ class Region:
     """Median of model / measurement there, over values above 3 u: which way the model is off."""
     typical: float
     """How far off it is there: the root mean square of ln(model / measured) without the noise of the values."""
-    tau: float = 0.0
+    misfit: float = 0.0
     """The same over all values, of a model with a misfit (`gonio_analysis.fitting.misfit`)."""
     single_ratio: float | None = None
     """Model / measurement of the one value of all that is farthest off."""
@@ -78,7 +78,7 @@ def worst(missed: Region | None) -> str:
     """What follows on how far off a model is: the region where it is farther off than that, and a single value."""
     if missed is None or not missed.off:
         return ""
-    where = f", worst {missed.off}" if missed.typical >= missed.tau else ", and no region is farther off"
+    where = f", worst {missed.off}" if missed.typical >= missed.misfit else ", and no region is farther off"
     return where + (f" ({missed.single})" if missed.single else "")
 
 
