@@ -15,7 +15,7 @@ from gonio.typing import Floats
 from gonio_analysis.appearance.glossmeter import GLOSSMETERS, SOURCE_DEG
 from gonio_analysis.appearance.of_models import of_sample
 from gonio_analysis.appearance.quantities import of_table
-from gonio_analysis.report import files, lost
+from gonio_analysis.report import files, frame, lost
 from gonio_analysis.report.blocks import (
     Block,
     Figures,
@@ -24,9 +24,8 @@ from gonio_analysis.report.blocks import (
     Stamp,
     Table,
     footer,
-    header,
+    lead,
     notes,
-    provenance,
     stamp,
     table,
     titled,
@@ -38,6 +37,8 @@ from gonio_analysis.report.text import number, quantity, with_u
 from gonio_analysis.result_records import Appearance, Quantity, as_json
 
 KINDS = {"table": "measurement", "model": "model", "fit": "fitted model"}
+FIRST = 3
+"""Quantities that a verdict names."""
 HEADER = ["quantity", "value", "", "after"]
 
 
@@ -106,11 +107,9 @@ def listed(a: Appearance, *, reflectances: bool = True) -> list[Listed]:
     return out
 
 
-def block(a: Appearance) -> Table:
-    """The quantities as a table of a page."""
+def _caption(a: Appearance) -> str:
     at = "" if a.wavelength_nm is None else f"All but colours at {a.wavelength_nm:g} nm. "
-    caption = at + "± is a standard uncertainty; the error is that of quadrature or of interpolation."
-    return table(caption, HEADER, listed(a))
+    return at + "± is a standard uncertainty; the error is that of quadrature or of interpolation."
 
 
 def known(a: Appearance) -> Table | None:
@@ -146,12 +145,44 @@ def make(a: Appearance, out: str | Path, *, command: str = "") -> Path:
 
 def _page(a: Appearance, made: Stamp, figures: Sequence[Figure]) -> Page:
     what, gonio = f"{'simulated ' * a.simulated}{KINDS[a.kind]}", made["versions"]["gonio"]
-    body: list[Block] = [header(a.title, f"Appearance of a {what}, {made['created'][:10]}, gonio {gonio}.")]
-    body += [notes(a.notes)] if a.notes else []
-    body += [Heading(2, "Quantities"), block(a)]
-    body += [Heading(2, "Geometry"), Figures(tuple(figures))] if figures else []
-    body += [Heading(2, "Provenance"), provenance(made, ("source", a.source or "–"), called="page made")]
-    return Page(f"Appearance of {a.title}", (*body, footer("Every number on this page is in `summary.json`.")))
+    every = listed(a)
+    rows, lacking = [one for one in every if one.value != "–"], [one for one in every if one.value == "–"]
+    folds: list[Block] = []
+    if rows:
+        resting = sum(bool(one.remark) for one in rows)
+        folds += [
+            Heading(3, "After which standard, and what a value rests on", f"{resting} with a remark"),
+            table("", ["quantity", "after", "remark"], [[one.label, one.after, one.remark] for one in rows]),
+        ]
+    if lacking:
+        folds += [
+            Heading(3, "What does not follow from these values", f"{len(lacking)} quantities"),
+            table("", ["quantity", "why", "after"], [[one.label, one.remark, one.after] for one in lacking]),
+        ]
+    if a.notes:
+        folds += [Heading(3, "Notes", f"{len(a.notes)}"), notes(a.notes)]
+    folds += frame.provenance(made, ("source", a.source or "–"), called="page made")
+    first = frame.answer(
+        [lead(_verdict(rows, len(every)))],
+        [Figures(tuple(figures))],
+        [table(_caption(a), HEADER[:2], [one[:2] for one in rows])] if rows else [],
+    )
+    return frame.page(
+        a.title,
+        f"Appearance of a {what}, {made['created'][:10]}, gonio {gonio}.",
+        first,
+        folds=folds,
+        foot=footer("Every number on this page is in `summary.json`."),
+        called=f"Appearance of {a.title}",
+    )
+
+
+def _verdict(known: Sequence[Listed], count: int) -> str:
+    if not known:
+        return f"None of the {count} quantities follows from these values."
+    first = ", ".join(f"{one.label} is {one.value}" for one in known[:FIRST])
+    rest = f"{len(known)} of {count} quantities follow from these values."
+    return f"{first[:1].upper()}{first[1:]}. {rest}"
 
 
 def _drawings(a: Appearance) -> list[Drawing]:

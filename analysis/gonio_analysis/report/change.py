@@ -10,59 +10,27 @@ import numpy as np
 from gonio.measurement import Reading, of_reader, said_once
 from gonio_analysis.changes.point_by_point import Change, Compared, compared, side
 from gonio_analysis.changes.resampling import RowsAt
-from gonio_analysis.changes.verdict import CLOSER, FALSE_DISCOVERIES, LEVEL, OFTEN, Effect, Verdict, Within
+from gonio_analysis.changes.verdict import FALSE_DISCOVERIES, LEVEL, OFTEN, Effect, Verdict
 from gonio_analysis.curves.in_plane import Curve, curves, labels, selection
-from gonio_analysis.fitting.objective import DESCRIPTIONS, meaning
-from gonio_analysis.fitting.observations import Observations, describe_left_out
+from gonio_analysis.fitting.objective import DESCRIPTIONS
+from gonio_analysis.fitting.observations import Observations
 from gonio_analysis.plots import thinning
-from gonio_analysis.report import change_figures, files, html, lost, viewer
-from gonio_analysis.report.blocks import (
-    MOST_ROWS,
-    Block,
-    Figures,
-    Heading,
-    Page,
-    Paragraph,
-    Stamp,
-    Table,
-    Viewer,
-    dated,
-    facts,
-    footer,
-    header,
-    lead,
-    notes,
-    provenance,
-    stamp,
-    table,
-    titled,
-)
-from gonio_analysis.report.drawing import Figure, FigureWorkers, figure_workers
+from gonio_analysis.report import change_figures, change_page, files, lost, viewer
+from gonio_analysis.report.blocks import Stamp, stamp, titled
+from gonio_analysis.report.change_page import Waves
+from gonio_analysis.report.drawing import FigureWorkers, figure_workers
 from gonio_analysis.report.files import ROWS_AT_ONCE, write_columns, write_csv
-from gonio_analysis.report.page import MOST_BYTES
-from gonio_analysis.report.text import number, percent, spoken_difference, with_u
 from gonio_analysis.result_records import RunFacts, finite
 from gonio_analysis.selection.run_record import run_facts
 
 FIGURES = 6
 """Figures that a comparison has, about."""
-ALIKE = 0.9
-"""Cosine between what the zeros of both arms do, above which either may be it."""
-LARGEST_ZERO = float(np.radians(5.0))
-"""An error of an angle that nobody makes unseen."""
-_ANGLES = {"theta_r": "θr", "theta_i": "θi"}
 SPIKE = 30.0
 """Largest value over the median above which it hides all others in a polar plot: a logarithmic one comes first."""
 COLUMNS = (
     *("wavelength_nm", "theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg", "a", "b", "u_interpolation", "change"),
     *("u_change", "standard_deviations", "changed"),
 )
-FOOTER = footer(
-    "Every number on this page is in `summary.json`, every compared value in `tables/change.csv`, the figures as SVG "
-    "and PNG in `figures/`."
-)
-Waves = list[dict[str, float | None]]
-"""What is known of the values at each wavelength; counts where uncertainties are stated."""
 
 
 def make(
@@ -120,7 +88,7 @@ def _write(
     workers: FigureWorkers,
     progress: Callable[[str], None],
 ) -> None:
-    waves, conclusion = _wavelengths(c), _conclusion(c)
+    waves, conclusion = _wavelengths(c), change_page.conclusion(c)
     progress(conclusion)
     at, shown = replace(c.at, brdf=c.value_a, rows=np.arange(len(c.at))).nearest(wavelength_nm)
     every = curves(at)
@@ -139,28 +107,26 @@ def _write(
     if drawn:
         view = lost.kept("the interactive plot", lambda: _view(c, at, listed, drawn, shown), lambda loss: None)
     page = lost.kept(
-        "the page", lambda: _page(c, made, conclusion, runs, waves, figures, view), lambda loss: titled(_title(c))
+        "the page",
+        lambda: change_page.page(c, made, runs, waves, figures, view),
+        lambda loss: titled(change_page.title(c)),
     )
-    summary = {**_summary(c, made, conclusion, runs), "wavelengths": waves, "notes": _notes(c), **last}
+    summary = {**_summary(c, made, conclusion, runs), "wavelengths": waves, "notes": change_page.notes_of(c), **last}
     files.write_page(folder, page, summary, figures)
-
-
-def _title(c: Change) -> str:
-    return f"{c.b.title} against {c.a.title}"
 
 
 def _summary(c: Change, made: Stamp, conclusion: str, runs: Sequence[RunFacts | None]) -> dict[str, object]:
     """What `summary.json` says of the comparison as a whole."""
     v, w = c.verdict, c.within
     return {
-        "title": _title(c),
+        "title": change_page.title(c),
         **made,
         "a": _side(c.a, runs[0]),
         "b": _side(c.b, runs[1]),
         "n_points": len(c.at),
         "in_directions_of": c.onto,
         "interpolated": int(np.count_nonzero(c.error)),
-        "median_interpolation_error_rel": _median_error(c),
+        "median_interpolation_error_rel": change_page.median_error(c),
         "without_counterpart": c.missing,
         "verdict": None if v is None else _verdict(v),
         "identical": c.identical,
@@ -228,102 +194,6 @@ def _wavelengths(c: Change) -> Waves:
     return out
 
 
-def _notes(c: Change) -> list[str]:
-    """What the comparison says, and what the readers of both sides say."""
-    read = {x.name: x.notes for x in (c.a, c.b) if x.model is None}
-    known = {note for notes_of in read.values() for note in notes_of}
-    return [*(note for note in c.notes if note not in known), *said_once(read)]
-
-
-def _median_error(c: Change) -> float | None:
-    carried = c.value_b if c.onto == "A" else c.value_a
-    used = (c.error > 0) & (carried != 0)
-    return float(np.median(c.error[used] / np.abs(carried[used]))) if used.any() else None
-
-
-def _conclusion(c: Change) -> str:
-    v, n = c.verdict, len(c.at)
-    if c.identical:
-        return f"The two are identical: each of the {n} values of B is that of A."
-    typical = f"They differ typically by {spoken_difference(c.metrics['log_ratio'])}"
-    if c.metrics["log_ratio"] is None:
-        typical = "No value stands out of its uncertainty in both, so that no ratio is told"
-    stated = c.within.as_they_are > 0.0 and v is not None
-    agreement = f"{'Beyond what they state they' if stated else 'They'} agree {_agreement(c.within)}"
-    if v is None:
-        return f"{agreement}, over {n} values. {typical}. No uncertainty is stated: --u-rel assumes one."
-    same = "the sample changed" if c.a.kind == c.b.kind else "the two disagree"
-    head = f"{same[:1].upper()}{same[1:]}, by {' and '.join(v.found_by)}" if v.changed else f"No sign that {same}"
-    chance = f"{v.beyond} of {n} values lie beyond 2 standard deviations, where {v.expected:.1f} are expected by chance"
-    marked = int(v.marked.sum())
-    between = int(np.count_nonzero(v.marked & (c.error > 0)))
-    kept = (
-        f"; judged together, {marked} {'values have' if marked != 1 else 'value has'} changed (about"
-        f" {100 * FALSE_DISCOVERIES:g} % of these by chance"
-        + (f"; {between} of them compared by interpolation: measure there before believing it)" if between else ")")
-        if marked
-        else "; judged together, no single value stands out"
-    )
-    test = f"chi-square is {v.chi_square:.4g} for {n} values (p {_p(v.p_value)})"
-    scale = f"The common factor of B over A is {with_u(1 + v.scale, v.u_scale)} (p {_p(v.p_scale)})."
-    scale += _zeros_found(v) + ("" if v.changed else _limits(v))
-    return f"{head}: {test}; {chance}{kept}. {scale} {typical}. {agreement}."
-
-
-def _zeros_found(v: Verdict) -> str:
-    """What is said of zeros that were found; "" where none was."""
-    found = [angle for angle, x in v.zeros.items() if x.found]
-    said = "".join(
-        f" B's {_ANGLES[angle]} reads too large by ({with_u(np.degrees(x.value), np.degrees(x.u))})° (p {_p(x.p)})."
-        for angle, x in v.zeros.items()
-        if x.found
-    )
-    if len(found) == 1 and abs(v.alike) > ALIKE:
-        (other,) = (name for angle, name in _ANGLES.items() if angle not in found)
-        said += (
-            f" An error of {other}, in the {'other' if v.alike < 0 else 'same'} direction, would look much the same."
-        )
-    return said
-
-
-def _limits(v: Verdict) -> str:
-    """What it would take to see an effect, in a sentence."""
-    sizes = [f"a factor that is off by {percent(v.factor.detectable)}"] if v.factor.detectable < 1.0 else []
-    sizes += [
-        f"a zero of {_ANGLES[angle]} of {np.degrees(x.detectable):.2g}°"
-        for angle, x in v.zeros.items()
-        if x.detectable < LARGEST_ZERO
-    ]
-    flat = "" if len(sizes) > 1 else " These values hardly show a zero of an angle."
-    if not sizes:
-        return flat
-    listed = ", ".join(sizes[:-1]) + " or " * (len(sizes) > 1) + sizes[-1]
-    return f" Alone, {listed} would be found in {100 * OFTEN:g} % of the cases.{flat}"
-
-
-def _agreement(w: Within) -> str:
-    """The relative standard deviation within which both agree beyond stated uncertainties, in words."""
-    if w.as_they_are == 0.0:
-        return "within what they state"
-
-    def so(x: float) -> str:
-        return f"within {percent(x)}" if x > 0.0 else "as they state"
-
-    said, divided = so(w.as_they_are), w.with_scale < CLOSER * w.as_they_are
-    if divided:
-        said += f"; {so(w.with_scale)} where B is divided by {w.scale:.4g}"
-    if w.with_zero is not None and w.zero is not None and w.with_zero < CLOSER * w.with_scale:
-        name = _ANGLES[w.angle]
-        said += (
-            f"; {so(w.with_zero)} where B's {name} is taken back by {number(np.degrees(w.zero), 2)}°{' too' * divided}"
-        )
-    return said
-
-
-def _p(p: float) -> str:
-    return "< 0.0001" if p < 1e-4 else f"= {p:.2g}"
-
-
 def _columns(c: Change) -> Iterator[list[Any]]:
     """What `COLUMNS` names, some rows after the other."""
     v = c.verdict
@@ -364,100 +234,3 @@ def _view(c: Change, at: Observations, listed: list[Curve], drawn: list[Curve], 
         "note": viewer.note(sum(k.angle.size for k in shorter), sum(k.angle.size for k in listed), 1, 1),
         "waves": [{"nm": finite(shown), "curves": entries}],
     }
-
-
-def _page(
-    c: Change,
-    made: Stamp,
-    conclusion: str,
-    runs: Sequence[RunFacts | None],
-    waves: Waves,
-    figures: Sequence[Figure],
-    view: viewer.View | None,
-) -> Page:
-    title, noted = _title(c), _notes(c)
-    body: list[Block] = [
-        header(title, dated("Point by point", made)),
-        lead(conclusion),
-        Heading(3, "What was compared"),
-        facts(_facts(c, runs)),
-    ]
-    body += [notes(noted)] if noted else []
-    if view is not None:
-        body += [Heading(3, "Both in the plane of incidence"), Viewer("change", view)]
-    after: list[Block] = [Heading(3, "Metrics"), _metrics(c)]
-    if len(waves) > 1:
-        after += [Heading(3, "Wavelengths"), _of_wavelengths(waves)]
-    after += [Heading(3, "How it is judged"), _method(c.verdict)] if c.verdict else []
-    after += [Heading(2, "Provenance"), provenance(made), FOOTER]
-    room = MOST_BYTES - html.size(html.document(Page(title, (*body, *after))))
-    return Page(title, (*body, html.within(Figures(tuple(figures)), room), *after))
-
-
-def _of_wavelengths(waves: Waves) -> Table:
-    rows = []
-    for w in waves:
-        nm, counts = w["wavelength_nm"], (w.get(name) for name in ("n_points", "beyond", "changed_points"))
-        name = "no single wavelength" if nm is None else f"{nm:g} nm"
-        rows.append([name, *("–" if n is None else str(n) for n in counts), number(w["median_ratio"], 4)])
-    header = ["wavelength", "values", "beyond 2", "changed", "median B/A"]
-    return table("", header, rows, right=(1, 2, 3, 4), most=(MOST_ROWS, "wavelengths.csv"))
-
-
-def _facts(c: Change, runs: Sequence[RunFacts | None]) -> list[tuple[str, str]]:
-    rows = []
-    for key, x, run in zip("AB", (c.a, c.b), runs, strict=True):
-        if x.model is not None:
-            rows.append((key, f"{x.name}: {x.model.name} ({x.source}); {x.model.convention}"))
-            continue
-        stated = "with uncertainties" if x.stated else "no uncertainties stated"
-        left = f"; left out: {describe_left_out(x.left_out)}" if x.left_out else ""
-        made = f"; rig {run.rig}, {run.created[:10]}, seed {run.seed}" if run else ""
-        values = f"{x.values}{' simulated' * x.simulated} values"
-        rows.append((key, f"{x.name} ({x.source}): {values}, {stated}{left}{made}"))
-    shared, interpolated = f"{len(c.at)}", int(np.count_nonzero(c.error))
-    if {c.a.kind, c.b.kind} == {"measurement"}:
-        shared += f", in the directions of {c.onto}"
-    if interpolated:
-        shared += f", {interpolated} of them by interpolation (median error {percent(_median_error(c))})"
-    rows.append(("shared values", shared))
-    missing = "; ".join(f"{n} values of {c.onto} {why}" for why, n in c.missing.items())
-    return [*rows, ("not compared", missing)] if missing else rows
-
-
-def _metrics(c: Change) -> Table:
-    known = c.verdict is not None
-    rows = [[label, number(c.metrics[k]), meaning(k, known=known)] for k, (label, _) in DESCRIPTIONS.items()]
-    caption = "B takes the place of the model, A that of the measurement."
-    return table(caption, ["metric", "value", "what it is"], rows, right=(1,))
-
-
-def _method(v: Verdict) -> Paragraph:
-    return Paragraph(
-        "The difference of each value is judged against what all the others predict of it, with the covariance of both"
-        " measurements: what a common cause (a reference, a drift, the zero of an angle) does to all values alike does"
-        " not count as a change of each. The causes of two measurements count as independent; where both used the same"
-        " reference its part cancels, and the verdict is on the safe side. "
-        f"Of {v.z.size} values {v.expected:.1f} are expected beyond 2 standard deviations by chance."
-        f" Values are marked by Benjamini and Hochberg's procedure, which lets"
-        f" {100 * FALSE_DISCOVERIES:g} % of the marks be wrong."
-        f" The verdict rests on chi-square of all values (p {_p(v.p_value)}), on the largest of"
-        f" them ({v.largest:.2f} standard deviations, p {_p(v.p_largest)}), and on the common factor of B over A"
-        f" ({with_u(1 + v.scale, v.u_scale)}, p {_p(v.p_scale)}){_zeros_tested(v)}, each at"
-        f" {100 * LEVEL / len(v.tests):.2g} %; where nothing changed it says so in {100 * (1 - LEVEL):g} % of the"
-        f" cases.{_limits(v)}"
-        + (
-            " The factor and the zeros are named, and have their uncertainties, with what remains beside them as an"
-            f" uncertainty of each value ({percent(v.remains)})."
-            if v.remains > 0.0
-            else ""
-        )
-    )
-
-
-def _zeros_tested(v: Verdict) -> str:
-    return "".join(
-        f" and the zero of {_ANGLES[angle]} (B reads too large by"
-        f" ({with_u(np.degrees(x.value), np.degrees(x.u))})°, p {_p(x.p)})"
-        for angle, x in v.zeros.items()
-    )

@@ -3,8 +3,10 @@
 Docs: docs/page.md.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
 
+from gonio_analysis.report import blocks as made_of
 from gonio_analysis.report.blocks import Block, Group, Heading, Page, header
 from gonio_analysis.report.text import slug
 
@@ -87,6 +89,12 @@ def page(
         The title of the browser's tab, where it is not that of the page.
     """
     return Page(called or title, (header(title, sub, *also), first, *shown, *folded(folds), foot))
+
+
+def provenance(made: Mapping[str, Any], *first: tuple[str, str], called: str = "report made") -> list[Block]:
+    """How a page was made, to be folded; arguments as of `blocks.provenance`."""
+    result = f"{made['created'][:10]}, gonio {made['versions']['gonio']}"
+    return [Heading(3, "Provenance", result), made_of.provenance(made, *first, called=called)]
 
 
 def _shown(blocks: Iterable[Block]) -> list[Block]:

@@ -11,7 +11,7 @@ from gonio.measurement import Reading, of_reader, said_once
 from gonio_analysis.changes.consensus import METHODS, Consensus
 from gonio_analysis.changes.laboratories import LEVEL, Comparison, Laboratory, compared
 from gonio_analysis.changes.point_by_point import side
-from gonio_analysis.report import change_figures, files, lost
+from gonio_analysis.report import change_figures, files, frame, lost
 from gonio_analysis.report.blocks import (
     Figures,
     Heading,
@@ -21,10 +21,8 @@ from gonio_analysis.report.blocks import (
     Table,
     facts,
     footer,
-    header,
     lead,
     notes,
-    provenance,
     stamp,
     table,
     titled,
@@ -35,6 +33,8 @@ from gonio_analysis.report.text import number, percent, with_u
 
 FIGURES = 5
 """Figures that a comparison has, about."""
+NAMED = 3
+"""Laboratories that a verdict names, at most."""
 IN_WORDS = {
     "weighted": "weighted mean", "dersimonian-laird": "DerSimonian-Laird", "mandel-paule": "Mandel-Paule",
     "reml": "REML",
@@ -202,26 +202,39 @@ def says(x: Laboratory) -> str:
     return " and ".join(parts)
 
 
-def conclusion(c: Comparison) -> str:
-    """The headline."""
-    count = len(c.laboratories)
+def verdict(c: Comparison) -> list[str]:
+    """The answer, in two sentences at most."""
+    count, off = len(c.laboratories), [x for x in c.laboratories if not x.consistent]
     u = percent(c.scales.reference.u / c.scales.reference.value)
-    known = f"Their consensus over {len(c.at)} directions has a standard uncertainty of {u}."
-    off = [x for x in c.laboratories if not x.consistent]
+    known = f"Their consensus over {len(c.at)} directions has a standard uncertainty of {u}"
     if not off:
         worst = max(abs(x.degree) for x in c.laboratories)
-        return f"All {count} laboratories agree within what they state, the farthest {percent(worst)} off. {known}"
-    each = " ".join(f"{x.name} {says(x)}." for x in off)
+        return [
+            f"All {count} laboratories agree within what they state, the farthest {percent(worst)} off.",
+            f"{known}.",
+        ]
     if count == 2:
         a, b = c.laboratories
-        return f"{a.name} and {b.name} disagree, and nothing tells which is off. Against their mean: {each}"
+        return [f"{a.name} and {b.name} disagree, and nothing tells which is off.", f"Against their mean {_each(off)}."]
     if c.scales.method != "weighted":
         tau = percent(c.scales.reference.tau / c.scales.reference.value)
-        return (
-            f"The {count} laboratories disagree in general: they differ by {tau} more than they state. {each}"
-            f" {known} That includes this dark uncertainty."
-        )
-    return f"{count - len(off)} of {count} laboratories agree. {each} {known}"
+        return [
+            f"The {count} laboratories disagree in general: they differ by {tau} more than they state.",
+            f"{known}, this dark uncertainty included.",
+        ]
+    named = _each(off) if len(off) <= NAMED else f"the table says by what the other {len(off)} are off"
+    return [f"{count - len(off)} of {count} laboratories agree; {named}.", f"{known}."]
+
+
+def conclusion(c: Comparison) -> str:
+    """The verdict, and of every laboratory that is off by what."""
+    said, off = " ".join(verdict(c)), [x for x in c.laboratories if not x.consistent]
+    each = _each(off)
+    return said if each in said else f"{said} {each[:1].upper()}{each[1:]}."
+
+
+def _each(off: Sequence[Laboratory]) -> str:
+    return "; ".join(f"{x.name} {says(x)}" for x in off)
 
 
 def _write_tables(c: Comparison, folder: Path) -> list[str]:
@@ -257,36 +270,48 @@ def _page(c: Comparison, made: Stamp, figures: Sequence[Figure]) -> Page:
         " uncertainties (k = 1); U is expanded (k = 2)."
     )
     sources = ("sources", "; ".join(f"{x.name}: {x.source}" for x in c.laboratories))
-    body = (
-        header(_title(c), sub),
-        lead(conclusion(c)),
-        Heading(3, "Laboratories"),
-        _laboratories(c),
-        Figures(tuple(figures)),
-        Heading(3, "Consensus"),
+    consistent = sum(x.consistent for x in c.laboratories)
+    folds = [
+        Heading(3, "Scales, zeros and scatter", f"{consistent} of {len(c.laboratories)} are consistent"),
+        _in_full(c),
+        Heading(3, "Deviations by direction", f"{_inconsistent(c)} of {len(c.at)} directions disagree"),
+        Figures(tuple(figures[1:])),
+        Heading(3, "Consensus", IN_WORDS.get(c.scales.method, c.scales.method)),
         _methods(c),
-        Heading(3, "What was compared"),
+        Heading(3, "What was compared", f"{len(c.at)} directions, {len(c.laboratories)} laboratories"),
         facts(_facts(c)),
         *([notes(c.notes)] if c.notes else []),
-        Heading(3, "How it is judged"),
+        Heading(3, "How it is judged", f"scale, zero and scatter share a level of {100 * LEVEL:g} %"),
         Paragraph(METHOD),
-        Heading(2, "Provenance"),
-        provenance(made, sources),
-        FOOTER,
-    )
-    return Page(_title(c), body)
+        *frame.provenance(made, sources),
+    ]
+    first = frame.answer([lead(" ".join(verdict(c)))], [Figures(tuple(figures[:1]))], [_laboratories(c)])
+    return frame.page(_title(c), sub, first, folds=folds, foot=FOOTER)
 
 
 def _laboratories(c: Comparison) -> Table:
     rows = []
     for x in c.laboratories:
+        degree, u = 100 * x.degree, 100 * x.u_degree
+        e_n = f"{round(x.e_n, 2) + 0.0:.2f}".replace("-", "−")
+        rows.append([x.name, with_u(degree, u), number(2 * u, 2), e_n, _cause(x) or "agrees"])
+    caption = "Degree of equivalence d of each scale, against the consensus."
+    return table(caption, ["laboratory", "d / %", "U(d) / %", "E_n", "verdict"], rows, right=(1, 2, 3))
+
+
+def _cause(x: Laboratory) -> str:
+    """What sets a laboratory apart, in few words; `says` has the numbers."""
+    parts = ["a reference"] * (not x.scale_consistent) + ["a zero"] * (not x.zero_consistent)
+    return "off: " + ", ".join(parts + ["scatter"] * (not x.scatter_consistent)) if not x.consistent else ""
+
+
+def _in_full(c: Comparison) -> Table:
+    rows = []
+    for x in c.laboratories:
         zero = "–" if x.zero is None or x.u_zero is None else with_u(_degrees(x.zero), _degrees(x.u_zero))
-        off = (number(100 * x.degree, 2), number(200 * x.u_degree, 2), f"{round(x.e_n, 2) + 0.0:.2f}".replace("-", "−"))
-        scatter = "–" if x.scatter is None else f"{x.scatter:.2f}"
-        rows.append([x.name, with_u(x.scale, x.u_scale), *off, zero, scatter, says(x) or "agrees"])
-    head = ["laboratory", "scale", "d / %", "U(d) / %", "E_n", "zero / °", "scatter", ""]
-    caption = "Scale and degree of equivalence d against the consensus. Scatter: over what the laboratory states."
-    return table(caption, head, rows, right=(1, 2, 3, 4, 5, 6))
+        rows.append([x.name, with_u(x.scale, x.u_scale), zero, "–" if x.scatter is None else f"{x.scatter:.2f}"])
+    caption = "Scale: against the consensus. Scatter: over what the laboratory states."
+    return table(caption, ["laboratory", "scale", "zero / °", "scatter"], rows, right=(1, 2, 3))
 
 
 def _methods(c: Comparison) -> Table:

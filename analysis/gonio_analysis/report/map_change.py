@@ -9,20 +9,18 @@ import numpy.typing as npt
 
 from gonio_analysis.changes.pixel_by_pixel import MapChange, ParameterChange, change
 from gonio_analysis.changes.verdict import FALSE_DISCOVERIES
-from gonio_analysis.report import files, lost, map_layers
+from gonio_analysis.report import files, frame, lost, map_layers
 from gonio_analysis.report.blocks import (
-    Block,
     Figures,
     Heading,
     Page,
     Paragraph,
     Stamp,
+    Table,
     dated,
     facts,
     footer,
-    header,
     lead,
-    provenance,
     stamp,
     table,
     titled,
@@ -168,34 +166,33 @@ def _write_tables(c: MapChange, folder: Path) -> list[str]:
 
 
 def _page(c: MapChange, specs: Sequence[str], made: Stamp, figures: Sequence[Figure]) -> Page:
+    folds = [
+        Heading(3, "By parameter", f"{len(c.parameters)} parameters"),
+        Figures(tuple(figures[1:])),
+        _in_full(c),
+        Heading(3, "What was compared", f"{c.compared} of {c.changed.size} pixels"),
+        facts([("A", specs[0]), ("B", specs[1]), ("model", c.model)]),
+        Heading(3, "How it is judged", "every pixel by chi-square of all its parameters"),
+        Paragraph(METHOD),
+        *frame.provenance(made),
+    ]
+    first = frame.answer([lead(conclusion(c))], [Figures(tuple(figures[:1]))], [_changed(c)])
+    return frame.page(_title(specs), dated("Two maps", made), first, folds=folds, foot=FOOTER)
+
+
+def _changed(c: MapChange) -> Table:
     rows = []
     for x in c.parameters:
-        of = _of(c, x)
-        where = of["median_change_where_changed"]
-        rows.append(
-            [labelled(x.name, x.unit), str(of["compared"]), str(of["changed"]), number(of["median_change"], 3),  # type: ignore[arg-type]
-             "–" if where is None else with_u(float(where), x.u), number(of["median_z"], 2)]  # type: ignore[arg-type]
-        )  # fmt: skip
-    head = [
-        "parameter",
-        "pixels compared",
-        "changed by itself",
-        "median change",
-        "in changed pixels ± u of one",
-        "median z",
-    ]
-    body: list[Block] = [
-        header(_title(specs), dated("Two maps", made)),
-        lead(conclusion(c)),
-        facts([("A", specs[0]), ("B", specs[1]), ("model", c.model)]),
-        Heading(3, "Where it changed"),
-        Figures(tuple(figures)),
-        Heading(3, "What changed"),
-        table("", head, rows, right=(1, 2, 3, 4, 5)),
-        Heading(3, "How it is judged"),
-        Paragraph(METHOD),
-        Heading(2, "Provenance"),
-        provenance(made),
-        FOOTER,
-    ]
-    return Page(_title(specs), tuple(body))
+        where = (of := _of(c, x))["median_change_where_changed"]
+        rows.append([labelled(x.name, x.unit), str(of["changed"]), "–" if where is None else with_u(float(where), x.u)])
+    head = ["parameter", "pixels changed by itself", "median change of changed pixels ± u of one"]
+    return table("", head, rows, right=(1, 2))
+
+
+def _in_full(c: MapChange) -> Table:
+    rows = [
+        [labelled(x.name, x.unit), str(of["compared"]), number(of["median_change"], 3), number(of["median_z"], 2)]  # type: ignore[arg-type]
+        for x in c.parameters for of in [_of(c, x)]
+    ]  # fmt: skip
+    head = ["parameter", "pixels compared", "median change of all", "median z"]
+    return table("z: the change in standard deviations of the difference.", head, rows, right=(1, 2, 3))

@@ -16,7 +16,7 @@ from gonio.geometry import Directions
 from gonio.maps import FLAGS, FitFile, MapFile, Tile
 from gonio.reduction.threads import in_threads
 from gonio_analysis.curves.in_plane import evenly
-from gonio_analysis.report import files, html, lost, map_layers, map_view
+from gonio_analysis.report import files, frame, html, lost, map_layers, map_view
 from gonio_analysis.report.blocks import (
     Block,
     Figures,
@@ -27,10 +27,9 @@ from gonio_analysis.report.blocks import (
     Table,
     dated,
     facts,
+    figures_of,
     footer,
-    header,
     lead,
-    provenance,
     stamp,
     table,
     titled,
@@ -288,17 +287,14 @@ def _conclusion(file: FitFile, grid: Grid, layers: Sequence[Layer], counts: dict
     own = [one for one in layers if one.name in file.parameters]
     fitted = max((one.spread.determined for one in own), default=0)
     each = ", ".join(f"{one.name} {with_u(one.spread.median, one.spread.typical_u)}" for one in own)
-    left, right, low, high = grid.extent
-    words = [
-        f"{file.model} is determined in {fitted} of {total} pixels of {grid.pixel_mm:.3g} mm,"
-        f" over {right - left:.4g} mm × {high - low:.4g} mm.",
-        f"Median of the pixels, with the typical standard uncertainty of one: {each}." if fitted else "",
-    ]
     usable = total - counts["too_few"]
+    rejects = ""
     if usable:
-        share = counts["rejected"] / usable
-        words.append(f"{percent(share)} of them reject the model, where {percent(BY_CHANCE)} do by chance.")
-    return " ".join(word for word in words if word)
+        share = percent(counts["rejected"] / usable)
+        rejects = f"; {share} of those with values reject it, where {percent(BY_CHANCE)} do by chance"
+    determined = f"{file.model} is determined in {fitted} of {total} pixels of {grid.pixel_mm:.3g} mm{rejects}."
+    median = f"Median of the pixels, with the typical standard uncertainty of one: {each}."
+    return f"{determined} {median}" if fitted else determined
 
 
 def _materials(file: FitFile) -> Materials | None:
@@ -352,17 +348,30 @@ def _write_tables(told: Told, folder: Path) -> list[str]:
 
 
 def _page(told: Told, made: Stamp, figures: Sequence[Figure]) -> Page:
-    first = [f for f in figures if f.kind == "map"]
+    every = [f for f in figures if f.kind == "map"]
     rest = [f for f in figures if f.kind != "map"]
-    body: list[Block] = [header(told.title, dated("A map", made)), lead(told.conclusion), facts(told.facts)]
-    body += [Heading(3, "A pixel under the cursor"), PixelViewer("pixels", told.view)]
-    after: list[Block] = [Heading(3, "Spread over the pixels"), *([Figures(tuple(rest))] if rest else [])]
-    after += [_parameters(told), Heading(3, "Flags"), _flags(told)]
+    behind: list[Block] = []
+    if rest:
+        behind += [Heading(3, "Spread over the pixels", f"{len(told.layers)} histograms"), Figures(tuple(rest))]
+    raised = [f"{_said(k)} {n}" for k, n in told.counts.items() if n]
+    behind += [Heading(3, "Flags", ", ".join(raised) or "none"), _flags(told)]
     if told.materials is not None:
-        after += [Heading(3, "Materials"), _of_materials(told.materials)]
-    after += [Heading(2, "Provenance"), provenance(made), FOOTER]
-    room = MOST_BYTES - html.size(html.document(Page(told.title, (*body, *after))))
-    return Page(told.title, (*body, Heading(3, "Maps"), html.within(Figures(tuple(first)), room), *after))
+        behind += [Heading(3, "Materials", f"{len(told.materials.rows)}"), _of_materials(told.materials)]
+    behind += [Heading(3, "What was mapped", _pixels(told)), facts(told.facts), *frame.provenance(made)]
+
+    def of(maps: Sequence[Figure]) -> Page:
+        picture = [PixelViewer("pixels", told.view), Figures(tuple(maps[:1]), printed=True)]
+        first = frame.answer([lead(told.conclusion)], picture, [], _parameters(told))
+        others = [Heading(3, "Maps", f"{len(maps)}"), Figures(tuple(maps[1:]))]
+        return frame.page(told.title, dated("A map", made), first, folds=[*others, *behind], foot=FOOTER)
+
+    room = MOST_BYTES - html.size(html.document(of([])))
+    return of(figures_of([html.within(Figures(tuple(every)), room)]))
+
+
+def _pixels(told: Told) -> str:
+    """Which pixels a map has."""
+    return next((value for name, value in told.facts if name == "pixels"), "")
 
 
 def _parameters(told: Told) -> Table:

@@ -173,7 +173,8 @@ def cut(text: str, most: int) -> str:
 
 def glued(text: str) -> str:
     """A text whose numbers stay on one line with what belongs to them: 1.2 ± 0.3, 4 × 10⁻⁷, 22 %, θi = 30°."""
-    text = re.sub(r"(?<=[\d)]) (?=[±×%])|(?<=[±×]) (?=[\d−])", "\u00a0", text)
+    text = re.sub(r"(?<=[\d)]) (?=[±×%])|(?<=[±×<]) (?=[\d−])", "\u00a0", text)
+    text = re.sub(r"(?<=\bp) (?=[<=])", "\u00a0", text)
     return re.sub(r"(?<=θ[ir]) = (?=\d)", "\u00a0=\u00a0", text)
 
 

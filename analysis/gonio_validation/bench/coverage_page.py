@@ -6,17 +6,19 @@ from typing import Any
 import numpy as np
 from gonio_analysis.plots.in_plane import COLOURS
 from gonio_analysis.plots.style import INK
-from gonio_analysis.report.blocks import Block, Figures, Group, Page, Paragraph, Text, footer, table
+from gonio_analysis.report import frame
+from gonio_analysis.report.blocks import Block, Figures, Page, Paragraph, Table, Text, footer, table
 from gonio_analysis.report.drawing import Figure, rendered
 from gonio_analysis.report.text import number
 
 from gonio.typing import JsonObject
-from gonio_validation.bench.coverage_judgement import LEVEL
+from gonio_validation.bench.coverage_judgement import LEVEL, Count
 from gonio_validation.bench.page import (
     Column,
     TableSection,
-    head,
+    held,
     listed,
+    made,
     method,
     of_part,
     part,
@@ -68,7 +70,7 @@ UNIFORM = (
     Column("campaigns a bin", "bins", lambda bins: " ".join(map(str, bins))),
 )  # fmt: skip
 HIDDEN = TableSection(
-    "What is hidden", "hidden", "causes",
+    "What is hidden", "causes",
     "Drawn anew for every campaign, and read by the simulated devices alone. Distances, the cones of lamp and "
     "lens, the beam, the wavelength, the kind of model and a metal's optical constants are known rightly.",
     (
@@ -79,7 +81,7 @@ HIDDEN = TableSection(
     (),
 )  # fmt: skip
 FAR = TableSection(
-    "Points far off", "far", "worst",
+    "Points far off", "worst",
     "The largest normalised error of a campaign, for the campaigns in which it is largest. Angles in degrees, values"
     " in 1/sr.",
     (
@@ -92,7 +94,7 @@ FAR = TableSection(
     tuple(range(4, 11)),
 )  # fmt: skip
 REFUSED = TableSection(
-    "Campaigns that were refused", "refused", "failed",
+    "Campaigns that were refused", "failed",
     "A program refused these, and said why. They count nowhere above.",
     tuple(Column(name, name) for name in ("campaign", "model", "plan", "step", "message")),
     (),
@@ -101,58 +103,62 @@ REFUSED = TableSection(
 
 def render(s: JsonObject, figures: Sequence[Figure]) -> Page:
     """The page."""
-    links = (
-        ("coverage", "Coverage"),
-        ("pulls", "Normalised errors"),
-        ("hidden", "What is hidden"),
-        ("far", "Points far off"),
-    )
     what = (
         f", seed {s['seed']}: {s['campaigns']} campaigns, {s['values']} "
         f"values of BRDF, {number(s['seconds'] / max(s['campaigns'], 1), 2)} s of one process a campaign."
     )
     rough = " A quick run: few campaigns of few points." if s["quick"] else ""
-    body: list[Block] = [head(s, what + rough, links), _lead(s), _coverage(s, figures), _pulls(s, figures)]
-    body += [of_part(s, p) for p in (HIDDEN, FAR, *([REFUSED] if s["failed"] else []))]
     m = s["machine"]
-    return Page(s["title"], (*body, method(s, *METHOD, ("processor", f"{m['cpu']}, {m['cpus']} usable")), FOOTER))
+    groups = [c for c in s["counts"] if c.group != "all"]
+    folds = [
+        *part("Coverage by group", held(groups, lambda c: c.holds), COVERAGE, _coverage(groups)),
+        *_pulls(s, figures),
+        *of_part(s, HIDDEN, f"{len(s['causes'])} errors, drawn anew for every campaign"),
+        *of_part(s, FAR, f"the largest pulls of {len(s['worst'])} campaigns"),
+        *(of_part(s, REFUSED, f"{len(s['failed'])}") if s["failed"] else []),
+        *method(s, *METHOD, ("processor", f"{m['cpu']}, {m['cpus']} usable")),
+    ]
+    forest = Figures(tuple(f for f in figures if f.kind == "forest"))
+    every = _coverage([c for c in s["counts"] if c.group == "all"])
+    return frame.page(
+        s["title"], made(s, what + rough), frame.answer([_lead(s)], [forest], [every]), folds=folds, foot=FOOTER
+    )
 
 
 def _lead(s: JsonObject) -> Paragraph:
-    words: list[str] = []
-    of_all = {c.kind: c for c in s["counts"] if c.group == "all"}
-    for kind in ("points", "joint", "parameters", "joint parameters"):
-        c = of_all.get(kind)
-        if c is not None:
-            words.append(
-                f"{KINDS[kind]}: {c.inside} of {c.campaigns} ({_percent(c.inside / c.campaigns)}; 95 % of intervals "
-                f"{'is' if c.holds else 'is NOT'} within {_percent(c.low)} to {_percent(c.high)})."
-            )
+    every = [c for c in s["counts"] if c.group == "all"]
+    missed = [KINDS[c.kind] for c in every if not c.holds]
+    words = f"Intervals of 95 % hold the truth as often as they say for {len(every) - len(missed)} of {len(every)}"
+    words += " quantities"
+    words += f", and NOT for: {', '.join(missed)}." if missed else "."
     if s["failed"]:
-        words.append(f"{len(s['failed'])} campaigns were refused by a program, and count nowhere.")
-    return Paragraph(" ".join(words), "lead")
+        words += f" {len(s['failed'])} campaigns were refused by a program, and count nowhere."
+    return Paragraph(words, "lead")
 
 
-def _coverage(s: JsonObject, figures: Sequence[Figure]) -> Group:
-    words = (
-        "Frequentist coverage: in how many campaigns the interval of 95 % holds the truth. All values of a campaign "
-        "share its errors, so each campaign counts once in a row: by one value that was chosen at random beforehand, "
-        "or by one test of all its values. The interval is Clopper and Pearson's; it should contain 95 %. Of many rows "
-        "up to one in twenty may miss it by chance alone."
-    )
-    header = ["", "of", "campaigns", "inside", "coverage", "from", "to", "contains 95 %"]
+COVERAGE = (
+    "Frequentist coverage: in how many campaigns the interval of 95 % holds the truth. All values of a campaign share"
+    " its errors, so each campaign counts once in a row: by one value that was chosen at random beforehand, or by one"
+    " test of all its values. The interval is Clopper and Pearson's; it should contain 95 %. Of many rows up to one in"
+    " twenty may miss it by chance alone."
+)
+
+
+def _coverage(counts: Sequence[Count]) -> Table:
+    """Rows of one group need no column for it."""
+    several = any(c.group != "all" for c in counts)
     rows: list[list[Text]] = [
         [
-            KINDS[c.kind], _of(c.group), str(c.campaigns), str(c.inside), _percent(c.inside / c.campaigns),
-            _percent(c.low), _percent(c.high), verdict(c.holds),
+            KINDS[c.kind], c.group if several else "", str(c.campaigns), str(c.inside),
+            _percent(c.inside / c.campaigns), f"{_percent(c.low)} to {_percent(c.high)}", verdict(c.holds),
         ]
-        for c in s["counts"]
+        for c in counts
     ]  # fmt: skip
-    shown = table("", header, rows, right=(2, 3, 4, 5, 6))
-    return part("Coverage", "coverage", words, Figures(tuple(f for f in figures if f.kind == "forest")), shown)
+    header = ["", "of", "campaigns", "inside", "coverage", "its interval", "contains 95 %"]
+    return table("", header, rows, right=(2, 3, 4))
 
 
-def _pulls(s: JsonObject, figures: Sequence[Figure]) -> Group:
+def _pulls(s: JsonObject, figures: Sequence[Figure]) -> list[Block]:
     words = (
         "A normalised error is (found - true) / u, one a campaign. Its standard deviation should be 1: larger, and "
         "uncertainties are too small; smaller, and they are too large. Intervals are 95 %, of campaigns drawn again. "
@@ -161,9 +167,10 @@ def _pulls(s: JsonObject, figures: Sequence[Figure]) -> Group:
     shown = listed(s["pulls"], PULLS, tuple(range(2, 9)))
     caption = "Campaigns by the probability of a larger chi-square, in ten equal bins from 0 to 1."
     uniform = listed(s["uniform"], UNIFORM, (1, 2), caption)
-    return part(
-        "Normalised errors", "pulls", words, Figures(tuple(f for f in figures if f.kind != "forest")), shown, uniform
-    )
+    others = Figures(tuple(f for f in figures if f.kind != "forest"))
+    spread = [f"{p['sd']:.2f}" for p in s["pulls"] if p["group"] == "all"]
+    result = f"standard deviation {', '.join(spread)}" if spread else f"{len(s['pulls'])} rows"
+    return part("Normalised errors", result, words, others, shown, uniform)
 
 
 # --- drawings -----------------------------------------------------------------------------------------------------

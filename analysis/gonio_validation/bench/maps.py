@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from gonio_analysis.fitting.fit import fit
-from gonio_analysis.report import files
-from gonio_analysis.report.blocks import Heading, Page, Paragraph, footer, header, provenance, stamp
+from gonio_analysis.report import files, frame
+from gonio_analysis.report.blocks import Heading, Page, Paragraph, Stamp, footer, lead, stamp
 from gonio_analysis.report.text import number
 from scipy.optimize import least_squares
 
@@ -18,7 +18,7 @@ from gonio.geometry import Directions
 from gonio.models import batch, build
 from gonio.typing import Floats, JsonObject
 from gonio_validation.bench import maps_jax
-from gonio_validation.bench.page import Column, listed
+from gonio_validation.bench.page import Column, listed, part
 
 POINTS, PIXELS, QUICK = 100, 20_000, 500
 """Directions; drawn pixels of a model; those of a quick run."""
@@ -177,22 +177,40 @@ def make(
             progress(f"{name} ...")
             rows.append(measured(name, QUICK if quick or name == "he-torrance" else PIXELS))
         made = stamp(command)
-        page = Page("Fits of maps: speed against error", (
-            header("Fits of maps: speed against error", f"{POINTS} directions, noise of {100 * NOISE:g} %."),
-            Heading(2, "Time"),
-            Paragraph("Processor time of one thread, in microseconds a pixel: starts, fit, standard errors. Rejected: "
-                      "the model is not true, so its misfit is found and errors come from leaving out "
-                      "blocks. scipy: least squares on the same kernel, from the truth on."),
-            listed(rows, TIMES, (1, 2, 3, 4, 5, 6)),
-            Heading(2, "Error"),
-            Paragraph(f"From gonio fit: the largest difference of a parameter, of {COMPARED} pixels. A fit in a wrong"
-                      " valley would have a larger chi-square than the truth."),
-            listed(rows, ERRORS, (1, 3, 4)),
-            Paragraph(_of_jax(rows)),
-            provenance(made), FOOTER,
-        ))  # fmt: skip
+        page = _page(rows, made)
         files.write_page(stage.work, page, {"rows": rows, **made}, [])
     return Path(out) / "index.html"
+
+
+def _page(rows: list[JsonObject], made: Stamp) -> Page:
+    each = ", ".join(f"{number(row['shared_us'], 3)} µs for {row['model']}" for row in rows)
+    worst = max(row["from_fit"] for row in rows)
+    words = (
+        f"A pixel takes {each}, of one thread where directions are shared. Parameters are within {number(worst, 2)} u"
+        " of what gonio fit finds."
+    )
+    times = (
+        "Processor time of one thread, in microseconds a pixel: starts, fit, standard errors. Rejected: the model is"
+        " not true, so its misfit is found and errors come from leaving out blocks. scipy: least squares on the same"
+        " kernel, from the truth on."
+    )
+    errors = (
+        f"From gonio fit: the largest difference of a parameter, of {COMPARED} pixels. A fit in a wrong valley would"
+        " have a larger chi-square than the truth."
+    )
+    jax = "not installed" if all(row["jax_us"] is None for row in rows) else "a batched fit of one model"
+    return frame.page(
+        "Fits of maps: speed against error",
+        f"{POINTS} directions, noise of {100 * NOISE:g} %.",
+        frame.answer([lead(words)], [], [listed(rows, TIMES, (1, 2, 3, 4, 5, 6), times)]),
+        folds=[
+            *part("Error", f"{sum(row['worse_than_truth'] for row in rows)} worse than the truth", errors,
+                  listed(rows, ERRORS, (1, 3, 4))),
+            Heading(3, "Beside jax", jax), Paragraph(_of_jax(rows)),
+            *frame.provenance(made),
+        ],
+        foot=FOOTER,
+    )  # fmt: skip
 
 
 def _of_jax(rows: list[JsonObject]) -> str:

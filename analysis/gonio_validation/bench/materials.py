@@ -11,15 +11,15 @@ from typing import Any
 import numpy as np
 from gonio_analysis.fitting.observations import Observations, observations
 from gonio_analysis.fitting.parameters import declared
+from gonio_analysis.report import frame
 from gonio_analysis.report.blocks import (
     MOST_ROWS,
     Block,
     Figures,
-    Group,
     Heading,
     Page,
-    Paragraph,
     footer,
+    lead,
     stamp,
     table,
 )
@@ -215,21 +215,37 @@ def _page(
         f"{len(good)} materials, {len(models)} models. A value that a fit had not seen is off by so much: the median of"
         " |ln(model/measured)|, with whole incidences or ranges of angle left out."
     )
-    body: list[Block] = [Group("header", (Heading(1, "Materials and models"), Paragraph(said, "sub")))]
-    body += [] if not records else [
-        Figures(tuple(drawn)),
-        Heading(2, "Models"),
-        table("", ["model", "materials", "nearest of all", "median left-out error", "most often farthest off"],
-              families, right=(1, 2, 3)),
-        Heading(2, "Materials"),
-        table(f"Near: within a factor {CLOSE:g} of the nearest model's error.",
-              ["material", "values", "nearest", "left-out error", "as near", "simplest not rejected"], rows,
-              right=(1, 3), most=(MOST_ROWS, "materials.csv")),
-    ]  # fmt: skip
-    body += more
+    table_of_models = table(
+        "", ["model", "materials", "nearest of all", "median left-out error", "most often farthest off"],
+        families, right=(1, 2, 3),
+    )  # fmt: skip
+    folds: list[Block] = []
+    if rows:
+        folds += [
+            Heading(3, "Materials", f"{len(rows)}"),
+            table(f"Near: within a factor {CLOSE:g} of the nearest model's error.",
+                  ["material", "values", "nearest", "left-out error", "as near", "simplest not rejected"], rows,
+                  right=(1, 3), most=(MOST_ROWS, "materials.csv")),
+        ]  # fmt: skip
+    folds += more
     if passed:
-        body += [Heading(2, "Passed over"), table("", ["file", "why"], passed, most=(MOST_ROWS, "results.json"))]
-    return Page("Materials and models", (*body, FOOTER))
+        folds += [
+            Heading(3, "Passed over", f"{len(passed)}"),
+            table("", ["file", "why"], passed, most=(MOST_ROWS, "results.json")),
+        ]
+    answer = frame.answer(
+        [lead(_verdict(nearest, models, more))], [Figures(tuple(drawn))], [table_of_models] if records else []
+    )
+    return frame.page("Materials and models", said, answer, folds=folds, foot=FOOTER)
+
+
+def _verdict(nearest: Mapping[str, str], models: Sequence[str], more: Sequence[Block]) -> str:
+    """Which model is nearest most often."""
+    if not nearest:
+        return "No material was fitted: only published fits were read." if more else "No material was fitted."
+    often = max(models, key=[*nearest.values()].count)
+    count = [*nearest.values()].count(often)
+    return f"{often} is the nearest of {len(models)} models for {count} of {len(nearest)} materials."
 
 
 def _csv(records: Sequence[Record]) -> bytes:

@@ -1,4 +1,4 @@
-"""What the pages of all benches have: a head, parts with a note and a table, verdicts, and the machine.
+"""What the pages of all benches have: parts with a note and a table, verdicts, and the machine.
 
 A bench's results are a JSON object with `title`, `created`, `command` and `machine`, and lists of rows; a row is a
 JSON object, or of a class of its own. A `TableSection` says which list a table shows, and each `Column` which value
@@ -12,15 +12,11 @@ from typing import Any, Literal, NamedTuple
 from gonio_analysis.plots.style import FAINT
 from gonio_analysis.report.blocks import (
     Block,
-    Contents,
-    Group,
     Heading,
     Paragraph,
     Table,
     Text,
     facts,
-    header,
-    section,
     strong,
     table,
 )
@@ -39,10 +35,9 @@ class Column(NamedTuple):
 
 
 class TableSection(NamedTuple):
-    """A section of a page with one table."""
+    """A part of a page with one table."""
 
     title: str
-    slug: str
     rows: str
     """Under which name the results have them."""
     words: str
@@ -58,11 +53,9 @@ def begun(title: str, command: str, quick: bool) -> JsonObject:
     return {"title": title, "created": created, "command": command, "quick": quick}
 
 
-def head(s: JsonObject, what: str, links: Iterable[tuple[str, str]] = ()) -> Group:
-    """Title, day and version, `what` was done, and links to parts by their names."""
-    contents = tuple((f"#{anchor}", name) for anchor, name in links)
-    made = f"{s['created'][:10]}, gonio {s['machine']['versions']['gonio']}{what}"
-    return header(s["title"], made, *([Contents(contents)] if contents else []))
+def made(s: JsonObject, what: str) -> str:
+    """The line below a title: day and version, and `what` was done."""
+    return f"{s['created'][:10]}, gonio {s['machine']['versions']['gonio']}{what}"
 
 
 def listed(rows: Iterable[Any], columns: Sequence[Column], right: tuple[int, ...], caption: str = "") -> Table:
@@ -71,14 +64,20 @@ def listed(rows: Iterable[Any], columns: Sequence[Column], right: tuple[int, ...
     return table(caption, [c.header for c in columns], cells, right=right)
 
 
-def of_part(s: JsonObject, p: TableSection, *figures: Block) -> Group:
-    """A section: its note, figures, and the table of its rows."""
-    return part(p.title, p.slug, p.words, *figures, listed(s[p.rows], p.columns, p.right))
+def of_part(s: JsonObject, p: TableSection, result: Text, *figures: Block) -> list[Block]:
+    """A part, to be folded: its note, figures, and the table of its rows."""
+    return part(p.title, result, p.words, *figures, listed(s[p.rows], p.columns, p.right))
 
 
-def part(title: str, slug: str, words: str, *blocks: Block, level: Literal[2, 3] = 2) -> Group:
-    """A heading, what is to know before reading, and what was found."""
-    return section([Heading(level, title), Paragraph(words, "note"), *blocks], slug)
+def part(title: str, result: Text, words: str, *blocks: Block) -> list[Block]:
+    """A heading that folds what is to know before reading, and what was found; `result` is that in a few words."""
+    return [Heading(3, title, result), Paragraph(words, "note"), *blocks]
+
+
+def held(rows: Iterable[Any], of: Callable[[Any], bool]) -> str:
+    """How many of some rows hold."""
+    every = [of(row) for row in rows]
+    return f"{sum(every)} of {len(every)} hold"
 
 
 def verdict(holds: bool) -> Text:
@@ -96,12 +95,12 @@ def two_digits(value: float) -> str:
     return number(value, 2)
 
 
-def method(s: JsonObject, *rows: tuple[str, str]) -> Group:
-    """How it was done, and on what."""
+def method(s: JsonObject, *rows: tuple[str, str]) -> list[Block]:
+    """How it was done, and on what, to be folded."""
     m = s["machine"]
     system = f"{m['system']}, Python {m['python']}, " + ", ".join(f"{k} {v}" for k, v in m["versions"].items())
     shown = facts([*rows, ("system", system), ("command", s["command"] or "–")])
-    return section([Heading(2, "Method and machine"), shown], "method")
+    return [Heading(3, "Method and machine", f"{m['system']}, Python {m['python']}"), shown]
 
 
 def plain_axes(ax: Any, grid: Literal["x", "both"] = "both") -> None:

@@ -250,7 +250,8 @@ def section(found: Record, drawn: Sequence[Figure]) -> list[Block]:
          "{:.2f} to {:.2f}".format(*w["quartiles"])]
         for w in found["widths"]
     ]  # fmt: skip
-    blocks: list[Block] = [Heading(2, "Published fits"), Paragraph(said), Figures(tuple(drawn))]
+    result = f"{len(found['materials'])} materials of both lists"
+    blocks: list[Block] = [Heading(3, "Published fits", result), Paragraph(said), Figures(tuple(drawn))]
     if agree:
         blocks.append(table("Widths over those of Ngan's Cook-Torrance.", [
             "fits", "materials", "rank correlation", "median ratio", "quartiles"], agree, right=(1, 2, 3)))  # fmt: skip

@@ -1,23 +1,33 @@
 """`index.html` of `gonio bench models`: targets, a section a quantity, hard cases, calls, and the machine."""
 
+from gonio_analysis.report import frame
 from gonio_analysis.report.blocks import (
     Block,
     Figures,
-    Group,
     Heading,
     Page,
     Paragraph,
     code,
     facts,
     footer,
-    section,
     table,
 )
 from gonio_analysis.report.drawing import Figure
-from gonio_analysis.report.text import number, slug
+from gonio_analysis.report.text import number
 
 from gonio.typing import JsonObject
-from gonio_validation.bench.page import Column, TableSection, head, listed, method, of_part, part, two_digits, verdict
+from gonio_validation.bench.page import (
+    Column,
+    TableSection,
+    held,
+    listed,
+    made,
+    method,
+    of_part,
+    part,
+    two_digits,
+    verdict,
+)
 from gonio_validation.bench.quantity import PeerTime, QuantitySummary
 
 FOOTER = footer(
@@ -38,8 +48,12 @@ TOLERANCES = (
     Column("", "", "{0[family]}: {0[way]}".format), Column("stated", "stated", _one_digit),
     Column("largest", "worst", _error), Column("points", "points"), Column("holds", "holds", verdict),
 )  # fmt: skip
+SPEEDS = (
+    Column("speed", "what"), Column("target", "target"),
+    Column("best", "", lambda t: f"{number(t['achieved'])} {t['unit']}"), Column("met", "time_met", verdict),
+)  # fmt: skip
 HARD = TableSection(
-    "Hard cases", "hard-cases", "hard_cases",
+    "Hard cases", "hard_cases",
     "Digits are −log10 of the relative error over 1 + conditioning, at the point with the least to spare; 16 means "
     "identical. NaN, infinite and negative results count where the formula's own value is none of it (Oren-Nayar's "
     "functional form is negative near forward grazing, as in the paper).",
@@ -77,40 +91,44 @@ def render(s: JsonObject, drawn: dict[str, Figure]) -> Page:
         "error over 1 + conditioning on grid and hard set."
     )
     shown = listed(s["tolerances"], TOLERANCES, (1, 2, 3))
-    tolerances = part("Do the stated accuracies hold?", "tolerances", words, shown, level=3)
-    body: list[Block] = [_header(s), _lead(s), _targets(s), tolerances]
-    body += [_quantity(q, drawn.get(q.name)) for q in s["families"]]
-    body += [of_part(s, HARD), _calls(s), *_peers(s), _method(s), FOOTER]
-    return Page(s["title"], tuple(body))
-
-
-def _header(s: JsonObject) -> Group:
-    links = [("targets", "Targets"), *((slug(q.name), q.title) for q in s["families"])]
-    links += [("hard-cases", "Hard cases"), ("calls", "Calls and start-up"), ("method", "Method and machine")]
+    folds = [
+        *_targets(s),
+        *part("Do the stated accuracies hold?", held(s["tolerances"], _holds), words, shown),
+        *of_part(s, HARD, held(s["hard_cases"], _holds)),
+    ]
+    first = next((q.name for q in s["families"] if q.name in drawn), "")
+    for q in s["families"]:
+        folds += _quantity(q, drawn.get(q.name) if q.name != first else None)
+    folds += [*_calls(s), *_peers(s), *_method(s)]
+    picture = [Figures((drawn[first],))] if first else []
     flags = s["machine"]["flags"]
     vectors = "AVX-512" if "avx512f" in flags else "AVX2, no AVX-512" if "avx2" in flags else "no AVX2"
     what = f", {s['machine']['cpu']}, {s['machine']['cpus']} threads, {vectors}."
     rough = " A quick run: errors are right, times are rough." if s["quick"] else ""
-    return head(s, what + rough, links)
+    return frame.page(
+        s["title"],
+        made(s, what + rough),
+        frame.answer([_lead(s)], picture, [listed(s["targets"], SPEEDS, (1, 2))]),
+        folds=folds,
+        foot=FOOTER,
+    )
+
+
+def _holds(row: JsonObject) -> bool:
+    return bool(row["holds"])
 
 
 def _lead(s: JsonObject) -> Paragraph:
     hard, tolerances, targets = s["hard_cases"], s["tolerances"], s["targets"]
-    broken = [c["case"] for c in hard if not c["holds"]]
-    loose = sum(not t["holds"] for t in tolerances)
-    words = [
-        f"All {len(hard)} hard cases hold."
-        if not broken
-        else f"{len(broken)} of {len(hard)} hard cases do not hold: {'; '.join(broken)}.",
-        f"All {len(tolerances)} stated accuracies hold."
-        if not loose
-        else f"{loose} of {len(tolerances)} stated accuracies do not hold.",
-        f"{sum(t['time_met'] for t in targets)} of {len(targets)} speeds are reached here.",
-    ]
-    return Paragraph(" ".join(words), "lead")
+    words = (
+        f"{sum(map(_holds, hard))} of {len(hard)} hard cases hold, and {sum(map(_holds, tolerances))} of"
+        f" {len(tolerances)} stated accuracies."
+    )
+    met = f"{sum(t['time_met'] for t in targets)} of {len(targets)} speeds are reached here."
+    return Paragraph(f"{words} {met}", "lead")
 
 
-def _targets(s: JsonObject) -> Group:
+def _targets(s: JsonObject) -> list[Block]:
     load, cpus = s["machine"]["load"], s["machine"]["cpus"]
     busy = f"; the load was {load[0]:.1f} on {cpus} processors when this run began" if load else ""
     words = (
@@ -120,18 +138,19 @@ def _targets(s: JsonObject) -> Group:
     )
     without = {"processor_ns": None, "target_error": None, "achieved_error": None, "error_met": None}
     columns = (
-        Column("", "what"), Column("target", "target"),
-        Column("best", "", lambda t: f"{number(t['achieved'])} {t['unit']}"),
+        Column("", "what"),
         Column("idle", "processor_ns", lambda ns: "" if ns is None else f"{number(ns / cpus)} ns"),
-        Column("met", "time_met", verdict),
         Column("error: allowed", "target_error", lambda e: "" if e is None else _one_digit(e)),
         Column("largest", "", lambda t: "" if t["error_met"] is None else _error(t["achieved_error"])),
         Column("held", "error_met", lambda met: "" if met is None else verdict(met)),
     )  # fmt: skip
-    return part("Targets", "targets", words, listed([without | t for t in s["targets"]], columns, (1, 2, 3, 5, 6)))
+    rows = [without | t for t in s["targets"]]
+    judged = [t for t in rows if t["error_met"] is not None]
+    result = f"errors: {held(judged, lambda t: bool(t['error_met']))}"
+    return part("Targets: errors, and an idle machine", result, words, listed(rows, columns, (1, 2, 3)))
 
 
-def _quantity(q: QuantitySummary, figure: Figure | None) -> Group:
+def _quantity(q: QuantitySummary, figure: Figure | None) -> list[Block]:
     header = ["way", "best ns", "median", "processor"]
     header += [what for kind in q.sets for what in (f"{kind}: largest", "99 %", "median")]
     rows, k = [], 0
@@ -146,30 +165,25 @@ def _quantity(q: QuantitySummary, figure: Figure | None) -> Group:
     marks = ["best" if w.on_front_grid else "" for w in q.ways]
     words = "Processor: summed over threads. Errors are relative. ● marks the Pareto front on the grid."
     right = tuple(range(1, len(header)))
-    return section(
-        [
-            Heading(2, q.title),
-            Paragraph(f"{q.about} Timed on {q.inputs}."),
-            *([Figures((figure,))] if figure else []),
-            Paragraph(words, "note"),
-            table("", header, rows, right=right, marks=marks),
-            facts((w.way, w.note) for w in q.ways if w.note),
-        ],
-        slug(q.name),
-    )
+    return [
+        Heading(3, q.title, f"{len(q.ways)} ways"),
+        Paragraph(f"{q.about} Timed on {q.inputs}."),
+        *([Figures((figure,))] if figure else []),
+        Paragraph(words, "note"),
+        table("", header, rows, right=right, marks=marks),
+        facts((w.way, w.note) for w in q.ways if w.note),
+    ]
 
 
-def _calls(s: JsonObject) -> Group:
+def _calls(s: JsonObject) -> list[Block]:
     fresh = "Seconds in a fresh process, compiled code already cached; the import loads no numba."
-    return section(
-        [
-            Heading(2, "Calls and start-up"),
-            _hand_over(s["hand_over"]),
-            listed(s["single_calls"], SINGLE, (2, 3), "One geometry from Python."),
-            listed(s["start_up"], START, (1, 2, 3), fresh),
-        ],
-        "calls",
-    )
+    slowest = max((row["together_s"] for row in s["start_up"]), default=0.0)
+    return [
+        Heading(3, "Calls and start-up", f"the first value within {number(slowest, 2)} s"),
+        _hand_over(s["hand_over"]),
+        listed(s["single_calls"], SINGLE, (2, 3), "One geometry from Python."),
+        listed(s["start_up"], START, (1, 2, 3), fresh),
+    ]
 
 
 def _hand_over(h: JsonObject | None) -> Paragraph:
@@ -195,10 +209,10 @@ def _peers(s: JsonObject) -> list[Block]:
         " measured beside them. Its wall-clock times count; its processor time may leave out threads of its own."
     )
     states = [(p["peer"], p["state"]) for p in s["peers"]]
-    return [Heading(3, "Peers"), Paragraph(words, "note"), facts([*states, *threads])]
+    return part("Peers", ", ".join(p["peer"] for p in s["peers"]) or "none", words, facts([*states, *threads]))
 
 
-def _method(s: JsonObject) -> Group:
+def _method(s: JsonObject) -> list[Block]:
     m, r = s["machine"], s["reference"]
     return method(
         s,

@@ -4,7 +4,8 @@ from typing import Any
 
 from gonio_analysis.plots.in_plane import COLOURS
 from gonio_analysis.plots.style import FAINT
-from gonio_analysis.report.blocks import Block, Figures, Heading, Page, Paragraph, footer, section
+from gonio_analysis.report import frame
+from gonio_analysis.report.blocks import Block, Figures, Page, Paragraph, footer
 from gonio_analysis.report.drawing import Figure, rendered
 from gonio_analysis.report.text import number, percent
 
@@ -12,11 +13,13 @@ from gonio.typing import JsonObject
 from gonio_validation.bench.page import (
     Column,
     TableSection,
-    head,
+    held,
     listed,
+    made,
     method,
     milliseconds,
     of_part,
+    part,
     two_digits,
     verdict,
 )
@@ -26,7 +29,7 @@ FOOTER = footer(
     "`figures/`."
 )
 RAYS = TableSection(
-    "Rays a pixel", "samples", "samples",
+    "Rays a pixel", "samples",
     "A Lambertian sphere on a floor. Errors are root mean squares over the picture's mean radiance.",
     (
         Column("light", "scene"), Column("rays a pixel", "rays", number), Column("ms", "seconds", milliseconds),
@@ -36,7 +39,7 @@ RAYS = TableSection(
 )  # fmt: skip
 PARTS = (
     TableSection(
-        "To a tolerance", "tolerances", "tolerances",
+        "To a tolerance", "tolerances",
         "Every pixel is brought below the tolerance: a standard error, over the pixel's radiance or the picture's "
         "mean, whichever is larger. For all: what as many rays for every pixel would take as the worst pixel needs. "
         "Kept: the stated errors are below the tolerance, the real ones are at most half as large again, and 1 % of "
@@ -51,7 +54,7 @@ PARTS = (
         tuple(range(1, 10)),
     ),
     TableSection(
-        "Wavelengths", "bins", "bins",
+        "Wavelengths", "bins",
         "Spheres of metal in parallel light of D65, against 81 wavelengths from 380 to 780 nm. The illuminant's own "
         "structure is not sampled: what is interpolated between wavelengths is the reflection. Colour differences are "
         "those of CIE 1976, over the pixels of the sphere.",
@@ -63,7 +66,7 @@ PARTS = (
         (1, 2, 3, 4, 5),
     ),
     TableSection(
-        "Exact and approximate", "ways", "ways",
+        "Exact and approximate", "ways",
         "Pictures of a sphere, one ray a pixel, by other ways of evaluating its material. Errors are over the mean "
         "radiance of the sphere, against the first way.",
         (
@@ -73,7 +76,7 @@ PARTS = (
         (2, 3, 4),
     ),
     TableSection(
-        "Wavelengths together", "shared", "shared",
+        "Wavelengths together", "shared",
         "The wavelengths of a picture share rays, hits and shadows, and in the models what does not depend on them.",
         (
             Column("sample", "material"), Column("wavelengths", "wavelengths"),
@@ -106,30 +109,43 @@ def render(s: JsonObject, drawn: Figure) -> Page:
         ("times", "wall-clock time of rendering in process, the best of the repeats; reading and writing are left out"),
         ("load", busy),
     ]
-    # the drawing stands below its table
-    rays = of_part(s, RAYS)
-    first = section([*rays.blocks, Figures((drawn,))], rays.slug)
-    parts = [of_part(s, p) for p in PARTS]
-    return Page(s["title"], (head(s, what + rough), _lead(s), first, *parts, _peers(s), method(s, *rows), FOOTER))
+    results = {
+        "tolerances": held(s["tolerances"], lambda t: t["holds"]),
+        "bins": f"{len(s['bins'])} pictures of metals",
+        "ways": f"{len(s['ways'])} ways",
+        "shared": "what a picture of several wavelengths saves",
+    }
+    folds = [block for p in PARTS for block in of_part(s, p, results[p.rows])]
+    rays = listed(s[RAYS.rows], RAYS.columns, RAYS.right, RAYS.words)
+    first = frame.answer([_lead(s)], [Figures((drawn,))], [rays])
+    return frame.page(
+        s["title"], made(s, what + rough), first, folds=[*folds, *_peers(s), *method(s, *rows)], foot=FOOTER
+    )
 
 
 def _lead(s: JsonObject) -> Paragraph:
     kept = sum(t["holds"] for t in s["tolerances"])
-    beyond, tiles = (sum(p[key] for p in s["peers"]) for key in ("beyond_three", "tiles"))
     words = [f"{kept} of {len(s['tolerances'])} tolerances are kept."]
     if s["peers"]:
+        beyond, tiles = _apart(s)
         words.append(f"In Mitsuba {beyond} of {tiles} tiles are apart by more than three standard errors.")
     return Paragraph(" ".join(words), "lead")
 
 
-def _peers(s: JsonObject) -> Block:
+def _apart(s: JsonObject) -> tuple[int, int]:
+    beyond, tiles = (sum(p[key] for p in s["peers"]) for key in ("beyond_three", "tiles"))
+    return beyond, tiles
+
+
+def _peers(s: JsonObject) -> list[Block]:
     words = (
         "The same scenes as gonio render --to mitsuba writes them, as many rays a pixel in both. Tiles are of 8 x 8 "
         "pixels; their differences are in standard errors, and 0.3 % lie beyond three by chance. Mitsuba computes in "
         f"float32, in a process of its own. Found: {s['mitsuba']}."
     )
     shown = [listed(s["peers"], PEERS, tuple(range(2, 9)))] if s["peers"] else []
-    return section([Heading(2, "Beside Mitsuba 3"), Paragraph(words, "note"), *shown], "mitsuba")
+    result = "{} of {} tiles apart".format(*_apart(s)) if s["peers"] else s["mitsuba"] or "not compared"
+    return part("Beside Mitsuba 3", result, words, *shown)
 
 
 def drawn(s: JsonObject) -> Figure:

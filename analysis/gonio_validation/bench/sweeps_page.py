@@ -7,13 +7,14 @@ from typing import Any
 
 from gonio_analysis.plots.in_plane import COLOURS
 from gonio_analysis.plots.style import INK
+from gonio_analysis.report import frame
 from gonio_analysis.report.blocks import Block, Figures, Page, Paragraph, footer
 from gonio_analysis.report.drawing import Figure, rendered
 from gonio_analysis.report.text import number
 
 from gonio.typing import JsonObject
 from gonio_validation.bench.campaigns import Record
-from gonio_validation.bench.page import Column, TableSection, head, listed, method, of_part, part, plain_axes, verdict
+from gonio_validation.bench.page import Column, TableSection, listed, made, method, of_part, part, plain_axes, verdict
 from gonio_validation.bench.sweeps_rig import AROUND_DEG, FLOOR, INCIDENCES, LARGEST_DEG, WAVELENGTH_NM
 
 ENOUGH = 0.005
@@ -167,7 +168,7 @@ TIME = (
     "through logarithms in plane, and linear ones over triangles out of it."
 )
 POINTS = TableSection(
-    "Points", "points", "by_points",
+    "Points", "by_points",
     f"In plane, with a given number of points in place of a time. Allowed is the error of the uniform grid, "
     f"interpolated, or {100 * ENOUGH:g} % where that is smaller. The same grid with the Gaussian process is there "
     "to tell apart what the points do and what the process does.",
@@ -181,7 +182,7 @@ POINTS = TableSection(
     (1, 2, 3, 4, 5),
 )  # fmt: skip
 INTERVALS = TableSection(
-    "Intervals", "intervals", "held",
+    "Intervals", "held",
     "Part of the curve, over its positions and over runs, where the stated interval of 95 % holds the truth. "
     f"It should be {100 * HELD[0]:.0f} to {100 * HELD[1]:.0f} % over all. Positions of one run share its scale "
     "and the zeros of its angles, so a single run may have much less.",
@@ -197,7 +198,6 @@ INTERVALS = TableSection(
 
 def render(s: JsonObject, figures: Sequence[Figure]) -> Page:
     """The page."""
-    links = (("time", "Rig time"), ("points", "Points"), ("intervals", "Intervals"), ("method", "Method"))
     runs = "1 run" if s["seeds"] == 1 else f"{s['seeds']} runs"
     what = (
         f": {runs} of every plan on every sample, each "
@@ -211,36 +211,39 @@ def render(s: JsonObject, figures: Sequence[Figure]) -> Page:
         if (own := of_plan(s["levels"], *name, plan, way))
     ]
     shown = listed(rows, LEVELS, (3, 4, 5, 6, 7), "The largest size of each plan; the adaptive one at its end.")
-    body: list[Block] = [
-        head(s, what + rough, links),
-        _lead(s),
-        part("Rig time", "time", TIME, Figures(tuple(figures)), shown),
-        of_part(s, POINTS),
-        of_part(s, INTERVALS),
-        _method(s),
+    folds = [
+        *part("Rig time", f"{len(rows)} plans and samples", TIME, Figures(tuple(figures[1:])), shown),
+        *of_part(s, INTERVALS, _intervals(s)),
+        *_method(s),
     ]
-    return Page(s["title"], (*body, FOOTER))
+    points = listed(s[POINTS.rows], POINTS.columns, POINTS.right, POINTS.words)
+    first = frame.answer([_lead(s)], [Figures(tuple(figures[:1]))], [points])
+    return frame.page(s["title"], made(s, what + rough), first, folds=folds, foot=FOOTER)
 
 
 def _lead(s: JsonObject) -> Paragraph:
     good = sum(b.holds for b in s["by_points"])
-    words = [
+    words = (
         f"With at most {100 * SHARE:.0f} % of the points of a uniform grid, adaptive curves are as good as its "
         f"(or {100 * ENOUGH:g} %) on {good} of {len(s['by_points'])} samples."
+    )
+    inside = _intervals(s)
+    return Paragraph(f"{words} Intervals of 95 % hold {inside}." if inside else words, "lead")
+
+
+def _intervals(s: JsonObject) -> str:
+    """What the intervals of all samples hold, by geometry."""
+    each = [
+        f"{_percent(h.inside)} {_where(h.geometry)} ({h.runs} adaptive runs)" for h in s["held"] if h.sample == "all"
     ]
-    words += [
-        f"{_where(h.geometry)}: intervals of 95 % hold {_percent(h.inside)} of the curves of {h.runs} adaptive runs."
-        for h in s["held"]
-        if h.sample == "all"
-    ]
-    return Paragraph(" ".join(words), "lead")
+    return ", ".join(each)
 
 
 def _where(geometry: str) -> str:
-    return "In plane" if geometry == "in plane" else "Over the hemisphere"
+    return "in plane" if geometry == "in plane" else "over the hemisphere"
 
 
-def _method(s: JsonObject) -> Block:
+def _method(s: JsonObject) -> list[Block]:
     m = s["machine"]
     theta = {g: ", ".join(f"{i:g}" for i in of) for g, of in INCIDENCES.items()}
     return method(

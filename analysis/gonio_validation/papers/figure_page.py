@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from gonio_analysis.report import files
+from gonio_analysis.report import files, frame
 from gonio_analysis.report.blocks import (
     Block,
     Figures,
@@ -14,9 +14,6 @@ from gonio_analysis.report.blocks import (
     Span,
     Text,
     footer,
-    header,
-    provenance,
-    section,
     stamp,
     strong,
     table,
@@ -75,7 +72,8 @@ def write_index(pages: Sequence[JsonObject], folder: Path, command: str) -> None
 
 def render(page: PaperFigure, found: JsonObject, drawn: list[Figure]) -> Page:
     """The page of a figure."""
-    claims = [[c.verdict, c.text, c.found, c.criterion] for c in page.claims]
+    claims = [[c.verdict, c.text] for c in page.claims]
+    judged = [[c.text, c.found, c.criterion] for c in page.claims]
     parameters = [
         [p.name, p.value, strong(ORIGINS[p.origin]) if p.origin == "assumed" else ORIGINS[p.origin], p.why]
         for p in page.parameters
@@ -83,25 +81,30 @@ def render(page: PaperFigure, found: JsonObject, drawn: list[Figure]) -> Page:
     results = page.results
     cells = [[cell(row) for cell in results.columns.values()] for row in results.rows]
     shown = table(results.caption, list(results.columns), cells, right=tuple(range(1, len(results.columns))))
-    body: list[Block] = [
-        header(
-            page.title, f"{page.paper}. Made again with gonio {found['versions']['gonio']}, {found['created'][:10]}."
-        ),
-        Paragraph(_words(found["claims"]), "lead"),
-        Figures(tuple(drawn)),
-        section(
-            [
-                Heading(2, "What the paper says, and what the curves say"),
-                table("", ["verdict", "claim", "found", "criterion"], claims),
-            ]
-        ),
-        section([Heading(2, "Curves"), shown]),
-        section([Heading(2, "Parameters"), table("", ["parameter", "value", "from", "source, or reason"], parameters)]),
+    assumed = sum(p.origin == "assumed" for p in page.parameters)
+    folds: list[Block] = [
+        Heading(3, "How each claim is judged", _tally(found["claims"])),
+        table("", ["claim", "found", "criterion"], judged),
+        Heading(3, "Curves", f"{len(results.rows)}"),
+        shown,
+        Heading(3, "Parameters", f"{len(parameters)}, {assumed} of them assumed"),
+        table("", ["parameter", "value", "from", "source, or reason"], parameters),
     ]
     if page.notes:
-        body.append(section([Heading(2, "Notes"), Notes(tuple(page.notes))]))
-    body += [section([Heading(2, "Provenance"), provenance(found, *page.facts, called="made")]), FOOTER]
-    return Page(page.title, tuple(body))
+        folds += [Heading(3, "Notes", f"{len(page.notes)}"), Notes(tuple(page.notes))]
+    folds += frame.provenance(found, *page.facts, called="made")
+    return frame.page(
+        page.title,
+        f"{page.paper}. Made again with gonio {found['versions']['gonio']}, {found['created'][:10]}.",
+        frame.answer(
+            [Paragraph(_words(found["claims"]), "lead")],
+            [Figures(tuple(drawn[:1]))],
+            [table("What the paper says, and whether the curves say so.", ["verdict", "claim"], claims)],
+        ),
+        shown=[Figures(tuple(drawn[1:]))],
+        folds=folds,
+        foot=FOOTER,
+    )
 
 
 def index(pages: Sequence[JsonObject], command: str) -> Page:
@@ -115,18 +118,27 @@ def index(pages: Sequence[JsonObject], command: str) -> Page:
     failing: list[Sequence[Text]] = [
         [_link(f), c["claim"], c["found"]] for f in pages for c in f["claims"] if c["verdict"] == "does not hold"
     ]
-    body = (
-        header(ALL, f"Theory, simulated measurements and verdicts {when}"),
-        Paragraph(_words([c for f in pages for c in f["claims"]]), "lead"),
-        table("", ["figure", "what it shows", *VERDICTS], rows, right=(2, 3, 4)),
-        section([Heading(2, "What does not hold"), table("", ["figure", "claim", "found"], failing)]),
-        section([Heading(2, "Provenance"), provenance(made, called="made")]),
+    every = table("", ["figure", "what it shows", *VERDICTS], rows, right=(2, 3, 4))
+    return frame.page(
+        ALL,
+        f"Theory, simulated measurements and verdicts {when}",
+        frame.answer([Paragraph(_words([c for f in pages for c in f["claims"]]), "lead")], [], [every]),
+        folds=[
+            Heading(3, "What does not hold", f"{len(failing) or 'none'}"),
+            table("", ["figure", "claim", "found"], failing),
+            *frame.provenance(made, called="made"),
+        ],
+        foot=footer("Every verdict is in `summary.json`, every figure in the folder of its name."),
     )
-    return Page(ALL, body)
 
 
 def _link(found: JsonObject) -> Span:
     return Span(found["title"].partition(":")[0], href=f"{found['figure']}/index.html")
+
+
+def _tally(claims: Sequence[JsonObject]) -> str:
+    verdicts = [c["verdict"] for c in claims]
+    return ", ".join(f"{verdicts.count(v)} {v}" for v in VERDICTS if v in verdicts)
 
 
 def _words(claims: Sequence[JsonObject]) -> str:

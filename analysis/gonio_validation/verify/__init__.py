@@ -9,7 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from gonio_analysis.report import files
+from gonio_analysis.report import files, frame
 from gonio_analysis.report.blocks import (
     Block,
     Heading,
@@ -17,9 +17,7 @@ from gonio_analysis.report.blocks import (
     Paragraph,
     facts,
     footer,
-    header,
     lead,
-    provenance,
     stamp,
     table,
 )
@@ -111,22 +109,30 @@ def make(out: Path, result: JsonObject) -> Path:
 
 def _page(v: JsonObject) -> Page:
     sub = f"Validation of the software, {v['created'][:10]}, gonio {v['versions']['gonio']}."
-    rows = [[p["name"], p["what"], f"{sum(f.passed for f in p['findings'])} of {len(p['findings'])}",
-             "passed" if p["passed"] else "FAILED", f"{p['seconds']:.1f} s"] for p in v["parts"]]  # fmt: skip
-    body: list[Block] = [
-        header(v["title"], sub),
-        lead(v["conclusion"]),
-        table("", ["part", "what is checked", "checks", "verdict", "time"], rows, right=(4,)),
+    rows = [
+        [p["name"], p["what"], _tally(p), "passed" if p["passed"] else "FAILED", f"{p['seconds']:.1f} s"]
+        for p in v["parts"]
     ]
+    every = table("", ["part", "what is checked", "checks passed", "verdict", "time"], rows, right=(4,))
+    folds: list[Block] = []
     for part in v["parts"]:
         shown = [
             [f.name, f.found, f.expected, f.tolerance, "passed" if f.passed else "FAILED"] for f in part["findings"]
         ]
+        result = f"{'passed' if part['passed'] else 'FAILED'}, {_tally(part)}"
         columns = ["check", "found", "right", "tolerance", ""]
-        body += [Heading(3, part["name"].capitalize()), table("", columns, shown)]
-    body += [Heading(3, "What this does not say"), *(Paragraph(text) for text in v["limits"])]
+        folds += [Heading(3, part["name"].capitalize(), result, open=not part["passed"]), table("", columns, shown)]
+    folds += [Heading(3, "What this does not say", "no real camera, lamp or arm is looked at")]
+    folds += [Paragraph(text) for text in v["limits"]]
     blank = "_" * 40
     signed = [("verified by", blank), ("date", blank), ("signature", blank), ("instrument, computer", blank)]
-    body += [Heading(3, "Signed off"), facts(signed)]
-    body += [Heading(2, "Provenance"), provenance(v, called="made")]
-    return Page(v["title"], (*body, footer("Every number on this page is in `summary.json`.")))
+    folds += [Heading(3, "Signed off", "name, date and signature, on paper"), facts(signed)]
+    folds += frame.provenance(v, called="made")
+    first = frame.answer([lead(v["conclusion"])], [], [every])
+    return frame.page(
+        v["title"], sub, first, folds=folds, foot=footer("Every number on this page is in `summary.json`.")
+    )
+
+
+def _tally(part: JsonObject) -> str:
+    return f"{sum(f.passed for f in part['findings'])} of {len(part['findings'])}"

@@ -239,7 +239,7 @@ def test_the_report_names_who_is_off(three: Path) -> None:
     out = three / "page"
     code, text = said("--laboratories", *(three / f"{n}.csv" for n in "ABC"), "--shared", "reference=A,B", "--out", out)
     assert code == 0, text
-    assert "2 of 3 laboratories agree. C is" in text
+    assert "2 of 3 laboratories agree; C is" in text
     summary = json.loads((out / "summary.json").read_text())
     assert [x["name"] for x in summary["laboratories"]] == ["A", "B", "C"]
     assert [x["consistent"] for x in summary["laboratories"]] == [True, True, False]

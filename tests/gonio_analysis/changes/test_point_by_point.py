@@ -240,7 +240,7 @@ def test_each_test_is_named_where_it_finds_something(tmp_path: Path) -> None:
     assert set(facts["verdict"]["zeros"]) == {"theta_r", "theta_i"}
     assert facts["agree_within"]["scale"] == pytest.approx(1.0 + facts["verdict"]["scale"], rel=1e-12)
     assert facts["conclusion"].startswith("The sample changed, by the common factor: ")
-    assert "and on the common factor of B over A" in (tmp_path / "out" / "index.html").read_text(encoding="utf-8")
+    assert "share 1 %" in (tmp_path / "out" / "index.html").read_text(encoding="utf-8")
 
 
 def test_references_of_different_quality_pull_no_common_factor() -> None:

@@ -56,7 +56,7 @@ def test_the_numbers_of_the_page_are_those_of_the_file(report: Path) -> None:
     assert m["quantile_0.995"] == pytest.approx(np.quantile(known, 0.995))
     assert m["typical_u"] == pytest.approx(0.02 * m["median"])
     assert f"determined in {ROWS * COLS - 380} of {ROWS * COLS} pixels of 0.1 mm" in told["conclusion"]
-    assert "2.3 % of them reject the model, where 1.0 % do by chance" in told["conclusion"]  # 56 of 2450
+    assert "2.3 % of those with values reject it, where 1.0 % do by chance" in told["conclusion"]  # 56 of 2450
 
 
 @pytest.mark.slow

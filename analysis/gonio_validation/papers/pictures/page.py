@@ -7,24 +7,22 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import cv2
-from gonio_analysis.report import files
+from gonio_analysis.report import files, frame
 from gonio_analysis.report.blocks import (
     Block,
-    Contents,
-    Facts,
     Figures,
     Heading,
     Page,
     Paragraph,
+    Span,
+    Text,
     footer,
-    header,
     notes,
-    provenance,
-    section,
     stamp,
     table,
 )
 from gonio_analysis.report.drawing import Figure, rendered
+from gonio_analysis.report.text import slug
 from gonio_scenes.picture import Image, display
 from gonio_scenes.render import render
 from gonio_scenes.scene import read
@@ -170,9 +168,20 @@ def _notes(found: JsonObject) -> list[Block]:
         "Ambient light is multiplied by ambient_reflectance where a scene file gives it.",
     ]
     return [
-        section([Heading(2, "Notes"), notes(remarks)]),
-        section([Heading(2, "Provenance"), Facts((*provenance(found, called="made").rows, ("seconds", times)))]),
+        Heading(3, "Notes", "ambient light"),
+        notes(remarks),
+        *frame.provenance(found, ("seconds", times), called="made"),
     ]
+
+
+HOW = (
+    "Each verdict is measured from the radiances of one ray a pixel, by the criterion beside it. Where the paper leaves"
+    " open what a claim hangs on, several choices are tried; without agreement there is no verdict. Nor is there one"
+    " where what it hangs on was chosen so that it is seen. Shapes, places and cameras are chosen in every picture."
+)
+FOOTER = footer(
+    "Every picture is in `pictures/`, its scene file in `scenes/` for `gonio render`, every verdict in `summary.json`."
+)
 
 
 def _page(
@@ -181,42 +190,40 @@ def _page(
 ) -> Page:  # fmt: skip
     every = [c for shown in which for c in judged[shown.name]]
     of = f" of {len(which)} figures" if len(which) > 1 else ""
-    body: list[Block] = [
-        header(found["title"], f"Rendered with gonio {found['versions']['gonio']}, {found['created'][:10]}."),
-        Paragraph(f"{len(images)} picture{'s' * (len(images) > 1)}{of}. {verdicts(every)}.", "lead"),
-        Paragraph(
-            "Each verdict is measured from the radiances of one ray a pixel, by the criterion beside it. Where the "
-            "paper leaves open what a claim hangs on, several choices are tried; without agreement there is no "
-            "verdict. Nor is there one where what it hangs on was "
-            "chosen so that it is seen. Shapes, places and cameras are "
-            "chosen in every picture."
-        ),
-        Contents(tuple((shown.name, shown.title.partition(":")[0]) for shown in which)),
-    ]
+    rows: list[list[Text]] = []
+    folds: list[Block] = []
+    first: tuple[Figure, ...] = ()
+    taken = set[str]()  # a picture may stand in two figures
     for shown in which:
-        figures = tuple(_raster(name, label, images[name]) for name, label in shown.pictures)
+        title, claims = shown.title.partition(":")[0], judged[shown.name]
+        figures = tuple(
+            _raster(f"{shown.name}.{name}" if name in taken else name, label, images[name])
+            for name, label in shown.pictures
+        )
+        taken |= {name for name, _ in shown.pictures}
         if shown.name == "oren-nayar-13":
             figures = (*plots, *figures)
-        rows = [[c.verdict, c.text, c.found, c.criterion] for c in judged[shown.name]]
-        body.append(
-            section(
-                [
-                    Heading(2, shown.title),
-                    Figures(figures, small=True),
-                    table("", ["verdict", "what the text says", "found", "criterion"], rows),
-                    Paragraph(shown.remark, "note"),
-                ],
-                shown.name,
-            )
-        )
-    body += [
-        *_notes(found),
-        footer(
-            "Every picture is in `pictures/`, its scene file in `scenes/` for `gonio render`, every verdict in "
-            "`summary.json`."
+        rows.append([Span(title, href=f"#page.{slug(shown.title)}"), verdicts(claims)])
+        said = [[c.verdict, c.text, c.found, c.criterion] for c in claims]
+        folds += [
+            Heading(3, shown.title, verdicts(claims)),
+            *([Figures(figures, small=True)] if first else []),
+            table("", ["verdict", "what the text says", "found", "criterion"], said),
+            Paragraph(shown.remark, "note"),
+        ]
+        first = first or figures
+    folds += [Heading(3, "How claims are judged", "from radiances, by a criterion each"), Paragraph(HOW)]
+    return frame.page(
+        found["title"],
+        f"Rendered with gonio {found['versions']['gonio']}, {found['created'][:10]}.",
+        frame.answer(
+            [Paragraph(f"{len(images)} picture{'s' * (len(images) > 1)}{of}. {verdicts(every)}.", "lead")],
+            [Figures(first, small=True)],
+            [table("", ["figure", "what the text says"], rows)],
         ),
-    ]
-    return Page(found["title"], tuple(body))
+        folds=[*folds, *_notes(found)],
+        foot=FOOTER,
+    )
 
 
 def _raster(name: str, label: str, image: Image) -> Figure:
