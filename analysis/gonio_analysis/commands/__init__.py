@@ -49,6 +49,7 @@ UIor = Annotated[
 ]
 Energy = Annotated[bool, typer.Option("--energy", help="Fit with the bound rho_dh <= 1 at the table's incidences.")]
 Separate = Annotated[bool, typer.Option("--separate", help="Fit each wavelength alone: no geometry is shared.")]
+Png = Annotated[bool, typer.Option("--png", help="Write each figure as PNG, too.")]
 Fix = Annotated[list[str] | None, typer.Option(metavar="NAME=VALUE", help="Keep a parameter.")]
 Free = Annotated[list[str] | None, typer.Option(metavar="NAME", help="Fit one more parameter.")]
 BoundOption = Annotated[list[str] | None, typer.Option(metavar="NAME=LOW:HIGH", help="Narrower bounds.")]
@@ -191,6 +192,7 @@ def compare(
         bool, typer.Option("--laboratories", help="One sample by several laboratories: do they agree, who is off?")
     ] = False,
     shared: Shared = None,
+    png: Png = False,
     columns: Columns = None,
     blank: Blank = None,
 ) -> None:
@@ -202,7 +204,7 @@ def compare(
 
     how = reading(columns, blank)
     fitting = {"models": models, "normalise": normalise, "ior": ior, "dask": dask, "metric": metric,
-               "energy": energy or None, "separate": separate or None}  # fmt: skip
+               "energy": energy or None, "separate": separate or None, "png": png or None}  # fmt: skip
     unused = [name for name, value in fitting.items() if value is not None]
     implementations.check_one_way(change=change, laboratories=laboratories, unused=unused, shared=bool(shared))
     if change:
@@ -213,7 +215,7 @@ def compare(
         page = implementations.report(
             measurements, out, names_of(MODELS if models is None else models),
             normalise=(normalise or Norm.mirror).value, ior=ior, wavelength_nm=wavelength_nm, metric=metric,
-            u_rel=u_rel, bound_energy=energy, separate=separate, dask=dask, how=how,
+            u_rel=u_rel, bound_energy=energy, separate=separate, dask=dask, png=png, how=how,
         )  # fmt: skip
     remember(measurements, how)
     print(page)
@@ -233,6 +235,7 @@ def report(
     u_rel: URel = None,
     energy: Energy = False,
     separate: Separate = False,
+    png: Png = False,
 ) -> None:
     """Write the report of one run, or of a map: what is in every pixel."""
     from gonio.errors import ConfigError
@@ -243,7 +246,7 @@ def report(
         raise ConfigError(f"{run}: the report on a map needs a folder: --out DIR")
     if is_map(run):
         fitting = {"ior": ior, "wavelength-nm": wavelength_nm, "metric": metric, "u-rel": u_rel,
-                   "energy": energy or None, "separate": separate or None}  # fmt: skip
+                   "energy": energy or None, "separate": separate or None, "png": png or None}  # fmt: skip
         unused = [name for name, value in fitting.items() if value is not None]
         print(implementations.map_report(run, out, values, unused))
         return
@@ -256,6 +259,7 @@ def report(
         implementations.report(
             [str(run)], out or run / "report", names_of(models), normalise=normalise.value, ior=ior,
             wavelength_nm=wavelength_nm, metric=metric, u_rel=u_rel, bound_energy=energy, separate=separate,
+            png=png,
         )
     )  # fmt: skip
 

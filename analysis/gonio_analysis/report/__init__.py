@@ -1,4 +1,4 @@
-"""The comparison report: `index.html` (self-contained), `summary.json`, figures as SVG and PNG, tables as CSV."""
+"""The comparison report: `index.html` (self-contained), `summary.json`, figures as SVG, tables as CSV."""
 
 from __future__ import annotations
 
@@ -49,6 +49,7 @@ def make(
     bound_energy: bool = False,
     separate: bool = False,
     dask: str | None = None,
+    png: bool = False,
     how: Reading | None = None,
     command: str = "",
     progress: Callable[[str], None] = lambda text: None,
@@ -65,6 +66,8 @@ def make(
         See `gonio_analysis.selection.compare.examine`.
     dask
         Address of a Dask scheduler to fit the samples on; by default several samples share the processors here.
+    png
+        Whether figures are written as PNG, too.
     how
         Columns and blank of the tables, where they need any.
     command
@@ -105,6 +108,7 @@ def make(
         tried = len(candidates(models, ior))
         # the workers get ready while models are fitted
         with figure_workers(2 * len(jobs) * tried, modules=FITTING) as workers:
+            workers.png = png
             if len(jobs) < parallel.FEW and dask is None:
                 datasets = [job(progress=progress, share=workers.share) for job in jobs]
             else:

@@ -1,7 +1,8 @@
 """Drawings of a page, and the figures that several processes make of them: the same files as one process makes.
 
 A drawing is sent to a process (`gonio_analysis.processes`) as a pickle of a few thousand values, and comes back as its
-SVG and PNG. Fits that do not wait for each other go the same way, with the same results to the last digit.
+SVG, and PNG where it is asked for. Fits that do not wait for each other go the same way, with the same results to the
+last digit.
 """
 
 import hashlib
@@ -68,20 +69,11 @@ class Drawing(Described):
     on: Callable[[Any], None]
     """Draws on a canvas of that size: a function of a module, with its arguments (`functools.partial`)."""
 
-    def rendered(self) -> Figure:
-        """The figure as SVG and PNG; the same drawing gives the same bytes."""
-        from matplotlib import rc_context
-        from matplotlib.figure import Figure as Canvas
-
-        png = io.BytesIO()
-        with rc_context(SVG):
-            figure = Canvas(figsize=self.inches)
-            with canvas.literal():
-                self.on(figure)
-            quick = {"compress_level": 3}  # a tenth larger than at best, in a third of the time
-            canvas.save(figure, png, format="png", dpi=PNG_DPI, metadata={"Software": "gonio"}, pil_kwargs=quick)
-            svg = _svg_of(figure, self.name)
-        return Figure(*self._words, svg, png.getvalue())
+    def rendered(self, *, png: bool = False) -> Figure:
+        """The figure as SVG, and where it is asked for as PNG; the same drawing gives the same bytes."""
+        pixels = io.BytesIO()
+        svg = as_svg(self.on, self.inches, self.name, pixels if png else None)
+        return Figure(*self._words, svg, pixels.getvalue())
 
     def without(self, loss: lost.Loss) -> Figure:
         """The figure where it could not be drawn."""
@@ -92,30 +84,29 @@ class Drawing(Described):
         return self.name, self.kind, self.model, self.caption, self.alt
 
 
-def as_svg(on: Callable[[Any], None], inches: tuple[float, float], name: str) -> str:
-    """What `on` draws on a canvas of some `inches`, as SVG alone."""
+def as_svg(on: Callable[[Any], None], inches: tuple[float, float], name: str, png: io.BytesIO | None = None) -> str:
+    """What `on` draws on a canvas of some `inches`, as SVG; its PNG is written to `png`."""
     from matplotlib import rc_context
     from matplotlib.figure import Figure as Canvas
 
+    svg = io.StringIO()
     with rc_context(SVG):
         figure = Canvas(figsize=inches)
         with canvas.literal():
             on(figure)
-        return _svg_of(figure, name)
-
-
-def _svg_of(figure: Any, name: str) -> str:
-    svg = io.StringIO()
-    canvas.save(figure, svg, format="svg", metadata={"Date": None, "Creator": "gonio"})
+        if png is not None:
+            quick = {"compress_level": 3}  # a tenth larger than at best, in a third of the time
+            canvas.save(figure, png, format="png", dpi=PNG_DPI, metadata={"Software": "gonio"}, pil_kwargs=quick)
+        canvas.save(figure, svg, format="svg", metadata={"Date": None, "Creator": "gonio"})
     return _tidy(svg.getvalue(), name)
 
 
 def rendered(
     name: str, kind: str, model: str, caption: str, alt: str, inches: tuple[float, float], on: Callable[[Any], None]
 ) -> Figure:
-    """What `on` draws on a canvas of some `inches`, at once."""
+    """What `on` draws on a canvas of some `inches`, at once, as SVG and PNG."""
     drawing = Drawing(name, kind, model, caption, alt, inches, on)
-    return lost.kept(f'figure "{name}"', drawing.rendered, drawing.without)
+    return lost.kept(f'figure "{name}"', partial(drawing.rendered, png=True), drawing.without)
 
 
 def _tidy(svg: str, name: str) -> str:
@@ -176,10 +167,13 @@ IMPORTS = ("matplotlib.backends.backend_agg", "matplotlib.backends.backend_svg",
 class FigureWorkers(Processes):
     """Processes that draw beside this one, and do what else is independent of each other before there is a drawing."""
 
+    png = False
+    """Whether figures become pictures, too, as `--png` asks: they take half as long again."""
+
     def draw(
         self, drawings: Sequence[Drawing], say: Say = silent, meanwhile: Callable[[], object] = lambda: None
     ) -> list[Figure]:
-        """Every drawing as SVG and PNG, in their order; one that fails while a page is made is named in its place.
+        """Every drawing, in their order; one that fails while a page is made is named in its place.
 
         Parameters
         ----------
@@ -190,7 +184,7 @@ class FigureWorkers(Processes):
         meanwhile
             Done here, while the others begin to draw.
         """
-        jobs = [partial(_tried, one) for one in drawings]
+        jobs = [partial(_tried, one, self.png) for one in drawings]
         found = self.outcomes(jobs, "drawing: figures", say, meanwhile)
         return [
             lost.kept(f'figure "{one.name}"', partial(_figure, made), one.without)
@@ -220,10 +214,10 @@ def figure_workers(figures: int, processes: int | None = None, modules: Sequence
         pool.end()
 
 
-def _tried(drawing: Drawing, say: Say) -> Figure | Exception:
+def _tried(drawing: Drawing, png: bool, say: Say) -> Figure | Exception:
     """The figure, or why there is none: an error of one ends no other."""
     try:
-        return drawing.rendered()
+        return drawing.rendered(png=png)
     except MemoryError:
         raise
     except Exception as error:

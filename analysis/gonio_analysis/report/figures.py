@@ -1,4 +1,4 @@
-"""The figures of a report, each as SVG (inlined into the page, and as a file) and as PNG."""
+"""The figures of a report, each as SVG (inlined into the page, and as a file); `--png` writes PNGs, too."""
 
 from __future__ import annotations
 

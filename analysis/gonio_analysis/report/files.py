@@ -315,7 +315,7 @@ def require(folder: str | Path) -> None:
 
 
 def write_pages(folder: Path, pages: Mapping[str, Page], summary: object, figures: Iterable[Figure] = ()) -> None:
-    """Write pages by the name of their file, `summary.json` and the drawings (`figures/`, as SVG and PNG).
+    """Write pages by the name of their file, `summary.json`, and the drawings as they come (`figures/`).
 
     What fails is named on the pages, which therefore come last, and in `summary.json`.
     """
@@ -335,7 +335,8 @@ def _write_figure(folder: Path, figure: Figure) -> None:
     drawn = folder / "figures"
     drawn.mkdir(exist_ok=True)
     (drawn / f"{figure.name}.svg").write_text(figure.svg, encoding="utf-8", newline="\n")
-    (drawn / f"{figure.name}.png").write_bytes(figure.png)
+    if figure.png:
+        (drawn / f"{figure.name}.png").write_bytes(figure.png)
 
 
 def _plain(summary: object) -> JsonObject:

@@ -181,7 +181,7 @@ MEANINGS = {
     "blurred": "the lens blurs it over an edge",
 }
 FOOTER = footer(
-    "Every number on this page is in `summary.json` and in `tables/`, the figures as SVG and PNG in `figures/`. The "
+    "Every number on this page is in `summary.json` and in `tables/`, the figures as SVG in `figures/`. The "
     "map itself opens with xarray.open_dataset."
 )
 

@@ -112,8 +112,7 @@ TOLD_APART = 3.0
 MOST_APART = 3
 """Parameters that it names."""
 FOOTER = footer(
-    "Every number on this page is in `summary.json`; the curves are in `tables/`, the figures as SVG and PNG in "
-    "`figures/`."
+    "Every number on this page is in `summary.json`; the curves are in `tables/`, the figures as SVG in `figures/`."
 )
 
 

@@ -142,7 +142,7 @@ def test_a_section_of_a_stranger_that_fails(
     summary, page = made(table, tmp_path / "out", "Error: ")
     assert "Words besides." in page
     assert summary["datasets"][0]["sections"]["good"] == {"values": 33}
-    assert (tmp_path / "out" / "figures" / "whole.png").is_file()
+    assert (tmp_path / "out" / "figures" / "whole.svg").is_file()
     assert "parameters.csv" in summary["tables"]
     place = page.index("Words of a stranger") if "Words of a stranger" in page else page.rindex("Missing: ")
     assert place > page.index('<section id="matte">')
@@ -156,7 +156,7 @@ def test_in_the_place_and_at_the_top_stands_the_error(table: str, tmp_path: Path
     assert page.count("ZeroDivisionError: &lt;of the stranger&gt;") == 2
     assert page.count("KeyError: &#x27;no curve&#x27;") == 2
     assert "A strange figure" in page
-    assert not (tmp_path / "out" / "figures" / "one.png").exists()
+    assert not (tmp_path / "out" / "figures" / "one.svg").exists()
 
 
 WRONG = (Section("first", fails), Section("second", says, drawings(on_error, "one")))

@@ -43,6 +43,7 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
         folder / "out",
         models=["lambert", "phong", "he-torrance"],
         command="gonio compare",
+        png=True,
     )
     return folder / "out"
 
