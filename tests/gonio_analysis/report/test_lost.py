@@ -13,6 +13,7 @@ from gonio_analysis import report
 from gonio_analysis.report import (
     appearance,
     change,
+    change_page,
     comparison,
     files,
     html,
@@ -235,11 +236,11 @@ def test_outside_of_a_page_an_error_is_raised() -> None:
 
 
 @pytest.mark.parametrize("kind", ["change", "laboratories", "appearance"])
-@pytest.mark.parametrize("broken", ["_page", "figure"])
+@pytest.mark.parametrize("broken", ["page", "figure"])
 def test_other_pages(kind: str, broken: str, table: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     module = {"change": change, "laboratories": laboratories, "appearance": appearance}[kind]
-    if broken == "_page":
-        monkeypatch.setattr(module, "_page", fails)
+    if broken == "page":
+        monkeypatch.setattr(*((change_page, "page") if kind == "change" else (module, "_page")), fails)
     else:
         monkeypatch.setattr(Drawing, "rendered", fails)
     other = tmp_path / "other.csv"
