@@ -259,7 +259,7 @@ class Solution:
             return "no verdict: " + (
                 "no value is left over for one"
                 if self.goal.whitened
-                else f"the metric {self.goal.metric} does not weigh by uncertainties"
+                else f"--metric {self.goal.metric} does not weigh by uncertainties"
             )
         return self.by_chi_square + (f"; it {self.described}" if self.misfit is not None else "")
 

@@ -12,6 +12,7 @@ from typing import Any, Literal, TypedDict
 
 from gonio_analysis.report.drawing import Figure
 from gonio_analysis.report.lost import Loss, so_far
+from gonio_analysis.report.terms import MEANINGS
 from gonio_analysis.report.text import cause, cut, glued, meaning
 from gonio_analysis.report.viewer import View
 
@@ -73,6 +74,11 @@ def term(text: str, meaning: str) -> Span:
 def caused(name: str, *, common: bool = True) -> Span:
     """A cause of an uncertainty, with what it is at a touch."""
     return term(cause(name), meaning(name, common=common))
+
+
+def explained(name: Text) -> Text:
+    """The name of a column or a fact, with its meaning at a touch where `MEANINGS` has it."""
+    return term(name, MEANINGS[name]) if isinstance(name, str) and name in MEANINGS else name
 
 
 def spans(text: Text) -> tuple[Span, ...]:
@@ -286,7 +292,7 @@ def table(
     kept = [k for k in range(len(header)) if k == 0 or any(k < len(row) and row[k] not in ("", "–") for row in every)]
     return Table(
         caption,
-        tuple(header[k] for k in kept),
+        tuple(explained(header[k]) for k in kept),
         tuple(tuple(row[k] for k in kept if k < len(row)) for row in every),
         frozenset(new for new, k in enumerate(kept) if k in right),
         tuple(marks),
@@ -300,7 +306,7 @@ def facts(rows: Iterable[tuple[Text, Text]]) -> Facts:
     kept = every[:MOST_FACTS]
     if len(every) > len(kept):
         kept.append(("more", f"{len(every) - len(kept)} further entries stand in summary.json"))
-    return Facts(tuple((_cut(k), _glued(_cut(v))) for k, v in kept))
+    return Facts(tuple((explained(_cut(k)), _glued(_cut(v))) for k, v in kept))
 
 
 def _cut(text: Text) -> Text:

@@ -197,7 +197,7 @@ def _conclusion(d: Dataset, best: str | None, symmetries: Sequence[Pairs]) -> li
     else:
         others = f"the nearest of the {tried} models tried" if tried > 1 else "the only model tried"
         told = [f"{best} is {others}{typical}.", verdict.where(f.missed)]
-        told.append(f"The metric {f.fit.goal.metric} takes no account of uncertainties: nothing is rejected.")
+        told.append(f"--metric {f.fit.goal.metric} takes no account of uncertainties: nothing is rejected.")
     warnings = [
         verdict.too_bright({name: other.rho_dh for name, other in d.fitted.items()}, best),
         f.fit.outside,

@@ -322,7 +322,7 @@ def _untold(data: Observations) -> str:
 
 def _compared(judged: Sequence[Judged], named: Judged, best: Judged) -> str:
     """The finding where no chi-square says whether a model is good enough."""
-    by = f"the metric {named.fit.goal.metric}"
+    by = f"--metric {named.fit.goal.metric}"
     if len(judged) == 1:
         return f"{named.candidate.label} is the only model tried; nothing says whether it is good enough."
     if named is best:

@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 from gonio_analysis.report import make
+from gonio_analysis.report.blocks import Span, Text, facts, spans, table, term
+from gonio_analysis.report.terms import MEANINGS
 from gonio_analysis.report.text import CAUSES, cause
 
 from gonio import measurement
@@ -77,17 +79,31 @@ def test_causes_are_shown_under_names_without_jargon() -> None:
         assert cause(name) != "visits"
 
 
+def test_names_that_are_explained_everywhere_are_explained_in_every_table_and_list() -> None:
+    made = table("", ["model", "reduced χ²", term("d", "own")], [["a", "1.0", "2"]])
+    assert [one.meaning for one in map(first_span, made.header)] == ["", MEANINGS["reduced χ²"], "own"]
+    (name, _), (other, _) = facts([("seed", "1"), ("rig", "sim")]).rows
+    assert (first_span(name).meaning, first_span(other).meaning) == (MEANINGS["seed"], "")
+    assert not [text for text in MEANINGS.values() if SPOKEN.search(text) or not text.endswith(".")]
+
+
+def first_span(text: Text) -> Span:
+    return spans(text)[0]
+
+
 def test_a_page_says_no_jargon_and_explains_each_cause_at_a_touch(tmp_path: Path) -> None:
-    table = measure(build("phong", {"k_d": 0.3, "k_s": 0.5, "exponent": 30}), noise=0.01, reference=0.005, name="gloss")
+    sample = measure(
+        build("phong", {"k_d": 0.3, "k_s": 0.5, "exponent": 30}), noise=0.01, reference=0.005, name="gloss"
+    )
     for name in ("s_lamp_wander_1", "s_dark_2", "s_theta_i_zero"):
-        table[name] = 0.001 * table["brdf"]
-    measurement.write(table, tmp_path / "gloss.csv")
+        sample[name] = 0.001 * sample["brdf"]
+    measurement.write(sample, tmp_path / "gloss.csv")
     make([str(tmp_path / "gloss.csv")], tmp_path / "out", models=["lambert", "phong"])
     page = (tmp_path / "out" / "index.html").read_text(encoding="utf-8")
     explained = dict(re.findall(r'class="term[^"]*"[^>]*title="([^"]+)">([^<]+)<', page))
     shown = set(explained.values())
     assert {"lamp instability 1", "dark frames 2", "θi zero", "reference", "exponent"} <= shown
-    assert {"cosine-weighted difference", "residual / u", "prediction error", "95 % interval"} <= shown
+    assert {"cosine-weighted difference", "residual / u", "prediction error", "95 % interval", "value ± u"} <= shown
     plain = re.sub(r"(?s)<(script|style)\b.*?</\1>|<[^>]+>", "\n", re.sub(r' title="[^"]*"', "", page))
     found = [html.unescape(line) for line in plain.splitlines() if SPOKEN.search(line)]
     assert not found, found
