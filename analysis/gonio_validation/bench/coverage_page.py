@@ -114,7 +114,7 @@ def render(s: JsonObject, figures: Sequence[Figure]) -> Page:
         *part("Coverage by group", held(groups, lambda c: c.holds), COVERAGE, _coverage(groups)),
         *_pulls(s, figures),
         *of_part(s, HIDDEN, f"{len(s['causes'])} errors, drawn anew for every campaign"),
-        *of_part(s, FAR, f"the largest pulls of {len(s['worst'])} campaigns"),
+        *of_part(s, FAR, f"the largest normalised errors of {len(s['worst'])} campaigns"),
         *(of_part(s, REFUSED, f"{len(s['failed'])}") if s["failed"] else []),
         *method(s, *METHOD, ("processor", f"{m['cpu']}, {m['cpus']} usable")),
     ]
