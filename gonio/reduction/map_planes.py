@@ -56,6 +56,8 @@ class MapPoint:
     """The table's: the mean over its region [e-/s]."""
     level: float
     """The rate per unit BRDF at that time [e- sr/s]."""
+    of_lamp: float = 0.0
+    """Variance of `rate` by the lamp's noise."""
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ Every picture and every tile is a file beside the map to be: what was killed goe
 from __future__ import annotations
 
 import hashlib
+import math
 import os
 import shutil
 from collections.abc import Callable, Sequence
@@ -39,6 +40,8 @@ if TYPE_CHECKING:
 
 MANY_POINTS = 1500
 """Number of points above which one tile is made at a time: it takes 0.3 MB a point."""
+OF_REGION = ("noise", "prnu", "dark", "region")
+"""Parts of a value's `u_random` that the pixels of the table's region have in common, and other pixels do not."""
 Counter = Callable[[str], AbstractContextManager[Callable[[int, int], None]]]
 """Shows how much of a named piece of work is done."""
 
@@ -110,7 +113,7 @@ def write(run: Run, found: Reduction, path: Path, pixel_mm: float | None, counte
     planes = Planes(RunFrames(run), parts.folder, cells.radius_mm)
     _require_room(planes, points, cells, parts.folder)
     table, notes = found.table.iloc[rows], _notes(found.table, rows, cells)
-    level = (table["u_random"] / table["brdf"].abs()).to_numpy(dtype=float)
+    level, of_reference = _u_points(found, points, rows), _of_reference(planes.frames, points)
     attrs = {str(name): value for name, value in found.table.attrs.items() if value is not None}
     attrs["notes"] = [*attrs.get("notes", []), *notes]
     sizes = {"y": len(cells.places), "x": len(cells.places), "point": len(points), "xyz": 3, "xy": 2}
@@ -119,7 +122,7 @@ def write(run: Run, found: Reduction, path: Path, pixel_mm: float | None, counte
         shift = _shifts(planes, cells, points, parts.folder, counter)
         tiling = _Tiling(planes, cells, points, shift, np.where(np.isfinite(level), level, 0.0))
         good = _make_tiles(tiling, parts, counter)
-        parts.assemble(sizes, _variables(tiling, table, rows // len(run.bands)), attrs)
+        parts.assemble(sizes, _variables(tiling, table, rows // len(run.bands), of_reference), attrs)
     told = np.isfinite(shift[1]).any(axis=1)
     inside = int(np.count_nonzero(np.hypot(*np.meshgrid(cells.places, cells.places)) <= cells.radius_mm))
     return Written(
@@ -155,13 +158,35 @@ def _points(run: Run, found: Reduction) -> tuple[list[MapPoint], npt.NDArray[np.
         for point, level in zip(result.points, levels.tolist(), strict=True):
             row = (point.point or 0) * count + k
             if not flags[row]:
-                every.append((row, steps[point.point], result.band, point.rate, level))
+                every.append((row, steps[point.point], result.band, point, level))
     every.sort(key=lambda one: one[0])
     points = [
-        MapPoint(number, step, band, kinematics.view(run.description, step.pose), rate, level)
-        for number, (_, step, band, rate, level) in enumerate(every)
+        MapPoint(number, step, band, kinematics.view(run.description, step.pose), point.rate, level, point.of_lamp)
+        for number, (_, step, band, point, level) in enumerate(every)
     ]
     return points, np.array([row for row, *_ in every], dtype=np.intp)
+
+
+def _u_points(found: Reduction, points: Sequence[MapPoint], rows: npt.NDArray[np.intp]) -> Floats:
+    """Relative standard uncertainty that all pixels of a point share: the table's, but for what its region has alone.
+
+    A picture is scaled by the region's mean in each frame to the rate of the table, which is that mean. So photons,
+    dark signal, responsivities and the lobe's curvature over the region cancel, and each pixel has its own. The lamp's
+    noise stays.
+    """
+    parts = found.budget.iloc[rows]
+    cancel = (parts[list(OF_REGION)].to_numpy(dtype=float) ** 2).sum(axis=1)
+    brdf, u = (found.table.iloc[rows][name].to_numpy(dtype=float) for name in ("brdf", "u_random"))
+    lamp = np.array([point.of_lamp / point.level**2 for point in points])
+    return np.asarray(np.sqrt(np.maximum(u**2 - cancel, 0.0) + lamp) / abs(brdf))
+
+
+def _of_reference(frames: RunFrames, points: Sequence[MapPoint]) -> Floats:
+    """Relative standard uncertainty of each point's level by the responsivities of the pixels that saw the reference.
+
+    A value of the table sees the sample with most of these pixels, and they cancel.
+    """
+    return np.array([frames.prnu / math.sqrt(frames.reference[point.band.channel].count) for point in points])
 
 
 def _settings(run: Run, table: DataFrame, cells: Grid) -> dict[str, Any]:
@@ -284,7 +309,9 @@ def _make_tiles(tiling: _Tiling, parts: Parts, counter: Counter) -> int:
     return sum(int(np.count_nonzero(parts.read(tile, "flag")["flag"] == 0)) for tile in every)
 
 
-def _variables(tiling: _Tiling, table: DataFrame, plan_rows: npt.NDArray[np.intp]) -> dict[str, Variable]:
+def _variables(
+    tiling: _Tiling, table: DataFrame, plan_rows: npt.NDArray[np.intp], of_reference: Floats
+) -> dict[str, Variable]:
     """What the file has beside dimensions."""
     cells, points = tiling.cells, tiling.points
     views = [point.view for point in points]
@@ -311,6 +338,8 @@ def _variables(tiling: _Tiling, table: DataFrame, plan_rows: npt.NDArray[np.intp
         if name.startswith("s_") and not name.startswith("s_dark_"):
             with np.errstate(divide="ignore", invalid="ignore"):
                 change = table[name].to_numpy(dtype=float) / brdf
+            if name == "s_reference_noise":
+                change = -np.hypot(change, of_reference)
             about = "relative change for one standard deviation, the same for all pixels"
             out[name] = Variable(("point",), np.where(np.isfinite(change), change, 0.0), about=about)
     masks = {"flag_masks": np.array([1 << k for k in range(len(FLAGS))], np.uint8), "flag_meanings": " ".join(FLAGS)}

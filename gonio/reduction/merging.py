@@ -187,7 +187,8 @@ class _Fit:
         t = stack.exposures_s[:, None]
         # where a pixel is brighter than its neighbours say, its own rate tells its noise; on average, without a bias
         charge_variance = self.charge_variance + self._shot((self.mean - p) * t)
-        variance = float(np.sum(shares**2 * charge_variance / t**2) + np.sum(lamp**2))
+        of_lamp = float(np.sum(lamp**2))
+        variance = float(np.sum(shares**2 * charge_variance / t**2)) + of_lamp
         alike = stack.per_weight[self.alive].mean()
         variance += self._alike_rounding(shares, rate / alike if alike else 0.0, count)
         frame_weights = (shares / np.where(stack.per_weight > 0, stack.per_weight, 1.0)).sum(axis=1)
@@ -195,6 +196,7 @@ class _Fit:
         return MergedPixels(
             rate=rate,
             variance=variance,
+            of_lamp=of_lamp,
             shares=shares,
             frame_weights=frame_weights / (frame_weights.sum() or 1.0),
             chi_square=chi_square,
@@ -384,6 +386,7 @@ def pool(description: RigDescription, region: Region, shots: list[Shot], dark_ex
     return Pooled(
         rate=pooled,
         variance=float(1.0 / np.sum(1.0 / variances)),
+        of_lamp=float(np.sum((weights * of_lamp * max(pooled, 0.0)) ** 2)),
         time_s=float(np.sum(weights * times)),
         chi_square=float(np.sum((rates - pooled) ** 2 / variances)),
         of_darks=of_darks,
@@ -422,11 +425,11 @@ def pool_pixels(description: RigDescription, region: Region, shots: list[Shot], 
     for k, variance in enumerate(noise):
         change = (lines[:, k] / exposure) @ merged.shares
         of_darks[k] = -math.copysign(math.sqrt(float(np.sum(change**2)) * variance), float(change.sum()))
-    variance = merged.variance
+    wider = 1.0
     if not noise_is_known(description) and merged.frames > 1:
-        variance *= max(1.0, merged.chi_square / (merged.frames - 1))
+        wider = max(1.0, merged.chi_square / (merged.frames - 1))
     return Pooled(
-        **merged.named() | {"variance": variance},
+        **merged.named() | {"variance": merged.variance * wider, "of_lamp": merged.of_lamp * wider},
         time_s=float(merged.frame_weights @ [shot.time_s for shot in acquired]),
         of_darks=of_darks,
         by_camera=merged.frame_weights @ np.array([shot.by_camera for shot in acquired]),

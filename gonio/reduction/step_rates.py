@@ -16,6 +16,8 @@ class Merged:
     """[e-/s]"""
     variance: float
     """Variance of all that is independent from step to step, the pixels' responsivities left out."""
+    of_lamp: float
+    """The part of it that the lamp makes from frame to frame: all pixels have it alike."""
     chi_square: float
     """Chi-square of the frames around their mean."""
     frames: int
