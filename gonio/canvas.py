@@ -66,6 +66,7 @@ def settle(figure: Figure) -> None:
             numbers = isinstance(formatter, LogFormatter | LogitFormatter | ScalarFormatter)
             for label in (label for tick in ticks() * numbers for label in (tick.label1, tick.label2)):
                 label.set_parse_math(True)
+        axis.get_offset_text().set_parse_math(True)  # the power of ten of its numbers
 
 
 def _visible_at(words: Any, x: float, position: int | None = None) -> str:

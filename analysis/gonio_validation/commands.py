@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from gonio_analysis.commands import Dask
+from gonio_analysis.commands import Dask, Radius
 
 from gonio.cli import console
 from gonio.errors import ConfigError
@@ -22,8 +22,11 @@ bench = typer.Typer(help="Measure the workbench itself.", no_args_is_help=True)
 def figures(
     name: Annotated[str, typer.Argument(metavar="NAME", help=NAME_HELP)],
     out: Annotated[Path | None, typer.Option(help="Folder of the page.")] = None,
+    radius: Radius = "auto",
 ) -> None:
     """Make a paper's figure again, and judge the paper's claims. Prints the page's path."""
+    from gonio_analysis.commands.arguments import read_radius
+
     from gonio_validation.papers import PICTURES, check
     from gonio_validation.papers.index import FIGURES
     from gonio_validation.papers.pictures.catalogue import SHOWN, TITLE
@@ -43,7 +46,7 @@ def figures(
         with console.counter("rendering") as step:
             _made("papers.pictures.page", out, figure=None if name == PICTURES else name, step=step)
     else:
-        _made("papers", name, out, progress=console.note)
+        _made("papers", name, out, radius=read_radius(radius), progress=console.note)
 
 
 def _made(module: str, *arguments: Any, **options: Any) -> None:

@@ -64,8 +64,12 @@ def test_a_wavelength_that_is_none_is_refused(table: Path, nm: str, words: tuple
 
 @pytest.mark.slow
 def test_compare_prints_the_path(table: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    commands.compare([str(table)], tmp_path / "out", models="lambert, oren-nayar")
+    commands.compare([str(table)], tmp_path / "out", models="lambert, oren-nayar", radius="2.5")
     assert Path(capsys.readouterr().out.strip()) == tmp_path / "out" / "index.html"
+    figures = json.loads((tmp_path / "out" / "summary.json").read_text(encoding="utf-8"))["figures"]
+    polar = [one["caption"] for one in figures if "-polar-" in one["name"]]
+    assert polar
+    assert all("The rim is at 2.5, as asked for. Strokes on the rim" in caption for caption in polar)
 
 
 def test_unknown_model_is_told_before_anything_is_read(tmp_path: Path) -> None:
@@ -94,6 +98,13 @@ def test_optical_constants(text: str | None, value: object) -> None:
 def test_wrong_optical_constants(text: str) -> None:
     with pytest.raises(ConfigError):
         arguments.read_ior(text)
+
+
+def test_a_radius_is_a_number_above_0_or_auto() -> None:
+    assert (arguments.read_radius("auto"), arguments.read_radius("1.6")) == (None, 1.6)
+    for text in ("0", "-1", "nan", "inf", "wide", ""):
+        with pytest.raises(ConfigError, match=f"--radius {text}: a number above 0, or: auto"):
+            arguments.read_radius(text)
 
 
 def test_fixed_values() -> None:

@@ -11,7 +11,7 @@ from typing import Annotated
 import typer
 
 from gonio.cli.opened import Blank, Columns, reading, remember
-from gonio_analysis.commands.arguments import names_of, once, read_bound, read_fixed, read_ior, read_prior
+from gonio_analysis.commands.arguments import names_of, once, read_bound, read_fixed, read_ior, read_prior, read_radius
 
 MODELS = "lambert,oren-nayar,cook-torrance,he-torrance"
 MODELS_HELP = "Models to fit, with commas between (sums as oren-nayar+phong), or all."
@@ -26,6 +26,8 @@ class Norm(StrEnum):
     model = "model"
 
 
+RADIUS_HELP = "Radius of the rim of polar plots, the same in all; auto: each by what it shows"
+Radius = Annotated[str, typer.Option(metavar="auto|R", help=f"{RADIUS_HELP}.")]
 IorOption = Annotated[
     str | None,
     typer.Option(help="Optical constants: a material (Al) or n + ik (0.77+6.08j); without them a real n is fitted."),
@@ -178,6 +180,7 @@ def compare(
     out: Annotated[Path, typer.Option(help="Folder of the report.")],
     models: Annotated[str | None, typer.Option(help=f"{MODELS_HELP} Otherwise {MODELS.replace(',', ', ')}.")] = None,
     normalise: Annotated[Norm | None, typer.Option(help=f"{DIVISOR_HELP}; otherwise mirror.")] = None,
+    radius: Annotated[str | None, typer.Option(metavar="auto|R", help=f"{RADIUS_HELP}. Otherwise auto.")] = None,
     ior: IorOption = None,
     wavelength_nm: Wavelength = None,
     metric: Metric = None,
@@ -203,7 +206,7 @@ def compare(
     from gonio_analysis.commands import implementations
 
     how = reading(columns, blank)
-    fitting = {"models": models, "normalise": normalise, "ior": ior, "dask": dask, "metric": metric,
+    fitting = {"models": models, "normalise": normalise, "radius": radius, "ior": ior, "dask": dask, "metric": metric,
                "energy": energy or None, "separate": separate or None, "png": png or None}  # fmt: skip
     unused = [name for name, value in fitting.items() if value is not None]
     implementations.check_one_way(change=change, laboratories=laboratories, unused=unused, shared=bool(shared))
@@ -214,8 +217,9 @@ def compare(
     else:
         page = implementations.report(
             measurements, out, names_of(MODELS if models is None else models),
-            normalise=(normalise or Norm.mirror).value, ior=ior, wavelength_nm=wavelength_nm, metric=metric,
-            u_rel=u_rel, bound_energy=energy, separate=separate, dask=dask, png=png, how=how,
+            normalise=(normalise or Norm.mirror).value, radius=read_radius(radius or "auto"), ior=ior,
+            wavelength_nm=wavelength_nm, metric=metric, u_rel=u_rel, bound_energy=energy, separate=separate,
+            dask=dask, png=png, how=how,
         )  # fmt: skip
     remember(measurements, how)
     print(page)
@@ -229,6 +233,7 @@ def report(
     ] = None,
     models: Annotated[str, typer.Option(help=MODELS_HELP)] = MODELS,
     normalise: Annotated[Norm, typer.Option(help=f"{DIVISOR_HELP}.")] = Norm.mirror,
+    radius: Radius = "auto",
     ior: IorOption = None,
     wavelength_nm: Wavelength = None,
     metric: Metric = None,
@@ -245,8 +250,9 @@ def report(
     if out is None and run.is_file() and run.suffix in SUFFIXES:
         raise ConfigError(f"{run}: the report on a map needs a folder: --out DIR")
     if is_map(run):
-        fitting = {"ior": ior, "wavelength-nm": wavelength_nm, "metric": metric, "u-rel": u_rel,
-                   "energy": energy or None, "separate": separate or None, "png": png or None}  # fmt: skip
+        fitting = {"radius": read_radius(radius), "ior": ior, "wavelength-nm": wavelength_nm, "metric": metric,
+                   "u-rel": u_rel, "energy": energy or None, "separate": separate or None,
+                   "png": png or None}  # fmt: skip
         unused = [name for name, value in fitting.items() if value is not None]
         print(implementations.map_report(run, out, values, unused))
         return
@@ -257,9 +263,9 @@ def report(
         raise ConfigError(f"{run}: {what}; gonio report takes a run (for a file: gonio compare)")
     print(
         implementations.report(
-            [str(run)], out or run / "report", names_of(models), normalise=normalise.value, ior=ior,
-            wavelength_nm=wavelength_nm, metric=metric, u_rel=u_rel, bound_energy=energy, separate=separate,
-            png=png,
+            [str(run)], out or run / "report", names_of(models), normalise=normalise.value,
+            radius=read_radius(radius), ior=ior, wavelength_nm=wavelength_nm, metric=metric, u_rel=u_rel,
+            bound_energy=energy, separate=separate, png=png,
         )
     )  # fmt: skip
 

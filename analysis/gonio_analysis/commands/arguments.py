@@ -37,6 +37,25 @@ def read_ior(text: str | None) -> Ior:
     return value
 
 
+def read_radius(text: str) -> float | None:
+    """Radius of the rim of polar plots from a command line; None is "auto": each by what it shows.
+
+    Raises
+    ------
+    ConfigError
+        Neither "auto" nor a number above 0.
+    """
+    if text == "auto":
+        return None
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not 0.0 < value < math.inf:
+        raise ConfigError(f"--radius {text}: a number above 0, or: auto")
+    return value
+
+
 def with_u_ior(asked: FitRequest, text: str, wavelength_nm: float) -> FitRequest:
     """The fit with optical constants that are known no better than --u-ior says: they move, and priors hold them.
 

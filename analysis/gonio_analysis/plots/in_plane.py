@@ -13,7 +13,7 @@ import numpy as np
 
 from gonio.typing import Floats
 from gonio_analysis.curves.in_plane import Line
-from gonio_analysis.plots.style import FAINT, INK, _half_disc, _radial_bars, xy
+from gonio_analysis.plots.style import BAND, FAINT, INK, THIN, WIDE, _half_disc, _radial_bars, around, ten_to, xy
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#B8860B", "#56B4E9")
 MARKERS = ("o", "s", "^", "D", "v", "P")
@@ -26,8 +26,6 @@ STROKES: tuple[Stroke, ...] = (
     (0, (3, 1.4)),
     (0, (7, 1.8, 1.6, 1.8, 1.6, 1.8)),
 )
-BAND = 0.14
-"""Opacity of the band of a model's misfit."""
 CHORD = float(np.radians(3.0))
 """Longest straight piece of a line around a half-disc."""
 
@@ -41,7 +39,12 @@ class Style(TypedDict):
 
 def style(k: int) -> Style:
     """Colour and marker of curve number `k`."""
-    return {"color": COLOURS[k % len(COLOURS)], "marker": MARKERS[k % len(MARKERS)]}
+    return {"color": COLOURS[k % len(COLOURS)], "marker": MARKERS[_turned(k, len(MARKERS))]}
+
+
+def _turned(k: int, count: int) -> int:
+    """Which of `count` markers or dashes goes with colour `k`: another one each time that the colours come again."""
+    return (k + k // len(COLOURS)) % count
 
 
 def stroke(k: int, lines: Sequence[Line]) -> Stroke:
@@ -54,7 +57,7 @@ def stroke(k: int, lines: Sequence[Line]) -> Stroke:
 
 def dashes(k: int) -> Stroke:
     """Dashes of line number `k` of those that no marker tells apart."""
-    return STROKES[k % len(STROKES)]
+    return STROKES[_turned(k, len(STROKES))]
 
 
 def handles(lines: Sequence[Line], names: Sequence[str] = ()) -> list[Any]:
@@ -100,11 +103,34 @@ def band(line: Line) -> tuple[Floats, Floats]:
         return value / factor, value * factor
 
 
+def wide(line: Line) -> bool:
+    """Whether theory's misfit is such a factor that two lines stand for its band."""
+    return line.tau >= math.log(WIDE)
+
+
 def radius_of(lines: Sequence[Line], most: float = 2.5) -> float:
-    """A round radius that shows every curve whole, unless one is larger than `most`: that one is cut at the rim."""
-    tops = [max(_top(x.theory), _top(x.measured)) for x in lines]
-    shown = [t for t in tops if t <= most]
-    return _round_up(max([1.0, *shown]) if len(shown) == len(tops) else max([1.2, *shown]))
+    """A round radius that holds what is shown, theory and measurement.
+
+    What reaches beyond `most` times the middle one of the lobes, as a spike or theory of a rejected model may do, is
+    cut at the rim: otherwise it would leave nothing of them to see. Lobes are measured ones, or without any theory's.
+    """
+    measured, theory = (
+        [t for t in map(_top, values) if 0.0 < t < np.inf]
+        for values in ([x.measured for x in lines], [x.theory for x in lines])
+    )
+    lobes = sorted(measured or theory)
+    if not lobes:
+        return 1.0
+    limit = most * lobes[(len(lobes) - 1) // 2]
+    return _round_up(max(t for t in (*measured, *theory) if t <= limit))
+
+
+def rim_words(lines: Sequence[Line], rim: float, asked: float | None = None) -> str:
+    """Sentences for the caption of `polar`: where its rim is, and what the strokes on it are."""
+    words = f" The rim is at {rim:.4g}" + (", as asked for." if asked is not None else ", by what is shown.")
+    if all(line.mirror is None for line in lines):
+        return words
+    return words + " Strokes on the rim, in the colours of the curves: their mirror directions."
 
 
 def polar(
@@ -183,11 +209,11 @@ def _notes_at_rim(ax: Any, beyond: Sequence[tuple[str, str]], rim: float, *, ret
 
 def _misfit_band(ax: Any, line: Line, colour: str, rim: float, clip: Any) -> list[Any]:
     """How far the model is off, as a band about its curve."""
-    edges = [xy(line.theory_angle, np.fmin(np.nan_to_num(edge), 2 * rim)) for edge in band(line)]
-    x, y = (np.concatenate([low, high[::-1]]) for low, high in zip(*edges, strict=True))
-    filled: list[Any] = ax.fill(x, y, color=colour, alpha=BAND, lw=0, zorder=1)
-    filled[-1].set_clip_path(clip)
-    return filled
+    low, high = (xy(line.theory_angle, np.fmin(np.nan_to_num(edge), 2 * rim)) for edge in band(line))
+    drawn = around(ax, low, high, colour, wide=wide(line))
+    for one in drawn:
+        one.set_clip_path(clip)
+    return drawn
 
 
 def _measured(ax: Any, line: Line, look: Style, rim: float, clip: Any) -> list[Any]:
@@ -222,7 +248,10 @@ def semilog(ax: Any, lines: Sequence[Line], *, unit: str = "BRDF [1/sr]") -> lis
             artists += _theory(ax, k, lines, x, np.where(line.theory > 0, line.theory, np.nan))
             if line.tau > 0:
                 colour = style(k)["color"]
-                artists.append(ax.fill_between(x, *band(line), color=colour, alpha=BAND, lw=0, zorder=1))
+                if wide(line):
+                    artists += [one for edge in band(line) for one in ax.plot(x, edge, color=colour, lw=THIN, zorder=2)]
+                else:
+                    artists.append(ax.fill_between(x, *band(line), color=colour, alpha=BAND, lw=0, zorder=1))
         if np.any(line.measured > 0):
             label = None if line.theory.size else line.label
             look = {"lw": 0.8, "label": label, "elinewidth": 0.8, "ms": 2.6, "zorder": 4, **style(k)}
@@ -416,10 +445,10 @@ def _around(angle: Floats, radius: Floats) -> tuple[Floats, Floats]:
 
 
 def _power_of_ten(value: float) -> str:
-    """As in 10⁻², in plain characters: setting formulas costs more than the rest of a plot."""
+    """As in 10⁻²."""
     if not 0.0 < value < np.inf:  # ticks beyond the ends of an axis that reaches to the smallest numbers
         return ""
-    return "10" + str(round(np.log10(value))).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
+    return ten_to(round(np.log10(value)))
 
 
 def _top(values: Floats) -> float:

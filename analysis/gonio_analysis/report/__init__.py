@@ -42,6 +42,7 @@ def make(
     *,
     models: Sequence[str],
     normalise: Normalise = "mirror",
+    radius: float | None = None,
     ior: Ior = None,
     wavelength_nm: float | None = None,
     metric: str | None = None,
@@ -64,6 +65,8 @@ def make(
         Folder of the report; an earlier report there is replaced.
     models, normalise, ior, wavelength_nm, metric, u_rel, bound_energy, separate
         See `gonio_analysis.selection.compare.examine`.
+    radius
+        Of the rim of every polar plot, as a number of the divisor; each by what it shows if none is given.
     dask
         Address of a Dask scheduler to fit the samples on; by default several samples share the processors here.
     png
@@ -123,6 +126,7 @@ def make(
                 stage.work,
                 title=" and ".join(every) if len(every) <= 2 else f"{len(every)} samples",
                 normalise=normalise,
+                radius=radius,
                 command=command,
                 transmission_only=transmission_only,
                 workers=workers,
@@ -177,6 +181,7 @@ def write(
     *,
     title: str,
     normalise: Normalise = "mirror",
+    radius: float | None = None,
     command: str = "",
     transmission_only: Sequence[Transmitted] = (),
     workers: FigureWorkers | None = None,
@@ -190,7 +195,7 @@ def write(
         The measurements with their fitted models, in the order of the page.
     title
         Heading of the page.
-    normalise
+    normalise, radius
         What was asked for the polar plots.
     command
         The command line, for the record.
@@ -213,7 +218,7 @@ def write(
     both = list(zip(datasets, known, strict=True))
     progress("drawing")
     slugs = page.slugs_of_transmission(summary)
-    groups = _drawings(both)
+    groups = _drawings(both, radius)
     for t, slug in zip(transmission_only, slugs, strict=True):
         groups.append(_kept("figures", t.name, partial(beyond_reflection.draw, t, (), slug)))
     wanted = [drawing for group in groups for drawing in group]
@@ -237,7 +242,7 @@ def write(
     return summary
 
 
-def _drawings(both: Sequence[tuple[Dataset, DatasetSummary]]) -> list[list[Drawing]]:
+def _drawings(both: Sequence[tuple[Dataset, DatasetSummary]], radius: float | None) -> list[list[Drawing]]:
     """What is to be drawn of each sample, in the order of the page."""
     # measured values in one panel, so that those of all panels take about half of the room of a page
     most = min(max(MARKERS // max(sum(3 * len(d.fitted) + 6 for d, _ in both), 1), 300), 2400)
@@ -245,7 +250,7 @@ def _drawings(both: Sequence[tuple[Dataset, DatasetSummary]]) -> list[list[Drawi
     groups = []
     for d, f in both:
         group = [
-            *_kept("figures", d.name, partial(figures.draw, d, f, most)),
+            *_kept("figures", d.name, partial(figures.draw, d, f, most, radius)),
             *_kept("figures out of plane", d.name, partial(detail_figures.draw, d, f, most)),
         ]
         taken |= {one.name: one for one in group}

@@ -16,7 +16,7 @@ from gonio_analysis.curves.in_plane import Curve, Line, labels
 from gonio_analysis.fitting.observations import describe_left_out
 from gonio_analysis.plots import in_plane
 from gonio_analysis.plots.in_plane import clean, style
-from gonio_analysis.plots.style import FAINT, INK, xy
+from gonio_analysis.plots.style import FAINT, INK, columns, xy
 from gonio_analysis.report.blocks import Block, Figures, Heading, Notes, Paragraph, Text, code, facts, notes, table
 from gonio_analysis.report.drawing import Drawing, Figure
 from gonio_analysis.report.figures import LEGEND_ROW_IN, legend
@@ -280,7 +280,7 @@ def _lines(curves: Sequence[Curve], normalised: bool) -> list[Line]:
 
 def _columns(names: list[str]) -> int:
     """Columns of a legend that is as wide as the figure."""
-    return 6 if max(map(len, names), default=0) < 10 else 3
+    return columns(names, 5.6)
 
 
 def _on_disc(figure: Any, *, above: list[Line], below: list[Line], order: list[str]) -> None:

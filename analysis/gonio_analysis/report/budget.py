@@ -5,7 +5,7 @@ Of a run it is the budget: every part of it in words and numbers, and which of t
 
 from collections.abc import Sequence
 from functools import partial
-from typing import Any
+from typing import Any, TypedDict
 
 import numpy as np
 
@@ -145,7 +145,7 @@ def _on_panels(figure: Any, *, curves: list[BudgetCurve], names: list[str], rows
     axes = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
     foot = (FOOT_IN + LEGEND_ROW_IN * -(-len(names) // 3)) / high
     figure.subplots_adjust(0.085, foot, 0.975, 1 - 0.22 / high, hspace=0.36, wspace=0.09)
-    colours = [*(COLOURS[k % len(COLOURS)] for k in range(len(names) - 1)), FAINT]
+    looks = [_filled(k, len(names)) for k in range(len(names))]
     for k, ax in enumerate(axes.flat):
         clean(ax)
         if k >= len(curves):
@@ -153,7 +153,8 @@ def _on_panels(figure: Any, *, curves: list[BudgetCurve], names: list[str], rows
             continue
         curve, shares = curves[k], 100 * np.array(curves[k].shares)
         shares = np.vstack([shares, 100 - shares.sum(axis=0)])
-        ax.stackplot(curve.theta_r_deg, shares, colors=colours, lw=0)
+        for area, look in zip(ax.stackplot(curve.theta_r_deg, shares), looks, strict=True):
+            area.set(**look)
         ax.set_title(f"θi = {curve.theta_i_deg:g}°", fontsize=7.5, pad=4)  # centred, as the label 100 % is at the left
         ax.set_xlim(-90, 90)
         in_plane.degrees_along(ax, 60, 60)
@@ -162,7 +163,27 @@ def _on_panels(figure: Any, *, curves: list[BudgetCurve], names: list[str], rows
         ax.tick_params(labelsize=7, labelbottom=k + columns >= len(curves))
         if k + columns >= len(curves):
             ax.set_xlabel("signed θr", fontsize=7.5)
-    key(figure, [Patch(color=c, label=cause(n)) for c, n in zip(colours, names, strict=True)], 3)
+    key(figure, [Patch(label=cause(n), **look) for n, look in zip(names, looks, strict=True)], 3)
+
+
+HATCHES = ("", "////", "....", "\\\\\\\\", "xxxx", "----")
+"""Of areas, which tell them apart in print without colours."""
+
+
+class _Filled(TypedDict):
+    """Colour and hatch of an area, as matplotlib takes them."""
+
+    facecolor: str
+    edgecolor: str
+    linewidth: float
+    hatch: str
+
+
+def _filled(k: int, count: int) -> _Filled:
+    """The look of area `k`; the last one is what remains."""
+    rest = k == count - 1
+    colour, hatch = FAINT if rest else COLOURS[k % len(COLOURS)], "" if rest else HATCHES[k % len(HATCHES)]
+    return {"facecolor": colour, "edgecolor": "white", "linewidth": 0.5, "hatch": hatch}
 
 
 SECTIONS = (

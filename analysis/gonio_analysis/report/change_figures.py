@@ -19,7 +19,7 @@ from gonio_analysis.changes.verdict import LEVEL
 from gonio_analysis.curves.in_plane import Curve, Line, curves, evenly, labels
 from gonio_analysis.fitting.observations import Observations
 from gonio_analysis.plots import in_plane, maps, thinning
-from gonio_analysis.plots.style import FAINT, INK, xy
+from gonio_analysis.plots.style import FAINT, INK, WIDE, around, beside_points, columns, short, xy
 from gonio_analysis.report.detail_figures import DISC_PT
 from gonio_analysis.report.drawing import Drawing
 from gonio_analysis.report.figures import LEGEND_ROW_IN, PANEL_PT, key, legend
@@ -188,15 +188,15 @@ def _on_disc(figure: Any, *, theta_r: Floats, dphi: Floats, value: Floats, **loo
 
 def _columns(lines: Sequence[Line]) -> int:
     """Columns of the legend."""
-    return min(len(lines), 6 if max(len(line.label) for line in lines) < 12 else 3)
+    return columns([line.label for line in lines], 5.6)
 
 
 MOST_MAPS = 4
 """Laboratories that have maps: those farthest off."""
 OFF = "#b3261e"
 """Colour of a laboratory that is not consistent."""
-COLUMNS = 6
-"""Columns of a legend."""
+LABORATORIES_IN = 6.4
+"""Width of their polar plot."""
 
 
 def draw_laboratories(c: Comparison) -> list[Drawing]:
@@ -215,7 +215,7 @@ def draw_laboratories(c: Comparison) -> list[Drawing]:
 def _overview(c: Comparison) -> Drawing:
     caption = (
         "Overview: degrees of equivalence of scales with their expanded uncertainties (k = 2), zeros of the angle with"
-        " theirs, and scatter over what is stated. Red: not consistent with the others."
+        " theirs, and scatter over what is stated. Red diamonds: not consistent with the others."
     )
     high = 1.0 + 0.26 * len(c.laboratories)
     return Drawing("overview", "overview", "", caption, caption, (7.0, high), partial(_on_overview, who=c.laboratories))
@@ -240,12 +240,12 @@ def _on_overview(figure: Any, *, who: Sequence[Laboratory]) -> None:
                 ax.text(level, row, "undetermined", ha="center", va="center", fontsize=7, color="#777777")
             else:
                 look = {"color": INK if ok else OFF, "elinewidth": 1.2, "capsize": 2}
-                ax.errorbar(value, row, xerr=u or None, fmt="o", ms=4, **look)
+                ax.errorbar(value, row, xerr=u or None, fmt="o" if ok else "D", ms=4, **look)
         ax.locator_params(axis="x", nbins=5)
         ax.set_xlabel(label)
         in_plane.clean(ax)
     axes[2].set_xlim(0.0, None if any(value > 0 and math.isfinite(value) for value in scatters) else 2.0)
-    axes[0].set_yticks(rows, [x.name for x in who])
+    axes[0].set_yticks(rows, [short(x.name, 1.5, handle_pt=0.0) for x in who])
     axes[0].set_ylim(-0.6, len(who) - 0.4)
 
 
@@ -255,22 +255,31 @@ def _polar(c: Comparison, at: Observations, curve: Curve, where: str) -> Drawing
         Line(x.name, curve.angle, values[rows], none, none, u[rows])
         for x, values, u in zip(c.laboratories, c.values, c.u, strict=True)
     ]
-    caption = f"{curve.label}{where}: BRDF of every laboratory, with bands of two standard uncertainties."
-    high = 3.9 + LEGEND_ROW_IN * (len(lines) // COLUMNS)
-    return Drawing("polar", "polar", "", caption, caption, (6.4, high), partial(_on_polar, lines=lines))
+    rim = in_plane.radius_of(lines, math.inf)
+    caption = f"{curve.label}{where}: BRDF of every laboratory, with bands of two standard uncertainties"
+    caption += " (thin lines, where they are as large as the values)." if any(map(_wide, lines)) else "."
+    caption += in_plane.rim_words(lines, rim)
+    rows = -(-len(lines) // columns([line.label for line in lines], LABORATORIES_IN))
+    size = (LABORATORIES_IN, 3.7 + LEGEND_ROW_IN * rows)
+    return Drawing("polar", "polar", "", caption, caption, size, partial(_on_polar, lines=lines, rim=rim))
 
 
-def _on_polar(figure: Any, *, lines: list[Line]) -> None:
-    below = LEGEND_ROW_IN * (1 + (len(lines) - 1) // COLUMNS) / figure.get_figheight()
+def _wide(line: Line) -> bool:
+    """Whether two lines stand for the band of two standard uncertainties."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return bool(np.nanmedian(1.0 + 2.0 * line.u / np.abs(line.theory)) >= WIDE)
+
+
+def _on_polar(figure: Any, *, lines: list[Line], rim: float) -> None:
+    beside = columns([line.label for line in lines], LABORATORIES_IN)
+    below = LEGEND_ROW_IN * -(-len(lines) // beside) / figure.get_figheight()
     ax = figure.add_axes((0.04, below, 0.92, 0.97 - below))
-    rim = in_plane.radius_of([replace(x, angle=x.theory_angle, measured=x.theory) for x in lines], math.inf)
     in_plane.polar(ax, lines, radius=rim, radius_label="BRDF / sr⁻¹")
     for k, line in enumerate(lines):
         high, low = (np.clip(line.theory + s * 2.0 * line.u, 0.0, rim) for s in (1.0, -1.0))
-        out, back = xy(line.theory_angle, high), xy(line.theory_angle, low)
-        x, y = (np.concatenate([a, b[::-1]]) for a, b in zip(out, back, strict=True))
-        ax.fill(x, y, color=in_plane.style(k)["color"], alpha=0.18, lw=0.0, zorder=2)
-    key(figure, in_plane.handles(lines), min(COLUMNS, len(lines)))
+        edges = (xy(line.theory_angle, edge) for edge in (low, high))
+        around(ax, *edges, in_plane.style(k)["color"], wide=_wide(line))
+    key(figure, in_plane.handles(lines), beside)
 
 
 def _deviations(c: Comparison, at: Observations, along: Sequence[Curve], where: str) -> Drawing:
@@ -302,7 +311,7 @@ def _on_deviations(figure: Any, *, parts: Sequence[tuple[str, Floats, Floats, Fl
         ax.axhline(0.0, color=FAINT, lw=1.0, zorder=0)
         look = {"fmt": ".", "ms": 3, "color": in_plane.style(k)["color"], "elinewidth": 0.4, "alpha": 0.8}
         ax.errorbar(np.degrees(angle), off, yerr=half, **look)
-        ax.set_title(name, fontsize=8, pad=2)
+        ax.set_title(short(name, 2.1, handle_pt=0.0), fontsize=8, pad=2)
         in_plane.angle_axis(ax)
         ax.set_xticks([-60, -30, 0, 30, 60])
         in_plane.clean(ax)
@@ -336,11 +345,11 @@ def _on_youden(figure: Any, *, points: Sequence[tuple[float, float, str, bool]])
     ax.plot([-reach, reach], [-reach, reach], color=FAINT, lw=1.0, zorder=0)
     ax.axhline(0.0, color=FAINT, lw=0.6, zorder=0)
     ax.axvline(0.0, color=FAINT, lw=0.6, zorder=0)
-    for x, y, name, ok in points:
-        ax.plot(x, y, "o", ms=5, color=INK if ok else OFF)
-        ax.annotate(name, (x, y), xytext=(4, 3), textcoords="offset points", fontsize=7.5)
+    for x, y, _, ok in points:
+        ax.plot(x, y, "o" if ok else "D", ms=5, color=INK if ok else OFF)
     ends = (-reach, reach)
     ax.set(xlim=ends, ylim=ends, xlabel="near the mirror direction / %", ylabel="elsewhere / %")
+    beside_points(ax, [(x, y, short(name, 1.9, handle_pt=0.0)) for x, y, name, _ in points])
     in_plane.clean(ax)
 
 

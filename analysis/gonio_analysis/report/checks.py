@@ -12,7 +12,7 @@ from gonio.checks.symmetry import Pairs, repeats
 from gonio.checks.values import CheckedValues
 from gonio.checks.verdicts import Check
 from gonio_analysis.curves.in_plane import evenly
-from gonio_analysis.plots.in_plane import COLOURS, clean
+from gonio_analysis.plots.in_plane import COLOURS, clean, style
 from gonio_analysis.plots.style import FAINT
 from gonio_analysis.report.blocks import Block, Figures, Heading, Notes, Table, Text, strong, table
 from gonio_analysis.report.drawing import Drawing, Figure
@@ -156,9 +156,9 @@ def _on(figure: Any, *, panels: list[str], c: ChecksSummary, rho: list[Reflectan
 def _pairs(ax: Any, c: ChecksSummary) -> tuple[str, str]:
     """The differences of pairs; what the axes are."""
     far = max(abs(log) for logs in c.differences.values() for log in logs) > np.log(2.0)
-    for (kind, logs), colour in zip(c.differences.items(), COLOURS, strict=False):
+    for k, (kind, logs) in enumerate(c.differences.items()):
         place, shown = (np.arange(len(logs)) + 0.5) / len(logs), np.asarray(logs) if far else 100 * np.expm1(logs)
-        ax.plot(place, shown, ".", ms=2.5, color=colour, label=kind)
+        ax.plot(place, shown, ls="none", ms=2.2, label=kind, **style(k))
     ax.axhline(0.0, lw=0.6, color=FAINT)
     ax.set_xlim(0, 1)
     ax.legend(fontsize=6.5, frameon=False, handletextpad=0.1, borderpad=0.0, loc="upper left")

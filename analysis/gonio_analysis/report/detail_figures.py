@@ -15,7 +15,7 @@ from gonio_analysis.fitting.profile_likelihood import Interval, rise
 from gonio_analysis.plots import diagnostics, in_plane, maps, style, thinning
 from gonio_analysis.report.drawing import Drawing
 from gonio_analysis.report.facts import DatasetSummary
-from gonio_analysis.report.figures import LEGEND_ROW_IN, PANEL_PT, SEEN, bars, budget_height, largest
+from gonio_analysis.report.figures import LEGEND_ROW_IN, PANEL_PT, SEEN, bars, budget_height, key, largest
 from gonio_analysis.report.text import cause, number, unit
 from gonio_analysis.selection.compare import Dataset
 
@@ -161,7 +161,7 @@ def _rows_of(panels: int) -> int:
 def _on_profiles(figure: Any, *, panels: list[tuple[Interval, float, str]], threshold: float) -> None:
     high = _rows_of(len(panels))
     axes = figure.subplots(high, min(len(panels), 4), squeeze=False).ravel()
-    figure.subplots_adjust(0.085, 0.2 / high, 0.985, 1 - 0.13 / high, wspace=0.3, hspace=0.6)
+    figure.subplots_adjust(0.085, 0.2 / high, 0.965, 1 - 0.13 / high, wspace=0.3, hspace=0.6)
     for ax, (interval, value, symbol) in zip(axes, panels, strict=False):
         diagnostics.profile(ax, interval, value=value, threshold=threshold, unit=symbol)
     for ax in axes[len(panels) :]:
@@ -189,7 +189,7 @@ def _budget(d: Dataset, facts: DatasetSummary, most: int) -> Drawing:
 
 def _on_budget(figure: Any, *, panels: list[Any], entries: list[tuple[str, diagnostics.Look]]) -> None:
     high = budget_height(len(entries))
-    below = 0.5 + LEGEND_ROW_IN * -(-len(entries) // 4)
+    below = 0.5 + LEGEND_ROW_IN * -(-len(entries) // _columns([text for text, _ in entries]))
     axes = figure.subplots(1, len(panels), squeeze=False, sharey=True)[0]
     figure.subplots_adjust(0.1, below / high, 0.985, 1 - 0.25 / high, wspace=0.1)
     for ax, (name, scanned, angle, parts) in zip(axes, panels, strict=True):
@@ -215,7 +215,8 @@ def _legend(figure: Any, entries: Sequence[tuple[str, diagnostics.Look | in_plan
     from matplotlib.lines import Line2D
 
     handles = [Line2D([], [], lw=1.4, ms=3.5, label=text, **look) for text, look in entries]
-    figure.legend(
-        handles=handles, loc="lower center", ncol=min(len(handles), 4 if len(handles) > 6 else 3), fontsize=7.5,
-        frameon=False, handlelength=2.0, columnspacing=1.1, borderpad=0.1,
-    )  # fmt: skip
+    key(figure, handles, _columns([text for text, _ in entries]), long=2.0)
+
+
+def _columns(names: Sequence[str]) -> int:
+    return style.columns(names, 5.6, most=4 if len(names) > 6 else 3)

@@ -17,6 +17,7 @@ from typing import Any
 from gonio import canvas, platform
 from gonio.cli.console import Say, silent
 from gonio.shown import visible
+from gonio_analysis.plots.style import apart
 from gonio_analysis.processes import Outcome, Processes
 from gonio_analysis.report import lost
 
@@ -69,6 +70,10 @@ class Drawing(Described):
     on: Callable[[Any], None]
     """Draws on a canvas of that size: a function of a module, with its arguments (`functools.partial`)."""
 
+    def laid_out(self) -> Any:
+        """The figure of matplotlib with every word in its place."""
+        return laid_out(self.on, self.inches)
+
     def rendered(self, *, png: bool = False) -> Figure:
         """The figure as SVG, and where it is asked for as PNG; the same drawing gives the same bytes."""
         pixels = io.BytesIO()
@@ -84,16 +89,25 @@ class Drawing(Described):
         return self.name, self.kind, self.model, self.caption, self.alt
 
 
-def as_svg(on: Callable[[Any], None], inches: tuple[float, float], name: str, png: io.BytesIO | None = None) -> str:
-    """What `on` draws on a canvas of some `inches`, as SVG; its PNG is written to `png`."""
+def laid_out(on: Callable[[Any], None], inches: tuple[float, float]) -> Any:
+    """A figure of matplotlib with every word in its place."""
     from matplotlib import rc_context
     from matplotlib.figure import Figure as Canvas
 
-    svg = io.StringIO()
-    with rc_context(SVG):
+    with rc_context(SVG), canvas.literal():
         figure = Canvas(figsize=inches)
-        with canvas.literal():
-            on(figure)
+        on(figure)
+        canvas.settle(figure)
+        apart(figure)
+    return figure
+
+
+def as_svg(on: Callable[[Any], None], inches: tuple[float, float], name: str, png: io.BytesIO | None = None) -> str:
+    """What `on` draws on a canvas of some `inches`, as SVG; its PNG is written to `png`."""
+    from matplotlib import rc_context
+
+    svg, figure = io.StringIO(), laid_out(on, inches)
+    with rc_context(SVG):
         if png is not None:
             quick = {"compress_level": 3}  # a tenth larger than at best, in a third of the time
             canvas.save(figure, png, format="png", dpi=PNG_DPI, metadata={"Software": "gonio"}, pil_kwargs=quick)

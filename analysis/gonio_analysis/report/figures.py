@@ -44,7 +44,7 @@ MOST_CAUSES = 20
 """Most causes of uncertainty, common to all values, in one figure."""
 
 
-def draw(d: Dataset, facts: DatasetSummary, most: int) -> list[Drawing]:
+def draw(d: Dataset, facts: DatasetSummary, most: int, radius: float | None = None) -> list[Drawing]:
     """Every figure of one measured sample.
 
     Parameters
@@ -55,9 +55,11 @@ def draw(d: Dataset, facts: DatasetSummary, most: int) -> list[Drawing]:
         Its part of the summary.
     most
         Measured values that one panel shows, at most.
+    radius
+        Of the rim of polar plots; each by what it shows if none is given.
     """
     groups = coinciding(d)
-    out = [_polar(d, facts, names, most) for names in groups if d.fitted[names[0]].drawn]
+    out = [_polar(d, facts, names, most, radius) for names in groups if d.fitted[names[0]].drawn]
     out += [_absolute(d, facts, names, most) for names in groups]
     if len(groups) > 1 and d.curves:
         out.append(_overlay(d, groups, facts, most))
@@ -94,13 +96,14 @@ def _named(names: Sequence[str]) -> str:
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}, which coincide"
 
 
-def _polar(d: Dataset, facts: DatasetSummary, names: Sequence[str], most: int) -> Drawing:
+def _polar(d: Dataset, facts: DatasetSummary, names: Sequence[str], most: int, radius: float | None) -> Drawing:
     model, f = names[0], d.fitted[names[0]]
     every = [c.normalised() for c in f.drawn]
-    rim = in_plane.radius_of(every)
+    rim = in_plane.radius_of(every) if radius is None else radius
     lines = thinning.on_half_disc(every, rim, 0.42 * 5.6 * thinning.POINTS_AN_INCH, most)
     cut = [c.label for c, x in zip(f.drawn, every, strict=True) if max(_top(x.theory), _top(x.measured)) > 1.001 * rim]
     caption = f"{_named(names)}: normalised {_norm_words(f)}. Solid: theory; dashed{bars(d)}: {measurement(d)}."
+    caption += in_plane.rim_words(every, rim, radius)
     if cut:
         caption += f" Cut at the rim: {', '.join(cut)}."
     caption += _spikes(f) + _band(f) + thinning.words(thinning.measured(lines), thinning.measured(every))
@@ -214,7 +217,8 @@ def _band(f: Fitted) -> str:
     """A sentence on the band around theory; "" where the data do not reject the model."""
     if f.fit.misfit is None or f.fit.tau is None:
         return ""
-    return f" Light band: theory and its misfit, {f.fit.tau.words}, to either side."
+    drawn = "Thin lines" if any(map(in_plane.wide, (c.absolute() for c in f.drawn))) else "Light band"
+    return f" {drawn}: theory and its misfit, {f.fit.tau.words}, to either side."
 
 
 def _above(lines: Sequence[Line]) -> str:
@@ -258,7 +262,7 @@ def _overlay(d: Dataset, groups: Sequence[Sequence[str]], facts: DatasetSummary,
         + _above([replace(line, theory=np.concatenate([v for _, v in theory])) for line, theory in panels])
         + thinning.words(sum(line.measured.size for line, _ in panels), sum(c.curve.angle.size for c in first))
     )
-    columns = max(1, min(len(names), int(96 / (max(map(len, names)) + 9))))
+    columns = style.columns(names, 5.6)
     on = partial(_on_overlay, panels=panels, names=names, columns=columns, called=measurement(d))
     high = OVERLAY_IN * (-(-len(panels) // 2)) + 0.42 + LEGEND_ROW_IN * (-(-len(names) // columns) + 1)
     return Drawing(f"{facts.slug}-overlay", "overlay", "", caption, caption, (5.6, high), on)
@@ -376,8 +380,7 @@ class _Legend:
     def of(cls, d: Dataset, f: Fitted, *, star: bool = True) -> _Legend:
         mixed = star and len({c.norm.kind for c in f.drawn}) > 1
         names = [c.label + "*" * (mixed and c.norm.kind != "mirror") for c in f.drawn]
-        short = max((len(c.label) for c in f.drawn), default=0) < 10
-        return cls(names, min(len(names), 6 if short else 3 if len(names) == 6 else 4), measurement(d))
+        return cls(names, style.columns(names, 5.6), measurement(d))
 
     @property
     def rows(self) -> int:
@@ -398,6 +401,9 @@ def legend(figure: Any, names: Sequence[str], columns: int, kinds: Sequence[Any]
 
 def key(figure: Any, curves: Sequence[Any], columns: int, kinds: Sequence[Any] = (), *, long: float = 1.6) -> None:
     """A legend at the foot of a figure: its curves, and below them what kinds of lines they are."""
+    for handles, beside in ((curves, columns), (kinds, len(kinds))):
+        for one in handles:
+            one.set_label(style.short(one.get_label(), figure.get_figwidth() / beside))
     look = {"fontsize": 7.5, "frameon": False, "columnspacing": 1.1, "borderpad": 0.1, "borderaxespad": 0.15}
     if kinds:
         figure.legend(handles=kinds, loc="lower center", ncol=len(kinds), handlelength=2.6, **look)

@@ -10,7 +10,7 @@ from functools import partial
 from typing import Any
 
 from gonio.shown import with_u
-from gonio_analysis.plots.in_plane import COLOURS, clean
+from gonio_analysis.plots.in_plane import clean, dashes, style
 from gonio_analysis.plots.style import FAINT
 from gonio_analysis.report.blocks import Block, Figures, Heading, Notes, Paragraph, table
 from gonio_analysis.report.drawing import Drawing, Figure
@@ -120,18 +120,18 @@ def _on_panels(
     high = PANEL_IN * len(panels) + FOOT_IN + LEGEND_ROW_IN
     axes = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
     figure.subplots_adjust(0.13, (FOOT_IN + LEGEND_ROW_IN) / high, 0.975, 1 - 0.08 / high, hspace=0.14)
-    colour = {device: COLOURS[k % len(COLOURS)] for k, device in enumerate(devices)}
+    looks = {device: {"color": style(k)["color"], "ls": dashes(k)} for k, device in enumerate(devices)}
     for ax, group in zip(axes, panels, strict=True):
         clean(ax)
         for h in group:
-            ax.plot(h.time_h, h.value, lw=0.9, color=colour[h.device])
+            ax.plot(h.time_h, h.value, lw=0.9, **looks[h.device])
         for p in pauses:
             ax.axvspan(p.begun_h, p.begun_h + (p.waited_s or 0.0) / 3600, color=FAINT, lw=0.5)
         unit = f" [{UNITS.get(group[0].unit, group[0].unit)}]" if group[0].unit else ""
         ax.set_ylabel(_words(group[0]) + unit, fontsize=7.5)
         ax.tick_params(labelsize=7.5)
     axes[-1].set_xlabel("time from the first step [h]", fontsize=8)
-    key(figure, [Line2D([], [], color=colour[d], lw=1.2, label=d) for d in devices], min(len(devices), 6))
+    key(figure, [Line2D([], [], lw=1.2, label=d, **looks[d]) for d in devices], min(len(devices), 6), long=2.4)
 
 
 MOST_BANDS = 4

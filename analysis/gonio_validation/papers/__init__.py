@@ -55,7 +55,14 @@ def check(name: str) -> None:
         raise ConfigError(f'there is no figure named "{name}"; {hint}')
 
 
-def make(name: str, out: str | Path, *, command: str = "", progress: Callable[[str], None] = silent) -> Path:
+def make(
+    name: str,
+    out: str | Path,
+    *,
+    radius: float | None = None,
+    command: str = "",
+    progress: Callable[[str], None] = silent,
+) -> Path:
     """Write the page of a paper's figure, or of every figure: all of it or nothing.
 
     Parameters
@@ -64,6 +71,8 @@ def make(name: str, out: str | Path, *, command: str = "", progress: Callable[[s
         As in `FIGURES`, or "all": a folder for each figure, and an index page that links them.
     out
         Folder of the page; an earlier page there is replaced.
+    radius
+        Of the rim of every polar drawing; each by what it shows if none is given.
     command
         The command line, for the record.
     progress
@@ -91,8 +100,8 @@ def make(name: str, out: str | Path, *, command: str = "", progress: Callable[[s
             for each in FIGURES:
                 folder = stage.work / each
                 folder.mkdir()
-                made.append(figure_page.write(build(each, progress), folder, command))
+                made.append(figure_page.write(build(each, progress).of_radius(radius), folder, command))
             figure_page.write_index(made, stage.work, command)
         else:
-            figure_page.write(build(name, progress), stage.work, command)
+            figure_page.write(build(name, progress).of_radius(radius), stage.work, command)
     return Path(out) / "index.html"

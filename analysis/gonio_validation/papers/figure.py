@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any, Literal
 
 import numpy as np
@@ -83,6 +84,8 @@ class Panel:
     """What x and y are, with their units."""
     rows: Sequence[CurveRow]
     """Every plotted curve: `COLUMNS` without the panel."""
+    again: Callable[[float], Panel] | None = None
+    """Of a polar drawing: the same with another radius of its rim."""
 
 
 @dataclass(frozen=True)
@@ -111,6 +114,12 @@ class PaperFigure:
     """Provenance beyond command, date and versions."""
     files: Mapping[str, bytes] = field(default_factory=dict)
     """Further files of the page, by their path in its folder."""
+
+    def of_radius(self, radius: float | None) -> PaperFigure:
+        """The same with this radius in every polar drawing; None leaves each its own."""
+        if radius is None:
+            return self
+        return replace(self, panels=[p if p.again is None else p.again(radius) for p in self.panels])
 
 
 NOTHING = np.empty(0)
@@ -150,10 +159,17 @@ def at(x: Floats, y: Floats, where: float) -> float:
 
 
 def polar_panel(
-    name: str, caption: str, lines: Sequence[Line], radius_label: str, *, most: float = 2.5, retro_right: bool = False
+    name: str,
+    caption: str,
+    lines: Sequence[Line],
+    radius_label: str,
+    radius: float | None = None,
+    *,
+    most: float = 2.5,
+    retro_right: bool = False,
 ) -> Panel:
-    """The half-disc of `in_plane.polar` with its legend; curves that go beyond `most` are cut at the rim."""
-    rim = in_plane.radius_of(lines, most)
+    """The half-disc of `in_plane.polar` with its legend; its rim at the `radius`, or by what it shows."""
+    rim = in_plane.radius_of(lines, most) if radius is None else radius
     key = Key(in_plane.handles(lines), measured=any(line.measured.size for line in lines))
     high = POLAR_IN + key.high
 
@@ -162,7 +178,9 @@ def polar_panel(
         in_plane.polar(ax, lines, radius=rim, radius_label=radius_label, retro_right=retro_right, called="simulated")
         key.draw(figure)
 
-    return Panel(name, caption, (WIDTH_IN, high), on, ("signed angle [deg]", radius_label), line_rows(lines))
+    words, axes = caption + in_plane.rim_words(lines, rim, radius), ("signed angle [deg]", radius_label)
+    again = partial(polar_panel, name, caption, lines, radius_label, most=most, retro_right=retro_right)
+    return Panel(name, words, (WIDTH_IN, high), on, axes, line_rows(lines), again)
 
 
 def angle_panel(

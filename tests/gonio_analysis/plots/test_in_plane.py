@@ -1,14 +1,17 @@
 """Plot functions draw on the axes that they are given and leave matplotlib's settings alone."""
 
+import re
+from dataclasses import replace
 from typing import Any
 
 import matplotlib
 import numpy as np
 import pytest
 from gonio_analysis.curves.in_plane import Line
-from gonio_analysis.plots import diagnostics, in_plane
+from gonio_analysis.plots import diagnostics, in_plane, style
 from gonio_analysis.plots.style import xy
 from matplotlib.artist import Artist
+from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 
 
@@ -84,6 +87,50 @@ def test_half_disc_has_the_retro_side_left_and_the_mirror_side_right() -> None:
 def test_radius_shows_ordinary_curves_whole() -> None:
     assert in_plane.radius_of([line(top=1.0)]) == 1.0
     assert in_plane.radius_of([line(top=1.3)]) == pytest.approx(1.4, rel=1e-14)  # a rounding of tenths
+
+
+@pytest.mark.parametrize("unit", [1e-12, 0.037, 1.0, 1e12])
+def test_the_rim_follows_what_is_shown_in_any_unit(unit: float) -> None:
+    lines = [alone("a", 0.5 * unit), line("b", 1.3 * unit), line("c", 0.6 * unit)]
+    rim = in_plane.radius_of(lines)
+    top = max(float(x.max()) for one in lines for x in (one.theory, one.measured) if x.size)
+    assert top <= rim < 1.5 * top  # the widest gap of round numbers: from 1.6 to 2, or from 2 to 2.5, and a little
+    assert in_plane.radius_of([]) == in_plane.radius_of([values(np.zeros(2), np.array([-1.0, 0.0]))]) == 1.0
+
+
+def test_neither_a_spike_nor_a_rejected_model_shrinks_the_lobes() -> None:
+    lobes = [line("a", 0.9), line("b", 1.1)]
+    for other in (line("spike", 300.0), alone("theory", 12.0)):
+        assert in_plane.radius_of([*lobes, other]) == pytest.approx(1.2, rel=1e-14)  # a rounding of tenths
+    assert in_plane.radius_of([*lobes, line("spike", 300.0)], np.inf) == pytest.approx(300.0, rel=1e-14)
+
+
+@pytest.mark.parametrize("radius", [0.0013, 0.37, 1.0, 1.7, 2.3, 9.99, 123.0, 4e5])
+def test_any_radius_has_ticks_that_keep_clear_of_each_other(radius: float) -> None:
+    _, words = half_disc_of([line("a", radius)], radius=radius, radius_label="BRDF / sr⁻¹")
+    assert not overprinted(words)
+    ticks = [text for text, _ in words if re.fullmatch(r"[\d.]+", text)]
+    assert 7 <= len(ticks) <= 17  # 3 to 8 a side
+
+
+def test_a_band_of_a_factor_of_two_is_two_lines() -> None:
+    from matplotlib.patches import Polygon
+
+    for draw in (in_plane.polar, in_plane.semilog):
+        for factor, thin in ((1.9, 0), (2.1, 2), (1e9, 2)):
+            ax = axes()
+            draw(ax, [replace(line(), tau=float(np.log(factor)))])
+            filled = [one for one in ax.get_children() if isinstance(one, Polygon | PolyCollection)]
+            assert len(filled) == (0 if thin else 1)
+            assert sum(one.get_linewidth() == style.THIN for one in ax.get_lines()) == thin
+
+
+def test_captions_say_where_the_rim_is_and_what_stands_on_it() -> None:
+    assert in_plane.rim_words([line()], 1.4) == (
+        " The rim is at 1.4, by what is shown. Strokes on the rim, in the colours of the curves: their mirror"
+        " directions."
+    )
+    assert in_plane.rim_words([values(np.zeros(1), np.ones(1))], 2.0, 2.0) == " The rim is at 2, as asked for."
 
 
 def test_a_curve_beyond_the_rim_is_cut_with_a_note() -> None:
