@@ -14,6 +14,8 @@ from gonio_analysis.curves.in_plane import Line
 INK, FAINT = "#222222", "#c9ced6"
 BAND, THIN = 0.14, 0.6
 """Opacity of a band, and width of the lines in its place."""
+CLEAR_PX = 3.0
+"""Room around the words of axes: they are set a little larger where their minus signs are."""
 LETTER_PT = (4.9, 7.8)
 """Width of a letter of a legend, at 7.5 pt: of most alphabets, and of those whose letters are square."""
 WIDE = 2.0
@@ -125,8 +127,10 @@ def _with_power(ax: Any, axis: Any) -> None:
     if not isinstance(numbers, ScalarFormatter):
         return
     numbers.set_useOffset(False)
+    numbers.set_useMathText(False)
     axis.get_ticklabels()
-    power = int(numbers.orderOfMagnitude)
+    said = numbers.get_offset().replace("\u2212", "-")  # "1e-07", or nothing
+    power = int(said.removeprefix("1e") or 0)
     axis.get_offset_text().set_visible(False)
     if power:
         titles = [one for one in (ax.title, ax._left_title, ax._right_title) if one.get_text()]
@@ -149,7 +153,7 @@ def _meet(boxes: Sequence[Any]) -> bool:
 
 def beside_points(ax: Any, points: Sequence[tuple[float, float, str]], *, size: float = 7.5) -> list[Any]:
     """Names beside points: as near as they stand clear of each other and of all points, else with a thin line there."""
-    figure, taken = ax.figure, [one.get_window_extent() for one in _words_of(ax)]
+    figure, taken = ax.figure, [one.get_window_extent().padded(CLEAR_PX) for one in _words_of(ax)]
     from matplotlib.text import Text
 
     marks = ax.transData.transform([(x, y) for x, y, _ in points])

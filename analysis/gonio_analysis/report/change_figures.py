@@ -259,8 +259,8 @@ def _polar(c: Comparison, at: Observations, curve: Curve, where: str) -> Drawing
     caption = f"{curve.label}{where}: BRDF of every laboratory, with bands of two standard uncertainties"
     caption += " (thin lines, where they are as large as the values)." if any(map(_wide, lines)) else "."
     caption += in_plane.rim_words(lines, rim)
-    rows = -(-len(lines) // columns([line.label for line in lines], LABORATORIES_IN))
-    size = (LABORATORIES_IN, 3.7 + LEGEND_ROW_IN * rows)
+    legend_rows = -(-len(lines) // columns([line.label for line in lines], LABORATORIES_IN))
+    size = (LABORATORIES_IN, 3.7 + LEGEND_ROW_IN * legend_rows)
     return Drawing("polar", "polar", "", caption, caption, size, partial(_on_polar, lines=lines, rim=rim))
 
 
@@ -277,7 +277,7 @@ def _on_polar(figure: Any, *, lines: list[Line], rim: float) -> None:
     in_plane.polar(ax, lines, radius=rim, radius_label="BRDF / sr⁻¹")
     for k, line in enumerate(lines):
         high, low = (np.clip(line.theory + s * 2.0 * line.u, 0.0, rim) for s in (1.0, -1.0))
-        edges = (xy(line.theory_angle, edge) for edge in (low, high))
+        edges = xy(line.theory_angle, low), xy(line.theory_angle, high)
         around(ax, *edges, in_plane.style(k)["color"], wide=_wide(line))
     key(figure, in_plane.handles(lines), beside)
 

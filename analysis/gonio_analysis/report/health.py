@@ -120,7 +120,7 @@ def _on_panels(
     high = PANEL_IN * len(panels) + FOOT_IN + LEGEND_ROW_IN
     axes = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
     figure.subplots_adjust(0.13, (FOOT_IN + LEGEND_ROW_IN) / high, 0.975, 1 - 0.08 / high, hspace=0.14)
-    looks = {device: {"color": style(k)["color"], "ls": dashes(k)} for k, device in enumerate(devices)}
+    looks: dict[str, Any] = {device: {"color": style(k)["color"], "ls": dashes(k)} for k, device in enumerate(devices)}
     for ax, group in zip(axes, panels, strict=True):
         clean(ax)
         for h in group:

@@ -291,9 +291,8 @@ def draw(grid: Grid, layers: Sequence[Layer]) -> list[Drawing]:
     out, files = [], model_slugs(one.name for one in layers)
     for one in layers:
         colours = pixels.UNCERTAINTIES if one.name == "misfit" else pixels.VALUES
-        what = "misfit, relative" if one.name == "misfit" else one.label
         file = files[one.name]
-        out.append(_map(grid, f"map-{file}", one.picture, what, _limits(one), colours, _share(grid, one)))
+        out.append(_map(grid, f"map-{file}", one.picture, one.label, _limits(one), colours, _share(grid, one)))
         if one.picture_u is not None and np.isfinite(one.picture_u).any():
             low, high = np.quantile(one.picture_u[np.isfinite(one.picture_u)], QUANTILES).tolist()
             label = "u of " + labelled(one.name, one.unit)

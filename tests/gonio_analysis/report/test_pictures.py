@@ -14,6 +14,7 @@ import pytest
 from gonio_analysis import report
 from gonio_analysis.changes.laboratories import compared
 from gonio_analysis.changes.point_by_point import change, of_table
+from gonio_analysis.curves.in_plane import curves
 from gonio_analysis.plots import diagnostics, in_plane, maps, pixels, style
 from gonio_analysis.report import budget, change_figures, checks, drawing, health, map_change, map_page
 from gonio_analysis.report.drawing import Drawing, Figure
@@ -117,8 +118,8 @@ def test_figures_of_a_budget() -> None:
         BudgetCurve(i, angle, [[0.2 + 0.01 * k] * 5 for k in range(5)]) for i in (0.0, 15.0, 30.0, 45.0, 60.0, 75.0)
     ]
     parts = [BudgetPart(name, True, 0.004, 0.01, 0.19) for name in names]
-    for curves in (each, each[:1], each[:3]):
-        found = BudgetFacts(550.0, 99, 0.01, 0.02, 0.01, 0.02, parts, names, curves, None, 0, {}, None)
+    for some in (each, each[:1], each[:3]):
+        found = BudgetFacts(550.0, 99, 0.01, 0.02, 0.01, 0.02, parts, names, some, None, 0, {}, None)
         clear(budget.draw(found, "s"), "budget-shares")
 
 
@@ -141,8 +142,8 @@ def test_figures_of_a_run() -> None:
 @pytest.mark.parametrize("count", [2, 8])
 def test_figures_of_laboratories(count: int) -> None:
     every = [
-        measure(GLOSS, seed=k, reference=0.005).assign(brdf=lambda x, k=k: x["brdf"] * (1.3 if k == 5 else 1.0))
-        for k in range(count)
+        one.assign(brdf=one["brdf"] * (1.3 if k == 5 else 1.0))
+        for k, one in enumerate(measure(GLOSS, seed=k, reference=0.005) for k in range(count))
     ]
     for word in ("lab", "the laboratory for optical metrology of the university of"):
         sides = [of_table(f"{word} {k + 1}", "x", one) for k, one in enumerate(every)]
@@ -156,7 +157,7 @@ def test_figures_of_a_change(name: str) -> None:
     for one, other in ((a, b), (of_table(f"{name} 3", "x", dome()), of_table(name, "x", dome().assign(brdf=1.0)))):
         found = change(one, other)
         at = replace(found.at, brdf=found.value_a, rows=np.arange(len(found.at)))
-        drawn = change_figures.curves(at)
+        drawn = curves(at)
         clear(change_figures.draw(found, at, drawn, 550.0), "map", *["values"] * bool(drawn))
 
 
