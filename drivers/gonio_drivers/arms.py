@@ -30,7 +30,7 @@ FLICKER_STEPS = 2.5
 """Readings at rest that lie farther apart, in steps of the encoder, do not tell where the axis stands."""
 SECOND_S = 0.02
 """The answer of a second servo follows the first one within this time, behind an adapter's latency of 16 ms."""
-PINGS = 3
+PINGS = 4
 """Pings in a row that must find a second servo: a late answer looks like one, but not this often."""
 LONGER = 4
 """How many times longer each ping is listened to than the one before: an answer may be late, or this computer busy."""
@@ -346,7 +346,8 @@ def require_alone(joint: joints.Joint) -> None:
     """
     most = 0
     for look in range(PINGS):
-        heard = joint.bus.overhear(joint.id, INST_PING, listen_s=SECOND_S * LONGER**look)
+        listen_s = SECOND_S * LONGER**look
+        heard = joint.bus.overhear(joint.id, INST_PING, listen_s=listen_s, quiet_s=listen_s if look else 0.0)
         answers = sum(packet[4] == joint.id for packet in Packets().whole(heard))
         if answers == 1:
             return

@@ -157,15 +157,18 @@ class Bus:
         """Change a servo's control table."""
         self._repeat(identity, INST_WRITE, address.to_bytes(2, "little") + data, 0)
 
-    def overhear(self, identity: int, instruction: int, parameters: bytes = b"", *, listen_s: float) -> bytes:
+    def overhear(
+        self, identity: int, instruction: int, parameters: bytes = b"", *, listen_s: float, quiet_s: float = 0.0
+    ) -> bytes:
         """Everything that comes over the line after one request, whoever sends it, until nothing came for `listen_s`.
 
         It tells whether two servos answer to one id. What lies on this computer when the
         time is over is heard, however long it was held up meanwhile. A line that never falls silent is listened to
-        for `BABBLE_S` more at most.
+        for `BABBLE_S` more at most. Before the request, replies to an earlier one have `quiet_s` to come, and are
+        dropped: a late one would be heard as that of a second servo.
         """
         with self._line():
-            self._calm(0.0)
+            self._calm(quiet_s)
             self._packets.txPacket(self._port, _request(identity, instruction, parameters))
             return self._listen(listen_s)
 
