@@ -12,11 +12,11 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from gonio_analysis.commands.arguments import read_ior
 from gonio_analysis.fitting.fit import FitResult, fit
 from gonio_analysis.fitting.forward import apparent
 from gonio_analysis.fitting.objective import alone, scaled_to
 from gonio_analysis.fitting.observations import Observations
+from gonio_analysis.fitting.optical_constants import read_ior
 from gonio_analysis.fitting.parameters import levels
 from gonio_analysis.fitting.problem import FitRequest, Problem, pose
 from gonio_analysis.fitting.search import refine

@@ -13,9 +13,9 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Self
 
 import numpy as np
-from gonio_analysis.commands.arguments import read_ior
 from gonio_analysis.fitting.fit import fit
 from gonio_analysis.fitting.observations import DEFAULT_WAVELENGTH_NM, Observations
+from gonio_analysis.fitting.optical_constants import read_ior
 from gonio_analysis.fitting.problem import FitRequest
 from gonio_analysis.fitting.value_covariance import Covariance
 from scipy.optimize import brentq

@@ -14,6 +14,7 @@ from gonio_analysis.commands import arguments, warm
 from gonio_analysis.fitting.fit import fit
 from gonio_analysis.fitting.forward import apparent
 from gonio_analysis.fitting.observations import observations
+from gonio_analysis.fitting.optical_constants import read_ior
 from gonio_analysis.fitting.parameters import declared
 from gonio_analysis.fitting.saving import save as save_fit
 
@@ -91,13 +92,13 @@ def test_unknown_model_is_told_before_anything_is_read(tmp_path: Path) -> None:
     [("0.77+6.08j", 0.77 + 6.08j), ("1.5", 1.5 + 0j), ("1.37+7.6i", 1.37 + 7.6j), ("Al", "Al"), (None, None)],
 )
 def test_optical_constants(text: str | None, value: object) -> None:
-    assert arguments.read_ior(text) == value
+    assert read_ior(text) == value
 
 
 @pytest.mark.parametrize("text", ["-1+2j", "1.5-2j", "0", "nan", "Unobtainium"])
 def test_wrong_optical_constants(text: str) -> None:
     with pytest.raises(ConfigError):
-        arguments.read_ior(text)
+        read_ior(text)
 
 
 def test_a_radius_is_a_number_above_0_or_auto() -> None:
@@ -165,7 +166,7 @@ def test_a_saved_fit_is_the_sample_of_another_measurement(name: str, tmp_path: P
     first = json.loads(done.stdout)["parameters"]
     built = side(str(tmp_path / "sample.toml")).model
     data = observations(measurement.read(tmp_path / "a.csv"))
-    np.testing.assert_array_equal(apparent(built, data), fit(data, name, ior=arguments.read_ior(given)).predicted)
+    np.testing.assert_array_equal(apparent(built, data), fit(data, name, ior=read_ior(given)).predicted)
     gonio(tmp_path, "measure", "plan.toml", "--rig", "sim-ideal", "--sample", "sample.toml", "--out", "run", expect=0)
     assert gonio(tmp_path, "reduce", "run").returncode == 0
     done = gonio(tmp_path, "fit", "run", *say)

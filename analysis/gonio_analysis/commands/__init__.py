@@ -11,7 +11,7 @@ from typing import Annotated
 import typer
 
 from gonio.cli.opened import Blank, Columns, reading, remember
-from gonio_analysis.commands.arguments import names_of, once, read_bound, read_fixed, read_ior, read_prior, read_radius
+from gonio_analysis.commands.arguments import names_of, once, read_bound, read_fixed, read_prior, read_radius
 
 MODELS = "lambert,oren-nayar,cook-torrance,he-torrance"
 MODELS_HELP = "Models to fit, with commas between (sums as oren-nayar+phong), or all."
@@ -29,8 +29,12 @@ class Norm(StrEnum):
 RADIUS_HELP = "Radius of the rim of polar plots, the same in all; auto: each by what it shows"
 Radius = Annotated[str, typer.Option(metavar="auto|R", help=f"{RADIUS_HELP}.")]
 IorOption = Annotated[
-    str | None,
-    typer.Option(help="Optical constants: a material (Al) or n + ik (0.77+6.08j); without them a real n is fitted."),
+    list[str] | None,
+    typer.Option(
+        metavar="[SAMPLE=]NAME|n+kj",
+        help="Optical constants: a material (Al) or n + ik (0.77+6.08j), of all samples or of one (gold.csv=Au);"
+        " remembered beside the file. Without them a real n is fitted.",
+    ),
 ]
 Wavelength = Annotated[
     float | None, typer.Option(help="Wavelength [nm] of a table with several, or the effective one of a broad band.")
@@ -147,12 +151,13 @@ def fit(
     Of a map (gonio reduce --map) every pixel is fitted, without the cones. With --each and no TABLE: very many tables.
     """
     from gonio_analysis.commands import implementations
+    from gonio_analysis.fitting.optical_constants import Constants
     from gonio_analysis.fitting.problem import FitRequest
 
-    how = reading(columns, blank)
+    how, constants = reading(columns, blank), Constants.of(ior)
     asked = FitRequest(
         model,
-        ior=read_ior(ior),
+        ior=constants.of_all,
         fix=once("--fix", [read_fixed(text) for text in fix or []]),
         free=free or (),
         slopes=slopes,
@@ -167,7 +172,7 @@ def fit(
         searches=searches,
         separate=separate,
     )
-    wanted = implementations.Wanted(u_ior, intervals, save, residual, as_json)
+    wanted = implementations.Wanted(constants, u_ior, intervals, save, residual, as_json)
     others = {"MORE": more, "--joint": joint}
     if not implementations.fit_many(
         table, each, asked, how, wanted, out=out, dask=dask, materials=materials, others=others

@@ -9,32 +9,9 @@ from typing import TYPE_CHECKING, TypeVar
 from gonio.errors import ConfigError
 
 if TYPE_CHECKING:
-    from gonio.models.parameters import Ior
     from gonio_analysis.fitting.problem import FitRequest
 
 T = TypeVar("T")
-
-
-def read_ior(text: str | None) -> Ior:
-    """Optical constants from a command line: a complex number, a material's name, or None.
-
-    Raises
-    ------
-    ConfigError
-        Neither a number nor a known material, or a number that no material has.
-    """
-    if text is None:
-        return None
-    from gonio import materials
-
-    try:
-        value = complex(text.replace(" ", "").replace("i", "j"))
-    except ValueError:
-        materials.ior(text)
-        return text
-    if not (0 < value.real < 1e4 and 0 <= value.imag < 1e4):
-        raise ConfigError(f"--ior {text}: n is above 0 and k at least 0 (n + ik absorbs with k > 0)")
-    return value
 
 
 def read_radius(text: str) -> float | None:

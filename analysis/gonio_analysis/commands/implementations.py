@@ -20,11 +20,12 @@ from gonio.maps import is_map
 from gonio.measurement import Reading
 from gonio_analysis import report as comparison
 from gonio_analysis import result_records as results
-from gonio_analysis.commands.arguments import once, read_ior, with_u_ior
+from gonio_analysis.commands.arguments import once, with_u_ior
 from gonio_analysis.fitting import fit as fitting
 from gonio_analysis.fitting import parameters, profile_likelihood, saving
 from gonio_analysis.fitting.energy import of_model
 from gonio_analysis.fitting.observations import Observations, check_u_rel, check_wavelength, observations, together
+from gonio_analysis.fitting.optical_constants import Constants, Sample, Taken
 from gonio_analysis.fitting.problem import FitRequest, check_metric
 from gonio_analysis.fitting.profile_likelihood import Interval
 from gonio_analysis.fitting.spectrum import fit_table
@@ -67,6 +68,7 @@ def fit_many(
             {**others, "--json": wanted.as_json, "--materials": materials},
             plain=None,
         )
+        wanted.constants.require_of_all("gonio fit --each")
         fit_each(each, out, asked, how, dask)
         return True
     if not _is_map(table, out):
@@ -76,6 +78,7 @@ def fit_many(
             raise ConfigError("--dask: goes with a map, or with --each FOLDER|LIST; leave it out")
         return False
     _require_plain("a map", asked, wanted, {**others, "--columns": how.columns, "--blank": how.blank})
+    wanted.constants.require_of_all("a map")
     fit_map(Path(table), out, asked, dask, materials, as_json=wanted.as_json)
     return True
 
@@ -185,6 +188,7 @@ def _print_materials(found: fits.Summary) -> None:
 class Wanted:
     """What `gonio fit` is asked for besides the fit."""
 
+    constants: Constants
     u_ior: str | None
     intervals: bool
     save: Path | None
@@ -196,6 +200,8 @@ def fit(tables: list[str], asked: FitRequest, how: Reading, wanted: Wanted) -> N
     """Fit one model to tables of one sample; save and print it."""
     parameters.family(asked.model, slopes=asked.slopes, ior=asked.ior)
     read = [_observed(one, asked.u_rel, how) for one in tables]
+    taken = _constants(asked, wanted.constants, [Sample(t, name) for t, (name, *_) in zip(tables, read, strict=True)])
+    asked = replace(asked, ior=taken.values[0])
     simulated = [made for *_, made in read]
     if wanted.save is not None:
         saving.check_target(wanted.save, asked)
@@ -215,6 +221,7 @@ def fit(tables: list[str], asked: FitRequest, how: Reading, wanted: Wanted) -> N
         source = " + ".join(map(shown.marked, tables, simulated))
         saving.save(result, wanted.save, name=name, source=source, residual=wanted.residual)
     remember(tables, how)
+    _say(taken.remember())
     if wanted.as_json:
         several = len(tables) > 1
         out = {**result.to_json(), "sample": name, "table": tables if several else tables[0]}
@@ -234,6 +241,25 @@ def fit(tables: list[str], asked: FitRequest, how: Reading, wanted: Wanted) -> N
         console.note(after_misfit(result))
     if rho_dh:
         console.note(reflectances(result.name, rho_dh, given=result.given))
+
+
+def _constants(asked: FitRequest, constants: Constants, samples: list[Sample]) -> Taken:
+    """The optical constants of tables of one sample; those that were remembered where nothing else is said of them.
+
+    Raises
+    ------
+    ConfigError
+        They differ.
+    """
+    taken = Taken.of(constants, samples)
+    said = {"ior", "k"} & {*asked.free, *(asked.fix or {})}
+    if said or not parameters.needs_ior(asked.model):
+        taken = replace(taken, remembered=[None] * len(samples))
+    if len(set(taken.values)) > 1:
+        listed = ", ".join(f"{one.source}: {value}" for one, value in zip(samples, taken.values, strict=True))
+        raise ConfigError(f"--ior: tables of one sample have one index; here are {listed}")
+    _say(taken.notes)
+    return taken
 
 
 def _observed(table: str, u_rel: float | None, how: Reading) -> tuple[str, Observations, bool]:
@@ -279,13 +305,13 @@ def _say(notes: Iterable[str]) -> None:
         console.note(text)
 
 
-def report(specs: list[str], out: Path, models: list[str], *, ior: str | None, **options: Any) -> Path:
+def report(specs: list[str], out: Path, models: list[str], *, ior: list[str] | None, **options: Any) -> Path:
     """The report on models fitted to measurements; options as `gonio_analysis.report.make`."""
     check_metric(options["metric"])
     check_u_rel(options["u_rel"])
     check_wavelength(options["wavelength_nm"])
     return comparison.make(
-        specs, out, models=models, ior=read_ior(ior), command=command_line(), progress=console.note, **options
+        specs, out, models=models, ior=Constants.of(ior), command=command_line(), progress=console.note, **options
     )  # fmt: skip
 
 

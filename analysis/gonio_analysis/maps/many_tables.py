@@ -20,7 +20,7 @@ from gonio_analysis.fitting.problem import FitRequest, pose
 from gonio_analysis.fitting.spectrum import fit_table
 from gonio_analysis.selection import parallel
 
-BESIDE = (".meta.json", ".columns.toml")
+BESIDE = (".meta.json", ".columns.toml", ".ior.toml")
 """Endings of files that belong to a table."""
 Row = dict[str, str]
 Count = Callable[[int, int], None]

@@ -14,6 +14,7 @@ from gonio.measurement import Reading, of_reader, said_once
 from gonio.models.parameters import Ior
 from gonio.typing import DataFrame
 from gonio_analysis.curves.in_plane import Normalise
+from gonio_analysis.fitting.optical_constants import Constants, Sample, Taken
 from gonio_analysis.report import beyond_reflection, detail_figures, figures, files, lost, page, sections, viewer
 from gonio_analysis.report.blocks import titled
 from gonio_analysis.report.comparison import summarise
@@ -43,7 +44,7 @@ def make(
     models: Sequence[str],
     normalise: Normalise = "mirror",
     radius: float | None = None,
-    ior: Ior = None,
+    ior: Ior | Constants = None,
     wavelength_nm: float | None = None,
     metric: str | None = None,
     u_rel: float | None = None,
@@ -63,8 +64,10 @@ def make(
         Tables, RUN folders, or `FILE:SAMPLE`.
     out
         Folder of the report; an earlier report there is replaced.
-    models, normalise, ior, wavelength_nm, metric, u_rel, bound_energy, separate
+    models, normalise, wavelength_nm, metric, u_rel, bound_energy, separate
         See `gonio_analysis.selection.compare.examine`.
+    ior
+        Optical constants of all samples; or by sample, remembered beside the files.
     radius
         Of the rim of every polar plot, as a number of the divisor; each by what it shows if none is given.
     dask
@@ -101,14 +104,21 @@ def make(
         told = {name: of_reader(one[2]) for name, one in zip(names, found, strict=True)}
         for note in said_once(told | {t.name: t.data.notes for t in transmission_only}):
             progress(note)
+        constants = ior if isinstance(ior, Constants) else Constants()
+        taken = Taken.of(constants, [Sample(source, sample) for sample, source, *_ in found])
+        if not isinstance(ior, Constants):
+            taken = replace(taken, remembered=[None] * len(found))
+        for note in taken.notes:
+            progress(note)
+        iors = taken.values if isinstance(ior, Constants) else [ior] * len(found)
         jobs = [
             partial(
-                examine, table, models, name=name, source=source, run=run, normalise=normalise, ior=ior,
+                examine, table, models, name=name, source=source, run=run, normalise=normalise, ior=own,
                 wavelength_nm=wavelength_nm, metric=metric, u_rel=u_rel, bound_energy=bound_energy, separate=separate,
             )
-            for name, (_, source, table, run) in zip(names, found, strict=True)
+            for name, own, (_, source, table, run) in zip(names, iors, found, strict=True)
         ]  # fmt: skip
-        tried = len(candidates(models, ior))
+        tried = max((len(candidates(models, own)) for own in iors), default=0)
         # the workers get ready while models are fitted
         with figure_workers(2 * len(jobs) * tried, modules=FITTING) as workers:
             workers.png = png
@@ -132,6 +142,8 @@ def make(
                 workers=workers,
                 progress=progress,
             )
+    for said in taken.remember():
+        progress(said)
     return Path(out) / "index.html"
 
 
