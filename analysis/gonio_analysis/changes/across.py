@@ -16,12 +16,13 @@ import numpy as np
 
 from gonio.cli.console import Say, silent
 from gonio.errors import DataError
-from gonio.geometry import AROUND_MIRROR, SAME_ANGLE, SAME_AZIMUTH, angle_between, groups
+from gonio.geometry import AROUND_MIRROR, SAME_ANGLE, angle_between, groups
 from gonio.typing import Floats, Ints
+from gonio_analysis.changes.lobe_pairs import MOST_CURVES, Found, LobePair, Lobes, stands
 from gonio_analysis.changes.point_by_point import Change, Side, change, laid_on
 from gonio_analysis.changes.resampling import RowsAt, common_wavelengths
-from gonio_analysis.curves.in_plane import Curve, curves, evenly
-from gonio_analysis.curves.lobes import GRAZING, NEAR_SOURCE, Lobe, lobe
+from gonio_analysis.curves.in_plane import evenly
+from gonio_analysis.curves.lobes import GRAZING, NEAR_SOURCE
 from gonio_analysis.fitting.observations import Observations
 from gonio_analysis.fitting.value_covariance import Covariance
 
@@ -29,12 +30,8 @@ MOST_PAIRS = 8
 """Samples that the first one is held against."""
 MOST_VALUES = 200_000
 """Values of both, above which the wavelength that is shown is compared alone."""
-MOST_CURVES = 12
-"""Curves whose lobes are measured; also incidences and wavelengths that have a factor of their own."""
 FEWEST = 3
 """Values that a factor of its own is made of."""
-STANDS = 3.0
-"""Standard uncertainties from which on a part differs from the rest."""
 LEAST, SHARE = 0.03, 0.25
 """A region is named where its factor is off by so much of its logarithm, and by so much of the common one's."""
 LEAST_WIDTH, LEAST_HEIGHT = 0.04, 0.05
@@ -48,6 +45,8 @@ KINDS, BASES, OPPOSITE = math.log(30.0), math.log(2.0), math.log(3.0)
 by the second; or where one is brighter in the lobe and darker elsewhere, by the third each."""
 BRIGHT = 2.0
 """Beyond this factor differences over means no longer tell it."""
+RETRO = math.radians(6.0)
+"""A retro lobe is sought so near to the source: most are a few degrees wide; farther off where few values are there."""
 CLEAR = 2.0
 """Values have a logarithm where they are above so many standard uncertainties."""
 WIDEST = math.radians(45.0)
@@ -64,7 +63,9 @@ class Level:
     values: int
     factor: float
     u: float
-    """Standard uncertainty; NaN where a few values are all that is known."""
+    """Standard uncertainty, with what its values scatter by beyond what they state."""
+    noise: float
+    """The part of it that is stated; `u` where nothing is."""
     apart: bool = False
     """Whether it differs from the common factor."""
 
@@ -72,31 +73,6 @@ class Level:
     def log(self) -> float:
         """ln of the factor."""
         return math.log(max(self.factor, 1e-12))
-
-
-@dataclass(frozen=True)
-class Found:
-    """A difference of the lobes, B - A, over all curves in which both are known."""
-
-    value: float
-    u: float
-    stands: bool
-    """Whether it is beyond its uncertainty, and worth words."""
-
-
-@dataclass(frozen=True)
-class LobePair:
-    """The lobes of both samples at one incidence."""
-
-    theta_i_deg: float
-    width_a_deg: float
-    width_b_deg: float
-    u_width_a_deg: float
-    u_width_b_deg: float
-    height_ratio: float
-    contrast_a: float
-    """Height over what stands beside the lobe."""
-    contrast_b: float
 
 
 @dataclass(frozen=True)
@@ -189,7 +165,7 @@ def _pair(a: Side, b: Side, wavelength_nm: float | None, say: Say) -> Pair:
         return Pair(a.title, b.title, missing=str(error))
     shown = c.at.nearest(wavelength_nm)[1]
     here = narrowed(c, RowsAt(c.at.wavelength_nm).at(shown))
-    lobes = _Lobes.of(*(_nearest(x, shown) for x in (both[0], laid_on(*both)[0])))
+    lobes = Lobes.of(*(_nearest(x, shown) for x in (both[0], laid_on(*both)[0])))
     verdict = c.verdict
     assumed = {x.u_rel_assumed for x in both if x.u_rel_assumed is not None}
     out = Pair(
@@ -201,7 +177,7 @@ def _pair(a: Side, b: Side, wavelength_nm: float | None, say: Say) -> Pair:
         detectable=math.nan if verdict is None else verdict.factor.detectable, notes=list(c.notes),
         worst=_worst(c),
     )  # fmt: skip
-    return _kinds(_shapes(replace(out, **_colour(c), **lobes.compared()), here, lobes), lobes)
+    return _kinds(_shapes(replace(out, colour=_colour(c), lobes=lobes.each), here, lobes), lobes)
 
 
 def _nothing_common(a: Side, b: Side) -> str:
@@ -210,7 +186,7 @@ def _nothing_common(a: Side, b: Side) -> str:
     if not common_wavelengths(one, other):
         have = (f"{x.title} has {_listed(x.measured.wavelengths)}" for x in (a, b))
         return f"they have no wavelength in common: {', '.join(have)}"
-    tilts = [np.unique(np.round(np.degrees(x.directions.theta_i), 1)) for x in (one, other)]
+    tilts = [np.unique(np.round(np.degrees(x.directions.theta_i), 1)).astype(np.float64) for x in (one, other)]
     if np.abs(tilts[0][:, None] - tilts[1]).min() > np.degrees(SAME_ANGLE):
         have = (f"{x.title} has θi = {_some(t)}" for x, t in zip((a, b), tilts, strict=True))
         return f"they have no angle of incidence in common: {', '.join(have)}"
@@ -241,95 +217,7 @@ def _nearest(data: Observations, shown: float) -> Observations:
     return data if math.isnan(shown) else data.nearest(shown)[0]
 
 
-# ---- lobes ----
-
-
-@dataclass(frozen=True)
-class _Lobes:
-    """The lobes of both samples at their common incidences."""
-
-    pairs: list[tuple[Lobe, Lobe]]
-
-    @classmethod
-    def of(cls, a: Observations, b: Observations) -> "_Lobes":
-        """Of both at one wavelength."""
-        ones, others = curves(a), curves(b)
-        if {c.scanned for c in (*ones, *others)} != {"theta_r"}:
-            return cls([])
-        matched = [(one, other) for one in ones for other in others if same_incidence(one, other)]
-        some = (matched[k] for k in evenly(len(matched), MOST_CURVES))
-        found = [(lobe(one, a), lobe(other, b)) for one, other in some]
-        # of few values nobody tells a lobe from what stands beside it
-        return cls([(x, y) for x, y in found if x and y and not math.isnan(x.base + y.base)])
-
-    @property
-    def widest(self) -> float:
-        """The largest width [rad]; 0 where none is known."""
-        return max((x.width for both in self.pairs for x in both if x.resolved), default=0.0)
-
-    @property
-    def exist(self) -> tuple[bool, bool]:
-        """Whether most curves of each sample have a lobe."""
-        share = [np.mean([both[k].exists for both in self.pairs]) if self.pairs else 0.0 for k in (0, 1)]
-        return bool(share[0] > 0.5), bool(share[1] > 0.5)
-
-    @property
-    def contrasts(self) -> tuple[float, float]:
-        """The median of each sample's contrasts."""
-        both = [[x.contrast for x in of] for of in zip(*self.pairs, strict=True)] or [[], []]
-        first, second = (float(np.median(v)) if (v := [x for x in of if math.isfinite(x)]) else math.nan for of in both)
-        return first, second
-
-    def compared(self) -> dict[str, list[LobePair]]:
-        """For `Pair`: each incidence."""
-        return {"lobes": [LobePair(
-            math.degrees(x.parameter), *(math.degrees(v) for v in (x.width, y.width, x.u_width, y.u_width)),
-            y.height / x.height if x.height > 0.0 else math.nan, x.contrast, y.contrast,
-        ) for x, y in self.pairs]}  # fmt: skip
-
-    def differences(self, name: str) -> tuple[Floats, Floats]:
-        """B - A of one number of each pair, and its standard uncertainty; where both are known."""
-        known = [(x, y) for x, y in self.pairs if x.exists and y.exists]
-        if name == "height":
-            rows = [(math.log(y.height / x.height), math.hypot(x.u_height_rel, y.u_height_rel)) for x, y in known]
-        else:
-            rows = [(getattr(y, name) - getattr(x, name), math.hypot(getattr(x, f"u_{name}"), getattr(y, f"u_{name}")))
-                    for x, y in known if x.resolved and y.resolved]  # fmt: skip
-        value, u = np.array(rows).reshape(-1, 2).T
-        return value, u
-
-    def found(self, name: str, least: float, beside: tuple[float, float] = (0.0, 0.0)) -> Found | None:
-        """Their mean; `beside`: what it is expected to be, and the uncertainty of that."""
-        value, u = self.differences(name)
-        if not value.size:
-            return None
-        if np.isfinite(u).all() and (u > 0).all():
-            weight = 1.0 / u**2
-            mean, of_mean = float(weight @ value / weight.sum()), float(weight.sum() ** -0.5)
-            spread = float(weight @ (value - mean) ** 2) / max(value.size - 1, 1)
-            of_mean *= math.sqrt(max(spread, 1.0))
-        else:
-            mean, of_mean = float(value.mean()), math.nan
-            if value.size > 1:
-                of_mean = float(value.std(ddof=1)) / math.sqrt(value.size)
-        return Found(mean, of_mean, _stands(mean - beside[0], math.hypot(np.nan_to_num(of_mean), beside[1]), least))
-
-
-def same_incidence(one: Curve, other: Curve) -> bool:
-    """Whether two curves in the plane are of one incidence, or of one detector that stands still."""
-    if one.scanned != other.scanned or abs(one.parameter - other.parameter) > SAME_ANGLE:
-        return False
-    return one.parameter < SAME_ANGLE or math.cos(one.phi_i - other.phi_i) > math.cos(SAME_AZIMUTH)
-
-
-def _stands(off: float, u: float, least: float) -> bool:
-    return abs(off) > least and abs(off) > STANDS * (0.0 if math.isnan(u) else u)
-
-
-# ---- factors of regions ----
-
-
-def _shapes(out: Pair, c: Change, lobes: _Lobes) -> Pair:
+def _shapes(out: Pair, c: Change, lobes: Lobes) -> Pair:
     """A pair with what both differ by at one wavelength."""
     exist, one_alone = lobes.exist, sum(lobes.exist) == 1
     shift = lobes.found("at", math.radians(LEAST_SHIFT_DEG))
@@ -340,12 +228,15 @@ def _shapes(out: Pair, c: Change, lobes: _Lobes) -> Pair:
     if one_alone or lobes.differences("height")[0].size:
         regions.pop(MIRROR, None)
     levels = _levels(c, regions, [c.zeros[angle] for angle in zeros])
-    common = max(levels, key=lambda one: (one.where == AWAY, one.values), default=Level(MIRROR, 0, 1.0, math.nan))
+    common = max(
+        levels, key=lambda one: (one.where == AWAY, one.values), default=Level(MIRROR, 0, 1.0, math.nan, math.nan)
+    )
     levels = [replace(one, apart=_apart(one, common)) for one in levels]
     known = common.log, 0.0 if math.isnan(common.u) else common.u / common.factor
     height, width = lobes.found("height", LEAST_HEIGHT, known), lobes.found("width", LEAST_WIDTH * lobes.widest)
     if not levels and height is not None:
-        common = Level(MIRROR, len(lobes.pairs), math.exp(height.value), math.exp(height.value) * height.u)
+        ratio = math.exp(height.value)
+        common = Level(MIRROR, len(lobes.pairs), ratio, ratio * height.u, ratio * height.u)
     elif not levels:
         if not (few := _levels(c, {ALL: np.arange(len(c.at))}, fewest=1)):
             return replace(out, missing="their common values are lost in noise")
@@ -375,7 +266,7 @@ def _whole(c: Change, common: Level) -> Level:
     """The common factor of all values, as `--change` has it."""
     v = c.verdict
     if v is not None and v.u_scale < BRIGHT and 1.0 / BRIGHT < 1.0 + v.scale < BRIGHT:
-        return Level(ALL, len(c.at), 1.0 + v.scale, v.u_scale)
+        return Level(ALL, len(c.at), 1.0 + v.scale, v.u_scale, v.u_scale)
     return common
 
 
@@ -388,9 +279,12 @@ def _regions(at: Observations, around: float) -> dict[str, Ints]:
     source, receiver = d.vectors
     from_mirror, from_source = d.mirror_offset, angle_between(source, receiver)
     mirror = from_mirror <= around
-    toward = ~mirror & (from_source <= NEAR_SOURCE)
-    graze = ~mirror & ~toward & (d.theta_r >= GRAZING)
-    found = {AWAY: ~(mirror | toward | graze), SOURCE: toward, GRAZE: graze, MIRROR: mirror}
+    around_source = ~mirror & (from_source <= NEAR_SOURCE)
+    toward = around_source & (from_source <= RETRO)
+    if np.count_nonzero(toward) < FEWEST:
+        toward = around_source
+    graze = ~mirror & ~around_source & (d.theta_r >= GRAZING)
+    found = {AWAY: ~(mirror | around_source | graze), SOURCE: toward, GRAZE: graze, MIRROR: mirror}
     return {name: rows for name, some in found.items() if (rows := np.flatnonzero(some)).size >= FEWEST}
 
 
@@ -436,9 +330,10 @@ def _levels(c: Change, regions: Mapping[str, Ints], beside: Sequence[Floats] = (
     for k, name in enumerate(kept):
         some, n = slice(ends[k], ends[k + 1]), int(ends[k + 1] - ends[k])
         excess = max(float(rest[some] @ rest[some]) / max(n - 1, 1) - float(stated[some].mean()), 0.0)
+        noise = math.sqrt(float(inverse[k, k]))
         u = math.sqrt(excess / n + (0.0 if c.covariance is None else float(inverse[k, k])))
         factor = math.exp(float(np.clip(found[k], -30.0, 30.0)))
-        out.append(Level(name, n, factor, factor * u))
+        out.append(Level(name, n, factor, factor * u, factor * (u if c.covariance is None else noise)))
     return out
 
 
@@ -446,8 +341,8 @@ def _apart(one: Level, common: Level) -> bool:
     """Whether the factor of a region differs from the common one. Causes that both share make this cautious."""
     if one is common:
         return False
-    u = math.hypot(one.u / max(one.factor, 1e-12), common.u / max(common.factor, 1e-12))
-    return _stands(one.log - common.log, u, max(LEAST, SHARE * abs(common.log)))
+    u = math.hypot(one.noise / one.factor, common.noise / common.factor)
+    return stands(one.log - common.log, u, max(LEAST, SHARE * abs(common.log)))
 
 
 def _apart_each(levels: Sequence[Level]) -> list[Level]:
@@ -458,7 +353,7 @@ def _apart_each(levels: Sequence[Level]) -> list[Level]:
     return [replace(one, apart=_apart(one, middle)) for one in levels]
 
 
-def _holds_as_much(lobes: _Lobes, common: Level) -> bool:
+def _holds_as_much(lobes: Lobes, common: Level) -> bool:
     """Whether height times width squared, above what stands beside, is in the common factor."""
     ratios = [
         math.log((y.height - y.base) / (x.height - x.base)) + 2.0 * math.log(y.width / x.width)
@@ -468,16 +363,16 @@ def _holds_as_much(lobes: _Lobes, common: Level) -> bool:
     return bool(ratios) and abs(float(np.mean(ratios)) - common.log) <= AS_MUCH
 
 
-def _colour(c: Change) -> dict[str, list[Level]]:
-    """For `Pair`: the factor at each wavelength, of at most `MOST_CURVES`."""
+def _colour(c: Change) -> list[Level]:
+    """The factor at each wavelength, of at most `MOST_CURVES`."""
     rows = RowsAt(c.at.wavelength_nm)
     known = [w for w in c.at.wavelengths if not math.isnan(w)]
     waves = [known[k] for k in evenly(len(known), MOST_CURVES)] if len(known) > 1 else []
     regions = {f"{w:g} nm": here for w in waves if (here := rows.at(w)).size >= FEWEST}
-    return {"colour": _apart_each(_levels(c, regions))}
+    return _apart_each(_levels(c, regions))
 
 
-def _kinds(out: Pair, lobes: _Lobes) -> Pair:
+def _kinds(out: Pair, lobes: Lobes) -> Pair:
     """A pair that is told as of different kinds where a factor and a width say nothing of both."""
     if out.missing or not lobes.pairs or not any(lobes.exist):
         return out

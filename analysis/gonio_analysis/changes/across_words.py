@@ -4,7 +4,8 @@ import math
 from collections.abc import Sequence
 
 from gonio.shown import number, with_u
-from gonio_analysis.changes.across import ALL, AWAY, GRAZE, MIRROR, SOURCE, Across, Found, Level, Pair
+from gonio_analysis.changes.across import ALL, AWAY, GRAZE, MIRROR, SOURCE, Across, Level, Pair
+from gonio_analysis.changes.lobe_pairs import Found
 from gonio_analysis.curves.lobes import GRAZING, RISE
 
 ALIKE = 0.005

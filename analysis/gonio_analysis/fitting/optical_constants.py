@@ -188,8 +188,9 @@ def _stored(file: Path) -> dict[str, str]:
     except ValueError as error:
         raise ConfigError(f"{file}: is not valid TOML: {error}") from None
     said = found.get(KEY)
-    named = said if isinstance(said, dict) else {EVERY: said}
-    if set(found) != {KEY} or not all(isinstance(text, str) and text for text in named.values()):
+    every = said if isinstance(said, dict) else {EVERY: said}
+    named = {str(name): text for name, text in every.items() if isinstance(text, str) and text}
+    if set(found) != {KEY} or len(named) < len(every):
         raise ConfigError(f'{file}: one key is needed, as {KEY} = "Au", or {KEY} = {{gold = "Au"}} by sample')
     return named
 

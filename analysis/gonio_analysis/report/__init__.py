@@ -15,7 +15,17 @@ from gonio.models.parameters import Ior
 from gonio.typing import DataFrame
 from gonio_analysis.curves.in_plane import Normalise
 from gonio_analysis.fitting.optical_constants import Constants, Sample, Taken
-from gonio_analysis.report import beyond_reflection, detail_figures, figures, files, lost, page, sections, viewer
+from gonio_analysis.report import (
+    across,
+    beyond_reflection,
+    detail_figures,
+    figures,
+    files,
+    lost,
+    page,
+    sections,
+    viewer,
+)
 from gonio_analysis.report.blocks import titled
 from gonio_analysis.report.comparison import summarise
 from gonio_analysis.report.drawing import Drawing, FigureWorkers, figure_workers
@@ -131,7 +141,7 @@ def make(
                     progress(f"{dataset.name}: fitted ({len(fitted)} of {len(jobs)})")
                 datasets = [fitted[k] for k in range(len(jobs))]
             every = names + [t.name for t in transmission_only]
-            write(
+            summary = write(
                 datasets,
                 stage.work,
                 title=" and ".join(every) if len(every) <= 2 else f"{len(every)} samples",
@@ -142,7 +152,7 @@ def make(
                 workers=workers,
                 progress=progress,
             )
-    for said in taken.remember():
+    for said in [*taken.remember(), *(summary.comparison.verdict if summary.comparison else ())]:
         progress(said)
     return Path(out) / "index.html"
 
@@ -233,6 +243,8 @@ def write(
     groups = _drawings(both, radius)
     for t, slug in zip(transmission_only, slugs, strict=True):
         groups.append(_kept("figures", t.name, partial(beyond_reflection.draw, t, (), slug)))
+    if len(datasets) > 1:
+        groups.append(_kept("figures", "all samples", partial(across.draw, datasets)))
     wanted = [drawing for group in groups for drawing in group]
     room, listed = viewer.BYTES // max(len(datasets), 1), list[str]()
     views: list[viewer.View | None] = []
@@ -249,7 +261,8 @@ def write(
     drawn = [[next(rest) for _ in group] for group in groups]
 
     bare = {"index.html": titled(summary.title)}
-    pages = lost.kept("the page", lambda: page.render(summary, drawn, views), lambda loss: bare)
+    own_drawn = drawn[: len(datasets) + len(transmission_only)]
+    pages = lost.kept("the page", lambda: page.render(summary, own_drawn, views), lambda loss: bare)
     files.write_pages(folder, pages, summary, every)
     return summary
 

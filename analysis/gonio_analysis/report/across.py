@@ -1,25 +1,22 @@
-"""Several samples beside each other, for a page: what is said of them, and one plot with all at each incidence."""
+"""One plot of several samples, all of them at each incidence: for the page, and for print and files."""
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
 import numpy as np
 
-from gonio.cli.console import Say, silent
-from gonio_analysis.changes import across_words
-from gonio_analysis.changes.across import Across, across, same_incidence
-from gonio_analysis.changes.point_by_point import Side, laid_on, of_table
+from gonio_analysis.changes.lobe_pairs import same_incidence
+from gonio_analysis.changes.point_by_point import laid_on
 from gonio_analysis.curves.in_plane import MOST_CURVES, Curve, Line, curves, evenly, labels
 from gonio_analysis.fitting.observations import Observations
 from gonio_analysis.plots import in_plane, thinning
 from gonio_analysis.report import viewer
+from gonio_analysis.report.comparison import sides_of
 from gonio_analysis.report.drawing import Drawing
 from gonio_analysis.report.figures import key
 from gonio_analysis.result_records import finite
-from gonio_analysis.selection.across_models import AcrossModels, across_models
 from gonio_analysis.selection.compare import Dataset
 
 MOST_SAMPLES = 6
@@ -32,29 +29,6 @@ MOST_DRAWN = 1200
 """Values in one panel."""
 SPIKE = 30.0
 """Largest value over the median above which a logarithmic plot comes first: a polar one shows the highest sample."""
-
-
-@dataclass(frozen=True)
-class Comparison:
-    """What is said of several samples beside each other."""
-
-    verdict: list[str]
-    """At most two sentences, without models."""
-    details: list[str]
-    across: Across
-    models: AcrossModels | None
-    """What models say; None where none was fitted."""
-
-
-def compare_samples(datasets: Sequence[Dataset], say: Say = silent) -> Comparison:
-    """Hold the first sample against every other one, without and with models."""
-    found = across(_sides(datasets), wavelength_nm=finite(datasets[0].wavelength_nm), say=say)
-    models = across_models(datasets) if any(d.fitted for d in datasets) else None
-    return Comparison(across_words.verdict(found), across_words.details(found), found, models)
-
-
-def _sides(datasets: Sequence[Dataset]) -> list[Side]:
-    return [of_table(d.title, d.source, d.table, d.data.u_rel_assumed) for d in datasets]
 
 
 Together = list[tuple[str, Curve]]
@@ -72,7 +46,7 @@ def view(datasets: Sequence[Dataset], room: int = viewer.BYTES) -> viewer.View |
         For the data, in bytes; longer curves are thinned, and `note` says so.
     """
     shown = datasets[:MOST_SAMPLES]
-    data = _laid([side.measured for side in _sides(shown)])
+    data = _laid([side.measured for side in sides_of(shown)])
     names = [d.title for d in shown]
     waves = _waves(data, finite(shown[0].wavelength_nm))
     every = {nm: _together(names, [x if nm is None else x.nearest(nm)[0] for x in data]) for nm in waves}
@@ -170,6 +144,13 @@ def draw(datasets: Sequence[Dataset]) -> list[Drawing]:
     return [Drawing("samples", "samples", "", caption, caption, (7.0, 0.5 + 2.1 * rows), on)]
 
 
+def _rim(lines: Sequence[Line]) -> float:
+    """A round number just above all values."""
+    top = max(float(line.theory.max(initial=0.0)) for line in lines)
+    power = 10.0 ** math.floor(math.log10(top)) if top > 0.0 else 1.0
+    return next(step * power for step in (1.0, 2.0, 3.0, 4.0, 5.0, 8.0, 10.0) if top <= step * power or step == 10.0)
+
+
 def _on_panels(figure: Any, *, panels: Sequence[tuple[str, list[Line]]], logarithmic: bool) -> None:
     rows, columns = -(-len(panels) // 2), min(len(panels), 2)
     high = figure.get_figheight()
@@ -178,7 +159,6 @@ def _on_panels(figure: Any, *, panels: Sequence[tuple[str, list[Line]]], logarit
     for ax in axes.ravel()[len(panels) :]:
         ax.set_visible(False)
     for ax, (label, lines) in zip(axes.ravel(), panels, strict=False):
-        measured = [replace(x, angle=x.theory_angle, measured=x.theory) for x in lines]
         if logarithmic:
             for k, line in enumerate(lines):
                 some = line.theory > 0.0
@@ -187,7 +167,6 @@ def _on_panels(figure: Any, *, panels: Sequence[tuple[str, list[Line]]], logarit
             in_plane.angle_axis(ax)
             in_plane.clean(ax)
         else:
-            rim = in_plane.radius_of([x for x in measured if x.measured.size], math.inf)
-            in_plane.polar(ax, lines, radius=rim, radius_label="BRDF / sr⁻¹")
+            in_plane.polar(ax, lines, radius=_rim(lines), radius_label="BRDF / sr⁻¹")
         ax.set_title(label, fontsize=8, pad=2)
     key(figure, in_plane.handles(panels[0][1]), min(len(panels[0][1]), 3))

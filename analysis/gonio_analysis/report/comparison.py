@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any, TypeVar
 
 import numpy as np
@@ -11,14 +12,16 @@ from gonio.checks.symmetry import Pairs
 from gonio.geometry import AT_MIRROR, IN_PLANE
 from gonio.typing import DataFrame
 from gonio_analysis.appearance.quantities import of_table
+from gonio_analysis.changes import across, across_words, point_by_point
 from gonio_analysis.fitting.objective import BELOW, DESCRIPTIONS
 from gonio_analysis.fitting.observations import describe_left_out
 from gonio_analysis.report import checks, verdict
 from gonio_analysis.report.blocks import stamp
-from gonio_analysis.report.facts import DatasetSummary, Summary
+from gonio_analysis.report.facts import Comparison, DatasetSummary, Summary
 from gonio_analysis.report.lost import kept
 from gonio_analysis.report.text import number, slugs, spoken_difference
 from gonio_analysis.result_records import Appearance, MeasuredValue, as_json, finite
+from gonio_analysis.selection.across_models import across_models
 from gonio_analysis.selection.compare import Dataset
 from gonio_analysis.selection.judging import nearness
 
@@ -47,7 +50,23 @@ def summarise(datasets: Sequence[Dataset], *, title: str, normalise: str, comman
         log_metrics_above_u=BELOW,
         metrics={k: {"label": label, "meaning": meaning} for k, (label, meaning) in DESCRIPTIONS.items()},
         datasets=[_dataset(d, slug) for d, slug in zip(datasets, slugs([d.name for d in datasets]), strict=True)],
+        comparison=_comparison(datasets) if len(datasets) > 1 else None,
     )
+
+
+def _comparison(datasets: Sequence[Dataset]) -> Comparison:
+    """The first sample against every other one, without and with models."""
+    beside = partial(across.across, wavelength_nm=finite(datasets[0].wavelength_nm))
+    found = kept("the comparison of samples", lambda: beside(sides_of(datasets)), lambda loss: None)
+    models = kept("what models say of all samples", lambda: across_models(datasets), lambda loss: None)
+    said = ([], []) if found is None else (across_words.verdict(found), across_words.details(found))
+    return Comparison(*said, found, models if any(d.fitted for d in datasets) else None)
+
+
+def sides_of(datasets: Sequence[Dataset]) -> list[point_by_point.Side]:
+    """Samples with all their wavelengths, for what compares them point by point."""
+    made = point_by_point.of_table
+    return [made(d.title, d.source, d.table, d.data.u_rel_assumed) for d in datasets]
 
 
 def _title(title: str, datasets: Sequence[Dataset]) -> str:

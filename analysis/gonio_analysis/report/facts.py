@@ -7,6 +7,7 @@ from typing import Any
 from gonio import shown
 from gonio.checks.symmetry import Pairs
 from gonio.formats.reader import TableBand
+from gonio_analysis.changes.across import Across
 from gonio_analysis.report.drawing import Described
 from gonio_analysis.result_records import (
     WHERE_KNOWN,
@@ -17,6 +18,7 @@ from gonio_analysis.result_records import (
     Reflectance,
     RunFacts,
 )
+from gonio_analysis.selection.across_models import AcrossModels
 from gonio_analysis.selection.beyond_reflection import Polarisation, Transmitted
 from gonio_analysis.selection.choice import Choice
 from gonio_analysis.selection.compare import Fitted
@@ -94,6 +96,20 @@ class DatasetSummary:
 
 
 @dataclass(frozen=True)
+class Comparison:
+    """What is said of several samples beside each other."""
+
+    verdict: list[str]
+    """At most two sentences, without models."""
+    details: list[str]
+    """What it rests on, in sentences."""
+    across: Across | None
+    """None where nothing but the models is known."""
+    models: AcrossModels | None
+    """What models say, in `words`, and `remedies`; None where none was fitted."""
+
+
+@dataclass(frozen=True)
 class Summary:
     """A comparison of models on one or more samples."""
 
@@ -109,7 +125,14 @@ class Summary:
     metrics: dict[str, dict[str, str]]
     """Label and meaning of each."""
     datasets: list[DatasetSummary]
+    comparison: Comparison | None = None
+    """Of several samples beside each other; None of one."""
     transmission_only: Sequence[Transmitted] = field(default_factory=list)
     """Samples of which no reflection was measured."""
     figures: Sequence[Described] = ()
     tables: Sequence[str] = ()
+
+    @property
+    def across(self) -> Across | None:
+        """What is said of several samples without models."""
+        return None if self.comparison is None else self.comparison.across

@@ -440,7 +440,7 @@ def test_command_writes_a_report(tmp_path: Path, capsys: pytest.CaptureFixture[s
     with pytest.raises(ConfigError, match="two"):
         commands.compare([before], tmp_path / "one", change=True)
     with pytest.raises(ConfigError, match="--ior has no part in --change"):
-        commands.compare([before, after], tmp_path / "one", ior="Al", change=True)
+        commands.compare([before, after], tmp_path / "one", ior=["Al"], change=True)
 
 
 def test_unused_rows_are_looked_up_once_whatever_the_number_of_wavelengths(monkeypatch: pytest.MonkeyPatch) -> None:
