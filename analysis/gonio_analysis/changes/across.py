@@ -228,9 +228,8 @@ def _shapes(out: Pair, c: Change, lobes: Lobes) -> Pair:
     if one_alone or lobes.differences("height")[0].size:
         regions.pop(MIRROR, None)
     levels = _levels(c, regions, [c.zeros[angle] for angle in zeros])
-    common = max(
-        levels, key=lambda one: (one.where == AWAY, one.values), default=Level(MIRROR, 0, 1.0, math.nan, math.nan)
-    )
+    unknown = Level(MIRROR, 0, 1.0, math.nan, math.nan)
+    common = max(levels, key=lambda one: (one.where == AWAY, one.values), default=unknown)
     levels = [replace(one, apart=_apart(one, common)) for one in levels]
     known = common.log, 0.0 if math.isnan(common.u) else common.u / common.factor
     height, width = lobes.found("height", LEAST_HEIGHT, known), lobes.found("width", LEAST_WIDTH * lobes.widest)

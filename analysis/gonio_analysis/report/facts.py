@@ -125,7 +125,7 @@ class Summary:
     metrics: dict[str, dict[str, str]]
     """Label and meaning of each."""
     datasets: list[DatasetSummary]
-    comparison: Comparison | None = None
+    comparison: Comparison | None = field(default=None, metadata=WHERE_KNOWN)
     """Of several samples beside each other; None of one."""
     transmission_only: Sequence[Transmitted] = field(default_factory=list)
     """Samples of which no reflection was measured."""
