@@ -16,7 +16,7 @@ from gonio.typing import DataFrame
 from gonio_analysis.curves.in_plane import Normalise
 from gonio_analysis.fitting.optical_constants import Constants, Sample, Taken
 from gonio_analysis.report import (
-    across,
+    across_plot,
     beyond_reflection,
     detail_figures,
     figures,
@@ -244,7 +244,7 @@ def write(
     for t, slug in zip(transmission_only, slugs, strict=True):
         groups.append(_kept("figures", t.name, partial(beyond_reflection.draw, t, (), slug)))
     if len(datasets) > 1:
-        groups.append(_kept("figures", "all samples", partial(across.draw, datasets)))
+        groups.append(_kept("figures", "all samples", partial(across_plot.draw, datasets)))
     wanted = [drawing for group in groups for drawing in group]
     room, listed = viewer.BYTES // max(len(datasets), 1), list[str]()
     views: list[viewer.View | None] = []

@@ -12,10 +12,10 @@ from gonio.checks.symmetry import Pairs
 from gonio.geometry import AT_MIRROR, IN_PLANE
 from gonio.typing import DataFrame
 from gonio_analysis.appearance.quantities import of_table
-from gonio_analysis.changes import across, across_words, point_by_point
+from gonio_analysis.changes import point_by_point
 from gonio_analysis.fitting.objective import BELOW, DESCRIPTIONS
 from gonio_analysis.fitting.observations import describe_left_out
-from gonio_analysis.report import checks, verdict
+from gonio_analysis.report import across, across_words, checks, verdict
 from gonio_analysis.report.blocks import stamp
 from gonio_analysis.report.facts import Comparison, DatasetSummary, Summary
 from gonio_analysis.report.lost import kept

@@ -7,7 +7,7 @@ from typing import Any
 from gonio import shown
 from gonio.checks.symmetry import Pairs
 from gonio.formats.reader import TableBand
-from gonio_analysis.changes.across import Across
+from gonio_analysis.report.across import Across
 from gonio_analysis.report.drawing import Described
 from gonio_analysis.result_records import (
     WHERE_KNOWN,

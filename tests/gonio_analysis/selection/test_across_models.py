@@ -1,7 +1,7 @@
 """What models say of several samples: only such as describe all of them about as well as the nearest to each."""
 
 import pytest
-from gonio_analysis.report.across import draw, view
+from gonio_analysis.report.across_plot import draw, view
 from gonio_analysis.report.comparison import summarise
 from gonio_analysis.result_records import as_json
 from gonio_analysis.selection.across_models import across_models

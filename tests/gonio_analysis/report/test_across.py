@@ -10,9 +10,9 @@ from collections.abc import Callable
 import numpy as np
 import pandas as pd
 import pytest
-from gonio_analysis.changes.across import across
-from gonio_analysis.changes.across_words import brighter, details, verdict
 from gonio_analysis.changes.point_by_point import of_table
+from gonio_analysis.report.across import across
+from gonio_analysis.report.across_words import brighter, details, verdict
 
 from gonio.models import build
 from tests.gonio_analysis.synthetic import joined, known, measure

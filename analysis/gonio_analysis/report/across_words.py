@@ -4,9 +4,9 @@ import math
 from collections.abc import Sequence
 
 from gonio.shown import number, with_u
-from gonio_analysis.changes.across import ALL, AWAY, GRAZE, MIRROR, SOURCE, Across, Level, Pair
-from gonio_analysis.changes.lobe_pairs import Found
 from gonio_analysis.curves.lobes import GRAZING, RISE
+from gonio_analysis.report.across import ALL, AWAY, GRAZE, MIRROR, SOURCE, Across, Level, Pair
+from gonio_analysis.report.lobe_pairs import Found
 
 ALIKE = 0.005
 """A factor within so much of 1 is said as "as bright as"."""
