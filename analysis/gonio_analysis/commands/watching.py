@@ -34,9 +34,10 @@ class Shown:
 
 
 def page(nonce: str) -> bytes:
-    """The page as HTML; its style and its programs carry a nonce."""
+    """The page as HTML: the look and the programs of every page, and its own; all of them carry a nonce."""
     text = _file("watch.html")
-    parts = {"nonce": nonce, "style": "watch.css", "viewer": "viewer.js", "program": "watch.js"}
+    parts = {"nonce": nonce, "look": "style.css", "style": "watch.css"}
+    parts |= {"viewer": "viewer.js", "program": "watch.js", "every": "page.js"}
     for name, part in parts.items():
         text = text.replace("{{" + name + "}}", nonce if name == "nonce" else _file(part))
     return text.encode()

@@ -185,7 +185,19 @@
     });
   }
 
+  /** The answer, behind the state: how far it is, and what the values say. */
+  function drawVerdict() {
+    const one = (n, what, more) => (n ? `${n} ${n > 1 ? more : what}` : `no ${what}`);
+    const visits = curves && curves.visits.length ? curves.visits[0].points : [];
+    const change = visits.length > 1 ? `${Number((100 * (visits[visits.length - 1][1] / visits[0][1] - 1)).toPrecision(2))} %`.replace("-", "\u2212") : "";
+    const drift = change ? `; the reference has changed by ${change} since it was first measured` : "";
+    const flagged = one(flags.length, "step is flagged", "steps are flagged");
+    const done = `: ${status.done || 0} of ${status.total || "?"} steps. `;
+    text("verdict", steps ? `${done}${flagged[0].toUpperCase()}${flagged.slice(1)}${drift}.` : ": nothing is measured yet.");
+    text("drift-says", visits.length ? `${one(visits.length, "measurement", "measurements")}${change && `, changed by ${change}`}` : "no measurement yet");
+  }
   function drawStatus() {
+    drawVerdict();
     const s = status, step = s.latest;
     text("name", run.name || "gonio watch");
     text("about", [run.plan, run.sample, run.rig && `rig ${run.rig}`, run.bands && run.bands.join(", "), run.asked].filter(Boolean).join(" · "));
@@ -228,7 +240,9 @@
         return box;
       });
       $("axes").replaceChildren(...axes);
+      text("axes-says", axes.map((box) => [...box.children].map((part) => part.textContent).join(" ")).join(", "));
     }
+    text("sessions-say", sessions.length ? String(sessions.length) : "none yet");
     list("sessions", (s.sessions || []).slice(-50).map(([began, ended, count], k) => [["b", `${k + 1}`], ["", ` ${day(began)}, ${duration(ended - began)}, ${count} steps`]]), "None yet.");
     const need = s.needed_bytes ? `; about ${size(s.needed_bytes)} still needed` : "";
     text("disk", s.free_bytes ? `${size(s.free_bytes)} free on the disk${need}` : "");
@@ -236,13 +250,20 @@
   }
 
   function drawLists() {
-    text("flag-count", String(flags.length));
+    drawVerdict();
+    text("flag-count", flags.length ? String(flags.length) : "nothing");
+    const newest = events[events.length - 1];
+    text("events-say", newest ? `${newest.event.replaceAll("_", " ")} ${time(newest.wall)}` : "nothing yet");
+    const out = (run.left_out || []).reduce((sum, [, , count]) => sum + count, 0);
+    text("left-out-says", run.left_out ? `${out || "no"} points` : "nothing is known of the plan yet");
     list("flags", flags.slice(-MOST_LINES).reverse().map((e) => [["time", time(e.wall)], ["b", e.flag], ["", ` step ${e.step}${e.point === null ? "" : `, point ${e.point}`} ${angles(e.angles_deg)}`]]), "Nothing.");
     list("events", events.slice(-MOST_LINES).reverse().map(happened), "Nothing yet.");
     list("left-out", (run.left_out || []).map(([flag, reason, count]) => [["b", `${count} ${flag.replaceAll("_", " ")}`], ["", reason ? `: ${reason}` : ""]]), run.left_out ? "Nothing." : "Nothing is known of the plan yet.");
   }
 
   function drawCharts() {
+    drawVerdict();
+    text("levels-says", levels.length ? `last ${Math.round(100 * levels[levels.length - 1][1])} %, highest ${Math.round(100 * levels.reduce((most, [, level]) => Math.max(most, level), 0))} %` : "no step yet");
     chart($("levels"), [{ name: "level", points: levels }], { show: (v) => `${Math.round(100 * v)} %`, dots: levels.length < 200, floor: 0, ceiling: 1 });
     const visits = (curves ? curves.visits : []).map((v) => ({ name: v.name, points: v.points.map(([t, level, u]) => [t, 100 * (level - 1), u && 100 * u]) }));
     chart($("drift"), visits, { show: (v) => `${Number(v.toPrecision(3))} %`.replace("-", "\u2212"), dots: true });
@@ -258,6 +279,7 @@
       figure.append(said, picture);
       return figure;
     });
+    text("devices-say", figures.length ? `${figures.length} quantities` : steps ? "this rig tells nothing" : "nothing yet");
     if (figures.length) $("health").replaceChildren(...figures);
     else text("no-health", steps ? "This rig tells nothing of its devices." : "Nothing yet.");
   }
@@ -298,7 +320,7 @@
       const dot = svg(root, "circle", { cx: 200 + r * Math.cos(phi), cy: 200 - r * Math.sin(phi), r: map.points.length > 400 ? 3 : 6, fill, stroke: "#888", "stroke-width": 0.4 });
       svg(dot, "title", {}, `θr ${degrees(theta)}, Δφ ${degrees(dphi)}: ${value.toPrecision(4)} 1/sr`);
     }
-    if (logs.length) text("map-says", `Right: the mirror side. Colour: log BRDF, ${(10 ** low).toPrecision(2)} to ${(10 ** high).toPrecision(2)} 1/sr.`);
+    if (logs.length) text("map-says", `${map.label}: ${(10 ** low).toPrecision(2)} to ${(10 ** high).toPrecision(2)} 1/sr`);
   }
   $("map-of").addEventListener("change", drawMap);
 

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 from gonio_analysis import report
+from gonio_analysis.commands import watching
 from gonio_analysis.report import appearance, change, html, laboratories, map_change, map_page
 from gonio_analysis.report.blocks import (
     Block,
@@ -289,6 +290,21 @@ def test_one_title_and_identifiers_of_their_own(made: Made) -> None:
     assert len(named) == len(set(named)), sorted(name for name in named if named.count(name) > 1)
     inner = {target for target in re.findall(r'href="#([^"]+)"', text)}
     assert inner <= set(named)
+
+
+def test_the_live_page_has_the_frame_too() -> None:
+    """It fills itself, so that its text is looked at; `test_watch_browser` looks at it in a window."""
+    text = watching.page("nonce").decode().partition("<body>")[2].partition("<script")[0]
+    parts = ("<h1", "</header>", 'class="answer"', 'class="lead"', 'id="curves"', "<table", "<details", "<footer")
+    assert [text.count(part) for part in parts[:4]] == [1, 1, 1, 1]
+    at = [text.index(part) for part in parts]
+    assert at == sorted(at)
+    folds = re.findall(
+        r"<details[^>]*>\s*<summary><h3>[^<]+</h3><span class=\"result\"[^>]*>[^<]+</span></summary>", text
+    )
+    assert len(folds) == text.count("<details")
+    named = re.findall(r' id="([^"]+)"', text)
+    assert len(named) == len(set(named))
 
 
 @pytest.mark.slow

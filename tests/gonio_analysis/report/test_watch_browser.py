@@ -90,14 +90,14 @@ def test_a_run_is_waited_for_and_shown_as_it_is_measured(page: Page, played: Pla
     with served(played.path) as server:
         page.open(server.address, 1280)
         has(page, "state", "waiting")
-        at = page.run("document.querySelector('.columns').getBoundingClientRect().top")
+        at = page.run("document.querySelector('.beside').getBoundingClientRect().top")
         played.go_on(3)  # a session, the dark and the reference
         has(page, "done", "2")
         has(page, "state", "running")
         assert says(page, "total") == "24"
         played.go_on(4)
         has(page, "done", "6")
-        assert page.run("document.querySelector('.columns').getBoundingClientRect().top") == at, "nothing jumps"
+        assert page.run("document.querySelector('.beside').getBoundingClientRect().top") == at, "nothing jumps"
         page.until("document.querySelectorAll('#curves .stage g > [transform]').length > 0")
         page.until("!document.getElementById('frame').hidden && document.getElementById('frame').naturalWidth === 64")
         played.go_on(100)
