@@ -89,7 +89,7 @@ def _folds(c: Change, runs: Sequence[RunFacts | None], waves: Waves, figures: Se
     typical = spoken_difference(c.metrics["log_ratio"])
     out: list[Block] = []
     if said:
-        marked = f"typically {typical} apart" if v is None else _counted(int(v.marked.sum()))
+        marked = f"typically {typical} apart" if v is None else _marked(v)
         out += [Heading(3, "The comparison in full", marked), *(Paragraph(text) for text in said)]
     if figures:
         names = "where it is brighter, and by how many standard deviations" if v else "where it is brighter"
@@ -104,8 +104,12 @@ def _folds(c: Change, runs: Sequence[RunFacts | None], waves: Waves, figures: Se
     return out
 
 
-def _counted(marked: int) -> str:
-    return f"{marked or 'no single'} {'value has' if marked < 2 else 'values have'} changed"
+def _marked(v: Verdict) -> str:
+    """How many values changed, judged together."""
+    marked = int(v.marked.sum())
+    return (
+        f"{marked} {'value has' if marked == 1 else 'values have'} changed" if marked else "no single value stands out"
+    )
 
 
 # ---- what is said ----
@@ -128,9 +132,9 @@ def verdict(c: Change) -> list[str]:
         ]
     same = "the sample changed" if c.a.kind == c.b.kind else "the two disagree"
     head = f"{same[:1].upper()}{same[1:]}, by {_listed(v.found_by)}" if v.changed else f"No sign that {same}"
-    known = np.isfinite(v.u_scale)
-    factor = f"the common factor of B over A is {_factor(v)} (p {_p(v.p_scale)})" if known else f"{n} values"
-    return [f"{head}: {factor}.", *(_zeros_found(v) or [_typical(c)])]
+    if (zeros := _zeros_found(v)) and not v.factor.found:
+        return [f"{head}.", zeros[0]]
+    return [f"{head}: {_factor_words(v) or f'{n} values'}.", *(zeros[:1] or [_typical(c)])]
 
 
 def in_full(c: Change) -> list[str]:
@@ -145,11 +149,13 @@ def in_full(c: Change) -> list[str]:
         f"{v.beyond} of {n} values lie beyond 2 standard deviations, where {v.expected:.1f} are expected by chance.",
     ]
     marked, between = int(v.marked.sum()), int(np.count_nonzero(v.marked & (c.error > 0)))
-    out.append(f"Judged together, {_counted(marked) if marked else 'no single value stands out'}.")
+    out.append(f"Judged together, {_marked(v)}.")
     out += [f"About {100 * FALSE_DISCOVERIES:g} % of these are by chance."] if marked else []
     out += [f"{between} of them compared by interpolation: measure there before believing it."] if between else []
     found = _zeros_found(v)
     out += [*found[1:], _typical(c)] if found else []
+    if found and not v.factor.found and (factor := _factor_words(v)):
+        out.append(f"{factor[:1].upper()}{factor[1:]}.")
     out += [] if v.changed else _limits(v)
     return [*out, _agreement(c, "Beyond what they state they" if c.within.as_they_are > 0.0 else "They")]
 
@@ -166,6 +172,11 @@ def _listed(names: Sequence[str], last: str = "and") -> str:
 
 def _factor(v: Verdict) -> str:
     return with_u(1 + v.scale, v.u_scale)
+
+
+def _factor_words(v: Verdict) -> str:
+    """ "" where the values do not tell it."""
+    return f"the common factor of B over A is {_factor(v)} (p {_p(v.p_scale)})" if np.isfinite(v.u_scale) else ""
 
 
 def _degrees(x: Effect) -> str:

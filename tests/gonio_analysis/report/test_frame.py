@@ -85,6 +85,13 @@ def two_sides(folder: Path) -> object:
     return change.make(tables(folder), folder / "out")
 
 
+def two_with_a_zero(folder: Path) -> object:
+    rng = np.random.default_rng(3)
+    for name, zero in (("before", 0.0), ("after", 2.0)):
+        measurement.write(measured(rng, zero_deg=zero), folder / f"{name}.csv")
+    return change.make([str(folder / "before.csv"), str(folder / "after.csv")], folder / "out")
+
+
 def two_that_state_nothing(folder: Path) -> object:
     return change.make(tables(folder, uncertain=False), folder / "out")
 
@@ -210,7 +217,8 @@ def bench_of_maps(folder: Path) -> Page:
 
 
 KINDS: tuple[Callable[[Path], object], ...] = (
-    one_sample, two_sides, two_that_state_nothing, two_that_are_one, three_laboratories, appearance_of_a_model,
+    one_sample, two_sides, two_with_a_zero, two_that_state_nothing,
+    two_that_are_one, three_laboratories, appearance_of_a_model,
     a_map_of_fits, a_map_of_values, two_maps, a_verification, a_papers_figure, every_papers_figure, papers_pictures,
     bench_of_models, bench_of_scenes, bench_of_sweeps, bench_of_coverage, bench_of_materials, bench_of_maps,
 )  # fmt: skip
@@ -290,6 +298,18 @@ def test_one_title_and_identifiers_of_their_own(made: Made) -> None:
     assert len(named) == len(set(named)), sorted(name for name in named if named.count(name) > 1)
     inner = {target for target in re.findall(r'href="#([^"]+)"', text)}
     assert inner <= set(named)
+
+
+def test_a_comparison_has_one_factor(tmp_path: Path) -> None:
+    """0.62 was made; the page once said another one beside it, by other weights."""
+    two_sides(tmp_path)
+    text = (tmp_path / "out" / "index.html").read_text(encoding="utf-8").replace("\u00a0", " ")
+    words = re.sub(r"<[^>]+>|\s+", " ", re.sub(r"(?s)<(script|style|svg)\b.*?</\1>", "", text))
+    stated = re.findall(r"common factor of B over A(?: is)? +([\d.]+) ± ([\d.]+)", words)
+    assert len(stated) >= 2  # in the verdict and in the table
+    assert len(set(stated)) == 1
+    assert abs(float(stated[0][0]) - 0.62) < 4 * float(stated[0][1])
+    assert not re.search(r"divided by [\d.]", words)
 
 
 def test_the_live_page_has_the_frame_too() -> None:
