@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from gonio import seals
 from gonio.errors import ConfigError, DataError
+from gonio.shown import one_line
 
 if TYPE_CHECKING:
     from gonio.typing import Array
@@ -66,16 +67,18 @@ def opened(path: Path, data: bytes | None = None) -> Any:
     seals.look(path)
     try:
         file = h5py.File(path if data is None else io.BytesIO(data), "r")
+    except MemoryError:
+        raise
     except Exception as error:  # what HDF5 raises of damaged files is of any kind
-        raise DataError(f"{path}: is damaged: it cannot be read as HDF5: {str(error)[:200]}") from None
+        raise DataError(f"{path}: is damaged: it cannot be read as HDF5: {one_line(error, 200)}") from None
     try:
         _require_alone(file, path)
-    except DataError:
+    except (DataError, MemoryError):
         file.close()
         raise
     except Exception as error:
         file.close()
-        raise DataError(f"{path}: is damaged: {str(error)[:80]}") from None
+        raise DataError(f"{path}: is damaged: {one_line(error)}") from None
     return file
 
 

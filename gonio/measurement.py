@@ -29,7 +29,8 @@ from __future__ import annotations
 import io
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
@@ -105,7 +106,8 @@ def read(
             raise DataError(f"{path}: is empty")
         if _size(file) > LARGEST:
             raise DataError(f"{path}: is larger than {LARGEST >> 20} MiB, the largest file that is read")
-        frame = _parsed(file, path, format, columns, blank)
+        with _in_memory(path, _size(file)):
+            frame = _parsed(file, path, format, columns, blank)
     return frame if sample is None else _choose(frame, sample, path)
 
 
@@ -118,7 +120,21 @@ def parse(
     blank: Path | None = None,
 ) -> DataFrame:
     """The table in the bytes of a file, as `read` gives it, with the same errors; `path` names the file in messages."""
-    return _parsed(io.BytesIO(data), path, format, columns, blank)
+    with _in_memory(path, len(data)):
+        return _parsed(io.BytesIO(data), path, format, columns, blank)
+
+
+@contextmanager
+def _in_memory(path: Path, size: int) -> Iterator[None]:
+    """Turn want of memory into a `DataError` that names the file, and what was asked for."""
+    try:
+        yield
+    except MemoryError as error:
+        asked = f"; {error}" if str(error) else ""
+        raise DataError(
+            f"{path}: there is too little memory to read it: the file has {size / 2**20:.3g} MiB, and its table takes"
+            f" several times as much{asked}; free some memory, or read a part of it"
+        ) from None
 
 
 def _parsed(
@@ -146,6 +162,11 @@ def _parsed(
     content: Any = file if chosen.in_pieces else file.read()
     with np.errstate(all="ignore"):  # absurd numbers overflow to what `check` then names
         frame = chosen.read(content, path) if blank is None else rt300s.read(content, path, blank)
+    return _complete(frame, path, chosen, notes, stated)
+
+
+def _complete(frame: DataFrame, path: Path, chosen: Format, notes: list[str], stated: Floats | None) -> DataFrame:
+    """The table that a format's reader has made, checked, with its notes and the names of its samples."""
     if stated is not None:
         frame = one_value_a_direction(frame, stated, path)
     frame.attrs["notes"] = [*notes, *frame.attrs.get("notes", ())]

@@ -21,6 +21,11 @@ def visible(text: str) -> str:
     return _UNSEEN.sub(lambda found: found[0].encode("unicode_escape").decode(), text)
 
 
+def one_line(error: Exception, most: int = 80) -> str:
+    """What a library says of a file that it cannot read, in one line of at most so many characters."""
+    return visible(" ".join(str(error).split())[:most])
+
+
 def marked(name: str, simulated: bool) -> str:
     """A sample's name where people read it: simulated values are called so wherever they are named."""
     return name + " (simulated)" * simulated

@@ -21,6 +21,7 @@ from gonio.errors import DataError
 from gonio.formats._bird_writer import _STATES, _Variable, write
 from gonio.formats.native import checked_attributes
 from gonio.formats.reader import Format, fold, get, laboratory_of, one_value_a_direction, table
+from gonio.shown import one_line
 from gonio.typing import DataFrame, Floats, JsonObject
 
 _STOKES = {(1.0, 1.0, 0.0, 0.0): "s", (1.0, -1.0, 0.0, 0.0): "p", (1.0, 0.0, 0.0, 0.0): "u"}
@@ -201,7 +202,7 @@ def _load(data: bytes, path: Path) -> JsonObject:
     except json.JSONDecodeError as error:
         raise DataError(f"{path}, line {error.lineno}, column {error.colno}: {error.msg}") from None
     except (ValueError, RecursionError) as error:
-        raise DataError(f"{path}: is not valid JSON: {str(error)[:200]}") from None
+        raise DataError(f"{path}: is not valid JSON: {one_line(error, 200)}") from None
     if not isinstance(content, dict):
         raise DataError(f"{path}: a BiRD file is one JSON object")
     return content

@@ -20,6 +20,7 @@ from gonio.formats.column_hints import NEEDED
 from gonio.formats.curve_sheets import MOST, curves
 from gonio.formats.reader import Format, require_held, write_bytes
 from gonio.formats.sheets import WORDS
+from gonio.shown import one_line
 from gonio.typing import Array, DataFrame, Floats
 
 TABLE = "entry/table"
@@ -122,10 +123,10 @@ def read(data: bytes, path: Path) -> DataFrame:
             native.check_columns(names, f"{path}: {TABLE}", needed=NEEDED)
             columns = {name: _read_column(table, name, path) for name in names}
             stored = _stored(file, path)
-        except DataError:
+        except (DataError, MemoryError):
             raise
         except Exception as error:  # what HDF5 raises of damaged files is of any kind
-            raise DataError(f"{path}: the HDF5 file is damaged, or none of gonio: {str(error)[:80]}") from None
+            raise DataError(f"{path}: the HDF5 file is damaged, or none of gonio: {one_line(error)}") from None
     if len({len(column) for column in columns.values()}) != 1:
         raise DataError(f"{path}: the columns of entry/table differ in length")
     return native.taken(pd.DataFrame(columns), stored, path)

@@ -16,6 +16,7 @@ from gonio.formats import native, nexus
 from gonio.formats.column_hints import NEEDED
 from gonio.formats.reader import Format, write_bytes
 from gonio.formats.sheets import WORDS
+from gonio.shown import one_line
 from gonio.typing import DataFrame
 
 MAGIC = b"PAR1"
@@ -50,6 +51,8 @@ def read(file: BinaryIO, path: Path) -> DataFrame:
         content = ParquetFile(file)
         stored = json.loads((content.schema_arrow.metadata or {}).get(b"PANDAS_ATTRS", b"{}"))
         names, rows = [str(name) for name in content.schema_arrow.names], int(content.metadata.num_rows)
+    except MemoryError:
+        raise
     except Exception as error:  # what pyarrow raises of damaged files is of any kind
         raise _damaged(path, error) from None
     native.check_columns(names, str(path), needed=NEEDED)
@@ -62,6 +65,8 @@ def read(file: BinaryIO, path: Path) -> DataFrame:
         content = ParquetFile(file, metadata=content.metadata, read_dictionary=words)
         chunks = (_plain(batch.to_pandas(), factors) for batch in content.iter_batches(native.CHUNK))
         some = native.together(chunks, names, rows)
+    except MemoryError:
+        raise
     except Exception as error:
         raise _damaged(path, error) from None
     if some is None:
@@ -125,7 +130,7 @@ def _plain(frame: DataFrame, factors: Mapping[str, float]) -> DataFrame:
 
 
 def _damaged(path: Path, error: Exception) -> DataError:
-    return DataError(f"{path}: the Parquet file is damaged: {str(error)[:80]}")
+    return DataError(f"{path}: the Parquet file is damaged: {one_line(error)}")
 
 
 FORMAT = Format(

@@ -32,6 +32,7 @@ from gonio.formats.curve_sheets import curves
 from gonio.formats.reader import NOT_XML, Format, require_held, write_bytes
 from gonio.formats.sheets import Cell, Odd, Percent, Sheet, Takes, table_of, under_its_own_names
 from gonio.formats.xml_text import require_plain
+from gonio.shown import one_line
 from gonio.typing import DataFrame
 
 OLD, NEW = bytes.fromhex("d0cf11e0a1b11ae1"), b"PK\x03\x04"
@@ -74,10 +75,10 @@ def worksheets(data: bytes, path: Path) -> list[Sheet]:
                 left -= 1
                 if left < 0:
                     raise DataError(f"{path}: the workbook has more than {MOST_CELLS} cells")
-    except DataError:
+    except (DataError, MemoryError):
         raise
     except Exception as error:  # what the libraries raise of damaged files is of any kind
-        raise DataError(f"{path}: the workbook is damaged, encrypted, or none: {str(error)[:80]}") from None
+        raise DataError(f"{path}: the workbook is damaged, encrypted, or none: {one_line(error)}") from None
     return out
 
 

@@ -6,6 +6,7 @@ import re
 from xml.etree import ElementTree
 
 from gonio.errors import DataError
+from gonio.shown import one_line
 
 DEEPEST = 200
 """Most elements within each other."""
@@ -73,7 +74,7 @@ def root(data: bytes, where: str) -> ElementTree.Element:
         said = str(error).partition(":")[0]
         raise DataError(f"{where}, line {line}, column {column + 1}: not valid XML: {said}") from None
     except ValueError as error:  # a lone surrogate, or what expat does not take
-        raise DataError(f"{where}: not valid XML: {str(error)[:100]}") from None
+        raise DataError(f"{where}: not valid XML: {one_line(error, 100)}") from None
     if first is None:
         raise DataError(f"{where}: not valid XML: it is empty")
     return first
