@@ -119,6 +119,10 @@ class Variable:
     attrs: Mapping[str, Any] | None = None
 
 
+SETTINGS = "settings.json"
+"""The file of a folder of parts that tells what they are of."""
+
+
 class Parts:
     """The tiles of a map that are done, in the folder `NAME.parts` beside the map file.
 
@@ -141,7 +145,7 @@ class Parts:
         if path.exists() and not is_map(path):
             raise ConfigError(f"{path}: is there already, and no map; choose another name")
         text = json.dumps({"format": FORMAT, **settings}, sort_keys=True, indent=1).encode()
-        known = self.folder / "settings.json"
+        known = self.folder / SETTINGS
         with os_error_as(ConfigError, f"{self.folder}: cannot be written"):
             if known.exists():
                 if known.read_bytes() != text:
@@ -195,9 +199,10 @@ class Parts:
         unfinished.replace(self.path)
         for folder in (self.path.parent, self.folder):
             platform.sync_folder(folder)  # the file has its name on the disk before a tile goes
-        for tile in tiles(sizes["y"], sizes["x"]):
-            (self.folder / tile.name).unlink()
-        shutil.rmtree(self.folder)  # what the tiles are of goes after them
+        for part in sorted(self.folder.iterdir()):
+            if part.name != SETTINGS:
+                part.unlink()
+        shutil.rmtree(self.folder)  # what the parts are of goes after them: without it nobody knows whose they are
 
     @contextmanager
     def kept(self) -> Iterator[None]:
@@ -285,7 +290,7 @@ def _understood(what: str) -> Iterator[None]:
     """Turn whatever h5py raises of a file that it cannot make sense of into a `DataError`: `what`, and its reason."""
     try:
         yield
-    except GonioError:
+    except (GonioError, MemoryError):
         raise
     except Exception as error:
         reason = error.args[0] if isinstance(error, KeyError) and error.args else error  # its text has quotes

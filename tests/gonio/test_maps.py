@@ -263,6 +263,18 @@ def test_settings_that_are_no_text_are_those_of_another_map(tmp_path: Path) -> N
         Parts(tmp_path / "map.h5", {})
 
 
+def test_what_the_parts_are_of_goes_last(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A command that is killed while it tidies up can be given again, also where a run's pictures lie there."""
+    path, tile = tmp_path / "map.h5", Tile(slice(0, 64), slice(0, 64))
+    parts = Parts(path, {})
+    parts.write(tile, {"brdf": np.ones((64, 64))})
+    np.save(parts.folder / "plane-000001-0.npy", np.ones(3))
+    monkeypatch.setattr("gonio.maps.shutil.rmtree", lambda folder: None)
+    parts.assemble({"y": 64, "x": 64}, {"brdf": Variable(("y", "x"))}, {})
+    assert [left.name for left in parts.folder.iterdir()] == ["settings.json"]
+    Parts(path, {})
+
+
 @pytest.mark.parametrize("left", [0, 1, 100])
 def test_a_tile_that_is_damaged_is_named(tmp_path: Path, left: int) -> None:
     parts, tile = Parts(tmp_path / "map.h5", {}), Tile(slice(0, 64), slice(0, 64))
