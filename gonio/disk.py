@@ -10,12 +10,12 @@ import shutil
 import stat
 import sys
 import tempfile
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gonio import canvas, platform
+from gonio import canvas, lost, platform
 from gonio.errors import ConfigError, DataError, GonioError, os_error_as
 
 if TYPE_CHECKING:
@@ -120,11 +120,23 @@ def put(path: Path, data: bytes) -> None:
         write_whole(path, data)
 
 
-def put_picture(path: Path, figure: "Figure") -> None:
-    """Write a figure as PNG; raises `DataError`, which names it, where it cannot be written."""
-    drawn = BytesIO()
-    canvas.save(figure, drawn, format="png", dpi=110)
-    put(path, drawn.getvalue())
+def put_picture(path: Path, draw: Callable[[], "Figure | None"]) -> list[Path]:
+    """Write a figure, where there is one, as PNG; its path, as a list. One that cannot be drawn is lost (`gonio.lost`).
+
+    Raises `DataError`, which names it, where it cannot be written.
+    """
+
+    def drawn() -> bytes:
+        figure, stream = draw(), BytesIO()
+        if figure is not None:
+            canvas.save(figure, stream, format="png", dpi=110)
+        return stream.getvalue()
+
+    data = lost.kept(f"the picture {path.name}", drawn, lambda loss: b"")
+    if not data:
+        return []
+    put(path, data)
+    return [path]
 
 
 def is_stream(path: str | Path) -> bool:

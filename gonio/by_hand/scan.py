@@ -15,12 +15,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 
+from gonio import lost
 from gonio.acquisition import exposure
 from gonio.disk import put, put_picture
 from gonio.errors import ArgumentError, ConfigError, DataError
 from gonio.rig import Frame, Pose, kinematics, light_and_camera, regions
 from gonio.rig.description import RigDescription
-from gonio.typing import Axes, Floats
+from gonio.typing import Axes, Figure, Floats
 
 if TYPE_CHECKING:
     from gonio.by_hand.manual_rig import ManualRig
@@ -227,12 +228,17 @@ def write(table: pd.DataFrame, file: Path) -> Path:
 
     picture = file.with_suffix(".png")
     put(file, table.to_csv(index=False).encode())  # before anything that takes time, or may fail
-    from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(7.5, 4.8), layout="constrained")
-    plot(table, figure.subplots())
-    try:
-        put_picture(picture, figure)
-    except DataError as failure:
-        raise DataError(f"{failure}; the table itself is whole, in {file}") from None
+    def draw() -> Figure:
+        from matplotlib.figure import Figure as Canvas
+
+        figure = Canvas(figsize=(7.5, 4.8), layout="constrained")
+        plot(table, figure.subplots())
+        return figure
+
+    with lost.whole(file):
+        try:
+            put_picture(picture, draw)
+        except DataError as failure:
+            raise DataError(f"{failure}; the table itself is whole, in {file}") from None
     return picture

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from gonio import lost
 from gonio.acquisition import exposure
 from gonio.by_hand import frame_analysis
 from gonio.disk import free_name, put, put_picture
@@ -166,7 +167,8 @@ def _write(shot: Snapshot, file: Path, picture: Path) -> None:
         if not good:
             raise DataError(f"{file}: the frame cannot be written as {file.suffix}")
         put(file, data.tobytes())
-    try:
-        put_picture(picture, shot.draw())
-    except DataError as failure:
-        raise DataError(f"{failure}; the frame itself is whole, in {file}") from None
+    with lost.whole(file):
+        try:
+            put_picture(picture, shot.draw)
+        except DataError as failure:
+            raise DataError(f"{failure}; the frame itself is whole, in {file}") from None

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from gonio import platform
+from gonio import lost, platform
 from gonio.acquisition.measure import find_rig
 from gonio.by_hand import alignment, rig_file
 from gonio.by_hand.alignment import Alignment
@@ -77,13 +77,14 @@ def align(
         _take(rig, manual, scans, only, free_name(out, "scans", ".csv"), yes=yes)
         description, table = manual.description, scans.table
     found = alignment.align(table, description)
-    put_picture(picture, alignment.draw(table, found))
-    _show(found, description)
-    values = alignment.zero_values(found, description)
-    if not values:
-        raise DataError(f"{out} is not written: these scans determine no zero alone")
-    rig_file.write_values(rig, values, out=out)
-    console.show(f"{out}: {', '.join(found.zeros)}", str(picture))
+    with lost.whole(out):
+        pictures = put_picture(picture, lambda: alignment.draw(table, found))
+        _show(found, description)
+        values = alignment.zero_values(found, description)
+        if not values:
+            raise DataError(f"{out} is not written: these scans determine no zero alone")
+        rig_file.write_values(rig, values, out=out)
+        console.show(f"{out}: {', '.join(found.zeros)}", *map(str, pictures))
 
 
 def _take(rig: str, manual: ManualRig, scans: Scans, only: str, file: Path, *, yes: bool) -> None:

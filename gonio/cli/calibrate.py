@@ -5,6 +5,7 @@ from typing import Annotated, Literal
 
 import typer
 
+from gonio import lost
 from gonio.cli.opened import RigOption, Search, Seed, WavelengthOption, Yes
 
 app = typer.Typer(no_args_is_help=True)
@@ -118,4 +119,5 @@ def light(
 
     earlier = work.Files(series, flats, spectra, lines, lamp_polariser, camera_polariser)
     asked = work.Asked(only, minutes=minutes, every_s=every, wavelength_nm=wavelength, seed=seed, yes=yes)
-    work.calibrate(rig, out, earlier, asked, valid_days)
+    with lost.whole(out):
+        work.calibrate(rig, out, earlier, asked, valid_days)

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
+from gonio import lost
 from gonio.acquisition.measure import find_rig
 from gonio.by_hand.manual_rig import ManualRig, usual_band
 from gonio.calibration.camera import CameraCalibration, calibrate_response, draw, require_8_bits
@@ -81,13 +82,11 @@ def calibrate(
     if found.maps is not None:
         found.maps.write(maps)
         written.append(maps)
-    figure = draw(found, description.camera)
-    if figure is not None:
-        put_picture(picture, figure)
-        written.append(picture)
-    write_calibration(file, out)
-    _show(found, description.camera)
-    console.show(*map(str, written))
+    with lost.whole(out):
+        written += put_picture(picture, lambda: draw(found, description.camera))
+        write_calibration(file, out)
+        _show(found, description.camera)
+        console.show(*map(str, written))
 
 
 def _has_response(description: RigDescription, rig: str) -> bool:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from gonio import lost
 from gonio.acquisition.measure import RigChoice, find_rig
 from gonio.by_hand.manual_rig import ManualRig
 from gonio.calibration import camera_scan, fiducials, intrinsics
@@ -102,7 +103,8 @@ def calibrate(
         _require_axes(sightings, filed, scans)
     elif holders or lens is None:
         sightings, contradiction = _measured(choice, out, holders or None, asked)
-    _finish(out, filed, lens, sightings, valid_days, [f"WARNING: {contradiction}"] if contradiction else [])
+    with lost.whole(out):
+        _finish(out, filed, lens, sightings, valid_days, [f"WARNING: {contradiction}"] if contradiction else [])
 
 
 def _require_axes(sightings: Sequence[Sighting], description: RigDescription, scans: Path) -> None:
@@ -242,11 +244,11 @@ def _finish(
     calibration = Calibration.made_today(
         "geometry", filed, valid_days, values=tables, uncertainty=known, measured=measured, notes=notes
     )
-    picture = out.with_name(f"{out.stem}-residuals.png")
+    pictures: list[Path] = []
     if fit is not None:
-        put_picture(picture, geometric.draw(fit))
+        pictures = put_picture(out.with_name(f"{out.stem}-residuals.png"), lambda: geometric.draw(fit))
     elif lens is not None:
-        put_picture(picture, intrinsics.draw(lens))
+        pictures = put_picture(out.with_name(f"{out.stem}-residuals.png"), lambda: intrinsics.draw(lens))
     with os_error_as(DataError, f"{out}: cannot be written"):
         write_calibration(calibration, out)
     _show_numbers(filed, tables, dict(zip(paths, known.u, strict=True)))
@@ -258,7 +260,7 @@ def _finish(
             f"{len(sightings)} sightings determine {fit.rank} of {len(fit.unknowns)} directions; "
             f"misfit {fit.misfit:.2f}"
         )
-    console.show(*remarks, f"{out}: {len(paths)} numbers, valid until {calibration.valid_until}", str(picture))
+    console.show(*remarks, f"{out}: {len(paths)} numbers, valid until {calibration.valid_until}", *map(str, pictures))
 
 
 def _show_numbers(filed: RigDescription, tables: TomlTable, u: dict[str, float]) -> None:

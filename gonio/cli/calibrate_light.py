@@ -2,6 +2,7 @@
 
 import contextlib
 import math
+from collections.abc import Callable
 from dataclasses import astuple, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -25,7 +26,7 @@ from gonio.rig.calibration_files import Calibration, covariance_of, known_parame
 from gonio.rig.calibration_use import ParameterUncertainty
 from gonio.rig.description import RigDescription
 from gonio.shown import apart
-from gonio.typing import Floats, TomlTable
+from gonio.typing import Figure, Floats, TomlTable
 
 NO_ZERO_DEG = 10.0
 """No zero is off by as much: `gonio calibrate geometry` expects none there."""
@@ -183,7 +184,7 @@ def _lamp(series: Path, description: RigDescription, out: Path, found: _Found) -
     table = lamp_stability.read_series(series)
     time_s, signal, u = (table[name].to_numpy() for name in lamp_stability.COLUMNS[:3])
     stability = lamp_stability.fit(time_s, signal, u)
-    _picture(found, out, "series", lamp_stability.draw(table, stability))
+    _picture(found, out, "series", lambda: lamp_stability.draw(table, stability))
     stability.require_model()
     values, names, covariance = lamp_stability.values(stability)
     found.add("lamp", values, [f"lamp.{name}" for name in names], covariance)
@@ -218,7 +219,7 @@ def _lamp(series: Path, description: RigDescription, out: Path, found: _Found) -
 def _beam(flats: Path, description: RigDescription, out: Path, found: _Found) -> None:
     table = beam.read_flats(flats)
     profile = beam.fit(table)
-    _picture(found, out, "flats", beam.draw(table, profile))
+    _picture(found, out, "flats", lambda: beam.draw(table, profile))
     names = list(type(profile.beam).model_fields)
     values = dict(zip(names, profile.beam.terms(), strict=True))
     covariance = profile.covariance + _by_zeros(description, table, profile, found)
@@ -292,7 +293,6 @@ def _polarisation(earlier: Files, found: _Found) -> None:
             found.notes.append(f"the polarisation of the {table} is not corrected for: it is in the budget")
 
 
-def _picture(found: _Found, out: Path, what: str, figure: Any) -> None:
+def _picture(found: _Found, out: Path, what: str, draw: Callable[[], Figure]) -> None:
     file = free_name(out, what, ".png")
-    put_picture(file, figure)
-    found.pictures.append(str(file))
+    found.pictures += map(str, put_picture(file, draw))

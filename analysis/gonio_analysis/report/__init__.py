@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from gonio import measurement
+from gonio import lost, measurement
 from gonio.errors import ConfigError
 from gonio.measurement import Reading, of_reader, said_once
 from gonio.models.parameters import Ior
@@ -21,7 +21,6 @@ from gonio_analysis.report import (
     detail_figures,
     figures,
     files,
-    lost,
     page,
     sections,
     viewer,
@@ -101,7 +100,7 @@ def make(
     ConfigError, DataError
         From reading, fitting and writing; then nothing is left behind.
     Incomplete
-        The page is there, and names parts that could not be made (`gonio_analysis.report.lost`).
+        The page is there, and names parts that could not be made (`gonio.lost`).
     """
 
     check_models(models)

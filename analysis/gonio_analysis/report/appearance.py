@@ -8,14 +8,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from gonio import measurement
+from gonio import lost, measurement
 from gonio.errors import ConfigError
 from gonio.measurement import Reading
 from gonio.typing import Floats
 from gonio_analysis.appearance.glossmeter import GLOSSMETERS, SOURCE_DEG
 from gonio_analysis.appearance.of_models import of_sample
 from gonio_analysis.appearance.quantities import of_table
-from gonio_analysis.report import files, frame, lost
+from gonio_analysis.report import files, frame
 from gonio_analysis.report.blocks import (
     Block,
     Figures,

@@ -10,8 +10,8 @@ from dataclasses import dataclass, field, replace
 from importlib.metadata import version
 from typing import Any, Literal, TypedDict
 
+from gonio.lost import Loss, so_far
 from gonio_analysis.report.drawing import Figure
-from gonio_analysis.report.lost import Loss, so_far
 from gonio_analysis.report.terms import MEANINGS
 from gonio_analysis.report.text import cause, cut, glued, meaning
 from gonio_analysis.report.viewer import View

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from gonio import lost
 from gonio.measurement import Reading, of_reader, said_once
 from gonio_analysis.changes.point_by_point import Change, Compared, compared, side
 from gonio_analysis.changes.resampling import RowsAt
@@ -15,7 +16,7 @@ from gonio_analysis.curves.in_plane import Curve, curves, labels, selection
 from gonio_analysis.fitting.objective import DESCRIPTIONS
 from gonio_analysis.fitting.observations import Observations
 from gonio_analysis.plots import thinning
-from gonio_analysis.report import change_figures, change_page, files, lost, viewer
+from gonio_analysis.report import change_figures, change_page, files, viewer
 from gonio_analysis.report.blocks import Stamp, stamp, titled
 from gonio_analysis.report.change_page import Waves
 from gonio_analysis.report.drawing import FigureWorkers, figure_workers

@@ -14,12 +14,11 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-from gonio import canvas, platform
+from gonio import canvas, lost, platform
 from gonio.cli.console import Say, silent
 from gonio.shown import visible
 from gonio_analysis.plots.style import apart
 from gonio_analysis.processes import Outcome, Processes
-from gonio_analysis.report import lost
 
 SVG = {
     "svg.fonttype": "none",

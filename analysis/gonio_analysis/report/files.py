@@ -21,14 +21,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gonio import platform
+from gonio import lost, platform
 from gonio.acquisition.run_folder import check_writable
 from gonio.disk import MANIFEST, NOT_OWN, foreign_files, manifest_of, remove_own, require_name, write_manifest
 from gonio.errors import ConfigError, os_error_as
 from gonio.formats.text import cell_of
 from gonio.shown import visible
 from gonio.typing import Floats, JsonObject
-from gonio_analysis.report import html, lost, viewer
+from gonio_analysis.report import html, viewer
 from gonio_analysis.report.blocks import Page, titled, with_notice
 from gonio_analysis.report.comparison import VALUES, usable
 from gonio_analysis.report.facts import DatasetSummary, Summary
@@ -74,7 +74,8 @@ def written(path: Path, write: Callable[[Path], object]) -> list[str]:
         path.unlink(missing_ok=True)
         return []
 
-    return lost.kept(f"tables/{path.name}", make, instead)
+    within = "tables/" if path.parent.name == "tables" else ""
+    return lost.kept(f"{within}{path.name}", make, instead)
 
 
 def _parameters(summary: Summary, path: Path) -> None:
@@ -269,7 +270,7 @@ def staged(folder: str | Path) -> Iterator[Staged]:
     ConfigError
         The folder cannot be written, or holds something that this program did not write.
     Incomplete
-        All is written, but for parts that could not be made (`gonio_analysis.report.lost`).
+        All is written, but for parts that could not be made (`gonio.lost`).
     """
     shown = Path(folder)
     require_name(shown)
@@ -322,13 +323,10 @@ def write_pages(folder: Path, pages: Mapping[str, Page], summary: object, figure
     for figure in figures:
         if not figure.failed:
             lost.kept(f'files of figure "{figure.name}"', partial(_write_figure, folder, figure), lambda loss: None)
-    content = lost.kept("summary.json", partial(_plain, summary), lambda loss: {})
+    content = lost.kept("summary.json", partial(plain, summary), lambda loss: {})
     for name, page in pages.items():
-        made = lost.kept(f"the page {name}", partial(_encoded, page), lambda loss: None)
-        (folder / name).write_bytes(_encoded(titled(page.title)) if made is None else made)
-    if failed := lost.so_far():
-        content |= {"failed": as_json(failed)}
-    (folder / "summary.json").write_bytes(_as_text(content))
+        (folder / name).write_bytes(encoded(name, page))
+    (folder / "summary.json").write_bytes(as_text(content))
 
 
 def _write_figure(folder: Path, figure: Figure) -> None:
@@ -339,19 +337,39 @@ def _write_figure(folder: Path, figure: Figure) -> None:
         (drawn / f"{figure.name}.png").write_bytes(figure.png)
 
 
-def _plain(summary: object) -> JsonObject:
+def plain(summary: object) -> JsonObject:
     """What JSON can hold of a summary; an error where it cannot hold all of it."""
     content: JsonObject = as_json(summary)
-    _as_text(content)
+    _encoded_json(content)
     return content
 
 
-def _as_text(content: JsonObject) -> bytes:
+def as_text(content: JsonObject) -> bytes:
+    """The numbers of a page (`plain`) as a file of JSON, with what the page has lost."""
+    failed = lost.so_far()
+    return _encoded_json(content | {"failed": as_json(failed)} if failed else content)
+
+
+def _encoded_json(content: JsonObject) -> bytes:
     return (json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n").encode()
+
+
+def encoded(name: str, page: Page) -> bytes:
+    """A page as the file of this name, with what it has lost; where it cannot be written, its title and that."""
+    made = lost.kept(f"the page {name}", partial(_encoded, page), lambda loss: None)
+    return _encoded(titled(page.title)) if made is None else made
 
 
 def _encoded(page: Page) -> bytes:
     return html.document(with_notice(page)).encode()
+
+
+def drawn_and_said(
+    title: str, draw: Callable[[], Sequence[Figure]], render: Callable[[Sequence[Figure]], Page]
+) -> tuple[Sequence[Figure], Page]:
+    """The figures of a page, and the page with them, as far as they can be made."""
+    figures = lost.kept("figures", draw, lambda loss: [])
+    return figures, lost.kept("the page", lambda: render(figures), lambda loss: titled(title))
 
 
 def write_page(folder: Path, page: Page, summary: object, figures: Iterable[Figure] = ()) -> None:

@@ -6,12 +6,13 @@ from pathlib import Path
 
 import numpy as np
 
+from gonio import lost
 from gonio.errors import ConfigError
 from gonio.measurement import Reading, of_reader, said_once
 from gonio_analysis.changes.consensus import METHODS, Consensus
 from gonio_analysis.changes.laboratories import LEVEL, Comparison, Laboratory, compared
 from gonio_analysis.changes.point_by_point import side
-from gonio_analysis.report import change_figures, files, frame, lost
+from gonio_analysis.report import change_figures, files, frame
 from gonio_analysis.report.blocks import (
     Figures,
     Heading,

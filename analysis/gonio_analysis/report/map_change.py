@@ -7,9 +7,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from gonio import lost
 from gonio_analysis.changes.pixel_by_pixel import MapChange, ParameterChange, change
 from gonio_analysis.changes.verdict import FALSE_DISCOVERIES
-from gonio_analysis.report import files, frame, lost, map_layers
+from gonio_analysis.report import files, frame, map_layers
 from gonio_analysis.report.blocks import (
     Figures,
     Heading,

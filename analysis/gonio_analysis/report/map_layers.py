@@ -20,6 +20,7 @@ from gonio.maps import FIT_FLAGS, FitFile, MapFile
 from gonio.typing import Floats
 from gonio_analysis.plots import pixels
 from gonio_analysis.plots.pixels import Extent
+from gonio_analysis.report.blocks import Block
 from gonio_analysis.report.drawing import Drawing
 from gonio_analysis.report.text import model_slugs, number
 
@@ -143,8 +144,8 @@ class Told:
     total: int
     drawings: list[Drawing]
     summary: dict[str, object]
-    view: dict[str, Any]
-    """What the page holds for its program (`map_view`)."""
+    view: Block
+    """The interactive plot (`map_view`), or what stands in its place."""
     materials: Materials | None = None
 
 

@@ -6,17 +6,19 @@ Of a map of values it shows values towards the mirror direction, their u, and wh
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
+from gonio import lost
 from gonio.errors import ConfigError
 from gonio.geometry import Directions
 from gonio.maps import FLAGS, FitFile, MapFile, Tile
 from gonio.reduction.threads import in_threads
 from gonio_analysis.curves.in_plane import evenly
-from gonio_analysis.report import files, frame, html, lost, map_layers, map_view
+from gonio_analysis.report import files, frame, html, map_layers, map_view
 from gonio_analysis.report.blocks import (
     Block,
     Figures,
@@ -30,14 +32,16 @@ from gonio_analysis.report.blocks import (
     figures_of,
     footer,
     lead,
+    missing,
     stamp,
     table,
     titled,
 )
-from gonio_analysis.report.drawing import Figure, figure_workers
+from gonio_analysis.report.drawing import Drawing, Figure, figure_workers
 from gonio_analysis.report.files import write_csv
 from gonio_analysis.report.map_layers import SEVERE, Grid, Layer, Materials, Real, Told
 from gonio_analysis.report.page import MOST_BYTES
+from gonio_analysis.report.section import parts
 from gonio_analysis.report.text import number, percent, with_u
 
 SHOWN = 4
@@ -74,24 +78,52 @@ def _of_values(path: Path, progress: Callable[[str], None]) -> Told:
         ]  # fmt: skip
         points, pixels = len(at), grid.shape[0] * grid.shape[1]
         kind = np.where(found.usable == points, 0, np.where(found.usable == 0, 2, 1)).astype(np.intp)
-        flags = map_layers.kinds(grid, "flags", "Flags: whether the values of a pixel can be used.", kind, KINDS)
-        drawings = map_layers.draw(grid, layers)
-        drawings.insert(len(drawings) - (drawings[-1].kind == "histograms"), flags)
+        drawings = _drawings(grid, layers, "Flags: whether the values of a pixel can be used.", kind, KINDS)
         share = float(found.usable.sum()) / (points * pixels)
-        conclusion = (
-            f"{points} directions were measured in {pixels} pixels of {grid.pixel_mm:.3g} mm; {percent(share)} of the"
-            f" values can be used. A value typically has a standard uncertainty of its own of {_typical(layers)}."
-        )
+
+        def conclusion() -> str:
+            return (
+                f"{points} directions were measured in {pixels} pixels of {grid.pixel_mm:.3g} mm; {percent(share)} of"
+                f" the values can be used. A value typically has a standard uncertainty of its own of"
+                f" {_typical(layers)}."
+            )
+
         numbers = {
             "source": str(path), **map_layers.facts_of_grid(grid), "points": points, "usable": share,
             "flags": found.counts, "parameters": {x.name: {"unit": x.unit, **x.spread.summary()} for x in layers},
         }  # fmt: skip
-        view = map_view.of(grid, layers, kind, KINDS, model="", fixed={}, values=file)
+        view = _view(partial(map_view.of, grid, layers, kind, KINDS, model="", fixed={}, values=file))
         title = f"{file.attrs.get('sample') or file.path.stem}: values of every pixel"
         return Told(
-            title, conclusion, layers, _facts(file, grid), found.counts, "values", points * pixels, drawings, numbers,
-            view,
+            title, _headline(conclusion), layers, _facts(file, grid), found.counts, "values", points * pixels, drawings,
+            numbers, view,
         )  # fmt: skip
+
+
+def _drawings(
+    grid: Grid, layers: Sequence[Layer], caption: str, kind: npt.NDArray[np.intp], names: Sequence[str],
+    materials: Materials | None = None,
+) -> list[Drawing]:  # fmt: skip
+    """Maps of layers and flags, histograms, and the map of materials; none where a page lost them."""
+
+    def draw() -> list[Drawing]:
+        out = map_layers.draw(grid, layers)
+        out.insert(len(out) - (out[-1].kind == "histograms"), map_layers.kinds(grid, "flags", caption, kind, names))
+        if materials is not None:
+            named = [f"material {k + 1}" for k in range(len(materials.rows))]
+            words = "Materials: which each pixel belongs to."
+            out.append(map_layers.kinds(grid, "materials", words, materials.kind, named))
+        return out
+
+    return lost.kept("figures", draw, lambda loss: [])
+
+
+def _view(of: Callable[[], map_view.View]) -> Block:
+    return lost.kept("the interactive plot", lambda: PixelViewer("pixels", of()), missing)
+
+
+def _headline(of: Callable[[], str]) -> str:
+    return lost.kept("the headline", of, lambda loss: f"Missing: {loss.words}.")
 
 
 def _typical(layers: list[Layer]) -> str:
@@ -224,7 +256,7 @@ def make(
     with files.staged(out) as stage, figure_workers(FIGURES) as workers:
         told = _of_fits(path, values, progress) if fitted else _of_values(path, progress)
         figures = workers.draw(told.drawings, progress)
-        tables = lost.kept("tables", lambda: _write_tables(told, stage.work / "tables"), lambda loss: [])
+        tables = _write_tables(told, stage.work / "tables")
         made = stamp(command)
         summary = {"title": told.title, **made, "conclusion": told.conclusion, **told.summary}
         summary |= {"figures": figures, "tables": tables}
@@ -242,15 +274,9 @@ def _of_fits(path: Path, values: Path | None, progress: Callable[[str], None]) -
         layers = map_layers.of_fits(file, progress)
         counts, kind = map_layers.flag_counts(file), map_layers.gravest(file)
         caption = "Flags: the gravest of each pixel. " + "; ".join(f"{_said(k)}, {n}" for k, n in counts.items() if n)
-        flags = map_layers.kinds(grid, "flags", caption.rstrip(". ") + ".", kind, ["none", *map(_said, SEVERE)])
-        drawings = map_layers.draw(grid, layers)
-        drawings.insert(len(drawings) - (drawings[-1].kind == "histograms"), flags)
-        materials = _materials(file)
-        if materials is not None:
-            names = [f"material {k + 1}" for k in range(len(materials.rows))]
-            words = "Materials: which each pixel belongs to."
-            drawings.append(map_layers.kinds(grid, "materials", words, materials.kind, names))
-        conclusion = _conclusion(file, grid, layers, counts)
+        materials, names = _materials(file), ["none", *map(_said, SEVERE)]
+        drawings = _drawings(grid, layers, caption.rstrip(". ") + ".", kind, names, materials)
+        conclusion = _headline(partial(_conclusion, file, grid, layers, counts))
         told = {
             "source": str(path), "model": file.model, "fixed": file.fixed, **map_layers.facts_of_grid(grid),
             "flags": counts, "parameters": {one.name: {"unit": one.unit, **one.spread.summary()} for one in layers},
@@ -270,9 +296,11 @@ def _of_fits(path: Path, values: Path | None, progress: Callable[[str], None]) -
         rows.append(("measured values", str(measured) if measured else "not at hand: --map MAP.h5 brings them"))
         with ExitStack() as stack:
             there = stack.enter_context(MapFile(measured)) if measured else None
-            view = map_view.of(
-                grid, layers, kind, ["none", *map(_said, SEVERE)], model=file.model, fixed=file.fixed, values=there,
-                wavelength_nm=nm,
+            view = _view(
+                partial(
+                    map_view.of, grid, layers, kind, names, model=file.model, fixed=file.fixed, values=there,
+                    wavelength_nm=nm,
+                )
             )  # fmt: skip
         total = grid.shape[0] * grid.shape[1]
         return Told(title, conclusion, layers, rows, counts, "pixels", total, drawings, told, view, materials)
@@ -317,15 +345,30 @@ def _shares(materials: Materials) -> list[float]:
 
 def _write_tables(told: Told, folder: Path) -> list[str]:
     """Parameters, flags, histograms and materials; the names of the files."""
+    made = files.written(folder / "parameters.csv", partial(_parameters_table, told))
+    made += files.written(folder / "flags.csv", partial(_flags_table, told))
+    made += files.written(folder / "histograms.csv", partial(_histograms_table, told))
+    if told.materials is not None:
+        made += files.written(folder / "materials.csv", partial(_materials_table, told.materials))
+    return made
+
+
+def _parameters_table(told: Told, path: Path) -> None:
     first = told.layers[0].spread.summary() if told.layers else {}
     write_csv(
-        folder / "parameters.csv",
+        path,
         ("parameter", "unit", *first),
         ((one.name, one.unit, *one.spread.summary().values()) for one in told.layers),
     )
-    write_csv(folder / "flags.csv", ("flag", told.counted), told.counts.items())
+
+
+def _flags_table(told: Told, path: Path) -> None:
+    write_csv(path, ("flag", told.counted), told.counts.items())
+
+
+def _histograms_table(told: Told, path: Path) -> None:
     write_csv(
-        folder / "histograms.csv",
+        path,
         ("parameter", "from", "to", "pixels"),
         (
             (one.name, low, high, int(count))
@@ -335,16 +378,15 @@ def _write_tables(told: Told, folder: Path) -> list[str]:
             )
         ),
     )
-    names = ["parameters.csv", "flags.csv", "histograms.csv"]
-    if told.materials is not None:
-        keys = list(dict.fromkeys(key for row in told.materials.rows for key in row))
-        rows = [
-            (k, share, *(row.get(key) for key in keys))
-            for k, (share, row) in enumerate(zip(_shares(told.materials), told.materials.rows, strict=True), 1)
-        ]
-        write_csv(folder / "materials.csv", ("material", "share", *keys), rows)
-        names.append("materials.csv")
-    return names
+
+
+def _materials_table(materials: Materials, path: Path) -> None:
+    keys = list(dict.fromkeys(key for row in materials.rows for key in row))
+    rows = [
+        (k, share, *(row.get(key) for key in keys))
+        for k, (share, row) in enumerate(zip(_shares(materials), materials.rows, strict=True), 1)
+    ]
+    write_csv(path, ("material", "share", *keys), rows)
 
 
 def _page(told: Told, made: Stamp, figures: Sequence[Figure]) -> Page:
@@ -354,14 +396,16 @@ def _page(told: Told, made: Stamp, figures: Sequence[Figure]) -> Page:
     if rest:
         behind += [Heading(3, "Spread over the pixels", f"{len(told.layers)} histograms"), Figures(tuple(rest))]
     raised = [f"{_said(k)} {n}" for k, n in told.counts.items() if n]
-    behind += [Heading(3, "Flags", ", ".join(raised) or "none"), _flags(told)]
+    behind += [Heading(3, "Flags", ", ".join(raised) or "none"), *parts({"the table of flags": partial(_flags, told)})]
     if told.materials is not None:
-        behind += [Heading(3, "Materials", f"{len(told.materials.rows)}"), _of_materials(told.materials)]
+        behind.append(Heading(3, "Materials", f"{len(told.materials.rows)}"))
+        behind += parts({"the table of materials": partial(_of_materials, told.materials)})
     behind += [Heading(3, "What was mapped", _pixels(told)), facts(told.facts), *frame.provenance(made)]
+    parameters = parts({"the table of parameters": partial(_parameters, told)})
 
     def of(maps: Sequence[Figure]) -> Page:
-        picture = [PixelViewer("pixels", told.view), Figures(tuple(maps[:1]), printed=True)]
-        first = frame.answer([lead(told.conclusion)], picture, [], _parameters(told))
+        picture = [told.view, Figures(tuple(maps[:1]), printed=True)]
+        first = frame.answer([lead(told.conclusion)], picture, [], *parameters)
         others = [Heading(3, "Maps", f"{len(maps)}"), Figures(tuple(maps[1:]))]
         return frame.page(told.title, dated("A map", made), first, folds=[*others, *behind], foot=FOOTER)
 

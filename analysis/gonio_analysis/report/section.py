@@ -1,7 +1,7 @@
 """What a part of a sample's page is: its facts, its drawings and its words, in one file.
 
 Whoever wrote it, what it gives is tried before it comes into the page: a part that fails is named in its place
-(`gonio_analysis.report.lost`).
+(`gonio.lost`).
 """
 
 from __future__ import annotations
@@ -13,10 +13,10 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
+from gonio.lost import Loss, kept
 from gonio_analysis.report import html
 from gonio_analysis.report.blocks import Block, missing
 from gonio_analysis.report.drawing import Drawing, Figure
-from gonio_analysis.report.lost import kept
 from gonio_analysis.result_records import as_json
 
 if TYPE_CHECKING:
@@ -56,15 +56,37 @@ def part(what: str, name: str, make: Callable[[], Sequence[Block]]) -> list[Bloc
         Makes them.
     """
 
-    def tried() -> list[Block]:
-        blocks = list(make())
-        for one in blocks:
-            if not isinstance(one, Block):
-                raise TypeError(f"{one!r} is no block of gonio_analysis.report.blocks")
-        html.fragment(blocks).encode()
-        return blocks
+    return parts({f"{what} of {name}": make})
 
-    return kept(f"{what} of {name}", tried, lambda loss: [missing(loss)])
+
+def _checked(made: Sequence[Block]) -> list[Block]:
+    """Blocks; an error where they are none, or cannot be written."""
+    blocks = list(made)
+    for one in blocks:
+        if not isinstance(one, Block):
+            raise TypeError(f"{one!r} is no block of gonio_analysis.report.blocks")
+    html.fragment(blocks).encode()
+    return blocks
+
+
+Part = Callable[[], Block | Sequence[Block]]
+
+
+def parts(of: Mapping[str, Part]) -> list[Block]:
+    """Parts of a page by what they are, each with the line in its place where it cannot be made."""
+
+    def tried(make: Part) -> list[Block]:
+        made = make()
+        return _checked([made] if isinstance(made, Block) else made)
+
+    out: list[Block] = []
+    for what, make in of.items():
+        out += kept(what, partial(tried, make), _instead)
+    return out
+
+
+def _instead(loss: Loss) -> list[Block]:
+    return [missing(loss)]
 
 
 def blocks_of(one: Section, d: DatasetSummary, figures: Figures) -> list[Block]:

@@ -8,7 +8,7 @@ from functools import partial
 from importlib import import_module
 
 from gonio import plugins
-from gonio_analysis.report.lost import kept
+from gonio.lost import kept
 from gonio_analysis.report.section import Section
 
 _MODULES = (

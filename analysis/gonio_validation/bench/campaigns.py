@@ -8,18 +8,18 @@ import contextlib
 import csv
 import io
 import json
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from gonio_analysis.report import html
+from gonio_analysis.report import files
 from gonio_analysis.report.blocks import Page
 from gonio_analysis.report.drawing import Figure
-from gonio_analysis.result_records import as_json
 from gonio_analysis.selection import parallel
 
-from gonio import platform
+from gonio import lost, platform
 from gonio.config import Strict, parse, read_toml, to_toml
 from gonio.disk import require_name, write_own, write_whole
 from gonio.errors import ConfigError, Interrupted
@@ -135,16 +135,32 @@ def _said(value: object) -> str:
     return ", ".join(value) if isinstance(value, tuple) else str(value)
 
 
-def write(folder: Path, page: Page, results: object, figures: Iterable[Figure], tables: Mapping[str, bytes]) -> None:
-    """Write page, numbers, tables and figures into a folder that exists; an earlier report there is replaced."""
-    files = {
-        "index.html": html.document(page).encode(),
-        "results.json": (json.dumps(as_json(results), indent=1, ensure_ascii=False, allow_nan=False) + "\n").encode(),
-        **tables,
-    }
-    for figure in figures:
-        files |= {f"{figure.name}.svg": figure.svg.encode(), f"{figure.name}.png": figure.png}
-    write_own(folder, files)
+def write(
+    folder: Path,
+    results: JsonObject,
+    draw: Callable[[], Sequence[Figure]],
+    render: Callable[[Sequence[Figure]], Page],
+    tables: Mapping[str, Callable[[], bytes]],
+) -> None:
+    """Write page, numbers, tables and figures into a folder that exists; an earlier report there is replaced.
+
+    Raises
+    ------
+    ConfigError
+        A file there is not our own; nothing is written then.
+    Incomplete
+        All is written, but for parts that could not be made (`gonio.lost`).
+    """
+    with lost.whole(folder / "index.html"):
+        content = lost.kept("results.json", partial(files.plain, results), lambda loss: {})
+        made = {name: lost.kept(name, make, lambda loss: b"") for name, make in tables.items()}
+        figures, page = files.drawn_and_said(results["title"], draw, render)
+        for figure in figures:
+            if not figure.failed:
+                made |= {f"{figure.name}.svg": figure.svg.encode(), f"{figure.name}.png": figure.png}
+        made = {name: data for name, data in made.items() if data}
+        made["index.html"] = files.encoded("index.html", page)
+        write_own(folder, made | {"results.json": files.as_text(content)})
 
 
 def as_csv(rows: Sequence[Mapping[str, Any]], columns: Sequence[str] = ()) -> bytes:

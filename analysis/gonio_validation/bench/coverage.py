@@ -90,9 +90,8 @@ def make(
         records = every.carried_out(wanted, jobs, dask, step)
         shutil.rmtree(folder / "work", ignore_errors=True)
         found = summary(records, settings, quick=quick, command=command)
-        drawn = coverage_page.drawn(found)
-        lines = {"campaigns.csv": as_csv([coverage_judgement.line(r) for r in records])}
-        write(folder, coverage_page.render(found, drawn), found, drawn, lines)
+        lines = {"campaigns.csv": lambda: as_csv([coverage_judgement.line(r) for r in records])}
+        write(folder, found, partial(coverage_page.drawn, found), partial(coverage_page.render, found), lines)
     return folder / "index.html"
 
 

@@ -1,6 +1,7 @@
 """`index.html` of `gonio bench coverage`, and its drawings."""
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -9,6 +10,7 @@ from gonio_analysis.plots.style import INK
 from gonio_analysis.report import frame
 from gonio_analysis.report.blocks import Block, Figures, Page, Paragraph, Table, Text, footer, table
 from gonio_analysis.report.drawing import Figure, rendered
+from gonio_analysis.report.section import parts
 from gonio_analysis.report.text import number
 
 from gonio.typing import JsonObject
@@ -20,7 +22,7 @@ from gonio_validation.bench.page import (
     listed,
     made,
     method,
-    of_part,
+    of_parts,
     part,
     plain_axes,
     two_digits,
@@ -110,19 +112,25 @@ def render(s: JsonObject, figures: Sequence[Figure]) -> Page:
     rough = " A quick run: few campaigns of few points." if s["quick"] else ""
     m = s["machine"]
     groups = [c for c in s["counts"] if c.group != "all"]
-    folds = [
-        *part("Coverage by group", held(groups, lambda c: c.holds), COVERAGE, _coverage(groups)),
-        *_pulls(s, figures),
-        *of_part(s, HIDDEN, f"{len(s['causes'])} errors, drawn anew for every campaign"),
-        *of_part(s, FAR, f"the largest normalised errors of {len(s['worst'])} campaigns"),
-        *(of_part(s, REFUSED, f"{len(s['failed'])}") if s["failed"] else []),
-        *method(s, *METHOD, ("processor", f"{m['cpu']}, {m['cpus']} usable")),
-    ]
-    forest = Figures(tuple(f for f in figures if f.kind == "forest"))
-    every = _coverage([c for c in s["counts"] if c.group == "all"])
-    return frame.page(
-        s["title"], made(s, what + rough), frame.answer([_lead(s)], [forest], [every]), folds=folds, foot=FOOTER
+    folds = parts(
+        {
+            'section "Coverage by group"': lambda: part(
+                "Coverage by group", held(groups, lambda c: c.holds), COVERAGE, _coverage(groups)
+            ),
+            'section "Normalised errors"': partial(_pulls, s, figures),
+        }
     )
+    tables = [
+        (HIDDEN, f"{len(s['causes'])} errors, drawn anew for every campaign"),
+        (FAR, f"the largest normalised errors of {len(s['worst'])} campaigns"),
+        *([(REFUSED, f"{len(s['failed'])}")] if s["failed"] else []),
+    ]
+    folds += of_parts(s, *tables)
+    folds += method(s, *METHOD, ("processor", f"{m['cpu']}, {m['cpus']} usable"))
+    forest = Figures(tuple(f for f in figures if f.kind == "forest"))
+    every = partial(_coverage, [c for c in s["counts"] if c.group == "all"])
+    first = frame.answer(parts({"the headline": partial(_lead, s)}), [forest], parts({'table "Coverage"': every}))
+    return frame.page(s["title"], made(s, what + rough), first, folds=folds, foot=FOOTER)
 
 
 def _lead(s: JsonObject) -> Paragraph:

@@ -55,6 +55,7 @@ ERRORS = [
     Column("beyond 5 u", "beyond_5"),
     Column("worse than the truth", "worse_than_truth"),
 ]
+TITLE = "Fits of maps: speed against error"
 FOOTER = footer("Every number is in `summary.json`.")
 
 
@@ -177,7 +178,7 @@ def make(
             progress(f"{name} ...")
             rows.append(measured(name, QUICK if quick or name == "he-torrance" else PIXELS))
         made = stamp(command)
-        page = _page(rows, made)
+        _, page = files.drawn_and_said(TITLE, lambda: [], lambda _: _page(rows, made))
         files.write_page(stage.work, page, {"rows": rows, **made}, [])
     return Path(out) / "index.html"
 
@@ -200,7 +201,7 @@ def _page(rows: list[JsonObject], made: Stamp) -> Page:
     )
     jax = "not installed" if all(row["jax_us"] is None for row in rows) else "a batched fit of one model"
     return frame.page(
-        "Fits of maps: speed against error",
+        TITLE,
         f"{POINTS} directions, noise of {100 * NOISE:g} %.",
         frame.answer([lead(words)], [], [listed(rows, TIMES, (1, 2, 3, 4, 5, 6), times)]),
         folds=[

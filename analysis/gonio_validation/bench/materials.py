@@ -24,19 +24,24 @@ from gonio_analysis.report.blocks import (
     table,
 )
 from gonio_analysis.report.drawing import Figure, rendered
+from gonio_analysis.report.section import parts
 from gonio_analysis.report.text import percent
 from gonio_analysis.selection.choice import candidates, choose
 
 from gonio import measurement
 from gonio.config import Strict
 from gonio.errors import ConfigError, GonioError
+from gonio.typing import JsonObject
 from gonio_validation.bench import published
 from gonio_validation.bench.campaigns import Campaigns, Record, Step, as_csv, write
 
 FEWEST, MOST = 20, 1500
 """Values of a material: with fewer nothing is left out sensibly; of more a part is drawn, always the same."""
+LEFT_OUT = "left_out"
+"""The name of the picture of all materials."""
 CLOSE = 1.25
 """A model within this factor of the nearest one's left-out error counts as near."""
+TITLE = "Materials and models"
 FOOTER = footer("Every number is in `results.json` and `materials.csv`.")
 
 
@@ -98,14 +103,15 @@ def make(
     with campaigns.opened():
         wanted = {name: partial(judged, name, *place, tried) for name, place in samples.items()}
         records = campaigns.carried_out(wanted, jobs, dask, step)
-        drawn, more = [_picture(records, tried)] if records else [], list[Block]()
-        results = {"materials": records, "not_read": unread, **stamp(command)}
+        results: JsonObject = {"title": TITLE, "materials": records, "not_read": unread, **stamp(command)}
         if fits:
-            results["published"] = found = published.judged(fits)
-            widths = published.picture(fits)
-            more, every = published.section(found, [widths]), [*drawn, widths]
-        page = _page(records, tried, unread, drawn, more)
-        write(campaigns.folder, page, results, every if fits else drawn, {"materials.csv": _csv(records)})
+            results["published"] = published.judged(fits)
+
+        def draw() -> list[Figure]:
+            return [*([_picture(records, tried)] if records else []), *([published.picture(fits)] if fits else [])]
+
+        render = partial(_page, records, tried, unread, results.get("published"))
+        write(campaigns.folder, results, draw, render, {"materials.csv": partial(_csv, records)})
     return campaigns.folder / "index.html"
 
 
@@ -186,12 +192,12 @@ def _picture(records: Sequence[Record], models: Sequence[str]) -> Figure:
 
     size = (4.0 + 0.42 * len(models), 2.0 + 0.24 * max(len(rows), 1))
     said = "Errors of values left out, by material and model; white: the model could not be fitted."
-    return rendered("left_out", "materials", "", said, said, size, on)
+    return rendered(LEFT_OUT, "materials", "", said, said, size, on)
 
 
 def _page(
-    records: Sequence[Record], models: Sequence[str], unread: Mapping[str, str], drawn: Sequence[Figure],
-    more: Sequence[Block],
+    records: Sequence[Record], models: Sequence[str], unread: Mapping[str, str], fits: Record | None,
+    drawn: Sequence[Figure],
 ) -> Page:  # fmt: skip
     good = [record for record in records if _errors(record)]
     nearest = {r["name"]: min(_errors(r), key=_errors(r).__getitem__) for r in good}
@@ -227,22 +233,23 @@ def _page(
                   ["material", "values", "nearest", "left-out error", "as near", "simplest not rejected"], rows,
                   right=(1, 3), most=(MOST_ROWS, "materials.csv")),
         ]  # fmt: skip
-    folds += more
+    widths = [figure for figure in drawn if figure.name != LEFT_OUT]
+    if fits is not None:
+        folds += parts({'section "Published fits"': partial(published.section, fits, widths)})
     if passed:
         folds += [
             Heading(3, "Passed over", f"{len(passed)}"),
             table("", ["file", "why"], passed, most=(MOST_ROWS, "results.json")),
         ]
-    answer = frame.answer(
-        [lead(_verdict(nearest, models, more))], [Figures(tuple(drawn))], [table_of_models] if records else []
-    )
-    return frame.page("Materials and models", said, answer, folds=folds, foot=FOOTER)
+    picture = Figures(tuple(figure for figure in drawn if figure.name == LEFT_OUT))
+    answer = frame.answer([lead(_verdict(nearest, models, fits))], [picture], [table_of_models] if records else [])
+    return frame.page(TITLE, said, answer, folds=folds, foot=FOOTER)
 
 
-def _verdict(nearest: Mapping[str, str], models: Sequence[str], more: Sequence[Block]) -> str:
+def _verdict(nearest: Mapping[str, str], models: Sequence[str], fits: Record | None) -> str:
     """Which model is nearest most often."""
     if not nearest:
-        return "No material was fitted: only published fits were read." if more else "No material was fitted."
+        return "No material was fitted: only published fits were read." if fits else "No material was fitted."
     often = max(models, key=[*nearest.values()].count)
     count = [*nearest.values()].count(often)
     return f"{often} is the nearest of {len(models)} models for {count} of {len(nearest)} materials."

@@ -7,6 +7,7 @@ of a row, and how.
 
 import datetime
 from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from typing import Any, Literal, NamedTuple
 
 from gonio_analysis.plots.style import FAINT
@@ -20,6 +21,7 @@ from gonio_analysis.report.blocks import (
     strong,
     table,
 )
+from gonio_analysis.report.section import parts
 from gonio_analysis.report.text import number
 
 from gonio.typing import JsonObject
@@ -67,6 +69,11 @@ def listed(rows: Iterable[Any], columns: Sequence[Column], right: tuple[int, ...
 def of_part(s: JsonObject, p: TableSection, result: Text, *figures: Block) -> list[Block]:
     """A part, to be folded: its note, figures, and the table of its rows."""
     return part(p.title, result, p.words, *figures, listed(s[p.rows], p.columns, p.right))
+
+
+def of_parts(s: JsonObject, *tables: tuple[TableSection, Text]) -> list[Block]:
+    """Parts (`of_part`) with their results, each with the line in its place where it cannot be made."""
+    return parts({f'section "{p.title}"': partial(of_part, s, p, result) for p, result in tables})
 
 
 def part(title: str, result: Text, words: str, *blocks: Block) -> list[Block]:

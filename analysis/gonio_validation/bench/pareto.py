@@ -60,7 +60,7 @@ def draw(quantity: QuantitySummary) -> Figure:
     alt = f"{quantity.title}. " + " ".join(
         f"{w.way}: {w.time.best_ns:.3g} ns, largest error {_said(w.errors[kinds[0]].max)}." for _, w in ways
     )
-    return rendered(f"front-{quantity.name.replace(' ', '-')}", "front", "", caption, alt, (5.2, height), on)
+    return rendered(f"front-{quantity.name.replace(' ', '-')}", "front", quantity.name, caption, alt, (5.2, height), on)
 
 
 def _colour(way: WaySummary) -> str:

@@ -1,5 +1,8 @@
 """`index.html` of `gonio bench models`: targets, a section a quantity, hard cases, calls, and the machine."""
 
+from collections.abc import Sequence
+from functools import partial
+
 from gonio_analysis.report import frame
 from gonio_analysis.report.blocks import (
     Block,
@@ -13,6 +16,7 @@ from gonio_analysis.report.blocks import (
     table,
 )
 from gonio_analysis.report.drawing import Figure
+from gonio_analysis.report.section import Part, parts
 from gonio_analysis.report.text import number
 
 from gonio.typing import JsonObject
@@ -76,30 +80,34 @@ START = (
 )  # fmt: skip
 
 
-def render(s: JsonObject, drawn: dict[str, Figure]) -> Page:
+def render(s: JsonObject, figures: Sequence[Figure]) -> Page:
     """The page.
 
     Parameters
     ----------
     s
         What `summary.json` holds.
-    drawn
-        The figures by quantity.
+    figures
+        One of a quantity, with its name (`Figure.model`), where it has one.
     """
     words = (
         "Every accuracy that an evaluation of ours states (He-Torrance's tolerance= among them), against the largest "
         "error over 1 + conditioning on grid and hard set."
     )
-    shown = listed(s["tolerances"], TOLERANCES, (1, 2, 3))
-    folds = [
-        *_targets(s),
-        *part("Do the stated accuracies hold?", held(s["tolerances"], _holds), words, shown),
-        *of_part(s, HARD, held(s["hard_cases"], _holds)),
-    ]
+
+    def accuracies() -> list[Block]:
+        shown = listed(s["tolerances"], TOLERANCES, (1, 2, 3))
+        return part("Do the stated accuracies hold?", held(s["tolerances"], _holds), words, shown)
+
+    drawn = {figure.model: figure for figure in figures}
     first = next((q.name for q in s["families"] if q.name in drawn), "")
+    made_of: dict[str, Part] = {'section "Targets"': partial(_targets, s), 'section "Accuracies"': accuracies}
+    made_of[f'section "{HARD.title}"'] = lambda: of_part(s, HARD, held(s["hard_cases"], _holds))
     for q in s["families"]:
-        folds += _quantity(q, drawn.get(q.name) if q.name != first else None)
-    folds += [*_calls(s), *_peers(s), *_method(s)]
+        made_of[f'section "{q.title}"'] = partial(_quantity, q, drawn.get(q.name) if q.name != first else None)
+    made_of |= {'section "Calls and start-up"': partial(_calls, s), 'section "Peers"': partial(_peers, s)}
+    folds = [*parts(made_of), *_method(s)]
+    speeds = partial(listed, s["targets"], SPEEDS, (1, 2))
     picture = [Figures((drawn[first],))] if first else []
     flags = s["machine"]["flags"]
     vectors = "AVX-512" if "avx512f" in flags else "AVX2, no AVX-512" if "avx2" in flags else "no AVX2"
@@ -108,7 +116,7 @@ def render(s: JsonObject, drawn: dict[str, Figure]) -> Page:
     return frame.page(
         s["title"],
         made(s, what + rough),
-        frame.answer([_lead(s)], picture, [listed(s["targets"], SPEEDS, (1, 2))]),
+        frame.answer(parts({"the headline": partial(_lead, s)}), picture, parts({'table "Speeds"': speeds})),
         folds=folds,
         foot=FOOTER,
     )

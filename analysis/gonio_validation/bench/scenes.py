@@ -4,6 +4,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -128,12 +129,18 @@ def make(out: str | Path, *, quick: bool = False, command: str = "", step: Step 
     """
     with files.staged(out) as stage:
         summary = collect(QUICK if quick else FULL, quick=quick, command=command, step=step)
-        drawn = scenes_page.drawn(summary)
-        files.write_page(stage.work, scenes_page.render(summary, drawn), summary, [drawn])
         for name in ("samples", "tolerances", "bins", "ways", "shared", "peers"):
             if rows := summary[name]:
-                write_csv(stage.work / "tables" / f"{name}.csv", list(rows[0]), (list(row.values()) for row in rows))
+                files.written(stage.work / "tables" / f"{name}.csv", partial(_table, rows))
+        drawn, page = files.drawn_and_said(
+            summary["title"], lambda: [scenes_page.drawn(summary)], partial(scenes_page.render, summary)
+        )
+        files.write_page(stage.work, page, summary, drawn)
     return Path(out) / "index.html"
+
+
+def _table(rows: Sequence[JsonObject], path: Path) -> None:
+    write_csv(path, list(rows[0]), (list(row.values()) for row in rows))
 
 
 def collect(effort: Effort, *, quick: bool, command: str, step: Step) -> JsonObject:

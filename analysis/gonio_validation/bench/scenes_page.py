@@ -1,5 +1,7 @@
 """`index.html` of `gonio bench scenes`, and its drawing."""
 
+from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 from gonio_analysis.plots.in_plane import COLOURS
@@ -7,6 +9,7 @@ from gonio_analysis.plots.style import FAINT
 from gonio_analysis.report import frame
 from gonio_analysis.report.blocks import Block, Figures, Page, Paragraph, footer
 from gonio_analysis.report.drawing import Figure, rendered
+from gonio_analysis.report.section import parts
 from gonio_analysis.report.text import number, percent
 
 from gonio.typing import JsonObject
@@ -18,7 +21,7 @@ from gonio_validation.bench.page import (
     made,
     method,
     milliseconds,
-    of_part,
+    of_parts,
     part,
     two_digits,
     verdict,
@@ -99,7 +102,7 @@ PEERS = (
 )
 
 
-def render(s: JsonObject, drawn: Figure) -> Page:
+def render(s: JsonObject, drawn: Sequence[Figure]) -> Page:
     """The page."""
     rough = " A quick run: small pictures, nothing is precise." if s["quick"] else ""
     m = s["machine"]
@@ -115,12 +118,13 @@ def render(s: JsonObject, drawn: Figure) -> Page:
         "ways": f"{len(s['ways'])} ways",
         "shared": "what a picture of several wavelengths saves",
     }
-    folds = [block for p in PARTS for block in of_part(s, p, results[p.rows])]
-    rays = listed(s[RAYS.rows], RAYS.columns, RAYS.right, RAYS.words)
-    first = frame.answer([_lead(s)], [Figures((drawn,))], [rays])
-    return frame.page(
-        s["title"], made(s, what + rough), first, folds=[*folds, *_peers(s), *method(s, *rows)], foot=FOOTER
+    folds = of_parts(s, *((p, results[p.rows]) for p in PARTS))
+    folds += [*parts({'section "Beside Mitsuba 3"': partial(_peers, s)}), *method(s, *rows)]
+    rays = partial(listed, s[RAYS.rows], RAYS.columns, RAYS.right, RAYS.words)
+    first = frame.answer(
+        parts({"the headline": partial(_lead, s)}), [Figures(tuple(drawn))], parts({f'table "{RAYS.title}"': rays})
     )
+    return frame.page(s["title"], made(s, what + rough), first, folds=folds, foot=FOOTER)
 
 
 def _lead(s: JsonObject) -> Paragraph:

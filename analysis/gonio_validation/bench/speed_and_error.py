@@ -1,9 +1,11 @@
 """Measure speed against error of every way of evaluating the models, judge it, and write the report."""
 
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 
 from gonio_analysis.report import files
+from gonio_analysis.report.drawing import Figure
 from gonio_analysis.report.files import write_csv
 
 from gonio.typing import JsonObject
@@ -103,11 +105,23 @@ def _measured(quantity: Quantity, others: Sequence[peers.Peer], effort: timing.E
 
 def write(summary: JsonObject, folder: Path) -> None:
     """Write page, numbers, tables and figures into a folder that exists."""
-    drawn = {q.name: pareto.draw(q) for q in summary["families"] if len(q.ways) > 2}
-    files.write_page(folder, results_page.render(summary, drawn), summary, drawn.values())
-    write_csv(folder / "tables" / "points.csv", POINT_COLUMNS, _points(summary["families"]))
+    files.written(folder / "tables" / "points.csv", partial(_points_table, summary))
+    files.written(folder / "tables" / "hard_cases.csv", partial(_hard_table, summary))
+
+    def draw() -> list[Figure]:
+        return [pareto.draw(q) for q in summary["families"] if len(q.ways) > 2]
+
+    drawn, page = files.drawn_and_said(summary["title"], draw, partial(results_page.render, summary))
+    files.write_page(folder, page, summary, drawn)
+
+
+def _points_table(summary: JsonObject, path: Path) -> None:
+    write_csv(path, POINT_COLUMNS, _points(summary["families"]))
+
+
+def _hard_table(summary: JsonObject, path: Path) -> None:
     hard = [c | {"models": " ".join(c["models"])} for c in summary["hard_cases"]]
-    write_csv(folder / "tables" / "hard_cases.csv", list(hard[0]), (list(c.values()) for c in hard))
+    write_csv(path, list(hard[0]), (list(c.values()) for c in hard))
 
 
 def _points(families: Sequence[QuantitySummary]) -> Iterator[list[object]]:

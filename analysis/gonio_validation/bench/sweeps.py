@@ -114,9 +114,8 @@ def summary(records: Sequence[Record], *, seeds: int, quick: bool = False, comma
 
 def write(s: JsonObject, folder: Path) -> None:
     """Write page, numbers and figures into a folder that exists."""
-    drawn = sweeps_page.drawn(s)
-    points = {"points.csv": as_csv(s["levels"])}
-    campaigns.write(folder, sweeps_page.render(s, drawn), s, drawn, points)
+    points = {"points.csv": partial(as_csv, s["levels"])}
+    campaigns.write(folder, s, partial(sweeps_page.drawn, s), partial(sweeps_page.render, s), points)
 
 
 # --- one comparison: a sample, a geometry, a seed; every plan measured, every curve held against the truth ------------

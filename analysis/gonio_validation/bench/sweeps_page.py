@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from gonio_analysis.plots.in_plane import COLOURS
@@ -10,11 +11,12 @@ from gonio_analysis.plots.style import INK
 from gonio_analysis.report import frame
 from gonio_analysis.report.blocks import Block, Figures, Page, Paragraph, footer
 from gonio_analysis.report.drawing import Figure, rendered
+from gonio_analysis.report.section import parts
 from gonio_analysis.report.text import number
 
 from gonio.typing import JsonObject
 from gonio_validation.bench.campaigns import Record
-from gonio_validation.bench.page import Column, TableSection, listed, made, method, of_part, part, plain_axes, verdict
+from gonio_validation.bench.page import Column, TableSection, listed, made, method, of_parts, part, plain_axes, verdict
 from gonio_validation.bench.sweeps_rig import AROUND_DEG, FLOOR, INCIDENCES, LARGEST_DEG, WAVELENGTH_NM
 
 ENOUGH = 0.005
@@ -210,14 +212,18 @@ def render(s: JsonObject, figures: Sequence[Figure]) -> Page:
         for plan, way, label, *_ in SHOWN
         if (own := of_plan(s["levels"], *name, plan, way))
     ]
-    shown = listed(rows, LEVELS, (3, 4, 5, 6, 7), "The largest size of each plan; the adaptive one at its end.")
-    folds = [
-        *part("Rig time", f"{len(rows)} plans and samples", TIME, Figures(tuple(figures[1:])), shown),
-        *of_part(s, INTERVALS, _intervals(s)),
-        *_method(s),
-    ]
-    points = listed(s[POINTS.rows], POINTS.columns, POINTS.right, POINTS.words)
-    first = frame.answer([_lead(s)], [Figures(tuple(figures[:1]))], [points])
+
+    def times() -> list[Block]:
+        shown = listed(rows, LEVELS, (3, 4, 5, 6, 7), "The largest size of each plan; the adaptive one at its end.")
+        return part("Rig time", f"{len(rows)} plans and samples", TIME, Figures(tuple(figures[1:])), shown)
+
+    folds = [*parts({'section "Rig time"': times}), *of_parts(s, (INTERVALS, _intervals(s))), *_method(s)]
+    points = partial(listed, s[POINTS.rows], POINTS.columns, POINTS.right, POINTS.words)
+    first = frame.answer(
+        parts({"the headline": partial(_lead, s)}),
+        [Figures(tuple(figures[:1]))],
+        parts({f'table "{POINTS.title}"': points}),
+    )
     return frame.page(s["title"], made(s, what + rough), first, folds=folds, foot=FOOTER)
 
 

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import difflib
+import shutil
 from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from gonio import lost
 from gonio.errors import ConfigError
+from gonio.typing import JsonObject
 from gonio_validation.papers.index import FIGURES
 from gonio_validation.papers.pictures.catalogue import SHOWN
 
@@ -87,6 +90,8 @@ def make(
     ------
     ConfigError
         There is no such figure, or the folder cannot be written or holds something else.
+    Incomplete
+        All is written, but for parts that could not be made (`gonio.lost`); of all figures, some.
     """
     from gonio_analysis.report import files
 
@@ -96,12 +101,25 @@ def make(
         check(name)
     with files.staged(out) as stage:
         if name == "all":
-            made = []
-            for each in FIGURES:
-                folder = stage.work / each
-                folder.mkdir()
-                made.append(figure_page.write(build(each, progress).of_radius(radius), folder, command))
-            figure_page.write_index(made, stage.work, command)
+            made = [_one_of_all(each, stage.work / each, command, radius, progress) for each in FIGURES]
+            figure_page.write_index([one for one in made if one is not None], stage.work, command)
         else:
             figure_page.write(build(name, progress).of_radius(radius), stage.work, command)
     return Path(out) / "index.html"
+
+
+def _one_of_all(
+    name: str, folder: Path, command: str, radius: float | None, progress: Callable[[str], None]
+) -> JsonObject | None:
+    """A figure's page among those of all; what its summary holds. None, and no folder, where it cannot be made."""
+    from gonio_validation.papers import figure_page
+
+    def made() -> JsonObject:
+        folder.mkdir()
+        with lost.of_one_page(name):
+            return figure_page.write(build(name, progress).of_radius(radius), folder, command)
+
+    def instead(loss: lost.Loss) -> None:
+        shutil.rmtree(folder)
+
+    return lost.kept(f"the page of {name}", made, instead)

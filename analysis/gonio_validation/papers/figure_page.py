@@ -1,6 +1,7 @@
 """`index.html`, `summary.json`, the drawings and the curves of a paper's figure; the index of all of them."""
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 from gonio_analysis.report import files, frame
@@ -12,6 +13,7 @@ from gonio_analysis.report.blocks import (
     Page,
     Paragraph,
     Span,
+    Table,
     Text,
     footer,
     stamp,
@@ -20,6 +22,7 @@ from gonio_analysis.report.blocks import (
 )
 from gonio_analysis.report.drawing import Figure, rendered
 from gonio_analysis.report.files import write_csv
+from gonio_analysis.report.section import parts
 
 from gonio.typing import JsonObject
 from gonio_validation.papers.figure import COLUMNS, ORIGINS, PaperFigure
@@ -34,17 +37,25 @@ FOOTER = footer(
 
 def write(page: PaperFigure, folder: Path, command: str) -> JsonObject:
     """Write a page into a folder that exists; returns what its summary holds."""
-    drawn = [
-        rendered(f"{page.name}-{p.name}", p.name, "", p.caption, f"{page.title}. {p.caption}", p.inches, p.draw)
-        for p in page.panels
-    ]
     for name, content in page.files.items():
         (folder / name).parent.mkdir(exist_ok=True)
         (folder / name).write_bytes(content)
-    write_csv(folder / "curves.csv", COLUMNS, [(p.name, *row) for p in page.panels for row in p.rows])
+    files.written(folder / "curves.csv", partial(_curves, page))
     found = summarise(page, command)
-    files.write_page(folder, render(page, found, drawn), found, drawn)
+
+    def draw() -> list[Figure]:
+        return [
+            rendered(f"{page.name}-{p.name}", p.name, "", p.caption, f"{page.title}. {p.caption}", p.inches, p.draw)
+            for p in page.panels
+        ]
+
+    drawn, made = files.drawn_and_said(page.title, draw, partial(render, page, found))
+    files.write_page(folder, made, found, drawn)
     return found
+
+
+def _curves(page: PaperFigure, path: Path) -> None:
+    write_csv(path, COLUMNS, [(p.name, *row) for p in page.panels for row in p.rows])
 
 
 def summarise(page: PaperFigure, command: str) -> JsonObject:
@@ -67,10 +78,11 @@ def summarise(page: PaperFigure, command: str) -> JsonObject:
 def write_index(pages: Sequence[JsonObject], folder: Path, command: str) -> None:
     """Write the page that links all figures into the folder that holds theirs."""
     kept = [{name: page[name] for name in ("figure", "title", "claims")} for page in pages]
-    files.write_page(folder, index(pages, command), {"figures": kept})
+    _, page = files.drawn_and_said(ALL, lambda: [], lambda _: index(pages, command))
+    files.write_page(folder, page, {"figures": kept})
 
 
-def render(page: PaperFigure, found: JsonObject, drawn: list[Figure]) -> Page:
+def render(page: PaperFigure, found: JsonObject, drawn: Sequence[Figure]) -> Page:
     """The page of a figure."""
     claims = [[c.verdict, c.text] for c in page.claims]
     judged = [[c.text, c.found, c.criterion] for c in page.claims]
@@ -78,15 +90,12 @@ def render(page: PaperFigure, found: JsonObject, drawn: list[Figure]) -> Page:
         [p.name, p.value, strong(ORIGINS[p.origin]) if p.origin == "assumed" else ORIGINS[p.origin], p.why]
         for p in page.parameters
     ]
-    results = page.results
-    cells = [[cell(row) for cell in results.columns.values()] for row in results.rows]
-    shown = table(results.caption, list(results.columns), cells, right=tuple(range(1, len(results.columns))))
     assumed = sum(p.origin == "assumed" for p in page.parameters)
     folds: list[Block] = [
         Heading(3, "How each claim is judged", _tally(found["claims"])),
         table("", ["claim", "found", "criterion"], judged),
-        Heading(3, "Curves", f"{len(results.rows)}"),
-        shown,
+        Heading(3, "Curves", f"{len(page.results.rows)}"),
+        *parts({'section "Curves"': partial(_results, page)}),
         Heading(3, "Parameters", f"{len(parameters)}, {assumed} of them assumed"),
         table("", ["parameter", "value", "from", "source, or reason"], parameters),
     ]
@@ -105,6 +114,12 @@ def render(page: PaperFigure, found: JsonObject, drawn: list[Figure]) -> Page:
         folds=folds,
         foot=FOOTER,
     )
+
+
+def _results(page: PaperFigure) -> Table:
+    results = page.results
+    cells = [[cell(row) for cell in results.columns.values()] for row in results.rows]
+    return table(results.caption, list(results.columns), cells, right=tuple(range(1, len(results.columns))))
 
 
 def index(pages: Sequence[JsonObject], command: str) -> Page:

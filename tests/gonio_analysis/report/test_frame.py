@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -181,7 +182,7 @@ def bench_of_models(folder: Path) -> Page:
         "single_calls": [{"model": "phong", "call": "brdf()", "best_us": 1.0, "median_us": 2.0}],
         "reference": {"made_by": "a tool", "with": "60 digits", "grid": "even", "condition": "relative"},
     }  # fmt: skip
-    return results_page.render(told, {"phong": drawing("front")})
+    return results_page.render(told, [replace(drawing("front"), model="phong")])
 
 
 def bench_of_scenes(folder: Path) -> Page:
@@ -190,7 +191,7 @@ def bench_of_scenes(folder: Path) -> Page:
     lists = {"bins": [], "ways": [], "shared": [], "peers": [], "samples": [sample], "tolerances": [sample | kept]}
     machine = timing.machine()
     told = {"title": "Scenes", **MADE, "quick": True, "pixels": 16, "mitsuba": "not installed", "machine": machine}
-    return scenes_page.render(told | lists, drawing("error-against-time"))
+    return scenes_page.render(told | lists, [drawing("error-against-time")])
 
 
 def bench_of_sweeps(folder: Path) -> Page:
@@ -207,7 +208,7 @@ def bench_of_coverage(folder: Path) -> Page:
 def bench_of_materials(folder: Path) -> Page:
     own = {"free": 1, "left_out": 0.02, "aic": 1.0, "rejected": False, "fails": "near retro"}
     record = {"name": "dull", "values": 99, "models": {"lambert": own}, "not_rejected": "lambert"}
-    return materials._page([record], ["lambert"], {"notes.txt": "no table"}, [drawing("left_out")], [])
+    return materials._page([record], ["lambert"], {"notes.txt": "no table"}, None, [drawing("left_out")])
 
 
 def bench_of_maps(folder: Path) -> Page:

@@ -10,6 +10,8 @@ from typing import Any
 
 import pytest
 from gonio_analysis import report
+from gonio_analysis.fitting.problem import FitRequest
+from gonio_analysis.maps import fits as map_fits
 from gonio_analysis.report import (
     appearance,
     change,
@@ -18,7 +20,9 @@ from gonio_analysis.report import (
     files,
     html,
     laboratories,
-    lost,
+    map_layers,
+    map_page,
+    map_view,
     page,
     sample,
     viewer,
@@ -29,9 +33,10 @@ from gonio_analysis.report.facts import DatasetSummary
 from gonio_analysis.report.section import Section
 from gonio_analysis.selection.compare import Dataset
 
-from gonio import measurement, plugins
+from gonio import lost, measurement, plugins
 from gonio.errors import DataError, Incomplete
-from gonio.models import build
+from gonio.models import OrenNayar, build
+from tests.gonio_analysis.maps import made as made_map
 from tests.gonio_analysis.synthetic import measure
 
 
@@ -191,7 +196,7 @@ def test_one_section_or_several_of_other_packages(table: str, tmp_path: Path, br
         (report, "_cite", "datacite.json"), (sample, "_energy", "energy and symmetry"), (page, "render", "the page"),
         (page, "_provenance", "provenance"), (comparison, "of_table", "quantities of appearance"),
         (comparison, "_conclusion", "the headline"), (report.figures, "draw", "figures of matte"),
-        (html, "document", "the page"), (files, "_plain", "summary.json"),
+        (html, "document", "the page"), (files, "plain", "summary.json"),
     ],
 )  # fmt: skip
 def test_parts_of_our_own_that_fail(
@@ -267,3 +272,45 @@ def test_a_figure_that_ends_every_process_is_named() -> None:
 def _ended(workers: FigureWorkers) -> None:
     for process in workers._processes:
         process.wait(timeout=600)
+
+
+@pytest.fixture(scope="module")
+def fits(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A small map of values, and its fits with materials."""
+    pytest.importorskip("h5netcdf")
+    folder = tmp_path_factory.mktemp("map")
+    made_map.write(
+        folder / "map.h5", lambda x, y: {"albedo": 0.5, "sigma_deg": 20.0}, kind=OrenNayar, rows=8, cols=8, pixel_mm=0.1
+    )
+    asked = FitRequest("oren-nayar")
+    map_fits.make(
+        folder / "map.h5", folder / "fits.h5", asked, materials="1", count=lambda *_: None, say=lambda text: None
+    )
+    return folder / "fits.h5"
+
+
+@pytest.mark.parametrize("source", ["fits.h5", "map.h5"])
+@pytest.mark.parametrize(
+    ("where", "name", "part"),
+    [
+        (Drawing, "rendered", 'figure "map-flags"'), (map_layers, "draw", "figures"),
+        (map_view, "of", "the interactive plot"), (map_page, "percent", "the headline"),
+        (map_page, "_parameters", "the table of parameters"), (map_page, "_flags_table", "tables/flags.csv"),
+        (map_page, "_page", "the page"),
+    ],
+)  # fmt: skip
+def test_a_map_s_page(
+    source: str, where: Any, name: str, part: str, fits: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(where, name, fails)
+    monkeypatch.setattr("gonio.platform.processors", lambda: 1)  # another process would not know the fault
+    with pytest.raises(Incomplete, match="ZeroDivisionError") as raised:
+        map_page.make(fits.with_name(source), tmp_path / "out")
+    assert part in str(raised.value)
+    page = (tmp_path / "out" / "index.html").read_text(encoding="utf-8")
+    assert "What is missing" in page
+    assert "ZeroDivisionError" in page
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text(encoding="utf-8"))
+    assert any(part in one["part"] for one in summary["failed"])
+    assert (tmp_path / "out" / "tables" / "parameters.csv").is_file()
+    assert (tmp_path / "out" / "tables" / "flags.csv").is_file() == (name != "_flags_table")

@@ -8,12 +8,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from gonio_analysis.report.drawing import Drawing
 from gonio_validation.bench import sweeps, sweeps_page, sweeps_rig
 from gonio_validation.bench.sweeps_rig import FrameFreeRig
 
 from gonio.acquisition.measure import carry_out, find_rig
 from gonio.acquisition.plan import Plan, assess, canonical
-from gonio.errors import ConfigError
+from gonio.errors import ConfigError, Incomplete
 from gonio.geometry import Directions
 from gonio.reduction import brdf
 from gonio.rig.description import SampleDescription
@@ -103,6 +104,36 @@ def test_the_page_has_what_the_records_say(tmp_path: Path) -> None:
     assert "on 1 of 1 samples" in page
     assert json.loads((tmp_path / "results.json").read_text())["by_points"][0]["adaptive"] == by_points.adaptive
     assert (tmp_path / "points.csv").read_text().count("\n") == 6
+
+
+@pytest.mark.parametrize("broken", ["drawn", "_panels", "_lead", "render", "_method"])
+def test_what_fails_late_is_named_and_takes_nothing_along(
+    broken: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fails(*given: object) -> None:
+        raise ZeroDivisionError("late")
+
+    monkeypatch.setattr(sweeps_page, broken, fails)
+    with pytest.raises(Incomplete, match="ZeroDivisionError: late"):
+        sweeps.write(sweeps.summary([record(0), record(1)], seeds=2), tmp_path)
+    page = (tmp_path / "index.html").read_text()
+    assert "What is missing" in page
+    assert ("on 1 of 1 samples" in page) == (broken in ("drawn", "_panels"))
+    results = json.loads((tmp_path / "results.json").read_text())
+    assert results["failed"][0]["error"] == "ZeroDivisionError: late"
+    assert results["by_points"]
+    assert (tmp_path / "points.csv").read_text().count("\n") == 6
+    monkeypatch.undo()
+    sweeps.write(sweeps.summary([record(0), record(1)], seeds=2), tmp_path)  # replaces it
+    assert "What is missing" not in (tmp_path / "index.html").read_text()
+
+
+def test_a_figure_that_cannot_be_drawn_leaves_the_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Drawing, "rendered", lambda self: 1 / 0)
+    with pytest.raises(Incomplete, match='figure "in-plane" could not be made'):
+        sweeps.write(sweeps.summary([record(0), record(1)], seeds=2), tmp_path)
+    assert "on 1 of 1 samples" in (tmp_path / "index.html").read_text()
+    assert not (tmp_path / "in-plane.svg").exists()
 
 
 def test_too_many_points_or_too_large_an_error_is_no() -> None:

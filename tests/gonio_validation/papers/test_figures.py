@@ -6,6 +6,7 @@ import csv
 import json
 import math
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +29,7 @@ from gonio_validation.papers.figure import Claim, Trace, agreed, trace_panel
 from gonio_validation.papers.index import FIGURES
 from matplotlib.figure import Figure
 
-from gonio.errors import ConfigError
+from gonio.errors import ConfigError, Incomplete
 from gonio.models import Lambert
 
 OPEN = None
@@ -360,6 +361,39 @@ def test_index_links_every_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
         assert f'href="{name}/index.html"' in text
         assert (index.parent / name / "index.html").is_file()
     papers.make("all", tmp_path / "all")  # replaces an earlier one
+
+
+@pytest.mark.parametrize("where", ["its building", "a drawing", "its curves"])
+def test_of_all_figures_one_that_fails_is_named(where: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(papers, "FIGURES", {name: FIGURES[name] for name in ("cook-torrance-4", "blinn-5")})
+    real = papers.build
+
+    def fails(given: object) -> Any:
+        raise ZeroDivisionError("late")
+
+    def broken(name: str, progress: Any) -> Any:
+        if name == "blinn-5" and where == "its building":
+            fails(name)
+        page = real(name, progress)
+        if name == "cook-torrance-4":
+            return page
+        if where == "a drawing":
+            return replace(page, panels=[replace(page.panels[0], draw=fails), *page.panels[1:]])
+        return replace(page, results=replace(page.results, columns={"x": fails}))
+
+    monkeypatch.setattr(papers, "build", broken)
+    with pytest.raises(Incomplete, match="blinn-5"):
+        papers.make("all", tmp_path / "all")
+    index = (tmp_path / "all" / "index.html").read_text(encoding="utf-8")
+    assert "What is missing" in index
+    assert "ZeroDivisionError" in index
+    assert "What is missing" not in (tmp_path / "all" / "cook-torrance-4" / "index.html").read_text(encoding="utf-8")
+    own = tmp_path / "all" / "blinn-5"
+    assert own.exists() == (where != "its building")
+    if own.exists():
+        assert "What is missing" in (own / "index.html").read_text(encoding="utf-8")
+        assert (own / "curves.csv").is_file()
+        assert json.loads((own / "summary.json").read_text(encoding="utf-8"))["failed"]
 
 
 def test_every_name_has_a_module() -> None:

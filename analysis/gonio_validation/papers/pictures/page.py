@@ -4,6 +4,7 @@ import base64
 import shutil
 import time
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 
 import cv2
@@ -27,6 +28,7 @@ from gonio_scenes.picture import Image, display
 from gonio_scenes.render import render
 from gonio_scenes.scene import read
 
+from gonio import lost
 from gonio.typing import JsonObject
 from gonio_validation.papers.figure import Claim, Trace, trace_panel
 from gonio_validation.papers.pictures import blinn, cook_torrance, htsg, oren_nayar
@@ -68,10 +70,11 @@ def make(out: str | Path, *, figure: str | None = None, command: str = "", step:
     with files.staged(out) as stage:
         images, times = _rendered(stage.work, names(which), step or (lambda done, of: None))
         began = time.perf_counter()
-        judged = {shown.name: claims(shown.name) for shown in which}
+        judged = {shown.name: _judged(shown.name) for shown in which}
         times["claims"] = time.perf_counter() - began
         if figure is None:
-            (stage.work / "contact_sheet.png").write_bytes(contact_sheet(images, judged))
+            sheet = stage.work / "contact_sheet.png"
+            lost.kept(sheet.name, lambda: sheet.write_bytes(contact_sheet(images, judged)), lambda loss: 0)
         found = {
             "title": title,
             **stamp(command),
@@ -87,9 +90,17 @@ def make(out: str | Path, *, figure: str | None = None, command: str = "", step:
                 for shown in which
             ],
         }
-        plots = [_cross_sections()] if "oren-nayar-13" in judged else []
-        files.write_page(stage.work, _page(found, which, images, judged, plots), found, plots)
+
+        def draw() -> list[Figure]:
+            return [_cross_sections()] if "oren-nayar-13" in judged else []
+
+        plots, page = files.drawn_and_said(title, draw, partial(_page, found, which, images, judged))
+        files.write_page(stage.work, page, found, plots)
     return Path(out) / "index.html"
+
+
+def _judged(figure: str) -> list[Claim]:
+    return lost.kept(f"claims of {figure}", lambda: claims(figure), lambda loss: [])
 
 
 def claims(figure: str, height: int | None = None) -> list[Claim]:

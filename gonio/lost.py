@@ -1,7 +1,8 @@
 """What of a page could not be made: it is named there and on the terminal, and takes nothing else along.
 
 While a page is being made (`collecting`), an error of one of its parts is noted and the rest is made. Elsewhere it is
-raised, as ever. What ends everything is raised in either case: an interruption, want of memory, a full disk.
+raised, as ever. What ends everything is raised in either case: an interruption, want of memory, a full disk. So it is
+with a calibration and its picture.
 """
 
 import errno
@@ -39,9 +40,10 @@ class Loss:
 
 
 def incomplete(page: Path, losses: Sequence[Loss]) -> Incomplete:
-    """The error that a command ends with whose page lacks something."""
+    """The error that a command ends with whose page, or other file, lacks something."""
     many = "a part is" if len(losses) == 1 else f"{len(losses)} parts are"
-    lines = [f"{page}: written, but {many} missing, as the page says:", *(f"  {x.words}" for x in losses)]
+    says = ", as the page says" if page.suffix == ".html" else ""
+    lines = [f"{page}: written, but {many} missing{says}:", *(f"  {x.words}" for x in losses)]
     if not os.environ.get("GONIO_TRACEBACK"):
         lines.append("  GONIO_TRACEBACK=1 shows where")
     return Incomplete(page, "\n".join(lines))
@@ -59,6 +61,27 @@ def collecting() -> Iterator[list[Loss]]:
         yield losses
     finally:
         _losses.reset(before)
+
+
+@contextmanager
+def whole(page: Path) -> Iterator[None]:
+    """Raise `Incomplete` once `page` is written, where something was lost meanwhile."""
+    with collecting() as losses:
+        yield
+    if losses:
+        raise incomplete(page, losses)
+
+
+@contextmanager
+def of_one_page(name: str) -> Iterator[None]:
+    """One page of several: it names its own losses alone, and the page of all of them names them, too."""
+    every = _losses.get()
+    if every is None:
+        yield
+        return
+    with collecting() as own:
+        yield
+    every.extend(Loss(f"{name}: {one.part}", one.error) for one in own)
 
 
 def so_far() -> list[Loss]:
