@@ -261,7 +261,11 @@ def write(
 
     bare = {"index.html": titled(summary.title)}
     own_drawn = drawn[: len(datasets) + len(transmission_only)]
-    pages = lost.kept("the page", lambda: page.render(summary, own_drawn, views), lambda loss: bare)
+    beside: page.Beside = (None, ())
+    if len(datasets) > 1:
+        together = partial(across_plot.view, datasets, viewer.BYTES // 2)
+        beside = lost.kept("the plot of all samples", together, lambda loss: None), drawn[-1]
+    pages = lost.kept("the page", lambda: page.render(summary, own_drawn, views, beside), lambda loss: bare)
     files.write_pages(folder, pages, summary, every)
     return summary
 

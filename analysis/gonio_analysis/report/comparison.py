@@ -21,7 +21,7 @@ from gonio_analysis.report.blocks import stamp
 from gonio_analysis.report.facts import Comparison, DatasetSummary, Summary
 from gonio_analysis.report.text import number, slugs, spoken_difference
 from gonio_analysis.result_records import Appearance, MeasuredValue, as_json, finite
-from gonio_analysis.selection.across_models import across_models
+from gonio_analysis.selection.across_models import across_models, remedy
 from gonio_analysis.selection.compare import Dataset
 from gonio_analysis.selection.judging import nearness
 
@@ -66,7 +66,7 @@ def _comparison(datasets: Sequence[Dataset]) -> Comparison:
 def sides_of(datasets: Sequence[Dataset]) -> list[point_by_point.Side]:
     """Samples with all their wavelengths, for what compares them point by point."""
     made = point_by_point.of_table
-    return [made(d.title, d.source, d.table, d.data.u_rel_assumed) for d in datasets]
+    return [made(d.name, d.source, d.table, d.data.u_rel_assumed) for d in datasets]
 
 
 def _title(title: str, datasets: Sequence[Dataset]) -> str:
@@ -132,6 +132,7 @@ def _dataset(d: Dataset, slug: str) -> DatasetSummary:
         best=best,
         verdict=said[0],
         conclusion=" ".join(said),
+        remedy=known("the remedy", lambda: _remedy(d), ""),
         appearance=known("quantities of appearance", lambda: _appearance(d), None),
         transmission=d.transmitted,
         mueller=known("Mueller matrices", lambda: d.polarisation, None),
@@ -142,6 +143,11 @@ def _dataset(d: Dataset, slug: str) -> DatasetSummary:
         rho_dh_combined=known("rho_dh with the misfit", lambda: d.rho_dh_combined, []),
         symmetries=symmetries,
     )
+
+
+def _remedy(d: Dataset) -> str:
+    found = remedy(d) if d.fitted else None
+    return "" if found is None else found.words
 
 
 def _appearance(d: Dataset) -> Appearance | None:

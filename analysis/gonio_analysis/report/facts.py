@@ -71,6 +71,8 @@ class DatasetSummary:
     """The answer, in one or two sentences."""
     conclusion: str
     """The verdict, and what else is to be said about it."""
+    remedy: str
+    """What would mend the fit of a metal whose index is not given; "" where nothing is wrong."""
     rho_dh: list[Reflectance]
     """Directional-hemispherical reflectances of the measurement itself."""
     rho_dh_near: dict[str, list[Reflectance]]

@@ -3,7 +3,6 @@
 The section "Provenance" says when and how a report was made, and where its values come from.
 """
 
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
@@ -13,17 +12,20 @@ from gonio_analysis.report.blocks import (
     Block,
     Contents,
     Facts,
+    Figures,
     Group,
     Heading,
     Page,
     Paragraph,
     Span,
     Text,
+    Viewer,
     code,
     facts,
     footer,
     header,
     lead,
+    notes,
     section,
     strong,
     table,
@@ -107,16 +109,23 @@ def _reference(band: Mapping[str, Any]) -> str:
 
 MOST_BYTES = 4_500_000
 """Most bytes of one page: what a mail takes and a browser shows at once."""
-TOLD_APART = 3.0
-"""Standard uncertainties by which parameters of two samples differ for a headline to name them."""
-MOST_APART = 3
-"""Parameters that it names."""
 FOOTER = footer(
     "Every number on this page is in `summary.json`; the curves are in `tables/`, the figures as SVG in `figures/`."
 )
 
 
-def render(summary: Summary, drawn: Sequence[Sequence[Figure]], views: Sequence[View | None]) -> dict[str, Page]:
+Beside = tuple[View | None, Sequence[Figure]]
+"""What shows several samples in one plot: on a screen, and on paper."""
+SAMPLES = "page.samples"
+"""The identifier of that plot: no name of a sample has a dot."""
+
+
+def render(
+    summary: Summary,
+    drawn: Sequence[Sequence[Figure]],
+    views: Sequence[View | None],
+    beside: Beside = (None, ()),
+) -> dict[str, Page]:
     """The pages by the name of their file: `index.html`, and further ones for samples that it cannot hold.
 
     None is larger than `MOST_BYTES` as HTML, whatever was measured. Each needs no other file.
@@ -129,6 +138,8 @@ def render(summary: Summary, drawn: Sequence[Sequence[Figure]], views: Sequence[
         The figures of each dataset, in the order of the summary.
     views
         What each dataset's interactive plot shows; None for one without curves.
+    beside
+        What shows all of them in one plot.
     """
     datasets, title = summary.datasets, summary.title
     several = len(datasets) > 1
@@ -144,11 +155,11 @@ def render(summary: Summary, drawn: Sequence[Sequence[Figure]], views: Sequence[
     ]
 
     def overview(place: Mapping[str, str]) -> list[Block]:
-        return part("the overview", title, lambda: _overview(summary, place)) if several else []
+        return part("the overview", title, lambda: _overview(summary, place, beside)) if several else []
 
     bare = Page(title, (*overview({}), *last, FOOTER))
     room = MOST_BYTES - html.size(html.document(bare)) - 300 * len(datasets) - 10_000
-    room -= html.size(html.program()) if any(views) else 0
+    room -= html.size(html.program()) if any(views) or beside[0] else 0
     sections = [
         html.within(sample.section(summary, *parts), max(room, MOST_BYTES // 4))
         for parts in zip(datasets, drawn[: len(datasets)], views, strict=True)
@@ -203,7 +214,9 @@ def _header(s: Summary, place: Mapping[str, str], names: Sequence[str], name: st
     return header(s.title, sub, *more, Contents(tuple(links[:MOST_ROWS])))
 
 
-def _overview(s: Summary, place: Mapping[str, str]) -> list[Block]:
+def _overview(s: Summary, place: Mapping[str, str], beside: Beside) -> list[Block]:
+    """Several samples beside each other: the verdict without models, all in one plot, and what models say."""
+    view, figures = beside
     rows: list[Sequence[Text]] = []
     for d in s.datasets:
         link = Span(d.title, href=place.get(d.slug, f"#{d.slug}"))
@@ -212,34 +225,35 @@ def _overview(s: Summary, place: Mapping[str, str]) -> list[Block]:
             rows.append((link, strong(name), *numbers, fitted_words(d, name, f)))
         for name in d.skipped:
             rows.append((link, strong(name), "–", "–", "not fitted: see there"))
-    first = frame.answer(
-        [lead(text) for text in distinguished(s)],
-        [],
-        [
-            table(
-                "The nearest model of each sample, and by how much it differs typically: rms of ln(model / measured).",
-                ["sample", "best model", "typical difference", "verdict"],
-                [_headline(d, place) for d in s.datasets],
-                right=(2,),
-                most=(MOST_ROWS, "metrics.csv"),
-            )
-        ],
+    c = s.comparison
+    said = [] if c is None else [lead(" ".join(c.verdict))] if c.verdict else []
+    remedies = [] if c is None or c.models is None else [Paragraph(one.words, "note") for one in c.models.remedies]
+    plot = [Viewer(SAMPLES, view)] if view is not None else []
+    nearest = table(
+        "The nearest model of each sample, and by how much it differs typically: rms of ln(model / measured).",
+        ["sample", "best model", "typical difference", "verdict"],
+        [_headline(d, place) for d in s.datasets],
+        right=(2,),
+        most=(MOST_ROWS, "metrics.csv"),
     )
-    return [
-        first,
-        *frame.folded(
-            [
-                Heading(3, "Every model on every sample", f"{len(rows)} fits"),
-                table(
-                    "Every model on every sample. Parameters of a geometry that several wavelengths share say so.",
-                    ["sample", "model", "reduced χ²", "typical difference", "fitted parameters"],
-                    rows,
-                    right=(2, 3),
-                    most=(MOST_ROWS, "metrics.csv and parameters.csv"),
-                ),
-            ]
+    first = frame.answer([*said, *remedies], [*plot, Figures(tuple(figures), printed=view is not None)], [nearest])
+    folds: list[Block] = []
+    if c is not None and c.details:
+        folds += [Heading(3, "The comparison in full", f"{len(c.details)} sentences"), notes(c.details)]
+    if c is not None and c.models is not None and c.models.words:
+        shared = ", ".join(one.label for one in c.models.shared)
+        folds += [Heading(3, "What models say", shared or "no model describes all of them"), notes(c.models.words)]
+    folds += [
+        Heading(3, "Every model on every sample", f"{len(rows)} fits"),
+        table(
+            "Parameters of a geometry that several wavelengths share say so.",
+            ["sample", "model", "reduced χ²", "typical difference", "fitted parameters"],
+            rows,
+            right=(2, 3),
+            most=(MOST_ROWS, "metrics.csv and parameters.csv"),
         ),
     ]
+    return [first, *frame.folded(folds)]
 
 
 def _headline(d: DatasetSummary, place: Mapping[str, str]) -> list[Text]:
@@ -250,40 +264,6 @@ def _headline(d: DatasetSummary, place: Mapping[str, str]) -> list[Text]:
     f = d.models[d.best]
     said = f.fit.verdict.partition("; it ")[0] if f.fit.reduced_chi_square is not None else "no uncertainty is stated"
     return [link, strong(d.best), difference(f.metrics["log_ratio"]), said]
-
-
-def distinguished(s: Summary) -> list[str]:
-    """What tells the samples apart, in sentences: parameters of one model that all of them have, and brightness."""
-    out = []
-    shared = [name for name in s.models if all(name in d.models for d in s.datasets)]
-    if shared:
-        model = max(shared, key=[d.best for d in s.datasets].count)
-        far = _apart(s, model)
-        if far:
-            out.append(f"By {model} they differ in {'; '.join(far)}.")
-        elif far is not None:
-            out.append(f"By {model} no parameter differs by more than {TOLD_APART:g} standard uncertainties.")
-    (low, faint), *_, (high, bright) = sorted((d.brdf_max, d.title) for d in s.datasets)
-    if len({d.wavelength_nm for d in s.datasets}) == 1 and low > 0:
-        out.append(
-            f"The brightest value of {bright} is {number(high / low)} times that of {faint}"
-            f" ({number(high)} and {number(low)} sr⁻¹)."
-        )
-    return out
-
-
-def _apart(s: Summary, model: str) -> list[str] | None:
-    """The parameters of a model that differ most for their uncertainties, in words; None where none was fitted."""
-    found = []
-    fits = [(d, d.models[model].fit.parameters) for d in s.datasets]
-    free = [name for name in fits[0][1] if all(name in p and not p[name].fixed for _, p in fits)]
-    for name in free:
-        (low, a), *_, (high, b) = sorted(fits, key=lambda one: one[1][name].value)
-        u = math.hypot(a[name].u or 0.0, b[name].u or 0.0)
-        if u > 0.0 and math.isfinite(u) and (far := (b[name].value - a[name].value) / u) > TOLD_APART:
-            ends = (f"{with_u(p[name].value, p[name].u)} ({d.title})" for d, p in ((low, a), (high, b)))
-            found.append((far, f"{name}: {' to '.join(ends)}"))
-    return [text for _, text in sorted(found, reverse=True)[:MOST_APART]] if free else None
 
 
 def _conventions(s: Summary) -> list[Block]:

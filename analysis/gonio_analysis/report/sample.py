@@ -60,7 +60,7 @@ def section(s: Summary, d: DatasetSummary, figures: Sequence[Figure], view: View
         return [block for words, make in parts.items() for block in part(words, d.name, make)]
 
     first = frame.answer(
-        made({"the verdict": lambda: [lead(d.verdict)]}),
+        made({"the verdict": lambda: [lead(d.verdict), *([Paragraph(d.remedy, "note")] if d.remedy else [])]}),
         made({"plots in plane": lambda: _picture(d, by, view)}),
         made({"models": lambda: [models.compared(d)] if d.models else [_values(d)]}),
     )

@@ -20,7 +20,7 @@
     parent.append(node);
     return node;
   }
-  function marker(parent, k, x, y, colour, size = 3, hollow = false) {
+  function marker(parent, k, x, y, colour, size = 3) {
     const s = size, shape = (k + Math.floor(k / 6)) % 6; // beyond six curves a colour comes with another marker
     const paths = [
       null, `M${-s} ${-s}H${s}V${s}H${-s}Z`, `M0 ${-1.3 * s}L${1.2 * s} ${s}H${-1.2 * s}Z`,
@@ -28,7 +28,6 @@
       `M${-s} 0H${s}M0 ${-s}V${s}`,
     ];
     const at = { transform: `translate(${x.toFixed(2)} ${y.toFixed(2)})`, fill: colour };
-    if (hollow) Object.assign(at, { fill: "#ffffff", stroke: colour, "stroke-width": 1.3 });
     if (shape === 0) svg(parent, "circle", { ...at, r: s });
     else svg(parent, "path", { ...at, d: paths[shape], ...(shape === 5 ? { stroke: colour, "stroke-width": 1.8 } : {}) });
   }
@@ -149,15 +148,21 @@
       if (at) this.point(this.spots.find(same) || null);
     }
 
+    // --- colours: of curves; of several measurements a colour tells the measurement, and a marker the curve ----------
+    get several() { return this.data.points.length > 1; }
+    tone(name) { return COLOURS[this.data.points.indexOf(name) % 6]; }
+    colour(label) { return this.several ? INK : COLOURS[this.data.labels.indexOf(label) % 6]; }
+    of(line) { return this.several && !line.theory ? this.tone(line.name) : COLOURS[line.look % 6]; }
+
     // --- controls ------------------------------------------------------------------------------------------------
     build() {
       const { data, root } = this;
-      const swatch = (k) => {
+      const swatch = (k, colour) => {
         const box = document.createElementNS("http://www.w3.org/2000/svg", "svg");
         for (const [a, v] of [["width", 14], ["height", 14], ["viewBox", "-7 -7 14 14"], ["aria-hidden", "true"]]) {
           box.setAttribute(a, v);
         }
-        marker(box, k, 0, 0, COLOURS[k % 6], 4);
+        marker(box, k, 0, 0, colour, 4);
         return box;
       };
       const boxes = (title, names, chosen, key) => html("fieldset", {}, html("legend", {}, title), ...names.map((name) => {
@@ -167,7 +172,7 @@
           if (box.checked) chosen.add(name); else chosen.delete(name);
           this.chosen();
         });
-        return html("label", {}, box, ...(key === "curve" ? [swatch(data.labels.indexOf(name))] : []), name);
+        return html("label", {}, box, ...(key === "curve" ? [swatch(data.labels.indexOf(name), this.colour(name))] : this.several && data.points.includes(name) ? [swatch(1, this.tone(name))] : []), name);
       }));
       const choice = (title, key, options) => {
         const select = html("select", { "data-key": key }, ...options.map(([value, text]) => html("option", { value }, text)));
@@ -269,11 +274,11 @@
     curves(group, lines, place) {
       const models = this.data.models.filter((m) => this.series.has(m));
       for (const line of lines) {
-        const colour = COLOURS[line.look % 6];
+        const colour = this.of(line);
         let path = "", pen = "M";
         for (const p of line.points) {
           const xy = place(p.angle, p.value);
-          if (xy && line.theory) path += `${pen}${xy[0].toFixed(2)} ${xy[1].toFixed(2)}`;
+          if (xy && (line.theory || this.several)) path += `${pen}${xy[0].toFixed(2)} ${xy[1].toFixed(2)}`;
           pen = xy ? "L" : "M";
           if (xy) this.spots.push({ x: xy[0], y: xy[1], line, p });
         }
@@ -281,6 +286,7 @@
           svg(group, "path", { d: path || "M0 0", fill: "none", stroke: colour, "stroke-width": 1.6, "stroke-dasharray": DASHES[models.indexOf(line.name) % 4] });
           continue;
         }
+        if (this.several) svg(group, "path", { d: path || "M0 0", fill: "none", stroke: colour, "stroke-width": 0.8, "stroke-dasharray": DASHES[1 + this.data.points.indexOf(line.name) % 3] });
         for (const p of line.points) {
           const xy = place(p.angle, p.value);
           if (!xy) continue;
@@ -288,7 +294,7 @@
             const low = place(p.angle, p.value - p.du) || xy, high = place(p.angle, p.value + p.du) || xy;
             svg(group, "path", { d: `M${low[0].toFixed(2)} ${low[1].toFixed(2)}L${high[0].toFixed(2)} ${high[1].toFixed(2)}`, stroke: colour, "stroke-width": 1.2 });
           }
-          marker(group, line.look, xy[0], xy[1], colour, this.stage.clientWidth < 520 ? 2.2 : 3, line.name !== this.data.points[0]);
+          marker(group, line.look, xy[0], xy[1], colour, this.stage.clientWidth < 520 ? 2.2 : 3);
         }
       }
     }
@@ -336,13 +342,13 @@
         if (whole.has(line.curve.label)) continue;
         whole.add(line.curve.label);
         const a = xy(line.curve.mirror, R), b = xy(line.curve.mirror, R + 6);
-        svg(picture, "line", { x1: a[0], y1: a[1], x2: b[0], y2: b[1], stroke: COLOURS[line.look % 6], "stroke-width": 3 });
+        svg(picture, "line", { x1: a[0], y1: a[1], x2: b[0], y2: b[1], stroke: this.colour(line.curve.label), "stroke-width": 3 });
       }
       this.curves(group, lines, (angle, value) => xy(angle, (R * Math.max(0, value)) / rim));
       this.spots = this.spots.filter((s) => Math.hypot(s.x - cx, s.y - cy) <= R + 1.5);
       cut.forEach((l, k) => {
         const top = Math.max(...l.points.map((p) => p.value));
-        svg(picture, "text", { x: 2, y: 12 + 13 * k, fill: COLOURS[l.look % 6], "font-size": 11 }, `${l.curve.label} ${l.name} to ${digits(top, 3)}`);
+        svg(picture, "text", { x: 2, y: 12 + 13 * k, fill: this.of(l), "font-size": 11 }, `${l.curve.label} ${l.name} to ${digits(top, 3)}`);
       });
     }
 
