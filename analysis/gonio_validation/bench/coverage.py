@@ -129,5 +129,5 @@ def summary(
         "single_pulls": coverage_judgement.single_points(measured),
         "parameter_pulls": coverage_judgement.known_pulls(drawn),
         "worst": coverage_judgement.worst(records),
-        "failed": coverage_judgement.failed(records),
+        "refused": coverage_judgement.failed(records),
     }

@@ -96,7 +96,7 @@ FAR = TableSection(
     tuple(range(4, 11)),
 )  # fmt: skip
 REFUSED = TableSection(
-    "Campaigns that were refused", "failed",
+    "Campaigns that were refused", "refused",
     "A program refused these, and said why. They count nowhere above.",
     tuple(Column(name, name) for name in ("campaign", "model", "plan", "step", "message")),
     (),
@@ -123,7 +123,7 @@ def render(s: JsonObject, figures: Sequence[Figure]) -> Page:
     tables = [
         (HIDDEN, f"{len(s['causes'])} errors, drawn anew for every campaign"),
         (FAR, f"the largest normalised errors of {len(s['worst'])} campaigns"),
-        *([(REFUSED, f"{len(s['failed'])}")] if s["failed"] else []),
+        *([(REFUSED, f"{len(s['refused'])}")] if s["refused"] else []),
     ]
     folds += of_parts(s, *tables)
     folds += method(s, *METHOD, ("processor", f"{m['cpu']}, {m['cpus']} usable"))
@@ -139,8 +139,8 @@ def _lead(s: JsonObject) -> Paragraph:
     words = f"Intervals of 95 % hold the truth as often as they say for {len(every) - len(missed)} of {len(every)}"
     words += " quantities"
     words += f", and NOT for: {', '.join(missed)}." if missed else "."
-    if s["failed"]:
-        words += f" {len(s['failed'])} campaigns were refused by a program, and count nowhere."
+    if s["refused"]:
+        words += f" {len(s['refused'])} campaigns were refused by a program, and count nowhere."
     return Paragraph(words, "lead")
 
 

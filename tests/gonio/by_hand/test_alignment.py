@@ -174,7 +174,9 @@ def always(there: Any) -> Callable[[SimulatedRig, str], bool]:
     return put
 
 
-def test_the_command_finds_hidden_zeros_and_writes_them_into_a_copy(tmp_path: Path, fast: None) -> None:
+def test_the_command_finds_hidden_zeros_and_writes_them_into_a_copy(
+    tmp_path: Path, fast: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
     rig = written(tmp_path)
     done = gonio(tmp_path, "rig", "align", "--rig", rig, "--yes", "--seed", "4", expect=0)
     says(done.stdout, "rank 3 of 3", "not determined: spin")
@@ -191,6 +193,11 @@ def test_the_command_finds_hidden_zeros_and_writes_them_into_a_copy(tmp_path: Pa
 
     gonio(tmp_path, "rig", "align", "--rig", rig, "--from", "aligned-scans.csv", "--out", "again.toml", expect=0)
     assert tomllib.loads((tmp_path / "again.toml").read_text()) == tables
+
+    monkeypatch.setattr(alignment, "draw", lambda *given: 1 / 0)
+    lost = gonio(tmp_path, "rig", "align", "--rig", rig, "--from", "aligned-scans.csv", "--out", "lost.toml", expect=1)
+    says(lost.stderr, "the picture lost-residuals.png", "ZeroDivisionError")
+    assert tomllib.loads((tmp_path / "lost.toml").read_text()) == tables
 
 
 def test_arms_that_cannot_face_each_other_leave_the_zeros_unwritten(tmp_path: Path, fast: None) -> None:

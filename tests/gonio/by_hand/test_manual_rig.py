@@ -13,7 +13,9 @@ from matplotlib.figure import Figure
 import gonio
 from gonio.by_hand import scan
 from gonio.by_hand.manual_rig import ManualRig
+from gonio.by_hand.snapshot import Snapshot
 from gonio.cli.signals import undisturbed
+from gonio.config import to_toml
 from gonio.disk import write_whole
 from gonio.errors import ConfigError, DataError
 from gonio.rig import Health, Pose, Reading, motion_planning
@@ -222,6 +224,27 @@ def test_a_full_disk_is_blamed_on_the_file_that_did_not_fit(tmp_path: Path, monk
     ):
         rig.snap(tmp_path / "a.dng", exposure_s=0.01)
     assert (tmp_path / "a.dng").exists()
+
+
+def test_a_picture_that_cannot_be_drawn_is_named_and_the_measurement_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fails(*given: object) -> None:
+        raise ZeroDivisionError("late")
+
+    monkeypatch.setattr(scan, "plot", fails)
+    monkeypatch.setattr(Snapshot, "draw", fails)
+    (tmp_path / "matt.toml").write_text(to_toml(MATT.model_dump(mode="json", exclude_none=True)))
+    scanned = run(
+        tmp_path, "rig", "scan", "light", "--from", "0", "--to", "2", "--step", "1", "--rig", "sim-ideal", "--sample", "matt.toml", "--out",
+        "s.csv", expect=1,
+    )  # fmt: skip
+    snapped = run(tmp_path, "rig", "snap", "a.dng", "--rig", "sim-ideal", "--sample", "matt.toml", expect=1)
+    for done, name, picture in ((scanned, "s.csv", "s.png"), (snapped, "a.dng", "a-view.png")):
+        assert f"the picture {picture}" in done.stderr
+        assert "ZeroDivisionError: late" in done.stderr
+        assert (tmp_path / name).is_file()
+        assert not (tmp_path / picture).exists()
 
 
 def test_signals_wait_while_something_is_written() -> None:

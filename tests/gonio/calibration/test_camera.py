@@ -87,7 +87,7 @@ def test_the_truth_of_the_camera_is_found(bench: Path) -> None:
 
 
 @pytest.mark.slow
-def test_frames_that_were_kept_give_the_same_file(bench: Path) -> None:
+def test_frames_that_were_kept_give_the_same_file(bench: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     gonio(
         bench, "calibrate", "camera", "--rig", "rig.toml", "--frames", "camera-frames", "--out", "again.toml", expect=0
     )
@@ -95,6 +95,12 @@ def test_frames_that_were_kept_give_the_same_file(bench: Path) -> None:
     for file, maps in ((first, "camera-maps.npz"), (again, "again-maps.npz")):
         assert file["values"]["camera"].pop("maps") == maps
     assert first == again
+    monkeypatch.setattr(calibrate_camera, "draw", lambda *given: 1 / 0)
+    said = gonio(
+        bench, "calibrate", "camera", "--rig", "rig.toml", "--frames", "camera-frames", "--out", "lost.toml", expect=1
+    ).stderr
+    assert "the picture lost.png" in said
+    assert read_toml(bench / "lost.toml")["uncertainty"] == first["uncertainty"]
 
 
 @pytest.mark.parametrize("calibrated", [False, True])

@@ -88,13 +88,20 @@ def test_each_arm_is_known_over_its_range(calibrated: Path) -> None:
 
 
 @pytest.mark.slow
-def test_kept_sightings_are_fitted_again_and_move_nothing(calibrated: Path) -> None:
+def test_kept_sightings_are_fitted_again_and_move_nothing(calibrated: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     gonio(
         calibrated, "calibrate", "geometry", "--rig", "rig.toml", "--scans", "geometry-sightings", "--out",
         "again.toml", expect=0,
     )  # fmt: skip
     assert (calibrated / "again.toml").read_bytes() == (calibrated / "geometry.toml").read_bytes()
     assert not (calibrated / "again-sightings").exists()
+    monkeypatch.setattr("gonio.calibration.geometry.draw", lambda *given: 1 / 0)
+    said = gonio(
+        calibrated, "calibrate", "geometry", "--rig", "rig.toml", "--scans", "geometry-sightings", "--out",
+        "lost.toml", expect=1,
+    ).stderr  # fmt: skip
+    assert "the picture lost-residuals.png" in said
+    assert (calibrated / "lost.toml").read_bytes() == (calibrated / "geometry.toml").read_bytes()
 
 
 def test_a_run_with_the_calibration_states_what_it_leaves_open(calibrated: Path) -> None:

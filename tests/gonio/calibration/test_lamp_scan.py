@@ -12,7 +12,7 @@ import pytest
 
 from gonio.acquisition.measure import find_rig
 from gonio.by_hand.manual_rig import ManualRig
-from gonio.calibration import lamp_scan
+from gonio.calibration import lamp_scan, lamp_stability
 from gonio.config import numbers_in, to_toml
 from gonio.disk import write_whole
 from gonio.errors import DataError, DeviceError
@@ -68,7 +68,7 @@ def series(t: Floats, signal: Floats) -> pd.DataFrame:
     return pd.DataFrame({"time_s": t, "signal_dn_per_s": signal, "u_shot_dn_per_s": 0.1, "exposure_s": 0.01})
 
 
-def test_what_is_true_of_the_lamp_is_found_and_can_be_used(tmp_path: Path) -> None:
+def test_what_is_true_of_the_lamp_is_found_and_can_be_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write(tmp_path)
     found, u, _ = found_in(tmp_path, "--minutes", "25", "--valid-days", "90")
     values, true = numbers_in(found.values), numbers_in(TRUTH)
@@ -84,6 +84,11 @@ def test_what_is_true_of_the_lamp_is_found_and_can_be_used(tmp_path: Path) -> No
     # the same data again, without the bench
     again, _, _ = found_in(tmp_path, "--series", "light-series.csv", out="again.toml")
     assert again.values["lamp"]["noise"] == pytest.approx(values["lamp.noise"])
+    monkeypatch.setattr(lamp_stability, "draw", lambda *given: 1 / 0)
+    lost = calibrated(tmp_path, "--series", "light-series.csv", out="lost.toml")
+    assert lost.returncode == 1
+    assert "the picture lost-series.png" in lost.stderr
+    assert read_calibration(tmp_path / "lost.toml").values == again.values
     assert "already" in calibrated(tmp_path).stderr
 
 

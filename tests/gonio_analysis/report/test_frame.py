@@ -139,12 +139,16 @@ def two_maps(folder: Path) -> object:
     return map_change.make([str(fitted(folder, "a")), str(fitted(folder, "b", 0.2))], folder / "out")
 
 
-def a_verification(folder: Path) -> object:
+def told_of_verification() -> dict[str, Any]:
     findings = [Finding("digits", True, "0.318", "0.318", "1e-12, relative")]
     part = {"name": "models", "what": "digits", "passed": True, "seconds": 1.0, "findings": findings}
     said = "All 1 checks of 1 parts passed: this installation computes what it should."
     told = {"passed": True, "conclusion": said, "parts": [part], "limits": verify.LIMITS}
-    return verify.make(folder / "out", {"title": "Verification of gonio", **MADE, **told})
+    return {"title": "Verification of gonio", **MADE, **told}
+
+
+def a_verification(folder: Path) -> object:
+    return verify.make(folder / "out", told_of_verification())
 
 
 def a_papers_figure(folder: Path) -> object:
@@ -164,7 +168,7 @@ def papers_pictures(folder: Path) -> Page:
     return pictures._page(found, which, images, judged, [drawing("plot")])
 
 
-def bench_of_models(folder: Path) -> Page:
+def told_of_models(ways: int = 1) -> dict[str, Any]:
     time = TimeSummary(best_ns=1.0, median_ns=1.0, processor_ns=1.0, pairs=3, repeats=1)
     way = WaySummary("exact", True, False, "as printed", 1e-12, {}, time, True, False)
     target = {"what": "phong", "target": "10 ns", "achieved": 8.0, "unit": "ns", "time_met": True}
@@ -174,24 +178,31 @@ def bench_of_models(folder: Path) -> Page:
     hard = {"case": "normal incidence", "models": ["phong"], **digits, **none, **fine}
     loose = {"family": "phong", "way": "exact", "stated": 1e-12, "worst": 1e-13, **fine}
     start = {"model": "Phong", "import_s": 0.1, "first_evaluation_s": 0.5, "together_s": 0.6}
-    told = {
+    return {
         "title": "Speed and error", **MADE, "quick": True, "machine": timing.machine(), "hard_cases": [hard],
         "tolerances": [loose],
-        "targets": [target], "families": [QuantitySummary("phong", "Phong", "A lobe.", "pairs", [way])],
+        "targets": [target], "families": [QuantitySummary("phong", "Phong", "A lobe.", "pairs", [way] * ways)],
         "hand_over": None, "start_up": [start], "peers": [{"peer": "nobody", "state": "not installed"}],
         "single_calls": [{"model": "phong", "call": "brdf()", "best_us": 1.0, "median_us": 2.0}],
         "reference": {"made_by": "a tool", "with": "60 digits", "grid": "even", "condition": "relative"},
     }  # fmt: skip
-    return results_page.render(told, [replace(drawing("front"), model="phong")])
 
 
-def bench_of_scenes(folder: Path) -> Page:
+def bench_of_models(folder: Path) -> Page:
+    return results_page.render(told_of_models(), [replace(drawing("front"), model="phong")])
+
+
+def told_of_scenes() -> dict[str, Any]:
     sample = {"scene": "sky", "rays": 4, "seconds": 0.1, "rms": 0.1, "stated": 0.1}
     kept = {"tolerance": 0.1, "most": 9, "seconds_for_all": 0.2, "beyond_three": 0.0, "above": 0, "holds": True}
     lists = {"bins": [], "ways": [], "shared": [], "peers": [], "samples": [sample], "tolerances": [sample | kept]}
     machine = timing.machine()
     told = {"title": "Scenes", **MADE, "quick": True, "pixels": 16, "mitsuba": "not installed", "machine": machine}
-    return scenes_page.render(told | lists, [drawing("error-against-time")])
+    return told | lists
+
+
+def bench_of_scenes(folder: Path) -> Page:
+    return scenes_page.render(told_of_scenes(), [drawing("error-against-time")])
 
 
 def bench_of_sweeps(folder: Path) -> Page:
@@ -205,16 +216,26 @@ def bench_of_coverage(folder: Path) -> Page:
     return coverage_page.render(told, [drawing("coverage", "forest"), drawing("pulls", "histogram")])
 
 
+OWN: dict[str, Any] = {"free": 1, "left_out": 0.02, "aic": 1.0, "rejected": False, "fails": "near retro"}
+RECORD = {"format": 1, "name": "dull", "values": 99, "models": {"lambert": OWN}, "not_rejected": "lambert"}
+
+
 def bench_of_materials(folder: Path) -> Page:
-    own = {"free": 1, "left_out": 0.02, "aic": 1.0, "rejected": False, "fails": "near retro"}
-    record = {"name": "dull", "values": 99, "models": {"lambert": own}, "not_rejected": "lambert"}
-    return materials._page([record], ["lambert"], {"notes.txt": "no table"}, None, [drawing("left_out")])
+    return materials._page([RECORD], ["lambert"], {"notes.txt": "no table"}, None, [drawing("left_out")])
+
+
+TIMES: dict[str, Any] = dict.fromkeys(("own_us", "shared_us", "rejected_us", "fit_ms", "scipy_ms", "from_fit"), 1.0) | {
+    "model": "ggx",
+    "pixels": 9,
+    "pull_sd": [1.0],
+    "beyond_5": 0,
+    "worse_than_truth": 0,
+    "jax_us": None,
+}
 
 
 def bench_of_maps(folder: Path) -> Page:
-    times = dict.fromkeys(("own_us", "shared_us", "rejected_us", "fit_ms", "scipy_ms", "from_fit"), 1.0)
-    more = {"model": "ggx", "pixels": 9, "pull_sd": [1.0], "beyond_5": 0, "worse_than_truth": 0, "jax_us": None}
-    return maps._page([times | more], stamp("gonio bench maps"))
+    return maps._page([TIMES], stamp("gonio bench maps"))
 
 
 KINDS: tuple[Callable[[Path], object], ...] = (

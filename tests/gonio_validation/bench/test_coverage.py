@@ -163,7 +163,7 @@ def test_campaigns_from_files_to_page(tmp_path: Path, monkeypatch: pytest.Monkey
     assert result.exit_code == 0, result.output
     assert result.stdout.strip() == str(out / "index.html")
     found = json.loads((out / "results.json").read_text(encoding="utf-8"))
-    assert (found["campaigns"], found["failed"]) == (2, [])
+    assert (found["campaigns"], found["refused"]) == (2, [])
     page = (out / "index.html").read_text(encoding="utf-8")
     assert not re.search(r'(src|href)="(?!#)', page)  # nothing is loaded
     assert "zero offsets of light and camera" in page
