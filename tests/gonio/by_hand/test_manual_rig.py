@@ -236,7 +236,8 @@ def test_a_picture_that_cannot_be_drawn_is_named_and_the_measurement_kept(
     monkeypatch.setattr(Snapshot, "draw", fails)
     (tmp_path / "matt.toml").write_text(to_toml(MATT.model_dump(mode="json", exclude_none=True)))
     scanned = run(
-        tmp_path, "rig", "scan", "light", "--from", "0", "--to", "2", "--step", "1", "--rig", "sim-ideal", "--sample", "matt.toml", "--out",
+        tmp_path, "rig", "scan", "light", "--from", "0", "--to", "2", "--step", "1",
+        "--rig", "sim-ideal", "--sample", "matt.toml", "--out",
         "s.csv", expect=1,
     )  # fmt: skip
     snapped = run(tmp_path, "rig", "snap", "a.dng", "--rig", "sim-ideal", "--sample", "matt.toml", expect=1)
