@@ -51,7 +51,8 @@ class _Header:
         elif key in ("intheta", "inphi") and cells:
             setattr(self, {"intheta": "theta_i", "inphi": "phi_i"}[key], number(cells[0], where, f"#{key}"))
         elif key == "sample_name":
-            return rest.strip().strip('"').strip() or None
+            name = rest.strip()
+            return (name[1:-1].strip() if len(name) > 1 and name[0] == name[-1] == '"' else name) or None
         elif key == "colorimetry:":
             self.colorimetry = rest.strip().lower()
             if self.colorimetry not in _CHANNELS:

@@ -14,6 +14,7 @@ import pytest
 
 from gonio import formats, measurement
 from gonio.errors import DataError, GonioError
+from gonio.formats import datacite
 from gonio.formats.reader import table
 from gonio.typing import DataFrame
 from tests.command_line import gonio, says
@@ -125,3 +126,30 @@ def test_a_terminal_shows_names_and_obeys_none(tmp_path: Path) -> None:
     says(fitted.stdout, "[red]x[/red]")
     fitted = gonio(tmp_path, "fit", "a.csv:a\x9b2Jb", "--model", "lambert", expect=0)
     assert "\x9b" not in fitted.stdout + fitted.stderr
+
+
+@pytest.mark.slow
+def test_what_only_one_side_of_a_conversion_holds_takes_any_name(tmp_path: Path) -> None:
+    """Files of pab that are read, records of DataCite, causes in archives of GTC, and fits of many tables."""
+    gtc = pytest.importorskip("GTC")
+    arabic, han, emoji, yi = (SCRIPTS[script] for script in ("Arabic", "Han", "Emoji", "Yi"))
+    names = [arabic + PUNCTUATION, PUNCTUATION + han, f'{emoji}"', f"'{yi}"]
+    folder = tmp_path / "tables"
+    folder.mkdir()
+    who = {"organisation": "A", "creators": [{"name": "B, C"}], "publication_year": 2024}
+    for k, name in enumerate(names):
+        frame = one(name)
+        measurement.write(frame, folder / f"{k}.csv")
+        frame.attrs["provenance"] = {"laboratory": who}
+        (title,) = datacite.record(frame, tmp_path)["titles"]
+        assert title == {"title": f"BRDF of {name}"}
+        path = tmp_path / "a.txt"
+        head = f'#sample_name "{name}"\n#format: theta phi BRDF\n#intheta 30\n#inphi 0\n'
+        path.write_text(head + "10 180 0.3\n20 180 0.3\n", encoding="utf-8")
+        assert measurement.read(path).attrs["sample"] == name
+        caused = frame.assign(**{f"s_{name}": 0.001, "u_random": 0.001})
+        measurement.write(caused, tmp_path / "a.gtc", format="gtc")
+        archive = gtc.persistence.loads_json((tmp_path / "a.gtc").read_text(encoding="utf-8"))
+        assert f"s_{name}" in {cause.label for cause in gtc.reporting.budget(archive.extract("brdf_0"))}
+    gonio(tmp_path, "fit", "--each", "tables", "--model", "lambert", "--out", "fits.csv", expect=0)
+    assert pd.read_csv(tmp_path / "fits.csv")["sample"].tolist() == names
