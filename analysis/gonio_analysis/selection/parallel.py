@@ -1,10 +1,12 @@
 """Many independent jobs at once: on the processors here, or on a Dask cluster whose scheduler is named."""
 
+import logging
 import os
 import socket
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import CancelledError, Future
+from contextlib import contextmanager
 from typing import Any, Protocol, TypeVar
 
 from gonio.cli.console import Pace, Say, silent
@@ -119,7 +121,7 @@ def _on_cluster(function: Callable[[In], Out], jobs: Iterable[In], address: str)
     except (OSError, ValueError) as error:
         reason = str(error) or f"nothing was said for {PATIENCE_S:g} s"
         raise ConfigError(f"--dask {address}: no scheduler answers there: {reason}") from None
-    with client:
+    with _without_tracebacks("distributed.client"), client:
         ahead = max(LEAST_AHEAD, 2 * sum(client.nthreads().values()))
         waiting: dict[Any, int] = {}
         ready = as_completed_there(loop=client.loop)
@@ -135,7 +137,22 @@ def _on_cluster(function: Callable[[In], Out], jobs: Iterable[In], address: str)
                 yield waiting.pop(future), future.result()
         except (KilledWorker, CancelledError) as error:
             reason = str(error).partition("\n")[0]
+            if "scheduler-connection-lost" in reason:
+                reason = "its scheduler has gone, or cannot be reached any more"
             raise DataError(f"--dask {address}: the cluster has given up: {reason}") from None
+
+
+@contextmanager
+def _without_tracebacks(name: str) -> Iterator[None]:
+    """What a library logs of a lost connection, pages of its own code, is left out: an error says it in a line."""
+    log = logging.getLogger(name)
+    before = log.level
+    if not os.environ.get("GONIO_TRACEBACK"):
+        log.setLevel(logging.CRITICAL)
+    try:
+        yield
+    finally:
+        log.setLevel(before)
 
 
 def _require_address(address: str) -> None:

@@ -1,5 +1,6 @@
 """Samples on several processes, and on a Dask cluster."""
 
+import logging
 import multiprocessing
 import os
 import pickle
@@ -7,6 +8,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 from typing import Any
@@ -71,6 +73,11 @@ def test_a_result_that_is_ready_waits_for_none_before_it(
     assert found == dict(enumerate(jobs))
 
 
+def _answers(at: tuple[str, int]) -> bool:
+    with socket.socket() as tried:
+        return tried.connect_ex(at) == 0
+
+
 def _held(until: str) -> str:
     """A job that ends when a path exists, if it is given one; within ten minutes, so that a failure ends."""
     ends = time.monotonic() + 600.0
@@ -79,6 +86,29 @@ def _held(until: str) -> str:
             raise TimeoutError(until)
         time.sleep(0.05)
     return until
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("default")
+def test_a_scheduler_that_goes_is_one_line(caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("distributed", reason="the extra gonio[dask] is not installed")
+    monkeypatch.setattr(logging.getLogger("distributed.client"), "propagate", True)
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        at = free.getsockname()
+    words = ["--host", at[0], "--port", str(at[1]), "--no-dashboard"]
+    command = [sys.executable, "-m", "distributed.cli.dask_scheduler", *words]
+    with subprocess.Popen(command, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL) as scheduler:
+        try:
+            ends = time.monotonic() + 120.0
+            while not _answers(at) and time.monotonic() < ends:
+                time.sleep(0.1)
+            threading.Timer(2.0, scheduler.kill).start()  # once the client waits for a worker
+            with pytest.raises(DataError, match=r"the cluster has given up: its scheduler has gone, or cannot"):
+                list(parallel.each(_held, ["", ""], dask=f"tcp://{at[0]}:{at[1]}"))
+        finally:
+            scheduler.kill()
+    assert not [record for record in caplog.records if record.exc_info]
 
 
 @pytest.mark.slow
