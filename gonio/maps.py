@@ -287,11 +287,13 @@ def is_map(path: str | Path) -> bool:
 
 @contextmanager
 def _understood(what: str) -> Iterator[None]:
-    """Turn whatever h5py raises of a file that it cannot make sense of into a `DataError`: `what`, and its reason."""
+    """Turn what h5py raises of a file that it makes no sense of into a `DataError`; want of memory names it, too."""
     try:
         yield
-    except (GonioError, MemoryError):
+    except GonioError:
         raise
+    except MemoryError as error:
+        raise MemoryError(f"{what.rpartition(': ')[0]}: {error}") from None
     except Exception as error:
         reason = error.args[0] if isinstance(error, KeyError) and error.args else error  # its text has quotes
         raise DataError(f"{what}: {reason}") from None

@@ -263,6 +263,18 @@ def test_settings_that_are_no_text_are_those_of_another_map(tmp_path: Path) -> N
         Parts(tmp_path / "map.h5", {})
 
 
+def test_a_map_that_does_not_fit_into_memory_is_not_called_damaged(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def too_large(*given: Any) -> Any:
+        raise MemoryError("Unable to allocate 8 TiB")
+
+    write(tmp_path / "map.h5")
+    monkeypatch.setattr(h5py.Dataset, "__getitem__", too_large)
+    with pytest.raises(MemoryError, match=r"map\.h5: Unable to allocate 8 TiB"), MapFile(tmp_path / "map.h5") as file:
+        file.array(file.names[-1])
+
+
 def test_what_the_parts_are_of_goes_last(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A command that is killed while it tidies up can be given again, also where a run's pictures lie there."""
     path, tile = tmp_path / "map.h5", Tile(slice(0, 64), slice(0, 64))
