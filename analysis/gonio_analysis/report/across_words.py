@@ -39,6 +39,8 @@ def verdict(found: Across) -> list[str]:
     if not far:
         return [f"None of {len(pairs)} samples can be compared with {pairs[0].a}: {pairs[0].missing}."]
     worst = max(far, key=lambda pair: abs(pair.common.log) if pair.common else 0.0)
+    if all(pair.beyond is None for pair in far):
+        return [f"{_difference(worst)}{_significance(worst)}.", f"The other samples lie nearer to {worst.a}."]
     head = f"Of {len(pairs)} samples {len(beyond)} differ from {worst.a} beyond their uncertainties"
     return [f"{head}{': ' * bool(beyond)}{', '.join(beyond)}.", (f"{_difference(worst)}.")]
 

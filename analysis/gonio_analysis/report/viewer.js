@@ -335,7 +335,8 @@
       for (const [anchor, x, text] of [["start", cx - R, "retro side"], ["end", cx + R, "mirror side"]]) {
         svg(picture, "text", { x, y: cy + 31, "text-anchor": anchor, fill: SOFT, "font-size": 11 }, text);
       }
-      svg(picture, "text", { x: cx, y: cy + (width > 480 ? 31 : 46), "text-anchor": "middle", fill: INK, "font-size": 12 }, this.label());
+      const below = width > 480 && 6.5 * this.label().length < 2 * R - 150 ? 31 : 46; // beside the words at both ends, or below
+      svg(picture, "text", { x: cx, y: cy + below, "text-anchor": "middle", fill: INK, "font-size": 12 }, this.label());
       const group = svg(picture, "g", { "clip-path": `url(#${clip})` });
       const whole = new Set();
       for (const line of lines) {

@@ -140,6 +140,14 @@ def test_the_verdict_names_what_two_samples_differ_by(kind: str) -> None:
     assert all(one.endswith(".") for one in [*said, *details(found)])
 
 
+def test_four_samples_without_uncertainties_have_no_count_of_those_that_differ() -> None:
+    parts = [unstated(table(matt(0.2 + 0.1 * k), k)) for k in range(4)]
+    said = verdict(across([of_table(f"s{k}", "x", part) for k, part in enumerate(parts)]))
+    assert said[0].startswith("s3 is ")
+    assert "no uncertainties are stated" in said[0]
+    assert said[1] == "The other samples lie nearer to s0."
+
+
 def test_lobes_are_compared_in_numbers() -> None:
     (pair,) = across([of_table("A", "a", table(gloss(), 1)), of_table("B", "b", table(gloss(33.0), 2))]).pairs
     width, height = known(pair.width_deg), known(pair.height)
