@@ -41,7 +41,7 @@ def test_the_panel_shows_steps_values_flags_drift_and_events(ended: Watched) -> 
         shown.get(),
         "ended: step 24 of 24, 1 flagged",
         "[moved]",
-        "since the first visit",
+        "since the first measurement of it",
         "1/sr",
         " ± ",
         "provisional",

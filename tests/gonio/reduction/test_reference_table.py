@@ -82,7 +82,7 @@ ACROSS = Directions(math.radians(30), 0.0, math.radians(40), math.radians(90))
         (
             {"theta_i_deg": 30.0, "theta_r_deg": 40.0, "phi_r_deg": 110.0},
             visit(30.0, 45.0),
-            r"spectralon.csv: the visit .* lies outside of this table",
+            r"spectralon.csv: the measurement of the reference at .* lies outside of this table",
         ),
     ],
 )
@@ -130,7 +130,9 @@ def test_a_table_of_which_a_part_is_uncertain_is_refused_where_it_is_not() -> No
     known = table().assign(u_brdf=0.002)
     known.loc[known["theta_r_deg"] > 50.0, "u_brdf"] = math.nan
     assert u_of_reference(known, visit(0.0, 30.0), 500.0) == pytest.approx(0.002)
-    with pytest.raises(DataError, match="some values have an uncertainty, and those around the visit"):
+    with pytest.raises(
+        DataError, match="some values have an uncertainty, and those around the measurement of the reference"
+    ):
         u_of_reference(known, visit(0.0, 70.0), 500.0)
 
 
