@@ -98,11 +98,11 @@ def test_a_true_model_has_no_band_and_says_what_would_go_unnoticed() -> None:
     facts = facts_of(measure(PAINT, noise=0.01, seed=3), "lambert", "cook-torrance")
     assert facts.best == some(facts.choice.named).candidate.label == "cook-torrance"
     assert facts.conclusion.startswith(
-        "cook-torrance is the simplest of the models tried that the data do not reject: "
+        "cook-torrance describes the values within their uncertainties, the simplest of the 2 models tried that does"
     )
     misfit = some(facts.models["cook-torrance"].fit.tau)
     assert (misfit.value, misfit.interval[0]) == (0.0, 0.0)
-    said = r"; a misfit of at most 0\.\d+ % that is smooth over 20° would go unnoticed in half of the cases\."
+    said = r" A misfit of at most 0\.\d+ % that is smooth over 20° would go unnoticed in half of the cases\."
     assert re.search(said, facts.conclusion)
     assert facts.rho_dh_combined == []
 
