@@ -13,6 +13,7 @@ import numpy as np
 
 from gonio import measurement, shown
 from gonio.errors import ArgumentError, ConfigError, DataError
+from gonio.formats.reader import COLUMNS
 from gonio.models import Lambert, Model
 from gonio.typing import DataFrame
 from gonio_analysis.curves.in_plane import Normalise, curves, labels, norm, selection
@@ -171,7 +172,9 @@ def _key(figure: Any, names: Sequence[str]) -> None:
 
 def table_html(frame: DataFrame) -> str | None:
     """A measurement table as a plot above its first rows; None for any other table."""
-    if "quantity" not in frame.attrs or not {"theta_i_deg", "theta_r_deg", "brdf"} <= set(frame.columns):
+    if "quantity" not in frame.attrs or not set(COLUMNS) <= set(
+        frame.columns
+    ):  # some columns of one are no measurement
         return None
     names = list(measurement.samples(frame))
     name = names[0] if len(names) == 1 else f"{len(names)} samples"
