@@ -144,13 +144,6 @@ def draw(datasets: Sequence[Dataset]) -> list[Drawing]:
     return [Drawing("samples", "samples", "", caption, caption, (7.0, 0.5 + 2.1 * rows), on)]
 
 
-def _rim(lines: Sequence[Line]) -> float:
-    """A round number just above all values."""
-    top = max(float(line.theory.max(initial=0.0)) for line in lines)
-    power = 10.0 ** math.floor(math.log10(top)) if top > 0.0 else 1.0
-    return next(step * power for step in (1.0, 2.0, 3.0, 4.0, 5.0, 8.0, 10.0) if top <= step * power or step == 10.0)
-
-
 def _on_panels(figure: Any, *, panels: Sequence[tuple[str, list[Line]]], logarithmic: bool) -> None:
     rows, columns = -(-len(panels) // 2), min(len(panels), 2)
     high = figure.get_figheight()
@@ -167,6 +160,6 @@ def _on_panels(figure: Any, *, panels: Sequence[tuple[str, list[Line]]], logarit
             in_plane.angle_axis(ax)
             in_plane.clean(ax)
         else:
-            in_plane.polar(ax, lines, radius=_rim(lines), radius_label="BRDF / sr⁻¹")
+            in_plane.polar(ax, lines, radius=in_plane.radius_of(lines, math.inf), radius_label="BRDF / sr⁻¹")
         ax.set_title(label, fontsize=8, pad=2)
     key(figure, in_plane.handles(panels[0][1]), min(len(panels[0][1]), 3))

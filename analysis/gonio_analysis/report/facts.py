@@ -133,8 +133,3 @@ class Summary:
     """Samples of which no reflection was measured."""
     figures: Sequence[Described] = ()
     tables: Sequence[str] = ()
-
-    @property
-    def across(self) -> Across | None:
-        """What is said of several samples without models."""
-        return None if self.comparison is None else self.comparison.across
